@@ -1,0 +1,1 @@
+//! Direct image alignment of frames and keyframes.

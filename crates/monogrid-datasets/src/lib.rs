@@ -1,0 +1,1 @@
+//! Image sources, calibration and trajectory files, recordings and synthetic worlds.

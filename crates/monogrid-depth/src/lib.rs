@@ -1,0 +1,1 @@
+//! Semi-dense inverse-depth filter.

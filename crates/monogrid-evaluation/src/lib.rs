@@ -1,0 +1,1 @@
+//! Trajectory, depth, map and path metrics.

@@ -1,0 +1,1 @@
+//! Corners, binary descriptors, patch alignment and two-view geometry.

@@ -1,0 +1,1 @@
+//! Image buffers, gradients, pyramids, undistortion and photometric correction.

@@ -1,0 +1,1 @@
+//! Probabilistic voxel map compatible with OctoMap, with inverse sensor models and queries.

@@ -1,0 +1,1 @@
+//! Direct semi-dense monocular SLAM that feeds an occupancy map.
