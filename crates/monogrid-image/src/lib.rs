@@ -1,1 +1,17 @@
-//! Image buffers, gradients, pyramids, undistortion and photometric correction.
+//! Image buffers, sampling, gradients, pyramids, undistortion and photometric correction.
+//!
+//! Images are contiguous, row-major, of any width; the centre of the top-left pixel is (0, 0).
+//! Grey values are `f32` in [0, 255] whatever the bit depth of the file.
+#![deny(missing_docs)]
+
+mod buffer;
+mod gradient;
+mod photometric;
+mod pyramid;
+mod undistort;
+
+pub use buffer::{GrayImage, Image, Mask, Resize, bilinear, resize_area};
+pub use gradient::{GradientImage, max_gradient};
+pub use photometric::{Photometric, PhotometricError};
+pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};
+pub use undistort::{Undistorter, WorkingSize};

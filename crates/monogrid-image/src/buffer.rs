@@ -1,0 +1,198 @@
+//! The image type and how it is sampled and resized.
+
+/// A dense row-major image.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Image<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+/// Grey image, values in [0, 255].
+pub type GrayImage = Image<f32>;
+
+/// Which pixels may be used: 255 valid, 0 not.
+pub type Mask = Image<u8>;
+
+impl<T: Copy> Image<T> {
+    /// An image filled with `value`.
+    #[must_use]
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self {
+            width,
+            height,
+            data: vec![value; width * height],
+        }
+    }
+
+    /// An image from its pixels in row-major order; `None` unless there are `width * height` of them.
+    #[must_use]
+    pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
+        (data.len() == width * height).then_some(Self {
+            width,
+            height,
+            data,
+        })
+    }
+
+    /// An image whose pixels are `f(x, y)`.
+    #[must_use]
+    pub fn from_fn(width: usize, height: usize, mut f: impl FnMut(usize, usize) -> T) -> Self {
+        let mut data = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for x in 0..width {
+                data.push(f(x, y));
+            }
+        }
+        Self {
+            width,
+            height,
+            data,
+        }
+    }
+
+    /// Width, px.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height, px.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels, row-major.
+    #[must_use]
+    pub fn as_slice(&self) -> &[T] {
+        &self.data
+    }
+
+    /// All pixels, row-major.
+    #[must_use]
+    pub fn as_mut_slice(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// One row.
+    #[must_use]
+    pub fn row(&self, y: usize) -> &[T] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// One row.
+    #[must_use]
+    pub fn row_mut(&mut self, y: usize) -> &mut [T] {
+        &mut self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The pixel at column `x` and row `y`; panics outside the image like slice indexing.
+    #[must_use]
+    pub fn at(&self, x: usize, y: usize) -> T {
+        debug_assert!(x < self.width);
+        self.data[y * self.width + x]
+    }
+
+    /// Sets the pixel at column `x` and row `y`; panics outside the image like slice indexing.
+    pub fn set(&mut self, x: usize, y: usize, value: T) {
+        debug_assert!(x < self.width);
+        self.data[y * self.width + x] = value;
+    }
+
+    /// The image with every pixel mapped by `f`.
+    #[must_use]
+    pub fn map<U: Copy>(&self, f: impl FnMut(T) -> U) -> Image<U> {
+        Image {
+            width: self.width,
+            height: self.height,
+            data: self.data.iter().copied().map(f).collect(),
+        }
+    }
+
+    /// Whether both images have the same size.
+    #[must_use]
+    pub fn same_size<U: Copy>(&self, other: &Image<U>) -> bool {
+        self.width == other.width && self.height == other.height
+    }
+}
+
+/// Bilinear value at `(x, y)`; `None` outside the square of pixel centres.
+#[must_use]
+#[inline]
+pub fn bilinear(image: &GrayImage, x: f32, y: f32) -> Option<f32> {
+    let (w, h) = (image.width, image.height);
+    if !(x >= 0.0 && y >= 0.0 && x <= (w as f32 - 1.0) && y <= (h as f32 - 1.0)) {
+        return None;
+    }
+    let (ix, iy) = (
+        (x as usize).min(w.saturating_sub(2)),
+        (y as usize).min(h.saturating_sub(2)),
+    );
+    if w < 2 || h < 2 {
+        return Some(image.data[0]);
+    }
+    let (fx, fy) = (x - ix as f32, y - iy as f32);
+    let i = iy * w + ix;
+    let top = image.data[i] + fx * (image.data[i + 1] - image.data[i]);
+    let bottom = image.data[i + w] + fx * (image.data[i + w + 1] - image.data[i + w]);
+    Some(top + fy * (bottom - top))
+}
+
+/// How the working image is taken from the input image: crop, then resample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Resize {
+    /// Output width, px.
+    pub width: usize,
+    /// Output height, px.
+    pub height: usize,
+}
+
+/// Resamples by averaging the area that each output pixel covers (exact box filter), which neither
+/// aliases nor shifts the image.
+#[must_use]
+pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
+    if size.width == image.width && size.height == image.height {
+        return image.clone();
+    }
+    let columns = area_weights(image.width, size.width);
+    let rows = area_weights(image.height, size.height);
+    let mut horizontal = Image::filled(size.width, image.height, 0.0f32);
+    for y in 0..image.height {
+        let source = image.row(y);
+        for (x, out) in horizontal.row_mut(y).iter_mut().enumerate() {
+            let (start, weights) = &columns[x];
+            *out = weights
+                .iter()
+                .zip(&source[*start..])
+                .map(|(w, v)| w * v)
+                .sum();
+        }
+    }
+    let mut output = Image::filled(size.width, size.height, 0.0f32);
+    for (y, (start, weights)) in rows.iter().enumerate() {
+        for (k, weight) in weights.iter().enumerate() {
+            let source = &horizontal.data[(start + k) * size.width..][..size.width];
+            for (out, value) in output.row_mut(y).iter_mut().zip(source) {
+                *out += weight * value;
+            }
+        }
+    }
+    output
+}
+
+/// For each output pixel the first input pixel it covers and the normalised overlap with each.
+fn area_weights(input: usize, output: usize) -> Vec<(usize, Vec<f32>)> {
+    let ratio = input as f64 / output as f64;
+    (0..output)
+        .map(|i| {
+            let (from, to) = (i as f64 * ratio, (i as f64 + 1.0) * ratio);
+            let first = from.floor() as usize;
+            let last = (to.ceil() as usize).clamp(first + 1, input);
+            let weights = (first..last)
+                .map(|k| ((to.min(k as f64 + 1.0) - from.max(k as f64)).max(0.0) / ratio) as f32)
+                .collect();
+            (first, weights)
+        })
+        .collect()
+}

@@ -1,0 +1,65 @@
+//! Image pyramids: level 0 is the finest, each level halves the size.
+
+use crate::{GrayImage, Image};
+use monogrid_geometry::Pinhole;
+
+/// A grey image at halving resolutions; level 0 is the input.
+#[derive(Clone, Debug, Default)]
+pub struct Pyramid {
+    /// The images, finest first.
+    pub levels: Vec<GrayImage>,
+}
+
+impl Pyramid {
+    /// Builds at most `num_levels` levels, stopping before a side falls below 16 pixels.
+    #[must_use]
+    pub fn new(image: GrayImage, num_levels: usize) -> Self {
+        let mut levels = vec![image];
+        while levels.len() < num_levels {
+            let last = &levels[levels.len() - 1];
+            if last.width() < 32 || last.height() < 32 {
+                break;
+            }
+            let next = half_size(last);
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// The image of a level.
+    #[must_use]
+    pub fn level(&self, level: usize) -> &GrayImage {
+        &self.levels[level]
+    }
+
+    /// Number of levels.
+    #[must_use]
+    pub fn num_levels(&self) -> usize {
+        self.levels.len()
+    }
+}
+
+/// Averages 2x2 blocks; an odd last row or column is dropped, so that the half-pixel rule of
+/// [`Pinhole::half`] holds for every size.
+#[must_use]
+pub fn half_size(image: &GrayImage) -> GrayImage {
+    let (w, h) = (image.width() / 2, image.height() / 2);
+    let mut output = Image::filled(w, h, 0.0f32);
+    for y in 0..h {
+        let (top, bottom) = (image.row(2 * y), image.row(2 * y + 1));
+        let out = output.row_mut(y);
+        let pairs = top.chunks_exact(2).zip(bottom.chunks_exact(2));
+        for (o, (t, b)) in out.iter_mut().zip(pairs) {
+            *o = 0.25 * (t[0] + t[1] + b[0] + b[1]);
+        }
+    }
+    output
+}
+
+/// Intrinsics of each level of a pyramid.
+#[must_use]
+pub fn pyramid_intrinsics(finest: &Pinhole, num_levels: usize) -> Vec<Pinhole> {
+    std::iter::successors(Some(*finest), |pinhole| Some(pinhole.half()))
+        .take(num_levels)
+        .collect()
+}

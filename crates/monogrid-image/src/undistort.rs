@@ -1,0 +1,276 @@
+//! From the image of a real camera to the image of an ideal pinhole camera of a working size.
+
+use crate::{GrayImage, Image, Mask, Resize, bilinear, resize_area};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
+
+/// How the working size is chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WorkingSize {
+    /// At most about as many pixels as 640x480, never larger than the input.
+    Automatic,
+    /// Exactly this size; a different aspect ratio crops the longer side.
+    Exact {
+        /// Width, px.
+        width: usize,
+        /// Height, px.
+        height: usize,
+    },
+}
+
+/// Pixels of the automatic working size.
+const AUTOMATIC_PIXELS: f64 = 640.0 * 480.0;
+
+impl WorkingSize {
+    /// The working size for images of the given size.
+    #[must_use]
+    pub fn resolve(self, width: usize, height: usize) -> (usize, usize) {
+        match self {
+            Self::Exact { width, height } => (width, height),
+            Self::Automatic => {
+                let pixels = (width * height) as f64;
+                // up to 20 % above the budget the loss of sharpness costs more than the pixels
+                if pixels <= 1.2 * AUTOMATIC_PIXELS {
+                    return (width, height);
+                }
+                let factor = (AUTOMATIC_PIXELS / pixels).sqrt();
+                let even = |x: usize| (((x as f64 * factor) / 2.0).round() as usize * 2).max(16);
+                (even(width), even(height))
+            }
+        }
+    }
+}
+
+/// Precomputed mapping from input images to working images.
+///
+/// Without distortion the image is cropped and averaged over areas; with distortion it is resampled
+/// bilinearly (after area averaging when the working size is smaller).
+#[derive(Clone, Debug)]
+pub struct Undistorter {
+    input: Camera,
+    pinhole: Pinhole,
+    width: usize,
+    height: usize,
+    /// Crop of the input (left, top, width, height) before resampling.
+    crop: (usize, usize, usize, usize),
+    /// Size after area averaging, before remapping.
+    reduced: Resize,
+    /// Source pixel in the reduced image for each output pixel; empty without distortion.
+    remap: Vec<[f32; 2]>,
+    mask: Mask,
+}
+
+/// Pixels by which the valid area is eroded, so that no gradient sees the border.
+const MASK_EROSION: usize = 3;
+
+impl Undistorter {
+    /// Prepares the mapping. `mask` (in input pixels, 0 = ignore) excludes parts of the image.
+    #[must_use]
+    pub fn new(input: &Camera, size: WorkingSize, mask: Option<&Mask>) -> Self {
+        let (width, height) = size.resolve(input.width, input.height);
+        let crop = centred_crop(input, width, height);
+        let (left, top, crop_width, crop_height) = crop;
+        let reduced = Resize {
+            width: width.min(crop_width),
+            height: height.min(crop_height),
+        };
+        let factor_x = reduced.width as f64 / crop_width as f64;
+        let factor_y = reduced.height as f64 / crop_height as f64;
+        let reduced_pinhole = input
+            .pinhole
+            .cropped(left as f64, top as f64)
+            .scaled(factor_x, factor_y);
+        let enlarge_x = width as f64 / reduced.width as f64;
+        let enlarge_y = height as f64 / reduced.height as f64;
+        let enlarged = reduced_pinhole.scaled(enlarge_x, enlarge_y);
+        let plain = input.distortion == Distortion::None
+            && reduced.width == width
+            && reduced.height == height;
+        let pinhole = if input.distortion == Distortion::None {
+            enlarged
+        } else {
+            inscribed_pinhole(input, &crop, width, height).unwrap_or(enlarged)
+        };
+        let remap = if plain {
+            Vec::new()
+        } else {
+            remap_table(&pinhole, width, height, &reduced_pinhole, &input.distortion)
+        };
+        let mut this = Self {
+            input: *input,
+            pinhole,
+            width,
+            height,
+            crop,
+            reduced,
+            remap,
+            mask: Mask::filled(width, height, 255),
+        };
+        this.mask = this.valid_mask(mask);
+        this
+    }
+
+    /// Intrinsics of the working images.
+    #[must_use]
+    pub fn pinhole(&self) -> &Pinhole {
+        &self.pinhole
+    }
+
+    /// Width and height of the working images, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Camera of the input images.
+    #[must_use]
+    pub fn input(&self) -> &Camera {
+        &self.input
+    }
+
+    /// Pixels of the working image that may be used (255), eroded by three pixels.
+    #[must_use]
+    pub fn mask(&self) -> &Mask {
+        &self.mask
+    }
+
+    /// The working image of an input image; `None` when it has another size than the camera.
+    #[must_use]
+    pub fn apply(&self, image: &GrayImage) -> Option<GrayImage> {
+        if image.width() != self.input.width || image.height() != self.input.height {
+            return None;
+        }
+        let reduced = self.reduce(image);
+        if self.remap.is_empty() {
+            return Some(reduced);
+        }
+        let mut output = Image::filled(self.width, self.height, 0.0f32);
+        for (out, source) in output.as_mut_slice().iter_mut().zip(&self.remap) {
+            *out = bilinear(&reduced, source[0], source[1]).unwrap_or(0.0);
+        }
+        Some(output)
+    }
+
+    /// Crop and area averaging.
+    fn reduce(&self, image: &GrayImage) -> GrayImage {
+        let (left, top, width, height) = self.crop;
+        if width == image.width() && height == image.height() {
+            return resize_area(image, self.reduced);
+        }
+        let mut cropped = Image::filled(width, height, 0.0f32);
+        for y in 0..height {
+            cropped
+                .row_mut(y)
+                .copy_from_slice(&image.row(top + y)[left..left + width]);
+        }
+        resize_area(&cropped, self.reduced)
+    }
+
+    /// Pixels whose source lies inside the input image and the user's mask.
+    fn valid_mask(&self, user: Option<&Mask>) -> Mask {
+        let user_reduced = user
+            .filter(|m| m.width() == self.input.width && m.height() == self.input.height)
+            .map(|m| self.reduce(&m.map(f32::from)));
+        let limit_x = self.reduced.width as f32 - 1.0;
+        let limit_y = self.reduced.height as f32 - 1.0;
+        let raw = Mask::from_fn(self.width, self.height, |x, y| {
+            let source = self
+                .remap
+                .get(y * self.width + x)
+                .copied()
+                .unwrap_or([x as f32, y as f32]);
+            let inside = source[0] >= 0.0
+                && source[1] >= 0.0
+                && source[0] <= limit_x
+                && source[1] <= limit_y;
+            let allowed = user_reduced
+                .as_ref()
+                .is_none_or(|m| bilinear(m, source[0], source[1]).is_some_and(|v| v > 254.0));
+            if inside && allowed { 255 } else { 0 }
+        });
+        erode(&raw, MASK_EROSION)
+    }
+}
+
+/// The largest centred part of the input with the aspect ratio of the working size.
+fn centred_crop(input: &Camera, width: usize, height: usize) -> (usize, usize, usize, usize) {
+    let (w, h) = (input.width as f64, input.height as f64);
+    let ratio = width as f64 / height as f64;
+    // within one pixel of the right ratio (rounding of the automatic size) nothing is cropped
+    if (w / ratio - h).abs() <= 2.0 * h / height as f64 {
+        return (0, 0, input.width, input.height);
+    }
+    let (crop_w, crop_h) = if w / h > ratio {
+        ((h * ratio).round() as usize, input.height)
+    } else {
+        (input.width, (w / ratio).round() as usize)
+    };
+    (
+        (input.width - crop_w) / 2,
+        (input.height - crop_h) / 2,
+        crop_w,
+        crop_h,
+    )
+}
+
+/// A pinhole camera of the given size whose border midpoints see inside the input image ("crop").
+///
+/// The midpoints of the four borders of the input are undistorted; the output's borders lie on the
+/// innermost of them, as in PTAM's and LSD-SLAM's crop mode.
+fn inscribed_pinhole(
+    input: &Camera,
+    crop: &(usize, usize, usize, usize),
+    width: usize,
+    height: usize,
+) -> Option<Pinhole> {
+    let (left, top, crop_w, crop_h) = (crop.0 as f64, crop.1 as f64, crop.2 as f64, crop.3 as f64);
+    let ray = |x: f64, y: f64| input.unproject(&Vec2::new(x, y));
+    let (mid_x, mid_y) = (input.pinhole.cx, input.pinhole.cy);
+    let x_min = ray(left, mid_y)?.x;
+    let x_max = ray(left + crop_w - 1.0, mid_y)?.x;
+    let y_min = ray(mid_x, top)?.y;
+    let y_max = ray(mid_x, top + crop_h - 1.0)?.y;
+    let fx = (width as f64 - 1.0) / (x_max - x_min);
+    let fy = (height as f64 - 1.0) / (y_max - y_min);
+    (fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0)
+        .then(|| Pinhole::new(fx, fy, -x_min * fx, -y_min * fy))
+}
+
+/// Position in the reduced input image of each output pixel; NaN where the model has none.
+fn remap_table(
+    pinhole: &Pinhole,
+    width: usize,
+    height: usize,
+    reduced: &Pinhole,
+    distortion: &Distortion,
+) -> Vec<[f32; 2]> {
+    let mut table = Vec::with_capacity(width * height);
+    for y in 0..height {
+        for x in 0..width {
+            let ideal = pinhole.unproject(&Vec2::new(x as f64, y as f64)).xy();
+            table.push(distortion.distort(&ideal).map_or([f32::NAN; 2], |d| {
+                [
+                    (reduced.fx * d.x + reduced.cx) as f32,
+                    (reduced.fy * d.y + reduced.cy) as f32,
+                ]
+            }));
+        }
+    }
+    table
+}
+
+/// Clears every pixel within `radius` (in both axes) of an invalid one or of nothing at all at the
+/// border of the image only where the border itself is invalid.
+fn erode(mask: &Mask, radius: usize) -> Mask {
+    let (w, h) = (mask.width(), mask.height());
+    let horizontal = Mask::from_fn(w, h, |x, y| {
+        let row = mask.row(y);
+        let range = x.saturating_sub(radius)..(x + radius + 1).min(w);
+        row[range].iter().copied().min().unwrap_or(0)
+    });
+    Mask::from_fn(w, h, |x, y| {
+        (y.saturating_sub(radius)..(y + radius + 1).min(h))
+            .map(|yy| horizontal.at(x, yy))
+            .min()
+            .unwrap_or(0)
+    })
+}
