@@ -1,0 +1,1 @@
+//! Synthetic worlds with exact depth and pose.
