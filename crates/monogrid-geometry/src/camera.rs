@@ -1,8 +1,8 @@
-//! Camera models: pinhole with radial-tangential, FOV or equidistant distortion.
+//! Camera models: an ideal pinhole, and a calibrated camera that adds lens distortion.
 //!
 //! All pixels follow the convention of the crate: the centre of the top-left pixel is (0, 0).
 
-use crate::{Vec2, Vec3};
+use crate::{Distortion, Vec2, Vec3};
 
 /// Intrinsics of an ideal pinhole camera, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,37 +68,6 @@ impl Pinhole {
     pub fn cropped(&self, left: f64, top: f64) -> Self {
         Self::new(self.fx, self.fy, self.cx - left, self.cy - top)
     }
-}
-
-/// Lens distortion, acting on normalised image coordinates.
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub enum Distortion {
-    /// Ideal pinhole.
-    #[default]
-    None,
-    /// OpenCV's radial-tangential model.
-    RadialTangential {
-        /// Radial, second order.
-        k1: f64,
-        /// Radial, fourth order.
-        k2: f64,
-        /// Tangential.
-        p1: f64,
-        /// Tangential.
-        p2: f64,
-        /// Radial, sixth order.
-        k3: f64,
-    },
-    /// FOV (ATAN) model of Devernay and Faugeras, as in PTAM and LSD-SLAM.
-    Fov {
-        /// Field-of-view parameter, rad.
-        omega: f64,
-    },
-    /// Equidistant (Kannala-Brandt) fisheye with four coefficients, as OpenCV's `fisheye`.
-    Equidistant {
-        /// Coefficients of theta^3, theta^5, theta^7, theta^9.
-        k: [f64; 4],
-    },
 }
 
 /// What is wrong with a calibration.
@@ -235,7 +204,7 @@ impl Camera {
     /// up to which the distortion model is one-to-one.
     #[must_use]
     pub fn project(&self, point_in_camera: &Vec3) -> Option<Vec2> {
-        if point_in_camera.z <= 0.0 {
+        if point_in_camera.z.is_nan() || point_in_camera.z <= 0.0 {
             return None;
         }
         let ideal = Vec2::new(
@@ -267,148 +236,4 @@ impl Camera {
         };
         (angle(self.width as f64 - 0.5) - angle(-0.5)).to_degrees()
     }
-}
-
-impl Distortion {
-    /// Names and values of the parameters.
-    #[must_use]
-    pub fn parameters(&self) -> Vec<(&'static str, f64)> {
-        match *self {
-            Self::None => vec![],
-            Self::RadialTangential { k1, k2, p1, p2, k3 } => {
-                vec![("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2), ("k3", k3)]
-            }
-            Self::Fov { omega } => vec![("omega", omega)],
-            Self::Equidistant { k } => {
-                vec![("k1", k[0]), ("k2", k[1]), ("k3", k[2]), ("k4", k[3])]
-            }
-        }
-    }
-
-    /// Distorted from ideal normalised coordinates; `None` where the model folds over.
-    #[must_use]
-    pub fn distort(&self, ideal: &Vec2) -> Option<Vec2> {
-        let (x, y) = (ideal.x, ideal.y);
-        let r2 = x * x + y * y;
-        match *self {
-            Self::None => Some(*ideal),
-            Self::RadialTangential { k1, k2, p1, p2, k3 } => {
-                let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-                // d(r * radial)/dr must stay positive, else two angles share one pixel.
-                let slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3));
-                if slope <= 0.0 || radial <= 0.0 {
-                    return None;
-                }
-                Some(Vec2::new(
-                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                    y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-                ))
-            }
-            Self::Fov { omega } => {
-                let r = r2.sqrt();
-                if omega.abs() < 1e-6 || r < 1e-9 {
-                    // limit r -> 0 of the factor below
-                    let factor = if omega.abs() < 1e-6 {
-                        1.0
-                    } else {
-                        2.0 * (0.5 * omega).tan() / omega
-                    };
-                    return Some(ideal * factor);
-                }
-                let distorted = (2.0 * r * (0.5 * omega).tan()).atan() / omega;
-                Some(ideal * (distorted / r))
-            }
-            Self::Equidistant { k } => {
-                let r = r2.sqrt();
-                if r < 1e-9 {
-                    return Some(*ideal);
-                }
-                let theta = r.atan();
-                let (distorted, slope) = equidistant(theta, &k);
-                (slope > 0.0).then(|| ideal * (distorted / r))
-            }
-        }
-    }
-
-    /// Ideal from distorted normalised coordinates; `None` outside the range of the model.
-    #[must_use]
-    pub fn undistort(&self, distorted: &Vec2) -> Option<Vec2> {
-        match *self {
-            Self::None => Some(*distorted),
-            Self::RadialTangential { .. } => self.undistort_newton(distorted),
-            Self::Fov { omega } => {
-                let r = distorted.norm();
-                if omega.abs() < 1e-6 {
-                    return Some(*distorted);
-                }
-                let angle = r * omega;
-                if angle.abs() >= std::f64::consts::FRAC_PI_2 {
-                    return None;
-                }
-                let denominator = 2.0 * (0.5 * omega).tan();
-                let factor = if r < 1e-9 {
-                    omega / denominator
-                } else {
-                    angle.tan() / denominator / r
-                };
-                Some(distorted * factor)
-            }
-            Self::Equidistant { k } => {
-                let r = distorted.norm();
-                if r < 1e-9 {
-                    return Some(*distorted);
-                }
-                let theta = invert_equidistant(r, &k)?;
-                (theta < std::f64::consts::FRAC_PI_2 - 1e-6).then(|| distorted * (theta.tan() / r))
-            }
-        }
-    }
-
-    /// Newton's method on [`Self::distort`] with a numeric Jacobian.
-    fn undistort_newton(&self, distorted: &Vec2) -> Option<Vec2> {
-        let mut ideal = *distorted;
-        for _ in 0..30 {
-            let Some(value) = self.distort(&ideal) else {
-                // stepped beyond the fold: come back towards the axis
-                ideal *= 0.7;
-                continue;
-            };
-            let error = value - distorted;
-            if error.norm() < 1e-13 {
-                return Some(ideal);
-            }
-            let h = 1e-7;
-            let dx = (self.distort(&(ideal + Vec2::new(h, 0.0)))? - value) / h;
-            let dy = (self.distort(&(ideal + Vec2::new(0.0, h)))? - value) / h;
-            let jacobian = nalgebra::Matrix2::from_columns(&[dx, dy]);
-            ideal -= jacobian.lu().solve(&error)?;
-        }
-        let error = self.distort(&ideal)? - distorted;
-        (error.norm() < 1e-9).then_some(ideal)
-    }
-}
-
-/// Distorted radius and its derivative for the angle `theta`.
-fn equidistant(theta: f64, k: &[f64; 4]) -> (f64, f64) {
-    let t2 = theta * theta;
-    let value = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
-    let slope = 1.0 + t2 * (3.0 * k[0] + t2 * (5.0 * k[1] + t2 * (7.0 * k[2] + t2 * 9.0 * k[3])));
-    (value, slope)
-}
-
-/// Angle with the distorted radius `r`, by Newton's method.
-fn invert_equidistant(r: f64, k: &[f64; 4]) -> Option<f64> {
-    let mut theta = r.min(std::f64::consts::FRAC_PI_2);
-    for _ in 0..30 {
-        let (value, slope) = equidistant(theta, k);
-        if slope <= 0.0 {
-            return None;
-        }
-        let step = (value - r) / slope;
-        theta -= step;
-        if step.abs() < 1e-14 {
-            return (theta >= 0.0).then_some(theta);
-        }
-    }
-    None
 }

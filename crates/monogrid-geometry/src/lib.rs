@@ -12,12 +12,14 @@
 
 mod alignment;
 mod camera;
+mod distortion;
 mod se3;
 mod sim3;
 mod so3;
 
 pub use alignment::{AlignmentError, SimilarityFit, align_similarity};
-pub use camera::{Camera, CameraError, Distortion, Pinhole};
+pub use camera::{Camera, CameraError, Pinhole};
+pub use distortion::Distortion;
 pub use nalgebra;
 pub use se3::Se3;
 pub use sim3::Sim3;

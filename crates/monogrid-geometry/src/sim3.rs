@@ -130,10 +130,21 @@ fn v_coefficients(t: f64, s: f64) -> (f64, f64, f64) {
     (a, sine / t, (a - cosine) / (t * t))
 }
 
-/// Moments `int_0^1 e^(s x) x^n dx` for n = 1..6 (|s| not small), by the stable recursion upwards.
+/// Moments `int_0^1 e^(s x) x^n dx` for n = 1..6.
 fn exponential_moments(s: f64) -> [f64; 6] {
-    // Composite Gauss-Legendre would do as well; the integrand is entire and the power series in s
-    // converges everywhere: sum s^k / (k! (k + n + 1)).
+    if s < -2.0 {
+        // The series below would alternate and lose e^|s| digits; integration by parts,
+        // I_n = (e^s - n I_(n-1)) / s, multiplies its error by n / |s| only.
+        let e = s.exp();
+        let mut previous = s.exp_m1() / s;
+        let mut n = 0.0;
+        return std::array::from_fn(|_| {
+            n += 1.0;
+            previous = (e - n * previous) / s;
+            previous
+        });
+    }
+    // The power series sum s^k / (k! (k + n + 1)) converges everywhere.
     std::array::from_fn(|i| {
         let n = i as f64 + 1.0;
         let (mut term, mut sum) = (1.0, 0.0);

@@ -53,8 +53,10 @@ pub fn left_jacobian(w: &Vec3) -> Mat3 {
         (0.5 - angle_sq / 24.0, 1.0 / 6.0 - angle_sq / 120.0)
     } else {
         let angle = angle_sq.sqrt();
+        let sin_half = (0.5 * angle).sin();
         (
-            (1.0 - angle.cos()) / angle_sq,
+            // 1 - cos(angle) without its cancellation
+            2.0 * sin_half * sin_half / angle_sq,
             (angle - angle.sin()) / (angle_sq * angle),
         )
     };
