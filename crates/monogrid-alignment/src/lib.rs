@@ -1,1 +1,24 @@
-//! Direct image alignment of frames and keyframes.
+//! Direct image alignment: the pose of a frame relative to a keyframe with semi-dense depth.
+//!
+//! Flow: [`Reference`] (keyframe image and inverse depth, as points per pyramid level) and
+//! [`Target`] (frame image and its gradient per level) → [`align`] minimises the variance-normalised
+//! photometric error over SE(3) and an affine brightness change, coarse to fine → [`Alignment`].
+//!
+//! Conventions: `frame_from_keyframe` maps keyframe coordinates (in the keyframe's units) to the
+//! frame; updates are on the left; brightness is `I_frame = gain * I_keyframe + bias`.
+//!
+//! Reference: `[ECCV14]` Engel, Schöps, Cremers, *LSD-SLAM*, section 3.3 (equations 11 to 14), with
+//! the brightness inside the solve and Student-t weights (`[DVO13]` Kerl, Sturm, Cremers).
+#![deny(missing_docs)]
+
+mod config;
+mod kernel;
+mod reference;
+mod solver;
+mod target;
+
+pub use config::{AlignmentConfig, Brightness, Robust};
+pub use kernel::{Linearization, Motion, Weighting, linearize};
+pub use reference::{DepthSample, Reference, ReferenceLevel};
+pub use solver::{Alignment, Freedom, align};
+pub use target::{Target, TargetLevel};

@@ -1,0 +1,325 @@
+//! The normal equations of one level: residuals, weights and Jacobians of all points.
+
+use crate::{ReferenceLevel, Robust, TargetLevel};
+use monogrid_geometry::Se3;
+use nalgebra::{SMatrix, SVector};
+
+/// Unknowns: twist `[v, w]` of the frame, logarithm of the gain, bias.
+pub(crate) const UNKNOWNS: usize = 8;
+/// Points that are worked on side by side.
+const LANES: usize = 8;
+/// Entries of the upper triangle of the normal equations.
+const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
+/// Points summed in `f32` before the sum moves to `f64`.
+const BLOCK: usize = 2048;
+
+/// The state that is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Pose of the frame, translation in keyframe units.
+    pub frame_from_keyframe: Se3,
+    /// Logarithm of the gain in `I_frame = gain * I_keyframe + bias`.
+    pub log_gain: f64,
+    /// Bias, grey levels.
+    pub bias: f64,
+}
+
+impl Motion {
+    /// A pose without change of brightness.
+    #[must_use]
+    pub fn from_pose(frame_from_keyframe: Se3) -> Self {
+        Self {
+            frame_from_keyframe,
+            log_gain: 0.0,
+            bias: 0.0,
+        }
+    }
+}
+
+/// How residuals are normalised and weighted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weighting {
+    /// Variance of the image noise, grey levels squared.
+    pub intensity_var: f32,
+    /// Robust function.
+    pub robust: Robust,
+    /// Scale of the normalised residuals (Student t only; 1 for Huber).
+    pub scale: f32,
+    /// A residual is good when `r^2 < good_sq + good_gradient_sq * |gradient|^2`.
+    pub good_sq: f32,
+    /// See [`Self::good_sq`].
+    pub good_gradient_sq: f32,
+}
+
+/// Sums over all points of a level at one state.
+#[derive(Clone, Debug)]
+pub struct Linearization {
+    /// Sum of `w J^T J`; unknowns `[v, w, log gain, bias]`.
+    pub hessian: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// Sum of `w J^T r`.
+    pub gradient: SVector<f64, UNKNOWNS>,
+    /// Sum of the robust cost over visible points.
+    pub cost: f64,
+    /// Points that project into the frame.
+    pub num_visible: usize,
+    /// Visible points with a good residual.
+    pub num_good: usize,
+    /// Sum over all visible points of `min(depth in keyframe / depth in frame, 1)`.
+    pub usage_sum: f64,
+    /// Sum of squared raw residuals of good points, grey levels squared.
+    pub good_residual_sq: f64,
+    /// Sum of `(nu + 1) r_n^2 / (nu + (r_n / scale)^2)`, for the next estimate of the scale.
+    pub scale_sum: f64,
+}
+
+/// One chunk of points after projection.
+struct Lanes {
+    residual: [f32; LANES],
+    weight: [f32; LANES],
+    jacobian: [[f32; LANES]; UNKNOWNS],
+}
+
+/// Builds the normal equations of `reference` against `target` at `motion`.
+///
+/// `stride` uses every n-th point only (1 for all).
+#[must_use]
+pub fn linearize(
+    reference: &ReferenceLevel,
+    target: &TargetLevel,
+    motion: &Motion,
+    weighting: &Weighting,
+    stride: usize,
+) -> Linearization {
+    let projection = Projection::new(motion);
+    let mut out = Linearization {
+        hessian: SMatrix::zeros(),
+        gradient: SVector::zeros(),
+        cost: 0.0,
+        num_visible: 0,
+        num_good: 0,
+        usage_sum: 0.0,
+        good_residual_sq: 0.0,
+        scale_sum: 0.0,
+    };
+    let stride = stride.max(1);
+    let count = reference.len().div_ceil(stride);
+    for block in (0..count).step_by(BLOCK) {
+        let mut triangle = [[0.0f32; LANES]; TRIANGLE];
+        let mut gradient = [[0.0f32; LANES]; UNKNOWNS];
+        let mut sums = Sums::default();
+        let block_end = (block + BLOCK).min(count);
+        for start in (block..block_end).step_by(LANES) {
+            let chunk = (start..(start + LANES).min(block_end)).map(|i| i * stride);
+            let lanes = projection.chunk(reference, target, weighting, chunk, &mut sums);
+            accumulate(&lanes, &mut triangle, &mut gradient);
+        }
+        out.add_block(&triangle, &gradient, &sums);
+    }
+    for row in 0..UNKNOWNS {
+        for column in 0..row {
+            out.hessian[(row, column)] = out.hessian[(column, row)];
+        }
+    }
+    out
+}
+
+/// Scalar sums of a block.
+#[derive(Default)]
+struct Sums {
+    cost: f32,
+    num_visible: usize,
+    num_good: usize,
+    usage: f32,
+    good_residual_sq: f32,
+    scale: f32,
+}
+
+impl Linearization {
+    fn add_block(
+        &mut self,
+        triangle: &[[f32; LANES]; TRIANGLE],
+        gradient: &[[f32; LANES]; UNKNOWNS],
+        sums: &Sums,
+    ) {
+        let total = |lanes: &[f32; LANES]| lanes.iter().map(|x| f64::from(*x)).sum::<f64>();
+        let mut k = 0;
+        for (row, sums) in gradient.iter().enumerate() {
+            self.gradient[row] += total(sums);
+            for column in row..UNKNOWNS {
+                self.hessian[(row, column)] += total(&triangle[k]);
+                k += 1;
+            }
+        }
+        self.cost += f64::from(sums.cost);
+        self.num_visible += sums.num_visible;
+        self.num_good += sums.num_good;
+        self.usage_sum += f64::from(sums.usage);
+        self.good_residual_sq += f64::from(sums.good_residual_sq);
+        self.scale_sum += f64::from(sums.scale);
+    }
+
+    /// Mean robust cost of a visible point; infinite when nothing is visible.
+    #[must_use]
+    pub fn mean_cost(&self) -> f64 {
+        if self.num_visible == 0 {
+            f64::INFINITY
+        } else {
+            self.cost / self.num_visible as f64
+        }
+    }
+}
+
+/// Adds `w J^T J` and `w J^T r` of a chunk; lanes stay apart, so that the loops vectorise and the
+/// order of the sums is the same on every machine.
+#[inline]
+fn accumulate(
+    lanes: &Lanes,
+    triangle: &mut [[f32; LANES]; TRIANGLE],
+    gradient: &mut [[f32; LANES]; UNKNOWNS],
+) {
+    let mut k = 0;
+    for (row, sums) in gradient.iter_mut().enumerate() {
+        let mut weighted = [0.0f32; LANES];
+        for l in 0..LANES {
+            weighted[l] = lanes.weight[l] * lanes.jacobian[row][l];
+            sums[l] += weighted[l] * lanes.residual[l];
+        }
+        for column in row..UNKNOWNS {
+            let sums = &mut triangle[k];
+            for l in 0..LANES {
+                sums[l] += weighted[l] * lanes.jacobian[column][l];
+            }
+            k += 1;
+        }
+    }
+}
+
+/// The state in single precision, ready for the points.
+struct Projection {
+    r: [[f32; 3]; 3],
+    t: [f32; 3],
+    gain: f32,
+    bias: f32,
+}
+
+impl Projection {
+    fn new(motion: &Motion) -> Self {
+        let m = motion.frame_from_keyframe.rotation_matrix();
+        let t = motion.frame_from_keyframe.translation;
+        Self {
+            r: std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)] as f32)),
+            t: [t.x as f32, t.y as f32, t.z as f32],
+            gain: motion.log_gain.exp() as f32,
+            bias: motion.bias as f32,
+        }
+    }
+
+    /// Residual, weight and Jacobian of up to [`LANES`] points.
+    ///
+    /// `[ECCV14]` equations 11 to 14; with the direction `m` (z = 1) and inverse depth `d` of a
+    /// point, `q = R m + t d` is its position in the frame times `d`.
+    #[inline]
+    fn chunk(
+        &self,
+        reference: &ReferenceLevel,
+        target: &TargetLevel,
+        weighting: &Weighting,
+        chunk: impl Iterator<Item = usize>,
+        sums: &mut Sums,
+    ) -> Lanes {
+        let mut lanes = Lanes {
+            residual: [0.0; LANES],
+            weight: [0.0; LANES],
+            jacobian: [[0.0; LANES]; UNKNOWNS],
+        };
+        let [fx, fy, cx, cy] = target.intrinsics;
+        let (r, t) = (&self.r, &self.t);
+        for (l, i) in chunk.enumerate() {
+            let (mx, my, d) = (reference.x[i], reference.y[i], reference.idepth[i]);
+            let qx = r[0][0] * mx + r[0][1] * my + r[0][2] + t[0] * d;
+            let qy = r[1][0] * mx + r[1][1] * my + r[1][2] + t[1] * d;
+            let qz = r[2][0] * mx + r[2][1] * my + r[2][2] + t[2] * d;
+            let inv_qz = 1.0 / qz;
+            let (x, y) = (qx * inv_qz, qy * inv_qz);
+            let (u, v) = (fx * x + cx, fy * y + cy);
+            if qz <= 0.01 || !target.contains(u, v) {
+                continue;
+            }
+            let [intensity, gu, gv] = target.sample(u, v);
+            let scaled_reference = self.gain * reference.intensity[i];
+            let residual = intensity - scaled_reference - self.bias;
+            let (gx, gy) = (fx * gu, fy * gv);
+            // derivative by the inverse depth, for the variance of the residual
+            let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
+            let variance =
+                weighting.intensity_var + by_idepth * by_idepth * reference.idepth_var[i];
+            let normalised_sq = residual * residual / variance;
+            let (robust_weight, cost) = weighting.robust_weight(normalised_sq);
+            let inv_z = d * inv_qz;
+            let jacobian = [
+                gx * inv_z,
+                gy * inv_z,
+                -(x * gx + y * gy) * inv_z,
+                -(gx * x * y + gy * (1.0 + y * y)),
+                gx * (1.0 + x * x) + gy * x * y,
+                gy * x - gx * y,
+                -scaled_reference,
+                -1.0,
+            ];
+            for (row, value) in lanes.jacobian.iter_mut().zip(jacobian) {
+                row[l] = value;
+            }
+            lanes.residual[l] = residual;
+            lanes.weight[l] = robust_weight / variance;
+            sums.cost += cost;
+            sums.num_visible += 1;
+            // depth ratio keyframe / frame is 1 / qz
+            sums.usage += inv_qz.min(1.0);
+            if residual * residual
+                < weighting.good_sq + weighting.good_gradient_sq * (gu * gu + gv * gv)
+            {
+                sums.num_good += 1;
+                sums.good_residual_sq += residual * residual;
+            }
+            sums.scale += weighting.scale_term(normalised_sq);
+        }
+        lanes
+    }
+}
+
+impl Weighting {
+    /// Weight and cost for a squared normalised residual.
+    #[inline]
+    fn robust_weight(&self, normalised_sq: f32) -> (f32, f32) {
+        match self.robust {
+            Robust::Huber { k } => {
+                let magnitude = normalised_sq.sqrt();
+                if magnitude <= k {
+                    (1.0, normalised_sq)
+                } else {
+                    (k / magnitude, k * (2.0 * magnitude - k))
+                }
+            }
+            Robust::StudentT { nu } => {
+                let inv_scale_sq = 1.0 / (self.scale * self.scale);
+                let ratio = normalised_sq * inv_scale_sq / nu;
+                // weight (nu + 1) / (nu + (r/s)^2) / s^2 and its integral (nu + 1) ln(1 + (r/s)^2/nu)
+                (
+                    (nu + 1.0) / nu * inv_scale_sq / (1.0 + ratio),
+                    (nu + 1.0) * ratio.ln_1p(),
+                )
+            }
+        }
+    }
+
+    /// Summand of the fixed-point iteration for the scale of the t distribution (`[DVO13]`).
+    #[inline]
+    fn scale_term(&self, normalised_sq: f32) -> f32 {
+        match self.robust {
+            Robust::Huber { .. } => 0.0,
+            Robust::StudentT { nu } => {
+                normalised_sq * (nu + 1.0) / (nu + normalised_sq / (self.scale * self.scale))
+            }
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! Levenberg-Marquardt over the levels, coarse to fine.
+
+use crate::kernel::UNKNOWNS;
+use crate::{AlignmentConfig, Brightness, Linearization, Motion, Reference, Robust, Target};
+use crate::{Weighting, linearize};
+use monogrid_geometry::{Mat6, Se3, Vec6};
+use nalgebra::{SMatrix, SVector};
+
+/// Which part of the motion may change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freedom {
+    /// Rotation and translation.
+    Rigid,
+    /// Rotation alone; the translation stays as given.
+    Rotation,
+}
+
+/// Result of an alignment. Whether it is to be believed is the caller's decision.
+#[derive(Clone, Debug)]
+pub struct Alignment {
+    /// The best motion found.
+    pub motion: Motion,
+    /// Robust standard deviation of the raw residual of good points, grey levels.
+    pub residual_rms: f32,
+    /// Mean robust cost of a visible point on the finest level.
+    pub mean_cost: f64,
+    /// Good points over all points of the finest level.
+    pub good_share: f32,
+    /// Good points over visible points.
+    pub good_of_visible: f32,
+    /// Visible points over all points of the finest level.
+    pub visible_share: f32,
+    /// Mean over *all* points of `min(depth in keyframe / depth in frame, 1)` (invisible: 0): how
+    /// much of the keyframe's area the frame still resolves.
+    pub usage: f32,
+    /// Points of the finest level.
+    pub num_points: usize,
+    /// Covariance of the twist `[v, w]` (left, in the frame), assuming the configured number of
+    /// pixels per independent measurement; `None` when the system is singular.
+    pub covariance: Option<Mat6>,
+    /// Iterations over all levels.
+    pub iterations: usize,
+}
+
+impl Alignment {
+    /// Gain in `I_frame = gain * I_keyframe + bias`.
+    #[must_use]
+    pub fn gain(&self) -> f32 {
+        self.motion.log_gain.exp() as f32
+    }
+
+    /// Bias in `I_frame = gain * I_keyframe + bias`.
+    #[must_use]
+    pub fn bias(&self) -> f32 {
+        self.motion.bias as f32
+    }
+}
+
+/// Largest damping after which a level is given up.
+const MAX_LAMBDA: f64 = 1e6;
+
+/// Aligns `target` to `reference` from `initial`, over the levels between the configured ones.
+#[must_use]
+pub fn align(
+    reference: &Reference,
+    target: &Target,
+    initial: &Motion,
+    freedom: Freedom,
+    config: &AlignmentConfig,
+) -> Alignment {
+    let coarsest = config
+        .coarsest_level
+        .min(reference.coarsest_level())
+        .min(target.coarsest_level());
+    let finest = config.finest_level.min(coarsest);
+    let mut motion = *initial;
+    let mut iterations = 0;
+    let mut last = None;
+    for level in (finest..=coarsest).rev() {
+        let solved = align_level(reference, target, level, &motion, freedom, config);
+        motion = solved.motion;
+        iterations += solved.iterations;
+        last = Some(solved);
+    }
+    let last =
+        last.unwrap_or_else(|| align_level(reference, target, finest, &motion, freedom, config));
+    summarise(&last, iterations, freedom, config)
+}
+
+/// The state of one level after its last accepted step.
+struct LevelResult {
+    motion: Motion,
+    linear: Linearization,
+    num_points: usize,
+    iterations: usize,
+}
+
+/// Levenberg-Marquardt on one level; a step is accepted on the true cost.
+fn align_level(
+    reference: &Reference,
+    target: &Target,
+    level: usize,
+    initial: &Motion,
+    freedom: Freedom,
+    config: &AlignmentConfig,
+) -> LevelResult {
+    let (points, image) = (&reference.levels[level], &target.levels[level]);
+    let stride = if config.max_points == 0 {
+        1
+    } else {
+        points.len().div_ceil(config.max_points).max(1)
+    };
+    let mut weighting = Weighting {
+        intensity_var: config.sigma_intensity * config.sigma_intensity,
+        robust: config.robust,
+        scale: 1.0,
+        good_sq: config.max_residual * config.max_residual,
+        good_gradient_sq: config.max_residual_per_gradient * config.max_residual_per_gradient,
+    };
+    let evaluate = |motion: &Motion, weighting: &Weighting| {
+        linearize(points, image, motion, weighting, stride)
+    };
+    let mut motion = *initial;
+    let mut linear = evaluate(&motion, &weighting);
+    let max_iterations = config.max_iterations.get(level).copied().unwrap_or(20);
+    let mut iterations = 0;
+    let mut lambda = 0.0;
+    let rescale_until = 3;
+    while iterations < max_iterations {
+        // The scale of the t distribution follows the residuals during the first steps of a level,
+        // then stays, so that costs remain comparable.
+        if iterations < rescale_until && update_scale(&mut weighting, &linear) {
+            linear = evaluate(&motion, &weighting);
+        }
+        iterations += 1;
+        let Some(step) = solve(&linear, lambda, freedom, config.brightness) else {
+            lambda = f64::max(2.0 * lambda, 1e-3);
+            if lambda > MAX_LAMBDA {
+                break;
+            }
+            continue;
+        };
+        let candidate = apply(&motion, &step);
+        let trial = evaluate(&candidate, &weighting);
+        let step_sq = step.fixed_rows::<6>(0).norm_squared();
+        if trial.mean_cost() < linear.mean_cost() {
+            let decrease = 1.0 - trial.mean_cost() / linear.mean_cost();
+            motion = candidate;
+            linear = trial;
+            lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
+            if iterations > rescale_until && decrease < config.min_cost_decrease {
+                break;
+            }
+        } else {
+            if step_sq < config.min_step_sq {
+                break;
+            }
+            lambda = if lambda == 0.0 { 0.05 } else { lambda * 4.0 };
+            if lambda > MAX_LAMBDA {
+                break;
+            }
+        }
+    }
+    LevelResult {
+        motion,
+        num_points: points.len().div_ceil(stride),
+        linear,
+        iterations,
+    }
+}
+
+/// One fixed-point step of the scale of the t distribution; true when it changed noticeably.
+fn update_scale(weighting: &mut Weighting, linear: &Linearization) -> bool {
+    if matches!(weighting.robust, Robust::Huber { .. }) || linear.num_visible == 0 {
+        return false;
+    }
+    let scale = (linear.scale_sum / linear.num_visible as f64).sqrt() as f32;
+    // Below a tenth of the assumed noise the residuals are those of a rendered image: a smaller
+    // scale would only make the weights reject everything.
+    let scale = scale.clamp(0.1, 20.0);
+    let changed = (scale / weighting.scale - 1.0).abs() > 0.02;
+    weighting.scale = scale;
+    changed
+}
+
+/// Solves the damped normal equations for the free unknowns.
+fn solve(
+    linear: &Linearization,
+    lambda: f64,
+    freedom: Freedom,
+    brightness: Brightness,
+) -> Option<SVector<f64, UNKNOWNS>> {
+    let mut h = linear.hessian;
+    let mut b = -linear.gradient;
+    for i in 0..UNKNOWNS {
+        let fixed = (i < 3 && freedom == Freedom::Rotation)
+            || (i >= 6 && brightness == Brightness::Constant);
+        if fixed {
+            h.fill_row(i, 0.0);
+            h.fill_column(i, 0.0);
+            h[(i, i)] = 1.0;
+            b[i] = 0.0;
+        } else {
+            h[(i, i)] += lambda * h[(i, i)] + 1e-9;
+        }
+    }
+    let step = h.cholesky()?.solve(&b);
+    step.iter().all(|x| x.is_finite()).then_some(step)
+}
+
+/// Left update of the pose, additive update of the brightness.
+fn apply(motion: &Motion, step: &SVector<f64, UNKNOWNS>) -> Motion {
+    let twist = Vec6::from_iterator(step.iter().take(6).copied());
+    Motion {
+        frame_from_keyframe: Se3::exp(&twist) * motion.frame_from_keyframe,
+        log_gain: (motion.log_gain + step[6]).clamp(-2.0, 2.0),
+        bias: motion.bias + step[7],
+    }
+}
+
+/// Quality measures and covariance from the last state.
+fn summarise(
+    last: &LevelResult,
+    iterations: usize,
+    freedom: Freedom,
+    config: &AlignmentConfig,
+) -> Alignment {
+    let linear = &last.linear;
+    let total = last.num_points.max(1) as f32;
+    let visible = linear.num_visible.max(1) as f32;
+    let good = linear.num_good as f32;
+    let covariance = (freedom == Freedom::Rigid)
+        .then(|| covariance(&linear.hessian, config))
+        .flatten();
+    Alignment {
+        motion: last.motion,
+        residual_rms: (linear.good_residual_sq / linear.num_good.max(1) as f64).sqrt() as f32,
+        mean_cost: linear.mean_cost(),
+        good_share: good / total,
+        good_of_visible: good / visible,
+        visible_share: linear.num_visible as f32 / total,
+        usage: linear.usage_sum as f32 / total,
+        num_points: last.num_points,
+        covariance,
+        iterations,
+    }
+}
+
+/// Covariance of the pose with the brightness marginalised out.
+fn covariance(
+    hessian: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    config: &AlignmentConfig,
+) -> Option<Mat6> {
+    let mut h = *hessian;
+    if config.brightness == Brightness::Constant {
+        for i in 6..UNKNOWNS {
+            h.fill_row(i, 0.0);
+            h.fill_column(i, 0.0);
+            h[(i, i)] = 1.0;
+        }
+    }
+    let inverse = h.cholesky()?.inverse();
+    let pose = inverse.fixed_view::<6, 6>(0, 0).into_owned();
+    let pose = pose * config.pixels_per_measurement;
+    pose.iter().all(|x| x.is_finite()).then_some(pose)
+}

@@ -1,0 +1,103 @@
+//! The image that is aligned: intensity and gradient per level, interleaved for sampling.
+
+use monogrid_geometry::Pinhole;
+use monogrid_image::{Pyramid, pyramid_intrinsics};
+
+/// One level: intensity and halved central differences side by side, so that one bilinear look-up
+/// touches two cache lines.
+#[derive(Clone, Debug, Default)]
+pub struct TargetLevel {
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+    /// Focal lengths and principal point `[fx, fy, cx, cy]`, px.
+    pub intrinsics: [f32; 4],
+    /// `[intensity, d/dx, d/dy, 0]` per pixel, row-major.
+    samples: Vec<[f32; 4]>,
+}
+
+impl TargetLevel {
+    /// Bilinear `[intensity, d/dx, d/dy]`; the caller has checked [`Self::contains`].
+    #[inline]
+    pub(crate) fn sample(&self, u: f32, v: f32) -> [f32; 3] {
+        let (x, y) = (u as usize, v as usize);
+        let (fx, fy) = (u - x as f32, v - y as f32);
+        let i = y * self.width + x;
+        let (Some(top), Some(bottom)) = (
+            self.samples.get(i..i + 2),
+            self.samples.get(i + self.width..i + self.width + 2),
+        ) else {
+            return [0.0; 3];
+        };
+        let mut out = [0.0f32; 3];
+        for (k, value) in out.iter_mut().enumerate() {
+            let t = top[0][k] + fx * (top[1][k] - top[0][k]);
+            let b = bottom[0][k] + fx * (bottom[1][k] - bottom[0][k]);
+            *value = t + fy * (b - t);
+        }
+        out
+    }
+
+    /// Whether a pixel is far enough inside for value and gradient; false for NaN.
+    #[inline]
+    pub(crate) fn contains(&self, u: f32, v: f32) -> bool {
+        u > 1.0 && v > 1.0 && u < self.width as f32 - 2.0 && v < self.height as f32 - 2.0
+    }
+}
+
+/// A frame prepared as the target of an alignment.
+#[derive(Clone, Debug, Default)]
+pub struct Target {
+    /// Levels, finest (full resolution) first; level 0 is empty unless it was asked for.
+    pub levels: Vec<TargetLevel>,
+}
+
+impl Target {
+    /// Prepares the levels `finest..=coarsest` (as far as the pyramid has them).
+    #[must_use]
+    pub fn new(pyramid: &Pyramid, pinhole: &Pinhole, finest: usize, coarsest: usize) -> Self {
+        let intrinsics = pyramid_intrinsics(pinhole, pyramid.num_levels());
+        let levels = intrinsics
+            .iter()
+            .enumerate()
+            .map(|(level, k)| {
+                if level < finest || level > coarsest {
+                    return TargetLevel::default();
+                }
+                let image = pyramid.level(level);
+                let (width, height) = (image.width(), image.height());
+                let mut samples = vec![[0.0f32; 4]; width * height];
+                let pixels = image.as_slice();
+                for y in 1..height - 1 {
+                    let start = y * width;
+                    for x in 1..width - 1 {
+                        let i = start + x;
+                        samples[i] = [
+                            pixels[i],
+                            0.5 * (pixels[i + 1] - pixels[i - 1]),
+                            0.5 * (pixels[i + width] - pixels[i - width]),
+                            0.0,
+                        ];
+                    }
+                }
+                TargetLevel {
+                    width,
+                    height,
+                    intrinsics: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
+                    samples,
+                }
+            })
+            .collect();
+        Self { levels }
+    }
+
+    /// The coarsest prepared level.
+    #[must_use]
+    pub fn coarsest_level(&self) -> usize {
+        self.levels
+            .iter()
+            .rposition(|level| level.width > 0)
+            .unwrap_or(0)
+    }
+}

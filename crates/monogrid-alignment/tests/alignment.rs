@@ -1,0 +1,205 @@
+//! The normal equations against numeric differentiation, and recovery of known motions.
+
+use monogrid_alignment::{
+    AlignmentConfig, DepthSample, Freedom, Motion, Reference, Robust, Target, Weighting, align,
+    linearize,
+};
+use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec6};
+use monogrid_image::{GrayImage, Pyramid};
+
+const PINHOLE: Pinhole = Pinhole {
+    fx: 260.0,
+    fy: 255.0,
+    cx: 159.5,
+    cy: 119.5,
+};
+
+/// Texture of a slanted, wavy surface: smooth at every scale, so that derivatives exist.
+fn texture(x: f64, y: f64) -> f64 {
+    120.0
+        + 40.0 * (7.0 * x + 1.3 * y).sin()
+        + 30.0 * (9.0 * y - 2.0 * x + 0.5).cos()
+        + 20.0 * (17.0 * x * 0.7 + 13.0 * y).sin()
+        + 12.0 * (31.0 * x - 23.0 * y).sin()
+}
+
+/// z of the surface at lateral position x, y of the world.
+fn intersect(origin: &Vec3, direction: &Vec3) -> Vec3 {
+    // plane z = 2 + 0.3 x + 0.2 y
+    let n = Vec3::new(-0.3, -0.2, 1.0);
+    let t = (2.0 - n.dot(origin)) / n.dot(direction);
+    origin + direction * t
+}
+
+/// Image and depth of the surface.
+fn render(camera_from_world: &Se3, gain: f64, bias: f64) -> (GrayImage, GrayImage) {
+    let world_from_camera = camera_from_world.inverse();
+    let mut depth = GrayImage::filled(320, 240, 0.0);
+    let image = GrayImage::from_fn(320, 240, |u, v| {
+        let direction = PINHOLE.unproject(&Vec2::new(u as f64, v as f64));
+        let point = intersect(
+            &world_from_camera.translation,
+            &(world_from_camera.rotation * direction),
+        );
+        depth.set(u, v, (*camera_from_world * point).z as f32);
+        (gain * texture(point.x, point.y) + bias) as f32
+    });
+    (image, depth)
+}
+
+fn samples(depth: &GrayImage, step: usize, margin: usize) -> Vec<DepthSample> {
+    let mut out = Vec::new();
+    for y in (margin..240 - margin).step_by(step) {
+        for x in (margin..320 - margin).step_by(step) {
+            out.push(DepthSample {
+                x: x as u16,
+                y: y as u16,
+                idepth: 1.0 / depth.at(x, y),
+                idepth_var: 1e-6,
+            });
+        }
+    }
+    out
+}
+
+fn weighting(robust: Robust) -> Weighting {
+    Weighting {
+        intensity_var: 16.0,
+        robust,
+        scale: 1.0,
+        good_sq: 400.0,
+        good_gradient_sq: 0.25,
+    }
+}
+
+#[test]
+fn gradient_of_the_cost_matches_numeric_differentiation() {
+    let (reference_image, depth) = render(&Se3::identity(), 1.0, 0.0);
+    let moved = Se3::exp(&Vec6::new(0.03, -0.02, 0.04, 0.01, -0.008, 0.02));
+    let (frame_image, _) = render(&moved, 1.1, -5.0);
+    let pyramid = Pyramid::new(reference_image, 1);
+    let reference = Reference::new(&pyramid, &PINHOLE, &samples(&depth, 4, 40), 0, 0);
+    let target = Target::new(&Pyramid::new(frame_image, 1), &PINHOLE, 0, 0);
+    let states = [
+        Motion::from_pose(Se3::identity()),
+        Motion {
+            frame_from_keyframe: Se3::exp(&Vec6::new(0.01, 0.0, -0.02, 0.004, 0.003, -0.01)),
+            log_gain: 0.05,
+            bias: 3.0,
+        },
+        Motion::from_pose(moved),
+    ];
+    for robust in [Robust::StudentT { nu: 5.0 }, Robust::Huber { k: 1e9 }] {
+        for state in &states {
+            let weighting = weighting(robust);
+            let at = |delta: [f64; 8]| {
+                let twist = Vec6::from_column_slice(&delta[..6]);
+                let motion = Motion {
+                    frame_from_keyframe: Se3::exp(&twist) * state.frame_from_keyframe,
+                    log_gain: state.log_gain + delta[6],
+                    bias: state.bias + delta[7],
+                };
+                linearize(
+                    &reference.levels[0],
+                    &target.levels[0],
+                    &motion,
+                    &weighting,
+                    1,
+                )
+            };
+            let linear = at([0.0; 8]);
+            for i in 0..8 {
+                let step = if i == 7 { 0.05 } else { 2e-4 };
+                let mut plus = [0.0; 8];
+                plus[i] = step;
+                let mut minus = [0.0; 8];
+                minus[i] = -step;
+                let (a, b) = (at(plus), at(minus));
+                assert_eq!(a.num_visible, b.num_visible, "all points stay inside");
+                let numeric = (a.mean_cost() - b.mean_cost()) / (2.0 * step);
+                let analytic = 2.0 * linear.gradient[i] / linear.num_visible as f64;
+                let size = (linear.hessian[(i, i)] / linear.num_visible as f64).sqrt();
+                assert!(
+                    (numeric - analytic).abs() < 0.02 * analytic.abs() + 0.02 * size,
+                    "unknown {i}, {robust:?}: numeric {numeric}, analytic {analytic}, size {size}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn recovers_five_pixels_and_three_degrees_with_changed_brightness() {
+    let (reference_image, depth) = render(&Se3::identity(), 1.0, 0.0);
+    let pyramid = Pyramid::new(reference_image, 4);
+    let reference = Reference::new(&pyramid, &PINHOLE, &samples(&depth, 2, 0), 0, 3);
+    let config = AlignmentConfig {
+        coarsest_level: 3,
+        finest_level: 0,
+        max_points: 0,
+        ..AlignmentConfig::default()
+    };
+    let motions = [
+        Vec6::new(0.04, 0.0, 0.0, 0.0, 0.0, 0.0),
+        Vec6::new(0.0, -0.03, 0.05, 0.0, 0.0, 0.05),
+        Vec6::new(0.02, 0.02, -0.04, 0.03, -0.03, 0.02),
+        Vec6::new(0.0, 0.0, 0.0, 0.05, 0.02, -0.03),
+    ];
+    for (twist, (gain, bias)) in
+        motions
+            .iter()
+            .zip([(1.0, 0.0), (1.6, -30.0), (0.7, 25.0), (1.2, 5.0)])
+    {
+        let truth = Se3::exp(twist);
+        let (image, _) = render(&truth, gain, bias);
+        let target = Target::new(&Pyramid::new(image, 4), &PINHOLE, 0, 3);
+        let start = Motion::from_pose(Se3::identity());
+        let result = align(&reference, &target, &start, Freedom::Rigid, &config);
+        let error = (result.motion.frame_from_keyframe * truth.inverse()).log();
+        let error_px =
+            260.0 * (error.fixed_rows::<3>(0).norm() / 2.0 + error.fixed_rows::<3>(3).norm());
+        assert!(error_px < 0.02, "{error_px} px for {twist:?}: {result:?}");
+        assert!(
+            (f64::from(result.gain()) / gain - 1.0).abs() < 0.01,
+            "{result:?}"
+        );
+        assert!((f64::from(result.bias()) - bias).abs() < 1.5, "{result:?}");
+        assert!(result.good_of_visible > 0.99 && result.covariance.is_some());
+    }
+}
+
+#[test]
+fn rotation_alone_is_found_from_points_at_infinity() {
+    let (reference_image, _) = render(&Se3::identity(), 1.0, 0.0);
+    let pyramid = Pyramid::new(reference_image, 4);
+    let truth = Se3::exp(&Vec6::new(0.0, 0.0, 0.0, 0.03, -0.05, 0.04));
+    let (image, _) = render(&truth, 1.0, 0.0);
+    let target = Target::new(&Pyramid::new(image, 4), &PINHOLE, 2, 3);
+    let reference = Reference::at_infinity(&pyramid, &PINHOLE, 3);
+    let config = AlignmentConfig {
+        coarsest_level: 3,
+        finest_level: 3,
+        ..AlignmentConfig::default()
+    };
+    let start = Motion::from_pose(Se3::identity());
+    let found = align(&reference, &target, &start, Freedom::Rotation, &config);
+    let error = (found.motion.frame_from_keyframe * truth.inverse()).log();
+    assert!(error.norm() < 4e-3, "{error:?}");
+    assert!(found.motion.frame_from_keyframe.translation.norm() < 1e-12);
+}
+
+#[test]
+fn an_empty_reference_or_a_blank_image_is_no_panic() {
+    let blank = Pyramid::new(GrayImage::filled(320, 240, 90.0), 4);
+    let target = Target::new(&blank, &PINHOLE, 1, 3);
+    let start = Motion::from_pose(Se3::identity());
+    let config = AlignmentConfig::default();
+    let none = Reference::new(&blank, &PINHOLE, &[], 1, 3);
+    let result = align(&none, &target, &start, Freedom::Rigid, &config);
+    assert_eq!(result.num_points, 0);
+    assert!(result.good_share <= 0.0);
+    let flat = GrayImage::filled(320, 240, 2.0);
+    let some = Reference::new(&blank, &PINHOLE, &samples(&flat, 4, 0), 1, 3);
+    let result = align(&some, &target, &start, Freedom::Rigid, &config);
+    assert!(result.motion.frame_from_keyframe.is_finite());
+}
