@@ -1,0 +1,323 @@
+//! Absolute and relative error of an estimated trajectory, as `evo` computes them, and scale drift.
+//!
+//! Flow: **associate** by time → **align** by Umeyama → errors of positions (ATE) and of motions over
+//! one frame (RPE); beside them the scale of short windows and the share of the truth that is covered.
+//! Poses are `world_from_camera`; lengths are those of the true trajectory.
+
+mod associate;
+mod coverage;
+mod scale_drift;
+
+pub use associate::{PosePair, StampedPose};
+pub use scale_drift::{ScaleWindowConfig, WindowScale};
+
+use crate::statistics::ErrorSummary;
+use monogrid_geometry::{AlignmentError, Se3, Sim3, align_similarity};
+use serde::Serialize;
+
+/// What may be adjusted before the trajectories are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TrajectoryAlignment {
+    /// Rotation, translation and scale (`evo_ape -as`).
+    #[default]
+    Sim3,
+    /// Rotation and translation (`evo_ape -a`).
+    Se3,
+    /// Nothing.
+    None,
+}
+
+/// Settings of [`evaluate_trajectory`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrajectoryConfig {
+    /// How the estimate is aligned. Default: with scale.
+    pub alignment: TrajectoryAlignment,
+    /// Poses farther apart in time are not compared, seconds, [0, inf). Default 0.01, as `evo`.
+    pub max_difference_secs: f64,
+    /// Time between two frames of the source, for the coverage, seconds. Default: taken from the
+    /// estimate as the median of those of its intervals that are not gaps.
+    pub frame_interval_secs: Option<f64>,
+    /// Windows of the scale drift.
+    pub windows: ScaleWindowConfig,
+}
+
+impl Default for TrajectoryConfig {
+    fn default() -> Self {
+        Self {
+            alignment: TrajectoryAlignment::Sim3,
+            max_difference_secs: 0.01,
+            frame_interval_secs: None,
+            windows: ScaleWindowConfig::default(),
+        }
+    }
+}
+
+/// Why a trajectory could not be evaluated.
+#[derive(Debug, thiserror::Error, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum TrajectoryError {
+    /// A setting outside its documented range.
+    #[error("trajectory evaluation: {field} is {value}, allowed: {allowed}")]
+    Config {
+        /// Name of the field.
+        field: &'static str,
+        /// What it was.
+        value: f64,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// A pose with a number that is not finite.
+    #[error(
+        "pose {index} of the {which} trajectory holds NaN or infinity; remove it from the file"
+    )]
+    NotFinite {
+        /// "estimated" or "true".
+        which: &'static str,
+        /// Position in the slice.
+        index: usize,
+    },
+    /// The trajectories hardly overlap in time.
+    #[error(
+        "{found} poses of {estimated} estimated and {truth} true ones lie within \
+         {max_difference_secs} s of each other, expected at least {expected}; are both files in the \
+         same clock, in seconds?"
+    )]
+    TooFewMatches {
+        /// Pairs found.
+        found: usize,
+        /// Pairs needed.
+        expected: usize,
+        /// Poses of the estimate.
+        estimated: usize,
+        /// Poses of the truth.
+        truth: usize,
+        /// The limit used.
+        max_difference_secs: f64,
+    },
+    /// The positions do not determine an alignment.
+    #[error(
+        "cannot align the estimated trajectory to the true one: {0}; try to compare it without alignment"
+    )]
+    Alignment(#[from] AlignmentError),
+}
+
+/// Everything known about the error of a trajectory. Lengths are in the unit of the truth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TrajectoryReport {
+    /// Absolute trajectory error, root mean square.
+    pub ate_rmse: f64,
+    /// Its mean.
+    pub ate_mean: f64,
+    /// Its median.
+    pub ate_median: f64,
+    /// Its standard deviation.
+    pub ate_std: f64,
+    /// Its largest value.
+    pub ate_max: f64,
+    /// Its smallest value.
+    pub ate_min: f64,
+    /// Error of the translation from one matched frame to the next, root mean square.
+    pub rpe_trans_rmse: f64,
+    /// Error of the rotation from one matched frame to the next, root mean square, degrees.
+    pub rpe_rot_rmse_deg: f64,
+    /// All of the translation error over one frame.
+    pub rpe_trans: ErrorSummary,
+    /// All of the rotation error over one frame, degrees.
+    pub rpe_rot_deg: ErrorSummary,
+    /// Scale that was applied to the estimate (1 unless aligned with scale).
+    pub scale: f64,
+    /// Largest over smallest of `window_scales`; 1 when fewer than two windows count, infinite
+    /// (`null` in JSON) when the estimate stands still in one of them.
+    pub scale_drift: f64,
+    /// Scale of windows that are aligned alone.
+    pub window_scales: Vec<WindowScale>,
+    /// Pairs of poses compared.
+    pub matched: usize,
+    /// Poses in the estimate.
+    pub estimated: usize,
+    /// Poses in the truth.
+    pub truth: usize,
+    /// Share of all true poses that have an estimated pose within half a frame interval, [0, 1].
+    pub coverage: f64,
+    /// The frame interval used for that, seconds.
+    pub frame_interval_secs: f64,
+    /// Length of the true path through the matched poses.
+    pub path_length: f64,
+    /// How the estimate was aligned.
+    pub alignment: TrajectoryAlignment,
+    /// The alignment: true world from estimated world.
+    #[serde(skip)]
+    pub gt_from_est: Sim3,
+}
+
+/// Compares an estimated trajectory with the true one.
+///
+/// Both are `world_from_camera` poses with their time in nanoseconds, in any order. Pairing follows
+/// `evo`: every pose of the shorter trajectory takes the nearest pose of the longer one.
+///
+/// # Errors
+/// A setting outside its range, a pose that is not finite, fewer than two (three, when aligned) pairs
+/// of poses, or positions that determine no alignment.
+pub fn evaluate_trajectory(
+    estimate: &[StampedPose],
+    truth: &[StampedPose],
+    config: &TrajectoryConfig,
+) -> Result<TrajectoryReport, TrajectoryError> {
+    validate(config)?;
+    let estimate = checked_and_sorted(estimate, "estimated")?;
+    let truth = checked_and_sorted(truth, "true")?;
+    let pairs = associate::associate(&estimate, &truth, config.max_difference_secs);
+    let expected = match config.alignment {
+        TrajectoryAlignment::None => 2,
+        TrajectoryAlignment::Sim3 | TrajectoryAlignment::Se3 => 3,
+    };
+    let too_few = || TrajectoryError::TooFewMatches {
+        found: pairs.len(),
+        expected,
+        estimated: estimate.len(),
+        truth: truth.len(),
+        max_difference_secs: config.max_difference_secs,
+    };
+    if pairs.len() < expected {
+        return Err(too_few());
+    }
+    let gt_from_est = align(&pairs, config.alignment)?;
+    let aligned: Vec<Se3> = pairs
+        .iter()
+        .map(|p| apply(&gt_from_est, &p.est_from_camera))
+        .collect();
+    let ate = ErrorSummary::of(&position_errors(&pairs, &aligned)).ok_or_else(too_few)?;
+    let (translations, rotations_deg) = relative_errors(&pairs, &aligned);
+    let rpe_trans = ErrorSummary::of(&translations).ok_or_else(too_few)?;
+    let rpe_rot_deg = ErrorSummary::of(&rotations_deg).ok_or_else(too_few)?;
+    let window_scales = scale_drift::window_scales(&pairs, &config.windows);
+    let frame_interval_secs = config
+        .frame_interval_secs
+        .unwrap_or_else(|| coverage::frame_interval_secs(&estimate));
+    Ok(TrajectoryReport {
+        ate_rmse: ate.rmse,
+        ate_mean: ate.mean,
+        ate_median: ate.median,
+        ate_std: ate.std,
+        ate_max: ate.max,
+        ate_min: ate.min,
+        rpe_trans_rmse: rpe_trans.rmse,
+        rpe_rot_rmse_deg: rpe_rot_deg.rmse,
+        rpe_trans,
+        rpe_rot_deg,
+        scale: gt_from_est.scale,
+        scale_drift: scale_drift::scale_drift(&window_scales),
+        window_scales,
+        matched: pairs.len(),
+        estimated: estimate.len(),
+        truth: truth.len(),
+        coverage: coverage::coverage(&estimate, &truth, frame_interval_secs),
+        frame_interval_secs,
+        path_length: path_length(&pairs),
+        alignment: config.alignment,
+        gt_from_est,
+    })
+}
+
+fn validate(config: &TrajectoryConfig) -> Result<(), TrajectoryError> {
+    let windows = &config.windows;
+    let interval = config.frame_interval_secs.unwrap_or(1.0);
+    let positive = "a positive number of seconds";
+    let checks = [
+        (
+            "max_difference_secs",
+            config.max_difference_secs,
+            config.max_difference_secs >= 0.0,
+            "0 or more seconds",
+        ),
+        ("frame_interval_secs", interval, interval > 0.0, positive),
+        (
+            "windows.length_secs",
+            windows.length_secs,
+            windows.length_secs > 0.0 && windows.length_secs.is_finite(),
+            positive,
+        ),
+        (
+            "windows.stride_secs",
+            windows.stride_secs,
+            windows.stride_secs > 1e-6,
+            "more than a microsecond",
+        ),
+    ];
+    match checks.iter().find(|(_, _, is_good, _)| !is_good) {
+        Some(&(field, value, _, allowed)) => Err(TrajectoryError::Config {
+            field,
+            value,
+            allowed,
+        }),
+        None => Ok(()),
+    }
+}
+
+fn checked_and_sorted(
+    poses: &[StampedPose],
+    which: &'static str,
+) -> Result<Vec<StampedPose>, TrajectoryError> {
+    if let Some(index) = poses.iter().position(|(_, pose)| !pose.is_finite()) {
+        return Err(TrajectoryError::NotFinite { which, index });
+    }
+    let mut sorted = poses.to_vec();
+    sorted.sort_by_key(|p| p.0);
+    Ok(sorted)
+}
+
+fn align(pairs: &[PosePair], alignment: TrajectoryAlignment) -> Result<Sim3, AlignmentError> {
+    let with_scale = match alignment {
+        TrajectoryAlignment::Sim3 => true,
+        TrajectoryAlignment::Se3 => false,
+        TrajectoryAlignment::None => return Ok(Sim3::identity()),
+    };
+    let source: Vec<_> = pairs
+        .iter()
+        .map(|p| p.est_from_camera.translation)
+        .collect();
+    let target: Vec<_> = pairs.iter().map(|p| p.gt_from_camera.translation).collect();
+    Ok(align_similarity(&source, &target, with_scale)?.target_from_source)
+}
+
+/// The pose of the camera in the true world: its scale acts on the position only.
+fn apply(gt_from_est: &Sim3, est_from_camera: &Se3) -> Se3 {
+    Se3::new(
+        gt_from_est.rotation * est_from_camera.rotation,
+        *gt_from_est * est_from_camera.translation,
+    )
+}
+
+fn position_errors(pairs: &[PosePair], aligned: &[Se3]) -> Vec<f64> {
+    pairs
+        .iter()
+        .zip(aligned)
+        .map(|(p, a)| (a.translation - p.gt_from_camera.translation).norm())
+        .collect()
+}
+
+/// Lengths of the translations, and angles in degrees, of
+/// (true motion)^-1 (estimated motion) from each matched frame to the next.
+fn relative_errors(pairs: &[PosePair], aligned: &[Se3]) -> (Vec<f64>, Vec<f64>) {
+    pairs
+        .windows(2)
+        .zip(aligned.windows(2))
+        .map(|(gt, est)| {
+            let gt_motion = gt[0].gt_from_camera.inverse() * gt[1].gt_from_camera;
+            let est_motion = est[0].inverse() * est[1];
+            let error = gt_motion.inverse() * est_motion;
+            (
+                error.translation.norm(),
+                error.rotation.angle().to_degrees(),
+            )
+        })
+        .unzip()
+}
+
+fn path_length(pairs: &[PosePair]) -> f64 {
+    pairs
+        .windows(2)
+        .map(|w| (w[1].gt_from_camera.translation - w[0].gt_from_camera.translation).norm())
+        .sum()
+}
