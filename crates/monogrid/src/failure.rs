@@ -1,0 +1,104 @@
+//! How a command fails: exit code and message.
+
+use std::fmt::Display;
+use std::process::ExitCode;
+
+/// Why a command did not do its job.
+#[derive(Debug)]
+pub enum Failure {
+    /// Exit code 1: something went wrong while running.
+    Running(anyhow::Error),
+    /// Exit code 2: wrong usage or bad input.
+    Input(anyhow::Error),
+}
+
+/// How a command that ran to its end ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Exit code 0.
+    Done,
+    /// Exit code 3: tracking never started or was lost for good.
+    NotTracked,
+}
+
+/// What every command returns.
+pub type CommandResult = Result<Outcome, Failure>;
+
+impl Failure {
+    /// Bad input described by `message`.
+    pub fn input(message: impl Display) -> Self {
+        Self::Input(anyhow::anyhow!("{message}"))
+    }
+
+    /// A failure while running described by `message`.
+    pub fn running(message: impl Display) -> Self {
+        Self::Running(anyhow::anyhow!("{message}"))
+    }
+
+    /// Writes the message to standard error and returns the exit code.
+    pub fn report(&self) -> ExitCode {
+        let (code, error) = match self {
+            Self::Running(error) => (1, error),
+            Self::Input(error) => (2, error),
+        };
+        eprintln!("error: {}", render(error));
+        ExitCode::from(code)
+    }
+}
+
+/// The error and its causes in one sentence; a cause whose text its parent already contains is not repeated.
+fn render(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain() {
+        let cause = cause.to_string();
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text.push_str(": ");
+            text.push_str(&cause);
+        }
+    }
+    text
+}
+
+impl From<Outcome> for ExitCode {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Done => Self::SUCCESS,
+            Outcome::NotTracked => Self::from(3),
+        }
+    }
+}
+
+/// Says which class an error belongs to.
+pub trait Classify<T> {
+    /// The error means bad input (exit code 2).
+    fn bad_input(self) -> Result<T, Failure>;
+    /// The error happened while running (exit code 1).
+    fn while_running(self, doing: &str) -> Result<T, Failure>;
+}
+
+impl<T, E: Into<anyhow::Error>> Classify<T> for Result<T, E> {
+    fn bad_input(self) -> Result<T, Failure> {
+        self.map_err(|error| Failure::Input(error.into()))
+    }
+
+    fn while_running(self, doing: &str) -> Result<T, Failure> {
+        self.map_err(|error| Failure::Running(error.into().context(doing.to_owned())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_joined_and_not_repeated() {
+        let inner = std::io::Error::other("disk on fire");
+        let error = anyhow::Error::from(inner).context("cannot write map");
+        assert_eq!(render(&error), "cannot write map: disk on fire");
+        let inner = std::io::Error::other("disk on fire");
+        let error = anyhow::Error::from(inner).context("cannot write: disk on fire");
+        assert_eq!(render(&error), "cannot write: disk on fire");
+    }
+}

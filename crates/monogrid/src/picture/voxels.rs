@@ -1,0 +1,310 @@
+//! A view of a map: occupied cells as shaded cubes, seen from above at an angle, with the camera's path.
+
+use super::{Picture, colour, shrink};
+
+/// One occupied cell, z up.
+#[derive(Debug, Clone, Copy)]
+pub struct Cube {
+    /// Centre.
+    pub center: [f64; 3],
+    /// Edge length.
+    pub size: f64,
+}
+
+/// How the map is looked at.
+#[derive(Debug, Clone, Copy)]
+pub struct View {
+    /// Width of the picture, px.
+    pub width: usize,
+    /// Height of the picture, px.
+    pub height: usize,
+    /// Direction from which it is seen, radians from the x axis towards y.
+    pub azimuth: f64,
+    /// Angle above the horizon, radians.
+    pub elevation: f64,
+}
+
+impl Default for View {
+    fn default() -> Self {
+        Self {
+            width: 960,
+            height: 640,
+            azimuth: (-125.0f64).to_radians(),
+            elevation: 48.0f64.to_radians(),
+        }
+    }
+}
+
+/// Pixels rendered per pixel of the picture and axis.
+const OVERSAMPLING: usize = 2;
+const BACKGROUND: [u8; 3] = [250, 250, 248];
+const PATH_COLOUR: [u8; 3] = [20, 20, 20];
+/// Share of cells on each side that does not decide the extent of the picture (stray cells far away).
+const EXTENT_QUANTILE: f64 = 0.005;
+
+/// Renders the cubes and the path (both z up). `cut_height`: cells whose centre lies above are left
+/// out, so that ceilings do not hide rooms.
+pub fn render(cubes: &[Cube], path: &[[f64; 3]], cut_height: Option<f64>, view: &View) -> Picture {
+    let visible: Vec<Cube> = cubes
+        .iter()
+        .filter(|cube| cut_height.is_none_or(|cut| cube.center[2] <= cut))
+        .copied()
+        .collect();
+    let mut canvas = Canvas::new(view, &visible, path);
+    let heights = height_range(&visible);
+    for cube in &visible {
+        let fraction = (cube.center[2] - heights.0) / (heights.1 - heights.0);
+        canvas.draw_cube(cube, colour::rainbow(fraction));
+    }
+    canvas.shade_depth_steps();
+    for pair in path.windows(2) {
+        canvas.draw_line(pair[0], pair[1]);
+    }
+    shrink(&canvas.picture, OVERSAMPLING)
+}
+
+/// Where to cut so that one looks into the room in which the camera moved: somewhat above its path.
+pub fn dollhouse_cut(cubes: &[Cube], path: &[[f64; 3]]) -> Option<f64> {
+    let highest = path.iter().map(|p| p[2]).max_by(f64::total_cmp)?;
+    let mut heights: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
+    let floor = colour::quantile(&mut heights, 0.02);
+    let cut = highest + 0.15 * (highest - floor).max(0.0);
+    // a camera that looks up from the floor must not lose everything that it saw
+    let kept = cubes.iter().filter(|cube| cube.center[2] <= cut).count();
+    (2 * kept >= cubes.len()).then_some(cut)
+}
+
+fn height_range(cubes: &[Cube]) -> (f64, f64) {
+    let mut heights: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
+    let low = colour::quantile(&mut heights, 0.02);
+    let high = colour::quantile(&mut heights, 0.98);
+    (low, high.max(low + 1e-9))
+}
+
+struct Canvas {
+    picture: Picture,
+    /// Distance from the viewer, smaller is nearer.
+    depth: Vec<f64>,
+    /// Rows: right, up, away from the viewer.
+    axes: [[f64; 3]; 3],
+    pixels_per_unit: f64,
+    /// Centre of the picture along right and up.
+    centre: [f64; 2],
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+impl Canvas {
+    fn new(view: &View, cubes: &[Cube], path: &[[f64; 3]]) -> Self {
+        let (width, height) = (view.width * OVERSAMPLING, view.height * OVERSAMPLING);
+        let (sin_a, cos_a) = view.azimuth.sin_cos();
+        let (sin_e, cos_e) = view.elevation.sin_cos();
+        let axes = [
+            [-sin_a, cos_a, 0.0],
+            [-cos_a * sin_e, -sin_a * sin_e, cos_e],
+            [-cos_a * cos_e, -sin_a * cos_e, -sin_e],
+        ];
+        let extent = |axis: [f64; 3]| {
+            let mut positions: Vec<f64> = cubes.iter().map(|c| dot(axis, c.center)).collect();
+            let mut low = colour::quantile(&mut positions, EXTENT_QUANTILE);
+            let mut high = colour::quantile(&mut positions, 1.0 - EXTENT_QUANTILE);
+            if positions.is_empty() {
+                (low, high) = (f64::INFINITY, f64::NEG_INFINITY);
+            }
+            for point in path {
+                low = low.min(dot(axis, *point));
+                high = high.max(dot(axis, *point));
+            }
+            if low <= high {
+                (low, high)
+            } else {
+                (-1.0, 1.0)
+            }
+        };
+        let (right, up) = (extent(axes[0]), extent(axes[1]));
+        let margin = 1.08;
+        let pixels_per_unit = (width as f64 / (margin * (right.1 - right.0)).max(1e-9))
+            .min(height as f64 / (margin * (up.1 - up.0)).max(1e-9));
+        Self {
+            picture: Picture::filled(width, height, BACKGROUND),
+            depth: vec![f64::INFINITY; width * height],
+            axes,
+            pixels_per_unit,
+            centre: [0.5 * (right.0 + right.1), 0.5 * (up.0 + up.1)],
+        }
+    }
+
+    /// Column, row (px) and distance of a point.
+    fn project(&self, point: [f64; 3]) -> [f64; 3] {
+        let x = dot(self.axes[0], point) - self.centre[0];
+        let y = dot(self.axes[1], point) - self.centre[1];
+        [
+            0.5 * self.picture.width() as f64 + x * self.pixels_per_unit,
+            0.5 * self.picture.height() as f64 - y * self.pixels_per_unit,
+            dot(self.axes[2], point),
+        ]
+    }
+
+    /// The three faces of a cube that the viewer sees.
+    fn draw_cube(&mut self, cube: &Cube, base: [u8; 3]) {
+        const BRIGHTNESS: [f64; 3] = [0.80, 0.64, 1.0];
+        let half = 0.5 * cube.size;
+        for (axis, brightness) in BRIGHTNESS.into_iter().enumerate() {
+            // the face towards the viewer: against the viewing direction
+            let side = -half * self.axes[2][axis].signum();
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            let corner = |du: f64, dv: f64| {
+                let mut point = cube.center;
+                point[axis] += side;
+                point[u] += du * half;
+                point[v] += dv * half;
+                point
+            };
+            let corners = [
+                corner(-1.0, -1.0),
+                corner(1.0, -1.0),
+                corner(1.0, 1.0),
+                corner(-1.0, 1.0),
+            ]
+            .map(|point| self.project(point));
+            self.fill_parallelogram(&corners, colour::shade(base, brightness));
+        }
+    }
+
+    /// Fills a parallelogram given by its corners in order, nearest distance wins.
+    fn fill_parallelogram(&mut self, corners: &[[f64; 3]; 4], colour: [u8; 3]) {
+        let [origin, first, _, second] = *corners;
+        let a = [
+            first[0] - origin[0],
+            first[1] - origin[1],
+            first[2] - origin[2],
+        ];
+        let b = [
+            second[0] - origin[0],
+            second[1] - origin[1],
+            second[2] - origin[2],
+        ];
+        let determinant = a[0] * b[1] - a[1] * b[0];
+        if determinant.abs() < 1e-12 {
+            return;
+        }
+        let (width, height) = (self.picture.width(), self.picture.height());
+        let bound = |axis: usize, limit: usize| {
+            let values = corners.map(|corner| corner[axis]);
+            let low = values.into_iter().fold(f64::INFINITY, f64::min);
+            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max);
+            let low = low.ceil().max(0.0) as usize;
+            low..((high.floor() + 1.0).clamp(0.0, limit as f64) as usize).max(low)
+        };
+        for y in bound(1, height) {
+            for x in bound(0, width) {
+                let (dx, dy) = (x as f64 - origin[0], y as f64 - origin[1]);
+                let s = (dx * b[1] - dy * b[0]) / determinant;
+                let t = (a[0] * dy - a[1] * dx) / determinant;
+                if !((0.0..=1.0).contains(&s) && (0.0..=1.0).contains(&t)) {
+                    continue;
+                }
+                let depth = origin[2] + s * a[2] + t * b[2];
+                let index = y * width + x;
+                if depth < self.depth[index] {
+                    self.depth[index] = depth;
+                    self.picture.set(x, y, colour);
+                }
+            }
+        }
+    }
+
+    /// Darkens pixels that lie behind their neighbours, which makes edges readable.
+    fn shade_depth_steps(&mut self) {
+        let (width, height) = (self.picture.width(), self.picture.height());
+        // a step of a twentieth of the picture counts as deep
+        let strength = 20.0 * self.pixels_per_unit / width as f64;
+        for y in 2..height.saturating_sub(2) {
+            for x in 2..width.saturating_sub(2) {
+                let own = self.depth[y * width + x];
+                if own.is_infinite() {
+                    continue;
+                }
+                let neighbours = [(x - 2, y), (x + 2, y), (x, y - 2), (x, y + 2)];
+                let step: f64 = neighbours
+                    .iter()
+                    .map(|&(nx, ny)| (own - self.depth[ny * width + nx]).max(0.0))
+                    .filter(|step| step.is_finite())
+                    .map(|step| (step * strength).min(1.0))
+                    .sum();
+                let pixel = self.picture.at(x, y);
+                self.picture
+                    .set(x, y, colour::shade(pixel, 1.0 - 0.16 * step));
+            }
+        }
+    }
+
+    /// A line that is always visible.
+    fn draw_line(&mut self, from: [f64; 3], to: [f64; 3]) {
+        let (a, b) = (self.project(from), self.project(to));
+        let steps = (b[0] - a[0]).abs().max((b[1] - a[1]).abs()).ceil().max(1.0);
+        if !steps.is_finite() || steps > 1e5 {
+            return;
+        }
+        for i in 0..=steps as usize {
+            let t = i as f64 / steps;
+            let (x, y) = (a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]));
+            for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+                let (x, y) = (x + dx, y + dy);
+                let inside = x >= 0.0 && y >= 0.0;
+                if inside
+                    && (x as usize) < self.picture.width()
+                    && (y as usize) < self.picture.height()
+                {
+                    self.picture.set(x as usize, y as usize, PATH_COLOUR);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cube(x: f64, y: f64, z: f64) -> Cube {
+        Cube {
+            center: [x, y, z],
+            size: 1.0,
+        }
+    }
+
+    #[test]
+    fn what_is_nearer_hides_what_is_behind() {
+        let view = View {
+            width: 100,
+            height: 100,
+            azimuth: 0.0,
+            elevation: 90.0f64.to_radians() - 1e-3,
+        };
+        let hidden = cube(0.0, 0.0, 0.0);
+        let top = cube(0.0, 0.0, 5.0);
+        let both = render(&[hidden, top], &[], None, &view);
+        let reversed = render(&[top, hidden], &[], None, &view);
+        assert_eq!(both, reversed, "drawing order does not matter");
+        // the highest cube has the last colour of the scale
+        let seen = both.at(50, 50);
+        assert_eq!(seen, colour::rainbow(1.0));
+    }
+
+    #[test]
+    fn empty_maps_give_an_empty_picture() {
+        let picture = render(&[], &[], None, &View::default());
+        assert!(picture.as_slice().iter().all(|&pixel| pixel == BACKGROUND));
+    }
+
+    #[test]
+    fn the_cut_lies_above_the_path_and_keeps_most_of_the_map() {
+        let cubes: Vec<Cube> = (0..10).map(|z| cube(0.0, 0.0, f64::from(z))).collect();
+        let cut = dollhouse_cut(&cubes, &[[0.0, 0.0, 6.0]]).unwrap();
+        assert!((6.0..8.0).contains(&cut), "{cut}");
+        assert_eq!(dollhouse_cut(&cubes, &[[0.0, 0.0, 1.0]]), None);
+    }
+}

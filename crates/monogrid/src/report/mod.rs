@@ -1,0 +1,161 @@
+//! `report.html`: one page without other files that shows how a run went.
+
+pub mod svg;
+
+use crate::picture::data_url;
+use std::fmt::Write;
+use svg::{Plot, escape};
+
+/// A page under construction.
+#[derive(Debug, Default)]
+pub struct Page {
+    body: String,
+}
+
+const STYLE: &str = "\
+body{font:15px/1.5 system-ui,sans-serif;color:#222;background:#fafaf8;max-width:1000px;margin:2em auto;padding:0 1em}
+h1{font-size:1.7em;margin-bottom:.2em}h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid #ddd}
+.lead{font-size:1.1em}.note{color:#666}.warn{background:#fff4d6;border-left:4px solid #e0a800;padding:.4em .8em;margin:.4em 0}
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top}
+th{font-weight:600;color:#555}td.n{text-align:right;font-variant-numeric:tabular-nums}
+svg{width:100%;background:#fff;border:1px solid #e4e4e0;margin:.4em 0}
+svg .title{font:600 14px system-ui,sans-serif}svg .tick{font:11px system-ui,sans-serif;fill:#666}
+svg .label{font:12px system-ui,sans-serif;fill:#444}svg .grid{stroke:#ececea;fill:none}
+svg .line{fill:none;stroke-width:1.6;stroke-linejoin:round}
+img{max-width:100%;border:1px solid #e4e4e0}.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px;margin:.5em 0}
+.triple figcaption,.ribbon{font-size:12px;color:#666}figure{margin:0}pre{background:#f0f0ec;padding:.8em;overflow:auto;font-size:12px}";
+
+impl Page {
+    /// A second-level heading.
+    pub fn heading(&mut self, text: &str) {
+        let _ = write!(self.body, "<h2>{}</h2>", escape(text));
+    }
+
+    /// A paragraph.
+    pub fn paragraph(&mut self, text: &str) {
+        let _ = write!(self.body, "<p>{}</p>", escape(text));
+    }
+
+    /// A less important paragraph.
+    pub fn note(&mut self, text: &str) {
+        let _ = write!(self.body, "<p class=\"note\">{}</p>", escape(text));
+    }
+
+    /// Something the reader should not miss.
+    pub fn warning(&mut self, text: &str) {
+        let _ = write!(self.body, "<div class=\"warn\">{}</div>", escape(text));
+    }
+
+    /// Names and values.
+    pub fn facts(&mut self, rows: &[(String, String)]) {
+        self.body.push_str("<table>");
+        for (name, value) in rows {
+            let _ = write!(
+                self.body,
+                "<tr><th>{}</th><td>{}</td></tr>",
+                escape(name),
+                escape(value)
+            );
+        }
+        self.body.push_str("</table>");
+    }
+
+    /// A table with a header.
+    pub fn table(&mut self, header: &[&str], rows: &[Vec<String>]) {
+        self.body.push_str("<table><tr>");
+        for cell in header {
+            let _ = write!(self.body, "<th>{}</th>", escape(cell));
+        }
+        self.body.push_str("</tr>");
+        for row in rows {
+            self.body.push_str("<tr>");
+            for cell in row {
+                let _ = write!(self.body, "<td>{}</td>", escape(cell));
+            }
+            self.body.push_str("</tr>");
+        }
+        self.body.push_str("</table>");
+    }
+
+    /// A plot.
+    pub fn plot(&mut self, plot: &Plot) {
+        self.body.push_str(&plot.render());
+    }
+
+    /// An embedded picture.
+    pub fn picture(&mut self, png: &[u8], description: &str) {
+        let _ = write!(
+            self.body,
+            "<img src=\"{}\" alt=\"{}\">",
+            data_url(png),
+            escape(description)
+        );
+    }
+
+    /// Three embedded pictures side by side with their captions.
+    pub fn triple(&mut self, pictures: [(&[u8], &str); 3]) {
+        self.body.push_str("<div class=\"triple\">");
+        for (png, caption) in pictures {
+            let _ = write!(
+                self.body,
+                "<figure><img src=\"{}\" alt=\"{1}\"><figcaption>{1}</figcaption></figure>",
+                data_url(png),
+                escape(caption)
+            );
+        }
+        self.body.push_str("</div>");
+    }
+
+    /// Text in its own layout.
+    pub fn preformatted(&mut self, text: &str) {
+        let _ = write!(self.body, "<pre>{}</pre>", escape(text));
+    }
+
+    /// Coloured stretches over the frames: (share of the width, colour, description).
+    pub fn ribbon(&mut self, stretches: &[(f64, &str, String)]) {
+        self.body.push_str(
+            "<svg viewBox=\"0 0 760 22\" role=\"img\" aria-label=\"state of tracking\" preserveAspectRatio=\"none\" style=\"height:22px\">",
+        );
+        let mut x = 0.0;
+        for (share, colour, description) in stretches {
+            let width = share * 760.0;
+            let _ = write!(
+                self.body,
+                "<rect x=\"{x:.2}\" y=\"0\" width=\"{width:.2}\" height=\"22\" fill=\"{colour}\"><title>{}</title></rect>",
+                escape(description)
+            );
+            x += width;
+        }
+        self.body.push_str("</svg>");
+    }
+
+    /// The complete page.
+    pub fn finish(self, title: &str, lead: &str) -> String {
+        format!(
+            "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title>\
+             <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}</style></head>\
+             <body><h1>{0}</h1><p class=\"lead\">{1}</p>{2}</body></html>\n",
+            escape(title),
+            escape(lead),
+            self.body
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_needs_no_other_file_and_escapes_what_it_is_told() {
+        let mut page = Page::default();
+        page.heading("<script>");
+        page.facts(&[("a&b".into(), "1 < 2".into())]);
+        page.triple([(b"x", "one"), (b"y", "two"), (b"z", "three")]);
+        page.ribbon(&[(1.0, "green", "good".into())]);
+        let html = page.finish("title", "lead");
+        assert!(!html.contains("<script>"));
+        assert!(!html.contains("src=\"http") && !html.contains("href="));
+        assert_eq!(html.matches("data:image/png;base64,").count(), 3);
+    }
+}

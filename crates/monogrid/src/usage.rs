@@ -1,0 +1,62 @@
+//! What the process has used: CPU time and memory.
+
+use std::time::Duration;
+
+/// CPU time of all threads of this process.
+pub fn process_cpu() -> Duration {
+    clock(Clock::Process)
+}
+
+/// CPU time of the calling thread.
+pub fn thread_cpu() -> Duration {
+    clock(Clock::Thread)
+}
+
+enum Clock {
+    Process,
+    Thread,
+}
+
+#[cfg(unix)]
+fn clock(clock: Clock) -> Duration {
+    use rustix::time::{ClockId, clock_gettime};
+    let time = clock_gettime(match clock {
+        Clock::Process => ClockId::ProcessCPUTime,
+        Clock::Thread => ClockId::ThreadCPUTime,
+    });
+    Duration::new(time.tv_sec.max(0) as u64, time.tv_nsec.max(0) as u32)
+}
+
+/// Without such a clock: wall time since the first call, an upper bound for one thread.
+#[cfg(not(unix))]
+fn clock(_: Clock) -> Duration {
+    use std::sync::OnceLock;
+    use std::time::Instant;
+    static START: OnceLock<Instant> = OnceLock::new();
+    START.get_or_init(Instant::now).elapsed()
+}
+
+/// Largest resident memory so far, bytes; `None` where the system does not say.
+pub fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_takes_cpu_time() {
+        let (process, thread) = (process_cpu(), thread_cpu());
+        let mut sum = 0u64;
+        while process_cpu() == process || thread_cpu() == thread {
+            sum = std::hint::black_box(sum.wrapping_mul(31).wrapping_add(7));
+        }
+        assert!(process_cpu() > process && thread_cpu() > thread);
+    }
+}
