@@ -1,1 +1,43 @@
 //! Semi-dense inverse-depth filter.
+//!
+//! Every pixel of a keyframe with enough gradient carries a Gaussian over its inverse depth, refined
+//! by small- and long-baseline stereo against frames whose pose is known.
+//!
+//! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…` →
+//! for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
+//! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`].
+//!
+//! # Conventions
+//!
+//! * Inverse depth `idepth` is one over `z` in the keyframe's camera, in 1/u where `u` is the
+//!   keyframe's unit of length; the thresholds assume that inverse depths are about 1.
+//! * Poses are `frame_from_keyframe` with the translation in the same unit.
+//! * Pixel centres are integers; all frames share the keyframe's intrinsics and size.
+//! * Grey values are in [0, 255]; `I_frame = gain * I_keyframe + bias`.
+//! * Nothing here spawns threads: kernels work on bands of rows that the caller distributes, and the
+//!   result does not depend on the bands.
+//!
+//! References: [SDVO13] Engel, Sturm, Cremers, *Semi-Dense Visual Odometry for a Monocular Camera*,
+//! ICCV 2013; [Hull17] section 3.3.2.
+#![deny(missing_docs)]
+
+mod config;
+mod epipolar;
+mod host;
+mod line_match;
+mod map;
+mod observe;
+mod pixels;
+mod propagate;
+mod regularize;
+mod stats;
+mod variance;
+
+pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, VarianceModel};
+pub use host::{HostError, HostFrame};
+pub use map::{DepthMap, DepthState};
+pub use observe::{DepthBand, StereoFrame};
+pub use pixels::{PixelDepth, PixelFilter};
+pub use propagate::PropagationStats;
+pub use regularize::{RegularizeBand, RegularizeStats};
+pub use stats::{ObserveStats, PixelOutcome};

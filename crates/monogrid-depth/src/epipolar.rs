@@ -1,0 +1,216 @@
+//! Geometry of one stereo frame: where a keyframe pixel lies in it as a function of inverse depth.
+//!
+//! With `a = K R K⁻¹ p` and `b = K t` the pixel of inverse depth `d` projects to `h = a + d b`, and
+//! `h_z = z_frame / z_keyframe`. Hence it moves on a line of constant direction
+//! `q = (b_x a_z - a_x b_z, b_y a_z - a_y b_z)`, at the distance `s(d) = d |q| / (a_z h_z)` from the
+//! projection of the point at infinity.
+
+use crate::observe::StereoFrame;
+use monogrid_geometry::{Mat3, Pinhole};
+
+/// Smallest `a_z`: beyond it the point at infinity leaves the field of view of any pinhole camera.
+const MIN_INFINITY_Z: f32 = 0.2;
+
+/// Precomputed single-precision geometry of a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FrameGeometry {
+    /// `K R K⁻¹`, row-major.
+    homography: [f32; 9],
+    /// `K t`.
+    translation: [f32; 3],
+    /// Centre of the frame in the keyframe as `(fx x, fy y, z)`.
+    centre: [f32; 3],
+    /// Principal point of the keyframe.
+    principal: [f32; 2],
+    /// Focal length, px (mean of both axes).
+    focal: f32,
+}
+
+/// The epipolar line of one pixel in a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EpipolarLine {
+    /// Pixel of the point at infinity.
+    pub(crate) infinity: [f32; 2],
+    /// Unit direction of growing inverse depth.
+    pub(crate) direction: [f32; 2],
+    a_z: f32,
+    b_z: f32,
+    q_norm: f32,
+}
+
+impl FrameGeometry {
+    pub(crate) fn new(frame: &StereoFrame<'_>, pinhole: &Pinhole) -> Self {
+        let k = Mat3::new(
+            pinhole.fx, 0.0, pinhole.cx, 0.0, pinhole.fy, pinhole.cy, 0.0, 0.0, 1.0,
+        );
+        let k_inv = Mat3::new(
+            1.0 / pinhole.fx,
+            0.0,
+            -pinhole.cx / pinhole.fx,
+            0.0,
+            1.0 / pinhole.fy,
+            -pinhole.cy / pinhole.fy,
+            0.0,
+            0.0,
+            1.0,
+        );
+        let pose = &frame.frame_from_keyframe;
+        let h = k * pose.rotation_matrix() * k_inv;
+        let t = k * pose.translation;
+        let centre = pose.inverse().translation;
+        let mut homography = [0.0; 9];
+        for (i, value) in homography.iter_mut().enumerate() {
+            *value = h[(i / 3, i % 3)] as f32;
+        }
+        Self {
+            homography,
+            translation: [t.x as f32, t.y as f32, t.z as f32],
+            centre: [
+                (pinhole.fx * centre.x) as f32,
+                (pinhole.fy * centre.y) as f32,
+                centre.z as f32,
+            ],
+            principal: [pinhole.cx as f32, pinhole.cy as f32],
+            focal: (0.5 * (pinhole.fx + pinhole.fy)) as f32,
+        }
+    }
+
+    /// Focal length, px.
+    pub(crate) fn focal(&self) -> f32 {
+        self.focal
+    }
+
+    /// Direction (not normalised) of the epipolar line in the keyframe: towards the frame's centre.
+    #[inline]
+    pub(crate) fn keyframe_direction(&self, x: f32, y: f32) -> [f32; 2] {
+        [
+            self.centre[0] - self.centre[2] * (x - self.principal[0]),
+            self.centre[1] - self.centre[2] * (y - self.principal[1]),
+        ]
+    }
+
+    /// `K R K⁻¹ p`.
+    #[inline]
+    fn at_infinity(&self, x: f32, y: f32) -> [f32; 3] {
+        let m = &self.homography;
+        [
+            m[0] * x + m[1] * y + m[2],
+            m[3] * x + m[4] * y + m[5],
+            m[6] * x + m[7] * y + m[8],
+        ]
+    }
+
+    /// The epipolar line of keyframe pixel `(x, y)`; `None` without baseline or when the pixel at
+    /// infinity is not in front of the frame.
+    #[inline]
+    pub(crate) fn line(&self, x: f32, y: f32) -> Option<EpipolarLine> {
+        let a = self.at_infinity(x, y);
+        let b = &self.translation;
+        if a[2] < MIN_INFINITY_Z {
+            return None;
+        }
+        let q = [b[0] * a[2] - a[0] * b[2], b[1] * a[2] - a[1] * b[2]];
+        let q_norm = (q[0] * q[0] + q[1] * q[1]).sqrt();
+        if q_norm < 1e-6 {
+            return None;
+        }
+        let (inv_z, inv_q) = (1.0 / a[2], 1.0 / q_norm);
+        Some(EpipolarLine {
+            infinity: [a[0] * inv_z, a[1] * inv_z],
+            direction: [q[0] * inv_q, q[1] * inv_q],
+            a_z: a[2],
+            b_z: b[2],
+            q_norm,
+        })
+    }
+
+    /// How far the match moves along `line`, per px that the keyframe pixel moves along the unit
+    /// vector `direction` at constant inverse depth; negative when against the line.
+    #[inline]
+    pub(crate) fn stretch(&self, line: &EpipolarLine, idepth: f32, direction: [f32; 2]) -> f32 {
+        let m = &self.homography;
+        let [dx, dy] = direction;
+        let v = [
+            m[0] * dx + m[1] * dy,
+            m[3] * dx + m[4] * dy,
+            m[6] * dx + m[7] * dy,
+        ];
+        let inv_hz = 1.0 / line.depth_ratio(idepth);
+        let [u, w] = line.pixel(line.position(idepth));
+        // derivative of h_x / h_z
+        let du = (v[0] - u * v[2]) * inv_hz;
+        let dw = (v[1] - w * v[2]) * inv_hz;
+        du * line.direction[0] + dw * line.direction[1]
+    }
+}
+
+impl EpipolarLine {
+    /// `h_z = z_frame / z_keyframe` at inverse depth `idepth`.
+    #[inline]
+    pub(crate) fn depth_ratio(&self, idepth: f32) -> f32 {
+        self.a_z + idepth * self.b_z
+    }
+
+    /// Distance along the line from the point at infinity, px.
+    #[inline]
+    pub(crate) fn position(&self, idepth: f32) -> f32 {
+        idepth * self.q_norm / (self.a_z * self.depth_ratio(idepth))
+    }
+
+    /// Inverse of [`Self::position`]; `None` beyond the vanishing point of the line.
+    #[inline]
+    pub(crate) fn idepth(&self, position: f32) -> Option<f32> {
+        let denominator = self.q_norm - position * self.a_z * self.b_z;
+        (denominator > 1e-3 * self.q_norm).then(|| position * self.a_z * self.a_z / denominator)
+    }
+
+    /// Change of inverse depth per px along the line at inverse depth `idepth`.
+    #[inline]
+    pub(crate) fn alpha(&self, idepth: f32) -> f32 {
+        let hz = self.depth_ratio(idepth);
+        hz * hz / self.q_norm
+    }
+
+    /// Largest inverse depth, at most `idepth`, whose depth ratio stays above `min_ratio`.
+    #[inline]
+    pub(crate) fn limit_in_front(&self, idepth: f32, min_ratio: f32) -> f32 {
+        if self.b_z < 0.0 {
+            idepth.min((self.a_z - min_ratio) / -self.b_z)
+        } else {
+            idepth
+        }
+    }
+
+    /// Pixel in the frame at a position on the line.
+    #[inline]
+    pub(crate) fn pixel(&self, position: f32) -> [f32; 2] {
+        [
+            self.infinity[0] + position * self.direction[0],
+            self.infinity[1] + position * self.direction[1],
+        ]
+    }
+
+    /// The part of `[from, to]` whose pixels lie inside the image shrunk by `border` px.
+    pub(crate) fn clip(
+        &self,
+        interval: (f32, f32),
+        size: (usize, usize),
+        border: f32,
+    ) -> Option<(f32, f32)> {
+        let (mut from, mut to) = interval;
+        for (axis, length) in [size.0, size.1].into_iter().enumerate() {
+            let (low, high) = (border, length as f32 - 1.0 - border);
+            let (p, v) = (self.infinity[axis], self.direction[axis]);
+            if v.abs() < 1e-6 {
+                if p < low || p > high {
+                    return None;
+                }
+                continue;
+            }
+            let (s0, s1) = ((low - p) / v, (high - p) / v);
+            from = from.max(s0.min(s1));
+            to = to.min(s0.max(s1));
+        }
+        (from <= to).then_some((from, to))
+    }
+}

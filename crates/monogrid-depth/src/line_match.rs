@@ -1,0 +1,261 @@
+//! Matching of a short patch along an epipolar line.
+//!
+//! The patch is five samples of the keyframe along the line, spaced so that they are 1 px apart in
+//! the frame. `search` compares it at every pixel of an interval (sum of squared differences, SSD),
+//! `refine` finds the sub-pixel position.
+//!
+//! The refinement is inverse-compositional: it solves `sum g r = 0` with the gradient `g` of the
+//! keyframe's samples as central differences. Noise of the frame is then independent of `g`, and the
+//! keyframe's own noise cancels in `sum g n` up to the ends, so the match is not drawn to any
+//! fraction of a pixel as the minimum of an interpolated SSD is.
+
+use monogrid_image::GrayImage;
+
+/// Samples compared.
+pub(crate) const PATCH: usize = 5;
+/// Samples on either side of the centre.
+const RADIUS: usize = PATCH / 2;
+/// Samples of the descriptor: one more at each end for the gradient.
+const SAMPLES: usize = PATCH + 2;
+/// Longest interval, px.
+pub(crate) const MAX_STEPS: usize = 250;
+/// Iterations of the refinement.
+const MAX_ITERATIONS: usize = 6;
+/// The refinement stops when it moves less, px.
+const CONVERGED_PX: f32 = 0.005;
+
+/// Bilinear sample; the caller keeps `(x, y)` inside the image.
+#[inline]
+pub(crate) fn sample(image: &GrayImage, x: f32, y: f32) -> f32 {
+    let w = image.width();
+    let (ix, iy) = (x as i32 as usize, y as i32 as usize);
+    let (fx, fy) = (x - ix as f32, y - iy as f32);
+    let i = iy * w + ix;
+    let data = image.as_slice();
+    let (top, bottom) = (&data[i..i + 2], &data[i + w..i + w + 2]);
+    let a = top[0] + fx * (top[1] - top[0]);
+    let b = bottom[0] + fx * (bottom[1] - bottom[0]);
+    a + fy * (b - a)
+}
+
+/// What is looked for: the keyframe along its epipolar line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Patch {
+    /// Grey values at -2..=2.
+    pub(crate) values: [f32; PATCH],
+    /// Derivative along the line, grey levels per px of the frame.
+    pub(crate) slopes: [f32; PATCH],
+    /// Sum of the squared slopes.
+    pub(crate) information: f32,
+    /// Centroid of the squared slopes, px of the frame from the centre.
+    pub(crate) centroid: f32,
+    remove_mean: bool,
+}
+
+impl Patch {
+    /// Samples the keyframe at `(x, y)` along the unit vector `direction`, `step` px apart.
+    #[inline]
+    pub(crate) fn new(
+        image: &GrayImage,
+        pixel: [f32; 2],
+        direction: [f32; 2],
+        step: f32,
+        remove_mean: bool,
+    ) -> Self {
+        let mut samples = [0.0f32; SAMPLES];
+        for (k, value) in samples.iter_mut().enumerate() {
+            let offset = (k as f32 - (RADIUS + 1) as f32) * step;
+            *value = sample(
+                image,
+                pixel[0] + offset * direction[0],
+                pixel[1] + offset * direction[1],
+            );
+        }
+        Self::from_samples(&samples, remove_mean)
+    }
+
+    fn from_samples(samples: &[f32; SAMPLES], remove_mean: bool) -> Self {
+        let mut values = [0.0; PATCH];
+        let mut slopes = [0.0; PATCH];
+        for k in 0..PATCH {
+            values[k] = samples[k + 1];
+            slopes[k] = 0.5 * (samples[k + 2] - samples[k]);
+        }
+        if remove_mean {
+            subtract_mean(&mut values);
+            subtract_mean(&mut slopes);
+        }
+        let (mut information, mut moment) = (0.0, 0.0);
+        for (k, slope) in slopes.iter().enumerate() {
+            information += slope * slope;
+            moment += slope * slope * (k as f32 - RADIUS as f32);
+        }
+        Self {
+            values,
+            slopes,
+            information,
+            centroid: moment / information.max(1e-6),
+            remove_mean,
+        }
+    }
+}
+
+fn subtract_mean(values: &mut [f32; PATCH]) {
+    let mean = values.iter().sum::<f32>() / PATCH as f32;
+    for value in values {
+        *value -= mean;
+    }
+}
+
+/// A straight walk in the frame: position 0 is the point at infinity.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Walk<'a> {
+    pub(crate) image: &'a GrayImage,
+    pub(crate) origin: [f32; 2],
+    pub(crate) direction: [f32; 2],
+    /// Turns grey values of the frame into the keyframe's: `(value - bias) * inv_gain`.
+    pub(crate) inv_gain: f32,
+    pub(crate) bias: f32,
+}
+
+impl Walk<'_> {
+    #[inline]
+    fn value(&self, position: f32) -> f32 {
+        let raw = sample(
+            self.image,
+            self.origin[0] + position * self.direction[0],
+            self.origin[1] + position * self.direction[1],
+        );
+        (raw - self.bias) * self.inv_gain
+    }
+}
+
+/// A minimum of the SSD.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LineMatch {
+    /// Position along the line, px from the point at infinity.
+    pub(crate) position: f32,
+    /// Sum of squared differences, grey levels².
+    pub(crate) ssd: f32,
+}
+
+/// Why there is no match.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NoMatch {
+    AtIntervalEnd,
+    Ambiguous,
+    NotConverged,
+}
+
+/// Best position in `[from, from + num_steps]` in steps of 1 px.
+///
+/// `noise_ssd` is the SSD that noise alone would cause: a better best does not make the second best
+/// a clear loser.
+pub(crate) fn search(
+    patch: &Patch,
+    walk: &Walk<'_>,
+    from: f32,
+    num_steps: usize,
+    ambiguity: (f32, f32),
+) -> Result<LineMatch, NoMatch> {
+    let num = num_steps.min(MAX_STEPS) + 1;
+    let mut values = [0.0f32; MAX_STEPS + 1 + 2 * RADIUS];
+    let values = &mut values[..num + 2 * RADIUS];
+    for (i, value) in values.iter_mut().enumerate() {
+        *value = walk.value(from + i as f32 - RADIUS as f32);
+    }
+    let mut costs = [0.0f32; MAX_STEPS + 1];
+    let costs = &mut costs[..num];
+    for (cost, window) in costs.iter_mut().zip(values.windows(PATCH)) {
+        *cost = ssd_of(patch, window);
+    }
+    let (mut best, mut best_cost) = (0, f32::INFINITY);
+    for (i, &cost) in costs.iter().enumerate() {
+        if cost < best_cost {
+            (best, best_cost) = (i, cost);
+        }
+    }
+    if best == 0 || best + 1 == num {
+        return Err(NoMatch::AtIntervalEnd);
+    }
+    let (ratio, noise_ssd) = ambiguity;
+    let limit = ratio * best_cost.max(noise_ssd);
+    if has_rival(costs, best, limit) {
+        return Err(NoMatch::Ambiguous);
+    }
+    Ok(LineMatch {
+        position: from + best as f32,
+        ssd: best_cost,
+    })
+}
+
+/// Whether a local minimum at least three steps from `best` costs less than `limit`.
+///
+/// The flanks of the best minimum are not local minima, hence never rivals, however flat.
+fn has_rival(costs: &[f32], best: usize, limit: f32) -> bool {
+    (0..costs.len()).any(|i| {
+        let left = i.checked_sub(1).map_or(f32::INFINITY, |j| costs[j]);
+        let right = costs.get(i + 1).copied().unwrap_or(f32::INFINITY);
+        i.abs_diff(best) > RADIUS && costs[i] < limit && costs[i] <= left && costs[i] <= right
+    })
+}
+
+#[inline]
+fn ssd_of(patch: &Patch, window: &[f32]) -> f32 {
+    let mut sum = 0.0;
+    let mut sum_sq = 0.0;
+    for (value, reference) in window.iter().zip(&patch.values) {
+        let r = value - reference;
+        sum += r;
+        sum_sq += r * r;
+    }
+    if patch.remove_mean {
+        // the patch is free of its mean, so the sum of differences is the window's
+        sum_sq - sum * sum / PATCH as f32
+    } else {
+        sum_sq
+    }
+}
+
+/// Moves a match to sub-pixel precision, at most `max_move` px away.
+#[inline]
+pub(crate) fn refine(
+    patch: &Patch,
+    walk: &Walk<'_>,
+    start: f32,
+    max_move: f32,
+) -> Result<LineMatch, NoMatch> {
+    let inv_information = 1.0 / patch.information.max(1e-6);
+    let mut position = start;
+    for _ in 0..MAX_ITERATIONS {
+        let (step, ssd) = newton_step(patch, walk, position, inv_information);
+        if step.abs() < CONVERGED_PX {
+            return Ok(LineMatch { position, ssd });
+        }
+        // a step beyond a pixel leaves the range where the patch is linear
+        position += step.clamp(-1.0, 1.0);
+        if (position - start).abs() > max_move {
+            return Err(NoMatch::NotConverged);
+        }
+    }
+    let (step, ssd) = newton_step(patch, walk, position, inv_information);
+    if step.abs() < 10.0 * CONVERGED_PX {
+        Ok(LineMatch { position, ssd })
+    } else {
+        Err(NoMatch::NotConverged)
+    }
+}
+
+/// The inverse-compositional step at `position`, and the SSD there.
+#[inline]
+fn newton_step(patch: &Patch, walk: &Walk<'_>, position: f32, inv_information: f32) -> (f32, f32) {
+    let mut window = [0.0f32; PATCH];
+    for (k, value) in window.iter_mut().enumerate() {
+        *value = walk.value(position + k as f32 - RADIUS as f32);
+    }
+    let mut slope_sum = 0.0;
+    for k in 0..PATCH {
+        slope_sum += patch.slopes[k] * (window[k] - patch.values[k]);
+    }
+    (-slope_sum * inv_information, ssd_of(patch, &window))
+}

@@ -1,0 +1,383 @@
+//! The depth of one keyframe as a structure of arrays.
+
+use crate::HostFrame;
+use crate::config::{DepthConfig, GradientSelection};
+use crate::stats::ObserveStats;
+use monogrid_image::GrayImage;
+use std::sync::Arc;
+
+/// Width of the border without hypotheses, px: the patch reaches so far.
+pub(crate) const BORDER: usize = 6;
+/// Blocked pixels have at most this many in `failures`.
+pub(crate) const MAX_FAILURES: u8 = 100;
+
+/// What is known about one keyframe pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DepthState {
+    /// No hypothesis.
+    Unknown,
+    /// A Gaussian over inverse depth.
+    Known {
+        /// Mean, 1/u.
+        idepth: f32,
+        /// Variance, 1/u², honest and unsmoothed.
+        idepth_var: f32,
+        /// Confirmation by observations; grows with successes, 0 when never confirmed.
+        validity: u8,
+    },
+}
+
+/// Per-pixel state, all row-major. A pixel is known when `var > 0`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Arrays {
+    /// Inverse depth, 1/u.
+    pub(crate) idepth: Vec<f32>,
+    /// Its variance, 1/u²; 0 = unknown.
+    pub(crate) var: Vec<f32>,
+    /// Variance that the hypothesis brought from an earlier keyframe; infinite when it was created here.
+    pub(crate) prior_var: Vec<f32>,
+    /// Variance that observations of this keyframe can reach, given what they share.
+    pub(crate) floor_var: Vec<f32>,
+    /// Photometric variance of the last match, px²; 0 before one.
+    pub(crate) photo_px: Vec<f32>,
+    /// Confirmation.
+    pub(crate) validity: Vec<u8>,
+    /// Failures in a row.
+    pub(crate) failures: Vec<u8>,
+}
+
+/// The hypothesis that is written into a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hypothesis {
+    pub(crate) idepth: f32,
+    pub(crate) var: f32,
+    pub(crate) prior_var: f32,
+    pub(crate) validity: u8,
+}
+
+impl Arrays {
+    fn new(len: usize) -> Self {
+        Self {
+            idepth: vec![0.0; len],
+            var: vec![0.0; len],
+            prior_var: vec![f32::INFINITY; len],
+            floor_var: vec![f32::INFINITY; len],
+            photo_px: vec![0.0; len],
+            validity: vec![0; len],
+            failures: vec![0; len],
+        }
+    }
+
+    pub(crate) fn set(&mut self, i: usize, hypothesis: Hypothesis) {
+        self.idepth[i] = hypothesis.idepth;
+        self.var[i] = hypothesis.var;
+        self.prior_var[i] = hypothesis.prior_var;
+        self.floor_var[i] = f32::INFINITY;
+        self.photo_px[i] = 0.0;
+        self.validity[i] = hypothesis.validity;
+        self.failures[i] = 0;
+    }
+
+    pub(crate) fn clear(&mut self, i: usize) {
+        self.var[i] = 0.0;
+        self.validity[i] = 0;
+        self.photo_px[i] = 0.0;
+    }
+}
+
+/// Candidate columns of each row.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Candidates {
+    starts: Vec<usize>,
+    columns: Vec<u16>,
+}
+
+impl Candidates {
+    fn select(host: &HostFrame, config: &DepthConfig) -> Self {
+        let (w, h) = (host.width(), host.height());
+        let mut this = Self {
+            starts: vec![0; h + 1],
+            columns: Vec::new(),
+        };
+        let min_sq = config.min_gradient * config.min_gradient;
+        for y in 0..h {
+            if y >= BORDER && y + BORDER < h {
+                let (gx, gy) = (host.gradient.gx.row(y), host.gradient.gy.row(y));
+                let (dilated, mask) = (host.max_gradient.row(y), host.mask.row(y));
+                for x in BORDER..w - BORDER {
+                    let strong = match config.selection {
+                        GradientSelection::Own => gx[x] * gx[x] + gy[x] * gy[x] >= min_sq,
+                        GradientSelection::Dilated => dilated[x] >= config.min_gradient,
+                    };
+                    if strong && mask[x] != 0 {
+                        this.columns.push(x as u16);
+                    }
+                }
+            }
+            this.starts[y + 1] = this.columns.len();
+        }
+        this
+    }
+
+    /// Candidate columns of row `y`, ascending.
+    pub(crate) fn row(&self, y: usize) -> &[u16] {
+        &self.columns[self.starts[y]..self.starts[y + 1]]
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.columns.len()
+    }
+}
+
+/// Semi-dense depth of one keyframe.
+#[derive(Clone, Debug)]
+pub struct DepthMap {
+    pub(crate) host: Arc<HostFrame>,
+    pub(crate) candidates: Candidates,
+    pub(crate) arrays: Arrays,
+    /// Regularised inverse depth and variance; variance 0 = none.
+    pub(crate) smooth_idepth: Vec<f32>,
+    pub(crate) smooth_var: Vec<f32>,
+    /// Variance of the difference of two matching pixels, grey levels².
+    pub(crate) noise_var: f32,
+}
+
+impl DepthMap {
+    /// A keyframe without any depth; its candidate pixels are chosen here.
+    #[must_use]
+    pub fn empty(host: Arc<HostFrame>, config: &DepthConfig) -> Self {
+        let len = host.width() * host.height();
+        let candidates = Candidates::select(&host, config);
+        Self {
+            host,
+            candidates,
+            arrays: Arrays::new(len),
+            smooth_idepth: vec![0.0; len],
+            smooth_var: vec![0.0; len],
+            noise_var: 2.0 * config.sensor_sigma * config.sensor_sigma,
+        }
+    }
+
+    /// Random inverse depths in [0.5, 1.5] with variance 0.125 (LSD-SLAM's start).
+    pub fn initialize_random(&mut self, seed: u64) {
+        let mut state = seed;
+        self.initialize_with(|_, _| {
+            Some(Hypothesis {
+                idepth: 0.5 + unit_random(&mut state),
+                var: 0.125,
+                prior_var: f32::INFINITY,
+                validity: 20,
+            })
+        });
+    }
+
+    /// The same inverse depth (1/u) and variance (1/u²) at every candidate.
+    pub fn initialize_constant(&mut self, idepth: f32, idepth_var: f32) {
+        self.initialize_with(|_, _| {
+            Some(Hypothesis {
+                idepth,
+                var: idepth_var,
+                prior_var: f32::INFINITY,
+                validity: 20,
+            })
+        });
+    }
+
+    /// Inverse depth of every candidate from an image of depths `z` in u (NaN, infinite or not
+    /// positive = unknown) with the given relative standard deviation. Returns how many were set;
+    /// none when the image has another size.
+    ///
+    /// A pixel beside a depth discontinuity (a neighbour differs by more than 5 %) gets a ten times
+    /// larger standard deviation: its texture may belong to either side.
+    pub fn initialize_from_depth(&mut self, depth: &GrayImage, relative_sigma: f32) -> usize {
+        if !depth.same_size(&self.host.image) {
+            return 0;
+        }
+        self.initialize_with(|x, y| {
+            let z = depth.at(x, y);
+            if !(z.is_finite() && z > 0.0) {
+                return None;
+            }
+            let continuous = (y - 1..=y + 1)
+                .flat_map(|yy| (x - 1..=x + 1).map(move |xx| (xx, yy)))
+                .all(|(xx, yy)| (depth.at(xx, yy) - z).abs() < 0.05 * z);
+            let sigma = relative_sigma / z * if continuous { 1.0 } else { 10.0 };
+            Some(Hypothesis {
+                idepth: 1.0 / z,
+                var: sigma * sigma,
+                prior_var: sigma * sigma,
+                validity: 50,
+            })
+        })
+    }
+
+    /// Sets every candidate to what `hypothesis(x, y)` says and returns how many are known.
+    fn initialize_with(
+        &mut self,
+        mut hypothesis: impl FnMut(usize, usize) -> Option<Hypothesis>,
+    ) -> usize {
+        let w = self.host.width();
+        let mut num_known = 0;
+        for y in 0..self.host.height() {
+            for &x in self.candidates.row(y) {
+                let i = y * w + usize::from(x);
+                match hypothesis(usize::from(x), y) {
+                    Some(h) => {
+                        self.arrays.set(i, h);
+                        self.smooth_idepth[i] = h.idepth;
+                        self.smooth_var[i] = h.var;
+                        num_known += 1;
+                    }
+                    None => self.arrays.clear(i),
+                }
+            }
+        }
+        num_known
+    }
+
+    /// Sets one pixel, for starts that bring their own depth (triangulated points); `false` when it
+    /// is not a candidate or the values are not usable. Validity above `mature_validity` counts as
+    /// confirmed.
+    pub fn seed_pixel(&mut self, x: usize, y: usize, state: DepthState) -> bool {
+        let DepthState::Known {
+            idepth,
+            idepth_var,
+            validity,
+        } = state
+        else {
+            return false;
+        };
+        let usable = idepth.is_finite() && idepth_var > 0.0 && idepth_var.is_finite();
+        if !usable || !self.is_candidate(x, y) {
+            return false;
+        }
+        let i = y * self.host.width() + x;
+        self.arrays.set(
+            i,
+            Hypothesis {
+                idepth,
+                var: idepth_var,
+                prior_var: idepth_var,
+                validity,
+            },
+        );
+        self.smooth_idepth[i] = idepth;
+        self.smooth_var[i] = idepth_var;
+        true
+    }
+
+    /// Whether pixel `(x, y)` has enough gradient to carry a depth.
+    #[must_use]
+    pub fn is_candidate(&self, x: usize, y: usize) -> bool {
+        y < self.host.height()
+            && u16::try_from(x).is_ok_and(|x| self.candidates.row(y).binary_search(&x).is_ok())
+    }
+
+    /// The keyframe this depth belongs to.
+    #[must_use]
+    pub fn host(&self) -> &Arc<HostFrame> {
+        &self.host
+    }
+
+    /// What is known about pixel `(x, y)`; unknown outside the image.
+    #[must_use]
+    pub fn state(&self, x: usize, y: usize) -> DepthState {
+        if x >= self.host.width() || y >= self.host.height() {
+            return DepthState::Unknown;
+        }
+        let i = y * self.host.width() + x;
+        if self.arrays.var[i] > 0.0 {
+            DepthState::Known {
+                idepth: self.arrays.idepth[i],
+                idepth_var: self.arrays.var[i],
+                validity: self.arrays.validity[i],
+            }
+        } else {
+            DepthState::Unknown
+        }
+    }
+
+    /// Number of pixels that can carry a depth.
+    #[must_use]
+    pub fn num_candidates(&self) -> usize {
+        self.candidates.len()
+    }
+
+    /// Number of pixels with a hypothesis.
+    #[must_use]
+    pub fn num_known(&self) -> usize {
+        self.arrays.var.iter().filter(|v| **v > 0.0).count()
+    }
+
+    /// Estimated standard deviation of the difference of two matching pixels, grey levels.
+    #[must_use]
+    pub fn noise_sigma(&self) -> f32 {
+        self.noise_var.sqrt()
+    }
+
+    /// Learns the image noise from the observations of a frame (the merged counters of all bands).
+    pub fn finish_observation(&mut self, stats: &ObserveStats) {
+        const ENOUGH: u32 = 500;
+        if stats.num_residuals >= ENOUGH {
+            let measured = (stats.residual_sq_sum / f64::from(stats.num_residuals)) as f32;
+            // the two fitted parameters (position, and what the interpolation smooths away)
+            self.noise_var += 0.3 * (measured.max(0.5) - self.noise_var);
+        }
+    }
+
+    /// Multiplies every inverse depth by `factor` (lengths are divided by it). Ignored unless finite
+    /// and positive.
+    pub fn rescale(&mut self, factor: f32) {
+        if !(factor.is_finite() && factor > 0.0) {
+            return;
+        }
+        let factor_sq = factor * factor;
+        for values in [&mut self.arrays.idepth, &mut self.smooth_idepth] {
+            values.iter_mut().for_each(|v| *v *= factor);
+        }
+        let arrays = &mut self.arrays;
+        for values in [
+            &mut arrays.var,
+            &mut arrays.prior_var,
+            &mut arrays.floor_var,
+            &mut self.smooth_var,
+        ] {
+            values.iter_mut().for_each(|v| *v *= factor_sq);
+        }
+    }
+
+    /// Mean inverse depth of all known pixels, 1/u.
+    #[must_use]
+    pub fn mean_idepth(&self) -> Option<f32> {
+        let (mut sum, mut num) = (0.0f64, 0usize);
+        for (idepth, var) in self.arrays.idepth.iter().zip(&self.arrays.var) {
+            if *var > 0.0 {
+                sum += f64::from(*idepth);
+                num += 1;
+            }
+        }
+        (num > 0).then(|| (sum / num as f64) as f32)
+    }
+
+    /// Median inverse depth of all known pixels, 1/u.
+    #[must_use]
+    pub fn median_idepth(&self) -> Option<f32> {
+        let known = self.arrays.idepth.iter().zip(&self.arrays.var);
+        let mut values: Vec<f32> = known.filter(|(_, v)| **v > 0.0).map(|(d, _)| *d).collect();
+        if values.is_empty() {
+            return None;
+        }
+        let middle = values.len() / 2;
+        Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+    }
+}
+
+/// Next number of `SplitMix64` in [0, 1).
+fn unit_random(state: &mut u64) -> f32 {
+    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let mut z = *state;
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^= z >> 31;
+    (z >> 40) as f32 / (1u32 << 24) as f32
+}

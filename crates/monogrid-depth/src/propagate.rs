@@ -1,0 +1,258 @@
+//! Propagation of a depth map into the next keyframe.
+//!
+//! With `m = K⁻¹ p`, `h_z = r3·m + d t_z` the ratio of the depths: `d' = d / h_z`, and
+//! `V' = (r3·m)² / h_z⁴ V` (exact with rotation; `(d'/d)⁴ V` without).
+
+use crate::HostFrame;
+use crate::config::DepthConfig;
+use crate::map::{BORDER, DepthMap, Hypothesis};
+use monogrid_geometry::{Se3, Vec2, Vec3};
+use std::sync::Arc;
+
+/// What happened to the hypotheses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct PropagationStats {
+    /// Known pixels of the old keyframe.
+    pub source: usize,
+    /// Of them, those that project into the new keyframe.
+    pub projected: usize,
+    /// Pixels of the new keyframe that got a depth.
+    pub target: usize,
+    /// Pixels where two surfaces met and one was dropped.
+    pub conflicts: usize,
+}
+
+/// One hypothesis warped into the new keyframe.
+#[derive(Clone, Copy, Debug)]
+struct Warped {
+    x: f32,
+    y: f32,
+    idepth: f32,
+    var: f32,
+    validity: u8,
+    /// Next in the same pixel, or `NONE`.
+    next: u32,
+}
+
+const NONE: u32 = u32::MAX;
+/// Hypotheses considered per target pixel.
+const MAX_CANDIDATES: usize = 16;
+/// Hypotheses of one surface differ by at most this many standard deviations.
+const SAME_SURFACE_SIGMA: f32 = 2.5;
+/// Relative difference of inverse depth per px that one surface may have besides.
+const SAME_SURFACE_SLOPE: f32 = 0.02;
+
+impl DepthMap {
+    /// The depth of this keyframe as seen from `target`. `target_from_source` has its translation in
+    /// this keyframe's unit, which is also the unit of the result ([`DepthMap::rescale`] changes it).
+    #[must_use]
+    pub fn propagate(
+        &self,
+        target: Arc<HostFrame>,
+        target_from_source: &Se3,
+        config: &DepthConfig,
+    ) -> (Self, PropagationStats) {
+        let mut result = Self::empty(target, config);
+        result.noise_var = self.noise_var;
+        let mut stats = PropagationStats::default();
+        let (heads, warped) = self.warp_all(&result, target_from_source, &mut stats);
+        let w = result.host.width();
+        let mut found: Vec<(usize, Hypothesis)> = Vec::new();
+        let mut nearby = Vec::with_capacity(MAX_CANDIDATES);
+        for y in 0..result.host.height() {
+            for &x in result.candidates.row(y) {
+                let x = usize::from(x);
+                collect_nearby((x, y), w, (&heads, &warped), config, &mut nearby);
+                if let Some(hypothesis) = merge((x, y), &nearby, config, &mut stats) {
+                    found.push((y * w + x, hypothesis));
+                }
+            }
+        }
+        stats.target = found.len();
+        for (i, hypothesis) in found {
+            result.arrays.set(i, hypothesis);
+            result.smooth_idepth[i] = hypothesis.idepth;
+            result.smooth_var[i] = hypothesis.var;
+        }
+        (result, stats)
+    }
+
+    /// Warps every known pixel and sorts it into lists per nearest target pixel.
+    fn warp_all(
+        &self,
+        target: &Self,
+        target_from_source: &Se3,
+        stats: &mut PropagationStats,
+    ) -> (Vec<u32>, Vec<Warped>) {
+        let (w, h) = (target.host.width(), target.host.height());
+        let mut heads = vec![NONE; w * h];
+        let mut warped: Vec<Warped> = Vec::with_capacity(self.candidates.len());
+        let source_width = self.host.width();
+        let rotation = target_from_source.rotation_matrix();
+        let translation = target_from_source.translation;
+        for y in 0..self.host.height() {
+            for &x in self.candidates.row(y) {
+                let i = y * source_width + usize::from(x);
+                if self.arrays.var[i] <= 0.0 || self.arrays.idepth[i] <= 0.0 {
+                    continue;
+                }
+                stats.source += 1;
+                let ray = rotation
+                    * self
+                        .host
+                        .pinhole
+                        .unproject(&Vec2::new(f64::from(x), y as f64));
+                let idepth = f64::from(self.arrays.idepth[i]);
+                let Some(mut moved) = warp(&ray, &translation, idepth, target) else {
+                    continue;
+                };
+                let (tx, ty) = ((moved.x + 0.5) as usize, (moved.y + 0.5) as usize);
+                stats.projected += 1;
+                moved.var *= self.arrays.var[i];
+                moved.validity = self.arrays.validity[i];
+                moved.next = heads[ty * w + tx];
+                heads[ty * w + tx] = warped.len() as u32;
+                warped.push(moved);
+            }
+        }
+        (heads, warped)
+    }
+}
+
+/// Where `ray` (rotated, z = 1 before) at inverse depth `idepth` is seen; `var` is the factor on the
+/// variance.
+fn warp(ray: &Vec3, translation: &Vec3, idepth: f64, target: &DepthMap) -> Option<Warped> {
+    let point = ray + translation * idepth;
+    let ratio = point.z;
+    if ratio < 0.1 || ray.z <= 0.0 {
+        return None;
+    }
+    let pixel = target.host.pinhole.project(&point);
+    let border = BORDER as f64 - 1.0;
+    let inside = pixel.x >= border
+        && pixel.y >= border
+        && pixel.x <= target.host.width() as f64 - 1.0 - border
+        && pixel.y <= target.host.height() as f64 - 1.0 - border;
+    let jacobian = ray.z / (ratio * ratio);
+    inside.then_some(Warped {
+        x: pixel.x as f32,
+        y: pixel.y as f32,
+        idepth: (idepth / ratio) as f32,
+        var: (jacobian * jacobian) as f32,
+        validity: 0,
+        next: NONE,
+    })
+}
+
+/// The warped hypotheses less than a pixel from `(x, y)` (or of the pixel itself).
+fn collect_nearby(
+    (x, y): (usize, usize),
+    width: usize,
+    (heads, warped): (&[u32], &[Warped]),
+    config: &DepthConfig,
+    nearby: &mut Vec<Warped>,
+) {
+    nearby.clear();
+    let radius = usize::from(config.propagate_subpixel);
+    for yy in y - radius..=y + radius {
+        for xx in x - radius..=x + radius {
+            let mut index = heads[yy * width + xx];
+            while index != NONE && nearby.len() < MAX_CANDIDATES {
+                let candidate = warped[index as usize];
+                index = candidate.next;
+                let close =
+                    (candidate.x - x as f32).abs() < 1.0 && (candidate.y - y as f32).abs() < 1.0;
+                if close {
+                    nearby.push(candidate);
+                }
+            }
+        }
+    }
+}
+
+/// Bilinear weight of a hypothesis for the pixel.
+fn tent(candidate: &Warped, x: f32, y: f32) -> f32 {
+    (1.0 - (candidate.x - x).abs()) * (1.0 - (candidate.y - y).abs())
+}
+
+fn same_surface(a: &Warped, b: &Warped) -> bool {
+    let gap = a.idepth - b.idepth;
+    let distance = (a.x - b.x).abs() + (a.y - b.y).abs();
+    let slope = SAME_SURFACE_SLOPE * distance * a.idepth.max(b.idepth);
+    gap * gap <= SAME_SURFACE_SIGMA * SAME_SURFACE_SIGMA * (a.var + b.var) + slope * slope
+}
+
+/// The surface seen at the pixel, interpolated to its centre.
+fn merge(
+    (x, y): (usize, usize),
+    nearby: &[Warped],
+    config: &DepthConfig,
+    stats: &mut PropagationStats,
+) -> Option<Hypothesis> {
+    let (x, y) = (x as f32, y as f32);
+    let seed = visible_seed(nearby, (x, y), config, stats)?;
+    let (mut sum_w, mut sum_d, mut sum_v) = (0.0f32, 0.0f32, 0.0f32);
+    let (mut offset_x, mut offset_y, mut tents) = (0.0f32, 0.0f32, 0.0f32);
+    let mut validity = 0.0f32;
+    for candidate in nearby.iter().filter(|c| same_surface(seed, c)) {
+        let share = tent(candidate, x, y) + 0.01;
+        let weight = share / candidate.var;
+        sum_w += weight;
+        sum_d += weight * candidate.idepth;
+        // the errors of neighbours are taken as fully correlated: no gain
+        sum_v += weight * candidate.var;
+        offset_x += weight * (candidate.x - x);
+        offset_y += weight * (candidate.y - y);
+        tents += share;
+        validity += share * f32::from(candidate.validity);
+    }
+    let idepth = sum_d / sum_w;
+    let offset = (offset_x * offset_x + offset_y * offset_y) / (sum_w * sum_w);
+    let slope = config.slope_per_px * idepth;
+    let prediction = config.propagation_relative_sigma * idepth;
+    let var = config.propagation_inflation * sum_v / sum_w
+        + slope * slope * offset
+        + prediction * prediction;
+    (var <= config.max_var).then_some(Hypothesis {
+        idepth,
+        var,
+        prior_var: var,
+        validity: (validity / tents) as u8,
+    })
+}
+
+/// A hypothesis of the surface that is visible at the pixel: of two surfaces the nearer one, provided
+/// that it has its share of the support; otherwise the better supported one.
+fn visible_seed<'a>(
+    nearby: &'a [Warped],
+    (x, y): (f32, f32),
+    config: &DepthConfig,
+    stats: &mut PropagationStats,
+) -> Option<&'a Warped> {
+    let support = |of: &Warped| -> f32 {
+        nearby
+            .iter()
+            .filter(|c| same_surface(of, c))
+            .map(|c| (tent(c, x, y) + 0.01) * (1.0 + f32::from(c.validity)))
+            .sum()
+    };
+    let first = nearby.first()?;
+    if nearby.iter().all(|c| same_surface(first, c)) {
+        // one surface: its best known member decides who belongs to it
+        return nearby.iter().min_by(|a, b| a.var.total_cmp(&b.var));
+    }
+    stats.conflicts += 1;
+    let total: f32 = nearby
+        .iter()
+        .map(|c| (tent(c, x, y) + 0.01) * (1.0 + f32::from(c.validity)))
+        .sum();
+    nearby
+        .iter()
+        .filter(|c| support(c) >= config.occlusion_support * total)
+        .max_by(|a, b| a.idepth.total_cmp(&b.idepth))
+        .or_else(|| {
+            nearby
+                .iter()
+                .max_by(|a, b| support(a).total_cmp(&support(b)))
+        })
+}

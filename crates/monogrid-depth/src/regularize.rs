@@ -1,0 +1,212 @@
+//! Spatial smoothing, removal of lone pixels and filling of holes.
+
+use crate::DepthMap;
+use crate::config::DepthConfig;
+use crate::map::{Arrays, Candidates, Hypothesis};
+
+/// Neighbours on either side.
+const RADIUS: usize = 2;
+
+/// What regularisation did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct RegularizeStats {
+    /// Pixels with a smoothed value.
+    pub smoothed: usize,
+    /// Pixels dropped for lack of support in their neighbourhood.
+    pub removed: usize,
+}
+
+impl RegularizeStats {
+    /// Adds the counters of the next band.
+    pub fn merge(&mut self, other: &Self) {
+        self.smoothed += other.smoothed;
+        self.removed += other.removed;
+    }
+}
+
+/// Rows whose smoothed values are computed; reads the whole map, writes its own rows.
+#[derive(Debug)]
+pub struct RegularizeBand<'a> {
+    arrays: &'a Arrays,
+    candidates: &'a Candidates,
+    width: usize,
+    height: usize,
+    first_row: usize,
+    num_rows: usize,
+    smooth_idepth: &'a mut [f32],
+    smooth_var: &'a mut [f32],
+}
+
+impl DepthMap {
+    /// Bands for [`RegularizeBand::regularize`]; call [`DepthMap::remove_unsupported`] after all.
+    pub fn regularize_bands(&mut self, rows_per_band: usize) -> Vec<RegularizeBand<'_>> {
+        let rows = rows_per_band.max(1);
+        let (width, height) = (self.host.width(), self.host.height());
+        let (arrays, candidates) = (&self.arrays, &self.candidates);
+        self.smooth_idepth
+            .chunks_mut(rows * width)
+            .zip(self.smooth_var.chunks_mut(rows * width))
+            .enumerate()
+            .map(|(band, (smooth_idepth, smooth_var))| RegularizeBand {
+                arrays,
+                candidates,
+                width,
+                height,
+                first_row: band * rows,
+                num_rows: rows.min(height - band * rows),
+                smooth_idepth,
+                smooth_var,
+            })
+            .collect()
+    }
+
+    /// Drops the pixels that the last regularisation left without a smoothed value.
+    pub fn remove_unsupported(&mut self) {
+        let w = self.host.width();
+        for y in 0..self.host.height() {
+            for &x in self.candidates.row(y) {
+                let i = y * w + usize::from(x);
+                if self.arrays.var[i] > 0.0 && self.smooth_var[i] <= 0.0 {
+                    self.arrays.clear(i);
+                }
+            }
+        }
+    }
+
+    /// Smooths all rows on the calling thread and drops what has no support.
+    pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
+        let mut stats = RegularizeStats::default();
+        for mut band in self.regularize_bands(usize::MAX >> 32) {
+            stats.merge(&band.regularize(config));
+        }
+        self.remove_unsupported();
+        stats
+    }
+
+    /// Gives candidate pixels without depth, but with confirmed neighbours, the neighbours' depth, with a
+    /// variance that covers their spread and without any confirmation. Returns how many.
+    pub fn fill_holes(&mut self, config: &DepthConfig) -> usize {
+        let (w, h) = (self.host.width(), self.host.height());
+        let mut filled = Vec::new();
+        for y in 0..h {
+            for &x in self.candidates.row(y) {
+                let x = usize::from(x);
+                let i = y * w + x;
+                if self.arrays.var[i] > 0.0 || self.arrays.failures[i] > 2 {
+                    continue;
+                }
+                if let Some(hypothesis) = self.hole(x, y, config) {
+                    filled.push((i, hypothesis));
+                }
+            }
+        }
+        for (i, hypothesis) in &filled {
+            self.arrays.set(*i, *hypothesis);
+            self.smooth_idepth[*i] = hypothesis.idepth;
+            self.smooth_var[*i] = hypothesis.var;
+        }
+        filled.len()
+    }
+
+    /// Inverse-variance mean of the 5x5 neighbours when they are confirmed enough.
+    fn hole(&self, x: usize, y: usize, config: &DepthConfig) -> Option<Hypothesis> {
+        let w = self.host.width();
+        let arrays = &self.arrays;
+        let mut support = 0u32;
+        let (mut sum_w, mut sum_d, mut sum_dd, mut num) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        for yy in y - RADIUS..=y + RADIUS {
+            for j in yy * w + x - RADIUS..=yy * w + x + RADIUS {
+                if arrays.var[j] > 0.0 && arrays.validity[j] > 0 {
+                    support += u32::from(arrays.validity[j]);
+                    let weight = 1.0 / arrays.var[j];
+                    sum_w += weight;
+                    sum_d += weight * arrays.idepth[j];
+                    sum_dd += weight * arrays.idepth[j] * arrays.idepth[j];
+                    num += 1.0;
+                }
+            }
+        }
+        if support <= u32::from(config.min_support_fill) || sum_w <= 0.0 {
+            return None;
+        }
+        let idepth = sum_d / sum_w;
+        let spread = (sum_dd / sum_w - idepth * idepth).max(0.0);
+        let var = num / sum_w + 2.0 * spread + config.fill_relative_var * idepth * idepth;
+        Some(Hypothesis {
+            idepth,
+            var: var.min(config.max_var),
+            prior_var: f32::INFINITY,
+            validity: 0,
+        })
+    }
+}
+
+impl RegularizeBand<'_> {
+    /// Computes the smoothed values of the band's rows.
+    pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
+        let mut stats = RegularizeStats::default();
+        let candidates = self.candidates;
+        for row in 0..self.num_rows {
+            let y = self.first_row + row;
+            for &x in candidates.row(y) {
+                let x = usize::from(x);
+                let out = row * self.width + x;
+                if self.arrays.var[y * self.width + x] <= 0.0 {
+                    self.smooth_var[out] = 0.0;
+                    continue;
+                }
+                match self.smoothed(x, y, config) {
+                    Some((idepth, var)) => {
+                        self.smooth_idepth[out] = idepth;
+                        self.smooth_var[out] = var;
+                        stats.smoothed += 1;
+                    }
+                    None => {
+                        self.smooth_var[out] = 0.0;
+                        stats.removed += 1;
+                    }
+                }
+            }
+        }
+        stats
+    }
+
+    /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by
+    /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid.
+    #[inline]
+    fn smoothed(&self, x: usize, y: usize, config: &DepthConfig) -> Option<(f32, f32)> {
+        let arrays = self.arrays;
+        let w = self.width;
+        let i = y * w + x;
+        let (idepth, var) = (arrays.idepth[i], arrays.var[i]);
+        let slope = config.smoothing_per_px * idepth;
+        let slope_sq = slope * slope;
+        let (mut sum_w, mut sum_d, mut support) = (0.0f32, 0.0f32, 0u32);
+        debug_assert!(y >= RADIUS && y + RADIUS < self.height);
+        for dy in 0..=2 * RADIUS {
+            let start = (y + dy - RADIUS) * w + x - RADIUS;
+            for dx in 0..=2 * RADIUS {
+                let j = start + dx;
+                let neighbour_var = arrays.var[j];
+                if neighbour_var <= 0.0 {
+                    continue;
+                }
+                let gap = arrays.idepth[j] - idepth;
+                if gap * gap > var + neighbour_var {
+                    continue;
+                }
+                support += u32::from(arrays.validity[j]);
+                let dist_sq = (dx.abs_diff(RADIUS).pow(2) + dy.abs_diff(RADIUS).pow(2)) as f32;
+                let weight = 1.0 / (neighbour_var + slope_sq * dist_sq);
+                sum_w += weight;
+                sum_d += weight * arrays.idepth[j];
+            }
+        }
+        // a filled pixel has no validity of its own and lives from its neighbours
+        if support < u32::from(config.min_support_keep) {
+            return None;
+        }
+        let smooth_var = (1.0 / sum_w).max(var / config.max_smoothing_gain);
+        Some((sum_d / sum_w, smooth_var))
+    }
+}
