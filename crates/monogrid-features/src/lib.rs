@@ -1,1 +1,25 @@
-//! Corners, binary descriptors, patch alignment and two-view geometry.
+//! Corners, patch tracking, two-view geometry, absolute pose, binary descriptors and places.
+//!
+//! Everything that monogrid does with *points* rather than with all pixels: the start from two
+//! views, the sparse layer that holds the scale, place recognition and relocalisation.
+//!
+//! # Conventions
+//!
+//! * Pixels are level-0 pixels of a [`monogrid_image::Pyramid`] unless a name says otherwise; the
+//!   centre of the top-left pixel is (0, 0). [`level_pixel`] and [`finest_pixel`] convert.
+//! * Everything is deterministic: random sampling draws from [`Rng`] with a seed in the
+//!   configuration, ties are broken by index.
+#![deny(missing_docs)]
+
+mod corners;
+mod rng;
+#[cfg(test)]
+mod test_images;
+mod track;
+
+pub use corners::{Corner, CornerConfig, detect_corners};
+pub use rng::Rng;
+pub use track::{
+    PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, align_patch,
+    find_patch, finest_pixel, level_pixel, patch_warp, track_points,
+};

@@ -1,0 +1,57 @@
+//! Images of natural spectrum that are known at every real position.
+
+use crate::Rng;
+use monogrid_image::{GrayImage, Image};
+
+/// A sum of waves whose amplitude falls with the frequency, as in natural images.
+pub(crate) struct Texture {
+    waves: Vec<[f64; 4]>,
+}
+
+impl Texture {
+    pub fn new(seed: u64) -> Self {
+        let mut rng = Rng::new(seed);
+        let waves = (0..120)
+            .map(|_| {
+                // cycles per px, uniform in the logarithm from 1/200 to 1/4.5
+                let frequency = 0.005 * (0.22f64 / 0.005).powf(rng.uniform());
+                let angle = std::f64::consts::PI * rng.uniform();
+                let omega = std::f64::consts::TAU * frequency;
+                let amplitude = 0.35 / frequency.powf(0.75);
+                let phase = std::f64::consts::TAU * rng.uniform();
+                [omega * angle.cos(), omega * angle.sin(), phase, amplitude]
+            })
+            .collect();
+        Self { waves }
+    }
+
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        let sum: f64 = self
+            .waves
+            .iter()
+            .map(|[wx, wy, phase, amplitude]| amplitude * (wx * x + wy * y + phase).sin())
+            .sum();
+        128.0 + sum
+    }
+
+    /// The image whose pixel `(x, y)` shows the texture at `warp(x, y)`.
+    pub fn render(
+        &self,
+        width: usize,
+        height: usize,
+        warp: impl Fn(f64, f64) -> (f64, f64),
+    ) -> GrayImage {
+        Image::from_fn(width, height, |x, y| {
+            let (u, v) = warp(x as f64, y as f64);
+            self.at(u, v) as f32
+        })
+    }
+}
+
+/// Adds Gaussian noise.
+pub(crate) fn add_noise(image: &mut GrayImage, sigma: f64, seed: u64) {
+    let mut rng = Rng::new(seed);
+    for value in image.as_mut_slice() {
+        *value += (sigma * rng.normal()) as f32;
+    }
+}

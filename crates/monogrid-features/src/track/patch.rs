@@ -1,0 +1,330 @@
+//! Patches anchored in a keyframe, warped to the current view and found again: the sparse layer.
+
+use super::points::{TrackOutcome, to_f32, to_vec2};
+use super::template::{
+    AlignLimits, LevelFailure, LevelFit, PatchFit, SIDE, Template, WIDE, centre_of_corner,
+    integer_corner,
+};
+use crate::{finest_pixel, level_pixel};
+use monogrid_geometry::nalgebra::Matrix2;
+use monogrid_geometry::{Pinhole, Se3, Vec2};
+use monogrid_image::{GrayImage, Pyramid, bilinear};
+
+/// Settings of the search for a patch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PatchSearchConfig {
+    /// Radius of the coarse search around the predicted pixel, level-0 px. Default 20;
+    /// 0 refines only.
+    pub radius_px: f64,
+    /// Level of the coarse search. Default 2.
+    pub search_level: usize,
+    /// Most candidates of the coarse search that are refined. Default 3.
+    pub max_candidates: usize,
+    /// Most iterations per level. Default 12.
+    pub max_iterations: usize,
+    /// A step shorter than this ends a level, px of the level. Default 0.01.
+    pub min_step_px: f32,
+    /// Smallest correlation of the finest patch. Default 0.8.
+    pub min_correlation: f32,
+    /// A second place whose `1 - correlation` is at most this many times that of the best makes
+    /// the match ambiguous. Default 1.5.
+    pub min_dissimilarity_ratio: f32,
+    /// Weakest mean squared gradient of a patch, (grey levels / px)². Default 2.
+    pub min_score: f32,
+}
+
+impl Default for PatchSearchConfig {
+    fn default() -> Self {
+        Self {
+            radius_px: 20.0,
+            search_level: 2,
+            max_candidates: 3,
+            max_iterations: 12,
+            min_step_px: 0.01,
+            min_correlation: 0.8,
+            min_dissimilarity_ratio: 1.5,
+            min_score: 2.0,
+        }
+    }
+}
+
+/// A patch of a reference image as a current view sees it on one pyramid level.
+#[derive(Clone, Debug)]
+pub struct ReferencePatch {
+    template: Template,
+    level: usize,
+}
+
+impl ReferencePatch {
+    /// Samples the patch around `pixel` (level-0 px of `reference`) for level `level` of a current
+    /// image. `reference_from_current` maps small offsets in the current image to offsets in the
+    /// reference, see [`patch_warp`].
+    ///
+    /// The level of `reference` is chosen so that its pixels are about as large as those it is
+    /// compared with.
+    ///
+    /// # Errors
+    /// `OutOfImage` or `NoTexture`.
+    pub fn new(
+        reference: &Pyramid,
+        pixel: &Vec2,
+        reference_from_current: &Matrix2<f64>,
+        level: usize,
+        min_score: f32,
+    ) -> Result<Self, TrackOutcome> {
+        let level_scale = (1u64 << level) as f64;
+        let warp = reference_from_current * level_scale;
+        let magnification = warp.determinant().abs().sqrt();
+        if !magnification.is_finite() || reference.num_levels() == 0 {
+            return Err(TrackOutcome::OutOfImage);
+        }
+        let reference_level =
+            (magnification.max(1.0).log2().round() as usize).min(reference.num_levels() - 1);
+        let warp = warp / (1u64 << reference_level) as f64;
+        let image = reference.level(reference_level);
+        let centre = level_pixel(pixel, reference_level);
+        let wide = sample_warped(image, &centre, &warp).ok_or(TrackOutcome::OutOfImage)?;
+        let template = Template::new(&wide, min_score).ok_or(TrackOutcome::NoTexture)?;
+        Ok(Self { template, level })
+    }
+}
+
+/// Aligns a patch with level `patch level` of a current image (`current` is that level's image)
+/// from `initial`; everything in level-0 px.
+#[must_use]
+pub fn align_patch(
+    patch: &ReferencePatch,
+    current: &GrayImage,
+    initial: &Vec2,
+    config: &PatchSearchConfig,
+) -> TrackOutcome {
+    match align_level(patch, current, initial, config) {
+        Err(failure) => failure.into(),
+        Ok(fit) => accept(finest_fit(&fit, patch.level), config),
+    }
+}
+
+/// Finds the patch around `pixel` of `reference` in `current`, near `predicted`.
+///
+/// Coarse search by correlation on `config.search_level`, then the best few places are refined on
+/// every finer level, and the best of them is taken unless another is about as good.
+#[must_use]
+pub fn find_patch(
+    reference: &Pyramid,
+    pixel: &Vec2,
+    reference_from_current: &Matrix2<f64>,
+    current: &Pyramid,
+    predicted: &Vec2,
+    config: &PatchSearchConfig,
+) -> TrackOutcome {
+    let coarsest = config
+        .search_level
+        .min(current.num_levels().saturating_sub(1));
+    let mut patches = Vec::with_capacity(coarsest + 1);
+    for level in 0..=coarsest {
+        let patch = ReferencePatch::new(
+            reference,
+            pixel,
+            reference_from_current,
+            level,
+            config.min_score,
+        );
+        match patch {
+            Ok(patch) => patches.push(patch),
+            Err(outcome) if level == 0 => return outcome,
+            // too close to the border or too smooth up there: search on the finer levels only
+            Err(_) => break,
+        }
+    }
+    let Some(last) = patches.last() else {
+        return TrackOutcome::OutOfImage;
+    };
+    let starts = coarse_candidates(last, current.level(last.level), predicted, config);
+    let mut fits: Vec<PatchFit> = Vec::new();
+    let mut failure = TrackOutcome::OutOfImage;
+    for start in &starts {
+        match refine(&patches, current, start, config) {
+            Ok(fit) => fits.push(fit),
+            Err(outcome) => failure = outcome,
+        }
+    }
+    fits.sort_by(|a, b| b.correlation.total_cmp(&a.correlation));
+    let Some(best) = fits.first() else {
+        return failure;
+    };
+    let limit = config.min_dissimilarity_ratio * (1.0 - best.correlation);
+    for rival in &fits[1..] {
+        let distance_px = (rival.pixel - best.pixel).norm();
+        if distance_px > 1.0 && 1.0 - rival.correlation <= limit {
+            return TrackOutcome::Ambiguous { distance_px };
+        }
+    }
+    accept(*best, config)
+}
+
+/// The warp `reference_from_current` of a small patch that faces the reference camera, from its
+/// inverse depth (1/u, along the optical axis of the reference) and the relative pose.
+///
+/// `None` when the point lies behind the current camera or the warp is degenerate.
+#[must_use]
+pub fn patch_warp(
+    pinhole: &Pinhole,
+    pixel: &Vec2,
+    idepth: f64,
+    current_from_reference: &Se3,
+) -> Option<Matrix2<f64>> {
+    let project = |pixel: &Vec2| {
+        // scaled by the inverse depth: points at infinity need no special case
+        let ray = pinhole.unproject(pixel);
+        let point =
+            current_from_reference.rotation * ray + current_from_reference.translation * idepth;
+        (point.z > 1e-6).then(|| pinhole.project(&point))
+    };
+    let (half, mut columns) = (SIDE as f64 / 2.0, [Vec2::zeros(); 2]);
+    for (column, axis) in columns.iter_mut().zip([Vec2::x(), Vec2::y()]) {
+        let ahead = project(&(pixel + axis * half))?;
+        let behind = project(&(pixel - axis * half))?;
+        *column = (ahead - behind) / (2.0 * half);
+    }
+    Matrix2::from_columns(&columns).try_inverse()
+}
+
+/// Refines on every level from that of the last patch down to 0.
+fn refine(
+    patches: &[ReferencePatch],
+    current: &Pyramid,
+    start: &Vec2,
+    config: &PatchSearchConfig,
+) -> Result<PatchFit, TrackOutcome> {
+    let mut estimate = *start;
+    let mut finest = None;
+    for patch in patches.iter().rev() {
+        let fit = align_level(patch, current.level(patch.level), &estimate, config);
+        match fit {
+            Ok(fit) => {
+                let fit = finest_fit(&fit, patch.level);
+                estimate = fit.pixel;
+                finest = Some(fit);
+            }
+            Err(failure) if patch.level == 0 => return Err(failure.into()),
+            Err(_) => {}
+        }
+    }
+    finest.ok_or(TrackOutcome::Diverged)
+}
+
+fn align_level(
+    patch: &ReferencePatch,
+    image: &GrayImage,
+    initial: &Vec2,
+    config: &PatchSearchConfig,
+) -> Result<LevelFit, LevelFailure> {
+    let limits = AlignLimits {
+        max_iterations: config.max_iterations,
+        min_step: config.min_step_px,
+        max_distance: MAX_LEVEL_MOVE_PX,
+    };
+    let start = to_f32(&level_pixel(initial, patch.level));
+    patch.template.align(image, start, &limits)
+}
+
+/// Furthest move of a refinement, px of the level.
+const MAX_LEVEL_MOVE_PX: f32 = 4.0;
+
+fn accept(fit: PatchFit, config: &PatchSearchConfig) -> TrackOutcome {
+    if fit.correlation < config.min_correlation {
+        return TrackOutcome::Dissimilar {
+            correlation: fit.correlation,
+        };
+    }
+    TrackOutcome::Tracked(fit)
+}
+
+fn finest_fit(fit: &LevelFit, level: usize) -> PatchFit {
+    let inv_scale_sq = 1.0 / (1u64 << (2 * level)) as f32;
+    PatchFit {
+        pixel: finest_pixel(&to_vec2(fit.centre), level),
+        correlation: fit.correlation,
+        residual_rms: fit.residual_rms,
+        gain: fit.gain,
+        hessian: fit.hessian.map(|h| h * inv_scale_sq),
+    }
+}
+
+/// The places of highest correlation within the radius, local maxima on the grid of the level,
+/// level-0 px; the prediction itself when there is no radius.
+fn coarse_candidates(
+    patch: &ReferencePatch,
+    image: &GrayImage,
+    predicted: &Vec2,
+    config: &PatchSearchConfig,
+) -> Vec<Vec2> {
+    let radius = (config.radius_px / (1u64 << patch.level) as f64).ceil() as i64;
+    // NaN fails the comparison too
+    let representable = predicted.amax() < 1e6;
+    if radius <= 0 || !representable {
+        return vec![*predicted];
+    }
+    let corner = integer_corner(to_f32(&level_pixel(predicted, patch.level)));
+    let (left, top) = (corner[0] as i64, corner[1] as i64);
+    let side = (2 * radius + 1) as usize;
+    let last_left = image.width() as i64 - SIDE as i64;
+    let last_top = image.height() as i64 - SIDE as i64;
+    let mut scores = vec![f32::NEG_INFINITY; side * side];
+    for (j, y) in (top - radius..=top + radius).enumerate() {
+        for (i, x) in (left - radius..=left + radius).enumerate() {
+            if x >= 0 && y >= 0 && x <= last_left && y <= last_top {
+                scores[j * side + i] = patch.template.correlation_at(image, x as usize, y as usize);
+            }
+        }
+    }
+    let mut peaks = grid_peaks(&scores, side);
+    peaks.truncate(config.max_candidates.max(1));
+    peaks
+        .iter()
+        .map(|&(i, j)| {
+            let x = (left - radius + i as i64) as usize;
+            let y = (top - radius + j as i64) as usize;
+            finest_pixel(&to_vec2(centre_of_corner(x, y)), patch.level)
+        })
+        .collect()
+}
+
+/// Local maxima of a square grid of scores, best first.
+fn grid_peaks(scores: &[f32], side: usize) -> Vec<(usize, usize)> {
+    let mut peaks = Vec::new();
+    for j in 0..side {
+        for i in 0..side {
+            let value = scores[j * side + i];
+            let neighbours = (j.saturating_sub(1)..(j + 2).min(side))
+                .flat_map(|y| (i.saturating_sub(1)..(i + 2).min(side)).map(move |x| (x, y)));
+            if value > 0.2
+                && neighbours
+                    .into_iter()
+                    .all(|(x, y)| scores[y * side + x] <= value)
+            {
+                peaks.push((value, (i, j)));
+            }
+        }
+    }
+    peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+    peaks.into_iter().map(|(_, at)| at).collect()
+}
+
+/// The patch with border whose sample at offset `u` is `image(centre + warp u)`.
+fn sample_warped(
+    image: &GrayImage,
+    centre: &Vec2,
+    warp: &Matrix2<f64>,
+) -> Option<[[f32; WIDE]; WIDE]> {
+    let half = (WIDE as f64 - 1.0) / 2.0;
+    let mut out = [[0.0f32; WIDE]; WIDE];
+    for (j, row) in out.iter_mut().enumerate() {
+        for (i, value) in row.iter_mut().enumerate() {
+            let offset = Vec2::new(i as f64 - half, j as f64 - half);
+            let at = centre + warp * offset;
+            *value = bilinear(image, at.x as f32, at.y as f32)?;
+        }
+    }
+    Some(out)
+}
