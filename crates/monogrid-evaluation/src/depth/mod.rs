@@ -1,0 +1,392 @@
+//! Semi-dense inverse depth and its variance against true depth.
+//!
+//! Flow: [`DepthEvaluator::add_keyframe`] for every keyframe, then [`DepthEvaluator::finish`]. One
+//! scale, the median ratio of true to estimated depth over all keyframes, is applied before anything
+//! is compared: a single camera does not see it. Images may be dropped after they were added.
+
+mod error;
+
+pub use error::DepthError;
+
+use crate::statistics::{median, robust_deviation};
+use serde::Serialize;
+
+/// Estimated depth of one pixel of a keyframe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthEstimate {
+    /// Column of the pixel.
+    pub x_px: u32,
+    /// Row of the pixel.
+    pub y_px: u32,
+    /// Inverse depth (along the optical axis), 1/u of the keyframe.
+    pub idepth: f32,
+    /// Its variance, 1/u².
+    pub idepth_var: f32,
+}
+
+/// One keyframe with its truth; images are row-major, `width * height` long.
+#[derive(Clone, Copy, Debug)]
+pub struct KeyframeDepth<'a> {
+    /// Name in the report, usually the number of the keyframe.
+    pub id: u64,
+    /// Columns of the images.
+    pub width: usize,
+    /// Rows of the images.
+    pub height: usize,
+    /// What was estimated, at most once per pixel.
+    pub estimates: &'a [DepthEstimate],
+    /// Length of the keyframe's unit in world units (the scale of its Sim(3)).
+    pub world_scale: f64,
+    /// True depth along the optical axis; not finite or not positive where unknown.
+    pub true_depth: &'a [f32],
+    /// Length of the image gradient, grey levels (0 to 255) per pixel.
+    pub gradient: &'a [f32],
+}
+
+/// Settings of the evaluation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthConfig {
+    /// Pixels of at least this gradient should have a depth, grey levels per pixel. Default 5.
+    pub min_gradient: f32,
+    /// Scale from estimated to true lengths. Default: the median ratio over all estimates.
+    pub scale: Option<f64>,
+}
+
+impl Default for DepthConfig {
+    fn default() -> Self {
+        Self {
+            min_gradient: 5.0,
+            scale: None,
+        }
+    }
+}
+
+/// (d - d_gt)/sigma of all estimates: a standard normal distribution when the variance is honest.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NormalisedError {
+    /// Median; near 0 without bias.
+    pub median: f64,
+    /// Magnitude of the median.
+    pub absolute_median: f64,
+    /// 1.48 times the median absolute deviation; 1 when honest, above when over-confident.
+    pub robust_deviation: f64,
+    /// Share of estimates within 2 sigma; 0.954 when normal and honest.
+    pub within_2_sigma: f64,
+    /// Plain standard deviation, which outliers rule.
+    pub std: f64,
+}
+
+/// Shares of the pixels that should have a depth, [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct DepthShares {
+    /// Have a depth within 3 % of the truth.
+    pub within_3_percent: f64,
+    /// Have a depth within 10 % of the truth.
+    pub within_10_percent: f64,
+    /// Have a depth.
+    pub density: f64,
+}
+
+/// What is known about one keyframe.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct KeyframeDepthReport {
+    /// The keyframe.
+    pub id: u64,
+    /// Estimates with known truth.
+    pub estimates: usize,
+    /// Median ratio of true to estimated depth of this keyframe alone; `None` without estimates.
+    pub scale: Option<f64>,
+    /// That over the global scale: 1 when the keyframes agree.
+    pub relative_scale: Option<f64>,
+    /// With the global scale.
+    pub shares: DepthShares,
+    /// With the keyframe's own scale: what is lost by drift of the scale is gained back here.
+    pub shares_own_scale: DepthShares,
+}
+
+/// Result of the depth evaluation.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DepthReport {
+    /// Scale applied, true length per estimated length.
+    pub scale: f64,
+    /// Keyframes looked at.
+    pub keyframes: usize,
+    /// Estimates where the truth is known.
+    pub estimates: usize,
+    /// Pixels of enough gradient where the truth is known: all that should have a depth.
+    pub gradient_pixels: usize,
+    /// Shares of these pixels with the global scale.
+    #[serde(flatten)]
+    pub shares: DepthShares,
+    /// The same shares when each keyframe has its own scale.
+    pub shares_own_scale: DepthShares,
+    /// Shares of the estimates themselves within 3 % and 10 %, whatever their gradient.
+    pub estimates_within_3_percent: f64,
+    /// See above.
+    pub estimates_within_10_percent: f64,
+    /// Median of (depth - true depth)/true depth over estimates of positive inverse depth.
+    pub bias: f64,
+    /// Median of (d - d_gt)/d_gt, d the inverse depth.
+    pub idepth_bias: f64,
+    /// Root mean square of ln(depth / true depth), over estimates of positive inverse depth.
+    pub rmse_log_depth: f64,
+    /// Honesty of the variance.
+    pub normalised_error: NormalisedError,
+    /// Every keyframe, in the order added.
+    pub per_keyframe: Vec<KeyframeDepthReport>,
+}
+
+/// One estimate beside its truth, both inverse depths in keyframe units but for the global scale.
+#[derive(Clone, Copy, Debug)]
+struct Comparison {
+    idepth: f64,
+    idepth_sigma: f64,
+    /// True inverse depth when the global scale is 1.
+    true_idepth: f64,
+    has_gradient: bool,
+}
+
+impl Comparison {
+    /// True over estimated depth.
+    fn depth_ratio(&self) -> f64 {
+        self.idepth / self.true_idepth
+    }
+
+    fn is_within(&self, ratio: f64, scale: f64) -> bool {
+        self.idepth > 0.0 && (self.relative_depth(scale) - 1.0).abs() <= ratio
+    }
+
+    /// Scaled estimated depth over true depth.
+    fn relative_depth(&self, scale: f64) -> f64 {
+        scale * self.true_idepth / self.idepth
+    }
+
+    fn normalised(&self, scale: f64) -> f64 {
+        (self.idepth - scale * self.true_idepth) / self.idepth_sigma
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Keyframe {
+    id: u64,
+    gradient_pixels: usize,
+    comparisons: Vec<Comparison>,
+}
+
+impl Keyframe {
+    fn shares(&self, scale: f64) -> DepthShares {
+        shares([self].into_iter(), |_| scale)
+    }
+
+    fn own_scale(&self) -> Option<f64> {
+        let ratios: Vec<f64> = self
+            .comparisons
+            .iter()
+            .map(Comparison::depth_ratio)
+            .collect();
+        median(&ratios).filter(|scale| *scale > 0.0)
+    }
+}
+
+/// Collects keyframes and compares their depth with the truth.
+#[derive(Clone, Debug)]
+pub struct DepthEvaluator {
+    config: DepthConfig,
+    keyframes: Vec<Keyframe>,
+    num_estimates: usize,
+}
+
+impl DepthEvaluator {
+    /// An evaluator without keyframes.
+    #[must_use]
+    pub fn new(config: DepthConfig) -> Self {
+        Self {
+            config,
+            keyframes: Vec::new(),
+            num_estimates: 0,
+        }
+    }
+
+    /// Adds a keyframe.
+    ///
+    /// # Errors
+    /// Images of another size, or an estimate outside the image, that is not finite or whose variance
+    /// is not positive.
+    pub fn add_keyframe(&mut self, keyframe: &KeyframeDepth) -> Result<(), DepthError> {
+        check(keyframe)?;
+        let gradient_pixels = keyframe
+            .true_depth
+            .iter()
+            .zip(keyframe.gradient)
+            .filter(|(depth, gradient)| is_known(**depth) && **gradient >= self.config.min_gradient)
+            .count();
+        let compare = |estimate: &DepthEstimate| {
+            let index = estimate.y_px as usize * keyframe.width + estimate.x_px as usize;
+            let true_depth = keyframe.true_depth[index];
+            is_known(true_depth).then(|| Comparison {
+                idepth: f64::from(estimate.idepth),
+                idepth_sigma: f64::from(estimate.idepth_var).sqrt(),
+                true_idepth: keyframe.world_scale / f64::from(true_depth),
+                has_gradient: keyframe.gradient[index] >= self.config.min_gradient,
+            })
+        };
+        self.num_estimates += keyframe.estimates.len();
+        self.keyframes.push(Keyframe {
+            id: keyframe.id,
+            gradient_pixels,
+            comparisons: keyframe.estimates.iter().filter_map(compare).collect(),
+        });
+        Ok(())
+    }
+
+    /// The report over all keyframes added.
+    ///
+    /// # Errors
+    /// When no estimate lies where the truth is known, or a scale that was set is not positive.
+    pub fn finish(self) -> Result<DepthReport, DepthError> {
+        let all: Vec<Comparison> = self
+            .keyframes
+            .iter()
+            .flat_map(|k| k.comparisons.iter().copied())
+            .collect();
+        let no_truth = || DepthError::NoTruth {
+            estimates: self.num_estimates,
+        };
+        let ratios: Vec<f64> = all.iter().map(Comparison::depth_ratio).collect();
+        let fitted = median(&ratios).ok_or_else(no_truth)?;
+        let scale = self.config.scale.unwrap_or(fitted);
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Err(DepthError::Scale { id: 0, scale });
+        }
+        let normalised = normalised_error(&all, scale).ok_or_else(no_truth)?;
+        let idepth_errors: Vec<f64> = all
+            .iter()
+            .map(|c| c.idepth / (scale * c.true_idepth) - 1.0)
+            .collect();
+        let relative_depths: Vec<f64> = all
+            .iter()
+            .filter(|c| c.idepth > 0.0)
+            .map(|c| c.relative_depth(scale))
+            .collect();
+        let share_of_estimates = |ratio: f64| {
+            all.iter().filter(|c| c.is_within(ratio, scale)).count() as f64 / all.len() as f64
+        };
+        Ok(DepthReport {
+            scale,
+            keyframes: self.keyframes.len(),
+            estimates: all.len(),
+            gradient_pixels: self.keyframes.iter().map(|k| k.gradient_pixels).sum(),
+            shares: shares(self.keyframes.iter(), |_| scale),
+            shares_own_scale: shares(self.keyframes.iter(), |k| k.own_scale().unwrap_or(scale)),
+            estimates_within_3_percent: share_of_estimates(0.03),
+            estimates_within_10_percent: share_of_estimates(0.1),
+            bias: median(&relative_depths).ok_or_else(no_truth)? - 1.0,
+            idepth_bias: median(&idepth_errors).ok_or_else(no_truth)?,
+            rmse_log_depth: rmse_log(&relative_depths),
+            normalised_error: normalised,
+            per_keyframe: self.keyframes.iter().map(|k| report(k, scale)).collect(),
+        })
+    }
+}
+
+fn is_known(depth: f32) -> bool {
+    depth.is_finite() && depth > 0.0
+}
+
+fn check(keyframe: &KeyframeDepth) -> Result<(), DepthError> {
+    let (id, width, height) = (keyframe.id, keyframe.width, keyframe.height);
+    for (image, found) in [
+        ("true depth", keyframe.true_depth.len()),
+        ("gradient image", keyframe.gradient.len()),
+    ] {
+        if found != width * height {
+            return Err(DepthError::Size {
+                id,
+                image,
+                found,
+                width,
+                height,
+            });
+        }
+    }
+    if !(keyframe.world_scale > 0.0 && keyframe.world_scale.is_finite()) {
+        return Err(DepthError::Scale {
+            id,
+            scale: keyframe.world_scale,
+        });
+    }
+    let is_good = |e: &DepthEstimate| {
+        (e.x_px as usize) < width
+            && (e.y_px as usize) < height
+            && e.idepth.is_finite()
+            && e.idepth_var.is_finite()
+            && e.idepth_var > 0.0
+    };
+    match keyframe.estimates.iter().find(|e| !is_good(e)) {
+        None => Ok(()),
+        Some(e) => Err(DepthError::Estimate {
+            id,
+            x_px: e.x_px,
+            y_px: e.y_px,
+            width,
+            height,
+            idepth: e.idepth,
+            idepth_var: e.idepth_var,
+        }),
+    }
+}
+
+/// Shares over the gradient pixels of `keyframes`, each with its scale; zero when there are none.
+fn shares<'a>(
+    keyframes: impl Iterator<Item = &'a Keyframe>,
+    scale_of: impl Fn(&Keyframe) -> f64,
+) -> DepthShares {
+    let (mut pixels, mut have, mut within_3, mut within_10) = (0, 0, 0, 0);
+    for keyframe in keyframes {
+        let scale = scale_of(keyframe);
+        pixels += keyframe.gradient_pixels;
+        for c in keyframe.comparisons.iter().filter(|c| c.has_gradient) {
+            have += 1;
+            within_3 += usize::from(c.is_within(0.03, scale));
+            within_10 += usize::from(c.is_within(0.1, scale));
+        }
+    }
+    let share = |count: usize| count as f64 / pixels.max(1) as f64;
+    DepthShares {
+        within_3_percent: share(within_3),
+        within_10_percent: share(within_10),
+        density: share(have),
+    }
+}
+
+fn normalised_error(all: &[Comparison], scale: f64) -> Option<NormalisedError> {
+    let errors: Vec<f64> = all.iter().map(|c| c.normalised(scale)).collect();
+    let median = median(&errors)?;
+    let n = errors.len() as f64;
+    let mean = errors.iter().sum::<f64>() / n;
+    let variance = errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n;
+    Some(NormalisedError {
+        median,
+        absolute_median: median.abs(),
+        robust_deviation: robust_deviation(&errors)?,
+        within_2_sigma: errors.iter().filter(|e| e.abs() <= 2.0).count() as f64 / n,
+        std: variance.sqrt(),
+    })
+}
+
+fn rmse_log(relative_depths: &[f64]) -> f64 {
+    let sum: f64 = relative_depths.iter().map(|r| r.ln().powi(2)).sum();
+    (sum / relative_depths.len().max(1) as f64).sqrt()
+}
+
+fn report(keyframe: &Keyframe, global_scale: f64) -> KeyframeDepthReport {
+    let own = keyframe.own_scale();
+    KeyframeDepthReport {
+        id: keyframe.id,
+        estimates: keyframe.comparisons.len(),
+        scale: own,
+        relative_scale: own.map(|scale| scale / global_scale),
+        shares: keyframe.shares(global_scale),
+        shares_own_scale: keyframe.shares(own.unwrap_or(global_scale)),
+    }
+}
