@@ -1,4 +1,47 @@
 //! Image sources, calibration and trajectory files, recordings and synthetic worlds.
+//!
+//! * [`Dataset::open`] finds the frames of a sequence in any of the usual layouts; [`read_gray`] and
+//!   [`read_depth`] decode them.
+//! * [`Calibration::read`] and [`DepthCalibration::read`] understand the usual calibration files.
+//! * [`DepthRegistration`] brings depth images into the colour camera.
+//! * [`read_trajectory`], [`write_tum`], [`read_sim3`] and their kin handle poses.
+//! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads `.scans`.
+//! * [`write_atomically`] replaces files whole or not at all.
+//!
+//! Everything that comes from outside is checked: bad input is an error that names the file, what
+//! was found and what was expected, never a panic.
 #![deny(missing_docs)]
 
+mod atomic;
+mod calibration;
+mod error;
+mod images;
+mod recording;
+mod scans;
+mod source;
 pub mod synth;
+mod text;
+mod timestamp;
+mod trajectory;
+
+pub use atomic::{AtomicFile, write_atomically, write_atomically_with};
+pub use calibration::{Calibration, read_photometric, read_response, read_vignette};
+pub use error::DatasetError;
+pub use images::{
+    DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
+    encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask, register_depth,
+};
+pub use recording::{
+    Damage, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, ReadOptions,
+    Record, RecordedKeyframe, Recording, RecordingReader, RecordingWriter, Scale, SessionInfo,
+};
+pub use scans::{Scan, ScanPoint, ScansReader};
+pub use source::{
+    DEFAULT_FPS, Dataset, DepthEntry, FrameEntry, Layout, SourceOptions, natural_order,
+};
+pub use timestamp::{format_seconds, parse_seconds};
+pub(crate) use trajectory::pose_from_numbers;
+pub use trajectory::{
+    TimedPose, format_kitti, format_sim3, format_tum, parse_trajectory, read_sim3, read_trajectory,
+    write_kitti, write_sim3, write_tum,
+};

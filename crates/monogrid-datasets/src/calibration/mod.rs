@@ -1,0 +1,216 @@
+//! Camera calibration files of this and other programs.
+//!
+//! [`Calibration::read`] recognises, by content:
+//!
+//! * our own TOML (see [`toml_format`](Calibration::to_toml) for an example);
+//! * one line `fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height`, in pixels;
+//! * LSD-SLAM's and PTAM's files of four lines (5 relative numbers with the FOV model's omega, or 8
+//!   numbers of OpenCV's model), and DSO's with a model name in front;
+//! * EuRoC's `sensor.yaml`, Kalibr's `camchain.yaml`, ROS' `camera_info` YAML;
+//! * KITTI's `calib.txt` (first projection matrix; needs the size of the images).
+//!
+//! The centre of the top-left pixel is (0, 0) in the result. Formats with *relative* values count from
+//! the corner of that pixel, so half a pixel is subtracted for them and only for them.
+
+mod lines;
+mod photometric;
+mod toml_format;
+mod yaml;
+
+pub use photometric::{read_photometric, read_response, read_vignette};
+
+use crate::DatasetError;
+use crate::text::read_text;
+use monogrid_geometry::{Camera, Distortion, Pinhole, Se3};
+use std::path::{Path, PathBuf};
+
+pub(crate) use lines::camera_from_numbers;
+
+/// A camera as read from a file, and how the file was understood.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    /// The checked camera.
+    pub camera: Camera,
+    /// Pose of the camera in the body, where the file says it (EuRoC's `T_BS`).
+    pub body_from_camera: Option<Se3>,
+    /// Which format was recognised.
+    pub format: &'static str,
+    /// Remarks on how numbers were interpreted, in sentences for people.
+    pub notes: Vec<String>,
+    /// The file.
+    pub path: PathBuf,
+}
+
+impl Calibration {
+    /// Reads a calibration of any supported format.
+    ///
+    /// `image_size` (width, height) is used by formats that do not say the size.
+    ///
+    /// # Errors
+    /// When the file cannot be read or understood, or its numbers are not those of a real camera.
+    pub fn read(path: &Path, image_size: Option<(usize, usize)>) -> Result<Self, DatasetError> {
+        let text = read_text(path)?;
+        Self::parse(&text, path, image_size)
+    }
+
+    /// Parses the content of a calibration file; `path` is only for messages.
+    ///
+    /// # Errors
+    /// As [`Calibration::read`].
+    pub fn parse(
+        text: &str,
+        path: &Path,
+        image_size: Option<(usize, usize)>,
+    ) -> Result<Self, DatasetError> {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        let draft = match extension.as_deref() {
+            Some("toml") => toml_format::parse(text, path)?,
+            Some("yaml" | "yml") => yaml::parse(text, path)?,
+            _ if text.trim_start().starts_with("%YAML") => yaml::parse(text, path)?,
+            _ => lines::parse(text, path, image_size)?,
+        };
+        draft.check(path)
+    }
+
+    /// What the file says, in one line for people.
+    #[must_use]
+    pub fn interpretation(&self) -> String {
+        let Camera {
+            width,
+            height,
+            pinhole: Pinhole { fx, fy, cx, cy },
+            distortion,
+        } = self.camera;
+        let model = match distortion {
+            Distortion::None => "pinhole without distortion".to_owned(),
+            other => {
+                let values: Vec<String> = other
+                    .parameters()
+                    .iter()
+                    .map(|(name, value)| format!("{name} = {value}"))
+                    .collect();
+                format!("{} ({})", model_name(&other), values.join(", "))
+            }
+        };
+        let mut text = format!(
+            "{}: {width}x{height} px, focal length ({fx:.2}, {fy:.2}) px, principal point ({cx:.2}, \
+             {cy:.2}) px with the centre of the top-left pixel at (0, 0), {model}, horizontal field of \
+             view {:.1} degrees",
+            self.format,
+            self.camera.horizontal_fov_deg()
+        );
+        for note in &self.notes {
+            text.push_str("; ");
+            text.push_str(note);
+        }
+        text
+    }
+
+    /// The camera in our own format.
+    #[must_use]
+    pub fn to_toml(camera: &Camera) -> String {
+        toml_format::format(camera)
+    }
+}
+
+/// Name of a distortion model in our own format.
+fn model_name(distortion: &Distortion) -> &'static str {
+    match distortion {
+        Distortion::None => "pinhole",
+        Distortion::RadialTangential { .. } => "radial-tangential",
+        Distortion::Fov { .. } => "fov",
+        Distortion::Equidistant { .. } => "equidistant",
+    }
+}
+
+/// A calibration before it is checked.
+struct Draft {
+    width: usize,
+    height: usize,
+    pinhole: Pinhole,
+    distortion: Distortion,
+    body_from_camera: Option<Se3>,
+    format: &'static str,
+    notes: Vec<String>,
+}
+
+impl Draft {
+    fn new(
+        size: (usize, usize),
+        pinhole: Pinhole,
+        distortion: Distortion,
+        format: &'static str,
+    ) -> Self {
+        Self {
+            width: size.0,
+            height: size.1,
+            pinhole,
+            distortion,
+            body_from_camera: None,
+            format,
+            notes: Vec::new(),
+        }
+    }
+
+    fn check(mut self, path: &Path) -> Result<Calibration, DatasetError> {
+        if self.pinhole.fy < 0.0 {
+            // ICL-NUIM's fy = -480: its world is left-handed, the rows still run downwards
+            self.pinhole.fy = -self.pinhole.fy;
+            self.notes.push(
+                "fy was negative (a camera whose y axis points up); its absolute value is used with y \
+                 down, so a reference trajectory in the other convention is mirrored"
+                    .to_owned(),
+            );
+        }
+        let camera = Camera::try_new(self.width, self.height, self.pinhole, self.distortion)
+            .map_err(|e| DatasetError::calibration(path, e.to_string()))?;
+        Ok(Calibration {
+            camera,
+            body_from_camera: self.body_from_camera,
+            format: self.format,
+            notes: self.notes,
+            path: path.to_path_buf(),
+        })
+    }
+}
+
+/// Four values of a pinhole, relative to the image size or in pixels, as DSO and LSD-SLAM decide it:
+/// a principal point below 1 is relative.
+///
+/// Relative: `fx = width * fx'`, `cx = width * cx' - 0.5`, because the relative principal point counts
+/// from the corner of the top-left pixel. Pixels are taken as they are.
+fn relative_or_pixels(values: [f64; 4], (width, height): (usize, usize)) -> (Pinhole, bool) {
+    let [fx, fy, cx, cy] = values;
+    let relative = cx < 1.0 && cy < 1.0;
+    if !relative {
+        return (Pinhole::new(fx, fy, cx, cy), false);
+    }
+    let (w, h) = (width as f64, height as f64);
+    (
+        Pinhole::new(fx * w, fy * h, cx * w - 0.5, cy * h - 0.5),
+        true,
+    )
+}
+
+/// A size written as a number.
+fn pixel_count(value: f64) -> Option<usize> {
+    (value.fract() == 0.0 && (1.0..=1e6).contains(&value)).then_some(value as usize)
+}
+
+/// Radial-tangential without coefficients is a pinhole: nothing needs resampling then.
+fn radial_tangential([k1, k2, p1, p2, k3]: [f64; 5]) -> Distortion {
+    if [k1, k2, p1, p2, k3] == [0.0; 5] {
+        Distortion::None
+    } else {
+        Distortion::RadialTangential { k1, k2, p1, p2, k3 }
+    }
+}
+
+/// FOV model, or none for omega = 0 (already rectified).
+fn fov(omega: f64) -> Distortion {
+    if omega == 0.0 {
+        Distortion::None
+    } else {
+        Distortion::Fov { omega }
+    }
+}

@@ -1,0 +1,145 @@
+//! Our own calibration format.
+//!
+//! ```toml
+//! width = 640                      # pixels
+//! height = 480
+//! model = "radial-tangential"      # pinhole, radial-tangential, fov, equidistant
+//! units = "pixels"                 # of fx, fy, cx, cy: "pixels" or "relative" to width and height
+//! pixel_center = "integer"         # centre of the top-left pixel: "integer" (0, 0), "half" (0.5, 0.5)
+//! fx = 458.654
+//! fy = 457.296
+//! cx = 367.215
+//! cy = 248.375
+//! distortion = [-0.28, 0.07, 0.0002, 0.00002, 0.0]  # k1 k2 p1 p2 [k3]; omega (rad); k1 k2 k3 k4
+//! ```
+
+use super::{Draft, fov, model_name, radial_tangential};
+use crate::DatasetError;
+use monogrid_geometry::{Camera, Distortion, Pinhole};
+use serde::Deserialize;
+use std::fmt::Write;
+use std::path::Path;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    width: usize,
+    height: usize,
+    #[serde(default)]
+    model: Model,
+    #[serde(default)]
+    units: Units,
+    #[serde(default)]
+    pixel_center: PixelCenter,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    #[serde(default)]
+    distortion: Vec<f64>,
+}
+
+#[derive(Deserialize, Default, Clone, Copy, PartialEq)]
+#[serde(rename_all = "kebab-case")]
+enum Model {
+    #[default]
+    Pinhole,
+    #[serde(alias = "radtan", alias = "opencv")]
+    RadialTangential,
+    #[serde(alias = "atan")]
+    Fov,
+    #[serde(alias = "kannala-brandt", alias = "fisheye")]
+    Equidistant,
+}
+
+#[derive(Deserialize, Default, Clone, Copy, PartialEq)]
+#[serde(rename_all = "kebab-case")]
+enum Units {
+    #[default]
+    Pixels,
+    Relative,
+}
+
+#[derive(Deserialize, Default, Clone, Copy, PartialEq)]
+#[serde(rename_all = "kebab-case")]
+enum PixelCenter {
+    #[default]
+    Integer,
+    Half,
+}
+
+pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
+    let file: File = toml::from_str(text)
+        .map_err(|e| DatasetError::calibration(path, e.to_string().trim_end().to_owned()))?;
+    let (scale_x, scale_y) = match file.units {
+        Units::Pixels => (1.0, 1.0),
+        Units::Relative => (file.width as f64, file.height as f64),
+    };
+    let shift = match file.pixel_center {
+        PixelCenter::Integer => 0.0,
+        PixelCenter::Half => 0.5,
+    };
+    let pinhole = Pinhole::new(
+        file.fx * scale_x,
+        file.fy * scale_y,
+        file.cx * scale_x - shift,
+        file.cy * scale_y - shift,
+    );
+    let distortion = match (file.model, file.distortion.as_slice()) {
+        (Model::Pinhole, []) => Distortion::None,
+        (Model::RadialTangential, &[k1, k2, p1, p2]) => radial_tangential([k1, k2, p1, p2, 0.0]),
+        (Model::RadialTangential, &[k1, k2, p1, p2, k3]) => radial_tangential([k1, k2, p1, p2, k3]),
+        (Model::Fov, &[omega]) => fov(omega),
+        (Model::Equidistant, &[k1, k2, k3, k4]) => Distortion::Equidistant {
+            k: [k1, k2, k3, k4],
+        },
+        (model, found) => {
+            let expected = match model {
+                Model::Pinhole => "none for model = \"pinhole\" (name the model)",
+                Model::RadialTangential => "k1 k2 p1 p2 and optionally k3",
+                Model::Fov => "omega alone",
+                Model::Equidistant => "k1 k2 k3 k4",
+            };
+            return Err(DatasetError::calibration(
+                path,
+                format!("distortion has {} values, expected {expected}", found.len()),
+            ));
+        }
+    };
+    let size = (file.width, file.height);
+    let mut draft = Draft::new(size, pinhole, distortion, "calibration.toml");
+    if file.units == Units::Relative {
+        draft
+            .notes
+            .push("values are relative to the image size".to_owned());
+    }
+    if file.pixel_center == PixelCenter::Half {
+        draft.notes.push(
+            "pixel centres at .5: half a pixel was subtracted from the principal point".to_owned(),
+        );
+    }
+    Ok(draft)
+}
+
+/// The camera in this format, in pixels.
+pub(super) fn format(camera: &Camera) -> String {
+    let Pinhole { fx, fy, cx, cy } = camera.pinhole;
+    let mut text = format!(
+        "width = {}\nheight = {}\nmodel = \"{}\"\nunits = \"pixels\"\npixel_center = \"integer\"\n\
+         fx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\n",
+        camera.width,
+        camera.height,
+        model_name(&camera.distortion),
+    );
+    let values: Vec<String> = camera
+        .distortion
+        .parameters()
+        .iter()
+        .map(|(_, value)| format!("{value:?}"))
+        .collect();
+    if !values.is_empty() {
+        // writing into a string cannot fail
+        let _ = writeln!(text, "distortion = [{}]", values.join(", "));
+    }
+    text
+}

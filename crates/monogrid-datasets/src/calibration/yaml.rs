@@ -1,0 +1,177 @@
+//! The few lines of YAML that EuRoC, Kalibr and ROS use for cameras.
+//!
+//! Not a YAML parser: keys with a scalar or a list of numbers (flow style over several lines, or one
+//! dash per line), whatever their nesting. The first occurrence of a key counts, so the first camera
+//! of a chain is read.
+
+use super::{Draft, fov, pixel_count, radial_tangential};
+use crate::DatasetError;
+use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
+use monogrid_geometry::{Distortion, Pinhole, Rotation, Se3, Vec3};
+use std::path::Path;
+
+pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
+    let yaml = Yaml { text };
+    let size = image_size(&yaml).ok_or_else(|| {
+        DatasetError::content(
+            path,
+            "no image size",
+            "resolution: [width, height], or image_width and image_height",
+        )
+    })?;
+    let pinhole = intrinsics(&yaml).ok_or_else(|| {
+        DatasetError::content(
+            path,
+            "no intrinsics",
+            "intrinsics: [fx, fy, cx, cy], or a camera_matrix of 9 numbers",
+        )
+    })?;
+    if let Some(model) = yaml.scalar("camera_model").filter(|m| *m != "pinhole") {
+        return Err(DatasetError::content(
+            path,
+            format!("camera_model: {model}"),
+            "pinhole (with any of the distortion models)",
+        ));
+    }
+    let mut draft = Draft::new(size, pinhole, distortion(&yaml, path)?, "camera YAML");
+    draft.body_from_camera = body_from_camera(&yaml);
+    if yaml
+        .text
+        .lines()
+        .any(|l| l.trim_start().starts_with("cam1:"))
+    {
+        draft
+            .notes
+            .push("the first camera of the chain is used".to_owned());
+    }
+    Ok(draft)
+}
+
+fn image_size(yaml: &Yaml) -> Option<(usize, usize)> {
+    let (width, height) = match yaml.list("resolution").as_deref() {
+        Some(&[width, height]) => (width, height),
+        _ => (yaml.number("image_width")?, yaml.number("image_height")?),
+    };
+    Some((pixel_count(width)?, pixel_count(height)?))
+}
+
+fn intrinsics(yaml: &Yaml) -> Option<Pinhole> {
+    if let Some(&[fx, fy, cx, cy]) = yaml.list("intrinsics").as_deref() {
+        return Some(Pinhole::new(fx, fy, cx, cy));
+    }
+    let matrix = yaml.list("camera_matrix")?;
+    (matrix.len() == 9).then(|| Pinhole::new(matrix[0], matrix[4], matrix[2], matrix[5]))
+}
+
+fn distortion(yaml: &Yaml, path: &Path) -> Result<Distortion, DatasetError> {
+    let Some(coefficients) = ["distortion_coefficients", "distortion_coeffs"]
+        .iter()
+        .find_map(|key| yaml.list(key))
+    else {
+        return Ok(Distortion::None);
+    };
+    let model = yaml
+        .scalar("distortion_model")
+        .unwrap_or("radial-tangential");
+    match (model, coefficients.as_slice()) {
+        (_, []) | ("none", _) => Ok(Distortion::None),
+        ("radial-tangential" | "radtan" | "plumb_bob", &[k1, k2, p1, p2]) => {
+            Ok(radial_tangential([k1, k2, p1, p2, 0.0]))
+        }
+        ("radial-tangential" | "radtan" | "plumb_bob", &[k1, k2, p1, p2, k3]) => {
+            Ok(radial_tangential([k1, k2, p1, p2, k3]))
+        }
+        ("equidistant" | "equi" | "fisheye", &[k1, k2, k3, k4]) => Ok(Distortion::Equidistant {
+            k: [k1, k2, k3, k4],
+        }),
+        ("fov", &[omega]) => Ok(fov(omega)),
+        (model, values) => Err(DatasetError::content(
+            path,
+            format!(
+                "distortion_model {model} with {} coefficients",
+                values.len()
+            ),
+            "radial-tangential (4 or 5), equidistant (4) or fov (1)",
+        )),
+    }
+}
+
+/// EuRoC's `T_BS`: the sensor's pose in the body, 4x4 row-major.
+fn body_from_camera(yaml: &Yaml) -> Option<Se3> {
+    let m = yaml.list("T_BS").filter(|m| m.len() == 16)?;
+    let matrix = Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
+    let is_rotation = (matrix * matrix.transpose() - Matrix3::identity()).norm() < 1e-3
+        && matrix.determinant() > 0.0;
+    let rotation = Rotation::from_rotation_matrix(&Rotation3::from_matrix(&matrix));
+    let pose = Se3::new(rotation, Vec3::new(m[3], m[7], m[11]));
+    (is_rotation && pose.is_finite()).then_some(pose)
+}
+
+struct Yaml<'a> {
+    text: &'a str,
+}
+
+impl<'a> Yaml<'a> {
+    /// Everything after the first `key:` that starts a line.
+    fn after(&self, key: &str) -> Option<&'a str> {
+        let mut offset = 0;
+        for line in self.text.split_inclusive('\n') {
+            let rest = line
+                .trim_start()
+                .strip_prefix("- ")
+                .unwrap_or(line.trim_start());
+            if let Some(value) = rest
+                .strip_prefix(key)
+                .and_then(|r| r.trim_start().strip_prefix(':'))
+            {
+                return Some(&self.text[offset + line.len() - value.len()..]);
+            }
+            offset += line.len();
+        }
+        None
+    }
+
+    /// The text on the line of a key, without comment and quotes.
+    fn scalar(&self, key: &str) -> Option<&'a str> {
+        let line = self.after(key)?.lines().next()?;
+        let value = line.split('#').next()?.trim().trim_matches(['"', '\'']);
+        (!value.is_empty()).then_some(value)
+    }
+
+    fn number(&self, key: &str) -> Option<f64> {
+        self.scalar(key)?.parse().ok()
+    }
+
+    /// The list of numbers of a key, or of the `data:` below it.
+    fn list(&self, key: &str) -> Option<Vec<f64>> {
+        let rest = self.after(key)?;
+        let without_comments: String = rest
+            .lines()
+            .map(|l| l.split('#').next().unwrap_or(""))
+            .flat_map(|l| [l, "\n"])
+            .collect();
+        let rest = without_comments.trim_start();
+        let own_list = rest.starts_with('[') || rest.starts_with('-');
+        let below = Yaml { text: rest };
+        let body = if own_list {
+            rest
+        } else {
+            below.after("data")?.trim_start()
+        };
+        if let Some(flow) = body.strip_prefix('[') {
+            let inner = &flow[..flow.find(']')?];
+            return inner
+                .split(',')
+                .map(str::trim)
+                .filter(|s| !s.is_empty())
+                .map(|s| s.parse().ok())
+                .collect();
+        }
+        // block style: leading lines `- number`
+        let values: Vec<f64> = body
+            .lines()
+            .map_while(|l| l.trim().strip_prefix('-')?.trim().parse().ok())
+            .collect();
+        (!values.is_empty()).then_some(values)
+    }
+}

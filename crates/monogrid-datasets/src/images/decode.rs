@@ -1,0 +1,126 @@
+//! Images recognised by content: PNG, JPEG, PGM/PPM; 8 and 16 bits; grey or colour.
+
+use super::jpeg;
+use crate::DatasetError;
+use image::{DynamicImage, ImageFormat};
+use monogrid_image::{GrayImage, Image, Mask};
+use std::io::Cursor;
+use std::path::Path;
+
+/// Longest side that is decoded, px: a header that claims more is taken for corruption.
+pub(super) const MAX_SIDE: usize = 16384;
+
+/// Most memory that a decoder may ask for, bytes.
+const MAX_DECODE_BYTES: u64 = 1 << 30;
+
+/// Reads an image as ITU-601 luma in [0, 255].
+///
+/// # Errors
+/// When the file cannot be read, is not a PNG, JPEG, PGM or PPM, or is not complete and undamaged
+/// (a partly decoded image is never returned).
+pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
+    decode_gray(&read_file(path)?, path)
+}
+
+/// Decodes an image as ITU-601 luma in [0, 255]; `path` is only for messages.
+///
+/// # Errors
+/// As [`read_gray`].
+pub fn decode_gray(bytes: &[u8], path: &Path) -> Result<GrayImage, DatasetError> {
+    if sniff(bytes, path)? == ImageFormat::Jpeg {
+        let (width, height, luma) =
+            jpeg::decode_luma(bytes, MAX_SIDE).map_err(|e| DatasetError::image(path, e))?;
+        let data = luma.into_iter().map(f32::from).collect();
+        return pixels(width, height, data, path);
+    }
+    to_gray(&decode_dynamic(bytes, path)?, path)
+}
+
+/// Reads a mask: black (below 128) pixels are not used.
+///
+/// # Errors
+/// As [`read_gray`].
+pub fn read_mask(path: &Path) -> Result<Mask, DatasetError> {
+    Ok(read_gray(path)?.map(|v| if v < 128.0 { 0 } else { 255 }))
+}
+
+pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, DatasetError> {
+    std::fs::read(path).map_err(|e| DatasetError::io("read", path, e))
+}
+
+/// The format that the first bytes announce.
+fn sniff(bytes: &[u8], path: &Path) -> Result<ImageFormat, DatasetError> {
+    let format = match bytes {
+        [] => return Err(DatasetError::image(path, "the file is empty")),
+        [0xff, 0xd8, ..] => ImageFormat::Jpeg,
+        [0x89, b'P', b'N', b'G', ..] => ImageFormat::Png,
+        [b'P', b'1'..=b'7', ..] => ImageFormat::Pnm,
+        _ => {
+            return Err(DatasetError::image(
+                path,
+                "its content is no format that we know",
+            ));
+        }
+    };
+    Ok(format)
+}
+
+/// Decodes anything but JPEG without converting it.
+pub(super) fn decode_dynamic(bytes: &[u8], path: &Path) -> Result<DynamicImage, DatasetError> {
+    let mut reader = image::ImageReader::with_format(Cursor::new(bytes), sniff(bytes, path)?);
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(MAX_SIDE as u32);
+    limits.max_image_height = Some(MAX_SIDE as u32);
+    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    reader.limits(limits);
+    reader
+        .decode()
+        .map_err(|e| DatasetError::image(path, e.to_string()))
+}
+
+/// Luma of every pixel type; transparency is ignored.
+fn to_gray(image: &DynamicImage, path: &Path) -> Result<GrayImage, DatasetError> {
+    // 65535 / 257 = 255
+    const FROM_16_BIT: f32 = 1.0 / 257.0;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let data: Vec<f32> = match image {
+        DynamicImage::ImageLuma8(i) => i.as_raw().iter().map(|&v| f32::from(v)).collect(),
+        DynamicImage::ImageLumaA8(i) => i.pixels().map(|p| f32::from(p.0[0])).collect(),
+        DynamicImage::ImageRgb8(i) => i.pixels().map(|p| luma(p.0.map(f32::from))).collect(),
+        DynamicImage::ImageRgba8(i) => i
+            .pixels()
+            .map(|p| luma([p.0[0], p.0[1], p.0[2]].map(f32::from)))
+            .collect(),
+        DynamicImage::ImageLuma16(i) => i
+            .as_raw()
+            .iter()
+            .map(|&v| f32::from(v) * FROM_16_BIT)
+            .collect(),
+        DynamicImage::ImageLumaA16(i) => i
+            .pixels()
+            .map(|p| f32::from(p.0[0]) * FROM_16_BIT)
+            .collect(),
+        other => other
+            .to_rgb16()
+            .pixels()
+            .map(|p| luma(p.0.map(f32::from)) * FROM_16_BIT)
+            .collect(),
+    };
+    pixels(width, height, data, path)
+}
+
+/// ITU-601 luma.
+fn luma([r, g, b]: [f32; 3]) -> f32 {
+    0.299 * r + 0.587 * g + 0.114 * b
+}
+
+fn pixels(
+    width: usize,
+    height: usize,
+    data: Vec<f32>,
+    path: &Path,
+) -> Result<GrayImage, DatasetError> {
+    Image::from_vec(width, height, data)
+        .filter(|i| !i.as_slice().is_empty())
+        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
+}

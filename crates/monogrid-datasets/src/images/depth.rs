@@ -1,0 +1,135 @@
+//! Depth images and the camera that took them.
+
+use super::decode::{decode_dynamic, read_file};
+use crate::calibration::camera_from_numbers;
+use crate::text::{data_lines, numbers, read_text};
+use crate::{DatasetError, pose_from_numbers};
+use image::DynamicImage;
+use monogrid_geometry::{Camera, Se3};
+use monogrid_image::Image;
+use std::path::Path;
+
+/// The camera of the depth images, their unit, and where it sits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthCalibration {
+    /// Intrinsics, distortion and size of the depth images.
+    pub camera: Camera,
+    /// Stored value of one metre (5000 for TUM RGB-D, 1000 for millimetres).
+    pub units_per_metre: f64,
+    /// Pose of the depth camera in the colour camera.
+    pub colour_from_depth: Se3,
+}
+
+/// Units per metre of TUM RGB-D depth images.
+pub const TUM_UNITS_PER_METRE: f64 = 5000.0;
+
+impl DepthCalibration {
+    /// Depth images registered to the colour camera, in the units of TUM RGB-D.
+    #[must_use]
+    pub fn registered(colour: Camera) -> Self {
+        Self {
+            camera: colour,
+            units_per_metre: TUM_UNITS_PER_METRE,
+            colour_from_depth: Se3::identity(),
+        }
+    }
+
+    /// Reads `calibration_depth.txt`: a line `fx fy cx cy [k1 k2 p1 p2 [k3]] width height`, a line
+    /// with the units per metre, and optionally a line `tx ty tz qx qy qz qw` with the pose of the
+    /// depth camera in the colour camera (metres).
+    ///
+    /// # Errors
+    /// When a line is missing or is not of this form, or the numbers are not those of a camera.
+    pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        let text = read_text(path)?;
+        let lines: Vec<(usize, &str)> = data_lines(&text).collect();
+        let (camera_line, units_line) = match lines.as_slice() {
+            [camera, units] | [camera, units, _] => (*camera, *units),
+            other => {
+                return Err(DatasetError::content(
+                    path,
+                    format!("{} lines", other.len()),
+                    "a camera line, a line with the units per metre and optionally a pose",
+                ));
+            }
+        };
+        let values = numbers(camera_line.1).unwrap_or_default();
+        let camera = camera_from_numbers(&values, path, camera_line)?;
+        let units_per_metre = units_line
+            .1
+            .parse::<f64>()
+            .ok()
+            .filter(|u| u.is_finite() && *u > 0.0)
+            .ok_or_else(|| {
+                DatasetError::line(
+                    path,
+                    units_line.0,
+                    units_line.1,
+                    "units per metre, a positive number",
+                )
+            })?;
+        let colour_from_depth = match lines.get(2) {
+            None => Se3::identity(),
+            Some((number, line)) => numbers(line)
+                .as_deref()
+                .and_then(pose_from_numbers)
+                .ok_or_else(|| {
+                    DatasetError::line(
+                        path,
+                        *number,
+                        line,
+                        "tx ty tz qx qy qz qw, the pose of the depth camera in the colour camera",
+                    )
+                })?,
+        };
+        Ok(Self {
+            camera,
+            units_per_metre,
+            colour_from_depth,
+        })
+    }
+}
+
+/// Reads a 16-bit depth image: metres along the optical axis, NaN where the sensor saw nothing.
+///
+/// # Errors
+/// When the file cannot be read, is damaged, or does not have 16 bits per pixel.
+pub fn read_depth(path: &Path, units_per_metre: f64) -> Result<Image<f32>, DatasetError> {
+    decode_depth(&read_file(path)?, units_per_metre, path)
+}
+
+/// Decodes a 16-bit depth image; `path` is only for messages.
+///
+/// 0 and 65535 (saturated, or the mark of 7-Scenes for "no measurement") are unknown.
+///
+/// # Errors
+/// As [`read_depth`].
+pub fn decode_depth(
+    bytes: &[u8],
+    units_per_metre: f64,
+    path: &Path,
+) -> Result<Image<f32>, DatasetError> {
+    if bytes.starts_with(&[0xff, 0xd8]) {
+        return Err(DatasetError::image(
+            path,
+            "a JPEG, whose 8 bits cannot hold depth; depth must be a 16-bit PNG",
+        ));
+    }
+    let DynamicImage::ImageLuma16(image) = decode_dynamic(bytes, path)? else {
+        return Err(DatasetError::image(
+            path,
+            "not one channel of 16 bits, which depth must have",
+        ));
+    };
+    let metres_per_unit = 1.0 / units_per_metre;
+    let data = image
+        .as_raw()
+        .iter()
+        .map(|&v| match v {
+            0 | u16::MAX => f32::NAN,
+            v => (f64::from(v) * metres_per_unit) as f32,
+        })
+        .collect();
+    Image::from_vec(image.width() as usize, image.height() as usize, data)
+        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
+}

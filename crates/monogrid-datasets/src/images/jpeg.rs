@@ -1,0 +1,86 @@
+//! JPEG to luma, refusing incomplete files.
+
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
+
+/// Pixels of a decoded JPEG: width, height, one byte per pixel.
+pub(super) type LumaPixels = (usize, usize, Vec<u8>);
+
+/// Decodes to luma. A YCbCr image already carries ITU-601 luma as its first component: colour is
+/// never computed. RGB and CMYK images are converted.
+pub(super) fn decode_luma(bytes: &[u8], max_side: usize) -> Result<LumaPixels, String> {
+    if !is_complete(bytes) {
+        return Err("the JPEG data end before its end marker (truncated file)".to_owned());
+    }
+    // Strict: otherwise corrupt or missing blocks are painted grey and reported as success.
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(max_side)
+        .set_max_height(max_side);
+    let mut header = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    header.decode_headers().map_err(|e| e.to_string())?;
+    let has_luma = matches!(
+        header.input_colorspace(),
+        Some(ColorSpace::YCbCr | ColorSpace::Luma)
+    );
+    let output = if has_luma {
+        ColorSpace::Luma
+    } else {
+        ColorSpace::RGB
+    };
+    let mut decoder =
+        JpegDecoder::new_with_options(ZCursor::new(bytes), options.jpeg_set_out_colorspace(output));
+    let pixels = decoder.decode().map_err(|e| e.to_string())?;
+    let (width, height) = decoder.dimensions().ok_or("no image in the file")?;
+    let luma = if has_luma {
+        pixels
+    } else {
+        pixels.chunks_exact(3).map(luma_of_rgb).collect()
+    };
+    if width * height == 0 || luma.len() != width * height {
+        return Err(format!(
+            "{} pixels decoded for {width}x{height}",
+            luma.len()
+        ));
+    }
+    Ok((width, height, luma))
+}
+
+/// ITU-601 luma rounded to 8 bits.
+fn luma_of_rgb(rgb: &[u8]) -> u8 {
+    let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(u32::from);
+    ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
+}
+
+/// Whether the end marker follows the (last) scan: walks over the segments, and inside scans from
+/// marker to marker (a plain 0xFF in scan data is always followed by 0).
+fn is_complete(bytes: &[u8]) -> bool {
+    let mut position = 2;
+    let mut in_scan = false;
+    loop {
+        let Some(offset) = bytes
+            .get(position..)
+            .and_then(|rest| rest.iter().position(|&b| b == 0xff))
+        else {
+            return false;
+        };
+        position += offset + 1;
+        match bytes.get(position) {
+            None => return false,
+            // fill bytes: the next 0xFF starts the marker
+            Some(0xff) => {}
+            // stuffed zero, or restart, inside a scan; start of image, TEM: no length follows
+            Some(0x00 | 0x01 | 0xd0..=0xd8) => position += 1,
+            Some(0xd9) => return in_scan,
+            Some(&marker) => {
+                let Some(&[high, low]) = bytes.get(position + 1..position + 3) else {
+                    return false;
+                };
+                in_scan |= marker == 0xda;
+                position += 1 + usize::from(u16::from_be_bytes([high, low])).max(2);
+            }
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! The state of a run at the end of its recording.
+
+use super::{Damage, PoseSnapshot};
+use super::{DepthPixel, EndRecord, KeyframeRecord, Record, RecordingReader, SessionInfo};
+use crate::DatasetError;
+use monogrid_geometry::{Camera, Distortion, Sim3};
+use monogrid_image::Image;
+use std::collections::BTreeMap;
+use std::io::{Read, Seek};
+use std::path::Path;
+
+/// What to read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// Whether keyframe images are decoded (mapping does not need them).
+    pub with_images: bool,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { with_images: true }
+    }
+}
+
+/// A keyframe with its newest depth and pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedKeyframe {
+    /// Stable id.
+    pub id: u32,
+    /// Index of its frame in the source.
+    pub frame_index: u64,
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// The undistorted image, if recorded and asked for.
+    pub image: Option<Image<u8>>,
+    /// Newest depth; only valid pixels inside the image.
+    pub pixels: Vec<DepthPixel>,
+    /// Revision of that depth, 0 for the first.
+    pub depth_revision: u32,
+    /// Newest pose; `None` when the recording ends before one was written.
+    pub world_from_keyframe: Option<Sim3>,
+}
+
+/// A recording in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// What holds for all of it.
+    pub session: SessionInfo,
+    /// Keyframes in the order of their ids.
+    pub keyframes: Vec<RecordedKeyframe>,
+    /// Revision of the newest poses; `None` when there are none.
+    pub pose_revision: Option<u64>,
+    /// The end marker; `None` when the run was killed or is still going on.
+    pub end: Option<EndRecord>,
+    /// What was lost.
+    pub damage: Damage,
+    /// Depth pixels that were dropped because they lie outside the image or are not finite and
+    /// positive.
+    pub num_invalid_pixels: u64,
+}
+
+impl Recording {
+    /// Reads a recording, as far as it is whole.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is not a recording, or has lost its session record, without
+    /// which depth cannot be turned into points.
+    pub fn read(path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
+        Self::collect(RecordingReader::open(path, options)?, path)
+    }
+
+    /// Gathers the newest state from records; `path` is only for messages.
+    ///
+    /// # Errors
+    /// As [`Recording::read`].
+    pub fn collect<R: Read + Seek>(
+        mut reader: RecordingReader<R>,
+        path: &Path,
+    ) -> Result<Self, DatasetError> {
+        let mut session = None;
+        let mut keyframes = BTreeMap::new();
+        // depth that came before its keyframe can only be that of a keyframe lost to damage
+        let mut newest_poses: Option<PoseSnapshot> = None;
+        let mut end = None;
+        for record in reader.by_ref() {
+            match record? {
+                Record::Session(s) => session = Some(s),
+                Record::Keyframe(k) => {
+                    keyframes.insert(k.id, recorded(k));
+                }
+                Record::Depth(d) => {
+                    if let Some(keyframe) = keyframes.get_mut(&d.keyframe_id)
+                        && d.revision >= keyframe.depth_revision
+                    {
+                        keyframe.pixels = d.pixels;
+                        keyframe.depth_revision = d.revision;
+                    }
+                }
+                Record::Poses(p) => {
+                    if newest_poses
+                        .as_ref()
+                        .is_none_or(|n| p.revision >= n.revision)
+                    {
+                        newest_poses = Some(p);
+                    }
+                }
+                Record::End(e) => end = Some(e),
+            }
+        }
+        let session = session
+            .filter(is_usable)
+            .ok_or_else(|| DatasetError::binary(path, "recording", "it has no session record"))?;
+        let pose_revision = newest_poses.as_ref().map(|p| p.revision);
+        for (id, pose) in newest_poses.map(|p| p.poses).unwrap_or_default() {
+            if let Some(keyframe) = keyframes.get_mut(&id) {
+                keyframe.world_from_keyframe = Some(pose);
+            }
+        }
+        let mut keyframes: Vec<RecordedKeyframe> = keyframes.into_values().collect();
+        let num_invalid_pixels = keyframes
+            .iter_mut()
+            .map(|k| drop_invalid(&mut k.pixels, &session))
+            .sum();
+        Ok(Self {
+            session,
+            keyframes,
+            pose_revision,
+            end,
+            damage: reader.damage(),
+            num_invalid_pixels,
+        })
+    }
+}
+
+fn recorded(keyframe: KeyframeRecord) -> RecordedKeyframe {
+    RecordedKeyframe {
+        id: keyframe.id,
+        frame_index: keyframe.frame_index,
+        timestamp_ns: keyframe.timestamp_ns,
+        image: keyframe.image,
+        pixels: keyframe.pixels,
+        depth_revision: 0,
+        world_from_keyframe: None,
+    }
+}
+
+/// Whether the camera of a session could be one.
+fn is_usable(session: &SessionInfo) -> bool {
+    Camera::try_new(
+        session.width,
+        session.height,
+        session.pinhole,
+        Distortion::None,
+    )
+    .is_ok()
+}
+
+/// Removes pixels that no mapper could use; returns how many.
+fn drop_invalid(pixels: &mut Vec<DepthPixel>, session: &SessionInfo) -> u64 {
+    let before = pixels.len();
+    let positive = |v: f32| v.is_finite() && v > 0.0;
+    pixels.retain(|p| {
+        usize::from(p.x) < session.width
+            && usize::from(p.y) < session.height
+            && positive(p.idepth)
+            && positive(p.idepth_var)
+    });
+    (before - pixels.len()) as u64
+}

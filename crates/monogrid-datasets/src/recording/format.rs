@@ -1,0 +1,328 @@
+//! Bytes of the records; `docs/formats.md` describes the same for people.
+
+use super::{
+    DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, Scale, SessionInfo,
+};
+use crate::{decode_gray, encode_png, pose_from_numbers};
+use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_image::Image;
+use std::path::Path;
+
+/// Start of the file: name and version of the format.
+pub(super) const FILE_MAGIC: [u8; 8] = *b"monogrid";
+/// Version that is written; a reader refuses larger ones.
+pub(super) const FORMAT_VERSION: u32 = 1;
+/// Bytes of the file header: magic, version, zero.
+pub(super) const FILE_HEADER_BYTES: usize = 16;
+
+/// Start of every record, to find the next one after damage.
+pub(super) const SYNC: [u8; 4] = *b"RMGK";
+/// Bytes of a record header: sync, kind, payload length, payload CRC, CRC of these 16 bytes.
+pub(super) const RECORD_HEADER_BYTES: usize = 20;
+
+const KIND_SESSION: u32 = 1;
+const KIND_KEYFRAME: u32 = 2;
+const KIND_DEPTH: u32 = 3;
+const KIND_POSES: u32 = 4;
+const KIND_END: u32 = 5;
+
+const IMAGE_NONE: u8 = 0;
+const IMAGE_RAW: u8 = 1;
+const IMAGE_PNG: u8 = 2;
+
+/// The header of a record.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct RecordHeader {
+    pub kind: u32,
+    pub payload_bytes: u32,
+    pub payload_crc: u32,
+}
+
+pub(super) fn file_header() -> [u8; FILE_HEADER_BYTES] {
+    let mut header = [0; FILE_HEADER_BYTES];
+    header[..8].copy_from_slice(&FILE_MAGIC);
+    header[8..12].copy_from_slice(&FORMAT_VERSION.to_le_bytes());
+    header
+}
+
+/// The header in these bytes; `None` when they are not one, or damaged.
+pub(super) fn parse_record_header(bytes: &[u8; RECORD_HEADER_BYTES]) -> Option<RecordHeader> {
+    let word = |i: usize| u32::from_le_bytes([bytes[i], bytes[i + 1], bytes[i + 2], bytes[i + 3]]);
+    let is_whole = bytes[..4] == SYNC && word(16) == crc32fast::hash(&bytes[..16]);
+    is_whole.then(|| RecordHeader {
+        kind: word(4),
+        payload_bytes: word(8),
+        payload_crc: word(12),
+    })
+}
+
+/// Header and payload; `None` when the payload exceeds 4 GiB.
+pub(super) fn encode_record(record: &Record) -> Option<Vec<u8>> {
+    let mut out = Bytes(vec![0; RECORD_HEADER_BYTES]);
+    let kind = match record {
+        Record::Session(session) => encode_session(session, &mut out),
+        Record::Keyframe(keyframe) => encode_keyframe(keyframe, &mut out)?,
+        Record::Depth(depth) => {
+            out.u32(depth.keyframe_id);
+            out.u32(depth.revision);
+            out.pixels(&depth.pixels)?;
+            KIND_DEPTH
+        }
+        Record::Poses(snapshot) => encode_poses(snapshot, &mut out)?,
+        Record::End(end) => {
+            out.u64(end.num_frames);
+            out.u64(end.num_tracked);
+            out.blob(end.summary.as_bytes())?;
+            KIND_END
+        }
+    };
+    let mut bytes = out.0;
+    let payload = &bytes[RECORD_HEADER_BYTES..];
+    let payload_bytes = u32::try_from(payload.len()).ok()?;
+    let payload_crc = crc32fast::hash(payload);
+    bytes[..4].copy_from_slice(&SYNC);
+    bytes[4..8].copy_from_slice(&kind.to_le_bytes());
+    bytes[8..12].copy_from_slice(&payload_bytes.to_le_bytes());
+    bytes[12..16].copy_from_slice(&payload_crc.to_le_bytes());
+    let header_crc = crc32fast::hash(&bytes[..16]);
+    bytes[16..20].copy_from_slice(&header_crc.to_le_bytes());
+    Some(bytes)
+}
+
+fn encode_session(session: &SessionInfo, out: &mut Bytes) -> u32 {
+    let Pinhole { fx, fy, cx, cy } = session.pinhole;
+    [fx, fy, cx, cy].into_iter().for_each(|v| out.f64(v));
+    out.u32(session.width as u32);
+    out.u32(session.height as u32);
+    out.0.push(match session.scale {
+        Scale::Arbitrary => 0,
+        Scale::Metric => 1,
+    });
+    out.u64(session.seed);
+    for text in [&session.profile, &session.source, &session.config] {
+        // longer than 4 GiB: left empty rather than failing the run
+        if out.blob(text.as_bytes()).is_none() {
+            out.u32(0);
+        }
+    }
+    KIND_SESSION
+}
+
+fn encode_keyframe(keyframe: &KeyframeRecord, out: &mut Bytes) -> Option<u32> {
+    out.u32(keyframe.id);
+    out.u64(keyframe.frame_index);
+    out.u64(keyframe.timestamp_ns as u64);
+    match &keyframe.image {
+        None => {
+            out.0.push(IMAGE_NONE);
+            out.u32(0);
+            out.u32(0);
+            out.u32(0);
+        }
+        Some(image) => {
+            let png = encode_png(image);
+            let (encoding, bytes) = if png.is_empty() || png.len() >= image.as_slice().len() {
+                (IMAGE_RAW, image.as_slice())
+            } else {
+                (IMAGE_PNG, png.as_slice())
+            };
+            out.0.push(encoding);
+            out.u32(image.width() as u32);
+            out.u32(image.height() as u32);
+            out.blob(bytes)?;
+        }
+    }
+    out.pixels(&keyframe.pixels)?;
+    Some(KIND_KEYFRAME)
+}
+
+fn encode_poses(snapshot: &PoseSnapshot, out: &mut Bytes) -> Option<u32> {
+    out.u64(snapshot.revision);
+    out.u32(u32::try_from(snapshot.poses.len()).ok()?);
+    for (id, pose) in &snapshot.poses {
+        out.u32(*id);
+        let (t, q) = (pose.translation, pose.rotation.quaternion());
+        [pose.scale, t.x, t.y, t.z, q.i, q.j, q.k, q.w]
+            .into_iter()
+            .for_each(|v| out.f64(v));
+    }
+    Some(KIND_POSES)
+}
+
+/// The record of a payload whose checksum was right. `Ok(None)`: a kind of a later version.
+/// `Err`: the payload is not what its kind says.
+pub(super) fn decode_record(
+    kind: u32,
+    payload: &[u8],
+    with_images: bool,
+) -> Result<Option<Record>, ()> {
+    let mut input = Input(payload);
+    let record = match kind {
+        KIND_SESSION => decode_session(&mut input).map(Record::Session),
+        KIND_KEYFRAME => decode_keyframe(&mut input, with_images).map(Record::Keyframe),
+        KIND_DEPTH => decode_depth(&mut input).map(Record::Depth),
+        KIND_POSES => decode_poses(&mut input).map(Record::Poses),
+        KIND_END => decode_end(&mut input).map(Record::End),
+        _ => return Ok(None),
+    };
+    record.map(Some).ok_or(())
+}
+
+fn decode_session(input: &mut Input) -> Option<SessionInfo> {
+    let [fx, fy, cx, cy] = [input.f64()?, input.f64()?, input.f64()?, input.f64()?];
+    Some(SessionInfo {
+        pinhole: Pinhole::new(fx, fy, cx, cy),
+        width: input.u32()? as usize,
+        height: input.u32()? as usize,
+        scale: match input.u8()? {
+            0 => Scale::Arbitrary,
+            1 => Scale::Metric,
+            _ => return None,
+        },
+        seed: input.u64()?,
+        profile: input.text()?,
+        source: input.text()?,
+        config: input.text()?,
+    })
+}
+
+fn decode_keyframe(input: &mut Input, with_images: bool) -> Option<KeyframeRecord> {
+    let id = input.u32()?;
+    let frame_index = input.u64()?;
+    let timestamp_ns = input.u64()? as i64;
+    let encoding = input.u8()?;
+    let (width, height) = (input.u32()? as usize, input.u32()? as usize);
+    let bytes = input.blob()?;
+    let image = match encoding {
+        _ if !with_images => None,
+        IMAGE_NONE => None,
+        IMAGE_RAW => Some(raw_image(bytes, width, height)?),
+        IMAGE_PNG => {
+            let image = decode_gray(bytes, Path::new("keyframe image")).ok()?;
+            let fits = image.width() == width && image.height() == height;
+            Some(fits.then(|| image.map(|v| v as u8))?)
+        }
+        _ => return None,
+    };
+    Some(KeyframeRecord {
+        id,
+        frame_index,
+        timestamp_ns,
+        image,
+        pixels: input.pixels()?,
+    })
+}
+
+fn raw_image(bytes: &[u8], width: usize, height: usize) -> Option<Image<u8>> {
+    (width.checked_mul(height)? == bytes.len())
+        .then(|| Image::from_vec(width, height, bytes.to_vec()))?
+}
+
+fn decode_depth(input: &mut Input) -> Option<DepthRevision> {
+    Some(DepthRevision {
+        keyframe_id: input.u32()?,
+        revision: input.u32()?,
+        pixels: input.pixels()?,
+    })
+}
+
+fn decode_poses(input: &mut Input) -> Option<PoseSnapshot> {
+    let revision = input.u64()?;
+    let count = input.u32()? as usize;
+    // 68 bytes each: no room is reserved for more than can be there
+    let mut poses = Vec::with_capacity(count.min(input.0.len() / 68));
+    for _ in 0..count {
+        let id = input.u32()?;
+        let scale = input.f64()?;
+        let mut numbers = [0.0; 7];
+        for n in &mut numbers {
+            *n = input.f64()?;
+        }
+        let pose: Sim3 = pose_from_numbers(&numbers)?.with_scale(scale);
+        poses.push((id, pose.is_finite().then_some(pose)?));
+    }
+    Some(PoseSnapshot { revision, poses })
+}
+
+fn decode_end(input: &mut Input) -> Option<EndRecord> {
+    Some(EndRecord {
+        num_frames: input.u64()?,
+        num_tracked: input.u64()?,
+        summary: input.text()?,
+    })
+}
+
+/// Little-endian output.
+struct Bytes(Vec<u8>);
+
+impl Bytes {
+    fn u32(&mut self, v: u32) {
+        self.0.extend_from_slice(&v.to_le_bytes());
+    }
+    fn u64(&mut self, v: u64) {
+        self.0.extend_from_slice(&v.to_le_bytes());
+    }
+    fn f64(&mut self, v: f64) {
+        self.0.extend_from_slice(&v.to_le_bytes());
+    }
+    fn blob(&mut self, bytes: &[u8]) -> Option<()> {
+        self.u32(u32::try_from(bytes.len()).ok()?);
+        self.0.extend_from_slice(bytes);
+        Some(())
+    }
+    fn pixels(&mut self, pixels: &[DepthPixel]) -> Option<()> {
+        self.u32(u32::try_from(pixels.len()).ok()?);
+        self.0.reserve(pixels.len() * PIXEL_BYTES);
+        for p in pixels {
+            self.0.extend_from_slice(&p.x.to_le_bytes());
+            self.0.extend_from_slice(&p.y.to_le_bytes());
+            self.0.extend_from_slice(&p.idepth.to_le_bytes());
+            self.0.extend_from_slice(&p.idepth_var.to_le_bytes());
+        }
+        Some(())
+    }
+}
+
+/// Bytes of a depth pixel.
+const PIXEL_BYTES: usize = 12;
+
+/// Little-endian input that never reads beyond its end.
+struct Input<'a>(&'a [u8]);
+
+impl<'a> Input<'a> {
+    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let (head, tail) = self.0.split_at_checked(count)?;
+        self.0 = tail;
+        Some(head)
+    }
+    fn u8(&mut self) -> Option<u8> {
+        Some(self.take(1)?[0])
+    }
+    fn u32(&mut self) -> Option<u32> {
+        Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
+    }
+    fn u64(&mut self) -> Option<u64> {
+        Some(u64::from_le_bytes(self.take(8)?.try_into().ok()?))
+    }
+    fn f64(&mut self) -> Option<f64> {
+        Some(f64::from_le_bytes(self.take(8)?.try_into().ok()?))
+    }
+    fn blob(&mut self) -> Option<&'a [u8]> {
+        let count = self.u32()? as usize;
+        self.take(count)
+    }
+    fn text(&mut self) -> Option<String> {
+        String::from_utf8(self.blob()?.to_vec()).ok()
+    }
+    fn pixels(&mut self) -> Option<Vec<DepthPixel>> {
+        let count = self.u32()? as usize;
+        let bytes = self.take(count.checked_mul(PIXEL_BYTES)?)?;
+        let pixels = bytes.chunks_exact(PIXEL_BYTES).map(|b| DepthPixel {
+            x: u16::from_le_bytes([b[0], b[1]]),
+            y: u16::from_le_bytes([b[2], b[3]]),
+            idepth: f32::from_le_bytes([b[4], b[5], b[6], b[7]]),
+            idepth_var: f32::from_le_bytes([b[8], b[9], b[10], b[11]]),
+        });
+        Some(pixels.collect())
+    }
+}

@@ -1,0 +1,122 @@
+//! The `.mgk` recording: everything mapping needs, appended while a run goes on.
+//!
+//! A recording is a sequence of self-contained, checksummed records (see `docs/formats.md`). Each is
+//! handed to the operating system as soon as it is complete, so a killed program loses at most the
+//! record it was writing; a damaged file yields every record that is whole.
+
+mod assemble;
+mod format;
+mod reader;
+mod writer;
+
+pub use assemble::{ReadOptions, RecordedKeyframe, Recording};
+pub use reader::{Damage, RecordingReader};
+pub use writer::RecordingWriter;
+
+use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_image::Image;
+
+/// Whether lengths are metres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Scale {
+    /// Map units of a monocular run.
+    #[default]
+    Arbitrary,
+    /// Metres.
+    Metric,
+}
+
+/// What holds for the whole recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionInfo {
+    /// Intrinsics of the (undistorted) keyframe images, px.
+    pub pinhole: Pinhole,
+    /// Width of the keyframe images, px.
+    pub width: usize,
+    /// Height of the keyframe images, px.
+    pub height: usize,
+    /// Whether the world's unit is the metre.
+    pub scale: Scale,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Name of the profile.
+    pub profile: String,
+    /// Name of the source.
+    pub source: String,
+    /// The effective configuration (TOML), may be empty.
+    pub config: String,
+}
+
+/// Inverse depth of one pixel of a keyframe, in the keyframe's own unit of length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthPixel {
+    /// Column, px.
+    pub x: u16,
+    /// Row, px.
+    pub y: u16,
+    /// Inverse depth along the optical axis, 1 / (keyframe unit).
+    pub idepth: f32,
+    /// Variance of the inverse depth.
+    pub idepth_var: f32,
+}
+
+/// A keyframe when it is first recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KeyframeRecord {
+    /// Stable id, never reused.
+    pub id: u32,
+    /// Index of its frame in the source.
+    pub frame_index: u64,
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// The undistorted image.
+    pub image: Option<Image<u8>>,
+    /// Its semi-dense depth.
+    pub pixels: Vec<DepthPixel>,
+}
+
+/// Better depth for a keyframe that was recorded before; replaces all of its depth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthRevision {
+    /// The keyframe.
+    pub keyframe_id: u32,
+    /// Counts upwards; the record of the keyframe itself is revision 0.
+    pub revision: u32,
+    /// The new depth.
+    pub pixels: Vec<DepthPixel>,
+}
+
+/// Poses of all keyframes at one moment; replaces all earlier poses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseSnapshot {
+    /// Counts upwards.
+    pub revision: u64,
+    /// Keyframe id and `world_from_keyframe`, whose scale is the length of the keyframe's unit.
+    pub poses: Vec<(u32, Sim3)>,
+}
+
+/// The last record of a run that ended by itself.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct EndRecord {
+    /// Frames of the source that were used.
+    pub num_frames: u64,
+    /// Frames with a believed pose.
+    pub num_tracked: u64,
+    /// `summary.json` or nothing.
+    pub summary: String,
+}
+
+/// One record.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// The first record.
+    Session(SessionInfo),
+    /// A new keyframe.
+    Keyframe(KeyframeRecord),
+    /// New depth for a keyframe.
+    Depth(DepthRevision),
+    /// New poses.
+    Poses(PoseSnapshot),
+    /// The run ended by itself.
+    End(EndRecord),
+}

@@ -1,0 +1,190 @@
+//! Reading the records of a recording, whole or damaged.
+
+use super::format::{
+    FILE_HEADER_BYTES, FILE_MAGIC, FORMAT_VERSION, RECORD_HEADER_BYTES, RecordHeader, SYNC,
+    decode_record, parse_record_header,
+};
+use super::{ReadOptions, Record};
+use crate::DatasetError;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// What was lost of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Damage {
+    /// Places where bytes could not be understood and reading went on behind them.
+    pub num_gaps: u64,
+    /// Bytes that belong to no whole record, the tail included.
+    pub lost_bytes: u64,
+    /// Whether the file ends inside a record, as after a kill.
+    pub truncated: bool,
+}
+
+/// Iterates over the whole records of a file, in bounded memory.
+#[derive(Debug)]
+pub struct RecordingReader<R = BufReader<File>> {
+    input: R,
+    path: PathBuf,
+    position: u64,
+    length: u64,
+    with_images: bool,
+    damage: Damage,
+}
+
+impl RecordingReader {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, is not a recording, or is of a later version.
+    pub fn open(path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
+        let file = File::open(path).map_err(|e| DatasetError::io("read", path, e))?;
+        Self::new(BufReader::with_capacity(1 << 16, file), path, options)
+    }
+}
+
+impl<R: Read + Seek> RecordingReader<R> {
+    /// Reads from anything; `path` is only for messages.
+    ///
+    /// # Errors
+    /// As [`RecordingReader::open`].
+    pub fn new(mut input: R, path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
+        let io = |e| DatasetError::io("read", path, e);
+        let length = input.seek(SeekFrom::End(0)).map_err(io)?;
+        input.seek(SeekFrom::Start(0)).map_err(io)?;
+        let mut header = [0; FILE_HEADER_BYTES];
+        let is_ours = length >= FILE_HEADER_BYTES as u64 && {
+            input.read_exact(&mut header).map_err(io)?;
+            header[..8] == FILE_MAGIC
+        };
+        if !is_ours {
+            return Err(DatasetError::binary(
+                path,
+                "recording",
+                "it does not start with `monogrid`, as .mgk files do",
+            ));
+        }
+        let version = u32::from_le_bytes([header[8], header[9], header[10], header[11]]);
+        if version != FORMAT_VERSION {
+            return Err(DatasetError::binary(
+                path,
+                "recording",
+                format!("format version {version}, this program reads version {FORMAT_VERSION}"),
+            ));
+        }
+        Ok(Self {
+            input,
+            path: path.to_path_buf(),
+            position: FILE_HEADER_BYTES as u64,
+            length,
+            with_images: options.with_images,
+            damage: Damage::default(),
+        })
+    }
+
+    /// What was lost so far; complete once the iteration ended.
+    #[must_use]
+    pub fn damage(&self) -> Damage {
+        self.damage
+    }
+
+    /// The next whole record of a known kind.
+    fn next_record(&mut self) -> std::io::Result<Option<Record>> {
+        while self.position < self.length {
+            let start = self.position;
+            match self.read_at(start)? {
+                Some((end, outcome)) => {
+                    self.position = end;
+                    match outcome {
+                        Ok(Some(record)) => return Ok(Some(record)),
+                        // a kind of a later version
+                        Ok(None) => {}
+                        Err(()) => {
+                            self.damage.num_gaps += 1;
+                            self.damage.lost_bytes += end - start;
+                        }
+                    }
+                }
+                None => {
+                    let next = self.find_sync(start + 1)?;
+                    self.damage.lost_bytes += next - start;
+                    self.damage.num_gaps += 1;
+                    self.damage.truncated |= next == self.length;
+                    self.position = next;
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The record that starts at `start` and where it ends; `None` when no whole one does.
+    #[allow(clippy::type_complexity, reason = "private, used once")]
+    fn read_at(
+        &mut self,
+        start: u64,
+    ) -> std::io::Result<Option<(u64, Result<Option<Record>, ()>)>> {
+        let Some(body) = start
+            .checked_add(RECORD_HEADER_BYTES as u64)
+            .filter(|&b| b <= self.length)
+        else {
+            return Ok(None);
+        };
+        self.input.seek(SeekFrom::Start(start))?;
+        let mut bytes = [0; RECORD_HEADER_BYTES];
+        self.input.read_exact(&mut bytes)?;
+        let Some(header) = parse_record_header(&bytes) else {
+            return Ok(None);
+        };
+        let RecordHeader {
+            kind,
+            payload_bytes,
+            payload_crc,
+        } = header;
+        let end = body + u64::from(payload_bytes);
+        // never allocates more than the file holds
+        if end > self.length {
+            return Ok(None);
+        }
+        let mut payload = vec![0; payload_bytes as usize];
+        self.input.read_exact(&mut payload)?;
+        if crc32fast::hash(&payload) != payload_crc {
+            return Ok(None);
+        }
+        Ok(Some((end, decode_record(kind, &payload, self.with_images))))
+    }
+
+    /// First position at or after `from` where a record may start; the end of the file if none.
+    fn find_sync(&mut self, from: u64) -> std::io::Result<u64> {
+        let mut chunk = vec![0; 1 << 16];
+        let mut start = from;
+        while start + SYNC.len() as u64 <= self.length {
+            let count = chunk.len().min((self.length - start) as usize);
+            self.input.seek(SeekFrom::Start(start))?;
+            self.input.read_exact(&mut chunk[..count])?;
+            let found = chunk[..count]
+                .windows(SYNC.len())
+                .position(|window| window == SYNC);
+            if let Some(offset) = found {
+                return Ok(start + offset as u64);
+            }
+            // the mark may straddle two chunks
+            start += (count - (SYNC.len() - 1)) as u64;
+        }
+        Ok(self.length)
+    }
+}
+
+impl<R: Read + Seek> Iterator for RecordingReader<R> {
+    type Item = Result<Record, DatasetError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        match self.next_record() {
+            Ok(record) => record.map(Ok),
+            Err(e) => {
+                // reported once, then the iteration ends
+                self.position = self.length;
+                Some(Err(DatasetError::io("read", &self.path, e)))
+            }
+        }
+    }
+}

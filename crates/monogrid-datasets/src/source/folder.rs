@@ -1,0 +1,208 @@
+//! Folders of images without a list: plain, TUM monoVO and KITTI.
+
+use super::{DEFAULT_FPS, Dataset, Layout, Parts, SourceOptions, natural_order};
+use crate::DatasetError;
+use crate::text::{data_lines, read_text};
+use crate::timestamp::parse_seconds;
+use std::path::{Path, PathBuf};
+
+/// Subfolders in which images may lie, in the order of preference.
+const IMAGE_FOLDERS: [&str; 8] = [
+    "images", "rgb", "image_0", "image_00", "image_2", "data", "frames", "color",
+];
+
+/// File names that are taken for images; their content decides about the format.
+const IMAGE_EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm"];
+
+/// Images that belong to the calibration, not to the sequence.
+const NOT_FRAMES: [&str; 3] = ["vignette.png", "vignettesmoothed.png", "mask.png"];
+
+/// Opens a folder of images, with the times of `times.txt` if there is one.
+pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, DatasetError> {
+    let (folder, images) = find_images(root)?;
+    let times_file = [root.join("times.txt"), folder.join("../times.txt")]
+        .into_iter()
+        .find(|p| p.is_file());
+    let mut warnings = Vec::new();
+    let (layout, entries) = match times_file {
+        Some(times) => read_times(&times, images, &mut warnings)?,
+        None => {
+            warn_name_order(&folder, &images, &mut warnings);
+            let entries = timed_at_rate(images, options, &folder, &mut warnings)?;
+            (Layout::Folder, entries)
+        }
+    };
+    Dataset::assemble(
+        Parts {
+            root: root.to_path_buf(),
+            layout,
+            list: folder,
+            entries,
+            depths: Vec::new(),
+            ground_truth: None,
+            calibration_path: None,
+            warnings,
+        },
+        options,
+    )
+}
+
+/// The folder with images and its images in natural order.
+fn find_images(root: &Path) -> Result<(PathBuf, Vec<PathBuf>), DatasetError> {
+    let candidates =
+        std::iter::once(root.to_path_buf()).chain(IMAGE_FOLDERS.iter().map(|name| root.join(name)));
+    for folder in candidates.filter(|f| f.is_dir()) {
+        let images = images_in(&folder)?;
+        if !images.is_empty() {
+            return Ok((folder, images));
+        }
+    }
+    let entries = std::fs::read_dir(root)
+        .map_err(|e| DatasetError::io("read", root, e))?
+        .count();
+    let zipped = root.join("images.zip").is_file();
+    Err(DatasetError::NoFrames {
+        path: root.to_path_buf(),
+        found: match (entries, zipped) {
+            (_, true) => "images.zip (unpack it into images/ first)".to_owned(),
+            (0, _) => "an empty folder".to_owned(),
+            (n, _) => format!("{n} files and folders, none of them an image or a list of images"),
+        },
+        expected: "PNG, JPEG, PGM or PPM images, rgb.txt, times.txt with images/, or mav0/",
+    })
+}
+
+/// Image files directly in a folder, in natural order.
+fn images_in(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    let entries = std::fs::read_dir(folder).map_err(|e| DatasetError::io("read", folder, e))?;
+    let mut named: Vec<(String, PathBuf)> = entries
+        .filter_map(Result::ok)
+        .map(|e| e.path())
+        .filter_map(|p| Some((p.file_name()?.to_string_lossy().into_owned(), p)))
+        .filter(|(name, path)| is_frame_name(name) && path.is_file())
+        .collect();
+    named.sort_by(|a, b| natural_order(&a.0, &b.0));
+    Ok(named.into_iter().map(|(_, path)| path).collect())
+}
+
+fn is_frame_name(name: &str) -> bool {
+    let lower = name.to_ascii_lowercase();
+    let extension = lower.rsplit_once('.').map_or("", |(_, e)| e);
+    !lower.starts_with('.')
+        && IMAGE_EXTENSIONS.contains(&extension)
+        && !NOT_FRAMES.contains(&lower.as_str())
+}
+
+/// Other programs sort by bytes; who compares with them should know.
+fn warn_name_order(folder: &Path, images: &[PathBuf], warnings: &mut Vec<String>) {
+    if !images.is_sorted() {
+        warnings.push(format!(
+            "the names in {} were put into natural order (frame2 before frame10), which is not their \
+             alphabetical order",
+            folder.display()
+        ));
+    }
+}
+
+/// Frames at a constant rate, the first at time 0.
+pub(super) fn timed_at_rate(
+    images: Vec<PathBuf>,
+    options: SourceOptions,
+    source: &Path,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
+    let fps = options.fps.unwrap_or(DEFAULT_FPS);
+    if !(fps.is_finite() && (1e-3..=1e5).contains(&fps)) {
+        return Err(DatasetError::content(
+            source,
+            format!("{fps} frames per second"),
+            "a frame rate between 0.001 and 100000",
+        ));
+    }
+    if options.fps.is_none() {
+        warnings.push(format!(
+            "{} has no times; {DEFAULT_FPS} frames per second assumed (set the rate with --fps)",
+            source.display()
+        ));
+    }
+    Ok(images
+        .into_iter()
+        .enumerate()
+        .map(|(i, path)| ((i as f64 * 1e9 / fps).round() as i64, path))
+        .collect())
+}
+
+/// Frames with the times of a `times.txt`: a time per line (KITTI), or id, time and exposure (TUM
+/// monoVO), where the id is the stem of the image.
+fn read_times(
+    times: &Path,
+    images: Vec<PathBuf>,
+    warnings: &mut Vec<String>,
+) -> Result<(Layout, Vec<(i64, PathBuf)>), DatasetError> {
+    let text = read_text(times)?;
+    let lines: Vec<(usize, Vec<&str>)> = data_lines(&text)
+        .map(|(number, line)| (number, line.split_whitespace().collect()))
+        .collect();
+    let with_ids = lines.first().is_some_and(|(_, words)| words.len() >= 2);
+    let column = usize::from(with_ids);
+    let mut parsed = Vec::with_capacity(lines.len());
+    for (number, words) in &lines {
+        match words.get(column).copied().and_then(parse_seconds) {
+            Some(time) => parsed.push((words[0], time)),
+            None => {
+                return Err(DatasetError::line(
+                    times,
+                    *number,
+                    &words.join(" "),
+                    "a time in seconds, or id, time and exposure",
+                ));
+            }
+        }
+    }
+    if parsed.len() != images.len() {
+        warnings.push(format!(
+            "{} has {} times for {} images; only those with both are used",
+            times.display(),
+            parsed.len(),
+            images.len()
+        ));
+    }
+    // ids that are no file names still number the images when there is one for each
+    let ids_are_names = with_ids
+        && images.iter().any(|p| {
+            p.file_stem()
+                .is_some_and(|stem| parsed.iter().any(|(id, _)| stem == *id))
+        });
+    if !ids_are_names && (!with_ids || parsed.len() == images.len()) {
+        let layout = if with_ids {
+            Layout::TumMonoVo
+        } else {
+            Layout::Kitti
+        };
+        let entries = parsed.iter().map(|p| p.1).zip(images).collect();
+        return Ok((layout, entries));
+    }
+    let mut by_stem: Vec<(String, PathBuf)> = images
+        .into_iter()
+        .filter_map(|p| Some((p.file_stem()?.to_string_lossy().into_owned(), p)))
+        .collect();
+    by_stem.sort();
+    let entries: Vec<(i64, PathBuf)> = parsed
+        .iter()
+        .filter_map(|(id, time)| {
+            let found = by_stem.binary_search_by(|(stem, _)| stem.as_str().cmp(id));
+            found.ok().map(|i| (*time, by_stem[i].1.clone()))
+        })
+        .collect();
+    if entries.is_empty() {
+        return Err(DatasetError::NoFrames {
+            path: times.to_path_buf(),
+            found: format!(
+                "{} ids, none of which is the name of an image",
+                parsed.len()
+            ),
+            expected: "ids that are file names without their ending",
+        });
+    }
+    Ok((Layout::TumMonoVo, entries))
+}

@@ -1,0 +1,347 @@
+//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, plain folders.
+//!
+//! [`Dataset::open`] looks at what is there and returns a time-ordered list of frames with
+//! whatever belongs to them. Nothing is decoded here; see [`crate::read_gray`].
+
+mod euroc;
+mod folder;
+mod list;
+mod natural;
+mod tum;
+
+pub use natural::natural_order;
+
+use crate::{Calibration, DatasetError, DepthCalibration};
+use std::path::{Path, PathBuf};
+
+/// One image of a sequence.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameEntry {
+    /// Position in the time-ordered sequence, from 0.
+    pub index: usize,
+    /// Time, nanoseconds, exactly as written in the source.
+    pub timestamp_ns: i64,
+    /// The image file.
+    pub path: PathBuf,
+}
+
+/// One depth image of a sequence.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DepthEntry {
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// The depth image file.
+    pub path: PathBuf,
+}
+
+/// How the sequence lies on disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// `rgb.txt` (time, path), optionally `depth.txt` and `groundtruth.txt`.
+    Tum,
+    /// `times.txt` (id, time, exposure) with a folder of images.
+    TumMonoVo,
+    /// `mav0/cam0/data.csv`.
+    Euroc,
+    /// `image_0` (or another camera) with `times.txt`.
+    Kitti,
+    /// Images in natural order of their names at a given rate.
+    Folder,
+}
+
+impl Layout {
+    /// For people.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tum => "TUM RGB-D",
+            Self::TumMonoVo => "TUM monoVO",
+            Self::Euroc => "EuRoC",
+            Self::Kitti => "KITTI",
+            Self::Folder => "image folder",
+        }
+    }
+}
+
+/// What the user may say about a source.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SourceOptions {
+    /// Frames per second of sources without times, Hz; `None`: [`DEFAULT_FPS`], with a warning.
+    pub fps: Option<f64>,
+    /// Fraction of a frame's interval within which a depth image belongs to a frame.
+    pub depth_association: f64,
+}
+
+/// Rate assumed for images without times, Hz.
+pub const DEFAULT_FPS: f64 = 30.0;
+
+impl Default for SourceOptions {
+    fn default() -> Self {
+        Self {
+            fps: None,
+            depth_association: 0.6,
+        }
+    }
+}
+
+/// An image sequence and what came with it.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// Name of the folder, for output folders and titles.
+    pub name: String,
+    /// Folder that holds the sequence.
+    pub root: PathBuf,
+    /// How it lies on disk.
+    pub layout: Layout,
+    /// Frames in the order of time, at least one.
+    pub frames: Vec<FrameEntry>,
+    /// Depth images in the order of time; often none.
+    pub depths: Vec<DepthEntry>,
+    /// Reference trajectory.
+    pub ground_truth: Option<PathBuf>,
+    /// Calibration of the camera.
+    pub calibration_path: Option<PathBuf>,
+    /// Calibration of the depth camera.
+    pub depth_calibration_path: Option<PathBuf>,
+    /// Inverse response (`pcalib.txt`).
+    pub response_path: Option<PathBuf>,
+    /// Vignette image.
+    pub vignette_path: Option<PathBuf>,
+    /// What looked odd, in sentences for people.
+    pub warnings: Vec<String>,
+    options: SourceOptions,
+}
+
+impl Dataset {
+    /// Finds out what `path` (a folder, or a text file with a list of images) holds.
+    ///
+    /// # Errors
+    /// When nothing is there, when it is no image sequence or an empty one, when a list cannot be
+    /// parsed, or when most time stamps are duplicates.
+    pub fn open(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
+        let metadata = std::fs::metadata(path).map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => DatasetError::SourceMissing {
+                path: path.to_path_buf(),
+            },
+            _ => DatasetError::io("read", path, e),
+        })?;
+        if metadata.is_file() {
+            return list::open_list(path, options);
+        }
+        if let Some(mav0) = euroc::find(path) {
+            return euroc::open(path, &mav0, options);
+        }
+        for name in ["rgb.txt", "gray.txt"] {
+            let list = path.join(name);
+            if list.is_file() {
+                return tum::open(path, &list, options);
+            }
+        }
+        folder::open(path, options)
+    }
+
+    /// The calibration that lies in the source; `None` when there is none.
+    ///
+    /// `image_size` (width, height) serves formats that do not say it.
+    ///
+    /// # Errors
+    /// When the file exists and cannot be understood.
+    pub fn calibration(
+        &self,
+        image_size: Option<(usize, usize)>,
+    ) -> Result<Option<Calibration>, DatasetError> {
+        self.calibration_path
+            .as_ref()
+            .map(|path| Calibration::read(path, image_size))
+            .transpose()
+    }
+
+    /// The calibration of the depth camera that lies in the source; `None` when there is none.
+    ///
+    /// # Errors
+    /// When the file exists and cannot be understood.
+    pub fn depth_calibration(&self) -> Result<Option<DepthCalibration>, DatasetError> {
+        self.depth_calibration_path
+            .as_ref()
+            .map(|path| DepthCalibration::read(path))
+            .transpose()
+    }
+
+    /// Median time between frames, seconds; `None` for a single frame.
+    #[must_use]
+    pub fn frame_interval_secs(&self) -> Option<f64> {
+        let mut intervals: Vec<i64> = self
+            .frames
+            .windows(2)
+            .map(|pair| pair[1].timestamp_ns.saturating_sub(pair[0].timestamp_ns))
+            .collect();
+        intervals.sort_unstable();
+        intervals
+            .get(intervals.len() / 2)
+            .map(|&ns| ns as f64 * 1e-9)
+    }
+
+    /// The depth image nearest in time to a frame, if it is near enough to be its own.
+    ///
+    /// Near enough: within [`SourceOptions::depth_association`] frame intervals.
+    #[must_use]
+    pub fn depth_of_frame(&self, timestamp_ns: i64) -> Option<&DepthEntry> {
+        let after = self
+            .depths
+            .partition_point(|d| d.timestamp_ns < timestamp_ns);
+        let distance = |d: &&DepthEntry| d.timestamp_ns.abs_diff(timestamp_ns);
+        let nearest = self.depths[after.saturating_sub(1)..]
+            .iter()
+            .take(2)
+            .min_by_key(distance)?;
+        let limit_secs = self.options.depth_association * self.frame_interval_secs().unwrap_or(0.0);
+        (distance(&nearest) as f64 * 1e-9 <= limit_secs).then_some(nearest)
+    }
+
+    /// Sorts the entries by time, drops duplicates, numbers the frames and looks for companions.
+    fn assemble(parts: Parts, options: SourceOptions) -> Result<Self, DatasetError> {
+        let Parts {
+            root,
+            layout,
+            list,
+            entries,
+            depths,
+            ground_truth,
+            calibration_path,
+            mut warnings,
+        } = parts;
+        if entries.is_empty() {
+            return Err(DatasetError::NoFrames {
+                path: list,
+                found: "times or images, but not both".to_owned(),
+                expected: "a time for each image",
+            });
+        }
+        let frames = order_frames(&list, entries, &mut warnings)?;
+        warn_missing(&list, &frames, &mut warnings)?;
+        let mut depths = depths;
+        depths.sort_by_key(|d| d.timestamp_ns);
+        let named = |names: &[&str]| names.iter().map(|n| root.join(n)).find(|p| p.is_file());
+        Ok(Self {
+            name: source_name(&root),
+            layout,
+            frames,
+            depths,
+            ground_truth: ground_truth.or_else(|| named(&["groundtruth.txt", "gt.txt"])),
+            calibration_path: named(&["calibration.toml", "calibration.txt"])
+                .or(calibration_path)
+                .or_else(|| named(&CALIBRATION_NAMES)),
+            depth_calibration_path: named(&["calibration_depth.txt"]),
+            response_path: named(&["pcalib.txt"]),
+            vignette_path: named(&["vignette.png"]),
+            warnings,
+            options,
+            root,
+        })
+    }
+}
+
+/// Names under which other programs keep calibrations, besides ours.
+const CALIBRATION_NAMES: [&str; 6] = [
+    "camera.txt",
+    "cameraCalibration.cfg",
+    "calib.txt",
+    "sensor.yaml",
+    "camera.yaml",
+    "camchain.yaml",
+];
+
+/// What each layout finds before the common part.
+struct Parts {
+    root: PathBuf,
+    layout: Layout,
+    /// File or folder to name in messages about frames.
+    list: PathBuf,
+    entries: Vec<(i64, PathBuf)>,
+    depths: Vec<DepthEntry>,
+    ground_truth: Option<PathBuf>,
+    calibration_path: Option<PathBuf>,
+    warnings: Vec<String>,
+}
+
+/// Frames sorted by time without duplicates.
+fn order_frames(
+    list: &Path,
+    mut entries: Vec<(i64, PathBuf)>,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<FrameEntry>, DatasetError> {
+    let total = entries.len();
+    let backwards = entries.windows(2).filter(|p| p[1].0 < p[0].0).count();
+    if backwards > 0 {
+        warnings.push(format!(
+            "time runs backwards {backwards} times in {}; the frames were sorted by time",
+            list.display()
+        ));
+        entries.sort_by_key(|e| e.0);
+    }
+    entries.dedup_by_key(|e| e.0);
+    let duplicates = total - entries.len();
+    if 2 * duplicates > total {
+        return Err(DatasetError::DuplicateTimes {
+            path: list.to_path_buf(),
+            duplicates,
+            frames: total,
+        });
+    }
+    if duplicates > 0 {
+        warnings.push(format!(
+            "{duplicates} of {total} frames in {} repeat the time stamp of another frame; only the \
+             first of each is used",
+            list.display()
+        ));
+    }
+    Ok(entries
+        .into_iter()
+        .enumerate()
+        .map(|(index, (timestamp_ns, path))| FrameEntry {
+            index,
+            timestamp_ns,
+            path,
+        })
+        .collect())
+}
+
+/// Complains about listed images that do not exist: all of them is an error, some a warning (a run
+/// skips and counts them).
+fn warn_missing(
+    list: &Path,
+    frames: &[FrameEntry],
+    warnings: &mut Vec<String>,
+) -> Result<(), DatasetError> {
+    let missing: Vec<&FrameEntry> = frames.iter().filter(|f| !f.path.is_file()).collect();
+    let Some(first) = missing.first() else {
+        return Ok(());
+    };
+    if missing.len() == frames.len() {
+        return Err(DatasetError::NoFrames {
+            path: list.to_path_buf(),
+            found: format!(
+                "{} listed images of which none exists (first: {})",
+                frames.len(),
+                first.path.display()
+            ),
+            expected: "paths of existing images, relative to the folder of the list",
+        });
+    }
+    warnings.push(format!(
+        "{} of {} images listed in {} do not exist (first: {})",
+        missing.len(),
+        frames.len(),
+        list.display(),
+        first.path.display()
+    ));
+    Ok(())
+}
+
+/// Name of the folder, also for `.` and `..`.
+fn source_name(root: &Path) -> String {
+    let named = |p: &Path| p.file_name().map(|n| n.to_string_lossy().into_owned());
+    named(root)
+        .or_else(|| root.canonicalize().ok().and_then(|p| named(&p)))
+        .unwrap_or_else(|| "source".to_owned())
+}

@@ -1,0 +1,41 @@
+//! Reading small text files line by line.
+
+use crate::DatasetError;
+use std::path::Path;
+
+/// Largest text file that is read: far beyond any list of frames or poses.
+const MAX_TEXT_BYTES: u64 = 1 << 30;
+
+/// The whole file as text; invalid UTF-8 is replaced (comments may be in any encoding).
+pub(crate) fn read_text(path: &Path) -> Result<String, DatasetError> {
+    let metadata = std::fs::metadata(path).map_err(|e| DatasetError::io("read", path, e))?;
+    if !metadata.is_file() {
+        return Err(DatasetError::content(path, "a folder", "a text file"));
+    }
+    if metadata.len() > MAX_TEXT_BYTES {
+        return Err(DatasetError::content(
+            path,
+            format!("{} bytes", metadata.len()),
+            "a text file of less than 1 GiB",
+        ));
+    }
+    let bytes = std::fs::read(path).map_err(|e| DatasetError::io("read", path, e))?;
+    let text = String::from_utf8_lossy(&bytes);
+    Ok(text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned())
+}
+
+/// Lines with content, numbered from 1, without comments (`#` to the end of the line).
+pub(crate) fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines().enumerate().filter_map(|(i, line)| {
+        let content = line.split('#').next().unwrap_or("").trim();
+        (!content.is_empty()).then_some((i + 1, content))
+    })
+}
+
+/// Numbers separated by blanks, commas or tabs; `None` when one of them is not a number.
+pub(crate) fn numbers(line: &str) -> Option<Vec<f64>> {
+    line.split([' ', '\t', ',', ';'])
+        .filter(|s| !s.is_empty())
+        .map(|s| s.parse().ok())
+        .collect()
+}

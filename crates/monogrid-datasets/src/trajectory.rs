@@ -1,0 +1,213 @@
+//! Trajectory files (TUM, EuRoC, KITTI) and Sim(3) files.
+
+use crate::text::{data_lines, numbers, read_text};
+use crate::timestamp::{format_seconds, parse_seconds};
+use crate::{DatasetError, write_atomically};
+use monogrid_geometry::nalgebra::Quaternion;
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
+use std::fmt::Write;
+use std::path::Path;
+
+/// A pose with its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimedPose {
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// Pose of the camera (or, in files of EuRoC, of the body) in the world of the file.
+    pub world_from_camera: Se3,
+}
+
+/// Length by which a quaternion may differ from 1 through rounding in the file.
+const QUATERNION_TOLERANCE: f64 = 0.1;
+
+/// Reads a trajectory in TUM format (`timestamp tx ty tz qx qy qz qw`) or EuRoC's CSV
+/// (`nanoseconds,x,y,z,qw,qx,qy,qz,...`), recognised by content, sorted by time; of equal times the
+/// first counts.
+///
+/// # Errors
+/// When the file cannot be read, has no pose, or a line is not a pose.
+pub fn read_trajectory(path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
+    parse_trajectory(&read_text(path)?, path)
+}
+
+/// Parses a trajectory; `path` is only for messages.
+///
+/// # Errors
+/// As [`read_trajectory`].
+pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
+    let mut poses = Vec::new();
+    for (number, line) in data_lines(text) {
+        let pose = if line.contains(',') {
+            parse_euroc_line(line)
+        } else {
+            parse_tum_line(line)
+        };
+        poses.push(pose.ok_or_else(|| {
+            DatasetError::line(
+                path,
+                number,
+                line,
+                "timestamp tx ty tz qx qy qz qw with a unit quaternion, or EuRoC's \
+                 nanoseconds,x,y,z,qw,qx,qy,qz",
+            )
+        })?);
+    }
+    if poses.is_empty() {
+        return Err(DatasetError::content(
+            path,
+            "no poses",
+            "lines of `timestamp tx ty tz qx qy qz qw`",
+        ));
+    }
+    poses.sort_by_key(|p: &TimedPose| p.timestamp_ns);
+    poses.dedup_by_key(|p| p.timestamp_ns);
+    Ok(poses)
+}
+
+fn parse_tum_line(line: &str) -> Option<TimedPose> {
+    let (time, rest) = line.split_once(char::is_whitespace)?;
+    Some(TimedPose {
+        timestamp_ns: parse_seconds(time)?,
+        world_from_camera: pose_from_numbers(&numbers(rest)?)?,
+    })
+}
+
+fn parse_euroc_line(line: &str) -> Option<TimedPose> {
+    let (time, rest) = line.split_once(',')?;
+    let values = numbers(rest)?;
+    let &[x, y, z, qw, qx, qy, qz, ..] = values.as_slice() else {
+        return None;
+    };
+    Some(TimedPose {
+        timestamp_ns: time.trim().parse().ok()?,
+        world_from_camera: pose_from_numbers(&[x, y, z, qx, qy, qz, qw])?,
+    })
+}
+
+/// A pose from `tx ty tz qx qy qz qw`; `None` unless finite with a unit quaternion (within 10 %).
+pub(crate) fn pose_from_numbers(values: &[f64]) -> Option<Se3> {
+    let &[tx, ty, tz, qx, qy, qz, qw] = values else {
+        return None;
+    };
+    let quaternion = Quaternion::new(qw, qx, qy, qz);
+    let is_unit = (quaternion.norm() - 1.0).abs() <= QUATERNION_TOLERANCE;
+    let pose = Se3::new(Rotation::new_normalize(quaternion), Vec3::new(tx, ty, tz));
+    (is_unit && pose.is_finite()).then_some(pose)
+}
+
+/// The trajectory in TUM format, times with nine decimals.
+#[must_use]
+pub fn format_tum(poses: &[TimedPose]) -> String {
+    let mut text = String::with_capacity(poses.len() * 120);
+    text.push_str("# timestamp tx ty tz qx qy qz qw\n");
+    for pose in poses {
+        let [tx, ty, tz, qx, qy, qz, qw] = pose_to_numbers(&pose.world_from_camera);
+        // writing into a string cannot fail
+        let _ = writeln!(
+            text,
+            "{} {tx:.9} {ty:.9} {tz:.9} {qx:.10} {qy:.10} {qz:.10} {qw:.10}",
+            format_seconds(pose.timestamp_ns)
+        );
+    }
+    text
+}
+
+/// Writes a trajectory in TUM format, atomically.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<(), DatasetError> {
+    write_atomically(path, format_tum(poses).as_bytes())
+}
+
+/// The trajectory in KITTI's format: the 3x4 matrix of each pose, row by row, without times.
+#[must_use]
+pub fn format_kitti(poses: &[TimedPose]) -> String {
+    let mut text = String::with_capacity(poses.len() * 200);
+    for pose in poses {
+        let rotation = pose.world_from_camera.rotation_matrix();
+        let translation = pose.world_from_camera.translation;
+        let row = |i: usize| {
+            format!(
+                "{:.9e} {:.9e} {:.9e} {:.9e}",
+                rotation[(i, 0)],
+                rotation[(i, 1)],
+                rotation[(i, 2)],
+                translation[i]
+            )
+        };
+        let _ = writeln!(text, "{} {} {}", row(0), row(1), row(2));
+    }
+    text
+}
+
+/// Writes a trajectory in KITTI's format, atomically.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_kitti(path: &Path, poses: &[TimedPose]) -> Result<(), DatasetError> {
+    write_atomically(path, format_kitti(poses).as_bytes())
+}
+
+/// `tx ty tz qx qy qz qw`, with `qw >= 0` so that equal rotations are equal text.
+fn pose_to_numbers(pose: &Se3) -> [f64; 7] {
+    let q = pose.rotation.quaternion();
+    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+    let t = pose.translation;
+    // adding zero turns -0 into 0
+    [
+        t.x,
+        t.y,
+        t.z,
+        sign * q.i,
+        sign * q.j,
+        sign * q.k,
+        sign * q.w,
+    ]
+    .map(|v| v + 0.0)
+}
+
+/// Reads a Sim(3) file: one line `scale tx ty tz qx qy qz qw` (target_from_source).
+///
+/// # Errors
+/// When the file cannot be read or is not of this form, or the scale is not positive.
+pub fn read_sim3(path: &Path) -> Result<Sim3, DatasetError> {
+    let text = read_text(path)?;
+    let lines: Vec<(usize, &str)> = data_lines(&text).collect();
+    let sim3 = match lines.as_slice() {
+        [(_, line)] => numbers(line).and_then(|values| {
+            let (scale, pose) = values.split_first()?;
+            let sim3 = pose_from_numbers(pose)?.with_scale(*scale);
+            sim3.is_finite().then_some(sim3)
+        }),
+        _ => None,
+    };
+    sim3.ok_or_else(|| {
+        let (number, line) = lines.first().copied().unwrap_or((1, ""));
+        DatasetError::line(
+            path,
+            number,
+            line,
+            "one line `scale tx ty tz qx qy qz qw` with a positive scale and a unit quaternion",
+        )
+    })
+}
+
+/// The content of a Sim(3) file.
+#[must_use]
+pub fn format_sim3(target_from_source: &Sim3) -> String {
+    let [tx, ty, tz, qx, qy, qz, qw] = pose_to_numbers(&target_from_source.to_se3());
+    format!(
+        "# scale tx ty tz qx qy qz qw (target_from_source)\n{:.17e} {tx:.17e} {ty:.17e} {tz:.17e} \
+         {qx:.17e} {qy:.17e} {qz:.17e} {qw:.17e}\n",
+        target_from_source.scale
+    )
+}
+
+/// Writes a Sim(3) file, atomically.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_sim3(path: &Path, target_from_source: &Sim3) -> Result<(), DatasetError> {
+    write_atomically(path, format_sim3(target_from_source).as_bytes())
+}
