@@ -254,8 +254,8 @@ fn newton_step(patch: &Patch, walk: &Walk<'_>, position: f32, inv_information: f
         *value = walk.value(position + k as f32 - RADIUS as f32);
     }
     let mut slope_sum = 0.0;
-    for k in 0..PATCH {
-        slope_sum += patch.slopes[k] * (window[k] - patch.values[k]);
+    for ((slope, value), reference) in patch.slopes.iter().zip(&window).zip(&patch.values) {
+        slope_sum += slope * (value - reference);
     }
     (-slope_sum * inv_information, ssd_of(patch, &window))
 }

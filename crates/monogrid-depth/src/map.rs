@@ -8,6 +8,8 @@ use std::sync::Arc;
 
 /// Width of the border without hypotheses, px: the patch reaches so far.
 pub(crate) const BORDER: usize = 6;
+/// Variance of a difference of pixels is at least this, grey levels²: whole grey levels differ by it.
+const MIN_NOISE_VAR: f32 = 1.0 / 6.0;
 /// Blocked pixels have at most this many in `failures`.
 pub(crate) const MAX_FAILURES: u8 = 100;
 
@@ -140,6 +142,8 @@ pub struct DepthMap {
     pub(crate) smooth_var: Vec<f32>,
     /// Variance of the difference of two matching pixels, grey levels².
     pub(crate) noise_var: f32,
+    /// Whether `noise_var` comes from observations.
+    pub(crate) noise_measured: bool,
 }
 
 impl DepthMap {
@@ -155,6 +159,7 @@ impl DepthMap {
             smooth_idepth: vec![0.0; len],
             smooth_var: vec![0.0; len],
             noise_var: 2.0 * config.sensor_sigma * config.sensor_sigma,
+            noise_measured: false,
         }
     }
 
@@ -320,8 +325,9 @@ impl DepthMap {
         const ENOUGH: u32 = 500;
         if stats.num_residuals >= ENOUGH {
             let measured = (stats.residual_sq_sum / f64::from(stats.num_residuals)) as f32;
-            // the two fitted parameters (position, and what the interpolation smooths away)
-            self.noise_var += 0.3 * (measured.max(0.5) - self.noise_var);
+            let weight = if self.noise_measured { 0.3 } else { 1.0 };
+            self.noise_var += weight * (measured.max(MIN_NOISE_VAR) - self.noise_var);
+            self.noise_measured = true;
         }
     }
 

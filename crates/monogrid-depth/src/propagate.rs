@@ -54,6 +54,7 @@ impl DepthMap {
     ) -> (Self, PropagationStats) {
         let mut result = Self::empty(target, config);
         result.noise_var = self.noise_var;
+        result.noise_measured = self.noise_measured;
         let mut stats = PropagationStats::default();
         let (heads, warped) = self.warp_all(&result, target_from_source, &mut stats);
         let w = result.host.width();

@@ -1,0 +1,103 @@
+//! A hand-held sequence with keyframe changes: density, accuracy, honesty, no drift of the scale.
+
+mod world;
+
+use monogrid_depth::{DepthConfig, DepthMap, StereoFrame};
+use monogrid_geometry::Se3;
+use monogrid_image::GrayImage;
+use world::{Normal, World, disturbed, handheld, host, pinhole_of, quality, sensor};
+
+const SIZE: (usize, usize) = (320, 240);
+
+fn run(config: &DepthConfig, num_frames: usize, per_keyframe: usize, noise: f32, seed_first: bool) {
+    let world = World::room();
+    let pinhole = pinhole_of(SIZE);
+    let mut normal = Normal(5);
+    let (sigma_trans, sigma_rot) = (0.0003, 0.0002);
+    let mut map: Option<(DepthMap, Se3, GrayImage)> = None;
+    let mut old: Vec<(GrayImage, Se3)> = Vec::new();
+    for n in 0..num_frames {
+        let pose = handheld(n as f64 / 30.0);
+        let view = world.render(&pinhole, SIZE, &pose);
+        let image = sensor(&view.image, noise, n as u64 + 1);
+        let estimated = disturbed(&pose, sigma_trans, sigma_rot, &mut normal);
+        let Some((current, keyframe_pose, depth)) = &mut map else {
+            let mut first = DepthMap::empty(host(image, pinhole), config);
+            if seed_first {
+                first.initialize_from_depth(&view.depth, 0.02);
+            }
+            map = Some((first, estimated, view.depth));
+            continue;
+        };
+        let stereo = |image, pose: &Se3, id| StereoFrame {
+            image,
+            frame_from_keyframe: pose.inverse() * *keyframe_pose,
+            gain: 1.0,
+            bias: 0.0,
+            residual_rms: 3.0,
+            pose_sigma_trans: sigma_trans as f32 * 1.4,
+            pose_sigma_rot: sigma_rot as f32 * 1.4,
+            id,
+        };
+        if n % per_keyframe == 0 {
+            current.fill_holes(config);
+            current.regularize(config);
+            let q = quality(current, depth, 10);
+            println!("frame {n} {q:.3?}");
+            let (mut next, stats) = current.propagate(
+                host(image, pinhole),
+                &(estimated.inverse() * *keyframe_pose),
+                config,
+            );
+            let q = quality(&next, &view.depth, 10);
+            println!("   propagated {stats:?}\n   {q:.3?}");
+            next.fill_holes(config);
+            next.regularize(config);
+            old.insert(0, (current.host().image.clone(), *keyframe_pose));
+            old.truncate(3);
+            *keyframe_pose = estimated;
+            *current = next;
+            *depth = view.depth;
+            let frames: Vec<_> = old
+                .iter()
+                .map(|(image, pose)| StereoFrame {
+                    frame_from_keyframe: pose.inverse() * *keyframe_pose,
+                    ..stereo_of(image, n as u32)
+                })
+                .collect();
+            let stats = current.observe(&frames, config);
+            println!("   old keyframes {stats:?}");
+            let q = quality(current, depth, 10);
+            println!("   {q:.3?}");
+            continue;
+        }
+        let stats = current.observe(&[stereo(&image, &estimated, n as u32)], config);
+        if n % per_keyframe % 5 == 1 {
+            println!("   {n}: {stats:?} noise {}", current.noise_sigma());
+        }
+        current.fill_holes(config);
+        current.regularize(config);
+    }
+}
+
+fn stereo_of(image: &GrayImage, id: u32) -> StereoFrame<'_> {
+    StereoFrame {
+        image,
+        frame_from_keyframe: Se3::identity(),
+        gain: 1.0,
+        bias: 0.0,
+        residual_rms: 3.0,
+        pose_sigma_trans: 0.00042,
+        pose_sigma_rot: 0.00028,
+        id,
+    }
+}
+
+#[test]
+fn sequence() {
+    run(&DepthConfig::default(), 60, 12, 1.5, false);
+}
+#[test]
+fn sequence_thesis() {
+    run(&DepthConfig::thesis(), 60, 12, 1.5, true);
+}
