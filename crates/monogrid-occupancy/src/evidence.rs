@@ -1,0 +1,135 @@
+//! Evidence: log-odds as 16-bit integers of 1/4096, with an explicit "unknown".
+
+use crate::error::MapError;
+
+/// Steps of evidence per unit of log-odds.
+pub const STEPS_PER_LOG_ODDS: f32 = 4096.0;
+/// The stored value of a cell that was never observed.
+pub const UNKNOWN: i16 = i16::MIN;
+
+/// Log-odds of a probability: `ln(p / (1 - p))`.
+#[must_use]
+pub fn log_odds_from_probability(probability: f64) -> f64 {
+    (probability / (1.0 - probability)).ln()
+}
+
+/// Probability of a log-odds value.
+#[must_use]
+pub fn probability_from_log_odds(log_odds: f64) -> f64 {
+    1.0 / (1.0 + (-log_odds).exp())
+}
+
+/// Nearest evidence, saturating at the ends of the range and never [`UNKNOWN`].
+#[must_use]
+pub fn evidence_from_log_odds(log_odds: f64) -> i16 {
+    let steps = (log_odds * f64::from(STEPS_PER_LOG_ODDS)).round();
+    // `as` saturates and maps NaN to 0.
+    (steps as i16).max(UNKNOWN + 1)
+}
+
+/// Log-odds of stored evidence; the caller has excluded [`UNKNOWN`].
+#[must_use]
+#[inline]
+pub fn log_odds_from_evidence(evidence: i16) -> f32 {
+    f32::from(evidence) / STEPS_PER_LOG_ODDS
+}
+
+/// What is known about a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Occupancy {
+    /// Never observed.
+    Unknown,
+    /// Observed, and less likely occupied than the threshold.
+    Free,
+    /// Observed, and at least as likely occupied as the threshold.
+    Occupied,
+}
+
+/// The stored limits of a map, in evidence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Limits {
+    pub min: i16,
+    pub max: i16,
+    pub threshold: i16,
+}
+
+impl Limits {
+    pub(crate) fn new(
+        clamp_min: f32,
+        clamp_max: f32,
+        threshold_probability: f64,
+    ) -> Result<Self, MapError> {
+        let storable = |v: f32| (-7.99..=7.99).contains(&v);
+        if !(storable(clamp_min) && storable(clamp_max) && clamp_min < 0.0 && clamp_max > 0.0) {
+            return Err(MapError::Clamp {
+                min: clamp_min,
+                max: clamp_max,
+            });
+        }
+        if !(threshold_probability > 0.0 && threshold_probability < 1.0) {
+            return Err(MapError::Threshold {
+                value: threshold_probability,
+            });
+        }
+        Ok(Self {
+            min: evidence_from_log_odds(f64::from(clamp_min)),
+            max: evidence_from_log_odds(f64::from(clamp_max)),
+            threshold: evidence_from_log_odds(log_odds_from_probability(threshold_probability)),
+        })
+    }
+
+    /// `value` after one update, clamped when written as OctoMap does.
+    ///
+    /// A value outside the limits (from a file with wider ones) is pulled inside by its next
+    /// update.
+    #[inline]
+    pub(crate) fn updated(self, value: i16, delta: i16) -> i16 {
+        let prior = if value == UNKNOWN { 0 } else { value };
+        prior.saturating_add(delta).clamp(self.min, self.max)
+    }
+
+    /// As OctoMap: exactly at the threshold counts as occupied.
+    #[inline]
+    pub(crate) fn occupancy(self, value: i16) -> Occupancy {
+        if value == UNKNOWN {
+            Occupancy::Unknown
+        } else if value >= self.threshold {
+            Occupancy::Occupied
+        } else {
+            Occupancy::Free
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn evidence_saturates_and_never_means_unknown() {
+        assert_eq!(evidence_from_log_odds(-1e9), UNKNOWN + 1);
+        assert_eq!(evidence_from_log_odds(f64::NEG_INFINITY), UNKNOWN + 1);
+        assert_eq!(evidence_from_log_odds(1e9), i16::MAX);
+        assert_eq!(evidence_from_log_odds(f64::NAN), 0);
+        assert_eq!(evidence_from_log_odds(-2.0), -8192);
+    }
+
+    #[test]
+    fn probability_and_log_odds_invert_each_other() {
+        for p in [1e-6, 0.1192, 0.3, 0.5, 0.971, 1.0 - 1e-6] {
+            let back = probability_from_log_odds(log_odds_from_probability(p));
+            assert!((back - p).abs() < 1e-12, "{p} {back}");
+        }
+    }
+
+    #[test]
+    fn one_update_starts_an_unknown_cell_at_zero_and_clamps() {
+        let limits = Limits::new(-2.0, 3.5, 0.5).unwrap();
+        assert_eq!(limits.updated(UNKNOWN, 100), 100);
+        assert_eq!(limits.updated(UNKNOWN, i16::MAX), limits.max);
+        assert_eq!(limits.updated(limits.max, i16::MIN + 1), limits.min);
+        assert_eq!(limits.occupancy(UNKNOWN), Occupancy::Unknown);
+        assert_eq!(limits.occupancy(0), Occupancy::Occupied);
+        assert_eq!(limits.occupancy(-1), Occupancy::Free);
+    }
+}

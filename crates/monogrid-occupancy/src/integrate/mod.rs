@@ -1,0 +1,135 @@
+//! From scans to evidence: the integration rules.
+//!
+//! - [`IntegrationRule::Rays`]: every measurement updates every cell that its ray crosses, in the
+//!   order of the measurements; clamped at each write. The thesis' rule, exact, the reference.
+//! - [`IntegrationRule::Fused`]: one update per cell and scan, from the measurements in the
+//!   cell's footprint.
+//!
+//! Both are split over shards of bricks that no two threads share, so the result is the same,
+//! bit for bit, for any number of threads.
+
+pub(crate) mod parallel;
+pub(crate) mod ray;
+pub(crate) mod rays;
+
+use crate::error::MapError;
+use crate::map::OccupancyMap;
+use crate::scan::{Scan, SigmaMode};
+use crate::sensor::SensorModel;
+use crate::sensor::table::UpdateLimits;
+
+/// How measurements become updates of cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum IntegrationRule {
+    /// Every measurement updates every cell that its ray crosses.
+    Rays,
+    /// One update per cell and scan.
+    #[default]
+    Fused,
+}
+
+/// Settings of the integration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IntegrationConfig {
+    /// The rule. Default fused.
+    pub rule: IntegrationRule,
+    /// The inverse sensor model. Default Thrun's with automatic thickness.
+    pub model: SensorModel,
+    /// Rays end here, in world units; farther measurements clear the space up to it and mark
+    /// nothing. Default 100.
+    pub max_range: f64,
+    /// Lowest log-odds of one update, negative. Default -0.6. The thesis' P >= 1e-6 is -13.8.
+    pub update_min: f32,
+    /// Highest log-odds of one update, positive. Default 1.2.
+    pub update_max: f32,
+    /// Behind the obstacle, evidence smaller than this (log-odds, not negative) is not written.
+    /// Default 0.02.
+    pub cutoff_log_odds: f32,
+    /// What the uncertainty of an inverse depth is taken for. Default: propagated to the range.
+    pub sigma_mode: SigmaMode,
+}
+
+impl Default for IntegrationConfig {
+    fn default() -> Self {
+        Self {
+            rule: IntegrationRule::default(),
+            model: SensorModel::default(),
+            max_range: 100.0,
+            update_min: -0.6,
+            update_max: 1.2,
+            cutoff_log_odds: 0.02,
+            sigma_mode: SigmaMode::default(),
+        }
+    }
+}
+
+impl IntegrationConfig {
+    /// Checks every range documented on the fields.
+    ///
+    /// # Errors
+    /// The first field found outside its range.
+    pub fn validate(&self) -> Result<(), MapError> {
+        self.model.validate()?;
+        let fail = |field, value: f64, allowed| {
+            Err(MapError::Config {
+                field,
+                value,
+                allowed,
+            })
+        };
+        // Written so that NaN fails.
+        if self.max_range.is_nan() || self.max_range <= 0.0 {
+            return fail("max_range", self.max_range, "positive");
+        }
+        if self.update_min.is_nan() || self.update_min >= 0.0 {
+            return fail("update_min", f64::from(self.update_min), "negative");
+        }
+        if self.update_max.is_nan() || self.update_max <= 0.0 {
+            return fail("update_max", f64::from(self.update_max), "positive");
+        }
+        if !(0.0..=1.0).contains(&self.cutoff_log_odds) {
+            return fail("cutoff_log_odds", f64::from(self.cutoff_log_odds), "0 to 1");
+        }
+        Ok(())
+    }
+
+    pub(crate) fn update_limits(&self) -> UpdateLimits {
+        UpdateLimits {
+            min: f64::from(self.update_min),
+            max: f64::from(self.update_max),
+            cutoff: f64::from(self.cutoff_log_odds),
+        }
+    }
+}
+
+/// What an integration did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IntegrationReport {
+    /// Measurements used.
+    pub points: usize,
+    /// Measurements dropped because they were not finite, or had no length or uncertainty.
+    pub skipped: usize,
+    /// Bricks visited: for `rays`, once per ray that crosses them.
+    pub brick_visits: usize,
+}
+
+/// Adds one scan to a map, using `threads` threads (at least one).
+///
+/// The result does not depend on `threads`. On an error the map is as before.
+///
+/// # Errors
+/// An invalid scan or configuration, or the memory budget could be exceeded.
+pub fn integrate(
+    map: &mut OccupancyMap,
+    scan: &Scan,
+    config: &IntegrationConfig,
+    threads: usize,
+) -> Result<IntegrationReport, MapError> {
+    config.validate()?;
+    scan.validate()?;
+    match config.rule {
+        IntegrationRule::Rays | IntegrationRule::Fused => {
+            rays::integrate_rays(map, scan, config, threads.max(1), None)
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! OctoMap's `.bt`: two bits per child (0 unknown, 1 free, 2 occupied, 3 inner; low bits first),
+//! inner children depth first. The maximum-likelihood tree is pruned again before it is written.
+
+use std::io::{BufReader, BufWriter, Read, Write};
+
+use super::header::{self, Cube, TREE_DEPTH, octomap_clamps, read_array};
+use crate::error::MapError;
+use crate::evidence::{Occupancy, UNKNOWN};
+use crate::key::BRICK_CELLS;
+use crate::map::OccupancyMap;
+use crate::octree::{Leaf, Node, Octree, TreeVisitor};
+use crate::storage::BrickRef;
+
+const TITLE: &str = "# Octomap OcTree binary file";
+const FORMAT: &str = ".bt";
+const FREE: i16 = -1;
+const OCCUPIED: i16 = 1;
+
+impl OccupancyMap {
+    /// The map with every known cell replaced by one of two values.
+    fn maximum_likelihood(&self) -> Result<OccupancyMap, MapError> {
+        let classify = |value: i16| match self.limits.occupancy(value) {
+            Occupancy::Unknown => UNKNOWN,
+            Occupancy::Free => FREE,
+            Occupancy::Occupied => OCCUPIED,
+        };
+        let mut likely = OccupancyMap::new(self.config().clone())?;
+        for key in self.bricks() {
+            match self.brick(key) {
+                BrickRef::Uniform(value) => likely.set_brick_uniform(key, classify(value)),
+                BrickRef::Mixed(_) => {
+                    let values: [i16; BRICK_CELLS] = self.brick_values(key).map(classify);
+                    likely.set_brick(key, &values);
+                }
+            }
+        }
+        Ok(likely)
+    }
+}
+
+/// Writes a map as OctoMap's `.bt`: occupied, free or unknown only. The map itself is not
+/// changed.
+///
+/// # Errors
+/// Writing fails, or a cell is beyond OctoMap's 16-bit keys.
+pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
+    let likely = map.maximum_likelihood()?;
+    let octree = Octree::new(&likely)?;
+    let mut out = BufWriter::new(out);
+    header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
+    let mut writer = BtWriter { out: &mut out };
+    if let Node::Leaf(value) = octree.root() {
+        // The format has no bits for the root itself: a root of eight equal leaves.
+        writer.inner(value, &[Node::Leaf(value); 8])?;
+    } else {
+        octree.visit(&mut writer)?;
+    }
+    out.flush().map_err(write_error)
+}
+
+fn write_error(source: std::io::Error) -> MapError {
+    MapError::Io {
+        action: "writing the map",
+        source,
+    }
+}
+
+struct BtWriter<'a, W: Write> {
+    out: &'a mut W,
+}
+
+impl<W: Write> TreeVisitor for BtWriter<'_, W> {
+    fn inner(&mut self, _: i16, children: &[Node; 8]) -> Result<(), MapError> {
+        let bits = children
+            .iter()
+            .enumerate()
+            .fold(0_u16, |bits, (octant, child)| {
+                let code = match child {
+                    Node::Unknown => 0,
+                    Node::Leaf(value) if *value < 0 => 1,
+                    Node::Leaf(_) => 2,
+                    Node::Inner(_) => 3,
+                };
+                bits | (code << (2 * octant))
+            });
+        self.out.write_all(&bits.to_le_bytes()).map_err(write_error)
+    }
+
+    fn leaf(&mut self, _: Leaf) -> Result<(), MapError> {
+        // Leaves are bits of their parents.
+        Ok(())
+    }
+}
+
+/// Reads OctoMap's `.bt`; free and occupied cells get OctoMap's clamps -2 and 3.511.
+///
+/// A damaged or hostile file gives an error, never a panic or an allocation beyond the budget.
+///
+/// # Errors
+/// The file is not a whole `.bt`, or its map does not fit into `memory_budget_bytes`.
+pub fn read_bt(input: impl Read, memory_budget_bytes: usize) -> Result<OccupancyMap, MapError> {
+    let mut input = BufReader::new(input);
+    let header = header::read(&mut input, TITLE, FORMAT)?;
+    if header.id != "OcTree" && header.id != "ColorOcTree" {
+        return Err(MapError::format(
+            FORMAT,
+            format!("tree id {:?} is not supported, expected OcTree", header.id),
+        ));
+    }
+    let mut map = header::empty_map(header.resolution, memory_budget_bytes)?;
+    if header.size > 0 {
+        read_node(&mut input, Cube::ROOT, &mut map)?;
+    }
+    map.revision += 1;
+    Ok(map)
+}
+
+fn read_node(input: &mut impl Read, cube: Cube, map: &mut OccupancyMap) -> Result<(), MapError> {
+    let (free, occupied) = octomap_clamps();
+    let bits = u16::from_le_bytes(read_array(input, FORMAT)?);
+    let code = |octant: i32| bits >> (2 * octant) & 3;
+    for octant in 0..8 {
+        match code(octant) {
+            1 => cube.child(octant).fill(map, free)?,
+            2 => cube.child(octant).fill(map, occupied)?,
+            _ => {}
+        }
+    }
+    for octant in (0..8).filter(|&o| code(o) == 3) {
+        let child = cube.child(octant);
+        if child.depth == TREE_DEPTH {
+            return Err(MapError::format(
+                FORMAT,
+                format!("a node at depth {TREE_DEPTH} has children"),
+            ));
+        }
+        read_node(input, child, map)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,192 @@
+//! The text header that OctoMap's two formats share, and the cube writer of their readers.
+
+use std::io::{ErrorKind, Read, Write};
+
+use crate::error::MapError;
+use crate::evidence::{evidence_from_log_odds, log_odds_from_probability};
+use crate::key::{BRICK_EDGE, BrickKey, VoxelKey};
+use crate::map::{MapConfig, OccupancyMap};
+
+/// Depth of OctoMap's trees.
+pub(crate) const TREE_DEPTH: u32 = 16;
+/// Longest header that is believed: a file without one must not be read to its end in search.
+const MAX_HEADER_BYTES: usize = 64 << 10;
+
+/// OctoMap's own clamps: logit(0.1192) and logit(0.971).
+pub(crate) fn octomap_clamps() -> (f32, f32) {
+    (
+        log_odds_from_probability(0.1192) as f32,
+        log_odds_from_probability(0.971) as f32,
+    )
+}
+
+/// Fields of a header that matter.
+pub(crate) struct Header {
+    pub id: String,
+    pub size: u64,
+    pub resolution: f64,
+}
+
+/// Writes the header with the first line `title`.
+pub(crate) fn write(
+    out: &mut impl Write,
+    title: &str,
+    nodes: usize,
+    resolution: f64,
+) -> Result<(), MapError> {
+    write!(
+        out,
+        "{title}\n# (feel free to add / change comments, but leave the first line as it is!)\n#\n\
+         id OcTree\nsize {nodes}\nres {resolution}\ndata\n"
+    )
+    .map_err(|source| MapError::Io {
+        action: "writing the map header",
+        source,
+    })
+}
+
+/// Reads up to and including the line `data`.
+pub(crate) fn read(
+    input: &mut impl Read,
+    title: &str,
+    format: &'static str,
+) -> Result<Header, MapError> {
+    let mut budget = MAX_HEADER_BYTES;
+    let first = read_line(input, format, &mut budget)?;
+    if first.trim_end() != title {
+        return Err(MapError::format(
+            format,
+            format!("the first line is {first:?}, expected {title:?}"),
+        ));
+    }
+    let mut header = Header {
+        id: String::new(),
+        size: 0,
+        resolution: 0.0,
+    };
+    loop {
+        let line = read_line(input, format, &mut budget)?;
+        let mut words = line.split_whitespace();
+        let (key, value) = (words.next().unwrap_or("#"), words.next().unwrap_or(""));
+        let bad = || MapError::format(format, format!("header line {line:?} has no usable value"));
+        match key {
+            "data" => break,
+            "id" => value.clone_into(&mut header.id),
+            "size" => header.size = value.parse().map_err(|_| bad())?,
+            "res" => header.resolution = value.parse().map_err(|_| bad())?,
+            // Comments and fields of later versions.
+            _ => {}
+        }
+    }
+    if !(header.resolution.is_finite() && header.resolution > 0.0) {
+        return Err(MapError::format(
+            format,
+            format!("resolution {} is not positive", header.resolution),
+        ));
+    }
+    Ok(header)
+}
+
+fn read_line(
+    input: &mut impl Read,
+    format: &'static str,
+    budget: &mut usize,
+) -> Result<String, MapError> {
+    let mut line = Vec::new();
+    loop {
+        let [byte] = read_array::<1>(input, format)?;
+        if byte == b'\n' {
+            return Ok(String::from_utf8_lossy(&line).into_owned());
+        }
+        if *budget == 0 {
+            return Err(MapError::format(format, "the header has no line \"data\""));
+        }
+        *budget -= 1;
+        line.push(byte);
+    }
+}
+
+/// Exactly `N` bytes; a short file is a format error, not an I/O error.
+pub(crate) fn read_array<const N: usize>(
+    input: &mut impl Read,
+    format: &'static str,
+) -> Result<[u8; N], MapError> {
+    let mut bytes = [0; N];
+    input.read_exact(&mut bytes).map_err(|source| {
+        if source.kind() == ErrorKind::UnexpectedEof {
+            MapError::format(format, "the file ends in the middle of the tree")
+        } else {
+            MapError::Io {
+                action: "reading the map",
+                source,
+            }
+        }
+    })?;
+    Ok(bytes)
+}
+
+/// An empty map with OctoMap's clamps for a file of the given resolution.
+pub(crate) fn empty_map(
+    resolution: f64,
+    memory_budget_bytes: usize,
+) -> Result<OccupancyMap, MapError> {
+    let (clamp_min, clamp_max) = octomap_clamps();
+    OccupancyMap::new(MapConfig {
+        resolution,
+        clamp_min,
+        clamp_max,
+        memory_budget_bytes,
+        ..MapConfig::default()
+    })
+}
+
+/// A node of a tree that is being read: its first cell and its depth.
+#[derive(Clone, Copy)]
+pub(crate) struct Cube {
+    pub first: VoxelKey,
+    pub depth: u32,
+}
+
+impl Cube {
+    pub(crate) const ROOT: Self = Self {
+        first: VoxelKey::new(-32768, -32768, -32768),
+        depth: 0,
+    };
+
+    pub(crate) fn edge_cells(self) -> i32 {
+        1 << (TREE_DEPTH - self.depth)
+    }
+
+    pub(crate) fn child(self, octant: i32) -> Self {
+        let half = self.edge_cells() / 2;
+        Self {
+            first: VoxelKey::new(
+                self.first.x + (octant & 1) * half,
+                self.first.y + (octant >> 1 & 1) * half,
+                self.first.z + (octant >> 2) * half,
+            ),
+            depth: self.depth + 1,
+        }
+    }
+
+    /// Writes a leaf into the map.
+    pub(crate) fn fill(self, map: &mut OccupancyMap, log_odds: f32) -> Result<(), MapError> {
+        let value = evidence_from_log_odds(f64::from(log_odds));
+        let edge = self.edge_cells();
+        if edge < BRICK_EDGE {
+            return map.fill_cells(self.first, edge, value);
+        }
+        let bricks = (edge / BRICK_EDGE) as usize;
+        map.check_budget(bricks.pow(3), 0)?;
+        let first = self.first.brick();
+        for x in 0..bricks as i32 {
+            for y in 0..bricks as i32 {
+                for z in 0..bricks as i32 {
+                    let key = BrickKey::new(first.x + x, first.y + y, first.z + z);
+                    map.set_brick_uniform(key, value);
+                }
+            }
+        }
+        Ok(())
+    }
+}

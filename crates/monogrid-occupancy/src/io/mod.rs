@@ -1,0 +1,12 @@
+//! Map files: OctoMap's `.ot` and `.bt`, point clouds, and the crate's own compact format.
+
+pub(crate) mod bt;
+pub(crate) mod cloud;
+pub(crate) mod header;
+pub(crate) mod ot;
+pub(crate) mod save;
+
+pub use bt::{read_bt, write_bt};
+pub use cloud::{write_pcd, write_ply};
+pub use ot::{read_ot, write_ot};
+pub use save::save_atomically;

@@ -1,0 +1,187 @@
+//! Addresses of cells and bricks.
+//!
+//! Cell `k` covers `[k * resolution, (k + 1) * resolution)` on each axis, negative indices
+//! included, exactly as in OctoMap. A brick is a cube of 8 x 8 x 8 cells.
+
+/// Cells along one edge of a brick.
+pub const BRICK_EDGE: i32 = 8;
+/// Cells in a brick.
+pub const BRICK_CELLS: usize = 512;
+/// Bricks exist for indices in `-BRICK_LIMIT..BRICK_LIMIT` on each axis.
+pub const BRICK_LIMIT: i32 = 1 << 20;
+
+/// Integer address of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct VoxelKey {
+    /// Index along x.
+    pub x: i32,
+    /// Index along y.
+    pub y: i32,
+    /// Index along z.
+    pub z: i32,
+}
+
+impl VoxelKey {
+    /// A key from its three indices.
+    #[must_use]
+    pub const fn new(x: i32, y: i32, z: i32) -> Self {
+        Self { x, y, z }
+    }
+
+    /// The cell that holds `point_in_map`; `None` for a point that is not finite or lies beyond
+    /// the addressable range of 8.4 million cells from the origin.
+    #[must_use]
+    #[inline]
+    pub fn from_point(point_in_map: [f64; 3], inv_resolution: f64) -> Option<Self> {
+        let scaled = point_in_map.map(|c| (c * inv_resolution).floor());
+        let limit = f64::from(BRICK_LIMIT * BRICK_EDGE);
+        // Written so that NaN fails.
+        let inside = scaled.iter().all(|&c| c >= -limit && c < limit);
+        inside.then(|| Self::new(scaled[0] as i32, scaled[1] as i32, scaled[2] as i32))
+    }
+
+    /// Centre of the cell in map coordinates.
+    #[must_use]
+    #[inline]
+    pub fn center(self, resolution: f64) -> [f64; 3] {
+        [self.x, self.y, self.z].map(|i| (f64::from(i) + 0.5) * resolution)
+    }
+
+    /// The brick that holds this cell.
+    #[must_use]
+    #[inline]
+    pub const fn brick(self) -> BrickKey {
+        BrickKey {
+            x: self.x >> 3,
+            y: self.y >> 3,
+            z: self.z >> 3,
+        }
+    }
+
+    /// Position inside the brick: x fastest, then y, then z.
+    #[must_use]
+    #[inline]
+    pub const fn index_in_brick(self) -> usize {
+        ((self.x & 7) | ((self.y & 7) << 3) | ((self.z & 7) << 6)) as usize
+    }
+
+    /// The indices as an array.
+    #[must_use]
+    pub const fn to_array(self) -> [i32; 3] {
+        [self.x, self.y, self.z]
+    }
+
+    /// A key from an array of indices.
+    #[must_use]
+    pub const fn from_array(indices: [i32; 3]) -> Self {
+        Self::new(indices[0], indices[1], indices[2])
+    }
+}
+
+/// Integer address of a brick: the address of its cells divided by 8, rounded down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BrickKey {
+    /// Index along x.
+    pub x: i32,
+    /// Index along y.
+    pub y: i32,
+    /// Index along z.
+    pub z: i32,
+}
+
+impl BrickKey {
+    /// A key from its three indices.
+    #[must_use]
+    pub const fn new(x: i32, y: i32, z: i32) -> Self {
+        Self { x, y, z }
+    }
+
+    /// The cell of the brick with the smallest indices.
+    #[must_use]
+    #[inline]
+    pub const fn first_cell(self) -> VoxelKey {
+        VoxelKey::new(
+            self.x * BRICK_EDGE,
+            self.y * BRICK_EDGE,
+            self.z * BRICK_EDGE,
+        )
+    }
+
+    /// The cell at position `index` (see [`VoxelKey::index_in_brick`]).
+    #[must_use]
+    #[inline]
+    pub const fn cell(self, index: usize) -> VoxelKey {
+        let first = self.first_cell();
+        let index = index as i32;
+        VoxelKey::new(
+            first.x + (index & 7),
+            first.y + ((index >> 3) & 7),
+            first.z + (index >> 6),
+        )
+    }
+
+    /// Whether the brick can be addressed at all.
+    #[must_use]
+    pub fn is_addressable(self) -> bool {
+        [self.x, self.y, self.z]
+            .iter()
+            .all(|c| (-BRICK_LIMIT..BRICK_LIMIT).contains(c))
+    }
+
+    /// 21 bits per axis, x highest: the order of packed keys is that of `(x, y, z)`.
+    #[must_use]
+    #[inline]
+    pub fn pack(self) -> u64 {
+        let biased = |c: i32| (c + BRICK_LIMIT) as u64 & 0x1f_ffff;
+        (biased(self.x) << 42) | (biased(self.y) << 21) | biased(self.z)
+    }
+
+    /// The inverse of [`BrickKey::pack`].
+    #[must_use]
+    #[inline]
+    pub const fn unpack(packed: u64) -> Self {
+        Self {
+            x: ((packed >> 42) & 0x1f_ffff) as i32 - BRICK_LIMIT,
+            y: ((packed >> 21) & 0x1f_ffff) as i32 - BRICK_LIMIT,
+            z: (packed & 0x1f_ffff) as i32 - BRICK_LIMIT,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_lie_on_multiples_of_the_resolution_on_both_sides_of_zero() {
+        let key = |x: f64| VoxelKey::from_point([x, 0.0, 0.0], 10.0).map(|k| k.x);
+        assert_eq!(key(0.05), Some(0));
+        assert_eq!(key(-0.05), Some(-1));
+        assert_eq!(key(-0.1), Some(-1));
+        assert_eq!(key(0.1), Some(1));
+        assert_eq!(key(f64::NAN), None);
+        assert_eq!(key(1e9), None);
+    }
+
+    #[test]
+    fn packing_keeps_key_and_order_for_negative_indices() {
+        let keys = [
+            BrickKey::new(-BRICK_LIMIT, 0, BRICK_LIMIT - 1),
+            BrickKey::new(-1, -1, -1),
+            BrickKey::new(-1, 0, -5),
+            BrickKey::new(0, -7, 3),
+            BrickKey::new(0, 0, 0),
+            BrickKey::new(5, -2, BRICK_LIMIT - 1),
+        ];
+        for pair in keys.windows(2) {
+            assert!(pair[0].pack() < pair[1].pack(), "{pair:?}");
+        }
+        for key in keys {
+            assert_eq!(BrickKey::unpack(key.pack()), key);
+            for index in [0, 1, 8, 64, 511] {
+                let cell = key.cell(index);
+                assert_eq!((cell.brick(), cell.index_in_brick()), (key, index));
+            }
+        }
+    }
+}

@@ -1,0 +1,391 @@
+//! The occupancy map: configuration, single cells, facts about the whole.
+
+use crate::error::MapError;
+use crate::evidence::{Limits, Occupancy, UNKNOWN, evidence_from_log_odds, log_odds_from_evidence};
+use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
+use crate::storage::{BrickRef, SHARDS, Shard, hash, shard_of};
+
+/// Settings of a map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapConfig {
+    /// Edge of a cell in map units, positive. Default 0.05.
+    pub resolution: f64,
+    /// Lowest stored log-odds, in [-7.99, 0). Default -2, as OctoMap (p = 0.1192).
+    pub clamp_min: f32,
+    /// Highest stored log-odds, in (0, 7.99]. Default 3.5 (p = 0.971).
+    pub clamp_max: f32,
+    /// Cells at least this likely are occupied, in (0, 1). Default 0.5.
+    pub occupancy_threshold: f64,
+    /// Most bytes that the map may allocate; changes that could need more fail before they touch
+    /// the map. Default 8 GiB.
+    pub memory_budget_bytes: usize,
+}
+
+impl Default for MapConfig {
+    fn default() -> Self {
+        Self {
+            resolution: 0.05,
+            clamp_min: -2.0,
+            clamp_max: 3.5,
+            occupancy_threshold: 0.5,
+            memory_budget_bytes: 8 << 30,
+        }
+    }
+}
+
+impl MapConfig {
+    /// The defaults with cells of edge `resolution`.
+    #[must_use]
+    pub fn with_resolution(resolution: f64) -> Self {
+        Self {
+            resolution,
+            ..Self::default()
+        }
+    }
+}
+
+/// A sparse probabilistic voxel map.
+///
+/// Cells are addressed by map coordinates (any unit) or by [`VoxelKey`]. A cell is unknown until
+/// its first update; after that it holds log-odds in steps of 1/4096, clamped when written.
+#[derive(Clone, Debug)]
+pub struct OccupancyMap {
+    config: MapConfig,
+    pub(crate) inv_resolution: f64,
+    pub(crate) limits: Limits,
+    pub(crate) shards: Vec<Shard>,
+    pub(crate) revision: u32,
+}
+
+impl OccupancyMap {
+    /// An empty map.
+    ///
+    /// # Errors
+    /// A field of `config` outside its documented range.
+    pub fn new(config: MapConfig) -> Result<Self, MapError> {
+        let resolution = config.resolution;
+        if !(resolution.is_finite() && resolution > 1e-9 && resolution < 1e9) {
+            return Err(MapError::Resolution { value: resolution });
+        }
+        let limits = Limits::new(
+            config.clamp_min,
+            config.clamp_max,
+            config.occupancy_threshold,
+        )?;
+        Ok(Self {
+            inv_resolution: 1.0 / resolution,
+            limits,
+            shards: vec![Shard::default(); SHARDS],
+            revision: 0,
+            config,
+        })
+    }
+
+    /// The settings that the map was made with.
+    #[must_use]
+    pub fn config(&self) -> &MapConfig {
+        &self.config
+    }
+
+    /// Edge of a cell in map units.
+    #[must_use]
+    pub fn resolution(&self) -> f64 {
+        self.config.resolution
+    }
+
+    /// The cell that holds a point; `None` if the point is not finite or out of range.
+    #[must_use]
+    pub fn key(&self, point_in_map: [f64; 3]) -> Option<VoxelKey> {
+        VoxelKey::from_point(point_in_map, self.inv_resolution)
+    }
+
+    /// What is known about the cell that holds a point.
+    #[must_use]
+    #[inline]
+    pub fn state(&self, point_in_map: [f64; 3]) -> Occupancy {
+        VoxelKey::from_point(point_in_map, self.inv_resolution)
+            .map_or(Occupancy::Unknown, |key| self.state_of(key))
+    }
+
+    /// What is known about a cell.
+    #[must_use]
+    #[inline]
+    pub fn state_of(&self, key: VoxelKey) -> Occupancy {
+        self.limits.occupancy(self.evidence(key))
+    }
+
+    /// Log-odds of the cell that holds a point; `None` if unknown.
+    #[must_use]
+    pub fn log_odds(&self, point_in_map: [f64; 3]) -> Option<f32> {
+        self.log_odds_of(self.key(point_in_map)?)
+    }
+
+    /// Log-odds of a cell; `None` if unknown.
+    #[must_use]
+    pub fn log_odds_of(&self, key: VoxelKey) -> Option<f32> {
+        let value = self.evidence(key);
+        (value != UNKNOWN).then(|| log_odds_from_evidence(value))
+    }
+
+    /// Stored evidence of a cell, or [`UNKNOWN`].
+    #[inline]
+    pub(crate) fn evidence(&self, key: VoxelKey) -> i16 {
+        let packed = key.brick().pack();
+        let hash = hash(packed);
+        let shard = &self.shards[shard_of(hash)];
+        shard
+            .find(packed, hash)
+            .map_or(UNKNOWN, |slot| shard.value(slot, key.index_in_brick()))
+    }
+
+    /// Contents of a brick; uniform unknown if it was never touched.
+    #[inline]
+    pub(crate) fn brick(&self, key: BrickKey) -> BrickRef {
+        let packed = key.pack();
+        let hash = hash(packed);
+        let shard = &self.shards[shard_of(hash)];
+        shard
+            .find(packed, hash)
+            .map_or(BrickRef::Uniform(UNKNOWN), |slot| shard.contents(slot))
+    }
+
+    /// Evidence of the 512 cells of a brick.
+    pub(crate) fn brick_values(&self, key: BrickKey) -> [i16; BRICK_CELLS] {
+        let packed = key.pack();
+        match self.brick(key) {
+            BrickRef::Uniform(value) => [value; BRICK_CELLS],
+            BrickRef::Mixed(payload) => *self.shards[shard_of(hash(packed))].payload(payload),
+        }
+    }
+
+    /// Sets the log-odds of a cell (`None`: unknown), saturating only at the storable range of
+    /// about +-8, not at the clamps.
+    ///
+    /// # Errors
+    /// The memory budget is exhausted.
+    pub fn set_log_odds(&mut self, key: VoxelKey, log_odds: Option<f32>) -> Result<(), MapError> {
+        let value = log_odds.map_or(UNKNOWN, |l| evidence_from_log_odds(f64::from(l)));
+        self.modify(key, |_| value)
+    }
+
+    /// Adds log-odds to a cell and clamps, as OctoMap's `updateNode`.
+    ///
+    /// # Errors
+    /// The memory budget is exhausted.
+    pub fn add_log_odds(&mut self, key: VoxelKey, log_odds: f32) -> Result<(), MapError> {
+        let limits = self.limits;
+        let delta = evidence_from_log_odds(f64::from(log_odds));
+        self.modify(key, |value| limits.updated(value, delta))
+    }
+
+    fn modify(&mut self, key: VoxelKey, change: impl Fn(i16) -> i16) -> Result<(), MapError> {
+        if !key.brick().is_addressable() {
+            return Ok(());
+        }
+        let packed = key.brick().pack();
+        let hash = hash(packed);
+        let shard = &mut self.shards[shard_of(hash)];
+        let old = shard
+            .find(packed, hash)
+            .map_or(UNKNOWN, |slot| shard.value(slot, key.index_in_brick()));
+        let new = change(old);
+        if new == old {
+            return Ok(());
+        }
+        self.check_budget(1, 1)?;
+        self.revision += 1;
+        let shard = &mut self.shards[shard_of(hash)];
+        let slot = shard.find_or_insert(packed, hash);
+        shard.payload_mut(slot).0[key.index_in_brick()] = new;
+        shard.touch(slot, self.revision);
+        // A brick can only have become uniform if its other corner agrees: spares the scan.
+        if shard.value(slot, 0) == new && shard.value(slot, BRICK_CELLS - 1) == new {
+            shard.collapse(slot);
+        }
+        Ok(())
+    }
+
+    /// Replaces all cells of a brick.
+    pub(crate) fn set_brick(&mut self, key: BrickKey, values: &[i16; BRICK_CELLS]) {
+        let packed = key.pack();
+        let hash = hash(packed);
+        let shard = &mut self.shards[shard_of(hash)];
+        let slot = shard.find_or_insert(packed, hash);
+        shard.payload_mut(slot).0 = *values;
+        shard.collapse(slot);
+        shard.touch(slot, self.revision);
+    }
+
+    /// Makes a cube of `edge` cells (1, 2 or 4, aligned to its edge) equal.
+    pub(crate) fn fill_cells(
+        &mut self,
+        first: VoxelKey,
+        edge: i32,
+        value: i16,
+    ) -> Result<(), MapError> {
+        let packed = first.brick().pack();
+        let hash = hash(packed);
+        if let BrickRef::Uniform(_) = self.brick(first.brick()) {
+            self.check_budget(1, 1)?;
+        }
+        let shard = &mut self.shards[shard_of(hash)];
+        let slot = shard.find_or_insert(packed, hash);
+        let cells = shard.payload_mut(slot);
+        for z in 0..edge {
+            for y in 0..edge {
+                for x in 0..edge {
+                    let cell = VoxelKey::new(first.x + x, first.y + y, first.z + z);
+                    cells.0[cell.index_in_brick()] = value;
+                }
+            }
+        }
+        if cells.0[0] == value && cells.0[BRICK_CELLS - 1] == value {
+            shard.collapse(slot);
+        }
+        shard.touch(slot, self.revision + 1);
+        Ok(())
+    }
+
+    /// Makes all cells of a brick equal.
+    pub(crate) fn set_brick_uniform(&mut self, key: BrickKey, value: i16) {
+        let packed = key.pack();
+        let hash = hash(packed);
+        let shard = &mut self.shards[shard_of(hash)];
+        let slot = shard.find_or_insert(packed, hash);
+        shard.set_uniform(slot, value);
+        shard.touch(slot, self.revision);
+    }
+
+    /// Fails if the map could exceed its budget after gaining bricks and payloads.
+    pub(crate) fn check_budget(
+        &self,
+        new_bricks: usize,
+        new_payloads: usize,
+    ) -> Result<(), MapError> {
+        // A directory can double when it grows, and the old half is alive while it does.
+        let per_brick = Shard::SLOT_BYTES * 4;
+        let growth = new_bricks
+            .saturating_mul(per_brick)
+            .saturating_add(new_payloads.saturating_mul(BRICK_CELLS * size_of::<i16>()));
+        // Cheap way out of adding up the shards for single cells.
+        let needed_bytes = self.bytes_in_memory().saturating_add(growth);
+        if needed_bytes > self.config.memory_budget_bytes {
+            return Err(MapError::MemoryBudget {
+                needed_bytes,
+                budget_bytes: self.config.memory_budget_bytes,
+            });
+        }
+        Ok(())
+    }
+
+    /// Changes with every modification; see [`OccupancyMap::bricks_changed_since`].
+    #[must_use]
+    pub fn revision(&self) -> u32 {
+        self.revision
+    }
+
+    /// Bricks that hold at least one known cell, in the order of their keys.
+    #[must_use]
+    pub fn bricks(&self) -> Vec<BrickKey> {
+        self.sorted_bricks(|_, contents| contents != BrickRef::Uniform(UNKNOWN))
+    }
+
+    /// Bricks changed after `revision`, in the order of their keys, those that became unknown
+    /// included: what has to be published again.
+    #[must_use]
+    pub fn bricks_changed_since(&self, revision: u32) -> Vec<BrickKey> {
+        self.sorted_bricks(|changed, _| changed > revision)
+    }
+
+    fn sorted_bricks(&self, keep: impl Fn(u32, BrickRef) -> bool) -> Vec<BrickKey> {
+        let mut packed: Vec<u64> = self
+            .shards
+            .iter()
+            .flat_map(Shard::bricks)
+            .filter(|(_, revision, contents)| keep(*revision, *contents))
+            .map(|(key, _, _)| key)
+            .collect();
+        packed.sort_unstable();
+        packed.into_iter().map(BrickKey::unpack).collect()
+    }
+
+    /// Bytes allocated for bricks and directories.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> usize {
+        size_of::<Self>()
+            + self.shards.len() * size_of::<Shard>()
+            + self.shards.iter().map(Shard::bytes).sum::<usize>()
+    }
+
+    /// Number of bricks that hold their own 512 values, and of all bricks.
+    #[must_use]
+    pub fn brick_counts(&self) -> (usize, usize) {
+        (
+            self.shards.iter().map(Shard::payloads).sum(),
+            self.shards.iter().map(Shard::len).sum(),
+        )
+    }
+
+    /// Smallest box of cells, first and last inclusive, that holds every known cell.
+    #[must_use]
+    pub fn key_bounds(&self) -> Option<(VoxelKey, VoxelKey)> {
+        let bricks = self.bricks();
+        let first = bricks.first()?;
+        let mut low = first.first_cell().to_array().map(|_| i32::MAX);
+        let mut high = low.map(|_| i32::MIN);
+        let mut extend = |cell: VoxelKey| {
+            for (axis, c) in cell.to_array().into_iter().enumerate() {
+                low[axis] = low[axis].min(c);
+                high[axis] = high[axis].max(c);
+            }
+        };
+        for key in bricks {
+            match self.brick(key) {
+                BrickRef::Uniform(_) => {
+                    extend(key.first_cell());
+                    extend(key.cell(BRICK_CELLS - 1));
+                }
+                BrickRef::Mixed(_) => {
+                    let values = self.brick_values(key);
+                    (0..BRICK_CELLS)
+                        .filter(|&i| values[i] != UNKNOWN)
+                        .for_each(|i| extend(key.cell(i)));
+                }
+            }
+        }
+        Some((VoxelKey::from_array(low), VoxelKey::from_array(high)))
+    }
+
+    /// Smallest box in map coordinates that holds every known cell; `None` for an empty map.
+    #[must_use]
+    pub fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
+        let (low, high) = self.key_bounds()?;
+        let resolution = self.resolution();
+        Some((
+            low.to_array().map(|c| f64::from(c) * resolution),
+            high.to_array().map(|c| f64::from(c + 1) * resolution),
+        ))
+    }
+
+    /// Whether no cell is known.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.shards
+            .iter()
+            .flat_map(Shard::bricks)
+            .all(|(_, _, contents)| contents == BrickRef::Uniform(UNKNOWN))
+    }
+}
+
+/// Maps are equal when every cell has the same evidence and cells have the same size; history,
+/// revisions and spare memory do not count.
+impl PartialEq for OccupancyMap {
+    fn eq(&self, other: &Self) -> bool {
+        self.resolution().to_bits() == other.resolution().to_bits()
+            && self.bricks() == other.bricks()
+            && self
+                .bricks()
+                .into_iter()
+                .all(|key| self.brick_values(key) == other.brick_values(key))
+    }
+}

@@ -1,0 +1,6 @@
+//! Questions to a map: cells in a box, rays, collisions, distances, projections.
+
+pub(crate) mod batch;
+pub(crate) mod cast;
+pub(crate) mod cells;
+pub(crate) mod collide;

@@ -1,0 +1,360 @@
+//! What is put into a map: range measurements from one place, with their uncertainty.
+
+use crate::error::MapError;
+
+/// A similarity transform: `x_in_world = scale * rotation * x_in_sensor + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Similarity {
+    /// World units per sensor unit, positive.
+    pub scale: f64,
+    /// Rows of the rotation matrix.
+    pub rotation: [[f64; 3]; 3],
+    /// In world units.
+    pub translation: [f64; 3],
+}
+
+impl Similarity {
+    /// The transform that changes nothing.
+    pub const IDENTITY: Self = Self {
+        scale: 1.0,
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [0.0; 3],
+    };
+
+    /// A transform from 3 x 4 rows `[R | t]` of scale 1, as scan files hold them.
+    #[must_use]
+    pub fn from_rigid_rows(rows: [[f64; 4]; 3]) -> Self {
+        Self {
+            scale: 1.0,
+            rotation: rows.map(|[a, b, c, _]| [a, b, c]),
+            translation: rows.map(|row| row[3]),
+        }
+    }
+
+    /// `rotation * v`.
+    #[must_use]
+    #[inline]
+    pub fn rotate(&self, v: [f64; 3]) -> [f64; 3] {
+        self.rotation
+            .map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+    }
+
+    /// The transformed point.
+    #[must_use]
+    #[inline]
+    pub fn transform(&self, point: [f64; 3]) -> [f64; 3] {
+        let rotated = self.rotate(point);
+        std::array::from_fn(|i| self.scale * rotated[i] + self.translation[i])
+    }
+
+    /// The inverse transform.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let r = self.rotation;
+        let rotation = std::array::from_fn(|i| std::array::from_fn(|j| r[j][i]));
+        let scale = 1.0 / self.scale;
+        let unscaled = Self {
+            scale,
+            rotation,
+            translation: [0.0; 3],
+        };
+        Self {
+            translation: unscaled.transform(self.translation).map(|t| -t),
+            ..unscaled
+        }
+    }
+
+    /// Whether all numbers are finite, the scale positive and the rotation orthonormal to 1e-3
+    /// with determinant 1.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        let r = &self.rotation;
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let orthonormal = (0..3)
+            .all(|i| (0..3).all(|j| (dot(r[i], r[j]) - f64::from(u8::from(i == j))).abs() < 1e-3));
+        let cross = [
+            r[0][1] * r[1][2] - r[0][2] * r[1][1],
+            r[0][2] * r[1][0] - r[0][0] * r[1][2],
+            r[0][0] * r[1][1] - r[0][1] * r[1][0],
+        ];
+        orthonormal
+            && dot(cross, r[2]) > 0.0
+            && self.scale.is_finite()
+            && self.scale > 0.0
+            && self.translation.iter().all(|t| t.is_finite())
+    }
+}
+
+/// Uncertainty of the sensor's pose relative to its neighbours, added to that of each range:
+/// `sigma^2 + translation^2 + (range * rotation_rad)^2`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseSigma {
+    /// Standard deviation of the position, in world units.
+    pub translation: f64,
+    /// Standard deviation of the direction, in radians.
+    pub rotation_rad: f64,
+}
+
+/// Points in the sensor frame, measured from its origin.
+#[derive(Clone, Copy, Debug)]
+pub struct PointScan<'a> {
+    /// End points, in sensor units.
+    pub points: &'a [[f32; 3]],
+    /// Standard deviation of each range in sensor units, or one value for all.
+    pub sigmas: &'a [f32],
+}
+
+/// One pixel of a semi-dense depth image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthPixel {
+    /// Column.
+    pub x: u16,
+    /// Row.
+    pub y: u16,
+    /// Inverse depth along the optical axis, 1 / sensor unit.
+    pub idepth: f32,
+    /// Standard deviation of the inverse depth.
+    pub sigma_idepth: f32,
+}
+
+/// A semi-dense depth image of a pinhole camera (x right, y down, z forward; the centre of the
+/// top-left pixel is (0, 0)).
+#[derive(Clone, Copy, Debug)]
+pub struct DepthScan<'a> {
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Focal length along x in pixels.
+    pub fx: f64,
+    /// Focal length along y in pixels.
+    pub fy: f64,
+    /// Principal point along x in pixels.
+    pub cx: f64,
+    /// Principal point along y in pixels.
+    pub cy: f64,
+    /// The pixels that have a depth.
+    pub pixels: &'a [DepthPixel],
+}
+
+/// The measurements of a scan.
+#[derive(Clone, Copy, Debug)]
+pub enum ScanData<'a> {
+    /// Arbitrary points around an origin (lidar, any depth camera).
+    Points(PointScan<'a>),
+    /// A pinhole depth image with holes.
+    Depth(DepthScan<'a>),
+}
+
+/// Measurements from one pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Scan<'a> {
+    /// Identity; scans of one map are taken in the order of their ids.
+    pub id: u32,
+    /// Pose of the sensor.
+    pub world_from_sensor: Similarity,
+    /// Uncertainty of that pose.
+    pub pose_sigma: PoseSigma,
+    /// The measurements.
+    pub data: ScanData<'a>,
+}
+
+/// What the standard deviation of an inverse depth is taken for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SigmaMode {
+    /// Propagated to the range: `kappa sigma_d / d^2`, kappa the ray's length per unit depth.
+    #[default]
+    Range,
+    /// Used as if it were a range, as the thesis may have done.
+    RawInverseDepth,
+}
+
+/// One usable measurement in the sensor frame and sensor units.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Measurement {
+    pub point: [f64; 3],
+    pub range: f64,
+    pub sigma: f64,
+}
+
+impl Scan<'_> {
+    /// Measurements, usable or not.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        match self.data {
+            ScanData::Points(scan) => scan.points.len(),
+            ScanData::Depth(scan) => scan.pixels.len(),
+        }
+    }
+
+    /// Whether there is no measurement at all.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Checks what would make every measurement meaningless.
+    ///
+    /// # Errors
+    /// An invalid pose, camera or pose uncertainty, or as many sigmas as neither 1 nor points.
+    pub fn validate(&self) -> Result<(), MapError> {
+        let fail = |reason: String| {
+            Err(MapError::Scan {
+                id: self.id,
+                reason,
+            })
+        };
+        if !self.world_from_sensor.is_valid() {
+            return fail(format!(
+                "world_from_sensor {:?} is not a finite similarity with positive scale",
+                self.world_from_sensor
+            ));
+        }
+        let PoseSigma {
+            translation,
+            rotation_rad,
+        } = self.pose_sigma;
+        if !(translation >= 0.0 && rotation_rad >= 0.0 && (translation + rotation_rad).is_finite())
+        {
+            return fail(format!(
+                "pose uncertainty {:?} is negative",
+                self.pose_sigma
+            ));
+        }
+        match self.data {
+            ScanData::Points(scan) => {
+                let (points, sigmas) = (scan.points.len(), scan.sigmas.len());
+                if sigmas != points && sigmas != 1 {
+                    return fail(format!(
+                        "{points} points have {sigmas} sigmas, expected 1 or all"
+                    ));
+                }
+            }
+            ScanData::Depth(scan) => {
+                let focal = scan.fx.is_normal() && scan.fy.is_normal();
+                if !(focal && scan.cx.is_finite() && scan.cy.is_finite()) {
+                    return fail(format!(
+                        "camera fx {} fy {} cx {} cy {} is not usable",
+                        scan.fx, scan.fy, scan.cx, scan.cy
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Measurement `index`; `None` if it is not finite, has no length or no uncertainty.
+    #[inline]
+    pub(crate) fn measurement(&self, index: usize, mode: SigmaMode) -> Option<Measurement> {
+        let (point, sigma) = match self.data {
+            ScanData::Points(scan) => {
+                let sigma = scan.sigmas[index.min(scan.sigmas.len() - 1)];
+                (scan.points[index].map(f64::from), f64::from(sigma))
+            }
+            ScanData::Depth(scan) => {
+                let pixel = scan.pixels[index];
+                let (d, sigma_d) = (f64::from(pixel.idepth), f64::from(pixel.sigma_idepth));
+                if d <= 0.0 {
+                    return None;
+                }
+                let ray = [
+                    (f64::from(pixel.x) - scan.cx) / scan.fx,
+                    (f64::from(pixel.y) - scan.cy) / scan.fy,
+                    1.0,
+                ];
+                let sigma = match mode {
+                    SigmaMode::Range => {
+                        let kappa = (ray[0] * ray[0] + ray[1] * ray[1] + 1.0).sqrt();
+                        kappa * sigma_d / (d * d)
+                    }
+                    SigmaMode::RawInverseDepth => sigma_d,
+                };
+                (ray.map(|c| c / d), sigma)
+            }
+        };
+        let range = (point[0] * point[0] + point[1] * point[1] + point[2] * point[2]).sqrt();
+        // Written so that NaN fails.
+        let usable = range > 1e-9 && range < 1e9 && sigma > 0.0 && sigma < 1e9;
+        usable.then_some(Measurement {
+            point,
+            range,
+            sigma,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_similarity_and_its_inverse_cancel() {
+        let (s, c) = 0.7_f64.sin_cos();
+        let world_from_sensor = Similarity {
+            scale: 2.5,
+            rotation: [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]],
+            translation: [1.0, -2.0, 3.0],
+        };
+        assert!(world_from_sensor.is_valid());
+        let point = [0.3, 4.0, -5.0];
+        let there = world_from_sensor.transform(point);
+        let back = world_from_sensor.inverse().transform(there);
+        for axis in 0..3 {
+            assert!((back[axis] - point[axis]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_range_of_a_pixel_has_the_sigma_of_its_inverse_depth_by_numeric_derivative() {
+        let range_at = |idepth: f32| {
+            let pixels = [DepthPixel {
+                x: 500,
+                y: 17,
+                idepth,
+                sigma_idepth: 0.01,
+            }];
+            let scan = Scan {
+                id: 0,
+                world_from_sensor: Similarity::IDENTITY,
+                pose_sigma: PoseSigma::default(),
+                data: ScanData::Depth(DepthScan {
+                    width: 640,
+                    height: 480,
+                    fx: 481.0,
+                    fy: 480.0,
+                    cx: 319.5,
+                    cy: 239.5,
+                    pixels: &pixels,
+                }),
+            };
+            scan.measurement(0, SigmaMode::Range).unwrap()
+        };
+        let step = 1e-3_f32;
+        let slope = (range_at(0.5 + step).range - range_at(0.5 - step).range) / (2e-3);
+        let sigma = range_at(0.5).sigma;
+        assert!(
+            (sigma + slope * 0.01).abs() < 1e-3 * sigma,
+            "{sigma} {slope}"
+        );
+    }
+
+    #[test]
+    fn unusable_measurements_are_none_and_unusable_scans_an_error() {
+        let points = [[f32::NAN, 0.0, 1.0], [0.0; 3], [0.0, 0.0, 2.0]];
+        let mut scan = Scan {
+            id: 3,
+            world_from_sensor: Similarity::IDENTITY,
+            pose_sigma: PoseSigma::default(),
+            data: ScanData::Points(PointScan {
+                points: &points,
+                sigmas: &[0.1],
+            }),
+        };
+        assert!(scan.validate().is_ok());
+        assert!(scan.measurement(0, SigmaMode::Range).is_none());
+        assert!(scan.measurement(1, SigmaMode::Range).is_none());
+        assert!(scan.measurement(2, SigmaMode::Range).is_some());
+        scan.world_from_sensor.scale = 0.0;
+        assert!(matches!(scan.validate(), Err(MapError::Scan { id: 3, .. })));
+    }
+}
