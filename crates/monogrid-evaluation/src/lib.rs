@@ -2,11 +2,14 @@
 //!
 //! * [`evaluate_trajectory`]: ATE and RPE as `evo` computes them, scale drift, coverage.
 //! * [`DepthEvaluator`]: inverse depth and the honesty of its variance.
+//! * [`truth_from_triangles`], [`truth_from_points`], [`truth_from_depth_images`]: ground-truth maps.
 #![deny(missing_docs)]
 
 mod depth;
+mod line;
 mod statistics;
 mod trajectory;
+mod truth;
 
 pub use depth::{
     DepthConfig, DepthError, DepthEstimate, DepthEvaluator, DepthReport, DepthShares,
@@ -16,4 +19,8 @@ pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use trajectory::{
     PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,
     TrajectoryError, TrajectoryReport, WindowScale, evaluate_trajectory,
+};
+pub use truth::{
+    CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid,
+    truth_from_depth_images, truth_from_points, truth_from_triangles,
 };

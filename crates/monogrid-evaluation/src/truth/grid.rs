@@ -1,0 +1,269 @@
+//! A dense box of cells that are occupied, free or unknown, two bits each.
+
+use super::TruthError;
+use monogrid_occupancy::{MapConfig, MapError, Occupancy, OccupancyMap, VoxelKey};
+
+/// Two-bit codes. `CLOSED` exists only while holes are closed.
+pub(crate) const UNKNOWN: u8 = 0;
+pub(crate) const FREE: u8 = 1;
+pub(crate) const OCCUPIED: u8 = 2;
+pub(crate) const CLOSED: u8 = 3;
+
+/// A ground-truth map: a box of cells of edge `resolution`, cell `k` covering
+/// `[k * resolution, (k + 1) * resolution)` on each axis. Outside the box everything is unknown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TruthGrid {
+    resolution: f64,
+    first: [i32; 3],
+    size: [usize; 3],
+    /// Four cells per byte, x fastest; every row of cells starts at a byte.
+    bytes: Vec<u8>,
+    row_bytes: usize,
+}
+
+/// How many cells are in which state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct CellCounts {
+    /// Known to be free.
+    pub free: u64,
+    /// Known to be occupied.
+    pub occupied: u64,
+    /// Not known.
+    pub unknown: u64,
+}
+
+impl TruthGrid {
+    /// A grid of unknown cells from `first` to `last`, both inclusive.
+    ///
+    /// # Errors
+    /// A resolution that is not positive, an empty box, or more than `max_cells` cells.
+    pub fn new(
+        resolution: f64,
+        first: [i32; 3],
+        last: [i32; 3],
+        max_cells: u64,
+    ) -> Result<Self, TruthError> {
+        if !(resolution.is_finite() && resolution > 0.0) {
+            return Err(TruthError::Resolution { value: resolution });
+        }
+        let edges: [i64; 3] = std::array::from_fn(|a| i64::from(last[a]) - i64::from(first[a]) + 1);
+        if edges.iter().any(|e| *e <= 0) {
+            return Err(TruthError::EmptyBox { first, last });
+        }
+        let cells = edges.iter().fold(1_u64, |n, e| n.saturating_mul(*e as u64));
+        if cells > max_cells {
+            return Err(TruthError::TooManyCells { cells, max_cells });
+        }
+        let size = edges.map(|e| e as usize);
+        let row_bytes = size[0].div_ceil(4);
+        Ok(Self {
+            resolution,
+            first,
+            size,
+            bytes: vec![0; row_bytes * size[1] * size[2]],
+            row_bytes,
+        })
+    }
+
+    /// Edge of a cell.
+    #[must_use]
+    pub fn resolution(&self) -> f64 {
+        self.resolution
+    }
+
+    /// Key of the first cell of the box.
+    #[must_use]
+    pub fn first_key(&self) -> [i32; 3] {
+        self.first
+    }
+
+    /// Cells along x, y and z.
+    #[must_use]
+    pub fn size(&self) -> [usize; 3] {
+        self.size
+    }
+
+    /// The cell that holds a point, whether it is in the box or not; `None` when it is not finite.
+    #[must_use]
+    pub fn key(&self, point_in_map: [f64; 3]) -> Option<[i32; 3]> {
+        VoxelKey::from_point(point_in_map, 1.0 / self.resolution).map(VoxelKey::to_array)
+    }
+
+    /// Centre of a cell.
+    #[must_use]
+    pub fn center(&self, key: [i32; 3]) -> [f64; 3] {
+        VoxelKey::from_array(key).center(self.resolution)
+    }
+
+    /// What is true of a cell; unknown outside the box.
+    #[must_use]
+    pub fn state(&self, key: [i32; 3]) -> Occupancy {
+        match self.local(key).map(|cell| self.code(cell)) {
+            Some(FREE) => Occupancy::Free,
+            Some(OCCUPIED) => Occupancy::Occupied,
+            _ => Occupancy::Unknown,
+        }
+    }
+
+    /// Sets a cell; does nothing outside the box.
+    pub fn set(&mut self, key: [i32; 3], state: Occupancy) {
+        if let Some(cell) = self.local(key) {
+            self.set_code(cell, code_of(state));
+        }
+    }
+
+    /// Number of cells in each state.
+    #[must_use]
+    pub fn counts(&self) -> CellCounts {
+        let mut counts = CellCounts::default();
+        for z in 0..self.size[2] {
+            let layer = self.layer_counts(z);
+            counts.free += layer.free;
+            counts.occupied += layer.occupied;
+            counts.unknown += layer.unknown;
+        }
+        counts
+    }
+
+    /// Number of cells in each state in one layer of constant z, counted from the first.
+    #[must_use]
+    pub(crate) fn layer_counts(&self, z: usize) -> CellCounts {
+        let begin = z * self.size[1] * self.row_bytes;
+        let layer = &self.bytes[begin..begin + self.size[1] * self.row_bytes];
+        let (mut free, mut occupied) = (0_u64, 0_u64);
+        for byte in layer {
+            // Padding cells are unknown; closed cells never survive a fill.
+            free += u64::from((byte & 0x55).count_ones());
+            occupied += u64::from((byte & 0xaa).count_ones());
+        }
+        let cells = (self.size[0] * self.size[1]) as u64;
+        CellCounts {
+            free,
+            occupied,
+            unknown: cells - free - occupied,
+        }
+    }
+
+    /// Keys of all cells in `state`, z slowest, x fastest.
+    pub fn keys_in(&self, state: Occupancy) -> impl Iterator<Item = [i32; 3]> + '_ {
+        let wanted = code_of(state);
+        self.cells()
+            .filter(move |cell| self.code(*cell) == wanted)
+            .map(|cell| self.global(cell))
+    }
+
+    /// The grid of cells `factor` times as large, aligned to multiples of their edge: occupied where
+    /// any cell is, else free where any is.
+    ///
+    /// # Errors
+    /// A factor of zero.
+    pub fn coarsened(&self, factor: u32) -> Result<Self, TruthError> {
+        let Some(divisor) = i32::try_from(factor).ok().filter(|f| *f > 0) else {
+            return Err(TruthError::Factor { factor });
+        };
+        let last: [i32; 3] = std::array::from_fn(|a| self.first[a] + self.size[a] as i32 - 1);
+        let mut coarse = Self::new(
+            self.resolution * f64::from(factor),
+            self.first.map(|k| k.div_euclid(divisor)),
+            last.map(|k| k.div_euclid(divisor)),
+            u64::MAX,
+        )?;
+        for cell in self.cells() {
+            let code = self.code(cell);
+            if code == UNKNOWN {
+                continue;
+            }
+            let key = self.global(cell).map(|k| k.div_euclid(divisor));
+            let target = [0, 1, 2].map(|a| (key[a] - coarse.first[a]) as usize);
+            if coarse.code(target) < code {
+                coarse.set_code(target, code);
+            }
+        }
+        Ok(coarse)
+    }
+
+    /// The same cells as an occupancy map: free and occupied at its clamps.
+    ///
+    /// # Errors
+    /// The map does not fit its memory budget.
+    pub fn to_map(&self) -> Result<OccupancyMap, MapError> {
+        let config = MapConfig::with_resolution(self.resolution);
+        let (free, occupied) = (config.clamp_min, config.clamp_max);
+        let mut map = OccupancyMap::new(config)?;
+        for cell in self.cells() {
+            let log_odds = match self.code(cell) {
+                FREE => free,
+                OCCUPIED => occupied,
+                _ => continue,
+            };
+            map.set_log_odds(VoxelKey::from_array(self.global(cell)), Some(log_odds))?;
+        }
+        Ok(map)
+    }
+
+    /// The known cells of a map, by its own threshold.
+    ///
+    /// # Errors
+    /// A map without known cells, or one whose box holds more than `max_cells`.
+    pub fn from_map(map: &OccupancyMap, max_cells: u64) -> Result<Self, TruthError> {
+        let Some((first, last)) = map.key_bounds() else {
+            return Err(TruthError::NothingKnown);
+        };
+        let mut grid = Self::new(
+            map.resolution(),
+            first.to_array(),
+            last.to_array(),
+            max_cells,
+        )?;
+        for brick in map.bricks() {
+            for index in 0..monogrid_occupancy::BRICK_CELLS {
+                let key = brick.cell(index);
+                grid.set(key.to_array(), map.state_of(key));
+            }
+        }
+        Ok(grid)
+    }
+
+    pub(crate) fn local(&self, key: [i32; 3]) -> Option<[usize; 3]> {
+        let mut cell = [0; 3];
+        for axis in 0..3 {
+            let offset = i64::from(key[axis]) - i64::from(self.first[axis]);
+            if offset < 0 || offset >= self.size[axis] as i64 {
+                return None;
+            }
+            cell[axis] = offset as usize;
+        }
+        Some(cell)
+    }
+
+    pub(crate) fn global(&self, cell: [usize; 3]) -> [i32; 3] {
+        std::array::from_fn(|a| self.first[a] + cell[a] as i32)
+    }
+
+    /// All cells, z slowest, x fastest.
+    pub(crate) fn cells(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+        let [nx, ny, nz] = self.size;
+        (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
+    }
+
+    #[inline]
+    pub(crate) fn code(&self, [x, y, z]: [usize; 3]) -> u8 {
+        let byte = self.bytes[(z * self.size[1] + y) * self.row_bytes + (x >> 2)];
+        (byte >> ((x & 3) * 2)) & 3
+    }
+
+    #[inline]
+    pub(crate) fn set_code(&mut self, [x, y, z]: [usize; 3], code: u8) {
+        let byte = &mut self.bytes[(z * self.size[1] + y) * self.row_bytes + (x >> 2)];
+        let shift = (x & 3) * 2;
+        *byte = (*byte & !(3 << shift)) | (code << shift);
+    }
+}
+
+fn code_of(state: Occupancy) -> u8 {
+    match state {
+        Occupancy::Unknown => UNKNOWN,
+        Occupancy::Free => FREE,
+        Occupancy::Occupied => OCCUPIED,
+    }
+}
