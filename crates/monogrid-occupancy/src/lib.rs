@@ -38,6 +38,7 @@ mod map;
 mod octree;
 mod query;
 mod scan;
+mod scans_file;
 mod sensor;
 mod storage;
 
@@ -53,4 +54,5 @@ pub use query::cells::Cell;
 pub use scan::{
     DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };
+pub use scans_file::{ScansReader, StoredScan};
 pub use sensor::{AndertForm, Buffer, SensorModel, Significance, ThrunForm, normal_cdf};

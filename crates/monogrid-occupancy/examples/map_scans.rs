@@ -1,0 +1,108 @@
+//! Maps a `.scans` file and prints what it cost, comparable with `bench/octomap_baseline`.
+//!
+//! `cargo run --release -p monogrid-occupancy --example map_scans -- office.scans 0.032
+//!  [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [out=map.ot]`
+#![allow(clippy::print_stdout, reason = "an example program talks to its user")]
+
+use std::error::Error;
+use std::fs::File;
+use std::time::Instant;
+
+use monogrid_occupancy::*;
+
+struct Options {
+    input: String,
+    resolution: f64,
+    config: IntegrationConfig,
+    threads: usize,
+    scans: usize,
+    out: Option<String>,
+}
+
+fn parse() -> Result<Options, Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let usage = "usage: map_scans IN.scans RESOLUTION [key=value ...]";
+    let mut options = Options {
+        input: arguments.next().ok_or(usage)?,
+        resolution: arguments.next().ok_or(usage)?.parse()?,
+        config: IntegrationConfig::default(),
+        threads: 1,
+        scans: usize::MAX,
+        out: None,
+    };
+    for argument in arguments {
+        let (key, value) = argument.split_once('=').ok_or(usage)?;
+        match key {
+            "rule" if value == "rays" => options.config.rule = IntegrationRule::Rays,
+            "rule" if value == "fused" => options.config.rule = IntegrationRule::Fused,
+            "L" => {
+                options.config.model = SensorModel::Thrun {
+                    buffer: Buffer::Fixed(value.parse()?),
+                    form: ThrunForm::Exact,
+                }
+            }
+            "threads" => options.threads = value.parse()?,
+            "max_range" => options.config.max_range = value.parse()?,
+            "cutoff" => options.config.cutoff_log_odds = value.parse()?,
+            "update_min" => options.config.update_min = value.parse()?,
+            "scans" => options.scans = value.parse()?,
+            "out" => options.out = Some(value.to_owned()),
+            _ => return Err(format!("unknown option {argument}; {usage}").into()),
+        }
+    }
+    Ok(options)
+}
+
+/// CPU seconds of all threads of this process so far.
+fn cpu_seconds() -> Result<f64, Box<dyn Error>> {
+    let stat = std::fs::read_to_string("/proc/self/schedstat")?;
+    let own: f64 = stat.split(' ').next().ok_or("empty schedstat")?.parse()?;
+    // The first number is the main thread's; ended workers are only in the clock ticks of `stat`.
+    let stat = std::fs::read_to_string("/proc/self/stat")?;
+    let fields: Vec<&str> = stat
+        .rsplit(')')
+        .next()
+        .ok_or("bad stat")?
+        .split_whitespace()
+        .collect();
+    let ticks: f64 = fields[11].parse::<f64>()? + fields[12].parse::<f64>()?;
+    Ok((own * 1e-9).max(ticks / 100.0))
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let options = parse()?;
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(options.resolution))?;
+    let (mut points, mut wall, mut cpu) = (0, 0.0, 0.0);
+    for scan in ScansReader::new(File::open(&options.input)?)?.take(options.scans) {
+        let scan = scan?;
+        let (started, cpu_started) = (Instant::now(), cpu_seconds()?);
+        let report = integrate(&mut map, &scan.as_scan(), &options.config, options.threads)?;
+        wall += started.elapsed().as_secs_f64();
+        cpu += cpu_seconds()? - cpu_started;
+        points += report.points;
+    }
+    let (payloads, bricks) = map.brick_counts();
+    println!(
+        "RESULT peer=monogrid rule={:?} res={} threads={} points={points} wall={wall:.4} cpu={cpu:.4} \
+         cpu_per_100k={:.6} wall_per_100k={:.6} leaf={} bricks={bricks} payloads={payloads} mem_mb={:.1}",
+        options.config.rule,
+        options.resolution,
+        options.threads,
+        cpu / points as f64 * 1e5,
+        wall / points as f64 * 1e5,
+        map.leaf_count(),
+        map.bytes_in_memory() as f64 / 1048576.0,
+    );
+    if let Some(path) = options.out {
+        let started = Instant::now();
+        save_atomically(path.as_ref(), |file| {
+            if path.ends_with(".bt") {
+                write_bt(&map, file)
+            } else {
+                write_ot(&map, file)
+            }
+        })?;
+        println!("wrote {path} in {:.2} s", started.elapsed().as_secs_f64());
+    }
+    Ok(())
+}

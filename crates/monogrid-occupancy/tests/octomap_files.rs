@@ -1,0 +1,237 @@
+//! `.ot` and `.bt` against files that OctoMap wrote (`tests/octomap/make_golden.cpp`), and
+//! against damage.
+
+use monogrid_occupancy::*;
+
+const BUDGET: usize = 64 << 20;
+
+fn golden(name: &str) -> Vec<u8> {
+    std::fs::read(format!(
+        "{}/tests/golden/{name}",
+        env!("CARGO_MANIFEST_DIR")
+    ))
+    .unwrap()
+}
+
+/// The leaves as OctoMap listed them: first cell, edge, log-odds.
+fn listed_leaves() -> Vec<([i32; 3], u32, f32)> {
+    String::from_utf8(golden("golden.txt"))
+        .unwrap()
+        .lines()
+        .map(|line| {
+            let words: Vec<&str> = line.split(' ').collect();
+            let key = [0, 1, 2].map(|i| words[i].parse().unwrap());
+            (key, words[3].parse().unwrap(), words[4].parse().unwrap())
+        })
+        .collect()
+}
+
+fn write(
+    map: &OccupancyMap,
+    writer: fn(&OccupancyMap, &mut Vec<u8>) -> Result<(), MapError>,
+) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    writer(map, &mut bytes).unwrap();
+    bytes
+}
+
+#[test]
+fn leaves_of_octomaps_ot_are_those_that_octomap_lists() {
+    let map = read_ot(&golden("golden.ot")[..], BUDGET).unwrap();
+    let mut expected = listed_leaves();
+    expected.sort_by_key(|l| l.0);
+    assert_eq!(expected.len(), 1045);
+    let mut leaves = map.octree_leaves().unwrap();
+    leaves.sort();
+    assert_eq!(leaves.len(), expected.len());
+    assert_eq!(map.leaf_count(), expected.len());
+    for (leaf, (key, edge, log_odds)) in leaves.iter().zip(expected) {
+        assert_eq!(leaf.first.to_array(), key);
+        assert_eq!(leaf.edge_cells, edge);
+        assert!(
+            (leaf.log_odds() - log_odds).abs() <= 0.5 / 4096.0,
+            "{leaf:?} {log_odds}"
+        );
+    }
+}
+
+#[test]
+fn leaves_of_octomaps_bt_have_the_sides_that_octomap_lists() {
+    let map = read_bt(&golden("golden.bt")[..], BUDGET).unwrap();
+    let mut cells = 0;
+    for (key, edge, log_odds) in listed_leaves() {
+        for offset in 0..edge.pow(3) {
+            let [x, y, z] = [offset % edge, offset / edge % edge, offset / edge / edge];
+            let cell = VoxelKey::new(key[0] + x as i32, key[1] + y as i32, key[2] + z as i32);
+            let expected = if log_odds >= 0.0 {
+                Occupancy::Occupied
+            } else {
+                Occupancy::Free
+            };
+            assert_eq!(map.state_of(cell), expected, "{cell:?}");
+            cells += 1;
+        }
+    }
+    assert_eq!(map.cells().count(), cells, "and no other cell is known");
+}
+
+#[test]
+fn written_files_are_byte_for_byte_octomaps_where_values_are_exact() {
+    // .bt holds no values: the bytes must be OctoMap's own.
+    let from_ot = read_ot(&golden("golden.ot")[..], BUDGET).unwrap();
+    assert_eq!(write(&from_ot, write_bt), golden("golden.bt"));
+    // .ot values are rounded to 1/4096 when read; everything else must be the same.
+    let (ours, theirs) = (write(&from_ot, write_ot), golden("golden.ot"));
+    assert_eq!(ours.len(), theirs.len());
+    let header = theirs.windows(5).position(|w| w == b"data\n").unwrap() + 5;
+    assert_eq!(ours[..header], theirs[..header]);
+    for (a, b) in ours[header..].chunks(5).zip(theirs[header..].chunks(5)) {
+        assert_eq!(a[4], b[4], "children");
+        let value = |node: &[u8]| f32::from_le_bytes(node[..4].try_into().unwrap());
+        assert!((value(a) - value(b)).abs() <= 0.5 / 4096.0);
+    }
+}
+
+#[test]
+fn maps_survive_both_formats_and_their_writing_changes_nothing() {
+    let map = read_ot(&golden("golden.ot")[..], BUDGET).unwrap();
+    let before = map.clone();
+    let again = read_ot(&write(&map, write_ot)[..], BUDGET).unwrap();
+    assert!(again == map);
+    let bt = write(&map, write_bt);
+    assert!(map == before, "writing .bt leaves the map alone");
+    let from_bt = read_bt(&bt[..], BUDGET).unwrap();
+    assert_eq!(write(&from_bt, write_bt), bt);
+    let states = |m: &OccupancyMap| m.cells().map(|c| (c.key, c.state)).collect::<Vec<_>>();
+    assert_eq!(states(&from_bt), states(&map));
+}
+
+#[test]
+fn an_empty_map_is_a_file_and_comes_back_empty() {
+    let map = OccupancyMap::new(MapConfig::with_resolution(0.02)).unwrap();
+    let ot = read_ot(&write(&map, write_ot)[..], BUDGET).unwrap();
+    let bt = read_bt(&write(&map, write_bt)[..], BUDGET).unwrap();
+    assert!(ot.is_empty() && bt.is_empty());
+    assert_eq!(ot.resolution(), 0.02);
+    assert_eq!(map.leaf_count(), 0);
+}
+
+#[test]
+fn cells_beyond_octomaps_keys_are_an_error_not_a_wrapped_map() {
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(0.01)).unwrap();
+    map.add_log_odds(VoxelKey::new(32767, -32768, 0), 1.0)
+        .unwrap();
+    let bytes = write(&map, write_ot);
+    assert!(read_ot(&bytes[..], BUDGET).unwrap() == map);
+    map.add_log_odds(VoxelKey::new(32768, 0, 0), 1.0).unwrap();
+    assert!(matches!(
+        write_ot(&map, &mut Vec::new()),
+        Err(MapError::OutOfOctomapRange { .. })
+    ));
+}
+
+#[test]
+fn truncated_and_mutated_files_give_errors_or_maps_but_never_a_panic() {
+    type Reader = fn(&[u8]) -> Result<OccupancyMap, MapError>;
+    let readers: [(&str, Reader); 2] = [
+        ("golden.ot", |b| read_ot(b, BUDGET)),
+        ("golden.bt", |b| read_bt(b, BUDGET)),
+    ];
+    for (name, read) in readers {
+        let file = golden(name);
+        for end in (0..file.len() - 1).step_by(37) {
+            assert!(
+                read(&file[..end]).is_err(),
+                "{name} cut at {end} was accepted"
+            );
+        }
+        let mut state = 11_u32;
+        for _ in 0..600 {
+            let mut bytes = file.clone();
+            for _ in 0..3 {
+                state = state.wrapping_mul(1664525).wrapping_add(1013904223);
+                let at = (state >> 8) as usize % bytes.len();
+                bytes[at] ^= 1 << (state & 7);
+            }
+            if let Ok(map) = read(&bytes) {
+                assert!(map.bytes_in_memory() <= BUDGET);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tiny_file_that_claims_the_whole_world_does_not_fill_the_memory() {
+    let mut file = b"# Octomap OcTree file\nid OcTree\nsize 1\nres 0.1\ndata\n".to_vec();
+    file.extend(1.0_f32.to_le_bytes());
+    file.push(0);
+    assert!(matches!(
+        read_ot(&file[..], BUDGET),
+        Err(MapError::MemoryBudget { .. })
+    ));
+    for (file, wanted) in [
+        (&b"ply\n"[..], "first line"),
+        (
+            &b"# Octomap OcTree file\nid OcTree\nsize 1\nres -1\ndata\n"[..],
+            "resolution",
+        ),
+        (
+            &b"# Octomap OcTree file\nid Cone\nsize 1\nres 1\ndata\n"[..],
+            "Cone",
+        ),
+        (&b"# Octomap OcTree file\nsize many\n"[..], "size many"),
+    ] {
+        let message = read_ot(file, BUDGET).unwrap_err().to_string();
+        assert!(
+            message.contains(wanted),
+            "{message:?} should mention {wanted:?}"
+        );
+    }
+}
+
+#[test]
+fn point_clouds_hold_every_occupied_cell() {
+    let map = read_ot(&golden("golden.ot")[..], BUDGET).unwrap();
+    let occupied = map
+        .cells()
+        .filter(|c| c.state == Occupancy::Occupied)
+        .count();
+    let ply = write(&map, write_ply);
+    let pcd = write(&map, write_pcd);
+    for (bytes, marker) in [(ply, &b"end_header\n"[..]), (pcd, &b"DATA binary\n"[..])] {
+        let start = bytes
+            .windows(marker.len())
+            .position(|w| w == marker)
+            .unwrap()
+            + marker.len();
+        assert_eq!((bytes.len() - start) / 16, occupied);
+        for point in bytes[start..].chunks(16) {
+            let value = |i: usize| f32::from_le_bytes(point[4 * i..4 * i + 4].try_into().unwrap());
+            let at = [0, 1, 2].map(|i| f64::from(value(i)));
+            assert_eq!(map.state(at), Occupancy::Occupied);
+            assert!((0.5..=1.0).contains(&value(3)));
+        }
+    }
+}
+
+#[test]
+fn a_failed_save_leaves_the_old_file_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.ot");
+    std::fs::write(&path, b"old").unwrap();
+    let failed = save_atomically(&path, |file| {
+        std::io::Write::write_all(file, b"half").unwrap();
+        Err(MapError::Resolution { value: 0.0 })
+    });
+    assert!(failed.is_err());
+    assert_eq!(std::fs::read(&path).unwrap(), b"old");
+    save_atomically(&path, |file| {
+        std::io::Write::write_all(file, b"new").map_err(|source| MapError::Io {
+            action: "writing",
+            source,
+        })
+    })
+    .unwrap();
+    assert_eq!(std::fs::read(&path).unwrap(), b"new");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
