@@ -3,10 +3,12 @@
 //! * [`evaluate_trajectory`]: ATE and RPE as `evo` computes them, scale drift, coverage.
 //! * [`DepthEvaluator`]: inverse depth and the honesty of its variance.
 //! * [`truth_from_triangles`], [`truth_from_points`], [`truth_from_depth_images`]: ground-truth maps.
+//! * [`evaluate_map`]: a map against the truth, under four policies for unknown cells.
 #![deny(missing_docs)]
 
 mod depth;
 mod line;
+mod map;
 mod statistics;
 mod trajectory;
 mod truth;
@@ -14,6 +16,10 @@ mod truth;
 pub use depth::{
     DepthConfig, DepthError, DepthEstimate, DepthEvaluator, DepthReport, DepthShares,
     KeyframeDepth, KeyframeDepthReport, NormalisedError,
+};
+pub use map::{
+    Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapReport, Policies,
+    PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, evaluate_map,
 };
 pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use trajectory::{

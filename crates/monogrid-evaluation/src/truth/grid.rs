@@ -32,6 +32,30 @@ pub struct CellCounts {
     pub unknown: u64,
 }
 
+impl CellCounts {
+    /// All cells.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.free + self.occupied + self.unknown
+    }
+
+    pub(crate) fn add(&mut self, state: Occupancy) {
+        match state {
+            Occupancy::Free => self.free += 1,
+            Occupancy::Occupied => self.occupied += 1,
+            Occupancy::Unknown => self.unknown += 1,
+        }
+    }
+
+    pub(crate) fn plus(&self, other: &Self) -> Self {
+        Self {
+            free: self.free + other.free,
+            occupied: self.occupied + other.occupied,
+            unknown: self.unknown + other.unknown,
+        }
+    }
+}
+
 impl TruthGrid {
     /// A grid of unknown cells from `first` to `last`, both inclusive.
     ///
@@ -115,14 +139,9 @@ impl TruthGrid {
     /// Number of cells in each state.
     #[must_use]
     pub fn counts(&self) -> CellCounts {
-        let mut counts = CellCounts::default();
-        for z in 0..self.size[2] {
-            let layer = self.layer_counts(z);
-            counts.free += layer.free;
-            counts.occupied += layer.occupied;
-            counts.unknown += layer.unknown;
-        }
-        counts
+        (0..self.size[2]).fold(CellCounts::default(), |sum, z| {
+            sum.plus(&self.layer_counts(z))
+        })
     }
 
     /// Number of cells in each state in one layer of constant z, counted from the first.
@@ -215,11 +234,8 @@ impl TruthGrid {
             last.to_array(),
             max_cells,
         )?;
-        for brick in map.bricks() {
-            for index in 0..monogrid_occupancy::BRICK_CELLS {
-                let key = brick.cell(index);
-                grid.set(key.to_array(), map.state_of(key));
-            }
+        for cell in map.cells() {
+            grid.set(cell.key.to_array(), cell.state);
         }
         Ok(grid)
     }

@@ -1,0 +1,84 @@
+//! Distances between predicted and true surfaces.
+
+use super::nearest::CellTree;
+use crate::statistics::median;
+use serde::Serialize;
+
+/// Distances between centres of cells, in map units (metres in a metric map).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SurfaceDistances {
+    /// Mean distance from a predicted occupied cell to the nearest truly occupied one; `None` when
+    /// there are no such cells.
+    pub accuracy_m: Option<f64>,
+    /// Median of these distances.
+    pub accuracy_median_m: Option<f64>,
+    /// 95 % of these distances are at most this.
+    pub accuracy_p95_m: Option<f64>,
+    /// Share of predicted occupied cells within the tolerance of a truly occupied one.
+    pub accuracy_within_tolerance: f64,
+    /// Share of truly occupied cells (those in view, when the view is given) that have a predicted
+    /// one within the tolerance.
+    pub completeness: f64,
+    /// Mean distance from a truly occupied cell to the nearest predicted one.
+    pub completeness_m: Option<f64>,
+    /// Predicted occupied cells per truly occupied one: how thick walls are.
+    pub occupied_ratio: Option<f64>,
+    /// The tolerance, map units.
+    pub tolerance_m: f64,
+}
+
+/// Distances between two sets of cells of edge `resolution`. At most `max_queries` cells of each set,
+/// evenly spread over their order, ask for their nearest neighbour.
+pub(crate) fn surface_distances(
+    predicted: Vec<[i32; 3]>,
+    truth: Vec<[i32; 3]>,
+    truth_to_find: &[[i32; 3]],
+    resolution: f64,
+    tolerance: f64,
+    max_queries: usize,
+) -> SurfaceDistances {
+    let occupied_ratio = (!truth.is_empty()).then(|| predicted.len() as f64 / truth.len() as f64);
+    let from_predicted = sample(&predicted, max_queries);
+    let from_truth = sample(truth_to_find, max_queries);
+    let to_truth = distances(&from_predicted, &CellTree::new(truth), resolution);
+    let to_predicted = distances(&from_truth, &CellTree::new(predicted), resolution);
+    // Distances are multiples of the resolution but for rounding.
+    let reach = tolerance * (1.0 + 1e-9);
+    SurfaceDistances {
+        accuracy_m: mean(&to_truth),
+        accuracy_median_m: median(&to_truth),
+        accuracy_p95_m: quantile(&to_truth, 0.95),
+        accuracy_within_tolerance: share_within(&to_truth, from_predicted.len(), reach),
+        completeness: share_within(&to_predicted, from_truth.len(), reach),
+        completeness_m: mean(&to_predicted),
+        occupied_ratio,
+        tolerance_m: tolerance,
+    }
+}
+
+fn sample(keys: &[[i32; 3]], max: usize) -> Vec<[i32; 3]> {
+    let stride = keys.len().div_ceil(max.max(1)).max(1);
+    keys.iter().step_by(stride).copied().collect()
+}
+
+fn distances(keys: &[[i32; 3]], tree: &CellTree, resolution: f64) -> Vec<f64> {
+    keys.iter()
+        .filter_map(|key| tree.distance_sq(*key))
+        .map(|distance_sq| (distance_sq as f64).sqrt() * resolution)
+        .collect()
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn quantile(values: &[f64], share: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied()
+}
+
+fn share_within(distances: &[f64], asked: usize, reach: f64) -> f64 {
+    distances.iter().filter(|d| **d <= reach).count() as f64 / asked.max(1) as f64
+}

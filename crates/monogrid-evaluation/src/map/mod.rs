@@ -1,0 +1,400 @@
+//! An estimated map against a ground-truth map, cell by cell.
+//!
+//! Flow: one pass over the known cells of the estimate → counts per score and true state, sums per
+//! slice → the four policies, ROC curves, calibration; beside them distances between surfaces.
+//! The box of the truth is the whole that is compared; predicted cells outside it only enter the
+//! distances.
+
+mod calibration;
+mod classify;
+mod geometry;
+mod nearest;
+mod scores;
+
+pub use calibration::{Calibration, ReliabilityBin};
+pub use classify::{Contingency, RocPoint};
+pub use geometry::SurfaceDistances;
+
+use crate::truth::{CellCounts, TruthGrid};
+use monogrid_occupancy::{Occupancy, OccupancyMap, probability_from_log_odds};
+use scores::{ScoreCounter, ScoreGroup};
+use serde::Serialize;
+
+/// Bins of the distribution of probabilities.
+const HISTOGRAM_BINS: usize = 100;
+
+/// Settings of [`evaluate_map`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapEvaluationConfig<'a> {
+    /// Predicted and true surfaces within this distance agree, map units. Default: the larger of
+    /// 0.05 and the resolution.
+    pub tolerance_m: Option<f64>,
+    /// Cells that some keyframe looks at, as [`crate::cells_in_view`] makes it; free or occupied there
+    /// means "in view". Completeness then only asks for surfaces in view. Default: none.
+    pub in_view: Option<&'a TruthGrid>,
+    /// At most so many cells of each surface ask for their nearest neighbour. Default 1,000,000.
+    pub max_distance_queries: usize,
+}
+
+impl Default for MapEvaluationConfig<'_> {
+    fn default() -> Self {
+        Self {
+            tolerance_m: None,
+            in_view: None,
+            max_distance_queries: 1_000_000,
+        }
+    }
+}
+
+/// Why maps cannot be compared.
+#[derive(Debug, thiserror::Error, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum MapEvaluationError {
+    /// Cells of different size.
+    #[error(
+        "the estimated map has cells of {estimate}, the true one of {truth}; make the truth at the \
+         estimate's resolution"
+    )]
+    Resolution {
+        /// Edge of a cell of the estimate.
+        estimate: f64,
+        /// Edge of a cell of the truth.
+        truth: f64,
+    },
+    /// The truth knows only free or only occupied cells.
+    #[error("the true map has {free} free and {occupied} occupied cells, expected some of both")]
+    OneClass {
+        /// Free cells.
+        free: u64,
+        /// Occupied cells.
+        occupied: u64,
+    },
+}
+
+/// Results under one policy for unknown cells.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PolicyReport {
+    /// Exact area under the ROC curve, ties counted half; 0.5 when a class is missing.
+    pub auc: f64,
+    /// Area from the thesis' 26 thresholds.
+    pub auc_26: f64,
+    /// Matthews correlation coefficient at p > 0.5; 0 when undefined.
+    pub mcc: f64,
+    /// Share of predicted cells that are occupied, at p > 0.5.
+    pub precision: f64,
+    /// Share of occupied cells found, at p > 0.5.
+    pub recall: f64,
+    /// Share of free cells found, at p > 0.5.
+    pub specificity: f64,
+    /// F-measure at p > 0.5.
+    pub f1: f64,
+    /// Intersection over union of occupied cells at p > 0.5.
+    pub iou: f64,
+    /// The four counts at p > 0.5.
+    #[serde(flatten)]
+    pub counts: Contingency,
+    /// Largest F-measure over all thresholds.
+    pub best_f1: f64,
+    /// The threshold that gives it.
+    pub best_f1_threshold: f64,
+}
+
+/// One value per policy.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Policies<T> {
+    /// Cells whose truth is known and that the estimate observed. The honest figure of merit of a
+    /// sensor model; says nothing about how much was observed.
+    pub observed: T,
+    /// Cells whose truth is known; unobserved ones score 0.5. Probably the thesis' way.
+    pub known: T,
+    /// The whole box: unknown truth is negative, unobserved cells score 0.5.
+    pub everything: T,
+    /// Cells whose truth is known; unobserved ones score 1: a robot keeps out of them.
+    pub safety: T,
+}
+
+impl<T> Policies<T> {
+    fn map<U>(&self, mut change: impl FnMut(&T) -> U) -> Policies<U> {
+        Policies {
+            observed: change(&self.observed),
+            known: change(&self.known),
+            everything: change(&self.everything),
+            safety: change(&self.safety),
+        }
+    }
+}
+
+/// Everything known about the error of a map.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MapReport {
+    /// Classification under the four policies.
+    pub policies: Policies<PolicyReport>,
+    /// ROC curves at the thesis' 26 thresholds.
+    pub roc: Policies<Vec<RocPoint>>,
+    /// Share of truly free cells that were observed.
+    pub coverage_free: f64,
+    /// Share of truly occupied cells that were observed.
+    pub coverage_occupied: f64,
+    /// As `coverage_free`, of the cells in view; `None` when the view was not given.
+    pub coverage_free_in_view: Option<f64>,
+    /// As `coverage_occupied`, of the cells in view; `None` when the view was not given.
+    pub coverage_occupied_in_view: Option<f64>,
+    /// Brier score, likelihood and reliability diagram.
+    #[serde(flatten)]
+    pub calibration: Calibration,
+    /// Accuracy and completeness of the surface.
+    #[serde(flatten)]
+    pub surface: SurfaceDistances,
+    /// Mean over the horizontal slices of the sum of squared differences of probability, unknown
+    /// being 0.5 (the thesis' equation 6.1.2, with probabilities instead of grey levels).
+    pub ssd: f64,
+    /// Sum over all slices by the number of cells of the box.
+    pub ssd_normalised: f64,
+    /// The sum of each slice (equation 6.1.1), upwards.
+    pub ssd_per_slice: Vec<f64>,
+    /// Observed cells of the box by probability, 100 bins from 0 to 1.
+    pub probability_histogram: Vec<u64>,
+    /// States of the cells of the truth.
+    pub truth: CellCounts,
+    /// Observed cells inside the box.
+    pub observed: u64,
+    /// Observed cells outside the box, where nothing is known.
+    pub observed_outside: u64,
+}
+
+/// What one pass over the estimate collects.
+struct Pass {
+    scores: ScoreCounter,
+    slices: Vec<Slice>,
+    predicted: Vec<[i32; 3]>,
+    outside: u64,
+    seen_in_view: CellCounts,
+}
+
+/// Observed cells of a slice by true state, and their squared differences.
+#[derive(Clone, Copy, Default)]
+struct Slice {
+    squares: f64,
+    observed: CellCounts,
+}
+
+/// Compares a map with the truth. Slices are layers of constant z, which is up in exported maps.
+///
+/// # Errors
+/// Cells of different size, or a truth without free or without occupied cells.
+pub fn evaluate_map(
+    estimate: &OccupancyMap,
+    truth: &TruthGrid,
+    config: &MapEvaluationConfig,
+) -> Result<MapReport, MapEvaluationError> {
+    let resolution = truth.resolution();
+    if (estimate.resolution() / resolution - 1.0).abs() > 1e-6 {
+        return Err(MapEvaluationError::Resolution {
+            estimate: estimate.resolution(),
+            truth: resolution,
+        });
+    }
+    let truth_counts = truth.counts();
+    if truth_counts.free == 0 || truth_counts.occupied == 0 {
+        return Err(MapEvaluationError::OneClass {
+            free: truth_counts.free,
+            occupied: truth_counts.occupied,
+        });
+    }
+    let pass = pass_over(estimate, truth, config.in_view);
+    let observed = pass
+        .slices
+        .iter()
+        .fold(CellCounts::default(), |sum, s| sum.plus(&s.observed));
+    let ssd_per_slice = sums_of_squares(&pass.slices, truth);
+    let ssd_total: f64 = ssd_per_slice.iter().sum();
+    let scores = pass.scores.into_sorted();
+    let groups = policy_groups(&scores, &truth_counts, &observed);
+    let roc = groups.map(|g| classify::roc_26(g));
+    let surface = distances(pass.predicted, truth, config);
+    let in_view = config.in_view.map(|view| counts_in_view(truth, view));
+    let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
+    Ok(MapReport {
+        policies: groups.map(|g| report(g)),
+        roc,
+        coverage_free: share(observed.free, truth_counts.free),
+        coverage_occupied: share(observed.occupied, truth_counts.occupied),
+        coverage_free_in_view: in_view.map(|v| share(pass.seen_in_view.free, v.free)),
+        coverage_occupied_in_view: in_view.map(|v| share(pass.seen_in_view.occupied, v.occupied)),
+        calibration: calibration::calibration(&groups.observed),
+        surface,
+        ssd: ssd_total / ssd_per_slice.len().max(1) as f64,
+        ssd_normalised: ssd_total / truth_counts.total().max(1) as f64,
+        ssd_per_slice,
+        probability_histogram: histogram(&scores),
+        truth: truth_counts,
+        observed: observed.total(),
+        observed_outside: pass.outside,
+    })
+}
+
+fn pass_over(estimate: &OccupancyMap, truth: &TruthGrid, in_view: Option<&TruthGrid>) -> Pass {
+    let mut pass = Pass {
+        scores: ScoreCounter::default(),
+        slices: vec![Slice::default(); truth.size()[2]],
+        predicted: Vec::new(),
+        outside: 0,
+        seen_in_view: CellCounts::default(),
+    };
+    for cell in estimate.cells() {
+        let key = cell.key.to_array();
+        if cell.log_odds > 0.0 {
+            pass.predicted.push(key);
+        }
+        let Some(local) = truth.local(key) else {
+            pass.outside += 1;
+            continue;
+        };
+        let state = truth.state(key);
+        let counts = pass.scores.at(cell.log_odds);
+        let slice = &mut pass.slices[local[2]];
+        let value = match state {
+            Occupancy::Occupied => {
+                counts.occupied += 1;
+                1.0
+            }
+            Occupancy::Free => {
+                counts.free += 1;
+                0.0
+            }
+            Occupancy::Unknown => {
+                counts.unknown += 1;
+                0.5
+            }
+        };
+        slice.squares += (probability(cell.log_odds) - value).powi(2);
+        slice.observed.add(state);
+        if in_view.is_some_and(|view| view.state(key) != Occupancy::Unknown) {
+            pass.seen_in_view.add(state);
+        }
+    }
+    pass
+}
+
+fn probability(log_odds: f32) -> f64 {
+    probability_from_log_odds(f64::from(log_odds))
+}
+
+/// Adds to every slice what the cells that were not observed differ by: half where the truth is known.
+fn sums_of_squares(slices: &[Slice], truth: &TruthGrid) -> Vec<f64> {
+    slices
+        .iter()
+        .enumerate()
+        .map(|(z, slice)| {
+            let all = truth.layer_counts(z);
+            let known = all.free + all.occupied;
+            let seen = slice.observed.free + slice.observed.occupied;
+            slice.squares + 0.25 * (known - seen) as f64
+        })
+        .collect()
+}
+
+/// The scores that each policy ranks.
+fn policy_groups(
+    scores: &[(f32, scores::ClassCounts)],
+    truth: &CellCounts,
+    observed: &CellCounts,
+) -> Policies<Vec<ScoreGroup>> {
+    let of_known: Vec<ScoreGroup> = scores
+        .iter()
+        .map(|(log_odds, counts)| ScoreGroup {
+            probability: probability(*log_odds),
+            positives: counts.occupied,
+            negatives: counts.free,
+        })
+        .collect();
+    let of_all: Vec<ScoreGroup> = scores
+        .iter()
+        .zip(&of_known)
+        .map(|((_, counts), group)| ScoreGroup {
+            negatives: counts.free + counts.unknown,
+            ..*group
+        })
+        .collect();
+    let unobserved = |probability: f64, negatives: u64| ScoreGroup {
+        probability,
+        positives: truth.occupied - observed.occupied,
+        negatives,
+    };
+    let unobserved_free = truth.free - observed.free;
+    let unobserved_all = unobserved_free + truth.unknown - observed.unknown;
+    let with = |mut groups: Vec<ScoreGroup>, more: Option<ScoreGroup>| {
+        groups.extend(more);
+        scores::joined(groups)
+    };
+    Policies {
+        observed: with(of_known.clone(), None),
+        known: with(of_known.clone(), Some(unobserved(0.5, unobserved_free))),
+        everything: with(of_all, Some(unobserved(0.5, unobserved_all))),
+        safety: with(of_known, Some(unobserved(1.0, unobserved_free))),
+    }
+}
+
+fn report(groups: &[ScoreGroup]) -> PolicyReport {
+    let counts = Contingency::at(groups, 0.5);
+    let (best_f1_threshold, best_f1) = classify::best_f1(groups);
+    PolicyReport {
+        auc: classify::rank_auc(groups),
+        auc_26: classify::trapezoid(&classify::roc_26(groups), groups),
+        mcc: counts.mcc(),
+        precision: counts.precision(),
+        recall: counts.recall(),
+        specificity: counts.specificity(),
+        f1: counts.f1(),
+        iou: counts.iou(),
+        counts,
+        best_f1,
+        best_f1_threshold,
+    }
+}
+
+fn distances(
+    predicted: Vec<[i32; 3]>,
+    truth: &TruthGrid,
+    config: &MapEvaluationConfig,
+) -> SurfaceDistances {
+    let surface: Vec<[i32; 3]> = truth.keys_in(Occupancy::Occupied).collect();
+    let to_find: Vec<[i32; 3]> = match config.in_view {
+        None => surface.clone(),
+        Some(view) => surface
+            .iter()
+            .filter(|key| view.state(**key) != Occupancy::Unknown)
+            .copied()
+            .collect(),
+    };
+    let tolerance = config
+        .tolerance_m
+        .unwrap_or_else(|| truth.resolution().max(0.05));
+    geometry::surface_distances(
+        predicted,
+        surface,
+        &to_find,
+        truth.resolution(),
+        tolerance,
+        config.max_distance_queries,
+    )
+}
+
+fn counts_in_view(truth: &TruthGrid, view: &TruthGrid) -> CellCounts {
+    let mut counts = CellCounts::default();
+    for state in [Occupancy::Free, Occupancy::Occupied] {
+        for key in view.keys_in(state) {
+            counts.add(truth.state(key));
+        }
+    }
+    counts
+}
+
+fn histogram(scores: &[(f32, scores::ClassCounts)]) -> Vec<u64> {
+    let mut bins = vec![0; HISTOGRAM_BINS];
+    for (log_odds, counts) in scores {
+        let bin = (probability(*log_odds) * HISTOGRAM_BINS as f64) as usize;
+        bins[bin.min(HISTOGRAM_BINS - 1)] += counts.occupied + counts.free + counts.unknown;
+    }
+    bins
+}
