@@ -35,13 +35,22 @@ fn numbers(path: &Path) -> Result<Vec<Vec<String>>> {
 }
 
 fn values(row: &[String]) -> Result<Vec<f64>> {
-    Ok(row.iter().map(|s| s.parse()).collect::<std::result::Result<_, _>>()?)
+    Ok(row
+        .iter()
+        .map(|s| s.parse())
+        .collect::<std::result::Result<_, _>>()?)
 }
 
 fn read_sequence(folder: &Path) -> Result<Sequence> {
     let c = values(&numbers(&folder.join("calibration.txt"))?[0])?;
     let (distortion, size) = if c.len() > 6 {
-        let radial = Distortion::RadialTangential { k1: c[4], k2: c[5], p1: c[6], p2: c[7], k3: 0.0 };
+        let radial = Distortion::RadialTangential {
+            k1: c[4],
+            k2: c[5],
+            p1: c[6],
+            p2: c[7],
+            k3: 0.0,
+        };
         (radial, (c[8], c[9]))
     } else {
         (Distortion::None, (c[4], c[5]))
@@ -97,7 +106,10 @@ impl Sequence {
             gray.into_raw().into_iter().map(f32::from).collect(),
         )
         .ok_or("image size")?;
-        Ok(self.undistorter.apply(&raw).ok_or("image size differs from the calibration")?)
+        Ok(self
+            .undistorter
+            .apply(&raw)
+            .ok_or("image size differs from the calibration")?)
     }
 
     /// Depth (m) seen by the pixels of the working image, NaN where unknown; `None` without an image.
@@ -113,11 +125,13 @@ impl Sequence {
             let ray = pinhole.unproject(&Vec2::new(x as f64, y as f64));
             let pixel = self.depth_pinhole.project(&ray);
             let (u, v) = (pixel.x.round(), pixel.y.round());
-            let inside = u >= 0.0
-                && v >= 0.0
-                && u < f64::from(raw.width())
-                && v < f64::from(raw.height());
-            let value = if inside { raw.get_pixel(u as u32, v as u32).0[0] } else { 0 };
+            let inside =
+                u >= 0.0 && v >= 0.0 && u < f64::from(raw.width()) && v < f64::from(raw.height());
+            let value = if inside {
+                raw.get_pixel(u as u32, v as u32).0[0]
+            } else {
+                0
+            };
             if value == 0 || value == u16::MAX {
                 f32::NAN
             } else {
@@ -131,7 +145,9 @@ impl Sequence {
 fn report(map: &DepthMap, depth: &GrayImage, unit_m: f32, label: &str) {
     let gradient = map.host().gradient.magnitude();
     let with_truth = gradient.as_slice().iter().zip(depth.as_slice());
-    let textured = with_truth.filter(|(g, z)| **g >= 5.0 && z.is_finite()).count();
+    let textured = with_truth
+        .filter(|(g, z)| **g >= 5.0 && z.is_finite())
+        .count();
     let (mut relative, mut normal) = (Vec::new(), Vec::new());
     for p in map.pixels(PixelFilter::default()) {
         let z = depth.at(usize::from(p.x), usize::from(p.y));
@@ -171,7 +187,10 @@ fn spread(values: &mut [f32]) -> (f32, f32) {
     let half = values.len() / 2;
     let middle = *values.select_nth_unstable_by(half, f32::total_cmp).1;
     let mut gaps: Vec<f32> = values.iter().map(|v| (v - middle).abs()).collect();
-    (middle, 1.4826 * *gaps.select_nth_unstable_by(half, f32::total_cmp).1)
+    (
+        middle,
+        1.4826 * *gaps.select_nth_unstable_by(half, f32::total_cmp).1,
+    )
 }
 
 /// The grey image with the depth in colour: red near, blue far; dark where uncertain.
@@ -233,9 +252,15 @@ fn main() -> Result<()> {
     };
     std::fs::create_dir_all(&out)?;
     let sequence = read_sequence(&folder)?;
-    let first_depth = sequence.depth(0)?.ok_or("no depth image for the first frame")?;
-    let mut finite: Vec<f32> =
-        first_depth.as_slice().iter().copied().filter(|z| z.is_finite()).collect();
+    let first_depth = sequence
+        .depth(0)?
+        .ok_or("no depth image for the first frame")?;
+    let mut finite: Vec<f32> = first_depth
+        .as_slice()
+        .iter()
+        .copied()
+        .filter(|z| z.is_finite())
+        .collect();
     let unit_m = spread(&mut finite).0;
     println!("unit {unit_m} m");
     run(&sequence, &config, unit_m, (per_keyframe, max_frames), &out)
@@ -281,7 +306,12 @@ fn run(
         };
         if n % per_keyframe == 0 {
             if let Some(depth) = sequence.depth(*keyframe)? {
-                report(map, &depth, unit_m, &format!("keyframe {keyframe} finished"));
+                report(
+                    map,
+                    &depth,
+                    unit_m,
+                    &format!("keyframe {keyframe} finished"),
+                );
             }
             picture(map, &out.join(format!("keyframe-{keyframe:04}.png")))?;
             let host = timed(&mut timing.host, || {
@@ -298,7 +328,10 @@ fn run(
                 report(map, &depth, unit_m, "  propagated");
             }
             timing.keyframes += 1;
-            let frames: Vec<_> = old.iter().map(|(image, k)| stereo(image, relative(*k, n), *k)).collect();
+            let frames: Vec<_> = old
+                .iter()
+                .map(|(image, k)| stereo(image, relative(*k, n), *k))
+                .collect();
             totals.merge(&timed(&mut timing.observe, || map.observe(&frames, config)));
             timed(&mut timing.fill, || map.fill_holes(config));
             timed(&mut timing.regularize, || map.regularize(config));

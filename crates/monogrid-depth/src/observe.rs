@@ -481,9 +481,6 @@ impl DepthBand<'_> {
             .max(self.validity[i]);
         self.failures[i] = 0;
         self.photo_px[i] = observation.photo_px;
-        if config.frame_choice == FrameChoice::Predicted && !gains {
-            return PixelOutcome::Verified;
-        }
         // [SDVO13] Eq. (13)
         let weight = var / (var + observation.var);
         self.idepth[i] += weight * innovation;
@@ -497,7 +494,11 @@ impl DepthBand<'_> {
             floor
         };
         self.var[i] = product.max(reachable).min(self.var[i]);
-        PixelOutcome::Updated
+        if gains || config.frame_choice == FrameChoice::First {
+            PixelOutcome::Updated
+        } else {
+            PixelOutcome::Verified
+        }
     }
 
     /// A failed or contradicting observation.

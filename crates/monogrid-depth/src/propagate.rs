@@ -192,7 +192,7 @@ fn merge(
 ) -> Option<Hypothesis> {
     let (x, y) = (x as f32, y as f32);
     let seed = visible_seed(nearby, (x, y), config, stats)?;
-    let (mut sum_w, mut sum_d, mut sum_v) = (0.0f32, 0.0f32, 0.0f32);
+    let (mut sum_w, mut sum_d, mut sum_v, mut sum_ww) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
     let (mut offset_x, mut offset_y, mut tents) = (0.0f32, 0.0f32, 0.0f32);
     let mut validity = 0.0f32;
     for candidate in nearby.iter().filter(|c| same_surface(seed, c)) {
@@ -200,8 +200,8 @@ fn merge(
         let weight = share / candidate.var;
         sum_w += weight;
         sum_d += weight * candidate.idepth;
-        // the errors of neighbours are taken as fully correlated: no gain
         sum_v += weight * candidate.var;
+        sum_ww += weight * weight;
         offset_x += weight * (candidate.x - x);
         offset_y += weight * (candidate.y - y);
         tents += share;
@@ -211,9 +211,10 @@ fn merge(
     let offset = (offset_x * offset_x + offset_y * offset_y) / (sum_w * sum_w);
     let slope = config.slope_per_px * idepth;
     let prediction = config.propagation_relative_sigma * idepth;
-    let var = config.propagation_inflation * sum_v / sum_w
-        + slope * slope * offset
-        + prediction * prediction;
+    // neighbouring matches share half of their samples: half of their errors averages out
+    let mean_var = sum_v / sum_w * (0.5 + 0.5 * sum_ww / (sum_w * sum_w));
+    let var =
+        config.propagation_inflation * mean_var + slope * slope * offset + prediction * prediction;
     (var <= config.max_var).then_some(Hypothesis {
         idepth,
         var,

@@ -101,7 +101,10 @@ impl DepthMap {
             }
         }
         for (i, hypothesis) in &filled {
+            // what failed before may fail again: its failures keep counting
+            let failures = self.arrays.failures[*i];
             self.arrays.set(*i, *hypothesis);
+            self.arrays.failures[*i] = failures;
             self.smooth_idepth[*i] = hypothesis.idepth;
             self.smooth_var[*i] = hypothesis.var;
         }
