@@ -12,10 +12,12 @@
 #![deny(missing_docs)]
 
 mod corners;
+mod polynomial;
 mod rng;
 #[cfg(test)]
 mod test_images;
 mod track;
+mod two_view;
 
 pub use corners::{Corner, CornerConfig, detect_corners};
 pub use rng::Rng;
@@ -23,3 +25,4 @@ pub use track::{
     PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, align_patch,
     find_patch, finest_pixel, level_pixel, patch_warp, track_points,
 };
+pub use two_view::{Match, TriangulatedPoint, TwoView, TwoViewConfig, TwoViewOutcome, two_view};

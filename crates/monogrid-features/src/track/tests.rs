@@ -67,13 +67,13 @@ fn shifts_are_found_with_sub_pixel_precision_despite_gain_and_bias() {
         assert!(num_points > 100, "{num_points} corners");
         let tracked = errors.len() as f64 / num_points as f64;
         // what leaves the image cannot be found: 15 px of 240 at two sides
-        assert!(tracked > 0.8, "shift {shift}: {tracked} tracked");
+        assert!(tracked > 0.75, "shift {shift}: {tracked} tracked");
         // 19 px are about what four levels of 8x8 patches can bridge: a few slip elsewhere
         let wrong = errors.iter().filter(|e| **e > 0.15).count();
         let middle = median(errors);
         assert!(middle < 0.03, "shift {shift}: median error {middle}");
         assert!(
-            wrong * 25 < num_points,
+            wrong * 20 < num_points,
             "shift {shift}: {wrong} of {num_points} wrong"
         );
     }

@@ -1,0 +1,460 @@
+//! Relative pose and inverse depths from matches between two images.
+//!
+//! Sampling proposes several essential matrices (five points) and a homography (four points); every
+//! motion they allow is refined by bundle adjustment and compared on the same robust cost. The best
+//! is believed only if it is clearly better than any other, if the matches have parallax that no
+//! rotation explains, and if the direction of translation is well determined. `algorithms.md` 2.3.
+
+mod five_point;
+mod homography;
+mod problem;
+mod refine;
+mod sampling;
+#[cfg(test)]
+mod tests;
+
+use crate::Rng;
+use homography::decompose;
+use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
+use monogrid_geometry::{Mat3, Pinhole, Rotation, Se3, Vec2, Vec3};
+use problem::{Problem, median};
+use refine::{Refined, midpoint_idepth, refine, uncertainty};
+use sampling::{best_homography, best_rotation, essential_hypotheses};
+
+/// The same point seen in two images, in undistorted pixels of one camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Match {
+    /// Pixel in image `a`; the point is anchored here.
+    pub a: Vec2,
+    /// Pixel in image `b`.
+    pub b: Vec2,
+}
+
+/// Settings of [`two_view`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct TwoViewConfig {
+    /// Expected noise of a match, px. Default 1; outliers are beyond three of it.
+    pub sigma_px: f64,
+    /// Most random samples per model. Default 300.
+    pub iterations: usize,
+    /// Seed of the sampling. Default 0.
+    pub seed: u64,
+    /// Fewest matches to try. Default 50.
+    pub min_matches: usize,
+    /// Smallest share of matches that must agree with the motion. Default 0.5.
+    pub min_inlier_ratio: f64,
+    /// Smallest median angle between the two rays of a point, degrees. Default 1.
+    pub min_parallax_deg: f64,
+    /// Smallest median distance of the matches from the best rotation without translation, px.
+    /// Default 3.
+    pub min_rotation_residual_px: f64,
+    /// Largest standard deviation of the direction of translation, degrees. Default 6.
+    pub max_direction_sigma_deg: f64,
+    /// Largest median of the relative standard deviation of inverse depths. Default 0.25.
+    pub max_relative_idepth_sigma: f64,
+    /// Another motion is a rival when its robust cost (chi squared) exceeds the best by less than
+    /// this share of it. Default 0.1.
+    pub rival_margin: f64,
+}
+
+impl Default for TwoViewConfig {
+    fn default() -> Self {
+        Self {
+            sigma_px: 1.0,
+            iterations: 300,
+            seed: 0,
+            min_matches: 50,
+            min_inlier_ratio: 0.5,
+            min_parallax_deg: 1.0,
+            min_rotation_residual_px: 3.0,
+            max_direction_sigma_deg: 6.0,
+            max_relative_idepth_sigma: 0.25,
+            rival_margin: 0.1,
+        }
+    }
+}
+
+/// Inverse depth of a match in the frame of `a`, in units of 1 / baseline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TriangulatedPoint {
+    /// Inverse depth along the optical axis of `a`; about zero at infinity.
+    pub idepth: f64,
+    /// Its standard deviation, with that of the motion.
+    pub idepth_sigma: f64,
+}
+
+/// A motion between two views with the points that support it.
+#[derive(Clone, Debug)]
+pub struct TwoView {
+    /// Motion with a translation of length one.
+    pub b_from_a: Se3,
+    /// One per match: `None` for outliers and for points that come out behind a camera.
+    pub points: Vec<Option<TriangulatedPoint>>,
+    /// Number of matches that agree.
+    pub num_inliers: usize,
+    /// Median angle between the two rays of a point, degrees.
+    pub parallax_deg: f64,
+    /// Median distance of the inliers from the best rotation without translation, px.
+    pub rotation_residual_px: f64,
+    /// Standard deviation of the direction of translation, degrees.
+    pub direction_sigma_deg: f64,
+    /// Median of `idepth_sigma / idepth`.
+    pub relative_idepth_sigma: f64,
+    /// Robust standard deviation of the distances from the epipolar lines, px.
+    pub residual_px: f64,
+    /// Robust cost (chi squared, truncated) per match, for comparison with alternatives.
+    pub cost_per_match: f64,
+    /// Score of the homography over the sum of both, R_H of ORB-SLAM: above 0.45 the points may
+    /// lie on a plane.
+    pub homography_share: f64,
+}
+
+/// What two views tell.
+#[derive(Clone, Debug)]
+pub enum TwoViewOutcome {
+    /// One motion explains the matches, and clearly better than any other.
+    Accepted(Box<TwoView>),
+    /// Several motions explain the matches about equally well, best first: usually the two of a
+    /// plane. A third view decides.
+    Ambiguous {
+        /// At least two motions.
+        candidates: Vec<TwoView>,
+    },
+    /// The matches are explained by a rotation, or nearly so.
+    NotEnoughParallax {
+        /// Median angle between rays, degrees; zero when a rotation explains the matches.
+        parallax_deg: f64,
+        /// Median distance from the best rotation without translation, px.
+        rotation_residual_px: f64,
+    },
+    /// There is parallax, yet the motion is not determined well enough.
+    Uncertain {
+        /// Standard deviation of the direction of translation, degrees.
+        direction_sigma_deg: f64,
+        /// Median relative standard deviation of the inverse depths.
+        relative_idepth_sigma: f64,
+    },
+    /// Too few matches to try.
+    TooFewMatches {
+        /// Matches with finite pixels.
+        found: usize,
+        /// Matches needed.
+        needed: usize,
+    },
+    /// No motion explains enough matches.
+    NoMotion {
+        /// Share of the matches that the best explains.
+        inlier_ratio: f64,
+    },
+}
+
+/// Estimates the motion between two views and the inverse depth of every match.
+///
+/// Deterministic for a given seed. About 10 ms for 400 matches.
+#[must_use]
+pub fn two_view(matches: &[Match], pinhole: &Pinhole, config: &TwoViewConfig) -> TwoViewOutcome {
+    let finite = |v: &Vec2| v.iter().all(|c| c.is_finite());
+    let usable: Vec<usize> = (0..matches.len())
+        .filter(|&i| finite(&matches[i].a) && finite(&matches[i].b))
+        .collect();
+    // eight: below it nothing is over-determined
+    let needed = config.min_matches.max(8);
+    if usable.len() < needed {
+        return TwoViewOutcome::TooFewMatches {
+            found: usable.len(),
+            needed,
+        };
+    }
+    let kept: Vec<Match> = usable.iter().map(|&i| matches[i]).collect();
+    let problem = Problem::new(&kept, pinhole);
+    let mut rng = Rng::new(config.seed);
+    let rotation = best_rotation(&problem, config.sigma_px, &mut rng);
+    let rotation_errors: Vec<f64> = (0..problem.len())
+        .map(|i| problem.rotation_sq_px(&rotation, i).sqrt())
+        .collect();
+    let rotation_residual_px = median(rotation_errors.clone());
+    if rotation_residual_px < config.min_rotation_residual_px {
+        return TwoViewOutcome::NotEnoughParallax {
+            parallax_deg: 0.0,
+            rotation_residual_px,
+        };
+    }
+    let (motions, homography_share) = candidate_motions(&problem, config, &mut rng);
+    let mut refined: Vec<Refined> = motions
+        .iter()
+        .filter_map(|motion| refine(&problem, motion, config.sigma_px))
+        .collect();
+    let ranked = rank(&problem, &mut refined, config);
+    let mut solutions: Vec<TwoView> = ranked
+        .iter()
+        .map(|r| summarise(&problem, r, &rotation_errors, homography_share))
+        .collect();
+    for solution in &mut solutions {
+        scatter(solution, &usable, matches.len());
+    }
+    judge(solutions, kept.len(), config)
+}
+
+/// Decides what to make of the best solutions, best first.
+fn judge(solutions: Vec<TwoView>, num: usize, config: &TwoViewConfig) -> TwoViewOutcome {
+    let Some(best) = solutions.first() else {
+        return TwoViewOutcome::NoMotion { inlier_ratio: 0.0 };
+    };
+    let inlier_ratio = best.num_inliers as f64 / num as f64;
+    if inlier_ratio < config.min_inlier_ratio {
+        return TwoViewOutcome::NoMotion { inlier_ratio };
+    }
+    // written so that NaN refuses
+    let has_parallax = best.parallax_deg >= config.min_parallax_deg
+        && best.rotation_residual_px >= config.min_rotation_residual_px;
+    if !has_parallax {
+        return TwoViewOutcome::NotEnoughParallax {
+            parallax_deg: best.parallax_deg,
+            rotation_residual_px: best.rotation_residual_px,
+        };
+    }
+    let is_certain = best.direction_sigma_deg <= config.max_direction_sigma_deg
+        && best.relative_idepth_sigma <= config.max_relative_idepth_sigma;
+    if !is_certain {
+        return TwoViewOutcome::Uncertain {
+            direction_sigma_deg: best.direction_sigma_deg,
+            relative_idepth_sigma: best.relative_idepth_sigma,
+        };
+    }
+    if solutions.len() > 1 {
+        return TwoViewOutcome::Ambiguous {
+            candidates: solutions,
+        };
+    }
+    match solutions.into_iter().next() {
+        Some(best) => TwoViewOutcome::Accepted(Box::new(best)),
+        None => TwoViewOutcome::NoMotion { inlier_ratio: 0.0 },
+    }
+}
+
+/// Every motion that the sampled models allow, and R_H.
+fn candidate_motions(problem: &Problem, config: &TwoViewConfig, rng: &mut Rng) -> (Vec<Se3>, f64) {
+    let sigma_sq = config.sigma_px * config.sigma_px;
+    // 95 % of the errors of inliers: one degree of freedom for a line, two for a point
+    let (limit_e, limit_h) = (3.84 * sigma_sq, 5.99 * sigma_sq);
+    let essentials = essential_hypotheses(problem, limit_e, config.iterations, rng);
+    let homography = best_homography(problem, limit_h, config.iterations, rng);
+    let mut motions = Vec::new();
+    for essential in &essentials {
+        motions.extend(essential_motions(problem, &essential.model, limit_e));
+    }
+    let num = problem.len() as f64;
+    let mut share = 0.0;
+    if let Some(h) = &homography {
+        // scores on a common scale: what an outlier of the homography loses
+        let score_h = limit_h * num - h.cost;
+        let score_e = essentials.first().map_or(0.0, |e| {
+            (limit_e * num - e.cost)
+                + (limit_h - limit_e) * inlier_count(problem, &e.model, limit_e)
+        });
+        share = score_h / (score_h + score_e).max(1e-12);
+        let backward = h.model.try_inverse().unwrap_or_else(Mat3::identity);
+        let (a, b): (Vec<Vec3>, Vec<Vec3>) = (0..problem.len())
+            .filter(|&i| problem.transfer_sq_px(&h.model, &backward, i) < limit_h)
+            .map(|i| (problem.a[i], problem.b[i]))
+            .unzip();
+        motions.extend(decompose(&h.model, &a, &b));
+    }
+    (motions, share)
+}
+
+fn inlier_count(problem: &Problem, essential: &Mat3, limit: f64) -> f64 {
+    (0..problem.len())
+        .filter(|&i| problem.sampson_sq_px(essential, i) < limit)
+        .count() as f64
+}
+
+/// The motions of an essential matrix that put most inliers in front of both cameras.
+fn essential_motions(problem: &Problem, essential: &Mat3, limit_sq_px: f64) -> Vec<Se3> {
+    let svd = essential.svd(true, true);
+    let (Some(mut u), Some(mut v_t)) = (svd.u, svd.v_t) else {
+        return Vec::new();
+    };
+    if u.determinant() < 0.0 {
+        u = -u;
+    }
+    if v_t.determinant() < 0.0 {
+        v_t = -v_t;
+    }
+    let w: Mat3 = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    let direction: Vec3 = u.column(2).into_owned();
+    let mut motions = Vec::with_capacity(4);
+    for rotation in [u * w * v_t, u * w.transpose() * v_t] {
+        let rotation = Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+        motions.push(Se3::new(rotation, direction));
+        motions.push(Se3::new(rotation, -direction));
+    }
+    let inliers: Vec<usize> = (0..problem.len())
+        .filter(|&i| problem.sampson_sq_px(essential, i) < limit_sq_px)
+        .collect();
+    let counts: Vec<usize> = motions
+        .iter()
+        .map(|motion| {
+            let in_front = |i: usize| {
+                let idepth = midpoint_idepth(problem, motion, i);
+                let depth_ratio =
+                    (motion.rotation * problem.a[i]).z + motion.translation.z * idepth;
+                idepth > 0.0 && depth_ratio > 0.0
+            };
+            inliers.iter().filter(|&&i| in_front(i)).count()
+        })
+        .collect();
+    let most = counts.iter().copied().max().unwrap_or(0);
+    motions
+        .into_iter()
+        .zip(counts)
+        // one that puts nearly as many in front is not excluded yet
+        .filter(|(_, count)| *count > 0 && 10 * count >= 7 * most)
+        .map(|(motion, _)| motion)
+        .collect()
+}
+
+/// A refined motion with its cost on the common scale.
+struct Ranked<'a> {
+    refined: &'a Refined,
+    inliers: Vec<bool>,
+    sigma_px: f64,
+    cost_per_match: f64,
+    /// Standard deviation of each inverse depth for a pixel noise of one.
+    unit_idepth_sigmas: Vec<f64>,
+    unit_direction_sigma: f64,
+}
+
+/// Truncation of the squared normalised error: three standard deviations.
+const OUTLIER_CHI_SQ: f64 = 9.0;
+/// A point is behind a camera when its inverse depth is below zero by this many deviations.
+const BEHIND_SIGMAS: f64 = 3.0;
+/// Motions closer than this are one (rotation, direction of translation, radians).
+const SAME_MOTION: (f64, f64) = (0.01, 0.1);
+
+/// The best motion and its rivals, best first, without duplicates.
+fn rank<'a>(
+    problem: &Problem,
+    refined: &'a mut [Refined],
+    config: &TwoViewConfig,
+) -> Vec<Ranked<'a>> {
+    let refined: &'a [Refined] = refined;
+    let evaluate = |sigma_px: f64| -> Vec<Ranked<'a>> {
+        let mut ranked: Vec<Ranked<'a>> = refined
+            .iter()
+            .map(|r| evaluate_motion(problem, r, sigma_px))
+            .collect();
+        ranked.sort_by(|a, b| a.cost_per_match.total_cmp(&b.cost_per_match));
+        ranked
+    };
+    let first = evaluate(config.sigma_px);
+    let Some(best) = first.first() else {
+        return first;
+    };
+    // the noise as the best motion sees it decides how much worse a rival may be
+    let errors = (0..problem.len()).filter(|&i| best.inliers[i]);
+    let spread = 1.4826 * median(errors.map(|i| best.refined.errors_sq[i].sqrt()).collect());
+    let sigma_px = spread.clamp(0.15 * config.sigma_px, config.sigma_px);
+    let mut out: Vec<Ranked<'a>> = Vec::new();
+    for candidate in evaluate(sigma_px) {
+        let is_rival = out.first().is_none_or(|best: &Ranked| {
+            let margin = (config.rival_margin * best.cost_per_match)
+                .max(MIN_RIVAL_CHI_SQ / problem.len() as f64);
+            candidate.cost_per_match < best.cost_per_match + margin
+        });
+        let is_new = out.iter().all(|other| !same_motion(other, &candidate));
+        if is_rival && is_new && out.len() < MAX_RIVALS {
+            out.push(candidate);
+        }
+    }
+    out
+}
+
+/// A difference in chi squared below this says nothing.
+const MIN_RIVAL_CHI_SQ: f64 = 15.0;
+/// Most motions that are returned.
+const MAX_RIVALS: usize = 4;
+
+fn same_motion(a: &Ranked, b: &Ranked) -> bool {
+    let (a, b) = (&a.refined.b_from_a, &b.refined.b_from_a);
+    a.rotation.angle_to(&b.rotation) < SAME_MOTION.0
+        && a.translation.angle(&b.translation) < SAME_MOTION.1
+}
+
+fn evaluate_motion<'a>(problem: &Problem, refined: &'a Refined, sigma_px: f64) -> Ranked<'a> {
+    let limit = OUTLIER_CHI_SQ * sigma_px * sigma_px;
+    let close: Vec<bool> = refined.errors_sq.iter().map(|e| *e < limit).collect();
+    let uncertainty = uncertainty(problem, refined, &close);
+    let unit_idepth_sigmas: Vec<f64> = uncertainty.idepth_vars.iter().map(|v| v.sqrt()).collect();
+    let mut cost = 0.0;
+    let mut inliers = close;
+    for (i, inlier) in inliers.iter_mut().enumerate() {
+        let sigma = unit_idepth_sigmas[i] * sigma_px;
+        *inlier &= refined.idepths[i] > -BEHIND_SIGMAS * sigma;
+        cost += if *inlier {
+            refined.errors_sq[i] / (sigma_px * sigma_px)
+        } else {
+            OUTLIER_CHI_SQ
+        };
+    }
+    let unit_direction_sigma = uncertainty.pose.map_or(f64::INFINITY, |covariance| {
+        let direction = covariance.fixed_view::<2, 2>(3, 3).into_owned();
+        direction.symmetric_eigenvalues().max().max(0.0).sqrt()
+    });
+    Ranked {
+        refined,
+        inliers,
+        sigma_px,
+        cost_per_match: cost / problem.len() as f64,
+        unit_idepth_sigmas,
+        unit_direction_sigma,
+    }
+}
+
+fn summarise(
+    problem: &Problem,
+    ranked: &Ranked,
+    rotation_errors: &[f64],
+    homography_share: f64,
+) -> TwoView {
+    let pose = &ranked.refined.b_from_a;
+    let mut points = vec![None; problem.len()];
+    let (mut parallaxes, mut relative_sigmas) = (Vec::new(), Vec::new());
+    let mut inlier_rotation_errors = Vec::new();
+    for (i, &is_inlier) in ranked.inliers.iter().enumerate() {
+        if !is_inlier {
+            continue;
+        }
+        let idepth = ranked.refined.idepths[i];
+        let idepth_sigma = ranked.unit_idepth_sigmas[i] * ranked.sigma_px;
+        points[i] = Some(TriangulatedPoint {
+            idepth,
+            idepth_sigma,
+        });
+        let ray = pose.rotation * problem.a[i];
+        parallaxes.push(ray.angle(&(ray + pose.translation * idepth)).to_degrees());
+        relative_sigmas.push(idepth_sigma / idepth.max(1e-9));
+        inlier_rotation_errors.push(rotation_errors[i]);
+    }
+    TwoView {
+        b_from_a: *pose,
+        num_inliers: parallaxes.len(),
+        parallax_deg: median(parallaxes),
+        rotation_residual_px: median(inlier_rotation_errors),
+        direction_sigma_deg: (ranked.unit_direction_sigma * ranked.sigma_px).to_degrees(),
+        relative_idepth_sigma: median(relative_sigmas),
+        residual_px: ranked.sigma_px,
+        cost_per_match: ranked.cost_per_match,
+        homography_share,
+        points,
+    }
+}
+
+/// Puts the points back to the indices of the matches that were given.
+fn scatter(solution: &mut TwoView, usable: &[usize], num: usize) {
+    let mut points = vec![None; num];
+    for (point, &index) in solution.points.iter().zip(usable) {
+        points[index] = *point;
+    }
+    solution.points = points;
+}
