@@ -8,7 +8,11 @@
 //! Both are split over shards of bricks that no two threads share, so the result is the same,
 //! bit for bit, for any number of threads.
 
+pub(crate) mod footprint;
+pub(crate) mod fused;
+pub(crate) mod image;
 pub(crate) mod parallel;
+pub(crate) mod pyramid;
 pub(crate) mod ray;
 pub(crate) mod rays;
 
@@ -127,9 +131,23 @@ pub fn integrate(
 ) -> Result<IntegrationReport, MapError> {
     config.validate()?;
     scan.validate()?;
+    integrate_where(map, scan, config, threads.max(1), None)
+}
+
+/// [`integrate`] restricted to some bricks, for a valid scan and configuration.
+pub(crate) fn integrate_where(
+    map: &mut OccupancyMap,
+    scan: &Scan,
+    config: &IntegrationConfig,
+    threads: usize,
+    only: rays::BrickFilter,
+) -> Result<IntegrationReport, MapError> {
     match config.rule {
-        IntegrationRule::Rays | IntegrationRule::Fused => {
-            rays::integrate_rays(map, scan, config, threads.max(1), None)
+        // End points are the same for both rules: no free space, nothing to fuse.
+        _ if config.model == SensorModel::None => {
+            rays::integrate_end_points(map, scan, config, only)
         }
+        IntegrationRule::Rays => rays::integrate_rays(map, scan, config, threads, only),
+        IntegrationRule::Fused => fused::integrate_fused(map, scan, config, threads, only),
     }
 }

@@ -13,17 +13,13 @@ use crate::evidence::Limits;
 use crate::key::{BRICK_LIMIT, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
-use crate::sensor::SensorModel;
-use crate::sensor::table::{Lookup, TableSet};
+use crate::sensor::table::TableSet;
 use crate::storage::{BrickRef, SHARDS, Shard, SlotIndex, hash, shard_of};
 
 /// A measurement as a ray with its evidence.
 struct Beam {
     ray: Ray,
-    lookup: Lookup,
-    /// Measured range and sigma in map units, for exact evaluation.
-    measured_range: f64,
-    sigma: f64,
+    table: u16,
     /// Range in fixed point at which the first entry of the table begins.
     table_start: i64,
     /// Entries per unit of fixed-point range.
@@ -53,9 +49,6 @@ pub(crate) fn integrate_rays(
     threads: usize,
     only: BrickFilter,
 ) -> Result<IntegrationReport, MapError> {
-    if config.model == SensorModel::None {
-        return integrate_end_points(map, scan, config, only);
-    }
     let (beams, tables) = prepare_beams(map, scan, config)?;
     check_budget(map, &beams)?;
     map.revision += 1;
@@ -71,14 +64,12 @@ pub(crate) fn integrate_rays(
         collect_visits(beams, &mut lists, only);
         report.brick_visits += lists.iter().flatten().map(Vec::len).sum::<usize>();
         let (limits, revision) = (map.limits, map.revision);
-        let range_unit = map.resolution() / (1_u64 << RANGE_BITS) as f64;
         for_each(&mut map.shards, threads, |index, shard| {
             let mut writer = ShardWriter {
                 beams,
                 tables: &tables,
                 limits,
                 revision,
-                range_unit,
                 free_visits: 0,
             };
             for list in &lists {
@@ -109,25 +100,17 @@ fn prepare_beams(
             let direction = pose.rotate(measured.point.map(|c| c / measured.range));
             let range = measured.range * pose.scale;
             let sigma = total_sigma(measured.sigma * pose.scale, range, scan, resolution);
-            let lookup = tables.prepare(range, sigma);
-            let reach = tables.reach_behind(lookup, range, sigma);
-            let length = (range + reach).min(config.max_range);
-            let (start, inv_step) = match lookup {
-                Lookup::Table(table) => {
-                    let table = tables.table(table);
-                    (range + table.start, table.inv_step)
-                }
-                Lookup::Exact => (0.0, 0.0),
-            };
+            let table = tables.prepare(range as f32, sigma as f32);
+            let evidence = tables.table(table);
+            let start = range + evidence.start;
+            let length = (range + evidence.end()).min(config.max_range);
             // A centre is projected at most half a diagonal beyond the end of its cell's piece.
             let half_diagonal = 0.87;
             Some(Beam {
                 ray: Ray::new(origin, direction, length / resolution),
-                lookup,
-                measured_range: range,
-                sigma,
+                table,
                 table_start: fixed(start / resolution, RANGE_BITS),
-                entries_per_range: inv_step * resolution / (1_u64 << RANGE_BITS) as f64,
+                entries_per_range: evidence.inv_step * resolution / (1_u64 << RANGE_BITS) as f64,
                 free_until: fixed(
                     (start / resolution - half_diagonal).clamp(0.0, MAX_CELLS),
                     TIME_BITS,
@@ -224,8 +207,6 @@ struct ShardWriter<'a> {
     tables: &'a TableSet,
     limits: Limits,
     revision: u32,
-    /// Map units per fixed-point range.
-    range_unit: f64,
     free_visits: u32,
 }
 
@@ -244,10 +225,7 @@ impl ShardWriter<'_> {
 
     /// A brick that the beam crosses wholly in free space.
     fn clear(&mut self, shard: &mut Shard, slot: SlotIndex, key: u64, beam: &Beam) {
-        let free = match beam.lookup {
-            Lookup::Table(table) => self.tables.table(table).free,
-            Lookup::Exact => 0,
-        };
+        let free = self.tables.table(beam.table).free;
         if free == 0 {
             return;
         }
@@ -273,42 +251,29 @@ impl ShardWriter<'_> {
         let limits = self.limits;
         let cells = &mut shard.payload_mut(slot).0;
         let entry = beam.ray.enter(BrickKey::unpack(key));
-        match beam.lookup {
-            Lookup::Table(table) => {
-                let table = self.tables.table(table);
-                let (free, entries) = (table.free, &table.entries[..]);
-                beam.ray.walk(entry, |index, range| {
-                    let behind_start = range - beam.table_start;
-                    let delta = if behind_start < 0 {
-                        free
-                    } else {
-                        let at = (behind_start as f64 * beam.entries_per_range) as usize;
-                        match entries.get(at) {
-                            Some(&delta) => delta,
-                            None => return,
-                        }
-                    };
-                    if delta != 0 {
-                        cells[index] = limits.updated(cells[index], delta);
-                    }
-                });
+        let table = self.tables.table(beam.table);
+        let (free, entries) = (table.free, &table.entries[..]);
+        beam.ray.walk(entry, |index, range| {
+            let behind_start = range - beam.table_start;
+            let delta = if behind_start < 0 {
+                free
+            } else {
+                let at = (behind_start as f64 * beam.entries_per_range) as usize;
+                match entries.get(at) {
+                    Some(&delta) => delta,
+                    None => return,
+                }
+            };
+            if delta != 0 {
+                cells[index] = limits.updated(cells[index], delta);
             }
-            Lookup::Exact => {
-                beam.ray.walk(entry, |index, range| {
-                    let range = (range as f64 * self.range_unit).max(f64::MIN_POSITIVE);
-                    let delta = self.tables.exact(range, beam.measured_range, beam.sigma);
-                    if delta != 0 {
-                        cells[index] = limits.updated(cells[index], delta);
-                    }
-                });
-            }
-        }
+        });
         shard.touch(slot, self.revision);
     }
 }
 
-/// Model `none`: the cell of each end point gets the largest update.
-fn integrate_end_points(
+/// Model `none`, the same for both rules: the cell of each end point gets the largest update.
+pub(crate) fn integrate_end_points(
     map: &mut OccupancyMap,
     scan: &Scan,
     config: &IntegrationConfig,

@@ -1,23 +1,29 @@
 //! Tables of evidence over `range - measured_range`, one per bin of sigma.
 //!
-//! Bins are 4 % wide on a logarithmic scale, so the sigma of a table is within 2 % of the
-//! measurement's. An entry holds the model's limited log-odds at its centre; entries are sigma/64
-//! wide. The tests bound the difference to the exact model.
+//! A bin is a value of the exponent and the five highest mantissa bits of sigma as `f32`, so the
+//! sigma of a table is within 1.6 % of the measurement's. An entry holds the model's limited
+//! log-odds at its centre; entries are sigma/64 wide. Models that also depend on how uncertain
+//! the range is relative to itself get one table per bin of sigma and of `range / sigma`. The
+//! tests bound the difference to the exact model.
+
+use std::collections::BTreeMap;
 
 use super::{SensorModel, ThrunForm};
 use crate::error::MapError;
 use crate::evidence::evidence_from_log_odds;
 
-/// Ratio of neighbouring bins of sigma.
-const BIN_RATIO: f64 = 1.04;
-/// Sigmas outside these are counted as these, in map units. With the ratio: 763 bins.
-const SIGMA_RANGE: (f64, f64) = (1e-9, 1e4);
+/// Bits of an `f32` dropped by its bin.
+const BIN_SHIFT: u32 = 18;
 /// Entries per sigma.
 const ENTRIES_PER_SIGMA: f64 = 64.0;
 /// Entries of the longest table; bands that are very thick against sigma get coarser ones.
 const MAX_ENTRIES: f64 = 16384.0;
 /// Thesis' form differs from the exact one by less than 1e-9 for ranges beyond this many sigmas.
-const THESIS_TAIL_SIGMAS: f64 = 6.0;
+const THESIS_TAIL_SIGMAS: f32 = 6.0;
+/// Ranges beyond this many sigmas are far enough for every model to be a function of
+/// `range - measured_range`: the skew of inverse depth and the growth of a stereo camera's sigma
+/// are then below 1 % within 4 sigma.
+const FAR_SIGMAS: f32 = 400.0;
 
 /// Limits and cut of the evidence of one measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,29 +48,36 @@ pub(crate) struct EvidenceTable {
 }
 
 impl EvidenceTable {
-    fn new(model: &SensorModel, sigma: f64, limits: UpdateLimits) -> Self {
-        let reach = model.reach_behind(sigma);
+    /// Tabulates `model` for a measurement of `sigma` at the range `z`.
+    fn new(model: &SensorModel, sigma: f64, z: f64, limits: UpdateLimits) -> Self {
+        let reach = if model.is_shift_invariant() {
+            model.reach_behind(sigma)
+        } else {
+            // A Gaussian in inverse range reaches 1/(1/z - reach/z^2), at most to infinity:
+            // twice the range is the limit there.
+            let share = (model.reach_behind(sigma) / z).min(0.5);
+            z * share / (1.0 - share)
+        };
         // In front, the models are constant to within the limits beyond the same distance, plus
         // the half band that Thrun's reach already holds.
-        let front = -(reach + 3.0 * sigma);
+        let front = -(reach + 3.0 * sigma).min(z);
         let step = (sigma / ENTRIES_PER_SIGMA).max((reach - front) / MAX_ENTRIES);
         let count = ((reach - front) / step).ceil().max(1.0) as usize;
-        // Far enough for the shift-invariant part of every model.
-        let z = 1e3 * (reach + sigma) + 1.0;
         let at = |x: f64| {
+            let range = (z + x).max(1e-6 * z);
             let log_odds = match model {
                 SensorModel::None => 0.0,
-                _ => model.log_odds(z + x, z, sigma, (limits.min, limits.max)),
+                _ => model.log_odds(range, z, sigma, (limits.min, limits.max)),
             };
             evidence_from_log_odds(log_odds)
         };
         let mut entries: Vec<i16> = (0..count)
             .map(|i| at(front + (i as f64 + 0.5) * step))
             .collect();
-        let cutoff = evidence_from_log_odds(limits.cutoff);
+        let cutoff = evidence_from_log_odds(limits.cutoff).unsigned_abs().max(1);
         let kept = entries
             .iter()
-            .rposition(|&e| e.unsigned_abs() >= cutoff.unsigned_abs().max(1))
+            .rposition(|&e| e.unsigned_abs() >= cutoff)
             .map_or(0, |last| last + 1);
         entries.truncate(kept);
         let free = at(front - sigma);
@@ -95,32 +108,23 @@ impl EvidenceTable {
     }
 }
 
-/// How the evidence of a measurement is found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Lookup {
-    /// In the table of this index.
-    Table(u16),
-    /// From the exact model, because it is no function of `range - measured_range` alone.
-    Exact,
-}
-
 /// The tables that a set of measurements needs, made on demand.
 #[derive(Clone, Debug)]
 pub(crate) struct TableSet {
     model: SensorModel,
     limits: UpdateLimits,
     tables: Vec<EvidenceTable>,
-    /// Table of each bin, by `bin - first bin`; `u16::MAX` where none was needed yet.
-    index_of_bin: Vec<u16>,
+    /// By bin of sigma and, where it matters, bin of `range / sigma`.
+    index_of_bins: BTreeMap<(u32, u32), u16>,
+    last: Option<((u32, u32), u16)>,
 }
 
-fn bin_of_sigma(sigma: f64) -> usize {
-    let clamped = sigma.clamp(SIGMA_RANGE.0, SIGMA_RANGE.1);
-    ((clamped / SIGMA_RANGE.0).ln() / BIN_RATIO.ln()).round() as usize
+fn bin(value: f32) -> u32 {
+    value.to_bits() >> BIN_SHIFT
 }
 
-fn sigma_of_bin(bin: usize) -> f64 {
-    SIGMA_RANGE.0 * BIN_RATIO.powf(bin as f64)
+fn bin_center(bin: u32) -> f64 {
+    f64::from(f32::from_bits(bin << BIN_SHIFT | 1 << (BIN_SHIFT - 1)))
 }
 
 impl TableSet {
@@ -134,32 +138,48 @@ impl TableSet {
             model,
             limits,
             tables: Vec::new(),
-            index_of_bin: vec![u16::MAX; bin_of_sigma(SIGMA_RANGE.1) + 1],
+            index_of_bins: BTreeMap::new(),
+            last: None,
         })
     }
 
-    /// The table for a measurement, made if it is the first of its bin.
-    pub(crate) fn prepare(&mut self, measured_range: f64, sigma: f64) -> Lookup {
-        let thesis_tail = matches!(
-            self.model,
+    /// Index of the table for a measurement, made if it is the first of its bins.
+    ///
+    /// `range` and `sigma` are positive and finite, in map units.
+    #[inline]
+    pub(crate) fn prepare(&mut self, range: f32, sigma: f32) -> u16 {
+        let needs_range = match self.model {
             SensorModel::Thrun {
                 form: ThrunForm::Thesis,
                 ..
-            }
-        ) && measured_range < THESIS_TAIL_SIGMAS * sigma;
-        if thesis_tail || !self.model.is_shift_invariant() {
-            return Lookup::Exact;
+            } => range < THESIS_TAIL_SIGMAS * sigma,
+            _ => !self.model.is_shift_invariant() && range < FAR_SIGMAS * sigma,
+        };
+        let ratio_bin = if needs_range { bin(range / sigma) } else { 0 };
+        let bins = (bin(sigma), ratio_bin);
+        match self.last {
+            Some((last, index)) if last == bins => index,
+            _ => self.prepare_bins(bins),
         }
-        let bin = bin_of_sigma(sigma);
-        if self.index_of_bin[bin] == u16::MAX {
-            self.index_of_bin[bin] = self.tables.len() as u16;
-            self.tables.push(EvidenceTable::new(
-                &self.model,
-                sigma_of_bin(bin),
-                self.limits,
-            ));
-        }
-        Lookup::Table(self.index_of_bin[bin])
+    }
+
+    fn prepare_bins(&mut self, bins: (u32, u32)) -> u16 {
+        let index = self.index_of_bins.get(&bins).copied().unwrap_or_else(|| {
+            let sigma = bin_center(bins.0);
+            let ratio = if bins.1 == 0 {
+                1e3 + self.model.reach_behind(sigma) / sigma
+            } else {
+                bin_center(bins.1)
+            };
+            let table = EvidenceTable::new(&self.model, sigma, ratio * sigma, self.limits);
+            self.tables.push(table);
+            // 8 octaves of both bins at once would be needed to run out of indices.
+            let index = u16::try_from(self.tables.len() - 1).unwrap_or(u16::MAX);
+            self.index_of_bins.insert(bins, index);
+            index
+        });
+        self.last = Some((bins, index));
+        index
     }
 
     #[inline]
@@ -167,31 +187,9 @@ impl TableSet {
         &self.tables[usize::from(index)]
     }
 
-    /// Exact evidence of a measurement whose lookup is [`Lookup::Exact`].
-    pub(crate) fn exact(&self, range: f64, measured_range: f64, sigma: f64) -> i16 {
-        let limits = (self.limits.min, self.limits.max);
-        let log_odds = self.model.log_odds(range, measured_range, sigma, limits);
-        if range > measured_range && log_odds.abs() < self.limits.cutoff {
-            return 0;
-        }
-        evidence_from_log_odds(log_odds)
-    }
-
-    /// Distance behind the measured range that a measurement can change.
-    pub(crate) fn reach_behind(&self, lookup: Lookup, measured_range: f64, sigma: f64) -> f64 {
-        match lookup {
-            Lookup::Table(index) => self.table(index).end(),
-            // A Gaussian in inverse range reaches 1/(1/z - reach/z^2), at most to infinity:
-            // twice the range is the limit there.
-            Lookup::Exact => {
-                let share = self.model.reach_behind(sigma) / measured_range;
-                if share < 0.5 {
-                    measured_range * share / (1.0 - share)
-                } else {
-                    measured_range
-                }
-            }
-        }
+    /// All tables, by index.
+    pub(crate) fn tables(&self) -> &[EvidenceTable] {
+        &self.tables
     }
 }
 
@@ -207,10 +205,8 @@ mod tests {
         let mut worst: f64 = 0.0;
         for &sigma in sigmas {
             // Compared at the bin's own sigma: the error of the table alone.
-            let sigma = sigma_of_bin(bin_of_sigma(sigma));
-            let Lookup::Table(index) = set.prepare(z, sigma) else {
-                panic!("{model:?} should have a table");
-            };
+            let sigma = bin_center(bin(sigma as f32));
+            let index = set.prepare(z as f32, sigma as f32);
             let table = set.table(index);
             for i in -4000..4000 {
                 let x = f64::from(i) * 0.0037 * sigma;
@@ -272,17 +268,52 @@ mod tests {
     fn a_bin_is_within_two_percent_of_every_sigma_in_it() {
         for i in 0..2000 {
             let sigma = 1e-4 * 1.005_f64.powi(i);
-            let ratio = sigma_of_bin(bin_of_sigma(sigma)) / sigma;
-            assert!((0.98..1.0201).contains(&ratio), "{sigma} {ratio}");
+            let ratio = bin_center(bin(sigma as f32)) / sigma;
+            assert!((0.984..1.016).contains(&ratio), "{sigma} {ratio}");
+        }
+    }
+
+    #[test]
+    fn tables_of_skewed_models_follow_the_exact_model_at_every_relative_uncertainty() {
+        for model in [
+            SensorModel::Thrun {
+                buffer: Buffer::AUTO,
+                form: ThrunForm::InverseDepth,
+            },
+            SensorModel::Thrun {
+                buffer: Buffer::AUTO,
+                form: ThrunForm::Thesis,
+            },
+            SensorModel::Andert {
+                significance: Significance::Fixed(0.02),
+                p_min: 0.3,
+                form: super::super::AndertForm::Stereo,
+            },
+        ] {
+            let mut set = TableSet::new(model, DEFAULT).unwrap();
+            for ratio in [3.0, 5.0, 10.0, 30.0, 200.0] {
+                let sigma = bin_center(bin(0.05));
+                let ratio = bin_center(bin(ratio));
+                let z = ratio * sigma;
+                let index = set.prepare(z as f32, sigma as f32);
+                let table = set.table(index);
+                for i in -300..600 {
+                    let x = f64::from(i) * 0.01 * sigma;
+                    if z + x <= 0.0 || x >= table.end() {
+                        continue;
+                    }
+                    let exact = model.log_odds(z + x, z, sigma, (DEFAULT.min, DEFAULT.max));
+                    let stored = f64::from(log_odds_from_evidence(table.lookup(x)));
+                    assert!((exact - stored).abs() < 0.05, "{model:?} {ratio} {i}");
+                }
+            }
         }
     }
 
     #[test]
     fn free_space_and_the_space_behind_are_constant() {
         let mut set = TableSet::new(SensorModel::THRUN.at_resolution(0.05), DEFAULT).unwrap();
-        let Lookup::Table(index) = set.prepare(3.0, 0.02) else {
-            panic!("a table");
-        };
+        let index = set.prepare(3.0, 0.02);
         let table = set.table(index);
         assert_eq!(table.lookup(-2.5), evidence_from_log_odds(-0.6));
         assert_eq!(table.lookup(10.0), 0);

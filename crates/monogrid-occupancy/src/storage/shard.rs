@@ -208,6 +208,27 @@ impl Shard {
         }
     }
 
+    /// An update per cell, where 0 leaves the cell alone; returns whether anything changed.
+    pub(crate) fn update_each(
+        &mut self,
+        slot: SlotIndex,
+        updates: &[i16; BRICK_CELLS],
+        limits: Limits,
+    ) -> bool {
+        let mut changed = 0;
+        for (value, &update) in self.payload_mut(slot).0.iter_mut().zip(updates) {
+            let updated = if update == 0 {
+                *value
+            } else {
+                limits.updated(*value, update)
+            };
+            changed |= *value ^ updated;
+            *value = updated;
+        }
+        self.collapse(slot);
+        changed != 0
+    }
+
     /// All bricks, tombstones included, in no particular order: packed key, revision, contents.
     pub(crate) fn bricks(&self) -> impl Iterator<Item = (u64, u32, BrickRef)> + '_ {
         self.slots

@@ -1,0 +1,317 @@
+//! Measurements of a scan as range images: what the rule `fused` looks cells up in.
+//!
+//! A scan that looks one way becomes one pinhole image, any other the six faces of a cube. Pixels
+//! are as fine as the measurements are dense, but no finer than a third of a typical cell.
+
+use super::IntegrationConfig;
+use super::rays::total_sigma;
+use crate::error::MapError;
+use crate::scan::{DepthScan, Scan, ScanData};
+use crate::sensor::table::TableSet;
+
+/// Pixels along the edge of a cell's footprint at the mean range.
+const PIXELS_PER_CELL: f64 = 3.0;
+/// A scan whose directions all lie within this slope of the forward axis is one image.
+const WIDEST_SLOPE: f32 = 2.5;
+/// Slope of a cube's faces, with a margin for footprints that cross an edge.
+const CUBE_SLOPE: f32 = 1.02;
+/// Most pixels of one image.
+const MAX_PIXELS: f64 = 4e6;
+
+/// Range marking a pixel without a measurement.
+pub(crate) const HOLE: f32 = 0.0;
+
+/// What is known in one pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pixel {
+    /// Range in map units, or [`HOLE`].
+    pub range: f32,
+    /// Evidence table of the measurement.
+    pub table: u16,
+    /// Votes for this range while the image is being filled.
+    votes: u16,
+}
+
+const EMPTY_PIXEL: Pixel = Pixel {
+    range: HOLE,
+    table: 0,
+    votes: 0,
+};
+
+/// One pinhole image of ranges.
+#[derive(Clone, Debug)]
+pub(crate) struct RangeImage {
+    /// Rows: the axes of the image (right, down, forward) in world coordinates.
+    pub axes: [[f64; 3]; 3],
+    pub width: usize,
+    pub height: usize,
+    /// Pixels per unit of slope, along u and v.
+    pub focal: [f32; 2],
+    /// Pixel of slope 0.
+    pub center: [f32; 2],
+    pub pixels: Vec<Pixel>,
+    /// Measurements per filled pixel, at least 1.
+    pub density: f32,
+}
+
+/// A measurement in an image: slopes, range in map units and table.
+#[derive(Clone, Copy)]
+struct Sample {
+    u: f32,
+    v: f32,
+    range: f32,
+    table: u16,
+}
+
+/// A scan prepared for the rule `fused`.
+#[derive(Clone, Debug)]
+pub(crate) struct RangeImages {
+    /// Place of the sensor in map units.
+    pub origin: [f64; 3],
+    pub images: Vec<RangeImage>,
+    pub tables: TableSet,
+    pub points: usize,
+}
+
+impl RangeImages {
+    /// Prepares a scan for a map with cells of edge `resolution`.
+    pub(crate) fn new(
+        scan: &Scan,
+        config: &IntegrationConfig,
+        resolution: f64,
+    ) -> Result<Self, MapError> {
+        let mut tables = TableSet::new(
+            config.model.at_resolution(resolution),
+            config.update_limits(),
+        )?;
+        let (faces, points) = match collect_forward(scan, config, resolution, &mut tables) {
+            Some(samples) => {
+                let points = samples.len();
+                (vec![(FORWARD, samples)], points)
+            }
+            None => collect_cube(scan, config, resolution, &mut tables),
+        };
+        let rotation = scan.world_from_sensor.rotation;
+        let native = match scan.data {
+            ScanData::Depth(depth) => Some(depth),
+            ScanData::Points(_) => None,
+        };
+        let images = faces
+            .into_iter()
+            .filter(|(_, samples)| !samples.is_empty())
+            .map(|(axes, samples)| {
+                // Columns of world_from_sensor are the sensor's axes in the world.
+                let axes_in_world = axes.map(|axis: [f64; 3]| {
+                    std::array::from_fn(|i| (0..3).map(|j| rotation[i][j] * axis[j]).sum())
+                });
+                build_image(axes_in_world, &samples, native, resolution)
+            })
+            .collect();
+        Ok(Self {
+            origin: scan.world_from_sensor.translation,
+            images,
+            tables,
+            points,
+        })
+    }
+}
+
+/// Axes (right, down, forward) of the image of a forward-looking sensor.
+const FORWARD: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+/// Axes of the six faces of a cube around the sensor.
+const CUBE: [[[f64; 3]; 3]; 6] = [
+    [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
+    [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]],
+    [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+    [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]],
+    FORWARD,
+    [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+];
+
+/// Scale and pose uncertainty applied to one measurement.
+struct RangeModel<'a> {
+    scan: &'a Scan<'a>,
+    resolution: f64,
+}
+
+impl RangeModel<'_> {
+    #[inline]
+    fn range_and_sigma(&self, range: f64, sigma: f64) -> (f32, f32) {
+        let scale = self.scan.world_from_sensor.scale;
+        let range = range * scale;
+        let sigma = total_sigma(sigma * scale, range, self.scan, self.resolution);
+        (range as f32, sigma as f32)
+    }
+}
+
+/// The samples of a sensor that looks forward; `None` if some direction is too far off.
+fn collect_forward(
+    scan: &Scan,
+    config: &IntegrationConfig,
+    resolution: f64,
+    tables: &mut TableSet,
+) -> Option<Vec<Sample>> {
+    let model = RangeModel { scan, resolution };
+    let mut samples = Vec::with_capacity(scan.len());
+    for index in 0..scan.len() {
+        let Some(measured) = scan.measurement(index, config.sigma_mode) else {
+            continue;
+        };
+        let [x, y, z] = measured.point;
+        let inverse = 1.0 / z;
+        let (u, v) = ((x * inverse) as f32, (y * inverse) as f32);
+        if !(z > 0.0 && u.abs() < WIDEST_SLOPE && v.abs() < WIDEST_SLOPE) {
+            return None;
+        }
+        let (range, sigma) = model.range_and_sigma(measured.range, measured.sigma);
+        samples.push(Sample {
+            u,
+            v,
+            range,
+            table: tables.prepare(range, sigma),
+        });
+    }
+    Some(samples)
+}
+
+/// The samples of the six faces of a cube; those near an edge belong to both faces.
+#[allow(
+    clippy::type_complexity,
+    reason = "faces with their samples, used once"
+)]
+fn collect_cube(
+    scan: &Scan,
+    config: &IntegrationConfig,
+    resolution: f64,
+    tables: &mut TableSet,
+) -> (Vec<([[f64; 3]; 3], Vec<Sample>)>, usize) {
+    let model = RangeModel { scan, resolution };
+    let mut faces: Vec<_> = CUBE.iter().map(|axes| (*axes, Vec::new())).collect();
+    let mut points = 0;
+    for index in 0..scan.len() {
+        let Some(measured) = scan.measurement(index, config.sigma_mode) else {
+            continue;
+        };
+        points += 1;
+        let (range, sigma) = model.range_and_sigma(measured.range, measured.sigma);
+        let table = tables.prepare(range, sigma);
+        for (axes, samples) in &mut faces {
+            let [x, y, z] = axes.map(|a| (0..3).map(|i| a[i] * measured.point[i]).sum::<f64>());
+            let (u, v) = ((x / z) as f32, (y / z) as f32);
+            if z > 0.0 && u.abs() <= CUBE_SLOPE && v.abs() <= CUBE_SLOPE {
+                samples.push(Sample { u, v, range, table });
+            }
+        }
+    }
+    (faces, points)
+}
+
+/// Extent of the samples' slopes.
+fn slope_bounds(samples: &[Sample]) -> ([f32; 2], [f32; 2]) {
+    samples
+        .iter()
+        .fold(([f32::MAX; 2], [f32::MIN; 2]), |([lu, lv], [hu, hv]), s| {
+            ([lu.min(s.u), lv.min(s.v)], [hu.max(s.u), hv.max(s.v)])
+        })
+}
+
+fn build_image(
+    axes: [[f64; 3]; 3],
+    samples: &[Sample],
+    native: Option<DepthScan>,
+    resolution: f64,
+) -> RangeImage {
+    let (low, high) = slope_bounds(samples);
+    let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(1e-3));
+    let mean_range = samples.iter().map(|s| f64::from(s.range)).sum::<f64>() / samples.len() as f64;
+    // One measurement per pixel on average, or the camera's own pixels.
+    let (focal_u, aspect) = match native {
+        Some(camera) => (camera.fx.abs(), (camera.fy / camera.fx).abs()),
+        None => ((samples.len() as f64 / (extent[0] * extent[1])).sqrt(), 1.0),
+    };
+    let focal_u = focal_u
+        .min(PIXELS_PER_CELL * mean_range / resolution)
+        .min((MAX_PIXELS / (extent[0] * extent[1] * aspect)).sqrt())
+        .max(1.0);
+    let focal = [focal_u as f32, (focal_u * aspect) as f32];
+    let size = [0, 1].map(|i| ((high[i] - low[i]) * focal[i]).round() as usize + 1);
+    let mut image = RangeImage {
+        axes,
+        width: size[0],
+        height: size[1],
+        focal,
+        center: [-low[0] * focal[0], -low[1] * focal[1]],
+        pixels: vec![EMPTY_PIXEL; size[0] * size[1]],
+        density: 1.0,
+    };
+    for sample in samples {
+        image.vote(sample);
+    }
+    let filled = image.pixels.iter().filter(|p| p.range != HOLE).count();
+    image.density = (samples.len() as f32 / filled.max(1) as f32).max(1.0);
+    image.fill_gaps();
+    image
+}
+
+impl RangeImage {
+    /// Adds a measurement to its pixel. Ranges that agree within a tenth are averaged; where they
+    /// do not, the majority stays (Boyer and Moore's vote).
+    #[inline]
+    fn vote(&mut self, sample: &Sample) {
+        let column = (sample.u * self.focal[0] + self.center[0] + 0.5) as usize;
+        let row = (sample.v * self.focal[1] + self.center[1] + 0.5) as usize;
+        let index = row.min(self.height - 1) * self.width + column.min(self.width - 1);
+        let pixel = &mut self.pixels[index];
+        if pixel.votes == 0 {
+            *pixel = Pixel {
+                range: sample.range,
+                table: sample.table,
+                votes: 1,
+            };
+        } else if (sample.range - pixel.range).abs() <= 0.1 * pixel.range {
+            pixel.votes = pixel.votes.saturating_add(1);
+            pixel.range += (sample.range - pixel.range) / f32::from(pixel.votes);
+        } else {
+            pixel.votes -= 1;
+        }
+    }
+
+    /// Closes gaps of one pixel between opposite measurements that agree within a tenth, at the
+    /// mean of their inverse ranges (exact on planes).
+    fn fill_gaps(&mut self) {
+        let (width, height) = (self.width, self.height);
+        if width < 3 || height < 3 {
+            return;
+        }
+        let source = self.pixels.clone();
+        for row in 1..height - 1 {
+            for column in 1..width - 1 {
+                let at = row * width + column;
+                if source[at].range != HOLE {
+                    continue;
+                }
+                let pairs = [
+                    (at - 1, at + 1),
+                    (at - width, at + width),
+                    (at - width - 1, at + width + 1),
+                    (at - width + 1, at + width - 1),
+                ];
+                for (a, b) in pairs {
+                    let (a, b) = (source[a], source[b]);
+                    let agree = a.range != HOLE
+                        && b.range != HOLE
+                        && (a.range - b.range).abs() <= 0.1 * a.range.min(b.range);
+                    if agree {
+                        self.pixels[at] = Pixel {
+                            range: 2.0 * a.range * b.range / (a.range + b.range),
+                            table: a.table,
+                            votes: 0,
+                        };
+                        break;
+                    }
+                }
+            }
+        }
+    }
+}

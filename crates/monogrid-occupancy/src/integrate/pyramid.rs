@@ -1,0 +1,203 @@
+//! Pyramids of a range image: how near could something be, how far can anything matter?
+
+use super::image::{HOLE, RangeImage};
+use crate::sensor::table::TableSet;
+
+/// Bounds over a block of pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Bounds {
+    /// Every pixel of the block sees free space up to here; minus infinity if one is a hole.
+    pub free_until: f32,
+    /// No pixel of the block changes a cell beyond this; minus infinity if all are holes.
+    pub changes_until: f32,
+}
+
+const NOTHING: Bounds = Bounds {
+    free_until: f32::NEG_INFINITY,
+    changes_until: f32::NEG_INFINITY,
+};
+
+impl Bounds {
+    #[inline]
+    fn join(self, other: Self) -> Self {
+        Self {
+            free_until: self.free_until.min(other.free_until),
+            changes_until: self.changes_until.max(other.changes_until),
+        }
+    }
+}
+
+struct Level {
+    width: usize,
+    height: usize,
+    bounds: Vec<Bounds>,
+}
+
+/// Bounds of blocks of `2^level` pixels' edge.
+pub(crate) struct Pyramid {
+    levels: Vec<Level>,
+}
+
+impl Pyramid {
+    pub(crate) fn new(image: &RangeImage, tables: &TableSet, max_range: f32) -> Self {
+        // Nothing is uniformly free if measurements of different uncertainty say different things.
+        let free = tables.tables().first().map_or(0, |t| t.free);
+        let one_free_value = tables.tables().iter().all(|t| t.free == free);
+        let reach: Vec<(f32, f32)> = tables
+            .tables()
+            .iter()
+            .map(|t| (t.start as f32, t.end() as f32))
+            .collect();
+        let bounds = image
+            .pixels
+            .iter()
+            .map(|pixel| {
+                if pixel.range == HOLE {
+                    return NOTHING;
+                }
+                let (start, end) = reach[usize::from(pixel.table)];
+                Bounds {
+                    free_until: if one_free_value {
+                        (pixel.range + start).min(max_range)
+                    } else {
+                        f32::NEG_INFINITY
+                    },
+                    changes_until: (pixel.range + end).min(max_range),
+                }
+            })
+            .collect();
+        let mut levels = vec![Level {
+            width: image.width,
+            height: image.height,
+            bounds,
+        }];
+        while let Some(last) = levels.last()
+            && (last.width > 1 || last.height > 1)
+        {
+            let next = last.halved();
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// Bounds over the pixels from `low` to `high` (column, row), both inclusive; pixels outside
+    /// the image are holes. `None` if all of them are outside.
+    #[inline]
+    pub(crate) fn bounds(&self, low: [f32; 2], high: [f32; 2]) -> Option<Bounds> {
+        let image = &self.levels[0];
+        let last = [image.width as f32 - 1.0, image.height as f32 - 1.0];
+        let outside = |i: usize| high[i] < 0.0 || low[i] > last[i];
+        // Written so that NaN counts as outside.
+        if outside(0) || outside(1) || (low[0] + low[1] + high[0] + high[1]).is_nan() {
+            return None;
+        }
+        let is_clipped = (0..2).any(|i| low[i] < 0.0 || high[i] > last[i]);
+        let first = [0, 1].map(|i| low[i].max(0.0) as usize);
+        let end = [0, 1].map(|i| high[i].min(last[i]) as usize);
+        let span = (end[0] - first[0]).max(end[1] - first[1]);
+        // At this level the block is at most three wide.
+        let level = (usize::BITS - span.leading_zeros()).saturating_sub(1) as usize;
+        let level = level.min(self.levels.len() - 1);
+        let blocks = &self.levels[level];
+        let mut joined: Option<Bounds> = None;
+        for row in first[1] >> level..=end[1] >> level {
+            let start = row * blocks.width;
+            let row = &blocks.bounds[start + (first[0] >> level)..=start + (end[0] >> level)];
+            for &bounds in row {
+                joined = Some(joined.map_or(bounds, |j| j.join(bounds)));
+            }
+        }
+        joined.map(|bounds| Bounds {
+            free_until: if is_clipped {
+                f32::NEG_INFINITY
+            } else {
+                bounds.free_until
+            },
+            ..bounds
+        })
+    }
+
+    /// Bounds over the whole image.
+    pub(crate) fn whole(&self) -> Bounds {
+        self.levels
+            .last()
+            .and_then(|level| level.bounds.first())
+            .copied()
+            .unwrap_or(NOTHING)
+    }
+}
+
+impl Level {
+    fn halved(&self) -> Level {
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        let mut bounds = Vec::with_capacity(width * height);
+        for row in 0..height {
+            let upper = &self.bounds[2 * row * self.width..][..self.width];
+            let lower_row = (2 * row + 1).min(self.height - 1);
+            let lower = &self.bounds[lower_row * self.width..][..self.width];
+            let pairs = upper.chunks(2).zip(lower.chunks(2));
+            bounds.extend(
+                pairs.map(|(u, l)| u[0].join(l[0]).join(u[u.len() - 1]).join(l[l.len() - 1])),
+            );
+        }
+        Level {
+            width,
+            height,
+            bounds,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_of_any_box_hold_those_of_its_pixels() {
+        let (width, height) = (13, 7);
+        let mut state = 3_u32;
+        let bounds: Vec<Bounds> = (0..width * height)
+            .map(|_| {
+                state = state.wrapping_mul(1664525).wrapping_add(1013904223);
+                let near = (state >> 16) as f32;
+                if state % 9 == 0 {
+                    NOTHING
+                } else {
+                    Bounds {
+                        free_until: near,
+                        changes_until: near + 1.0,
+                    }
+                }
+            })
+            .collect();
+        let mut pyramid = Pyramid {
+            levels: vec![Level {
+                width,
+                height,
+                bounds: bounds.clone(),
+            }],
+        };
+        while pyramid.levels.last().unwrap().bounds.len() > 1 {
+            let next = pyramid.levels.last().unwrap().halved();
+            pyramid.levels.push(next);
+        }
+        for (x0, x1, y0, y1) in (0..13).flat_map(|a| {
+            (a..13).flat_map(move |b| (0..7).flat_map(move |c| (c..7).map(move |d| (a, b, c, d))))
+        }) {
+            let found = pyramid
+                .bounds([x0 as f32, y0 as f32], [x1 as f32 + 0.4, y1 as f32])
+                .unwrap();
+            for y in y0..=y1 {
+                for x in x0..=x1 {
+                    let inside = bounds[y * width + x];
+                    assert!(found.free_until <= inside.free_until);
+                    assert!(found.changes_until >= inside.changes_until);
+                }
+            }
+        }
+        assert!(pyramid.bounds([-9.0, 0.0], [-1.0, 3.0]).is_none());
+        let clipped = pyramid.bounds([-1.0, 0.0], [2.0, 3.0]).unwrap();
+        assert_eq!(clipped.free_until, f32::NEG_INFINITY);
+        assert_eq!(pyramid.whole().free_until, f32::NEG_INFINITY);
+    }
+}
