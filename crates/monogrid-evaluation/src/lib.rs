@@ -27,6 +27,6 @@ pub use trajectory::{
     TrajectoryError, TrajectoryReport, WindowScale, evaluate_trajectory,
 };
 pub use truth::{
-    CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid,
-    truth_from_depth_images, truth_from_points, truth_from_triangles,
+    CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid, View,
+    cells_in_view, truth_from_depth_images, truth_from_points, truth_from_triangles,
 };

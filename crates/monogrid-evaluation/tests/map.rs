@@ -170,6 +170,24 @@ fn the_view_limits_what_is_asked_for() {
         "{free} {in_view}"
     );
     assert_eq!(report.surface.completeness, 1.0);
+
+    // A view of larger cells covers the same and a rim.
+    let coarse = view.coarsened(2).expect("a factor");
+    let config = MapEvaluationConfig {
+        in_view: Some(&coarse),
+        ..MapEvaluationConfig::default()
+    };
+    let report = evaluate_map(&half, &truth, &config).expect("comparable");
+    assert!((report.coverage_free_in_view.expect("a view") - in_view).abs() < 1e-9);
+    let odd = TruthGrid::new(0.12, [0; 3], [5; 3], 1000).expect("small");
+    let config = MapEvaluationConfig {
+        in_view: Some(&odd),
+        ..config
+    };
+    assert!(matches!(
+        evaluate_map(&half, &truth, &config),
+        Err(MapEvaluationError::View { .. })
+    ));
 }
 
 #[test]

@@ -30,7 +30,8 @@ pub struct MapEvaluationConfig<'a> {
     /// 0.05 and the resolution.
     pub tolerance_m: Option<f64>,
     /// Cells that some keyframe looks at, as [`crate::cells_in_view`] makes it; free or occupied there
-    /// means "in view". Completeness then only asks for surfaces in view. Default: none.
+    /// means "in view". Its cells may be a whole number of times as large as those of the truth.
+    /// Completeness then only asks for surfaces in view. Default: none.
     pub in_view: Option<&'a TruthGrid>,
     /// At most so many cells of each surface ask for their nearest neighbour. Default 1,000,000.
     pub max_distance_queries: usize,
@@ -58,6 +59,14 @@ pub enum MapEvaluationError {
     Resolution {
         /// Edge of a cell of the estimate.
         estimate: f64,
+        /// Edge of a cell of the truth.
+        truth: f64,
+    },
+    /// The view does not fit the truth.
+    #[error("cells in view have an edge of {view}, expected a multiple of the truth's {truth}")]
+    View {
+        /// Edge of a cell of the view.
+        view: f64,
         /// Edge of a cell of the truth.
         truth: f64,
     },
@@ -162,6 +171,46 @@ pub struct MapReport {
     pub observed_outside: u64,
 }
 
+/// The cells in view, by keys of the truth; without a view all cells are.
+struct InView<'a> {
+    grid: Option<&'a TruthGrid>,
+    /// Cells of the truth along one edge of a cell of the view.
+    factor: i32,
+}
+
+impl<'a> InView<'a> {
+    fn new(grid: Option<&'a TruthGrid>, truth: f64) -> Result<Self, MapEvaluationError> {
+        let view = grid.map_or(truth, TruthGrid::resolution);
+        let factor = (view / truth).round();
+        if factor < 1.0 || (view / truth - factor).abs() > 1e-6 * factor {
+            return Err(MapEvaluationError::View { view, truth });
+        }
+        Ok(Self {
+            grid,
+            factor: factor as i32,
+        })
+    }
+
+    fn contains(&self, key: [i32; 3]) -> bool {
+        self.grid.is_none_or(|grid| {
+            grid.state(key.map(|k| k.div_euclid(self.factor))) != Occupancy::Unknown
+        })
+    }
+
+    /// States of the true cells in view; `None` without a view.
+    fn counts(&self, truth: &TruthGrid) -> Option<CellCounts> {
+        self.grid?;
+        let mut counts = CellCounts::default();
+        for cell in truth.cells() {
+            let key = truth.global(cell);
+            if self.contains(key) {
+                counts.add(truth.state(key));
+            }
+        }
+        Some(counts)
+    }
+}
+
 /// What one pass over the estimate collects.
 struct Pass {
     scores: ScoreCounter,
@@ -194,6 +243,7 @@ pub fn evaluate_map(
             truth: resolution,
         });
     }
+    let view = InView::new(config.in_view, resolution)?;
     let truth_counts = truth.counts();
     if truth_counts.free == 0 || truth_counts.occupied == 0 {
         return Err(MapEvaluationError::OneClass {
@@ -201,7 +251,7 @@ pub fn evaluate_map(
             occupied: truth_counts.occupied,
         });
     }
-    let pass = pass_over(estimate, truth, config.in_view);
+    let pass = pass_over(estimate, truth, &view);
     let observed = pass
         .slices
         .iter()
@@ -211,8 +261,8 @@ pub fn evaluate_map(
     let scores = pass.scores.into_sorted();
     let groups = policy_groups(&scores, &truth_counts, &observed);
     let roc = groups.map(|g| classify::roc_26(g));
-    let surface = distances(pass.predicted, truth, config);
-    let in_view = config.in_view.map(|view| counts_in_view(truth, view));
+    let surface = distances(pass.predicted, truth, config, &view);
+    let in_view = view.counts(truth);
     let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
     Ok(MapReport {
         policies: groups.map(|g| report(g)),
@@ -233,7 +283,7 @@ pub fn evaluate_map(
     })
 }
 
-fn pass_over(estimate: &OccupancyMap, truth: &TruthGrid, in_view: Option<&TruthGrid>) -> Pass {
+fn pass_over(estimate: &OccupancyMap, truth: &TruthGrid, view: &InView) -> Pass {
     let mut pass = Pass {
         scores: ScoreCounter::default(),
         slices: vec![Slice::default(); truth.size()[2]],
@@ -269,7 +319,7 @@ fn pass_over(estimate: &OccupancyMap, truth: &TruthGrid, in_view: Option<&TruthG
         };
         slice.squares += (probability(cell.log_odds) - value).powi(2);
         slice.observed.add(state);
-        if in_view.is_some_and(|view| view.state(key) != Occupancy::Unknown) {
+        if view.contains(key) {
             pass.seen_in_view.add(state);
         }
     }
@@ -357,16 +407,14 @@ fn distances(
     predicted: Vec<[i32; 3]>,
     truth: &TruthGrid,
     config: &MapEvaluationConfig,
+    view: &InView,
 ) -> SurfaceDistances {
     let surface: Vec<[i32; 3]> = truth.keys_in(Occupancy::Occupied).collect();
-    let to_find: Vec<[i32; 3]> = match config.in_view {
-        None => surface.clone(),
-        Some(view) => surface
-            .iter()
-            .filter(|key| view.state(**key) != Occupancy::Unknown)
-            .copied()
-            .collect(),
-    };
+    let to_find: Vec<[i32; 3]> = surface
+        .iter()
+        .filter(|key| view.contains(**key))
+        .copied()
+        .collect();
     let tolerance = config
         .tolerance_m
         .unwrap_or_else(|| truth.resolution().max(0.05));
@@ -378,16 +426,6 @@ fn distances(
         tolerance,
         config.max_distance_queries,
     )
-}
-
-fn counts_in_view(truth: &TruthGrid, view: &TruthGrid) -> CellCounts {
-    let mut counts = CellCounts::default();
-    for state in [Occupancy::Free, Occupancy::Occupied] {
-        for key in view.keys_in(state) {
-            counts.add(truth.state(key));
-        }
-    }
-    counts
 }
 
 fn histogram(scores: &[(f32, scores::ClassCounts)]) -> Vec<u64> {

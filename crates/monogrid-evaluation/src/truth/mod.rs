@@ -7,10 +7,12 @@
 mod depth_images;
 mod fill;
 mod grid;
+mod view;
 mod voxelize;
 
 pub use depth_images::{CarveConfig, PosedDepth, truth_from_depth_images};
 pub use grid::{CellCounts, TruthGrid};
+pub use view::{View, cells_in_view};
 pub use voxelize::Triangle;
 
 use grid::OCCUPIED;
