@@ -4,11 +4,13 @@
 //! * [`DepthEvaluator`]: inverse depth and the honesty of its variance.
 //! * [`truth_from_triangles`], [`truth_from_points`], [`truth_from_depth_images`]: ground-truth maps.
 //! * [`evaluate_map`]: a map against the truth, under four policies for unknown cells.
+//! * [`evaluate_paths`]: can a robot plan on the map, and are its plans safe?
 #![deny(missing_docs)]
 
 mod depth;
 mod line;
 mod map;
+mod paths;
 mod statistics;
 mod trajectory;
 mod truth;
@@ -21,6 +23,7 @@ pub use map::{
     Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapReport, Policies,
     PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, evaluate_map,
 };
+pub use paths::{PathConfig, PathError, PathReport, PathStats, PathsReport, evaluate_paths};
 pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use trajectory::{
     PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,

@@ -1,0 +1,444 @@
+//! What matters to a robot: are there paths through the map, and are they safe in the world?
+//!
+//! Flow: coarsen map and truth to planning cells → distance of every cell to what blocks → seeded
+//! pairs of start and goal in true free space → A* in the truth and in the map → each path checked in
+//! the other. The robot is a ball; a path is planned with a margin and collides without it, so that
+//! maps that differ by the rounding of a cell are not called wrong.
+
+mod astar;
+mod grid;
+
+use crate::statistics::median;
+use crate::truth::{TruthError, TruthGrid};
+use astar::{Path, Planner, neighbours};
+use grid::DistanceGrid;
+use monogrid_occupancy::{Occupancy, OccupancyMap};
+use serde::Serialize;
+
+/// Settings of [`evaluate_paths`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathConfig {
+    /// Radius of the robot, map units, positive. Default 0.15.
+    pub robot_radius: f64,
+    /// Paths keep this much more distance than the robot needs, map units. Default: the diagonal of a
+    /// planning cell.
+    pub planning_margin: Option<f64>,
+    /// Pairs of start and goal. Default 1000.
+    pub pairs: usize,
+    /// Start and goal are at least this far apart, map units. Default 1.
+    pub min_distance: f64,
+    /// Edge of the cells to plan on, map units; rounded to a whole number of cells of the map.
+    /// Default 0.064.
+    pub planning_cell: f64,
+    /// Seed of the pairs. Default 0.
+    pub seed: u64,
+}
+
+impl Default for PathConfig {
+    fn default() -> Self {
+        Self {
+            robot_radius: 0.15,
+            planning_margin: None,
+            pairs: 1000,
+            min_distance: 1.0,
+            planning_cell: 0.064,
+            seed: 0,
+        }
+    }
+}
+
+/// Why paths cannot be evaluated.
+#[derive(Debug, thiserror::Error, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum PathError {
+    /// A setting outside its range.
+    #[error("path evaluation: {field} is {value}, expected a positive number")]
+    Config {
+        /// Name of the field.
+        field: &'static str,
+        /// What it was.
+        value: f64,
+    },
+    /// Cells of different size.
+    #[error(
+        "the estimated map has cells of {estimate}, the true one of {truth}, expected the same"
+    )]
+    Resolution {
+        /// Edge of a cell of the estimate.
+        estimate: f64,
+        /// Edge of a cell of the truth.
+        truth: f64,
+    },
+    /// The planning grid would be too large to search.
+    #[error(
+        "planning needs {cells} cells, at most {max} can be searched; choose larger planning cells"
+    )]
+    TooManyCells {
+        /// Cells needed.
+        cells: usize,
+        /// Cells allowed.
+        max: usize,
+    },
+    /// No pair of connected cells that far apart in the truth.
+    #[error(
+        "the truth has no two connected places {min_distance} apart that a robot of radius \
+         {robot_radius} fits into ({free} cells are wide enough)"
+    )]
+    NoPairs {
+        /// Cells with enough clearance.
+        free: usize,
+        /// The distance asked for.
+        min_distance: f64,
+        /// The radius asked for.
+        robot_radius: f64,
+    },
+    /// The truth could not be coarsened.
+    #[error(transparent)]
+    Truth(#[from] TruthError),
+}
+
+/// Results over a set of pairs. Shares are in [0, 1], lengths in map units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct PathStats {
+    /// Pairs looked at.
+    pub pairs: usize,
+    /// Share of the pairs whose shortest path in the truth is blocked in the map.
+    pub false_positive: f64,
+    /// Share of the pairs between which the map has no path at all, though the truth has.
+    pub unreachable: f64,
+    /// Pairs between which a path was planned on the map.
+    pub planned: usize,
+    /// Share of these paths that collide in the truth.
+    pub false_negative: f64,
+    /// Median length of the path on the map over that of the shortest one in the truth.
+    pub length_ratio: Option<f64>,
+    /// Median over these paths of the least distance to a true obstacle.
+    pub clearance_median: Option<f64>,
+    /// Least of these distances.
+    pub clearance_min: Option<f64>,
+}
+
+/// Results under one rule for unknown cells.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PathReport {
+    /// Over all pairs.
+    pub all: PathStats,
+    /// Over the pairs inside the observed space: around start and goal the map knows every cell that
+    /// the robot fills.
+    pub observed: PathStats,
+}
+
+/// Results of [`evaluate_paths`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PathsReport {
+    /// The robot keeps out of unknown cells.
+    pub unknown_blocked: PathReport,
+    /// The robot may enter unknown cells.
+    pub unknown_free: PathReport,
+    /// Edge of the cells that were planned on.
+    pub planning_cell: f64,
+    /// Radius of the robot.
+    pub robot_radius: f64,
+    /// Distance beyond it that paths were planned with.
+    pub planning_margin: f64,
+}
+
+/// Most cells of the planning grid: nodes are numbered with 32 bits and take 20 bytes each.
+const MAX_CELLS: usize = 200_000_000;
+
+/// Plans between random places in the truth and in the map and checks each path in the other.
+///
+/// In the truth everything that is not free is an obstacle. A planning cell is occupied when any of
+/// its cells is; else free when at least half are; else unknown.
+///
+/// # Errors
+/// Settings out of range, cells of different size, a grid too large, or a truth without room.
+pub fn evaluate_paths(
+    estimate: &OccupancyMap,
+    truth: &TruthGrid,
+    config: &PathConfig,
+) -> Result<PathsReport, PathError> {
+    validate(config)?;
+    if (estimate.resolution() / truth.resolution() - 1.0).abs() > 1e-6 {
+        return Err(PathError::Resolution {
+            estimate: estimate.resolution(),
+            truth: truth.resolution(),
+        });
+    }
+    let factor = (config.planning_cell / truth.resolution()).round().max(1.0) as u32;
+    let coarse_truth = truth.coarsened(factor)?;
+    let cell = coarse_truth.resolution();
+    let count = coarse_truth.size().iter().product();
+    if count > MAX_CELLS {
+        return Err(PathError::TooManyCells {
+            cells: count,
+            max: MAX_CELLS,
+        });
+    }
+    let margin = config
+        .planning_margin
+        .unwrap_or_else(|| 3.0_f64.sqrt() * cell);
+    let clearances = Clearances::new(config.robot_radius, margin, cell);
+    let in_truth = DistanceGrid::new(coarse_truth.size(), |i| {
+        state_at(&coarse_truth, i) != Occupancy::Free
+    });
+    let pairs = sample_pairs(&in_truth, &clearances, config, cell)?;
+    let states = coarse_states(estimate, &coarse_truth, factor);
+    let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
+    let mut truth_planner = Planner::new(&in_truth, clearances.plan);
+    let routes: Vec<Route> = pairs
+        .into_iter()
+        .filter_map(|(start, goal)| {
+            let is_observed = [start, goal]
+                .iter()
+                .all(|i| to_unobserved.at(*i) >= clearances.collide);
+            truth_planner
+                .plan(start, goal)
+                .map(|path| Route { path, is_observed })
+        })
+        .collect();
+    drop(truth_planner);
+    let report = |is_blocked: &dyn Fn(Occupancy) -> bool| {
+        let in_map = DistanceGrid::new(in_truth.size, |i| is_blocked(states[i]));
+        compare(&routes, &in_truth, &in_map, &clearances, cell)
+    };
+    Ok(PathsReport {
+        unknown_blocked: report(&|state| state != Occupancy::Free),
+        unknown_free: report(&|state| state == Occupancy::Occupied),
+        planning_cell: cell,
+        robot_radius: config.robot_radius,
+        planning_margin: margin,
+    })
+}
+
+/// Least distances between centres of cells, in cells: half a cell belongs to the obstacle.
+struct Clearances {
+    plan: f32,
+    collide: f32,
+}
+
+impl Clearances {
+    fn new(robot_radius: f64, margin: f64, cell: f64) -> Self {
+        Self {
+            plan: ((robot_radius + margin) / cell + 0.5) as f32,
+            collide: (robot_radius / cell + 0.5) as f32,
+        }
+    }
+}
+
+/// The shortest path of a pair in the truth.
+struct Route {
+    path: Path,
+    is_observed: bool,
+}
+
+/// What became of one route on the map.
+struct Outcome {
+    is_optimal_blocked: bool,
+    plan: Option<PlanOnMap>,
+}
+
+struct PlanOnMap {
+    length_ratio: f64,
+    /// Least distance from the surface of an obstacle to the centre of the robot, map units.
+    clearance: f64,
+    collides: bool,
+}
+
+fn validate(config: &PathConfig) -> Result<(), PathError> {
+    let margin = config.planning_margin.unwrap_or(1.0);
+    let fields = [
+        (
+            "robot_radius",
+            config.robot_radius,
+            config.robot_radius > 0.0,
+        ),
+        (
+            "planning_cell",
+            config.planning_cell,
+            config.planning_cell > 0.0,
+        ),
+        ("planning_margin", margin, margin >= 0.0),
+        (
+            "min_distance",
+            config.min_distance,
+            config.min_distance >= 0.0,
+        ),
+        ("pairs", config.pairs as f64, config.pairs > 0),
+    ];
+    match fields
+        .iter()
+        .find(|(_, v, is_good)| !(*is_good && v.is_finite()))
+    {
+        Some(&(field, value, _)) => Err(PathError::Config { field, value }),
+        None => Ok(()),
+    }
+}
+
+fn state_at(grid: &TruthGrid, index: usize) -> Occupancy {
+    let [nx, ny, _] = grid.size();
+    grid.state(grid.global([index % nx, index / nx % ny, index / nx / ny]))
+}
+
+/// States of the estimate on the cells of the coarse truth.
+fn coarse_states(estimate: &OccupancyMap, grid: &TruthGrid, factor: u32) -> Vec<Occupancy> {
+    let [nx, ny, nz] = grid.size();
+    let mut free = vec![0_u32; nx * ny * nz];
+    let mut is_occupied = vec![false; nx * ny * nz];
+    for cell in estimate.cells() {
+        let key = cell.key.to_array().map(|k| k.div_euclid(factor as i32));
+        if let Some([x, y, z]) = grid.local(key) {
+            let index = (z * ny + y) * nx + x;
+            if cell.log_odds > 0.0 {
+                is_occupied[index] = true;
+            } else {
+                free[index] += 1;
+            }
+        }
+    }
+    let half = factor.pow(3).div_ceil(2);
+    free.into_iter()
+        .zip(is_occupied)
+        .map(|(free, is_occupied)| match is_occupied {
+            true => Occupancy::Occupied,
+            false if free >= half => Occupancy::Free,
+            false => Occupancy::Unknown,
+        })
+        .collect()
+}
+
+/// Random pairs of places that are connected in the truth and far enough apart.
+fn sample_pairs(
+    grid: &DistanceGrid,
+    clearances: &Clearances,
+    config: &PathConfig,
+    cell: f64,
+) -> Result<Vec<(usize, usize)>, PathError> {
+    let component = components(grid, clearances.plan);
+    let free: Vec<usize> = (0..grid.len()).filter(|i| component[*i] != 0).collect();
+    let min_distance_sq = (config.min_distance / cell).powi(2);
+    let mut random = SplitMix(config.seed);
+    let mut pairs = Vec::with_capacity(config.pairs);
+    // A cramped truth may hold few such pairs; do not look for them forever.
+    for _ in 0..config.pairs.saturating_mul(200) {
+        if free.is_empty() || pairs.len() == config.pairs {
+            break;
+        }
+        let start = free[random.below(free.len())];
+        let goal = free[random.below(free.len())];
+        let (a, b) = (grid.cell(start), grid.cell(goal));
+        let distance_sq: usize = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
+        if component[start] == component[goal] && distance_sq as f64 >= min_distance_sq {
+            pairs.push((start, goal));
+        }
+    }
+    if pairs.is_empty() {
+        return Err(PathError::NoPairs {
+            free: free.len(),
+            min_distance: config.min_distance,
+            robot_radius: config.robot_radius,
+        });
+    }
+    Ok(pairs)
+}
+
+/// Numbers the connected sets of cells with enough clearance from 1; 0 elsewhere.
+fn components(grid: &DistanceGrid, clearance: f32) -> Vec<u32> {
+    let mut component = vec![0; grid.len()];
+    let mut last = 0;
+    let mut stack = Vec::new();
+    for seed in 0..grid.len() {
+        if component[seed] != 0 || grid.at(seed) < clearance {
+            continue;
+        }
+        last += 1;
+        component[seed] = last;
+        stack.push(seed);
+        while let Some(index) = stack.pop() {
+            for (next, _) in neighbours(grid, index) {
+                if component[next] == 0 && grid.at(next) >= clearance {
+                    component[next] = last;
+                    stack.push(next);
+                }
+            }
+        }
+    }
+    component
+}
+
+/// Vigna's SplitMix64: a seed gives the same pairs on every machine.
+struct SplitMix(u64);
+
+impl SplitMix {
+    fn below(&mut self, limit: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        ((u128::from(z) * limit as u128) >> 64) as usize
+    }
+}
+
+fn compare(
+    routes: &[Route],
+    in_truth: &DistanceGrid,
+    in_map: &DistanceGrid,
+    clearances: &Clearances,
+    cell: f64,
+) -> PathReport {
+    let mut planner = Planner::new(in_map, clearances.plan);
+    let outcomes: Vec<Outcome> = routes
+        .iter()
+        .map(|route| {
+            let cells = &route.path.cells;
+            let plan = planner.plan(cells[0], cells[cells.len() - 1]);
+            Outcome {
+                is_optimal_blocked: least_distance(in_map, cells) < clearances.collide,
+                plan: plan.map(|plan| {
+                    let distance = least_distance(in_truth, &plan.cells);
+                    PlanOnMap {
+                        length_ratio: plan.length / route.path.length,
+                        clearance: (f64::from(distance) - 0.5) * cell,
+                        collides: distance < clearances.collide,
+                    }
+                }),
+            }
+        })
+        .collect();
+    let observed = routes
+        .iter()
+        .zip(&outcomes)
+        .filter(|(route, _)| route.is_observed)
+        .map(|(_, outcome)| outcome);
+    PathReport {
+        observed: stats(observed),
+        all: stats(outcomes.iter()),
+    }
+}
+
+fn least_distance(grid: &DistanceGrid, cells: &[usize]) -> f32 {
+    cells
+        .iter()
+        .map(|i| grid.at(*i))
+        .fold(f32::INFINITY, f32::min)
+}
+
+fn stats<'a>(outcomes: impl Iterator<Item = &'a Outcome>) -> PathStats {
+    let outcomes: Vec<&Outcome> = outcomes.collect();
+    let plans: Vec<&PlanOnMap> = outcomes.iter().filter_map(|o| o.plan.as_ref()).collect();
+    let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+    let blocked = outcomes.iter().filter(|o| o.is_optimal_blocked).count();
+    let ratios: Vec<f64> = plans.iter().map(|p| p.length_ratio).collect();
+    let clearances: Vec<f64> = plans.iter().map(|p| p.clearance).collect();
+    PathStats {
+        pairs: outcomes.len(),
+        false_positive: share(blocked, outcomes.len()),
+        unreachable: share(outcomes.len() - plans.len(), outcomes.len()),
+        planned: plans.len(),
+        false_negative: share(plans.iter().filter(|p| p.collides).count(), plans.len()),
+        length_ratio: median(&ratios),
+        clearance_median: median(&clearances),
+        clearance_min: clearances.into_iter().min_by(f64::total_cmp),
+    }
+}
