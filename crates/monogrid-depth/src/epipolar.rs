@@ -100,6 +100,17 @@ impl FrameGeometry {
         ]
     }
 
+    /// `alpha²` of keyframe pixel `(x, y)` at inverse depth `idepth`: the square of
+    /// [`EpipolarLine::alpha`] without setting up the line.
+    #[inline]
+    pub(crate) fn alpha_sq(&self, x: f32, y: f32, idepth: f32) -> f32 {
+        let a = self.at_infinity(x, y);
+        let b = &self.translation;
+        let q = [b[0] * a[2] - a[0] * b[2], b[1] * a[2] - a[1] * b[2]];
+        let hz_sq = (a[2] + idepth * b[2]).powi(2);
+        hz_sq * hz_sq / (q[0] * q[0] + q[1] * q[1])
+    }
+
     /// The epipolar line of keyframe pixel `(x, y)`; `None` without baseline or when the pixel at
     /// infinity is not in front of the frame.
     #[inline]

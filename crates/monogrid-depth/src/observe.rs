@@ -208,22 +208,12 @@ impl DepthBand<'_> {
     ) -> PixelOutcome {
         let i = pixel.i;
         let (idepth, var) = (self.idepth[i], self.var[i]);
-        let choice = match self.choose_for_update(pixel, frames, config) {
+        let worth = self.worthwhile_var(pixel, frames, config);
+        let choice = match self.choose_for_update(pixel, frames, worth, config) {
             Ok(choice) => choice,
             Err(outcome) => return outcome,
         };
         let gains = choice.predicted_var < config.max_gain_ratio * var;
-        if config.frame_choice == FrameChoice::Predicted && !gains {
-            let young = self.validity[i] < config.mature_validity;
-            let id = choice.prepared.frame.id;
-            let due = config.verify_interval > 0
-                && phase(pixel, id).is_multiple_of(config.verify_interval);
-            // a much worse observation would confirm anything
-            let telling = choice.predicted_var < 25.0 * var;
-            if !(telling && (young || due)) {
-                return PixelOutcome::NoGain;
-            }
-        }
         let sigma = config.search_sigmas * var.sqrt();
         let interval = (idepth - sigma, idepth + sigma);
         match self.observe_line(pixel, &choice, (idepth, interval), config) {
@@ -236,17 +226,45 @@ impl DepthBand<'_> {
         }
     }
 
+    /// An observation is made when its predicted variance is below this: when it would improve the
+    /// hypothesis, or is due to confirm it.
+    fn worthwhile_var(
+        &self,
+        pixel: Pixel,
+        frames: &[Prepared<'_>],
+        config: &DepthConfig,
+    ) -> f32 {
+        /// A much worse observation would confirm anything.
+        const TELLING: f32 = 25.0;
+        if config.frame_choice == FrameChoice::First {
+            return f32::INFINITY;
+        }
+        let young = self.validity[pixel.i] < config.mature_validity;
+        let due = config.verify_interval > 0
+            && phase(pixel, frames[0].frame.id).is_multiple_of(config.verify_interval);
+        let ratio = if young || due { TELLING } else { config.max_gain_ratio };
+        ratio * self.var[pixel.i]
+    }
+
     /// The frame with the smallest predicted variance (or the first usable one).
     fn choose_for_update<'f, 'a>(
         &self,
         pixel: Pixel,
         frames: &'f [Prepared<'a>],
+        worth: f32,
         config: &DepthConfig,
     ) -> Result<Choice<'f, 'a>, PixelOutcome> {
         let (idepth, var) = (self.idepth[pixel.i], self.var[pixel.i]);
+        // what an observation costs at least, whatever the direction of its line
+        let least_px = self.photo_px[pixel.i] + config.floor_px * config.floor_px;
         let mut best: Option<Choice<'f, 'a>> = None;
         let mut reason = PixelOutcome::BaselineTooShort;
         for prepared in frames {
+            let alpha_sq = prepared.geometry.alpha_sq(pixel.x, pixel.y, idepth);
+            if alpha_sq * least_px >= worth {
+                reason = PixelOutcome::NoGain;
+                continue;
+            }
             let choice = match self.consider(pixel, prepared, idepth, config) {
                 Ok(choice) => choice,
                 Err(why) => {
@@ -254,6 +272,10 @@ impl DepthBand<'_> {
                     continue;
                 }
             };
+            if choice.predicted_var >= worth {
+                reason = PixelOutcome::NoGain;
+                continue;
+            }
             let position = choice.line.position(idepth);
             if choice
                 .line

@@ -3,6 +3,7 @@
 use crate::DepthMap;
 use crate::config::DepthConfig;
 use crate::map::{Arrays, Candidates, Hypothesis};
+use wide::f32x8;
 
 /// Neighbours on either side.
 const RADIUS: usize = 2;
@@ -30,7 +31,6 @@ pub struct RegularizeBand<'a> {
     arrays: &'a Arrays,
     candidates: &'a Candidates,
     width: usize,
-    height: usize,
     first_row: usize,
     num_rows: usize,
     smooth_idepth: &'a mut [f32],
@@ -51,7 +51,6 @@ impl DepthMap {
                 arrays,
                 candidates,
                 width,
-                height,
                 first_row: band * rows,
                 num_rows: rows.min(height - band * rows),
                 smooth_idepth,
@@ -183,33 +182,40 @@ impl RegularizeBand<'_> {
         let i = y * w + x;
         let (idepth, var) = (arrays.idepth[i], arrays.var[i]);
         let slope = config.smoothing_per_px * idepth;
-        let slope_sq = slope * slope;
-        let (mut sum_w, mut sum_d, mut support) = (0.0f32, 0.0f32, 0u32);
-        debug_assert!(y >= RADIUS && y + RADIUS < self.height);
-        for dy in 0..=2 * RADIUS {
+        let slope_sq = f32x8::splat(slope * slope);
+        let (idepth_lanes, var_lanes) = (f32x8::splat(idepth), f32x8::splat(var));
+        let (mut sum_w, mut sum_d, mut support) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
+        for (dy, row_sq) in ROW_SQ.into_iter().enumerate() {
             let start = (y + dy - RADIUS) * w + x - RADIUS;
-            for dx in 0..=2 * RADIUS {
-                let j = start + dx;
-                let neighbour_var = arrays.var[j];
-                if neighbour_var <= 0.0 {
-                    continue;
-                }
-                let gap = arrays.idepth[j] - idepth;
-                if gap * gap > var + neighbour_var {
-                    continue;
-                }
-                support += u32::from(arrays.validity[j]);
-                let dist_sq = (dx.abs_diff(RADIUS).pow(2) + dy.abs_diff(RADIUS).pow(2)) as f32;
-                let weight = 1.0 / (neighbour_var + slope_sq * dist_sq);
-                sum_w += weight;
-                sum_d += weight * arrays.idepth[j];
-            }
+            let vars = f32x8::new(*lanes(&arrays.var, start)?);
+            let gaps = f32x8::new(*lanes(&arrays.idepth, start)?) - idepth_lanes;
+            let validities = f32x8::new(lanes(&arrays.validity, start)?.map(f32::from));
+            let used = vars.simd_gt(f32x8::ZERO)
+                & (gaps * gaps).simd_le(var_lanes + vars)
+                & COLUMN_USED.simd_gt(f32x8::ZERO);
+            let weights = used & (f32x8::ONE / (vars + slope_sq * (COLUMN_SQ + row_sq)));
+            sum_w += weights;
+            sum_d += used & (weights * gaps);
+            support += used & validities;
         }
         // a filled pixel has no validity of its own and lives from its neighbours
-        if support < u32::from(config.min_support_keep) {
+        if support.reduce_add() < f32::from(config.min_support_keep) {
             return None;
         }
-        let smooth_var = (1.0 / sum_w).max(var / config.max_smoothing_gain);
-        Some((sum_d / sum_w, smooth_var))
+        let weight = sum_w.reduce_add();
+        let smooth_var = (1.0 / weight).max(var / config.max_smoothing_gain);
+        Some((idepth + sum_d.reduce_add() / weight, smooth_var))
     }
+}
+
+/// Columns processed together: five neighbours and three idle ones, so that the loop has no branches.
+const LANES: usize = 8;
+const COLUMN_USED: f32x8 = f32x8::new([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+const COLUMN_SQ: f32x8 = f32x8::new([4.0, 1.0, 0.0, 1.0, 4.0, 0.0, 0.0, 0.0]);
+const ROW_SQ: [f32; 2 * RADIUS + 1] = [4.0, 1.0, 0.0, 1.0, 4.0];
+
+/// The eight values from `start`; the border of the candidates keeps them inside the row.
+#[inline]
+fn lanes<T>(values: &[T], start: usize) -> Option<&[T; LANES]> {
+    values.get(start..start + LANES)?.try_into().ok()
 }
