@@ -1,0 +1,197 @@
+//! Runs the system on a sequence and prints trajectory and depth errors: the loop in which its
+//! parameters are found.
+//!
+//! `cargo run --release -p monogrid-slam --example accuracy -- FOLDER [key=value …]`
+//!
+//! Keys: `seed=I`, `start=N`, `max=N` (frames), `profile=thesis`, `init=depth` (metric start from the
+//! sequence's depth image), `truth_every=N` (evaluate the depth of every n-th keyframe), `verbose=1`.
+#![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
+
+use monogrid_datasets::{Dataset, DepthRegistration, SourceOptions, read_depth, read_gray};
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
+use monogrid_geometry::Pinhole;
+use monogrid_image::{GrayImage, Undistorter, WorkingSize};
+use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+fn main() {
+    let mut args = std::env::args().skip(1);
+    let folder = args.next().unwrap();
+    let options: BTreeMap<String, String> = args
+        .map(|a| {
+            let (k, v) = a.split_once('=').unwrap();
+            (k.to_owned(), v.to_owned())
+        })
+        .collect();
+    let number = |key: &str, default: usize| {
+        options
+            .get(key)
+            .map_or(default, |v| v.parse::<usize>().unwrap())
+    };
+    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
+    let camera = dataset.calibration(None).unwrap().unwrap().camera;
+    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+    let (width, height) = undistorter.size();
+    let pinhole = *undistorter.pinhole();
+    let mut config = if options.get("profile").is_some_and(|p| p == "thesis") {
+        SlamConfig::thesis()
+    } else {
+        SlamConfig::default()
+    };
+    let set = options.iter().filter(|(k, _)| k.contains('.'));
+    let mut value = serde_json::to_value(&config).unwrap();
+    for (key, v) in set {
+        let mut node = &mut value;
+        for part in key.split('.') {
+            node = node.get_mut(part).expect(key);
+        }
+        *node = serde_json::from_str(v).unwrap();
+    }
+    config = serde_json::from_value(value).unwrap();
+    let mut slam = Slam::new(config, pinhole, undistorter.mask().clone(), number("seed", 0) as u64).unwrap();
+    let first = number("start", 0);
+    let last = (first + number("max", usize::MAX / 2)).min(dataset.frames.len());
+    let registration = dataset.depth_calibration().unwrap().map(|c| {
+        (
+            c.units_per_metre,
+            DepthRegistration::new(&c, &pinhole, width, height),
+        )
+    });
+    let true_depth = |timestamp_ns: i64| -> Option<GrayImage> {
+        let (units, registration) = registration.as_ref()?;
+        let entry = dataset.depth_of_frame(timestamp_ns)?;
+        registration.register(&read_depth(&entry.path, *units).unwrap())
+    };
+    let begin = std::time::Instant::now();
+    let mut live = Vec::new();
+    let mut counts = [0usize; 4];
+    let mut times = [0.0f64; 3];
+    for (i, entry) in dataset.frames[first..last].iter().enumerate() {
+        let image = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
+        let seed_depth = (i == 0 && options.get("init").is_some_and(|v| v == "depth"))
+            .then(|| true_depth(entry.timestamp_ns))
+            .flatten();
+        let report = slam.process_frame(FrameInput {
+            index: entry.index,
+            timestamp_ns: entry.timestamp_ns,
+            image,
+            seed_depth,
+        });
+        counts[report.state as usize] += 1;
+        times[0] += report.milliseconds.tracking;
+        times[1] += report.milliseconds.depth;
+        times[2] += report.milliseconds.graph;
+        if number("verbose", 0) > 0 || report.state == TrackingState::Lost {
+            println!(
+                "{} {} {:?} kf {:?} res {:.1} good {:.2} usage {:.2} gain {:.2} {}",
+                report.index,
+                report.state.name(),
+                report.reason,
+                report.keyframe,
+                report.residual,
+                report.good_share,
+                report.usage,
+                report.exposure_gain,
+                if report.created_keyframe { "NEW" } else { "" }
+            );
+        }
+        if let Some(pose) = report.world_from_camera {
+            live.push((report.timestamp_ns, pose));
+        }
+    }
+    slam.finish();
+    let frames = last - first;
+    println!(
+        "{frames} frames, {} keyframes, states {counts:?} [init good degraded lost], {:.1} fps, ms/frame tracking {:.1} depth {:.1} graph {:.1}",
+        slam.keyframes().len(),
+        frames as f64 / begin.elapsed().as_secs_f64(),
+        times[0] / frames as f64,
+        times[1] / frames as f64,
+        times[2] / frames as f64
+    );
+    let mut target_over_source = 1.0;
+    if let Some(path) = &dataset.ground_truth {
+        let truth: Vec<StampedPose> = monogrid_datasets::read_trajectory(path)
+            .unwrap()
+            .iter()
+            .map(|p| (p.timestamp_ns, p.world_from_camera))
+            .collect();
+        let estimate: Vec<StampedPose> = slam
+            .trajectory()
+            .iter()
+            .map(|p| (p.timestamp_ns, p.world_from_camera))
+            .collect();
+        for (name, poses) in [("final", &estimate), ("live", &live)] {
+            match evaluate_trajectory(poses, &truth, &TrajectoryConfig::default()) {
+                Ok(r) => {
+                    println!(
+                        "{name}: ATE {:.4} m, RPE {:.4} m {:.3} deg, scale {:.4}, drift {:?}, coverage {:.3}, matched {}",
+                        r.ate_rmse, r.rpe_trans_rmse, r.rpe_rot_rmse_deg, r.scale, r.scale_drift, r.coverage, r.matched
+                    );
+                    if name == "final" {
+                        target_over_source = r.scale;
+                        for w in &r.window_scales {
+                            print!("{w:.2?} ");
+                        }
+                        println!();
+                    }
+                }
+                Err(e) => println!("{name}: {e}"),
+            }
+        }
+    }
+    depth_report(&slam, &true_depth, &pinhole, target_over_source);
+}
+
+/// Depth of the keyframes that have a true depth image.
+fn depth_report(
+    slam: &Slam,
+    true_depth: &dyn Fn(i64) -> Option<GrayImage>,
+    _pinhole: &Pinhole,
+    target_over_source: f64,
+) {
+    let snapshot = slam.snapshot();
+    for keyframe in slam.keyframes() {
+        let Some(truth) = true_depth(keyframe.timestamp_ns) else {
+            println!("kf {} frame {} points {}", keyframe.id, keyframe.frame_index, keyframe.pixels.len());
+            continue;
+        };
+        let unit = snapshot.world_from_keyframe[keyframe.id as usize].scale * target_over_source;
+        let mut ratios = Vec::new();
+        let mut normalised = Vec::new();
+        for p in &keyframe.pixels {
+            let z = truth.at(usize::from(p.x), usize::from(p.y));
+            if z.is_finite() && z > 0.0 {
+                ratios.push(f64::from(z) * f64::from(p.idepth) / unit);
+                normalised.push((p, z));
+            }
+        }
+        if ratios.len() < 100 {
+            continue;
+        }
+        ratios.sort_by(f64::total_cmp);
+        let median = ratios[ratios.len() / 2];
+        let mut errors: Vec<f64> = normalised
+            .iter()
+            .map(|(p, z)| {
+                let true_idepth = median * unit / f64::from(*z);
+                (f64::from(p.idepth) - true_idepth) / f64::from(p.idepth_var).sqrt()
+            })
+            .collect();
+        errors.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let n = errors.len() as f64;
+        let within = |t: f64| ratios.iter().filter(|r| (*r / median - 1.0).abs() < t).count() as f64 / n;
+        println!(
+            "kf {} frame {} points {} scale {:.3} within 3% {:.2} 10% {:.2} | normalised: abs median {:.2}, within 2 sigma {:.2}",
+            keyframe.id,
+            keyframe.frame_index,
+            keyframe.pixels.len(),
+            median,
+            within(0.03),
+            within(0.10),
+            errors[errors.len() / 2].abs(),
+            errors.iter().filter(|e| e.abs() < 2.0).count() as f64 / n
+        );
+    }
+}

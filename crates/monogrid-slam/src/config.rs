@@ -1,0 +1,304 @@
+//! Settings of the whole system; the two profiles are two values of the same structs.
+
+use crate::SparseConfig;
+use monogrid_alignment::AlignmentConfig;
+use monogrid_depth::DepthConfig;
+use serde::{Deserialize, Serialize};
+
+/// A setting outside its documented range.
+#[derive(Debug, thiserror::Error, Clone, PartialEq)]
+#[error("{name} is {value}, allowed {allowed}")]
+#[non_exhaustive]
+pub struct ConfigError {
+    /// Dotted name of the setting.
+    pub name: &'static str,
+    /// What was found.
+    pub value: f64,
+    /// What is allowed.
+    pub allowed: &'static str,
+}
+
+/// Settings of [`crate::Slam`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SlamConfig {
+    /// How the first keyframe gets its depth.
+    pub initialization: InitializationConfig,
+    /// Tracking of frames.
+    pub tracking: TrackingConfig,
+    /// When a frame becomes a keyframe.
+    pub keyframes: KeyframeConfig,
+    /// Depth filter.
+    pub depth: DepthConfig,
+    /// Which depth is published.
+    pub publication: PublicationConfig,
+    /// Sparse layer.
+    pub sparse: SparseConfig,
+}
+
+impl SlamConfig {
+    /// The settings of LSD-SLAM as the thesis ran it, without the plain bugs.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            initialization: InitializationConfig::thesis(),
+            tracking: TrackingConfig::thesis(),
+            keyframes: KeyframeConfig::thesis(),
+            depth: DepthConfig::thesis(),
+            publication: PublicationConfig::thesis(),
+            sparse: SparseConfig::thesis(),
+        }
+    }
+
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The first setting outside its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let t = &self.tracking;
+        let shares = [
+            ("tracking.min_visible_share", t.min_visible_share),
+            ("tracking.min_good_share", t.min_good_share),
+            ("tracking.min_good_of_visible", t.min_good_of_visible),
+            ("tracking.degraded_good_of_visible", t.degraded_good_of_visible),
+        ];
+        for (name, value) in shares {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(ConfigError {
+                    name,
+                    value: f64::from(value),
+                    allowed: "[0, 1]",
+                });
+            }
+        }
+        let positive = [
+            ("keyframes.distance_weight", self.keyframes.distance_weight),
+            ("keyframes.usage_weight", self.keyframes.usage_weight),
+            (
+                "tracking.alignment.sigma_intensity",
+                f64::from(t.alignment.sigma_intensity),
+            ),
+        ];
+        for (name, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(ConfigError {
+                    name,
+                    value,
+                    allowed: "positive",
+                });
+            }
+        }
+        if t.alignment.finest_level > t.alignment.coarsest_level || t.alignment.coarsest_level > 8 {
+            return Err(ConfigError {
+                name: "tracking.alignment.coarsest_level",
+                value: t.alignment.coarsest_level as f64,
+                allowed: "between finest_level and 8",
+            });
+        }
+        Ok(())
+    }
+}
+
+/// How the first keyframe gets its depth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InitializationMode {
+    /// Homography or essential matrix between two views with parallax.
+    TwoView,
+    /// Random depth in the first frame, as LSD-SLAM.
+    Random,
+}
+
+/// Settings of the start.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct InitializationConfig {
+    /// Method, unless a seed depth is given.
+    pub mode: InitializationMode,
+    /// Features followed from the first frame.
+    pub num_features: usize,
+    /// Fewest features with which a two-view start is tried.
+    pub min_features: usize,
+    /// Smallest median displacement of the features, as a share of the image width.
+    pub min_displacement: f64,
+    /// Frames kept while waiting for parallax; older ones stay without a pose.
+    pub max_buffered_frames: usize,
+    /// Relative standard deviation of a seed depth.
+    pub seed_relative_sigma: f32,
+}
+
+impl Default for InitializationConfig {
+    fn default() -> Self {
+        Self {
+            mode: InitializationMode::TwoView,
+            num_features: 600,
+            min_features: 60,
+            min_displacement: 0.025,
+            max_buffered_frames: 150,
+            seed_relative_sigma: 0.02,
+        }
+    }
+}
+
+impl InitializationConfig {
+    /// Random start.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            mode: InitializationMode::Random,
+            ..Self::default()
+        }
+    }
+}
+
+/// Settings of tracking.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrackingConfig {
+    /// Image alignment.
+    pub alignment: AlignmentConfig,
+    /// Largest relative standard deviation of the inverse depth of a point that is tracked on: noise
+    /// in the regressor shrinks the estimated translation.
+    pub max_relative_sigma: f32,
+    /// Smallest validity (confirmation by observations) of a point that is tracked on.
+    pub min_validity: u8,
+    /// Whether the smoothed depth is tracked on.
+    pub smoothed_depth: bool,
+    /// Points that must remain after that limit; below, the limit is doubled until there are.
+    pub min_reference_points: usize,
+    /// Start from the motion of the last frames, and try other motions when that fails; without, the
+    /// pose of the last frame is the only start.
+    pub motion_hypotheses: bool,
+    /// The first hypothesis is taken at once when it explains this share of the keyframe.
+    pub accept_first_share: f32,
+    /// Fewest points on the finest level.
+    pub min_points: usize,
+    /// Lost below this share of keyframe points inside the frame.
+    pub min_visible_share: f32,
+    /// Lost below this share of good points of all.
+    pub min_good_share: f32,
+    /// Lost below this share of good points of the visible ones.
+    pub min_good_of_visible: f32,
+    /// Degraded below this share of good points of the visible ones.
+    pub degraded_good_of_visible: f32,
+    /// Frames without success after which the keyframe is given up and older ones are tried.
+    pub lost_patience: usize,
+}
+
+impl Default for TrackingConfig {
+    fn default() -> Self {
+        Self {
+            alignment: AlignmentConfig::default(),
+            max_relative_sigma: 0.05,
+            min_validity: 5,
+            smoothed_depth: true,
+            min_reference_points: 1500,
+            motion_hypotheses: true,
+            accept_first_share: 0.8,
+            min_points: 60,
+            min_visible_share: 0.15,
+            min_good_share: 0.08,
+            min_good_of_visible: 0.55,
+            degraded_good_of_visible: 0.7,
+            lost_patience: 3,
+        }
+    }
+}
+
+impl TrackingConfig {
+    /// LSD-SLAM: no motion prior, every hypothesis is tracked on.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            alignment: AlignmentConfig::thesis(),
+            max_relative_sigma: f32::INFINITY,
+            min_validity: 0,
+            motion_hypotheses: false,
+            min_visible_share: 0.0,
+            min_good_share: 0.04,
+            min_good_of_visible: 0.5,
+            degraded_good_of_visible: 0.5,
+            ..Self::default()
+        }
+    }
+}
+
+/// Settings of the keyframe choice.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct KeyframeConfig {
+    /// Weight of the distance in units of the mean depth.
+    pub distance_weight: f64,
+    /// Weight of the lost overlap.
+    pub usage_weight: f64,
+    /// Frames that must have updated the depth before the next keyframe.
+    pub min_mapped_frames: usize,
+    /// Usage below which the next keyframe is made at once.
+    pub urgent_usage: f64,
+    /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none.
+    pub ramp_keyframes: usize,
+    /// Before a new keyframe takes over, its depth is observed again in this many old ones.
+    pub old_keyframes_observed: usize,
+    /// Only keyframes with at least this relative baseline (in median depths) are observed again.
+    pub min_relative_baseline: f64,
+}
+
+impl Default for KeyframeConfig {
+    fn default() -> Self {
+        Self {
+            distance_weight: 5.0,
+            usage_weight: 5.0,
+            min_mapped_frames: 4,
+            urgent_usage: 0.35,
+            ramp_keyframes: 0,
+            old_keyframes_observed: 3,
+            min_relative_baseline: 0.03,
+        }
+    }
+}
+
+impl KeyframeConfig {
+    /// LSD-SLAM under ROS: distance 3, usage 4, five frames, five keyframes of a random start.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            distance_weight: 3.0,
+            usage_weight: 4.0,
+            min_mapped_frames: 5,
+            ramp_keyframes: 5,
+            old_keyframes_observed: 0,
+            ..Self::default()
+        }
+    }
+}
+
+/// Which depth of a finished keyframe is published.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PublicationConfig {
+    /// Smallest validity (confirmation by observations).
+    pub min_validity: u8,
+    /// Whether depth and variance are the smoothed ones, as LSD-SLAM publishes; their variance counts
+    /// neighbours as independent and is too small.
+    pub smoothed: bool,
+}
+
+impl Default for PublicationConfig {
+    fn default() -> Self {
+        Self {
+            min_validity: 10,
+            smoothed: false,
+        }
+    }
+}
+
+impl PublicationConfig {
+    /// LSD-SLAM: everything, smoothed.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            min_validity: 0,
+            smoothed: true,
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! Keyframes as they are published, and the poses that live outside them.
+
+use monogrid_geometry::{Se3, Sim3};
+use monogrid_image::Image;
+
+/// Identity of a keyframe; never reused, counted from 0.
+pub type KeyframeId = u32;
+
+/// Published inverse depth of one keyframe pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthPixel {
+    /// Column, px.
+    pub x: u16,
+    /// Row, px.
+    pub y: u16,
+    /// Inverse depth, 1 / keyframe units.
+    pub idepth: f32,
+    /// Variance of the inverse depth.
+    pub idepth_var: f32,
+}
+
+/// A finished keyframe: immutable except for its depth, whose revision then grows.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// Identity.
+    pub id: KeyframeId,
+    /// Index of its frame in the source.
+    pub frame_index: usize,
+    /// Time of its frame.
+    pub timestamp_ns: i64,
+    /// Grows when the depth changes after publication.
+    pub revision: u32,
+    /// Grey image.
+    pub image: Image<u8>,
+    /// Semi-dense depth, row-major.
+    pub pixels: Vec<DepthPixel>,
+}
+
+/// Poses of all keyframes at one revision.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseSnapshot {
+    /// Grows with every change.
+    pub revision: u64,
+    /// Pose and scale of each keyframe, by identity.
+    pub world_from_keyframe: Vec<Sim3>,
+}
+
+/// Whether lengths are metres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// World units are metres.
+    Metric,
+    /// World units are arbitrary: the median depth of the first keyframe is 1.
+    Arbitrary,
+}
+
+/// A frame with a believed pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrajectoryPose {
+    /// Index of the frame in its source.
+    pub frame_index: usize,
+    /// Time of the frame.
+    pub timestamp_ns: i64,
+    /// Pose with all that is known now.
+    pub world_from_camera: Se3,
+}

@@ -1,0 +1,386 @@
+//! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
+
+use crate::ConfigError;
+use monogrid_occupancy::{AndertForm, Buffer, MapConfig, SensorModel, Significance, ThrunForm};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Inverse sensor models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SensorModelKind {
+    /// The ideal model convolved with the Gaussian of the range.
+    Thrun,
+    /// Andert's model.
+    Andert,
+    /// Free before the band, occupied inside it.
+    Ideal,
+    /// End points only, no free space: the thesis' "unprocessed map".
+    None,
+}
+
+/// Which form of Thrun's model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ThrunFormKind {
+    /// Tends to 1/2 behind the obstacle.
+    Exact,
+    /// The thesis' closed form.
+    Thesis,
+    /// Gaussian in inverse depth.
+    InverseDepth,
+}
+
+/// Which standard deviation Andert's model uses along the ray.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AndertFormKind {
+    /// That of the measurement.
+    Monocular,
+    /// Growing with the square of the range.
+    Stereo,
+}
+
+/// How measurements are combined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum IntegrationKind {
+    /// One update per cell and keyframe.
+    Fused,
+    /// Every measurement updates every cell that it crosses, as in the thesis.
+    Rays,
+}
+
+/// What is taken as the standard deviation of a range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SigmaMode {
+    /// kappa sigma_d / d^2 times the keyframe's scale.
+    Range,
+    /// The standard deviation of the inverse depth as it is (the thesis may have done so).
+    RawInverseDepth,
+}
+
+/// A length, or chosen from the data. In files: a number or `"auto"`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AutoLength {
+    /// From the resolution and the uncertainty of each measurement.
+    Auto,
+    /// Map units.
+    Fixed(f64),
+}
+
+impl Serialize for AutoLength {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_str("auto"),
+            Self::Fixed(length) => serializer.serialize_f64(*length),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for AutoLength {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Raw {
+            Length(f64),
+            Word(String),
+        }
+        match Raw::deserialize(deserializer) {
+            Ok(Raw::Length(length)) => Ok(Self::Fixed(length)),
+            Ok(Raw::Word(word)) if word == "auto" => Ok(Self::Auto),
+            _ => Err(serde::de::Error::custom("expected a number or \"auto\"")),
+        }
+    }
+}
+
+/// Which measurements of a keyframe are mapped.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DepthFilterConfig {
+    /// Largest relative standard deviation of the inverse depth, above 0; `inf` keeps all. Default 0.1.
+    pub max_relative_sigma: f64,
+    /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within
+    /// two standard deviations, 0 to 9; 0 and 1 keep all. Default 4.
+    pub min_support: usize,
+    /// First keyframes that are not mapped (a random start needs some to converge). Default 0.
+    pub skip_keyframes: usize,
+}
+
+impl Default for DepthFilterConfig {
+    fn default() -> Self {
+        Self {
+            max_relative_sigma: 0.1,
+            min_support: 4,
+            skip_keyframes: 0,
+        }
+    }
+}
+
+/// Settings of [`crate::mapping`].
+///
+/// Lengths are in map units: metres where the scale is known.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MappingConfig {
+    /// Edge of a cell, above 0. Default 0.05.
+    pub resolution: f64,
+    /// Inverse sensor model. Default `thrun`.
+    pub sensor_model: SensorModelKind,
+    /// Thickness L of the occupied band of `ideal` and `thrun`, above 0, or `"auto"`: the larger of a
+    /// cell's diagonal and `buffer_sigmas` standard deviations. Default `"auto"`.
+    pub buffer: AutoLength,
+    /// Thickness in standard deviations where `buffer` is automatic, above 0.861 (below, a hit is
+    /// evidence against the obstacle). Default 2.5.
+    pub buffer_sigmas: f64,
+    /// Form of the model `thrun`. Default `exact`.
+    pub thrun_form: ThrunFormKind,
+    /// Significance k of the model `andert`, above 0, or `"auto"`: `significance_gain` cells. Default
+    /// `"auto"`.
+    pub significance: AutoLength,
+    /// Cells where `significance` is automatic, above 0. Default 1.
+    pub significance_gain: f64,
+    /// Probability of free space in the model `andert`, in (0, 0.5). Default 0.3, the thesis'.
+    pub andert_p_min: f64,
+    /// Form of the model `andert`. Default `monocular`.
+    pub andert_form: AndertFormKind,
+    /// How measurements are combined. Default `fused`.
+    pub integration: IntegrationKind,
+    /// Limits of one update, log-odds, below and above 0: a single ray must not decide. Default
+    /// -0.6 and 1.2.
+    pub update_limits: [f64; 2],
+    /// Updates smaller than this (log-odds) behind the obstacle end the ray, at least 0. Default 0.02.
+    pub tail_log_odds: f64,
+    /// Lowest and highest stored log-odds. Default -2 and 3.5, OctoMap's.
+    pub clamp: [f32; 2],
+    /// Cells at least this likely are occupied, in (0, 1). Default 0.5.
+    pub occupancy_threshold: f64,
+    /// Measurements farther away are ignored, above 0. Default 10.
+    pub max_range: f64,
+    /// Radius of the local map around the camera, above 0. Default 3.
+    pub local_radius: f64,
+    /// What is taken as the standard deviation of a range. Default `range`.
+    pub sigma_mode: SigmaMode,
+    /// Standard deviation of a keyframe's position relative to its neighbours, at least 0. Default 0.01.
+    pub pose_sigma: f64,
+    /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees, at least 0.
+    /// Default 0.1.
+    pub pose_sigma_deg: f64,
+    /// Standard deviation of the depth in given depth images over the depth, above 0. Default 0.01.
+    pub depth_image_sigma: f64,
+    /// Which measurements are mapped.
+    pub filter: DepthFilterConfig,
+}
+
+impl Default for MappingConfig {
+    fn default() -> Self {
+        Self {
+            resolution: 0.05,
+            sensor_model: SensorModelKind::Thrun,
+            buffer: AutoLength::Auto,
+            buffer_sigmas: 2.5,
+            thrun_form: ThrunFormKind::Exact,
+            significance: AutoLength::Auto,
+            significance_gain: 1.0,
+            andert_p_min: 0.3,
+            andert_form: AndertFormKind::Monocular,
+            integration: IntegrationKind::Fused,
+            update_limits: [-0.6, 1.2],
+            tail_log_odds: 0.02,
+            clamp: [-2.0, 3.5],
+            occupancy_threshold: 0.5,
+            max_range: 10.0,
+            local_radius: 3.0,
+            sigma_mode: SigmaMode::Range,
+            pose_sigma: 0.01,
+            pose_sigma_deg: 0.1,
+            depth_image_sigma: 0.01,
+            filter: DepthFilterConfig::default(),
+        }
+    }
+}
+
+impl MappingConfig {
+    /// The thesis' rules: fixed L and k (the values it found best), its closed form, updates limited
+    /// only to P in [1e-6, 1 - 1e-6], every measurement mapped, no uncertainty of the pose.
+    #[must_use]
+    pub fn thesis() -> Self {
+        let certain = (1e-6f64 / (1.0 - 1e-6)).ln();
+        Self {
+            buffer: AutoLength::Fixed(0.5),
+            thrun_form: ThrunFormKind::Thesis,
+            significance: AutoLength::Fixed(0.02),
+            integration: IntegrationKind::Rays,
+            update_limits: [certain, -certain],
+            max_range: f64::INFINITY,
+            pose_sigma: 0.0,
+            pose_sigma_deg: 0.0,
+            filter: DepthFilterConfig {
+                max_relative_sigma: f64::INFINITY,
+                min_support: 0,
+                skip_keyframes: 0,
+            },
+            ..Self::default()
+        }
+    }
+
+    /// Checks the ranges documented on the fields.
+    ///
+    /// # Errors
+    /// The first setting outside its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let check = |name, value: f64, is_allowed: bool, allowed| {
+            if is_allowed {
+                Ok(())
+            } else {
+                Err(ConfigError {
+                    name,
+                    value,
+                    allowed,
+                })
+            }
+        };
+        let above_zero = |name, value: f64| check(name, value, value > 0.0, "above 0");
+        let length = |name, value: AutoLength| match value {
+            AutoLength::Auto => Ok(()),
+            AutoLength::Fixed(value) => check(
+                name,
+                value,
+                value > 0.0 && value.is_finite(),
+                "above 0, or \"auto\"",
+            ),
+        };
+        let finite = self.resolution.is_finite() && self.resolution > 0.0;
+        check("mapping.resolution", self.resolution, finite, "above 0")?;
+        length("mapping.buffer", self.buffer)?;
+        check(
+            "mapping.buffer_sigmas",
+            self.buffer_sigmas,
+            self.buffer_sigmas > 0.861 && self.buffer_sigmas.is_finite(),
+            "above 0.861",
+        )?;
+        length("mapping.significance", self.significance)?;
+        above_zero("mapping.significance_gain", self.significance_gain)?;
+        let p_min = self.andert_p_min;
+        check(
+            "mapping.andert_p_min",
+            p_min,
+            p_min > 0.0 && p_min < 0.5,
+            "between 0 and 0.5",
+        )?;
+        let [low, high] = self.update_limits;
+        check("mapping.update_limits", low, low < 0.0, "below and above 0")?;
+        check(
+            "mapping.update_limits",
+            high,
+            high > 0.0,
+            "below and above 0",
+        )?;
+        let tail = self.tail_log_odds;
+        check("mapping.tail_log_odds", tail, tail >= 0.0, "at least 0")?;
+        above_zero("mapping.max_range", self.max_range)?;
+        above_zero("mapping.local_radius", self.local_radius)?;
+        above_zero("mapping.depth_image_sigma", self.depth_image_sigma)?;
+        for (name, value) in [
+            ("mapping.pose_sigma", self.pose_sigma),
+            ("mapping.pose_sigma_deg", self.pose_sigma_deg),
+        ] {
+            check(name, value, value >= 0.0 && value.is_finite(), "at least 0")?;
+        }
+        above_zero(
+            "mapping.filter.max_relative_sigma",
+            self.filter.max_relative_sigma,
+        )?;
+        let support = self.filter.min_support;
+        check(
+            "mapping.filter.min_support",
+            support as f64,
+            support <= 9,
+            "0 to 9",
+        )
+    }
+
+    /// The settings of the map itself.
+    #[must_use]
+    pub fn map_config(&self) -> MapConfig {
+        MapConfig {
+            resolution: self.resolution,
+            clamp_min: self.clamp[0],
+            clamp_max: self.clamp[1],
+            occupancy_threshold: self.occupancy_threshold,
+            ..MapConfig::default()
+        }
+    }
+
+    /// The inverse sensor model at this resolution.
+    #[must_use]
+    pub fn sensor(&self) -> SensorModel {
+        let buffer = match self.buffer {
+            AutoLength::Fixed(length) => Buffer::Fixed(length),
+            AutoLength::Auto => Buffer::Auto {
+                sigmas: self.buffer_sigmas,
+                min: 0.0,
+            },
+        };
+        let model = match self.sensor_model {
+            SensorModelKind::None => SensorModel::None,
+            SensorModelKind::Ideal => SensorModel::Ideal { buffer },
+            SensorModelKind::Thrun => SensorModel::Thrun {
+                buffer,
+                form: match self.thrun_form {
+                    ThrunFormKind::Exact => ThrunForm::Exact,
+                    ThrunFormKind::Thesis => ThrunForm::Thesis,
+                    ThrunFormKind::InverseDepth => ThrunForm::InverseDepth,
+                },
+            },
+            SensorModelKind::Andert => SensorModel::Andert {
+                significance: match self.significance {
+                    AutoLength::Fixed(value) => Significance::Fixed(value),
+                    AutoLength::Auto => Significance::Auto {
+                        gain: self.significance_gain,
+                        cell: self.resolution,
+                    },
+                },
+                p_min: self.andert_p_min,
+                form: match self.andert_form {
+                    AndertFormKind::Monocular => AndertForm::Monocular,
+                    AndertFormKind::Stereo => AndertForm::Stereo,
+                },
+            },
+        };
+        model.at_resolution(self.resolution)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_profiles_are_valid_and_differ_in_every_rule_of_the_thesis() {
+        let (default, thesis) = (MappingConfig::default(), MappingConfig::thesis());
+        default.validate().unwrap();
+        thesis.validate().unwrap();
+        assert_ne!(default.buffer, thesis.buffer);
+        assert_ne!(default.thrun_form, thesis.thrun_form);
+        assert_ne!(default.update_limits, thesis.update_limits);
+        assert_ne!(default.filter, thesis.filter);
+        assert_ne!(default.integration, thesis.integration);
+        assert!(thesis.pose_sigma <= 0.0 && thesis.pose_sigma_deg <= 0.0);
+    }
+
+    #[test]
+    fn values_outside_their_range_are_named() {
+        let mut config = MappingConfig {
+            resolution: f64::NAN,
+            ..MappingConfig::default()
+        };
+        assert_eq!(config.validate().unwrap_err().name, "mapping.resolution");
+        config.resolution = 0.1;
+        config.buffer = AutoLength::Fixed(-1.0);
+        assert_eq!(config.validate().unwrap_err().name, "mapping.buffer");
+        config.buffer = AutoLength::Auto;
+        config.update_limits = [0.1, 1.0];
+        assert_eq!(config.validate().unwrap_err().name, "mapping.update_limits");
+    }
+}

@@ -1,0 +1,22 @@
+//! From finished keyframes and a pose snapshot to occupancy maps.
+//!
+//! Flow: the depth of a keyframe → [`KeyframeScan`] (what passes the filter, in the keyframe's own
+//! units) → [`Mapper::integrate`] with the pose that is known → an occupancy map. [`LiveMaps`] does so
+//! while a run goes on and builds the final maps at its end.
+//!
+//! * *large*: every keyframe at the pose it had when it was finished, with its drift;
+//! * *global*: every keyframe at its final pose; always what a build from scratch gives;
+//! * *local*: the part of *global* within a radius of the current camera.
+//!
+//! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame.
+
+mod config;
+mod maps;
+mod scan;
+
+pub use config::{
+    AndertFormKind, AutoLength, DepthFilterConfig, IntegrationKind, MappingConfig, SensorModelKind,
+    SigmaMode, ThrunFormKind,
+};
+pub use maps::{LiveMaps, MapStats, Mapper, Maps, z_up_from_camera_world};
+pub use scan::{KeyframeCamera, KeyframeScan};

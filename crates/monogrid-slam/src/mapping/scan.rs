@@ -1,0 +1,234 @@
+//! From the depth of a keyframe to the measurements that are mapped.
+
+use super::{DepthFilterConfig, MappingConfig};
+use crate::{DepthPixel, KeyframeId};
+use monogrid_geometry::Pinhole;
+use monogrid_image::GrayImage;
+use monogrid_occupancy::DepthPixel as Measurement;
+
+/// Camera of the keyframes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframeCamera {
+    /// Intrinsics.
+    pub pinhole: Pinhole,
+    /// Width of the images, px.
+    pub width: usize,
+    /// Height of the images, px.
+    pub height: usize,
+}
+
+/// What of a keyframe is mapped; small enough to be kept for all of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KeyframeScan {
+    /// The keyframe.
+    pub id: KeyframeId,
+    /// Its measurements, row-major, in units of the keyframe.
+    pub pixels: Vec<Measurement>,
+}
+
+impl KeyframeScan {
+    /// The measurements of a keyframe that pass the filter.
+    #[must_use]
+    pub fn new(
+        id: KeyframeId,
+        pixels: &[DepthPixel],
+        camera: &KeyframeCamera,
+        config: &DepthFilterConfig,
+    ) -> Self {
+        if (id as usize) < config.skip_keyframes {
+            return Self {
+                id,
+                pixels: Vec::new(),
+            };
+        }
+        let support = Support::new(pixels, camera, config);
+        let pixels = pixels
+            .iter()
+            .filter(|pixel| is_precise(pixel, config) && support.is_sufficient(pixel))
+            .map(|pixel| Measurement {
+                x: pixel.x,
+                y: pixel.y,
+                idepth: pixel.idepth,
+                sigma_idepth: pixel.idepth_var.sqrt(),
+            })
+            .collect();
+        Self { id, pixels }
+    }
+}
+
+impl KeyframeScan {
+    /// All known pixels of a depth image (z, NaN where unknown), at a constant relative uncertainty.
+    #[must_use]
+    pub fn from_depth_image(id: KeyframeId, depth: &GrayImage, config: &MappingConfig) -> Self {
+        let relative_sigma = config.depth_image_sigma as f32;
+        let mut pixels = Vec::new();
+        for y in 0..depth.height() {
+            for (x, z) in depth.row(y).iter().enumerate() {
+                if z.is_finite() && *z > 0.0 {
+                    pixels.push(Measurement {
+                        x: x as u16,
+                        y: y as u16,
+                        idepth: 1.0 / z,
+                        sigma_idepth: relative_sigma / z,
+                    });
+                }
+            }
+        }
+        Self { id, pixels }
+    }
+}
+
+/// Whether a depth exists and is certain enough.
+fn is_precise(pixel: &DepthPixel, config: &DepthFilterConfig) -> bool {
+    let (idepth, variance) = (f64::from(pixel.idepth), f64::from(pixel.idepth_var));
+    // NaN fails every comparison
+    idepth > 0.0
+        && variance > 0.0
+        && variance.is_finite()
+        && variance.sqrt() <= config.max_relative_sigma * idepth
+}
+
+/// Which measurements agree with their neighbours.
+struct Support<'a> {
+    width: usize,
+    height: usize,
+    /// Index into `pixels` plus 1 of each image pixel; 0 for none.
+    index: Vec<u32>,
+    pixels: &'a [DepthPixel],
+    min_support: usize,
+}
+
+impl<'a> Support<'a> {
+    fn new(pixels: &'a [DepthPixel], camera: &KeyframeCamera, config: &DepthFilterConfig) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        let mut this = Self {
+            width,
+            height,
+            index: Vec::new(),
+            pixels,
+            min_support: config.min_support,
+        };
+        if config.min_support > 1 {
+            this.index = vec![0; width * height];
+            for (i, pixel) in pixels.iter().enumerate() {
+                let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+                if x < width && y < height {
+                    this.index[y * width + x] = i as u32 + 1;
+                }
+            }
+        }
+        this
+    }
+
+    /// Whether enough of the 3x3 pixels around agree within two standard deviations.
+    fn is_sufficient(&self, pixel: &DepthPixel) -> bool {
+        if self.min_support <= 1 {
+            return true;
+        }
+        let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+        let mut count = 0;
+        for ny in y.saturating_sub(1)..(y + 2).min(self.height) {
+            for nx in x.saturating_sub(1)..(x + 2).min(self.width) {
+                let Some(i) = self.index[ny * self.width + nx].checked_sub(1) else {
+                    continue;
+                };
+                let other = &self.pixels[i as usize];
+                let gap = pixel.idepth - other.idepth;
+                if gap * gap <= 4.0 * (pixel.idepth_var + other.idepth_var) {
+                    count += 1;
+                }
+            }
+        }
+        count >= self.min_support
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pixel(x: u16, y: u16, idepth: f32) -> DepthPixel {
+        DepthPixel {
+            x,
+            y,
+            idepth,
+            idepth_var: 1e-4,
+        }
+    }
+
+    const CAMERA: KeyframeCamera = KeyframeCamera {
+        pinhole: Pinhole {
+            fx: 10.0,
+            fy: 10.0,
+            cx: 10.0,
+            cy: 5.0,
+        },
+        width: 20,
+        height: 10,
+    };
+
+    #[test]
+    fn lonely_and_imprecise_measurements_are_dropped_by_default_and_kept_by_the_thesis() {
+        let patch = [(5, 5), (6, 5), (5, 6), (6, 6)].map(|(x, y)| pixel(x, y, 1.0));
+        let lonely = pixel(12, 5, 1.0);
+        let contradicted = pixel(7, 5, 3.0);
+        let imprecise = DepthPixel {
+            idepth_var: 0.25,
+            ..pixel(5, 4, 1.0)
+        };
+        let invalid = [
+            pixel(0, 0, -1.0),
+            pixel(0, 1, f32::NAN),
+            DepthPixel {
+                idepth_var: f32::NAN,
+                ..pixel(0, 2, 1.0)
+            },
+        ];
+        let mut pixels = vec![lonely, contradicted, imprecise];
+        pixels.extend(invalid);
+        pixels.extend(patch);
+        let count = |config: &DepthFilterConfig| {
+            KeyframeScan::new(3, &pixels, &CAMERA, config).pixels.len()
+        };
+        assert_eq!(count(&DepthFilterConfig::default()), 4);
+        assert_eq!(count(&MappingConfig::thesis().filter), 7);
+        let late = DepthFilterConfig {
+            skip_keyframes: 4,
+            ..DepthFilterConfig::default()
+        };
+        assert_eq!(count(&late), 0);
+    }
+
+    #[test]
+    fn support_agrees_with_a_search_over_all_pairs() {
+        // a slanted patch with noise from a fixed sequence
+        let mut state = 7u32;
+        let mut pixels = Vec::new();
+        for y in 0..10u16 {
+            for x in 0..20u16 {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                if state >> 30 != 0 {
+                    let noise = (state >> 16) as f32 / 65536.0 - 0.5;
+                    pixels.push(pixel(x, y, 1.0 + 0.02 * f32::from(x) + 0.1 * noise));
+                }
+            }
+        }
+        let config = DepthFilterConfig::default();
+        let expected: Vec<(u16, u16)> = pixels
+            .iter()
+            .filter(|p| {
+                let agreeing = pixels.iter().filter(|q| {
+                    p.x.abs_diff(q.x) <= 1
+                        && p.y.abs_diff(q.y) <= 1
+                        && (p.idepth - q.idepth).powi(2) <= 4.0 * (p.idepth_var + q.idepth_var)
+                });
+                agreeing.count() >= config.min_support
+            })
+            .map(|p| (p.x, p.y))
+            .collect();
+        let scan = KeyframeScan::new(0, &pixels, &CAMERA, &config);
+        let found: Vec<(u16, u16)> = scan.pixels.iter().map(|p| (p.x, p.y)).collect();
+        assert_eq!(found, expected);
+        assert!(found.len() > 20 && found.len() < pixels.len());
+    }
+}

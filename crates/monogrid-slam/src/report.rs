@@ -1,0 +1,113 @@
+//! What is said about each frame.
+
+use crate::KeyframeId;
+use monogrid_geometry::{Mat6, Se3};
+use std::fmt;
+
+/// How far the pose of a frame is to be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrackingState {
+    /// There is no map yet.
+    Initialising,
+    /// The pose is believed.
+    Good,
+    /// The pose is believed, but the depth is not updated with this frame.
+    Degraded,
+    /// There is no pose for this frame.
+    Lost,
+}
+
+impl TrackingState {
+    /// Lower-case name, as in `frames.csv`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Initialising => "initialising",
+            Self::Good => "good",
+            Self::Degraded => "degraded",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+/// Why a frame is degraded, lost, or not yet tracked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum LostReason {
+    /// Too little parallax to start.
+    NotEnoughParallax,
+    /// Too few features could be followed to start.
+    TooFewFeatures,
+    /// The start is ambiguous (plane or rotation).
+    AmbiguousStart,
+    /// Too few of the keyframe's points project into the frame.
+    NoOverlap,
+    /// The points project into the frame, but the grey values do not agree.
+    Residuals,
+    /// The image has almost no texture.
+    NoTexture,
+    /// The motion since the last frame is not that of a camera.
+    Jump,
+    /// The image is the same as the one before; its pose was taken over.
+    Repeated,
+}
+
+impl fmt::Display for LostReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NotEnoughParallax => "not enough parallax to start",
+            Self::TooFewFeatures => "too few features to start",
+            Self::AmbiguousStart => "start is ambiguous",
+            Self::NoOverlap => "too little overlap with the keyframe",
+            Self::Residuals => "grey values do not agree with the keyframe",
+            Self::NoTexture => "image has almost no texture",
+            Self::Jump => "implausible motion",
+            Self::Repeated => "repeated image",
+        })
+    }
+}
+
+/// Milliseconds of wall time per stage; for reports only, never for decisions.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StageTimes {
+    /// Pyramid and tracking.
+    pub tracking: f64,
+    /// Depth filter.
+    pub depth: f64,
+    /// Sparse layer and graph.
+    pub graph: f64,
+}
+
+/// Outcome of one frame.
+#[derive(Clone, Debug)]
+pub struct FrameReport {
+    /// Index of the frame in its source.
+    pub index: usize,
+    /// Time of the frame.
+    pub timestamp_ns: i64,
+    /// How far its pose is to be believed.
+    pub state: TrackingState,
+    /// Why it is not [`TrackingState::Good`].
+    pub reason: Option<LostReason>,
+    /// Pose as known now; `None` while initialising or lost.
+    pub world_from_camera: Option<Se3>,
+    /// Covariance of the pose relative to the keyframe: twist `[v, w]`, left, in the frame, keyframe
+    /// units.
+    pub covariance: Option<Mat6>,
+    /// Root mean square residual of good points, grey levels.
+    pub residual: f32,
+    /// Good points over visible points.
+    pub good_share: f32,
+    /// Share of the keyframe still resolved by the frame.
+    pub usage: f32,
+    /// Gain from the keyframe to the frame.
+    pub exposure_gain: f32,
+    /// Wall time per stage.
+    pub milliseconds: StageTimes,
+    /// Keyframe that the frame was tracked on.
+    pub keyframe: Option<KeyframeId>,
+    /// Keyframe that was finished with this frame.
+    pub finished_keyframe: Option<KeyframeId>,
+    /// Whether this frame became a keyframe.
+    pub created_keyframe: bool,
+}

@@ -1,0 +1,171 @@
+//! The points and the steps for a new keyframe.
+
+use super::adjust::adjust_window;
+use super::matching::{NewPoint, anchor_points, find_in_new_keyframe, find_in_older_keyframes};
+use super::{SparseConfig, adjust};
+use crate::KeyframeId;
+use crate::node::Node;
+use monogrid_depth::DepthMap;
+use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
+use monogrid_image::Mask;
+
+/// Where a keyframe sees a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Observation {
+    pub keyframe: KeyframeId,
+    /// Level-0 px.
+    pub pixel: Vec2,
+}
+
+/// A point anchored in a keyframe.
+#[derive(Clone, Debug)]
+pub(crate) struct SparsePoint {
+    /// Keyframe in which it was detected.
+    pub host: KeyframeId,
+    /// Its pixel there, exact by definition.
+    pub pixel: Vec2,
+    /// Inverse depth along the host's optical axis, 1 / world units.
+    pub idepth: f64,
+    /// Standard deviation of the inverse depth it was created with.
+    pub prior_sigma: f64,
+    /// Keyframes other than the host that see it.
+    pub observations: Vec<Observation>,
+    /// Whether it is still used.
+    pub alive: bool,
+}
+
+/// What happened for one keyframe; for the log and the report.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct SparseStats {
+    pub searched: usize,
+    pub found: usize,
+    pub inliers: usize,
+    pub anchored: usize,
+    pub adjusted_keyframes: usize,
+    pub adjusted_points: usize,
+    pub removed_observations: usize,
+}
+
+/// Points and rigid poses of all keyframes.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SparseLayer {
+    pub points: Vec<SparsePoint>,
+    /// Pose of each keyframe, by identity, translation in world units.
+    pub camera_from_world: Vec<Se3>,
+    /// Whether the inverse depths of the first keyframe's points are metric measurements.
+    pub has_seed: bool,
+}
+
+impl SparsePoint {
+    /// Position in the world.
+    pub(crate) fn position(&self, camera_from_world: &[Se3], pinhole: &Pinhole) -> Vec3 {
+        let direction = pinhole.unproject(&self.pixel);
+        camera_from_world[self.host as usize].inverse() * (direction / self.idepth)
+    }
+}
+
+impl SparseLayer {
+    /// Adds the newest of `nodes` and adjusts. `depth` is its dense depth (its own units).
+    pub(crate) fn add_keyframe(
+        &mut self,
+        nodes: &[Node],
+        depth: &DepthMap,
+        pinhole: &Pinhole,
+        mask: &Mask,
+        config: &SparseConfig,
+    ) -> SparseStats {
+        let mut stats = SparseStats::default();
+        let Some(node) = nodes.last() else {
+            return stats;
+        };
+        self.camera_from_world
+            .push(node.world_from_keyframe.to_se3().inverse());
+        let search = find_in_new_keyframe(self, nodes, pinhole, config);
+        stats.searched = search.num_searched;
+        stats.found = search.found.len();
+        let inliers = self.refine_pose(node.id, &search.found, pinhole, config);
+        stats.inliers = inliers.len();
+        for &(point, pixel) in &inliers {
+            self.points[point].observations.push(Observation {
+                keyframe: node.id,
+                pixel,
+            });
+        }
+        let seen: Vec<Vec2> = inliers.iter().map(|(_, pixel)| *pixel).collect();
+        let anchored = anchor_points(node, depth, &seen, mask, config);
+        stats.anchored = anchored.len();
+        self.add_points(nodes, anchored, pinhole, config);
+        let adjusted = adjust_window(self, node.id, pinhole, config);
+        stats.adjusted_keyframes = adjusted.num_keyframes;
+        stats.adjusted_points = adjusted.num_points;
+        stats.removed_observations = adjusted.removed_observations;
+        self.drop_unconfirmed(node.id, config);
+        stats
+    }
+
+    /// Pose of the new keyframe from the found points; returns those that agree with it.
+    fn refine_pose(
+        &mut self,
+        keyframe: KeyframeId,
+        found: &[(usize, Vec2)],
+        pinhole: &Pinhole,
+        config: &SparseConfig,
+    ) -> Vec<(usize, Vec2)> {
+        if found.len() < config.min_pose_points {
+            return Vec::new();
+        }
+        let matches: Vec<(Vec3, Vec2)> = found
+            .iter()
+            .map(|(point, pixel)| {
+                let position = self.points[*point].position(&self.camera_from_world, pinhole);
+                (position, *pixel)
+            })
+            .collect();
+        let initial = self.camera_from_world[keyframe as usize];
+        let refined = adjust::refine_pose(&initial, &matches, pinhole, config);
+        let inliers: Vec<(usize, Vec2)> = found
+            .iter()
+            .zip(&refined.inlier)
+            .filter_map(|(f, ok)| ok.then_some(*f))
+            .collect();
+        if inliers.len() < config.min_pose_points || inliers.len() * 3 < found.len() {
+            return Vec::new();
+        }
+        self.camera_from_world[keyframe as usize] = refined.camera_from_world;
+        inliers
+    }
+
+    /// Adds new points and looks for them in older keyframes.
+    fn add_points(
+        &mut self,
+        nodes: &[Node],
+        anchored: Vec<NewPoint>,
+        pinhole: &Pinhole,
+        config: &SparseConfig,
+    ) {
+        let Some(node) = nodes.last() else {
+            return;
+        };
+        let observations = find_in_older_keyframes(self, nodes, &anchored, pinhole, config);
+        for (new, observations) in anchored.into_iter().zip(observations) {
+            self.points.push(SparsePoint {
+                host: node.id,
+                pixel: new.pixel,
+                idepth: new.idepth,
+                prior_sigma: new.sigma,
+                observations,
+                alive: true,
+            });
+        }
+    }
+
+    /// Drops points that were not found again soon after they were anchored.
+    fn drop_unconfirmed(&mut self, newest: KeyframeId, config: &SparseConfig) {
+        for point in &mut self.points {
+            let old = newest.saturating_sub(point.host) >= config.drop_after_keyframes;
+            if old && point.observations.len() < 2 {
+                point.alive = false;
+            }
+        }
+    }
+}

@@ -1,0 +1,585 @@
+//! The system: one frame after the other, in the order in which a reader would do it by hand.
+
+use crate::depth_step::{observe, tracking_samples};
+use crate::frame::Frame;
+use crate::node::{Exposure, Node, world_from_camera};
+use crate::policy::{KeyframeEvidence, is_new_keyframe};
+use crate::start::{Start, StartOutcome, Started};
+use crate::tracker::{MotionPrior, extrapolate, track};
+use crate::{
+    ConfigError, DepthPixel, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason,
+    PoseSnapshot, Scale, SlamConfig, StageTimes, TrackingState, TrajectoryPose,
+};
+use monogrid_alignment::{Motion, Reference};
+use monogrid_depth::{DepthMap, HostFrame, PixelFilter, StereoFrame};
+use monogrid_geometry::{Pinhole, Se3};
+use monogrid_image::{Mask, Pyramid};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Levels of all pyramids.
+const NUM_LEVELS: usize = 5;
+
+/// Direct semi-dense monocular SLAM.
+#[derive(Debug)]
+pub struct Slam {
+    config: SlamConfig,
+    pinhole: Pinhole,
+    mask: Mask,
+    seed: u64,
+    start: Option<Start>,
+    nodes: Vec<Node>,
+    current: Option<Current>,
+    last: Option<Last>,
+    records: Vec<Record>,
+    finished: Vec<Keyframe>,
+    snapshot: Arc<PoseSnapshot>,
+    scale: Scale,
+    lost_in_a_row: usize,
+    lost_episodes: usize,
+}
+
+/// The keyframe that frames are tracked on.
+#[derive(Debug)]
+struct Current {
+    depth: DepthMap,
+    reference: Reference,
+    num_mapped: usize,
+}
+
+/// The last frame with a believed pose.
+#[derive(Debug)]
+struct Last {
+    timestamp_ns: i64,
+    pyramid: Pyramid,
+    /// Relative to the current keyframe.
+    motion: Motion,
+    /// Motion between the last two distinct frames, in the current keyframe's units, and its time.
+    frame_from_previous: Se3,
+    interval_ns: i64,
+}
+
+/// A tracked frame, relative to its keyframe.
+#[derive(Clone, Copy, Debug)]
+struct Record {
+    frame_index: usize,
+    timestamp_ns: i64,
+    keyframe: KeyframeId,
+    frame_from_keyframe: Se3,
+}
+
+impl Slam {
+    /// A system for working images of the given camera. `mask` has their size.
+    ///
+    /// # Errors
+    /// When a setting is outside its range.
+    pub fn new(
+        config: SlamConfig,
+        pinhole: Pinhole,
+        mask: Mask,
+        seed: u64,
+    ) -> Result<Self, ConfigError> {
+        config.validate()?;
+        let start = Start::new(&config, seed);
+        Ok(Self {
+            config,
+            pinhole,
+            mask,
+            seed,
+            start: Some(start),
+            nodes: Vec::new(),
+            current: None,
+            last: None,
+            records: Vec::new(),
+            finished: Vec::new(),
+            snapshot: Arc::default(),
+            scale: Scale::Arbitrary,
+            lost_in_a_row: 0,
+            lost_episodes: 0,
+        })
+    }
+
+    /// Processes the next frame.
+    pub fn process_frame(&mut self, input: FrameInput) -> FrameReport {
+        let begin = Instant::now();
+        if let Some(report) = self.repeat(&input) {
+            return report;
+        }
+        let seed_depth = input.seed_depth.clone();
+        let finest = self.config.tracking.alignment.finest_level;
+        let frame = Frame::new(input, &self.pinhole, finest, NUM_LEVELS);
+        match self.start.take() {
+            Some(start) => self.process_start(start, frame, seed_depth.as_ref(), begin),
+            None => self.process_running(frame, begin),
+        }
+    }
+
+    /// Finishes the last keyframe; its identity, if there is one.
+    pub fn finish(&mut self) -> Option<KeyframeId> {
+        self.current.as_ref()?;
+        let id = self.publish_current();
+        self.current = None;
+        id
+    }
+
+    /// Finished keyframes, by identity.
+    #[must_use]
+    pub fn keyframes(&self) -> &[Keyframe] {
+        &self.finished
+    }
+
+    /// The newest poses of all keyframes.
+    #[must_use]
+    pub fn snapshot(&self) -> Arc<PoseSnapshot> {
+        Arc::clone(&self.snapshot)
+    }
+
+    /// All frames with a believed pose, with everything known now, in the order of time.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<TrajectoryPose> {
+        let mut poses: Vec<TrajectoryPose> = self
+            .records
+            .iter()
+            .map(|record| TrajectoryPose {
+                frame_index: record.frame_index,
+                timestamp_ns: record.timestamp_ns,
+                world_from_camera: world_from_camera(
+                    &self.nodes[record.keyframe as usize].world_from_keyframe,
+                    &record.frame_from_keyframe,
+                ),
+            })
+            .collect();
+        poses.sort_by_key(|pose| (pose.timestamp_ns, pose.frame_index));
+        poses
+    }
+
+    /// Whether lengths are metres.
+    #[must_use]
+    pub fn scale(&self) -> Scale {
+        self.scale
+    }
+
+    /// Times that tracking was lost.
+    #[must_use]
+    pub fn lost_episodes(&self) -> usize {
+        self.lost_episodes
+    }
+
+    /// Intrinsics of the working images.
+    #[must_use]
+    pub fn pinhole(&self) -> &Pinhole {
+        &self.pinhole
+    }
+
+    /// A byte-identical image has the pose of the one before and adds no information.
+    fn repeat(&mut self, input: &FrameInput) -> Option<FrameReport> {
+        let last = self.last.as_ref()?;
+        if self.start.is_some() || self.lost_in_a_row > 0 || last.pyramid.level(0) != &input.image {
+            return None;
+        }
+        let node = self.nodes.last()?;
+        let record = Record {
+            frame_index: input.index,
+            timestamp_ns: input.timestamp_ns,
+            keyframe: node.id,
+            frame_from_keyframe: last.motion.frame_from_keyframe,
+        };
+        let mut report = blank_report(input.index, input.timestamp_ns, TrackingState::Good);
+        report.reason = Some(LostReason::Repeated);
+        report.world_from_camera = Some(world_from_camera(
+            &node.world_from_keyframe,
+            &record.frame_from_keyframe,
+        ));
+        report.keyframe = Some(node.id);
+        report.exposure_gain = last.motion.log_gain.exp() as f32;
+        self.records.push(record);
+        Some(report)
+    }
+
+    /// One frame before there is a map.
+    fn process_start(
+        &mut self,
+        mut start: Start,
+        frame: Frame,
+        seed_depth: Option<&monogrid_image::GrayImage>,
+        begin: Instant,
+    ) -> FrameReport {
+        let mut report = blank_report(frame.index, frame.timestamp_ns, TrackingState::Initialising);
+        match start.add_frame(frame, seed_depth, &self.pinhole, &self.mask, &self.config) {
+            StartOutcome::Waiting(reason) => {
+                report.reason = Some(reason);
+                self.start = Some(start);
+            }
+            StartOutcome::Started(started) => {
+                self.begin_map(*started, &mut report);
+            }
+        }
+        report.milliseconds.tracking = milliseconds(begin);
+        report
+    }
+
+    /// Makes the first keyframe and tracks the frames that waited for it: those after it in their
+    /// order, those before it backwards.
+    fn begin_map(&mut self, started: Started, report: &mut FrameReport) {
+        let Started {
+            keyframe,
+            depth,
+            world_scale,
+            scale,
+            later,
+            earlier,
+        } = started;
+        self.scale = scale;
+        self.push_node(
+            &keyframe,
+            monogrid_geometry::Sim3::new(
+                world_scale,
+                monogrid_geometry::Rotation::identity(),
+                monogrid_geometry::Vec3::zeros(),
+            ),
+            Exposure::NEUTRAL,
+        );
+        self.set_current(depth);
+        self.records.push(Record {
+            frame_index: keyframe.index,
+            timestamp_ns: keyframe.timestamp_ns,
+            keyframe: 0,
+            frame_from_keyframe: Se3::identity(),
+        });
+        let first = |frame: &Frame| Last {
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: frame.pyramid.clone(),
+            motion: Motion::from_pose(Se3::identity()),
+            frame_from_previous: Se3::identity(),
+            interval_ns: 0,
+        };
+        self.last = Some(first(&keyframe));
+        let finest = self.config.tracking.alignment.finest_level;
+        for buffered in earlier.iter().rev() {
+            let frame = buffered.restore(&self.pinhole, finest, NUM_LEVELS);
+            // Stops at the first frame that cannot be believed.
+            let Some(motion) = self.track_silently(&frame) else {
+                break;
+            };
+            self.remember(&frame, motion);
+        }
+        self.last = Some(first(&keyframe));
+        for buffered in &later {
+            let begin = Instant::now();
+            let frame = buffered.restore(&self.pinhole, finest, NUM_LEVELS);
+            *report = self.process_running(frame, begin);
+        }
+        report.created_keyframe = true;
+        report.keyframe = Some(0);
+        if report.world_from_camera.is_none() && self.last.is_some() {
+            report.state = TrackingState::Good;
+            report.world_from_camera = Some(Se3::identity());
+        }
+    }
+
+    /// Tracks a frame on the current keyframe without touching the map.
+    fn track_silently(&self, frame: &Frame) -> Option<Motion> {
+        let (current, last) = (self.current.as_ref()?, self.last.as_ref()?);
+        let tracked = self.track_on(current, last, frame);
+        (tracked.state == TrackingState::Good).then_some(tracked.alignment.motion)
+    }
+
+    fn track_on(&self, current: &Current, last: &Last, frame: &Frame) -> crate::tracker::Tracked {
+        let interval_ns = (frame.timestamp_ns - last.timestamp_ns).abs();
+        let frame_from_last = if self.config.tracking.motion_hypotheses {
+            extrapolate(&last.frame_from_previous, last.interval_ns, interval_ns)
+        } else {
+            Se3::identity()
+        };
+        let prior = MotionPrior {
+            last_from_keyframe: last.motion,
+            frame_from_last,
+        };
+        track(
+            &current.reference,
+            frame,
+            &prior,
+            Some(&last.pyramid),
+            &self.pinhole,
+            &self.config.tracking,
+        )
+    }
+
+    /// Stores a believed pose and makes it the prior of the next frame.
+    fn remember(&mut self, frame: &Frame, motion: Motion) {
+        let Some(id) = self.nodes.last().map(|node| node.id) else {
+            return;
+        };
+        let (frame_from_previous, interval_ns) = match &self.last {
+            Some(last) => (
+                motion.frame_from_keyframe * last.motion.frame_from_keyframe.inverse(),
+                (frame.timestamp_ns - last.timestamp_ns).abs(),
+            ),
+            None => (Se3::identity(), 0),
+        };
+        self.last = Some(Last {
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: frame.pyramid.clone(),
+            motion,
+            frame_from_previous,
+            interval_ns,
+        });
+        self.records.push(Record {
+            frame_index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            keyframe: id,
+            frame_from_keyframe: motion.frame_from_keyframe,
+        });
+    }
+
+    /// One frame of normal operation: track, then refine the depth or make a keyframe.
+    fn process_running(&mut self, frame: Frame, begin: Instant) -> FrameReport {
+        let mut report = blank_report(frame.index, frame.timestamp_ns, TrackingState::Lost);
+        let (Some(current), Some(last)) = (self.current.as_ref(), self.last.as_ref()) else {
+            return report;
+        };
+        let tracked = self.track_on(current, last, &frame);
+        let alignment = &tracked.alignment;
+        report.milliseconds.tracking = milliseconds(begin);
+        report.state = tracked.state;
+        report.reason = tracked.reason;
+        report.residual = alignment.residual_rms;
+        report.good_share = alignment.good_of_visible;
+        report.usage = alignment.usage;
+        report.exposure_gain = alignment.gain();
+        report.keyframe = self.nodes.last().map(|node| node.id);
+        if tracked.state == TrackingState::Lost {
+            if self.lost_in_a_row == 0 {
+                self.lost_episodes += 1;
+            }
+            self.lost_in_a_row += 1;
+            return report;
+        }
+        self.lost_in_a_row = 0;
+        report.covariance = alignment.covariance;
+        let motion = alignment.motion;
+        self.remember(&frame, motion);
+        if let Some(node) = self.nodes.last() {
+            report.world_from_camera = Some(world_from_camera(
+                &node.world_from_keyframe,
+                &motion.frame_from_keyframe,
+            ));
+        }
+        let after_tracking = Instant::now();
+        let evidence = KeyframeEvidence {
+            relative_distance: motion.frame_from_keyframe.inverse().translation.norm(),
+            usage: f64::from(alignment.usage),
+            num_mapped: self.current.as_ref().map_or(0, |c| c.num_mapped),
+            num_keyframes: self.nodes.len(),
+        };
+        if is_new_keyframe(&evidence, &self.config.keyframes) {
+            report.finished_keyframe = self.change_keyframe(&frame, &motion);
+            report.created_keyframe = true;
+        } else if tracked.state == TrackingState::Good {
+            self.refine_depth(&frame, &tracked.alignment);
+        }
+        report.milliseconds.depth = milliseconds(after_tracking);
+        report
+    }
+
+    /// Observes the current keyframe's pixels in a tracked frame.
+    fn refine_depth(&mut self, frame: &Frame, alignment: &monogrid_alignment::Alignment) {
+        let Some(current) = self.current.as_mut() else {
+            return;
+        };
+        let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
+        let stereo = StereoFrame {
+            image: frame.image(),
+            frame_from_keyframe: alignment.motion.frame_from_keyframe,
+            gain: alignment.gain(),
+            bias: alignment.bias(),
+            residual_rms: alignment.residual_rms,
+            pose_sigma_trans,
+            pose_sigma_rot,
+            id: frame.index as u32,
+        };
+        let config = &self.config.depth;
+        observe(&mut current.depth, &[stereo], config);
+        current.depth.fill_holes(config);
+        current.depth.regularize(config);
+        current.num_mapped += 1;
+        self.refresh_reference();
+    }
+
+    /// Publishes the current keyframe and lets `frame` take over.
+    fn change_keyframe(&mut self, frame: &Frame, motion: &Motion) -> Option<KeyframeId> {
+        let finished = self.publish_current();
+        let current = self.current.take()?;
+        let host = Arc::new(
+            HostFrame::new(frame.image().clone(), self.mask.clone(), self.pinhole).ok()?,
+        );
+        let (mut depth, _) =
+            current
+                .depth
+                .propagate(host, &motion.frame_from_keyframe, &self.config.depth);
+        // The unit of the new keyframe is its median depth.
+        let median_idepth = depth.median_idepth().filter(|m| m.is_finite() && *m > 0.0)?;
+        depth.rescale(1.0 / median_idepth);
+        let unit = 1.0 / f64::from(median_idepth);
+        let parent = self.nodes.last()?;
+        let keyframe_from_frame = motion.frame_from_keyframe.inverse();
+        let world_from_keyframe =
+            parent.world_from_keyframe * keyframe_from_frame.with_scale(unit);
+        let exposure = parent.exposure.then(motion.log_gain.exp(), motion.bias);
+        self.push_node(frame, world_from_keyframe, exposure);
+        self.observe_old_keyframes(&mut depth);
+        depth.fill_holes(&self.config.depth);
+        depth.regularize(&self.config.depth);
+        if let Some(last) = self.last.as_mut() {
+            last.motion = Motion::from_pose(Se3::identity());
+            last.frame_from_previous.translation /= unit;
+        }
+        self.set_current(depth);
+        finished
+    }
+
+    /// Observes the newest keyframe's pixels in older keyframes with a useful baseline.
+    fn observe_old_keyframes(&self, depth: &mut DepthMap) {
+        let config = &self.config.keyframes;
+        let Some((node, older)) = self.nodes.split_last() else {
+            return;
+        };
+        let frames: Vec<StereoFrame<'_>> = older
+            .iter()
+            .rev()
+            .map(|other| (other, node.other_from_self(other)))
+            .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
+            .take(config.old_keyframes_observed)
+            .map(|(other, pose)| {
+                let (gain, bias) = node.exposure.relative(&other.exposure);
+                StereoFrame {
+                    image: other.pyramid.level(0),
+                    frame_from_keyframe: pose,
+                    gain: gain as f32,
+                    bias: bias as f32,
+                    residual_rms: 5.0,
+                    pose_sigma_trans: 0.002,
+                    pose_sigma_rot: 0.001,
+                    id: other.frame_index as u32,
+                }
+            })
+            .collect();
+        if !frames.is_empty() {
+            observe(depth, &frames, &self.config.depth);
+        }
+    }
+
+    /// Adds a keyframe and its pose.
+    fn push_node(
+        &mut self,
+        frame: &Frame,
+        world_from_keyframe: monogrid_geometry::Sim3,
+        exposure: Exposure,
+    ) {
+        self.nodes.push(Node {
+            id: self.nodes.len() as KeyframeId,
+            frame_index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: Arc::new(frame.pyramid.clone()),
+            world_from_keyframe,
+            exposure,
+        });
+        self.update_snapshot();
+    }
+
+    fn update_snapshot(&mut self) {
+        self.snapshot = Arc::new(PoseSnapshot {
+            revision: self.snapshot.revision + 1,
+            world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
+        });
+    }
+
+    fn set_current(&mut self, depth: DepthMap) {
+        self.current = Some(Current {
+            depth,
+            reference: Reference::default(),
+            num_mapped: 0,
+        });
+        self.refresh_reference();
+    }
+
+    /// Rebuilds the points that frames are tracked on from the newest depth.
+    fn refresh_reference(&mut self) {
+        let (Some(current), Some(node)) = (self.current.as_mut(), self.nodes.last()) else {
+            return;
+        };
+        let config = &self.config.tracking;
+        let samples = tracking_samples(&current.depth, config);
+        current.reference = Reference::new(
+            &node.pyramid,
+            &self.pinhole,
+            &samples,
+            config.alignment.finest_level,
+            config.alignment.coarsest_level,
+        );
+    }
+
+    /// Publishes depth and image of the current keyframe.
+    fn publish_current(&mut self) -> Option<KeyframeId> {
+        let current = self.current.as_ref()?;
+        let node = self.nodes.last()?;
+        let filter = PixelFilter {
+            min_validity: self.config.publication.min_validity,
+            smoothed: self.config.publication.smoothed,
+            ..PixelFilter::default()
+        };
+        let pixels = current
+            .depth
+            .pixels(filter)
+            .map(|p| DepthPixel {
+                x: p.x,
+                y: p.y,
+                idepth: p.idepth,
+                idepth_var: p.idepth_var,
+            })
+            .collect();
+        self.finished.push(Keyframe {
+            id: node.id,
+            frame_index: node.frame_index,
+            timestamp_ns: node.timestamp_ns,
+            revision: 0,
+            image: node
+                .pyramid
+                .level(0)
+                .map(|v| v.round().clamp(0.0, 255.0) as u8),
+            pixels,
+        });
+        Some(node.id)
+    }
+}
+
+/// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.
+fn pose_sigmas(covariance: Option<&monogrid_geometry::Mat6>) -> (f32, f32) {
+    covariance.map_or((0.005, 0.002), |c| {
+        let mean = |from: usize| ((c[(from, from)] + c[(from + 1, from + 1)] + c[(from + 2, from + 2)]) / 3.0).sqrt();
+        (mean(0) as f32, mean(3) as f32)
+    })
+}
+
+fn milliseconds(begin: Instant) -> f64 {
+    begin.elapsed().as_secs_f64() * 1e3
+}
+
+fn blank_report(index: usize, timestamp_ns: i64, state: TrackingState) -> FrameReport {
+    FrameReport {
+        index,
+        timestamp_ns,
+        state,
+        reason: None,
+        world_from_camera: None,
+        covariance: None,
+        residual: 0.0,
+        good_share: 0.0,
+        usage: 0.0,
+        exposure_gain: 1.0,
+        milliseconds: StageTimes::default(),
+        keyframe: None,
+        finished_keyframe: None,
+        created_keyframe: false,
+    }
+}

@@ -1,0 +1,181 @@
+//! From a prior to the pose of a frame relative to the keyframe, with a verdict.
+
+use crate::frame::Frame;
+use crate::{LostReason, TrackingConfig, TrackingState};
+use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
+use monogrid_geometry::{Pinhole, Se3, Vec3, Vec6, rotation_exp};
+use monogrid_image::Pyramid;
+
+/// What is known before the frame is looked at.
+#[derive(Clone, Debug)]
+pub(crate) struct MotionPrior {
+    /// Pose of the last frame.
+    pub last_from_keyframe: Motion,
+    /// Motion expected between the last frame and this one.
+    pub frame_from_last: Se3,
+}
+
+/// Pose of a frame and how far to believe it.
+#[derive(Clone, Debug)]
+pub(crate) struct Tracked {
+    pub alignment: Alignment,
+    pub state: TrackingState,
+    pub reason: Option<LostReason>,
+}
+
+/// Tracks `frame` on `reference`.
+///
+/// The motion hypotheses are compared on the coarsest level by the share of keyframe points that
+/// they explain; the best one is refined over the finer levels.
+pub(crate) fn track(
+    reference: &Reference,
+    frame: &Frame,
+    prior: &MotionPrior,
+    previous: Option<&Pyramid>,
+    pinhole: &Pinhole,
+    config: &TrackingConfig,
+) -> Tracked {
+    let coarse = coarse_config(&config.alignment, reference);
+    let refined = AlignmentConfig {
+        coarsest_level: coarse
+            .coarsest_level
+            .saturating_sub(1)
+            .max(config.alignment.finest_level),
+        ..config.alignment.clone()
+    };
+    let attempt = |frame_from_last: &Se3| {
+        let last = &prior.last_from_keyframe;
+        let start = Motion {
+            frame_from_keyframe: *frame_from_last * last.frame_from_keyframe,
+            ..*last
+        };
+        align(reference, &frame.target, &start, Freedom::Rigid, &coarse)
+    };
+    let mut best = attempt(&prior.frame_from_last);
+    if config.motion_hypotheses {
+        let rotation = previous
+            .and_then(|p| align_rotation(p, frame, pinhole, prior, &config.alignment))
+            .unwrap_or_else(Se3::identity);
+        for hypothesis in hypotheses(&prior.frame_from_last, &rotation) {
+            if best.good_share >= config.accept_first_share {
+                break;
+            }
+            let candidate = attempt(&hypothesis);
+            if candidate.good_share > best.good_share {
+                best = candidate;
+            }
+        }
+    }
+    let alignment = align(
+        reference,
+        &frame.target,
+        &best.motion,
+        Freedom::Rigid,
+        &refined,
+    );
+    let (state, reason) = judge(&alignment, config);
+    Tracked {
+        alignment,
+        state,
+        reason,
+    }
+}
+
+/// The same settings restricted to the coarsest level.
+fn coarse_config(config: &AlignmentConfig, reference: &Reference) -> AlignmentConfig {
+    let level = config.coarsest_level.min(reference.coarsest_level());
+    AlignmentConfig {
+        coarsest_level: level,
+        finest_level: level,
+        ..config.clone()
+    }
+}
+
+/// Alternatives to the constant motion, likeliest first: the rotation that aligns the images, no
+/// motion, double, half, and small rotations around the prior in each direction.
+fn hypotheses(frame_from_last: &Se3, rotation: &Se3) -> Vec<Se3> {
+    let twist = frame_from_last.log();
+    let mut out = vec![
+        Se3::new(rotation.rotation, frame_from_last.translation),
+        Se3::identity(),
+        Se3::new(rotation.rotation, Vec3::zeros()),
+        Se3::exp(&(twist * 2.0)),
+        Se3::exp(&(twist * 0.5)),
+    ];
+    for radius in [0.02, 0.05] {
+        for x in [-1.0, 0.0, 1.0] {
+            for y in [-1.0, 0.0, 1.0] {
+                for z in [-1.0, 0.0, 1.0] {
+                    let w = Vec3::new(x, y, z) * radius;
+                    if w.norm_squared() > 0.0 {
+                        let turn = Se3::new(rotation_exp(&w), Vec3::zeros());
+                        out.push(turn * *frame_from_last);
+                    }
+                }
+            }
+        }
+    }
+    out
+}
+
+/// Rotation between the last frame and this one, from all pixels of a coarse level at infinity.
+fn align_rotation(
+    previous: &Pyramid,
+    frame: &Frame,
+    pinhole: &Pinhole,
+    prior: &MotionPrior,
+    config: &AlignmentConfig,
+) -> Option<Se3> {
+    let level = frame.target.coarsest_level().min(previous.num_levels() - 1);
+    let reference = Reference::at_infinity(previous, pinhole, level);
+    let settings = AlignmentConfig {
+        coarsest_level: level,
+        finest_level: level,
+        max_points: 0,
+        ..config.clone()
+    };
+    let start = Motion::from_pose(Se3::new(prior.frame_from_last.rotation, Vec3::zeros()));
+    let found = align(
+        &reference,
+        &frame.target,
+        &start,
+        Freedom::Rotation,
+        &settings,
+    );
+    let turn = found.motion.frame_from_keyframe;
+    (turn.is_finite() && found.good_of_visible > 0.3).then_some(turn)
+}
+
+/// Good, degraded or lost, with the reason.
+fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Option<LostReason>) {
+    let motion = &alignment.motion.frame_from_keyframe;
+    if alignment.num_points < config.min_points {
+        return (TrackingState::Lost, Some(LostReason::NoTexture));
+    }
+    if !motion.is_finite() {
+        return (TrackingState::Lost, Some(LostReason::Jump));
+    }
+    if alignment.visible_share < config.min_visible_share
+        || alignment.good_share < config.min_good_share
+    {
+        return (TrackingState::Lost, Some(LostReason::NoOverlap));
+    }
+    if alignment.good_of_visible < config.min_good_of_visible {
+        return (TrackingState::Lost, Some(LostReason::Residuals));
+    }
+    if alignment.good_of_visible < config.degraded_good_of_visible {
+        return (TrackingState::Degraded, Some(LostReason::Residuals));
+    }
+    (TrackingState::Good, None)
+}
+
+/// The motion per nanosecond continued over another interval.
+pub(crate) fn extrapolate(frame_from_last: &Se3, interval_ns: i64, next_interval_ns: i64) -> Se3 {
+    if interval_ns <= 0 {
+        return Se3::identity();
+    }
+    // Beyond three intervals nothing is known about a hand.
+    let factor = (next_interval_ns as f64 / interval_ns as f64).clamp(0.0, 3.0);
+    let twist: Vec6 = frame_from_last.log() * factor;
+    Se3::exp(&twist)
+}
