@@ -23,7 +23,7 @@ fn rooms() -> TruthGrid {
 
 fn config() -> PathConfig {
     PathConfig {
-        pairs: 100,
+        pairs: 60,
         planning_cell: 0.05,
         ..PathConfig::default()
     }
@@ -55,8 +55,8 @@ fn in_the_true_map_every_path_is_found_and_safe() {
         report.unknown_blocked.observed,
         report.unknown_free.all,
     ] {
-        assert_eq!(stats.pairs, 100);
-        assert_eq!(stats.planned, 100);
+        assert_eq!(stats.pairs, 60);
+        assert_eq!(stats.planned, 60);
         assert_eq!(
             (
                 stats.false_positive,
@@ -114,7 +114,7 @@ fn what_was_not_observed_is_a_matter_of_the_rule() {
     let (blocked, free) = (report.unknown_blocked, report.unknown_free);
     assert!(blocked.all.unreachable > 0.6, "{blocked:?}");
     assert_eq!(blocked.observed.unreachable, 0.0);
-    assert!(blocked.observed.pairs < 50 && blocked.observed.pairs > 5);
+    assert!((4..30).contains(&blocked.observed.pairs));
     assert_eq!(free.all.unreachable, 0.0);
 }
 

@@ -8,17 +8,20 @@
 mod calibration;
 mod classify;
 mod geometry;
+mod in_view;
 mod nearest;
+mod report;
 mod scores;
 
 pub use calibration::{Calibration, ReliabilityBin};
 pub use classify::{Contingency, RocPoint};
 pub use geometry::SurfaceDistances;
+pub use report::{MapReport, Policies, PolicyReport};
 
 use crate::truth::{CellCounts, TruthGrid};
+use in_view::InView;
 use monogrid_occupancy::{Occupancy, OccupancyMap, probability_from_log_odds};
 use scores::{ScoreCounter, ScoreGroup};
-use serde::Serialize;
 
 /// Bins of the distribution of probabilities.
 const HISTOGRAM_BINS: usize = 100;
@@ -80,137 +83,6 @@ pub enum MapEvaluationError {
     },
 }
 
-/// Results under one policy for unknown cells.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PolicyReport {
-    /// Exact area under the ROC curve, ties counted half; 0.5 when a class is missing.
-    pub auc: f64,
-    /// Area from the thesis' 26 thresholds.
-    pub auc_26: f64,
-    /// Matthews correlation coefficient at p > 0.5; 0 when undefined.
-    pub mcc: f64,
-    /// Share of predicted cells that are occupied, at p > 0.5.
-    pub precision: f64,
-    /// Share of occupied cells found, at p > 0.5.
-    pub recall: f64,
-    /// Share of free cells found, at p > 0.5.
-    pub specificity: f64,
-    /// F-measure at p > 0.5.
-    pub f1: f64,
-    /// Intersection over union of occupied cells at p > 0.5.
-    pub iou: f64,
-    /// The four counts at p > 0.5.
-    #[serde(flatten)]
-    pub counts: Contingency,
-    /// Largest F-measure over all thresholds.
-    pub best_f1: f64,
-    /// The threshold that gives it.
-    pub best_f1_threshold: f64,
-}
-
-/// One value per policy.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Policies<T> {
-    /// Cells whose truth is known and that the estimate observed. The honest figure of merit of a
-    /// sensor model; says nothing about how much was observed.
-    pub observed: T,
-    /// Cells whose truth is known; unobserved ones score 0.5. Probably the thesis' way.
-    pub known: T,
-    /// The whole box: unknown truth is negative, unobserved cells score 0.5.
-    pub everything: T,
-    /// Cells whose truth is known; unobserved ones score 1: a robot keeps out of them.
-    pub safety: T,
-}
-
-impl<T> Policies<T> {
-    fn map<U>(&self, mut change: impl FnMut(&T) -> U) -> Policies<U> {
-        Policies {
-            observed: change(&self.observed),
-            known: change(&self.known),
-            everything: change(&self.everything),
-            safety: change(&self.safety),
-        }
-    }
-}
-
-/// Everything known about the error of a map.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct MapReport {
-    /// Classification under the four policies.
-    pub policies: Policies<PolicyReport>,
-    /// ROC curves at the thesis' 26 thresholds.
-    pub roc: Policies<Vec<RocPoint>>,
-    /// Share of truly free cells that were observed.
-    pub coverage_free: f64,
-    /// Share of truly occupied cells that were observed.
-    pub coverage_occupied: f64,
-    /// As `coverage_free`, of the cells in view; `None` when the view was not given.
-    pub coverage_free_in_view: Option<f64>,
-    /// As `coverage_occupied`, of the cells in view; `None` when the view was not given.
-    pub coverage_occupied_in_view: Option<f64>,
-    /// Brier score, likelihood and reliability diagram.
-    #[serde(flatten)]
-    pub calibration: Calibration,
-    /// Accuracy and completeness of the surface.
-    #[serde(flatten)]
-    pub surface: SurfaceDistances,
-    /// Mean over the horizontal slices of the sum of squared differences of probability, unknown
-    /// being 0.5 (the thesis' equation 6.1.2, with probabilities instead of grey levels).
-    pub ssd: f64,
-    /// Sum over all slices by the number of cells of the box.
-    pub ssd_normalised: f64,
-    /// The sum of each slice (equation 6.1.1), upwards.
-    pub ssd_per_slice: Vec<f64>,
-    /// Observed cells of the box by probability, 100 bins from 0 to 1.
-    pub probability_histogram: Vec<u64>,
-    /// States of the cells of the truth.
-    pub truth: CellCounts,
-    /// Observed cells inside the box.
-    pub observed: u64,
-    /// Observed cells outside the box, where nothing is known.
-    pub observed_outside: u64,
-}
-
-/// The cells in view, by keys of the truth; without a view all cells are.
-struct InView<'a> {
-    grid: Option<&'a TruthGrid>,
-    /// Cells of the truth along one edge of a cell of the view.
-    factor: i32,
-}
-
-impl<'a> InView<'a> {
-    fn new(grid: Option<&'a TruthGrid>, truth: f64) -> Result<Self, MapEvaluationError> {
-        let view = grid.map_or(truth, TruthGrid::resolution);
-        let factor = (view / truth).round();
-        if factor < 1.0 || (view / truth - factor).abs() > 1e-6 * factor {
-            return Err(MapEvaluationError::View { view, truth });
-        }
-        Ok(Self {
-            grid,
-            factor: factor as i32,
-        })
-    }
-
-    fn contains(&self, key: [i32; 3]) -> bool {
-        self.grid.is_none_or(|grid| {
-            grid.state(key.map(|k| k.div_euclid(self.factor))) != Occupancy::Unknown
-        })
-    }
-
-    /// States of the true cells in view; `None` without a view.
-    fn counts(&self, truth: &TruthGrid) -> Option<CellCounts> {
-        self.grid?;
-        let mut counts = CellCounts::default();
-        for cell in truth.cells() {
-            let key = truth.global(cell);
-            if self.contains(key) {
-                counts.add(truth.state(key));
-            }
-        }
-        Some(counts)
-    }
-}
-
 /// What one pass over the estimate collects.
 struct Pass {
     scores: ScoreCounter,
@@ -265,7 +137,7 @@ pub fn evaluate_map(
     let in_view = view.counts(truth);
     let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
     Ok(MapReport {
-        policies: groups.map(|g| report(g)),
+        policies: groups.map(|g| policy_report(g)),
         roc,
         coverage_free: share(observed.free, truth_counts.free),
         coverage_occupied: share(observed.occupied, truth_counts.occupied),
@@ -385,7 +257,7 @@ fn policy_groups(
     }
 }
 
-fn report(groups: &[ScoreGroup]) -> PolicyReport {
+fn policy_report(groups: &[ScoreGroup]) -> PolicyReport {
     let counts = Contingency::at(groups, 0.5);
     let (best_f1_threshold, best_f1) = classify::best_f1(groups);
     PolicyReport {

@@ -48,6 +48,7 @@ impl DistanceGrid {
         self.cells.len()
     }
 
+    #[cfg(test)]
     pub fn index(&self, [x, y, z]: [usize; 3]) -> usize {
         (z * self.size[1] + y) * self.size[0] + x
     }

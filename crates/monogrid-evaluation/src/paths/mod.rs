@@ -10,7 +10,7 @@ mod grid;
 
 use crate::statistics::median;
 use crate::truth::{TruthError, TruthGrid};
-use astar::{Path, Planner, neighbours};
+use astar::{Path, Planner};
 use grid::DistanceGrid;
 use monogrid_occupancy::{Occupancy, OccupancyMap};
 use serde::Serialize;
@@ -182,10 +182,10 @@ pub fn evaluate_paths(
     let in_truth = DistanceGrid::new(coarse_truth.size(), |i| {
         state_at(&coarse_truth, i) != Occupancy::Free
     });
-    let pairs = sample_pairs(&in_truth, &clearances, config, cell)?;
+    let mut truth_planner = Planner::new(&in_truth, clearances.plan);
+    let pairs = sample_pairs(&in_truth, &truth_planner, config, cell)?;
     let states = coarse_states(estimate, &coarse_truth, factor);
     let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
-    let mut truth_planner = Planner::new(&in_truth, clearances.plan);
     let routes: Vec<Route> = pairs
         .into_iter()
         .filter_map(|(start, goal)| {
@@ -310,12 +310,13 @@ fn coarse_states(estimate: &OccupancyMap, grid: &TruthGrid, factor: u32) -> Vec<
 /// Random pairs of places that are connected in the truth and far enough apart.
 fn sample_pairs(
     grid: &DistanceGrid,
-    clearances: &Clearances,
+    planner: &Planner,
     config: &PathConfig,
     cell: f64,
 ) -> Result<Vec<(usize, usize)>, PathError> {
-    let component = components(grid, clearances.plan);
-    let free: Vec<usize> = (0..grid.len()).filter(|i| component[*i] != 0).collect();
+    let free: Vec<usize> = (0..grid.len())
+        .filter(|i| planner.component(*i) != 0)
+        .collect();
     let min_distance_sq = (config.min_distance / cell).powi(2);
     let mut random = SplitMix(config.seed);
     let mut pairs = Vec::with_capacity(config.pairs);
@@ -328,7 +329,8 @@ fn sample_pairs(
         let goal = free[random.below(free.len())];
         let (a, b) = (grid.cell(start), grid.cell(goal));
         let distance_sq: usize = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
-        if component[start] == component[goal] && distance_sq as f64 >= min_distance_sq {
+        let is_connected = planner.component(start) == planner.component(goal);
+        if is_connected && distance_sq as f64 >= min_distance_sq {
             pairs.push((start, goal));
         }
     }
@@ -340,30 +342,6 @@ fn sample_pairs(
         });
     }
     Ok(pairs)
-}
-
-/// Numbers the connected sets of cells with enough clearance from 1; 0 elsewhere.
-fn components(grid: &DistanceGrid, clearance: f32) -> Vec<u32> {
-    let mut component = vec![0; grid.len()];
-    let mut last = 0;
-    let mut stack = Vec::new();
-    for seed in 0..grid.len() {
-        if component[seed] != 0 || grid.at(seed) < clearance {
-            continue;
-        }
-        last += 1;
-        component[seed] = last;
-        stack.push(seed);
-        while let Some(index) = stack.pop() {
-            for (next, _) in neighbours(grid, index) {
-                if component[next] == 0 && grid.at(next) >= clearance {
-                    component[next] = last;
-                    stack.push(next);
-                }
-            }
-        }
-    }
-    component
 }
 
 /// Vigna's SplitMix64: a seed gives the same pairs on every machine.
