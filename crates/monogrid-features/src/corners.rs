@@ -15,7 +15,7 @@ pub struct CornerConfig {
     /// Smallest distance between two corners, level-0 px. Default 10.
     pub min_distance_px: f64,
     /// Smallest score: mean squared gradient in the weakest direction, (grey levels / px)².
-    /// Default 9, about three times what camera noise of 2.5 grey levels gives.
+    /// Default 5; camera noise of two grey levels alone gives about 1.5.
     pub min_score: f32,
     /// No corner closer to the border than this, level-0 px. Default 12: room for a patch.
     pub border_px: usize,
@@ -27,7 +27,7 @@ impl Default for CornerConfig {
             max_corners: 600,
             level: 0,
             min_distance_px: 10.0,
-            min_score: 9.0,
+            min_score: 5.0,
             border_px: 12,
         }
     }

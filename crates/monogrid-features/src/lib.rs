@@ -11,18 +11,22 @@
 //!   configuration, ties are broken by index.
 #![deny(missing_docs)]
 
+mod absolute_pose;
 mod corners;
 mod polynomial;
 mod rng;
 #[cfg(test)]
 mod test_images;
 mod track;
+mod triangulation;
 mod two_view;
 
+pub use absolute_pose::{AbsolutePose, AbsolutePoseConfig, PointPixel, absolute_pose};
 pub use corners::{Corner, CornerConfig, detect_corners};
 pub use rng::Rng;
 pub use track::{
     PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, align_patch,
     find_patch, finest_pixel, level_pixel, patch_warp, track_points,
 };
+pub use triangulation::{Sighting, Triangulation, TriangulationError, triangulate};
 pub use two_view::{Match, TriangulatedPoint, TwoView, TwoViewConfig, TwoViewOutcome, two_view};

@@ -240,7 +240,12 @@ fn candidate_motions(problem: &Problem, config: &TwoViewConfig, rng: &mut Rng) -
     let essentials = essential_hypotheses(problem, limit_e, config.iterations, rng);
     let homography = best_homography(problem, limit_h, config.iterations, rng);
     let mut motions = Vec::new();
+    let score = |cost: f64| limit_e * problem.len() as f64 - cost;
+    let best_score = essentials.first().map_or(0.0, |e| score(e.cost));
     for essential in &essentials {
+        if score(essential.cost) < MIN_SCORE_RATIO * best_score {
+            break;
+        }
         motions.extend(essential_motions(problem, &essential.model, limit_e));
     }
     let num = problem.len() as f64;
@@ -262,6 +267,9 @@ fn candidate_motions(problem: &Problem, config: &TwoViewConfig, rng: &mut Rng) -
     }
     (motions, share)
 }
+
+/// A hypothesis with less than this share of the best score cannot win by refinement.
+const MIN_SCORE_RATIO: f64 = 0.75;
 
 fn inlier_count(problem: &Problem, essential: &Mat3, limit: f64) -> f64 {
     (0..problem.len())
@@ -330,7 +338,7 @@ const OUTLIER_CHI_SQ: f64 = 9.0;
 /// A point is behind a camera when its inverse depth is below zero by this many deviations.
 const BEHIND_SIGMAS: f64 = 3.0;
 /// Motions closer than this are one (rotation, direction of translation, radians).
-const SAME_MOTION: (f64, f64) = (0.01, 0.1);
+const SAME_MOTION: (f64, f64) = (0.02, 0.2);
 
 /// The best motion and its rivals, best first, without duplicates.
 fn rank<'a>(
