@@ -4,6 +4,8 @@ use crate::depth_step::{observe, tracking_samples};
 use crate::frame::Frame;
 use crate::node::{Exposure, Node, world_from_camera};
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
+use crate::sparse::SparseLayer;
+use crate::sparse::scale::{DenseLink, dense_links, keyframe_scale};
 use crate::start::{Start, StartOutcome, Started};
 use crate::tracker::{MotionPrior, extrapolate, track};
 use crate::{
@@ -37,6 +39,9 @@ pub struct Slam {
     scale: Scale,
     lost_in_a_row: usize,
     lost_episodes: usize,
+    sparse: SparseLayer,
+    /// Dense depth at the points that a keyframe sees, by identity.
+    links: Vec<Vec<DenseLink>>,
 }
 
 /// The keyframe that frames are tracked on.
@@ -96,6 +101,8 @@ impl Slam {
             scale: Scale::Arbitrary,
             lost_in_a_row: 0,
             lost_episodes: 0,
+            sparse: SparseLayer::default(),
+            links: Vec::new(),
         })
     }
 
@@ -239,6 +246,8 @@ impl Slam {
             ),
             Exposure::NEUTRAL,
         );
+        self.sparse.has_seed = scale == Scale::Metric;
+        self.adjust(&depth);
         self.set_current(depth);
         self.records.push(Record {
             frame_index: keyframe.index,
@@ -427,6 +436,8 @@ impl Slam {
             parent.world_from_keyframe * keyframe_from_frame.with_scale(unit);
         let exposure = parent.exposure.then(motion.log_gain.exp(), motion.bias);
         self.push_node(frame, world_from_keyframe, exposure);
+        self.link_dense_depth(&current.depth, self.nodes.len() - 2);
+        self.adjust(&depth);
         self.observe_old_keyframes(&mut depth);
         depth.fill_holes(&self.config.depth);
         depth.regularize(&self.config.depth);
@@ -436,6 +447,40 @@ impl Slam {
         }
         self.set_current(depth);
         finished
+    }
+
+    /// Brings the newest keyframe into the sparse layer and takes over the adjusted poses and scales.
+    fn adjust(&mut self, depth: &DepthMap) {
+        if !self.config.sparse.enabled {
+            return;
+        }
+        let stats = self.sparse.add_keyframe(
+            &self.nodes,
+            depth,
+            &self.pinhole,
+            &self.mask,
+            &self.config.sparse,
+        );
+        if std::env::var_os("MONOGRID_DEBUG").is_some() {
+            eprintln!("{} {stats:?}", self.nodes.len() - 1);
+        }
+        self.link_dense_depth(depth, self.nodes.len() - 1);
+        for (node, links) in self.nodes.iter_mut().zip(&self.links) {
+            let world_from_camera = self.sparse.camera_from_world[node.id as usize].inverse();
+            let scale = keyframe_scale(&self.sparse, node.id, links, &self.pinhole)
+                .unwrap_or(node.world_from_keyframe.scale);
+            node.world_from_keyframe = world_from_camera.with_scale(scale);
+        }
+        self.update_snapshot();
+    }
+
+    /// Notes the dense depth at the points that a keyframe sees.
+    fn link_dense_depth(&mut self, depth: &DepthMap, keyframe: usize) {
+        if !self.config.sparse.enabled {
+            return;
+        }
+        self.links.resize(self.nodes.len(), Vec::new());
+        self.links[keyframe] = dense_links(&self.sparse, keyframe as KeyframeId, depth);
     }
 
     /// Observes the newest keyframe's pixels in older keyframes with a useful baseline.

@@ -24,6 +24,8 @@ pub struct SparseConfig {
     pub back_search_keyframes: usize,
     /// Standard deviation of a found position, px.
     pub sigma_px: f64,
+    /// The same for the first pose of a new keyframe, when the points are not adjusted with it yet, px.
+    pub pose_sigma_px: f64,
     /// Newest keyframes whose poses are adjusted.
     pub window_newest: usize,
     /// Most covisible older keyframes whose poses are adjusted with them.
@@ -52,6 +54,7 @@ impl Default for SparseConfig {
             max_distance_ratio: 2.0,
             back_search_keyframes: 5,
             sigma_px: 0.6,
+            pose_sigma_px: 1.0,
             window_newest: 7,
             window_covisible: 8,
             min_shared_points: 15,

@@ -8,11 +8,11 @@
 //!
 //! Lengths here are world units; every keyframe is a rigid pose.
 
-// mod adjust;
+mod adjust;
 mod config;
-// mod matching;
-// mod points;
-// pub(crate) mod scale;
+mod matching;
+mod points;
+pub(crate) mod scale;
 
 pub use config::SparseConfig;
-// pub(crate) use points::{SparseLayer, SparseStats};
+pub(crate) use points::{SparseLayer, SparseStats};

@@ -26,7 +26,9 @@ pub(crate) struct SparsePoint {
     pub pixel: Vec2,
     /// Inverse depth along the host's optical axis, 1 / world units.
     pub idepth: f64,
-    /// Standard deviation of the inverse depth it was created with.
+    /// Inverse depth it was created with, and its standard deviation.
+    pub prior_idepth: f64,
+    /// See [`Self::prior_idepth`].
     pub prior_sigma: f64,
     /// Keyframes other than the host that see it.
     pub observations: Vec<Observation>,
@@ -152,6 +154,7 @@ impl SparseLayer {
                 host: node.id,
                 pixel: new.pixel,
                 idepth: new.idepth,
+                prior_idepth: new.idepth,
                 prior_sigma: new.sigma,
                 observations,
                 alive: true,
