@@ -1,1 +1,39 @@
 //! Synthetic worlds with exact depth and pose.
+//!
+//! [`World`] (built in or any mesh) + [`CameraPath`] (hand, drone or file) + [`Renderer`] + effects of a
+//! real camera = [`SynthSequence`], which yields frames with truth and writes data sets in TUM layout.
+//!
+//! World axes: z up, metres. Camera: x right, y down, z forward. Everything is a function of the
+//! configuration and its seed, whatever the number of threads.
+
+mod bvh;
+mod effects;
+mod jitter;
+mod lighting;
+mod noise;
+mod packet;
+mod path;
+pub mod patterns;
+pub mod random;
+mod render;
+pub mod scene;
+mod sequence;
+mod shapes;
+mod texture;
+mod world;
+pub mod worlds;
+mod write;
+
+pub use bvh::{Bounds, Bvh, Hit, P3, Triangle};
+pub use effects::{EffectsConfig, ExposureConfig, NoiseConfig, Sensor};
+pub use jitter::{DRONE_JITTER, HAND_JITTER, Jitter, JitterBand};
+pub use lighting::LightingConfig;
+pub use packet::Packet;
+pub use path::{CameraPath, Carrier, PathError, Waypoint, look_at};
+pub use render::{Mover, Rendered, Renderer, Shutter};
+pub use sequence::{DEMO_FRAMES, SynthConfig, SynthError, SynthFrame, SynthSequence};
+pub use shapes::BoxFaces;
+pub use texture::Texture;
+pub use world::{SurfaceShares, TriangleMesh, World};
+pub use worlds::{WORLD_NAMES, WorldError};
+pub use write::{WriteConfig, write_ply, write_tum_layout};

@@ -1,0 +1,331 @@
+//! Light that does not change: direct light of rectangular lamps with soft shadows, and one bounce
+//! gathered over the hemisphere, stored per texel of each surface.
+//!
+//! The same sample directions serve every texel, so plain walls stay free of noise that a camera could
+//! track.
+
+use super::bvh::{Hit, P3};
+use super::packet::Packet;
+use super::scene::{AreaLight, Patch, Scene};
+use super::world::World;
+use rayon::prelude::*;
+use std::f32::consts::{PI, TAU};
+
+/// Settings of the light computation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightingConfig {
+    /// Size of the texels that store light, m. Default 0.05.
+    pub texel_m: f32,
+    /// Packets of 16 directions for the light reflected by other surfaces. Default 4.
+    pub bounce_packets: usize,
+    /// Light that comes from everywhere, relative to the mean direct light (stands for the bounces
+    /// after the first). Default 0.25.
+    pub ambient: f32,
+}
+
+impl Default for LightingConfig {
+    fn default() -> Self {
+        Self {
+            texel_m: 0.05,
+            bounce_packets: 4,
+            ambient: 0.25,
+        }
+    }
+}
+
+impl LightingConfig {
+    /// Coarse and quick, for tests.
+    #[must_use]
+    pub fn quick() -> Self {
+        Self {
+            texel_m: 0.15,
+            bounce_packets: 1,
+            ..Self::default()
+        }
+    }
+}
+
+/// Rays per packet, and light samples per lamp (4 x 4).
+const RAYS: usize = 16;
+/// Start of secondary rays above the surface, m: more than the sag of tessellated round pieces.
+const LIFT_M: f32 = 0.003;
+/// Texels per side of a light map at most.
+const MAX_TEXELS: usize = 1024;
+
+/// Irradiance on one patch.
+#[derive(Clone, Debug)]
+pub(super) struct LightMap {
+    width: usize,
+    height: usize,
+    values: Vec<f32>,
+}
+
+impl LightMap {
+    /// Number of texels along u and v for texels of a size.
+    pub fn layout(patch: &Patch, texel_m: f32) -> (usize, usize) {
+        let length = |count: usize, point: &dyn Fn(usize) -> P3| -> f32 {
+            (1..count).map(|k| (point(k) - point(k - 1)).norm()).sum()
+        };
+        let (columns, rows) = (patch.columns, patch.rows);
+        let along_u = length(columns, &|i| patch.points[(rows / 2) * columns + i]);
+        let along_v = length(rows, &|j| patch.points[j * columns + columns / 2]);
+        let texels = |l: f32| ((l / texel_m).ceil() as usize + 1).clamp(2, MAX_TEXELS);
+        (texels(along_u), texels(along_v))
+    }
+
+    /// Bilinear value at a point in texels, clamped to the map.
+    #[inline]
+    pub fn sample(&self, x: f32, y: f32) -> f32 {
+        let x = x.clamp(0.0, (self.width - 1) as f32);
+        let y = y.clamp(0.0, (self.height - 1) as f32);
+        let ix = (x as usize).min(self.width - 2);
+        let iy = (y as usize).min(self.height - 2);
+        let (fx, fy) = (x - ix as f32, y - iy as f32);
+        let upper = &self.values[iy * self.width + ix..];
+        let lower = &self.values[(iy + 1) * self.width + ix..];
+        let top = upper[0] + fx * (upper[1] - upper[0]);
+        let bottom = lower[0] + fx * (lower[1] - lower[0]);
+        top + fy * (bottom - top)
+    }
+
+    /// 3x3 binomial smoothing, borders repeated.
+    fn smoothed(&self) -> Self {
+        let (w, h) = (self.width, self.height);
+        let blur = |source: &[f32], count: usize, stride: usize, start: usize, k: usize| {
+            let at = |i: usize| source[start + i * stride];
+            0.5 * at(k) + 0.25 * (at(k.saturating_sub(1)) + at((k + 1).min(count - 1)))
+        };
+        let mut rows = vec![0.0; w * h];
+        for y in 0..h {
+            for x in 0..w {
+                rows[y * w + x] = blur(&self.values, w, 1, y * w, x);
+            }
+        }
+        let mut values = vec![0.0; w * h];
+        for y in 0..h {
+            for x in 0..w {
+                values[y * w + x] = blur(&rows, h, w, x, y);
+            }
+        }
+        Self {
+            width: w,
+            height: h,
+            values,
+        }
+    }
+}
+
+/// Position and normal of a patch at the centre of a texel.
+fn texel_point(patch: &Patch, u: f32, v: f32) -> (P3, P3) {
+    let x = u * (patch.columns - 1) as f32;
+    let y = v * (patch.rows - 1) as f32;
+    let i = (x as usize).min(patch.columns - 2);
+    let j = (y as usize).min(patch.rows - 2);
+    let (fx, fy) = (x - i as f32, y - j as f32);
+    let k = j * patch.columns + i;
+    let mix = |list: &[P3]| {
+        let top = list[k].lerp(&list[k + 1], fx);
+        let bottom = list[k + patch.columns].lerp(&list[k + patch.columns + 1], fx);
+        top.lerp(&bottom, fy)
+    };
+    let normal = mix(&patch.normals);
+    let normal = normal.try_normalize(1e-6).unwrap_or(patch.normals[k]);
+    (mix(&patch.points), normal)
+}
+
+/// Evaluates `value(position, normal)` at every texel of every patch.
+fn fill(scene: &Scene, texel_m: f32, value: &(dyn Fn(&P3, &P3) -> f32 + Sync)) -> Vec<LightMap> {
+    scene
+        .patches
+        .par_iter()
+        .map(|patch| {
+            let (width, height) = LightMap::layout(patch, texel_m);
+            let values = (0..width * height)
+                .into_par_iter()
+                .with_min_len(64)
+                .map(|k| {
+                    let u = ((k % width) as f32 + 0.5) / width as f32;
+                    let v = ((k / width) as f32 + 0.5) / height as f32;
+                    let (point, normal) = texel_point(patch, u, v);
+                    value(&point, &normal)
+                })
+                .collect();
+            LightMap {
+                width,
+                height,
+                values,
+            }
+        })
+        .collect()
+}
+
+/// Computes the light maps and the exposure of a world whose triangles are in place.
+pub(super) fn bake(world: &mut World, scene: &Scene, config: &LightingConfig) {
+    let direct = fill(scene, config.texel_m, &|point, normal| {
+        direct_light(world, &scene.lights, point, normal)
+    });
+    world.light_maps = direct.iter().map(LightMap::smoothed).collect();
+    let ambient = config.ambient * mean_light(world);
+    let hemisphere = hemisphere(config.bounce_packets);
+    // reflected light varies slowly: three times coarser texels suffice
+    let bounced = fill(scene, 3.0 * config.texel_m, &|point, normal| {
+        gather(world, &hemisphere, ambient, point, normal)
+    });
+    for (map, bounce) in world.light_maps.iter_mut().zip(&bounced) {
+        let bounce = bounce.smoothed();
+        let scale_x = bounce.width as f32 / map.width as f32;
+        let scale_y = bounce.height as f32 / map.height as f32;
+        for k in 0..map.values.len() {
+            let x = ((k % map.width) as f32 + 0.5) * scale_x - 0.5;
+            let y = ((k / map.width) as f32 + 0.5) * scale_y - 0.5;
+            map.values[k] += bounce.sample(x, y);
+        }
+    }
+    // white paper in good light shall just not be white
+    world.exposure = 0.9 / bright_light(world).max(1e-12);
+}
+
+/// Irradiance over pi of the lamps: sum of L cos cos' dA / (pi r²) over visible samples.
+fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) -> f32 {
+    let origin = point + normal * LIFT_M;
+    let mut sum = 0.0;
+    for light in lights {
+        let light_normal = light.edge_u.cross(&light.edge_v);
+        let area = light_normal.norm();
+        let mut direction = [[0.0f32; RAYS]; 3];
+        let mut weights = [0.0f32; RAYS];
+        for k in 0..RAYS {
+            let u = ((k % 4) as f32 + 0.5) / 4.0;
+            let v = ((k / 4) as f32 + 0.5) / 4.0;
+            let to_light = light.corner + light.edge_u * u + light.edge_v * v - origin;
+            let r2 = to_light.norm_squared().max(1e-4);
+            let cos = to_light.dot(normal) / r2.sqrt();
+            let cos_light = -to_light.dot(&light_normal) / (r2.sqrt() * area);
+            if cos > 0.0 && cos_light > 0.0 {
+                // a lamp closer than its sample spacing would flare at single samples
+                let floor = area / RAYS as f32;
+                weights[k] = cos * cos_light * area / (RAYS as f32 * PI * r2.max(floor));
+            }
+            for axis in 0..3 {
+                direction[axis][k] = to_light[axis];
+            }
+        }
+        if weights.iter().all(|&w| w <= 0.0) {
+            continue;
+        }
+        // t = 1 is the lamp itself
+        let mut packet = Packet::new(origin, direction, 0.995);
+        packet.trace(&world.bvh);
+        for (k, weight) in weights.iter().enumerate() {
+            if packet.hit(k).is_none() {
+                sum += weight * light.radiosity;
+            }
+        }
+    }
+    sum
+}
+
+/// Cosine-weighted directions about z, in packets of neighbouring directions.
+fn hemisphere(packets: usize) -> Vec<[[f32; RAYS]; 3]> {
+    (0..packets)
+        .map(|p| {
+            let mut packet = [[0.0; RAYS]; 3];
+            for k in 0..RAYS {
+                // strata of a disc: 4 x 4 per sector of the packet
+                let angle = TAU * ((k % 4) as f32 + 0.5 + 4.0 * p as f32) / (4 * packets) as f32;
+                let radius2 = ((k / 4) as f32 + 0.5) / 4.0;
+                let radius = radius2.sqrt();
+                packet[0][k] = radius * angle.cos();
+                packet[1][k] = radius * angle.sin();
+                packet[2][k] = (1.0 - radius2).sqrt();
+            }
+            packet
+        })
+        .collect()
+}
+
+/// Mean of what the surfaces around reflect towards a point.
+fn gather(
+    world: &World,
+    hemisphere: &[[[f32; RAYS]; 3]],
+    ambient: f32,
+    point: &P3,
+    normal: &P3,
+) -> f32 {
+    let origin = point + normal * LIFT_M;
+    let helper = if normal.z.abs() < 0.7 {
+        P3::z()
+    } else {
+        P3::x()
+    };
+    let a = normal.cross(&helper).normalize();
+    let b = normal.cross(&a);
+    let mut sum = 0.0;
+    for local in hemisphere {
+        let mut direction = [[0.0f32; RAYS]; 3];
+        for k in 0..RAYS {
+            let d = a * local[0][k] + b * local[1][k] + normal * local[2][k];
+            for axis in 0..3 {
+                direction[axis][k] = d[axis];
+            }
+        }
+        let mut packet = Packet::new(origin, direction, f32::INFINITY);
+        packet.trace(&world.bvh);
+        for k in 0..RAYS {
+            let Some(hit) = packet.hit(k) else {
+                sum += ambient;
+                continue;
+            };
+            let shading = &world.shading[hit.triangle as usize];
+            let surface = &world.surfaces[shading.material as usize];
+            // inside of closed pieces is dark
+            let outside = shading.normal.dot(&packet.direction(k)) < 0.0;
+            let light = if outside {
+                world.irradiance(shading, &hit) + ambient
+            } else {
+                0.0
+            };
+            sum += surface.albedo * light;
+        }
+    }
+    sum / (hemisphere.len().max(1) * RAYS) as f32
+}
+
+/// Light and area of all triangles, at four points of each.
+fn lit_areas(world: &World) -> Vec<(f32, f64)> {
+    let points = [[1.0 / 3.0; 2], [0.1, 0.1], [0.8, 0.1], [0.1, 0.8]];
+    let triangles = world.bvh.triangles().iter().enumerate();
+    triangles
+        .flat_map(|(k, triangle)| {
+            let area = f64::from(triangle.scaled_normal().norm());
+            points.map(|[u, v]| {
+                let (t, triangle) = (0.0, k as u32);
+                let hit = Hit { t, u, v, triangle };
+                (world.irradiance(&world.shading[k], &hit), area)
+            })
+        })
+        .collect()
+}
+
+/// Area-weighted mean of the light on all surfaces.
+fn mean_light(world: &World) -> f32 {
+    let areas = lit_areas(world);
+    let total: f64 = areas.iter().map(|a| a.1).sum();
+    let sum: f64 = areas.iter().map(|a| f64::from(a.0) * a.1).sum();
+    (sum / total.max(1e-12)) as f32
+}
+
+/// Light that is exceeded on a tenth of the surfaces.
+fn bright_light(world: &World) -> f32 {
+    let mut areas = lit_areas(world);
+    areas.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let total: f64 = areas.iter().map(|a| a.1).sum();
+    let mut covered = 0.0;
+    for (light, area) in &areas {
+        covered += area;
+        if covered >= 0.1 * total {
+            return *light;
+        }
+    }
+    0.0
+}

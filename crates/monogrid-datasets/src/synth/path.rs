@@ -1,0 +1,373 @@
+//! Where the camera is at any time: built-in motions, recorded trajectories, smoothly interpolated.
+
+use super::jitter::{DRONE_JITTER, HAND_JITTER, Jitter};
+use crate::TimedPose;
+use monogrid_geometry::nalgebra::Rotation3;
+use monogrid_geometry::{Mat3, Rotation, Se3, Vec3, Vec6};
+
+/// Who carries the camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Carrier {
+    /// A hand: slow, trembling.
+    Hand,
+    /// A drone: swaying.
+    Drone,
+    /// Rails: no unsteadiness at all.
+    Rails,
+}
+
+/// What is wrong with a recorded motion.
+#[derive(Debug, thiserror::Error, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum PathError {
+    /// Not enough of it.
+    #[error("a camera path needs at least {needed} poses, found {found}")]
+    TooShort {
+        /// Found.
+        found: usize,
+        /// Needed.
+        needed: usize,
+    },
+    /// Times that do not increase.
+    #[error(
+        "pose {index} of the camera path is not later than the one before it; sort the file by time"
+    )]
+    Unsorted {
+        /// First offending pose, counted from 0.
+        index: usize,
+    },
+    /// A pose that is not a number.
+    #[error("pose {index} of the camera path is not finite")]
+    NotFinite {
+        /// First offending pose, counted from 0.
+        index: usize,
+    },
+}
+
+/// A smooth camera motion from time 0 to [`Self::duration_secs`].
+#[derive(Clone, Debug)]
+pub struct CameraPath {
+    kind: Kind,
+    duration_secs: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Scripted {
+        eyes: Vec<Vec3>,
+        targets: Vec<Vec3>,
+        jitter: Option<Jitter>,
+    },
+    Recorded {
+        knots: Vec<Se3>,
+    },
+}
+
+/// A point of a scripted motion: where the camera is and what it looks at (x, y, z in the world, m).
+pub type Waypoint = ([f64; 3], [f64; 3]);
+
+impl CameraPath {
+    /// A motion through waypoints, evenly spread over the duration: cubic B-splines of the eye and of
+    /// the point looked at, plus the unsteadiness of the carrier.
+    ///
+    /// # Errors
+    /// With fewer than two waypoints.
+    pub fn scripted(
+        waypoints: &[Waypoint],
+        carrier: Carrier,
+        duration_secs: f64,
+        seed: u64,
+    ) -> Result<Self, PathError> {
+        if waypoints.len() < 2 {
+            return Err(PathError::TooShort {
+                found: waypoints.len(),
+                needed: 2,
+            });
+        }
+        let jitter = match carrier {
+            Carrier::Hand => Some(Jitter::new(&HAND_JITTER, 1.0, seed)),
+            Carrier::Drone => Some(Jitter::new(&DRONE_JITTER, 1.0, seed)),
+            Carrier::Rails => None,
+        };
+        Ok(Self {
+            kind: Kind::Scripted {
+                eyes: waypoints.iter().map(|w| Vec3::from(w.0)).collect(),
+                targets: waypoints.iter().map(|w| Vec3::from(w.1)).collect(),
+                jitter,
+            },
+            duration_secs,
+        })
+    }
+
+    /// A recorded motion (TUM or EuRoC file), resampled to `knots_hz` control poses per second of a
+    /// cumulative cubic B-spline on SE(3); 20 Hz keeps a hand's motion and drops the tracker's noise.
+    ///
+    /// # Errors
+    /// With fewer than two poses, unsorted times, or poses that are not finite.
+    pub fn recorded(poses: &[TimedPose], knots_hz: f64) -> Result<Self, PathError> {
+        if poses.len() < 2 {
+            return Err(PathError::TooShort {
+                found: poses.len(),
+                needed: 2,
+            });
+        }
+        for (index, pose) in poses.iter().enumerate() {
+            if !pose.world_from_camera.is_finite() {
+                return Err(PathError::NotFinite { index });
+            }
+            if index > 0 && pose.timestamp_ns <= poses[index - 1].timestamp_ns {
+                return Err(PathError::Unsorted { index });
+            }
+        }
+        let start = poses[0].timestamp_ns;
+        let secs = |ns: i64| (ns - start) as f64 * 1e-9;
+        let duration_secs = secs(poses[poses.len() - 1].timestamp_ns);
+        let count = ((duration_secs * knots_hz).round() as usize).max(1) + 1;
+        let mut at = 0;
+        let knots = (0..count)
+            .map(|k| {
+                let time = duration_secs * k as f64 / (count - 1) as f64;
+                while at + 2 < poses.len() && secs(poses[at + 1].timestamp_ns) < time {
+                    at += 1;
+                }
+                let (a, b) = (&poses[at], &poses[at + 1]);
+                let (ta, tb) = (secs(a.timestamp_ns), secs(b.timestamp_ns));
+                let fraction = ((time - ta) / (tb - ta)).clamp(0.0, 1.0);
+                a.world_from_camera
+                    .interpolate(&b.world_from_camera, fraction)
+            })
+            .collect();
+        Ok(Self {
+            kind: Kind::Recorded { knots },
+            duration_secs,
+        })
+    }
+
+    /// The same motion, moved rigidly: recorded motions have a world of their own.
+    #[must_use]
+    pub fn moved(mut self, new_from_old: &Se3) -> Self {
+        match &mut self.kind {
+            Kind::Scripted { eyes, targets, .. } => {
+                for point in eyes.iter_mut().chain(targets) {
+                    *point = *new_from_old * *point;
+                }
+            }
+            Kind::Recorded { knots } => {
+                for knot in knots {
+                    *knot = *new_from_old * *knot;
+                }
+            }
+        }
+        self
+    }
+
+    /// Length in time, s.
+    #[must_use]
+    pub fn duration_secs(&self) -> f64 {
+        self.duration_secs
+    }
+
+    /// Pose at a time, clamped to the duration.
+    #[must_use]
+    pub fn world_from_camera(&self, secs: f64) -> Se3 {
+        let secs = secs.clamp(0.0, self.duration_secs);
+        let progress = secs / self.duration_secs.max(1e-9);
+        match &self.kind {
+            Kind::Scripted {
+                eyes,
+                targets,
+                jitter,
+            } => {
+                let smooth = look_at(&spline(eyes, progress), &spline(targets, progress));
+                match jitter {
+                    None => smooth,
+                    Some(jitter) => {
+                        let shake = jitter.at(secs);
+                        Se3::new(
+                            smooth.rotation * shake.rotation,
+                            smooth.translation + shake.translation,
+                        )
+                    }
+                }
+            }
+            Kind::Recorded { knots } => pose_spline(knots, progress),
+        }
+    }
+
+    /// Distance travelled, sampled at `rate_hz`, m.
+    #[must_use]
+    pub fn length_m(&self, rate_hz: f64) -> f64 {
+        let count = (self.duration_secs * rate_hz) as usize;
+        (0..count)
+            .map(|k| {
+                let at = |k: usize| self.world_from_camera(k as f64 / rate_hz).translation;
+                (at(k + 1) - at(k)).norm()
+            })
+            .sum()
+    }
+}
+
+/// Pose of a camera at `eye` that looks at `target` with the horizon level (z up).
+#[must_use]
+pub fn look_at(eye: &Vec3, target: &Vec3) -> Se3 {
+    let forward = (target - eye).try_normalize(1e-9).unwrap_or_else(Vec3::x);
+    // straight up or down any heading will do
+    let right = forward
+        .cross(&Vec3::z())
+        .try_normalize(1e-6)
+        .unwrap_or_else(Vec3::x);
+    let down = forward.cross(&right);
+    let matrix = Mat3::from_columns(&[right, down, forward]);
+    Se3::new(
+        Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix)),
+        *eye,
+    )
+}
+
+/// Segment and position in it of a progress in [0, 1] over `count` control points.
+fn segment(count: usize, progress: f64) -> (usize, f64) {
+    let position = progress.clamp(0.0, 1.0) * (count - 1) as f64;
+    let k = (position as usize).min(count - 2);
+    (k, position - k as f64)
+}
+
+/// Uniform cubic B-spline; mirrored ends, so that it starts and ends on the first and last point.
+fn spline(points: &[Vec3], progress: f64) -> Vec3 {
+    let (k, s) = segment(points.len(), progress);
+    let last = points.len() - 1;
+    let before = if k == 0 {
+        2.0 * points[0] - points[1]
+    } else {
+        points[k - 1]
+    };
+    let after = if k + 2 > last {
+        2.0 * points[last] - points[last - 1]
+    } else {
+        points[k + 2]
+    };
+    let (s2, s3) = (s * s, s * s * s);
+    (before * (1.0 - s).powi(3)
+        + points[k] * (3.0 * s3 - 6.0 * s2 + 4.0)
+        + points[k + 1] * (-3.0 * s3 + 3.0 * s2 + 3.0 * s + 1.0)
+        + after * s3)
+        / 6.0
+}
+
+/// Cumulative cubic B-spline on SE(3) (Lovegrove et al. 2013, equations 3 and 4).
+fn pose_spline(knots: &[Se3], progress: f64) -> Se3 {
+    let (k, s) = segment(knots.len(), progress);
+    let last = knots.len() - 1;
+    let mirror = |end: &Se3, inner: &Se3| *end * inner.inverse() * *end;
+    let before = if k == 0 {
+        mirror(&knots[0], &knots[1])
+    } else {
+        knots[k - 1]
+    };
+    let after = if k + 2 > last {
+        mirror(&knots[last], &knots[last - 1])
+    } else {
+        knots[k + 2]
+    };
+    let (s2, s3) = (s * s, s * s * s);
+    let weights = [
+        (5.0 + 3.0 * s - 3.0 * s2 + s3) / 6.0,
+        (1.0 + 3.0 * s + 3.0 * s2 - 2.0 * s3) / 6.0,
+        s3 / 6.0,
+    ];
+    let chain = [before, knots[k], knots[k + 1], after];
+    let mut pose = before;
+    for (i, weight) in weights.iter().enumerate() {
+        let step: Vec6 = (chain[i].inverse() * chain[i + 1]).log();
+        pose = pose * Se3::exp(&(step * *weight));
+    }
+    pose
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn waypoints() -> Vec<Waypoint> {
+        (0..8)
+            .map(|k| {
+                let a = f64::from(k) * 0.6;
+                ([a.cos(), a.sin(), 1.4], [3.0 * (a + 0.3).cos(), 3.0, 1.0])
+            })
+            .collect()
+    }
+
+    /// Largest jump of the second difference of the position, m/s².
+    fn largest_acceleration(path: &CameraPath) -> f64 {
+        let h = 1e-3;
+        let count = (path.duration_secs() / h) as usize - 2;
+        (0..count)
+            .map(|k| {
+                let at = |i: usize| path.world_from_camera((k + i) as f64 * h).translation;
+                (at(2) - 2.0 * at(1) + at(0)).norm() / (h * h)
+            })
+            .fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn looking_at_a_point_puts_it_on_the_optical_axis_with_the_sky_up() {
+        let (eye, target) = (Vec3::new(1.0, 2.0, 1.5), Vec3::new(3.0, -1.0, 0.5));
+        let camera_from_world = look_at(&eye, &target).inverse();
+        let seen = camera_from_world * target;
+        assert!(seen.xy().norm() < 1e-12 && seen.z > 0.0);
+        let above = camera_from_world * (target + Vec3::z());
+        assert!(above.y < 0.0 && above.x.abs() < 1e-12);
+    }
+
+    #[test]
+    fn scripted_paths_have_bounded_acceleration() {
+        for (carrier, limit) in [
+            (Carrier::Rails, 1.5),
+            (Carrier::Hand, 4.0),
+            (Carrier::Drone, 8.0),
+        ] {
+            let path = CameraPath::scripted(&waypoints(), carrier, 8.0, 1).unwrap();
+            let found = largest_acceleration(&path);
+            assert!(found < limit, "{carrier:?}: {found}");
+        }
+    }
+
+    #[test]
+    fn pose_spline_reproduces_constant_motion() {
+        let twist = Vec6::new(0.1, -0.02, 0.05, 0.02, 0.05, -0.03);
+        let poses: Vec<TimedPose> = (0..20)
+            .map(|k| TimedPose {
+                timestamp_ns: 1_000_000_000 + i64::from(k) * 50_000_000,
+                world_from_camera: Se3::exp(&(twist * f64::from(k))),
+            })
+            .collect();
+        let path = CameraPath::recorded(&poses, 10.0).unwrap();
+        for k in 0..60 {
+            let secs = path.duration_secs() * f64::from(k) / 59.0;
+            let expected = Se3::exp(&(twist * (secs / 0.05)));
+            let error = (path.world_from_camera(secs) * expected.inverse())
+                .log()
+                .norm();
+            assert!(error < 1e-9, "{secs}: {error}");
+        }
+    }
+
+    #[test]
+    fn bad_recordings_are_refused() {
+        let pose = |ns| TimedPose {
+            timestamp_ns: ns,
+            world_from_camera: Se3::identity(),
+        };
+        assert_eq!(
+            CameraPath::recorded(&[pose(0)], 20.0).err(),
+            Some(PathError::TooShort {
+                found: 1,
+                needed: 2
+            })
+        );
+        let unsorted = [pose(0), pose(5), pose(5)];
+        assert_eq!(
+            CameraPath::recorded(&unsorted, 20.0).err(),
+            Some(PathError::Unsorted { index: 2 })
+        );
+    }
+}

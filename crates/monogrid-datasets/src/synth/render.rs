@@ -1,0 +1,340 @@
+//! The ray caster: world + camera + pose in, linear radiance and exact depth out.
+//!
+//! Rays of four samples of four neighbouring pixels travel as one packet; rows are independent, so the
+//! picture does not depend on the number of threads.
+
+use super::bvh::P3;
+use super::packet::Packet;
+use super::world::World;
+use monogrid_geometry::{Camera, Se3, Vec2, Vec3};
+use monogrid_image::GrayImage;
+use rayon::prelude::*;
+
+/// Samples per pixel and their offsets from its centre, px: a grid of 2x2, rotated so that edges along
+/// rows and columns get four grey levels between their sides.
+const SAMPLES: [[f32; 2]; 4] = [
+    [-0.125, -0.375],
+    [0.375, -0.125],
+    [-0.375, 0.125],
+    [0.125, 0.375],
+];
+/// Pixels per packet of colour rays.
+const PIXELS: usize = 4;
+/// Rays per packet.
+const RAYS: usize = 16;
+/// Width of what one sample averages of a texture, px.
+const SAMPLE_WIDTH_PX: f32 = 0.6;
+
+/// A rendered picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered {
+    /// Grey values in [0, 255] with the gamma of the renderer, not rounded.
+    pub image: GrayImage,
+    /// Depth (z along the optical axis) of the ray through the centre of each pixel, m; NaN where there
+    /// is nothing.
+    pub depth: GrayImage,
+}
+
+/// Where the camera is while it takes a picture.
+#[derive(Clone, Copy, Debug)]
+pub enum Shutter<'a> {
+    /// All rows at once.
+    Global(Se3),
+    /// `world_from_camera` of every row (rolling shutter).
+    PerRow(&'a [Se3]),
+}
+
+impl Shutter<'_> {
+    fn pose(&self, row: usize) -> Se3 {
+        match self {
+            Self::Global(pose) => *pose,
+            Self::PerRow(poses) => poses.get(row).copied().unwrap_or_default(),
+        }
+    }
+}
+
+/// Something that moves through a world: a small world of its own and its pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Mover<'a> {
+    /// What moves, around its own origin.
+    pub world: &'a World,
+    /// Its pose in the world.
+    pub world_from_mover: Se3,
+}
+
+/// A camera prepared for rendering.
+#[derive(Clone, Debug)]
+pub struct Renderer {
+    camera: Camera,
+    gamma: f32,
+    /// Viewing direction (x, y at z = 1) of the centre of each pixel.
+    centres: Vec<[f32; 2]>,
+    /// The same for the corners of the pixels, one more per row and column.
+    corners: Vec<[f32; 2]>,
+    /// Angle covered by a pixel, rad (mean of both directions).
+    pixel_rad: f32,
+}
+
+impl Renderer {
+    /// Prepares a camera; `gamma` 2.2 gives pictures as cameras give them, 1 linear ones.
+    #[must_use]
+    pub fn new(camera: &Camera, gamma: f32) -> Self {
+        let directions = |count_x: usize, count_y: usize, shift: f64| -> Vec<[f32; 2]> {
+            (0..count_x * count_y)
+                .into_par_iter()
+                .map(|k| {
+                    let (x, y) = (k % count_x, k / count_x);
+                    let pixel = Vec2::new(x as f64 + shift, y as f64 + shift);
+                    camera
+                        .unproject(&pixel)
+                        .map_or([f32::NAN; 2], |d| [d.x as f32, d.y as f32])
+                })
+                .collect()
+        };
+        Self {
+            camera: *camera,
+            gamma,
+            centres: directions(camera.width, camera.height, 0.0),
+            corners: directions(camera.width + 1, camera.height + 1, -0.5),
+            pixel_rad: (1.0 / (camera.pinhole.fx * camera.pinhole.fy).sqrt()) as f32,
+        }
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Picture and depth from a pose, without any effect.
+    #[must_use]
+    pub fn render(&self, world: &World, world_from_camera: &Se3) -> Rendered {
+        let shutter = Shutter::Global(*world_from_camera);
+        let radiance = self.radiance(world, &[], shutter);
+        let inverse_gamma = 1.0 / self.gamma;
+        Rendered {
+            image: radiance.map(|v| 255.0 * v.clamp(0.0, 1.0).powf(inverse_gamma)),
+            depth: self.depth(world, &[], shutter),
+        }
+    }
+
+    /// Mean linear radiance over each pixel; 1 is what the sensor can just hold at gain 1.
+    #[must_use]
+    pub fn radiance(&self, world: &World, movers: &[Mover], shutter: Shutter) -> GrayImage {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let mut image = GrayImage::filled(width, height, 0.0);
+        image
+            .as_mut_slice()
+            .par_chunks_mut(width)
+            .enumerate()
+            .for_each(|(y, row)| {
+                let view = View::new(&shutter.pose(y), movers);
+                for x in (0..width).step_by(PIXELS) {
+                    self.shade_pixels(world, &view, x, y, &mut row[x..(x + PIXELS).min(width)]);
+                }
+            });
+        image
+    }
+
+    /// Exact depth (z, m) of the ray through the centre of each pixel; NaN where there is nothing.
+    #[must_use]
+    pub fn depth(&self, world: &World, movers: &[Mover], shutter: Shutter) -> GrayImage {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let mut depth = GrayImage::filled(width, height, f32::NAN);
+        depth
+            .as_mut_slice()
+            .par_chunks_mut(width)
+            .enumerate()
+            .for_each(|(y, row)| {
+                let view = View::new(&shutter.pose(y), movers);
+                for x in (0..width).step_by(RAYS) {
+                    let end = (x + RAYS).min(width);
+                    self.measure_pixels(world, &view, x, y, &mut row[x..end]);
+                }
+            });
+        depth
+    }
+
+    /// Radiance of up to four neighbouring pixels of a row.
+    fn shade_pixels(&self, world: &World, view: &View, x: usize, y: usize, out: &mut [f32]) {
+        let mut direction = [[0.0f32; RAYS]; 3];
+        for pixel in 0..PIXELS {
+            let column = (x + pixel).min(self.camera.width - 1);
+            let cell = self.cell(column, y);
+            for (sample, offset) in SAMPLES.iter().enumerate() {
+                let ray = view.rotate(cell.at(*offset));
+                for axis in 0..3 {
+                    direction[axis][pixel * SAMPLES.len() + sample] = ray[axis];
+                }
+            }
+        }
+        let mut packet = Packet::new(view.origin, direction, f32::INFINITY);
+        packet.trace(&world.bvh);
+        let moved = view.trace_movers(&direction, &packet);
+        for (pixel, value) in out.iter_mut().enumerate() {
+            let mut sum = 0.0;
+            for lane in pixel * SAMPLES.len()..(pixel + 1) * SAMPLES.len() {
+                sum += self.sample(world, view, &packet, &moved, lane);
+            }
+            // rays beyond the lens are NaN and hit nothing: black
+            *value = sum * (1.0 / SAMPLES.len() as f32);
+        }
+    }
+
+    /// Radiance along one ray of a traced packet.
+    #[inline]
+    fn sample(
+        &self,
+        world: &World,
+        view: &View,
+        packet: &Packet<RAYS>,
+        moved: &[Packet<RAYS>],
+        lane: usize,
+    ) -> f32 {
+        let mut best = packet.hit(lane).map(|hit| (world, packet, hit));
+        for (mover, other) in view.movers.iter().zip(moved) {
+            if let Some(hit) = other.hit(lane).filter(|h| best.is_none_or(|b| h.t < b.2.t)) {
+                best = Some((mover.world, other, hit));
+            }
+        }
+        let Some((surroundings, rays, hit)) = best else {
+            return 0.0;
+        };
+        let direction = rays.direction(lane);
+        let normal = surroundings.shading[hit.triangle as usize].normal;
+        // a slanted surface is averaged over the geometric mean of its two widths
+        let cos = (normal.dot(&direction).abs() / direction.norm()).max(0.02);
+        let footprint_m = SAMPLE_WIDTH_PX * self.pixel_rad * hit.t / cos.sqrt();
+        surroundings.radiance(&hit, footprint_m) * surroundings.exposure
+    }
+
+    /// Depth of up to sixteen neighbouring pixels of a row.
+    fn measure_pixels(&self, world: &World, view: &View, x: usize, y: usize, out: &mut [f32]) {
+        let mut direction = [[0.0f32; RAYS]; 3];
+        for lane in 0..RAYS {
+            let column = (x + lane).min(self.camera.width - 1);
+            let ray = view.rotate(self.centres[y * self.camera.width + column]);
+            for axis in 0..3 {
+                direction[axis][lane] = ray[axis];
+            }
+        }
+        let mut packet = Packet::new(view.origin, direction, f32::INFINITY);
+        packet.trace(&world.bvh);
+        let moved = view.trace_movers(&direction, &packet);
+        for (lane, value) in out.iter_mut().enumerate() {
+            let nearest = moved
+                .iter()
+                .filter_map(|other| other.hit(lane))
+                .map(|hit| hit.t)
+                .fold(f32::INFINITY, f32::min);
+            // directions have z = 1 in the camera, so t is the depth
+            *value = match packet.hit(lane) {
+                Some(hit) if hit.t <= nearest => {
+                    view.exact_depth(world, &packet, lane, hit.triangle)
+                }
+                _ if nearest.is_finite() => nearest,
+                _ => f32::NAN,
+            };
+        }
+    }
+
+    fn cell(&self, x: usize, y: usize) -> Cell {
+        let stride = self.camera.width + 1;
+        let k = y * stride + x;
+        Cell {
+            corners: [
+                self.corners[k],
+                self.corners[k + 1],
+                self.corners[k + stride],
+                self.corners[k + stride + 1],
+            ],
+        }
+    }
+}
+
+/// Viewing directions at the corners of a pixel.
+struct Cell {
+    corners: [[f32; 2]; 4],
+}
+
+impl Cell {
+    /// Direction at an offset from the centre, px.
+    #[inline]
+    fn at(&self, offset: [f32; 2]) -> [f32; 2] {
+        let (fx, fy) = (offset[0] + 0.5, offset[1] + 0.5);
+        std::array::from_fn(|k| {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|i| self.corners[i][k]);
+            let top = a + fx * (b - a);
+            let bottom = c + fx * (d - c);
+            top + fy * (bottom - top)
+        })
+    }
+}
+
+/// A pose in the precision of the renderer.
+struct View<'a> {
+    origin: P3,
+    exact_origin: Vec3,
+    right: P3,
+    down: P3,
+    forward: P3,
+    movers: &'a [Mover<'a>],
+}
+
+impl<'a> View<'a> {
+    fn new(world_from_camera: &Se3, movers: &'a [Mover<'a>]) -> Self {
+        let r = world_from_camera.rotation_matrix();
+        let column = |k: usize| P3::new(r[(0, k)] as f32, r[(1, k)] as f32, r[(2, k)] as f32);
+        Self {
+            origin: world_from_camera.translation.map(|v| v as f32),
+            exact_origin: world_from_camera.translation,
+            right: column(0),
+            down: column(1),
+            forward: column(2),
+            movers,
+        }
+    }
+
+    /// Direction in the world of a camera direction with z = 1.
+    #[inline]
+    fn rotate(&self, [x, y]: [f32; 2]) -> P3 {
+        self.right * x + self.down * y + self.forward
+    }
+
+    /// The same rays through each mover, in its own frame.
+    fn trace_movers(
+        &self,
+        direction: &[[f32; RAYS]; 3],
+        packet: &Packet<RAYS>,
+    ) -> Vec<Packet<RAYS>> {
+        self.movers
+            .iter()
+            .map(|mover| {
+                let mover_from_world = mover.world_from_mover.inverse();
+                let r = mover_from_world.rotation_matrix().map(|v| v as f32);
+                let origin = (mover_from_world * self.exact_origin).map(|v| v as f32);
+                let mut local = [[0.0f32; RAYS]; 3];
+                let mut farthest = 0.0f32;
+                for lane in 0..RAYS {
+                    let d = r * P3::new(direction[0][lane], direction[1][lane], direction[2][lane]);
+                    for axis in 0..3 {
+                        local[axis][lane] = d[axis];
+                    }
+                    farthest = farthest.max(packet.distance(lane));
+                }
+                let mut moved = Packet::new(origin, local, farthest);
+                moved.trace(&mover.world.bvh);
+                moved
+            })
+            .collect()
+    }
+
+    /// Depth by the plane of the triangle in double precision.
+    fn exact_depth(&self, world: &World, packet: &Packet<RAYS>, lane: usize, triangle: u32) -> f32 {
+        let triangle = &world.bvh.triangles[triangle as usize];
+        let to_f64 = |p: P3| p.map(f64::from);
+        let normal = to_f64(triangle.e1).cross(&to_f64(triangle.e2));
+        let along = normal.dot(&to_f64(packet.direction(lane)));
+        (normal.dot(&(to_f64(triangle.v0) - self.exact_origin)) / along) as f32
+    }
+}

@@ -1,0 +1,320 @@
+//! A video of a world with its truth, frame by frame.
+
+use super::effects::{EffectsConfig, Sensor};
+use super::lighting::LightingConfig;
+use super::path::{CameraPath, Carrier, PathError};
+use super::render::{Mover, Renderer, Shutter};
+use super::world::World;
+use super::worlds::{WorldError, mover_world, path_of};
+use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3};
+use monogrid_image::GrayImage;
+use std::sync::Arc;
+
+/// What cannot be made into a sequence.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SynthError {
+    /// Unknown or unreadable world.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// Unusable camera.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// Unusable motion.
+    #[error(transparent)]
+    Path(#[from] PathError),
+}
+
+/// Settings of a sequence.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SynthConfig {
+    /// The camera.
+    pub camera: Camera,
+    /// Frames per second. Default 30.
+    pub fps: f64,
+    /// Number of frames before any are dropped.
+    pub frames: usize,
+    /// Effects of a real camera.
+    pub effects: EffectsConfig,
+    /// Seed of noise, exposure and unsteadiness. Default 0.
+    pub seed: u64,
+}
+
+impl SynthConfig {
+    /// Pinhole camera of the demonstration: 640x480, 65 degrees wide.
+    #[must_use]
+    pub fn demo() -> Self {
+        Self {
+            camera: pinhole(640, 480, 500.0),
+            fps: 30.0,
+            frames: DEMO_FRAMES,
+            effects: EffectsConfig::demo(),
+            seed: 0,
+        }
+    }
+
+    /// The same view at 320x240, for tests.
+    #[must_use]
+    pub fn small() -> Self {
+        Self {
+            camera: pinhole(320, 240, 250.0),
+            ..Self::demo()
+        }
+    }
+}
+
+/// Frames of the demonstration.
+pub const DEMO_FRAMES: usize = 1260;
+
+fn pinhole(width: usize, height: usize, focal_px: f64) -> Camera {
+    Camera {
+        width,
+        height,
+        pinhole: Pinhole::new(
+            focal_px,
+            focal_px,
+            0.5 * (width as f64 - 1.0),
+            0.5 * (height as f64 - 1.0),
+        ),
+        distortion: Distortion::None,
+    }
+}
+
+/// One frame with its truth.
+#[derive(Clone, Debug)]
+pub struct SynthFrame {
+    /// Number of the frame at the full rate; gaps are dropped frames.
+    pub index: usize,
+    /// Time, ns from the start.
+    pub timestamp_ns: i64,
+    /// Whole grey values in [0, 255].
+    pub image: GrayImage,
+    /// True pose (of the middle row at the middle of the exposure).
+    pub world_from_camera: Se3,
+}
+
+/// A world, a motion and a camera. Frames may be asked for in any order.
+#[derive(Clone, Debug)]
+pub struct SynthSequence {
+    world: Arc<World>,
+    mover: Option<Arc<World>>,
+    path: CameraPath,
+    renderer: Renderer,
+    sensor: Sensor,
+    config: SynthConfig,
+    /// Frames that were not dropped.
+    kept: Vec<usize>,
+}
+
+impl SynthSequence {
+    /// Combines a world and a motion.
+    ///
+    /// # Errors
+    /// When the camera is unusable.
+    pub fn new(
+        world: Arc<World>,
+        path: CameraPath,
+        config: SynthConfig,
+    ) -> Result<Self, SynthError> {
+        config.camera.validate()?;
+        let sensor = Sensor::new(config.effects, config.seed);
+        let mover = config.effects.has_mover.then(|| Arc::new(mover_world()));
+        Ok(Self {
+            world,
+            mover,
+            path,
+            renderer: Renderer::new(&config.camera, config.effects.gamma),
+            kept: (0..config.frames).filter(|&i| sensor.is_kept(i)).collect(),
+            sensor,
+            config,
+        })
+    }
+
+    /// A built-in world with its own motion, which takes as long as there are frames.
+    ///
+    /// # Errors
+    /// When there is no such world, or the camera is unusable.
+    pub fn built_in(name: &str, carrier: Carrier, config: SynthConfig) -> Result<Self, SynthError> {
+        Self::built_in_with(name, carrier, config, &LightingConfig::default())
+    }
+
+    /// The same with a choice of how carefully the world is lit.
+    ///
+    /// # Errors
+    /// As [`Self::built_in`].
+    pub fn built_in_with(
+        name: &str,
+        carrier: Carrier,
+        config: SynthConfig,
+        lighting: &LightingConfig,
+    ) -> Result<Self, SynthError> {
+        let world = Arc::new(World::by_name_with(name, lighting)?);
+        let duration_secs = config.frames as f64 / config.fps;
+        let path = path_of(name, carrier, duration_secs, config.seed)?;
+        Self::new(world, path, config)
+    }
+
+    /// The sequence of `monogrid demo`: the living room, a hand, noise and exposure change.
+    ///
+    /// # Errors
+    /// None in practice; see [`Self::built_in`].
+    pub fn demo() -> Result<Self, SynthError> {
+        Self::built_in("living-room", Carrier::Hand, SynthConfig::demo())
+    }
+
+    /// The same sequence at 320x240 with quick lighting, for tests.
+    ///
+    /// # Errors
+    /// None in practice; see [`Self::built_in`].
+    pub fn small_demo() -> Result<Self, SynthError> {
+        let quick = LightingConfig::quick();
+        Self::built_in_with("living-room", Carrier::Hand, SynthConfig::small(), &quick)
+    }
+
+    /// The beginning of the same sequence.
+    #[must_use]
+    pub fn shortened(mut self, frames: usize) -> Self {
+        self.kept.retain(|&index| index < frames);
+        self
+    }
+
+    /// Number of frames.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.kept.len()
+    }
+
+    /// Whether there is no frame.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// The world.
+    #[must_use]
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The motion.
+    #[must_use]
+    pub fn path(&self) -> &CameraPath {
+        &self.path
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        self.renderer.camera()
+    }
+
+    /// The settings.
+    #[must_use]
+    pub fn config(&self) -> &SynthConfig {
+        &self.config
+    }
+
+    /// The `k`-th frame that was not dropped; `None` after the last.
+    #[must_use]
+    pub fn frame(&self, k: usize) -> Option<SynthFrame> {
+        let index = *self.kept.get(k)?;
+        let secs = self.secs(index);
+        Some(SynthFrame {
+            index,
+            timestamp_ns: self.timestamp_ns(k)?,
+            image: self.sensor.expose(&self.radiance(secs), index, secs),
+            world_from_camera: self.path.world_from_camera(secs),
+        })
+    }
+
+    /// Exact depth (z, m) of the `k`-th frame, NaN where there is nothing; `None` after the last frame.
+    #[must_use]
+    pub fn depth(&self, k: usize) -> Option<GrayImage> {
+        let secs = self.secs(*self.kept.get(k)?);
+        let movers = self.movers(secs);
+        let poses = self.row_poses(secs);
+        Some(self.renderer.depth(&self.world, &movers, shutter(&poses)))
+    }
+
+    /// True pose of the `k`-th frame; `None` after the last.
+    #[must_use]
+    pub fn world_from_camera(&self, k: usize) -> Option<Se3> {
+        Some(self.path.world_from_camera(self.secs(*self.kept.get(k)?)))
+    }
+
+    /// Time of the `k`-th frame, ns; `None` after the last.
+    #[must_use]
+    pub fn timestamp_ns(&self, k: usize) -> Option<i64> {
+        Some((self.secs(*self.kept.get(k)?) * 1e9).round() as i64)
+    }
+
+    fn secs(&self, index: usize) -> f64 {
+        index as f64 / self.config.fps
+    }
+
+    /// Mean light over the time that the shutter is open.
+    fn radiance(&self, secs: f64) -> GrayImage {
+        let effects = &self.config.effects;
+        let count = if effects.shutter_secs > 0.0 {
+            effects.blur_samples.max(2)
+        } else {
+            1
+        };
+        let mut sum: Option<GrayImage> = None;
+        for k in 0..count {
+            let offset = ((k as f64 + 0.5) / count as f64 - 0.5) * effects.shutter_secs;
+            let movers = self.movers(secs + offset);
+            let poses = self.row_poses(secs + offset);
+            let image = self
+                .renderer
+                .radiance(&self.world, &movers, shutter(&poses));
+            match &mut sum {
+                None => sum = Some(image),
+                Some(sum) => {
+                    for (a, b) in sum.as_mut_slice().iter_mut().zip(image.as_slice()) {
+                        *a += b;
+                    }
+                }
+            }
+        }
+        let mut mean = sum.unwrap_or_default();
+        if count > 1 {
+            for value in mean.as_mut_slice() {
+                *value /= count as f32;
+            }
+        }
+        mean
+    }
+
+    /// Pose of every row (rolling shutter), or just one.
+    fn row_poses(&self, secs: f64) -> Vec<Se3> {
+        let readout_secs = self.config.effects.readout_secs;
+        if readout_secs <= 0.0 {
+            return vec![self.path.world_from_camera(secs)];
+        }
+        let height = self.config.camera.height;
+        (0..height)
+            .map(|row| {
+                let part = (row as f64 + 0.5) / height as f64 - 0.5;
+                self.path.world_from_camera(secs + part * readout_secs)
+            })
+            .collect()
+    }
+
+    fn movers(&self, secs: f64) -> Vec<Mover<'_>> {
+        self.mover
+            .iter()
+            .map(|mover| Mover {
+                world: mover.as_ref(),
+                world_from_mover: super::worlds::mover_pose(&self.world, secs),
+            })
+            .collect()
+    }
+}
+
+fn shutter(poses: &[Se3]) -> Shutter<'_> {
+    match poses {
+        [one] => Shutter::Global(*one),
+        rows => Shutter::PerRow(rows),
+    }
+}

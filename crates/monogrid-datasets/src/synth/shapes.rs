@@ -1,0 +1,250 @@
+//! Shapes of furniture, each a few patches: boxes, rounded cushions, turned and folded pieces.
+
+use super::bvh::P3;
+use super::scene::{MaterialId, Scene};
+use std::f32::consts::{FRAC_PI_2, PI, TAU};
+
+/// Which faces of a box get which material.
+#[derive(Clone, Copy, Debug)]
+pub struct BoxFaces {
+    /// The four sides.
+    pub sides: MaterialId,
+    /// The face towards -y (the front of furniture).
+    pub front: MaterialId,
+    /// The top.
+    pub top: MaterialId,
+}
+
+impl From<MaterialId> for BoxFaces {
+    fn from(id: MaterialId) -> Self {
+        Self {
+            sides: id,
+            front: id,
+            top: id,
+        }
+    }
+}
+
+impl Scene {
+    /// Box from `min` to `max` of the current frame.
+    pub fn cuboid(&mut self, min: [f32; 3], max: [f32; 3], faces: impl Into<BoxFaces>) {
+        let faces = faces.into();
+        let [x0, y0, z0] = min;
+        let [x1, y1, z1] = max;
+        let p = |x, y, z| P3::new(x, y, z);
+        let (dx, dy, dz) = (
+            p(x1 - x0, 0.0, 0.0),
+            p(0.0, y1 - y0, 0.0),
+            p(0.0, 0.0, z1 - z0),
+        );
+        // pictures upright: v runs down
+        self.quad(p(x0, y0, z1), -dz, dx, faces.front);
+        self.transpose_last();
+        self.quad(p(x1, y1, z1), -dz, -dx, faces.sides);
+        self.transpose_last();
+        self.quad(p(x0, y1, z1), -dz, -dy, faces.sides);
+        self.transpose_last();
+        self.quad(p(x1, y0, z1), -dz, dy, faces.sides);
+        self.transpose_last();
+        self.quad(p(x0, y0, z1), dx, dy, faces.top);
+        self.quad(p(x0, y1, z0), dx, -dy, faces.sides);
+    }
+
+    /// Swaps u and v of the texture of the patch added last, keeping its outside.
+    fn transpose_last(&mut self) {
+        let Some(patch) = self.patches.last_mut() else {
+            return;
+        };
+        let Some((texture, laying)) = self.materials[patch.material].texture.clone() else {
+            return;
+        };
+        let (width, height) = texture.size();
+        let (tile_u, tile_v) = match laying {
+            super::scene::Laying::Metres([u, v]) => (u, v),
+            super::scene::Laying::Fit => (1.0, 1.0),
+        };
+        // texels per unit differ between the axes: rescale while swapping
+        let ratio_u = width as f32 / tile_u * tile_v / height as f32;
+        for t in &mut patch.texels {
+            *t = [t[1] * ratio_u, t[0] / ratio_u];
+        }
+    }
+
+    /// Vertical picture of `width` x `height` in the plane y = 0 that is seen from -y, with its lower
+    /// edge centred on the origin.
+    pub fn panel(&mut self, width: f32, height: f32, material: MaterialId) {
+        let corner = P3::new(-0.5 * width, 0.0, height);
+        self.quad(
+            corner,
+            P3::new(0.0, 0.0, -height),
+            P3::new(width, 0.0, 0.0),
+            material,
+        );
+        self.transpose_last();
+    }
+
+    /// Box whose edges are rounded by `radius`, centred on the origin.
+    pub fn rounded_box(&mut self, size: [f32; 3], radius: f32, material: MaterialId) {
+        let half = P3::new(0.5 * size[0], 0.5 * size[1], 0.5 * size[2]);
+        let radius = radius.min(half.min());
+        let core = half - P3::repeat(radius);
+        // the outer parts of the parameter range bend by 45 degrees, the middle is flat
+        let along = move |x: f32, axis: usize| {
+            let s = 2.0 * x - 1.0;
+            let bent = ((s.abs() - 0.2) / 0.8).max(0.0) * (0.25 * PI);
+            if bent > 0.0 {
+                s.signum() * (core[axis] + radius * bent.tan())
+            } else {
+                s / 0.2 * core[axis]
+            }
+        };
+        for axis in 0..3 {
+            for sign in [-1.0f32, 1.0] {
+                let (first, second) = if sign > 0.0 {
+                    ((axis + 1) % 3, (axis + 2) % 3)
+                } else {
+                    ((axis + 2) % 3, (axis + 1) % 3)
+                };
+                self.patch(10, 10, material, |u, v| {
+                    let mut on_box = P3::zeros();
+                    on_box[axis] = sign * half[axis];
+                    on_box[first] = along(u, first);
+                    on_box[second] = along(v, second);
+                    round_off(&on_box, &core, radius)
+                });
+            }
+        }
+    }
+
+    /// Ellipsoid or, with `power` below 1, a body between ellipsoid and box (superquadric).
+    pub fn cushion(&mut self, half_size: [f32; 3], power: f32, material: MaterialId) {
+        let bend = move |x: f32| x.signum() * x.abs().powf(power);
+        let [a, b, c] = half_size;
+        self.patch(28, 14, material, move |u, v| {
+            let (longitude, latitude) = (TAU * u, FRAC_PI_2 - PI * v);
+            let ring = bend(latitude.cos());
+            P3::new(
+                a * ring * bend(longitude.cos()),
+                b * ring * bend(longitude.sin()),
+                c * bend(latitude.sin()),
+            )
+        });
+        self.flip_last();
+    }
+
+    /// Sphere around the origin.
+    pub fn sphere(&mut self, radius: f32, material: MaterialId) {
+        self.patch(40, 20, material, move |u, v| {
+            let (longitude, latitude) = (TAU * u, FRAC_PI_2 - PI * v);
+            P3::new(
+                latitude.cos() * longitude.cos(),
+                latitude.cos() * longitude.sin(),
+                latitude.sin(),
+            ) * radius
+        });
+        self.flip_last();
+    }
+
+    /// Turned body: the profile (radius, height) rotated about z; from top to bottom its outside is
+    /// the outside.
+    pub fn lathe(&mut self, profile: &[[f32; 2]], segments: usize, material: MaterialId) {
+        let Some(last) = profile.len().checked_sub(1).filter(|&n| n > 0) else {
+            return;
+        };
+        self.patch(segments, last, material, |u, v| {
+            let position = v * last as f32;
+            let k = (position as usize).min(last - 1);
+            let f = position - k as f32;
+            let r = profile[k][0] + f * (profile[k + 1][0] - profile[k][0]);
+            let z = profile[k][1] + f * (profile[k + 1][1] - profile[k][1]);
+            P3::new(r * (TAU * u).cos(), r * (TAU * u).sin(), z)
+        });
+        self.flip_last();
+    }
+
+    /// Upright cylinder on the origin, with lids.
+    pub fn cylinder(&mut self, radius: f32, height: f32, material: MaterialId) {
+        let segments = if radius < 0.05 { 12 } else { 32 };
+        self.lathe(&[[radius, height], [radius, 0.0]], segments, material);
+        self.disc(radius, height, material);
+        self.disc_below(radius, 0.0, material);
+    }
+
+    /// Horizontal disc at a height, seen from above.
+    pub fn disc(&mut self, radius: f32, z: f32, material: MaterialId) {
+        let segments = if radius < 0.05 { 12 } else { 32 };
+        self.patch(segments, 1, material, move |u, v| {
+            P3::new(
+                v * radius * (TAU * u).cos(),
+                v * radius * (TAU * u).sin(),
+                z,
+            )
+        });
+        self.flip_last();
+    }
+
+    fn disc_below(&mut self, radius: f32, z: f32, material: MaterialId) {
+        self.disc(radius, z, material);
+        self.flip_last();
+    }
+
+    /// Ring around z with a round cross-section.
+    pub fn torus(&mut self, radius: f32, thickness: f32, material: MaterialId) {
+        self.patch(36, 12, material, move |u, v| {
+            let ring = radius + thickness * (TAU * v).cos();
+            P3::new(
+                ring * (TAU * u).cos(),
+                ring * (TAU * u).sin(),
+                thickness * (TAU * v).sin(),
+            )
+        });
+    }
+
+    /// Round bar from one point to another.
+    pub fn bar(&mut self, from: P3, to: P3, radius: f32, material: MaterialId) {
+        let axis = (to - from).normalize();
+        let helper = if axis.z.abs() < 0.9 { P3::z() } else { P3::x() };
+        let a = axis.cross(&helper).normalize();
+        let b = axis.cross(&a);
+        self.patch(12, 1, material, move |u, v| {
+            from + (to - from) * v + (a * (TAU * u).cos() + b * (TAU * u).sin()) * radius
+        });
+    }
+
+    /// Hanging cloth in the plane y = 0, `width` x `height` below the origin, with `folds` waves.
+    pub fn curtain(
+        &mut self,
+        width: f32,
+        height: f32,
+        folds: f32,
+        depth: f32,
+        material: MaterialId,
+    ) {
+        self.patch((10.0 * folds) as usize, 6, material, move |u, v| {
+            let wave = (TAU * folds * u + 0.8 * (3.0 * TAU * u).sin()).sin();
+            let y = depth * wave * (0.6 + 0.4 * v);
+            P3::new((u - 0.5) * width * (1.0 - 0.04 * v), y, -height * v)
+        });
+        self.flip_last();
+    }
+
+    /// Turns the patch added last inside out.
+    pub fn flip_last(&mut self) {
+        if let Some(patch) = self.patches.last_mut() {
+            for normal in &mut patch.normals {
+                *normal = -*normal;
+            }
+        }
+    }
+}
+
+/// Moves a point on the surface of a box onto the rounded surface around its core.
+fn round_off(on_box: &P3, core: &P3, radius: f32) -> P3 {
+    let inner = P3::from_fn(|i, _| on_box[i].clamp(-core[i], core[i]));
+    let offset = on_box - inner;
+    let length = offset.norm();
+    if length < 1e-9 {
+        return *on_box;
+    }
+    inner + offset * (radius / length)
+}

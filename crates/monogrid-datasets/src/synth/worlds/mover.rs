@@ -1,0 +1,65 @@
+//! Somebody who walks through a world.
+
+use crate::synth::bvh::P3;
+use crate::synth::lighting::LightingConfig;
+use crate::synth::patterns;
+use crate::synth::scene::{Material, Scene, place};
+use crate::synth::world::World;
+use monogrid_geometry::{Rotation, Se3, Vec3};
+
+/// A figure of about a person's size around its own origin on the floor.
+pub(in crate::synth) fn mover_world() -> World {
+    let mut scene = Scene::default();
+    let s = &mut scene;
+    s.object("walker");
+    let coat = s.material(Material::tiled(
+        patterns::fabric(0.28, 0.9, 30, 91),
+        0.5,
+        0.5,
+    ));
+    let skin = s.plain(0.45);
+    let dark = s.plain(0.08);
+    for x in [-0.10, 0.10] {
+        s.at(place(x, 0.0, 0.0, 0.0), |s| {
+            s.lathe(
+                &[[0.08, 0.85], [0.06, 0.45], [0.05, 0.08], [0.07, 0.0]],
+                20,
+                dark,
+            );
+        });
+    }
+    s.lathe(
+        &[
+            [0.06, 1.48],
+            [0.19, 1.40],
+            [0.20, 1.1],
+            [0.17, 0.95],
+            [0.22, 0.75],
+            [0.0, 0.74],
+        ],
+        28,
+        coat,
+    );
+    s.at(place(0.0, 0.0, 1.62, 0.0), |s| {
+        s.cushion([0.09, 0.11, 0.13], 0.9, skin)
+    });
+    s.light(
+        P3::new(-0.5, -0.5, 2.6),
+        P3::new(0.0, 1.0, 0.0),
+        P3::new(1.0, 0.0, 0.0),
+        6.0,
+    );
+    World::new("walker", &scene, &LightingConfig::quick())
+}
+
+/// Pose of the walker: up and down a line through the middle of the world, 0.6 m/s.
+pub(in crate::synth) fn mover_pose(world: &World, secs: f64) -> Se3 {
+    let bounds = world.bounds();
+    let middle = |axis: usize| 0.5 * f64::from(bounds.min[axis] + bounds.max[axis]);
+    let reach = 0.25 * f64::from(bounds.max[0] - bounds.min[0]).min(8.0);
+    let turn = 0.6 / reach * secs;
+    let x = middle(0) + reach * turn.sin();
+    let y = middle(1) + 0.3 * reach * (0.7 * turn).cos();
+    let heading = Rotation::from_axis_angle(&Vec3::z_axis(), 0.3 * turn.cos());
+    Se3::new(heading, Vec3::new(x, y, f64::from(bounds.min[2])))
+}

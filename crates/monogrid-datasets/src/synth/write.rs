@@ -1,0 +1,172 @@
+//! Writes a sequence as a data set in TUM layout, and meshes as PLY.
+
+use super::sequence::SynthSequence;
+use super::world::TriangleMesh;
+use crate::{
+    DatasetError, TimedPose, encode_png, encode_png_16, format_seconds, write_atomically,
+    write_atomically_with, write_tum,
+};
+use monogrid_geometry::{Camera, Distortion};
+use monogrid_image::GrayImage;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+
+/// What is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WriteConfig {
+    /// A depth image with every n-th frame; 0 for none. Default 1.
+    pub depth_every: usize,
+    /// Whether the mesh of the world is written too. Default yes.
+    pub with_mesh: bool,
+}
+
+impl Default for WriteConfig {
+    fn default() -> Self {
+        Self {
+            depth_every: 1,
+            with_mesh: true,
+        }
+    }
+}
+
+/// Writes `rgb/`, `depth/`, their lists, `groundtruth.txt`, both calibrations and `mesh.ply`.
+///
+/// `progress` is called after each frame with the number of frames done.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_tum_layout(
+    sequence: &SynthSequence,
+    folder: &Path,
+    config: &WriteConfig,
+    mut progress: impl FnMut(usize),
+) -> Result<(), DatasetError> {
+    for sub in ["rgb", "depth"] {
+        let path = folder.join(sub);
+        std::fs::create_dir_all(&path).map_err(|e| DatasetError::io("create", &path, e))?;
+    }
+    let units_per_m = depth_units(sequence);
+    write_text(
+        folder,
+        "calibration.txt",
+        &calibration_line(sequence.camera()),
+    )?;
+    let depth_line = format!("{}{units_per_m}\n", calibration_line(sequence.camera()));
+    write_text(folder, "calibration_depth.txt", &depth_line)?;
+    if config.with_mesh {
+        write_ply(&folder.join("mesh.ply"), &sequence.world().mesh())?;
+    }
+    let mut colour_list = String::from("# timestamp filename\n");
+    let mut depth_list = colour_list.clone();
+    let mut poses = Vec::with_capacity(sequence.len());
+    for k in 0..sequence.len() {
+        let Some(frame) = sequence.frame(k) else {
+            break;
+        };
+        let time = format_seconds(frame.timestamp_ns);
+        let name = format!("rgb/{:06}.png", frame.index);
+        write_atomically(
+            &folder.join(&name),
+            &encode_png(&frame.image.map(|v| v as u8)),
+        )?;
+        // writing into a string cannot fail
+        let _ = writeln!(colour_list, "{time} {name}");
+        if config.depth_every > 0 && k % config.depth_every == 0 {
+            if let Some(depth) = sequence.depth(k) {
+                let name = format!("depth/{:06}.png", frame.index);
+                let coded = encode_depth(&depth, units_per_m);
+                write_atomically(&folder.join(&name), &encode_png_16(&coded))?;
+                let _ = writeln!(depth_list, "{time} {name}");
+            }
+        }
+        poses.push(TimedPose {
+            timestamp_ns: frame.timestamp_ns,
+            world_from_camera: frame.world_from_camera,
+        });
+        progress(k + 1);
+    }
+    write_text(folder, "rgb.txt", &colour_list)?;
+    write_text(folder, "depth.txt", &depth_list)?;
+    write_tum(&folder.join("groundtruth.txt"), &poses)
+}
+
+fn write_text(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError> {
+    write_atomically(&folder.join(name), text.as_bytes())
+}
+
+/// Finest of the usual units (5000, 2000, 1000, ... per metre) in which the longest line of sight in
+/// the world fits into 16 bits.
+fn depth_units(sequence: &SynthSequence) -> u32 {
+    let size = sequence.world().bounds().size();
+    let longest_m = size.iter().map(|s| s * s).sum::<f32>().sqrt();
+    [5000, 2000, 1000, 500, 200, 100]
+        .into_iter()
+        .find(|&units| longest_m * units as f32 <= 65_000.0)
+        .unwrap_or(50)
+}
+
+/// 16-bit depth, 0 where there is none.
+fn encode_depth(depth: &GrayImage, units_per_m: u32) -> monogrid_image::Image<u16> {
+    depth.map(|z| {
+        let units = (z * units_per_m as f32).round();
+        if units >= 1.0 && units <= 65_535.0 {
+            units as u16
+        } else {
+            0
+        }
+    })
+}
+
+/// One line as the readers understand it: pinhole, or with four coefficients of distortion.
+fn calibration_line(camera: &Camera) -> String {
+    let p = &camera.pinhole;
+    let distortion = match camera.distortion {
+        Distortion::RadialTangential { k1, k2, p1, p2, .. } => format!("{k1} {k2} {p1} {p2} "),
+        _ => String::new(),
+    };
+    format!(
+        "{} {} {} {} {distortion}{} {}\n",
+        p.fx, p.fy, p.cx, p.cy, camera.width, camera.height
+    )
+}
+
+/// Writes a mesh as binary PLY with grey vertex colours.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_ply(path: &Path, mesh: &TriangleMesh) -> Result<(), DatasetError> {
+    let has_albedo = mesh.albedo.len() == mesh.vertices.len();
+    write_atomically_with(path, |file| {
+        let mut header = format!(
+            "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\n\
+             property float y\nproperty float z\n",
+            mesh.vertices.len()
+        );
+        if has_albedo {
+            header.push_str("property uchar red\nproperty uchar green\nproperty uchar blue\n");
+        }
+        let _ = write!(
+            header,
+            "element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+            mesh.triangles.len()
+        );
+        let mut bytes = header.into_bytes();
+        for (k, vertex) in mesh.vertices.iter().enumerate() {
+            for v in vertex {
+                bytes.extend_from_slice(&v.to_le_bytes());
+            }
+            if has_albedo {
+                let grey = (255.0 * mesh.albedo[k]).round().clamp(0.0, 255.0) as u8;
+                bytes.extend_from_slice(&[grey; 3]);
+            }
+        }
+        for triangle in &mesh.triangles {
+            bytes.push(3);
+            for v in triangle {
+                bytes.extend_from_slice(&v.to_le_bytes());
+            }
+        }
+        file.write_all(&bytes)
+    })
+}
