@@ -123,6 +123,11 @@ pub struct InitializationConfig {
     pub min_displacement: f64,
     /// Frames kept while waiting for parallax; older ones stay without a pose.
     pub max_buffered_frames: usize,
+    /// Standard deviation of a followed feature, px.
+    pub sigma_px: f64,
+    /// Largest median relative standard deviation of the features' inverse depths with which a
+    /// two-view start is accepted.
+    pub max_relative_sigma: f64,
     /// Relative standard deviation of a seed depth.
     pub seed_relative_sigma: f32,
 }
@@ -135,6 +140,8 @@ impl Default for InitializationConfig {
             min_features: 60,
             min_displacement: 0.025,
             max_buffered_frames: 150,
+            sigma_px: 0.5,
+            max_relative_sigma: 0.05,
             seed_relative_sigma: 0.02,
         }
     }

@@ -65,12 +65,16 @@ impl BufferedFrame {
         }
     }
 
+    pub(crate) fn image(&self) -> GrayImage {
+        self.image.map(f32::from)
+    }
+
     /// The frame with its pyramid again.
     pub(crate) fn restore(&self, pinhole: &Pinhole, finest_level: usize, num_levels: usize) -> Frame {
         let input = FrameInput {
             index: self.index,
             timestamp_ns: self.timestamp_ns,
-            image: self.image.map(f32::from),
+            image: self.image(),
             seed_depth: None,
         };
         Frame::new(input, pinhole, finest_level, num_levels)

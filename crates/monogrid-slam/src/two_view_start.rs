@@ -7,10 +7,14 @@ use crate::start::{StartOutcome, Started, host_of};
 use crate::{InitializationConfig, LostReason, Scale, SlamConfig};
 use monogrid_depth::{DepthMap, StereoFrame};
 use monogrid_features::{
-    CornerConfig, Match, TrackConfig, TwoViewConfig, TwoViewOutcome, detect_corners, track_points,
-    two_view,
+    CornerConfig, Match, TrackConfig, TwoView, TwoViewConfig, TwoViewOutcome, detect_corners,
+    track_points, two_view,
 };
 use monogrid_geometry::{Pinhole, Se3, Vec2};
+use monogrid_graph::bundle::{
+    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
+};
+use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose};
 use monogrid_image::Mask;
 
 /// Features followed since the reference frame.
@@ -32,6 +36,16 @@ struct Reference {
     tracks: Vec<Option<(Vec2, Vec2)>>,
     /// Position in the buffer.
     buffer_index: usize,
+    /// The views since the reference.
+    views: Vec<View>,
+}
+
+/// Where the points were seen in one frame.
+#[derive(Debug)]
+struct View {
+    /// Steps after the reference in the buffer.
+    offset: usize,
+    pixels: Vec<Option<Vec2>>,
 }
 
 impl TwoViewStart {
@@ -64,9 +78,9 @@ impl TwoViewStart {
         if displacement < self.settings.min_displacement * frame.image().width() as f64 {
             return StartOutcome::Waiting(LostReason::NotEnoughParallax);
         }
-        match reference.relative_pose(pinhole, self.seed) {
+        match reference.solve(pinhole, self.seed, &self.settings) {
             Err(reason) => StartOutcome::Waiting(reason),
-            Ok(pose) => match self.first_keyframe(&frame, &pose, pinhole, mask, config) {
+            Ok(views) => match self.first_keyframe(&views, pinhole, mask, config) {
                 Some(started) => StartOutcome::Started(Box::new(started)),
                 None => StartOutcome::Waiting(LostReason::AmbiguousStart),
             },
@@ -119,15 +133,15 @@ impl TwoViewStart {
             points,
             frame,
             buffer_index: self.buffered.len() - 1,
+            views: Vec::new(),
         });
         StartOutcome::Waiting(LostReason::NotEnoughParallax)
     }
 
-    /// Depth of the reference from the accepted second view; `None` when too few pixels get one.
+    /// Depth of the reference from the views; `None` when too few pixels get one.
     fn first_keyframe(
         &mut self,
-        frame: &Frame,
-        pose: &RelativePose,
+        views: &[PosedView],
         pinhole: &Pinhole,
         mask: &Mask,
         config: &SlamConfig,
@@ -135,17 +149,23 @@ impl TwoViewStart {
         let reference = self.reference.as_ref()?;
         let host = host_of(&reference.frame, pinhole, mask)?;
         let mut depth = DepthMap::empty(host, &config.depth);
-        let stereo = StereoFrame {
-            image: frame.image(),
-            frame_from_keyframe: pose.frame_from_reference,
-            gain: 1.0,
-            bias: 0.0,
-            residual_rms: 5.0,
-            pose_sigma_trans: 0.01 * pose.frame_from_reference.translation.norm() as f32,
-            pose_sigma_rot: 0.0005,
-            id: frame.index as u32,
-        };
-        observe(&mut depth, &[stereo], &config.depth);
+        // The longest baselines last: short ones find the place, long ones make it exact.
+        for view in views {
+            let buffered = self.buffered.get(reference.buffer_index + view.offset)?;
+            let image = buffered.image();
+            let baseline = view.frame_from_reference.translation.norm() as f32;
+            let stereo = StereoFrame {
+                image: &image,
+                frame_from_keyframe: view.frame_from_reference,
+                gain: 1.0,
+                bias: 0.0,
+                residual_rms: 5.0,
+                pose_sigma_trans: 0.01 * baseline,
+                pose_sigma_rot: 0.0005,
+                id: view.offset as u32,
+            };
+            observe(&mut depth, &[stereo], &config.depth);
+        }
         depth.fill_holes(&config.depth);
         depth.regularize(&config.depth);
         if depth.num_known() < config.tracking.min_points {
@@ -167,11 +187,15 @@ impl TwoViewStart {
     }
 }
 
-/// An accepted relative pose; the median depth of the points is 1.
-#[derive(Debug)]
-struct RelativePose {
+/// A view with its pose; the median depth of the points is 1.
+#[derive(Clone, Copy, Debug)]
+struct PosedView {
+    offset: usize,
     frame_from_reference: Se3,
 }
+
+/// Views that are adjusted together at most.
+const MAX_VIEWS: usize = 10;
 
 impl Reference {
     /// Follows every point from the reference into `frame`, from where it was seen last.
@@ -198,6 +222,11 @@ impl Reference {
                 _ => None,
             };
         }
+        let offset = self.views.last().map_or(1, |view| view.offset + 1);
+        self.views.push(View {
+            offset,
+            pixels: self.tracks.iter().map(|t| t.map(|(p, _)| p)).collect(),
+        });
     }
 
     fn median_displacement(&self) -> f64 {
@@ -211,36 +240,178 @@ impl Reference {
         moves.get(moves.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// Pose of the last frame, if two views determine it.
-    fn relative_pose(&self, pinhole: &Pinhole, seed: u64) -> Result<RelativePose, LostReason> {
-        let matches: Vec<Match> = self
+    /// Poses of views since the reference: the last one from two views alone, then all of them and the
+    /// points adjusted together. Refused while the depths remain uncertain.
+    fn solve(
+        &self,
+        pinhole: &Pinhole,
+        seed: u64,
+        settings: &InitializationConfig,
+    ) -> Result<Vec<PosedView>, LostReason> {
+        let (indices, motion) = self.relative_pose(pinhole, seed)?;
+        let points: Vec<(usize, f64)> = indices
+            .iter()
+            .zip(&motion.points)
+            .filter_map(|(&i, point)| point.map(|p| (i, p.idepth)))
+            .filter(|(_, idepth)| *idepth > 0.0)
+            .collect();
+        let chosen = self.chosen_views();
+        let mut poses = Vec::with_capacity(chosen.len());
+        let mut guess = Se3::identity();
+        for &view in &chosen {
+            if view + 1 == self.views.len() {
+                guess = motion.b_from_a;
+            }
+            guess = self.pose_of_view(view, &points, &guess, pinhole);
+            poses.push(guess);
+        }
+        self.adjust_views(&chosen, &poses, &points, pinhole, settings)
+    }
+
+    /// At most [`MAX_VIEWS`] views, evenly spread, with the last one.
+    fn chosen_views(&self) -> Vec<usize> {
+        let n = self.views.len();
+        let step = n.div_ceil(MAX_VIEWS).max(1);
+        let mut chosen: Vec<usize> = (0..n).rev().step_by(step).collect();
+        chosen.reverse();
+        chosen
+    }
+
+    /// Pose of a view from points with known depth.
+    fn pose_of_view(
+        &self,
+        view: usize,
+        points: &[(usize, f64)],
+        guess: &Se3,
+        pinhole: &Pinhole,
+    ) -> Se3 {
+        let matches: Vec<MapMatch> = points
+            .iter()
+            .filter_map(|&(i, idepth)| {
+                self.views[view].pixels[i].map(|pixel| MapMatch {
+                    point_in_world: pinhole.unproject(&self.points[i]) / idepth,
+                    pixel,
+                    inv_sigma_px: 1.0,
+                })
+            })
+            .collect();
+        refine_pose(guess, pinhole, &matches, &PoseOnlyConfig::default())
+            .map_or(*guess, |solution| solution.camera_from_world)
+    }
+
+    /// Adjusts views and points; the median depth becomes 1.
+    fn adjust_views(
+        &self,
+        chosen: &[usize],
+        poses: &[Se3],
+        points: &[(usize, f64)],
+        pinhole: &Pinhole,
+        settings: &InitializationConfig,
+    ) -> Result<Vec<PosedView>, LostReason> {
+        let mut keyframes = vec![BundleKeyframe {
+            camera_from_world: Se3::identity(),
+            freedom: PoseFreedom::Fixed,
+        }];
+        keyframes.extend(poses.iter().enumerate().map(|(k, pose)| BundleKeyframe {
+            camera_from_world: *pose,
+            freedom: if k + 1 == poses.len() {
+                PoseFreedom::FixedDistance { to: 0 }
+            } else {
+                PoseFreedom::Free
+            },
+        }));
+        let anchored = points.iter().map(|&(i, idepth)| AnchoredPoint {
+            host: 0,
+            pixel: self.points[i],
+            inverse_depth: idepth,
+            prior: None,
+        });
+        let mut observations = Vec::new();
+        for (k, &view) in chosen.iter().enumerate() {
+            for (point, &(i, _)) in points.iter().enumerate() {
+                if let Some(pixel) = self.views[view].pixels[i] {
+                    observations.push(Observation {
+                        keyframe: k + 1,
+                        point,
+                        pixel,
+                        inv_sigma_px: 1.0 / settings.sigma_px,
+                    });
+                }
+            }
+        }
+        let problem = BundleProblem {
+            pinhole: *pinhole,
+            keyframes,
+            points: anchored.collect(),
+            observations,
+            pose_priors: Vec::new(),
+        };
+        let bundle_config = BundleConfig {
+            max_iterations: 20,
+            with_covariance: true,
+            ..BundleConfig::default()
+        };
+        let solution =
+            adjust(&problem, &bundle_config).map_err(|_| LostReason::AmbiguousStart)?;
+        let variances = solution
+            .covariance
+            .as_ref()
+            .map_or(&[][..], |c| c.inverse_depth_variances.as_slice());
+        let mut relative: Vec<f64> = solution
+            .inverse_depths
+            .iter()
+            .zip(variances)
+            .filter_map(|(d, v)| v.map(|v| v.sqrt() / d))
+            .collect();
+        let uncertainty = median(&mut relative).ok_or(LostReason::AmbiguousStart)?;
+        if uncertainty > settings.max_relative_sigma {
+            return Err(LostReason::NotEnoughParallax);
+        }
+        let scale =
+            median(&mut solution.inverse_depths.clone()).ok_or(LostReason::AmbiguousStart)?;
+        Ok(chosen
+            .iter()
+            .zip(&solution.camera_from_world[1..])
+            .map(|(&view, pose)| PosedView {
+                offset: self.views[view].offset,
+                frame_from_reference: Se3::new(pose.rotation, pose.translation * scale),
+            })
+            .collect())
+    }
+
+    /// Pose of the last view with the points that were followed there, if two views determine it.
+    fn relative_pose(
+        &self,
+        pinhole: &Pinhole,
+        seed: u64,
+    ) -> Result<(Vec<usize>, TwoView), LostReason> {
+        let followed: Vec<(usize, Match)> = self
             .points
             .iter()
             .zip(&self.tracks)
-            .filter_map(|(a, track)| track.map(|(b, _)| Match { a: *a, b }))
+            .enumerate()
+            .filter_map(|(i, (a, track))| track.map(|(b, _)| (i, Match { a: *a, b })))
             .collect();
+        let (indices, matches): (Vec<usize>, Vec<Match>) = followed.into_iter().unzip();
         let config = TwoViewConfig {
             seed,
             ..TwoViewConfig::default()
         };
-        let motion = match two_view(&matches, pinhole, &config) {
-            TwoViewOutcome::Accepted(motion) => motion,
-            TwoViewOutcome::NotEnoughParallax { .. } => return Err(LostReason::NotEnoughParallax),
-            TwoViewOutcome::TooFewMatches { .. } => return Err(LostReason::TooFewFeatures),
-            _ => return Err(LostReason::AmbiguousStart),
-        };
-        let mut idepths: Vec<f64> = motion.points.iter().flatten().map(|p| p.idepth).collect();
-        idepths.sort_unstable_by(f64::total_cmp);
-        let median = idepths
-            .get(idepths.len() / 2)
-            .copied()
-            .filter(|d| *d > 0.0)
-            .ok_or(LostReason::AmbiguousStart)?;
-        // Lengths grow by the median inverse depth: the median depth becomes 1.
-        let mut frame_from_reference = motion.b_from_a;
-        frame_from_reference.translation *= median;
-        Ok(RelativePose {
-            frame_from_reference,
-        })
+        match two_view(&matches, pinhole, &config) {
+            TwoViewOutcome::Accepted(motion) => Ok((indices, *motion)),
+            TwoViewOutcome::NotEnoughParallax { .. }
+            | TwoViewOutcome::Uncertain { .. }
+            | TwoViewOutcome::NoMotion { .. } => Err(LostReason::NotEnoughParallax),
+            TwoViewOutcome::TooFewMatches { .. } => Err(LostReason::TooFewFeatures),
+            TwoViewOutcome::Ambiguous { .. } => Err(LostReason::AmbiguousStart),
+        }
     }
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values
+        .get(values.len() / 2)
+        .copied()
+        .filter(|m| m.is_finite() && *m > 0.0)
 }
