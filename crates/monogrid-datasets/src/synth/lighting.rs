@@ -16,8 +16,9 @@ use std::f32::consts::{PI, TAU};
 pub struct LightingConfig {
     /// Size of the texels that store light, m. Default 0.05.
     pub texel_m: f32,
-    /// Packets of 16 directions for the light reflected by other surfaces. Default 4.
-    pub bounce_packets: usize,
+    /// Sectors of the hemisphere, of four directions each, from which reflected light is gathered.
+    /// Default 10.
+    pub bounce_sectors: usize,
     /// Light that comes from everywhere, relative to the mean direct light (stands for the bounces
     /// after the first). Default 0.25.
     pub ambient: f32,
@@ -27,7 +28,7 @@ impl Default for LightingConfig {
     fn default() -> Self {
         Self {
             texel_m: 0.05,
-            bounce_packets: 4,
+            bounce_sectors: 10,
             ambient: 0.25,
         }
     }
@@ -39,7 +40,7 @@ impl LightingConfig {
     pub fn quick() -> Self {
         Self {
             texel_m: 0.15,
-            bounce_packets: 1,
+            bounce_sectors: 4,
             ..Self::default()
         }
     }
@@ -69,7 +70,7 @@ impl LightMap {
         let (columns, rows) = (patch.columns, patch.rows);
         let along_u = length(columns, &|i| patch.points[(rows / 2) * columns + i]);
         let along_v = length(rows, &|j| patch.points[j * columns + columns / 2]);
-        let texels = |l: f32| ((l / texel_m).ceil() as usize + 1).clamp(2, MAX_TEXELS);
+        let texels = |l: f32| ((l / texel_m).round() as usize + 1).min(MAX_TEXELS);
         (texels(along_u), texels(along_v))
     }
 
@@ -78,14 +79,15 @@ impl LightMap {
     pub fn sample(&self, x: f32, y: f32) -> f32 {
         let x = x.clamp(0.0, (self.width - 1) as f32);
         let y = y.clamp(0.0, (self.height - 1) as f32);
-        let ix = (x as usize).min(self.width - 2);
-        let iy = (y as usize).min(self.height - 2);
+        let (ix, iy) = (x as usize, y as usize);
         let (fx, fy) = (x - ix as f32, y - iy as f32);
-        let upper = &self.values[iy * self.width + ix..];
-        let lower = &self.values[(iy + 1) * self.width + ix..];
-        let top = upper[0] + fx * (upper[1] - upper[0]);
-        let bottom = lower[0] + fx * (lower[1] - lower[0]);
-        top + fy * (bottom - top)
+        let right = usize::from(ix + 1 < self.width);
+        let below = if iy + 1 < self.height { self.width } else { 0 };
+        let k = iy * self.width + ix;
+        let (a, b) = (self.values[k], self.values[k + right]);
+        let (c, d) = (self.values[k + below], self.values[k + below + right]);
+        let top = a + fx * (b - a);
+        top + fy * (c + fx * (d - c) - top)
     }
 
     /// 3x3 binomial smoothing, borders repeated.
@@ -166,9 +168,9 @@ pub(super) fn bake(world: &mut World, scene: &Scene, config: &LightingConfig) {
     });
     world.light_maps = direct.iter().map(LightMap::smoothed).collect();
     let ambient = config.ambient * mean_light(world);
-    let hemisphere = hemisphere(config.bounce_packets);
-    // reflected light varies slowly: three times coarser texels suffice
-    let bounced = fill(scene, 3.0 * config.texel_m, &|point, normal| {
+    let hemisphere = hemisphere(config.bounce_sectors, 4);
+    // reflected light varies slowly: four times coarser texels suffice
+    let bounced = fill(scene, 4.0 * config.texel_m, &|point, normal| {
         gather(world, &hemisphere, ambient, point, normal)
     });
     for (map, bounce) in world.light_maps.iter_mut().zip(&bounced) {
@@ -225,33 +227,27 @@ fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) ->
     sum
 }
 
-/// Cosine-weighted directions about z, in packets of neighbouring directions.
-fn hemisphere(packets: usize) -> Vec<[[f32; RAYS]; 3]> {
-    (0..packets)
-        .map(|p| {
-            let mut packet = [[0.0; RAYS]; 3];
-            for k in 0..RAYS {
-                // strata of a disc: 4 x 4 per sector of the packet
-                let angle = TAU * ((k % 4) as f32 + 0.5 + 4.0 * p as f32) / (4 * packets) as f32;
-                let radius2 = ((k / 4) as f32 + 0.5) / 4.0;
-                let radius = radius2.sqrt();
-                packet[0][k] = radius * angle.cos();
-                packet[1][k] = radius * angle.sin();
-                packet[2][k] = (1.0 - radius2).sqrt();
-            }
-            packet
+/// Cosine-weighted directions about z, one per stratum of the disc below.
+fn hemisphere(sectors: usize, rings: usize) -> Vec<P3> {
+    (0..sectors * rings)
+        .map(|k| {
+            let ring = k % rings;
+            // rings are turned against each other
+            let turn = (k / rings) as f32 + (ring as f32 + 0.5) / rings as f32;
+            let angle = TAU * turn / sectors as f32;
+            let radius2 = (ring as f32 + 0.5) / rings as f32;
+            let radius = radius2.sqrt();
+            P3::new(
+                radius * angle.cos(),
+                radius * angle.sin(),
+                (1.0 - radius2).sqrt(),
+            )
         })
         .collect()
 }
 
 /// Mean of what the surfaces around reflect towards a point.
-fn gather(
-    world: &World,
-    hemisphere: &[[[f32; RAYS]; 3]],
-    ambient: f32,
-    point: &P3,
-    normal: &P3,
-) -> f32 {
+fn gather(world: &World, hemisphere: &[P3], ambient: f32, point: &P3, normal: &P3) -> f32 {
     let origin = point + normal * LIFT_M;
     let helper = if normal.z.abs() < 0.7 {
         P3::z()
@@ -262,33 +258,19 @@ fn gather(
     let b = normal.cross(&a);
     let mut sum = 0.0;
     for local in hemisphere {
-        let mut direction = [[0.0f32; RAYS]; 3];
-        for k in 0..RAYS {
-            let d = a * local[0][k] + b * local[1][k] + normal * local[2][k];
-            for axis in 0..3 {
-                direction[axis][k] = d[axis];
-            }
-        }
-        let mut packet = Packet::new(origin, direction, f32::INFINITY);
-        packet.trace(&world.bvh);
-        for k in 0..RAYS {
-            let Some(hit) = packet.hit(k) else {
-                sum += ambient;
-                continue;
-            };
-            let shading = &world.shading[hit.triangle as usize];
+        let direction = a * local.x + b * local.y + normal * local.z;
+        let Some(hit) = world.bvh.nearest(&origin, &direction, 0.0, f32::INFINITY) else {
+            sum += ambient;
+            continue;
+        };
+        let shading = &world.shading[hit.triangle as usize];
+        // inside of closed pieces is dark
+        if shading.normal.dot(&direction) < 0.0 {
             let surface = &world.surfaces[shading.material as usize];
-            // inside of closed pieces is dark
-            let outside = shading.normal.dot(&packet.direction(k)) < 0.0;
-            let light = if outside {
-                world.irradiance(shading, &hit) + ambient
-            } else {
-                0.0
-            };
-            sum += surface.albedo * light;
+            sum += surface.albedo * (world.irradiance(shading, &hit) + ambient);
         }
     }
-    sum / (hemisphere.len().max(1) * RAYS) as f32
+    sum / hemisphere.len().max(1) as f32
 }
 
 /// Light and area of all triangles, at four points of each.

@@ -1,18 +1,29 @@
 //! Tileable gradient noise and its sums over octaves.
 
-use super::random::{mix, unit};
+use std::sync::LazyLock;
 
-/// Hash of a lattice point.
-#[inline]
-fn lattice(ix: i32, iy: i32, seed: u64) -> u64 {
-    mix(seed ^ ((ix as u32 as u64) << 32 | iy as u32 as u64))
-}
+/// Directions to choose gradients from.
+const GRADIENTS: usize = 64;
+
+/// Unit vectors all around.
+static DIRECTIONS: LazyLock<[[f32; 2]; GRADIENTS]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        let angle = std::f32::consts::TAU * (k as f32 + 0.5) / GRADIENTS as f32;
+        [angle.cos(), angle.sin()]
+    })
+});
 
 /// Contribution of the gradient at one lattice point.
 #[inline]
-fn gradient(ix: i32, iy: i32, seed: u64, dx: f32, dy: f32) -> f32 {
-    let angle = std::f32::consts::TAU * unit(lattice(ix, iy, seed));
-    dx * angle.cos() + dy * angle.sin()
+fn gradient(directions: &[[f32; 2]; GRADIENTS], cell: [i32; 2], seed: u32, d: [f32; 2]) -> f32 {
+    // two rounds of multiply and shift (as Murmur's finaliser) decorrelate neighbours well enough
+    let mut h = seed
+        ^ (cell[0] as u32).wrapping_mul(0x9E37_79B1)
+        ^ (cell[1] as u32).wrapping_mul(0x85EB_CA77);
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
+    let g = directions[(h >> 26) as usize];
+    d[0] * g[0] + d[1] * g[1]
 }
 
 /// Gradient noise (Perlin 1985, with the quintic fade of 2002), about in [-0.7, 0.7].
@@ -22,21 +33,26 @@ fn gradient(ix: i32, iy: i32, seed: u64, dx: f32, dy: f32) -> f32 {
 pub fn gradient_noise(x: f32, y: f32, period: [i32; 2], seed: u64) -> f32 {
     let (fx, fy) = (x.floor(), y.floor());
     let (dx, dy) = (x - fx, y - fy);
-    let (x0, y0) = (
-        (fx as i32).rem_euclid(period[0]),
-        (fy as i32).rem_euclid(period[1]),
-    );
-    let (x1, y1) = ((x0 + 1) % period[0], (y0 + 1) % period[1]);
+    // rem_euclid is a division: most calls are inside the first period
+    let wrap = |k: i32, n: i32| {
+        if (0..n).contains(&k) {
+            k
+        } else {
+            k.rem_euclid(n)
+        }
+    };
+    let (x0, y0) = (wrap(fx as i32, period[0]), wrap(fy as i32, period[1]));
+    let (x1, y1) = (wrap(x0 + 1, period[0]), wrap(y0 + 1, period[1]));
     let fade = |t: f32| t * t * t * (t * (6.0 * t - 15.0) + 10.0);
     let (sx, sy) = (fade(dx), fade(dy));
-    let top = {
-        let a = gradient(x0, y0, seed, dx, dy);
-        a + sx * (gradient(x1, y0, seed, dx - 1.0, dy) - a)
-    };
-    let bottom = {
-        let a = gradient(x0, y1, seed, dx, dy - 1.0);
-        a + sx * (gradient(x1, y1, seed, dx - 1.0, dy - 1.0) - a)
-    };
+    let g = &*DIRECTIONS;
+    let seed = seed as u32 ^ (seed >> 32) as u32;
+    let a = gradient(g, [x0, y0], seed, [dx, dy]);
+    let b = gradient(g, [x1, y0], seed, [dx - 1.0, dy]);
+    let c = gradient(g, [x0, y1], seed, [dx, dy - 1.0]);
+    let d = gradient(g, [x1, y1], seed, [dx - 1.0, dy - 1.0]);
+    let top = a + sx * (b - a);
+    let bottom = c + sx * (d - c);
     top + sy * (bottom - top)
 }
 

@@ -43,11 +43,14 @@ pub fn planks(base: f32, contrast: f32, rows: usize, seed: u64) -> Texture {
         let (bu, bv) = ((u + offset).fract(), (v + 0.37 * offset).fract());
         let bend = octaves(bu, bv, [4, 10], 3, 0.5, seed + 3);
         let rings = (std::f32::consts::TAU * (18.0 * bv + 1.2 * bend)).sin();
-        let fibre = octaves(bu, bv, [8, 110], 4, 0.6, seed + 4);
+        let fibre = octaves(bu, bv, [24, 200], 3, 0.75, seed + 4);
+        let pores = gradient_noise(bu * 60.0, bv * 400.0, [60, 400], seed + 5);
+        let pore = smooth_step(0.18, 0.40, pores);
         let gap_v = smooth_step(0.0, 0.02, across) * smooth_step(1.0, 0.98, across);
         let end = along.fract();
         let gap_u = smooth_step(0.0, 0.003, end) * smooth_step(1.0, 0.997, end);
-        let surface = base * (1.0 + tone + contrast * (0.25 * rings + 0.8 * fibre + 0.3 * bend));
+        let surface = base
+            * (1.0 + tone + contrast * (0.16 * rings + 0.55 * fibre + 0.25 * bend - 0.45 * pore));
         surface * (0.35 + 0.65 * gap_u * gap_v)
     })
 }
@@ -85,9 +88,9 @@ pub fn rug(seed: u64) -> Texture {
             0.40 + 0.18 * ((x + y) * 46.0).sin().signum() * smooth_step(-1.0, 1.0, band.sin());
         let inside = smooth_step(0.80, 0.79, edge + 0.2 * wobble);
         let design = inside * field + (1.0 - inside) * border;
-        let pile = octaves(u, v, [24, 24], 6, 0.68, seed + 1);
+        let pile = octaves(u, v, [32, 32], 5, 0.85, seed + 1);
         let wear = octaves(u, v, [2, 2], 4, 0.5, seed + 2);
-        design * (1.0 + 0.45 * pile + 0.25 * wear)
+        design * (1.0 + 0.40 * pile + 0.25 * wear)
     })
 }
 
@@ -195,6 +198,10 @@ impl Blot {
 
     fn cover(&self, u: f32, v: f32) -> f32 {
         let (dx, dy) = (u - self.centre[0], v - self.centre[1]);
+        let reach = 1.05 * (self.half_size[0] + self.half_size[1]);
+        if dx.abs() > reach || dy.abs() > reach {
+            return 0.0;
+        }
         let a = (self.axis[0] * dx + self.axis[1] * dy) / self.half_size[0];
         let b = (self.axis[0] * dy - self.axis[1] * dx) / self.half_size[1];
         let radius = a * a * a * a + b * b;
@@ -235,7 +242,7 @@ pub fn landscape(seed: u64) -> Texture {
 #[must_use]
 pub fn poster(seed: u64) -> Texture {
     let mut random = Random::new(seed ^ 0x51);
-    let mut boxes: Vec<([f32; 4], f32)> = Vec::new();
+    let mut boxes: Vec<[f32; 4]> = Vec::new();
     let mut letter_line = |y: f32, height: f32, x0: f32, x1: f32, random: &mut Random| {
         let mut x = x0;
         while x < x1 {
@@ -246,9 +253,9 @@ pub fn poster(seed: u64) -> Texture {
                     break;
                 }
                 // a letter: one or two strokes
-                boxes.push(([x, y, x + 0.3 * width, y + height], 0.07));
+                boxes.push([x, y, x + 0.3 * width, y + height]);
                 let bar = y + height * random.range(0.0, 0.7);
-                boxes.push(([x, bar, x + width, bar + 0.3 * height], 0.07));
+                boxes.push([x, bar, x + width, bar + 0.3 * height]);
                 x += width * 1.35;
             }
             x += 0.5 * height;
@@ -259,21 +266,26 @@ pub fn poster(seed: u64) -> Texture {
     for line in 0..8 {
         letter_line(0.72 + 0.032 * line as f32, 0.017, 0.08, 0.92, &mut random);
     }
+    let side = 1usize << TILE_LOG2;
+    let mut ink = vec![false; side * side];
+    for [x0, y0, x1, y1] in &boxes {
+        let texel = |t: f32| ((t * side as f32).round() as usize).min(side);
+        for row in texel(*y0)..texel(*y1).max(texel(*y0) + 1).min(side) {
+            ink[row * side + texel(*x0)..row * side + texel(*x1)].fill(true);
+        }
+    }
     let picture = painting(seed + 3);
     Texture::from_fn(TILE_LOG2, TILE_LOG2, move |u, v| {
-        let paper = 0.78 * (1.0 + 0.05 * octaves(u, v, [4, 4], 5, 0.6, seed));
         if (0.08..0.92).contains(&u) && (0.21..0.68).contains(&v) {
             let (w, h) = picture.size();
-            return picture.sample(
-                (u - 0.08) / 0.84 * w as f32,
-                (v - 0.21) / 0.47 * h as f32,
-                1.0,
-            );
+            let (x, y) = ((u - 0.08) / 0.84, (v - 0.21) / 0.47);
+            return picture.sample(x * w as f32, y * h as f32, 1.0);
         }
-        let inked = boxes
-            .iter()
-            .any(|(b, _)| u >= b[0] && u < b[2] && v >= b[1] && v < b[3]);
-        if inked { 0.07 } else { paper }
+        let (x, y) = ((u * side as f32) as usize, (v * side as f32) as usize);
+        if ink[y * side + x] {
+            return 0.07;
+        }
+        0.78 * (1.0 + 0.05 * octaves(u, v, [4, 4], 5, 0.6, seed))
     })
 }
 
@@ -326,10 +338,10 @@ pub fn foliage(base: f32, ink: f32, seed: u64) -> Texture {
         let cloth = octaves(u, v, [8, 8], 6, 0.65, seed);
         let mut value = base;
         for leaf in &leaves {
-            for (du, dv) in [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
-                let cover = leaf.cover(u + du, v + dv);
-                value += cover * (leaf.tone - value);
-            }
+            // a leaf that crosses the border comes in again at the other side
+            let near = |c: f32, x: f32| x + (c - x).round();
+            let cover = leaf.cover(near(leaf.centre[0], u), near(leaf.centre[1], v));
+            value += cover * (leaf.tone - value);
         }
         value * (1.0 + 0.25 * cloth)
     })
