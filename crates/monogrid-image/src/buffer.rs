@@ -130,13 +130,20 @@ pub fn bilinear(image: &GrayImage, x: f32, y: f32) -> Option<f32> {
         (y as usize).min(h.saturating_sub(2)),
     );
     if w < 2 || h < 2 {
-        return Some(image.data[0]);
+        return Some(linear(&image.data, if w < 2 { y } else { x }));
     }
     let (fx, fy) = (x - ix as f32, y - iy as f32);
     let i = iy * w + ix;
     let top = image.data[i] + fx * (image.data[i + 1] - image.data[i]);
     let bottom = image.data[i + w] + fx * (image.data[i + w + 1] - image.data[i + w]);
     Some(top + fy * (bottom - top))
+}
+
+/// Linear value between the samples of a line; `position` lies within them.
+fn linear(samples: &[f32], position: f32) -> f32 {
+    let index = position as usize;
+    let next = samples[(index + 1).min(samples.len() - 1)];
+    samples[index] + (position - index as f32) * (next - samples[index])
 }
 
 /// How the working image is taken from the input image: crop, then resample.
@@ -154,6 +161,9 @@ pub struct Resize {
 pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
     if size.width == image.width && size.height == image.height {
         return image.clone();
+    }
+    if image.data.is_empty() {
+        return Image::filled(size.width, size.height, 0.0);
     }
     let columns = area_weights(image.width, size.width);
     let rows = area_weights(image.height, size.height);

@@ -13,10 +13,19 @@ pub enum PhotometricError {
         found: usize,
     },
     /// The response is not increasing.
-    #[error("inverse response falls at grey level {level}, expected values that never decrease")]
+    #[error(
+        "inverse response falls or is not a number at grey level {level}, expected 256 values that \
+         never decrease"
+    )]
     NotMonotonic {
         /// First offending level.
         level: usize,
+    },
+    /// The response is the same everywhere.
+    #[error("inverse response is {value} at every grey level, expected values that rise")]
+    Constant {
+        /// The one value.
+        value: f64,
     },
     /// The vignette has another size than the images.
     #[error("vignette is {found:?} pixels, the images are {expected:?}")]
@@ -101,10 +110,14 @@ fn normalised_response(values: &[f64]) -> Result<Vec<f32>, PhotometricError> {
             found: values.len(),
         });
     }
-    if let Some(level) = (1..256).find(|&i| values[i] < values[i - 1] || !values[i].is_finite()) {
+    let is_wrong = |&i: &usize| !values[i].is_finite() || (i > 0 && values[i] < values[i - 1]);
+    if let Some(level) = (0..256).find(is_wrong) {
         return Err(PhotometricError::NotMonotonic { level });
     }
-    let (low, range) = (values[0], (values[255] - values[0]).max(1e-9));
+    let (low, range) = (values[0], values[255] - values[0]);
+    if range <= 0.0 {
+        return Err(PhotometricError::Constant { value: low });
+    }
     Ok(values
         .iter()
         .map(|v| (255.0 * (v - low) / range) as f32)

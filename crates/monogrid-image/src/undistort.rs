@@ -59,6 +59,13 @@ pub struct Undistorter {
     mask: Mask,
 }
 
+/// Tangent of the largest angle from the axis that the working image shows on each side (60 degrees).
+///
+/// A pinhole image stretches the rim without bound: at 60 degrees a pixel of the rim covers a quarter
+/// of the angle of one in the centre, and a fisheye shown whole would leave the centre, which
+/// tracking lives on, a few dozen pixels.
+const MAX_HALF_ANGLE_TAN: f64 = 1.732;
+
 /// Pixels by which the valid area is eroded, so that no gradient sees the border.
 const MASK_EROSION: usize = 3;
 
@@ -215,7 +222,7 @@ fn centred_crop(input: &Camera, width: usize, height: usize) -> (usize, usize, u
 /// A pinhole camera of the given size whose border midpoints see inside the input image ("crop").
 ///
 /// The midpoints of the four borders of the input are undistorted; the output's borders lie on the
-/// innermost of them, as in PTAM's and LSD-SLAM's crop mode.
+/// innermost of them, as in PTAM's and LSD-SLAM's crop mode, but at most [`MAX_HALF_ANGLE_TAN`] wide.
 fn inscribed_pinhole(
     input: &Camera,
     crop: &(usize, usize, usize, usize),
@@ -223,12 +230,14 @@ fn inscribed_pinhole(
     height: usize,
 ) -> Option<Pinhole> {
     let (left, top, crop_w, crop_h) = (crop.0 as f64, crop.1 as f64, crop.2 as f64, crop.3 as f64);
-    let ray = |x: f64, y: f64| input.unproject(&Vec2::new(x, y));
     let (mid_x, mid_y) = (input.pinhole.cx, input.pinhole.cy);
-    let x_min = ray(left, mid_y)?.x;
-    let x_max = ray(left + crop_w - 1.0, mid_y)?.x;
-    let y_min = ray(mid_x, top)?.y;
-    let y_max = ray(mid_x, top + crop_h - 1.0)?.y;
+    // a border that the model sees at 90 degrees or beyond is limited like any other wide one
+    let limit = MAX_HALF_ANGLE_TAN;
+    let tangent = |x: f64, y: f64| input.unproject(&Vec2::new(x, y));
+    let x_min = tangent(left, mid_y).map_or(-limit, |ray| ray.x.max(-limit));
+    let x_max = tangent(left + crop_w - 1.0, mid_y).map_or(limit, |ray| ray.x.min(limit));
+    let y_min = tangent(mid_x, top).map_or(-limit, |ray| ray.y.max(-limit));
+    let y_max = tangent(mid_x, top + crop_h - 1.0).map_or(limit, |ray| ray.y.min(limit));
     let fx = (width as f64 - 1.0) / (x_max - x_min);
     let fy = (height as f64 - 1.0) / (y_max - y_min);
     (fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0)

@@ -1,0 +1,113 @@
+//! Resampling and sampling against sums over areas.
+
+use monogrid_image::{GrayImage, Resize, bilinear, resize_area};
+
+fn picture(width: usize, height: usize) -> GrayImage {
+    GrayImage::from_fn(width, height, |x, y| {
+        ((x * 37 + y * 91 + x * y) % 251) as f32
+    })
+}
+
+/// Average over the area of one output pixel, by summing overlaps of squares.
+fn area_average(image: &GrayImage, size: Resize, x: usize, y: usize) -> f64 {
+    let (rx, ry) = (
+        image.width() as f64 / size.width as f64,
+        image.height() as f64 / size.height as f64,
+    );
+    let overlap =
+        |i: usize, from: f64, to: f64| (to.min(i as f64 + 1.0) - from.max(i as f64)).max(0.0);
+    let mut sum = 0.0;
+    for yy in 0..image.height() {
+        for xx in 0..image.width() {
+            let weight = overlap(xx, x as f64 * rx, (x + 1) as f64 * rx)
+                * overlap(yy, y as f64 * ry, (y + 1) as f64 * ry);
+            sum += weight * f64::from(image.at(xx, yy));
+        }
+    }
+    sum / (rx * ry)
+}
+
+#[test]
+fn each_pixel_is_the_average_of_its_area() {
+    let image = picture(23, 17);
+    for (width, height) in [
+        (11, 8),
+        (10, 5),
+        (23, 17),
+        (1, 1),
+        (22, 16),
+        (7, 17),
+        (30, 20),
+    ] {
+        let size = Resize { width, height };
+        let resized = resize_area(&image, size);
+        assert_eq!((resized.width(), resized.height()), (width, height));
+        for y in 0..height {
+            for x in 0..width {
+                let expected = area_average(&image, size, x, y);
+                let value = f64::from(resized.at(x, y));
+                assert!(
+                    (value - expected).abs() < 1e-3,
+                    "{width}x{height} ({x}, {y})"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn halving_by_area_is_the_pyramid() {
+    let image = picture(40, 26);
+    let size = Resize {
+        width: 20,
+        height: 13,
+    };
+    let half = monogrid_image::half_size(&image);
+    let resized = resize_area(&image, size);
+    for (a, b) in half.as_slice().iter().zip(resized.as_slice()) {
+        assert!((a - b).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn an_empty_image_resizes_to_black() {
+    let empty = GrayImage::filled(0, 0, 0.0);
+    let resized = resize_area(
+        &empty,
+        Resize {
+            width: 3,
+            height: 2,
+        },
+    );
+    assert_eq!(resized, GrayImage::filled(3, 2, 0.0));
+}
+
+#[test]
+fn bilinear_is_exact_on_ramps_and_none_outside_the_centres() {
+    for (width, height) in [(7, 5), (1, 5), (7, 1), (1, 1), (2, 2)] {
+        let image = GrayImage::from_fn(width, height, |x, y| 3.0 * x as f32 + 10.0 * y as f32);
+        let (right, bottom) = (width as f32 - 1.0, height as f32 - 1.0);
+        for step_y in 0..=10 {
+            for step_x in 0..=10 {
+                let (x, y) = (right * step_x as f32 / 10.0, bottom * step_y as f32 / 10.0);
+                let value = bilinear(&image, x, y).expect("inside");
+                assert!(
+                    (value - 3.0 * x - 10.0 * y).abs() < 1e-3,
+                    "{width}x{height} ({x}, {y})"
+                );
+            }
+        }
+        for (x, y) in [
+            (-0.001, 0.0),
+            (0.0, -0.001),
+            (right + 0.001, 0.0),
+            (0.0, bottom + 0.001),
+            (f32::NAN, 0.0),
+            (0.0, f32::NAN),
+            (f32::INFINITY, 0.0),
+        ] {
+            assert_eq!(bilinear(&image, x, y), None, "({x}, {y})");
+        }
+    }
+    assert_eq!(bilinear(&GrayImage::filled(0, 0, 0.0), 0.0, 0.0), None);
+}
