@@ -45,6 +45,10 @@ pub struct AlignmentConfig {
     pub robust: Robust,
     /// Brightness model.
     pub brightness: Brightness,
+    /// Weight of the ratio of the contrasts of both images in the estimate of the gain, relative to all
+    /// residuals. Regression alone shrinks the gain of images that are not aligned yet, down to wrong
+    /// minima in which a flat image explains everything.
+    pub contrast_weight: f64,
     /// A level has converged when the cost falls by less than this share.
     pub min_cost_decrease: f64,
     /// A level has converged when the squared norm of the twist falls below this.
@@ -69,6 +73,7 @@ impl Default for AlignmentConfig {
             sigma_intensity: 4.0,
             robust: Robust::StudentT { nu: 5.0 },
             brightness: Brightness::Affine,
+            contrast_weight: 1.0,
             min_cost_decrease: 1e-3,
             min_step_sq: 1e-10,
             max_residual: 25.0,

@@ -70,6 +70,8 @@ pub struct Linearization {
     pub good_residual_sq: f64,
     /// Sum of `(nu + 1) r_n^2 / (nu + (r_n / scale)^2)`, for the next estimate of the scale.
     pub scale_sum: f64,
+    /// Sums over visible points of `[I_keyframe, I_frame, I_keyframe^2, I_frame^2]`.
+    pub moments: [f64; 4],
 }
 
 /// One chunk of points after projection.
@@ -100,6 +102,7 @@ pub fn linearize(
         usage_sum: 0.0,
         good_residual_sq: 0.0,
         scale_sum: 0.0,
+        moments: [0.0; 4],
     };
     let stride = stride.max(1);
     let count = reference.len().div_ceil(stride);
@@ -132,6 +135,7 @@ struct Sums {
     usage: f32,
     good_residual_sq: f32,
     scale: f32,
+    moments: [f32; 4],
 }
 
 impl Linearization {
@@ -156,6 +160,20 @@ impl Linearization {
         self.usage_sum += f64::from(sums.usage);
         self.good_residual_sq += f64::from(sums.good_residual_sq);
         self.scale_sum += f64::from(sums.scale);
+        for (total, part) in self.moments.iter_mut().zip(sums.moments) {
+            *total += f64::from(part);
+        }
+    }
+
+    /// Logarithm of the ratio of the contrasts of frame and keyframe over the visible points.
+    ///
+    /// Unlike the gain of a regression it does not shrink when the images are not aligned yet.
+    #[must_use]
+    pub fn log_contrast_ratio(&self) -> Option<f64> {
+        let n = self.num_visible as f64;
+        let [keyframe, frame, keyframe_sq, frame_sq] = self.moments.map(|sum| sum / n);
+        let (a, b) = (keyframe_sq - keyframe * keyframe, frame_sq - frame * frame);
+        (n > 8.0 && a > 1.0 && b > 1.0).then(|| 0.5 * (b / a).ln())
     }
 
     /// Mean robust cost of a visible point; infinite when nothing is visible.
@@ -271,6 +289,11 @@ impl Projection {
             }
             lanes.residual[l] = residual;
             lanes.weight[l] = robust_weight / variance;
+            let raw = reference.intensity[i];
+            sums.moments[0] += raw;
+            sums.moments[1] += intensity;
+            sums.moments[2] += raw * raw;
+            sums.moments[3] += intensity * intensity;
             sums.cost += cost;
             sums.num_visible += 1;
             // depth ratio keyframe / frame is 1 / qz

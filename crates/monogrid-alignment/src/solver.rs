@@ -87,6 +87,33 @@ pub fn align(
     summarise(&last, iterations, freedom, config)
 }
 
+/// Expected gain of a level: the ratio of the contrasts, with a weight.
+#[derive(Clone, Copy, Debug, Default)]
+struct GainPrior {
+    log_gain: f64,
+    /// Added to the normal equations.
+    information: f64,
+}
+
+impl GainPrior {
+    fn new(linear: &Linearization, config: &AlignmentConfig) -> Self {
+        match (config.brightness, linear.log_contrast_ratio()) {
+            (Brightness::Affine, Some(log_gain)) => Self {
+                log_gain,
+                information: config.contrast_weight * linear.hessian[(6, 6)],
+            },
+            _ => Self::default(),
+        }
+    }
+
+    /// Robust cost of a visible point with the share of the prior.
+    fn mean_cost(&self, linear: &Linearization, motion: &Motion) -> f64 {
+        let deviation = motion.log_gain - self.log_gain;
+        linear.mean_cost()
+            + self.information * deviation * deviation / linear.num_visible.max(1) as f64
+    }
+}
+
 /// The state of one level after its last accepted step.
 struct LevelResult {
     motion: Motion,
@@ -126,14 +153,16 @@ fn align_level(
     let mut iterations = 0;
     let mut lambda = 0.0;
     let rescale_until = 3;
+    let mut prior = GainPrior::new(&linear, config);
     while iterations < max_iterations {
         // The scale of the t distribution follows the residuals during the first steps of a level,
         // then stays, so that costs remain comparable.
         if iterations < rescale_until && update_scale(&mut weighting, &linear) {
             linear = evaluate(&motion, &weighting);
+            prior = GainPrior::new(&linear, config);
         }
         iterations += 1;
-        let Some(step) = solve(&linear, lambda, freedom, config.brightness) else {
+        let Some(step) = solve(&linear, &motion, &prior, lambda, freedom, config.brightness) else {
             lambda = f64::max(2.0 * lambda, 1e-3);
             if lambda > MAX_LAMBDA {
                 break;
@@ -143,8 +172,10 @@ fn align_level(
         let candidate = apply(&motion, &step);
         let trial = evaluate(&candidate, &weighting);
         let step_sq = step.fixed_rows::<6>(0).norm_squared();
-        if trial.mean_cost() < linear.mean_cost() {
-            let decrease = 1.0 - trial.mean_cost() / linear.mean_cost();
+        let cost = prior.mean_cost(&linear, &motion);
+        let trial_cost = prior.mean_cost(&trial, &candidate);
+        if trial_cost < cost {
+            let decrease = 1.0 - trial_cost / cost;
             motion = candidate;
             linear = trial;
             lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
@@ -186,12 +217,16 @@ fn update_scale(weighting: &mut Weighting, linear: &Linearization) -> bool {
 /// Solves the damped normal equations for the free unknowns.
 fn solve(
     linear: &Linearization,
+    motion: &Motion,
+    prior: &GainPrior,
     lambda: f64,
     freedom: Freedom,
     brightness: Brightness,
 ) -> Option<SVector<f64, UNKNOWNS>> {
     let mut h = linear.hessian;
     let mut b = -linear.gradient;
+    h[(6, 6)] += prior.information;
+    b[6] -= prior.information * (motion.log_gain - prior.log_gain);
     for i in 0..UNKNOWNS {
         let fixed = (i < 3 && freedom == Freedom::Rotation)
             || (i >= 6 && brightness == Brightness::Constant);
