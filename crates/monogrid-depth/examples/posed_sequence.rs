@@ -1,23 +1,25 @@
-//! Runs the depth filter alone on a sequence in TUM layout with its true poses, compares with the
-//! depth images and writes the depth of each keyframe as a colour picture.
+//! Runs the depth filter alone on a sequence with its true poses, compares with the true depth and
+//! writes the depth of each keyframe as a colour picture. The sequence is a folder in TUM layout, or
+//! `demo` for the built-in living room.
 //!
 //! ```text
 //! cargo run --release -p monogrid-depth --example posed_sequence -- \
-//!     ../shared/data/icl-office /tmp/depth [frames per keyframe] [max frames] [thesis]
+//!     demo /tmp/depth [frames per keyframe] [max frames] [first frame] [thesis]
 //! ```
 #![allow(clippy::print_stdout, reason = "an example reports on the terminal")]
 
+use monogrid_datasets::synth::{Carrier, LightingConfig, SynthConfig, SynthSequence};
 use monogrid_depth::{DepthConfig, DepthMap, HostFrame, ObserveStats, PixelFilter, StereoFrame};
 use monogrid_geometry::nalgebra::Quaternion;
 use monogrid_geometry::{Camera, Distortion, Pinhole, Rotation, Se3, Vec2, Vec3};
-use monogrid_image::{GrayImage, Mask, Undistorter, WorkingSize};
+use monogrid_image::{GrayImage, Mask, Undistorter, WorkingSize, bilinear};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-struct Sequence {
+struct Folder {
     /// Time, image, camera pose.
     frames: Vec<(f64, PathBuf, Se3)>,
     depths: Vec<(f64, PathBuf)>,
@@ -41,7 +43,7 @@ fn values(row: &[String]) -> Result<Vec<f64>> {
         .collect::<std::result::Result<_, _>>()?)
 }
 
-fn read_sequence(folder: &Path) -> Result<Sequence> {
+fn read_folder(folder: &Path) -> Result<Folder> {
     let c = values(&numbers(&folder.join("calibration.txt"))?[0])?;
     let (distortion, size) = if c.len() > 6 {
         let radial = Distortion::RadialTangential {
@@ -84,7 +86,7 @@ fn read_sequence(folder: &Path) -> Result<Sequence> {
             Some((time, path, pose.1))
         })
         .collect();
-    Ok(Sequence {
+    Ok(Folder {
         frames,
         depths: listed("depth.txt")?,
         undistorter: Undistorter::new(&camera, WorkingSize::Automatic, None),
@@ -93,7 +95,7 @@ fn read_sequence(folder: &Path) -> Result<Sequence> {
     })
 }
 
-impl Sequence {
+impl Folder {
     fn image(&self, n: usize) -> Result<GrayImage> {
         let gray = image::ImageReader::open(&self.frames[n].1)?
             .with_guessed_format()?
@@ -139,6 +141,104 @@ impl Sequence {
             }
         })))
     }
+}
+
+/// Where frames come from.
+enum Sequence {
+    Folder(Folder),
+    Demo(Box<SynthSequence>),
+}
+
+impl Sequence {
+    fn open(name: &str) -> Result<Self> {
+        if name == "demo" {
+            let quick = LightingConfig::quick();
+            let demo = SynthConfig::demo();
+            let world = SynthSequence::built_in_with("living-room", Carrier::Hand, demo, &quick)?;
+            return Ok(Self::Demo(Box::new(world)));
+        }
+        Ok(Self::Folder(read_folder(Path::new(name))?))
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::Folder(folder) => folder.frames.len(),
+            Self::Demo(world) => world.len(),
+        }
+    }
+
+    fn camera(&self) -> (Pinhole, Mask) {
+        match self {
+            Self::Folder(folder) => (
+                *folder.undistorter.pinhole(),
+                folder.undistorter.mask().clone(),
+            ),
+            Self::Demo(world) => {
+                let camera = world.camera();
+                (
+                    camera.pinhole,
+                    Mask::filled(camera.width, camera.height, 255),
+                )
+            }
+        }
+    }
+
+    fn pose(&self, n: usize) -> Result<Se3> {
+        match self {
+            Self::Folder(folder) => Ok(folder.frames[n].2),
+            Self::Demo(world) => Ok(world.world_from_camera(n).ok_or("frame beyond the end")?),
+        }
+    }
+
+    fn image(&self, n: usize) -> Result<GrayImage> {
+        match self {
+            Self::Folder(folder) => folder.image(n),
+            Self::Demo(world) => Ok(world.frame(n).ok_or("frame beyond the end")?.image),
+        }
+    }
+
+    fn depth(&self, n: usize) -> Result<Option<GrayImage>> {
+        match self {
+            Self::Folder(folder) => folder.depth(n),
+            Self::Demo(world) => Ok(world.depth(n)),
+        }
+    }
+}
+
+/// Gain and bias of a frame against the keyframe, over the pixels whose depth is known.
+fn exposure(map: &DepthMap, image: &GrayImage, frame_from_keyframe: &Se3) -> (f32, f32) {
+    let host = map.host();
+    let pairs: Vec<(f64, f64)> = map
+        .pixels(PixelFilter::default())
+        .filter_map(|p| {
+            let pixel = Vec2::new(f64::from(p.x), f64::from(p.y));
+            let point = host.pinhole.unproject(&pixel) / f64::from(p.idepth);
+            let seen = host.pinhole.project(&(*frame_from_keyframe * point));
+            let value = bilinear(image, seen.x as f32, seen.y as f32)?;
+            Some((
+                f64::from(host.image.at(p.x.into(), p.y.into())),
+                f64::from(value),
+            ))
+        })
+        .collect();
+    let (mut gain, mut bias) = (1.0, 0.0);
+    if pairs.len() < 1000 {
+        return (1.0, 0.0);
+    }
+    for limit in [60.0, 30.0, 15.0] {
+        let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (a, b) in &pairs {
+            if (b - gain * a - bias).abs() < limit {
+                (n, x, y, xx, xy) = (n + 1.0, x + a, y + b, xx + a * a, xy + a * b);
+            }
+        }
+        let denominator = n * xx - x * x;
+        if denominator > 0.0 {
+            gain = (n * xy - x * y) / denominator;
+            bias = (y - gain * x) / n;
+        }
+    }
+    (gain as f32, bias as f32)
 }
 
 /// Prints density and errors of a map against a depth image (m).
@@ -241,17 +341,24 @@ fn timed<T>(total: &mut f64, work: impl FnOnce() -> T) -> T {
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().collect();
-    let folder = PathBuf::from(arguments.get(1).ok_or("usage: posed_sequence FOLDER OUT")?);
-    let out = PathBuf::from(arguments.get(2).ok_or("usage: posed_sequence FOLDER OUT")?);
+    let name = arguments
+        .get(1)
+        .ok_or("usage: posed_sequence FOLDER|demo OUT")?;
+    let out = PathBuf::from(
+        arguments
+            .get(2)
+            .ok_or("usage: posed_sequence FOLDER|demo OUT")?,
+    );
     let per_keyframe: usize = arguments.get(3).map_or(Ok(12), |s| s.parse())?;
     let max_frames: usize = arguments.get(4).map_or(Ok(usize::MAX), |s| s.parse())?;
-    let config = if arguments.get(5).is_some_and(|s| s == "thesis") {
+    let start: usize = arguments.get(5).map_or(Ok(0), |s| s.parse())?;
+    let config = if arguments.get(6).is_some_and(|s| s == "thesis") {
         DepthConfig::thesis()
     } else {
         DepthConfig::default()
     };
     std::fs::create_dir_all(&out)?;
-    let sequence = read_sequence(&folder)?;
+    let sequence = Sequence::open(name)?;
     let first_depth = sequence
         .depth(0)?
         .ok_or("no depth image for the first frame")?;
@@ -263,15 +370,27 @@ fn main() -> Result<()> {
         .collect();
     let unit_m = spread(&mut finite).0;
     println!("unit {unit_m} m");
-    run(&sequence, &config, unit_m, (per_keyframe, max_frames), &out)
+    run(
+        &sequence,
+        &config,
+        unit_m,
+        (per_keyframe, start, max_frames),
+        &out,
+    )
 }
 
-fn stereo(image: &GrayImage, frame_from_keyframe: Se3, frame: usize) -> StereoFrame<'_> {
+fn stereo<'a>(
+    map: &DepthMap,
+    image: &'a GrayImage,
+    frame_from_keyframe: Se3,
+    frame: usize,
+) -> StereoFrame<'a> {
+    let (gain, bias) = exposure(map, image, &frame_from_keyframe);
     StereoFrame {
         image,
         frame_from_keyframe,
-        gain: 1.0,
-        bias: 0.0,
+        gain,
+        bias,
         residual_rms: 3.0,
         pose_sigma_trans: 0.0003,
         pose_sigma_rot: 0.0003,
@@ -283,28 +402,27 @@ fn run(
     sequence: &Sequence,
     config: &DepthConfig,
     unit_m: f32,
-    (per_keyframe, max_frames): (usize, usize),
+    (per_keyframe, start, max_frames): (usize, usize, usize),
     out: &Path,
 ) -> Result<()> {
-    let mask: Mask = sequence.undistorter.mask().clone();
-    let pinhole = *sequence.undistorter.pinhole();
+    let (pinhole, mask) = sequence.camera();
     let mut timing = Timing::default();
     let mut current: Option<(DepthMap, usize)> = None;
     let mut old: Vec<(GrayImage, usize)> = Vec::new();
     let mut totals = ObserveStats::default();
     let relative = |frame: usize, keyframe: usize| {
-        let mut pose = sequence.frames[frame].2.inverse() * sequence.frames[keyframe].2;
+        let mut pose = sequence.pose(frame)?.inverse() * sequence.pose(keyframe)?;
         pose.translation /= f64::from(unit_m);
-        pose
+        Result::Ok(pose)
     };
-    for n in 0..sequence.frames.len().min(max_frames) {
+    for n in start..sequence.len().min(start.saturating_add(max_frames)) {
         let image = sequence.image(n)?;
         let Some((map, keyframe)) = &mut current else {
             let host = Arc::new(HostFrame::new(image, mask.clone(), pinhole)?);
             current = Some((DepthMap::empty(host, config), n));
             continue;
         };
-        if n % per_keyframe == 0 {
+        if (n - start) % per_keyframe == 0 {
             if let Some(depth) = sequence.depth(*keyframe)? {
                 report(
                     map,
@@ -317,7 +435,7 @@ fn run(
             let host = timed(&mut timing.host, || {
                 HostFrame::new(image, mask.clone(), pinhole).map(Arc::new)
             })?;
-            let pose = relative(n, *keyframe);
+            let pose = relative(n, *keyframe)?;
             let (next, propagated) =
                 timed(&mut timing.propagate, || map.propagate(host, &pose, config));
             println!("  {propagated:?} candidates {}", next.num_candidates());
@@ -330,8 +448,8 @@ fn run(
             timing.keyframes += 1;
             let frames: Vec<_> = old
                 .iter()
-                .map(|(image, k)| stereo(image, relative(*k, n), *k))
-                .collect();
+                .map(|(image, k)| Ok(stereo(map, image, relative(*k, n)?, *k)))
+                .collect::<Result<_>>()?;
             totals.merge(&timed(&mut timing.observe, || map.observe(&frames, config)));
             timed(&mut timing.fill, || map.fill_holes(config));
             timed(&mut timing.regularize, || map.regularize(config));
@@ -340,7 +458,7 @@ fn run(
             }
             continue;
         }
-        let frames = [stereo(&image, relative(n, *keyframe), n)];
+        let frames = [stereo(map, &image, relative(n, *keyframe)?, n)];
         totals.merge(&timed(&mut timing.observe, || map.observe(&frames, config)));
         timed(&mut timing.fill, || map.fill_holes(config));
         timed(&mut timing.regularize, || map.regularize(config));

@@ -228,12 +228,7 @@ impl DepthBand<'_> {
 
     /// An observation is made when its predicted variance is below this: when it would improve the
     /// hypothesis, or is due to confirm it.
-    fn worthwhile_var(
-        &self,
-        pixel: Pixel,
-        frames: &[Prepared<'_>],
-        config: &DepthConfig,
-    ) -> f32 {
+    fn worthwhile_var(&self, pixel: Pixel, frames: &[Prepared<'_>], config: &DepthConfig) -> f32 {
         /// A much worse observation would confirm anything.
         const TELLING: f32 = 25.0;
         if config.frame_choice == FrameChoice::First {
@@ -242,7 +237,11 @@ impl DepthBand<'_> {
         let young = self.validity[pixel.i] < config.mature_validity;
         let due = config.verify_interval > 0
             && phase(pixel, frames[0].frame.id).is_multiple_of(config.verify_interval);
-        let ratio = if young || due { TELLING } else { config.max_gain_ratio };
+        let ratio = if young || due {
+            TELLING
+        } else {
+            config.max_gain_ratio
+        };
         ratio * self.var[pixel.i]
     }
 
