@@ -1,0 +1,214 @@
+//! Decoded pixels against the numbers that were encoded.
+
+use image::{ExtendedColorType, ImageEncoder, ImageFormat};
+use monogrid_datasets::{decode_depth, decode_gray, encode_png, encode_png_16, encode_png_rgb};
+use monogrid_image::Image;
+use std::path::Path;
+
+const NAME: &str = "picture";
+
+fn path() -> &'static Path {
+    Path::new(NAME)
+}
+
+/// A smooth colour picture with some structure.
+pub fn colour(width: usize, height: usize) -> Image<[u8; 3]> {
+    Image::from_fn(width, height, |x, y| {
+        [
+            (x * 5 % 256) as u8,
+            (y * 3 + x) as u8,
+            (128.0 + 100.0 * ((x * y) as f32 / 300.0).sin()) as u8,
+        ]
+    })
+}
+
+pub fn gray(width: usize, height: usize) -> Image<u8> {
+    Image::from_fn(width, height, |x, y| {
+        (128.0 + 60.0 * (x as f32 / 7.0).sin() + 60.0 * (y as f32 / 5.0).cos()) as u8
+    })
+}
+
+fn luma([r, g, b]: [u8; 3]) -> f32 {
+    0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)
+}
+
+pub fn jpeg(image: &Image<[u8; 3]>, quality: u8) -> Vec<u8> {
+    let mut out = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, quality)
+        .write_image(
+            image.as_slice().as_flattened(),
+            image.width() as u32,
+            image.height() as u32,
+            ExtendedColorType::Rgb8,
+        )
+        .expect("encodes");
+    out
+}
+
+#[test]
+fn gray_png_and_pgm_are_exact() {
+    let image = gray(37, 23);
+    let mut ascii = format!("P2\n# a comment\n{} {}\n255\n", 37, 23);
+    for v in image.as_slice() {
+        ascii.push_str(&format!("{v}\n"));
+    }
+    let mut binary = b"P5\n37 23\n255\n".to_vec();
+    binary.extend_from_slice(image.as_slice());
+    for bytes in [encode_png(&image), ascii.into_bytes(), binary] {
+        let decoded = decode_gray(&bytes, path()).expect("decodes");
+        assert_eq!(decoded, image.map(f32::from));
+    }
+}
+
+#[test]
+fn colour_becomes_itu_601_luma() {
+    let image = colour(31, 20);
+    let mut ppm = b"P6 31 20 255\n".to_vec();
+    ppm.extend_from_slice(image.as_slice().as_flattened());
+    let rgba: Vec<u8> = image
+        .as_slice()
+        .iter()
+        .flat_map(|&[r, g, b]| [r, g, b, 7])
+        .collect();
+    let mut rgba_png = Vec::new();
+    image::codecs::png::PngEncoder::new(&mut rgba_png)
+        .write_image(&rgba, 31, 20, ExtendedColorType::Rgba8)
+        .expect("encodes");
+    for bytes in [encode_png_rgb(&image), ppm, rgba_png] {
+        let decoded = decode_gray(&bytes, path()).expect("decodes");
+        for (value, rgb) in decoded.as_slice().iter().zip(image.as_slice()) {
+            assert!((value - luma(*rgb)).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn sixteen_bits_are_scaled_to_255() {
+    let image = Image::from_fn(16, 16, |x, y| (x * 4096 + y * 255) as u16);
+    let mut pgm = b"P5 16 16 65535\n".to_vec();
+    pgm.extend(image.as_slice().iter().flat_map(|v| v.to_be_bytes()));
+    for bytes in [encode_png_16(&image), pgm] {
+        let decoded = decode_gray(&bytes, path()).expect("decodes");
+        for (value, raw) in decoded.as_slice().iter().zip(image.as_slice()) {
+            assert!((value - f32::from(*raw) / 65535.0 * 255.0).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn pgm_with_another_maximum_is_scaled_to_255() {
+    let bytes = b"P5 4 1 100\n\x00\x32\x64\x19";
+    let decoded = decode_gray(bytes, path()).expect("decodes");
+    let expected = [0.0, 127.5, 255.0, 63.75];
+    for (value, expected) in decoded.as_slice().iter().zip(expected) {
+        assert!(
+            (value - expected).abs() <= 0.75,
+            "{value} instead of {expected}"
+        );
+    }
+}
+
+#[test]
+fn jpeg_luma_agrees_with_an_rgb_decode() {
+    for (width, height) in [(64, 48), (61, 47), (8, 8), (1, 1), (17, 33)] {
+        let bytes = jpeg(&colour(width, height), 92);
+        let decoded = decode_gray(&bytes, path()).expect("decodes");
+        let rgb = image::load_from_memory_with_format(&bytes, ImageFormat::Jpeg)
+            .expect("decodes")
+            .to_rgb8();
+        assert_eq!((decoded.width(), decoded.height()), (width, height));
+        let mut sum = 0.0;
+        for (value, pixel) in decoded.as_slice().iter().zip(rgb.pixels()) {
+            // where colours are clipped the two differ a little more
+            let difference = (value - luma(pixel.0)).abs();
+            assert!(difference < 12.0, "{width}x{height}: {difference}");
+            sum += difference;
+        }
+        assert!(sum / ((width * height) as f32) < 1.0);
+    }
+}
+
+#[test]
+fn a_truncated_image_is_an_error_at_every_length() {
+    let full_gray = gray(40, 32);
+    let mut pgm = b"P5\n40 32\n255\n".to_vec();
+    pgm.extend_from_slice(full_gray.as_slice());
+    for bytes in [jpeg(&colour(40, 32), 80), encode_png(&full_gray), pgm] {
+        let whole = decode_gray(&bytes, path()).expect("the whole file decodes");
+        for length in 0..bytes.len() {
+            if let Ok(image) = decode_gray(&bytes[..length], path()) {
+                // only what carries no pixels (PNG's end chunk) may be missing
+                assert_eq!(image, whole, "cut to {length} of {}", bytes.len());
+                assert!(length + 32 > bytes.len() && bytes.starts_with(b"\x89PNG"));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_jpeg_cut_in_the_middle_is_not_rescued_by_a_thumbnail_end_marker() {
+    let whole = jpeg(&colour(64, 64), 85);
+    // an APP1 segment that holds a whole JPEG, as cameras store their thumbnails
+    let thumbnail = jpeg(&colour(8, 8), 50);
+    let mut bytes = whole[..2].to_vec();
+    bytes.extend_from_slice(&[0xff, 0xe1]);
+    bytes.extend_from_slice(&((thumbnail.len() + 2) as u16).to_be_bytes());
+    bytes.extend_from_slice(&thumbnail);
+    bytes.extend_from_slice(&whole[2..]);
+    assert_eq!(
+        decode_gray(&bytes, path()).expect("thumbnails are skipped"),
+        decode_gray(&whole, path()).expect("decodes")
+    );
+    let cut = bytes.len() - whole.len() / 3;
+    let error = decode_gray(&bytes[..cut], path()).expect_err("truncated");
+    assert!(error.to_string().contains(NAME), "{error}");
+}
+
+#[test]
+fn a_damaged_png_is_an_error() {
+    let image = gray(64, 48);
+    let bytes = encode_png(&image);
+    let original = image.map(f32::from);
+    for position in (8..bytes.len()).step_by(7) {
+        let mut damaged = bytes.clone();
+        damaged[position] ^= 0x10;
+        if let Ok(decoded) = decode_gray(&damaged, path()) {
+            assert_eq!(decoded, original, "byte {position} of {}", bytes.len());
+        }
+    }
+}
+
+#[test]
+fn what_is_no_image_is_refused_with_its_name() {
+    for bytes in [
+        &b""[..],
+        b"hello",
+        b"GIF89a",
+        b"\xff\xd8",
+        b"\xff\xd8\xff\xd9",
+        b"\x89PNG\r\n\x1a\n",
+        b"P5 0 0 255\n",
+        b"P5 99999999 99999999 255\n",
+        b"P5 -3 4 255\n",
+    ] {
+        let error = decode_gray(bytes, path()).expect_err("refused").to_string();
+        assert!(error.contains(NAME), "{error}");
+    }
+}
+
+#[test]
+fn depth_is_in_metres_and_unknown_where_the_sensor_saw_nothing() {
+    let image = Image::from_fn(5, 1, |x, _| [0u16, 1, 5000, 65534, 65535][x]);
+    let depth = decode_depth(&encode_png_16(&image), 5000.0, path()).expect("decodes");
+    let expected = [f32::NAN, 0.0002, 1.0, 13.1068, f32::NAN];
+    for (value, expected) in depth.as_slice().iter().zip(expected) {
+        assert!(
+            (value.is_nan() && expected.is_nan()) || (value - expected).abs() < 1e-6,
+            "{value} instead of {expected}"
+        );
+    }
+    for bytes in [encode_png(&gray(5, 5)), jpeg(&colour(16, 16), 90)] {
+        let error = decode_depth(&bytes, 5000.0, path()).expect_err("8 bits");
+        assert!(error.to_string().contains("16"), "{error}");
+    }
+}

@@ -1,0 +1,11 @@
+//! Tests of the readers and writers; one program, so that it links once.
+
+mod calibration;
+mod hostile;
+mod images;
+mod recording;
+mod register;
+mod scans;
+mod shared_data;
+mod sources;
+mod trajectory;

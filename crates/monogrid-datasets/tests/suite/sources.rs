@@ -1,0 +1,275 @@
+//! Layouts on disk, made by the tests.
+
+use super::images::gray;
+use monogrid_datasets::{
+    DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, read_gray,
+};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+fn folder() -> TempDir {
+    tempfile::tempdir().expect("temporary folder")
+}
+
+fn image(path: &Path) {
+    fs::create_dir_all(path.parent().expect("a parent")).expect("writable");
+    fs::write(path, encode_png(&gray(8, 6))).expect("writable");
+}
+
+fn open(path: &Path) -> Result<Dataset, DatasetError> {
+    Dataset::open(path, SourceOptions::default())
+}
+
+fn names(dataset: &Dataset) -> Vec<String> {
+    dataset
+        .frames
+        .iter()
+        .map(|f| {
+            f.path
+                .file_name()
+                .expect("a name")
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect()
+}
+
+fn times(dataset: &Dataset) -> Vec<i64> {
+    dataset.frames.iter().map(|f| f.timestamp_ns).collect()
+}
+
+#[test]
+fn plain_folder_in_natural_order_at_a_rate() {
+    let root = folder();
+    for name in ["f10.png", "f2.png", "f1.png", "mask.png", ".hidden.png"] {
+        image(&root.path().join(name));
+    }
+    fs::write(root.path().join("notes.md"), "x").expect("writable");
+    let options = SourceOptions {
+        fps: Some(20.0),
+        ..Default::default()
+    };
+    let dataset = Dataset::open(root.path(), options).expect("opens");
+    assert_eq!(dataset.layout, Layout::Folder);
+    assert_eq!(names(&dataset), ["f1.png", "f2.png", "f10.png"]);
+    assert_eq!(times(&dataset), [0, 50_000_000, 100_000_000]);
+    assert_eq!(dataset.frames[2].index, 2);
+    assert!(dataset.warnings.iter().any(|w| w.contains("natural order")));
+    assert!(read_gray(&dataset.frames[0].path).is_ok());
+    let unset = open(root.path()).expect("opens");
+    assert!(unset.warnings.iter().any(|w| w.contains("--fps")));
+    let interval = unset.frame_interval_secs().expect("frames");
+    assert!((interval - 1.0 / DEFAULT_FPS).abs() < 1e-9);
+    for fps in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let options = SourceOptions {
+            fps: Some(fps),
+            ..Default::default()
+        };
+        assert!(Dataset::open(root.path(), options).is_err(), "{fps}");
+    }
+}
+
+#[test]
+fn images_in_a_subfolder_are_found() {
+    let root = folder();
+    image(&root.path().join("images/0001.png"));
+    image(&root.path().join("images/0002.png"));
+    fs::write(
+        root.path().join("camera.txt"),
+        "Pinhole 0.5 0.6 0.5 0.5 0\n8 6\n",
+    )
+    .expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(names(&dataset), ["0001.png", "0002.png"]);
+    assert_eq!(
+        dataset.calibration_path.as_deref(),
+        Some(root.path().join("camera.txt").as_path())
+    );
+}
+
+#[test]
+fn tum_layout_sorts_and_reports_disorder() {
+    let root = folder();
+    for name in ["a.png", "b.png", "c d.png"] {
+        image(&root.path().join("rgb").join(name));
+    }
+    fs::write(
+        root.path().join("rgb.txt"),
+        "# timestamp filename\n2.000000001 rgb/b.png\n1.5 rgb/a.png\n3 rgb/c d.png\n3.0 rgb/a.png\n",
+    )
+    .expect("writable");
+    fs::write(
+        root.path().join("depth.txt"),
+        "1.51 depth/1.png\n2.9 depth/2.png\n",
+    )
+    .expect("writable");
+    fs::write(root.path().join("groundtruth.txt"), "").expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.layout, Layout::Tum);
+    assert_eq!(names(&dataset), ["a.png", "b.png", "c d.png"]);
+    assert_eq!(
+        times(&dataset),
+        [1_500_000_000, 2_000_000_001, 3_000_000_000]
+    );
+    assert!(
+        dataset
+            .warnings
+            .iter()
+            .any(|w| w.contains("backwards 1 times"))
+    );
+    assert!(dataset.warnings.iter().any(|w| w.contains("1 of 4 frames")));
+    assert!(dataset.ground_truth.is_some());
+    // the interval is 0.5 to 1 s; 0.6 of it reaches from 1.5 to 1.51 and from 3 to 2.9
+    let depth_of = |t| dataset.depth_of_frame(t).map(|d| d.timestamp_ns);
+    assert_eq!(depth_of(1_500_000_000), Some(1_510_000_000));
+    assert_eq!(depth_of(3_000_000_000), Some(2_900_000_000));
+    assert_eq!(depth_of(9_000_000_000), None);
+    // the list itself as source
+    let by_list = open(&root.path().join("rgb.txt")).expect("opens");
+    assert_eq!(names(&by_list), names(&dataset));
+}
+
+#[test]
+fn euroc_layout() {
+    let root = folder();
+    let camera = root.path().join("mav0/cam0");
+    image(&camera.join("data/1403715273262142976.png"));
+    image(&camera.join("data/1403715273312143104.png"));
+    fs::write(
+        camera.join("data.csv"),
+        "#timestamp [ns],filename\r\n1403715273262142976,1403715273262142976.png\r\n\
+         1403715273312143104,1403715273312143104.png\r\n",
+    )
+    .expect("writable");
+    fs::write(
+        camera.join("sensor.yaml"),
+        "resolution: [8, 6]\nintrinsics: [8.0, 8.0, 4.0, 3.0]\n",
+    )
+    .expect("writable");
+    let truth = root
+        .path()
+        .join("mav0/state_groundtruth_estimate0/data.csv");
+    fs::create_dir_all(truth.parent().expect("parent")).expect("writable");
+    fs::write(&truth, "").expect("writable");
+    for source in [root.path().to_path_buf(), root.path().join("mav0")] {
+        let dataset = open(&source).expect("opens");
+        assert_eq!(dataset.layout, Layout::Euroc);
+        assert_eq!(
+            times(&dataset),
+            [1_403_715_273_262_142_976, 1_403_715_273_312_143_104]
+        );
+        assert_eq!(
+            dataset.ground_truth.as_deref(),
+            Some(truth.as_path())
+                .filter(|_| source == root.path())
+                .or(dataset.ground_truth.as_deref())
+        );
+        let calibration = dataset
+            .calibration(None)
+            .expect("readable")
+            .expect("present");
+        assert_eq!(calibration.camera.width, 8);
+        assert!(read_gray(&dataset.frames[1].path).is_ok());
+    }
+}
+
+#[test]
+fn kitti_layout_with_exponents_in_times() {
+    let root = folder();
+    for name in ["000000.png", "000001.png"] {
+        image(&root.path().join("image_0").join(name));
+    }
+    fs::write(
+        root.path().join("times.txt"),
+        "0.000000e+00\n1.036224e-01\n",
+    )
+    .expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.layout, Layout::Kitti);
+    assert_eq!(times(&dataset), [0, 103_622_400]);
+}
+
+#[test]
+fn tum_mono_layout_matches_ids_with_names() {
+    let root = folder();
+    for name in ["00000.png", "00001.png", "00003.png"] {
+        image(&root.path().join("images").join(name));
+    }
+    fs::write(
+        root.path().join("times.txt"),
+        "00000 1449168740.01 10.5\n00001 1449168740.06 10.5\n00002 1449168740.11 10.5\n\
+         00003 1449168740.16 10.5\n",
+    )
+    .expect("writable");
+    fs::write(root.path().join("pcalib.txt"), "").expect("writable");
+    image(&root.path().join("vignette.png"));
+    let dataset = open(root.path()).expect("opens");
+    // the vignette beside the list is not a frame
+    assert_eq!(dataset.layout, Layout::TumMonoVo);
+    assert_eq!(names(&dataset), ["00000.png", "00001.png", "00003.png"]);
+    assert_eq!(times(&dataset)[2], 1_449_168_740_160_000_000);
+    assert!(
+        dataset
+            .warnings
+            .iter()
+            .any(|w| w.contains("4 times for 3 images"))
+    );
+    assert!(dataset.response_path.is_some() && dataset.vignette_path.is_some());
+}
+
+#[test]
+fn missing_images_are_warned_about_and_an_error_when_all_are_missing() {
+    let root = folder();
+    image(&root.path().join("a.png"));
+    let list = root.path().join("rgb.txt");
+    fs::write(&list, "1 a.png\n2 gone.png\n").expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.frames.len(), 2);
+    assert!(dataset.warnings.iter().any(|w| w.contains("gone.png")));
+    fs::write(&list, "1 x.png\n2 gone.png\n").expect("writable");
+    let error = open(root.path()).expect_err("nothing there").to_string();
+    assert!(
+        error.contains("rgb.txt") && error.contains("x.png"),
+        "{error}"
+    );
+}
+
+#[test]
+fn bad_sources_are_explained() {
+    let root = folder();
+    let error = open(&root.path().join("nowhere")).expect_err("missing");
+    assert!(matches!(error, DatasetError::SourceMissing { .. }));
+    let error = open(root.path()).expect_err("empty").to_string();
+    assert!(error.contains("an empty folder"), "{error}");
+    fs::write(root.path().join("readme.md"), "").expect("writable");
+    let error = open(root.path()).expect_err("no images").to_string();
+    assert!(error.contains("1 files and folders"), "{error}");
+    let video = root.path().join("video.mp4");
+    fs::write(&video, "").expect("writable");
+    let error = open(&video).expect_err("a video").to_string();
+    assert!(error.contains(".mp4 file"), "{error}");
+    let list = root.path().join("rgb.txt");
+    for (text, part) in [
+        ("", "without lines"),
+        ("# comment only\n", "without lines"),
+        ("1.0\n", "line 1"),
+        ("1.0 a.png\nabc b.png\n", "line 2"),
+        ("nan a.png\n", "line 1"),
+    ] {
+        fs::write(&list, text).expect("writable");
+        let error = open(root.path()).expect_err(text).to_string();
+        assert!(error.contains("rgb.txt") && error.contains(part), "{error}");
+    }
+    image(&root.path().join("a.png"));
+    fs::write(&list, "5 a.png\n5 a.png\n5 a.png\n").expect("writable");
+    let error = open(root.path()).expect_err("all the same time");
+    assert!(matches!(
+        error,
+        DatasetError::DuplicateTimes {
+            duplicates: 2,
+            frames: 3,
+            ..
+        }
+    ));
+}
