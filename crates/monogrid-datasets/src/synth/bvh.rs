@@ -234,7 +234,7 @@ impl Bvh {
         if self.is_empty() {
             return None;
         }
-        let inverse = direction.map(|d| 1.0 / d);
+        let inverse = direction.map(safe_reciprocal);
         let mut best: Option<Hit> = None;
         let mut limit = t_max;
         let mut stack = [0u32; 64];
@@ -286,16 +286,26 @@ impl Bvh {
     }
 }
 
-/// Slab test; a direction component of zero gives infinities that compare as they should, and the
-/// NaN of 0 times infinity is dropped by `min` and `max`.
+/// Reciprocal that is never infinite, so that 0 times it is 0 and not NaN.
+#[inline]
+pub(super) fn safe_reciprocal(d: f32) -> f32 {
+    if d.abs() < 1e-20 {
+        1e20f32.copysign(d)
+    } else {
+        1.0 / d
+    }
+}
+
+/// Slab test.
 #[inline]
 fn enters(bounds: &Bounds, origin: &P3, inverse: &P3, limit: f32) -> bool {
     let (mut near, mut far) = (0.0f32, limit);
     for axis in 0..3 {
         let a = (bounds.min[axis] - origin[axis]) * inverse[axis];
         let b = (bounds.max[axis] - origin[axis]) * inverse[axis];
-        near = near.max(a.min(b));
-        far = far.min(a.max(b));
+        let (entry, exit) = if a < b { (a, b) } else { (b, a) };
+        near = if entry > near { entry } else { near };
+        far = if exit < far { exit } else { far };
     }
     // rounding of the slabs must not lose a triangle that lies in the face of its box
     near <= far * (1.0 + 1e-6)

@@ -178,7 +178,8 @@ impl Sensor {
                     let r2 = (dy2 + (x as f32 - cx).powi(2)) / corner2;
                     let light = *value * gain * (1.0 - self.config.vignette * r2);
                     let word = mix2(frame_seed, (y * width + x) as u64);
-                    *value = self.respond(self.with_noise(light, word)).round();
+                    // whole numbers, without a call to round
+                    *value = ((self.respond(self.with_noise(light, word)) + 0.5) as i32) as f32;
                 }
             });
         image

@@ -2,6 +2,13 @@
 
 use std::sync::LazyLock;
 
+/// Largest whole number that is not above `x`, without a call.
+#[inline]
+pub(super) fn floor(x: f32) -> i32 {
+    let truncated = x as i32;
+    truncated - i32::from(truncated as f32 > x)
+}
+
 /// Directions to choose gradients from.
 const GRADIENTS: usize = 64;
 
@@ -31,8 +38,8 @@ fn gradient(directions: &[[f32; 2]; GRADIENTS], cell: [i32; 2], seed: u32, d: [f
 /// The lattice has unit spacing and repeats after `period` cells in both directions.
 #[must_use]
 pub fn gradient_noise(x: f32, y: f32, period: [i32; 2], seed: u64) -> f32 {
-    let (fx, fy) = (x.floor(), y.floor());
-    let (dx, dy) = (x - fx, y - fy);
+    let (ix, iy) = (floor(x), floor(y));
+    let (dx, dy) = (x - ix as f32, y - iy as f32);
     // rem_euclid is a division: most calls are inside the first period
     let wrap = |k: i32, n: i32| {
         if (0..n).contains(&k) {
@@ -41,7 +48,7 @@ pub fn gradient_noise(x: f32, y: f32, period: [i32; 2], seed: u64) -> f32 {
             k.rem_euclid(n)
         }
     };
-    let (x0, y0) = (wrap(fx as i32, period[0]), wrap(fy as i32, period[1]));
+    let (x0, y0) = (wrap(ix, period[0]), wrap(iy, period[1]));
     let (x1, y1) = (wrap(x0 + 1, period[0]), wrap(y0 + 1, period[1]));
     let fade = |t: f32| t * t * t * (t * (6.0 * t - 15.0) + 10.0);
     let (sx, sy) = (fade(dx), fade(dy));

@@ -3,7 +3,7 @@
 //! With a common origin most of the Möller-Trumbore test is shared: per triangle and ray three dot
 //! products remain. All loops run over fixed lanes, which the compiler turns into vector code.
 
-use super::bvh::{Bounds, Bvh, EDGE_SLACK, Hit, P3, Triangle};
+use super::bvh::{Bounds, Bvh, EDGE_SLACK, Hit, P3, Triangle, safe_reciprocal};
 
 /// `N` rays from one point, and the nearest hit of each so far.
 #[derive(Clone, Debug)]
@@ -31,11 +31,12 @@ impl<const N: usize> Packet<N> {
         for axis in 0..3 {
             let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
             for lane in 0..N {
-                inverse[axis][lane] = 1.0 / direction[axis][lane];
-                low = low.min(inverse[axis][lane]);
-                high = high.max(inverse[axis][lane]);
+                let reciprocal = safe_reciprocal(direction[axis][lane]);
+                inverse[axis][lane] = reciprocal;
+                low = least(low, reciprocal);
+                high = greatest(high, reciprocal);
             }
-            let same_side = (low > 0.0 || high < 0.0) && low.is_finite() && high.is_finite();
+            let same_side = low > 0.0 || high < 0.0;
             spread[axis] = same_side.then_some((low, high));
         }
         Self {
@@ -112,7 +113,7 @@ impl<const N: usize> Packet<N> {
     }
 
     fn farthest(&self) -> f32 {
-        self.t.iter().copied().fold(0.0, f32::max)
+        self.t.iter().copied().fold(0.0, greatest)
     }
 
     /// Whether some ray may enter the box before the farthest of the hits so far.
@@ -133,8 +134,8 @@ impl<const N: usize> Packet<N> {
                 (to_max, to_min)
             };
             // smallest entry and largest exit over all rays of the packet
-            near = near.max(entry * if entry >= 0.0 { low } else { high });
-            far = far.min(exit * if exit >= 0.0 { high } else { low });
+            near = greatest(near, entry * if entry >= 0.0 { low } else { high });
+            far = least(far, exit * if exit >= 0.0 { high } else { low });
         }
         near <= far * (1.0 + 1e-6) && (!mixed || self.any_enters(bounds))
     }
@@ -150,17 +151,18 @@ impl<const N: usize> Packet<N> {
             for lane in 0..N {
                 let a = to_min * inverse[lane];
                 let b = to_max * inverse[lane];
-                near[lane] = near[lane].max(a.min(b));
-                far[lane] = far[lane].min(a.max(b));
+                near[lane] = greatest(near[lane], least(a, b));
+                far[lane] = least(far[lane], greatest(a, b));
             }
         }
-        let mut any = false;
+        let mut entering = 0u32;
         for lane in 0..N {
-            any |= near[lane] <= far[lane] * (1.0 + 1e-6);
+            entering += u32::from(near[lane] <= far[lane] * (1.0 + 1e-6));
         }
-        any
+        entering > 0
     }
 
+    /// Möller and Trumbore 1997, two-sided:
     /// det = -d·n, u = d·(e2 x s) / det, v = d·(s x e1) / det, t = e2·(s x e1) / det, s = o - v0.
     #[inline]
     fn intersect(&mut self, triangle: &Triangle, index: u32) {
@@ -170,23 +172,46 @@ impl<const N: usize> Packet<N> {
         let for_v = s.cross(&triangle.e1);
         let for_t = triangle.e2.dot(&for_v);
         let [dx, dy, dz] = &self.direction;
-        let (t, u, v, id) = (&mut self.t, &mut self.u, &mut self.v, &mut self.triangle);
+        let (mut tt, mut uu, mut vv) = ([0.0f32; N], [0.0f32; N], [0.0f32; N]);
+        let mut margin = [0.0f32; N];
         for lane in 0..N {
-            let inverse = -1.0 / (dx[lane] * n.x + dy[lane] * n.y + dz[lane] * n.z);
-            let uu = (dx[lane] * for_u.x + dy[lane] * for_u.y + dz[lane] * for_u.z) * inverse;
-            let vv = (dx[lane] * for_v.x + dy[lane] * for_v.y + dz[lane] * for_v.z) * inverse;
-            let tt = for_t * inverse;
-            let nearer = (uu >= -EDGE_SLACK)
-                & (vv >= -EDGE_SLACK)
-                & (uu + vv <= 1.0 + EDGE_SLACK)
-                & (tt > 0.0)
-                & (tt < t[lane]);
-            t[lane] = if nearer { tt } else { t[lane] };
-            u[lane] = if nearer { uu } else { u[lane] };
-            v[lane] = if nearer { vv } else { v[lane] };
-            id[lane] = if nearer { index } else { id[lane] };
+            let det = dx[lane] * n.x + dy[lane] * n.y + dz[lane] * n.z;
+            // a ray in the plane gets t = 0, which is no hit
+            let inverse = if det * det > 1e-36 { -1.0 / det } else { 0.0 };
+            let u = (dx[lane] * for_u.x + dy[lane] * for_u.y + dz[lane] * for_u.z) * inverse;
+            let v = (dx[lane] * for_v.x + dy[lane] * for_v.y + dz[lane] * for_v.z) * inverse;
+            let t = for_t * inverse;
+            // positive when all conditions hold
+            let inside = least(least(u, v) + EDGE_SLACK, 1.0 + EDGE_SLACK - u - v);
+            margin[lane] = least(least(inside, t), self.t[lane] - t);
+            tt[lane] = t;
+            uu[lane] = u;
+            vv[lane] = v;
+        }
+        let hits: u32 = margin.iter().map(|&m| u32::from(m > 0.0)).sum();
+        if hits == 0 {
+            return;
+        }
+        for lane in 0..N {
+            if margin[lane] > 0.0 {
+                self.t[lane] = tt[lane];
+                self.u[lane] = uu[lane];
+                self.v[lane] = vv[lane];
+                self.triangle[lane] = index;
+            }
         }
     }
+}
+
+/// The smaller number, without the care for NaN that keeps `f32::min` from becoming one instruction.
+#[inline]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline]
+fn greatest(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 #[cfg(test)]

@@ -262,12 +262,13 @@ impl Cell {
     #[inline]
     fn at(&self, offset: [f32; 2]) -> [f32; 2] {
         let (fx, fy) = (offset[0] + 0.5, offset[1] + 0.5);
-        std::array::from_fn(|k| {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|i| self.corners[i][k]);
-            let top = a + fx * (b - a);
-            let bottom = c + fx * (d - c);
+        let [a, b, c, d] = self.corners;
+        let mix = |k: usize| {
+            let top = a[k] + fx * (b[k] - a[k]);
+            let bottom = c[k] + fx * (d[k] - c[k]);
             top + fy * (bottom - top)
-        })
+        };
+        [mix(0), mix(1)]
     }
 }
 

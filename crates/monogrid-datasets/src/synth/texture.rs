@@ -1,5 +1,7 @@
 //! Grey textures with a mip pyramid and trilinear sampling.
 
+use super::noise::floor;
+
 /// A square tile of albedo in [0, 1] that repeats, with its mip pyramid.
 ///
 /// Coordinates are texels of the finest level; the centre of the first texel is (0.5, 0.5).
@@ -32,9 +34,7 @@ impl Level {
     #[inline]
     fn bilinear(&self, x: f32, y: f32) -> f32 {
         let (x, y) = (x - 0.5, y - 0.5);
-        // truncation of a shifted positive number is a cheap floor
-        let shift = 65536.0f32;
-        let (ix, iy) = ((x + shift) as i32 - 65536, (y + shift) as i32 - 65536);
+        let (ix, iy) = (floor(x), floor(y));
         let (fx, fy) = (x - ix as f32, y - iy as f32);
         let (a, b) = (self.texel(ix, iy), self.texel(ix + 1, iy));
         let (c, d) = (self.texel(ix, iy + 1), self.texel(ix + 1, iy + 1));
