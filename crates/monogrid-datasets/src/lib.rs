@@ -6,6 +6,7 @@
 //! * [`DepthRegistration`] brings depth images into the colour camera.
 //! * [`read_trajectory`], [`write_tum`], [`read_sim3`] and their kin handle poses.
 //! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads `.scans`.
+//! * [`FrameChecker`] and [`SequenceCheck`] say what in the images would hurt tracking.
 //! * [`write_atomically`] replaces files whole or not at all.
 //!
 //! Everything that comes from outside is checked: bad input is an error that names the file, what
@@ -14,6 +15,7 @@
 
 mod atomic;
 mod calibration;
+mod check;
 mod error;
 mod images;
 mod recording;
@@ -26,6 +28,7 @@ mod trajectory;
 
 pub use atomic::{AtomicFile, write_atomically, write_atomically_with};
 pub use calibration::{Calibration, read_photometric, read_response, read_vignette};
+pub use check::{CheckConfig, FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use images::{
     DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,

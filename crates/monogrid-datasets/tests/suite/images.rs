@@ -212,3 +212,32 @@ fn depth_is_in_metres_and_unknown_where_the_sensor_saw_nothing() {
         assert!(error.to_string().contains("16"), "{error}");
     }
 }
+
+/// A progressive JPEG of 16x16 pixels of the pattern of [`gray`], written by libjpeg.
+const PROGRESSIVE: &str = "ffd8ffe000104a46494600010100000100010000ffdb0043000503040404030504040405050506070c080707\
+    07070f0b0b090c110f1212110f111113161c1713141a1511111821181a1d1d1f1f1f13172224221e241c1e1f\
+    1effc2000b080010001001011100ffc400160001010100000000000000000000000000050607ffda00080101\
+    00000001b6632963ffc4001810000203000000000000000000000000000104000211ffda0008010100010502\
+    518ac2c571464c2c9cffc40014100100000000000000000000000000000020ffda0008010100063f021fffc4\
+    001810000203000000000000000000000000000001112141ffda0008010100013f2180acd121ab35cfffda00\
+    08010100000010bfffc4001810000301010000000000000000000000000031415191ffda0008010100013f10\
+    4a916866f4a75a7fffd9";
+
+#[test]
+fn progressive_jpeg_is_read_whole_or_not_at_all() {
+    let digits: Vec<u32> = PROGRESSIVE.chars().filter_map(|c| c.to_digit(16)).collect();
+    let bytes: Vec<u8> = digits.chunks(2).map(|d| (16 * d[0] + d[1]) as u8).collect();
+    let decoded = decode_gray(&bytes, path()).expect("decodes");
+    for (value, expected) in decoded.as_slice().iter().zip(gray(16, 16).as_slice()) {
+        assert!(
+            (value - f32::from(*expected)).abs() < 10.0,
+            "{value} {expected}"
+        );
+    }
+    for length in 0..bytes.len() {
+        assert!(
+            decode_gray(&bytes[..length], path()).is_err(),
+            "cut to {length}"
+        );
+    }
+}

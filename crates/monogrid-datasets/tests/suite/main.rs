@@ -1,6 +1,7 @@
 //! Tests of the readers and writers; one program, so that it links once.
 
 mod calibration;
+mod check;
 mod hostile;
 mod images;
 mod recording;

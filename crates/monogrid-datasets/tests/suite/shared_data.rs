@@ -2,8 +2,8 @@
 //! README says.
 
 use monogrid_datasets::{
-    Calibration, Dataset, DepthRegistration, Layout, SourceOptions, read_depth, read_gray,
-    read_trajectory,
+    Calibration, CheckConfig, Dataset, DepthRegistration, FrameChecker, Layout, SourceOptions,
+    read_depth, read_gray, read_trajectory,
 };
 use monogrid_geometry::Distortion;
 use std::path::PathBuf;
@@ -219,4 +219,30 @@ fn depth_belongs_to_frames_and_registers_densely() {
             }
         }
     }
+}
+
+#[test]
+fn repeated_frames_of_the_kitchen_are_those_with_equal_files() {
+    let Some(path) = data("red-kitchen") else {
+        return;
+    };
+    let dataset = Dataset::open(&path, SourceOptions::default()).expect("opens");
+    let frames = &dataset.frames[215..300];
+    let mut checker = FrameChecker::new(CheckConfig::default());
+    let mut before = None;
+    let mut repeats = 0;
+    for frame in frames {
+        let bytes = std::fs::read(&frame.path).expect("readable");
+        let image = read_gray(&frame.path).expect("decodes");
+        let is_equal = before.as_ref() == Some(&bytes);
+        assert_eq!(
+            checker.check(&image).is_repeated,
+            is_equal,
+            "frame {}",
+            frame.index
+        );
+        repeats += usize::from(is_equal);
+        before = Some(bytes);
+    }
+    assert!(repeats > 5, "{repeats}");
 }

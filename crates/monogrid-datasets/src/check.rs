@@ -1,0 +1,253 @@
+//! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack of
+//! texture.
+
+use monogrid_image::{GradientImage, GrayImage};
+
+/// Limits above which a frame or a sequence is remarked on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CheckConfig {
+    /// Gradient from which a pixel counts as textured, grey levels per px.
+    pub min_gradient: f32,
+    /// Share of textured pixels below which a frame is called plain.
+    pub min_textured_share: f32,
+    /// Brightness ratio of successive frames, or its inverse, that is called a jump.
+    pub exposure_jump: f32,
+    /// Mean absolute difference to the predecessor below which a frame repeats it, grey levels.
+    /// Sensor noise alone is above 0.5; compressing the same picture twice is below.
+    pub repeat_difference: f32,
+    /// Blur above the sequence's median from which a frame is called blurred.
+    pub blur_above_median: f32,
+    /// Share of pixels at the upper end of the range from which a frame is called overexposed.
+    pub max_saturated_share: f32,
+}
+
+impl Default for CheckConfig {
+    fn default() -> Self {
+        Self {
+            min_gradient: 5.0,
+            min_textured_share: 0.05,
+            exposure_jump: 1.1,
+            repeat_difference: 0.2,
+            blur_above_median: 0.1,
+            max_saturated_share: 0.2,
+        }
+    }
+}
+
+/// What one frame looks like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameCheck {
+    /// Blur in the worse of both directions: 0 sharp, 1 without any detail; see [`blur`].
+    pub blur: f32,
+    /// Mean brightness, [0, 255].
+    pub brightness: f32,
+    /// Share of pixels with enough gradient for tracking.
+    pub textured_share: f32,
+    /// Share of pixels at or above 253.
+    pub saturated_share: f32,
+    /// Brightness over that of the frame before; `None` for the first or after a change of size.
+    pub gain: Option<f32>,
+    /// Whether it shows the same picture as the frame before.
+    pub is_repeated: bool,
+}
+
+/// Checks frames one after the other.
+#[derive(Clone, Debug, Default)]
+pub struct FrameChecker {
+    config: CheckConfig,
+    previous: Option<GrayImage>,
+}
+
+impl FrameChecker {
+    /// A checker before the first frame.
+    #[must_use]
+    pub fn new(config: CheckConfig) -> Self {
+        Self {
+            config,
+            previous: None,
+        }
+    }
+
+    /// Checks the next frame.
+    pub fn check(&mut self, image: &GrayImage) -> FrameCheck {
+        let before = self.previous.as_ref().filter(|p| p.same_size(image));
+        let magnitude = GradientImage::new(image).magnitude();
+        let check = FrameCheck {
+            blur: blur(image),
+            brightness: mean(image.as_slice().iter().copied()),
+            textured_share: share(&magnitude, |m| m >= self.config.min_gradient),
+            saturated_share: share(image, |v| v >= 253.0),
+            gain: before.and_then(|p| brightness_gain(p, image)),
+            is_repeated: before
+                .is_some_and(|p| mean_difference(p, image) < self.config.repeat_difference),
+        };
+        self.previous = Some(image.clone());
+        check
+    }
+}
+
+/// Blur after Crete, Dolmiere, Ladret and Nicolas (2007), "The blur effect": how little of the
+/// variation between neighbours is lost when the image is blurred once more. The larger of both
+/// directions, because motion blurs in one.
+#[must_use]
+pub fn blur(image: &GrayImage) -> f32 {
+    let (w, h) = (image.width(), image.height());
+    let rows = (0..h).map(|y| image.row(y).to_vec());
+    let columns = (0..w).map(|x| (0..h).map(|y| image.at(x, y)).collect());
+    line_blur(rows).max(line_blur(columns))
+}
+
+/// Width of the second blur, px.
+const REBLUR_WIDTH: usize = 9;
+
+fn line_blur(lines: impl Iterator<Item = Vec<f32>>) -> f32 {
+    let (mut variation, mut lost) = (0.0f64, 0.0f64);
+    for line in lines {
+        // difference of two neighbouring box averages = ends of the box, over its width
+        for i in REBLUR_WIDTH / 2 + 1..line.len().saturating_sub(REBLUR_WIDTH / 2) {
+            let sharp = (line[i] - line[i - 1]).abs();
+            let entering = line[i + REBLUR_WIDTH / 2];
+            let leaving = line[i - 1 - REBLUR_WIDTH / 2];
+            let blurred = (entering - leaving).abs() / REBLUR_WIDTH as f32;
+            variation += f64::from(sharp);
+            lost += f64::from((sharp - blurred).max(0.0));
+        }
+    }
+    if variation > 0.0 {
+        (1.0 - lost / variation) as f32
+    } else {
+        1.0
+    }
+}
+
+/// Median ratio of brightness over a grid of blocks, which the motion of single objects does not
+/// disturb; `None` where everything is black.
+fn brightness_gain(before: &GrayImage, after: &GrayImage) -> Option<f32> {
+    const BLOCKS: usize = 16;
+    let block = |image: &GrayImage, bx: usize, by: usize| {
+        let columns = bx * image.width() / BLOCKS..(bx + 1) * image.width() / BLOCKS;
+        let rows = by * image.height() / BLOCKS..(by + 1) * image.height() / BLOCKS;
+        mean(rows.flat_map(|y| image.row(y)[columns.clone()].iter().copied()))
+    };
+    let mut ratios: Vec<f32> = (0..BLOCKS * BLOCKS)
+        .map(|i| (i % BLOCKS, i / BLOCKS))
+        .map(|(bx, by)| (block(before, bx, by), block(after, bx, by)))
+        // black and saturated blocks do not follow the exposure
+        .filter(|(a, b)| a.min(*b) > 8.0 && a.max(*b) < 250.0)
+        .map(|(a, b)| b / a)
+        .collect();
+    ratios.sort_by(f32::total_cmp);
+    ratios.get(ratios.len() / 2).copied()
+}
+
+fn mean(values: impl Iterator<Item = f32>) -> f32 {
+    let (sum, count) = values.fold((0.0f64, 0u64), |(s, n), v| (s + f64::from(v), n + 1));
+    if count == 0 {
+        0.0
+    } else {
+        (sum / count as f64) as f32
+    }
+}
+
+fn mean_difference(a: &GrayImage, b: &GrayImage) -> f32 {
+    let pairs = a.as_slice().iter().zip(b.as_slice());
+    mean(pairs.map(|(a, b)| (a - b).abs()))
+}
+
+fn share(image: &GrayImage, condition: impl Fn(f32) -> bool) -> f32 {
+    let hits = image.as_slice().iter().filter(|&&v| condition(v)).count();
+    hits as f32 / image.as_slice().len().max(1) as f32
+}
+
+/// What a whole sequence looks like.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct SequenceCheck {
+    /// Frames that were checked.
+    pub num_frames: usize,
+    /// Positions of frames that repeat their predecessor.
+    pub repeated: Vec<usize>,
+    /// Positions and gains of exposure jumps.
+    pub exposure_jumps: Vec<(usize, f32)>,
+    /// Positions of frames that are more blurred than the others.
+    pub blurred: Vec<usize>,
+    /// Positions of frames with little texture.
+    pub plain: Vec<usize>,
+    /// Positions of overexposed frames.
+    pub overexposed: Vec<usize>,
+    /// Median blur.
+    pub median_blur: f32,
+    /// Median share of textured pixels.
+    pub median_textured_share: f32,
+}
+
+impl SequenceCheck {
+    /// Gathers the checks of the frames of a sequence in their order.
+    #[must_use]
+    pub fn new(frames: &[FrameCheck], config: &CheckConfig) -> Self {
+        let positions = |condition: &dyn Fn(&FrameCheck) -> bool| {
+            let hits = frames.iter().enumerate().filter(|(_, f)| condition(f));
+            hits.map(|(i, _)| i).collect::<Vec<_>>()
+        };
+        let median_blur = median(frames.iter().map(|f| f.blur));
+        let is_jump = |gain: f32| gain.max(1.0 / gain) >= config.exposure_jump;
+        let jumps = frames.iter().enumerate();
+        Self {
+            num_frames: frames.len(),
+            repeated: positions(&|f| f.is_repeated),
+            exposure_jumps: jumps
+                .filter_map(|(i, f)| f.gain.filter(|&g| is_jump(g)).map(|g| (i, g)))
+                .collect(),
+            blurred: positions(&|f| f.blur > median_blur + config.blur_above_median),
+            plain: positions(&|f| f.textured_share < config.min_textured_share),
+            overexposed: positions(&|f| f.saturated_share > config.max_saturated_share),
+            median_blur,
+            median_textured_share: median(frames.iter().map(|f| f.textured_share)),
+        }
+    }
+
+    /// Sentences for people about what would hurt tracking; none when nothing would.
+    #[must_use]
+    pub fn findings(&self) -> Vec<String> {
+        let some = |count: usize, what: &str, first: Option<usize>| {
+            first.map(|first| {
+                format!(
+                    "{count} of {} frames {what}, first frame {first}",
+                    self.num_frames
+                )
+            })
+        };
+        let list = |positions: &[usize], what: &str| {
+            some(positions.len(), what, positions.first().copied())
+        };
+        let jump = self.exposure_jumps.first().map(|&(i, _)| i);
+        [
+            list(
+                &self.repeated,
+                "repeat the picture before them (motion looks jerky)",
+            ),
+            some(
+                self.exposure_jumps.len(),
+                "change in brightness abruptly (lock the exposure if you can)",
+                jump,
+            ),
+            list(
+                &self.blurred,
+                "are clearly more blurred than the others (move slower, or more light)",
+            ),
+            list(
+                &self.plain,
+                "have hardly any texture (tracking needs edges)",
+            ),
+            list(&self.overexposed, "are overexposed"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+}
+
+fn median(values: impl Iterator<Item = f32>) -> f32 {
+    let mut sorted: Vec<f32> = values.collect();
+    sorted.sort_by(f32::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
