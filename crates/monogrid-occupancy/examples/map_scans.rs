@@ -45,6 +45,14 @@ fn parse() -> Result<Options, Box<dyn Error>> {
             "max_range" => options.config.max_range = value.parse()?,
             "cutoff" => options.config.cutoff_log_odds = value.parse()?,
             "update_min" => options.config.update_min = value.parse()?,
+            "update_max" => options.config.update_max = value.parse()?,
+            "sigmas" => {
+                let sigmas = value.parse()?;
+                options.config.model = SensorModel::Thrun {
+                    buffer: Buffer::Auto { sigmas, min: 0.0 },
+                    form: ThrunForm::Exact,
+                }
+            }
             "scans" => options.scans = value.parse()?,
             "out" => options.out = Some(value.to_owned()),
             _ => return Err(format!("unknown option {argument}; {usage}").into()),

@@ -1,23 +1,12 @@
 //! The update of one cell by the rule `fused`, and bounds of the updates of a whole block.
 
 use super::image::{HOLE, RangeImage, RangeImages};
+use super::kernel::{
+    BLOCK_CELLS, Block, FlatTables, Kernel, KernelImage, KernelPixel, Weights, evidence,
+};
 use super::pyramid::Pyramid;
 use crate::sensor::table::EvidenceTable;
 
-/// Samples in a footprint wider than [`SINGLE_SAMPLE_PX`], as offsets in units of its width: a
-/// Latin square, so that each row and column of an 8 x 8 raster has one.
-const SAMPLES: [[f32; 2]; 8] = [
-    [-0.4375, -0.1875],
-    [-0.3125, 0.3125],
-    [-0.1875, -0.4375],
-    [-0.0625, 0.0625],
-    [0.0625, 0.4375],
-    [0.1875, -0.0625],
-    [0.3125, -0.3125],
-    [0.4375, 0.1875],
-];
-/// Footprints up to this wide take the nearest pixel alone.
-const SINGLE_SAMPLE_PX: f32 = 1.5;
 /// Depth below which nothing is projected, in cells.
 const NEAREST_CELLS: f32 = 0.25;
 
@@ -27,15 +16,10 @@ pub(crate) struct Footprints<'a> {
     pub pyramids: Vec<Pyramid>,
     pub max_range: f32,
     pub resolution: f32,
-    headers: Vec<TableHeader<'a>>,
-}
-
-/// A table in the precision of the look-up.
-struct TableHeader<'a> {
-    start: f32,
-    inv_step: f32,
+    kernel_images: Vec<KernelImage>,
+    tables: FlatTables,
+    /// The update of one measurement in free space.
     free: i16,
-    entries: &'a [i16],
 }
 
 /// What a block of cells can get from a scan.
@@ -49,13 +33,11 @@ pub(crate) enum BlockClass {
     Mixed,
 }
 
-/// Weight of an update from how many measurements it stands for, by samples that hit, in 1/256.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Weights([i32; 9]);
-
 impl<'a> Footprints<'a> {
     pub(crate) fn new(images: &'a RangeImages, max_range: f64, resolution: f64) -> Self {
         let max_range = max_range as f32;
+        let tables = images.tables.tables();
+        let (flat, headers) = flatten(tables);
         Self {
             images,
             pyramids: images
@@ -65,24 +47,24 @@ impl<'a> Footprints<'a> {
                 .collect(),
             max_range,
             resolution: resolution as f32,
-            headers: images
-                .tables
-                .tables()
+            kernel_images: images
+                .images
                 .iter()
-                .map(TableHeader::new)
+                .map(|image| kernel_image(image, &headers))
                 .collect(),
+            tables: flat,
+            free: tables.first().map_or(0, |table| table.free),
         }
     }
 
-    /// The image that a point (relative to the sensor, world axes) belongs to, with the point in
-    /// its axes.
+    /// The image that a point (relative to the sensor, world axes) belongs to.
     #[inline]
-    fn image_of(&self, point: [f32; 3]) -> Option<(&RangeImage, [f32; 3])> {
+    fn image_of(&self, point: [f32; 3]) -> Option<usize> {
         match &self.images.images[..] {
-            [image] => Some((image, in_image(image, point))),
-            images => images.iter().find_map(|image| {
+            [_] => Some(0),
+            images => images.iter().position(|image| {
                 let p = in_image(image, point);
-                (p[2] >= p[0].abs() && p[2] >= p[1].abs()).then_some((image, p))
+                p[2] >= p[0].abs() && p[2] >= p[1].abs()
             }),
         }
     }
@@ -91,84 +73,64 @@ impl<'a> Footprints<'a> {
     ///
     /// One value per block keeps uniform space uniform.
     pub(crate) fn weights(&self, center: [f32; 3]) -> Weights {
-        let Some((image, p)) = self.image_of(center) else {
-            return Weights([256; 9]);
+        let Some(index) = self.image_of(center) else {
+            return Weights {
+                single: 1.0,
+                by_hits: std::array::from_fn(|i| 1.0 / (i + 1) as f32),
+            };
         };
-        let width = self.footprint_px(image, p[2]);
+        let image = &self.images.images[index];
+        let depth = in_image(image, center)[2].max(NEAREST_CELLS * self.resolution);
+        let width = self.resolution * image.focal[0] / depth;
         let measurements = (width * width).max(1.0) * image.density;
-        Weights(std::array::from_fn(|hits| {
-            // [docs 4.2b] mean of the measurements' log-odds times sqrt(min(n, 4)).
-            let n = (measurements * hits as f32 / 8.0).clamp(1.0, 4.0);
-            (n.sqrt() * 256.0).round() as i32
-        }))
-    }
-
-    #[inline]
-    fn footprint_px(&self, image: &RangeImage, depth: f32) -> f32 {
-        let nearest = NEAREST_CELLS * self.resolution;
-        self.resolution * image.focal[0] / depth.max(nearest)
-    }
-
-    /// Evidence for a cell whose centre lies at `point` (relative to the sensor, world axes); 0
-    /// if the scan says nothing about it.
-    #[inline]
-    pub(crate) fn cell_evidence(&self, point: [f32; 3], weights: &Weights) -> i16 {
-        match self.image_of(point) {
-            Some((image, p)) => self.evidence_in_image(image, p, weights),
-            None => 0,
+        // [docs 4.2b] mean of the measurements' log-odds times sqrt(min(n, 4)).
+        let weight = |hits: usize| (measurements * hits as f32 / 8.0).clamp(1.0, 4.0).sqrt();
+        Weights {
+            single: weight(8),
+            by_hits: std::array::from_fn(|i| weight(i + 1) / (i + 1) as f32),
         }
     }
 
-    #[inline]
-    fn evidence_in_image(&self, image: &RangeImage, p: [f32; 3], weights: &Weights) -> i16 {
-        let [x, y, z] = p;
-        let range = (x * x + y * y + z * z).sqrt();
-        if z <= NEAREST_CELLS * self.resolution || range > self.max_range {
-            return 0;
+    /// Evidence for 4 x 4 x 4 cells around `center` (relative to the sensor, world axes), x
+    /// fastest; 0 where the scan says nothing.
+    pub(crate) fn block_evidence(&self, center: [f32; 3], weights: &Weights) -> [i16; BLOCK_CELLS] {
+        if let [image] = &self.images.images[..] {
+            let block = self.block(image, center);
+            return self.kernel(0).block(&block, weights);
         }
-        let inverse = 1.0 / z;
-        let u = x * inverse * image.focal[0] + image.center[0];
-        let v = y * inverse * image.focal[1] + image.center[1];
-        let width = self.resolution * image.focal[0] * inverse;
-        if width <= SINGLE_SAMPLE_PX {
-            let delta = self.sample(image, u, v, range);
-            return scaled(i32::from(delta) * weights.0[8], 1);
-        }
-        let (mut sum, mut hits) = (0, 0);
-        for [du, dv] in SAMPLES {
-            let delta = self.sample(image, u + du * width, v + dv * width, range);
-            sum += i32::from(delta);
-            hits += i32::from(delta != 0);
-        }
-        scaled(sum * weights.0[hits as usize], hits.max(1))
+        // Around a sensor that looks everywhere, each cell has its own image.
+        std::array::from_fn(|i| {
+            let at = [i & 3, i >> 2 & 3, i >> 4];
+            let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 1.5) * self.resolution);
+            self.image_of(point).map_or(0, |index| {
+                let block = self.block(&self.images.images[index], center);
+                self.kernel(index).cell(&block, at, weights)
+            })
+        })
     }
 
-    /// Evidence of the measurement in the pixel nearest to `(u, v)`; 0 if it says nothing.
-    #[inline]
-    fn sample(&self, image: &RangeImage, u: f32, v: f32, range: f32) -> i16 {
-        let (column, row) = (u + 0.5, v + 0.5);
-        let inside =
-            column >= 0.0 && row >= 0.0 && column < image.width as f32 && row < image.height as f32;
-        if !inside {
-            return 0;
+    fn kernel(&self, index: usize) -> Kernel<'_> {
+        Kernel {
+            image: &self.kernel_images[index],
+            tables: &self.tables,
         }
-        let pixel = image.pixels[row as usize * image.width + column as usize];
-        if pixel.range == HOLE {
-            return 0;
-        }
-        let table = &self.headers[usize::from(pixel.table)];
-        let offset = (range - (pixel.range + table.start)) * table.inv_step;
-        if offset < 0.0 {
-            table.free
-        } else {
-            table.entries.get(offset as usize).copied().unwrap_or(0)
+    }
+
+    fn block(&self, image: &RangeImage, center: [f32; 3]) -> Block {
+        let cell = self.resolution;
+        let first = center.map(|c| c - 1.5 * cell);
+        Block {
+            first: in_image(image, first),
+            steps: std::array::from_fn(|axis| image.axes.map(|a| a[axis] as f32 * cell)),
+            cell,
+            min_depth: NEAREST_CELLS * cell,
+            max_range: self.max_range,
         }
     }
 
     /// The free update of a cell whose whole footprint is measured.
     pub(crate) fn free_evidence(&self, weights: &Weights) -> i16 {
-        let free = self.headers.first().map_or(0, |table| table.free);
-        scaled(i32::from(free) * weights.0[8], 1)
+        evidence(i32::from(self.free), weights.single)
     }
 
     /// What the cells of a cube with centre `center` (relative to the sensor, world axes) and
@@ -231,11 +193,12 @@ impl<'a> Footprints<'a> {
                 let (low, high) = (p[axis] - e[axis], p[axis] + e[axis]);
                 let low = low / if low < 0.0 { near } else { far };
                 let high = high / if high > 0.0 { near } else { far };
+                // Half a pixel more: truncation then finds the nearest pixel.
                 let (focal, center) = (image.focal[axis], image.center[axis] + 0.5);
                 (low * focal + center - 0.01, high * focal + center + 0.01)
             };
             let ((left, right), (top, bottom)) = (span(0), span(1));
-            pyramid.bounds([left.floor(), top.floor()], [right.floor(), bottom.floor()])
+            pyramid.bounds([left, top], [right, bottom])
         };
         let Some(bounds) = bounds else {
             return BlockClass::Untouched;
@@ -259,23 +222,61 @@ impl<'a> Footprints<'a> {
     }
 }
 
-impl<'a> TableHeader<'a> {
-    fn new(table: &'a EvidenceTable) -> Self {
-        Self {
-            start: table.start as f32,
-            inv_step: table.inv_step as f32,
-            free: table.free,
-            entries: &table.entries,
-        }
-    }
+/// Where a table is in the flat tables: start in space, entries per map unit, base and last.
+struct TableHeader {
+    start: f32,
+    inv_step: f32,
+    base: i32,
+    last: f32,
 }
 
-/// `sum / (256 count)` as evidence; never 0 for a sum that is not.
-#[inline]
-fn scaled(sum: i32, count: i32) -> i16 {
-    let value = sum / (256 * count);
-    let value = if value == 0 { sum.signum() } else { value };
-    value.clamp(-i32::from(i16::MAX), i32::from(i16::MAX)) as i16
+fn flatten(tables: &[EvidenceTable]) -> (FlatTables, Vec<TableHeader>) {
+    // The table of pixels without measurement: nothing in front, nothing behind.
+    let mut entries = vec![0, 0];
+    let headers = tables
+        .iter()
+        .map(|table| {
+            let header = TableHeader {
+                start: table.start as f32,
+                inv_step: table.inv_step as f32,
+                base: entries.len() as i32,
+                last: (table.entries.len() + 1) as f32,
+            };
+            entries.push(table.free);
+            entries.extend_from_slice(&table.entries);
+            entries.push(0);
+            header
+        })
+        .collect();
+    entries.push(0);
+    (FlatTables { entries }, headers)
+}
+
+fn kernel_image(image: &RangeImage, headers: &[TableHeader]) -> KernelImage {
+    let pixels = image.pixels.iter().map(|pixel| {
+        if pixel.range == HOLE {
+            return KernelPixel {
+                near: f32::INFINITY,
+                inv_step: 1.0,
+                last: 1.0,
+                base: 0,
+            };
+        }
+        let table = &headers[usize::from(pixel.table)];
+        KernelPixel {
+            near: pixel.range + table.start,
+            inv_step: table.inv_step,
+            last: table.last,
+            base: table.base,
+        }
+    });
+    KernelImage {
+        width: image.width,
+        height: image.height,
+        focal: image.focal,
+        center: image.center.map(|c| c + 0.5),
+        pixels: pixels.collect(),
+    }
 }
 
 #[inline]

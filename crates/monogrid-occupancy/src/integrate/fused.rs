@@ -4,8 +4,9 @@
 //! pyramids cannot tell what their cells get -> free bricks get one addition, mixed ones an
 //! update per cell from the measurements in the cell's footprint, shard by shard.
 
-use super::footprint::{BlockClass, Footprints, Weights};
+use super::footprint::{BlockClass, Footprints};
 use super::image::RangeImages;
+use super::kernel::{BLOCK_CELLS, Weights};
 use super::parallel::for_each;
 use super::rays::{BrickFilter, origin_in_cells};
 use super::{IntegrationConfig, IntegrationReport};
@@ -277,21 +278,14 @@ impl Writer<'_> {
                 BlockClass::Free => Some(self.footprints.free_evidence(weights)),
                 BlockClass::Mixed => None,
             };
-            for z in side[2] * 4..side[2] * 4 + 4 {
-                for y in side[1] * 4..side[1] * 4 + 4 {
-                    let start = side[0] * 4 + 8 * y + 64 * z;
-                    let row = &mut updates[start..start + 4];
-                    if let Some(free) = uniform {
-                        row.fill(free);
-                        continue;
-                    }
-                    for (i, update) in row.iter_mut().enumerate() {
-                        let at = [side[0] * 4 + i, y, z];
-                        let point =
-                            std::array::from_fn(|a| center[a] + (at[a] as f32 - 3.5) * cell);
-                        *update = self.footprints.cell_evidence(point, weights);
-                    }
-                }
+            let block = match uniform {
+                Some(free) => [free; BLOCK_CELLS],
+                None => self.footprints.block_evidence(middle, weights),
+            };
+            for (row, cells) in block.chunks_exact(4).enumerate() {
+                let (y, z) = (side[1] * 4 + (row & 3), side[2] * 4 + (row >> 2));
+                let start = side[0] * 4 + 8 * y + 64 * z;
+                updates[start..start + 4].copy_from_slice(cells);
             }
         }
         updates

@@ -1,7 +1,7 @@
 //! Measurements of a scan as range images: what the rule `fused` looks cells up in.
 //!
 //! A scan that looks one way becomes one pinhole image, any other the six faces of a cube. Pixels
-//! are as fine as the measurements are dense, but no finer than a third of a typical cell.
+//! are as fine as the measurements are dense, but no finer than half a typical cell.
 
 use super::IntegrationConfig;
 use super::rays::total_sigma;
@@ -10,7 +10,7 @@ use crate::scan::{DepthScan, Scan, ScanData};
 use crate::sensor::table::TableSet;
 
 /// Pixels along the edge of a cell's footprint at the mean range.
-const PIXELS_PER_CELL: f64 = 3.0;
+const PIXELS_PER_CELL: f64 = 2.0;
 /// A scan whose directions all lie within this slope of the forward axis is one image.
 const WIDEST_SLOPE: f32 = 2.5;
 /// Slope of a cube's faces, with a margin for footprints that cross an edge.

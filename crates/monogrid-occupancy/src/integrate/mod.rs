@@ -11,6 +11,9 @@
 pub(crate) mod footprint;
 pub(crate) mod fused;
 pub(crate) mod image;
+pub(crate) mod kernel;
+#[cfg(target_arch = "x86_64")]
+mod kernel_avx2;
 pub(crate) mod parallel;
 pub(crate) mod pyramid;
 pub(crate) mod ray;

@@ -80,20 +80,20 @@ impl Pyramid {
         Self { levels }
     }
 
-    /// Bounds over the pixels from `low` to `high` (column, row), both inclusive; pixels outside
-    /// the image are holes. `None` if all of them are outside.
+    /// Bounds over the pixels that the box from `low` to `high` (column, row) touches, where pixel
+    /// `i` covers `[i, i + 1)`; pixels outside the image are holes. `None` if all are outside.
     #[inline]
     pub(crate) fn bounds(&self, low: [f32; 2], high: [f32; 2]) -> Option<Bounds> {
         let image = &self.levels[0];
-        let last = [image.width as f32 - 1.0, image.height as f32 - 1.0];
-        let outside = |i: usize| high[i] < 0.0 || low[i] > last[i];
+        let size = [image.width, image.height];
         // Written so that NaN counts as outside.
-        if outside(0) || outside(1) || (low[0] + low[1] + high[0] + high[1]).is_nan() {
+        let touches = |i: usize| high[i] >= 0.0 && low[i] < size[i] as f32;
+        if !(touches(0) && touches(1)) {
             return None;
         }
-        let is_clipped = (0..2).any(|i| low[i] < 0.0 || high[i] > last[i]);
-        let first = [0, 1].map(|i| low[i].max(0.0) as usize);
-        let end = [0, 1].map(|i| high[i].min(last[i]) as usize);
+        let is_clipped = (0..2).any(|i| low[i] < 0.0 || high[i] >= size[i] as f32);
+        let first = [0, 1].map(|i| low[i].max(0.0) as i32 as usize);
+        let end = [0, 1].map(|i| (high[i].min(1e6) as i32 as usize).min(size[i] - 1));
         let span = (end[0] - first[0]).max(end[1] - first[1]);
         // At this level the block is at most three wide.
         let level = (usize::BITS - span.leading_zeros()).saturating_sub(1) as usize;

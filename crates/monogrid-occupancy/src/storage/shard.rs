@@ -58,8 +58,7 @@ impl Shard {
 
     #[inline]
     fn start(&self, hash: u64) -> usize {
-        // Bits below those that chose the shard.
-        (hash >> 20) as usize & (self.slots.len() - 1)
+        (hash >> 27) as usize & (self.slots.len() - 1)
     }
 
     /// The slot of a brick, if it is in the directory.
