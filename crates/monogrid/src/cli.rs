@@ -97,6 +97,8 @@ pub enum SensorModelArg {
 /// How measurements are combined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum IntegrationArg {
+    /// One update per cell and keyframe
+    Fused,
     /// Every measurement updates every cell that it crosses
     Rays,
 }
@@ -125,7 +127,7 @@ pub struct MappingArgs {
     /// Significance k of the model andert [default: auto]
     #[arg(long, value_name = "K|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
     pub significance: Option<AutoOr>,
-    /// How measurements are combined [default: rays]
+    /// How measurements are combined [default: fused]
     #[arg(long, value_enum, help_heading = "Mapping")]
     pub integration: Option<IntegrationArg>,
     /// Ignore measurements farther away than this

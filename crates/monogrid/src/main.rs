@@ -6,16 +6,39 @@
 )]
 
 mod cli;
+mod commands;
+mod config;
 mod failure;
+mod gridmap;
+mod input;
+mod mapfile;
 mod output;
 mod picture;
 mod report;
+mod run;
 mod usage;
 
 use clap::Parser;
+use cli::{Cli, Command, EvaluateCommand};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let _cli = cli::Cli::parse();
-    ExitCode::SUCCESS
+    // the clock of "frames per second, everything included"
+    commands::run::process_start();
+    let result = match &Cli::parse().command {
+        Command::Demo(args) => commands::demo::execute(args),
+        Command::Run(args) => commands::run::execute(args),
+        Command::Check(args) => commands::check::execute(args),
+        Command::Map(args) => commands::map::execute(args),
+        Command::Info(args) => commands::info::execute(args),
+        Command::Convert(args) => commands::convert::execute(args),
+        Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
+            commands::evaluate::trajectory(args)
+        }
+        Command::Evaluate(EvaluateCommand::Depth(args)) => commands::evaluate::depth(args),
+    };
+    match result {
+        Ok(outcome) => outcome.into(),
+        Err(failure) => failure.report(),
+    }
 }

@@ -35,7 +35,7 @@ fn mix(a: [f64; 3], b: [f64; 3], t: f64) -> [u8; 3] {
 
 /// The colour made darker by `factor` in [0, 1].
 pub fn shade(colour: [u8; 3], factor: f64) -> [u8; 3] {
-    colour.map(|value| (f64::from(value) * factor.clamp(0.0, 1.0)) as u8)
+    colour.map(|value| (f64::from(value) * factor.clamp(0.0, 1.0)).round() as u8)
 }
 
 /// The value at `fraction` of the sorted values; 0 for none.

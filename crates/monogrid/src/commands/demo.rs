@@ -1,0 +1,117 @@
+//! `monogrid demo`: a built-in world from rendering to the report, compared with the exact truth.
+
+use super::depth::{Candidate, DepthComparison};
+use super::run::{Extras, conclude, run_all};
+use super::use_threads;
+use crate::cli::DemoArgs;
+use crate::config::RunConfig;
+use crate::failure::{CommandResult, Failure};
+use crate::input::{Images, Input};
+use crate::output::OutputFolder;
+use crate::run::align::Align;
+use crate::run::{RunSettings, Tracked};
+use monogrid_datasets::TimedPose;
+use monogrid_datasets::synth::SynthSequence;
+use monogrid_evaluation::DepthEstimate;
+use std::io::IsTerminal;
+
+/// Runs the command.
+pub fn execute(args: &DemoArgs) -> CommandResult {
+    let threads = use_threads(args.threads)?;
+    let mut config = RunConfig::resolve(args.profile.map(Into::into), None, &[])?;
+    if let Some(seed) = args.seed {
+        config.seed = seed;
+    }
+    if args.max_frames == Some(0) {
+        return Err(Failure::input("--max-frames is 0, expected at least 1"));
+    }
+    let folder = OutputFolder::prepare(&args.out, args.force)?;
+    eprintln!("building a furnished living room");
+    let mut sequence = SynthSequence::demo().map_err(Failure::running)?;
+    if let Some(frames) = args.max_frames {
+        sequence = sequence.shortened(frames);
+    }
+    let poses = true_poses(&sequence);
+    let reference = poses
+        .iter()
+        .map(|p| p.world_from_camera.translation.into())
+        .collect();
+    let align = Align::Trajectory {
+        path: "the exact truth".into(),
+        poses,
+    };
+    let input = Input::rendered(sequence);
+    eprintln!(
+        "rendering and tracking {} frames as a hand-held camera would see them",
+        input.frames.len()
+    );
+    let settings = RunSettings {
+        config,
+        seed_depth: None,
+        realtime: false,
+        threads,
+        show_progress: std::io::stderr().is_terminal(),
+    };
+    let finished = run_all(&input, &folder, &settings, &align, |tracked, _| {
+        let depth = compare_depth(&input, tracked)?;
+        Ok(Extras {
+            reference,
+            depth,
+            warnings: vec![
+                "The frames were rendered during the run: the speed below includes that.".into(),
+            ],
+        })
+    })?;
+    conclude(&finished, &folder, args.json.json)
+}
+
+fn true_poses(sequence: &SynthSequence) -> Vec<TimedPose> {
+    (0..sequence.len())
+        .filter_map(|k| {
+            Some(TimedPose {
+                timestamp_ns: sequence.timestamp_ns(k)?,
+                world_from_camera: sequence.world_from_camera(k)?,
+            })
+        })
+        .collect()
+}
+
+/// Depth of the keyframes against the exact depth; `None` without keyframes.
+fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<serde_json::Value>, Failure> {
+    let Images::Rendered(sequence) = &input.images else {
+        return Ok(None);
+    };
+    let mut comparison = DepthComparison::new();
+    for keyframe in &tracked.keyframes {
+        let pose = tracked
+            .snapshot
+            .world_from_keyframe
+            .get(keyframe.id as usize);
+        let (Some(pose), Some(true_depth)) = (pose, sequence.depth(keyframe.frame_index)) else {
+            continue;
+        };
+        let candidate = Candidate {
+            id: keyframe.id,
+            image: &keyframe.image,
+            pixels: keyframe
+                .pixels
+                .iter()
+                .map(|pixel| DepthEstimate {
+                    x_px: u32::from(pixel.x),
+                    y_px: u32::from(pixel.y),
+                    idepth: pixel.idepth,
+                    idepth_var: pixel.idepth_var,
+                })
+                .collect(),
+            world_scale: pose.scale,
+        };
+        comparison.add(&candidate, &true_depth)?;
+    }
+    if comparison.num_compared() == 0 {
+        return Ok(None);
+    }
+    let report = comparison.finish()?;
+    serde_json::to_value(report)
+        .map(Some)
+        .map_err(Failure::running)
+}

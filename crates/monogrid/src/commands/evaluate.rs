@@ -1,0 +1,164 @@
+//! `monogrid evaluate trajectory` and `monogrid evaluate depth`.
+
+use super::depth::{Candidate, DepthComparison};
+use super::print_json;
+use crate::cli::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::input::{depth_calibration, registered_depth};
+use crate::run::align::{alignment_mode, stamped_all};
+use monogrid_datasets::{
+    Dataset, DepthRegistration, ReadOptions, Recording, SourceOptions, format_sim3, read_trajectory,
+};
+use monogrid_evaluation::{
+    DepthEstimate, DepthReport, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
+};
+use monogrid_geometry::{Camera, Distortion};
+
+/// Compares an estimated trajectory with the true one.
+pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
+    let estimate = read_trajectory(&args.estimate).bad_input()?;
+    let truth = read_trajectory(&args.truth).bad_input()?;
+    let config = TrajectoryConfig {
+        alignment: alignment_mode(args.align),
+        ..TrajectoryConfig::default()
+    };
+    let report =
+        evaluate_trajectory(&stamped_all(&estimate), &stamped_all(&truth), &config).bad_input()?;
+    if let Some(path) = &args.write_sim3 {
+        crate::output::write_atomically(path, |out| {
+            use std::io::Write;
+            out.write_all(format_sim3(&report.gt_from_est).as_bytes())
+        })?;
+    }
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        print_trajectory(&report);
+    }
+    Ok(Outcome::Done)
+}
+
+fn print_trajectory(report: &TrajectoryReport) {
+    println!(
+        "{} poses compared over a path of {:.3}; the estimate covers {:.1} % of the true poses",
+        report.matched,
+        report.path_length,
+        100.0 * report.coverage
+    );
+    println!(
+        "ATE   rmse {:.6}  mean {:.6}  median {:.6}  std {:.6}  max {:.6}",
+        report.ate_rmse, report.ate_mean, report.ate_median, report.ate_std, report.ate_max
+    );
+    println!(
+        "RPE   translation rmse {:.6}  rotation rmse {:.4} degrees (over one frame)",
+        report.rpe_trans_rmse, report.rpe_rot_rmse_deg
+    );
+    println!(
+        "scale {:.6}, drift {:.3} (largest over smallest of windows of 3 s)",
+        report.scale, report.scale_drift
+    );
+}
+
+/// Compares the depth of a recording with true depth images.
+pub fn depth(args: &EvaluateDepthArgs) -> CommandResult {
+    let recording =
+        Recording::read(&args.recording, ReadOptions { with_images: true }).bad_input()?;
+    let dataset = Dataset::open(&args.truth, SourceOptions::default()).bad_input()?;
+    if dataset.depths.is_empty() {
+        return Err(Failure::input(format!(
+            "{} has no depth images: expected depth.txt and depth/",
+            args.truth.display()
+        )));
+    }
+    let report = compare(&recording, &dataset, args)?;
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        print_depth(&report);
+    }
+    Ok(Outcome::Done)
+}
+
+fn compare(
+    recording: &Recording,
+    dataset: &Dataset,
+    args: &EvaluateDepthArgs,
+) -> Result<DepthReport, Failure> {
+    let session = &recording.session;
+    let colour = Camera {
+        width: session.width,
+        height: session.height,
+        pinhole: session.pinhole,
+        distortion: Distortion::None,
+    };
+    let calibration = depth_calibration(dataset, args.depth_calibration.as_deref(), &colour)?;
+    let registration = DepthRegistration::new(
+        &calibration,
+        &session.pinhole,
+        session.width,
+        session.height,
+    );
+    let mut comparison = DepthComparison::new();
+    for keyframe in &recording.keyframes {
+        let (Some(image), Some(pose), Some(truth)) = (
+            &keyframe.image,
+            &keyframe.world_from_keyframe,
+            dataset.depth_of_frame(keyframe.timestamp_ns),
+        ) else {
+            continue;
+        };
+        let true_depth = registered_depth(&truth.path, &calibration, &registration)?;
+        let candidate = Candidate {
+            id: keyframe.id,
+            image,
+            pixels: keyframe
+                .pixels
+                .iter()
+                .map(|pixel| DepthEstimate {
+                    x_px: u32::from(pixel.x),
+                    y_px: u32::from(pixel.y),
+                    idepth: pixel.idepth,
+                    idepth_var: pixel.idepth_var,
+                })
+                .collect(),
+            world_scale: pose.scale,
+        };
+        comparison.add(&candidate, &true_depth)?;
+    }
+    if comparison.num_compared() == 0 {
+        return Err(Failure::input(format!(
+            "none of the {} keyframes of {} has a depth image of its time in {}",
+            recording.keyframes.len(),
+            args.recording.display(),
+            args.truth.display()
+        )));
+    }
+    comparison.finish()
+}
+
+fn print_depth(report: &DepthReport) {
+    println!(
+        "{} keyframes with true depth, {} estimates; scale {:.6}",
+        report.keyframes, report.estimates, report.scale
+    );
+    println!(
+        "of {} pixels with texture: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % within 10 %",
+        report.gradient_pixels,
+        100.0 * report.shares.density,
+        100.0 * report.shares.within_3_percent,
+        100.0 * report.shares.within_10_percent
+    );
+    println!(
+        "of the estimates: {:.1} % within 3 %, {:.1} % within 10 %; bias {:+.2} %",
+        100.0 * report.estimates_within_3_percent,
+        100.0 * report.estimates_within_10_percent,
+        100.0 * report.bias
+    );
+    let error = &report.normalised_error;
+    println!(
+        "error over its own sigma: median {:+.3}, robust deviation {:.3}, {:.1} % within 2",
+        error.median,
+        error.robust_deviation,
+        100.0 * error.within_2_sigma
+    );
+}

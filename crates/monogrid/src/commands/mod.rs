@@ -1,0 +1,36 @@
+//! The commands.
+
+pub mod check;
+pub mod convert;
+pub mod demo;
+pub mod depth;
+pub mod evaluate;
+pub mod info;
+pub mod map;
+pub mod run;
+
+use crate::failure::Failure;
+use serde::Serialize;
+
+/// Prints one JSON object to standard output.
+pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(value).map_err(Failure::running)?;
+    println!("{text}");
+    Ok(())
+}
+
+/// Makes the pool of `threads` threads (default: all cores); returns their number.
+///
+/// Results never depend on it.
+pub fn use_threads(threads: Option<usize>) -> Result<usize, Failure> {
+    if threads == Some(0) {
+        return Err(Failure::input("--threads is 0, expected at least 1"));
+    }
+    let available = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let threads = threads.unwrap_or(available);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(Failure::running)?;
+    Ok(threads)
+}

@@ -1,0 +1,319 @@
+//! The configuration of a run: profile, then file, then `--set`, then options; written out as it was used.
+
+use crate::cli::{AutoOr, IntegrationArg, MappingArgs, ProfileArg, SensorModelArg};
+use crate::failure::Failure;
+use crate::output::CONFIG_MARKER;
+use monogrid_slam::SlamConfig;
+use monogrid_slam::mapping::{AutoLength, IntegrationKind, MappingConfig, SensorModelKind};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use toml::{Table, Value};
+
+/// One of the two complete configurations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Profile {
+    /// The best we know.
+    #[default]
+    Default,
+    /// LSD-SLAM and the rules of the thesis.
+    Thesis,
+}
+
+impl Profile {
+    /// As it stands in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::Thesis => "thesis",
+        }
+    }
+}
+
+impl From<ProfileArg> for Profile {
+    fn from(profile: ProfileArg) -> Self {
+        match profile {
+            ProfileArg::Default => Self::Default,
+            ProfileArg::Thesis => Self::Thesis,
+        }
+    }
+}
+
+/// Everything that decides the result of a run, besides its input.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunConfig {
+    /// The configuration that this one started from.
+    pub profile: Profile,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Tracking and depth.
+    pub slam: SlamConfig,
+    /// Occupancy maps.
+    pub mapping: MappingConfig,
+}
+
+impl RunConfig {
+    /// The complete configuration of a profile.
+    pub fn of(profile: Profile) -> Self {
+        let (slam, mapping) = match profile {
+            Profile::Default => (SlamConfig::default(), MappingConfig::default()),
+            Profile::Thesis => (SlamConfig::thesis(), MappingConfig::thesis()),
+        };
+        Self {
+            profile,
+            seed: 0,
+            slam,
+            mapping,
+        }
+    }
+
+    /// The configuration of a profile with the values of a file and of `key=value` settings in place.
+    ///
+    /// The profile is `profile`, else what the file says, else the default one.
+    pub fn resolve(
+        profile: Option<Profile>,
+        file: Option<&Path>,
+        settings: &[String],
+    ) -> Result<Self, Failure> {
+        let content = match file {
+            None => Table::new(),
+            Some(path) => read_table(path)?,
+        };
+        let named_in_file = match content.get("profile") {
+            None => None,
+            Some(value) => Some(value.clone().try_into::<Profile>().map_err(|_| {
+                Failure::input(format!(
+                    "profile is {value} in {}, expected \"default\" or \"thesis\"",
+                    file.unwrap_or(Path::new("")).display()
+                ))
+            })?),
+        };
+        let profile = profile.or(named_in_file).unwrap_or_default();
+        let mut table = Table::try_from(Self::of(profile)).map_err(Failure::running)?;
+        merge(&mut table, content);
+        table.insert("profile".into(), Value::String(profile.name().into()));
+        let from_file = Self::from_table(&table, &|error| match file {
+            Some(path) => format!("configuration {}: {error}", path.display()),
+            None => error,
+        })?;
+        if settings.is_empty() {
+            return Ok(from_file);
+        }
+        for setting in settings {
+            apply_setting(&mut table, setting)?;
+            Self::from_table(&table, &|error| format!("--set {setting}: {error}"))?;
+        }
+        Self::from_table(&table, &|error| error)
+    }
+
+    fn from_table(table: &Table, describe: &dyn Fn(String) -> String) -> Result<Self, Failure> {
+        Value::Table(table.clone())
+            .try_into()
+            .map_err(|error: toml::de::Error| Failure::input(describe(error.message().to_owned())))
+    }
+
+    /// Applies the options of the command line.
+    pub fn apply(&mut self, args: &MappingArgs) {
+        let mapping = &mut self.mapping;
+        let length = |value: AutoOr| match value {
+            AutoOr::Auto => AutoLength::Auto,
+            AutoOr::Value(length) => AutoLength::Fixed(length),
+        };
+        if let Some(model) = args.sensor_model {
+            mapping.sensor_model = match model {
+                SensorModelArg::Thrun => SensorModelKind::Thrun,
+                SensorModelArg::Andert => SensorModelKind::Andert,
+                SensorModelArg::Ideal => SensorModelKind::Ideal,
+                SensorModelArg::None => SensorModelKind::None,
+            };
+        }
+        if let Some(resolution) = args.resolution {
+            mapping.resolution = resolution;
+        }
+        if let Some(buffer) = args.buffer {
+            mapping.buffer = length(buffer);
+        }
+        if let Some(significance) = args.significance {
+            mapping.significance = length(significance);
+        }
+        if let Some(integration) = args.integration {
+            mapping.integration = match integration {
+                IntegrationArg::Fused => IntegrationKind::Fused,
+                IntegrationArg::Rays => IntegrationKind::Rays,
+            };
+        }
+        if let Some(max_range) = args.max_range {
+            mapping.max_range = max_range;
+        }
+    }
+
+    /// Checks the ranges of all settings.
+    pub fn validate(&self) -> Result<(), Failure> {
+        self.slam.validate().map_err(Failure::input)?;
+        self.mapping.validate().map_err(Failure::input)
+    }
+
+    /// The content of `config.toml`.
+    pub fn to_toml(&self) -> Result<String, Failure> {
+        let body = toml::to_string(self).map_err(Failure::running)?;
+        Ok(format!("{CONFIG_MARKER}\n{body}"))
+    }
+}
+
+fn read_table(path: &Path) -> Result<Table, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Failure::input(format!(
+            "configuration {} cannot be read: {error}",
+            path.display()
+        ))
+    })?;
+    text.parse().map_err(|error: toml::de::Error| {
+        Failure::input(format!(
+            "configuration {} is not TOML: {}",
+            path.display(),
+            error.to_string().trim_end()
+        ))
+    })
+}
+
+/// Replaces values of `base` by those of `over`, table by table.
+fn merge(base: &mut Table, over: Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(over)) => merge(inner, over),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+/// `a.b.c=value`; the value is TOML, or a string when it is not.
+fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
+    let Some((key, text)) = setting.split_once('=') else {
+        return Err(Failure::input(format!(
+            "--set {setting}: expected KEY=VALUE, e.g. mapping.resolution=0.02"
+        )));
+    };
+    let text = text.trim();
+    let value = format!("value = {text}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| Value::String(text.to_owned()));
+    let mut path: Vec<&str> = key.trim().split('.').collect();
+    let last = path.pop().unwrap_or_default();
+    let mut inner = table;
+    for part in path {
+        inner = match inner.get_mut(part) {
+            Some(Value::Table(next)) => next,
+            _ => {
+                return Err(Failure::input(format!(
+                    "--set {setting}: there is no section `{part}`"
+                )));
+            }
+        };
+    }
+    // `1` for a number with a fraction
+    let value = match (inner.get(last), value) {
+        (Some(Value::Float(_)), Value::Integer(number)) => Value::Float(number as f64),
+        (_, value) => value,
+    };
+    inner.insert(last.to_owned(), value);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(failure: &Failure) -> String {
+        match failure {
+            Failure::Input(error) | Failure::Running(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn both_profiles_round_trip_through_their_file() {
+        for profile in [Profile::Default, Profile::Thesis] {
+            let config = RunConfig::of(profile);
+            config.validate().unwrap();
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("config.toml");
+            std::fs::write(&path, config.to_toml().unwrap()).unwrap();
+            assert_eq!(RunConfig::resolve(None, Some(&path), &[]).unwrap(), config);
+        }
+        assert_ne!(
+            RunConfig::of(Profile::Default).slam,
+            RunConfig::of(Profile::Thesis).slam
+        );
+    }
+
+    #[test]
+    fn later_sources_win() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.toml");
+        std::fs::write(
+            &path,
+            "seed = 5\n[mapping]\nresolution = 0.1\nmax_range = 4.0\n",
+        )
+        .unwrap();
+        let settings = ["mapping.resolution=0.2".to_owned(), "seed=7".to_owned()];
+        let mut config = RunConfig::resolve(None, Some(&path), &settings).unwrap();
+        config.apply(&MappingArgs {
+            sensor_model: Some(SensorModelArg::Andert),
+            buffer: Some(AutoOr::Value(0.3)),
+            ..MappingArgs::default()
+        });
+        let mapping = &config.mapping;
+        assert_eq!(config.seed, 7);
+        assert!((mapping.resolution - 0.2).abs() < 1e-12);
+        assert!((mapping.max_range - 4.0).abs() < 1e-12);
+        assert_eq!(mapping.sensor_model, SensorModelKind::Andert);
+        assert_eq!(mapping.buffer, AutoLength::Fixed(0.3));
+    }
+
+    #[test]
+    fn whole_numbers_and_words_are_understood() {
+        let settings = [
+            "mapping.max_range=3",
+            "mapping.sensor_model=ideal",
+            "mapping.buffer=1",
+        ];
+        let settings = settings.map(str::to_owned);
+        let config = RunConfig::resolve(None, None, &settings).unwrap();
+        assert!((config.mapping.max_range - 3.0).abs() < 1e-12);
+        assert_eq!(config.mapping.sensor_model, SensorModelKind::Ideal);
+        assert_eq!(config.mapping.buffer, AutoLength::Fixed(1.0));
+    }
+
+    #[test]
+    fn unknown_and_malformed_settings_are_named() {
+        for (setting, expected) in [
+            ("mapping.resolutoin=0.1", "resolutoin"),
+            ("maping.resolution=0.1", "`maping`"),
+            ("mapping.resolution", "KEY=VALUE"),
+            ("mapping.resolution=wide", "mapping.resolution=wide"),
+        ] {
+            let failure = RunConfig::resolve(None, None, &[setting.to_owned()]).unwrap_err();
+            let text = message(&failure);
+            assert!(text.contains(expected), "{setting}: {text}");
+            assert!(matches!(failure, Failure::Input(_)));
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.toml");
+        for bad in ["[mapping]\nx = 1", "profile = \"fast\"", "nonsense"] {
+            std::fs::write(&path, bad).unwrap();
+            let failure = RunConfig::resolve(None, Some(&path), &[]).unwrap_err();
+            assert!(message(&failure).contains("c.toml"));
+        }
+        assert!(RunConfig::resolve(None, Some(Path::new("/does/not/exist")), &[]).is_err());
+    }
+
+    #[test]
+    fn a_profile_on_the_command_line_starts_from_that_profile() {
+        let config = RunConfig::resolve(Some(Profile::Thesis), None, &[]).unwrap();
+        assert_eq!(config, RunConfig::of(Profile::Thesis));
+    }
+}

@@ -1,0 +1,321 @@
+//! Opening a source: frames, calibration, working images.
+
+use crate::cli::SourceArgs;
+use crate::failure::{Classify, Failure};
+use monogrid_datasets::synth::SynthSequence;
+use monogrid_datasets::{
+    Calibration, Dataset, DatasetError, DepthCalibration, DepthRegistration, FrameEntry,
+    SourceOptions, read_depth, read_gray, read_mask, read_photometric,
+};
+use monogrid_geometry::{Camera, Pinhole};
+use monogrid_image::{GrayImage, Mask, Photometric, Undistorter, WorkingSize};
+use std::path::{Path, PathBuf};
+
+/// Images in a row that may be unreadable before a source is given up.
+pub const MAX_UNREADABLE_IN_A_ROW: usize = 10;
+
+/// Where images come from.
+#[derive(Debug)]
+pub enum Images {
+    /// Files.
+    Files(Box<Dataset>),
+    /// A built-in world, rendered frame by frame.
+    Rendered(Box<SynthSequence>),
+}
+
+/// A source that is ready to be read.
+#[derive(Debug)]
+pub struct Input {
+    /// For people and for names of folders.
+    pub name: String,
+    /// Where images come from.
+    pub images: Images,
+    /// The frames to use, in order; those of a built-in world have no path.
+    pub frames: Vec<FrameEntry>,
+    /// The camera of the images.
+    pub camera: Camera,
+    /// How the calibration was understood, for people.
+    pub interpretation: String,
+    /// From input to working images.
+    pub undistorter: Undistorter,
+    /// Correction of response and vignette.
+    pub photometric: Photometric,
+    /// What looked odd, in sentences for people.
+    pub warnings: Vec<String>,
+}
+
+/// Why a frame could not be used.
+#[derive(Debug)]
+pub enum Unusable {
+    /// It cannot be decoded.
+    Unreadable(DatasetError),
+    /// It has another size than the calibration.
+    Size {
+        /// Width and height found.
+        found: (usize, usize),
+        /// Width and height of the calibration.
+        expected: (usize, usize),
+    },
+    /// The sequence ends before it.
+    NotThere,
+}
+
+impl std::fmt::Display for Unusable {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotThere => f.write_str("the sequence ends before this frame"),
+            Self::Unreadable(error) => error.fmt(f),
+            Self::Size { found, expected } => write!(
+                f,
+                "image is {}x{} pixels, expected {}x{}",
+                found.0, found.1, expected.0, expected.1
+            ),
+        }
+    }
+}
+
+impl Input {
+    /// Opens a source.
+    pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        let options = SourceOptions {
+            fps: args.fps,
+            ..SourceOptions::default()
+        };
+        let dataset = Dataset::open(source, options).bad_input()?;
+        let frames = selected(&dataset, args)?;
+        let first = first_image(&frames)?;
+        let image_size = (first.width(), first.height());
+        let calibration = calibration(&dataset, args.calibration.as_deref(), image_size)?;
+        check_size(&calibration, image_size)?;
+        let mask = user_mask(args.mask.as_deref(), image_size)?;
+        let size = match args.size {
+            None => WorkingSize::Automatic,
+            Some((width, height)) => WorkingSize::Exact { width, height },
+        };
+        let undistorter = Undistorter::new(&calibration.camera, size, mask.as_ref());
+        if undistorter
+            .mask()
+            .as_slice()
+            .iter()
+            .all(|&valid| valid == 0)
+        {
+            return Err(Failure::input(
+                "no pixel of the image may be used: check --mask and the calibration",
+            ));
+        }
+        let photometric = read_photometric(
+            dataset.response_path.as_deref(),
+            dataset.vignette_path.as_deref(),
+        )
+        .bad_input()?;
+        let mut warnings = dataset.warnings.clone();
+        warnings.extend(calibration.notes.iter().cloned());
+        Ok(Self {
+            name: dataset.name.clone(),
+            images: Images::Files(Box::new(dataset)),
+            frames,
+            camera: calibration.camera,
+            interpretation: calibration.interpretation(),
+            undistorter,
+            photometric,
+            warnings,
+        })
+    }
+
+    /// A built-in world.
+    pub fn rendered(sequence: SynthSequence) -> Self {
+        let frames = (0..sequence.len())
+            .map(|index| FrameEntry {
+                index,
+                timestamp_ns: sequence.timestamp_ns(index).unwrap_or_default(),
+                path: PathBuf::new(),
+            })
+            .collect();
+        let camera = *sequence.camera();
+        Self {
+            name: "demo".to_owned(),
+            images: Images::Rendered(Box::new(sequence)),
+            frames,
+            camera,
+            interpretation: String::new(),
+            undistorter: Undistorter::new(&camera, WorkingSize::Automatic, None),
+            photometric: Photometric::default(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Intrinsics of the working images.
+    pub fn pinhole(&self) -> &Pinhole {
+        self.undistorter.pinhole()
+    }
+
+    /// Width and height of the working images.
+    pub fn size(&self) -> (usize, usize) {
+        self.undistorter.size()
+    }
+
+    /// Pixels of the working images that may be used.
+    pub fn mask(&self) -> &Mask {
+        self.undistorter.mask()
+    }
+
+    /// The working image of a frame.
+    pub fn read(&self, frame: &FrameEntry) -> Result<GrayImage, Unusable> {
+        let mut image = match &self.images {
+            Images::Files(_) => read_gray(&frame.path).map_err(Unusable::Unreadable)?,
+            Images::Rendered(sequence) => {
+                sequence.frame(frame.index).ok_or(Unusable::NotThere)?.image
+            }
+        };
+        let camera = &self.camera;
+        let size_error = Unusable::Size {
+            found: (image.width(), image.height()),
+            expected: (camera.width, camera.height),
+        };
+        if (image.width(), image.height()) != (camera.width, camera.height) {
+            return Err(size_error);
+        }
+        if !self.photometric.is_identity() && self.photometric.apply(&mut image).is_err() {
+            return Err(size_error);
+        }
+        self.undistorter.apply(&image).ok_or(size_error)
+    }
+
+    /// Depth in the working camera (metres, NaN where unknown) of a depth image file.
+    pub fn read_depth(
+        &self,
+        path: &Path,
+        calibration: &DepthCalibration,
+    ) -> Result<GrayImage, Failure> {
+        let (width, height) = self.size();
+        let registration = DepthRegistration::new(calibration, self.pinhole(), width, height);
+        registered_depth(path, calibration, &registration)
+    }
+}
+
+/// A depth image file as depth (metres, NaN where unknown) in the camera of `registration`.
+pub fn registered_depth(
+    path: &Path,
+    calibration: &DepthCalibration,
+    registration: &DepthRegistration,
+) -> Result<GrayImage, Failure> {
+    let depth = read_depth(path, calibration.units_per_metre).bad_input()?;
+    registration.register(&depth).ok_or_else(|| {
+        Failure::input(format!(
+            "depth image {} is {}x{} pixels, its calibration is for {}x{}; \
+             give the right one with --depth-calibration",
+            path.display(),
+            depth.width(),
+            depth.height(),
+            calibration.camera.width,
+            calibration.camera.height
+        ))
+    })
+}
+
+/// The depth calibration: from a file, else the source's own, else the colour camera's with the units
+/// of TUM RGB-D.
+pub fn depth_calibration(
+    dataset: &Dataset,
+    file: Option<&Path>,
+    colour: &Camera,
+) -> Result<DepthCalibration, Failure> {
+    match file {
+        Some(path) => DepthCalibration::read(path).bad_input(),
+        None => Ok(dataset
+            .depth_calibration()
+            .bad_input()?
+            .unwrap_or_else(|| DepthCalibration::registered(*colour))),
+    }
+}
+
+fn selected(dataset: &Dataset, args: &SourceArgs) -> Result<Vec<FrameEntry>, Failure> {
+    let count = dataset.frames.len();
+    if args.start >= count {
+        return Err(Failure::input(format!(
+            "--start {} is beyond the last frame of {}, which has {count} frames",
+            args.start,
+            dataset.root.display()
+        )));
+    }
+    if args.max_frames == Some(0) {
+        return Err(Failure::input("--max-frames is 0, expected at least 1"));
+    }
+    let end = args
+        .max_frames
+        .map_or(count, |n| args.start.saturating_add(n).min(count));
+    Ok(dataset.frames[args.start..end].to_vec())
+}
+
+/// The first image that can be decoded, for the size.
+fn first_image(frames: &[FrameEntry]) -> Result<GrayImage, Failure> {
+    let mut first_error = None;
+    for frame in frames.iter().take(MAX_UNREADABLE_IN_A_ROW) {
+        match read_gray(&frame.path) {
+            Ok(image) => return Ok(image),
+            Err(error) => {
+                first_error.get_or_insert(error);
+            }
+        }
+    }
+    let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
+    Err(match first_error {
+        Some(error) => Failure::Input(
+            anyhow::Error::from(error)
+                .context(format!("none of the first {tried} images can be read")),
+        ),
+        None => Failure::input("the source has no frames"),
+    })
+}
+
+fn calibration(
+    dataset: &Dataset,
+    file: Option<&Path>,
+    image_size: (usize, usize),
+) -> Result<Calibration, Failure> {
+    let found = match file {
+        Some(path) => Some(Calibration::read(path, Some(image_size)).bad_input()?),
+        None => dataset.calibration(Some(image_size)).bad_input()?,
+    };
+    found.ok_or_else(|| {
+        Failure::input(format!(
+            "no calibration in {}: expected calibration.toml or calibration.txt there (one line \
+             `fx fy cx cy width height`, in pixels), or another file with --calibration",
+            dataset.root.display()
+        ))
+    })
+}
+
+fn check_size(calibration: &Calibration, image_size: (usize, usize)) -> Result<(), Failure> {
+    let camera = &calibration.camera;
+    if (camera.width, camera.height) == image_size {
+        return Ok(());
+    }
+    Err(Failure::input(format!(
+        "calibration {} is for images of {}x{} pixels, the images are {}x{}; \
+         calibrate at the size of the images",
+        calibration.path.display(),
+        camera.width,
+        camera.height,
+        image_size.0,
+        image_size.1
+    )))
+}
+
+fn user_mask(file: Option<&Path>, image_size: (usize, usize)) -> Result<Option<Mask>, Failure> {
+    let Some(path) = file else {
+        return Ok(None);
+    };
+    let mask = read_mask(path).bad_input()?;
+    if (mask.width(), mask.height()) != image_size {
+        return Err(Failure::input(format!(
+            "mask {} is {}x{} pixels, the images are {}x{}",
+            path.display(),
+            mask.width(),
+            mask.height(),
+            image_size.0,
+            image_size.1
+        )));
+    }
+    Ok(Some(mask))
+}

@@ -1,0 +1,133 @@
+//! Reading and writing maps in the format that their name or content says.
+
+use crate::failure::{Classify, Failure};
+use monogrid_occupancy::{
+    MapError, Occupancy, OccupancyMap, read_bt, read_ot, save_atomically, write_bt, write_ot,
+    write_pcd, write_ply,
+};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+/// Most memory that a map read from a file may take.
+const READ_BUDGET_BYTES: usize = 8 << 30;
+
+/// Formats that maps are written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapFormat {
+    /// OctoMap with probabilities.
+    Ot,
+    /// OctoMap, binary.
+    Bt,
+    /// Point cloud of occupied cells.
+    Ply,
+    /// Point cloud of occupied cells.
+    Pcd,
+}
+
+impl MapFormat {
+    /// The format that a file name asks for, if it is one of `allowed`.
+    pub fn from_name(path: &Path, allowed: &[Self]) -> Result<Self, Failure> {
+        let extension = path
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase());
+        let format = match extension.as_deref() {
+            Some("ot") => Some(Self::Ot),
+            Some("bt") => Some(Self::Bt),
+            Some("ply") => Some(Self::Ply),
+            Some("pcd") => Some(Self::Pcd),
+            _ => None,
+        };
+        format
+            .filter(|format| allowed.contains(format))
+            .ok_or_else(|| {
+                let names: Vec<&str> = allowed.iter().map(|format| format.extension()).collect();
+                Failure::input(format!(
+                    "cannot tell the map format from {}: expected a name that ends in {}",
+                    path.display(),
+                    names.join(", ")
+                ))
+            })
+    }
+
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Ot => ".ot",
+            Self::Bt => ".bt",
+            Self::Ply => ".ply",
+            Self::Pcd => ".pcd",
+        }
+    }
+
+    /// For people.
+    pub fn description(self) -> &'static str {
+        match self {
+            Self::Ot => "OctoMap .ot (probabilities)",
+            Self::Bt => "OctoMap .bt (occupied, free, unknown)",
+            Self::Ply => "PLY point cloud",
+            Self::Pcd => "PCD point cloud",
+        }
+    }
+}
+
+/// Writes a map; the old file stays whole until the new one is.
+pub fn save(map: &OccupancyMap, path: &Path, format: MapFormat) -> Result<(), Failure> {
+    let result = save_atomically(path, |file| match format {
+        MapFormat::Ot => write_ot(map, file),
+        MapFormat::Bt => write_bt(map, file),
+        MapFormat::Ply => write_ply(map, file),
+        MapFormat::Pcd => write_pcd(map, file),
+    });
+    result.while_running("the map cannot be written")
+}
+
+/// Reads an `.ot` or `.bt` by its first line, whatever its name.
+pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
+    let file = File::open(path).map_err(|error| {
+        Failure::input(format!("map {} cannot be read: {error}", path.display()))
+    })?;
+    let mut input = BufReader::new(file);
+    let start = input.fill_buf().map_err(|error| {
+        Failure::input(format!("map {} cannot be read: {error}", path.display()))
+    })?;
+    let format = if start.starts_with(b"# Octomap OcTree binary file") {
+        MapFormat::Bt
+    } else if start.starts_with(b"# Octomap OcTree file") {
+        MapFormat::Ot
+    } else {
+        return Err(Failure::input(format!(
+            "{} is not a map: its first line is not that of an OctoMap .ot or .bt file",
+            path.display()
+        )));
+    };
+    let map = match format {
+        MapFormat::Bt => read_bt(input, READ_BUDGET_BYTES),
+        _ => read_ot(input, READ_BUDGET_BYTES),
+    };
+    map.map(|map| (map, format)).map_err(|error: MapError| {
+        Failure::Input(anyhow::Error::from(error).context(format!("map {}", path.display())))
+    })
+}
+
+/// Known cells of a map, counted in cells of its resolution.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CellCounts {
+    /// Cells at least as likely occupied as the threshold.
+    pub occupied: u64,
+    /// Other known cells.
+    pub free: u64,
+}
+
+/// Counts known cells.
+pub fn count_cells(map: &OccupancyMap) -> Result<CellCounts, MapError> {
+    let mut counts = CellCounts::default();
+    for leaf in map.octree_leaves()? {
+        let cells = u64::from(leaf.edge_cells).pow(3);
+        match map.state_of(leaf.first) {
+            Occupancy::Occupied => counts.occupied += cells,
+            Occupancy::Free => counts.free += cells,
+            Occupancy::Unknown => {}
+        }
+    }
+    Ok(counts)
+}

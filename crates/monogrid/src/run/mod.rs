@@ -1,0 +1,433 @@
+//! A run: frames in, trajectory, keyframes and maps out.
+//!
+//! Threads own their data and pass messages over bounded channels: the reader decodes ahead, the
+//! calling thread tracks (with the pool of threads for its inner loops), the recorder saves, the mapper
+//! integrates keyframes. Every channel is first in, first out and nothing looks at a clock, so the
+//! results are the same for any number of threads (`--realtime`, which drops frames, excepted).
+
+pub mod align;
+pub mod outputs;
+pub mod progress;
+pub mod reader;
+pub mod recorder;
+pub mod report;
+pub mod summary;
+
+use crate::config::RunConfig;
+use crate::failure::Failure;
+use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::output::OutputFolder;
+use crate::usage::{process_cpu, thread_cpu};
+use monogrid_datasets::{EndRecord, SessionInfo};
+use monogrid_geometry::Sim3;
+use monogrid_image::GrayImage;
+use monogrid_occupancy::MapError;
+use monogrid_slam::mapping::{
+    KeyframeCamera, KeyframeScan, LiveMaps, Mapper, z_up_from_camera_world,
+};
+use monogrid_slam::{
+    FrameInput, FrameReport, Keyframe, PoseSnapshot, Scale, Slam, TrackingState, TrajectoryPose,
+};
+use progress::Progress;
+use reader::{Delivered, Reader};
+use recorder::Change;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+/// Changes that may wait for the recorder or the mapper before tracking waits for them.
+const CHANGES_AHEAD: usize = 4;
+
+/// What a run is asked for, besides its input.
+#[derive(Debug)]
+pub struct RunSettings {
+    /// All settings.
+    pub config: RunConfig,
+    /// Depth (metres) to start with, and the index of the frame it belongs to.
+    pub seed_depth: Option<(usize, GrayImage)>,
+    /// Play at the frames' own pace.
+    pub realtime: bool,
+    /// Threads for the final maps.
+    pub threads: usize,
+    /// Whether to show a progress bar.
+    pub show_progress: bool,
+}
+
+/// What became of a frame.
+#[derive(Clone, Debug)]
+pub enum FrameFate {
+    /// It was given to tracking.
+    Processed(Box<FrameReport>),
+    /// It could not be used.
+    Skipped(String),
+    /// It came while the program was behind.
+    Dropped,
+    /// It lies before the frame with the seed depth.
+    BeforeSeed,
+}
+
+/// One frame of the source and what became of it.
+#[derive(Clone, Debug)]
+pub struct FrameRow {
+    /// Index in the source.
+    pub index: usize,
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// What became of it.
+    pub fate: FrameFate,
+}
+
+impl FrameRow {
+    /// The report of a processed frame.
+    pub fn report(&self) -> Option<&FrameReport> {
+        match &self.fate {
+            FrameFate::Processed(report) => Some(report),
+            _ => None,
+        }
+    }
+
+    /// Whether tracking had a map and no pose.
+    pub fn is_lost(&self) -> bool {
+        self.report()
+            .is_some_and(|report| report.state == TrackingState::Lost)
+    }
+}
+
+/// CPU time by what it was used for.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CpuTimes {
+    /// Tracking, depth and graph together.
+    pub slam: Duration,
+    /// Occupancy maps.
+    pub mapping: Duration,
+    /// Decoding and undistortion.
+    pub reading: Duration,
+    /// Recording and pictures of keyframes.
+    pub recording: Duration,
+}
+
+/// Why a run ended before its last frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum EarlyEnd {
+    /// The user interrupted it.
+    Interrupted,
+    /// Too many frames in a row were unreadable; the reason of the last.
+    Unreadable(String),
+}
+
+/// Everything that a run found, before the final maps.
+#[derive(Debug)]
+pub struct Tracked {
+    /// Every frame.
+    pub rows: Vec<FrameRow>,
+    /// Frames with a believed pose, final.
+    pub trajectory: Vec<TrajectoryPose>,
+    /// Finished keyframes.
+    pub keyframes: Vec<Arc<Keyframe>>,
+    /// Their final poses.
+    pub snapshot: Arc<PoseSnapshot>,
+    /// Whether lengths are metres.
+    pub scale: Scale,
+    /// Times that tracking was lost.
+    pub lost_episodes: usize,
+    /// Maps as they grew, or why they could not.
+    pub live_maps: Result<LiveMaps, MapError>,
+    /// CPU time.
+    pub cpu: CpuTimes,
+    /// Why it ended early.
+    pub early_end: Option<EarlyEnd>,
+}
+
+/// Tracks all frames, records keyframes and grows the maps.
+pub fn track(
+    input: &Input,
+    folder: &OutputFolder,
+    settings: &RunSettings,
+    interrupted: &AtomicBool,
+) -> Result<Tracked, Failure> {
+    let config = &settings.config;
+    let slam = Slam::new(
+        config.slam.clone(),
+        *input.pinhole(),
+        input.mask().clone(),
+        config.seed,
+    )
+    .map_err(Failure::input)?;
+    let (width, height) = input.size();
+    let camera = KeyframeCamera {
+        pinhole: *input.pinhole(),
+        width,
+        height,
+    };
+    // one thread: mapping runs beside tracking, which uses the others
+    let mapper = Mapper::new(config.mapping.clone(), camera, 1);
+    let live = LiveMaps::new(mapper, z_up_from_camera_world()).map_err(Failure::input)?;
+    let session = session_info(input, settings)?;
+    let process_before = process_cpu();
+    let stop = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let (record_sender, record_changes) = sync_channel(CHANGES_AHEAD);
+        let (map_sender, map_changes) = sync_channel(CHANGES_AHEAD);
+        let recorder = scope.spawn(|| {
+            // owned here, so that the channel closes if this thread fails
+            let changes = record_changes;
+            recorder::record(&changes, folder, &session)
+        });
+        let mapping = scope.spawn(move || grow_maps(&map_changes, live, &camera));
+        let reader = Reader::start(scope, input, settings.realtime, &stop)
+            .map_err(|error| Failure::running(format!("cannot start a thread: {error}")))?;
+        let mut tracking = Tracking {
+            slam,
+            settings,
+            rows: Vec::with_capacity(input.frames.len()),
+            published: Vec::new(),
+            listeners: [record_sender, map_sender],
+            progress: Progress::new(input.frames.len(), settings.show_progress),
+        };
+        let early_end = tracking.process_all(&reader.frames, interrupted);
+        stop.store(true, Ordering::Relaxed);
+        let reading = reader.join();
+        let ended = tracking.finish();
+        let recorded = recorder
+            .join()
+            .unwrap_or_else(|_| Err(Failure::running("the recorder failed")))?;
+        let (live_maps, mapping) = mapping
+            .join()
+            .map_err(|_| Failure::running("the mapper failed"))?;
+        let others = reading + recorded + mapping;
+        Ok(Tracked {
+            rows: ended.rows,
+            trajectory: ended.trajectory,
+            keyframes: ended.keyframes,
+            snapshot: ended.snapshot,
+            scale: ended.scale,
+            lost_episodes: ended.lost_episodes,
+            cpu: CpuTimes {
+                slam: (process_cpu() - process_before).saturating_sub(others),
+                mapping,
+                reading,
+                recording: recorded,
+            },
+            live_maps,
+            early_end,
+        })
+    })
+}
+
+fn session_info(input: &Input, settings: &RunSettings) -> Result<SessionInfo, Failure> {
+    let (width, height) = input.size();
+    Ok(SessionInfo {
+        pinhole: *input.pinhole(),
+        width,
+        height,
+        scale: match settings.seed_depth {
+            Some(_) => monogrid_datasets::Scale::Metric,
+            None => monogrid_datasets::Scale::Arbitrary,
+        },
+        seed: settings.config.seed,
+        profile: settings.config.profile.name().to_owned(),
+        source: input.name.clone(),
+        config: settings.config.to_toml()?,
+    })
+}
+
+/// Integrates keyframes as they are finished; returns the maps and the CPU time used.
+fn grow_maps(
+    changes: &Receiver<Change>,
+    live: LiveMaps,
+    camera: &KeyframeCamera,
+) -> (Result<LiveMaps, MapError>, Duration) {
+    let mut live = Ok(live);
+    for change in changes {
+        let Ok(maps) = &mut live else {
+            continue;
+        };
+        let result = match &change {
+            Change::Finished(keyframe, snapshot) => {
+                let scan = scan_of(keyframe, maps, camera);
+                match snapshot.world_from_keyframe.get(keyframe.id as usize) {
+                    Some(pose) => maps.add(scan, *pose),
+                    None => Ok(()),
+                }
+            }
+            Change::Revised(keyframe) => {
+                let scan = scan_of(keyframe, maps, camera);
+                maps.revise(scan);
+                Ok(())
+            }
+            Change::End(..) => Ok(()),
+        };
+        if let Err(error) = result {
+            live = Err(error);
+        }
+    }
+    (live, thread_cpu())
+}
+
+fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {
+    let filter = &maps.mapper().config().filter;
+    KeyframeScan::new(keyframe.id, &keyframe.pixels, camera, filter)
+}
+
+/// The thread that tracks.
+struct Tracking<'a> {
+    slam: Slam,
+    settings: &'a RunSettings,
+    rows: Vec<FrameRow>,
+    published: Vec<Arc<Keyframe>>,
+    /// Recorder and mapper.
+    listeners: [SyncSender<Change>; 2],
+    progress: Progress,
+}
+
+impl Tracking<'_> {
+    /// Takes frames until there are no more, the user stops, or the source is unreadable.
+    fn process_all(
+        &mut self,
+        frames: &Receiver<Delivered>,
+        interrupted: &AtomicBool,
+    ) -> Option<EarlyEnd> {
+        let mut unreadable_in_a_row = 0;
+        for delivered in frames {
+            if interrupted.load(Ordering::Relaxed) {
+                return Some(EarlyEnd::Interrupted);
+            }
+            let row = match delivered {
+                Delivered::Frame {
+                    index,
+                    timestamp_ns,
+                    image,
+                } => {
+                    unreadable_in_a_row = 0;
+                    self.process(index, timestamp_ns, image)
+                }
+                Delivered::Skipped {
+                    index,
+                    timestamp_ns,
+                    reason,
+                } => {
+                    unreadable_in_a_row += 1;
+                    self.progress
+                        .warn(&format!("frame {index} skipped: {reason}"));
+                    if unreadable_in_a_row >= MAX_UNREADABLE_IN_A_ROW {
+                        self.rows.push(FrameRow {
+                            index,
+                            timestamp_ns,
+                            fate: FrameFate::Skipped(reason.clone()),
+                        });
+                        return Some(EarlyEnd::Unreadable(reason));
+                    }
+                    FrameRow {
+                        index,
+                        timestamp_ns,
+                        fate: FrameFate::Skipped(reason),
+                    }
+                }
+                Delivered::Dropped {
+                    index,
+                    timestamp_ns,
+                } => FrameRow {
+                    index,
+                    timestamp_ns,
+                    fate: FrameFate::Dropped,
+                },
+            };
+            self.progress.frame(&row, self.published.len());
+            self.rows.push(row);
+        }
+        None
+    }
+
+    fn process(&mut self, index: usize, timestamp_ns: i64, image: GrayImage) -> FrameRow {
+        let row = |fate| FrameRow {
+            index,
+            timestamp_ns,
+            fate,
+        };
+        let seed_depth = match &self.settings.seed_depth {
+            Some((seeded, _)) if index < *seeded => return row(FrameFate::BeforeSeed),
+            Some((seeded, depth)) if index == *seeded => Some(depth.clone()),
+            _ => None,
+        };
+        let report = self.slam.process_frame(FrameInput {
+            index,
+            timestamp_ns,
+            image,
+            seed_depth,
+        });
+        self.publish();
+        row(FrameFate::Processed(Box::new(report)))
+    }
+
+    /// Tells the listeners about new keyframes and new depth of old ones.
+    fn publish(&mut self) {
+        let mut changes = Vec::new();
+        for (position, keyframe) in self.slam.keyframes().iter().enumerate() {
+            match self.published.get_mut(position) {
+                Some(known) if known.revision == keyframe.revision => {}
+                Some(known) => {
+                    *known = Arc::new(keyframe.clone());
+                    changes.push(Change::Revised(Arc::clone(known)));
+                }
+                None => {
+                    let keyframe = Arc::new(keyframe.clone());
+                    self.published.push(Arc::clone(&keyframe));
+                    changes.push(Change::Finished(keyframe, self.slam.snapshot()));
+                }
+            }
+        }
+        for change in changes {
+            self.send(&change);
+        }
+    }
+
+    /// A listener that has failed says so when it is joined.
+    fn send(&self, change: &Change) {
+        for listener in &self.listeners {
+            let _ = listener.send(change.clone());
+        }
+    }
+
+    /// Finishes the last keyframe and closes the channels.
+    fn finish(mut self) -> Ended {
+        self.slam.finish();
+        self.publish();
+        let snapshot = self.slam.snapshot();
+        let trajectory = self.slam.trajectory();
+        let end = EndRecord {
+            num_frames: self.rows.len() as u64,
+            num_tracked: trajectory.len() as u64,
+            summary: String::new(),
+        };
+        self.send(&Change::End(Arc::clone(&snapshot), end));
+        self.progress.finish();
+        Ended {
+            rows: self.rows,
+            trajectory,
+            keyframes: self.published,
+            snapshot,
+            scale: self.slam.scale(),
+            lost_episodes: self.slam.lost_episodes(),
+        }
+    }
+}
+
+/// What tracking leaves behind.
+struct Ended {
+    rows: Vec<FrameRow>,
+    trajectory: Vec<TrajectoryPose>,
+    keyframes: Vec<Arc<Keyframe>>,
+    snapshot: Arc<PoseSnapshot>,
+    scale: Scale,
+    lost_episodes: usize,
+}
+
+/// `map_from_camera` of a pose in the world: the scale of the frame applies to the position only.
+pub fn in_map(
+    map_from_world: &Sim3,
+    world_from_camera: &monogrid_geometry::Se3,
+) -> monogrid_geometry::Se3 {
+    (*map_from_world * world_from_camera.with_scale(1.0)).to_se3()
+}

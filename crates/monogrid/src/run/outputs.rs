@@ -1,0 +1,234 @@
+//! The files of a run, besides the recording: trajectories, tables, maps and pictures.
+
+use super::align::MapFrame;
+use super::{FrameFate, FrameRow, Tracked, in_map};
+use crate::failure::{Classify, Failure};
+use crate::gridmap;
+use crate::mapfile::{self, MapFormat};
+use crate::output::OutputFolder;
+use crate::picture::colour::quantile;
+use crate::picture::voxels::{Cube, View, dollhouse_cut, render};
+use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_tum};
+use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
+use monogrid_slam::mapping::Maps;
+use std::fmt::Write;
+
+/// Writes `trajectory.txt`, `trajectory_live.txt`, `frames.csv`, `keyframes.txt` and `graph.g2o`.
+pub fn write_tables(
+    folder: &OutputFolder,
+    tracked: &Tracked,
+    frame: &MapFrame,
+) -> Result<(), Failure> {
+    folder.write("trajectory.txt", format_tum(&final_poses(tracked, frame)))?;
+    folder.write(
+        "trajectory_live.txt",
+        format_tum(&live_poses(tracked, frame)),
+    )?;
+    folder.write("frames.csv", frames_csv(&tracked.rows))?;
+    folder.write("keyframes.txt", keyframes_txt(tracked, frame))?;
+    folder.write("graph.g2o", graph_g2o(tracked, frame))
+}
+
+/// Final poses of all tracked frames in the frame of the results.
+pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
+    tracked
+        .trajectory
+        .iter()
+        .map(|pose| TimedPose {
+            timestamp_ns: pose.timestamp_ns,
+            world_from_camera: in_map(&frame.map_from_world, &pose.world_from_camera),
+        })
+        .collect()
+}
+
+fn live_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
+    let reports = tracked.rows.iter().filter_map(FrameRow::report);
+    reports
+        .filter_map(|report| {
+            Some(TimedPose {
+                timestamp_ns: report.timestamp_ns,
+                world_from_camera: in_map(&frame.map_from_world, &report.world_from_camera?),
+            })
+        })
+        .collect()
+}
+
+fn frames_csv(rows: &[FrameRow]) -> String {
+    let mut text = String::from(
+        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe\n",
+    );
+    for row in rows {
+        let (state, reason) = match &row.fate {
+            FrameFate::Processed(report) => (
+                report.state.name(),
+                report.reason.map(|r| r.to_string()).unwrap_or_default(),
+            ),
+            FrameFate::Skipped(reason) => ("skipped", reason.clone()),
+            FrameFate::Dropped => ("dropped", "behind the camera".to_owned()),
+            FrameFate::BeforeSeed => ("initialising", "waiting for the seed depth".to_owned()),
+        };
+        let _ = write!(
+            text,
+            "{},{},{state},\"{}\",",
+            row.index,
+            format_seconds(row.timestamp_ns),
+            reason.replace('"', "'")
+        );
+        if let Some(report) = row.report() {
+            let times = report.milliseconds;
+            let _ = write!(
+                text,
+                "{:.4},{:.4},{:.4},{:.5},{:.3},{:.3},{:.3},{}",
+                report.residual,
+                report.good_share,
+                report.usage,
+                report.exposure_gain,
+                times.tracking,
+                times.depth,
+                times.graph,
+                report.keyframe.map(|id| id.to_string()).unwrap_or_default()
+            );
+        } else {
+            text.push_str(",,,,,,,");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
+    let mut text = String::from("# id frame timestamp scale tx ty tz qx qy qz qw points\n");
+    for keyframe in &tracked.keyframes {
+        let Some(pose) = tracked
+            .snapshot
+            .world_from_keyframe
+            .get(keyframe.id as usize)
+        else {
+            continue;
+        };
+        let pose = frame.map_from_world * *pose;
+        let (t, q) = (pose.translation, pose.rotation.coords);
+        let _ = writeln!(
+            text,
+            "{} {} {} {:.9} {:.9} {:.9} {:.9} {:.10} {:.10} {:.10} {:.10} {}",
+            keyframe.id,
+            keyframe.frame_index,
+            format_seconds(keyframe.timestamp_ns),
+            pose.scale,
+            t.x,
+            t.y,
+            t.z,
+            q.x,
+            q.y,
+            q.z,
+            q.w,
+            keyframe.pixels.len()
+        );
+    }
+    text
+}
+
+/// The chain of keyframes for g2o: vertices are poses (`VERTEX_SE3:QUAT`), edges the motion from each
+/// keyframe to the next; the scale of a keyframe stands in a comment before its vertex.
+fn graph_g2o(tracked: &Tracked, frame: &MapFrame) -> String {
+    let mut text = String::new();
+    let mut previous: Option<(u32, monogrid_geometry::Se3)> = None;
+    let mut edges = String::new();
+    for keyframe in &tracked.keyframes {
+        let Some(pose) = tracked
+            .snapshot
+            .world_from_keyframe
+            .get(keyframe.id as usize)
+        else {
+            continue;
+        };
+        let map_from_keyframe = frame.map_from_world * *pose;
+        let rigid = map_from_keyframe.to_se3();
+        let _ = writeln!(
+            text,
+            "# keyframe {} scale {:.9}",
+            keyframe.id, map_from_keyframe.scale
+        );
+        let _ = writeln!(text, "VERTEX_SE3:QUAT {} {}", keyframe.id, seven(&rigid));
+        if let Some((id, before)) = previous {
+            let motion = before.inverse() * rigid;
+            let _ = writeln!(
+                edges,
+                "EDGE_SE3:QUAT {id} {} {} 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1",
+                keyframe.id,
+                seven(&motion)
+            );
+        }
+        previous = Some((keyframe.id, rigid));
+    }
+    text + &edges
+}
+
+fn seven(pose: &monogrid_geometry::Se3) -> String {
+    let (t, q) = (pose.translation, pose.rotation.coords);
+    format!(
+        "{:.9} {:.9} {:.9} {:.10} {:.10} {:.10} {:.10}",
+        t.x, t.y, t.z, q.x, q.y, q.z, q.w
+    )
+}
+
+/// Writes the maps in all formats; returns the preview as a PNG file.
+pub fn write_maps(
+    folder: &OutputFolder,
+    maps: &Maps,
+    path: &[[f64; 3]],
+) -> Result<Vec<u8>, Failure> {
+    for (name, map, format) in [
+        ("global.ot", &maps.global, MapFormat::Ot),
+        ("global.bt", &maps.global, MapFormat::Bt),
+        ("local.ot", &maps.local, MapFormat::Ot),
+        ("large.ot", &maps.large, MapFormat::Ot),
+        ("cloud.ply", &maps.global, MapFormat::Ply),
+    ] {
+        mapfile::save(map, &folder.file(name), format)?;
+    }
+    write_grid(folder, &maps.global, path)?;
+    let cubes = occupied_cubes(&maps.global).while_running("the preview cannot be drawn")?;
+    let picture = render(&cubes, path, dollhouse_cut(&cubes, path), &View::default());
+    let preview = encode_png_rgb(&picture);
+    folder.write("preview.png", &preview)?;
+    Ok(preview)
+}
+
+/// Heights that matter to what moves where the camera moved: from somewhat above the floor (where
+/// there is one below the camera) to somewhat above the camera.
+pub fn navigation_band(cubes: &[Cube], path: &[[f64; 3]]) -> [f64; 2] {
+    let heights = || path.iter().map(|p| p[2]);
+    let highest = heights().fold(f64::NEG_INFINITY, f64::max);
+    let lowest = heights().fold(f64::INFINITY, f64::min);
+    let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
+    let floor = quantile(&mut occupied, 0.02).min(lowest);
+    let height = highest - floor;
+    [floor + 0.1 * height, highest + 0.1 * height]
+}
+
+fn write_grid(folder: &OutputFolder, map: &OccupancyMap, path: &[[f64; 3]]) -> Result<(), Failure> {
+    let cubes = occupied_cubes(map).while_running("the map cannot be projected")?;
+    let band = navigation_band(&cubes, path);
+    let grid = gridmap::project(map, band).while_running("the map cannot be projected")?;
+    if let Some(grid) = grid {
+        folder.write("map.pgm", grid.to_pgm())?;
+        let note = format!("# cells from z = {:.3} to {:.3}\n", band[0], band[1]);
+        folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
+    }
+    Ok(())
+}
+
+/// Occupied leaves as cubes.
+pub fn occupied_cubes(map: &OccupancyMap) -> Result<Vec<Cube>, MapError> {
+    let resolution = map.resolution();
+    Ok(map
+        .octree_leaves()?
+        .into_iter()
+        .filter(|leaf| map.state_of(leaf.first) == Occupancy::Occupied)
+        .map(|leaf| Cube {
+            center: leaf.center(resolution),
+            size: f64::from(leaf.edge_cells) * resolution,
+        })
+        .collect())
+}

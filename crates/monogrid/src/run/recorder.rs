@@ -1,0 +1,148 @@
+//! What is saved while a run goes on: the recording and the pictures of keyframes.
+
+use crate::failure::{Classify, Failure};
+use crate::output::OutputFolder;
+use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
+use crate::usage::thread_cpu;
+use monogrid_datasets::{
+    DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, RecordingWriter,
+    SessionInfo, encode_png, encode_png_rgb,
+};
+use monogrid_slam::Keyframe;
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+/// A change of the map of keyframes.
+#[derive(Clone, Debug)]
+pub enum Change {
+    /// A keyframe was finished.
+    Finished(Arc<Keyframe>, Arc<monogrid_slam::PoseSnapshot>),
+    /// The depth of a finished keyframe became better.
+    Revised(Arc<Keyframe>),
+    /// The run is over, these are its last poses.
+    End(Arc<monogrid_slam::PoseSnapshot>, EndRecord),
+}
+
+/// Name of the recording.
+pub const RECORDING: &str = "recording.mgk";
+/// Folder with pictures of the keyframes.
+pub const KEYFRAME_FOLDER: &str = "keyframes";
+
+/// Writes every change until the channel closes; returns the CPU time used.
+///
+/// After an error the changes are still received, so that nobody waits for this thread.
+pub fn record(
+    changes: &Receiver<Change>,
+    folder: &OutputFolder,
+    session: &SessionInfo,
+) -> Result<Duration, Failure> {
+    let mut result = start(folder, session);
+    for change in changes {
+        if let Ok(writer) = &mut result
+            && let Err(failure) = save(writer, folder, &change)
+        {
+            result = Err(failure);
+        }
+    }
+    result.map(|_| thread_cpu())
+}
+
+fn start(folder: &OutputFolder, session: &SessionInfo) -> Result<Option<RecordingWriter>, Failure> {
+    std::fs::create_dir_all(folder.file(KEYFRAME_FOLDER))
+        .while_running("the folder of keyframes cannot be made")?;
+    RecordingWriter::create(&folder.file(RECORDING), session)
+        .while_running("the recording cannot be written")
+        .map(Some)
+}
+
+fn save(
+    writer: &mut Option<RecordingWriter>,
+    folder: &OutputFolder,
+    change: &Change,
+) -> Result<(), Failure> {
+    const DOING: &str = "the recording cannot be written";
+    let Some(open) = writer else {
+        return Ok(());
+    };
+    match change {
+        Change::Finished(keyframe, snapshot) => {
+            open.append_keyframe(KeyframeRecord {
+                id: keyframe.id,
+                frame_index: keyframe.frame_index as u64,
+                timestamp_ns: keyframe.timestamp_ns,
+                image: Some(keyframe.image.clone()),
+                pixels: recorded_pixels(keyframe),
+            })
+            .while_running(DOING)?;
+            open.append_poses(poses(snapshot)).while_running(DOING)?;
+            save_pictures(folder, keyframe)
+        }
+        Change::Revised(keyframe) => {
+            open.append_depth(DepthRevision {
+                keyframe_id: keyframe.id,
+                revision: keyframe.revision,
+                pixels: recorded_pixels(keyframe),
+            })
+            .while_running(DOING)?;
+            save_pictures(folder, keyframe)
+        }
+        Change::End(snapshot, end) => {
+            open.append_poses(poses(snapshot)).while_running(DOING)?;
+            match writer.take() {
+                Some(open) => open.finish(end.clone()).while_running(DOING),
+                None => Ok(()),
+            }
+        }
+    }
+}
+
+fn recorded_pixels(keyframe: &Keyframe) -> Vec<DepthPixel> {
+    keyframe
+        .pixels
+        .iter()
+        .map(|pixel| DepthPixel {
+            x: pixel.x,
+            y: pixel.y,
+            idepth: pixel.idepth,
+            idepth_var: pixel.idepth_var,
+        })
+        .collect()
+}
+
+fn poses(snapshot: &monogrid_slam::PoseSnapshot) -> PoseSnapshot {
+    PoseSnapshot {
+        revision: snapshot.revision,
+        poses: (0u32..)
+            .zip(snapshot.world_from_keyframe.iter().copied())
+            .collect(),
+    }
+}
+
+/// File names of the three pictures of a keyframe.
+pub fn picture_names(id: u32) -> [String; 3] {
+    ["image", "depth", "uncertainty"].map(|kind| format!("{KEYFRAME_FOLDER}/{id:05}_{kind}.png"))
+}
+
+fn save_pictures(folder: &OutputFolder, keyframe: &Keyframe) -> Result<(), Failure> {
+    let measured: Vec<Measured> = keyframe
+        .pixels
+        .iter()
+        .map(|pixel| Measured {
+            x: usize::from(pixel.x),
+            y: usize::from(pixel.y),
+            idepth: f64::from(pixel.idepth),
+            relative_sigma: f64::from(pixel.idepth_var.sqrt() / pixel.idepth),
+        })
+        .collect();
+    let [image, depth, uncertainty] = picture_names(keyframe.id);
+    folder.write(&image, encode_png(&keyframe.image))?;
+    folder.write(
+        &depth,
+        encode_png_rgb(&depth_picture(&keyframe.image, &measured)),
+    )?;
+    folder.write(
+        &uncertainty,
+        encode_png_rgb(&uncertainty_picture(&keyframe.image, &measured)),
+    )
+}

@@ -1,0 +1,328 @@
+//! `report.html` of a run.
+
+use super::align::MapFrame;
+use super::recorder::picture_names;
+use super::summary::Summary;
+use super::{FrameFate, FrameRow, Tracked};
+use crate::output::OutputFolder;
+use crate::report::Page;
+use crate::report::svg::{Plot, Series, number};
+use monogrid_slam::TrackingState;
+
+/// Keyframes shown with their pictures.
+const SHOWN_KEYFRAMES: usize = 8;
+
+/// What the report shows besides tracking itself.
+#[derive(Debug)]
+pub struct ReportInput<'a> {
+    /// Heading.
+    pub title: &'a str,
+    /// One sentence for people.
+    pub verdict: &'a str,
+    /// Numbers.
+    pub summary: &'a Summary,
+    /// The frame of the results.
+    pub frame: &'a MapFrame,
+    /// Camera centres in the frame of the results.
+    pub path: &'a [[f64; 3]],
+    /// Reference path in the same frame; empty for none.
+    pub reference: &'a [[f64; 3]],
+    /// View of the map, PNG.
+    pub preview: Option<&'a [u8]>,
+    /// The effective configuration.
+    pub config: &'a str,
+}
+
+/// The complete page.
+pub fn page(tracked: &Tracked, folder: &OutputFolder, input: &ReportInput) -> String {
+    let mut page = Page::default();
+    for warning in &input.summary.warnings {
+        page.warning(warning);
+    }
+    page.facts(&facts(input));
+    if let Some(preview) = input.preview {
+        page.heading("Map");
+        page.picture(
+            preview,
+            "occupied cells, coloured by height, with the path of the camera",
+        );
+        page.note("Occupied cells coloured by height, cut above the camera; black: its path.");
+    }
+    page.heading("Path of the camera, from above");
+    page.plot(&path_plot(input));
+    page.heading("Tracking");
+    page.ribbon(&ribbon(&tracked.rows));
+    page.note("green: good, yellow: degraded, red: lost, blue: starting, grey: no image");
+    let losses = losses(&tracked.rows);
+    if !losses.is_empty() {
+        page.table(&["frames", "what happened"], &losses);
+    }
+    for plot in tracking_plots(&tracked.rows) {
+        page.plot(&plot);
+    }
+    show_keyframes(&mut page, tracked, folder);
+    page.heading("Settings");
+    page.preformatted(input.config);
+    page.finish(input.title, input.verdict)
+}
+
+fn facts(input: &ReportInput) -> Vec<(String, String)> {
+    let summary = input.summary;
+    let unit = if summary.scale == "metric" {
+        "m"
+    } else {
+        "map units"
+    };
+    let mut facts = vec![
+        (
+            "Frames",
+            format!("{} ({} with a pose)", summary.frames, summary.tracked),
+        ),
+        ("Keyframes", summary.keyframes.to_string()),
+        ("Times lost", summary.lost_episodes.to_string()),
+        (
+            "Speed",
+            format!(
+                "{:.1} frames per second, everything included",
+                summary.frames_per_second
+            ),
+        ),
+        ("Scale", summary.scale.to_owned()),
+        ("Frame of the results", input.frame.description.clone()),
+        (
+            "Map",
+            format!(
+                "cells of {} {unit}, {} leaves, {:.1} MB, from {} measurements",
+                number(summary.map.resolution),
+                summary.map.leaves,
+                summary.map.bytes_in_memory as f64 / 1e6,
+                summary.points
+            ),
+        ),
+        (
+            "Path",
+            format!("{} {unit}", number(path_length(input.path))),
+        ),
+    ];
+    if let Some(fit) = &input.frame.fit {
+        facts.push((
+            "Error against the reference",
+            format!(
+                "ATE {:.4} m (largest {:.4}), scale drift {:.3}, coverage {:.3}",
+                fit.ate_rmse, fit.ate_max, fit.scale_drift, fit.coverage
+            ),
+        ));
+    }
+    if let Some(depth) = &summary.depth {
+        let share = |name: &str| depth.get(name).and_then(serde_json::Value::as_f64);
+        if let (Some(within_3), Some(within_10)) =
+            (share("within_3_percent"), share("within_10_percent"))
+        {
+            facts.push((
+                "Depth against the truth",
+                format!(
+                    "of all pixels with texture {:.0} % within 3 %, {:.0} % within 10 %",
+                    100.0 * within_3,
+                    100.0 * within_10
+                ),
+            ));
+        }
+    }
+    facts
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect()
+}
+
+fn path_length(path: &[[f64; 3]]) -> f64 {
+    path.windows(2)
+        .map(|pair| {
+            (0..3)
+                .map(|i| (pair[1][i] - pair[0][i]).powi(2))
+                .sum::<f64>()
+                .sqrt()
+        })
+        .sum()
+}
+
+fn path_plot(input: &ReportInput) -> Plot {
+    let from_above = |path: &[[f64; 3]]| path.iter().map(|p| [p[0], p[1]]).collect();
+    let mut series = Vec::new();
+    if !input.reference.is_empty() {
+        series.push(Series {
+            name: "reference".into(),
+            colour: "#b0b0b0",
+            points: from_above(input.reference),
+        });
+    }
+    series.push(Series {
+        name: "estimated".into(),
+        colour: "#1f6fb4",
+        points: from_above(input.path),
+    });
+    let unit = if input.summary.scale == "metric" {
+        "m"
+    } else {
+        "map units"
+    };
+    Plot {
+        title: String::new(),
+        x_label: format!("x ({unit})"),
+        y_label: format!("y ({unit})"),
+        series,
+        equal_axes: true,
+        from_zero: false,
+    }
+}
+
+fn colour(row: &FrameRow) -> (&'static str, &'static str) {
+    match &row.fate {
+        FrameFate::Processed(report) => match report.state {
+            TrackingState::Initialising => ("#7fa8d8", "starting"),
+            TrackingState::Good => ("#5fb36a", "good"),
+            TrackingState::Degraded => ("#e8c547", "degraded"),
+            TrackingState::Lost => ("#cc4b37", "lost"),
+        },
+        FrameFate::BeforeSeed => ("#7fa8d8", "starting"),
+        FrameFate::Skipped(_) => ("#999999", "unreadable"),
+        FrameFate::Dropped => ("#999999", "dropped"),
+    }
+}
+
+/// Stretches of equal state as (first row, row after the last).
+fn stretches(rows: &[FrameRow]) -> Vec<(usize, usize)> {
+    let mut out: Vec<(usize, usize)> = Vec::new();
+    for i in 0..rows.len() {
+        match out.last_mut() {
+            Some((first, end)) if colour(&rows[*first]) == colour(&rows[i]) => *end = i + 1,
+            _ => out.push((i, i + 1)),
+        }
+    }
+    out
+}
+
+fn ribbon(rows: &[FrameRow]) -> Vec<(f64, &'static str, String)> {
+    stretches(rows)
+        .into_iter()
+        .map(|(first, end)| {
+            let (colour, name) = colour(&rows[first]);
+            let share = (end - first) as f64 / rows.len() as f64;
+            let text = format!(
+                "{name}: frames {} to {}",
+                rows[first].index,
+                rows[end - 1].index
+            );
+            (share, colour, text)
+        })
+        .collect()
+}
+
+/// Where tracking was lost or images were missing, and why.
+fn losses(rows: &[FrameRow]) -> Vec<Vec<String>> {
+    stretches(rows)
+        .into_iter()
+        .filter_map(|(first, end)| {
+            let what = match &rows[first].fate {
+                FrameFate::Processed(report) if report.state == TrackingState::Lost => {
+                    let reason = report.reason.map(|r| r.to_string()).unwrap_or_default();
+                    format!("lost: {reason}")
+                }
+                FrameFate::Skipped(reason) => format!("unreadable: {reason}"),
+                FrameFate::Dropped => "dropped: the program was behind".to_owned(),
+                _ => return None,
+            };
+            let frames = format!("{} to {}", rows[first].index, rows[end - 1].index);
+            Some(vec![frames, what])
+        })
+        .collect()
+}
+
+fn tracking_plots(rows: &[FrameRow]) -> Vec<Plot> {
+    let curve = |name: &str, colour, value: &dyn Fn(&monogrid_slam::FrameReport) -> f64| Series {
+        name: name.to_owned(),
+        colour,
+        points: rows
+            .iter()
+            .map(|row| {
+                let value = row
+                    .report()
+                    .filter(|report| report.state != TrackingState::Initialising)
+                    .map_or(f64::NAN, value);
+                [row.index as f64, value]
+            })
+            .collect(),
+    };
+    let plot = |title: &str, y_label: &str, series| Plot {
+        title: title.to_owned(),
+        x_label: "frame".into(),
+        y_label: y_label.to_owned(),
+        series,
+        equal_axes: false,
+        from_zero: true,
+    };
+    vec![
+        plot(
+            "How much of the keyframe is seen again and agrees",
+            "share",
+            vec![
+                curve("seen", "#b0b0b0", &|report| f64::from(report.usage)),
+                curve("agrees", "#1f6fb4", &|report| f64::from(report.good_share)),
+            ],
+        ),
+        plot(
+            "Difference of grey values",
+            "grey levels",
+            vec![curve("", "#1f6fb4", &|report| f64::from(report.residual))],
+        ),
+        plot(
+            "Exposure relative to the keyframe",
+            "gain",
+            vec![curve("", "#1f6fb4", &|report| {
+                f64::from(report.exposure_gain)
+            })],
+        ),
+        plot(
+            "Time per frame",
+            "ms",
+            vec![
+                curve("tracking and depth", "#c07a28", &|report| {
+                    report.milliseconds.tracking + report.milliseconds.depth
+                }),
+                curve("tracking", "#1f6fb4", &|report| {
+                    report.milliseconds.tracking
+                }),
+            ],
+        ),
+    ]
+}
+
+/// Some keyframes, evenly spread, with image, depth and uncertainty.
+fn show_keyframes(page: &mut Page, tracked: &Tracked, folder: &OutputFolder) {
+    let count = tracked.keyframes.len();
+    if count == 0 {
+        return;
+    }
+    page.heading("Keyframes");
+    page.note(
+        "Image; depth (red near, blue far); uncertainty of the depth (green certain, red 20 % or more).",
+    );
+    let shown = count.min(SHOWN_KEYFRAMES);
+    for i in 0..shown {
+        let position = if shown > 1 {
+            i * (count - 1) / (shown - 1)
+        } else {
+            0
+        };
+        let keyframe = &tracked.keyframes[position];
+        let files = picture_names(keyframe.id).map(|name| std::fs::read(folder.file(&name)));
+        if let [Ok(image), Ok(depth), Ok(uncertainty)] = &files {
+            let caption = format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index);
+            let points = format!("{} depths", keyframe.pixels.len());
+            page.triple([
+                (image, &caption),
+                (depth, &points),
+                (uncertainty, "uncertainty"),
+            ]);
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! Bad input gets a sentence that helps and exit code 2, never a panic.
+
+mod common;
+
+use common::{assert_fails, code, monogrid, stderr};
+use monogrid_datasets::encode_png;
+use monogrid_image::Image;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+const CALIBRATION: &str = "60 60 39.5 29.5 80 60\n";
+
+/// A folder with `count` images of 80x60 pixels that differ from each other, and a calibration.
+fn image_folder(count: usize) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for i in 0..count {
+        let image = Image::from_fn(80, 60, |x, y| ((x * 7 + y * 13 + i * 3) % 251) as u8);
+        fs::write(dir.path().join(format!("{i:03}.png")), encode_png(&image)).unwrap();
+    }
+    fs::write(dir.path().join("calibration.txt"), CALIBRATION).unwrap();
+    dir
+}
+
+fn run(source: &Path, out: &Path, more: &[&str]) -> std::process::Output {
+    let mut args = vec!["run".to_owned(), source.display().to_string()];
+    args.extend(["--out".to_owned(), out.display().to_string()]);
+    args.extend(more.iter().map(|s| (*s).to_owned()));
+    monogrid(args)
+}
+
+fn out_in(dir: &TempDir) -> PathBuf {
+    dir.path().join("out")
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    for args in [
+        &["run"][..],
+        &["run", "x", "--resolution", "-1"],
+        &["run", "x", "--size", "640"],
+        &["run", "x", "--threads", "0"],
+        &["run", "x", "--set", "nonsense"],
+        &["run", "x", "--set", "mapping.no_such=1"],
+        &["run", "x", "--align", "somewhere"],
+        &["map", "x.mgk", "--out", "x.png"],
+        &["no-such-command"],
+    ] {
+        let output = monogrid(args);
+        assert_eq!(code(&output), 2, "{args:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn help_exists_for_every_command_and_names_nothing_that_is_missing() {
+    for command in [
+        &["--help"][..],
+        &["demo", "--help"],
+        &["run", "--help"],
+        &["check", "--help"],
+        &["map", "--help"],
+        &["info", "--help"],
+        &["convert", "--help"],
+        &["evaluate", "trajectory", "--help"],
+        &["evaluate", "depth", "--help"],
+    ] {
+        let output = monogrid(command);
+        assert_eq!(code(&output), 0);
+        assert!(String::from_utf8_lossy(&output.stdout).contains("monogrid"));
+    }
+}
+
+#[test]
+fn missing_and_empty_sources() {
+    let dir = tempfile::tempdir().unwrap();
+    let missing = dir.path().join("nowhere");
+    assert_fails(&run(&missing, &out_in(&dir), &[]), 2, &["nowhere"]);
+    let empty = dir.path().join("empty");
+    fs::create_dir(&empty).unwrap();
+    assert_fails(&run(&empty, &out_in(&dir), &[]), 2, &["no frames"]);
+    assert!(!out_in(&dir).exists(), "nothing is written for bad input");
+    assert_fails(&monogrid([Path::new("check"), &missing]), 2, &["nowhere"]);
+}
+
+#[test]
+fn calibrations_that_cannot_be_right() {
+    let dir = image_folder(3);
+    let file = dir.path().join("calibration.txt");
+    for (content, expected) in [
+        ("nan 60 39.5 29.5 80 60", "calibration"),
+        ("0 60 39.5 29.5 80 60", "calibration"),
+        ("60 60 39.5", "calibration"),
+        ("60 60 39.5 29.5 100 60", "80x60"),
+    ] {
+        fs::write(&file, content).unwrap();
+        assert_fails(&run(dir.path(), &out_in(&dir), &[]), 2, &[expected]);
+    }
+    fs::remove_file(&file).unwrap();
+    assert_fails(
+        &run(dir.path(), &out_in(&dir), &[]),
+        2,
+        &["no calibration", "--calibration"],
+    );
+}
+
+#[test]
+fn options_that_do_not_fit_the_source() {
+    let dir = image_folder(3);
+    let out = out_in(&dir);
+    assert_fails(&run(dir.path(), &out, &["--start", "3"]), 2, &["3 frames"]);
+    assert_fails(
+        &run(dir.path(), &out, &["--max-frames", "0"]),
+        2,
+        &["at least 1"],
+    );
+    assert_fails(
+        &run(dir.path(), &out, &["--seed-depth", "dataset"]),
+        2,
+        &["no depth image"],
+    );
+    let mask = dir.path().join("mask.pgm");
+    fs::write(&mask, b"P5\n2 2\n255\n\xff\xff\xff\xff").unwrap();
+    let mask = mask.display().to_string();
+    assert_fails(
+        &run(dir.path(), &out, &["--mask", &mask]),
+        2,
+        &["2x2", "80x60"],
+    );
+}
+
+#[test]
+fn an_output_folder_that_is_not_ours_is_left_alone() {
+    let dir = image_folder(3);
+    let photos = dir.path().join("photos");
+    fs::create_dir(&photos).unwrap();
+    fs::write(photos.join("cat.jpg"), "cat").unwrap();
+    assert_fails(&run(dir.path(), &photos, &[]), 2, &["--force"]);
+    assert_eq!(fs::read(photos.join("cat.jpg")).unwrap(), b"cat");
+    // not even with --force may the source be emptied
+    assert_fails(
+        &run(dir.path(), dir.path(), &["--force"]),
+        2,
+        &["holds the source"],
+    );
+    assert!(dir.path().join("000.png").exists());
+    let file = dir.path().join("file");
+    fs::write(&file, "x").unwrap();
+    assert_fails(&run(dir.path(), &file, &[]), 2, &["is a file"]);
+    assert_fails(
+        &run(dir.path(), &file.join("below"), &[]),
+        2,
+        &["cannot be written"],
+    );
+}
+
+#[test]
+fn constant_images_end_with_code_3_and_without_a_map() {
+    let dir = tempfile::tempdir().unwrap();
+    for i in 0..20 {
+        let image = Image::filled(80, 60, 128u8);
+        fs::write(dir.path().join(format!("{i:03}.png")), encode_png(&image)).unwrap();
+    }
+    fs::write(dir.path().join("calibration.txt"), CALIBRATION).unwrap();
+    let out = out_in(&dir);
+    let output = run(dir.path(), &out, &["--json"]);
+    assert_eq!(code(&output), 3, "{}", stderr(&output));
+    let summary = common::json(&output);
+    assert_eq!(summary["keyframes"], 0);
+    assert_eq!(summary["status"], "not_initialised");
+    assert!(!out.join("global.ot").exists());
+    for name in ["summary.json", "report.html", "frames.csv", "config.toml"] {
+        assert!(out.join(name).exists(), "{name}");
+    }
+    // ours now: replaced without --force
+    assert_eq!(code(&run(dir.path(), &out, &[])), 3);
+}
+
+#[test]
+fn unreadable_images_are_skipped_and_ten_in_a_row_end_the_run() {
+    let dir = image_folder(30);
+    fs::write(dir.path().join("004.png"), "not an image").unwrap();
+    let whole = fs::read(dir.path().join("006.png")).unwrap();
+    fs::write(dir.path().join("006.png"), &whole[..whole.len() / 2]).unwrap();
+    let small = Image::filled(40, 30, 9u8);
+    fs::write(dir.path().join("008.png"), encode_png(&small)).unwrap();
+    let output = run(dir.path(), &out_in(&dir), &["--json"]);
+    let summary = common::json(&output);
+    assert_eq!(summary["skipped"], 3, "{}", stderr(&output));
+    assert_eq!(summary["frames"], 30);
+    assert!(stderr(&output).contains("40x30"));
+    for i in 10..20 {
+        fs::write(dir.path().join(format!("{i:03}.png")), "x").unwrap();
+    }
+    let output = run(dir.path(), &out_in(&dir), &[]);
+    assert_fails(&output, 1, &["10 images in a row"]);
+    assert!(out_in(&dir).join("summary.json").exists());
+}
+
+#[test]
+fn unsorted_and_duplicate_times_are_put_in_order() {
+    let dir = image_folder(4);
+    let list = "# list\n0.2 002.png\n0.1 001.png\n0.1 003.png\n0.0 000.png\n";
+    fs::write(dir.path().join("rgb.txt"), list).unwrap();
+    let output = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let report = common::json(&output);
+    assert_eq!(report["frames"], 3);
+    let warnings = report["warnings"].to_string();
+    assert!(
+        warnings.contains("backwards") && warnings.contains("repeat"),
+        "{warnings}"
+    );
+}
+
+#[test]
+fn maps_and_recordings_that_are_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    fs::write(path("a.ot"), "hello").unwrap();
+    assert_fails(
+        &monogrid(["info", &path("a.ot")]),
+        2,
+        &["a.ot", "not a map"],
+    );
+    assert_fails(&monogrid(["info", &path("b.ot")]), 2, &["b.ot"]);
+    assert_fails(
+        &monogrid(["convert", &path("a.ot"), &path("a.ply")]),
+        2,
+        &["not a map"],
+    );
+    assert_fails(
+        &monogrid(["convert", &path("a.ot"), &path("a.xyz")]),
+        2,
+        &["a.xyz", ".ply"],
+    );
+    fs::write(path("r.mgk"), "hello").unwrap();
+    assert_fails(
+        &monogrid(["map", &path("r.mgk"), "--out", &path("m.ot")]),
+        2,
+        &["r.mgk"],
+    );
+    fs::write(path("r.scans"), "hello").unwrap();
+    assert_fails(
+        &monogrid(["map", &path("r.scans"), "--out", &path("m.ot")]),
+        2,
+        &["r.scans"],
+    );
+    assert_fails(
+        &monogrid(["evaluate", "trajectory", &path("a.ot"), &path("none")]),
+        2,
+        &["a.ot", "line 1"],
+    );
+}

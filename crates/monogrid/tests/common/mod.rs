@@ -1,0 +1,113 @@
+//! Helpers of the tests that run the program.
+#![allow(dead_code, reason = "every test file uses a part")]
+
+use monogrid_datasets::synth::{SynthSequence, WriteConfig, write_tum_layout};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+/// The program.
+pub fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_monogrid"))
+}
+
+/// Runs the program with these arguments.
+pub fn monogrid<A: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = A>) -> Output {
+    program().args(args).output().expect("the program starts")
+}
+
+/// Exit code; a panic or a signal gives -1.
+pub fn code(output: &Output) -> i32 {
+    output.status.code().unwrap_or(-1)
+}
+
+/// Standard error as text.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Asserts exit code and that the message holds every one of `parts`, and nothing that looks like a panic.
+pub fn assert_fails(output: &Output, expected: i32, parts: &[&str]) {
+    let text = stderr(output);
+    assert_eq!(code(output), expected, "{text}");
+    assert!(!text.contains("panicked"), "{text}");
+    for part in parts {
+        assert!(text.contains(part), "expected {part:?} in: {text}");
+    }
+}
+
+/// JSON on standard output.
+pub fn json(output: &Output) -> serde_json::Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
+        panic!(
+            "{error}: {} {}",
+            String::from_utf8_lossy(&output.stdout),
+            stderr(output)
+        )
+    })
+}
+
+/// Frames of the small sequence: enough for a start and some keyframes.
+pub const SMALL_FRAMES: usize = 150;
+
+/// A short video of the built-in room at 320x240 with exact truth, written once per test program.
+pub fn small_sequence() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let folder = std::env::temp_dir().join(format!("monogrid-small-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let sequence = SynthSequence::small_demo().unwrap().shortened(SMALL_FRAMES);
+        let config = WriteConfig {
+            depth_every: 5,
+            with_mesh: false,
+        };
+        write_tum_layout(&sequence, &folder, &config, |_| {}).unwrap();
+        folder
+    })
+}
+
+/// A private copy of the small sequence, to be damaged.
+pub fn copy_of_small_sequence(to: &Path) {
+    fn copy(from: &Path, to: &Path) {
+        std::fs::create_dir_all(to).unwrap();
+        for entry in std::fs::read_dir(from).unwrap() {
+            let entry = entry.unwrap();
+            let target = to.join(entry.file_name());
+            if entry.file_type().unwrap().is_dir() {
+                copy(&entry.path(), &target);
+            } else {
+                std::fs::copy(entry.path(), target).unwrap();
+            }
+        }
+    }
+    copy(small_sequence(), to);
+}
+
+/// Every file below a folder with its content, names relative and sorted.
+pub fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    fn collect(root: &Path, folder: &Path, out: &mut Vec<(String, Vec<u8>)>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                collect(root, &path, out);
+            } else {
+                let name = path
+                    .strip_prefix(root)
+                    .unwrap()
+                    .to_string_lossy()
+                    .into_owned();
+                out.push((name, std::fs::read(&path).unwrap()));
+            }
+        }
+    }
+    let mut out = Vec::new();
+    collect(folder, folder, &mut out);
+    out.sort();
+    out
+}
+
+/// Removes the shared sequence of this test program.
+pub fn clean_up() {
+    let folder = std::env::temp_dir().join(format!("monogrid-small-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(folder);
+}

@@ -1,0 +1,144 @@
+//! `map`, `info` and `convert` on data with given poses.
+
+mod common;
+
+use common::{code, json, monogrid, small_sequence, stderr};
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+/// A scan file with a wall of points two metres ahead of a sensor one metre above the origin.
+fn write_scans(path: &Path) {
+    let mut out = Vec::new();
+    out.extend(0x4f47_4d31_u32.to_le_bytes());
+    out.extend(1_u32.to_le_bytes());
+    // world_from_sensor: sensor z is world x, sensor x is world -y, sensor y is world -z
+    let pose: [f64; 12] = [0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0];
+    for value in pose {
+        out.extend(value.to_le_bytes());
+    }
+    let points: Vec<[f32; 4]> = (-40..=40)
+        .flat_map(|x| (-40..=40).map(move |y| (x, y)))
+        .map(|(x, y)| [x as f32 * 0.02, y as f32 * 0.02, 2.02, 0.02])
+        .collect();
+    out.extend((points.len() as u32).to_le_bytes());
+    for value in points.into_iter().flatten() {
+        out.extend(value.to_le_bytes());
+    }
+    fs::File::create(path).unwrap().write_all(&out).unwrap();
+}
+
+#[test]
+fn scans_become_a_map_that_is_independent_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let scans = dir.path().join("wall.scans");
+    write_scans(&scans);
+    let build = |name: &str, more: &[&str]| {
+        let map = dir.path().join(name);
+        let mut args = vec![
+            "map".to_owned(),
+            scans.display().to_string(),
+            "--out".to_owned(),
+            map.display().to_string(),
+            "--json".to_owned(),
+        ];
+        args.extend(more.iter().map(|s| (*s).to_owned()));
+        let output = monogrid(args);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        (json(&output), map)
+    };
+    let (report, map) = build("a.ot", &["--integration", "rays", "--threads", "1"]);
+    assert_eq!(report["points"], 81 * 81);
+    let (_, other) = build("b.ot", &["--integration", "rays", "--threads", "3"]);
+    assert_eq!(fs::read(&map).unwrap(), fs::read(other).unwrap());
+    let info = json(&monogrid([Path::new("info"), &map, Path::new("--json")]));
+    // the wall is 1.6 m by 1.6 m of cells of 5 cm, about one cell thick
+    let occupied = info["cells_occupied"].as_u64().unwrap();
+    assert!((33 * 33..=40 * 40 * 3).contains(&occupied), "{info}");
+    let low = info["bounds_min"][0].as_f64().unwrap();
+    let high = info["bounds_max"][0].as_f64().unwrap();
+    assert!(low <= 0.0 && (2.0..2.5).contains(&high), "{info}");
+
+    // none: end points only
+    let (_, map) = build("c.ot", &["--sensor-model", "none", "--integration", "rays"]);
+    let info = json(&monogrid([Path::new("info"), &map, Path::new("--json")]));
+    assert_eq!(info["cells_free"], 0);
+    assert!(info["cells_occupied"].as_u64().unwrap() > 0);
+
+    // a Sim(3) moves and scales the map
+    let sim3 = dir.path().join("sim3.txt");
+    fs::write(&sim3, "2 10 0 0 0 0 0 1\n").unwrap();
+    let align = format!("sim3:{}", sim3.display());
+    let (_, map) = build(
+        "d.ot",
+        &[
+            "--align",
+            &align,
+            "--resolution",
+            "0.1",
+            "--integration",
+            "rays",
+        ],
+    );
+    let info = json(&monogrid([Path::new("info"), &map, Path::new("--json")]));
+    let high = info["bounds_max"][0].as_f64().unwrap();
+    assert!((14.0..15.0).contains(&high), "{info}");
+}
+
+#[test]
+fn formats_convert_into_each_other() {
+    let dir = tempfile::tempdir().unwrap();
+    let scans = dir.path().join("wall.scans");
+    write_scans(&scans);
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let ok = |args: &[&str]| {
+        let output = monogrid(args);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+    };
+    ok(&["map", &path("wall.scans"), "--out", &path("a.ot")]);
+    ok(&["map", &path("wall.scans"), "--out", &path("a.bt")]);
+    ok(&["convert", &path("a.ot"), &path("b.ot")]);
+    assert_eq!(
+        fs::read(path("a.ot")).unwrap(),
+        fs::read(path("b.ot")).unwrap()
+    );
+    ok(&["convert", &path("a.ot"), &path("b.bt")]);
+    assert_eq!(
+        fs::read(path("a.bt")).unwrap(),
+        fs::read(path("b.bt")).unwrap()
+    );
+    // whatever a file is called, its content decides
+    fs::copy(path("a.bt"), path("c.ot")).unwrap();
+    let info = json(&monogrid(["info", &path("c.ot"), "--json"]));
+    assert!(info["format"].as_str().unwrap().contains(".bt"));
+    for (name, start) in [("a.ply", &b"ply\n"[..]), ("a.pcd", b"# .PCD")] {
+        ok(&["convert", &path("a.ot"), &path(name)]);
+        assert!(fs::read(path(name)).unwrap().starts_with(start));
+    }
+    // a truncated file is refused
+    let whole = fs::read(path("a.ot")).unwrap();
+    fs::write(path("cut.ot"), &whole[..whole.len() / 2]).unwrap();
+    common::assert_fails(&monogrid(["info", &path("cut.ot")]), 2, &["cut.ot"]);
+}
+
+#[test]
+fn posed_depth_images_become_a_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let map = dir.path().join("room.ot");
+    let output = monogrid([
+        Path::new("map"),
+        small_sequence(),
+        Path::new("--out"),
+        &map,
+        Path::new("--json"),
+    ]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let report = json(&output);
+    assert_eq!(report["scans"], common::SMALL_FRAMES.div_ceil(5));
+    assert!(report["points"].as_u64().unwrap() > 100_000);
+    let info = json(&monogrid([Path::new("info"), &map, Path::new("--json")]));
+    // the floor of the room is at z = 0, its ceiling below 4 m
+    let low = info["bounds_min"][2].as_f64().unwrap();
+    let high = info["bounds_max"][2].as_f64().unwrap();
+    assert!(low > -0.5 && high < 4.5, "{info}");
+}
