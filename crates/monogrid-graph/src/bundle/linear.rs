@@ -1,0 +1,269 @@
+//! Cost and normal equations of a window.
+
+use super::prepare::{Layout, NO_PAIR};
+use super::{BundleConfig, BundleProblem};
+use crate::RobustKernel;
+use crate::reprojection::{
+    BEHIND_CHI2, adjoint_transpose, pose_jacobian, project, projection_jacobian,
+};
+use crate::tangent::se3_left_jacobian_inverse;
+use monogrid_geometry::{Mat3, Mat6, Se3, Vec2, Vec3, Vec6, hat};
+use nalgebra::{DMatrix, DVector};
+
+/// The unknowns.
+#[derive(Clone, Debug)]
+pub(super) struct State {
+    pub camera_from_world: Vec<Se3>,
+    pub inverse_depths: Vec<f64>,
+}
+
+/// Observer from host, as a matrix.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Relative {
+    pub rotation: Mat3,
+    pub translation: Vec3,
+}
+
+/// Everything that does not change while the unknowns do.
+#[derive(Debug)]
+pub(super) struct Window<'a> {
+    pub problem: &'a BundleProblem,
+    pub layout: &'a Layout,
+    pub kernel: RobustKernel,
+    /// Per point its direction in the host, z = 1.
+    pub bearings: Vec<Vec3>,
+    /// Per observation whether it takes part.
+    pub active: Vec<bool>,
+}
+
+/// Gauss-Newton system before the points are eliminated.
+#[derive(Debug)]
+pub(super) struct Normal {
+    /// Poses x poses, lower triangle valid.
+    pub h_poses: DMatrix<f64>,
+    /// Negative gradient by the poses.
+    pub b_poses: DVector<f64>,
+    /// Per point second derivative.
+    pub h_points: Vec<f64>,
+    /// Per point negative gradient.
+    pub b_points: Vec<f64>,
+    /// Per observation the mixed derivative by the observer's pose and the inverse depth.
+    pub cross: Vec<Vec6>,
+    /// Per pair observer from host at the point of linearisation.
+    pub relatives: Vec<Relative>,
+}
+
+impl<'a> Window<'a> {
+    pub(super) fn new(
+        problem: &'a BundleProblem,
+        layout: &'a Layout,
+        config: &BundleConfig,
+    ) -> Self {
+        let bearing = |p: &super::AnchoredPoint| problem.pinhole.unproject(&p.pixel);
+        let is_seen = |&pair: &usize| pair != NO_PAIR;
+        Self {
+            problem,
+            layout,
+            kernel: config.kernel,
+            bearings: problem.points.iter().map(bearing).collect(),
+            active: layout.pair_of_observation.iter().map(is_seen).collect(),
+        }
+    }
+
+    /// Observer from host for every pair.
+    pub(super) fn relatives(&self, state: &State) -> Vec<Relative> {
+        let relative = |&(host, observer): &(usize, usize)| {
+            let observer_from_host =
+                state.camera_from_world[observer] * state.camera_from_world[host].inverse();
+            Relative {
+                rotation: observer_from_host.rotation_matrix(),
+                translation: observer_from_host.translation,
+            }
+        };
+        self.layout.pairs.iter().map(relative).collect()
+    }
+
+    /// The point of observation `i` in its observer, times its inverse depth.
+    #[inline]
+    fn scaled_point(&self, i: usize, relative: &Relative, state: &State) -> Vec3 {
+        let point = self.problem.observations[i].point;
+        relative.rotation * self.bearings[point]
+            + relative.translation * state.inverse_depths[point]
+    }
+
+    /// Residual of observation `i` in pixels; `None` when the point is not in front of the camera.
+    #[inline]
+    fn residual(&self, i: usize, q: &Vec3) -> Option<Vec2> {
+        let seen = project(&self.problem.pinhole, q)?;
+        Some(seen - self.problem.observations[i].pixel)
+    }
+
+    /// Squared error of observation `i` in standard deviations; `None` when behind or an anchor.
+    pub(super) fn chi2(&self, i: usize, relatives: &[Relative], state: &State) -> Option<f64> {
+        let relative = relatives.get(self.layout.pair_of_observation[i])?;
+        let q = self.scaled_point(i, relative, state);
+        let weight = self.problem.observations[i].inv_sigma_px;
+        self.residual(i, &q)
+            .map(|r| r.norm_squared() * weight * weight)
+    }
+
+    /// Robust cost of the observations for which `includes` is true, and of all priors.
+    pub(super) fn cost(&self, state: &State, includes: &[bool]) -> f64 {
+        let relatives = self.relatives(state);
+        let mut sum = 0.0;
+        for (i, &is_included) in includes.iter().enumerate() {
+            if is_included {
+                let chi2 = self.chi2(i, &relatives, state).unwrap_or(BEHIND_CHI2);
+                sum += self.kernel.cost(chi2.min(BEHIND_CHI2));
+            }
+        }
+        for (point, &d) in self.problem.points.iter().zip(&state.inverse_depths) {
+            if let Some(prior) = point.prior {
+                sum += ((d - prior.mean) / prior.sigma).powi(2);
+            }
+        }
+        for prior in &self.problem.pose_priors {
+            let r = prior_residual(prior, state);
+            sum += r.dot(&(prior.information * r));
+        }
+        0.5 * sum
+    }
+
+    /// Normal equations at `state`, over the active observations and the priors.
+    pub(super) fn linearise(&self, state: &State) -> Normal {
+        let n = 6 * self.layout.free_keyframes.len();
+        let points = self.problem.points.len();
+        let mut normal = Normal {
+            h_poses: DMatrix::zeros(n, n),
+            b_poses: DVector::zeros(n),
+            h_points: vec![0.0; points],
+            b_points: vec![0.0; points],
+            cross: vec![Vec6::zeros(); self.problem.observations.len()],
+            relatives: self.relatives(state),
+        };
+        let mut per_pair = vec![(Mat6::zeros(), Vec6::zeros()); self.layout.pairs.len()];
+        for i in 0..self.problem.observations.len() {
+            if self.active[i] {
+                self.add_observation(i, state, &mut normal, &mut per_pair);
+            }
+        }
+        for (pair, (h, b)) in per_pair.iter().enumerate() {
+            self.add_pair(pair, h, b, &mut normal);
+        }
+        for (i, point) in self.problem.points.iter().enumerate() {
+            if let Some(prior) = point.prior {
+                let weight = 1.0 / (prior.sigma * prior.sigma);
+                normal.h_points[i] += weight;
+                normal.b_points[i] -= weight * (state.inverse_depths[i] - prior.mean);
+            }
+        }
+        self.add_pose_priors(state, &mut normal);
+        normal
+    }
+
+    /// Adds one observation to its point, and to its pair as seen by the observer's pose.
+    #[inline]
+    fn add_observation(
+        &self,
+        i: usize,
+        state: &State,
+        normal: &mut Normal,
+        per_pair: &mut [(Mat6, Vec6)],
+    ) {
+        let pair = self.layout.pair_of_observation[i];
+        let observation = &self.problem.observations[i];
+        let relative = &normal.relatives[pair];
+        let q = self.scaled_point(i, relative, state);
+        let Some(residual) = self.residual(i, &q) else {
+            return;
+        };
+        let information = observation.inv_sigma_px * observation.inv_sigma_px;
+        let chi2 = residual.norm_squared() * information;
+        if chi2 >= BEHIND_CHI2 {
+            return; // constant cost, see `cost`
+        }
+        let weight = information * self.kernel.weight(chi2);
+        let projection = projection_jacobian(&self.problem.pinhole, &q);
+        let j_depth = projection * relative.translation;
+        let j_pose = pose_jacobian(&projection, &q, state.inverse_depths[observation.point]);
+        normal.h_points[observation.point] += weight * j_depth.norm_squared();
+        normal.b_points[observation.point] -= weight * j_depth.dot(&residual);
+        let (h, b) = &mut per_pair[pair];
+        for c in 0..6 {
+            let (x, y) = (weight * j_pose[(0, c)], weight * j_pose[(1, c)]);
+            for r in c..6 {
+                h[(r, c)] += x * j_pose[(0, r)] + y * j_pose[(1, r)];
+            }
+            b[c] -= x * residual.x + y * residual.y;
+            normal.cross[i][c] = x * j_depth.x + y * j_depth.y;
+        }
+    }
+
+    /// Distributes the sums of a pair over its two poses. A left update of the host acts like minus
+    /// its adjoint on the observer: `T_k T_h^-1 exp(-d) = exp(-Ad d) T_k T_h^-1`.
+    fn add_pair(&self, pair: usize, lower: &Mat6, b: &Vec6, normal: &mut Normal) {
+        let (host, observer) = self.layout.pairs[pair];
+        let slot = |k: usize| self.layout.slot_of_keyframe[k];
+        let mut h = *lower;
+        h.fill_upper_triangle_with_lower_triangle();
+        let adjoint = adjoint(&normal.relatives[pair]);
+        let h_ad = h * adjoint;
+        if let Some(k) = slot(observer) {
+            add_block(&mut normal.h_poses, k, k, &h);
+            add_segment(&mut normal.b_poses, k, b);
+        }
+        if let Some(l) = slot(host) {
+            add_block(&mut normal.h_poses, l, l, &adjoint.tr_mul(&h_ad));
+            add_segment(&mut normal.b_poses, l, &-adjoint.tr_mul(b));
+            match slot(observer) {
+                Some(k) if k > l => add_block(&mut normal.h_poses, k, l, &-h_ad),
+                Some(k) => add_block(&mut normal.h_poses, l, k, &-h_ad.transpose()),
+                None => {}
+            }
+        }
+    }
+
+    fn add_pose_priors(&self, state: &State, normal: &mut Normal) {
+        for prior in &self.problem.pose_priors {
+            if let Some(k) = self.layout.slot_of_keyframe[prior.keyframe] {
+                let r = prior_residual(prior, state);
+                let j = se3_left_jacobian_inverse(&r);
+                let weighted = j.tr_mul(&prior.information);
+                add_block(&mut normal.h_poses, k, k, &(weighted * j));
+                add_segment(&mut normal.b_poses, k, &-(weighted * r));
+            }
+        }
+    }
+
+    /// Mixed derivative of observation `i` by its host's pose and the inverse depth.
+    #[inline]
+    pub(super) fn host_cross(&self, i: usize, normal: &Normal) -> Vec6 {
+        let relative = &normal.relatives[self.layout.pair_of_observation[i]];
+        -adjoint_transpose(&relative.rotation, &relative.translation, &normal.cross[i])
+    }
+}
+
+fn prior_residual(prior: &super::PosePrior, state: &State) -> Vec6 {
+    (state.camera_from_world[prior.keyframe] * prior.camera_from_world.inverse()).log()
+}
+
+fn adjoint(relative: &Relative) -> Mat6 {
+    let mut ad = Mat6::zeros();
+    ad.fixed_view_mut::<3, 3>(0, 0)
+        .copy_from(&relative.rotation);
+    ad.fixed_view_mut::<3, 3>(3, 3)
+        .copy_from(&relative.rotation);
+    let upper = hat(&relative.translation) * relative.rotation;
+    ad.fixed_view_mut::<3, 3>(0, 3).copy_from(&upper);
+    ad
+}
+
+fn add_block(h: &mut DMatrix<f64>, row: usize, column: usize, block: &Mat6) {
+    let mut view = h.fixed_view_mut::<6, 6>(6 * row, 6 * column);
+    view += block;
+}
+
+fn add_segment(b: &mut DVector<f64>, row: usize, segment: &Vec6) {
+    let mut view = b.fixed_rows_mut::<6>(6 * row);
+    view += segment;
+}

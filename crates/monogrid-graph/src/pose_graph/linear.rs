@@ -1,0 +1,244 @@
+//! Cost and normal equations of a pose graph.
+
+use super::sparse::{BlockMatrix, BlockPattern};
+use super::{EdgeFit, GraphEdge, PoseGraph};
+use crate::RobustKernel;
+use crate::tangent::sim3_left_jacobian_inverse;
+use monogrid_geometry::{Mat7, Sim3, Vec7};
+
+/// The terms of a graph's cost, with indices instead of identities.
+pub(super) struct Terms<'a> {
+    edges: &'a [GraphEdge],
+    /// Per edge its nodes.
+    pub ends: Vec<(usize, usize)>,
+    /// Per edge the inverse of its measurement.
+    j_from_i: Vec<Sim3>,
+    /// Nodes, expected log ratio and weight of every scale prior.
+    pub scale_priors: Vec<(usize, usize, f64, f64)>,
+}
+
+impl<'a> Terms<'a> {
+    pub(super) fn new(graph: &'a PoseGraph) -> Self {
+        // Every identity was checked on entry.
+        let index = |id: u64| graph.index_of_id.get(&id).copied().unwrap_or(0);
+        let ends = |e: &GraphEdge| (index(e.i), index(e.j));
+        let prior = |p: &super::ScalePrior| {
+            let weight = 1.0 / (p.sigma * p.sigma);
+            (index(p.i), index(p.j), p.log_ratio, weight)
+        };
+        Self {
+            edges: &graph.edges,
+            ends: graph.edges.iter().map(ends).collect(),
+            j_from_i: graph.edges.iter().map(|e| e.i_from_j.inverse()).collect(),
+            scale_priors: graph.scale_priors.iter().map(prior).collect(),
+        }
+    }
+
+    /// `r = log(T_i^-1 T_j M^-1)`.
+    fn residual(&self, edge: usize, poses: &[Sim3]) -> Vec7 {
+        let (i, j) = self.ends[edge];
+        (poses[i].inverse() * poses[j] * self.j_from_i[edge]).log()
+    }
+
+    fn chi2(&self, edge: usize, poses: &[Sim3]) -> f64 {
+        let r = self.residual(edge, poses);
+        r.dot(&(self.edges[edge].information * r)).max(0.0)
+    }
+
+    /// Robust cost, with bounded kernels `width` times as wide.
+    pub(super) fn cost(&self, poses: &[Sim3], width: f64) -> f64 {
+        let mut sum = 0.0;
+        for (edge, e) in self.edges.iter().enumerate() {
+            sum += widened(e.kernel, width).cost(self.chi2(edge, poses));
+        }
+        for &(i, j, log_ratio, weight) in &self.scale_priors {
+            let r = poses[j].scale.ln() - poses[i].scale.ln() - log_ratio;
+            sum += weight * r * r;
+        }
+        0.5 * sum
+    }
+
+    pub(super) fn edge_fits(&self, poses: &[Sim3]) -> Vec<EdgeFit> {
+        let fit = |(edge, e): (usize, &GraphEdge)| {
+            let chi2 = self.chi2(edge, poses);
+            EdgeFit {
+                chi2,
+                weight: e.kernel.weight(chi2),
+            }
+        };
+        self.edges.iter().enumerate().map(fit).collect()
+    }
+
+    /// How many times wider the bounded kernels must be for every edge to be in their quadratic part.
+    pub(super) fn quadratic_width(&self, poses: &[Sim3]) -> f64 {
+        let mut width = 1.0_f64;
+        for (edge, e) in self.edges.iter().enumerate() {
+            if let RobustKernel::DynamicCovariance { phi } = e.kernel {
+                width = width.max(self.chi2(edge, poses) / phi);
+            }
+        }
+        width
+    }
+
+    /// Normal equations `H x = b` at `poses`; `slot` gives each node's place among the free ones.
+    pub(super) fn linearise(
+        &self,
+        poses: &[Sim3],
+        width: f64,
+        slot: &[Option<usize>],
+        pattern: &BlockPattern,
+    ) -> (BlockMatrix, Vec<Vec7>) {
+        let mut h = pattern.zeros();
+        let mut b = vec![Vec7::zeros(); slot.iter().flatten().count()];
+        for (edge, e) in self.edges.iter().enumerate() {
+            let (i, j) = self.ends[edge];
+            if slot[i].is_none() && slot[j].is_none() {
+                continue;
+            }
+            let r = self.residual(edge, poses);
+            let chi2 = r.dot(&(e.information * r)).max(0.0);
+            let weight = widened(e.kernel, width).weight(chi2);
+            // d r / d T_j = J_l^-1(r) Ad(T_i^-1), and its negative by T_i
+            let jacobian = sim3_left_jacobian_inverse(&r) * poses[i].inverse().adjoint();
+            let weighted = jacobian.tr_mul(&e.information) * weight;
+            let block = weighted * jacobian;
+            let gradient = weighted * r;
+            if let Some(a) = slot[j] {
+                pattern.add_diagonal(&mut h, a, &block);
+                b[a] -= gradient;
+            }
+            if let Some(a) = slot[i] {
+                pattern.add_diagonal(&mut h, a, &block);
+                b[a] += gradient;
+            }
+            if let (Some(a), Some(c)) = (slot[i], slot[j]) {
+                pattern.add_symmetric(&mut h, a, c, &-block);
+            }
+        }
+        self.add_scale_priors(poses, slot, pattern, &mut h, &mut b);
+        (h, b)
+    }
+
+    /// Scale priors are linear in the last component of the updates.
+    fn add_scale_priors(
+        &self,
+        poses: &[Sim3],
+        slot: &[Option<usize>],
+        pattern: &BlockPattern,
+        h: &mut BlockMatrix,
+        b: &mut [Vec7],
+    ) {
+        for &(i, j, log_ratio, weight) in &self.scale_priors {
+            let r = poses[j].scale.ln() - poses[i].scale.ln() - log_ratio;
+            let mut block = Mat7::zeros();
+            block[(6, 6)] = weight;
+            if let Some(a) = slot[j] {
+                pattern.add_diagonal(h, a, &block);
+                b[a][6] -= weight * r;
+            }
+            if let Some(a) = slot[i] {
+                pattern.add_diagonal(h, a, &block);
+                b[a][6] += weight * r;
+            }
+            if let (Some(a), Some(c)) = (slot[i], slot[j]) {
+                pattern.add_symmetric(h, a, c, &-block);
+            }
+        }
+    }
+}
+
+/// The kernel, `width` times as wide if it is one that can switch an edge off.
+fn widened(kernel: RobustKernel, width: f64) -> RobustKernel {
+    match kernel {
+        RobustKernel::DynamicCovariance { phi } => {
+            RobustKernel::DynamicCovariance { phi: phi * width }
+        }
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{GraphNode, ScalePrior};
+    use super::*;
+
+    /// Two free nodes with an edge and a scale prior: the gradient and, for a plain kernel near zero
+    /// residual, the Hessian are the derivatives of the cost.
+    #[test]
+    fn normal_equations_are_the_derivatives_of_the_cost() {
+        let tangents = [
+            [0.0; 7],
+            [0.02, -0.01, 0.03, 0.01, 0.02, -0.01, 0.01],
+            [0.5, -0.7, 0.9, 0.6, -0.4, 0.3, 0.4],
+            [3.0, 1.0, -2.0, 1.5, -2.0, 1.0, -0.6],
+        ];
+        let kernels = [
+            RobustKernel::None,
+            RobustKernel::Huber { delta: 1.0 },
+            RobustKernel::Cauchy { scale: 2.0 },
+            RobustKernel::DynamicCovariance { phi: 3.0 },
+        ];
+        assert_eq!(tangents.len() * kernels.len(), 16);
+        for error in tangents {
+            for kernel in kernels {
+                check(&Vec7::from(error), kernel);
+            }
+        }
+    }
+
+    fn check(error: &Vec7, kernel: RobustKernel) {
+        let a = Sim3::exp(&Vec7::from([1.0, -2.0, 0.5, 0.3, 1.2, -0.4, 0.3]));
+        let b = Sim3::exp(&Vec7::from([-1.0, 0.4, 2.5, -0.9, 0.1, 0.8, -0.4]));
+        let mut graph = PoseGraph::new();
+        for (id, pose) in [(0, a), (1, b)] {
+            let node = GraphNode {
+                id,
+                world_from_keyframe: pose,
+                is_fixed: false,
+            };
+            assert!(graph.add_node(node).is_ok());
+        }
+        let square = Mat7::from_fn(|r, c| ((r * 3 + c * 5) % 7) as f64 * 0.3);
+        let edge = GraphEdge {
+            i: 0,
+            j: 1,
+            i_from_j: Sim3::exp(error) * a.inverse() * b,
+            information: square * square.transpose() + Mat7::identity(),
+            kernel,
+        };
+        graph.edges.push(edge);
+        let prior = ScalePrior {
+            i: 0,
+            j: 1,
+            log_ratio: 0.1,
+            sigma: 0.2,
+        };
+        assert!(graph.add_scale_prior(prior).is_ok());
+        let terms = Terms::new(&graph);
+        let slot = [Some(0), Some(1)];
+        let pattern = BlockPattern::new(2, &terms.ends);
+        assert!(pattern.is_some());
+        let Some(pattern) = pattern else { return };
+        let poses = [a, b];
+        let (_, gradient) = terms.linearise(&poses, 1.0, &slot, &pattern);
+        for node in 0..2 {
+            for k in 0..7 {
+                let cost = |h: f64| {
+                    let mut d = Vec7::zeros();
+                    d[k] = h;
+                    let mut moved = poses;
+                    moved[node] = Sim3::exp(&d) * moved[node];
+                    terms.cost(&moved, 1.0)
+                };
+                let h = 1e-5;
+                let numeric = (cost(h) - cost(-h)) / (2.0 * h);
+                let scale = 1.0 + gradient[node].norm();
+                let found = -gradient[node][k];
+                assert!(
+                    (numeric - found).abs() < 1e-6 * scale,
+                    "{kernel:?}, node {node}, {k}: {found} instead of {numeric}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! Levenberg-Marquardt with graduated kernels on a pose graph.
+
+use super::linear::Terms;
+use super::sparse::BlockPattern;
+use super::{GraphOutcome, PoseGraph, PoseGraphConfig, PoseGraphError, PoseGraphReport};
+use crate::damping::Damping;
+use monogrid_geometry::{Sim3, Vec7};
+
+/// Largest change of a log-scale in one step: a factor of two.
+const MAX_LOG_SCALE_STEP: f64 = std::f64::consts::LN_2;
+
+/// Keeps a factorisation possible for parts without any information.
+const DIAGONAL_FLOOR: f64 = 1e-12;
+
+pub(super) fn optimise(
+    graph: &mut PoseGraph,
+    config: &PoseGraphConfig,
+) -> Result<PoseGraphReport, PoseGraphError> {
+    validate(config)?;
+    let slot = free_slots(graph);
+    let before = graph.poses();
+    let terms = Terms::new(graph);
+    let initial_cost = terms.cost(&before, 1.0);
+    let mut poses = before.clone();
+    let mut iterations = 0;
+    let mut outcome = GraphOutcome::NothingToDo;
+    if slot.iter().any(Option::is_some) {
+        let pattern = pattern(&terms, &slot).ok_or(PoseGraphError::Singular)?;
+        let problem = Problem {
+            terms: &terms,
+            slot: &slot,
+            pattern: &pattern,
+            config,
+        };
+        (poses, outcome) = problem.graduate(poses, &mut iterations)?;
+        if terms.cost(&poses, 1.0) > initial_cost {
+            // A graduated descent may end in another valley: then the direct one is better.
+            poses.clone_from(&before);
+            outcome = problem.descend(&mut poses, 1.0, config.max_iterations, &mut iterations)?;
+        }
+    }
+    let report = PoseGraphReport {
+        initial_cost,
+        final_cost: terms.cost(&poses, 1.0),
+        iterations,
+        outcome,
+        edges: terms.edge_fits(&poses),
+        moved: before.iter().zip(&poses).map(|(a, b)| a != b).collect(),
+    };
+    for (node, pose) in graph.nodes.iter_mut().zip(poses) {
+        node.world_from_keyframe = pose;
+    }
+    Ok(report)
+}
+
+fn validate(config: &PoseGraphConfig) -> Result<(), PoseGraphError> {
+    let invalid = |what, value, expected| {
+        Err(PoseGraphError::Value {
+            what,
+            value,
+            expected,
+        })
+    };
+    let damping = config.initial_damping;
+    if !damping.is_finite() || damping <= 0.0 {
+        return invalid("initial_damping", damping, "a positive number");
+    }
+    if let Some(factor) = config.graduation
+        && (!factor.is_finite() || factor <= 1.0)
+    {
+        return invalid("graduation", factor, "a number above 1");
+    }
+    Ok(())
+}
+
+/// Per node its place among those that may move. In every part that edges connect and that has no fixed
+/// node, the first node is held.
+pub(super) fn free_slots(graph: &PoseGraph) -> Vec<Option<usize>> {
+    let mut part: Vec<usize> = (0..graph.nodes.len()).collect();
+    let terms = Terms::new(graph);
+    for &(i, j) in &terms.ends {
+        let (a, b) = (root(&mut part, i), root(&mut part, j));
+        part[a.max(b)] = a.min(b); // the first node is always the root
+    }
+    let mut has_fixed = vec![false; part.len()];
+    for (k, node) in graph.nodes.iter().enumerate() {
+        let r = root(&mut part, k);
+        has_fixed[r] |= node.is_fixed;
+    }
+    let mut next = 0;
+    let mut slot = vec![None; part.len()];
+    for (k, node) in graph.nodes.iter().enumerate() {
+        let r = root(&mut part, k);
+        let is_held = node.is_fixed || (r == k && !has_fixed[r]);
+        if !is_held {
+            slot[k] = Some(next);
+            next += 1;
+        }
+    }
+    slot
+}
+
+/// Root of a node's part, with paths halved on the way.
+fn root(part: &mut [usize], mut k: usize) -> usize {
+    while part[k] != k {
+        part[k] = part[part[k]];
+        k = part[k];
+    }
+    k
+}
+
+/// Pattern of the normal equations of the free nodes.
+pub(super) fn pattern(terms: &Terms, slot: &[Option<usize>]) -> Option<BlockPattern> {
+    let scale_ends = terms.scale_priors.iter().map(|&(i, j, _, _)| (i, j));
+    let pairs: Vec<_> = terms
+        .ends
+        .iter()
+        .copied()
+        .chain(scale_ends)
+        .filter_map(|(i, j)| Some((slot[i]?, slot[j]?)))
+        .collect();
+    BlockPattern::new(slot.iter().flatten().count(), &pairs)
+}
+
+struct Problem<'a> {
+    terms: &'a Terms<'a>,
+    slot: &'a [Option<usize>],
+    pattern: &'a BlockPattern,
+    config: &'a PoseGraphConfig,
+}
+
+impl Problem<'_> {
+    /// Descends with ever narrower kernels (Graduated Non-Convexity), then with their own.
+    fn graduate(
+        &self,
+        mut poses: Vec<Sim3>,
+        iterations: &mut usize,
+    ) -> Result<(Vec<Sim3>, GraphOutcome), PoseGraphError> {
+        if let Some(factor) = self.config.graduation {
+            let mut width = self.terms.quadratic_width(&poses);
+            while width > 1.0 {
+                self.descend(
+                    &mut poses,
+                    width,
+                    self.config.iterations_per_stage,
+                    iterations,
+                )?;
+                // What the first stages gained need not be walked down again.
+                width = width.min(self.terms.quadratic_width(&poses)) / factor;
+            }
+        }
+        let outcome = self.descend(&mut poses, 1.0, self.config.max_iterations, iterations)?;
+        Ok((poses, outcome))
+    }
+
+    /// Steps until the true cost no longer falls.
+    fn descend(
+        &self,
+        poses: &mut Vec<Sim3>,
+        width: f64,
+        max_iterations: usize,
+        iterations: &mut usize,
+    ) -> Result<GraphOutcome, PoseGraphError> {
+        let mut damping = Damping::new(self.config.initial_damping);
+        let mut cost = self.terms.cost(poses, width);
+        for _ in 0..max_iterations {
+            let (h, b) = self.terms.linearise(poses, width, self.slot, self.pattern);
+            let diagonal = self.pattern.diagonal(&h);
+            let decrease = loop {
+                let mut damped = h.clone();
+                self.pattern.add_to_diagonal(&mut damped, |c| {
+                    damping.lambda * diagonal[c] + DIAGONAL_FLOOR
+                });
+                let step = self.pattern.factorise(&damped).map(|f| f.solve(&b));
+                if let Some(step) = step.filter(|s| is_small(s)) {
+                    let predicted = predicted_decrease(&step, &b, &diagonal, damping.lambda);
+                    let candidate = self.apply(poses, &step);
+                    let new_cost = self.terms.cost(&candidate, width);
+                    if new_cost < cost {
+                        damping.accept((cost - new_cost) / predicted.max(f64::MIN_POSITIVE));
+                        *poses = candidate;
+                        break cost - new_cost;
+                    }
+                    if predicted <= 1e-9 * cost.max(1e-12) {
+                        return Ok(GraphOutcome::Converged);
+                    }
+                }
+                if !damping.reject() {
+                    return if diagonal.iter().all(|d| d.is_finite()) {
+                        Ok(GraphOutcome::Converged)
+                    } else {
+                        Err(PoseGraphError::Singular)
+                    };
+                }
+            };
+            *iterations += 1;
+            cost -= decrease;
+            if decrease <= self.config.min_relative_decrease * cost {
+                return Ok(GraphOutcome::Converged);
+            }
+        }
+        Ok(GraphOutcome::IterationLimit)
+    }
+
+    fn apply(&self, poses: &[Sim3], step: &[Vec7]) -> Vec<Sim3> {
+        let moved = |(pose, slot): (&Sim3, &Option<usize>)| {
+            slot.map_or(*pose, |k| Sim3::exp(&step[k]) * *pose)
+        };
+        poses.iter().zip(self.slot).map(moved).collect()
+    }
+}
+
+/// Whether a step is finite and changes no scale by more than a factor of two.
+fn is_small(step: &[Vec7]) -> bool {
+    let is_ok = |d: &Vec7| d.iter().all(|x| x.is_finite()) && d[6].abs() <= MAX_LOG_SCALE_STEP;
+    step.iter().all(is_ok)
+}
+
+/// `b'x - x'H x / 2` with `(H + lambda D) x = b`.
+fn predicted_decrease(step: &[Vec7], b: &[Vec7], diagonal: &[f64], lambda: f64) -> f64 {
+    let mut sum = 0.0;
+    for (k, (x, g)) in step.iter().zip(b).enumerate() {
+        for i in 0..7 {
+            sum += 0.5 * x[i] * (g[i] + lambda * diagonal[7 * k + i] * x[i]);
+        }
+    }
+    sum
+}
