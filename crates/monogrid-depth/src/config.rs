@@ -69,6 +69,9 @@ pub struct DepthConfig {
     pub crop_to_far_end: bool,
     /// Largest inverse depth searched, 1/u. Range (0, 1000].
     pub max_idepth: f32,
+    /// New pixels are searched up to this multiple of the 98th percentile of the known inverse depths.
+    /// Range [1, 1000].
+    pub near_search_factor: f32,
     /// Range of `z_frame / z_keyframe` in which patches are compared, as the largest ratio of either.
     /// Range [1.01, 1.8].
     pub max_scale_change: f32,
@@ -113,8 +116,9 @@ pub struct DepthConfig {
     pub validity_max: u8,
     /// Added to the largest validity per grey level of gradient. Range [0, 10].
     pub validity_per_gradient: f32,
-    /// Failures in a row after which creation is tried only now and then; 0 = always. Range [0, 100].
-    pub failures_before_backoff: u8,
+    /// Whether a pixel that failed is tried again only after 2, 4, 8 … 32 frames (8 when it has a
+    /// hypothesis): it needs another baseline, and long searches are what costs time.
+    pub backoff: bool,
     /// Sum of the validities in 5x5 below which a pixel is dropped. Range [0, 6375].
     pub min_support_keep: u16,
     /// Sum of the validities in 5x5 above which a hole is filled. Range [0, 6375].
@@ -142,16 +146,17 @@ impl Default for DepthConfig {
             selection: GradientSelection::Own,
             min_gradient: 4.0,
             min_line_gradient: 1.0,
-            min_line_cosine: 0.3,
+            min_line_cosine: 0.15,
             frame_choice: FrameChoice::Predicted,
             max_gain_ratio: 0.8,
             mature_validity: 20,
             verify_interval: 8,
             search_sigmas: 2.5,
             max_update_search_px: 60.0,
-            max_create_search_px: 100.0,
+            max_create_search_px: 200.0,
             crop_to_far_end: false,
             max_idepth: 10.0,
+            near_search_factor: 2.5,
             max_scale_change: 1.6,
             sensor_sigma: 4.0,
             max_residual_sigmas: 3.0,
@@ -172,7 +177,7 @@ impl Default for DepthConfig {
             validity_loss: 5,
             validity_max: 60,
             validity_per_gradient: 0.0,
-            failures_before_backoff: 2,
+            backoff: true,
             min_support_keep: 24,
             min_support_fill: 30,
             fill_relative_var: 0.0025,
@@ -202,6 +207,7 @@ impl DepthConfig {
             max_create_search_px: 30.0,
             crop_to_far_end: true,
             max_idepth: 20.0,
+            near_search_factor: 1000.0,
             max_scale_change: 1.4,
             max_residual_sigmas: 2.85,
             variance: VarianceModel::Lsd,
@@ -212,6 +218,7 @@ impl DepthConfig {
             max_disagreement_sigma: 1.0,
             success_inflation: 1.01,
             validity_max: 5,
+            backoff: false,
             validity_per_gradient: 250.0 / 255.0,
             fill_relative_var: 0.125,
             smoothing_per_px: 0.075,
@@ -275,7 +282,8 @@ impl DepthConfig {
             ("max_smoothing_gain", self.max_smoothing_gain, 1.0, 25.0),
             ("occlusion_support", self.occlusion_support, 0.0, 1.0),
         ];
-        let more: [(&'static str, f32, f32, f32); 5] = [
+        let more: [(&'static str, f32, f32, f32); 6] = [
+            ("near_search_factor", self.near_search_factor, 1.0, 1000.0),
             (
                 "validity_per_gradient",
                 self.validity_per_gradient,

@@ -18,6 +18,9 @@ pub struct HostFrame {
     pub pinhole: Pinhole,
 }
 
+/// Largest side of an image, px: coordinates have 15 bits before the point.
+const MAX_SIDE: usize = 32_000;
+
 /// A keyframe that cannot be built.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 #[non_exhaustive]
@@ -30,8 +33,8 @@ pub enum HostError {
         /// Width and height of the image.
         image: (usize, usize),
     },
-    /// The image is too small, or larger than pixel coordinates of 16 bits.
-    #[error("image is {image:?} pixels, expected between 16 and 65535 along each side")]
+    /// The image is too small, or larger than the fixed-point coordinates of the search.
+    #[error("image is {image:?} pixels, expected between 16 and {MAX_SIDE} along each side")]
     ImageSize {
         /// Width and height of the image.
         image: (usize, usize),
@@ -59,7 +62,7 @@ impl HostFrame {
                 image: size,
             });
         }
-        let allowed = 16..=usize::from(u16::MAX);
+        let allowed = 16..=MAX_SIDE;
         if !allowed.contains(&size.0) || !allowed.contains(&size.1) {
             return Err(HostError::ImageSize { image: size });
         }

@@ -130,6 +130,35 @@ impl Walk<'_> {
     }
 }
 
+impl Walk<'_> {
+    /// Samples every px from `from`, in fixed point: steps are exact to 1e-3 px over any search, and
+    /// no number is converted to an integer on the way.
+    fn fill(&self, from: f32, values: &mut [f32]) {
+        const ONE: f32 = 65536.0;
+        let fixed = |axis: usize| {
+            let start = self.origin[axis] + from * self.direction[axis];
+            ((start * ONE) as i32, (self.direction[axis] * ONE).round() as i32)
+        };
+        let ((mut u, step_u), (mut v, step_v)) = (fixed(0), fixed(1));
+        let w = self.image.width();
+        let data = self.image.as_slice();
+        for value in values.iter_mut() {
+            let i = (v >> 16) as usize * w + (u >> 16) as usize;
+            let fx = (u & 0xFFFF) as f32 * (1.0 / ONE);
+            let fy = (v & 0xFFFF) as f32 * (1.0 / ONE);
+            let (top, bottom) = (&data[i..i + 2], &data[i + w..i + w + 2]);
+            let a = top[0] + fx * (top[1] - top[0]);
+            let b = bottom[0] + fx * (bottom[1] - bottom[0]);
+            *value = a + fy * (b - a);
+            u += step_u;
+            v += step_v;
+        }
+        for value in values {
+            *value = (*value - self.bias) * self.inv_gain;
+        }
+    }
+}
+
 /// A minimum of the SSD.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LineMatch {
@@ -161,14 +190,10 @@ pub(crate) fn search(
     let num = num_steps.min(MAX_STEPS) + 1;
     let mut values = [0.0f32; MAX_STEPS + 1 + 2 * RADIUS];
     let values = &mut values[..num + 2 * RADIUS];
-    for (i, value) in values.iter_mut().enumerate() {
-        *value = walk.value(from + i as f32 - RADIUS as f32);
-    }
+    walk.fill(from - RADIUS as f32, values);
     let mut costs = [0.0f32; MAX_STEPS + 1];
     let costs = &mut costs[..num];
-    for (cost, window) in costs.iter_mut().zip(values.windows(PATCH)) {
-        *cost = ssd_of(patch, window);
-    }
+    fill_costs(patch, values, costs);
     let (mut best, mut best_cost) = (0, f32::INFINITY);
     for (i, &cost) in costs.iter().enumerate() {
         if cost < best_cost {
@@ -189,15 +214,35 @@ pub(crate) fn search(
     })
 }
 
+/// SSD at each position; one sample of the patch at a time, so that positions are computed in lanes.
+fn fill_costs(patch: &Patch, values: &[f32], costs: &mut [f32]) {
+    let num = costs.len();
+    if patch.remove_mean {
+        for (cost, window) in costs.iter_mut().zip(values.windows(PATCH)) {
+            *cost = ssd_of(patch, window);
+        }
+        return;
+    }
+    costs.fill(0.0);
+    for (k, reference) in patch.values.iter().enumerate() {
+        for (cost, value) in costs.iter_mut().zip(&values[k..k + num]) {
+            let r = value - reference;
+            *cost += r * r;
+        }
+    }
+}
+
 /// Whether a local minimum at least three steps from `best` costs less than `limit`.
 ///
 /// The flanks of the best minimum are not local minima, hence never rivals, however flat.
 fn has_rival(costs: &[f32], best: usize, limit: f32) -> bool {
-    (0..costs.len()).any(|i| {
+    let is_minimum = |i: usize| {
         let left = i.checked_sub(1).map_or(f32::INFINITY, |j| costs[j]);
         let right = costs.get(i + 1).copied().unwrap_or(f32::INFINITY);
-        i.abs_diff(best) > RADIUS && costs[i] < limit && costs[i] <= left && costs[i] <= right
-    })
+        costs[i] <= left && costs[i] <= right
+    };
+    let mut cheap = costs.iter().enumerate().filter(|(_, cost)| **cost < limit);
+    cheap.any(|(i, _)| i.abs_diff(best) > RADIUS && is_minimum(i))
 }
 
 #[inline]

@@ -144,6 +144,8 @@ pub struct DepthMap {
     pub(crate) noise_var: f32,
     /// Whether `noise_var` comes from observations.
     pub(crate) noise_measured: bool,
+    /// Nearest inverse depth that a pixel without neighbours is searched for, 1/u.
+    pub(crate) near_limit: f32,
 }
 
 impl DepthMap {
@@ -160,6 +162,7 @@ impl DepthMap {
             smooth_var: vec![0.0; len],
             noise_var: 2.0 * config.sensor_sigma * config.sensor_sigma,
             noise_measured: false,
+            near_limit: config.max_idepth,
         }
     }
 
@@ -331,12 +334,42 @@ impl DepthMap {
         }
     }
 
+    /// Limits the search for new pixels to `config.near_search_factor` times the 98th percentile of what is known: a
+    /// range that the scene does not have only adds false matches and time.
+    pub(crate) fn limit_search(&mut self, config: &DepthConfig) {
+        /// Bins per unit of inverse depth, and their number.
+        const BINS_PER_UNIT: f32 = 8.0;
+        const BINS: usize = 128;
+        /// Fewer known pixels say nothing.
+        const ENOUGH: u32 = 1000;
+        let mut bins = [0u32; BINS];
+        let mut total = 0u32;
+        let confirmed = self.arrays.idepth.iter().zip(&self.arrays.validity);
+        for (idepth, _) in confirmed.filter(|(_, validity)| **validity >= 10) {
+            bins[((idepth * BINS_PER_UNIT).max(0.0) as usize).min(BINS - 1)] += 1;
+            total += 1;
+        }
+        self.near_limit = config.max_idepth;
+        if total < ENOUGH {
+            return;
+        }
+        let mut beyond = 0;
+        let nearest = (0..BINS).rev().find(|&bin| {
+            beyond += bins[bin];
+            50 * beyond > total
+        });
+        let percentile = (nearest.unwrap_or(BINS) + 1) as f32 / BINS_PER_UNIT;
+        let limit = config.near_search_factor * percentile.max(1.0);
+        self.near_limit = config.max_idepth.min(limit);
+    }
+
     /// Multiplies every inverse depth by `factor` (lengths are divided by it). Ignored unless finite
     /// and positive.
     pub fn rescale(&mut self, factor: f32) {
         if !(factor.is_finite() && factor > 0.0) {
             return;
         }
+        self.near_limit *= factor;
         let factor_sq = factor * factor;
         for values in [&mut self.arrays.idepth, &mut self.smooth_idepth] {
             values.iter_mut().for_each(|v| *v *= factor);

@@ -56,6 +56,7 @@ pub struct DepthBand<'a> {
     host: &'a HostFrame,
     candidates: &'a Candidates,
     noise_var: f32,
+    near_limit: f32,
     first_row: usize,
     num_rows: usize,
     idepth: &'a mut [f32],
@@ -98,6 +99,7 @@ impl DepthMap {
                 host,
                 candidates,
                 noise_var: self.noise_var,
+                near_limit: self.near_limit,
                 first_row,
                 num_rows,
                 idepth,
@@ -208,6 +210,9 @@ impl DepthBand<'_> {
     ) -> PixelOutcome {
         let i = pixel.i;
         let (idepth, var) = (self.idepth[i], self.var[i]);
+        if self.waits(pixel, frames, 3, config) {
+            return PixelOutcome::Waiting;
+        }
         let worth = self.worthwhile_var(pixel, frames, config);
         let choice = match self.choose_for_update(pixel, frames, worth, config) {
             Ok(choice) => choice,
@@ -224,6 +229,20 @@ impl DepthBand<'_> {
             }
             Err(outcome) => self.doubt(pixel, outcome, config),
         }
+    }
+
+    /// Whether a pixel that failed is left alone in this frame; at most for `2^longest` frames.
+    fn waits(
+        &self,
+        pixel: Pixel,
+        frames: &[Prepared<'_>],
+        longest: u32,
+        config: &DepthConfig,
+    ) -> bool {
+        let failures = u32::from(self.failures[pixel.i]);
+        config.backoff
+            && failures > 0
+            && !phase(pixel, frames[0].frame.id).is_multiple_of(1 << failures.min(longest))
     }
 
     /// An observation is made when its predicted variance is below this: when it would improve the
@@ -563,18 +582,14 @@ impl DepthBand<'_> {
         config: &DepthConfig,
     ) -> PixelOutcome {
         let i = pixel.i;
-        let waiting = self.failures[i].saturating_sub(config.failures_before_backoff);
-        if config.failures_before_backoff > 0 && waiting > 0 {
-            let period = 1 << u32::from(waiting).min(4);
-            if !phase(pixel, frames[0].frame.id).is_multiple_of(period) {
-                return PixelOutcome::Waiting;
-            }
+        if self.waits(pixel, frames, 5, config) {
+            return PixelOutcome::Waiting;
         }
         let choice = match self.choose_for_creation(pixel, frames, config) {
             Ok(choice) => choice,
             Err(outcome) => return outcome,
         };
-        match self.observe_line(pixel, &choice, (1.0, (0.0, config.max_idepth)), config) {
+        match self.observe_line(pixel, &choice, (1.0, (0.0, self.near_limit)), config) {
             Ok((observation, _)) if observation.var <= config.max_var => {
                 self.idepth[i] = observation.idepth;
                 self.var[i] = observation.var;
@@ -616,7 +631,7 @@ impl DepthBand<'_> {
                 reason = PixelOutcome::BaselineTooShort;
                 continue;
             }
-            let near = choice.line.limit_in_front(config.max_idepth, 0.3);
+            let near = choice.line.limit_in_front(self.near_limit, 0.3);
             let all = (0.0, choice.line.position(near));
             let Some((from, to)) = choice.line.clip(all, self.size(), FRAME_BORDER) else {
                 reason = PixelOutcome::OutOfImage;

@@ -75,6 +75,7 @@ impl DepthMap {
             result.smooth_idepth[i] = hypothesis.idepth;
             result.smooth_var[i] = hypothesis.var;
         }
+        result.limit_search(config);
         (result, stats)
     }
 

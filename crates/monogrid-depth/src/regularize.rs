@@ -60,7 +60,7 @@ impl DepthMap {
     }
 
     /// Drops the pixels that the last regularisation left without a smoothed value.
-    pub fn remove_unsupported(&mut self) {
+    pub fn remove_unsupported(&mut self, config: &DepthConfig) {
         let w = self.host.width();
         for y in 0..self.host.height() {
             for &x in self.candidates.row(y) {
@@ -70,6 +70,7 @@ impl DepthMap {
                 }
             }
         }
+        self.limit_search(config);
     }
 
     /// Smooths all rows on the calling thread and drops what has no support.
@@ -78,7 +79,7 @@ impl DepthMap {
         for mut band in self.regularize_bands(usize::MAX >> 32) {
             stats.merge(&band.regularize(config));
         }
-        self.remove_unsupported();
+        self.remove_unsupported(config);
         stats
     }
 
