@@ -74,7 +74,7 @@ impl Default for AlignmentConfig {
             robust: Robust::StudentT { nu: 5.0 },
             brightness: Brightness::Affine,
             contrast_weight: 1.0,
-            min_cost_decrease: 1e-3,
+            min_cost_decrease: 1e-4,
             min_step_sq: 1e-10,
             max_residual: 25.0,
             max_residual_per_gradient: 0.5,

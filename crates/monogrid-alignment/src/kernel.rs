@@ -129,7 +129,7 @@ pub fn linearize(
 /// Scalar sums of a block.
 #[derive(Default)]
 struct Sums {
-    cost: f32,
+    cost: f64,
     num_visible: usize,
     num_good: usize,
     usage: f32,
@@ -154,7 +154,7 @@ impl Linearization {
                 k += 1;
             }
         }
-        self.cost += f64::from(sums.cost);
+        self.cost += sums.cost;
         self.num_visible += sums.num_visible;
         self.num_good += sums.num_good;
         self.usage_sum += f64::from(sums.usage);
@@ -250,6 +250,7 @@ impl Projection {
             weight: [0.0; LANES],
             jacobian: [[0.0; LANES]; UNKNOWNS],
         };
+        let mut chunk_cost = weighting.no_cost();
         let [fx, fy, cx, cy] = target.intrinsics;
         let (r, t) = (&self.r, &self.t);
         for (l, i) in chunk.enumerate() {
@@ -294,7 +295,7 @@ impl Projection {
             sums.moments[1] += intensity;
             sums.moments[2] += raw * raw;
             sums.moments[3] += intensity * intensity;
-            sums.cost += cost;
+            weighting.add_cost(&mut chunk_cost, cost);
             sums.num_visible += 1;
             // depth ratio keyframe / frame is 1 / qz
             sums.usage += inv_qz.min(1.0);
@@ -306,12 +307,14 @@ impl Projection {
             }
             sums.scale += weighting.scale_term(normalised_sq);
         }
+        sums.cost += weighting.chunk_cost(chunk_cost);
         lanes
     }
 }
 
 impl Weighting {
-    /// Weight and cost for a squared normalised residual.
+    /// Weight for a squared normalised residual, and its cost: a summand (Huber) or a factor under the
+    /// logarithm (Student t), see [`Self::chunk_cost`].
     #[inline]
     fn robust_weight(&self, normalised_sq: f32) -> (f32, f32) {
         match self.robust {
@@ -326,12 +329,35 @@ impl Weighting {
             Robust::StudentT { nu } => {
                 let inv_scale_sq = 1.0 / (self.scale * self.scale);
                 let ratio = normalised_sq * inv_scale_sq / nu;
-                // weight (nu + 1) / (nu + (r/s)^2) / s^2 and its integral (nu + 1) ln(1 + (r/s)^2/nu)
-                (
-                    (nu + 1.0) / nu * inv_scale_sq / (1.0 + ratio),
-                    (nu + 1.0) * ratio.ln_1p(),
-                )
+                // weight (nu + 1) / (nu + (r/s)^2) / s^2; its integral is (nu + 1) ln(1 + (r/s)^2/nu)
+                ((nu + 1.0) / nu * inv_scale_sq / (1.0 + ratio), 1.0 + ratio)
             }
+        }
+    }
+
+    /// Neutral element of the costs of a chunk.
+    fn no_cost(&self) -> f64 {
+        match self.robust {
+            Robust::Huber { .. } => 0.0,
+            Robust::StudentT { .. } => 1.0,
+        }
+    }
+
+    /// Adds the cost of one point to those of its chunk.
+    #[inline]
+    fn add_cost(&self, chunk: &mut f64, cost: f32) {
+        match self.robust {
+            Robust::Huber { .. } => *chunk += f64::from(cost),
+            Robust::StudentT { .. } => *chunk *= f64::from(cost),
+        }
+    }
+
+    /// Cost of a chunk: one logarithm of the product instead of one for each of its points.
+    #[inline]
+    fn chunk_cost(&self, chunk: f64) -> f64 {
+        match self.robust {
+            Robust::Huber { .. } => chunk,
+            Robust::StudentT { nu } => f64::from(nu + 1.0) * chunk.ln(),
         }
     }
 

@@ -76,14 +76,16 @@ pub fn align(
     let mut motion = *initial;
     let mut iterations = 0;
     let mut last = None;
+    let mut scale = None;
     for level in (finest..=coarsest).rev() {
-        let solved = align_level(reference, target, level, &motion, freedom, config);
+        let solved = align_level(reference, target, level, &motion, scale, freedom, config);
         motion = solved.motion;
+        scale = Some(solved.scale);
         iterations += solved.iterations;
         last = Some(solved);
     }
-    let last =
-        last.unwrap_or_else(|| align_level(reference, target, finest, &motion, freedom, config));
+    let last = last
+        .unwrap_or_else(|| align_level(reference, target, finest, &motion, None, freedom, config));
     summarise(&last, iterations, freedom, config)
 }
 
@@ -120,14 +122,19 @@ struct LevelResult {
     linear: Linearization,
     num_points: usize,
     iterations: usize,
+    scale: f32,
 }
 
 /// Levenberg-Marquardt on one level; a step is accepted on the true cost.
+///
+/// The scale of the t distribution is estimated before the first step (from that of the coarser level)
+/// and then stays, so that costs remain comparable.
 fn align_level(
     reference: &Reference,
     target: &Target,
     level: usize,
     initial: &Motion,
+    initial_scale: Option<f32>,
     freedom: Freedom,
     config: &AlignmentConfig,
 ) -> LevelResult {
@@ -140,7 +147,7 @@ fn align_level(
     let mut weighting = Weighting {
         intensity_var: config.sigma_intensity * config.sigma_intensity,
         robust: config.robust,
-        scale: 1.0,
+        scale: initial_scale.unwrap_or(1.0),
         good_sq: config.max_residual * config.max_residual,
         good_gradient_sq: config.max_residual_per_gradient * config.max_residual_per_gradient,
     };
@@ -149,18 +156,17 @@ fn align_level(
     };
     let mut motion = *initial;
     let mut linear = evaluate(&motion, &weighting);
+    let scale_steps = if initial_scale.is_some() { 1 } else { 3 };
+    for _ in 0..scale_steps {
+        if update_scale(&mut weighting, &linear) {
+            linear = evaluate(&motion, &weighting);
+        }
+    }
     let max_iterations = config.max_iterations.get(level).copied().unwrap_or(20);
     let mut iterations = 0;
     let mut lambda = 0.0;
-    let rescale_until = 3;
-    let mut prior = GainPrior::new(&linear, config);
+    let prior = GainPrior::new(&linear, config);
     while iterations < max_iterations {
-        // The scale of the t distribution follows the residuals during the first steps of a level,
-        // then stays, so that costs remain comparable.
-        if iterations < rescale_until && update_scale(&mut weighting, &linear) {
-            linear = evaluate(&motion, &weighting);
-            prior = GainPrior::new(&linear, config);
-        }
         iterations += 1;
         let Some(step) = solve(&linear, &motion, &prior, lambda, freedom, config.brightness) else {
             lambda = f64::max(2.0 * lambda, 1e-3);
@@ -179,7 +185,7 @@ fn align_level(
             motion = candidate;
             linear = trial;
             lambda = if lambda < 1e-3 { 0.0 } else { lambda * 0.25 };
-            if iterations > rescale_until && decrease < config.min_cost_decrease {
+            if decrease < config.min_cost_decrease {
                 break;
             }
         } else {
@@ -197,6 +203,7 @@ fn align_level(
         num_points: points.len().div_ceil(stride),
         linear,
         iterations,
+        scale: weighting.scale,
     }
 }
 
@@ -209,7 +216,7 @@ fn update_scale(weighting: &mut Weighting, linear: &Linearization) -> bool {
     // Below a tenth of the assumed noise the residuals are those of a rendered image: a smaller
     // scale would only make the weights reject everything.
     let scale = scale.clamp(0.1, 20.0);
-    let changed = (scale / weighting.scale - 1.0).abs() > 0.02;
+    let changed = (scale / weighting.scale - 1.0).abs() > 0.05;
     weighting.scale = scale;
     changed
 }
