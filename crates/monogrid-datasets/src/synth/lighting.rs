@@ -16,6 +16,8 @@ use std::f32::consts::{PI, TAU};
 pub struct LightingConfig {
     /// Size of the texels that store light, m. Default 0.05.
     pub texel_m: f32,
+    /// Texels in the whole world at most; in large worlds they grow. Default 120 000.
+    pub max_texels: usize,
     /// Sectors of the hemisphere, of four directions each, from which reflected light is gathered.
     /// Default 10.
     pub bounce_sectors: usize,
@@ -28,6 +30,7 @@ impl Default for LightingConfig {
     fn default() -> Self {
         Self {
             texel_m: 0.05,
+            max_texels: 120_000,
             bounce_sectors: 10,
             ambient: 0.25,
         }
@@ -40,8 +43,22 @@ impl LightingConfig {
     pub fn quick() -> Self {
         Self {
             texel_m: 0.15,
+            max_texels: 30_000,
             bounce_sectors: 4,
             ..Self::default()
+        }
+    }
+}
+
+impl LightingConfig {
+    /// The same with texels large enough for a scene.
+    pub(super) fn fitted_to(self, scene: &Scene) -> Self {
+        let area_m2: f32 = scene.patches.iter().map(Patch::area_m2).sum();
+        Self {
+            texel_m: self
+                .texel_m
+                .max((area_m2 / self.max_texels.max(1) as f32).sqrt()),
+            ..self
         }
     }
 }
@@ -190,6 +207,8 @@ pub(super) fn bake(world: &mut World, scene: &Scene, config: &LightingConfig) {
 /// Irradiance over pi of the lamps: sum of L cos cos' dA / (pi r²) over visible samples.
 fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) -> f32 {
     let origin = point + normal * LIFT_M;
+    let strongest = lights.iter().map(AreaLight::intensity).fold(0.0, f32::max);
+    let negligible = 2e-4 * strongest;
     let mut sum = 0.0;
     for light in lights {
         let light_normal = light.edge_u.cross(&light.edge_v);
@@ -212,7 +231,9 @@ fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) ->
                 direction[axis][k] = to_light[axis];
             }
         }
-        if weights.iter().all(|&w| w <= 0.0) {
+        // far lamps of a large building are not worth their rays
+        let reach: f32 = weights.iter().sum();
+        if reach * light.radiosity <= negligible {
             continue;
         }
         // t = 1 is the lamp itself

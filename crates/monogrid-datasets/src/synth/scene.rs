@@ -90,6 +90,24 @@ pub struct Patch {
     pub object: usize,
 }
 
+impl Patch {
+    /// Area, m².
+    #[must_use]
+    pub fn area_m2(&self) -> f32 {
+        let mut sum = 0.0;
+        for j in 0..self.rows - 1 {
+            for i in 0..self.columns - 1 {
+                let k = j * self.columns + i;
+                let diagonal = self.points[k + self.columns + 1] - self.points[k];
+                let other = self.points[k + self.columns] - self.points[k + 1];
+                // exact for flat cells, and for all others as good as their triangles
+                sum += 0.5 * diagonal.cross(&other).norm();
+            }
+        }
+        sum
+    }
+}
+
 /// A rectangular lamp or window that sheds light.
 #[derive(Clone, Copy, Debug)]
 pub struct AreaLight {
@@ -101,6 +119,14 @@ pub struct AreaLight {
     pub edge_v: P3,
     /// Light leaving each square metre, arbitrary units (pictures are normalised afterwards).
     pub radiosity: f32,
+}
+
+impl AreaLight {
+    /// Light that it sends straight ahead to a distance of a metre, were it small.
+    #[must_use]
+    pub fn intensity(&self) -> f32 {
+        self.radiosity * self.edge_u.cross(&self.edge_v).norm() / std::f32::consts::PI
+    }
 }
 
 /// A scene under construction.

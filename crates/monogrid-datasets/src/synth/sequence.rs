@@ -5,7 +5,7 @@ use super::lighting::LightingConfig;
 use super::path::{CameraPath, Carrier, PathError};
 use super::render::{Mover, Renderer, Shutter};
 use super::world::World;
-use super::worlds::{WorldError, mover_world, path_of};
+use super::worlds::{Motion, WorldError, mover_world, path_of};
 use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3};
 use monogrid_image::GrayImage;
 use std::sync::Arc;
@@ -64,7 +64,7 @@ impl SynthConfig {
 }
 
 /// Frames of the demonstration.
-pub const DEMO_FRAMES: usize = 1260;
+pub const DEMO_FRAMES: usize = 1500;
 
 fn pinhole(width: usize, height: usize, focal_px: f64) -> Camera {
     Camera {
@@ -134,8 +134,12 @@ impl SynthSequence {
     ///
     /// # Errors
     /// When there is no such world, or the camera is unusable.
-    pub fn built_in(name: &str, carrier: Carrier, config: SynthConfig) -> Result<Self, SynthError> {
-        Self::built_in_with(name, carrier, config, &LightingConfig::default())
+    pub fn built_in(
+        name: &str,
+        motion: impl Into<Motion>,
+        config: SynthConfig,
+    ) -> Result<Self, SynthError> {
+        Self::built_in_with(name, motion, config, &LightingConfig::default())
     }
 
     /// The same with a choice of how carefully the world is lit.
@@ -144,13 +148,13 @@ impl SynthSequence {
     /// As [`Self::built_in`].
     pub fn built_in_with(
         name: &str,
-        carrier: Carrier,
+        motion: impl Into<Motion>,
         config: SynthConfig,
         lighting: &LightingConfig,
     ) -> Result<Self, SynthError> {
         let world = Arc::new(World::by_name_with(name, lighting)?);
         let duration_secs = config.frames as f64 / config.fps;
-        let path = path_of(name, carrier, duration_secs, config.seed)?;
+        let path = path_of(name, motion.into(), duration_secs, config.seed)?;
         Self::new(world, path, config)
     }
 

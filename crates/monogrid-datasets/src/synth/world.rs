@@ -94,6 +94,7 @@ impl World {
     /// Lights a scene and prepares it for rendering.
     #[must_use]
     pub fn new(name: &str, scene: &Scene, lighting: &LightingConfig) -> Self {
+        let lighting = &lighting.fitted_to(scene);
         let mut triangles = Vec::new();
         let mut shading = Vec::new();
         for (index, patch) in scene.patches.iter().enumerate() {

@@ -47,8 +47,17 @@ impl Palette {
     }
 }
 
+/// How the surfaces are covered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Covering {
+    /// Wallpaper, boards, printed cloth.
+    Patterned,
+    /// Everything large in one tone: only pictures, books and small things have texture.
+    Blank,
+}
+
 /// Builds the room.
-pub(super) fn scene() -> Scene {
+pub(super) fn scene(covering: Covering) -> Scene {
     let mut scene = Scene::default();
     let s = &mut scene;
     shell(s);
@@ -59,7 +68,33 @@ pub(super) fn scene() -> Scene {
     east_side(s, &palette);
     middle(s, &palette);
     pictures(s, &palette);
+    if covering == Covering::Blank {
+        blank_large_surfaces(s);
+    }
     scene
+}
+
+/// Takes the texture from the materials that cover most area, until 70 % of the surface has none.
+fn blank_large_surfaces(s: &mut Scene) {
+    let mut areas = vec![0.0f32; s.materials.len()];
+    for patch in &s.patches {
+        areas[patch.material] += patch.area_m2();
+    }
+    let total: f32 = areas.iter().sum();
+    let is_plain = |s: &Scene, id: MaterialId| s.materials[id].texture.is_none();
+    let mut plain: f32 = (0..areas.len())
+        .filter(|&id| is_plain(s, id))
+        .map(|id| areas[id])
+        .sum();
+    let mut order: Vec<MaterialId> = (0..areas.len()).filter(|&id| !is_plain(s, id)).collect();
+    order.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]).then(a.cmp(&b)));
+    for id in order {
+        if plain >= 0.70 * total {
+            break;
+        }
+        s.materials[id].texture = None;
+        plain += areas[id];
+    }
 }
 
 /// Walls, floor, ceiling, skirting.

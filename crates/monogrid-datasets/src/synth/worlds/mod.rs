@@ -1,18 +1,30 @@
 //! The built-in worlds.
 
+mod corridor_loop;
 mod furniture;
 mod living_room;
+mod machine_hall;
 mod mover;
+mod office;
 mod paths;
+mod workplace;
 
 use super::lighting::LightingConfig;
 use super::world::World;
+use living_room::Covering;
 
 pub(super) use mover::{mover_pose, mover_world};
 pub(super) use paths::path_of;
+pub use paths::{MOTION_NAMES, Motion};
 
 /// Names of the built-in worlds.
-pub const WORLD_NAMES: [&str; 1] = ["living-room"];
+pub const WORLD_NAMES: [&str; 5] = [
+    "living-room",
+    "office",
+    "machine-hall",
+    "corridor-loop",
+    "blank-walls",
+];
 
 /// What is wrong with a request for a world.
 #[derive(Debug, thiserror::Error)]
@@ -40,11 +52,18 @@ impl World {
     /// # Errors
     /// When there is none of that name.
     pub fn by_name_with(name: &str, lighting: &LightingConfig) -> Result<Self, WorldError> {
-        match name {
-            "living-room" => Ok(Self::new(name, &living_room::scene(), lighting)),
-            _ => Err(WorldError::UnknownName {
-                name: name.to_owned(),
-            }),
-        }
+        let scene = match name {
+            "living-room" => living_room::scene(Covering::Patterned),
+            "blank-walls" => living_room::scene(Covering::Blank),
+            "office" => office::scene(),
+            "machine-hall" => machine_hall::scene(),
+            "corridor-loop" => corridor_loop::scene(),
+            _ => {
+                return Err(WorldError::UnknownName {
+                    name: name.to_owned(),
+                });
+            }
+        };
+        Ok(Self::new(name, &scene, lighting))
     }
 }

@@ -7,7 +7,7 @@ const fn way(eye: [f64; 3], target: [f64; 3]) -> Waypoint {
 }
 
 /// Sideways along the sofa first, then round the room and back to where it began.
-pub(super) const LIVING_ROOM: [Waypoint; 36] = [
+pub(super) const LIVING_ROOM: [Waypoint; 42] = [
     way([3.60, 1.50, 1.40], [2.40, 4.60, 0.70]),
     way([3.10, 1.40, 1.42], [2.30, 4.60, 0.75]),
     way([2.60, 1.32, 1.38], [2.20, 4.60, 0.80]),
@@ -44,17 +44,181 @@ pub(super) const LIVING_ROOM: [Waypoint; 36] = [
     way([3.20, 1.80, 1.40], [1.50, 4.50, 0.80]),
     way([3.35, 1.50, 1.42], [2.30, 4.60, 0.75]),
     way([3.60, 1.45, 1.40], [2.60, 4.60, 0.70]),
+    way([3.40, 1.75, 1.38], [3.20, 4.70, 0.80]),
+    way([3.00, 2.15, 1.40], [4.20, 4.70, 0.90]),
+    way([2.85, 2.50, 1.44], [5.00, 4.40, 0.90]),
+    way([3.05, 2.40, 1.42], [4.20, 4.70, 0.90]),
+    way([3.35, 2.00, 1.38], [3.20, 4.70, 0.85]),
+    way([3.50, 1.60, 1.40], [2.60, 4.60, 0.75]),
 ];
+
+/// Along the desks, round the meeting table, and back.
+const OFFICE: [Waypoint; 30] = [
+    way([4.6, 2.0, 1.5], [1.2, 4.4, 0.9]),
+    way([4.3, 1.7, 1.5], [1.0, 4.0, 0.9]),
+    way([3.9, 1.5, 1.5], [0.9, 3.6, 1.0]),
+    way([3.4, 1.4, 1.5], [0.8, 4.0, 1.0]),
+    way([2.9, 1.5, 1.5], [0.9, 5.0, 1.0]),
+    way([2.5, 1.9, 1.5], [1.2, 6.4, 1.0]),
+    way([2.3, 2.5, 1.5], [2.0, 7.8, 1.0]),
+    way([2.2, 3.1, 1.5], [2.8, 7.9, 1.1]),
+    way([2.2, 3.8, 1.5], [3.8, 7.9, 1.1]),
+    way([2.3, 4.4, 1.5], [5.0, 7.8, 1.1]),
+    way([2.6, 4.9, 1.5], [6.4, 7.2, 1.0]),
+    way([3.1, 5.1, 1.5], [6.9, 5.9, 1.1]),
+    way([3.6, 5.0, 1.5], [6.9, 4.6, 1.1]),
+    way([3.9, 4.7, 1.5], [6.9, 3.4, 1.1]),
+    way([4.1, 4.3, 1.5], [6.8, 2.2, 1.1]),
+    way([4.2, 4.7, 1.5], [6.4, 0.8, 1.0]),
+    way([4.0, 5.1, 1.5], [5.2, 0.3, 1.1]),
+    way([3.5, 5.4, 1.5], [4.0, 0.2, 1.1]),
+    way([3.0, 5.5, 1.5], [3.0, 0.2, 1.1]),
+    way([2.6, 5.3, 1.5], [2.0, 0.2, 1.1]),
+    way([2.5, 4.9, 1.5], [1.0, 0.6, 1.1]),
+    way([2.7, 4.6, 1.5], [0.3, 2.0, 1.2]),
+    way([3.1, 4.6, 1.5], [0.2, 3.4, 1.2]),
+    way([3.6, 4.7, 1.5], [0.3, 4.8, 1.1]),
+    way([4.1, 4.5, 1.5], [0.5, 5.4, 1.0]),
+    way([4.5, 4.0, 1.5], [0.8, 5.4, 1.0]),
+    way([4.7, 3.4, 1.5], [1.0, 5.0, 0.9]),
+    way([4.7, 2.8, 1.5], [1.1, 4.6, 0.9]),
+    way([4.7, 2.3, 1.5], [1.2, 4.4, 0.9]),
+    way([4.5, 1.9, 1.5], [1.2, 4.3, 0.9]),
+];
+
+/// Once round the hall at two heights, looking across it.
+const MACHINE_HALL: [Waypoint; 26] = [
+    way([12.0, 3.5, 1.8], [14.0, 12.0, 1.6]),
+    way([14.0, 3.3, 1.8], [15.5, 12.0, 1.8]),
+    way([16.5, 3.4, 1.9], [18.0, 13.0, 2.0]),
+    way([19.0, 3.8, 2.2], [21.0, 14.0, 2.2]),
+    way([21.5, 4.8, 2.6], [24.0, 14.0, 2.4]),
+    way([24.0, 6.3, 3.0], [25.0, 16.0, 2.4]),
+    way([25.6, 8.5, 3.2], [22.5, 18.5, 2.2]),
+    way([26.0, 11.0, 3.2], [20.0, 20.0, 2.0]),
+    way([25.6, 13.5, 3.0], [18.0, 22.0, 2.2]),
+    way([25.0, 16.0, 2.8], [14.0, 24.0, 2.4]),
+    way([24.2, 18.3, 2.6], [11.0, 24.0, 2.6]),
+    way([22.0, 22.8, 2.6], [8.0, 24.5, 2.6]),
+    way([19.5, 23.6, 2.6], [6.0, 23.0, 2.4]),
+    way([17.0, 23.8, 2.6], [4.5, 20.5, 2.2]),
+    way([14.5, 23.6, 2.6], [4.0, 17.0, 2.0]),
+    way([12.2, 22.6, 2.5], [4.0, 13.0, 2.0]),
+    way([10.8, 20.8, 2.4], [5.0, 9.5, 2.0]),
+    way([10.4, 18.0, 2.4], [6.5, 7.0, 1.8]),
+    way([8.5, 15.6, 2.3], [8.0, 6.0, 1.8]),
+    way([6.6, 13.4, 2.2], [9.5, 6.0, 1.8]),
+    way([5.2, 11.0, 2.0], [11.5, 6.5, 1.8]),
+    way([4.2, 8.6, 1.9], [13.0, 8.0, 1.7]),
+    way([4.4, 6.2, 1.8], [14.0, 9.5, 1.7]),
+    way([6.2, 4.5, 1.8], [14.2, 11.0, 1.7]),
+    way([9.0, 3.7, 1.8], [14.2, 11.8, 1.7]),
+    way([12.2, 3.5, 1.8], [14.2, 12.0, 1.6]),
+];
+
+/// Waypoints along the middle line of the corridor, looking ahead and a little to the side where there
+/// is something to see, once round and a bit further.
+fn corridor_loop() -> Vec<Waypoint> {
+    let corners = [[1.0, 1.0], [19.0, 1.0], [19.0, 15.0], [1.0, 15.0]];
+    let lengths = [18.0, 14.0, 18.0, 14.0];
+    let perimeter: f64 = lengths.iter().sum();
+    // corners are cut by a quarter circle: blend of the points half a metre before and after
+    let on_line = |distance: f64| -> [f64; 2] {
+        let mut rest = distance.rem_euclid(perimeter);
+        for k in 0..4 {
+            if rest <= lengths[k] {
+                let (a, b): ([f64; 2], [f64; 2]) = (corners[k], corners[(k + 1) % 4]);
+                let f = rest / lengths[k];
+                return [a[0] + f * (b[0] - a[0]), a[1] + f * (b[1] - a[1])];
+            }
+            rest -= lengths[k];
+        }
+        corners[0]
+    };
+    let step = 1.0;
+    let count = ((perimeter + 6.0) / step) as usize;
+    (0..=count)
+        .map(|k| {
+            let distance = 3.0 + step * k as f64;
+            let eye = on_line(distance);
+            let ahead = on_line(distance + 3.2);
+            let sway = 0.25 * (0.7 * k as f64).sin();
+            // towards the outer wall, where doors and rooms are, and back
+            let out = 0.55 * (0.35 * k as f64).sin();
+            let middle = [10.0, 8.0];
+            let push = |p: [f64; 2], by: f64| -> [f64; 2] {
+                let d = [p[0] - middle[0], p[1] - middle[1]];
+                let n = (d[0] * d[0] + d[1] * d[1]).sqrt().max(1e-9);
+                [p[0] + by * d[0] / n, p[1] + by * d[1] / n]
+            };
+            let (e, a) = (push(eye, sway), push(ahead, out));
+            way([e[0], e[1], 1.45], [a[0], a[1], 1.30])
+        })
+        .collect()
+}
+
+/// How the camera moves through a built-in world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Motion {
+    /// Who carries it.
+    pub carrier: Carrier,
+    /// The same way from its end to its beginning.
+    pub is_reversed: bool,
+}
+
+/// Names of the built-in motions.
+pub const MOTION_NAMES: [&str; 4] = ["hand", "drone", "hand-back", "drone-back"];
+
+impl Motion {
+    /// One of [`MOTION_NAMES`].
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        let (base, is_reversed) = match name.strip_suffix("-back") {
+            Some(base) => (base, true),
+            None => (name, false),
+        };
+        let carrier = match base {
+            "hand" => Carrier::Hand,
+            "drone" => Carrier::Drone,
+            _ => return None,
+        };
+        Some(Self {
+            carrier,
+            is_reversed,
+        })
+    }
+}
+
+impl From<Carrier> for Motion {
+    fn from(carrier: Carrier) -> Self {
+        Self {
+            carrier,
+            is_reversed: false,
+        }
+    }
+}
 
 /// The motion of a built-in world, stretched to a duration.
 pub(in crate::synth) fn path_of(
     world: &str,
-    carrier: Carrier,
+    motion: Motion,
     duration_secs: f64,
     seed: u64,
 ) -> Result<CameraPath, PathError> {
-    let waypoints: &[Waypoint] = match world {
-        _ => &LIVING_ROOM,
+    let mut waypoints: Vec<Waypoint> = match world {
+        "office" => OFFICE.to_vec(),
+        "machine-hall" => MACHINE_HALL.to_vec(),
+        "corridor-loop" => corridor_loop(),
+        _ => LIVING_ROOM.to_vec(),
     };
-    CameraPath::scripted(waypoints, carrier, duration_secs, seed)
+    if motion.is_reversed {
+        waypoints.reverse();
+    }
+    if motion.carrier == Carrier::Drone {
+        // a drone also climbs and sinks
+        for (k, (eye, _)) in waypoints.iter_mut().enumerate() {
+            eye[2] += 0.15 * eye[2] * (0.9 * k as f64).sin();
+        }
+    }
+    CameraPath::scripted(&waypoints, motion.carrier, duration_secs, seed)
 }
