@@ -121,6 +121,8 @@ pub struct DepthConfig {
     pub backoff: bool,
     /// Sum of the validities in 5x5 below which a pixel is dropped. Range [0, 6375].
     pub min_support_keep: u16,
+    /// Share of the validities in 5x5 that must agree with a pixel for it to be kept. Range [0, 1].
+    pub min_support_share: f32,
     /// Sum of the validities in 5x5 above which a hole is filled. Range [0, 6375].
     pub min_support_fill: u16,
     /// Variance of filled pixels at least, relative to the squared inverse depth. Range [0, 10].
@@ -179,6 +181,7 @@ impl Default for DepthConfig {
             validity_per_gradient: 0.0,
             backoff: true,
             min_support_keep: 24,
+            min_support_share: 0.4,
             min_support_fill: 30,
             fill_relative_var: 0.0025,
             smoothing_per_px: 0.01,
@@ -218,6 +221,7 @@ impl DepthConfig {
             max_disagreement_sigma: 1.0,
             success_inflation: 1.01,
             validity_max: 5,
+            min_support_share: 0.0,
             backoff: false,
             validity_per_gradient: 250.0 / 255.0,
             fill_relative_var: 0.125,
@@ -282,7 +286,8 @@ impl DepthConfig {
             ("max_smoothing_gain", self.max_smoothing_gain, 1.0, 25.0),
             ("occlusion_support", self.occlusion_support, 0.0, 1.0),
         ];
-        let more: [(&'static str, f32, f32, f32); 6] = [
+        let more: [(&'static str, f32, f32, f32); 7] = [
+            ("min_support_share", self.min_support_share, 0.0, 1.0),
             ("near_search_factor", self.near_search_factor, 1.0, 1000.0),
             (
                 "validity_per_gradient",

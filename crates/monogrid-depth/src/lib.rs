@@ -21,16 +21,20 @@
 //! ICCV 2013; [Hull17] section 3.3.2.
 #![deny(missing_docs)]
 
+mod choose;
 mod config;
 mod epipolar;
 mod host;
+mod initialize;
 mod line_match;
 mod map;
+mod measure;
 mod observe;
 mod pixels;
 mod propagate;
 mod regularize;
 mod stats;
+mod update;
 mod variance;
 
 pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, VarianceModel};

@@ -137,7 +137,10 @@ impl Walk<'_> {
         const ONE: f32 = 65536.0;
         let fixed = |axis: usize| {
             let start = self.origin[axis] + from * self.direction[axis];
-            ((start * ONE) as i32, (self.direction[axis] * ONE).round() as i32)
+            (
+                (start * ONE) as i32,
+                (self.direction[axis] * ONE).round() as i32,
+            )
         };
         let ((mut u, step_u), (mut v, step_v)) = (fixed(0), fixed(1));
         let w = self.image.width();

@@ -76,7 +76,7 @@ impl DepthMap {
     /// Smooths all rows on the calling thread and drops what has no support.
     pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
         let mut stats = RegularizeStats::default();
-        for mut band in self.regularize_bands(usize::MAX >> 32) {
+        for mut band in self.regularize_bands(self.host.height()) {
             stats.merge(&band.regularize(config));
         }
         self.remove_unsupported(config);
@@ -144,6 +144,37 @@ impl DepthMap {
     }
 }
 
+impl DepthMap {
+    /// Limits the search for new pixels to `config.near_search_factor` times the 98th percentile of what is known: a
+    /// range that the scene does not have only adds false matches and time.
+    pub(crate) fn limit_search(&mut self, config: &DepthConfig) {
+        /// Bins per unit of inverse depth, and their number.
+        const BINS_PER_UNIT: f32 = 8.0;
+        const BINS: usize = 128;
+        /// Fewer known pixels say nothing.
+        const ENOUGH: u32 = 1000;
+        let mut bins = [0u32; BINS];
+        let mut total = 0u32;
+        let confirmed = self.arrays.idepth.iter().zip(&self.arrays.validity);
+        for (idepth, _) in confirmed.filter(|(_, validity)| **validity >= 10) {
+            bins[((idepth * BINS_PER_UNIT).max(0.0) as usize).min(BINS - 1)] += 1;
+            total += 1;
+        }
+        self.near_limit = config.max_idepth;
+        if total < ENOUGH {
+            return;
+        }
+        let mut beyond = 0;
+        let nearest = (0..BINS).rev().find(|&bin| {
+            beyond += bins[bin];
+            50 * beyond > total
+        });
+        let percentile = (nearest.unwrap_or(BINS) + 1) as f32 / BINS_PER_UNIT;
+        let limit = config.near_search_factor * percentile.max(1.0);
+        self.near_limit = config.max_idepth.min(limit);
+    }
+}
+
 impl RegularizeBand<'_> {
     /// Computes the smoothed values of the band's rows.
     pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
@@ -185,22 +216,26 @@ impl RegularizeBand<'_> {
         let slope = config.smoothing_per_px * idepth;
         let slope_sq = f32x8::splat(slope * slope);
         let (idepth_lanes, var_lanes) = (f32x8::splat(idepth), f32x8::splat(var));
-        let (mut sum_w, mut sum_d, mut support) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
+        let (mut sum_w, mut sum_d) = (f32x8::ZERO, f32x8::ZERO);
+        let (mut support, mut all) = (f32x8::ZERO, f32x8::ZERO);
         for (dy, row_sq) in ROW_SQ.into_iter().enumerate() {
             let start = (y + dy - RADIUS) * w + x - RADIUS;
             let vars = f32x8::new(*lanes(&arrays.var, start)?);
             let gaps = f32x8::new(*lanes(&arrays.idepth, start)?) - idepth_lanes;
             let validities = f32x8::new(lanes(&arrays.validity, start)?.map(f32::from));
-            let used = vars.simd_gt(f32x8::ZERO)
-                & (gaps * gaps).simd_le(var_lanes + vars)
-                & COLUMN_USED.simd_gt(f32x8::ZERO);
+            let known = vars.simd_gt(f32x8::ZERO) & COLUMN_USED.simd_gt(f32x8::ZERO);
+            let used = known & (gaps * gaps).simd_le(var_lanes + vars);
             let weights = used & (f32x8::ONE / (vars + slope_sq * (COLUMN_SQ + row_sq)));
             sum_w += weights;
             sum_d += used & (weights * gaps);
             support += used & validities;
+            all += known & validities;
         }
         // a filled pixel has no validity of its own and lives from its neighbours
-        if support.reduce_add() < f32::from(config.min_support_keep) {
+        let supporting = support.reduce_add();
+        if supporting < f32::from(config.min_support_keep)
+            || supporting < config.min_support_share * all.reduce_add()
+        {
             return None;
         }
         let weight = sum_w.reduce_add();

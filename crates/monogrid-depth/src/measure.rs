@@ -1,0 +1,145 @@
+//! One stereo measurement: patch, match along the line, variance.
+
+use crate::choose::{Choice, FRAME_BORDER};
+use crate::config::{DepthConfig, FrameChoice};
+use crate::line_match::{LineMatch, NoMatch, PATCH, Patch, Walk, refine, search};
+use crate::observe::{DepthBand, Pixel};
+use crate::stats::PixelOutcome;
+use crate::variance::{MatchEvidence, match_variance};
+
+/// A search interval no longer than this is left to the refinement alone, px.
+const REFINE_ONLY_PX: f32 = 2.5;
+/// How far the refinement may move from the best whole pixel, px.
+const MAX_REFINE_PX: f32 = 1.25;
+/// The interval reaches this far beyond its ends, px, so that a match at an end has two sides.
+const MARGIN_PX: f32 = 2.0;
+
+/// An accepted match.
+pub(crate) struct Observation {
+    pub(crate) idepth: f32,
+    pub(crate) var: f32,
+    pub(crate) shared_var: f32,
+    pub(crate) photo_px: f32,
+}
+
+impl DepthBand<'_> {
+    /// Matches the pixel inside an interval of inverse depth and puts the observation together;
+    /// returns it with the mean squared residual.
+    pub(crate) fn observe_line(
+        &self,
+        pixel: Pixel,
+        choice: &Choice<'_, '_>,
+        (prior, interval): (f32, (f32, f32)),
+        config: &DepthConfig,
+    ) -> Result<(Observation, f32), PixelOutcome> {
+        let image = &self.host.image;
+        let step = 1.0 / choice.stretch;
+        let centre = [pixel.x, pixel.y];
+        let patch = Patch::new(image, centre, choice.direction, step, config.remove_mean);
+        if patch.information < config.min_line_gradient * config.min_line_gradient {
+            return Err(PixelOutcome::GradientAcrossLine);
+        }
+        let found = self.match_on_line(&patch, choice, (prior, interval), config)?;
+        let residual = found.ssd / PATCH as f32;
+        let noise = config.max_residual_sigmas * config.sensor_sigma;
+        let limit = 2.0 * noise * noise
+            + config.residual_gradient_share.powi(2) * patch.information / PATCH as f32;
+        if residual > limit {
+            return Err(PixelOutcome::Dissimilar);
+        }
+        let [u, v] = choice.line.pixel(found.position);
+        if self.host.mask.at((u + 0.5) as usize, (v + 0.5) as usize) == 0 {
+            return Err(PixelOutcome::OutOfImage);
+        }
+        let idepth = choice
+            .line
+            .idepth(found.position)
+            .ok_or(PixelOutcome::NotConverged)?;
+        // the texture that was matched lies `centroid` beside the pixel; on an oblique surface its
+        // depth differs by slope * distance, in px of the line: times position (d / alpha)
+        let offset_px = patch.centroid * step;
+        let evidence = MatchEvidence {
+            information: patch.information,
+            ssd: found.ssd,
+            noise_var: self.noise_var,
+            geometric: choice.prepared.uncertainty.geometric(
+                idepth.max(0.0),
+                choice.inv_cos_sq,
+                config.variance,
+            ),
+            slope_px: config.slope_per_px * offset_px * idepth / choice.alpha,
+        };
+        let variance = match_variance(&evidence, config);
+        let alpha_sq = choice.alpha * choice.alpha;
+        Ok((
+            Observation {
+                idepth,
+                var: alpha_sq * variance.total,
+                shared_var: alpha_sq * variance.shared,
+                photo_px: variance.photometric,
+            },
+            residual,
+        ))
+    }
+
+    /// Search (when the interval is long) and refinement.
+    fn match_on_line(
+        &self,
+        patch: &Patch,
+        choice: &Choice<'_, '_>,
+        (prior, interval): (f32, (f32, f32)),
+        config: &DepthConfig,
+    ) -> Result<LineMatch, PixelOutcome> {
+        let frame = &choice.prepared.frame;
+        let line = &choice.line;
+        let walk = Walk {
+            image: frame.image,
+            origin: line.infinity,
+            direction: line.direction,
+            inv_gain: 1.0 / frame.gain,
+            bias: frame.bias,
+        };
+        let near = line.limit_in_front(interval.1.min(config.max_idepth), 0.3);
+        let wanted = (line.position(interval.0), line.position(near));
+        let refine_only =
+            config.frame_choice == FrameChoice::Predicted && wanted.1 - wanted.0 <= REFINE_ONLY_PX;
+        let (start, max_move) = if refine_only {
+            let half = 0.5 * (wanted.1 - wanted.0);
+            (line.position(prior), half.max(1.0))
+        } else {
+            let mut segment = (wanted.0 - MARGIN_PX, wanted.1 + MARGIN_PX);
+            let longest = if config.crop_to_far_end {
+                config.max_create_search_px
+            } else {
+                config.max_create_search_px.max(config.max_update_search_px)
+            } + 2.0 * MARGIN_PX;
+            segment.1 = segment.1.min(segment.0 + longest);
+            let (from, to) = line
+                .clip(segment, self.size(), FRAME_BORDER + 2.0)
+                .ok_or(PixelOutcome::OutOfImage)?;
+            let num_steps = (to - from).max(0.0) as usize;
+            if num_steps < 2 {
+                return Err(PixelOutcome::OutOfImage);
+            }
+            let noise_ssd = PATCH as f32 * self.noise_var;
+            let ambiguity = (config.ambiguity_ratio, noise_ssd);
+            let found = search(patch, &walk, from, num_steps, ambiguity).map_err(outcome_of)?;
+            (found.position, MAX_REFINE_PX)
+        };
+        // the refinement may read `max_move` and the patch beyond the start
+        let reach = (start - max_move, start + max_move);
+        match line.clip(reach, self.size(), FRAME_BORDER - 0.5) {
+            Some(inside) if inside == reach => {}
+            _ => return Err(PixelOutcome::OutOfImage),
+        }
+        refine(patch, &walk, start, max_move).map_err(outcome_of)
+    }
+}
+
+fn outcome_of(reason: NoMatch) -> PixelOutcome {
+    match reason {
+        NoMatch::AtIntervalEnd => PixelOutcome::AtIntervalEnd,
+        NoMatch::Ambiguous => PixelOutcome::Ambiguous,
+        NoMatch::NotConverged => PixelOutcome::NotConverged,
+    }
+}

@@ -1,0 +1,154 @@
+//! What an observation does to a pixel: create, fuse, confirm or doubt.
+
+use crate::config::{DepthConfig, FrameChoice};
+use crate::map::MAX_FAILURES;
+use crate::measure::Observation;
+use crate::observe::{DepthBand, Pixel, Prepared};
+use crate::stats::{ObserveStats, PixelOutcome};
+
+impl DepthBand<'_> {
+    /// Refines an existing hypothesis.
+    pub(crate) fn update(
+        &mut self,
+        pixel: Pixel,
+        frames: &[Prepared<'_>],
+        config: &DepthConfig,
+        stats: &mut ObserveStats,
+    ) -> PixelOutcome {
+        let i = pixel.i;
+        let (idepth, var) = (self.idepth[i], self.var[i]);
+        if self.waits(pixel, frames, 3, config) {
+            return PixelOutcome::Waiting;
+        }
+        let worth = self.worthwhile_var(pixel, frames, config);
+        let choice = match self.choose_for_update(pixel, frames, worth, config) {
+            Ok(choice) => choice,
+            Err(outcome) => return outcome,
+        };
+        let gains = choice.predicted_var < config.max_gain_ratio * var;
+        let sigma = config.search_sigmas * var.sqrt();
+        let interval = (idepth - sigma, idepth + sigma);
+        match self.observe_line(pixel, &choice, (idepth, interval), config) {
+            Ok((observation, residual)) => {
+                stats.residual_sq_sum += f64::from(residual);
+                stats.num_residuals += 1;
+                self.fuse(pixel, &observation, gains, config)
+            }
+            Err(outcome) => self.doubt(pixel, outcome, config),
+        }
+    }
+
+    /// Looks for a pixel without hypothesis along the whole visible segment.
+    pub(crate) fn create(
+        &mut self,
+        pixel: Pixel,
+        frames: &[Prepared<'_>],
+        config: &DepthConfig,
+    ) -> PixelOutcome {
+        let i = pixel.i;
+        if self.waits(pixel, frames, 5, config) {
+            return PixelOutcome::Waiting;
+        }
+        let choice = match self.choose_for_creation(pixel, frames, config) {
+            Ok(choice) => choice,
+            Err(outcome) => return outcome,
+        };
+        match self.observe_line(pixel, &choice, (1.0, (0.0, self.near_limit)), config) {
+            Ok((observation, _)) if observation.var <= config.max_var => {
+                self.idepth[i] = observation.idepth;
+                self.var[i] = observation.var;
+                self.prior_var[i] = f32::INFINITY;
+                self.floor_var[i] = observation.shared_var;
+                self.photo_px[i] = observation.photo_px;
+                self.validity[i] = config.validity_created;
+                self.failures[i] = 0;
+                PixelOutcome::Created
+            }
+            Ok(_) => PixelOutcome::BaselineTooShort,
+            Err(outcome) => {
+                self.failures[i] = self.failures[i].saturating_add(1).min(MAX_FAILURES);
+                outcome
+            }
+        }
+    }
+
+    /// Product of the two Gaussians, unless they contradict each other.
+    fn fuse(
+        &mut self,
+        pixel: Pixel,
+        observation: &Observation,
+        gains: bool,
+        config: &DepthConfig,
+    ) -> PixelOutcome {
+        let i = pixel.i;
+        let var = self.var[i] * config.success_inflation;
+        let innovation = observation.idepth - self.idepth[i];
+        let limit = config.max_disagreement_sigma * config.max_disagreement_sigma;
+        if innovation * innovation > limit * (var + observation.var) {
+            return self.doubt(pixel, PixelOutcome::Inconsistent, config);
+        }
+        let max_validity = f32::from(config.validity_max)
+            + config.validity_per_gradient
+                * self
+                    .host
+                    .max_gradient
+                    .at(pixel.x as usize, pixel.y as usize);
+        let validity = self.validity[i].saturating_add(config.validity_gain);
+        self.validity[i] = validity
+            .min(max_validity.min(255.0) as u8)
+            .max(self.validity[i]);
+        self.failures[i] = 0;
+        self.photo_px[i] = observation.photo_px;
+        // [SDVO13] Eq. (13)
+        let weight = var / (var + observation.var);
+        self.idepth[i] += weight * innovation;
+        let product = var * observation.var / (var + observation.var);
+        // the keyframe's own patch is the same in all observations: they cannot average its noise
+        self.floor_var[i] = self.floor_var[i].min(observation.shared_var);
+        let (prior, floor) = (self.prior_var[i], self.floor_var[i]);
+        let reachable = if prior.is_finite() {
+            prior * floor / (prior + floor)
+        } else {
+            floor
+        };
+        self.var[i] = product.max(reachable).min(self.var[i]);
+        if gains || config.frame_choice == FrameChoice::First {
+            PixelOutcome::Updated
+        } else {
+            PixelOutcome::Verified
+        }
+    }
+
+    /// A failed or contradicting observation.
+    fn doubt(&mut self, pixel: Pixel, outcome: PixelOutcome, config: &DepthConfig) -> PixelOutcome {
+        let i = pixel.i;
+        match outcome {
+            PixelOutcome::Ambiguous | PixelOutcome::AtIntervalEnd | PixelOutcome::Inconsistent => {}
+            PixelOutcome::Dissimilar | PixelOutcome::NotConverged
+                if config.frame_choice == FrameChoice::Predicted => {}
+            _ => return outcome,
+        }
+        self.var[i] *= config.failure_inflation;
+        self.failures[i] = self.failures[i].saturating_add(1).min(MAX_FAILURES);
+        // a contradiction is only counted against the hypothesis by LSD when it is also unlikely
+        let loss =
+            if outcome == PixelOutcome::Inconsistent && config.frame_choice == FrameChoice::First {
+                0
+            } else {
+                config.validity_loss
+            };
+        let exhausted = self.validity[i] < loss;
+        self.validity[i] = self.validity[i].saturating_sub(loss);
+        let hopeless = match config.frame_choice {
+            FrameChoice::First => self.var[i] > config.max_var,
+            FrameChoice::Predicted => self.var[i] > config.max_var || exhausted,
+        };
+        if hopeless {
+            self.var[i] = 0.0;
+            self.validity[i] = 0;
+            self.photo_px[i] = 0.0;
+            return PixelOutcome::Dropped;
+        }
+        outcome
+    }
+}
