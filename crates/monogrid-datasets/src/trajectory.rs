@@ -3,7 +3,7 @@
 use crate::text::{data_lines, numbers, read_text};
 use crate::timestamp::{format_seconds, parse_seconds};
 use crate::{DatasetError, write_atomically};
-use monogrid_geometry::nalgebra::Quaternion;
+use monogrid_geometry::nalgebra::{Matrix3, Quaternion, Rotation3};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use std::fmt::Write;
 use std::path::Path;
@@ -62,6 +62,55 @@ pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, Datas
     poses.sort_by_key(|p: &TimedPose| p.timestamp_ns);
     poses.dedup_by_key(|p| p.timestamp_ns);
     Ok(poses)
+}
+
+/// Parses KITTI's poses (12 numbers of a 3x4 matrix per line), the i-th at the i-th of `times_ns`;
+/// `path` is only for messages.
+///
+/// # Errors
+/// When a line is not a rigid transform, or there are more poses than times.
+pub fn parse_kitti(
+    text: &str,
+    times_ns: &[i64],
+    path: &Path,
+) -> Result<Vec<TimedPose>, DatasetError> {
+    let mut poses = Vec::new();
+    for (number, line) in data_lines(text) {
+        let timestamp_ns = times_ns.get(poses.len()).copied().ok_or_else(|| {
+            DatasetError::content(
+                path,
+                format!("more poses than the {} frames", times_ns.len()),
+                "one pose per frame",
+            )
+        })?;
+        let world_from_camera = numbers(line)
+            .as_deref()
+            .and_then(pose_from_matrix)
+            .ok_or_else(|| {
+                DatasetError::line(path, number, line, "12 numbers, rows of a rigid 3x4 matrix")
+            })?;
+        poses.push(TimedPose {
+            timestamp_ns,
+            world_from_camera,
+        });
+    }
+    Ok(poses)
+}
+
+/// A pose from a 3x4 or 4x4 matrix, row by row; `None` unless finite with a rotation (within 0.1 %).
+pub(crate) fn pose_from_matrix(values: &[f64]) -> Option<Se3> {
+    let &[a, b, c, x, d, e, f, y, g, h, i, z, ..] = values else {
+        return None;
+    };
+    let matrix = Matrix3::new(a, b, c, d, e, f, g, h, i);
+    let is_rotation = (matrix * matrix.transpose() - Matrix3::identity()).norm() < 1e-3
+        && matrix.determinant() > 0.0;
+    if !is_rotation {
+        return None;
+    }
+    let rotation = Rotation::from_rotation_matrix(&Rotation3::from_matrix(&matrix));
+    let pose = Se3::new(rotation, Vec3::new(x, y, z));
+    pose.is_finite().then_some(pose)
 }
 
 fn parse_tum_line(line: &str) -> Option<TimedPose> {

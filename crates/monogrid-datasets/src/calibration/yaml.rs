@@ -6,8 +6,8 @@
 
 use super::{Draft, fov, pixel_count, radial_tangential};
 use crate::DatasetError;
-use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
-use monogrid_geometry::{Distortion, Pinhole, Rotation, Se3, Vec3};
+use crate::trajectory::pose_from_matrix;
+use monogrid_geometry::{Distortion, Pinhole, Se3};
 use std::path::Path;
 
 pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
@@ -98,13 +98,7 @@ fn distortion(yaml: &Yaml, path: &Path) -> Result<Distortion, DatasetError> {
 
 /// EuRoC's `T_BS`: the sensor's pose in the body, 4x4 row-major.
 fn body_from_camera(yaml: &Yaml) -> Option<Se3> {
-    let m = yaml.list("T_BS").filter(|m| m.len() == 16)?;
-    let matrix = Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
-    let is_rotation = (matrix * matrix.transpose() - Matrix3::identity()).norm() < 1e-3
-        && matrix.determinant() > 0.0;
-    let rotation = Rotation::from_rotation_matrix(&Rotation3::from_matrix(&matrix));
-    let pose = Se3::new(rotation, Vec3::new(m[3], m[7], m[11]));
-    (is_rotation && pose.is_finite()).then_some(pose)
+    pose_from_matrix(&yaml.list("T_BS").filter(|m| m.len() == 16)?)
 }
 
 struct Yaml<'a> {

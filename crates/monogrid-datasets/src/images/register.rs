@@ -150,11 +150,12 @@ fn draw_triangle(nearest: &mut Image<f32>, [a, b, c]: [Vertex; 3]) {
         return;
     };
     const EDGE: f64 = -1e-9;
+    let inv_area = 1.0 / area;
     for y in y0..=y1 {
         for x in x0..=x1 {
             let (px, py) = (x as f64, y as f64);
-            let weight_b = ((px - a.x) * (c.y - a.y) - (c.x - a.x) * (py - a.y)) / area;
-            let weight_c = ((b.x - a.x) * (py - a.y) - (px - a.x) * (b.y - a.y)) / area;
+            let weight_b = ((px - a.x) * (c.y - a.y) - (c.x - a.x) * (py - a.y)) * inv_area;
+            let weight_c = ((b.x - a.x) * (py - a.y) - (px - a.x) * (b.y - a.y)) * inv_area;
             let weight_a = 1.0 - weight_b - weight_c;
             if weight_a >= EDGE && weight_b >= EDGE && weight_c >= EDGE {
                 let inv = weight_a * a.inv_depth + weight_b * b.inv_depth + weight_c * c.inv_depth;
@@ -167,10 +168,17 @@ fn draw_triangle(nearest: &mut Image<f32>, [a, b, c]: [Vertex; 3]) {
 }
 
 /// Inclusive range of pixel centres between the smallest and the largest coordinate.
+///
+/// Casts instead of `ceil` and `floor`, which are calls into the C library on plain x86-64.
 fn pixel_range(a: f64, b: f64, c: f64, size: usize) -> Option<(usize, usize)> {
-    let first = a.min(b).min(c).ceil().max(0.0);
-    let last = a.max(b).max(c).floor().min(size as f64 - 1.0);
-    (first <= last).then_some((first as usize, last as usize))
+    let (low, high) = (a.min(b).min(c).max(0.0), a.max(b).max(c));
+    if high < 0.0 {
+        return None;
+    }
+    let truncated = low as usize;
+    let first = truncated + usize::from((truncated as f64) < low);
+    let last = (high as usize).min(size.checked_sub(1)?);
+    (first <= last).then_some((first, last))
 }
 
 /// Fills pixels that no triangle covers with the nearest depth pixel that falls on them: thin
@@ -179,7 +187,7 @@ fn draw_points(nearest: &mut Image<f32>, vertices: &[Vertex]) {
     let (w, h) = (nearest.width() as f64, nearest.height() as f64);
     let mut points: Image<f32> = nearest.map(|_| 0.0);
     for v in vertices.iter().filter(|v| v.inv_depth.is_finite()) {
-        let (x, y) = (v.x.round(), v.y.round());
+        let (x, y) = (v.x + 0.5, v.y + 0.5);
         if x >= 0.0 && y >= 0.0 && x < w && y < h {
             let (x, y, inv) = (x as usize, y as usize, v.inv_depth as f32);
             if nearest.at(x, y) == 0.0 && inv > points.at(x, y) {

@@ -7,6 +7,7 @@ mod euroc;
 mod folder;
 mod list;
 mod natural;
+mod reference;
 mod tum;
 
 pub use natural::natural_order;
@@ -93,7 +94,7 @@ pub struct Dataset {
     pub root: PathBuf,
     /// How it lies on disk.
     pub layout: Layout,
-    /// Frames in the order of time, at least one.
+    /// Frames in the order of time; none only where the source holds nothing but depth images.
     pub frames: Vec<FrameEntry>,
     /// Depth images in the order of time; often none.
     pub depths: Vec<DepthEntry>,
@@ -137,7 +138,13 @@ impl Dataset {
                 return tum::open(path, &list, options);
             }
         }
-        folder::open(path, options)
+        match folder::open(path, options) {
+            // depth alone, with poses, can be mapped
+            Err(DatasetError::NoFrames { .. }) if path.join("depth.txt").is_file() => {
+                tum::open_depth(path, options)
+            }
+            outcome => outcome,
+        }
     }
 
     /// The calibration that lies in the source; `None` when there is none.
@@ -210,7 +217,7 @@ impl Dataset {
             calibration_path,
             mut warnings,
         } = parts;
-        if entries.is_empty() {
+        if entries.is_empty() && depths.is_empty() {
             return Err(DatasetError::NoFrames {
                 path: list,
                 found: "times or images, but not both".to_owned(),
@@ -227,7 +234,9 @@ impl Dataset {
             layout,
             frames,
             depths,
-            ground_truth: ground_truth.or_else(|| named(&["groundtruth.txt", "gt.txt"])),
+            ground_truth: ground_truth
+                .or_else(|| named(&["groundtruth.txt", "gt.txt", "poses.txt"]))
+                .or_else(|| kitti_poses(&root, layout)),
             calibration_path: named(&["calibration.toml", "calibration.txt"])
                 .or(calibration_path)
                 .or_else(|| named(&CALIBRATION_NAMES)),
@@ -239,6 +248,13 @@ impl Dataset {
             root,
         })
     }
+}
+
+/// KITTI odometry keeps the poses of `sequences/00` in `poses/00.txt`.
+fn kitti_poses(root: &Path, layout: Layout) -> Option<PathBuf> {
+    let name = format!("{}.txt", root.file_name()?.to_string_lossy());
+    let path = root.parent()?.parent()?.join("poses").join(name);
+    (layout == Layout::Kitti && path.is_file()).then_some(path)
 }
 
 /// Names under which other programs keep calibrations, besides ours.

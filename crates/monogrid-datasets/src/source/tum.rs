@@ -20,6 +20,20 @@ pub(super) fn open(
             expected: "lines of `timestamp path`",
         });
     }
+    assemble(root, list, entries, options)
+}
+
+/// Opens a folder that has `depth.txt` and no images.
+pub(super) fn open_depth(root: &Path, options: SourceOptions) -> Result<Dataset, DatasetError> {
+    assemble(root, &root.join("depth.txt"), Vec::new(), options)
+}
+
+fn assemble(
+    root: &Path,
+    list: &Path,
+    entries: Vec<(i64, PathBuf)>,
+    options: SourceOptions,
+) -> Result<Dataset, DatasetError> {
     let depth_list = root.join("depth.txt");
     let depths = if depth_list.is_file() {
         read_list(root, &depth_list)?

@@ -144,14 +144,19 @@ fn euroc_layout() {
     .expect("writable");
     fs::write(
         camera.join("sensor.yaml"),
-        "resolution: [8, 6]\nintrinsics: [8.0, 8.0, 4.0, 3.0]\n",
+        "T_BS:\n  data: [1, 0, 0, 0.1, 0, 1, 0, 0.2, 0, 0, 1, 0, 0, 0, 0, 1]\n\
+         resolution: [8, 6]\nintrinsics: [8.0, 8.0, 4.0, 3.0]\n",
     )
     .expect("writable");
     let truth = root
         .path()
         .join("mav0/state_groundtruth_estimate0/data.csv");
     fs::create_dir_all(truth.parent().expect("parent")).expect("writable");
-    fs::write(&truth, "").expect("writable");
+    fs::write(
+        &truth,
+        "1403715273262142976,1,2,3,0.7071067811865476,0,0,0.7071067811865476,0,0\n",
+    )
+    .expect("writable");
     for source in [root.path().to_path_buf(), root.path().join("mav0")] {
         let dataset = open(&source).expect("opens");
         assert_eq!(dataset.layout, Layout::Euroc);
@@ -159,12 +164,16 @@ fn euroc_layout() {
             times(&dataset),
             [1_403_715_273_262_142_976, 1_403_715_273_312_143_104]
         );
-        assert_eq!(
-            dataset.ground_truth.as_deref(),
-            Some(truth.as_path())
-                .filter(|_| source == root.path())
-                .or(dataset.ground_truth.as_deref())
-        );
+        let poses = dataset
+            .reference_trajectory()
+            .expect("readable")
+            .expect("present");
+        // a quarter turn about z carries the camera's lever arm (0.1, 0.2, 0) to (-0.2, 0.1, 0)
+        let position = poses[0].world_from_camera.translation;
+        let expected = [0.8, 2.1, 3.0];
+        for (value, expected) in position.iter().zip(expected) {
+            assert!((value - expected).abs() < 1e-9, "{position}");
+        }
         let calibration = dataset
             .calibration(None)
             .expect("readable")
@@ -272,4 +281,60 @@ fn bad_sources_are_explained() {
             ..
         }
     ));
+}
+
+#[test]
+fn kitti_poses_take_the_times_of_the_frames() {
+    let root = folder();
+    let sequence = root.path().join("sequences/07");
+    for name in ["000000.png", "000001.png"] {
+        image(&sequence.join("image_0").join(name));
+    }
+    fs::write(sequence.join("times.txt"), "0.0\n0.1\n").expect("writable");
+    let poses = root.path().join("poses/07.txt");
+    fs::create_dir_all(root.path().join("poses")).expect("writable");
+    fs::write(
+        &poses,
+        "1 0 0 0 0 1 0 0 0 0 1 0\n0 0 1 5 0 1 0 6 -1 0 0 7\n",
+    )
+    .expect("writable");
+    let dataset = open(&sequence).expect("opens");
+    let read = dataset
+        .reference_trajectory()
+        .expect("readable")
+        .expect("present");
+    assert_eq!(read[1].timestamp_ns, 100_000_000);
+    let point = read[1].world_from_camera * monogrid_geometry::Vec3::new(1.0, 2.0, 3.0);
+    assert!(
+        (point - monogrid_geometry::Vec3::new(8.0, 8.0, 6.0)).norm() < 1e-9,
+        "{point}"
+    );
+    for text in ["1 0 0 0 0 1 0 0 0 0 2 0\n", "1 0 0 0 0 1 0 0 0 0 -1 0\n"] {
+        fs::write(&poses, text).expect("writable");
+        assert!(dataset.reference_trajectory().is_err(), "{text}");
+    }
+    fs::write(&poses, "1 0 0 0 0 1 0 0 0 0 1 0\n".repeat(3)).expect("writable");
+    let error = dataset
+        .reference_trajectory()
+        .expect_err("three poses")
+        .to_string();
+    assert!(
+        error.contains("07.txt") && error.contains("2 frames"),
+        "{error}"
+    );
+}
+
+#[test]
+fn depth_without_images_opens() {
+    let root = folder();
+    fs::write(
+        root.path().join("depth.txt"),
+        "0.5 depth/a.png\n0.1 depth/b.png\n",
+    )
+    .expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert!(dataset.frames.is_empty());
+    let times: Vec<i64> = dataset.depths.iter().map(|d| d.timestamp_ns).collect();
+    assert_eq!(times, [100_000_000, 500_000_000]);
+    assert_eq!(dataset.frame_interval_secs(), None);
 }
