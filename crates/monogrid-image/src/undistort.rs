@@ -1,7 +1,8 @@
 //! From the image of a real camera to the image of an ideal pinhole camera of a working size.
 
-use crate::{GrayImage, Image, Mask, Resize, bilinear, resize_area};
+use crate::{GrayImage, Image, Mask, Resize, resize_area};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
+use std::borrow::Cow;
 
 /// How the working size is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +41,55 @@ impl WorkingSize {
     }
 }
 
+/// Where an output pixel is read: between four pixels of the reduced image.
+#[derive(Clone, Copy, Debug)]
+struct Tap {
+    /// Index of the upper left of the four, [`Tap::OUTSIDE`] when the image does not show the place.
+    index: u32,
+    /// Fractions of a pixel to the right and down, [0, 1].
+    fraction: [f32; 2],
+}
+
+impl Tap {
+    const OUTSIDE: u32 = u32::MAX;
+
+    /// The tap at `(x, y)` of an image of the given size; outside the square of pixel centres, or when
+    /// not a number, it is none.
+    fn new(x: f64, y: f64, size: Resize) -> Self {
+        let (x, y) = (x as f32, y as f32);
+        let (right, bottom) = (size.width as f32 - 1.0, size.height as f32 - 1.0);
+        let is_inside = x >= 0.0 && y >= 0.0 && x <= right && y <= bottom;
+        if !is_inside || size.width < 2 || size.height < 2 {
+            return Self {
+                index: Self::OUTSIDE,
+                fraction: [0.0; 2],
+            };
+        }
+        let (left, top) = (
+            (x as usize).min(size.width - 2),
+            (y as usize).min(size.height - 2),
+        );
+        Self {
+            index: (top * size.width + left) as u32,
+            fraction: [x - left as f32, y - top as f32],
+        }
+    }
+
+    /// Bilinear value in an image of the width it was made for.
+    #[inline]
+    fn read(&self, pixels: &[f32], width: usize) -> Option<f32> {
+        if self.index == Self::OUTSIDE {
+            return None;
+        }
+        let i = self.index as usize;
+        let (upper, lower) = (pixels.get(i..i + 2)?, pixels.get(i + width..i + width + 2)?);
+        let [fx, fy] = self.fraction;
+        let top = upper[0] + fx * (upper[1] - upper[0]);
+        let bottom = lower[0] + fx * (lower[1] - lower[0]);
+        Some(top + fy * (bottom - top))
+    }
+}
+
 /// Precomputed mapping from input images to working images.
 ///
 /// Without distortion the image is cropped and averaged over areas; with distortion it is resampled
@@ -54,8 +104,8 @@ pub struct Undistorter {
     crop: (usize, usize, usize, usize),
     /// Size after area averaging, before remapping.
     reduced: Resize,
-    /// Source pixel in the reduced image for each output pixel; empty without distortion.
-    remap: Vec<[f32; 2]>,
+    /// Where each output pixel is read in the reduced image; empty when nothing is to be resampled.
+    remap: Vec<Tap>,
     mask: Mask,
 }
 
@@ -100,7 +150,14 @@ impl Undistorter {
         let remap = if plain {
             Vec::new()
         } else {
-            remap_table(&pinhole, width, height, &reduced_pinhole, &input.distortion)
+            let distortion = &input.distortion;
+            remap_table(
+                &pinhole,
+                (width, height),
+                &reduced_pinhole,
+                reduced,
+                distortion,
+            )
         };
         let mut this = Self {
             input: *input,
@@ -148,20 +205,23 @@ impl Undistorter {
         }
         let reduced = self.reduce(image);
         if self.remap.is_empty() {
-            return Some(reduced);
+            return Some(reduced.into_owned());
         }
-        let mut output = Image::filled(self.width, self.height, 0.0f32);
-        for (out, source) in output.as_mut_slice().iter_mut().zip(&self.remap) {
-            *out = bilinear(&reduced, source[0], source[1]).unwrap_or(0.0);
-        }
-        Some(output)
+        let (pixels, row) = (reduced.as_slice(), self.reduced.width);
+        let output = self.remap.iter();
+        let output = output.map(|tap| tap.read(pixels, row).unwrap_or(0.0));
+        Image::from_vec(self.width, self.height, output.collect())
     }
 
     /// Crop and area averaging.
-    fn reduce(&self, image: &GrayImage) -> GrayImage {
+    fn reduce<'a>(&self, image: &'a GrayImage) -> Cow<'a, GrayImage> {
         let (left, top, width, height) = self.crop;
-        if width == image.width() && height == image.height() {
-            return resize_area(image, self.reduced);
+        let is_whole = width == image.width() && height == image.height();
+        if is_whole && self.reduced == (Resize { width, height }) {
+            return Cow::Borrowed(image);
+        }
+        if is_whole {
+            return Cow::Owned(resize_area(image, self.reduced));
         }
         let mut cropped = Image::filled(width, height, 0.0f32);
         for y in 0..height {
@@ -169,30 +229,28 @@ impl Undistorter {
                 .row_mut(y)
                 .copy_from_slice(&image.row(top + y)[left..left + width]);
         }
-        resize_area(&cropped, self.reduced)
+        Cow::Owned(resize_area(&cropped, self.reduced))
     }
 
     /// Pixels whose source lies inside the input image and the user's mask.
     fn valid_mask(&self, user: Option<&Mask>) -> Mask {
-        let user_reduced = user
+        let user = user
             .filter(|m| m.width() == self.input.width && m.height() == self.input.height)
-            .map(|m| self.reduce(&m.map(f32::from)));
-        let limit_x = self.reduced.width as f32 - 1.0;
-        let limit_y = self.reduced.height as f32 - 1.0;
+            .map(|m| self.reduce(&m.map(f32::from)).into_owned());
         let raw = Mask::from_fn(self.width, self.height, |x, y| {
-            let source = self
-                .remap
-                .get(y * self.width + x)
-                .copied()
-                .unwrap_or([x as f32, y as f32]);
-            let inside = source[0] >= 0.0
-                && source[1] >= 0.0
-                && source[0] <= limit_x
-                && source[1] <= limit_y;
-            let allowed = user_reduced
-                .as_ref()
-                .is_none_or(|m| bilinear(m, source[0], source[1]).is_some_and(|v| v > 254.0));
-            if inside && allowed { 255 } else { 0 }
+            let i = y * self.width + x;
+            let allowed = match (self.remap.get(i), &user) {
+                (Some(tap), None) => (tap.index != Tap::OUTSIDE).then_some(255.0),
+                (Some(tap), Some(user)) => tap.read(user.as_slice(), self.reduced.width),
+                (None, Some(user)) => Some(user.at(x, y)),
+                (None, None) => Some(255.0),
+            };
+            // a pixel to which an excluded one contributes is excluded
+            if allowed.is_some_and(|v| v > 254.0) {
+                255
+            } else {
+                0
+            }
         });
         erode(&raw, MASK_EROSION)
     }
@@ -244,24 +302,25 @@ fn inscribed_pinhole(
         .then(|| Pinhole::new(fx, fy, -x_min * fx, -y_min * fy))
 }
 
-/// Position in the reduced input image of each output pixel; NaN where the model has none.
+/// Where each pixel of the output, of `size` (width, height), is read in the reduced input image.
 fn remap_table(
     pinhole: &Pinhole,
-    width: usize,
-    height: usize,
-    reduced: &Pinhole,
+    size: (usize, usize),
+    reduced_pinhole: &Pinhole,
+    reduced: Resize,
     distortion: &Distortion,
-) -> Vec<[f32; 2]> {
+) -> Vec<Tap> {
+    let (width, height) = size;
     let mut table = Vec::with_capacity(width * height);
     for y in 0..height {
         for x in 0..width {
             let ideal = pinhole.unproject(&Vec2::new(x as f64, y as f64)).xy();
-            table.push(distortion.distort(&ideal).map_or([f32::NAN; 2], |d| {
-                [
-                    (reduced.fx * d.x + reduced.cx) as f32,
-                    (reduced.fy * d.y + reduced.cy) as f32,
-                ]
-            }));
+            let seen = distortion.distort(&ideal).unwrap_or(Vec2::repeat(f64::NAN));
+            table.push(Tap::new(
+                reduced_pinhole.fx * seen.x + reduced_pinhole.cx,
+                reduced_pinhole.fy * seen.y + reduced_pinhole.cy,
+                reduced,
+            ));
         }
     }
     table
