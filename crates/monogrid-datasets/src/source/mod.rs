@@ -224,6 +224,12 @@ impl Dataset {
                 expected: "a time for each image",
             });
         }
+        if options.fps.is_some() && layout != Layout::Folder {
+            warnings.push(format!(
+                "the frame rate that was given is not used: {} has its own times",
+                list.display()
+            ));
+        }
         let frames = order_frames(&list, entries, &mut warnings)?;
         warn_missing(&list, &frames, &mut warnings)?;
         let mut depths = depths;

@@ -125,6 +125,13 @@ fn tum_layout_sorts_and_reports_disorder() {
     assert_eq!(depth_of(1_500_000_000), Some(1_510_000_000));
     assert_eq!(depth_of(3_000_000_000), Some(2_900_000_000));
     assert_eq!(depth_of(9_000_000_000), None);
+    let options = SourceOptions {
+        fps: Some(10.0),
+        ..Default::default()
+    };
+    let with_rate = Dataset::open(root.path(), options).expect("opens");
+    assert_eq!(times(&with_rate), times(&dataset));
+    assert!(with_rate.warnings.iter().any(|w| w.contains("not used")));
     // the list itself as source
     let by_list = open(&root.path().join("rgb.txt")).expect("opens");
     assert_eq!(names(&by_list), names(&dataset));
