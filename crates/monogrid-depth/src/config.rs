@@ -341,3 +341,34 @@ pub enum ConfigError {
         max: f32,
     },
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_profiles_are_valid_and_survive_a_file() {
+        for config in [DepthConfig::default(), DepthConfig::thesis()] {
+            assert_eq!(config.validate(), Ok(()));
+            let text = toml::to_string(&config).expect("writes");
+            assert_eq!(toml::from_str::<DepthConfig>(&text).expect("reads"), config);
+        }
+        assert_ne!(DepthConfig::default(), DepthConfig::thesis());
+    }
+
+    #[test]
+    fn unknown_keys_and_values_out_of_range_are_refused() {
+        assert!(toml::from_str::<DepthConfig>("min_gradiant = 5.0").is_err());
+        let config: DepthConfig = toml::from_str("search_sigmas = 9.0").expect("a known key");
+        let error = config.validate().expect_err("beyond 5");
+        assert_eq!(
+            error.to_string(),
+            "depth.search_sigmas is 9, allowed 1 to 5"
+        );
+        let nan = DepthConfig {
+            max_var: f32::NAN,
+            ..DepthConfig::default()
+        };
+        assert!(nan.validate().is_err());
+    }
+}

@@ -225,3 +225,150 @@ impl EpipolarLine {
         (from <= to).then_some((from, to))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Rotation, Se3, Vec2, Vec3};
+    use monogrid_image::GrayImage;
+
+    fn cases() -> Vec<(FrameGeometry, Pinhole, Se3)> {
+        let pinhole = Pinhole::new(481.2, 480.0, 319.5, 239.5);
+        let motions = [
+            ([0.1, 0.0, 0.0], [0.0, 0.0, 0.0]),
+            ([-0.02, 0.08, 0.01], [0.02, -0.05, 0.1]),
+            ([0.0, 0.01, 0.2], [0.0, 0.03, 0.0]),
+            ([0.03, 0.02, -0.2], [-0.1, 0.2, 0.3]),
+        ];
+        let image = GrayImage::filled(640, 480, 0.0);
+        motions
+            .into_iter()
+            .map(|(t, r)| {
+                let rotation = Rotation::from_euler_angles(r[0], r[1], r[2]);
+                let frame_from_keyframe = Se3::new(rotation, Vec3::from(t));
+                let frame = StereoFrame {
+                    image: &image,
+                    frame_from_keyframe,
+                    gain: 1.0,
+                    bias: 0.0,
+                    residual_rms: 0.0,
+                    pose_sigma_trans: 0.0,
+                    pose_sigma_rot: 0.0,
+                    id: 0,
+                };
+                (
+                    FrameGeometry::new(&frame, &pinhole),
+                    pinhole,
+                    frame_from_keyframe,
+                )
+            })
+            .collect()
+    }
+
+    /// The same in double precision, point by point.
+    fn project(pinhole: &Pinhole, pose: &Se3, x: f64, y: f64, idepth: f64) -> (Vec2, f64) {
+        let point = *pose * (pinhole.unproject(&Vec2::new(x, y)) / idepth);
+        (pinhole.project(&point), point.z * idepth)
+    }
+
+    const PIXELS: [(f32, f32); 4] = [(20.0, 30.0), (319.0, 240.0), (600.0, 100.0), (77.0, 455.0)];
+
+    #[test]
+    fn positions_on_the_line_are_projections() {
+        for (geometry, pinhole, pose) in cases() {
+            for (x, y) in PIXELS {
+                let line = geometry.line(x, y).expect("baseline");
+                for idepth in [0.05f32, 0.4, 1.0, 2.5] {
+                    let (truth, ratio) =
+                        project(&pinhole, &pose, x.into(), y.into(), idepth.into());
+                    let [u, v] = line.pixel(line.position(idepth));
+                    assert!((f64::from(u) - truth.x).abs() < 2e-3, "{u} {truth}");
+                    assert!((f64::from(v) - truth.y).abs() < 2e-3, "{v} {truth}");
+                    assert!((f64::from(line.depth_ratio(idepth)) - ratio).abs() < 1e-5);
+                    let back = line.idepth(line.position(idepth)).expect("in front");
+                    assert!(
+                        (back - idepth).abs() < 1e-4 * idepth.max(0.5),
+                        "{back} {idepth}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn alpha_and_stretch_are_the_numeric_derivatives() {
+        for (geometry, pinhole, pose) in cases() {
+            for (x, y) in PIXELS {
+                let line = geometry.line(x, y).expect("baseline");
+                for idepth in [0.2f64, 1.0, 2.0] {
+                    let (step, d) = (1e-5, idepth as f32);
+                    let (px, py) = (f64::from(x), f64::from(y));
+                    let at = |dx: f64, dy: f64, dd: f64| {
+                        project(&pinhole, &pose, px + dx, py + dy, idepth + dd).0
+                    };
+                    let speed = (at(0.0, 0.0, step) - at(0.0, 0.0, -step)).norm() / (2.0 * step);
+                    let alpha = f64::from(line.alpha(d));
+                    assert!((alpha * speed - 1.0).abs() < 1e-3, "{alpha} {speed}");
+                    let quick = f64::from(geometry.alpha_sq(x, y, d)).sqrt();
+                    assert!((quick / alpha - 1.0).abs() < 1e-3);
+                    let [ex, ey] = geometry.keyframe_direction(x, y);
+                    let norm = ex.hypot(ey);
+                    let (ex, ey) = (ex / norm, ey / norm);
+                    let h = 1e-3;
+                    let moved = (at(h * f64::from(ex), h * f64::from(ey), 0.0)
+                        - at(-h * f64::from(ex), -h * f64::from(ey), 0.0))
+                        / (2.0 * h);
+                    let [lx, ly] = line.direction;
+                    let along = moved.x * f64::from(lx) + moved.y * f64::from(ly);
+                    let across = moved.x * f64::from(ly) - moved.y * f64::from(lx);
+                    let stretch = f64::from(geometry.stretch(&line, d, [ex, ey]));
+                    assert!((stretch - along).abs() < 2e-3, "{stretch} {along}");
+                    // epipolar lines map onto epipolar lines
+                    assert!(across.abs() < 2e-3, "{across}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn clipping_keeps_exactly_the_visible_part() {
+        for (geometry, ..) in cases() {
+            for (x, y) in PIXELS {
+                let line = geometry.line(x, y).expect("baseline");
+                let inside = |s: f32| {
+                    let [u, v] = line.pixel(s);
+                    (5.0..=634.0).contains(&u) && (5.0..=474.0).contains(&v)
+                };
+                let clipped = line.clip((-50.0, 400.0), (640, 480), 5.0);
+                for k in 0..=900 {
+                    let s = -50.0 + 0.5 * k as f32;
+                    let kept = clipped.is_some_and(|(from, to)| s >= from && s <= to);
+                    let near_end = clipped
+                        .is_some_and(|(from, to)| (s - from).abs() < 0.01 || (s - to).abs() < 0.01);
+                    assert!(kept == inside(s) || near_end, "{s} {clipped:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn without_baseline_there_is_no_line() {
+        let (_, pinhole, _) = cases()[0];
+        let image = GrayImage::filled(640, 480, 0.0);
+        let frame = StereoFrame {
+            image: &image,
+            frame_from_keyframe: Se3::identity(),
+            gain: 1.0,
+            bias: 0.0,
+            residual_rms: 0.0,
+            pose_sigma_trans: 0.0,
+            pose_sigma_rot: 0.0,
+            id: 0,
+        };
+        assert!(
+            FrameGeometry::new(&frame, &pinhole)
+                .line(100.0, 100.0)
+                .is_none()
+        );
+    }
+}

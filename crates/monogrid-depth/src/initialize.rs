@@ -122,3 +122,92 @@ fn unit_random(state: &mut u64) -> f32 {
     z ^= z >> 31;
     (z >> 40) as f32 / (1u32 << 24) as f32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DepthConfig, GradientSelection, HostError, HostFrame, PixelFilter};
+    use monogrid_geometry::Pinhole;
+    use monogrid_image::Mask;
+    use std::sync::Arc;
+
+    fn host() -> Arc<HostFrame> {
+        let image = GrayImage::from_fn(64, 48, |x, _| if x < 32 { 50.0 } else { 150.0 });
+        let mask = Mask::from_fn(64, 48, |_, y| if y < 24 { 255 } else { 0 });
+        let pinhole = Pinhole::new(60.0, 60.0, 31.5, 23.5);
+        Arc::new(HostFrame::new(image, mask, pinhole).expect("valid"))
+    }
+
+    #[test]
+    fn candidates_are_pixels_with_gradient_inside_mask_and_border() {
+        let own = DepthMap::empty(host(), &DepthConfig::default());
+        let rows = 24 - 6;
+        assert_eq!(own.num_candidates(), 2 * rows);
+        assert!(own.is_candidate(31, 10) && own.is_candidate(32, 10));
+        assert!(!own.is_candidate(30, 10) && !own.is_candidate(31, 30));
+        let config = DepthConfig {
+            selection: GradientSelection::Dilated,
+            ..DepthConfig::default()
+        };
+        assert_eq!(DepthMap::empty(host(), &config).num_candidates(), 4 * rows);
+    }
+
+    #[test]
+    fn random_start_depends_on_the_seed_alone() {
+        let config = DepthConfig::thesis();
+        let start = |seed| {
+            let mut map = DepthMap::empty(host(), &config);
+            map.initialize_random(seed);
+            map.pixels(PixelFilter::default()).collect::<Vec<_>>()
+        };
+        assert_eq!(start(1), start(1));
+        assert_ne!(start(1), start(2));
+        assert!(
+            start(1)
+                .iter()
+                .all(|p| (0.5..1.5).contains(&p.idepth) && p.validity == 20)
+        );
+    }
+
+    #[test]
+    fn a_depth_image_seeds_where_it_is_known() {
+        let mut map = DepthMap::empty(host(), &DepthConfig::default());
+        let depth = GrayImage::from_fn(64, 48, |_, y| if y < 12 { 2.0 } else { f32::NAN });
+        assert_eq!(map.initialize_from_depth(&depth, 0.02), 2 * 6);
+        assert!(map.pixels(PixelFilter::default()).all(|p| p.idepth == 0.5));
+        assert_eq!(
+            map.initialize_from_depth(&GrayImage::filled(8, 8, 1.0), 0.02),
+            0
+        );
+        map.rescale(2.0);
+        assert_eq!(map.median_idepth(), Some(1.0));
+        assert_eq!(map.mean_idepth(), Some(1.0));
+    }
+
+    #[test]
+    fn seeds_are_refused_off_the_candidates_and_when_not_finite() {
+        let mut map = DepthMap::empty(host(), &DepthConfig::default());
+        let seed = |idepth| DepthState::Known {
+            idepth,
+            idepth_var: 0.01,
+            validity: 30,
+        };
+        assert!(map.seed_pixel(31, 10, seed(0.7)));
+        assert!(!map.seed_pixel(30, 10, seed(0.7)));
+        assert!(!map.seed_pixel(32, 10, seed(f32::NAN)));
+        assert!(!map.seed_pixel(1000, 1000, seed(0.7)));
+        assert_eq!(map.num_known(), 1);
+    }
+
+    #[test]
+    fn a_host_that_makes_no_sense_is_refused() {
+        let image = GrayImage::filled(64, 48, 1.0);
+        let pinhole = Pinhole::new(60.0, 60.0, 31.5, 23.5);
+        let mask = Mask::filled(64, 40, 255);
+        let error = HostFrame::new(image.clone(), mask, pinhole).expect_err("sizes differ");
+        assert!(matches!(error, HostError::MaskSize { .. }));
+        let bad = Pinhole::new(f64::NAN, 60.0, 31.5, 23.5);
+        let error = HostFrame::new(image, Mask::filled(64, 48, 255), bad).expect_err("no focal");
+        assert!(matches!(error, HostError::Intrinsics { .. }));
+    }
+}

@@ -307,3 +307,146 @@ fn newton_step(patch: &Patch, walk: &Walk<'_>, position: f32, inv_information: f
     }
     (-slope_sum * inv_information, ssd_of(patch, &window))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A band-limited texture, as a camera with a good lens sees it.
+    fn texture(x: f32, y: f32) -> f32 {
+        120.0
+            + 35.0 * (0.55 * x + 0.2 * y).sin()
+            + 25.0 * (0.93 * x - 0.31 * y + 1.0).sin()
+            + 15.0 * (1.37 * x + 0.5 * y + 2.0).sin()
+    }
+
+    fn shifted(shift: f32) -> GrayImage {
+        GrayImage::from_fn(200, 60, |x, y| texture(x as f32 - shift, y as f32))
+    }
+
+    fn walk(image: &GrayImage, y: f32) -> Walk<'_> {
+        Walk {
+            image,
+            origin: [0.0, y],
+            direction: [1.0, 0.0],
+            inv_gain: 1.0,
+            bias: 0.0,
+        }
+    }
+
+    fn noisy(image: &GrayImage, sigma: f32, seed: u64) -> GrayImage {
+        let mut state = seed;
+        image.map(|v| {
+            // sum of twelve uniform numbers
+            let mut sum = -6.0f32;
+            for _ in 0..12 {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                sum += (state >> 40) as f32 / (1u64 << 24) as f32;
+            }
+            v + sigma * sum
+        })
+    }
+
+    #[test]
+    fn refinement_is_not_drawn_to_any_fraction_of_a_pixel() {
+        for sigma in [0.0f32, 3.0] {
+            for tenth in 0..10 {
+                let shift = 7.0 + 0.1 * tenth as f32;
+                let keyframe = noisy(&shifted(0.0), sigma, 1 + tenth);
+                let frame = noisy(&shifted(shift), sigma, 1000 + tenth);
+                let (mut sum, mut num) = (0.0, 0);
+                for y in 3..57 {
+                    for x in (20..160).step_by(2) {
+                        let place = [x as f32, y as f32];
+                        let patch = Patch::new(&keyframe, place, [1.0, 0.0], 1.0, false);
+                        let start = x as f32 + shift.round();
+                        let walk = walk(&frame, y as f32);
+                        if let Ok(found) = refine(&patch, &walk, start, 1.25) {
+                            sum += found.position - x as f32 - shift;
+                            num += 1;
+                        }
+                    }
+                }
+                let bias = sum / num as f32;
+                assert!(num > 3000, "only {num} converged");
+                assert!(
+                    bias.abs() < 0.03,
+                    "shift {shift} noise {sigma}: bias {bias} px"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn search_finds_the_shift_under_gain_and_bias() {
+        let keyframe = shifted(0.0);
+        let frame = shifted(12.3).map(|v| 0.8 * v + 20.0);
+        let mut found = 0;
+        for x in (20..120).step_by(5) {
+            let patch = Patch::new(&keyframe, [x as f32, 30.0], [1.0, 0.0], 1.0, false);
+            let mut walk = walk(&frame, 30.0);
+            (walk.inv_gain, walk.bias) = (1.0 / 0.8, 20.0);
+            let from = x as f32;
+            let Ok(coarse) = search(&patch, &walk, from, 30, (1.5, 1.0)) else {
+                continue;
+            };
+            let fine = refine(&patch, &walk, coarse.position, 1.25).expect("converges");
+            assert!((fine.position - from - 12.3).abs() < 0.05, "{fine:?}");
+            assert!(fine.ssd < 150.0, "{fine:?}");
+            found += 1;
+        }
+        assert!(found >= 15, "{found} of 20");
+    }
+
+    #[test]
+    fn repeated_texture_is_ambiguous_and_an_end_is_no_match() {
+        let stripes = GrayImage::from_fn(200, 60, |x, _| {
+            100.0 + 50.0 * (x as f32 * std::f32::consts::TAU / 9.0).sin()
+        });
+        let patch = Patch::new(&stripes, [60.0, 30.0], [1.0, 0.0], 1.0, false);
+        let ambiguous = search(&patch, &walk(&stripes, 30.0), 50.0, 40, (1.5, 1.0));
+        assert_eq!(ambiguous, Err(NoMatch::Ambiguous));
+        // the truth lies two pixels before the interval
+        let image = shifted(0.0);
+        let patch = Patch::new(&image, [60.0, 30.0], [1.0, 0.0], 1.0, false);
+        let outside = search(&patch, &walk(&image, 30.0), 62.0, 2, (1.5, 1.0));
+        assert_eq!(outside, Err(NoMatch::AtIntervalEnd));
+    }
+
+    #[test]
+    fn costs_in_lanes_equal_the_plain_sum() {
+        let image = noisy(&shifted(0.0), 4.0, 3);
+        for remove_mean in [false, true] {
+            let patch = Patch::new(&image, [50.0, 20.0], [0.6, 0.8], 1.1, remove_mean);
+            let mut values = [0.0; 44];
+            walk(&image, 20.0).fill(30.0, &mut values);
+            for (i, value) in values.iter().enumerate() {
+                let exact = sample(&image, 30.0 + i as f32, 20.0);
+                assert!((value - exact).abs() < 0.01);
+            }
+            let mut costs = [0.0; 40];
+            fill_costs(&patch, &values, &mut costs);
+            for (cost, window) in costs.iter().zip(values.windows(PATCH)) {
+                let plain = ssd_of(&patch, window);
+                assert!(
+                    (cost - plain).abs() < 1e-3 * plain.max(1.0),
+                    "{cost} {plain}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn removing_the_mean_ignores_a_local_change_of_light() {
+        let keyframe = shifted(0.0);
+        let frame = shifted(5.4).map(|v| v + 30.0);
+        let patch = Patch::new(&keyframe, [60.0, 30.0], [1.0, 0.0], 1.0, true);
+        let fine = refine(&patch, &walk(&frame, 30.0), 65.0, 1.25).expect("converges");
+        assert!(
+            (fine.position - 65.4).abs() < 0.05 && fine.ssd < 5.0,
+            "{fine:?}"
+        );
+    }
+}

@@ -259,3 +259,142 @@ fn visible_seed<'a>(
                 .max_by(|a, b| support(a).total_cmp(&support(b)))
         })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DepthState;
+    use monogrid_geometry::{Pinhole, Rotation};
+    use monogrid_image::{GrayImage, Mask};
+
+    const SIZE: (usize, usize) = (96, 72);
+
+    fn textured() -> Arc<HostFrame> {
+        let image = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+            100.0 + 40.0 * ((x * 7 + y * 3) as f32).sin()
+        });
+        let pinhole = Pinhole::new(90.0, 90.0, 47.5, 35.5);
+        let mask = Mask::filled(SIZE.0, SIZE.1, 255);
+        Arc::new(HostFrame::new(image, mask, pinhole).expect("valid"))
+    }
+
+    #[test]
+    fn variance_follows_the_numeric_derivative_with_rotation() {
+        let map = DepthMap::empty(textured(), &DepthConfig::default());
+        let pose = Se3::new(
+            Rotation::from_euler_angles(0.1, -0.2, 0.3),
+            Vec3::new(0.1, 0.05, 0.3),
+        );
+        for (x, y) in [(30.0, 30.0), (47.5, 35.5), (60.0, 50.0)] {
+            let ray = pose.rotation_matrix() * map.host.pinhole.unproject(&Vec2::new(x, y));
+            for idepth in [0.3, 1.0, 1.7] {
+                let at =
+                    |d: f64| 1.0 / (pose * (map.host.pinhole.unproject(&Vec2::new(x, y)) / d)).z;
+                let numeric = (at(idepth + 1e-6) - at(idepth - 1e-6)) / 2e-6;
+                let moved = warp(&ray, &pose.translation, idepth, &map).expect("visible");
+                assert!((f64::from(moved.idepth) - at(idepth)).abs() < 1e-6);
+                assert!((f64::from(moved.var) / (numeric * numeric) - 1.0).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn without_motion_nothing_but_the_prediction_noise_changes() {
+        let config = DepthConfig::default();
+        let mut map = DepthMap::empty(textured(), &config);
+        map.initialize_constant(0.9, 1e-3);
+        let (next, stats) = map.propagate(textured(), &Se3::identity(), &config);
+        assert_eq!(
+            (stats.source, stats.target),
+            (map.num_known(), map.num_known())
+        );
+        for p in next.pixels(crate::PixelFilter::default()) {
+            assert!((p.idepth - 0.9).abs() < 1e-6 && p.validity == 20);
+            assert!(p.idepth_var < 1.2e-3 && p.idepth_var > 0.9e-3, "{p:?}");
+        }
+    }
+
+    #[test]
+    fn an_oblique_plane_keeps_its_place_over_twenty_keyframes() {
+        let config = DepthConfig::default();
+        // plane 1 = 0.9 z + 0.5 x in the first camera: idepth = 0.9 + 0.5 m_x, exactly linear
+        let host = textured();
+        let depth = GrayImage::from_fn(SIZE.0, SIZE.1, |x, _| {
+            1.0 / (0.9 + 0.5 * (x as f32 - 47.5) / 90.0)
+        });
+        let mut map = DepthMap::empty(host, &config);
+        map.initialize_from_depth(&depth, 0.01);
+        let step = Se3::new(
+            Rotation::from_euler_angles(0.0, 0.0, 0.004),
+            Vec3::new(0.0011, 0.0007, 0.003),
+        );
+        let mut world = Se3::identity();
+        for _ in 0..20 {
+            map = map.propagate(textured(), &step, &config).0;
+            world = step * world;
+        }
+        let back = world.inverse();
+        let (mut sum, mut num) = (0.0, 0);
+        for p in map.pixels(crate::PixelFilter::default()) {
+            // away from the border, where new pixels see one side only
+            if !(20..76).contains(&p.x) || !(20..52).contains(&p.y) {
+                continue;
+            }
+            let ray = map
+                .host
+                .pinhole
+                .unproject(&Vec2::new(f64::from(p.x), f64::from(p.y)));
+            // truth: intersect with the plane in the first camera
+            let (r, t) = (back.rotation * ray, back.translation);
+            let z = (1.0 - 0.9 * t.z - 0.5 * t.x) / (0.9 * r.z + 0.5 * r.x);
+            sum += f64::from(p.idepth) * z - 1.0;
+            num += 1;
+        }
+        assert!(num > 1000, "{num} left");
+        let bias = sum / f64::from(num);
+        assert!(bias.abs() < 1e-3, "{bias} after 20 keyframes");
+    }
+
+    fn at(idepth: f32, validity: u8, x: f32) -> Warped {
+        Warped {
+            x,
+            y: 10.0,
+            idepth,
+            var: 1e-4,
+            validity,
+            next: NONE,
+        }
+    }
+
+    #[test]
+    fn the_nearer_surface_hides_the_other_but_a_lone_outlier_does_not() {
+        let config = DepthConfig::default();
+        let mut stats = PropagationStats::default();
+        let surface = [at(1.0, 40, 9.8), at(1.01, 40, 10.3), at(0.5, 40, 10.1)];
+        let front = merge((10, 10), &surface, &config, &mut stats).expect("visible");
+        assert!((front.idepth - 1.0).abs() < 0.02, "{front:?}");
+        let outlier = [at(1.0, 0, 9.8), at(0.5, 40, 10.2), at(0.505, 40, 10.1)];
+        let back = merge((10, 10), &outlier, &config, &mut stats).expect("visible");
+        assert!((back.idepth - 0.5).abs() < 0.02, "{back:?}");
+        assert_eq!(stats.conflicts, 2);
+        // LSD-SLAM's rule
+        let thesis = merge((10, 10), &outlier, &DepthConfig::thesis(), &mut stats);
+        assert!((thesis.expect("visible").idepth - 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn depth_behind_the_camera_or_outside_is_dropped() {
+        let config = DepthConfig::default();
+        let mut map = DepthMap::empty(textured(), &config);
+        map.initialize_constant(1.0, 1e-3);
+        let through = Se3::new(Rotation::identity(), Vec3::new(0.0, 0.0, -1.5));
+        assert_eq!(
+            map.propagate(textured(), &through, &config).0.num_known(),
+            0
+        );
+        let away = Se3::new(Rotation::identity(), Vec3::new(5.0, 0.0, 0.0));
+        let (next, stats) = map.propagate(textured(), &away, &config);
+        assert_eq!((next.num_known(), stats.projected), (0, 0));
+        assert_eq!(next.state(40, 40), DepthState::Unknown);
+    }
+}

@@ -255,3 +255,129 @@ const ROW_SQ: [f32; 2 * RADIUS + 1] = [4.0, 1.0, 0.0, 1.0, 4.0];
 fn lanes<T>(values: &[T], start: usize) -> Option<&[T; LANES]> {
     values.get(start..start + LANES)?.try_into().ok()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::HostFrame;
+    use monogrid_geometry::Pinhole;
+    use monogrid_image::{GrayImage, Mask};
+    use std::sync::Arc;
+
+    fn textured() -> Arc<HostFrame> {
+        let image =
+            GrayImage::from_fn(64, 48, |x, y| 100.0 + 40.0 * ((x * 7 + y * 3) as f32).sin());
+        let pinhole = Pinhole::new(60.0, 60.0, 31.5, 23.5);
+        Arc::new(HostFrame::new(image, Mask::filled(64, 48, 255), pinhole).expect("valid"))
+    }
+
+    /// The same sum, neighbour by neighbour.
+    fn plain(map: &DepthMap, x: usize, y: usize, config: &DepthConfig) -> Option<(f32, f32)> {
+        let at = |x: usize, y: usize| {
+            let i = y * 64 + x;
+            (
+                map.arrays.idepth[i],
+                map.arrays.var[i],
+                f32::from(map.arrays.validity[i]),
+            )
+        };
+        let (idepth, var, _) = at(x, y);
+        let (mut weights, mut sum, mut support, mut all) = (0.0, 0.0, 0.0, 0.0);
+        for yy in y - 2..=y + 2 {
+            for xx in x - 2..=x + 2 {
+                let (d, v, validity) = at(xx, yy);
+                if v <= 0.0 {
+                    continue;
+                }
+                all += validity;
+                if (d - idepth).powi(2) > var + v {
+                    continue;
+                }
+                support += validity;
+                let dist_sq = (xx.abs_diff(x).pow(2) + yy.abs_diff(y).pow(2)) as f32;
+                let weight = 1.0 / (v + (config.smoothing_per_px * idepth).powi(2) * dist_sq);
+                weights += weight;
+                sum += weight * d;
+            }
+        }
+        let kept = support >= f32::from(config.min_support_keep)
+            && support >= config.min_support_share * all;
+        kept.then_some((
+            sum / weights,
+            (1.0 / weights).max(var / config.max_smoothing_gain),
+        ))
+    }
+
+    #[test]
+    fn smoothing_in_lanes_equals_the_plain_sum_for_any_bands() {
+        for config in [DepthConfig::default(), DepthConfig::thesis()] {
+            let mut map = DepthMap::empty(textured(), &config);
+            map.initialize_random(3);
+            // holes and different certainties
+            for i in 0..map.arrays.var.len() {
+                map.arrays.var[i] *= [0.0, 0.001, 0.3, 1.0, 0.02][i % 5];
+                map.arrays.validity[i] = (i % 7) as u8;
+            }
+            let mut expected = Vec::new();
+            for y in 0..48 {
+                for &x in map.candidates.row(y) {
+                    let x = usize::from(x);
+                    if map.arrays.var[y * 64 + x] > 0.0 {
+                        expected.push((y * 64 + x, plain(&map, x, y, &config)));
+                    }
+                }
+            }
+            for rows in [1, 5, 48] {
+                for mut band in map.regularize_bands(rows) {
+                    band.regularize(&config);
+                }
+                let (mut kept, mut dropped) = (0, 0);
+                for (i, value) in &expected {
+                    let got = (map.smooth_idepth[*i], map.smooth_var[*i]);
+                    if let Some((d, v)) = value {
+                        assert!((got.0 - d).abs() < 1e-5, "{got:?} {d} {v}");
+                        assert!((got.1 / v - 1.0).abs() < 1e-4, "{got:?} {d} {v}");
+                        kept += 1;
+                    } else {
+                        assert!(got.1 == 0.0);
+                        dropped += 1;
+                    }
+                }
+                assert!(kept > 100 && dropped > 10, "{kept} {dropped}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_hole_gets_the_depth_of_its_neighbours_without_their_confirmation() {
+        let config = DepthConfig::default();
+        let mut map = DepthMap::empty(textured(), &config);
+        map.initialize_constant(0.8, 1e-4);
+        let x = usize::from(map.candidates.row(20)[10]);
+        map.arrays.clear(20 * 64 + x);
+        assert_eq!(map.fill_holes(&config), 1);
+        let crate::DepthState::Known {
+            idepth,
+            idepth_var,
+            validity,
+        } = map.state(x, 20)
+        else {
+            panic!("not filled");
+        };
+        assert!((idepth - 0.8).abs() < 1e-5 && validity == 0);
+        assert!(idepth_var > 1e-4);
+    }
+
+    #[test]
+    fn a_pixel_that_disagrees_with_all_its_neighbours_is_dropped() {
+        let config = DepthConfig::default();
+        let mut map = DepthMap::empty(textured(), &config);
+        map.initialize_constant(0.8, 1e-4);
+        let before = map.num_known();
+        let x = usize::from(map.candidates.row(20)[10]);
+        map.arrays.idepth[20 * 64 + x] = 1.3;
+        assert_eq!(map.regularize(&config).removed, 1);
+        assert_eq!(map.state(x, 20), crate::DepthState::Unknown);
+        assert_eq!(map.num_known(), before - 1);
+    }
+}

@@ -2,155 +2,160 @@
 
 mod world;
 
-use monogrid_depth::{DepthConfig, DepthMap, StereoFrame};
+use monogrid_depth::{DepthConfig, DepthMap, PixelFilter, StereoFrame};
 use monogrid_geometry::Se3;
 use monogrid_image::GrayImage;
-use world::{Normal, World, disturbed, handheld, host, pinhole_of, quality, sensor};
+use world::{Normal, Quality, View, World, disturbed, handheld, host, pinhole_of, quality, sensor};
 
 const SIZE: (usize, usize) = (320, 240);
+const NUM_FRAMES: usize = 49;
+const FRAMES_PER_KEYFRAME: usize = 12;
+/// Error of each frame's pose relative to its keyframe.
+const SIGMA_TRANS: f32 = 0.0003;
+const SIGMA_ROT: f32 = 0.0002;
 
-fn run(
-    label: &str,
-    config: &DepthConfig,
-    num_frames: usize,
-    per_keyframe: usize,
-    noise: f32,
-    seed_first: bool,
-) {
-    let world = World::room();
-    let pinhole = pinhole_of(SIZE);
-    let mut normal = Normal(5);
-    let (sigma_trans, sigma_rot) = (0.0003, 0.0002);
-    let mut total = monogrid_depth::ObserveStats::default();
-    let mut map: Option<(DepthMap, Se3, GrayImage)> = None;
-    let mut old: Vec<(GrayImage, Se3)> = Vec::new();
-    for n in 0..num_frames {
-        let pose = handheld(n as f64 / 30.0);
-        let view = world.render(&pinhole, SIZE, &pose);
-        let image = sensor(&view.image, noise, n as u64 + 1);
-        let image = if std::env::var("SMOOTH").is_ok() {
-            smooth(&image)
-        } else {
-            image
-        };
-        let estimated = if n % per_keyframe == 0 {
-            pose
-        } else {
-            disturbed(&pose, sigma_trans, sigma_rot, &mut normal)
-        };
-        let Some((current, keyframe_pose, depth)) = &mut map else {
-            let mut first = DepthMap::empty(host(image, pinhole), config);
-            if seed_first {
-                first.initialize_from_depth(&view.depth, 0.02);
-            }
-            map = Some((first, estimated, view.depth));
-            continue;
-        };
-        let stereo = |image, pose: &Se3, id| StereoFrame {
-            image,
-            frame_from_keyframe: pose.inverse() * *keyframe_pose,
-            gain: 1.0,
-            bias: 0.0,
-            residual_rms: 3.0,
-            pose_sigma_trans: sigma_trans as f32 * 1.4,
-            pose_sigma_rot: sigma_rot as f32 * 1.4,
-            id,
-        };
-        if n % per_keyframe == 0 {
-            current.fill_holes(config);
-            current.regularize(config);
-            let q = quality(current, depth, 10);
-            show(label, n, "end ", &q);
-            let (mut next, stats) = current.propagate(
-                host(image, pinhole),
-                &(estimated.inverse() * *keyframe_pose),
-                config,
-            );
-            let q = quality(&next, &view.depth, 10);
-            show(label, n, "prop", &q);
-            let _ = stats;
-            next.fill_holes(config);
-            next.regularize(config);
-            old.insert(0, (current.host().image.clone(), *keyframe_pose));
-            old.truncate(3);
-            *keyframe_pose = estimated;
-            *current = next;
-            *depth = view.depth;
-            let frames: Vec<_> = old
-                .iter()
-                .map(|(image, pose)| StereoFrame {
-                    frame_from_keyframe: pose.inverse() * *keyframe_pose,
-                    ..stereo_of(image, n as u32)
-                })
-                .collect();
-            let stats = current.observe(&frames, config);
-            let _ = stats;
-            let q = quality(current, depth, 10);
-            show(label, n, "old ", &q);
-            continue;
-        }
-        let stats = current.observe(&[stereo(&image, &estimated, n as u32)], config);
-        total.merge(&stats);
-        current.fill_holes(config);
-        current.regularize(config);
-    }
-    println!("{total:?}");
+fn views(noise: f32) -> Vec<View> {
+    let (world, pinhole) = (World::room(), pinhole_of(SIZE));
+    (0..NUM_FRAMES)
+        .map(|n| {
+            let mut view = world.render(&pinhole, SIZE, &handheld(n as f64 / 30.0));
+            view.image = sensor(&view.image, noise, n as u64 + 1);
+            view
+        })
+        .collect()
 }
 
-fn show(label: &str, n: usize, what: &str, q: &world::Quality) {
-    println!(
-        "{label} {n:3} {what} dense {:.3} w3 {:.3} prec {:.3} gross {:.3} bias {:+.4} med {:+.3} dev {:.3} std {:.2} w2s {:.3}",
-        q.dense,
-        q.within_3,
-        q.precise,
-        q.gross,
-        q.bias,
-        q.normal_median,
-        q.normal_deviation,
-        q.normal_std,
-        q.within_2_sigma
-    );
-}
-fn smooth(image: &GrayImage) -> GrayImage {
-    GrayImage::from_fn(image.width(), image.height(), |x, y| {
-        let (mut s, mut n) = (0.0, 0.0);
-        for dy in -1i32..=1 {
-            for dx in -1i32..=1 {
-                let (xx, yy) = (x as i32 + dx, y as i32 + dy);
-                if xx < 0 || yy < 0 || xx >= image.width() as i32 || yy >= image.height() as i32 {
-                    continue;
-                }
-                let w = ((2 - dx.abs()) * (2 - dy.abs())) as f32;
-                s += w * image.at(xx as usize, yy as usize);
-                n += w;
-            }
-        }
-        s / n
-    })
-}
-
-fn stereo_of(image: &GrayImage, id: u32) -> StereoFrame<'_> {
+fn stereo(image: &GrayImage, frame_from_keyframe: Se3, id: usize) -> StereoFrame<'_> {
     StereoFrame {
         image,
-        frame_from_keyframe: Se3::identity(),
+        frame_from_keyframe,
         gain: 1.0,
         bias: 0.0,
         residual_rms: 3.0,
-        pose_sigma_trans: 0.00042,
-        pose_sigma_rot: 0.00028,
-        id,
+        pose_sigma_trans: SIGMA_TRANS,
+        pose_sigma_rot: SIGMA_ROT,
+        id: id as u32,
+    }
+}
+
+/// Runs the filter from nothing; returns the quality of each finished keyframe and the last map.
+fn run(views: &[View], config: &DepthConfig) -> (Vec<Quality>, DepthMap) {
+    let mut normal = Normal(5);
+    let new_host = |n: usize| host(views[n].image.clone(), pinhole_of(SIZE));
+    let relative = |frame: usize, keyframe: usize| {
+        views[frame].world_from_camera.inverse() * views[keyframe].world_from_camera
+    };
+    let mut map = DepthMap::empty(new_host(0), config);
+    let (mut keyframe, mut old) = (0usize, Vec::new());
+    let mut finished = Vec::new();
+    for n in 1..views.len() {
+        if n % FRAMES_PER_KEYFRAME == 0 {
+            finished.push(quality(&map, &views[keyframe].depth, 10));
+            map = map.propagate(new_host(n), &relative(n, keyframe), config).0;
+            old.insert(0, keyframe);
+            old.truncate(3);
+            keyframe = n;
+            let frames: Vec<_> = old
+                .iter()
+                .map(|&k| stereo(&views[k].image, relative(k, n), k))
+                .collect();
+            map.observe(&frames, config);
+        } else {
+            let (trans, rot) = (f64::from(SIGMA_TRANS), f64::from(SIGMA_ROT));
+            let pose = disturbed(&relative(n, keyframe), trans, rot, &mut normal);
+            map.observe(&[stereo(&views[n].image, pose, n)], config);
+        }
+        map.fill_holes(config);
+        map.regularize(config);
+    }
+    (finished, map)
+}
+
+#[test]
+fn keyframes_become_dense_accurate_and_honest() {
+    let (finished, _) = run(&views(1.5), &DepthConfig::default());
+    for q in &finished {
+        println!("{q:.3?}");
+    }
+    assert_eq!(finished.len(), 4);
+    for q in &finished {
+        assert!(q.normal_median.abs() <= 0.2, "{q:?}");
+        assert!((0.6..=1.5).contains(&q.normal_deviation), "{q:?}");
+        assert!(q.within_2_sigma >= 0.9, "{q:?}");
+        assert!(q.bias.abs() < 0.005, "{q:?}");
+        assert!(q.gross < 0.03, "{q:?}");
+    }
+    // the first keyframe starts from nothing, with a baseline of some centimetres
+    assert!(finished[0].within_3 > 0.5, "{:?}", finished[0]);
+    for q in &finished[1..] {
+        assert!(q.within_3 >= 0.6, "{q:?}");
+        assert!(q.dense >= 0.8, "{q:?}");
     }
 }
 
 #[test]
-fn sequence() {
-    run("default", &DepthConfig::default(), 50, 12, 1.5, false);
+fn noise_is_learned_and_the_variance_stays_honest() {
+    let (finished, map) = run(&views(4.0), &DepthConfig::default());
+    for q in &finished {
+        println!("{q:.3?}");
+        assert!(q.normal_median.abs() <= 0.2, "{q:?}");
+        assert!((0.7..=1.5).contains(&q.normal_deviation), "{q:?}");
+        assert!(q.within_2_sigma >= 0.85, "{q:?}");
+    }
+    // sqrt(2) times 4, less what interpolation smooths away
+    let noise = map.noise_sigma();
+    assert!((3.0..6.0).contains(&noise), "{noise}");
 }
+
 #[test]
-fn sequence_noisy() {
-    run("noise4", &DepthConfig::default(), 50, 12, 4.0, false);
+fn the_thesis_profile_works_too() {
+    let (finished, _) = run(&views(1.5), &DepthConfig::thesis());
+    let last = &finished[finished.len() - 1];
+    println!("{last:.3?}");
+    assert!(last.within_3 > 0.5 && last.gross < 0.05, "{last:?}");
 }
+
 #[test]
-fn sequence_thesis() {
-    run("thesis", &DepthConfig::thesis(), 50, 12, 1.5, false);
+fn ten_forced_keyframes_keep_density_and_scale() {
+    let views = views(1.5);
+    let config = DepthConfig::default();
+    let (finished, map) = run(&views, &config);
+    let steady = finished[finished.len() - 1].dense;
+    // ten keyframes in a row without any observation between
+    let start = NUM_FRAMES - 1;
+    let mut map = map;
+    let mut at = start;
+    for k in 0..10 {
+        let next = if k % 2 == 0 { start - 2 } else { start };
+        let pose = views[next].world_from_camera.inverse() * views[at].world_from_camera;
+        let next_host = host(views[next].image.clone(), pinhole_of(SIZE));
+        map = map.propagate(next_host, &pose, &config).0;
+        map.fill_holes(&config);
+        map.regularize(&config);
+        at = next;
+    }
+    let q = quality(&map, &views[at].depth, 10);
+    println!("steady {steady:.3} after ten {q:.3?}");
+    assert!(q.dense >= 0.8 * steady, "{q:?}");
+    // no drift: ten changes move the scale by less than 0.5 %, not 0.5 % each
+    assert!(q.bias.abs() < 0.005, "{q:?}");
+}
+
+#[test]
+fn smoothed_values_are_published_on_request() {
+    let views = views(1.5);
+    let (_, map) = run(&views[..6], &DepthConfig::default());
+    let read = |smoothed: bool| -> Vec<_> {
+        let filter = PixelFilter {
+            smoothed,
+            ..PixelFilter::default()
+        };
+        map.pixels(filter).collect()
+    };
+    let (own, smooth) = (read(false), read(true));
+    assert!(own.len() > 5_000 && smooth.len() > 5_000);
+    let mean_var = |pixels: &[monogrid_depth::PixelDepth]| {
+        pixels.iter().map(|p| f64::from(p.idepth_var)).sum::<f64>() / pixels.len() as f64
+    };
+    assert!(mean_var(&smooth) < mean_var(&own));
 }
