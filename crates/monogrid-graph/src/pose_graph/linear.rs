@@ -9,6 +9,8 @@ use monogrid_geometry::{Mat7, Sim3, Vec7};
 /// The terms of a graph's cost, with indices instead of identities.
 pub(super) struct Terms<'a> {
     edges: &'a [GraphEdge],
+    /// Per edge whether an earlier optimisation has judged it: then its kernel is not widened.
+    is_judged: &'a [bool],
     /// Per edge its nodes.
     pub ends: Vec<(usize, usize)>,
     /// Per edge the inverse of its measurement.
@@ -28,6 +30,7 @@ impl<'a> Terms<'a> {
         };
         Self {
             edges: &graph.edges,
+            is_judged: &graph.is_judged,
             ends: graph.edges.iter().map(ends).collect(),
             j_from_i: graph.edges.iter().map(|e| e.i_from_j.inverse()).collect(),
             scale_priors: graph.scale_priors.iter().map(prior).collect(),
@@ -45,11 +48,11 @@ impl<'a> Terms<'a> {
         r.dot(&(self.edges[edge].information * r)).max(0.0)
     }
 
-    /// Robust cost, with bounded kernels `width` times as wide.
+    /// Robust cost, with the bounded kernels of new edges `width` times as wide.
     pub(super) fn cost(&self, poses: &[Sim3], width: f64) -> f64 {
         let mut sum = 0.0;
-        for (edge, e) in self.edges.iter().enumerate() {
-            sum += widened(e.kernel, width).cost(self.chi2(edge, poses));
+        for edge in 0..self.edges.len() {
+            sum += self.kernel(edge, width).cost(self.chi2(edge, poses));
         }
         for &(i, j, log_ratio, weight) in &self.scale_priors {
             let r = poses[j].scale.ln() - poses[i].scale.ln() - log_ratio;
@@ -69,11 +72,23 @@ impl<'a> Terms<'a> {
         self.edges.iter().enumerate().map(fit).collect()
     }
 
-    /// How many times wider the bounded kernels must be for every edge to be in their quadratic part.
+    /// The kernel of an edge, `width` times as wide if it could switch off an edge that is new.
+    fn kernel(&self, edge: usize, width: f64) -> RobustKernel {
+        match self.edges[edge].kernel {
+            RobustKernel::DynamicCovariance { phi } if !self.is_judged[edge] => {
+                RobustKernel::DynamicCovariance { phi: phi * width }
+            }
+            other => other,
+        }
+    }
+
+    /// How many times wider bounded kernels must be for every new edge to be in their quadratic part.
     pub(super) fn quadratic_width(&self, poses: &[Sim3]) -> f64 {
         let mut width = 1.0_f64;
         for (edge, e) in self.edges.iter().enumerate() {
-            if let RobustKernel::DynamicCovariance { phi } = e.kernel {
+            if let RobustKernel::DynamicCovariance { phi } = e.kernel
+                && !self.is_judged[edge]
+            {
                 width = width.max(self.chi2(edge, poses) / phi);
             }
         }
@@ -97,7 +112,7 @@ impl<'a> Terms<'a> {
             }
             let r = self.residual(edge, poses);
             let chi2 = r.dot(&(e.information * r)).max(0.0);
-            let weight = widened(e.kernel, width).weight(chi2);
+            let weight = self.kernel(edge, width).weight(chi2);
             // d r / d T_j = J_l^-1(r) Ad(T_i^-1), and its negative by T_i
             let jacobian = sim3_left_jacobian_inverse(&r) * poses[i].inverse().adjoint();
             let weighted = jacobian.tr_mul(&e.information) * weight;
@@ -144,16 +159,6 @@ impl<'a> Terms<'a> {
                 pattern.add_symmetric(h, a, c, &-block);
             }
         }
-    }
-}
-
-/// The kernel, `width` times as wide if it is one that can switch an edge off.
-fn widened(kernel: RobustKernel, width: f64) -> RobustKernel {
-    match kernel {
-        RobustKernel::DynamicCovariance { phi } => {
-            RobustKernel::DynamicCovariance { phi: phi * width }
-        }
-        other => other,
     }
 }
 
@@ -207,6 +212,7 @@ mod tests {
             kernel,
         };
         graph.edges.push(edge);
+        graph.is_judged.push(false);
         let prior = ScalePrior {
             i: 0,
             j: 1,

@@ -16,7 +16,9 @@
 //!   ratios are refused on entry, and no single step may change a scale by more than a factor two.
 //! * Wrong edges: bounded kernels ([`crate::RobustKernel::DynamicCovariance`]) are graduated, from
 //!   nearly quadratic to their own shape (Yang et al., *Graduated Non-Convexity*, RA-L 2020), so that
-//!   right edges with a large initial error are not switched off.
+//!   right edges with a large initial error are not switched off. Only edges added since the last
+//!   optimisation are graduated: a closure into a graph at rest costs a few steps. Give edges that must
+//!   not tear, such as odometry, an unbounded kernel.
 //!
 //! References: Strasdat et al., *Scale Drift-Aware Large Scale Monocular SLAM*, RSS 2010; Agarwal et
 //! al., *Robust Map Optimization using Dynamic Covariance Scaling*, ICRA 2013.
@@ -210,6 +212,8 @@ pub enum PoseGraphError {
 pub struct PoseGraph {
     nodes: Vec<GraphNode>,
     edges: Vec<GraphEdge>,
+    /// Per edge whether an optimisation has judged it.
+    is_judged: Vec<bool>,
     scale_priors: Vec<ScalePrior>,
     index_of_id: BTreeMap<u64, usize>,
 }
@@ -265,6 +269,7 @@ impl PoseGraph {
             });
         }
         self.edges.push(edge);
+        self.is_judged.push(false);
         Ok(())
     }
 
@@ -321,8 +326,18 @@ impl PoseGraph {
     }
 
     /// Keeps only the edges for which `keep` is true, such as those that were not switched off.
-    pub fn retain_edges(&mut self, keep: impl FnMut(&GraphEdge) -> bool) {
-        self.edges.retain(keep);
+    pub fn retain_edges(&mut self, mut keep: impl FnMut(&GraphEdge) -> bool) {
+        let kept: Vec<bool> = self.edges.iter().map(&mut keep).collect();
+        let mut flags = kept.iter();
+        self.edges.retain(|_| flags.next().is_some_and(|k| *k));
+        let mut flags = kept.iter();
+        self.is_judged.retain(|_| flags.next().is_some_and(|k| *k));
+    }
+
+    /// Makes the next optimisation graduate the kernels of all edges anew, not only of those added since
+    /// the last one: slower, and able to revive what was switched off.
+    pub fn reconsider_edges(&mut self) {
+        self.is_judged.fill(false);
     }
 
     /// Pose of a keyframe.

@@ -47,6 +47,7 @@ pub(super) fn optimise(
         edges: terms.edge_fits(&poses),
         moved: before.iter().zip(&poses).map(|(a, b)| a != b).collect(),
     };
+    graph.is_judged.fill(true);
     for (node, pose) in graph.nodes.iter_mut().zip(poses) {
         node.world_from_keyframe = pose;
     }
@@ -171,7 +172,8 @@ impl Problem<'_> {
                 self.pattern.add_to_diagonal(&mut damped, |c| {
                     damping.lambda * diagonal[c] + DIAGONAL_FLOOR
                 });
-                let step = self.pattern.factorise(&damped).map(|f| f.solve(&b));
+                let factor = self.pattern.factorise(&damped);
+                let step = factor.and_then(|f| self.pattern.solve(&f, &b));
                 if let Some(step) = step.filter(|s| is_small(s)) {
                     let predicted = predicted_decrease(&step, &b, &diagonal, damping.lambda);
                     let candidate = self.apply(poses, &step);

@@ -2,7 +2,7 @@
 
 use super::linear::Terms;
 use super::solver::{free_slots, pattern};
-use super::sparse::Factor;
+use super::sparse::{BlockPattern, Factor};
 use super::{PoseGraph, PoseGraphError};
 use monogrid_geometry::{Mat7, Sim3};
 use std::collections::BTreeMap;
@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 ///
 /// It is as honest as the information matrices of the edges.
 pub struct GraphUncertainty {
-    factor: Option<Factor>,
-    free: usize,
+    /// Nothing when every node is held.
+    system: Option<(BlockPattern, Factor)>,
     /// Per identity the place among the free nodes, if free, and the pose.
     nodes: BTreeMap<u64, (Option<usize>, Sim3)>,
 }
@@ -23,17 +23,17 @@ impl GraphUncertainty {
         let slot = free_slots(graph);
         let free = slot.iter().flatten().count();
         let terms = Terms::new(graph);
-        let factor = if free == 0 {
+        let system = if free == 0 {
             None
         } else {
             let pattern = pattern(&terms, &slot).ok_or(PoseGraphError::Singular)?;
             let (h, _) = terms.linearise(&graph.poses(), 1.0, &slot, &pattern);
-            Some(pattern.factorise(&h).ok_or(PoseGraphError::Singular)?)
+            let factor = pattern.factorise(&h).ok_or(PoseGraphError::Singular)?;
+            Some((pattern, factor))
         };
         let nodes = graph.nodes.iter().zip(&slot);
         Ok(Self {
-            factor,
-            free,
+            system,
             nodes: nodes
                 .map(|(n, &slot)| (n.id, (slot, n.world_from_keyframe)))
                 .collect(),
@@ -53,7 +53,7 @@ impl GraphUncertainty {
             .into_iter()
             .filter_map(|(slot, sign)| Some((slot?, sign)))
             .collect();
-        let in_world = self.quadratic(&given);
+        let in_world = self.quadratic(&given)?;
         let adjoint = world_from_i.inverse().adjoint();
         Ok(adjoint * in_world * adjoint.transpose())
     }
@@ -65,7 +65,7 @@ impl GraphUncertainty {
     pub fn absolute(&self, id: u64) -> Result<Mat7, PoseGraphError> {
         let (slot, _) = self.node(id)?;
         let given: Vec<_> = slot.into_iter().map(|k| (k, 1.0)).collect();
-        Ok(self.quadratic(&given))
+        self.quadratic(&given)
     }
 
     fn node(&self, id: u64) -> Result<(Option<usize>, Sim3), PoseGraphError> {
@@ -74,16 +74,15 @@ impl GraphUncertainty {
     }
 
     /// `E' H^-1 E` for the selection `E` of signed blocks.
-    fn quadratic(&self, given: &[(usize, f64)]) -> Mat7 {
-        let Some(factor) = &self.factor else {
-            return Mat7::zeros();
+    fn quadratic(&self, given: &[(usize, f64)]) -> Result<Mat7, PoseGraphError> {
+        let Some((pattern, factor)) = &self.system else {
+            return Ok(Mat7::zeros());
         };
         let wanted: Vec<_> = given.iter().map(|&(slot, _)| slot).collect();
-        let blocks = factor.solve_blocks(self.free, given, &wanted);
-        let sum = given
-            .iter()
-            .zip(blocks)
-            .fold(Mat7::zeros(), |sum, (&(_, sign), x)| sum + x * sign);
-        (sum + sum.transpose()) * 0.5
+        let blocks = pattern.solve_blocks(factor, given, &wanted);
+        let blocks = blocks.ok_or(PoseGraphError::Singular)?;
+        let signed = given.iter().zip(blocks).map(|(&(_, sign), x)| x * sign);
+        let sum: Mat7 = signed.sum();
+        Ok((sum + sum.transpose()) * 0.5)
     }
 }

@@ -5,6 +5,8 @@
     reason = "each test file is a crate of its own and uses a part"
 )]
 
+pub mod graphs;
+
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec6, rotation_exp};
 use monogrid_graph::bundle::{
     AnchoredPoint, BundleKeyframe, BundleProblem, Observation, PoseFreedom,
