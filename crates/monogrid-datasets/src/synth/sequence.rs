@@ -153,9 +153,21 @@ impl SynthSequence {
         lighting: &LightingConfig,
     ) -> Result<Self, SynthError> {
         let world = Arc::new(World::by_name_with(name, lighting)?);
-        let duration_secs = config.frames as f64 / config.fps;
-        let path = path_of(name, motion.into(), duration_secs, config.seed)?;
+        let path = Self::path_for(name, motion.into(), &config)?;
         Self::new(world, path, config)
+    }
+
+    /// The built-in motion of a world, as long as the frames of the settings take.
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn path_for(
+        name: &str,
+        motion: Motion,
+        config: &SynthConfig,
+    ) -> Result<CameraPath, SynthError> {
+        let duration_secs = config.frames as f64 / config.fps;
+        Ok(path_of(name, motion, duration_secs, config.seed)?)
     }
 
     /// The sequence of `monogrid demo`: the living room, a hand, noise and exposure change.

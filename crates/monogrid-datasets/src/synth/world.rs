@@ -2,6 +2,7 @@
 
 use super::bvh::{Bounds, Bvh, Hit, P3, Triangle};
 use super::lighting::{LightMap, LightingConfig, bake};
+use super::mesh::{MeshLighting, MeshModel, vertex_light};
 use super::scene::{Material, Scene};
 use super::texture::Texture;
 use std::sync::Arc;
@@ -125,6 +126,52 @@ impl World {
         world
     }
 
+    /// A mesh as a world.
+    #[must_use]
+    pub fn from_model(name: &str, model: &MeshModel, lighting: MeshLighting) -> Self {
+        let mesh = &model.mesh;
+        let corners = |t: &[u32; 3]| t.map(|k| P3::from(mesh.vertices[k as usize]));
+        // triangles without area cannot be seen, and have no normal
+        let used: Vec<usize> = (0..mesh.triangles.len())
+            .filter(|&k| {
+                let [a, b, c] = corners(&mesh.triangles[k]);
+                Triangle::new(a, b, c).scaled_normal().norm() > 0.0
+            })
+            .collect();
+        let triangles: Vec<Triangle> = used
+            .iter()
+            .map(|&k| {
+                let [a, b, c] = corners(&mesh.triangles[k]);
+                Triangle::new(a, b, c)
+            })
+            .collect();
+        let bvh = Bvh::new(&triangles);
+        let light = vertex_light(mesh, &bvh, lighting);
+        let surfaces: Vec<Surface> = model.all_materials().iter().map(Surface::from).collect();
+        let shading = bvh
+            .source_ids()
+            .iter()
+            .map(|&id| {
+                mesh_shading(
+                    model,
+                    &surfaces,
+                    &light,
+                    used[id as usize],
+                    &triangles[id as usize],
+                )
+            })
+            .collect();
+        Self {
+            name: name.to_owned(),
+            objects: vec![name.to_owned()],
+            bvh,
+            shading,
+            surfaces,
+            light_maps: Vec::new(),
+            exposure: 1.0,
+        }
+    }
+
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -239,6 +286,45 @@ impl World {
         }
         albedo * self.irradiance(shading, hit)
     }
+}
+
+/// Shading of one triangle of a mesh.
+fn mesh_shading(
+    model: &MeshModel,
+    surfaces: &[Surface],
+    light: &[f32],
+    index: usize,
+    triangle: &Triangle,
+) -> Shading {
+    let corners = model.mesh.triangles[index];
+    let material = model.material(index);
+    let at = |values: &[f32]| corners.map(|k| values.get(k as usize).copied().unwrap_or(1.0));
+    let scaled_normal = triangle.scaled_normal();
+    let area2 = scaled_normal.norm();
+    let mut shading = Shading {
+        material,
+        light: Light::Vertices(at(light)),
+        texel: [0.0; 2],
+        texel_by_u: [0.0; 2],
+        texel_by_v: [0.0; 2],
+        texels_per_m: 0.0,
+        normal: scaled_normal / area2,
+        tint: at(&model.mesh.albedo),
+        object: 0,
+    };
+    let texture = surfaces
+        .get(material as usize)
+        .and_then(|s| s.texture.as_ref());
+    if let (Some(texture), Some(uv)) = (texture, model.corner_uv.get(index)) {
+        let (width, height) = texture.size();
+        let [a, b, c] = uv.map(|[u, v]| [u * width as f32, v * height as f32]);
+        shading.texel = a;
+        shading.texel_by_u = [b[0] - a[0], b[1] - a[1]];
+        shading.texel_by_v = [c[0] - a[0], c[1] - a[1]];
+        let [p, q] = [shading.texel_by_u, shading.texel_by_v];
+        shading.texels_per_m = ((p[0] * q[1] - p[1] * q[0]).abs() / area2).sqrt();
+    }
+    shading
 }
 
 /// Two triangles of a cell of a patch's grid; those of no area (at poles) are left out.

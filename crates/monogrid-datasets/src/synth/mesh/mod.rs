@@ -1,0 +1,251 @@
+//! Meshes of others as worlds: `.obj` with `.mtl` and textures, `.ply` with vertex colours.
+
+mod light;
+mod obj;
+mod ply;
+
+use super::scene::{Laying, Material};
+use super::texture::Texture;
+use super::world::{TriangleMesh, World};
+use crate::DatasetError;
+use monogrid_image::{GrayImage, Resize, resize_area};
+use std::path::Path;
+use std::sync::Arc;
+
+pub(super) use light::vertex_light;
+pub use ply::read_ply;
+
+/// A mesh with what it is covered with.
+#[derive(Clone, Debug, Default)]
+pub struct MeshModel {
+    /// Geometry, and reflectance per vertex (empty: 1).
+    pub mesh: TriangleMesh,
+    /// Materials; empty: one grey material, or white where vertices have reflectance.
+    pub materials: Vec<Material>,
+    /// Material of each triangle; empty when there is at most one.
+    pub material_of: Vec<u32>,
+    /// Texture coordinates of the three corners of each triangle, in tiles, `v` running down; empty
+    /// without textures.
+    pub corner_uv: Vec<[[f32; 2]; 3]>,
+}
+
+/// How a mesh is lit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum MeshLighting {
+    /// By an even sky: directions matter, and corners are darker (ambient occlusion).
+    #[default]
+    Shaded,
+    /// Not at all: colours are shown as they are (scans, which hold their light already).
+    AsColoured,
+}
+
+/// Reflectance of surfaces without any information.
+const UNKNOWN_ALBEDO: f32 = 0.5;
+
+impl World {
+    /// A mesh file as a world, by its extension (`.obj`, `.ply`).
+    ///
+    /// # Errors
+    /// When the file, its materials or its textures cannot be read.
+    pub fn from_file(path: &Path, lighting: MeshLighting) -> Result<Self, DatasetError> {
+        let model = MeshModel::read(path)?;
+        let name = path
+            .file_stem()
+            .map_or_else(|| "mesh".into(), |s| s.to_string_lossy());
+        Ok(Self::from_model(&name, &model, lighting))
+    }
+}
+
+impl MeshModel {
+    /// Reads a mesh file, by its extension (`.obj`, `.ply`).
+    ///
+    /// # Errors
+    /// When the file, its materials or its textures cannot be read.
+    pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        let extension = path
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase());
+        match extension.as_deref() {
+            Some("obj") => obj::read(path),
+            Some("ply") => Ok(Self {
+                mesh: read_ply(path)?,
+                ..Self::default()
+            }),
+            _ => Err(DatasetError::content(
+                path,
+                "another extension",
+                "a mesh: .obj or .ply",
+            )),
+        }
+    }
+
+    /// The material of a triangle; the default one where none is given.
+    pub(super) fn material(&self, triangle: usize) -> u32 {
+        let id = self.material_of.get(triangle).copied().unwrap_or(0);
+        id.min(self.materials.len().saturating_sub(1) as u32)
+    }
+
+    /// The materials, at least one.
+    pub(super) fn all_materials(&self) -> Vec<Material> {
+        if !self.materials.is_empty() {
+            return self.materials.clone();
+        }
+        let albedo = if self.mesh.albedo.is_empty() {
+            UNKNOWN_ALBEDO
+        } else {
+            1.0
+        };
+        vec![Material::plain(albedo)]
+    }
+}
+
+/// Reflectance of an 8-bit grey value (gamma 2.2).
+fn albedo_of_grey(grey: f32) -> f32 {
+    (grey / 255.0).clamp(0.0, 1.0).powf(2.2)
+}
+
+/// Sides of textures at most, texels.
+const MAX_TEXTURE_LOG2: u32 = 12;
+
+/// A picture as a texture: resampled to powers of two, grey values to reflectance.
+fn texture_of_image(image: &GrayImage) -> Arc<Texture> {
+    let log2 = |n: usize| {
+        (n.max(1) as f32)
+            .log2()
+            .round()
+            .clamp(0.0, MAX_TEXTURE_LOG2 as f32) as u32
+    };
+    let (w, h) = (log2(image.width()), log2(image.height()));
+    // area averaging only shrinks: enlarge by bilinear sampling in the texture's own function
+    let size = Resize {
+        width: image.width().min(1 << w),
+        height: image.height().min(1 << h),
+    };
+    let small = resize_area(image, size);
+    let (sw, sh) = (small.width() as f32, small.height() as f32);
+    Arc::new(Texture::from_fn(w, h, |u, v| {
+        let x = (u * sw - 0.5).clamp(0.0, sw - 1.0);
+        let y = (v * sh - 0.5).clamp(0.0, sh - 1.0);
+        albedo_of_grey(monogrid_image::bilinear(&small, x, y).unwrap_or(0.0))
+    }))
+}
+
+/// A material covered with a picture that corner coordinates place.
+fn textured(image: &GrayImage) -> Material {
+    let texture = texture_of_image(image);
+    Material {
+        albedo: texture.mean(),
+        texture: Some((texture, Laying::Fit)),
+        emission: 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synth::{LightingConfig, write_ply};
+
+    #[test]
+    fn a_written_world_is_read_back_as_the_same_mesh() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("room.ply");
+        let world =
+            crate::synth::World::by_name_with("living-room", &LightingConfig::quick()).unwrap();
+        let mesh = world.mesh();
+        write_ply(&path, &mesh).unwrap();
+        let read = read_ply(&path).unwrap();
+        assert_eq!(read.vertices, mesh.vertices);
+        assert_eq!(read.triangles, mesh.triangles);
+        for (a, b) in read.albedo.iter().zip(&mesh.albedo) {
+            assert!((a - b).abs() < 0.02, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn obj_faces_of_all_forms_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.obj");
+        std::fs::write(
+            folder.path().join("m.mtl"),
+            "newmtl a\nKd 0.5 0.5 0.5\nnewmtl b\nKd 1 0 0\n",
+        )
+        .unwrap();
+        let text = "# test\nmtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvn 0 0 1\n\
+                    usemtl a\nf 1 2 3 4\nusemtl b\nf -4/1 -3/2 -2/3\nf 1/1/1 2/2/1 4/3/1\nf 1//1 3//1 4//1\n";
+        std::fs::write(&path, text).unwrap();
+        let model = MeshModel::read(&path).unwrap();
+        let expected = [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3], [0, 2, 3]];
+        assert_eq!(model.mesh.triangles, expected);
+        assert_eq!(model.material_of, [0, 0, 1, 1, 1]);
+        assert!((model.materials[0].albedo - 0.5).abs() < 1e-6);
+        assert!((model.materials[1].albedo - 0.299).abs() < 1e-6);
+        // v of OBJ runs up, ours down
+        assert_eq!(model.corner_uv[2], [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0]]);
+    }
+
+    #[test]
+    fn damaged_meshes_are_refused_with_a_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let cases = [
+            ("a.obj", "v 0 0\n"),
+            ("b.obj", "v 0 0 0\nf 1 2 3\n"),
+            ("c.obj", "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n"),
+            ("d.ply", "plx\n"),
+            (
+                "e.ply",
+                "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
+            ),
+            (
+                "f.ply",
+                "ply\nformat ascii 1.0\nelement vertex 9999999999\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+            ),
+            (
+                "g.ply",
+                "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\nabc",
+            ),
+            ("h.stl", ""),
+        ];
+        for (name, text) in cases {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            let error = MeshModel::read(&path).unwrap_err().to_string();
+            assert!(error.contains(name), "{error}");
+        }
+    }
+
+    #[test]
+    fn ascii_and_big_endian_ply_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let header = |format: &str| {
+            format!(
+                "ply\nformat {format} 1.0\ncomment x\nelement vertex 3\nproperty double x\nproperty float y\n\
+                     property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
+                     element face 1\nproperty list uchar int vertex_index\nend_header\n"
+            )
+        };
+        let ascii = folder.path().join("a.ply");
+        std::fs::write(
+            &ascii,
+            header("ascii") + "0 0 0 255 255 255\n1 0 0 0 0 0\n0 1 0 255 255 255\n3 0 1 2\n",
+        )
+        .unwrap();
+        let big = folder.path().join("b.ply");
+        let mut bytes = header("binary_big_endian").into_bytes();
+        for (x, y, grey) in [(0.0f64, 0.0f32, 255u8), (1.0, 0.0, 0), (0.0, 1.0, 255)] {
+            bytes.extend(x.to_be_bytes());
+            bytes.extend(y.to_be_bytes());
+            bytes.extend(0f32.to_be_bytes());
+            bytes.extend([grey; 3]);
+        }
+        bytes.push(3);
+        for i in 0..3i32 {
+            bytes.extend(i.to_be_bytes());
+        }
+        std::fs::write(&big, bytes).unwrap();
+        let (a, b) = (read_ply(&ascii).unwrap(), read_ply(&big).unwrap());
+        assert_eq!(a, b);
+        assert_eq!(a.triangles, [[0, 1, 2]]);
+        assert_eq!(a.vertices[1], [1.0, 0.0, 0.0]);
+        assert!((a.albedo[0] - 1.0).abs() < 1e-6 && a.albedo[1].abs() < 1e-6);
+    }
+}
