@@ -49,7 +49,13 @@ fn main() {
         *node = serde_json::from_str(v).unwrap();
     }
     config = serde_json::from_value(value).unwrap();
-    let mut slam = Slam::new(config, pinhole, undistorter.mask().clone(), number("seed", 0) as u64).unwrap();
+    let mut slam = Slam::new(
+        config,
+        pinhole,
+        undistorter.mask().clone(),
+        number("seed", 0) as u64,
+    )
+    .unwrap();
     let first = number("start", 0);
     let last = (first + number("max", usize::MAX / 2)).min(dataset.frames.len());
     let registration = dataset.depth_calibration().unwrap().map(|c| {
@@ -127,7 +133,13 @@ fn main() {
                 Ok(r) => {
                     println!(
                         "{name}: ATE {:.4} m, RPE {:.4} m {:.3} deg, scale {:.4}, drift {:?}, coverage {:.3}, matched {}",
-                        r.ate_rmse, r.rpe_trans_rmse, r.rpe_rot_rmse_deg, r.scale, r.scale_drift, r.coverage, r.matched
+                        r.ate_rmse,
+                        r.rpe_trans_rmse,
+                        r.rpe_rot_rmse_deg,
+                        r.scale,
+                        r.scale_drift,
+                        r.coverage,
+                        r.matched
                     );
                     if name == "final" {
                         target_over_source = r.scale;
@@ -152,9 +164,16 @@ fn depth_report(
     target_over_source: f64,
 ) {
     let snapshot = slam.snapshot();
+    // (error, variance, inverse depth, unit-free truth) of all pixels after the keyframe's own scale
+    let mut pooled: Vec<[f64; 3]> = Vec::new();
     for keyframe in slam.keyframes() {
         let Some(truth) = true_depth(keyframe.timestamp_ns) else {
-            println!("kf {} frame {} points {}", keyframe.id, keyframe.frame_index, keyframe.pixels.len());
+            println!(
+                "kf {} frame {} points {}",
+                keyframe.id,
+                keyframe.frame_index,
+                keyframe.pixels.len()
+            );
             continue;
         };
         let unit = snapshot.world_from_keyframe[keyframe.id as usize].scale * target_over_source;
@@ -179,9 +198,22 @@ fn depth_report(
                 (f64::from(p.idepth) - true_idepth) / f64::from(p.idepth_var).sqrt()
             })
             .collect();
+        pooled.extend(normalised.iter().map(|(p, z)| {
+            [
+                f64::from(p.idepth) - unit / f64::from(*z),
+                f64::from(p.idepth_var),
+                f64::from(p.idepth),
+            ]
+        }));
         errors.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
         let n = errors.len() as f64;
-        let within = |t: f64| ratios.iter().filter(|r| (*r / median - 1.0).abs() < t).count() as f64 / n;
+        let within = |t: f64| {
+            ratios
+                .iter()
+                .filter(|r| (*r / median - 1.0).abs() < t)
+                .count() as f64
+                / n
+        };
         println!(
             "kf {} frame {} points {} scale {:.3} within 3% {:.2} 10% {:.2} | normalised: abs median {:.2}, within 2 sigma {:.2}",
             keyframe.id,
@@ -193,5 +225,26 @@ fn depth_report(
             errors[errors.len() / 2].abs(),
             errors.iter().filter(|e| e.abs() < 2.0).count() as f64 / n
         );
+    }
+    if pooled.is_empty() {
+        return;
+    }
+    for factor in [1.0, 1.3, 1.6, 2.0] {
+        for relative in [0.0, 0.01, 0.02] {
+            let mut errors: Vec<f64> = pooled
+                .iter()
+                .map(|[e, var, d]| e / (var * factor * factor + (relative * d).powi(2)).sqrt())
+                .collect();
+            errors.sort_by(f64::total_cmp);
+            let n = errors.len();
+            let median = errors[n / 2];
+            let mut deviations: Vec<f64> = errors.iter().map(|e| (e - median).abs()).collect();
+            deviations.sort_by(f64::total_cmp);
+            let inside = errors.iter().filter(|e| e.abs() < 2.0).count() as f64 / n as f64;
+            println!(
+                "sigma x {factor} + {relative} d: median {median:.2}, robust deviation {:.2}, within 2 sigma {inside:.3}",
+                1.4826 * deviations[n / 2]
+            );
+        }
     }
 }

@@ -60,7 +60,10 @@ impl SlamConfig {
             ("tracking.min_visible_share", t.min_visible_share),
             ("tracking.min_good_share", t.min_good_share),
             ("tracking.min_good_of_visible", t.min_good_of_visible),
-            ("tracking.degraded_good_of_visible", t.degraded_good_of_visible),
+            (
+                "tracking.degraded_good_of_visible",
+                t.degraded_good_of_visible,
+            ),
         ];
         for (name, value) in shares {
             if !(0.0..=1.0).contains(&value) {
@@ -176,8 +179,11 @@ pub struct TrackingConfig {
     /// Start from the motion of the last frames, and try other motions when that fails; without, the
     /// pose of the last frame is the only start.
     pub motion_hypotheses: bool,
-    /// The first hypothesis is taken at once when it explains this share of the keyframe.
-    pub accept_first_share: f32,
+    /// A hypothesis is taken without looking at the others when on the coarsest level this share of the
+    /// visible points is good,
+    pub accept_good_of_visible: f32,
+    /// and this share of all points is visible.
+    pub accept_visible_share: f32,
     /// Fewest points on the finest level.
     pub min_points: usize,
     /// Lost below this share of keyframe points inside the frame.
@@ -188,8 +194,6 @@ pub struct TrackingConfig {
     pub min_good_of_visible: f32,
     /// Degraded below this share of good points of the visible ones.
     pub degraded_good_of_visible: f32,
-    /// Frames without success after which the keyframe is given up and older ones are tried.
-    pub lost_patience: usize,
 }
 
 impl Default for TrackingConfig {
@@ -201,13 +205,13 @@ impl Default for TrackingConfig {
             smoothed_depth: true,
             min_reference_points: 1500,
             motion_hypotheses: true,
-            accept_first_share: 0.8,
+            accept_good_of_visible: 0.85,
+            accept_visible_share: 0.5,
             min_points: 60,
             min_visible_share: 0.15,
             min_good_share: 0.08,
             min_good_of_visible: 0.55,
             degraded_good_of_visible: 0.7,
-            lost_patience: 3,
         }
     }
 }
@@ -218,7 +222,7 @@ impl TrackingConfig {
     pub fn thesis() -> Self {
         Self {
             alignment: AlignmentConfig::thesis(),
-            max_relative_sigma: f32::INFINITY,
+            max_relative_sigma: 1e3,
             min_validity: 0,
             motion_hypotheses: false,
             min_visible_share: 0.0,
@@ -288,6 +292,11 @@ pub struct PublicationConfig {
     /// Whether depth and variance are the smoothed ones, as LSD-SLAM publishes; their variance counts
     /// neighbours as independent and is too small.
     pub smoothed: bool,
+    /// Factor on the filter's standard deviation, for the tails that wrong matches leave.
+    pub sigma_factor: f32,
+    /// Relative standard deviation added for the errors that all pixels of a keyframe share: those of
+    /// the poses it was observed from, and of its scale.
+    pub relative_sigma: f32,
 }
 
 impl Default for PublicationConfig {
@@ -295,6 +304,8 @@ impl Default for PublicationConfig {
         Self {
             min_validity: 10,
             smoothed: false,
+            sigma_factor: 1.4,
+            relative_sigma: 0.015,
         }
     }
 }
@@ -306,6 +317,8 @@ impl PublicationConfig {
         Self {
             min_validity: 0,
             smoothed: true,
+            sigma_factor: 1.0,
+            relative_sigma: 0.0,
         }
     }
 }

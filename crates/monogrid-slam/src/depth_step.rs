@@ -29,10 +29,7 @@ pub(crate) fn observe(
 
 /// Points for tracking: hypotheses with at most the configured relative sigma; the limit doubles
 /// until enough remain or all are taken.
-pub(crate) fn tracking_samples(
-    depth: &DepthMap,
-    config: &TrackingConfig,
-) -> Vec<DepthSample> {
+pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec<DepthSample> {
     let filter = PixelFilter {
         min_validity: config.min_validity,
         smoothed: config.smoothed_depth,

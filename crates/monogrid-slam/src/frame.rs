@@ -70,7 +70,12 @@ impl BufferedFrame {
     }
 
     /// The frame with its pyramid again.
-    pub(crate) fn restore(&self, pinhole: &Pinhole, finest_level: usize, num_levels: usize) -> Frame {
+    pub(crate) fn restore(
+        &self,
+        pinhole: &Pinhole,
+        finest_level: usize,
+        num_levels: usize,
+    ) -> Frame {
         let input = FrameInput {
             index: self.index,
             timestamp_ns: self.timestamp_ns,

@@ -32,5 +32,5 @@ pub use config::{
 pub use frame::FrameInput;
 pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
 pub use report::{FrameReport, LostReason, StageTimes, TrackingState};
-pub use sparse::SparseConfig;
+pub use sparse::{SparseConfig, SparseStats};
 pub use system::Slam;

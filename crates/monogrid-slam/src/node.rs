@@ -81,11 +81,15 @@ mod tests {
     fn relative_pose_of_two_keyframes_agrees_with_their_place_in_the_world() {
         let a = node(
             0,
-            Sim3::exp(&Vec7::from_column_slice(&[0.3, -0.2, 0.5, 0.1, 0.4, -0.2, 0.7])),
+            Sim3::exp(&Vec7::from_column_slice(&[
+                0.3, -0.2, 0.5, 0.1, 0.4, -0.2, 0.7,
+            ])),
         );
         let b = node(
             1,
-            Sim3::exp(&Vec7::from_column_slice(&[-0.1, 0.6, 0.2, -0.3, 0.1, 0.2, -0.4])),
+            Sim3::exp(&Vec7::from_column_slice(&[
+                -0.1, 0.6, 0.2, -0.3, 0.1, 0.2, -0.4,
+            ])),
         );
         let point_in_a = Vec3::new(0.2, -0.1, 1.4);
         let point_in_world = a.world_from_keyframe * point_in_a;
@@ -97,7 +101,9 @@ mod tests {
 
     #[test]
     fn world_pose_of_a_frame_scales_its_translation() {
-        let world_from_keyframe = Sim3::exp(&Vec7::from_column_slice(&[0.3, 0.1, 0.2, 0.2, 0.1, 0.3, 0.5]));
+        let world_from_keyframe = Sim3::exp(&Vec7::from_column_slice(&[
+            0.3, 0.1, 0.2, 0.2, 0.1, 0.3, 0.5,
+        ]));
         let frame_from_keyframe = Se3::exp(&Vec6::new(0.1, 0.2, -0.1, 0.05, 0.1, 0.0));
         let world_from_frame = world_from_camera(&world_from_keyframe, &frame_from_keyframe);
         let origin_in_keyframe = frame_from_keyframe.inverse().translation;
@@ -107,7 +113,10 @@ mod tests {
 
     #[test]
     fn exposures_compose() {
-        let a = Exposure { gain: 1.2, bias: 5.0 };
+        let a = Exposure {
+            gain: 1.2,
+            bias: 5.0,
+        };
         let b = a.then(0.8, -3.0);
         let (gain, bias) = a.relative(&b);
         assert!((gain - 0.8).abs() < 1e-12 && (bias + 3.0).abs() < 1e-12);

@@ -4,8 +4,8 @@ use crate::depth_step::{observe, tracking_samples};
 use crate::frame::Frame;
 use crate::node::{Exposure, Node, world_from_camera};
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
-use crate::sparse::SparseLayer;
 use crate::sparse::scale::{DenseLink, dense_links, keyframe_scale};
+use crate::sparse::{SparseLayer, SparseStats};
 use crate::start::{Start, StartOutcome, Started};
 use crate::tracker::{MotionPrior, extrapolate, track};
 use crate::{
@@ -28,7 +28,6 @@ pub struct Slam {
     config: SlamConfig,
     pinhole: Pinhole,
     mask: Mask,
-    seed: u64,
     start: Option<Start>,
     nodes: Vec<Node>,
     current: Option<Current>,
@@ -40,6 +39,7 @@ pub struct Slam {
     lost_in_a_row: usize,
     lost_episodes: usize,
     sparse: SparseLayer,
+    sparse_stats: SparseStats,
     /// Dense depth at the points that a keyframe sees, by identity.
     links: Vec<Vec<DenseLink>>,
 }
@@ -90,7 +90,6 @@ impl Slam {
             config,
             pinhole,
             mask,
-            seed,
             start: Some(start),
             nodes: Vec::new(),
             current: None,
@@ -102,6 +101,7 @@ impl Slam {
             lost_in_a_row: 0,
             lost_episodes: 0,
             sparse: SparseLayer::default(),
+            sparse_stats: SparseStats::default(),
             links: Vec::new(),
         })
     }
@@ -164,6 +164,12 @@ impl Slam {
     #[must_use]
     pub fn scale(&self) -> Scale {
         self.scale
+    }
+
+    /// What the sparse layer did for the newest keyframe.
+    #[must_use]
+    pub fn sparse_stats(&self) -> &SparseStats {
+        &self.sparse_stats
     }
 
     /// Times that tracking was lost.
@@ -419,21 +425,21 @@ impl Slam {
     fn change_keyframe(&mut self, frame: &Frame, motion: &Motion) -> Option<KeyframeId> {
         let finished = self.publish_current();
         let current = self.current.take()?;
-        let host = Arc::new(
-            HostFrame::new(frame.image().clone(), self.mask.clone(), self.pinhole).ok()?,
-        );
+        let host =
+            Arc::new(HostFrame::new(frame.image().clone(), self.mask.clone(), self.pinhole).ok()?);
         let (mut depth, _) =
             current
                 .depth
                 .propagate(host, &motion.frame_from_keyframe, &self.config.depth);
         // The unit of the new keyframe is its median depth.
-        let median_idepth = depth.median_idepth().filter(|m| m.is_finite() && *m > 0.0)?;
+        let median_idepth = depth
+            .median_idepth()
+            .filter(|m| m.is_finite() && *m > 0.0)?;
         depth.rescale(1.0 / median_idepth);
         let unit = 1.0 / f64::from(median_idepth);
         let parent = self.nodes.last()?;
         let keyframe_from_frame = motion.frame_from_keyframe.inverse();
-        let world_from_keyframe =
-            parent.world_from_keyframe * keyframe_from_frame.with_scale(unit);
+        let world_from_keyframe = parent.world_from_keyframe * keyframe_from_frame.with_scale(unit);
         let exposure = parent.exposure.then(motion.log_gain.exp(), motion.bias);
         self.push_node(frame, world_from_keyframe, exposure);
         self.link_dense_depth(&current.depth, self.nodes.len() - 2);
@@ -454,16 +460,13 @@ impl Slam {
         if !self.config.sparse.enabled {
             return;
         }
-        let stats = self.sparse.add_keyframe(
+        self.sparse_stats = self.sparse.add_keyframe(
             &self.nodes,
             depth,
             &self.pinhole,
             &self.mask,
             &self.config.sparse,
         );
-        if std::env::var_os("MONOGRID_DEBUG").is_some() {
-            eprintln!("{} {stats:?}", self.nodes.len() - 1);
-        }
         self.link_dense_depth(depth, self.nodes.len() - 1);
         for (node, links) in self.nodes.iter_mut().zip(&self.links) {
             let world_from_camera = self.sparse.camera_from_world[node.id as usize].inverse();
@@ -568,9 +571,10 @@ impl Slam {
     fn publish_current(&mut self) -> Option<KeyframeId> {
         let current = self.current.as_ref()?;
         let node = self.nodes.last()?;
+        let publication = &self.config.publication;
         let filter = PixelFilter {
-            min_validity: self.config.publication.min_validity,
-            smoothed: self.config.publication.smoothed,
+            min_validity: publication.min_validity,
+            smoothed: publication.smoothed,
             ..PixelFilter::default()
         };
         let pixels = current
@@ -580,7 +584,8 @@ impl Slam {
                 x: p.x,
                 y: p.y,
                 idepth: p.idepth,
-                idepth_var: p.idepth_var,
+                idepth_var: p.idepth_var * publication.sigma_factor.powi(2)
+                    + (publication.relative_sigma * p.idepth).powi(2),
             })
             .collect();
         self.finished.push(Keyframe {
@@ -601,7 +606,9 @@ impl Slam {
 /// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.
 fn pose_sigmas(covariance: Option<&monogrid_geometry::Mat6>) -> (f32, f32) {
     covariance.map_or((0.005, 0.002), |c| {
-        let mean = |from: usize| ((c[(from, from)] + c[(from + 1, from + 1)] + c[(from + 2, from + 2)]) / 3.0).sqrt();
+        let mean = |from: usize| {
+            ((c[(from, from)] + c[(from + 1, from + 1)] + c[(from + 2, from + 2)]) / 3.0).sqrt()
+        };
         (mean(0) as f32, mean(3) as f32)
     })
 }

@@ -52,17 +52,17 @@ pub(crate) fn track(
         align(reference, &frame.target, &start, Freedom::Rigid, &coarse)
     };
     let mut best = attempt(&prior.frame_from_last);
-    if config.motion_hypotheses {
+    if config.motion_hypotheses && !explains(&best, config) {
         let rotation = previous
             .and_then(|p| align_rotation(p, frame, pinhole, prior, &config.alignment))
             .unwrap_or_else(Se3::identity);
         for hypothesis in hypotheses(&prior.frame_from_last, &rotation) {
-            if best.good_share >= config.accept_first_share {
-                break;
-            }
             let candidate = attempt(&hypothesis);
             if candidate.good_share > best.good_share {
                 best = candidate;
+            }
+            if explains(&best, config) {
+                break;
             }
         }
     }
@@ -79,6 +79,12 @@ pub(crate) fn track(
         state,
         reason,
     }
+}
+
+/// Whether a coarse alignment is good enough to stop looking for a better start.
+fn explains(alignment: &Alignment, config: &TrackingConfig) -> bool {
+    alignment.good_of_visible >= config.accept_good_of_visible
+        && alignment.visible_share >= config.accept_visible_share
 }
 
 /// The same settings restricted to the coarsest level.

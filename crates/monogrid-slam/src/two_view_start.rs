@@ -173,8 +173,9 @@ impl TwoViewStart {
         }
         let reference = self.reference.take()?;
         let mut later = std::mem::take(&mut self.buffered);
-        let mut earlier: Vec<BufferedFrame> =
-            later.drain(..=reference.buffer_index.min(later.len() - 1)).collect();
+        let mut earlier: Vec<BufferedFrame> = later
+            .drain(..=reference.buffer_index.min(later.len() - 1))
+            .collect();
         earlier.pop();
         Some(Started {
             keyframe: reference.frame,
@@ -351,8 +352,7 @@ impl Reference {
             with_covariance: true,
             ..BundleConfig::default()
         };
-        let solution =
-            adjust(&problem, &bundle_config).map_err(|_| LostReason::AmbiguousStart)?;
+        let solution = adjust(&problem, &bundle_config).map_err(|_| LostReason::AmbiguousStart)?;
         let variances = solution
             .covariance
             .as_ref()

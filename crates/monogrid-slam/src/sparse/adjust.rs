@@ -81,7 +81,12 @@ pub(crate) fn adjust_window(
         layer.points[index].idepth = solution.inverse_depths[slot];
     }
     let mut removed = 0;
-    for (observation, outcome) in problem.bundle.observations.iter().zip(&solution.observations) {
+    for (observation, outcome) in problem
+        .bundle
+        .observations
+        .iter()
+        .zip(&solution.observations)
+    {
         if outcome.is_inlier() {
             continue;
         }
@@ -100,7 +105,11 @@ pub(crate) fn adjust_window(
 /// How many points with at least two views each keyframe sees.
 fn count_observations(layer: &SparseLayer) -> BTreeMap<KeyframeId, usize> {
     let mut seen = BTreeMap::new();
-    for point in layer.points.iter().filter(|p| p.alive && !p.observations.is_empty()) {
+    for point in layer
+        .points
+        .iter()
+        .filter(|p| p.alive && !p.observations.is_empty())
+    {
         let others = point.observations.iter().map(|o| o.keyframe);
         for id in others.chain([point.host]) {
             *seen.entry(id).or_default() += 1;
@@ -162,9 +171,7 @@ impl Problem {
             .iter()
             .enumerate()
             .filter(|(_, p)| p.alive && !p.observations.is_empty())
-            .filter(|(_, p)| {
-                is_free(p.host) || p.observations.iter().any(|o| is_free(o.keyframe))
-            })
+            .filter(|(_, p)| is_free(p.host) || p.observations.iter().any(|o| is_free(o.keyframe)))
             .map(|(i, _)| i)
             .collect();
         let mut slots: BTreeMap<KeyframeId, usize> = free.iter().map(|id| (*id, 0)).collect();

@@ -219,12 +219,7 @@ pub(crate) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)>
     let (idepth, var) = known[known.len() / 2];
     // across a depth edge the neighbourhood says how little is known
     let spread = known[known.len() * 3 / 4].0 - known[known.len() / 4].0;
-    (idepth > 0.0).then(|| {
-        (
-            f64::from(idepth),
-            f64::from((var + spread * spread).sqrt()),
-        )
-    })
+    (idepth > 0.0).then(|| (f64::from(idepth), f64::from((var + spread * spread).sqrt())))
 }
 
 /// For each new point of the newest keyframe, where older keyframes see it.

@@ -15,4 +15,5 @@ mod points;
 pub(crate) mod scale;
 
 pub use config::SparseConfig;
-pub(crate) use points::{SparseLayer, SparseStats};
+pub(crate) use points::SparseLayer;
+pub use points::SparseStats;

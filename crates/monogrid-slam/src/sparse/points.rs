@@ -36,15 +36,22 @@ pub(crate) struct SparsePoint {
     pub alive: bool,
 }
 
-/// What happened for one keyframe; for the log and the report.
+/// What the sparse layer did for one keyframe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct SparseStats {
+pub struct SparseStats {
+    /// Old points that were looked for.
     pub searched: usize,
+    /// Old points whose patch was found.
     pub found: usize,
+    /// Found points that agree with the pose.
     pub inliers: usize,
+    /// New points.
     pub anchored: usize,
+    /// Keyframes whose poses were adjusted.
     pub adjusted_keyframes: usize,
+    /// Points in the adjustment.
     pub adjusted_points: usize,
+    /// Observations that the adjustment refuted.
     pub removed_observations: usize,
 }
 

@@ -68,8 +68,7 @@ pub(crate) fn keyframe_scale(
         .filter(|link| !layer.points[link.point].observations.is_empty())
         .filter_map(|link| {
             let point = &layer.points[link.point];
-            let in_camera =
-                *camera_from_world * point.position(&layer.camera_from_world, pinhole);
+            let in_camera = *camera_from_world * point.position(&layer.camera_from_world, pinhole);
             let ratio = link.idepth * in_camera.z;
             let sigma = link.relative_sigma.max(0.01);
             (ratio.is_finite() && ratio > 0.0).then_some((ratio, 1.0 / (sigma * sigma)))
