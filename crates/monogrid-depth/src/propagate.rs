@@ -212,8 +212,9 @@ fn merge(
     let offset = (offset_x * offset_x + offset_y * offset_y) / (sum_w * sum_w);
     let slope = config.slope_per_px * idepth;
     let prediction = config.propagation_relative_sigma * idepth;
-    // neighbouring matches share half of their samples: half of their errors averages out
-    let mean_var = sum_v / sum_w * (0.5 + 0.5 * sum_ww / (sum_w * sum_w));
+    // neighbouring matches share most of their samples: only some of their errors averages out, and
+    // what was averaged once is alike afterwards
+    let mean_var = sum_v / sum_w * (0.7 + 0.3 * sum_ww / (sum_w * sum_w));
     let var =
         config.propagation_inflation * mean_var + slope * slope * offset + prediction * prediction;
     (var <= config.max_var).then_some(Hypothesis {

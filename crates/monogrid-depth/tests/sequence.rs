@@ -5,6 +5,7 @@ mod world;
 use monogrid_depth::{DepthConfig, DepthMap, PixelFilter, StereoFrame};
 use monogrid_geometry::Se3;
 use monogrid_image::GrayImage;
+use std::sync::OnceLock;
 use world::{Normal, Quality, View, World, disturbed, handheld, host, pinhole_of, quality, sensor};
 
 const SIZE: (usize, usize) = (320, 240);
@@ -23,6 +24,12 @@ fn views(noise: f32) -> Vec<View> {
             view
         })
         .collect()
+}
+
+/// The views that most tests share.
+fn quiet_views() -> &'static [View] {
+    static VIEWS: OnceLock<Vec<View>> = OnceLock::new();
+    VIEWS.get_or_init(|| views(1.5))
 }
 
 fn stereo(image: &GrayImage, frame_from_keyframe: Se3, id: usize) -> StereoFrame<'_> {
@@ -73,7 +80,7 @@ fn run(views: &[View], config: &DepthConfig) -> (Vec<Quality>, DepthMap) {
 
 #[test]
 fn keyframes_become_dense_accurate_and_honest() {
-    let (finished, _) = run(&views(1.5), &DepthConfig::default());
+    let (finished, _) = run(quiet_views(), &DepthConfig::default());
     for q in &finished {
         println!("{q:.3?}");
     }
@@ -109,7 +116,7 @@ fn noise_is_learned_and_the_variance_stays_honest() {
 
 #[test]
 fn the_thesis_profile_works_too() {
-    let (finished, _) = run(&views(1.5), &DepthConfig::thesis());
+    let (finished, _) = run(quiet_views(), &DepthConfig::thesis());
     let last = &finished[finished.len() - 1];
     println!("{last:.3?}");
     assert!(last.within_3 > 0.5 && last.gross < 0.05, "{last:?}");
@@ -117,9 +124,9 @@ fn the_thesis_profile_works_too() {
 
 #[test]
 fn ten_forced_keyframes_keep_density_and_scale() {
-    let views = views(1.5);
+    let views = quiet_views();
     let config = DepthConfig::default();
-    let (finished, map) = run(&views, &config);
+    let (finished, map) = run(views, &config);
     let steady = finished[finished.len() - 1].dense;
     // ten keyframes in a row without any observation between
     let start = NUM_FRAMES - 1;
@@ -143,7 +150,7 @@ fn ten_forced_keyframes_keep_density_and_scale() {
 
 #[test]
 fn smoothed_values_are_published_on_request() {
-    let views = views(1.5);
+    let views = quiet_views();
     let (_, map) = run(&views[..6], &DepthConfig::default());
     let read = |smoothed: bool| -> Vec<_> {
         let filter = PixelFilter {

@@ -77,7 +77,7 @@ fn a_stereo_pair_gives_unbiased_depth_with_honest_variance() {
     for motion in motions {
         let (_, q) = pair(motion, 2.0).observe(&config);
         println!("{:?} {q:.3?}", motion.translation);
-        assert!(q.dense > 0.4, "{q:?}");
+        assert!(q.dense > 0.33, "{q:?}");
         assert!(q.normal_median.abs() < 0.1, "{q:?}");
         assert!((0.8..=1.3).contains(&q.normal_deviation), "{q:?}");
         assert!(q.bias.abs() < 0.005, "{q:?}");
@@ -131,6 +131,7 @@ fn the_result_does_not_depend_on_the_bands() {
         }
         parts.sort_by_key(|(row, _)| *row);
         parts.iter().for_each(|(_, part)| stats.merge(part));
+        assert_eq!(map.num_known(), stats.count(PixelOutcome::Created) as usize);
         (
             pixels(&map),
             stats.count(PixelOutcome::Created),
@@ -139,7 +140,6 @@ fn the_result_does_not_depend_on_the_bands() {
     };
     let reference = run(SIZE.1);
     assert!(reference.0.len() > 10_000);
-    assert_eq!(reference.0.len(), reference.1 as usize);
     for rows in [1, 7, 16] {
         assert_eq!(run(rows), reference, "{rows} rows per band");
     }
@@ -225,7 +225,12 @@ fn an_observation_chooses_the_longer_baseline_that_still_sees_the_pixel() {
         .collect();
     let run = |which: &[usize]| {
         let mut map = DepthMap::empty(host(sensor(&keyframe.image, 1.5, 1), pinhole), &config);
-        map.initialize_from_depth(&keyframe.depth, 0.05);
+        // a start that is wrong by 5 %
+        let mut normal = world::Normal(3);
+        let wrong = keyframe
+            .depth
+            .map(|z| z * (1.0 + 0.05 * normal.next() as f32));
+        map.initialize_from_depth(&wrong, 0.05);
         let frames: Vec<_> = which
             .iter()
             .map(|&k| frame(&images[k], motions[k]))
