@@ -3,7 +3,7 @@
 #![allow(clippy::print_stderr, reason = "progress of an example")]
 
 use monogrid_datasets::synth::{
-    Carrier, DEMO_FRAMES, SynthConfig, SynthSequence, WriteConfig, write_tum_layout,
+    Carrier, SynthConfig, SynthSequence, WriteConfig, usual_frames, write_tum_layout,
 };
 use std::path::Path;
 use std::time::Instant;
@@ -13,16 +13,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let Some(folder) = arguments.first() else {
         return Err("usage: synth_dump OUT [FRAMES] [WORLD]".into());
     };
+    let world = arguments.get(2).map_or("living-room", String::as_str);
+    let whole = usual_frames(world);
     let frames = match arguments.get(1) {
         Some(text) => text.parse()?,
-        None => DEMO_FRAMES,
+        None => whole,
     };
     // fewer frames show the beginning of the same motion
     let config = SynthConfig {
-        frames: frames.max(DEMO_FRAMES),
+        frames: frames.max(whole),
         ..SynthConfig::demo()
     };
-    let world = arguments.get(2).map_or("living-room", String::as_str);
     let start = Instant::now();
     let sequence = SynthSequence::built_in(world, Carrier::Hand, config)?.shortened(frames);
     eprintln!(

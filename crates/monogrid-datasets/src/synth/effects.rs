@@ -124,14 +124,14 @@ impl Sensor {
     #[must_use]
     pub fn new(config: EffectsConfig, seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0xE890);
-        let count = 4;
+        let count = 4i32;
         let tones = config.exposure.map_or_else(Vec::new, |exposure| {
             (0..count)
                 .map(|k| {
                     // periods from the shortest to eight times of it
-                    let octave = 3.0 * (k as f64 + f64::from(random.unit())) / count as f64;
+                    let octave = 3.0 * (f64::from(k) + f64::from(random.unit())) / f64::from(count);
                     let period = exposure.shortest_period_secs * octave.exp2();
-                    let amplitude = exposure.rms_stops * (2.0 / count as f64).sqrt();
+                    let amplitude = exposure.rms_stops * (2.0 / f64::from(count)).sqrt();
                     [amplitude, 1.0 / period, TAU * f64::from(random.unit())]
                 })
                 .collect()

@@ -77,9 +77,11 @@ impl Jitter {
                 };
                 // TONES sinusoids of amplitude a have a mean square of TONES a² / 2
                 let amplitude = strength * rms * (2.0 / TONES as f64).sqrt();
-                for _ in 0..TONES {
+                for k in 0..TONES {
+                    // one per stratum of the octave: equal frequencies would add up
+                    let octave = (k as f64 + f64::from(random.unit())) / TONES as f64;
                     tones.push(Tone {
-                        frequency_hz: b.from_hz * 2f64.powf(f64::from(random.unit())),
+                        frequency_hz: b.from_hz * octave.exp2(),
                         phase_rad: TAU * f64::from(random.unit()),
                         amplitude,
                     });

@@ -318,7 +318,7 @@ fn mean_light(world: &World) -> f32 {
     (sum / total.max(1e-12)) as f32
 }
 
-/// Light that is exceeded on a tenth of the surfaces.
+/// Light that is exceeded on a twentieth of the surfaces.
 fn bright_light(world: &World) -> f32 {
     let mut areas = lit_areas(world);
     areas.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -326,7 +326,7 @@ fn bright_light(world: &World) -> f32 {
     let mut covered = 0.0;
     for (light, area) in &areas {
         covered += area;
-        if covered >= 0.1 * total {
+        if covered >= 0.05 * total {
             return *light;
         }
     }

@@ -37,5 +37,5 @@ pub use sequence::{DEMO_FRAMES, SynthConfig, SynthError, SynthFrame, SynthSequen
 pub use shapes::BoxFaces;
 pub use texture::Texture;
 pub use world::{SurfaceShares, TriangleMesh, World};
-pub use worlds::{MOTION_NAMES, Motion, WORLD_NAMES, WorldError};
+pub use worlds::{MOTION_NAMES, Motion, WORLD_NAMES, WorldError, usual_frames};
 pub use write::{WriteConfig, write_ply, write_tum_layout};

@@ -249,8 +249,8 @@ mod tests {
             let mut direction = [[0.0f32; 16]; 3];
             for lane in 0..16 {
                 let d = axis + p(0.1);
-                for k in 0..3 {
-                    direction[k][lane] = d[k];
+                for (component, value) in direction.iter_mut().zip(d.iter()) {
+                    component[lane] = *value;
                 }
             }
             let mut packet = Packet::new(origin, direction, f32::INFINITY);

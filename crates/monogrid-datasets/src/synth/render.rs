@@ -163,14 +163,12 @@ impl Renderer {
             let cell = self.cell(column, y);
             for (sample, offset) in SAMPLES.iter().enumerate() {
                 let ray = view.rotate(cell.at(*offset));
-                for axis in 0..3 {
-                    direction[axis][pixel * SAMPLES.len() + sample] = ray[axis];
-                }
+                set_lane(&mut direction, pixel * SAMPLES.len() + sample, &ray);
             }
         }
         let mut packet = Packet::new(view.origin, direction, f32::INFINITY);
         packet.trace(&world.bvh);
-        let moved = view.trace_movers(&direction, &packet);
+        let moved = view.trace_movers(&packet);
         for (pixel, value) in out.iter_mut().enumerate() {
             let mut sum = 0.0;
             for lane in pixel * SAMPLES.len()..(pixel + 1) * SAMPLES.len() {
@@ -214,13 +212,11 @@ impl Renderer {
         for lane in 0..RAYS {
             let column = (x + lane).min(self.camera.width - 1);
             let ray = view.rotate(self.centres[y * self.camera.width + column]);
-            for axis in 0..3 {
-                direction[axis][lane] = ray[axis];
-            }
+            set_lane(&mut direction, lane, &ray);
         }
         let mut packet = Packet::new(view.origin, direction, f32::INFINITY);
         packet.trace(&world.bvh);
-        let moved = view.trace_movers(&direction, &packet);
+        let moved = view.trace_movers(&packet);
         for (lane, value) in out.iter_mut().enumerate() {
             let nearest = moved
                 .iter()
@@ -249,6 +245,14 @@ impl Renderer {
                 self.corners[k + stride + 1],
             ],
         }
+    }
+}
+
+/// Stores the direction of one ray of a packet.
+#[inline]
+fn set_lane(direction: &mut [[f32; RAYS]; 3], lane: usize, ray: &P3) {
+    for (component, value) in direction.iter_mut().zip(ray.iter()) {
+        component[lane] = *value;
     }
 }
 
@@ -303,11 +307,7 @@ impl<'a> View<'a> {
     }
 
     /// The same rays through each mover, in its own frame.
-    fn trace_movers(
-        &self,
-        direction: &[[f32; RAYS]; 3],
-        packet: &Packet<RAYS>,
-    ) -> Vec<Packet<RAYS>> {
+    fn trace_movers(&self, packet: &Packet<RAYS>) -> Vec<Packet<RAYS>> {
         self.movers
             .iter()
             .map(|mover| {
@@ -317,10 +317,7 @@ impl<'a> View<'a> {
                 let mut local = [[0.0f32; RAYS]; 3];
                 let mut farthest = 0.0f32;
                 for lane in 0..RAYS {
-                    let d = r * P3::new(direction[0][lane], direction[1][lane], direction[2][lane]);
-                    for axis in 0..3 {
-                        local[axis][lane] = d[axis];
-                    }
+                    set_lane(&mut local, lane, &(r * packet.direction(lane)));
                     farthest = farthest.max(packet.distance(lane));
                 }
                 let mut moved = Packet::new(origin, local, farthest);

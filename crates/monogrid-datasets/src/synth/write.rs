@@ -8,6 +8,7 @@ use crate::{
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_image::GrayImage;
+use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
@@ -60,35 +61,63 @@ pub fn write_tum_layout(
     let mut colour_list = String::from("# timestamp filename\n");
     let mut depth_list = colour_list.clone();
     let mut poses = Vec::with_capacity(sequence.len());
-    for k in 0..sequence.len() {
-        let Some(frame) = sequence.frame(k) else {
-            break;
-        };
-        let time = format_seconds(frame.timestamp_ns);
-        let name = format!("rgb/{:06}.png", frame.index);
-        write_atomically(
-            &folder.join(&name),
-            &encode_png(&frame.image.map(|v| v as u8)),
-        )?;
-        // writing into a string cannot fail
-        let _ = writeln!(colour_list, "{time} {name}");
-        if config.depth_every > 0 && k % config.depth_every == 0 {
-            if let Some(depth) = sequence.depth(k) {
+    for first in (0..sequence.len()).step_by(CHUNK) {
+        let last = (first + CHUNK).min(sequence.len());
+        let frames: Vec<CodedFrame> = (first..last)
+            .into_par_iter()
+            .filter_map(|k| CodedFrame::new(sequence, k, config, units_per_m))
+            .collect();
+        for frame in frames {
+            let time = format_seconds(frame.pose.timestamp_ns);
+            let name = format!("rgb/{:06}.png", frame.index);
+            write_atomically(&folder.join(&name), &frame.image)?;
+            // writing into a string cannot fail
+            let _ = writeln!(colour_list, "{time} {name}");
+            if let Some(depth) = &frame.depth {
                 let name = format!("depth/{:06}.png", frame.index);
-                let coded = encode_depth(&depth, units_per_m);
-                write_atomically(&folder.join(&name), &encode_png_16(&coded))?;
+                write_atomically(&folder.join(&name), depth)?;
                 let _ = writeln!(depth_list, "{time} {name}");
             }
+            poses.push(frame.pose);
+            progress(poses.len());
         }
-        poses.push(TimedPose {
-            timestamp_ns: frame.timestamp_ns,
-            world_from_camera: frame.world_from_camera,
-        });
-        progress(k + 1);
     }
     write_text(folder, "rgb.txt", &colour_list)?;
     write_text(folder, "depth.txt", &depth_list)?;
     write_tum(&folder.join("groundtruth.txt"), &poses)
+}
+
+/// Frames that are rendered and compressed side by side.
+const CHUNK: usize = 8;
+
+/// A frame as it goes to the disk.
+struct CodedFrame {
+    index: usize,
+    pose: TimedPose,
+    image: Vec<u8>,
+    depth: Option<Vec<u8>>,
+}
+
+impl CodedFrame {
+    fn new(
+        sequence: &SynthSequence,
+        k: usize,
+        config: &WriteConfig,
+        units_per_m: u32,
+    ) -> Option<Self> {
+        let frame = sequence.frame(k)?;
+        let has_depth = config.depth_every > 0 && k.is_multiple_of(config.depth_every);
+        let depth = if has_depth { sequence.depth(k) } else { None };
+        Some(Self {
+            index: frame.index,
+            pose: TimedPose {
+                timestamp_ns: frame.timestamp_ns,
+                world_from_camera: frame.world_from_camera,
+            },
+            image: encode_png(&frame.image.map(|v| v as u8)),
+            depth: depth.map(|d| encode_png_16(&encode_depth(&d, units_per_m))),
+        })
+    }
 }
 
 fn write_text(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError> {
@@ -110,7 +139,7 @@ fn depth_units(sequence: &SynthSequence) -> u32 {
 fn encode_depth(depth: &GrayImage, units_per_m: u32) -> monogrid_image::Image<u16> {
     depth.map(|z| {
         let units = (z * units_per_m as f32).round();
-        if units >= 1.0 && units <= 65_535.0 {
+        if (1.0..=65_535.0).contains(&units) {
             units as u16
         } else {
             0
@@ -157,7 +186,9 @@ pub fn write_ply(path: &Path, mesh: &TriangleMesh) -> Result<(), DatasetError> {
                 bytes.extend_from_slice(&v.to_le_bytes());
             }
             if has_albedo {
-                let grey = (255.0 * mesh.albedo[k]).round().clamp(0.0, 255.0) as u8;
+                // as displayed: gamma 2.2, undone by the reader
+                let shown = mesh.albedo[k].clamp(0.0, 1.0).powf(1.0 / 2.2);
+                let grey = (255.0 * shown).round() as u8;
                 bytes.extend_from_slice(&[grey; 3]);
             }
         }

@@ -42,7 +42,7 @@ pub(super) fn scene() -> Scene {
         (ROOMS_X[1], OUTER_M[1], PI, "north room"),
     ] {
         s.object_at(name, place(x, y, 0.0, heading), |s| {
-            room(s, &m, plaster, carpet)
+            room(s, &m, plaster, carpet);
         });
     }
     decoration(s, &m);
@@ -114,36 +114,36 @@ fn room(s: &mut Scene, m: &Office, plaster: MaterialId, carpet: MaterialId) {
         );
     }
     s.at(place(-1.3, -3.4, 0.0, 0.0 + PI), |s| {
-        w::desk(s, m, 1.6, 420)
+        w::desk(s, m, 1.6, 420);
     });
     s.at(place(-1.3, -2.6, 0.0, 0.3), |s| w::office_chair(s, m));
     s.at(place(1.6, -3.82, 0.0, PI), |s| {
-        f::bookshelf(s, 1.2, 2.0, 6, m.beech, 421)
+        f::bookshelf(s, 1.2, 2.0, 6, m.beech, 421);
     });
     s.at(place(0.2, -1.9, 0.0, 0.2), |s| {
-        f::round_table(s, 0.5, 0.73, m.beech, m.grey)
+        f::round_table(s, 0.5, 0.73, m.beech, m.grey);
     });
     for (x, y, a) in [(0.9, -1.7, -1.2), (-0.4, -1.5, 1.0)] {
         s.at(place(x, y, 0.0, a), |s| f::chair(s, m.grey, m.cloth));
     }
     s.at(place(2.6, -0.6, 0.0, 0.0), |s| {
-        f::plant(s, 1.5, 26, m.grey, m.leaf, 422)
+        f::plant(s, 1.5, 26, m.grey, m.leaf, 422);
     });
     s.at(place(-2.75, -1.6, 0.0, FRAC_PI_2), |s| {
-        w::file_cabinet(s, m, [0.46, 0.5, 1.3], 4)
+        w::file_cabinet(s, m, [0.46, 0.5, 1.3], 4);
     });
     s.at(place(0.0, -4.0, 1.3, PI), |s| {
-        f::picture(s, 0.9, 0.7, m.papers[0], m.dark)
+        f::picture(s, 0.9, 0.7, m.papers[0], m.dark);
     });
     s.at(place(-2.2, -4.0, 1.4, PI), |s| {
-        f::picture(s, 0.6, 0.8, m.papers[1], m.dark)
+        f::picture(s, 0.6, 0.8, m.papers[1], m.dark);
     });
     s.at(place(0.2, -1.9, 0.73, 0.3), |s| {
-        f::magazines(s, &m.papers[..3], 423)
+        f::magazines(s, &m.papers[..3], 423);
     });
     let glow = s.material(Material::plain(0.9).glowing(1.1));
     s.at(place(0.0, -2.0, HEIGHT_M, 0.0), |s| {
-        w::ceiling_panel(s, [1.2, 0.6], glow, 9.0)
+        w::ceiling_panel(s, [1.2, 0.6], glow, 9.0);
     });
 }
 
@@ -205,19 +205,19 @@ fn wall_piece(
         s.object_at("door", pose, |s| f::door(s, 0.86, 2.05, m.beech, m.dark));
     } else if kind < 0.62 {
         s.object_at("picture", pose * place(0.0, 0.0, 1.2, 0.0), |s| {
-            f::picture(s, w, h, image, m.dark)
+            f::picture(s, w, h, image, m.dark);
         });
     } else if kind < 0.72 {
         s.object_at("notice board", pose * place(0.0, 0.0, 1.0, 0.0), |s| {
-            w::whiteboard(s, m, 1.0, 0.9, seed)
+            w::whiteboard(s, m, 1.0, 0.9, seed);
         });
     } else if kind < 0.82 {
         s.object_at("cabinet", pose * place(0.0, -0.23, 0.0, 0.0), |s| {
-            w::file_cabinet(s, m, [0.5, 0.4, 1.1], 3)
+            w::file_cabinet(s, m, [0.5, 0.4, 1.1], 3);
         });
     } else if kind < 0.92 {
         s.object_at("plant", pose * place(0.0, -0.25, 0.0, 0.0), |s| {
-            f::plant(s, 1.2, 18, m.grey, m.leaf, seed)
+            f::plant(s, 1.2, 18, m.grey, m.leaf, seed);
         });
     } else {
         s.object_at("extinguisher", pose * place(0.0, -0.1, 0.6, 0.0), |s| {
@@ -252,7 +252,7 @@ fn lamps(s: &mut Scene) {
     }
     for (px, py) in spots {
         s.object_at("corridor lamp", place(px, py, HEIGHT_M, 0.0), |s| {
-            w::ceiling_panel(s, [0.6, 0.6], glow, 9.0)
+            w::ceiling_panel(s, [0.6, 0.6], glow, 9.0);
         });
     }
 }

@@ -16,7 +16,7 @@ pub(super) fn sofa(s: &mut Scene, width: f32, seats: usize, cover: MaterialId, f
     let depth = 0.88;
     let inner = width - 0.40;
     s.at(place(0.0, 0.0, 0.24, 0.0), |s| {
-        s.rounded_box([width - 0.1, depth - 0.06, 0.26], 0.05, cover)
+        s.rounded_box([width - 0.1, depth - 0.06, 0.26], 0.05, cover);
     });
     s.at(place_tilted(0.0, 0.33, 0.56, [-0.16, 0.0, 0.0]), |s| {
         s.rounded_box([width - 0.12, 0.22, 0.62], 0.09, cover);
@@ -27,7 +27,7 @@ pub(super) fn sofa(s: &mut Scene, width: f32, seats: usize, cover: MaterialId, f
         });
         for y in [-0.36, 0.36] {
             s.at(place(side * (0.5 * width - 0.14), y, 0.0, 0.0), |s| {
-                s.cylinder(0.025, 0.12, feet)
+                s.cylinder(0.025, 0.12, feet);
             });
         }
     }
@@ -35,7 +35,7 @@ pub(super) fn sofa(s: &mut Scene, width: f32, seats: usize, cover: MaterialId, f
     for k in 0..seats {
         let x = -0.5 * inner + (k as f32 + 0.5) * seat;
         s.at(place(x, -0.09, 0.43, 0.0), |s| {
-            s.rounded_box([seat - 0.015, 0.66, 0.16], 0.06, cover)
+            s.rounded_box([seat - 0.015, 0.66, 0.16], 0.06, cover);
         });
         s.at(place_tilted(x, 0.20, 0.68, [-0.22, 0.0, 0.0]), |s| {
             s.rounded_box([seat - 0.03, 0.16, 0.42], 0.07, cover);
@@ -86,7 +86,7 @@ pub(super) fn round_table(
     leg: MaterialId,
 ) {
     s.at(place(0.0, 0.0, height - 0.03, 0.0), |s| {
-        s.cylinder(radius, 0.03, top)
+        s.cylinder(radius, 0.03, top);
     });
     let profile = [
         [0.035, height - 0.03],
@@ -103,7 +103,7 @@ pub(super) fn round_table(
 /// Chair with a slatted back.
 pub(super) fn chair(s: &mut Scene, wood: MaterialId, seat: MaterialId) {
     s.at(place(0.0, 0.0, 0.455, 0.0), |s| {
-        s.rounded_box([0.44, 0.43, 0.05], 0.02, seat)
+        s.rounded_box([0.44, 0.43, 0.05], 0.02, seat);
     });
     for x in [-0.19, 0.19] {
         s.bar(p(x, -0.19, 0.0), p(x, -0.18, 0.44), 0.018, wood);
@@ -275,7 +275,7 @@ pub(super) fn picture(
     let (b, t) = (0.035, 0.025);
     let (hw, h) = (0.5 * width, height);
     s.at(place(0.0, -0.010, 0.0, 0.0), |s| {
-        s.panel(width, height, image)
+        s.panel(width, height, image);
     });
     s.cuboid([-hw - b, -t, -b], [hw + b, -0.001, 0.0], frame);
     s.cuboid([-hw - b, -t, h], [hw + b, -0.001, h + b], frame);
@@ -383,7 +383,7 @@ pub(super) fn mug(s: &mut Scene, material: MaterialId) {
         material,
     );
     s.at(place_tilted(0.048, 0.0, 0.05, [TAU / 4.0, 0.0, 0.0]), |s| {
-        s.torus(0.026, 0.006, material)
+        s.torus(0.026, 0.006, material);
     });
 }
 
@@ -398,7 +398,7 @@ pub(super) fn television(s: &mut Scene, width: f32, screen: MaterialId, case: Ma
         case,
     );
     s.at(place(0.0, -0.022, 0.085, 0.0), |s| {
-        s.panel(width - 0.03, height - 0.03, screen)
+        s.panel(width - 0.03, height - 0.03, screen);
     });
 }
 
@@ -422,7 +422,7 @@ pub(super) fn radiator(s: &mut Scene, width: f32, height: f32, metal: MaterialId
     for k in 0..ribs {
         let x = -0.5 * width + (k as f32 + 0.5) * 0.06;
         s.at(place(x, -0.09, 0.12 + 0.5 * height, 0.0), |s| {
-            s.rounded_box([0.045, 0.09, height], 0.02, metal)
+            s.rounded_box([0.045, 0.09, height], 0.02, metal);
         });
     }
     for z in [0.17, 0.07 + height] {
@@ -512,7 +512,7 @@ pub(super) fn window(
 ) {
     let (hw, h, b) = (0.5 * width, height, 0.06);
     s.at(place(0.0, -0.002, 0.0, 0.0), |s| {
-        s.panel(width, height, view)
+        s.panel(width, height, view);
     });
     for x in [-hw - b, hw, -0.5 * b] {
         s.cuboid([x, -0.05, -b], [x + b, -0.003, h + b], frame);
@@ -541,7 +541,7 @@ pub(super) fn magazines(s: &mut Scene, covers: &[MaterialId], seed: u64) {
             random.range(-0.5, 0.5),
         );
         s.at(pose, |s| {
-            s.cuboid([-0.105, -0.148, 0.0], [0.105, 0.148, 0.007], *cover)
+            s.cuboid([-0.105, -0.148, 0.0], [0.105, 0.148, 0.007], *cover);
         });
     }
 }

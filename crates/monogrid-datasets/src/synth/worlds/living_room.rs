@@ -127,7 +127,7 @@ fn shell(s: &mut Scene) {
 /// Sofa, side table, lamps.
 fn north_side(s: &mut Scene, m: &Palette) {
     s.object_at("sofa", place(2.3, 4.50, 0.0, 0.0), |s| {
-        f::sofa(s, 2.1, 3, m.linen, m.dark)
+        f::sofa(s, 2.1, 3, m.linen, m.dark);
     });
     let print = s.material(Material::fitted(patterns::foliage(0.62, 0.12, 31)));
     let stripes = s.material(Material::fitted(patterns::painting(32)));
@@ -147,13 +147,13 @@ fn north_side(s: &mut Scene, m: &Palette) {
         );
     }
     s.object_at("floor lamp", place(0.75, 4.55, 0.0, 0.0), |s| {
-        f::floor_lamp(s, 1.62, m.metal, m.shade)
+        f::floor_lamp(s, 1.62, m.metal, m.shade);
     });
     s.object_at("side table", place(3.75, 4.60, 0.0, 0.0), |s| {
-        f::round_table(s, 0.25, 0.55, m.walnut, m.walnut)
+        f::round_table(s, 0.25, 0.55, m.walnut, m.walnut);
     });
     s.object_at("vase", place(3.70, 4.58, 0.55, 0.0), |s| {
-        f::vase(s, 0.30, m.clay)
+        f::vase(s, 0.30, m.clay);
     });
     let glaze = s.material(Material::tiled(patterns::marble(0.5, 33), 0.4, 0.4));
     s.object_at("cupboard", place(5.0, 4.74, 0.0, 0.0), |s| {
@@ -165,10 +165,10 @@ fn north_side(s: &mut Scene, m: &Palette) {
         f::cupboard(s, [1.5, 0.45, 0.85], 3, 1, body, m.dark);
     });
     s.object_at("table lamp", place(4.5, 4.74, 0.85, 0.0), |s| {
-        f::table_lamp(s, glaze, m.shade)
+        f::table_lamp(s, glaze, m.shade);
     });
     s.object_at("bowl", place(5.1, 4.72, 0.85, 0.0), |s| {
-        f::bowl(s, 0.17, glaze)
+        f::bowl(s, 0.17, glaze);
     });
     for (k, (x, h, tone)) in [(5.42, 0.24, 0.1), (5.55, 0.17, 0.6), (5.65, 0.21, 0.35)]
         .into_iter()
@@ -199,12 +199,12 @@ fn north_side(s: &mut Scene, m: &Palette) {
 fn west_side(s: &mut Scene, m: &Palette) {
     let view = s.material(Material::fitted(patterns::outdoors(41)).glowing(0.95));
     s.object_at("window", place(0.0, 2.3, 0.95, FRAC_PI_2), |s| {
-        f::window(s, 1.7, 1.3, view, m.white, 9.0)
+        f::window(s, 1.7, 1.3, view, m.white, 9.0);
     });
     let cloth = s.material(Material::tiled(patterns::foliage(0.55, 0.28, 42), 0.7, 0.7));
     for y in [1.10, 3.50] {
         s.object_at("curtain", place(0.14, y, 2.42, FRAC_PI_2), |s| {
-            s.curtain(0.62, 2.36, 5.0, 0.045, cloth)
+            s.curtain(0.62, 2.36, 5.0, 0.045, cloth);
         });
     }
     s.object("curtain rod");
@@ -215,7 +215,7 @@ fn west_side(s: &mut Scene, m: &Palette) {
         m.dark,
     );
     s.object_at("radiator", place(0.02, 2.3, 0.0, FRAC_PI_2), |s| {
-        f::radiator(s, 1.3, 0.58, m.white)
+        f::radiator(s, 1.3, 0.58, m.white);
     });
     let tweed = s.material(Material::tiled(
         patterns::fabric(0.20, 0.8, 40, 43),
@@ -223,14 +223,14 @@ fn west_side(s: &mut Scene, m: &Palette) {
         0.5,
     ));
     s.object_at("armchair", place(0.85, 3.55, 0.0, FRAC_PI_2 - 0.45), |s| {
-        f::sofa(s, 0.95, 1, tweed, m.dark)
+        f::sofa(s, 0.95, 1, tweed, m.dark);
     });
     s.object_at("tall plant", place(0.50, 0.50, 0.0, 0.0), |s| {
-        f::plant(s, 1.65, 34, m.clay, m.leaf, 44)
+        f::plant(s, 1.65, 34, m.clay, m.leaf, 44);
     });
     s.object_at("small plant", place(0.10, 2.75, 0.92, 0.0), |s| {
         s.at(place(0.03, 0.0, 0.0, 0.0), |s| {
-            f::plant(s, 0.50, 14, m.white, m.leaf, 45)
+            f::plant(s, 0.50, 14, m.white, m.leaf, 45);
         });
     });
 }
@@ -247,7 +247,7 @@ fn south_side(s: &mut Scene, m: &Palette) {
     });
     let show = s.material(Material::fitted(patterns::landscape(51)).glowing(0.55));
     s.object_at("television", place(2.0, 0.24, 0.45, PI), |s| {
-        f::television(s, 1.15, show, m.dark)
+        f::television(s, 1.15, show, m.dark);
     });
     for x in [0.95, 3.05] {
         s.object_at(
@@ -257,17 +257,17 @@ fn south_side(s: &mut Scene, m: &Palette) {
         );
     }
     s.object_at("bookshelf", place(3.90, 0.16, 0.0, PI), |s| {
-        f::bookshelf(s, 0.95, 2.05, 6, m.oak, 52)
+        f::bookshelf(s, 0.95, 2.05, 6, m.oak, 52);
     });
     s.object_at("door", place(5.2, 0.0, 0.0, PI), |s| {
-        f::door(s, 0.86, 2.02, m.white, m.metal)
+        f::door(s, 0.86, 2.02, m.white, m.metal);
     });
 }
 
 /// Dining table with chairs, second shelf, low shelf with a clock above.
 fn east_side(s: &mut Scene, m: &Palette) {
     s.object_at("dining table", place(4.95, 2.35, 0.0, 0.1), |s| {
-        f::table(s, [0.9, 1.5, 0.75], m.walnut, m.walnut)
+        f::table(s, [0.9, 1.5, 0.75], m.walnut, m.walnut);
     });
     let chairs = [
         (4.27, 2.0, -FRAC_PI_2),
@@ -293,10 +293,10 @@ fn east_side(s: &mut Scene, m: &Palette) {
         0.3,
     ));
     s.object_at("jug", place(4.9, 2.6, 0.755, 0.0), |s| {
-        f::vase(s, 0.26, pottery)
+        f::vase(s, 0.26, pottery);
     });
     s.object_at("mug 1", place(4.75, 2.15, 0.751, 0.6), |s| {
-        f::mug(s, m.white)
+        f::mug(s, m.white);
     });
     s.object_at("mug 2", place(5.2, 2.3, 0.751, 2.6), |s| f::mug(s, m.dark));
     s.object_at("fruit bowl", place(5.0, 2.0, 0.755, 0.0), |s| {
@@ -311,7 +311,7 @@ fn east_side(s: &mut Scene, m: &Palette) {
         }
     });
     s.object_at("wall shelf", place(5.82, 3.95, 0.0, -FRAC_PI_2), |s| {
-        f::bookshelf(s, 1.1, 1.45, 4, m.walnut, 63)
+        f::bookshelf(s, 1.1, 1.45, 4, m.walnut, 63);
     });
     s.object_at("globe", place(5.80, 3.75, 1.44, 0.0), |s| {
         let land = s.material(Material::fitted(patterns::landscape(64)));
@@ -319,10 +319,10 @@ fn east_side(s: &mut Scene, m: &Palette) {
         s.at(place(0.0, 0.0, 0.16, 0.4), |s| s.sphere(0.13, land));
     });
     s.object_at("clock", place(6.0, 1.0, 1.85, -FRAC_PI_2), |s| {
-        f::clock(s, 0.17, m.white, m.dark)
+        f::clock(s, 0.17, m.white, m.dark);
     });
     s.object_at("bin", place(5.7, 0.9, 0.0, 0.0), |s| {
-        f::basket(s, 0.15, 0.32, m.metal)
+        f::basket(s, 0.15, 0.32, m.metal);
     });
 }
 
@@ -330,20 +330,20 @@ fn east_side(s: &mut Scene, m: &Palette) {
 fn middle(s: &mut Scene, m: &Palette) {
     let rug = s.material(Material::fitted(patterns::rug(71)));
     s.object_at("rug", place(2.3, 3.05, 0.0, 0.04), |s| {
-        s.cuboid([-1.25, -0.85, 0.0], [1.25, 0.85, 0.012], rug)
+        s.cuboid([-1.25, -0.85, 0.0], [1.25, 0.85, 0.012], rug);
     });
     s.object_at("coffee table", place(2.35, 3.20, 0.0, 0.08), |s| {
-        f::table(s, [1.10, 0.60, 0.42], m.oak, m.dark)
+        f::table(s, [1.10, 0.60, 0.42], m.oak, m.dark);
     });
     let covers: Vec<MaterialId> = (0..3)
         .map(|k| s.material(Material::fitted(patterns::poster(72 + k))))
         .collect();
     s.object_at("magazines", place(2.15, 3.17, 0.42, 0.3), |s| {
-        f::magazines(s, &covers, 75)
+        f::magazines(s, &covers, 75);
     });
     s.object_at("mug", place(2.68, 3.30, 0.42, 0.9), |s| f::mug(s, m.clay));
     s.object_at("candle", place(2.55, 3.08, 0.42, 0.0), |s| {
-        s.cylinder(0.035, 0.14, m.white)
+        s.cylinder(0.035, 0.14, m.white);
     });
     let knit = s.material(Material::tiled(
         patterns::fabric(0.30, 0.9, 24, 76),
@@ -351,7 +351,7 @@ fn middle(s: &mut Scene, m: &Palette) {
         0.35,
     ));
     s.object_at("pouf", place(3.55, 2.95, 0.21, 0.0), |s| {
-        s.cushion([0.27, 0.27, 0.21], 0.6, knit)
+        s.cushion([0.27, 0.27, 0.21], 0.6, knit);
     });
     let weave = s.material(Material::tiled(
         patterns::fabric(0.36, 1.0, 16, 77),
@@ -359,11 +359,11 @@ fn middle(s: &mut Scene, m: &Palette) {
         0.3,
     ));
     s.object_at("basket", place(1.05, 2.45, 0.0, 0.0), |s| {
-        f::basket(s, 0.2, 0.30, weave)
+        f::basket(s, 0.2, 0.30, weave);
     });
     let ball = s.material(Material::fitted(patterns::tiles(0.6, 1.2, 6, 78)));
     s.object_at("ball", place(3.55, 3.85, 0.11, 0.0), |s| {
-        s.sphere(0.11, ball)
+        s.sphere(0.11, ball);
     });
     s.object_at("toy box", place(1.1, 1.35, 0.0, 0.5), |s| {
         let crate_wood = s.material(Material::tiled(
@@ -381,7 +381,7 @@ fn middle(s: &mut Scene, m: &Palette) {
             m.dark,
         );
         s.at(place(0.0, 0.0, -0.62, 0.0), |s| {
-            s.lathe(&[[0.08, 0.28], [0.24, 0.10], [0.26, 0.0]], 32, m.shade)
+            s.lathe(&[[0.08, 0.28], [0.24, 0.10], [0.26, 0.0]], 32, m.shade);
         });
         s.light(
             P3::new(-0.2, -0.2, -0.64),
@@ -398,7 +398,7 @@ fn pictures(s: &mut Scene, m: &Palette) {
         |s: &mut Scene, name: &str, pose, size: [f32; 2], image: Material, frame: MaterialId| {
             let image = s.material(image);
             s.object_at(name, pose, |s| {
-                f::picture(s, size[0], size[1], image, frame)
+                f::picture(s, size[0], size[1], image, frame);
             });
         };
     hang(

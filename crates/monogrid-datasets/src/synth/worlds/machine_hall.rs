@@ -77,7 +77,7 @@ fn shell(s: &mut Scene) {
             (place(x, along, 6.0, -FRAC_PI_2), "east window"),
         ] {
             s.object_at(name, pose, |s| {
-                super::furniture::window(s, 4.5, 3.6, sky, frame, 14.0)
+                super::furniture::window(s, 4.5, 3.6, sky, frame, 14.0);
             });
         }
     }
@@ -174,7 +174,7 @@ fn roof(s: &mut Scene, m: &Palette) {
         for j in 0..3 {
             let pose = place(5.0 + 10.0 * i as f32, 5.0 + 10.0 * j as f32, 9.9, 0.0);
             s.object_at("hall lamp", pose, |s| {
-                w::ceiling_panel(s, [1.4, 1.4], glow, 90.0)
+                w::ceiling_panel(s, [1.4, 1.4], glow, 90.0);
             });
         }
     }

@@ -15,7 +15,7 @@ use living_room::Covering;
 
 pub(super) use mover::{mover_pose, mover_world};
 pub(super) use paths::path_of;
-pub use paths::{MOTION_NAMES, Motion};
+pub use paths::{MOTION_NAMES, Motion, usual_frames};
 
 /// Names of the built-in worlds.
 pub const WORLD_NAMES: [&str; 5] = [

@@ -41,7 +41,7 @@ pub(in crate::synth) fn mover_world() -> World {
         coat,
     );
     s.at(place(0.0, 0.0, 1.62, 0.0), |s| {
-        s.cushion([0.09, 0.11, 0.13], 0.9, skin)
+        s.cushion([0.09, 0.11, 0.13], 0.9, skin);
     });
     s.light(
         P3::new(-0.5, -0.5, 2.6),

@@ -63,7 +63,7 @@ fn places(s: &mut Scene, m: &Office) {
     for (k, (x, y, heading)) in desks.into_iter().enumerate() {
         // who sits there looks at the wall: the desk's back is its +y
         s.object_at(&format!("desk {}", k + 1), place(x, y, 0.0, heading), |s| {
-            w::desk(s, m, 1.6, 210 + k as u64)
+            w::desk(s, m, 1.6, 210 + k as u64);
         });
         let turn = 0.5 * (k as f32 * 2.1).sin();
         let (dx, dy) = (heading.sin() * 0.75, -heading.cos() * 0.75);
@@ -82,7 +82,7 @@ fn places(s: &mut Scene, m: &Office) {
         );
     }
     s.object_at("meeting table", place(3.4, 3.5, 0.0, 0.15), |s| {
-        f::round_table(s, 0.6, 0.73, m.beech, m.grey)
+        f::round_table(s, 0.6, 0.73, m.beech, m.grey);
     });
     for (k, a) in [0.4f32, 2.4, 4.4].into_iter().enumerate() {
         let pose = place(
@@ -92,29 +92,29 @@ fn places(s: &mut Scene, m: &Office) {
             a - FRAC_PI_2,
         );
         s.object_at(&format!("visitor's chair {}", k + 1), pose, |s| {
-            f::chair(s, m.grey, m.cloth)
+            f::chair(s, m.grey, m.cloth);
         });
     }
     s.object_at("papers", place(3.4, 3.5, 0.73, 0.7), |s| {
-        f::magazines(s, &m.papers, 230)
+        f::magazines(s, &m.papers, 230);
     });
     s.object_at("coffee mug", place(3.65, 3.7, 0.73, 0.0), |s| {
-        f::mug(s, m.dark)
+        f::mug(s, m.dark);
     });
 }
 
 fn walls(s: &mut Scene, m: &Office) {
     s.object_at("bookshelf", place(2.2, 0.17, 0.0, PI), |s| {
-        f::bookshelf(s, 1.2, 2.1, 6, m.beech, 240)
+        f::bookshelf(s, 1.2, 2.1, 6, m.beech, 240);
     });
     s.object_at("second bookshelf", place(3.45, 0.17, 0.0, PI), |s| {
-        f::bookshelf(s, 1.2, 2.1, 6, m.beech, 241)
+        f::bookshelf(s, 1.2, 2.1, 6, m.beech, 241);
     });
     s.object_at("door", place(5.3, 0.0, 0.0, PI), |s| {
-        f::door(s, 0.9, 2.1, m.beech, m.dark)
+        f::door(s, 0.9, 2.1, m.beech, m.dark);
     });
     s.object_at("copier", place(6.55, 0.6, 0.0, -FRAC_PI_2), |s| {
-        w::copier(s, m)
+        w::copier(s, m);
     });
     for k in 0..3 {
         let x = 0.35 + 0.47 * k as f32;
@@ -125,14 +125,14 @@ fn walls(s: &mut Scene, m: &Office) {
         );
     }
     s.object_at("plant", place(6.55, 7.4, 0.0, 0.0), |s| {
-        f::plant(s, 1.9, 30, m.grey, m.leaf, 242)
+        f::plant(s, 1.9, 30, m.grey, m.leaf, 242);
     });
     s.object_at("small plant", place(0.8, 0.32, 1.32, 0.0), |s| {
-        f::plant(s, 0.6, 16, m.white, m.leaf, 243)
+        f::plant(s, 0.6, 16, m.white, m.leaf, 243);
     });
     s.object_at("water cooler", place(0.3, 7.6, 0.0, 0.0), |s| {
         s.at(place(0.0, 0.0, 0.48, 0.0), |s| {
-            s.rounded_box([0.32, 0.32, 0.96], 0.03, m.white)
+            s.rounded_box([0.32, 0.32, 0.96], 0.03, m.white);
         });
         s.lathe(
             &[[0.0, 1.38], [0.13, 1.36], [0.135, 1.05], [0.05, 0.97]],
@@ -144,14 +144,14 @@ fn walls(s: &mut Scene, m: &Office) {
         s.bar(P3::zeros(), P3::new(0.0, 0.0, 1.75), 0.02, m.dark);
         s.cylinder(0.2, 0.03, m.dark);
         s.at(place(0.05, 0.0, 1.15, 0.0), |s| {
-            s.cushion([0.12, 0.2, 0.45], 0.7, m.cloth)
+            s.cushion([0.12, 0.2, 0.45], 0.7, m.cloth);
         });
     });
     s.object_at("whiteboard", place(7.0, 5.6, 1.0, -FRAC_PI_2), |s| {
-        w::whiteboard(s, m, 1.6, 1.1, 244)
+        w::whiteboard(s, m, 1.6, 1.1, 244);
     });
     s.object_at("clock", place(4.2, 0.0, 2.55, PI), |s| {
-        f::clock(s, 0.2, m.white, m.dark)
+        f::clock(s, 0.2, m.white, m.dark);
     });
     let view = s.material(Material::fitted(patterns::outdoors(245)).glowing(0.95));
     for (k, y) in [2.0, 4.6].into_iter().enumerate() {
@@ -199,7 +199,7 @@ fn lamps(s: &mut Scene) {
         for j in 0..3 {
             let pose = place(1.9 + 3.2 * i as f32, 1.4 + 2.5 * j as f32, SIZE_M[2], 0.0);
             s.object_at("ceiling lamp", pose, |s| {
-                w::ceiling_panel(s, [1.2, 0.3], glow, 9.0)
+                w::ceiling_panel(s, [1.2, 0.3], glow, 9.0);
             });
         }
     }

@@ -104,8 +104,8 @@ const MACHINE_HALL: [Waypoint; 26] = [
     way([17.0, 23.8, 2.6], [4.5, 20.5, 2.2]),
     way([14.5, 23.6, 2.6], [4.0, 17.0, 2.0]),
     way([12.2, 22.6, 2.5], [4.0, 13.0, 2.0]),
-    way([10.8, 20.8, 2.4], [5.0, 9.5, 2.0]),
-    way([10.4, 18.0, 2.4], [6.5, 7.0, 1.8]),
+    way([11.4, 20.8, 2.4], [5.0, 9.5, 2.0]),
+    way([11.6, 18.0, 2.4], [6.5, 7.0, 1.8]),
     way([8.5, 15.6, 2.3], [8.0, 6.0, 1.8]),
     way([6.6, 13.4, 2.2], [9.5, 6.0, 1.8]),
     way([5.2, 11.0, 2.0], [11.5, 6.5, 1.8]),
@@ -195,6 +195,16 @@ impl From<Carrier> for Motion {
             carrier,
             is_reversed: false,
         }
+    }
+}
+
+/// Frames at 30 per second in which a built-in motion goes at a walking pace.
+#[must_use]
+pub fn usual_frames(world: &str) -> usize {
+    match world {
+        "corridor-loop" => 3000,
+        "machine-hall" => 2400,
+        _ => 1500,
     }
 }
 

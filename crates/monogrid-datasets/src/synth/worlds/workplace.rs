@@ -74,7 +74,7 @@ pub(super) fn desk(s: &mut Scene, m: &Office, width: f32, seed: u64) {
     }
     s.cuboid([-half + 0.1, 0.34, 0.35], [half - 0.1, 0.36, 0.71], m.grey);
     s.at(place(half - 0.32, 0.02, 0.0, 0.0), |s| {
-        file_cabinet(s, m, [0.42, 0.58, 0.60], 3)
+        file_cabinet(s, m, [0.42, 0.58, 0.60], 3);
     });
     let screen = m.screens[random.below(m.screens.len())];
     s.at(
@@ -107,13 +107,20 @@ pub(super) fn desk(s: &mut Scene, m: &Office, width: f32, seed: u64) {
         .map(|_| m.papers[random.below(m.papers.len())])
         .collect();
     s.at(place(0.25 * width, -0.12, 0.74, 0.4), |s| {
-        f::magazines(s, &sheets, seed)
+        f::magazines(s, &sheets, seed);
     });
     s.at(place(-half + 0.15, 0.1, 0.74, 1.0), |s| {
-        f::mug(s, if seed % 2 == 0 { m.white } else { m.dark })
+        f::mug(
+            s,
+            if seed.is_multiple_of(2) {
+                m.white
+            } else {
+                m.dark
+            },
+        );
     });
     s.at(place(half - 0.12, 0.25, 0.74, 0.0), |s| {
-        f::basket(s, 0.045, 0.11, m.dark)
+        f::basket(s, 0.045, 0.11, m.dark);
     });
 }
 
@@ -142,20 +149,20 @@ pub(super) fn office_chair(s: &mut Scene, m: &Office) {
             m.dark,
         );
         s.at(place(0.28 * a.cos(), 0.28 * a.sin(), 0.03, 0.0), |s| {
-            s.sphere(0.03, m.dark)
+            s.sphere(0.03, m.dark);
         });
     }
     s.bar(p(0.0, 0.0, 0.08), p(0.0, 0.0, 0.44), 0.025, m.grey);
     s.at(place(0.0, 0.0, 0.48, 0.0), |s| {
-        s.rounded_box([0.48, 0.47, 0.09], 0.04, m.cloth)
+        s.rounded_box([0.48, 0.47, 0.09], 0.04, m.cloth);
     });
     s.bar(p(0.0, 0.22, 0.46), p(0.0, 0.27, 0.75), 0.02, m.dark);
     s.at(place_tilted(0.0, 0.26, 0.82, [-0.12, 0.0, 0.0]), |s| {
-        s.rounded_box([0.44, 0.07, 0.5], 0.035, m.cloth)
+        s.rounded_box([0.44, 0.07, 0.5], 0.035, m.cloth);
     });
     for x in [-0.26, 0.26] {
         s.at(place(x, 0.02, 0.68, 0.0), |s| {
-            s.rounded_box([0.05, 0.26, 0.03], 0.012, m.dark)
+            s.rounded_box([0.05, 0.26, 0.03], 0.012, m.dark);
         });
         s.bar(p(x, 0.02, 0.68), p(x, 0.04, 0.48), 0.012, m.dark);
     }
@@ -201,10 +208,10 @@ pub(super) fn whiteboard(s: &mut Scene, m: &Office, width: f32, height: f32, see
 /// Printer or copier.
 pub(super) fn copier(s: &mut Scene, m: &Office) {
     s.at(place(0.0, 0.0, 0.35, 0.0), |s| {
-        s.rounded_box([0.6, 0.6, 0.7], 0.03, m.white)
+        s.rounded_box([0.6, 0.6, 0.7], 0.03, m.white);
     });
     s.at(place(0.0, 0.0, 0.84, 0.0), |s| {
-        s.rounded_box([0.62, 0.62, 0.26], 0.04, m.grey)
+        s.rounded_box([0.62, 0.62, 0.26], 0.04, m.grey);
     });
     s.cuboid([-0.25, -0.33, 0.72], [0.25, -0.29, 0.74], m.dark);
     for k in 0..3 {
@@ -213,7 +220,7 @@ pub(super) fn copier(s: &mut Scene, m: &Office) {
         s.cuboid([-0.08, -0.325, z + 0.12], [0.08, -0.31, z + 0.14], m.dark);
     }
     s.at(place_tilted(0.18, -0.25, 0.98, [0.5, 0.0, 0.0]), |s| {
-        s.cuboid([-0.1, -0.06, 0.0], [0.1, 0.06, 0.01], m.dark)
+        s.cuboid([-0.1, -0.06, 0.0], [0.1, 0.06, 0.01], m.dark);
     });
 }
 
@@ -266,7 +273,7 @@ pub(super) fn tank(s: &mut Scene, radius: f32, height: f32, steel: MaterialId, b
     s.lathe(&profile, 40, steel);
     for z in [0.3, 0.55, 0.8] {
         s.at(place(0.0, 0.0, z * height, 0.0), |s| {
-            s.torus(radius + 0.01, 0.05, band)
+            s.torus(radius + 0.01, 0.05, band);
         });
     }
     for k in 0..4 {
@@ -305,7 +312,7 @@ pub(super) fn machine(
     for x in [-1.4, 0.0, 1.2] {
         let (w, h) = (random.range(0.4, 0.8), random.range(0.7, 1.5));
         s.at(place(x, 0.0, 0.35 + 0.5 * h, 0.0), |s| {
-            s.rounded_box([w, 1.2, h], 0.08, steel)
+            s.rounded_box([w, 1.2, h], 0.08, steel);
         });
     }
     s.bar(p(-1.9, 0.0, 0.95), p(1.9, 0.0, 0.95), 0.11, steel);
