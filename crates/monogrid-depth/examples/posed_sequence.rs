@@ -145,7 +145,7 @@ impl Folder {
 
 /// Where frames come from.
 enum Sequence {
-    Folder(Folder),
+    Folder(Box<Folder>),
     Demo(Box<SynthSequence>),
 }
 
@@ -157,7 +157,7 @@ impl Sequence {
             let world = SynthSequence::built_in_with("living-room", Carrier::Hand, demo, &quick)?;
             return Ok(Self::Demo(Box::new(world)));
         }
-        Ok(Self::Folder(read_folder(Path::new(name))?))
+        Ok(Self::Folder(Box::new(read_folder(Path::new(name))?)))
     }
 
     fn len(&self) -> usize {

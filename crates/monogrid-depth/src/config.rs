@@ -187,7 +187,7 @@ impl Default for DepthConfig {
             smoothing_per_px: 0.01,
             max_smoothing_gain: 3.0,
             propagation_inflation: 1.05,
-            propagation_relative_sigma: 0.003,
+            propagation_relative_sigma: 0.002,
             occlusion_support: 0.35,
             propagate_subpixel: true,
         }

@@ -214,7 +214,7 @@ fn merge(
     let prediction = config.propagation_relative_sigma * idepth;
     // neighbouring matches share most of their samples: only some of their errors averages out, and
     // what was averaged once is alike afterwards
-    let mean_var = sum_v / sum_w * (0.7 + 0.3 * sum_ww / (sum_w * sum_w));
+    let mean_var = sum_v / sum_w * (0.6 + 0.4 * sum_ww / (sum_w * sum_w));
     let var =
         config.propagation_inflation * mean_var + slope * slope * offset + prediction * prediction;
     (var <= config.max_var).then_some(Hypothesis {

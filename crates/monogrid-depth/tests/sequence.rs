@@ -82,7 +82,7 @@ fn run(views: &[View], config: &DepthConfig) -> (Vec<Quality>, DepthMap) {
 fn keyframes_become_dense_accurate_and_honest() {
     let (finished, _) = run(quiet_views(), &DepthConfig::default());
     for q in &finished {
-        println!("{q:.3?}");
+        println!("{q:?}");
     }
     assert_eq!(finished.len(), 4);
     for q in &finished {
@@ -104,7 +104,7 @@ fn keyframes_become_dense_accurate_and_honest() {
 fn noise_is_learned_and_the_variance_stays_honest() {
     let (finished, map) = run(&views(4.0), &DepthConfig::default());
     for q in &finished {
-        println!("{q:.3?}");
+        println!("{q:?}");
         assert!(q.normal_median.abs() <= 0.2, "{q:?}");
         assert!((0.7..=1.5).contains(&q.normal_deviation), "{q:?}");
         assert!(q.within_2_sigma >= 0.85, "{q:?}");
@@ -118,7 +118,7 @@ fn noise_is_learned_and_the_variance_stays_honest() {
 fn the_thesis_profile_works_too() {
     let (finished, _) = run(quiet_views(), &DepthConfig::thesis());
     let last = &finished[finished.len() - 1];
-    println!("{last:.3?}");
+    println!("{last:?}");
     assert!(last.within_3 > 0.5 && last.gross < 0.05, "{last:?}");
 }
 
@@ -142,7 +142,7 @@ fn ten_forced_keyframes_keep_density_and_scale() {
         at = next;
     }
     let q = quality(&map, &views[at].depth, 10);
-    println!("steady {steady:.3} after ten {q:.3?}");
+    println!("steady {steady:.3} after ten {q:?}");
     assert!(q.dense >= 0.8 * steady, "{q:?}");
     // no drift: ten changes move the scale by less than 0.5 %, not 0.5 % each
     assert!(q.bias.abs() < 0.005, "{q:?}");
