@@ -70,8 +70,8 @@ pub struct Linearization {
     pub good_residual_sq: f64,
     /// Sum of `(nu + 1) r_n^2 / (nu + (r_n / scale)^2)`, for the next estimate of the scale.
     pub scale_sum: f64,
-    /// Sums over visible points of `[I_keyframe, I_frame, I_keyframe^2, I_frame^2]`.
-    pub moments: [f64; 4],
+    /// Sums over visible points of `[I_keyframe, I_frame, I_keyframe^2, I_frame^2, I_keyframe I_frame]`.
+    pub moments: [f64; 5],
 }
 
 /// One chunk of points after projection.
@@ -102,7 +102,7 @@ pub fn linearize(
         usage_sum: 0.0,
         good_residual_sq: 0.0,
         scale_sum: 0.0,
-        moments: [0.0; 4],
+        moments: [0.0; 5],
     };
     let stride = stride.max(1);
     let count = reference.len().div_ceil(stride);
@@ -135,7 +135,7 @@ struct Sums {
     usage: f32,
     good_residual_sq: f32,
     scale: f32,
-    moments: [f32; 4],
+    moments: [f32; 5],
 }
 
 impl Linearization {
@@ -170,10 +170,24 @@ impl Linearization {
     /// Unlike the gain of a regression it does not shrink when the images are not aligned yet.
     #[must_use]
     pub fn log_contrast_ratio(&self) -> Option<f64> {
+        let (keyframe_var, frame_var, _) = self.second_moments()?;
+        Some(0.5 * (frame_var / keyframe_var).ln())
+    }
+
+    /// Correlation of the grey values of keyframe and frame over the visible points, in [-1, 1]; `None`
+    /// with too few points or an image without contrast there.
+    #[must_use]
+    pub fn correlation(&self) -> Option<f64> {
+        let (keyframe_var, frame_var, covariance) = self.second_moments()?;
+        Some(covariance / (keyframe_var * frame_var).sqrt())
+    }
+
+    /// Variances in keyframe and frame and their covariance, grey levels squared.
+    fn second_moments(&self) -> Option<(f64, f64, f64)> {
         let n = self.num_visible as f64;
-        let [keyframe, frame, keyframe_sq, frame_sq] = self.moments.map(|sum| sum / n);
+        let [keyframe, frame, keyframe_sq, frame_sq, product] = self.moments.map(|sum| sum / n);
         let (a, b) = (keyframe_sq - keyframe * keyframe, frame_sq - frame * frame);
-        (n > 8.0 && a > 1.0 && b > 1.0).then(|| 0.5 * (b / a).ln())
+        (n > 8.0 && a > 1.0 && b > 1.0).then_some((a, b, product - keyframe * frame))
     }
 
     /// Mean robust cost of a visible point; infinite when nothing is visible.
@@ -295,6 +309,7 @@ impl Projection {
             sums.moments[1] += intensity;
             sums.moments[2] += raw * raw;
             sums.moments[3] += intensity * intensity;
+            sums.moments[4] += raw * intensity;
             weighting.add_cost(&mut chunk_cost, cost);
             sums.num_visible += 1;
             // depth ratio keyframe / frame is 1 / qz

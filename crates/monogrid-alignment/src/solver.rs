@@ -33,6 +33,9 @@ pub struct Alignment {
     /// Mean over *all* points of `min(depth in keyframe / depth in frame, 1)` (invisible: 0): how
     /// much of the keyframe's area the frame still resolves.
     pub usage: f32,
+    /// Correlation of the grey values over the visible points of the finest level; `None` where there is
+    /// no contrast.
+    pub correlation: Option<f64>,
     /// Points of the finest level.
     pub num_points: usize,
     /// Covariance of the twist `[v, w]` (left, in the frame), assuming the configured number of
@@ -282,6 +285,7 @@ fn summarise(
         good_of_visible: good / visible,
         visible_share: linear.num_visible as f32 / total,
         usage: linear.usage_sum as f32 / total,
+        correlation: linear.correlation(),
         num_points: last.num_points,
         covariance,
         iterations,

@@ -192,6 +192,8 @@ pub struct TrackingConfig {
     pub min_good_share: f32,
     /// Lost below this share of good points of the visible ones.
     pub min_good_of_visible: f32,
+    /// Lost below this correlation of the grey values of keyframe and frame.
+    pub min_correlation: f64,
     /// Degraded below this share of good points of the visible ones.
     pub degraded_good_of_visible: f32,
 }
@@ -211,6 +213,7 @@ impl Default for TrackingConfig {
             min_visible_share: 0.15,
             min_good_share: 0.08,
             min_good_of_visible: 0.55,
+            min_correlation: 0.5,
             degraded_good_of_visible: 0.7,
         }
     }
@@ -228,6 +231,7 @@ impl TrackingConfig {
             min_visible_share: 0.0,
             min_good_share: 0.04,
             min_good_of_visible: 0.5,
+            min_correlation: 0.0,
             degraded_good_of_visible: 0.5,
             ..Self::default()
         }

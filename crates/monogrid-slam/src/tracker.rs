@@ -166,6 +166,13 @@ fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Opti
     {
         return (TrackingState::Lost, Some(LostReason::NoOverlap));
     }
+    // A covered lens: gain and bias alone would explain a picture without contrast.
+    let Some(correlation) = alignment.correlation else {
+        return (TrackingState::Lost, Some(LostReason::NoTexture));
+    };
+    if correlation < config.min_correlation {
+        return (TrackingState::Lost, Some(LostReason::Residuals));
+    }
     if alignment.good_of_visible < config.min_good_of_visible {
         return (TrackingState::Lost, Some(LostReason::Residuals));
     }

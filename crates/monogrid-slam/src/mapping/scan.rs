@@ -169,12 +169,13 @@ mod tests {
 
     #[test]
     fn lonely_and_imprecise_measurements_are_dropped_by_default_and_kept_by_the_thesis() {
-        let patch = [(5, 5), (6, 5), (5, 6), (6, 6)].map(|(x, y)| pixel(x, y, 1.0));
+        // nine neighbours in the middle, six at the edges, four at the corners
+        let patch = (4..7).flat_map(|y| (4..7).map(move |x| pixel(x, y, 1.0)));
         let lonely = pixel(12, 5, 1.0);
         let contradicted = pixel(7, 5, 3.0);
         let imprecise = DepthPixel {
             idepth_var: 0.25,
-            ..pixel(5, 4, 1.0)
+            ..pixel(15, 8, 1.0)
         };
         let invalid = [
             pixel(0, 0, -1.0),
@@ -190,8 +191,8 @@ mod tests {
         let count = |config: &DepthFilterConfig| {
             KeyframeScan::new(3, &pixels, &CAMERA, config).pixels.len()
         };
-        assert_eq!(count(&DepthFilterConfig::default()), 4);
-        assert_eq!(count(&MappingConfig::thesis().filter), 7);
+        assert_eq!(count(&DepthFilterConfig::default()), 5);
+        assert_eq!(count(&MappingConfig::thesis().filter), 12);
         let late = DepthFilterConfig {
             skip_keyframes: 4,
             ..DepthFilterConfig::default()
@@ -209,7 +210,7 @@ mod tests {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 if state >> 30 != 0 {
                     let noise = (state >> 16) as f32 / 65536.0 - 0.5;
-                    pixels.push(pixel(x, y, 1.0 + 0.02 * f32::from(x) + 0.1 * noise));
+                    pixels.push(pixel(x, y, 1.0 + 0.01 * f32::from(x) + 0.05 * noise));
                 }
             }
         }

@@ -1,0 +1,335 @@
+//! The whole system on a rendered room: accuracy, determinism, starts, and input that is not a video.
+
+use monogrid_datasets::synth::SynthSequence;
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
+use monogrid_geometry::Se3;
+use monogrid_image::{GrayImage, Mask};
+use monogrid_slam::{
+    FrameInput, FrameReport, InitializationMode, LostReason, Scale, Slam, SlamConfig, TrackingState,
+};
+use std::sync::OnceLock;
+
+const FRAMES: usize = 90;
+
+struct Clip {
+    sequence: SynthSequence,
+    inputs: Vec<FrameInput>,
+    truth: Vec<StampedPose>,
+}
+
+/// The first three seconds of the small demonstration, rendered once.
+fn clip() -> &'static Clip {
+    static CLIP: OnceLock<Clip> = OnceLock::new();
+    CLIP.get_or_init(|| {
+        let sequence = SynthSequence::small_demo().unwrap().shortened(FRAMES);
+        let mut inputs = Vec::new();
+        let mut truth = Vec::new();
+        for k in 0..sequence.len() {
+            let frame = sequence.frame(k).unwrap();
+            truth.push((frame.timestamp_ns, frame.world_from_camera));
+            inputs.push(FrameInput {
+                index: k,
+                timestamp_ns: frame.timestamp_ns,
+                image: frame.image,
+                seed_depth: None,
+            });
+        }
+        Clip {
+            sequence,
+            inputs,
+            truth,
+        }
+    })
+}
+
+fn system(config: SlamConfig, seed: u64) -> Slam {
+    let camera = clip().sequence.camera();
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    Slam::new(config, camera.pinhole, mask, seed).unwrap()
+}
+
+fn run(config: SlamConfig, seed: u64, inputs: &[FrameInput]) -> (Slam, Vec<FrameReport>) {
+    let mut slam = system(config, seed);
+    let reports = inputs
+        .iter()
+        .map(|input| slam.process_frame(input.clone()))
+        .collect();
+    slam.finish();
+    (slam, reports)
+}
+
+fn evaluate(slam: &Slam) -> TrajectoryReport {
+    let estimate: Vec<StampedPose> = slam
+        .trajectory()
+        .iter()
+        .map(|p| (p.timestamp_ns, p.world_from_camera))
+        .collect();
+    evaluate_trajectory(&estimate, &clip().truth, &TrajectoryConfig::default()).unwrap()
+}
+
+fn with_seed_depth() -> Vec<FrameInput> {
+    let mut inputs = clip().inputs.clone();
+    inputs[0].seed_depth = clip().sequence.depth(0);
+    inputs
+}
+
+/// Everything that must not depend on threads or on the run, as text.
+fn fingerprint(slam: &Slam, reports: &[FrameReport]) -> String {
+    use std::fmt::Write;
+    let mut text = String::new();
+    for pose in slam.trajectory() {
+        writeln!(text, "{pose:?}").unwrap();
+    }
+    writeln!(text, "{:?}", slam.snapshot()).unwrap();
+    for keyframe in slam.keyframes() {
+        writeln!(text, "{} {:?}", keyframe.id, keyframe.pixels).unwrap();
+    }
+    for report in reports {
+        writeln!(
+            text,
+            "{:?} {:?} {:?}",
+            report.state, report.world_from_camera, report.covariance
+        )
+        .unwrap();
+    }
+    text
+}
+
+#[test]
+fn starts_from_two_views_and_gives_every_frame_a_pose() {
+    let (slam, reports) = run(SlamConfig::default(), 0, &clip().inputs);
+    let report = evaluate(&slam);
+    assert!((report.coverage - 1.0).abs() < 1e-9, "{}", report.coverage);
+    // about 1 % of the path of the clip; measured 0.2 %
+    assert!(
+        report.ate_rmse < 0.01 * report.path_length,
+        "{} of {}",
+        report.ate_rmse,
+        report.path_length
+    );
+    assert_eq!(slam.scale(), Scale::Arbitrary);
+    assert_eq!(slam.lost_episodes(), 0);
+    assert_eq!(reports[0].state, TrackingState::Initialising);
+    let tracked = reports.last().unwrap();
+    assert_eq!(tracked.state, TrackingState::Good);
+    assert!(tracked.covariance.is_some());
+    assert!(slam.keyframes().iter().all(|k| k.pixels.len() > 1000));
+}
+
+#[test]
+fn a_seed_depth_makes_the_scale_metric() {
+    let (slam, reports) = run(SlamConfig::default(), 0, &with_seed_depth());
+    let report = evaluate(&slam);
+    assert_eq!(slam.scale(), Scale::Metric);
+    assert!((report.scale - 1.0).abs() < 0.02, "scale {}", report.scale);
+    assert!(report.ate_rmse < 0.01 * report.path_length);
+    assert_eq!(reports[0].state, TrackingState::Good);
+    assert!(reports[0].created_keyframe);
+}
+
+#[test]
+fn the_same_bits_for_any_number_of_threads() {
+    let inputs = &clip().inputs[..70];
+    let on = |threads: usize| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
+            .install(|| {
+                let (slam, reports) = run(SlamConfig::default(), 3, inputs);
+                fingerprint(&slam, &reports)
+            })
+    };
+    let one = on(1);
+    assert!(one.len() > 10_000);
+    assert!(one == on(2), "two threads differ");
+    assert!(one == on(5), "five threads differ");
+}
+
+#[test]
+fn the_thesis_profile_starts_at_random_with_its_seed() {
+    let (slam, reports) = run(SlamConfig::thesis(), 1, &clip().inputs);
+    assert_eq!(reports[0].state, TrackingState::Good);
+    assert!(!slam.keyframes().is_empty());
+    assert!(slam.sparse_stats().anchored == 0, "no sparse layer");
+    let (again, reports_again) = run(SlamConfig::thesis(), 1, &clip().inputs);
+    assert!(fingerprint(&slam, &reports) == fingerprint(&again, &reports_again));
+    let (other, other_reports) = run(SlamConfig::thesis(), 2, &clip().inputs);
+    assert!(fingerprint(&slam, &reports) != fingerprint(&other, &other_reports));
+}
+
+#[test]
+fn repeated_images_take_over_the_pose_and_change_nothing_else() {
+    let mut inputs = with_seed_depth();
+    inputs.truncate(30);
+    let mut repeated = inputs.clone();
+    let mut copy = inputs[20].clone();
+    copy.timestamp_ns += 1_000_000;
+    repeated.insert(21, copy);
+    let (plain, _) = run(SlamConfig::default(), 0, &inputs);
+    let (with_copy, reports) = run(SlamConfig::default(), 0, &repeated);
+    assert_eq!(reports[21].reason, Some(LostReason::Repeated));
+    assert_eq!(reports[21].world_from_camera, reports[20].world_from_camera);
+    let last = |slam: &Slam| slam.trajectory().last().unwrap().world_from_camera;
+    assert_eq!(last(&plain), last(&with_copy));
+}
+
+#[test]
+fn nothing_to_see_is_no_map() {
+    let camera = clip().sequence.camera();
+    let blank = |k: usize, value: f32| FrameInput {
+        index: k,
+        timestamp_ns: k as i64 * 33_000_000,
+        image: GrayImage::filled(camera.width, camera.height, value),
+        seed_depth: None,
+    };
+    for config in [SlamConfig::default(), SlamConfig::thesis()] {
+        let inputs: Vec<FrameInput> = (0..20).map(|k| blank(k, k as f32)).collect();
+        let (slam, reports) = run(config, 0, &inputs);
+        assert!(slam.keyframes().is_empty());
+        assert!(slam.trajectory().is_empty());
+        assert!(reports.iter().all(|r| r.reason.is_some()));
+    }
+}
+
+#[test]
+fn a_camera_that_stands_still_does_not_start() {
+    let one = &clip().inputs[0];
+    let inputs: Vec<FrameInput> = (0..40)
+        .map(|k| {
+            // the noise of another frame each time, so that images are not repeated
+            let mut input = one.clone();
+            input.index = k;
+            input.timestamp_ns = k as i64 * 33_000_000;
+            for (i, value) in input.image.as_mut_slice().iter_mut().enumerate() {
+                *value += ((i * 31 + k * 17) % 5) as f32 - 2.0;
+            }
+            input
+        })
+        .collect();
+    let (slam, _) = run(SlamConfig::default(), 0, &inputs);
+    assert!(slam.keyframes().is_empty());
+}
+
+#[test]
+fn a_covered_lens_is_lost_with_a_reason_and_found_again() {
+    let mut inputs = with_seed_depth();
+    for input in &mut inputs[40..43] {
+        input.image = GrayImage::filled(320, 240, 12.0);
+    }
+    let (slam, reports) = run(SlamConfig::default(), 0, &inputs);
+    for report in &reports[40..43] {
+        assert_eq!(report.state, TrackingState::Lost);
+        assert!(report.reason.is_some() && report.world_from_camera.is_none());
+    }
+    assert_eq!(slam.lost_episodes(), 1);
+    assert!(reports[50..].iter().all(|r| r.state == TrackingState::Good));
+    let report = evaluate(&slam);
+    assert!(report.ate_rmse < 0.015 * report.path_length);
+}
+
+#[test]
+fn every_setting_is_checked_and_survives_a_file() {
+    let mut config = SlamConfig::default();
+    config.tracking.min_good_share = 1.5;
+    assert!(config.validate().is_err());
+    let mut config = SlamConfig::default();
+    config.keyframes.distance_weight = f64::NAN;
+    assert!(config.validate().is_err());
+    for config in [SlamConfig::default(), SlamConfig::thesis()] {
+        config.validate().unwrap();
+        let text = serde_json::to_string(&config).unwrap();
+        let back: SlamConfig = serde_json::from_str(&text).unwrap();
+        assert_eq!(back, config);
+    }
+    assert!(serde_json::from_str::<SlamConfig>("{\"trackin\": {}}").is_err());
+}
+
+#[test]
+fn profiles_differ_in_every_documented_switch() {
+    let (ours, thesis) = (SlamConfig::default(), SlamConfig::thesis());
+    assert_eq!(thesis.initialization.mode, InitializationMode::Random);
+    assert_eq!(ours.initialization.mode, InitializationMode::TwoView);
+    assert!(ours.tracking.motion_hypotheses && !thesis.tracking.motion_hypotheses);
+    assert!(thesis.publication.smoothed && !ours.publication.smoothed);
+    assert!(ours.sparse.enabled && !thesis.sparse.enabled);
+    assert!((thesis.keyframes.distance_weight - 3.0).abs() < 1e-12);
+    assert!((thesis.keyframes.usage_weight - 4.0).abs() < 1e-12);
+    assert_eq!(thesis.keyframes.old_keyframes_observed, 0);
+    assert!(thesis.tracking.max_relative_sigma > ours.tracking.max_relative_sigma);
+    assert_ne!(thesis.depth, ours.depth);
+    assert_ne!(thesis.tracking.alignment, ours.tracking.alignment);
+}
+
+/// Each switch of a profile has an effect of its own on the result.
+#[test]
+fn each_switch_changes_the_result() {
+    let inputs = &with_seed_depth()[..45];
+    let reference = {
+        let (slam, reports) = run(SlamConfig::default(), 0, inputs);
+        fingerprint(&slam, &reports)
+    };
+    let thesis = SlamConfig::thesis();
+    let switches: Vec<(&str, SlamConfig)> = [
+        ("tracking.alignment", {
+            let mut c = SlamConfig::default();
+            c.tracking.alignment = thesis.tracking.alignment.clone();
+            c
+        }),
+        ("tracking.motion_hypotheses", {
+            let mut c = SlamConfig::default();
+            c.tracking.motion_hypotheses = false;
+            c
+        }),
+        ("tracking.max_relative_sigma", {
+            let mut c = SlamConfig::default();
+            c.tracking.max_relative_sigma = thesis.tracking.max_relative_sigma;
+            c
+        }),
+        ("keyframes", {
+            let mut c = SlamConfig::default();
+            c.keyframes = thesis.keyframes.clone();
+            c
+        }),
+        ("keyframes.old_keyframes_observed", {
+            let mut c = SlamConfig::default();
+            c.keyframes.old_keyframes_observed = 0;
+            c
+        }),
+        ("depth", {
+            let mut c = SlamConfig::default();
+            c.depth = thesis.depth.clone();
+            c
+        }),
+        ("publication", {
+            let mut c = SlamConfig::default();
+            c.publication = thesis.publication.clone();
+            c
+        }),
+        ("sparse", {
+            let mut c = SlamConfig::default();
+            c.sparse.enabled = false;
+            c
+        }),
+    ]
+    .into();
+    for (name, config) in switches {
+        let (slam, reports) = run(config, 0, inputs);
+        assert!(
+            slam.trajectory().len() == inputs.len(),
+            "{name}: {} poses",
+            slam.trajectory().len()
+        );
+        assert!(
+            fingerprint(&slam, &reports) != reference,
+            "{name} changes nothing"
+        );
+    }
+}
+
+#[test]
+fn world_starts_at_the_first_keyframe() {
+    let (slam, _) = run(SlamConfig::default(), 0, &with_seed_depth()[..10]);
+    let first = slam.trajectory()[0].world_from_camera;
+    assert!((first.inverse() * Se3::identity()).log().norm() < 1e-9);
+}
