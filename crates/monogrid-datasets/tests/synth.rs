@@ -1,4 +1,5 @@
 //! Synthetic worlds against analytic geometry, measured statistics and themselves.
+#![allow(clippy::unwrap_used, reason = "a test may fail by panic")]
 
 use monogrid_datasets::synth::scene::{Material, Scene};
 use monogrid_datasets::synth::{
@@ -126,9 +127,9 @@ fn a_known_edge_appears_at_its_projection() {
                 .project(&(pose.inverse() * Vec3::new(0.0, 3.0, middle)))
                 .unwrap();
             if seen.y > y as f64 {
-                low = middle
+                low = middle;
             } else {
-                high = middle
+                high = middle;
             }
         }
         let expected = camera
