@@ -91,3 +91,42 @@ impl RobustKernel {
         threshold.is_finite() && threshold > 0.0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weight_is_the_derivative_of_the_cost_and_falls() {
+        let kernels = [
+            RobustKernel::None,
+            RobustKernel::Huber { delta: 2.0 },
+            RobustKernel::Cauchy { scale: 1.5 },
+            RobustKernel::DynamicCovariance { phi: 5.0 },
+        ];
+        for kernel in kernels {
+            let mut last = 1.0;
+            for s in [1e-3, 0.5, 3.9, 4.1, 4.99, 5.01, 40.0, 1e4, 1e8] {
+                let h = 1e-4 * s;
+                let numeric = (kernel.cost(s + h) - kernel.cost(s - h)) / (2.0 * h);
+                let weight = kernel.weight(s);
+                assert!(
+                    (numeric - weight).abs() < 1e-6,
+                    "{kernel:?} at {s}: {numeric}"
+                );
+                assert!(weight <= last && weight > 0.0);
+                assert!(kernel.cost(s) <= s * (1.0 + 1e-12));
+                last = weight;
+            }
+            assert!(kernel.cost(0.0) == 0.0 && kernel.is_valid());
+        }
+        assert!(!RobustKernel::Huber { delta: 0.0 }.is_valid());
+        assert!(!RobustKernel::Cauchy { scale: f64::NAN }.is_valid());
+    }
+
+    #[test]
+    fn a_switched_off_edge_costs_no_more_than_three_thresholds() {
+        let kernel = RobustKernel::DynamicCovariance { phi: 5.0 };
+        assert!(kernel.cost(1e12) < 15.0 && kernel.cost(1e12) > 14.99);
+    }
+}

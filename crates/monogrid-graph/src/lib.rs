@@ -2,6 +2,7 @@
 //!
 //! * [`bundle`]: a window of keyframes and points anchored in them, refined on reprojection.
 //! * [`refine_pose`]: one camera pose from points with known positions.
+//! * [`g2o`]: the graph as a text file.
 //! * [`pose_graph`]: similarities between keyframes, optimised against drift and wrong closures.
 //!
 //! Conventions are those of [`monogrid_geometry`]: `a_from_b`, tangents `[v, w]` and `[v, w, s]`,
@@ -11,6 +12,7 @@
 
 pub mod bundle;
 mod damping;
+pub mod g2o;
 mod kernel;
 pub mod pose_graph;
 mod pose_only;

@@ -95,6 +95,23 @@ impl<'a> Terms<'a> {
         width
     }
 
+    /// Whether more than a tenth of the edges have not been judged by an earlier optimisation.
+    pub(super) fn is_mostly_new(&self) -> bool {
+        let new = self.is_judged.iter().filter(|&&judged| !judged).count();
+        10 * new > self.edges.len()
+    }
+
+    /// Whether an edge that no earlier optimisation has judged is switched off.
+    pub(super) fn has_new_edge_off(&self, poses: &[Sim3]) -> bool {
+        let is_off = |edge: usize| {
+            let kernel = self.edges[edge].kernel;
+            matches!(kernel, RobustKernel::DynamicCovariance { .. })
+                && !self.is_judged[edge]
+                && kernel.weight(self.chi2(edge, poses)) < 0.5
+        };
+        (0..self.edges.len()).any(is_off)
+    }
+
     /// Normal equations `H x = b` at `poses`; `slot` gives each node's place among the free ones.
     pub(super) fn linearise(
         &self,

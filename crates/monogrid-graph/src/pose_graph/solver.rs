@@ -32,12 +32,7 @@ pub(super) fn optimise(
             pattern: &pattern,
             config,
         };
-        (poses, outcome) = problem.graduate(poses, &mut iterations)?;
-        if terms.cost(&poses, 1.0) > initial_cost {
-            // A graduated descent may end in another valley: then the direct one is better.
-            poses.clone_from(&before);
-            outcome = problem.descend(&mut poses, 1.0, config.max_iterations, &mut iterations)?;
-        }
+        (poses, outcome) = problem.search(&before, &mut iterations)?;
     }
     let report = PoseGraphReport {
         initial_cost,
@@ -131,13 +126,51 @@ struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    /// Descends with ever narrower kernels (Graduated Non-Convexity), then with their own.
-    fn graduate(
+    /// The best of a few descents. One is enough unless it switched off edges of a
+    /// graph that is largely new; a graph at rest is in the right valley.
+    fn search(
         &self,
-        mut poses: Vec<Sim3>,
+        start: &[Sim3],
         iterations: &mut usize,
     ) -> Result<(Vec<Sim3>, GraphOutcome), PoseGraphError> {
-        if let Some(factor) = self.config.graduation {
+        let Some(factor) = self.config.graduation else {
+            return self.graduate(start, f64::INFINITY, iterations);
+        };
+        let (mut best, mut outcome) = self.graduate(start, factor, iterations)?;
+        let mut least = self.terms.cost(&best, 1.0);
+        for attempt in 0..self.config.second_opinions {
+            let is_doubtful = self.terms.is_mostly_new() && self.terms.has_new_edge_off(&best);
+            if !is_doubtful && least <= self.terms.cost(start, 1.0) {
+                break;
+            }
+            // In turn: more slowly from the start, again from the best, as it is from the start.
+            let slower = factor.powf(0.3);
+            let (other, other_outcome) = match attempt % 3 {
+                0 => self.graduate(start, slower, iterations)?,
+                1 => self.graduate(&best, slower, iterations)?,
+                _ => self.graduate(start, f64::INFINITY, iterations)?,
+            };
+            let cost = self.terms.cost(&other, 1.0);
+            if cost < least {
+                (best, outcome, least) = (other, other_outcome, cost);
+            }
+        }
+        if least > self.terms.cost(start, 1.0) {
+            return self.graduate(start, f64::INFINITY, iterations);
+        }
+        Ok((best, outcome))
+    }
+
+    /// Descends with ever narrower kernels (Graduated Non-Convexity), then with their own; an infinite
+    /// factor begins with those.
+    fn graduate(
+        &self,
+        start: &[Sim3],
+        factor: f64,
+        iterations: &mut usize,
+    ) -> Result<(Vec<Sim3>, GraphOutcome), PoseGraphError> {
+        let mut poses = start.to_vec();
+        if factor.is_finite() {
             let mut width = self.terms.quadratic_width(&poses);
             while width > 1.0 {
                 self.descend(
