@@ -107,6 +107,37 @@ impl RunConfig {
         Self::from_table(&table, &|error| error)
     }
 
+    /// As [`Self::resolve`], with nothing of the file but its profile and its section `[mapping]`, so that
+    /// the other settings may be those of another version.
+    pub fn resolve_mapping(profile: Option<Profile>, file: Option<&Path>) -> Result<Self, Failure> {
+        let Some(path) = file else {
+            return Self::resolve(profile, None, &[]);
+        };
+        let content = read_table(path)?;
+        Self::of_mapping_table(profile, content)
+            .map_err(|error| Failure::input(format!("configuration {}: {error}", path.display())))
+    }
+
+    /// The mapping settings of a recorded configuration; `None` when they cannot be understood.
+    pub fn recorded_mapping(text: &str) -> Option<Self> {
+        Self::of_mapping_table(None, text.parse().ok()?).ok()
+    }
+
+    fn of_mapping_table(profile: Option<Profile>, mut content: Table) -> Result<Self, String> {
+        let named: Option<Profile> = content
+            .remove("profile")
+            .and_then(|value| value.try_into().ok());
+        let mut config = Self::of(profile.or(named).unwrap_or_default());
+        if let Some(Value::Table(over)) = content.remove("mapping") {
+            let mut table = Table::try_from(&config.mapping).map_err(|error| error.to_string())?;
+            merge(&mut table, over);
+            config.mapping = Value::Table(table)
+                .try_into()
+                .map_err(|error: toml::de::Error| error.message().to_owned())?;
+        }
+        Ok(config)
+    }
+
     fn from_table(table: &Table, describe: &dyn Fn(String) -> String) -> Result<Self, Failure> {
         Value::Table(table.clone())
             .try_into()
@@ -309,6 +340,25 @@ mod tests {
             assert!(message(&failure).contains("c.toml"));
         }
         assert!(RunConfig::resolve(None, Some(Path::new("/does/not/exist")), &[]).is_err());
+    }
+
+    #[test]
+    fn mapping_settings_are_found_in_files_of_other_versions() {
+        let text =
+            "profile = \"thesis\"\nold = 1\n[slam]\nolder = 2\n[mapping]\nresolution = 0.3\n";
+        let config = RunConfig::recorded_mapping(text).unwrap();
+        let expected = MappingConfig {
+            resolution: 0.3,
+            ..MappingConfig::thesis()
+        };
+        assert_eq!(config.mapping, expected);
+        assert!(RunConfig::recorded_mapping("[mapping]\nnew = 1").is_none());
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.toml");
+        std::fs::write(&path, text).unwrap();
+        let config = RunConfig::resolve_mapping(Some(Profile::Default), Some(&path)).unwrap();
+        assert!((config.mapping.resolution - 0.3).abs() < 1e-12);
+        assert_eq!(config.mapping.buffer, AutoLength::Auto);
     }
 
     #[test]

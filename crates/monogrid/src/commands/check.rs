@@ -4,21 +4,9 @@ use super::print_json;
 use crate::cli::CheckArgs;
 use crate::failure::{CommandResult, Failure, Outcome};
 use crate::input::{Images, Input};
-use crate::picture::colour::quantile;
-use monogrid_image::{GradientImage, GrayImage};
+use monogrid_datasets::{CheckConfig, FrameChecker, SequenceCheck};
 use rayon::prelude::*;
 use serde::Serialize;
-
-/// What is measured in one image.
-#[derive(Clone, Copy, Debug)]
-struct Measured {
-    mean: f64,
-    /// Share of pixels with enough gradient to be tracked.
-    textured: f64,
-    /// Mean square of the Laplacian over the mean square of the gradient: falls with blur.
-    sharpness: f64,
-    fingerprint: u64,
-}
 
 #[derive(Debug, Serialize)]
 struct CheckReport {
@@ -34,24 +22,21 @@ struct CheckReport {
     horizontal_fov_deg: f64,
     usable_pixels: f64,
     unreadable: usize,
-    repeated: usize,
-    exposure_jumps: usize,
-    blurred: usize,
-    textured_median: f64,
-    textured_worst: f64,
+    /// Numbers of frames.
+    repeated: Vec<usize>,
+    exposure_jumps: Vec<usize>,
+    blurred: Vec<usize>,
+    plain: Vec<usize>,
+    overexposed: Vec<usize>,
+    median_blur: f32,
+    median_textured_share: f32,
     depth_images: usize,
     has_ground_truth: bool,
     warnings: Vec<String>,
 }
 
-/// Grey levels per pixel that tracking needs.
-const TEXTURE_GRADIENT: f32 = 5.0;
-/// Brightness between frames that is more than flicker.
-const EXPOSURE_JUMP: f64 = 1.1;
-/// Sharpness below this share of the median is blur.
-const BLUR_SHARE: f64 = 0.5;
-/// Texture below this share of the pixels is too little.
-const MIN_TEXTURED: f64 = 0.02;
+/// Images decoded at once.
+const CHUNK: usize = 32;
 
 /// Reads all frames and reports.
 pub fn execute(args: &CheckArgs) -> CommandResult {
@@ -59,21 +44,22 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
     let Images::Files(dataset) = &input.images else {
         return Err(Failure::input("expected a source of files"));
     };
-    let measured: Vec<Result<Measured, String>> = input
-        .frames
-        .par_iter()
-        .map(|frame| {
-            input
-                .read(frame)
-                .map(|image| measure(&image))
-                .map_err(|error| format!("frame {}: {error}", frame.index))
-        })
-        .collect();
-    let good: Vec<Measured> = measured
-        .iter()
-        .filter_map(|m| m.as_ref().ok())
-        .copied()
-        .collect();
+    let mut checker = FrameChecker::new(CheckConfig::default());
+    let (mut checks, mut numbers, mut unreadable) = (Vec::new(), Vec::new(), Vec::new());
+    for chunk in input.frames.chunks(CHUNK) {
+        let images: Vec<_> = chunk.par_iter().map(|frame| input.read(frame)).collect();
+        for (frame, image) in chunk.iter().zip(images) {
+            match image {
+                Ok(image) => {
+                    checks.push(checker.check(&image));
+                    numbers.push(frame.index);
+                }
+                Err(error) => unreadable.push(format!("frame {}: {error}", frame.index)),
+            }
+        }
+    }
+    let sequence = SequenceCheck::new(&checks, &CheckConfig::default());
+    let in_source = |positions: &[usize]| positions.iter().map(|&i| numbers[i]).collect();
     let times: Vec<f64> = input
         .frames
         .iter()
@@ -81,13 +67,8 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
         .collect();
     let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
     let seconds = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
-    let sharpness = median(good.iter().map(|m| m.sharpness));
     let valid = input.mask().as_slice().iter().filter(|&&m| m > 0).count();
-    let pairs = || good.windows(2);
-    let jump = |pair: &&[Measured]| {
-        let ratio = pair[1].mean.max(1.0) / pair[0].mean.max(1.0);
-        !(1.0 / EXPOSURE_JUMP..=EXPOSURE_JUMP).contains(&ratio)
-    };
+    let jumps: Vec<usize> = sequence.exposure_jumps.iter().map(|jump| jump.0).collect();
     let (width, height) = input.size();
     let mut report = CheckReport {
         source: input.name.clone(),
@@ -105,23 +86,26 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
         calibration: input.interpretation.clone(),
         horizontal_fov_deg: input.camera.horizontal_fov_deg(),
         usable_pixels: valid as f64 / (width * height) as f64,
-        unreadable: measured.len() - good.len(),
-        repeated: pairs()
-            .filter(|p| p[0].fingerprint == p[1].fingerprint)
-            .count(),
-        exposure_jumps: pairs().filter(jump).count(),
-        blurred: good
-            .iter()
-            .filter(|m| m.sharpness < BLUR_SHARE * sharpness)
-            .count(),
-        textured_median: median(good.iter().map(|m| m.textured)),
-        textured_worst: good.iter().map(|m| m.textured).fold(1.0, f64::min),
+        unreadable: unreadable.len(),
+        repeated: in_source(&sequence.repeated),
+        exposure_jumps: in_source(&jumps),
+        blurred: in_source(&sequence.blurred),
+        plain: in_source(&sequence.plain),
+        overexposed: in_source(&sequence.overexposed),
+        median_blur: sequence.median_blur,
+        median_textured_share: sequence.median_textured_share,
         depth_images: dataset.depths.len(),
         has_ground_truth: dataset.ground_truth.is_some(),
         warnings: input.warnings.clone(),
     };
-    let first_error = measured.into_iter().find_map(Result::err);
-    add_warnings(&mut report, first_error);
+    if let Some(first) = unreadable.first() {
+        let count = unreadable.len();
+        report
+            .warnings
+            .push(format!("{count} images cannot be used, first {first}"));
+    }
+    report.warnings.extend(sequence.findings());
+    report.warnings.extend(slow_or_narrow(&report));
     if args.json.json {
         print_json(&report)?;
     } else {
@@ -130,96 +114,26 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
     Ok(Outcome::Done)
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    quantile(&mut values.collect::<Vec<f64>>(), 0.5)
-}
+/// Frames per second below which the camera must move slowly.
+const LOW_RATE: f64 = 15.0;
+/// Horizontal field of view below which little overlaps, degrees.
+const NARROW_DEG: f64 = 50.0;
 
-fn measure(image: &GrayImage) -> Measured {
-    let pixels = image.as_slice();
-    let gradient = GradientImage::new(image).magnitude();
-    let textured = gradient
-        .as_slice()
-        .iter()
-        .filter(|&&g| g >= TEXTURE_GRADIENT)
-        .count();
-    let gradient_energy: f64 = gradient.as_slice().iter().map(|&g| f64::from(g * g)).sum();
-    let mut laplacian_energy = 0.0;
-    for y in 1..image.height().saturating_sub(1) {
-        let (above, row, below) = (image.row(y - 1), image.row(y), image.row(y + 1));
-        for x in 1..image.width().saturating_sub(1) {
-            let laplacian = row[x - 1] + row[x + 1] + above[x] + below[x] - 4.0 * row[x];
-            laplacian_energy += f64::from(laplacian * laplacian);
-        }
-    }
-    let fingerprint = pixels
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| {
-            (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0100_0000_01b3)
-        });
-    Measured {
-        mean: pixels.iter().map(|&v| f64::from(v)).sum::<f64>() / pixels.len().max(1) as f64,
-        textured: textured as f64 / pixels.len().max(1) as f64,
-        sharpness: laplacian_energy / gradient_energy.max(1.0),
-        fingerprint,
-    }
-}
-
-/// What would hurt tracking, in sentences.
-fn add_warnings(report: &mut CheckReport, first_error: Option<String>) {
-    let mut warn = |is_true: bool, text: String| {
-        if is_true {
-            report.warnings.push(text);
-        }
-    };
-    if let Some(error) = first_error {
-        warn(
-            true,
-            format!("{} images cannot be used, first {error}", report.unreadable),
-        );
-    }
-    warn(
-        report.repeated > 0,
-        format!(
-            "{} frames repeat the one before; they get its pose and add nothing",
-            report.repeated
-        ),
-    );
-    warn(
-        report.exposure_jumps * 20 > report.frames,
-        format!(
-            "brightness jumps by more than 10 % between {} pairs of frames; switch automatic exposure off if you can",
-            report.exposure_jumps
-        ),
-    );
-    warn(
-        report.blurred * 20 > report.frames,
-        format!(
-            "{} frames are much less sharp than the others; move slower or use more light",
-            report.blurred
-        ),
-    );
-    warn(
-        report.textured_median < MIN_TEXTURED,
-        format!(
-            "only {:.1} % of the pixels have texture in the median frame; tracking needs about {:.0} %",
-            100.0 * report.textured_median,
-            100.0 * MIN_TEXTURED
-        ),
-    );
-    warn(
-        report.frames > 1 && report.frames_per_second < 15.0,
-        format!(
+fn slow_or_narrow(report: &CheckReport) -> Vec<String> {
+    let mut out = Vec::new();
+    if report.frames > 1 && report.frames_per_second < LOW_RATE {
+        out.push(format!(
             "{:.1} frames per second: the camera must move slowly",
             report.frames_per_second
-        ),
-    );
-    warn(
-        report.horizontal_fov_deg < 50.0,
-        format!(
+        ));
+    }
+    if report.horizontal_fov_deg < NARROW_DEG {
+        out.push(format!(
             "the field of view is {:.0} degrees; 60 and more track better",
             report.horizontal_fov_deg
-        ),
-    );
+        ));
+    }
+    out
 }
 
 fn print_report(report: &CheckReport) {
@@ -242,13 +156,17 @@ fn print_report(report: &CheckReport) {
         report.horizontal_fov_deg
     );
     println!(
-        "texture      {:.1} % of the pixels in the median frame, {:.1} % in the worst",
-        100.0 * report.textured_median,
-        100.0 * report.textured_worst
+        "texture      {:.1} % of the pixels in the median frame",
+        100.0 * report.median_textured_share
     );
     println!(
-        "unreadable {}, repeated {}, exposure jumps {}, blurred {}",
-        report.unreadable, report.repeated, report.exposure_jumps, report.blurred
+        "frames that  cannot be read {}, repeat {}, jump in brightness {}, are blurred {}, plain {}, overexposed {}",
+        report.unreadable,
+        report.repeated.len(),
+        report.exposure_jumps.len(),
+        report.blurred.len(),
+        report.plain.len(),
+        report.overexposed.len()
     );
     println!(
         "depth images {}, ground truth {}",

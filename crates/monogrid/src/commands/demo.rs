@@ -12,7 +12,10 @@ use crate::run::align::Align;
 use crate::run::{RunSettings, Tracked};
 use monogrid_datasets::TimedPose;
 use monogrid_datasets::synth::SynthSequence;
-use monogrid_evaluation::DepthEstimate;
+use monogrid_evaluation::{
+    DepthEstimate, MapEvaluationConfig, TruthConfig, evaluate_map, truth_from_triangles,
+};
+use monogrid_slam::mapping::Maps;
 use std::io::IsTerminal;
 
 /// Runs the command.
@@ -52,13 +55,13 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         threads,
         show_progress: std::io::stderr().is_terminal(),
     };
-    let finished = run_all(&input, &folder, &settings, &align, |tracked, _| {
-        let depth = compare_depth(&input, tracked)?;
+    let finished = run_all(&input, &folder, &settings, &align, |tracked, _, maps| {
         Ok(Extras {
             reference,
-            depth,
+            depth: compare_depth(&input, tracked)?,
+            map: compare_map(&input, maps)?,
             warnings: vec![
-                "The frames were rendered during the run: the speed below includes that.".into(),
+                "The frames were rendered during the run: speed and CPU times include that.".into(),
             ],
         })
     })?;
@@ -76,13 +79,37 @@ fn true_poses(sequence: &SynthSequence) -> Vec<TimedPose> {
         .collect()
 }
 
+/// The global map against the voxelised surfaces of the world; `None` without a map.
+fn compare_map(input: &Input, maps: Option<&Maps>) -> Result<Option<serde_json::Value>, Failure> {
+    let (Images::Rendered(sequence), Some(maps)) = (&input.images, maps) else {
+        return Ok(None);
+    };
+    let mesh = sequence.world().mesh();
+    let triangles: Vec<[[f64; 3]; 3]> = mesh
+        .triangles
+        .iter()
+        .map(|corners| corners.map(|i| mesh.vertices[i as usize].map(f64::from)))
+        .collect();
+    let cameras: Vec<[f64; 3]> = true_poses(sequence)
+        .iter()
+        .map(|pose| pose.world_from_camera.translation.into())
+        .collect();
+    let config = TruthConfig::with_resolution(maps.global.resolution());
+    let truth = truth_from_triangles(&triangles, &cameras, &config).map_err(Failure::running)?;
+    let report = evaluate_map(&maps.global, &truth.grid, &MapEvaluationConfig::default())
+        .map_err(Failure::running)?;
+    serde_json::to_value(report)
+        .map(Some)
+        .map_err(Failure::running)
+}
+
 /// Depth of the keyframes against the exact depth; `None` without keyframes.
 fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<serde_json::Value>, Failure> {
     let Images::Rendered(sequence) = &input.images else {
         return Ok(None);
     };
     let mut comparison = DepthComparison::new();
-    for keyframe in &tracked.keyframes {
+    for keyframe in tracked.slam.keyframes() {
         let pose = tracked
             .snapshot
             .world_from_keyframe

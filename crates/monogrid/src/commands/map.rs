@@ -130,7 +130,7 @@ fn settings(args: &MapArgs, recorded: Option<RunConfig>) -> Result<RunConfig, Fa
     let explicit = args.config.is_some() || args.profile.is_some();
     let mut config = match recorded {
         Some(recorded) if !explicit => recorded,
-        _ => RunConfig::resolve(args.profile.map(Into::into), args.config.as_deref(), &[])?,
+        _ => RunConfig::resolve_mapping(args.profile.map(Into::into), args.config.as_deref())?,
     };
     config.apply(&args.mapping);
     config.validate()?;
@@ -164,7 +164,7 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
     let recording =
         Recording::read(&args.recording, ReadOptions { with_images: false }).bad_input()?;
     let session = &recording.session;
-    let recorded: Option<RunConfig> = toml::from_str(&session.config).ok();
+    let recorded = RunConfig::recorded_mapping(&session.config);
     let mut warnings = Vec::new();
     if recorded.is_none() {
         warnings.push("the recording holds no usable settings; the defaults are used".to_owned());

@@ -63,7 +63,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         show_progress: std::io::stderr().is_terminal(),
     };
     describe_input(&input);
-    let finished = run_all(&input, &folder, &settings, &align, |_, _| {
+    let finished = run_all(&input, &folder, &settings, &align, |_, _, _| {
         Ok(Extras::default())
     })?;
     conclude(&finished, &folder, args.json.json)
@@ -76,6 +76,8 @@ pub struct Extras {
     pub reference: Vec<[f64; 3]>,
     /// Error of the depth, JSON.
     pub depth: Option<serde_json::Value>,
+    /// Error of the global map, JSON.
+    pub map: Option<serde_json::Value>,
     /// More for the user to know.
     pub warnings: Vec<String>,
 }
@@ -99,7 +101,7 @@ pub fn run_all(
     folder: &OutputFolder,
     settings: &RunSettings,
     align: &Align,
-    extras: impl FnOnce(&Tracked, &MapFrame) -> Result<Extras, Failure>,
+    extras: impl FnOnce(&Tracked, &MapFrame, Option<&Maps>) -> Result<Extras, Failure>,
 ) -> Result<Finished, Failure> {
     // a second handler in one process is refused, which does no harm
     let _ = ctrlc::set_handler(|| {
@@ -138,10 +140,11 @@ pub fn run_all(
         Some(maps) => Some(outputs::write_maps(folder, maps, &path)?),
         None => None,
     };
-    let extras = extras(&tracked, &frame)?;
+    let extras = extras(&tracked, &frame, maps.as_ref())?;
     warnings.extend(extras.warnings);
     let mut summary = summarise(input, settings, &tracked, &frame, maps.as_ref(), warnings);
     summary.depth = extras.depth;
+    summary.map_error = extras.map;
     let outcome = match summary.status {
         "not_initialised" | "lost" => Outcome::NotTracked,
         _ => Outcome::Done,
@@ -149,7 +152,6 @@ pub fn run_all(
     let verdict = verdict(&summary, &tracked);
     let report = page(
         &tracked,
-        folder,
         &ReportInput {
             title: &format!("monogrid: {}", input.name),
             verdict: &verdict,
@@ -209,7 +211,7 @@ fn final_maps(
     });
     let live =
         std::mem::replace(&mut tracked.live_maps, unfinished).map_err(|error| error.to_string())?;
-    if tracked.keyframes.is_empty() {
+    if tracked.slam.keyframes().is_empty() {
         return Ok(None);
     }
     let before = process_cpu();
@@ -255,12 +257,12 @@ fn summarise(
     }
     let status = match &tracked.early_end {
         Some(EarlyEnd::Unreadable(_)) => "unreadable",
-        _ if tracked.keyframes.is_empty() => "not_initialised",
+        _ if tracked.slam.keyframes().is_empty() => "not_initialised",
         _ if is_lost_for_good(&tracked.rows) => "lost",
         Some(EarlyEnd::Interrupted) => "interrupted",
         None => "done",
     };
-    let is_metric = tracked.scale == Scale::Metric || frame.is_aligned;
+    let is_metric = tracked.slam.scale() == Scale::Metric || frame.is_aligned;
     let points = maps.map_or(0, |maps| maps.stats.points);
     let (width, height) = input.size();
     Summary {
@@ -271,8 +273,8 @@ fn summarise(
         tracked: tracked.trajectory.len(),
         skipped,
         dropped,
-        lost_episodes: tracked.lost_episodes,
-        keyframes: tracked.keyframes.len(),
+        lost_episodes: tracked.slam.lost_episodes(),
+        keyframes: tracked.slam.keyframes().len(),
         loop_closures: 0,
         points,
         frames_per_second: 0.0,
@@ -303,6 +305,7 @@ fn summarise(
             .as_ref()
             .and_then(|fit| serde_json::to_value(fit).ok()),
         depth: None,
+        map_error: None,
     }
     .timed()
 }
@@ -382,8 +385,26 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     {
         lines += &format!("  error against the reference: {ate:.4} m\n");
     }
+    if let Some(within) = number_at(summary.depth.as_ref(), &["within_3_percent"]) {
+        lines += &format!(
+            "  depth: {:.0} % of the textured pixels within 3 %\n",
+            100.0 * within
+        );
+    }
+    let observed =
+        |name: &str| number_at(summary.map_error.as_ref(), &["policies", "observed", name]);
+    if let (Some(auc), Some(mcc)) = (observed("auc"), observed("mcc")) {
+        lines += &format!("  map against the truth: AUC {auc:.3}, MCC {mcc:.3}\n");
+    }
     lines += &format!("  look at {}", folder.join("report.html").display());
     lines
+}
+
+/// A number inside a JSON object.
+pub fn number_at(value: Option<&serde_json::Value>, path: &[&str]) -> Option<f64> {
+    path.iter()
+        .try_fold(value?, |value, key| value.get(key))?
+        .as_f64()
 }
 
 fn describe_input(input: &Input) {

@@ -4,48 +4,10 @@ pub mod colour;
 pub mod keyframe;
 pub mod voxels;
 
-use image::{ExtendedColorType, ImageEncoder, codecs::png};
 use monogrid_image::Image;
 
 /// A colour picture.
 pub type Picture = Image<[u8; 3]>;
-
-/// A picture as a PNG file.
-pub fn encode_png(picture: &Picture) -> Result<Vec<u8>, image::ImageError> {
-    let bytes: Vec<u8> = picture.as_slice().iter().flatten().copied().collect();
-    write_png(
-        &bytes,
-        picture.width(),
-        picture.height(),
-        ExtendedColorType::Rgb8,
-    )
-}
-
-/// A grey image as a PNG file.
-pub fn encode_grey_png(grey: &Image<u8>) -> Result<Vec<u8>, image::ImageError> {
-    write_png(
-        grey.as_slice(),
-        grey.width(),
-        grey.height(),
-        ExtendedColorType::L8,
-    )
-}
-
-fn write_png(
-    bytes: &[u8],
-    width: usize,
-    height: usize,
-    colour: ExtendedColorType,
-) -> Result<Vec<u8>, image::ImageError> {
-    let mut out = Vec::new();
-    png::PngEncoder::new_with_quality(
-        &mut out,
-        png::CompressionType::Default,
-        png::FilterType::Adaptive,
-    )
-    .write_image(bytes, width as u32, height as u32, colour)?;
-    Ok(out)
-}
 
 /// A PNG file as a data URL, for pages without other files.
 pub fn data_url(png: &[u8]) -> String {
@@ -112,15 +74,5 @@ mod tests {
         ] {
             assert_eq!(base64(plain.as_bytes()), encoded);
         }
-    }
-
-    #[test]
-    fn png_files_hold_the_pixels() {
-        let picture = Picture::from_fn(5, 3, |x, y| [x as u8 * 40, y as u8 * 80, 7]);
-        let decoded = image::load_from_memory(&encode_png(&picture).unwrap())
-            .unwrap()
-            .to_rgb8();
-        assert_eq!(decoded.dimensions(), (5, 3));
-        assert_eq!(decoded.get_pixel(4, 2).0, [160, 160, 7]);
     }
 }

@@ -31,12 +31,7 @@ impl Page {
         let _ = write!(self.body, "<h2>{}</h2>", escape(text));
     }
 
-    /// A paragraph.
-    pub fn paragraph(&mut self, text: &str) {
-        let _ = write!(self.body, "<p>{}</p>", escape(text));
-    }
-
-    /// A less important paragraph.
+    /// A paragraph of explanation.
     pub fn note(&mut self, text: &str) {
         let _ = write!(self.body, "<p class=\"note\">{}</p>", escape(text));
     }

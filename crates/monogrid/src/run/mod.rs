@@ -26,7 +26,7 @@ use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, Mapper, z_up_from_camera_world,
 };
 use monogrid_slam::{
-    FrameInput, FrameReport, Keyframe, PoseSnapshot, Scale, Slam, TrackingState, TrajectoryPose,
+    FrameInput, FrameReport, Keyframe, PoseSnapshot, Slam, TrackingState, TrajectoryPose,
 };
 use progress::Progress;
 use reader::{Delivered, Reader};
@@ -124,14 +124,10 @@ pub struct Tracked {
     pub rows: Vec<FrameRow>,
     /// Frames with a believed pose, final.
     pub trajectory: Vec<TrajectoryPose>,
-    /// Finished keyframes.
-    pub keyframes: Vec<Arc<Keyframe>>,
-    /// Their final poses.
+    /// The system, which holds the finished keyframes.
+    pub slam: Slam,
+    /// Final poses of the keyframes.
     pub snapshot: Arc<PoseSnapshot>,
-    /// Whether lengths are metres.
-    pub scale: Scale,
-    /// Times that tracking was lost.
-    pub lost_episodes: usize,
     /// Maps as they grew, or why they could not.
     pub live_maps: Result<LiveMaps, MapError>,
     /// CPU time.
@@ -200,10 +196,8 @@ pub fn track(
         Ok(Tracked {
             rows: ended.rows,
             trajectory: ended.trajectory,
-            keyframes: ended.keyframes,
+            slam: ended.slam,
             snapshot: ended.snapshot,
-            scale: ended.scale,
-            lost_episodes: ended.lost_episodes,
             cpu: CpuTimes {
                 slam: (process_cpu() - process_before).saturating_sub(others),
                 mapping,
@@ -276,7 +270,8 @@ struct Tracking<'a> {
     slam: Slam,
     settings: &'a RunSettings,
     rows: Vec<FrameRow>,
-    published: Vec<Arc<Keyframe>>,
+    /// Revision of the depth of each keyframe that the listeners know.
+    published: Vec<u32>,
     /// Recorder and mapper.
     listeners: [SyncSender<Change>; 2],
     progress: Progress,
@@ -366,14 +361,14 @@ impl Tracking<'_> {
         let mut changes = Vec::new();
         for (position, keyframe) in self.slam.keyframes().iter().enumerate() {
             match self.published.get_mut(position) {
-                Some(known) if known.revision == keyframe.revision => {}
+                Some(known) if *known == keyframe.revision => {}
                 Some(known) => {
-                    *known = Arc::new(keyframe.clone());
-                    changes.push(Change::Revised(Arc::clone(known)));
+                    *known = keyframe.revision;
+                    changes.push(Change::Revised(Arc::new(keyframe.clone())));
                 }
                 None => {
+                    self.published.push(keyframe.revision);
                     let keyframe = Arc::new(keyframe.clone());
-                    self.published.push(Arc::clone(&keyframe));
                     changes.push(Change::Finished(keyframe, self.slam.snapshot()));
                 }
             }
@@ -406,10 +401,8 @@ impl Tracking<'_> {
         Ended {
             rows: self.rows,
             trajectory,
-            keyframes: self.published,
+            slam: self.slam,
             snapshot,
-            scale: self.slam.scale(),
-            lost_episodes: self.slam.lost_episodes(),
         }
     }
 }
@@ -418,10 +411,8 @@ impl Tracking<'_> {
 struct Ended {
     rows: Vec<FrameRow>,
     trajectory: Vec<TrajectoryPose>,
-    keyframes: Vec<Arc<Keyframe>>,
+    slam: Slam,
     snapshot: Arc<PoseSnapshot>,
-    scale: Scale,
-    lost_episodes: usize,
 }
 
 /// `map_from_camera` of a pose in the world: the scale of the frame applies to the position only.

@@ -98,7 +98,7 @@ fn frames_csv(rows: &[FrameRow]) -> String {
 
 fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
     let mut text = String::from("# id frame timestamp scale tx ty tz qx qy qz qw points\n");
-    for keyframe in &tracked.keyframes {
+    for keyframe in tracked.slam.keyframes() {
         let Some(pose) = tracked
             .snapshot
             .world_from_keyframe
@@ -134,7 +134,7 @@ fn graph_g2o(tracked: &Tracked, frame: &MapFrame) -> String {
     let mut text = String::new();
     let mut previous: Option<(u32, monogrid_geometry::Se3)> = None;
     let mut edges = String::new();
-    for keyframe in &tracked.keyframes {
+    for keyframe in tracked.slam.keyframes() {
         let Some(pose) = tracked
             .snapshot
             .world_from_keyframe

@@ -120,21 +120,12 @@ fn poses(snapshot: &monogrid_slam::PoseSnapshot) -> PoseSnapshot {
 }
 
 /// File names of the three pictures of a keyframe.
-pub fn picture_names(id: u32) -> [String; 3] {
+fn picture_names(id: u32) -> [String; 3] {
     ["image", "depth", "uncertainty"].map(|kind| format!("{KEYFRAME_FOLDER}/{id:05}_{kind}.png"))
 }
 
 fn save_pictures(folder: &OutputFolder, keyframe: &Keyframe) -> Result<(), Failure> {
-    let measured: Vec<Measured> = keyframe
-        .pixels
-        .iter()
-        .map(|pixel| Measured {
-            x: usize::from(pixel.x),
-            y: usize::from(pixel.y),
-            idepth: f64::from(pixel.idepth),
-            relative_sigma: f64::from(pixel.idepth_var.sqrt() / pixel.idepth),
-        })
-        .collect();
+    let measured: Vec<Measured> = measured(keyframe).collect();
     let [image, depth, uncertainty] = picture_names(keyframe.id);
     folder.write(&image, encode_png(&keyframe.image))?;
     folder.write(
@@ -145,4 +136,14 @@ fn save_pictures(folder: &OutputFolder, keyframe: &Keyframe) -> Result<(), Failu
         &uncertainty,
         encode_png_rgb(&uncertainty_picture(&keyframe.image, &measured)),
     )
+}
+
+/// The depths of a keyframe as its pictures need them.
+pub fn measured(keyframe: &Keyframe) -> impl Iterator<Item = Measured> {
+    keyframe.pixels.iter().map(|pixel| Measured {
+        x: usize::from(pixel.x),
+        y: usize::from(pixel.y),
+        idepth: f64::from(pixel.idepth),
+        relative_sigma: f64::from(pixel.idepth_var.sqrt() / pixel.idepth),
+    })
 }

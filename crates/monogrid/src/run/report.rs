@@ -1,12 +1,15 @@
 //! `report.html` of a run.
 
 use super::align::MapFrame;
-use super::recorder::picture_names;
+use super::recorder::measured;
 use super::summary::Summary;
 use super::{FrameFate, FrameRow, Tracked};
-use crate::output::OutputFolder;
+use crate::commands::run::number_at;
+use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
+use monogrid_datasets::{encode_png, encode_png_rgb};
+use monogrid_image::Image;
 use monogrid_slam::TrackingState;
 
 /// Keyframes shown with their pictures.
@@ -34,7 +37,7 @@ pub struct ReportInput<'a> {
 }
 
 /// The complete page.
-pub fn page(tracked: &Tracked, folder: &OutputFolder, input: &ReportInput) -> String {
+pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
     let mut page = Page::default();
     for warning in &input.summary.warnings {
         page.warning(warning);
@@ -60,7 +63,7 @@ pub fn page(tracked: &Tracked, folder: &OutputFolder, input: &ReportInput) -> St
     for plot in tracking_plots(&tracked.rows) {
         page.plot(&plot);
     }
-    show_keyframes(&mut page, tracked, folder);
+    show_keyframes(&mut page, tracked);
     page.heading("Settings");
     page.preformatted(input.config);
     page.finish(input.title, input.verdict)
@@ -113,20 +116,29 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
             ),
         ));
     }
-    if let Some(depth) = &summary.depth {
-        let share = |name: &str| depth.get(name).and_then(serde_json::Value::as_f64);
-        if let (Some(within_3), Some(within_10)) =
-            (share("within_3_percent"), share("within_10_percent"))
-        {
-            facts.push((
-                "Depth against the truth",
-                format!(
-                    "of all pixels with texture {:.0} % within 3 %, {:.0} % within 10 %",
-                    100.0 * within_3,
-                    100.0 * within_10
-                ),
-            ));
-        }
+    let depth = |name: &str| number_at(summary.depth.as_ref(), &[name]);
+    if let (Some(within_3), Some(within_10)) =
+        (depth("within_3_percent"), depth("within_10_percent"))
+    {
+        facts.push((
+            "Depth against the truth",
+            format!(
+                "of all pixels with texture {:.0} % within 3 %, {:.0} % within 10 %",
+                100.0 * within_3,
+                100.0 * within_10
+            ),
+        ));
+    }
+    let map = |name: &str| number_at(summary.map_error.as_ref(), &["policies", "observed", name]);
+    if let (Some(auc), Some(mcc), Some(precision), Some(recall)) =
+        (map("auc"), map("mcc"), map("precision"), map("recall"))
+    {
+        facts.push((
+            "Map against the truth",
+            format!(
+                "observed cells: AUC {auc:.3}, MCC {mcc:.3}, precision {precision:.3}, recall {recall:.3}"
+            ),
+        ));
     }
     facts
         .into_iter()
@@ -296,15 +308,15 @@ fn tracking_plots(rows: &[FrameRow]) -> Vec<Plot> {
     ]
 }
 
-/// Some keyframes, evenly spread, with image, depth and uncertainty.
-fn show_keyframes(page: &mut Page, tracked: &Tracked, folder: &OutputFolder) {
-    let count = tracked.keyframes.len();
+/// Some keyframes, evenly spread, with image, depth and uncertainty, at half their size.
+fn show_keyframes(page: &mut Page, tracked: &Tracked) {
+    let count = tracked.slam.keyframes().len();
     if count == 0 {
         return;
     }
     page.heading("Keyframes");
     page.note(
-        "Image; depth (red near, blue far); uncertainty of the depth (green certain, red 20 % or more).",
+        "Image; depth (red near, blue far); uncertainty of the depth (green certain, red 10 % or more).",
     );
     let shown = count.min(SHOWN_KEYFRAMES);
     for i in 0..shown {
@@ -313,16 +325,34 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked, folder: &OutputFolder) {
         } else {
             0
         };
-        let keyframe = &tracked.keyframes[position];
-        let files = picture_names(keyframe.id).map(|name| std::fs::read(folder.file(&name)));
-        if let [Ok(image), Ok(depth), Ok(uncertainty)] = &files {
-            let caption = format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index);
-            let points = format!("{} depths", keyframe.pixels.len());
-            page.triple([
-                (image, &caption),
-                (depth, &points),
-                (uncertainty, "uncertainty"),
-            ]);
-        }
+        let keyframe = &tracked.slam.keyframes()[position];
+        let image = Image::from_fn(
+            keyframe.image.width() / 2,
+            keyframe.image.height() / 2,
+            |x, y| {
+                let sum: u32 = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                    .iter()
+                    .map(|(dx, dy)| u32::from(keyframe.image.at(2 * x + dx, 2 * y + dy)))
+                    .sum();
+                (sum / 4) as u8
+            },
+        );
+        let measured: Vec<Measured> = measured(keyframe)
+            .map(|m| Measured {
+                x: m.x / 2,
+                y: m.y / 2,
+                ..m
+            })
+            .collect();
+        let caption = format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index);
+        let points = format!("{} depths", keyframe.pixels.len());
+        page.triple([
+            (&encode_png(&image), &caption),
+            (&encode_png_rgb(&depth_picture(&image, &measured)), &points),
+            (
+                &encode_png_rgb(&uncertainty_picture(&image, &measured)),
+                "uncertainty",
+            ),
+        ]);
     }
 }

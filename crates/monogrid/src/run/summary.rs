@@ -88,6 +88,9 @@ pub struct Summary {
     /// Error of the depth against the truth, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth: Option<serde_json::Value>,
+    /// Error of the global map against the truth, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub map_error: Option<serde_json::Value>,
 }
 
 /// Seconds of video without a pose at the end after which tracking counts as lost for good.
