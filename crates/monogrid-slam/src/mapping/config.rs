@@ -98,7 +98,9 @@ impl<'de> Deserialize<'de> for AutoLength {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DepthFilterConfig {
-    /// Largest relative standard deviation of the inverse depth, above 0; `inf` keeps all. Default 0.035: beyond, a measurement smears its surface along the ray (measured on the demonstration world: occupied cells 3.6 times the true number at 0.1, 1.4 times at 0.035).
+    /// Largest relative standard deviation of the inverse depth, above 0; `inf` keeps all. Default
+    /// 0.035: beyond, a measurement smears its surface along the ray (in the demo world 3.6 times the
+    /// true number of occupied cells at 0.1, 1.4 times at 0.035).
     pub max_relative_sigma: f64,
     /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within
     /// two standard deviations, 0 to 9; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71 to
@@ -112,7 +114,7 @@ impl Default for DepthFilterConfig {
     fn default() -> Self {
         Self {
             max_relative_sigma: 0.035,
-            min_support: 4,
+            min_support: 6,
             skip_keyframes: 0,
         }
     }
@@ -132,7 +134,7 @@ pub struct MappingConfig {
     /// cell's diagonal and `buffer_sigmas` standard deviations. Default `"auto"`.
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic, above 0.861 (below, a hit is
-    /// evidence against the obstacle). Default 2.5.
+    /// evidence against the obstacle). Default 2.
     pub buffer_sigmas: f64,
     /// Form of the model `thrun`. Default `exact`.
     pub thrun_form: ThrunFormKind,
@@ -151,7 +153,7 @@ pub struct MappingConfig {
     /// -0.6 and 1.2.
     pub update_limits: [f64; 2],
     /// Updates smaller than this (log-odds) behind the obstacle end the ray, 0 to 1. The models stay
-    /// above 1/2 far behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.4.
+    /// above 1/2 far behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.6.
     pub tail_log_odds: f64,
     /// Lowest and highest stored log-odds. Default -2 and 3.5, OctoMap's.
     pub clamp: [f32; 2],
