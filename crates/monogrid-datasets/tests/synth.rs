@@ -7,7 +7,9 @@ use monogrid_datasets::synth::{
     Shutter, SynthConfig, SynthSequence, WORLD_NAMES, World, WriteConfig, look_at,
     write_tum_layout,
 };
-use monogrid_datasets::{Dataset, SourceOptions, read_depth, read_trajectory};
+use monogrid_datasets::{
+    Calibration, Dataset, DepthCalibration, SourceOptions, read_depth, read_trajectory,
+};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Se3, Vec2, Vec3};
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
@@ -464,6 +466,58 @@ fn a_written_sequence_is_read_back() {
     let coded = read_depth(&folder.path().join("depth/000002.png"), 5000.0).unwrap();
     for (a, b) in truth.as_slice().iter().zip(coded.as_slice()) {
         assert!((a - b).abs() <= 0.000_11, "{a} {b}");
+    }
+}
+
+#[test]
+fn the_written_calibration_is_that_of_the_camera_for_every_lens() {
+    let lenses = [
+        Distortion::None,
+        Distortion::RadialTangential {
+            k1: -0.2,
+            k2: 0.05,
+            p1: 0.001,
+            p2: -0.002,
+            k3: 0.01,
+        },
+        Distortion::Fov { omega: 0.9 },
+        Distortion::Equidistant {
+            k: [0.01, -0.02, 0.003, 0.0],
+        },
+    ];
+    for lens in lenses {
+        let folder = tempfile::tempdir().unwrap();
+        let config = SynthConfig {
+            camera: camera(lens),
+            frames: 1,
+            ..SynthConfig::small()
+        };
+        let world = Arc::new(bare_room());
+        let ways = [
+            ([1.0, 1.0, 1.2], [3.9, 2.0, 1.0]),
+            ([1.5, 1.0, 1.2], [3.9, 2.0, 1.0]),
+        ];
+        let path = CameraPath::scripted(&ways, Carrier::Rails, 1.0, 0).unwrap();
+        let sequence = SynthSequence::new(world, path, config).unwrap();
+        write_tum_layout(&sequence, folder.path(), &WriteConfig::default(), |_| ()).unwrap();
+        let dataset = Dataset::open(folder.path(), SourceOptions::default()).unwrap();
+        let read = Calibration::read(&dataset.calibration_path.unwrap(), None).unwrap();
+        assert_eq!(read.camera, camera(lens));
+        let depth = DepthCalibration::read(&folder.path().join("calibration_depth.txt")).unwrap();
+        let coded = read_depth(
+            &folder.path().join("depth/000000.png"),
+            depth.units_per_metre,
+        )
+        .unwrap();
+        // the depth image fits to the camera that was written for it
+        let pose = sequence.world_from_camera(0).unwrap();
+        let ray = depth.camera.unproject(&Vec2::new(20.0, 30.0)).unwrap();
+        let expected = leave_box(
+            &pose.translation,
+            &(pose.rotation * ray),
+            &Vec3::new(4.0, 3.0, 2.5),
+        );
+        assert!((f64::from(coded.at(20, 30)) - expected).abs() < 2e-4);
     }
 }
 

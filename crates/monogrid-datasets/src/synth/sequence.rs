@@ -246,10 +246,16 @@ impl SynthSequence {
     /// Exact depth (z, m) of the `k`-th frame, NaN where there is nothing; `None` after the last frame.
     #[must_use]
     pub fn depth(&self, k: usize) -> Option<GrayImage> {
+        self.depth_through(&self.renderer, k)
+    }
+
+    /// The same as another camera at the same place sees it, whose rows are read at the same times.
+    #[must_use]
+    pub fn depth_through(&self, renderer: &Renderer, k: usize) -> Option<GrayImage> {
         let secs = self.secs(*self.kept.get(k)?);
         let movers = self.movers(secs);
         let poses = self.row_poses(secs);
-        Some(self.renderer.depth(&self.world, &movers, shutter(&poses)))
+        Some(renderer.depth(&self.world, &movers, shutter(&poses)))
     }
 
     /// True pose of the `k`-th frame; `None` after the last.

@@ -1,10 +1,11 @@
 //! Writes a sequence as a data set in TUM layout, and meshes as PLY.
 
+use super::render::Renderer;
 use super::sequence::SynthSequence;
 use super::world::TriangleMesh;
 use crate::{
-    DatasetError, TimedPose, encode_png, encode_png_16, format_seconds, write_atomically,
-    write_atomically_with, write_tum,
+    Calibration, DatasetError, TimedPose, encode_png, encode_png_16, format_seconds,
+    write_atomically, write_atomically_with, write_tum,
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_image::GrayImage;
@@ -48,13 +49,11 @@ pub fn write_tum_layout(
         std::fs::create_dir_all(&path).map_err(|e| DatasetError::io("create", &path, e))?;
     }
     let units_per_m = depth_units(sequence);
-    write_text(
-        folder,
-        "calibration.txt",
-        &calibration_line(sequence.camera()),
-    )?;
-    let depth_line = format!("{}{units_per_m}\n", calibration_line(sequence.camera()));
-    write_text(folder, "calibration_depth.txt", &depth_line)?;
+    let depth_camera = write_calibrations(sequence.camera(), units_per_m, folder)?;
+    let depth_coder = DepthCoder {
+        renderer: Renderer::new(&depth_camera, 1.0),
+        units_per_m,
+    };
     if config.with_mesh {
         write_ply(&folder.join("mesh.ply"), &sequence.world().mesh())?;
     }
@@ -65,7 +64,7 @@ pub fn write_tum_layout(
         let last = (first + CHUNK).min(sequence.len());
         let frames: Vec<CodedFrame> = (first..last)
             .into_par_iter()
-            .filter_map(|k| CodedFrame::new(sequence, k, config, units_per_m))
+            .filter_map(|k| CodedFrame::new(sequence, k, config, &depth_coder))
             .collect();
         for frame in frames {
             let time = format_seconds(frame.pose.timestamp_ns);
@@ -90,6 +89,19 @@ pub fn write_tum_layout(
 /// Frames that are rendered and compressed side by side.
 const CHUNK: usize = 8;
 
+/// Makes depth images.
+struct DepthCoder {
+    renderer: Renderer,
+    units_per_m: u32,
+}
+
+impl DepthCoder {
+    fn code(&self, sequence: &SynthSequence, k: usize) -> Option<Vec<u8>> {
+        let depth = sequence.depth_through(&self.renderer, k)?;
+        Some(encode_png_16(&encode_depth(&depth, self.units_per_m)))
+    }
+}
+
 /// A frame as it goes to the disk.
 struct CodedFrame {
     index: usize,
@@ -103,11 +115,11 @@ impl CodedFrame {
         sequence: &SynthSequence,
         k: usize,
         config: &WriteConfig,
-        units_per_m: u32,
+        depth_coder: &DepthCoder,
     ) -> Option<Self> {
         let frame = sequence.frame(k)?;
         let has_depth = config.depth_every > 0 && k.is_multiple_of(config.depth_every);
-        let depth = if has_depth { sequence.depth(k) } else { None };
+        let depth = has_depth.then(|| depth_coder.code(sequence, k)).flatten();
         Some(Self {
             index: frame.index,
             pose: TimedPose {
@@ -115,7 +127,7 @@ impl CodedFrame {
                 world_from_camera: frame.world_from_camera,
             },
             image: encode_png(&frame.image.map(|v| v as u8)),
-            depth: depth.map(|d| encode_png_16(&encode_depth(&d, units_per_m))),
+            depth,
         })
     }
 }
@@ -147,17 +159,48 @@ fn encode_depth(depth: &GrayImage, units_per_m: u32) -> monogrid_image::Image<u1
     })
 }
 
-/// One line as the readers understand it: pinhole, or with four coefficients of distortion.
-fn calibration_line(camera: &Camera) -> String {
+/// One line as the readers understand it; `None` for a lens that this form cannot describe.
+fn calibration_line(camera: &Camera) -> Option<String> {
     let p = &camera.pinhole;
     let distortion = match camera.distortion {
-        Distortion::RadialTangential { k1, k2, p1, p2, .. } => format!("{k1} {k2} {p1} {p2} "),
-        _ => String::new(),
+        Distortion::None => String::new(),
+        Distortion::RadialTangential { k1, k2, p1, p2, k3 } => format!("{k1} {k2} {p1} {p2} {k3} "),
+        Distortion::Fov { omega } => format!("{omega} "),
+        Distortion::Equidistant { .. } => return None,
     };
-    format!(
+    Some(format!(
         "{} {} {} {} {distortion}{} {}\n",
         p.fx, p.fy, p.cx, p.cy, camera.width, camera.height
-    )
+    ))
+}
+
+/// Writes both calibrations and returns the camera of the depth images: the same one, or its pinhole
+/// without the lens where the file for depth cannot describe the lens.
+fn write_calibrations(
+    camera: &Camera,
+    units_per_m: u32,
+    folder: &Path,
+) -> Result<Camera, DatasetError> {
+    let depth_camera = match calibration_line(camera) {
+        Some(line) => {
+            write_text(folder, "calibration.txt", &line)?;
+            *camera
+        }
+        None => {
+            write_text(folder, "calibration.toml", &Calibration::to_toml(camera))?;
+            Camera {
+                distortion: Distortion::None,
+                ..*camera
+            }
+        }
+    };
+    let line = calibration_line(&depth_camera).unwrap_or_default();
+    write_text(
+        folder,
+        "calibration_depth.txt",
+        &format!("{line}{units_per_m}\n"),
+    )?;
+    Ok(depth_camera)
 }
 
 /// Writes a mesh as binary PLY with grey vertex colours.
