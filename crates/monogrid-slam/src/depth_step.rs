@@ -27,6 +27,18 @@ pub(crate) fn observe(
     stats
 }
 
+/// Fills holes, smooths, and drops what its neighbourhood does not support.
+pub(crate) fn regularize(depth: &mut DepthMap, config: &DepthConfig) {
+    depth.fill_holes(config);
+    depth
+        .regularize_bands(BAND_ROWS)
+        .into_par_iter()
+        .for_each(|mut band| {
+            band.regularize(config);
+        });
+    depth.remove_unsupported(config);
+}
+
 /// Points for tracking: hypotheses with at most the configured relative sigma; the limit doubles
 /// until enough remain or all are taken.
 pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec<DepthSample> {

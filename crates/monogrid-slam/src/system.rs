@@ -1,6 +1,6 @@
 //! The system: one frame after the other, in the order in which a reader would do it by hand.
 
-use crate::depth_step::{observe, tracking_samples};
+use crate::depth_step::{observe, regularize, tracking_samples};
 use crate::frame::Frame;
 use crate::node::{Exposure, Node, world_from_camera};
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
@@ -388,12 +388,12 @@ impl Slam {
             num_keyframes: self.nodes.len(),
         };
         if is_new_keyframe(&evidence, &self.config.keyframes) {
-            report.finished_keyframe = self.change_keyframe(&frame, &motion);
+            report.finished_keyframe = self.change_keyframe(&frame, &motion, &mut report);
             report.created_keyframe = true;
         } else if tracked.state == TrackingState::Good {
             self.refine_depth(&frame, &tracked.alignment);
         }
-        report.milliseconds.depth = milliseconds(after_tracking);
+        report.milliseconds.depth = milliseconds(after_tracking) - report.milliseconds.graph;
         report
     }
 
@@ -415,14 +415,18 @@ impl Slam {
         };
         let config = &self.config.depth;
         observe(&mut current.depth, &[stereo], config);
-        current.depth.fill_holes(config);
-        current.depth.regularize(config);
+        regularize(&mut current.depth, config);
         current.num_mapped += 1;
         self.refresh_reference();
     }
 
     /// Publishes the current keyframe and lets `frame` take over.
-    fn change_keyframe(&mut self, frame: &Frame, motion: &Motion) -> Option<KeyframeId> {
+    fn change_keyframe(
+        &mut self,
+        frame: &Frame,
+        motion: &Motion,
+        report: &mut FrameReport,
+    ) -> Option<KeyframeId> {
         let finished = self.publish_current();
         let current = self.current.take()?;
         let host =
@@ -442,11 +446,12 @@ impl Slam {
         let world_from_keyframe = parent.world_from_keyframe * keyframe_from_frame.with_scale(unit);
         let exposure = parent.exposure.then(motion.log_gain.exp(), motion.bias);
         self.push_node(frame, world_from_keyframe, exposure);
+        let before_graph = Instant::now();
         self.link_dense_depth(&current.depth, self.nodes.len() - 2);
         self.adjust(&depth);
+        report.milliseconds.graph = milliseconds(before_graph);
         self.observe_old_keyframes(&mut depth);
-        depth.fill_holes(&self.config.depth);
-        depth.regularize(&self.config.depth);
+        regularize(&mut depth, &self.config.depth);
         if let Some(last) = self.last.as_mut() {
             last.motion = Motion::from_pose(Se3::identity());
             last.frame_from_previous.translation /= unit;

@@ -1,7 +1,7 @@
 //! Start from two views: features are followed from a reference frame until the camera has moved
 //! sideways enough for a relative pose; then the reference becomes the first keyframe.
 
-use crate::depth_step::observe;
+use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
 use crate::start::{StartOutcome, Started, host_of};
 use crate::{InitializationConfig, LostReason, Scale, SlamConfig};
@@ -166,8 +166,7 @@ impl TwoViewStart {
             };
             observe(&mut depth, &[stereo], &config.depth);
         }
-        depth.fill_holes(&config.depth);
-        depth.regularize(&config.depth);
+        regularize(&mut depth, &config.depth);
         if depth.num_known() < config.tracking.min_points {
             return None;
         }
