@@ -13,6 +13,7 @@
 
 mod absolute_pose;
 mod corners;
+mod describe;
 mod polynomial;
 mod rng;
 #[cfg(test)]
@@ -23,6 +24,10 @@ mod two_view;
 
 pub use absolute_pose::{AbsolutePose, AbsolutePoseConfig, PointPixel, absolute_pose};
 pub use corners::{Corner, CornerConfig, detect_corners};
+pub use describe::{
+    Descriptor, DescriptorMatch, Feature, FeatureConfig, FeatureExtractor, MatchConfig,
+    PlaceCandidate, PlaceConfig, PlaceIndex, match_descriptors,
+};
 pub use rng::Rng;
 pub use track::{
     PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, align_patch,

@@ -1,0 +1,11 @@
+//! Binary descriptors of oriented corners, their matching, and the recognition of places by them.
+
+mod descriptor;
+mod matching;
+mod places;
+#[cfg(test)]
+mod tests;
+
+pub use descriptor::{Descriptor, Feature, FeatureConfig, FeatureExtractor};
+pub use matching::{DescriptorMatch, MatchConfig, match_descriptors};
+pub use places::{PlaceCandidate, PlaceConfig, PlaceIndex};
