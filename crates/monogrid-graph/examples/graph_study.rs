@@ -9,8 +9,8 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use common::Random;
 use common::graphs::{GraphOptions, Wrong, random_graph};
+use common::{Random, cpu_seconds};
 use monogrid_graph::pose_graph::PoseGraphConfig;
 use std::time::Instant;
 
@@ -63,16 +63,6 @@ fn study(name: &str, wrong: Wrong, graphs: u64) {
             before * 100.0
         );
     }
-}
-
-/// CPU seconds of this thread where Linux tells them, so that other programs do not disturb; else wall.
-fn cpu_seconds(start: &Instant) -> f64 {
-    let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    let nanoseconds = stat
-        .split_whitespace()
-        .next()
-        .and_then(|t| t.parse::<f64>().ok());
-    nanoseconds.map_or(start.elapsed().as_secs_f64(), |t| t * 1e-9)
 }
 
 fn time(nodes: usize, closures: f64) {
