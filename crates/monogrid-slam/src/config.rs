@@ -139,7 +139,7 @@ impl Default for InitializationConfig {
     fn default() -> Self {
         Self {
             mode: InitializationMode::TwoView,
-            num_features: 600,
+            num_features: 900,
             min_features: 60,
             min_displacement: 0.025,
             max_buffered_frames: 150,
@@ -213,7 +213,7 @@ impl Default for TrackingConfig {
             min_visible_share: 0.15,
             min_good_share: 0.08,
             min_good_of_visible: 0.55,
-            min_correlation: 0.5,
+            min_correlation: 0.4,
             degraded_good_of_visible: 0.7,
         }
     }

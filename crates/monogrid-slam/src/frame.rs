@@ -52,7 +52,7 @@ impl Frame {
 #[derive(Clone, Debug)]
 pub(crate) struct BufferedFrame {
     index: usize,
-    timestamp_ns: i64,
+    pub timestamp_ns: i64,
     image: Image<u8>,
 }
 

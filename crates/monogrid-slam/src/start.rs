@@ -4,7 +4,7 @@ use crate::frame::{BufferedFrame, Frame};
 use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};
 use monogrid_depth::{DepthMap, HostFrame};
-use monogrid_geometry::Pinhole;
+use monogrid_geometry::{Pinhole, Se3};
 use monogrid_image::{GrayImage, Mask};
 use std::sync::Arc;
 
@@ -37,6 +37,8 @@ pub(crate) struct Started {
     /// Keyframe unit in world units.
     pub world_scale: f64,
     pub scale: Scale,
+    /// Motion of the camera from the keyframe to the next frame, where it is known.
+    pub first_step: Se3,
     /// Frames before the keyframe, in the order of time.
     pub earlier: Vec<BufferedFrame>,
     /// Frames after it, in the order of time.
@@ -102,6 +104,7 @@ fn random(
         depth,
         world_scale: 1.0,
         scale: Scale::Arbitrary,
+        first_step: Se3::identity(),
         earlier: Vec::new(),
         later: Vec::new(),
     }))
@@ -141,6 +144,7 @@ fn from_seed_depth(
         depth,
         world_scale: f64::from(unit),
         scale: Scale::Metric,
+        first_step: Se3::identity(),
         earlier: Vec::new(),
         later: Vec::new(),
     })

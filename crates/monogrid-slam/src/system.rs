@@ -239,6 +239,7 @@ impl Slam {
             depth,
             world_scale,
             scale,
+            first_step,
             later,
             earlier,
         } = started;
@@ -261,14 +262,17 @@ impl Slam {
             keyframe: 0,
             frame_from_keyframe: Se3::identity(),
         });
-        let first = |frame: &Frame| Last {
-            timestamp_ns: frame.timestamp_ns,
-            pyramid: frame.pyramid.clone(),
+        let interval_ns = later.first().or(earlier.last()).map_or(0, |other| {
+            (other.timestamp_ns - keyframe.timestamp_ns).abs()
+        });
+        let moving = |frame_from_previous: Se3| Last {
+            timestamp_ns: keyframe.timestamp_ns,
+            pyramid: keyframe.pyramid.clone(),
             motion: Motion::from_pose(Se3::identity()),
-            frame_from_previous: Se3::identity(),
-            interval_ns: 0,
+            frame_from_previous,
+            interval_ns,
         };
-        self.last = Some(first(&keyframe));
+        self.last = Some(moving(first_step.inverse()));
         let finest = self.config.tracking.alignment.finest_level;
         for buffered in earlier.iter().rev() {
             let frame = buffered.restore(&self.pinhole, finest, NUM_LEVELS);
@@ -278,7 +282,7 @@ impl Slam {
             };
             self.remember(&frame, motion);
         }
-        self.last = Some(first(&keyframe));
+        self.last = Some(moving(first_step));
         for buffered in &later {
             let begin = Instant::now();
             let frame = buffered.restore(&self.pinhole, finest, NUM_LEVELS);

@@ -170,6 +170,9 @@ impl TwoViewStart {
         if depth.num_known() < config.tracking.min_points {
             return None;
         }
+        let first_step = views.first().map_or_else(Se3::identity, |view| {
+            Se3::exp(&(view.frame_from_reference.log() / view.offset as f64))
+        });
         let reference = self.reference.take()?;
         let mut later = std::mem::take(&mut self.buffered);
         let mut earlier: Vec<BufferedFrame> = later
@@ -181,6 +184,7 @@ impl TwoViewStart {
             depth,
             world_scale: 1.0,
             scale: Scale::Arbitrary,
+            first_step,
             earlier,
             later,
         })
