@@ -1,6 +1,12 @@
 //! The accuracy that we promise, on the built-in world and, where it exists, on recorded data.
 //!
 //! Slow: run with `cargo test --release -p monogrid --test accuracy -- --ignored --nocapture`.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test may panic and talk"
+)]
 
 mod common;
 

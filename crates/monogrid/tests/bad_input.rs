@@ -1,4 +1,10 @@
 //! Bad input gets a sentence that helps and exit code 2, never a panic.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test may panic and talk"
+)]
 
 mod common;
 

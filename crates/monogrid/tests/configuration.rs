@@ -1,6 +1,12 @@
 //! `docs/configuration.md` is made from the comments on the settings, so that it cannot lie.
 //!
 //! After a change of settings: `UPDATE_DOCS=1 cargo test -p monogrid --test configuration`.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test may panic and talk"
+)]
 
 use monogrid_slam::SlamConfig;
 use monogrid_slam::mapping::MappingConfig;

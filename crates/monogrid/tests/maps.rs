@@ -1,4 +1,10 @@
 //! `map`, `info` and `convert` on data with given poses.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test may panic and talk"
+)]
 
 mod common;
 

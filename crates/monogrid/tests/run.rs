@@ -1,4 +1,10 @@
 //! Whole runs on a short video of the built-in room: files, determinism, crashes.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test may panic and talk"
+)]
 
 mod common;
 
