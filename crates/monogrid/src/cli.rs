@@ -1,5 +1,8 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
+use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
+use crate::commands::synth::SynthArgs;
+use crate::commands::truth::TruthArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -38,6 +41,14 @@ pub enum Command {
         after_help = "Example: monogrid map runs/kitchen/recording.mgk --out kitchen.ot --resolution 0.02"
     )]
     Map(MapArgs),
+    /// Ground-truth map of a mesh, a point cloud, a built-in world, or posed depth images
+    #[command(
+        after_help = "Example: monogrid truth room.ply --trajectory groundtruth.txt --resolution 0.02 --out truth.ot"
+    )]
+    Truth(TruthArgs),
+    /// Synthetic dataset in TUM layout with exact depth, poses and truth map
+    #[command(after_help = "Example: monogrid synth office --out recordings/office --frames 600")]
+    Synth(SynthArgs),
     /// Facts about a map
     #[command(after_help = "Example: monogrid info kitchen.bt")]
     Info(InfoArgs),
@@ -62,6 +73,14 @@ pub enum EvaluateCommand {
         after_help = "Example: monogrid evaluate depth runs/kitchen/recording.mgk recordings/kitchen"
     )]
     Depth(EvaluateDepthArgs),
+    /// Cells of a map against the true map: ROC, MCC, calibration, surface, four rules for unknown
+    #[command(after_help = "Example: monogrid evaluate map runs/kitchen/global.ot truth.ot")]
+    Map(EvaluateMapArgs),
+    /// Can a robot plan on the map, and are its plans safe in the true map
+    #[command(
+        after_help = "Example: monogrid evaluate paths runs/kitchen/global.ot truth.ot --robot-radius 0.2"
+    )]
+    Paths(EvaluatePathsArgs),
 }
 
 /// Output for programs.
@@ -337,7 +356,8 @@ pub struct EvaluateDepthArgs {
     pub json: JsonArg,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+/// A positive, finite number.
+pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err("expected a positive number".into()),
@@ -353,7 +373,8 @@ fn auto_or_positive(text: &str) -> Result<AutoOr, String> {
         .map_err(|_| "expected a positive number or `auto`".into())
 }
 
-fn size(text: &str) -> Result<(usize, usize), String> {
+/// Width and height of an image.
+pub fn size(text: &str) -> Result<(usize, usize), String> {
     let expected = || "expected WIDTHxHEIGHT, both from 32 to 8192, e.g. 640x480".to_owned();
     let (width, height) = text.split_once(['x', 'X']).ok_or_else(expected)?;
     let side = |text: &str| text.parse().ok().filter(|n| (32..=8192).contains(n));

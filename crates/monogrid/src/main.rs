@@ -30,12 +30,16 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run::execute(args),
         Command::Check(args) => commands::check::execute(args),
         Command::Map(args) => commands::map::execute(args),
+        Command::Truth(args) => commands::truth::execute(args),
+        Command::Synth(args) => commands::synth::execute(args),
         Command::Info(args) => commands::info::execute(args),
         Command::Convert(args) => commands::convert::execute(args),
         Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
             commands::evaluate::trajectory(args)
         }
         Command::Evaluate(EvaluateCommand::Depth(args)) => commands::evaluate::depth(args),
+        Command::Evaluate(EvaluateCommand::Map(args)) => commands::evaluate_map::map(args),
+        Command::Evaluate(EvaluateCommand::Paths(args)) => commands::evaluate_map::paths(args),
     };
     match result {
         Ok(outcome) => outcome.into(),

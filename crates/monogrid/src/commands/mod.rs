@@ -5,9 +5,13 @@ pub mod convert;
 pub mod demo;
 pub mod depth;
 pub mod evaluate;
+pub mod evaluate_map;
 pub mod info;
 pub mod map;
+pub mod posed_depth;
 pub mod run;
+pub mod synth;
+pub mod truth;
 
 use crate::failure::Failure;
 use serde::Serialize;

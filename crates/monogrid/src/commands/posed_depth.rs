@@ -1,0 +1,120 @@
+//! A folder with depth images and a pose for each of them.
+
+use crate::failure::{Classify, Failure};
+use crate::input::{depth_calibration, registered_depth};
+use monogrid_datasets::{
+    Dataset, DepthCalibration, DepthEntry, DepthRegistration, SourceOptions, TimedPose,
+    read_trajectory,
+};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Se3};
+use monogrid_image::{GrayImage, Undistorter, WorkingSize};
+use std::path::Path;
+
+/// Times farther apart than this do not belong together.
+const MAX_POSE_DISTANCE_NS: u64 = 20_000_000;
+
+/// Depth images, their calibration and the trajectory of the camera.
+pub struct PosedDepthFolder {
+    dataset: Dataset,
+    calibration: DepthCalibration,
+    registration: DepthRegistration,
+    poses: Vec<TimedPose>,
+    pinhole: Pinhole,
+    size: (usize, usize),
+}
+
+impl PosedDepthFolder {
+    /// Opens a folder in TUM layout. Depth is brought into the colour camera where there is one, since
+    /// poses are those of the colour camera.
+    pub fn open(
+        folder: &Path,
+        depth_calibration_file: Option<&Path>,
+        trajectory: Option<&Path>,
+    ) -> Result<Self, Failure> {
+        let dataset = Dataset::open(folder, SourceOptions::default()).bad_input()?;
+        if dataset.depths.is_empty() {
+            return Err(Failure::input(format!(
+                "{} has no depth images: expected depth.txt and depth/",
+                folder.display()
+            )));
+        }
+        let colour = dataset.calibration(None).bad_input()?.map(|c| c.camera);
+        let has_calibration = depth_calibration_file.is_some()
+            || dataset.depth_calibration_path.is_some()
+            || colour.is_some();
+        if !has_calibration {
+            return Err(Failure::input(format!(
+                "no calibration in {}: expected calibration_depth.txt or calibration.txt, or \
+                 --depth-calibration",
+                dataset.root.display()
+            )));
+        }
+        // without a colour camera one of the two files above decides, and this one is never used
+        let unused = Camera {
+            width: 1,
+            height: 1,
+            pinhole: Pinhole::new(1.0, 1.0, 0.0, 0.0),
+            distortion: Distortion::None,
+        };
+        let calibration =
+            depth_calibration(&dataset, depth_calibration_file, &colour.unwrap_or(unused))?;
+        let camera = colour.unwrap_or(calibration.camera);
+        let path = trajectory.or(dataset.ground_truth.as_deref());
+        let Some(path) = path else {
+            return Err(Failure::input(format!(
+                "no poses for the depth images of {}: expected groundtruth.txt, or --trajectory FILE",
+                folder.display()
+            )));
+        };
+        let poses = read_trajectory(path).bad_input()?;
+        let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+        let (width, height) = undistorter.size();
+        let pinhole = *undistorter.pinhole();
+        Ok(Self {
+            registration: DepthRegistration::new(&calibration, &pinhole, width, height),
+            dataset,
+            calibration,
+            poses,
+            pinhole,
+            size: (width, height),
+        })
+    }
+
+    /// Depth images that have a pose of their time, in the order of time.
+    pub fn posed(&self) -> Vec<(&DepthEntry, Se3)> {
+        let with_pose = |entry| Some((entry, self.pose_at(entry)?));
+        self.dataset.depths.iter().filter_map(with_pose).collect()
+    }
+
+    /// Number of depth images, with or without pose.
+    pub fn num_depths(&self) -> usize {
+        self.dataset.depths.len()
+    }
+
+    /// Intrinsics of the depth that [`Self::read`] returns.
+    pub fn pinhole(&self) -> Pinhole {
+        self.pinhole
+    }
+
+    /// Width and height of the depth that [`Self::read`] returns.
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// Depth along the optical axis, metres, NaN where unknown.
+    pub fn read(&self, entry: &DepthEntry) -> Result<GrayImage, Failure> {
+        registered_depth(&entry.path, &self.calibration, &self.registration)
+    }
+
+    /// The pose nearest in time, if it is near enough.
+    fn pose_at(&self, entry: &DepthEntry) -> Option<Se3> {
+        let time = entry.timestamp_ns;
+        let after = self.poses.partition_point(|pose| pose.timestamp_ns < time);
+        let candidates = &self.poses[after.saturating_sub(1)..(after + 1).min(self.poses.len())];
+        let nearest = candidates
+            .iter()
+            .min_by_key(|pose| pose.timestamp_ns.abs_diff(time))?;
+        (nearest.timestamp_ns.abs_diff(time) <= MAX_POSE_DISTANCE_NS)
+            .then_some(nearest.world_from_camera)
+    }
+}

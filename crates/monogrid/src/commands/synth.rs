@@ -1,0 +1,283 @@
+//! `monogrid synth`: a synthetic dataset in TUM layout with exact depth, poses and truth map.
+
+use super::truth::{of_world, positions_along};
+use super::{print_json, use_threads};
+use crate::cli::{JsonArg, positive, size};
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::mapfile::{self, MapFormat};
+use crate::output::OutputFolder;
+use clap::{Args, ValueEnum};
+use monogrid_datasets::read_trajectory;
+use monogrid_datasets::synth::{
+    CameraPath, EffectsConfig, LightingConfig, MOTION_NAMES, MeshLighting, Motion, SynthConfig,
+    SynthSequence, WORLD_NAMES, World, WriteConfig, usual_frames, write_tum_layout,
+};
+use monogrid_evaluation::TruthConfig;
+use monogrid_geometry::{Camera, Pinhole};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What a real camera does to the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum NoiseArg {
+    /// A perfect camera
+    Off,
+    /// Noise of the sensor and changing exposure, as in `monogrid demo`
+    Demo,
+    /// Also vignette, motion blur, rolling shutter, lost frames, and somebody who walks by
+    Harsh,
+}
+
+/// `monogrid synth`.
+#[derive(Debug, Args)]
+pub struct SynthArgs {
+    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls) or a mesh
+    /// (.ply, .obj) together with --trajectory
+    pub world: PathBuf,
+    /// Output folder
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Replace the output folder even if monogrid did not write it
+    #[arg(long)]
+    pub force: bool,
+    /// Built-in motion: hand, drone, hand-back, drone-back [default: hand]
+    #[arg(long, value_name = "NAME", conflicts_with = "trajectory")]
+    pub motion: Option<String>,
+    /// Motion of the camera: poses in the frame of the world
+    #[arg(long, value_name = "FILE")]
+    pub trajectory: Option<PathBuf>,
+    /// Number of frames; the built-in motion takes as long as they do [default: at walking pace]
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+    /// Frames per second
+    #[arg(long, value_name = "N", value_parser = positive, default_value_t = 30.0)]
+    pub fps: f64,
+    /// Size of the images, 65 degrees wide
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x480")]
+    pub size: (usize, usize),
+    /// Effects of a real camera
+    #[arg(long, value_enum, default_value = "demo")]
+    pub noise: NoiseArg,
+    /// Seed of noise, exposure and unsteadiness
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// A depth image with every n-th frame; 0 for none
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub depth_every: usize,
+    /// Edge of the cells of the truth map truth.ot
+    #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.05)]
+    pub truth_resolution: f64,
+    /// Light the world coarsely, in a moment
+    #[arg(long)]
+    pub quick_light: bool,
+    /// Threads of computation [default: all cores]; the result does not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `synth --json`.
+#[derive(Debug, Serialize)]
+struct SynthReport {
+    world: String,
+    frames: usize,
+    depth_images: usize,
+    seconds_of_video: f64,
+    path_length: f64,
+    truth_occupied: u64,
+    truth_free: u64,
+    out: PathBuf,
+}
+
+/// Control poses per second of a recorded motion: keeps a hand's motion, drops the tracker's noise.
+const RECORDED_KNOTS_HZ: f64 = 20.0;
+
+/// Renders and writes the dataset.
+pub fn execute(args: &SynthArgs) -> CommandResult {
+    use_threads(args.threads)?;
+    if args.frames == Some(0) {
+        return Err(Failure::input("--frames is 0, expected at least 1"));
+    }
+    let motion = motion(args)?;
+    let recorded = recorded_path(args)?;
+    check_world(args)?;
+    let folder = OutputFolder::prepare(&args.out, args.force)?;
+    let world = world(args)?;
+    let config = SynthConfig {
+        camera: camera(args.size),
+        fps: args.fps,
+        frames: frames(args, recorded.as_ref()),
+        effects: effects(args.noise),
+        seed: args.seed,
+    };
+    let path = match recorded {
+        Some(path) => path,
+        None => SynthSequence::path_for(world.name(), motion, &config).bad_input()?,
+    };
+    let sequence = SynthSequence::new(Arc::new(world), path, config).bad_input()?;
+    write(args, &folder, &sequence)
+}
+
+fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> CommandResult {
+    // first, because it says at once when the motion leaves the world
+    let cameras = positions_along(sequence.path());
+    let config = TruthConfig::with_resolution(args.truth_resolution);
+    let truth = of_world(sequence.world(), &cameras, &config)?;
+    if truth.reaches_border {
+        eprintln!("warning: the world is open: the outside counts as free in truth.ot");
+    }
+    let map = truth.grid.to_map().while_running("the truth map")?;
+    mapfile::save(&map, &folder.file("truth.ot"), MapFormat::Ot)?;
+    let bar = indicatif::ProgressBar::new(sequence.len() as u64);
+    let config = WriteConfig {
+        depth_every: args.depth_every,
+        with_mesh: true,
+    };
+    write_tum_layout(sequence, folder.path(), &config, |done| {
+        bar.set_position(done as u64);
+    })
+    .while_running("the dataset cannot be written")?;
+    bar.finish_and_clear();
+    // The mark of an unfinished run stays on purpose: nothing else says that the folder is ours.
+    let counts = truth.grid.counts();
+    let report = SynthReport {
+        world: sequence.world().name().to_owned(),
+        frames: sequence.len(),
+        depth_images: match args.depth_every {
+            0 => 0,
+            every => sequence.len().div_ceil(every),
+        },
+        seconds_of_video: sequence.config().frames as f64 / args.fps,
+        path_length: sequence.path().length_m(args.fps),
+        truth_occupied: counts.occupied,
+        truth_free: counts.free,
+        out: args.out.clone(),
+    };
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        println!(
+            "{}: {} frames and {} depth images of {}, {:.1} m in {:.1} s",
+            args.out.display(),
+            report.frames,
+            report.depth_images,
+            report.world,
+            report.path_length,
+            report.seconds_of_video
+        );
+        println!(
+            "truth.ot: {} occupied and {} free cells of {}",
+            report.truth_occupied, report.truth_free, args.truth_resolution
+        );
+    }
+    Ok(Outcome::Done)
+}
+
+/// Whether a world is asked for by the name of a mesh file.
+fn is_mesh(world: &Path) -> bool {
+    world
+        .extension()
+        .map(|e| e.to_string_lossy().to_ascii_lowercase())
+        .is_some_and(|e| e == "ply" || e == "obj")
+}
+
+/// Refuses worlds that cannot be, before the output folder is touched.
+fn check_world(args: &SynthArgs) -> Result<(), Failure> {
+    let world = &args.world;
+    if is_mesh(world) {
+        if !world.is_file() {
+            return Err(Failure::input(format!(
+                "mesh {} does not exist",
+                world.display()
+            )));
+        }
+        if args.trajectory.is_none() {
+            return Err(Failure::input(format!(
+                "the mesh {} has no motion of its own: give one with --trajectory FILE",
+                world.display()
+            )));
+        }
+        return Ok(());
+    }
+    match world.to_str() {
+        Some(name) if WORLD_NAMES.contains(&name) => Ok(()),
+        _ => Err(Failure::input(format!(
+            "{} is neither a built-in world ({}) nor a mesh (.ply, .obj)",
+            world.display(),
+            WORLD_NAMES.join(", ")
+        ))),
+    }
+}
+
+fn motion(args: &SynthArgs) -> Result<Motion, Failure> {
+    let name = args.motion.as_deref().unwrap_or("hand");
+    Motion::by_name(name).ok_or_else(|| {
+        Failure::input(format!(
+            "--motion is {name:?}, expected one of {}",
+            MOTION_NAMES.join(", ")
+        ))
+    })
+}
+
+fn recorded_path(args: &SynthArgs) -> Result<Option<CameraPath>, Failure> {
+    let Some(file) = &args.trajectory else {
+        return Ok(None);
+    };
+    let poses = read_trajectory(file).bad_input()?;
+    CameraPath::recorded(&poses, RECORDED_KNOTS_HZ)
+        .map(Some)
+        .map_err(|error| {
+            Failure::Input(
+                anyhow::Error::from(error).context(format!("trajectory {}", file.display())),
+            )
+        })
+}
+
+fn world(args: &SynthArgs) -> Result<World, Failure> {
+    if is_mesh(&args.world) {
+        return World::from_file(&args.world, MeshLighting::default()).bad_input();
+    }
+    let lighting = if args.quick_light {
+        LightingConfig::quick()
+    } else {
+        LightingConfig::default()
+    };
+    World::by_name_with(&args.world.to_string_lossy(), &lighting).bad_input()
+}
+
+/// The camera of the demonstration at another size: the same view across.
+fn camera((width, height): (usize, usize)) -> Camera {
+    let demo = SynthConfig::demo().camera;
+    let focal_px = demo.pinhole.fx * width as f64 / demo.width as f64;
+    Camera {
+        width,
+        height,
+        pinhole: Pinhole::new(
+            focal_px,
+            focal_px,
+            0.5 * (width as f64 - 1.0),
+            0.5 * (height as f64 - 1.0),
+        ),
+        ..demo
+    }
+}
+
+fn frames(args: &SynthArgs, recorded: Option<&CameraPath>) -> usize {
+    args.frames.unwrap_or_else(|| match recorded {
+        Some(path) => (path.duration_secs() * args.fps).floor() as usize + 1,
+        None => {
+            let usual = usual_frames(&args.world.to_string_lossy());
+            (usual as f64 * args.fps / 30.0).ceil() as usize
+        }
+    })
+}
+
+fn effects(noise: NoiseArg) -> EffectsConfig {
+    match noise {
+        NoiseArg::Off => EffectsConfig::default(),
+        NoiseArg::Demo => EffectsConfig::demo(),
+        NoiseArg::Harsh => EffectsConfig::harsh(),
+    }
+}

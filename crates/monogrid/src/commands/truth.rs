@@ -1,0 +1,345 @@
+//! `monogrid truth`: a ground-truth map of a mesh, a point cloud, a built-in world or posed depth.
+
+use super::posed_depth::PosedDepthFolder;
+use super::print_json;
+use crate::cli::{JsonArg, positive};
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::mapfile::{self, MapFormat};
+use clap::Args;
+use monogrid_datasets::read_trajectory;
+use monogrid_datasets::synth::{
+    CameraPath, Carrier, LightingConfig, MeshModel, SynthConfig, SynthSequence, TriangleMesh,
+    WORLD_NAMES, World, usual_frames,
+};
+use monogrid_evaluation::{
+    CarveConfig, PosedDepth, Triangle, Truth, TruthConfig, TruthGrid, truth_from_depth_images,
+    truth_from_points, truth_from_triangles,
+};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// `monogrid truth`.
+#[derive(Debug, Args)]
+pub struct TruthArgs {
+    /// Mesh or point cloud (.ply, .obj), a built-in world (e.g. living-room), or a folder in TUM layout
+    /// with depth images and poses
+    pub source: PathBuf,
+    /// Edge length of a cell, in units of the source
+    #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.05)]
+    pub resolution: f64,
+    /// Map to write: .ot or .bt
+    #[arg(long, value_name = "MAP.{ot,bt}")]
+    pub out: PathBuf,
+    /// Poses of the camera in the frame of the source; free is what can be reached from them
+    /// [default: groundtruth.txt of a folder, the built-in motion of a world]
+    #[arg(long, value_name = "FILE")]
+    pub trajectory: Option<PathBuf>,
+    /// Points of a cloud fill all cells within this distance, at least half their spacing [default: 0]
+    #[arg(long, value_name = "L", value_parser = positive)]
+    pub splat_radius: Option<f64>,
+    /// Holes of the surface up to twice this many cells wide are closed
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub hole_cells: usize,
+    /// Depth images: ignore depth beyond this
+    #[arg(long, value_name = "L", value_parser = positive, default_value_t = 4.0)]
+    pub max_depth: f64,
+    /// Depth images: use every n-th [default: so that at most 300 are used]
+    #[arg(long, value_name = "N")]
+    pub every: Option<usize>,
+    /// Depth images: intrinsics and scale [default: calibration_depth.txt in the folder]
+    #[arg(long, value_name = "FILE")]
+    pub depth_calibration: Option<PathBuf>,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `truth --json`.
+#[derive(Debug, Serialize)]
+struct TruthReport {
+    made_from: String,
+    resolution: f64,
+    occupied: u64,
+    free: u64,
+    unknown: u64,
+    cameras: usize,
+    cameras_in_free_space: Option<usize>,
+    reaches_border: Option<bool>,
+    leaves: usize,
+    file_bytes: u64,
+    warnings: Vec<String>,
+}
+
+/// A truth and what it was made from.
+struct Made {
+    grid: TruthGrid,
+    made_from: String,
+    cameras: usize,
+    cameras_in_free_space: Option<usize>,
+    reaches_border: Option<bool>,
+    warnings: Vec<String>,
+}
+
+/// Most depth images used unless asked for more: they are all in memory at once, 1.2 MB each.
+const MAX_DEPTH_IMAGES: usize = 300;
+/// Camera positions per second of a built-in motion.
+const POSITIONS_PER_SEC: f64 = 5.0;
+
+/// Builds and writes the map.
+pub fn execute(args: &TruthArgs) -> CommandResult {
+    let format = MapFormat::from_name(&args.out, &[MapFormat::Ot, MapFormat::Bt])?;
+    let made = match Kind::of(&args.source)? {
+        Kind::Folder => from_folder(args)?,
+        Kind::Mesh => from_mesh(args)?,
+        Kind::World(name) => from_world(args, &name)?,
+    };
+    let map = made
+        .grid
+        .to_map()
+        .while_running("the map cannot be built")?;
+    mapfile::save(&map, &args.out, format)?;
+    for warning in &made.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let counts = made.grid.counts();
+    let report = TruthReport {
+        made_from: made.made_from,
+        resolution: args.resolution,
+        occupied: counts.occupied,
+        free: counts.free,
+        unknown: counts.unknown,
+        cameras: made.cameras,
+        cameras_in_free_space: made.cameras_in_free_space,
+        reaches_border: made.reaches_border,
+        leaves: map.leaf_count(),
+        file_bytes: std::fs::metadata(&args.out).map_or(0, |m| m.len()),
+        warnings: made.warnings,
+    };
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        println!(
+            "{}: truth of {}, cells of {}",
+            args.out.display(),
+            report.made_from,
+            report.resolution
+        );
+        println!(
+            "{} occupied, {} free, {} unknown cells; {:.2} MB",
+            report.occupied,
+            report.free,
+            report.unknown,
+            report.file_bytes as f64 / 1e6
+        );
+    }
+    Ok(Outcome::Done)
+}
+
+/// What the truth is made from.
+enum Kind {
+    Folder,
+    Mesh,
+    World(String),
+}
+
+impl Kind {
+    fn of(source: &Path) -> Result<Self, Failure> {
+        let is_mesh = source
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase())
+            .is_some_and(|e| e == "ply" || e == "obj");
+        if source.is_dir() {
+            return Ok(Self::Folder);
+        }
+        if is_mesh {
+            return Ok(Self::Mesh);
+        }
+        match source.to_str() {
+            Some(name) if WORLD_NAMES.contains(&name) => Ok(Self::World(name.to_owned())),
+            _ => Err(Failure::input(format!(
+                "{} is neither a mesh (.ply, .obj), nor a folder with depth images, nor a built-in \
+                 world ({})",
+                source.display(),
+                WORLD_NAMES.join(", ")
+            ))),
+        }
+    }
+}
+
+fn from_mesh(args: &TruthArgs) -> Result<Made, Failure> {
+    let Some(trajectory) = &args.trajectory else {
+        return Err(Failure::input(format!(
+            "a surface alone does not say what is inside: give camera positions in the frame of {} \
+             with --trajectory FILE",
+            args.source.display()
+        )));
+    };
+    let mesh = MeshModel::read(&args.source).bad_input()?.mesh;
+    let cameras = positions(trajectory)?;
+    let config = truth_config(args);
+    let (truth, what) = if mesh.triangles.is_empty() {
+        let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.map(f64::from)).collect();
+        let truth = truth_from_points(&points, &cameras, &config).bad_input()?;
+        (truth, format!("{} points", points.len()))
+    } else {
+        let triangles = triangles_of(&mesh, &args.source)?;
+        let truth = truth_from_triangles(&triangles, &cameras, &config).bad_input()?;
+        (truth, format!("{} triangles", triangles.len()))
+    };
+    Ok(of_surface(truth, what, cameras.len()))
+}
+
+fn from_world(args: &TruthArgs, name: &str) -> Result<Made, Failure> {
+    let cameras = match &args.trajectory {
+        Some(trajectory) => positions(trajectory)?,
+        None => built_in_positions(name)?,
+    };
+    // light does not change the shape
+    let lighting = LightingConfig {
+        texel_m: 1.0,
+        ..LightingConfig::quick()
+    };
+    let world = World::by_name_with(name, &lighting).bad_input()?;
+    let grid = of_world(&world, &cameras, &truth_config(args))?;
+    Ok(of_surface(
+        grid,
+        format!("the built-in world {name}"),
+        cameras.len(),
+    ))
+}
+
+/// The truth of a world from which its camera saw what it saw.
+pub fn of_world(
+    world: &World,
+    cameras: &[[f64; 3]],
+    config: &TruthConfig,
+) -> Result<Truth, Failure> {
+    let triangles = triangles_of(&world.mesh(), Path::new(world.name()))?;
+    truth_from_triangles(&triangles, cameras, config).bad_input()
+}
+
+fn of_surface(truth: Truth, made_from: String, cameras: usize) -> Made {
+    let mut warnings = Vec::new();
+    if truth.reaches_border {
+        warnings.push(
+            "free space reaches the border of the map: the surface is open there, and the outside \
+             counts as free; close it, or raise --hole-cells"
+                .to_owned(),
+        );
+    }
+    if truth.cameras_in_free_space < cameras {
+        warnings.push(format!(
+            "{} of {cameras} camera positions are inside the surface",
+            cameras - truth.cameras_in_free_space
+        ));
+    }
+    Made {
+        grid: truth.grid,
+        made_from,
+        cameras,
+        cameras_in_free_space: Some(truth.cameras_in_free_space),
+        reaches_border: Some(truth.reaches_border),
+        warnings,
+    }
+}
+
+fn truth_config(args: &TruthArgs) -> TruthConfig {
+    TruthConfig {
+        hole_cells: args.hole_cells,
+        splat_radius: args.splat_radius.unwrap_or(0.0),
+        ..TruthConfig::with_resolution(args.resolution)
+    }
+}
+
+fn triangles_of(mesh: &TriangleMesh, source: &Path) -> Result<Vec<Triangle>, Failure> {
+    let corner = |index: u32| mesh.vertices.get(index as usize).map(|v| v.map(f64::from));
+    let triangle = |[a, b, c]: [u32; 3]| Some([corner(a)?, corner(b)?, corner(c)?]);
+    let triangles: Option<Vec<Triangle>> = mesh.triangles.iter().map(|t| triangle(*t)).collect();
+    triangles.ok_or_else(|| {
+        Failure::input(format!(
+            "{} has a triangle with a corner beyond its {} vertices",
+            source.display(),
+            mesh.vertices.len()
+        ))
+    })
+}
+
+fn positions(trajectory: &Path) -> Result<Vec<[f64; 3]>, Failure> {
+    let poses = read_trajectory(trajectory).bad_input()?;
+    Ok(poses
+        .iter()
+        .map(|pose| pose.world_from_camera.translation.into())
+        .collect())
+}
+
+/// Where the camera of a built-in world is carried along.
+fn built_in_positions(world: &str) -> Result<Vec<[f64; 3]>, Failure> {
+    let config = SynthConfig {
+        frames: usual_frames(world),
+        ..SynthConfig::demo()
+    };
+    let path = SynthSequence::path_for(world, Carrier::Hand.into(), &config).bad_input()?;
+    Ok(positions_along(&path))
+}
+
+/// Positions along a motion, close enough to fill free space from.
+pub fn positions_along(path: &CameraPath) -> Vec<[f64; 3]> {
+    let count = (path.duration_secs() * POSITIONS_PER_SEC).ceil() as usize;
+    (0..=count)
+        .map(|k| {
+            let secs = (k as f64 / POSITIONS_PER_SEC).min(path.duration_secs());
+            path.world_from_camera(secs).translation.into()
+        })
+        .collect()
+}
+
+fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
+    let folder = PosedDepthFolder::open(
+        &args.source,
+        args.depth_calibration.as_deref(),
+        args.trajectory.as_deref(),
+    )?;
+    let posed = folder.posed();
+    if posed.is_empty() {
+        return Err(Failure::input(format!(
+            "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
+            folder.num_depths(),
+            args.source.display()
+        )));
+    }
+    if args.every == Some(0) {
+        return Err(Failure::input("--every is 0, expected at least 1"));
+    }
+    let every = args
+        .every
+        .unwrap_or_else(|| posed.len().div_ceil(MAX_DEPTH_IMAGES));
+    let used: Vec<_> = posed.into_iter().step_by(every).collect();
+    let depths = used
+        .iter()
+        .map(|(entry, _)| folder.read(entry))
+        .collect::<Result<Vec<_>, _>>()?;
+    let (width, height) = folder.size();
+    let images: Vec<PosedDepth> = used
+        .iter()
+        .zip(&depths)
+        .map(|((_, pose), depth)| PosedDepth {
+            world_from_camera: *pose,
+            camera: folder.pinhole(),
+            width,
+            height,
+            depth: depth.as_slice(),
+        })
+        .collect();
+    let config = CarveConfig {
+        max_depth: args.max_depth,
+        ..CarveConfig::with_resolution(args.resolution)
+    };
+    let grid = truth_from_depth_images(&images, &config).bad_input()?;
+    Ok(Made {
+        grid,
+        made_from: format!("{} of {} depth images", images.len(), folder.num_depths()),
+        cameras: images.len(),
+        cameras_in_free_space: None,
+        reaches_border: None,
+        warnings: Vec::new(),
+    })
+}

@@ -1,0 +1,360 @@
+//! Ground truth, its comparison with maps, and synthetic datasets, through the program.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a test may panic and talk"
+)]
+
+mod common;
+
+use common::{assert_fails, code, json, monogrid, stderr};
+use monogrid_occupancy::{MapConfig, Occupancy, OccupancyMap, VoxelKey, read_ot, write_ot};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).display().to_string()
+    }
+
+    fn write(&self, name: &str, content: &str) -> String {
+        fs::write(self.path(name), content).unwrap();
+        self.path(name)
+    }
+
+    fn write_map(&self, name: &str, map: &OccupancyMap) -> String {
+        let mut bytes = Vec::new();
+        write_ot(map, &mut bytes).unwrap();
+        fs::write(self.path(name), bytes).unwrap();
+        self.path(name)
+    }
+}
+
+fn read_map(path: impl AsRef<Path>) -> OccupancyMap {
+    read_ot(fs::File::open(path).unwrap(), usize::MAX).unwrap()
+}
+
+fn ok(args: &[&str]) -> Value {
+    let output = monogrid(args.iter().chain(&["--json"]));
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    json(&output)
+}
+
+/// A closed box from (0, 0, 0) to (2, 1, 1), its corners off the cell boundaries.
+const BOX_OBJ: &str = "\
+v 0.05 0.05 0.05\nv 2.05 0.05 0.05\nv 2.05 1.05 0.05\nv 0.05 1.05 0.05
+v 0.05 0.05 1.05\nv 2.05 0.05 1.05\nv 2.05 1.05 1.05\nv 0.05 1.05 1.05
+f 1 2 3 4\nf 5 6 7 8\nf 1 2 6 5\nf 4 3 7 8\nf 1 4 8 5\nf 2 3 7 6\n";
+const INSIDE: &str = "0 1.0 0.5 0.5 0 0 0 1\n0.1 1.1 0.5 0.5 0 0 0 1\n";
+
+#[test]
+fn the_truth_of_a_box_is_its_walls_and_its_inside() {
+    let folder = Folder::new();
+    let mesh = folder.write("box.obj", BOX_OBJ);
+    let poses = folder.write("poses.txt", INSIDE);
+    let out = folder.path("truth.ot");
+    let report = ok(&[
+        "truth",
+        &mesh,
+        "--trajectory",
+        &poses,
+        "--resolution",
+        "0.1",
+        "--out",
+        &out,
+    ]);
+    // walls lie in the middle of cells: 21 x 11 x 11 cells of which 19 x 9 x 9 are inside
+    assert_eq!(report["free"], 19 * 9 * 9);
+    assert_eq!(report["occupied"], 21 * 11 * 11 - 19 * 9 * 9);
+    assert_eq!(report["reaches_border"], false);
+    let map = read_map(&out);
+    assert_eq!(map.state([1.0, 0.5, 0.5]), Occupancy::Free);
+    assert_eq!(map.state([0.05, 0.5, 0.5]), Occupancy::Occupied);
+    assert_eq!(map.state([-0.15, 0.5, 0.5]), Occupancy::Unknown);
+
+    // without a camera inside nobody knows where free is
+    assert_fails(
+        &monogrid(["truth", &mesh, "--out", &out]),
+        2,
+        &["--trajectory"],
+    );
+    let outside = folder.write("outside.txt", "0 0.05 0.5 0.5 0 0 0 1\n");
+    let args = ["truth", &mesh, "--trajectory", &outside, "--out", &out];
+    assert_fails(&monogrid(args), 2, &["camera", "free space"]);
+    assert_fails(
+        &monogrid(["truth", "no-such-world", "--out", &out]),
+        2,
+        &["no-such-world", "living-room"],
+    );
+}
+
+#[test]
+fn a_point_cloud_gives_the_same_truth_as_the_mesh_it_samples() {
+    let folder = Folder::new();
+    // the same box, sampled every 5 cm
+    let mut points = Vec::new();
+    for (i, j, k) in
+        (0..=40).flat_map(|i| (0..=20).flat_map(move |j| (0..=20).map(move |k| (i, j, k))))
+    {
+        if i == 0 || i == 40 || j == 0 || j == 20 || k == 0 || k == 20 {
+            let [x, y, z] = [i, j, k].map(|n| 0.051 + 0.05 * f64::from(n) * 0.999);
+            points.push(format!("{x} {y} {z}"));
+        }
+    }
+    let header = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        points.len()
+    );
+    let cloud = folder.write("box.ply", &(header + &points.join("\n") + "\n"));
+    let mesh = folder.write("box.obj", BOX_OBJ);
+    let poses = folder.write("poses.txt", INSIDE);
+    let make = |source: &str, out: &str| {
+        ok(&[
+            "truth",
+            source,
+            "--trajectory",
+            &poses,
+            "--resolution",
+            "0.1",
+            "--out",
+            out,
+        ])
+    };
+    make(&cloud, &folder.path("cloud.ot"));
+    make(&mesh, &folder.path("mesh.ot"));
+    assert_eq!(
+        fs::read(folder.path("cloud.ot")).unwrap(),
+        fs::read(folder.path("mesh.ot")).unwrap()
+    );
+}
+
+#[test]
+fn counts_of_a_map_are_those_that_were_put_into_it() {
+    let folder = Folder::new();
+    let mut truth = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
+    let mut estimate = truth.clone();
+    for x in 0..10 {
+        let key = VoxelKey::new(x, 0, 0);
+        let is_occupied = x < 4;
+        truth
+            .set_log_odds(key, Some(if is_occupied { 3.5 } else { -2.0 }))
+            .unwrap();
+        // found: 0, 1; missed: 2; never seen: 3; false alarm: 4; right: 5 to 8; never seen: 9
+        let log_odds = match x {
+            0 | 1 | 4 => Some(1.0),
+            2 | 5..=8 => Some(-1.0),
+            _ => None,
+        };
+        estimate.set_log_odds(key, log_odds).unwrap();
+    }
+    let (truth, estimate) = (
+        folder.write_map("truth.ot", &truth),
+        folder.write_map("estimate.ot", &estimate),
+    );
+    let report = ok(&["evaluate", "map", &estimate, &truth]);
+    let observed = &report["policies"]["observed"];
+    for (name, count) in [("tp", 2), ("fp", 1), ("tn", 4), ("fn", 1)] {
+        assert_eq!(observed[name], count, "{name} in {observed}");
+    }
+    let number = |value: &Value| value.as_f64().unwrap();
+    assert!((number(&observed["precision"]) - 2.0 / 3.0).abs() < 1e-12);
+    assert!((number(&observed["recall"]) - 2.0 / 3.0).abs() < 1e-12);
+    assert!((number(&observed["f1"]) - 2.0 / 3.0).abs() < 1e-12);
+    // 3 occupied against 5 free: 2*4 pairs in order, 2*1 + 1*4 ties, 1 in disorder
+    assert!(
+        (number(&observed["auc"]) - (8.0 + 3.0) / 15.0).abs() < 1e-12,
+        "{observed}"
+    );
+    assert!((number(&report["coverage_free"]) - 5.0 / 6.0).abs() < 1e-12);
+    assert!((number(&report["coverage_occupied"]) - 0.75).abs() < 1e-12);
+    // a robot keeps out of the cells it never saw: one hit and one false alarm more
+    let safety = &report["policies"]["safety"];
+    for (name, count) in [("tp", 3), ("fp", 2), ("tn", 4), ("fn", 1)] {
+        assert_eq!(safety[name], count, "{name} in {safety}");
+    }
+    for name in ["brier", "accuracy_m", "completeness", "ssd", "roc"] {
+        assert!(!report[name].is_null(), "{name} is missing");
+    }
+    for policy in ["known", "everything"] {
+        for name in ["auc", "auc_26", "mcc", "precision", "recall", "f1"] {
+            assert!(report["policies"][policy][name].is_f64(), "{policy} {name}");
+        }
+    }
+    let text = monogrid(["evaluate", "map", &estimate, &truth]);
+    assert!(String::from_utf8_lossy(&text.stdout).contains("observed"));
+
+    let coarse = OccupancyMap::new(MapConfig::with_resolution(0.15)).unwrap();
+    let coarse = folder.write_map("coarse.ot", &coarse);
+    let other = monogrid(["evaluate", "map", &coarse, &truth]);
+    assert_fails(&other, 2, &["0.15", "0.1"]);
+}
+
+#[test]
+fn a_finer_truth_is_made_coarser() {
+    let folder = Folder::new();
+    let mesh = folder.write("box.obj", BOX_OBJ);
+    let poses = folder.write("poses.txt", INSIDE);
+    for (name, resolution) in [("fine.ot", "0.05"), ("coarse.ot", "0.1")] {
+        let out = folder.path(name);
+        ok(&[
+            "truth",
+            &mesh,
+            "--trajectory",
+            &poses,
+            "--resolution",
+            resolution,
+            "--out",
+            &out,
+        ]);
+    }
+    let report = ok(&[
+        "evaluate",
+        "map",
+        &folder.path("coarse.ot"),
+        &folder.path("fine.ot"),
+    ]);
+    assert_eq!(report["policies"]["observed"]["fn"], 0, "{report}");
+    assert_eq!(report["coverage_occupied"], 1.0);
+}
+
+#[test]
+fn paths_are_free_in_the_truth_and_blocked_by_a_wall() {
+    let folder = Folder::new();
+    let mesh = folder.write("box.obj", BOX_OBJ);
+    let poses = folder.write("poses.txt", INSIDE);
+    let truth = folder.path("truth.ot");
+    ok(&[
+        "truth",
+        &mesh,
+        "--trajectory",
+        &poses,
+        "--resolution",
+        "0.05",
+        "--out",
+        &truth,
+    ]);
+    let evaluate = |estimate: &str| {
+        ok(&[
+            "evaluate",
+            "paths",
+            estimate,
+            &truth,
+            "--robot-radius",
+            "0.1",
+            "--pairs",
+            "50",
+            "--min-distance",
+            "0.8",
+        ])
+    };
+    let same = evaluate(&truth);
+    assert_eq!(same["robot_radius"], 0.1);
+    for rule in ["unknown_blocked", "unknown_free"] {
+        let all = &same[rule]["all"];
+        assert_eq!(all["pairs"], 50);
+        for name in ["false_positive", "unreachable", "false_negative"] {
+            assert_eq!(all[name], 0.0, "{rule} {name}: {same}");
+        }
+    }
+    // a wall that is not there cuts the box in two
+    let mut map = read_map(&truth);
+    for y in 0..21 {
+        for z in 0..21 {
+            map.set_log_odds(VoxelKey::new(20, y, z), Some(3.5))
+                .unwrap();
+        }
+    }
+    let walled = evaluate(&folder.write_map("walled.ot", &map));
+    let all = &walled["unknown_free"]["all"];
+    assert!(all["false_positive"].as_f64().unwrap() > 0.3, "{walled}");
+    assert!(all["unreachable"].as_f64().unwrap() > 0.3, "{walled}");
+    let too_wide = ["evaluate", "paths", &truth, &truth, "--robot-radius", "3"];
+    assert_fails(&monogrid(too_wide), 2, &["radius 3"]);
+}
+
+#[test]
+fn a_written_dataset_agrees_with_its_own_truth() {
+    let folder = Folder::new();
+    let out = folder.path("room");
+    let args = [
+        "synth",
+        "living-room",
+        "--out",
+        &out,
+        "--frames",
+        "40",
+        "--size",
+        "80x60",
+        "--noise",
+        "off",
+        "--depth-every",
+        "2",
+        "--truth-resolution",
+        "0.1",
+        "--quick-light",
+    ];
+    let report = ok(&args);
+    assert_eq!(report["frames"], 40);
+    assert_eq!(report["depth_images"], 20);
+    let truth = format!("{out}/truth.ot");
+    let free = report["truth_free"].as_u64().unwrap();
+    assert!(free > 10_000, "{report}");
+
+    // the same from the mesh that was written, with the poses that were written
+    let (mesh, poses) = (format!("{out}/mesh.ply"), format!("{out}/groundtruth.txt"));
+    let again = folder.path("again.ot");
+    let of_mesh = ok(&[
+        "truth",
+        &mesh,
+        "--trajectory",
+        &poses,
+        "--resolution",
+        "0.1",
+        "--out",
+        &again,
+    ]);
+    assert_eq!(of_mesh["occupied"], report["truth_occupied"]);
+
+    // what the depth images saw is a part of it
+    let seen = folder.path("seen.ot");
+    let of_depth = ok(&["truth", &out, "--resolution", "0.1", "--out", &seen]);
+    assert_eq!(of_depth["cameras"], 20);
+    let compared = ok(&["evaluate", "map", &seen, &truth]);
+    let observed = &compared["policies"]["observed"];
+    // cells that a surface only grazes are occupied in the exact truth and free to most small images
+    assert!(observed["recall"].as_f64().unwrap() > 0.6, "{observed}");
+    assert!(observed["precision"].as_f64().unwrap() > 0.8, "{observed}");
+    assert!(
+        observed["specificity"].as_f64().unwrap() > 0.95,
+        "{observed}"
+    );
+
+    // the program reads what it wrote, replaces it, and nothing else
+    ok(&["check", &out]);
+    ok(&args);
+    let photos = folder.path("photos");
+    fs::create_dir(&photos).unwrap();
+    fs::write(format!("{photos}/cat.jpg"), "x").unwrap();
+    assert_fails(
+        &monogrid(["synth", "office", "--out", &photos]),
+        2,
+        &["photos", "--force"],
+    );
+    assert_fails(
+        &monogrid(["synth", "attic", "--out", &out]),
+        2,
+        &["attic", "living-room"],
+    );
+    let flying = ["synth", "office", "--out", &out, "--motion", "carpet"];
+    assert_fails(&monogrid(flying), 2, &["carpet", "drone"]);
+    assert!(Path::new(&truth).exists(), "bad requests touch nothing");
+}
