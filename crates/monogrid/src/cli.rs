@@ -2,6 +2,7 @@
 
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
 use crate::commands::synth::SynthArgs;
+use crate::commands::tools::{CropArgs, DiffArgs, MergeArgs, ProjectArgs, TransformArgs};
 use crate::commands::truth::TruthArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -55,6 +56,25 @@ pub enum Command {
     /// Convert a map: .ot and .bt to .ot, .bt, .ply or .pcd
     #[command(after_help = "Example: monogrid convert kitchen.ot kitchen.ply")]
     Convert(ConvertArgs),
+    /// Move, turn and scale a map
+    #[command(
+        after_help = "Example: monogrid transform kitchen.ot moved.ot --sim3 world_from_kitchen.txt"
+    )]
+    Transform(TransformArgs),
+    /// Keep the cells of a map that touch a box
+    #[command(after_help = "Example: monogrid crop house.ot kitchen.ot --min -1,0,0 --max 2,3,2.5")]
+    Crop(CropArgs),
+    /// Add the log-odds of two maps, as if both had been measured into one
+    #[command(after_help = "Example: monogrid merge morning.ot evening.ot --out day.ot")]
+    Merge(MergeArgs),
+    /// Count the cells whose state differs between two maps
+    #[command(after_help = "Example: monogrid diff morning.ot evening.ot")]
+    Diff(DiffArgs),
+    /// Map seen from above as .pgm and .yaml for nav2's map server
+    #[command(
+        after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"
+    )]
+    Project(ProjectArgs),
     /// Compare a result with the truth
     #[command(subcommand)]
     Evaluate(EvaluateCommand),

@@ -34,6 +34,11 @@ fn main() -> ExitCode {
         Command::Synth(args) => commands::synth::execute(args),
         Command::Info(args) => commands::info::execute(args),
         Command::Convert(args) => commands::convert::execute(args),
+        Command::Transform(args) => commands::tools::transform(args),
+        Command::Crop(args) => commands::tools::crop(args),
+        Command::Merge(args) => commands::tools::merge(args),
+        Command::Diff(args) => commands::tools::diff(args),
+        Command::Project(args) => commands::tools::project(args),
         Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
             commands::evaluate::trajectory(args)
         }

@@ -358,3 +358,60 @@ fn a_written_dataset_agrees_with_its_own_truth() {
     assert_fails(&monogrid(flying), 2, &["carpet", "drone"]);
     assert!(Path::new(&truth).exists(), "bad requests touch nothing");
 }
+
+#[test]
+fn maps_are_cropped_merged_moved_compared_and_projected() {
+    let folder = Folder::new();
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
+    for x in 0..10 {
+        for y in 0..4 {
+            let log_odds = if y == 0 { 1.0 } else { -1.0 };
+            map.set_log_odds(VoxelKey::new(x, y, 0), Some(log_odds))
+                .unwrap();
+        }
+    }
+    let map = folder.write_map("map.ot", &map);
+    let [left, right, both] = ["left.ot", "right.ot", "both.ot"].map(|name| folder.path(name));
+    let crop =
+        |out: &str, min: &str, max: &str| ok(&["crop", &map, out, "--min", min, "--max", max]);
+    let report = crop(&left, "-1,-1,-1", "0.45,1,1");
+    assert_eq!(report["cells_occupied"], 5);
+    assert_eq!(report["cells_free"], 15);
+    crop(&right, "0.55,-1,-1", "5,1,1");
+    ok(&["merge", &left, &right, "--out", &both]);
+    let same = ok(&["diff", &map, &both]);
+    assert_eq!(same["same"], 40, "{same}");
+    assert_eq!(same["mean_log_odds_difference"], 0.0);
+    let half = ok(&["diff", &map, &left]);
+    assert_eq!(
+        (&half["same"], &half["only_before"]),
+        (&20.into(), &20.into())
+    );
+
+    // a quarter turn about z, twice as large: x becomes y, y becomes -x
+    let quarter = "2 0 0 0 0 0 0.7071067811865476 0.7071067811865476\n";
+    let sim3 = folder.write("sim3.txt", quarter);
+    let turned = folder.path("turned.ot");
+    let report = ok(&["transform", &map, &turned, "--sim3", &sim3]);
+    assert_eq!(report["cells_occupied"], 10, "{report}");
+    assert_eq!(report["cells_free"], 30, "{report}");
+    let turned = read_map(&turned);
+    assert_eq!(turned.state([-0.1, 1.9, 0.1]), Occupancy::Occupied);
+    assert_eq!(turned.state([-0.7, 0.1, 0.1]), Occupancy::Free);
+    assert_eq!(turned.state([0.1, 0.1, 0.1]), Occupancy::Unknown);
+
+    let pgm = folder.path("plan.pgm");
+    let report = ok(&["project", &map, &pgm]);
+    assert_eq!(
+        (&report["width"], &report["height"]),
+        (&10.into(), &4.into())
+    );
+    assert!(fs::read(&pgm).unwrap().starts_with(b"P5\n10 4\n255\n"));
+    assert!(
+        fs::read_to_string(folder.path("plan.yaml"))
+            .unwrap()
+            .contains("image: plan.pgm")
+    );
+    let empty = ["project", &map, &pgm, "--min-height", "7"];
+    assert_fails(&monogrid(empty), 2, &["no known cells"]);
+}

@@ -11,6 +11,7 @@ pub mod map;
 pub mod posed_depth;
 pub mod run;
 pub mod synth;
+pub mod tools;
 pub mod truth;
 
 use crate::failure::Failure;
