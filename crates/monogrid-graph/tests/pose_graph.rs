@@ -52,7 +52,7 @@ fn random_graphs_with_a_tenth_of_wrong_closures_find_the_truth() {
 }
 
 #[test]
-#[ignore = "a minute in release: cargo test --release -p monogrid-graph -- --ignored"]
+#[ignore = "minutes, even in release: cargo test --release -p monogrid-graph -- --ignored"]
 fn a_thousand_random_graphs_with_wrong_edges_find_the_truth() {
     for seed in 0..1000 {
         assert_eq!(converges(seed, Wrong::Closures), Ok(()));
