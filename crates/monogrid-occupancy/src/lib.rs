@@ -16,7 +16,8 @@
 //!     pose_sigma: PoseSigma::default(),
 //!     data: ScanData::Points(PointScan { points: &points, sigmas: &[0.02] }),
 //! };
-//! integrate(&mut map, &scan, &IntegrationConfig::default(), 2)?;
+//! let config = IntegrationConfig { rule: IntegrationRule::Rays, ..IntegrationConfig::default() };
+//! integrate(&mut map, &scan, &config, 2)?;
 //! assert_eq!(map.state([0.0, 0.0, 1.0]), Occupancy::Free);
 //! assert_eq!(map.state([0.0, 0.0, 2.0]), Occupancy::Occupied);
 //! assert_eq!(map.state([0.0, 0.0, 3.0]), Occupancy::Unknown);

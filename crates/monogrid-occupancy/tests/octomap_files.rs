@@ -1,5 +1,6 @@
 //! `.ot` and `.bt` against files that OctoMap wrote (`tests/octomap/make_golden.cpp`), and
 //! against damage.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
 use monogrid_occupancy::*;
 

@@ -1,4 +1,5 @@
 //! The rule `rays` against a brute-force dense grid, and against itself on more threads.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
 mod common;
 

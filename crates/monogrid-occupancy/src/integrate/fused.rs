@@ -61,26 +61,6 @@ pub(crate) fn integrate_fused(
     })
 }
 
-/// Packed keys of the bricks that a scan can change, sorted.
-pub(crate) fn footprint_bricks(
-    map: &OccupancyMap,
-    scan: &Scan,
-    config: &IntegrationConfig,
-    threads: usize,
-) -> Result<Vec<u64>, MapError> {
-    origin_in_cells(map, scan)?;
-    let images = RangeImages::new(scan, config, map.resolution())?;
-    let footprints = Footprints::new(&images, config.max_range, map.resolution());
-    let search = Search {
-        footprints: &footprints,
-        resolution: map.resolution(),
-    };
-    let tasks = search.tasks(threads, None);
-    let mut keys: Vec<u64> = tasks.into_iter().flatten().map(|t| t.0).collect();
-    keys.sort_unstable();
-    Ok(keys)
-}
-
 /// Fails before anything is changed if the scan could exceed the memory budget.
 fn check_budget(
     map: &OccupancyMap,

@@ -160,7 +160,7 @@ mod tests {
             .map(|_| {
                 state = state.wrapping_mul(1664525).wrapping_add(1013904223);
                 let near = (state >> 16) as f32;
-                if state % 9 == 0 {
+                if state.is_multiple_of(9) {
                     NOTHING
                 } else {
                     Bounds {

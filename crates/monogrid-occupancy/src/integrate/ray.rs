@@ -112,14 +112,14 @@ impl Ray {
         let brick = BrickKey::new(self.start[0] >> 3, self.start[1] >> 3, self.start[2] >> 3);
         let mut key = brick.pack();
         let mut next = [0; 3];
-        for axis in 0..3 {
+        for (axis, next) in next.iter_mut().enumerate() {
             let inside = self.start[axis] & (BRICK_EDGE - 1);
             let crossings = if self.sign[axis] > 0 {
                 BRICK_EDGE - 1 - inside
             } else {
                 inside
             };
-            next[axis] = self.first[axis] + i64::from(crossings) * self.step[axis];
+            *next = self.first[axis] + i64::from(crossings) * self.step[axis];
         }
         let key_step = [1_i64 << 42, 1 << 21, 1];
         loop {
@@ -160,8 +160,8 @@ impl Ray {
             range: self.range_at_start,
             stop,
         };
-        for axis in 0..3 {
-            let crossings = self.crossings_until(axis, enters, before[axis]);
+        for (axis, &before) in before.iter().enumerate() {
+            let crossings = self.crossings_until(axis, enters, before);
             let cell = self.start[axis] + self.sign[axis] * crossings as i32;
             entry.index |= ((cell & 7) as usize) << (3 * axis);
             entry.next[axis] = self.first[axis] + crossings * self.step[axis];
@@ -257,7 +257,7 @@ mod tests {
         ray.for_each_brick(|packed, _| {
             let brick = BrickKey::unpack(packed);
             ray.walk(ray.enter(brick), |index, range| {
-                cells.push((brick.cell(index), range))
+                cells.push((brick.cell(index), range));
             });
         });
         cells

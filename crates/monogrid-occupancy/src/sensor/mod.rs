@@ -357,7 +357,7 @@ mod tests {
     /// Adaptive quadrature would be finer; Simpson over +-9 sigma is good to 1e-9.
     fn convolve_ideal(r: f64, z: f64, sigma: f64, length: f64) -> f64 {
         // The band's edges are jumps: integrate the pieces between them.
-        let mut cuts = vec![
+        let mut cuts = [
             z - 9.0 * sigma,
             r - length / 2.0,
             r + length / 2.0,

@@ -97,7 +97,7 @@ impl EvidenceTable {
     }
 
     /// Evidence at `range - measured_range = x`; 0 behind the band.
-    #[inline]
+    #[cfg(test)]
     pub(crate) fn lookup(&self, x: f64) -> i16 {
         let offset = (x - self.start) * self.inv_step;
         if offset < 0.0 {

@@ -217,7 +217,9 @@ impl MappingConfig {
             integration: IntegrationKind::Rays,
             update_limits: [certain, -certain],
             tail_log_odds: 0.02,
-            max_range: f64::INFINITY,
+            // The thesis names no limit; but points of a random start lie at any distance, and their free
+            // rays would fill the memory. The median depth is 1 there.
+            max_range: 20.0,
             pose_sigma: 0.0,
             pose_sigma_deg: 0.0,
             filter: DepthFilterConfig {
