@@ -45,6 +45,6 @@ pub use source::{
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;
 pub use trajectory::{
-    TimedPose, format_kitti, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3, read_trajectory,
-    write_kitti, write_sim3, write_tum,
+    TimedPose, format_kitti, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3,
+    read_trajectory, write_kitti, write_sim3, write_tum,
 };

@@ -5,7 +5,13 @@
 //!
 //! Keys: `seed=I`, `start=N`, `max=N` (frames), `profile=thesis`, `init=depth` (metric start from the
 //! sequence's depth image), `truth_every=N` (evaluate the depth of every n-th keyframe), `verbose=1`.
-#![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::too_many_lines,
+    missing_docs,
+    reason = "a tool for development, read from top to bottom"
+)]
 
 use monogrid_datasets::{Dataset, DepthRegistration, SourceOptions, read_depth, read_gray};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};

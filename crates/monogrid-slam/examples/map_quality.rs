@@ -4,7 +4,13 @@
 //! `cargo run --release -p monogrid-slam --example map_quality -- TRAJECTORY MAP.ot…`
 //!
 //! `TRAJECTORY` is the true one, from whose positions the free space is filled.
-#![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::too_many_lines,
+    missing_docs,
+    reason = "a tool for development, read from top to bottom"
+)]
 
 use monogrid_datasets::synth::{Carrier, SynthConfig, SynthSequence};
 use monogrid_evaluation::{MapEvaluationConfig, TruthConfig, evaluate_map, truth_from_triangles};
