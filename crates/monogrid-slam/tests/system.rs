@@ -287,26 +287,32 @@ fn each_switch_changes_the_result() {
             c.tracking.max_relative_sigma = thesis.tracking.max_relative_sigma;
             c
         }),
-        ("keyframes", {
-            let mut c = SlamConfig::default();
-            c.keyframes = thesis.keyframes.clone();
-            c
-        }),
+        (
+            "keyframes",
+            SlamConfig {
+                keyframes: thesis.keyframes.clone(),
+                ..SlamConfig::default()
+            },
+        ),
         ("keyframes.old_keyframes_observed", {
             let mut c = SlamConfig::default();
             c.keyframes.old_keyframes_observed = 0;
             c
         }),
-        ("depth", {
-            let mut c = SlamConfig::default();
-            c.depth = thesis.depth.clone();
-            c
-        }),
-        ("publication", {
-            let mut c = SlamConfig::default();
-            c.publication = thesis.publication.clone();
-            c
-        }),
+        (
+            "depth",
+            SlamConfig {
+                depth: thesis.depth.clone(),
+                ..SlamConfig::default()
+            },
+        ),
+        (
+            "publication",
+            SlamConfig {
+                publication: thesis.publication.clone(),
+                ..SlamConfig::default()
+            },
+        ),
         ("sparse", {
             let mut c = SlamConfig::default();
             c.sparse.enabled = false;
