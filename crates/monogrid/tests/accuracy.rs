@@ -69,7 +69,7 @@ fn the_beginning_of_the_demo_is_tracked_and_measured_well() {
     println!("demo, 400 frames: ATE {ate:.4} m of {path:.2} m, coverage {coverage:.3}");
     println!("depth: {}", summary["depth"]["within_3_percent"]);
     assert!(coverage >= 0.99, "coverage {coverage}");
-    assert!(ate <= 0.02 * path, "ATE {ate} m over {path} m");
+    assert!(ate <= 0.01 * path, "ATE {ate} m over {path} m");
 }
 
 #[test]
@@ -88,7 +88,7 @@ fn red_kitchen_is_tracked_to_the_end() {
         report["ate_rmse"], report["scale_drift"], report["coverage"]
     );
     assert!(report["coverage"].as_f64().unwrap() >= 0.95, "{report}");
-    assert!(report["ate_rmse"].as_f64().unwrap() <= 0.34, "{report}");
+    assert!(report["ate_rmse"].as_f64().unwrap() <= 0.15, "{report}");
 }
 
 #[test]
