@@ -309,7 +309,7 @@ impl Default for PublicationConfig {
             min_validity: 10,
             smoothed: false,
             sigma_factor: 1.4,
-            relative_sigma: 0.015,
+            relative_sigma: 0.018,
         }
     }
 }
