@@ -14,11 +14,17 @@
 mod config;
 mod kernel;
 mod reference;
+mod similarity;
 mod solver;
 mod target;
 
 pub use config::{AlignmentConfig, Brightness, Robust};
 pub use kernel::{Linearization, Motion, Weighting, linearize};
 pub use reference::{DepthSample, Reference, ReferenceLevel};
+pub use similarity::{
+    DepthLevel, Disagreement, KeyframeView, SimilarityAlignment, SimilarityConfig,
+    SimilarityConstraint, SimilarityLinearization, SimilarityState, SimilarityWeighting,
+    align_reciprocally, align_similarity, linearize_similarity,
+};
 pub use solver::{Alignment, Freedom, align};
 pub use target::{Target, TargetLevel};

@@ -1,0 +1,299 @@
+//! The normal equations of one level over similarity, gain and bias.
+
+use super::DepthLevel;
+use crate::{ReferenceLevel, Robust, TargetLevel};
+use monogrid_geometry::{Mat7, Sim3, Vec7};
+use nalgebra::{SMatrix, SVector};
+
+/// Unknowns: tangent `[v, w, s]` of `b_from_a`, logarithm of the gain, bias.
+pub(crate) const UNKNOWNS: usize = 9;
+
+/// The state that is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimilarityState {
+    /// Maps points of keyframe a (its units) to keyframe b (its units).
+    pub b_from_a: Sim3,
+    /// Logarithm of the gain in `I_b = gain * I_a + bias`.
+    pub log_gain: f64,
+    /// Bias, grey levels.
+    pub bias: f64,
+}
+
+/// How the residuals are normalised and weighted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimilarityWeighting {
+    /// Variance of the image noise, grey levels squared.
+    pub intensity_var: f32,
+    /// Squared relative error of inverse depth that neighbours share.
+    pub shared_depth_var: f32,
+    /// Robust function of both residuals of a point.
+    pub robust: Robust,
+    /// Scales of the normalised photometric and depth residuals (Student t only; 1 for Huber).
+    pub scale: [f32; 2],
+}
+
+/// Sums over all points of a level at one state.
+#[derive(Clone, Debug)]
+pub struct SimilarityLinearization {
+    /// Sum of `w J^T J`.
+    pub hessian: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// Sum of `w J^T r`.
+    pub gradient: SVector<f64, UNKNOWNS>,
+    /// Sum of the robust cost.
+    pub cost: f64,
+    /// Points that project into the other keyframe.
+    pub num_visible: usize,
+    /// Visible points that meet a depth there.
+    pub num_depth: usize,
+    /// Visible points with a photometric residual within three standard deviations.
+    pub num_good: usize,
+    /// Sums for the next estimate of both scales.
+    pub scale_sums: [f64; 2],
+    /// Sums over visible points of `[I_a, I_b, I_a^2, I_b^2, I_a I_b]`.
+    pub moments: [f64; 5],
+}
+
+impl SimilarityLinearization {
+    fn zero() -> Self {
+        Self {
+            hessian: SMatrix::zeros(),
+            gradient: SVector::zeros(),
+            cost: 0.0,
+            num_visible: 0,
+            num_depth: 0,
+            num_good: 0,
+            scale_sums: [0.0; 2],
+            moments: [0.0; 5],
+        }
+    }
+
+    /// Mean robust cost of a residual; infinite when nothing is visible.
+    #[must_use]
+    pub fn mean_cost(&self) -> f64 {
+        if self.num_visible == 0 {
+            return f64::INFINITY;
+        }
+        self.cost / (self.num_visible + self.num_depth) as f64
+    }
+
+    /// Correlation of the grey values of the visible points.
+    #[must_use]
+    pub fn correlation(&self) -> Option<f64> {
+        let n = self.num_visible as f64;
+        let [a, b, aa, bb, ab] = self.moments.map(|sum| sum / n);
+        let (var_a, var_b) = (aa - a * a, bb - b * b);
+        (n > 8.0 && var_a > 1.0 && var_b > 1.0).then(|| (ab - a * b) / (var_a * var_b).sqrt())
+    }
+
+    /// Information of the similarity alone, with gain and bias marginalised out.
+    #[must_use]
+    pub fn similarity_information(&self) -> Option<Mat7> {
+        let h = &self.hessian;
+        let brightness = h.fixed_view::<2, 2>(7, 7).into_owned();
+        let cross = h.fixed_view::<7, 2>(0, 7).into_owned();
+        let inverse = (brightness + nalgebra::Matrix2::identity() * 1e-9).try_inverse()?;
+        let own = h.fixed_view::<7, 7>(0, 0).into_owned();
+        Some(own - cross * inverse * cross.transpose())
+    }
+}
+
+/// Both residuals of a point with their derivatives.
+struct PointResiduals {
+    photometric: f32,
+    photometric_var: f32,
+    photometric_row: [f32; UNKNOWNS],
+    /// Residual, variance, row.
+    depth: Option<(f32, f32, [f32; UNKNOWNS])>,
+    intensities: [f32; 2],
+}
+
+/// Builds the normal equations of `points` (of a) against image and depth of b. `stride` uses every n-th
+/// point only.
+#[must_use]
+pub fn linearize_similarity(
+    points: &ReferenceLevel,
+    image: &TargetLevel,
+    depth: &DepthLevel,
+    state: &SimilarityState,
+    weighting: &SimilarityWeighting,
+    stride: usize,
+) -> SimilarityLinearization {
+    let projection = Projection::new(state);
+    let mut out = SimilarityLinearization::zero();
+    for i in (0..points.len()).step_by(stride.max(1)) {
+        let Some(residuals) = projection.residuals(points, i, image, depth, weighting) else {
+            continue;
+        };
+        add_point(&mut out, &residuals, weighting);
+    }
+    for row in 0..UNKNOWNS {
+        for column in 0..row {
+            out.hessian[(row, column)] = out.hessian[(column, row)];
+        }
+    }
+    out
+}
+
+/// Adds a point with the joint weight of its residuals (`[ECCV14]` equation 18).
+fn add_point(
+    out: &mut SimilarityLinearization,
+    point: &PointResiduals,
+    weighting: &SimilarityWeighting,
+) {
+    let [scale_p, scale_d] = weighting.scale;
+    let photometric_sq = point.photometric * point.photometric / point.photometric_var;
+    let (depth_sq, dimension) = match &point.depth {
+        Some((residual, var, _)) => (residual * residual / var, 2.0),
+        None => (0.0, 1.0),
+    };
+    let joint_sq = photometric_sq / (scale_p * scale_p) + depth_sq / (scale_d * scale_d);
+    let (weight, cost) = robust(weighting.robust, joint_sq, dimension);
+    out.cost += f64::from(cost);
+    out.num_visible += 1;
+    out.num_good += usize::from(photometric_sq < 9.0);
+    out.scale_sums[0] += f64::from(weight * photometric_sq);
+    add_row(
+        out,
+        &point.photometric_row,
+        point.photometric,
+        weight / (point.photometric_var * scale_p * scale_p),
+    );
+    if let Some((residual, var, row)) = &point.depth {
+        out.num_depth += 1;
+        out.scale_sums[1] += f64::from(weight * depth_sq);
+        add_row(out, row, *residual, weight / (var * scale_d * scale_d));
+    }
+    let [a, b] = point.intensities.map(f64::from);
+    for (sum, value) in out.moments.iter_mut().zip([a, b, a * a, b * b, a * b]) {
+        *sum += value;
+    }
+}
+
+fn add_row(out: &mut SimilarityLinearization, row: &[f32; UNKNOWNS], residual: f32, weight: f32) {
+    for (i, &a) in row.iter().enumerate() {
+        if a == 0.0 {
+            continue;
+        }
+        let weighted = f64::from(weight * a);
+        out.gradient[i] += weighted * f64::from(residual);
+        for (j, &b) in row.iter().enumerate().skip(i) {
+            out.hessian[(i, j)] += weighted * f64::from(b);
+        }
+    }
+}
+
+/// Weight and cost of a squared normalised residual of the given dimension.
+#[inline]
+fn robust(robust: Robust, squared: f32, dimension: f32) -> (f32, f32) {
+    match robust {
+        Robust::Huber { k } => {
+            let magnitude = squared.sqrt();
+            if magnitude <= k {
+                (1.0, squared)
+            } else {
+                (k / magnitude, k * (2.0 * magnitude - k))
+            }
+        }
+        Robust::StudentT { nu } => (
+            (nu + dimension) / (nu + squared),
+            (nu + dimension) * (squared / nu).ln_1p(),
+        ),
+    }
+}
+
+/// The state in single precision.
+struct Projection {
+    /// Scale times rotation.
+    r: [[f32; 3]; 3],
+    t: [f32; 3],
+    gain: f32,
+    bias: f32,
+}
+
+impl Projection {
+    fn new(state: &SimilarityState) -> Self {
+        let r = state.b_from_a.rotation.to_rotation_matrix().into_inner() * state.b_from_a.scale;
+        let t = &state.b_from_a.translation;
+        Self {
+            r: std::array::from_fn(|i| std::array::from_fn(|j| r[(i, j)] as f32)),
+            t: [t.x as f32, t.y as f32, t.z as f32],
+            gain: state.log_gain.exp() as f32,
+            bias: state.bias as f32,
+        }
+    }
+
+    /// With `m` the viewing direction and `d` the inverse depth, `q = s R m + t d` is the position in b
+    /// times `d`.
+    #[inline]
+    fn residuals(
+        &self,
+        points: &ReferenceLevel,
+        i: usize,
+        image: &TargetLevel,
+        depth: &DepthLevel,
+        weighting: &SimilarityWeighting,
+    ) -> Option<PointResiduals> {
+        let (r, t) = (&self.r, &self.t);
+        let (mx, my, d) = (points.x[i], points.y[i], points.idepth[i]);
+        let q: [f32; 3] = std::array::from_fn(|k| r[k][0] * mx + r[k][1] * my + r[k][2] + t[k] * d);
+        if q[2] <= 0.01 || d <= 0.0 {
+            return None;
+        }
+        let [fx, fy, cx, cy] = image.intrinsics;
+        let inv_qz = 1.0 / q[2];
+        let (x, y) = (q[0] * inv_qz, q[1] * inv_qz);
+        let (u, v) = (fx * x + cx, fy * y + cy);
+        if !image.contains(u, v) {
+            return None;
+        }
+        let [intensity, gu, gv] = image.sample(u, v);
+        let scaled = self.gain * points.intensity[i];
+        let (gx, gy) = (fx * gu, fy * gv);
+        let inv_z = d * inv_qz;
+        let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
+        let var_a = points.idepth_var[i];
+        Some(PointResiduals {
+            photometric: intensity - scaled - self.bias,
+            photometric_var: weighting.intensity_var + by_idepth * by_idepth * var_a,
+            photometric_row: [
+                gx * inv_z,
+                gy * inv_z,
+                -(x * gx + y * gy) * inv_z,
+                -(gx * x * y + gy * (1.0 + y * y)),
+                gx * (1.0 + x * x) + gy * x * y,
+                gy * x - gx * y,
+                0.0, // a change of scale moves the point along its viewing ray
+                -scaled,
+                -1.0,
+            ],
+            depth: depth.nearest(u, v).map(|(idepth_b, var_b)| {
+                let transfer = (q[2] - d * t[2]) * inv_qz * inv_qz;
+                let shared = weighting.shared_depth_var * inv_z * inv_z;
+                let row = [
+                    0.0,
+                    0.0,
+                    -inv_z * inv_z,
+                    -inv_z * y,
+                    inv_z * x,
+                    0.0,
+                    -inv_z,
+                    0.0,
+                    0.0,
+                ];
+                let var = var_b + transfer * transfer * var_a + shared;
+                (inv_z - idepth_b, var, row)
+            }),
+            intensities: [points.intensity[i], intensity],
+        })
+    }
+}
+
+/// Left update of the similarity, additive update of the brightness.
+pub(crate) fn apply(state: &SimilarityState, step: &SVector<f64, UNKNOWNS>) -> SimilarityState {
+    let tangent = Vec7::from_iterator(step.iter().take(7).copied());
+    SimilarityState {
+        b_from_a: Sim3::exp(&tangent) * state.b_from_a,
+        log_gain: (state.log_gain + step[7]).clamp(-2.0, 2.0),
+        bias: state.bias + step[8],
+    }
+}

@@ -1,0 +1,87 @@
+//! A keyframe as both sides of an alignment need it.
+
+use crate::{DepthSample, Reference, ReferenceLevel, Target, TargetLevel};
+use monogrid_geometry::Pinhole;
+use monogrid_image::Pyramid;
+
+/// Inverse depth per pixel of one level; a variance of 0 says unknown.
+#[derive(Clone, Debug, Default)]
+pub struct DepthLevel {
+    width: usize,
+    /// `[inverse depth, variance]`, row-major.
+    values: Vec<[f32; 2]>,
+}
+
+impl DepthLevel {
+    /// Puts the points of a level back into their pixels.
+    fn new(points: &ReferenceLevel, image: &TargetLevel) -> Self {
+        let mut values = vec![[0.0; 2]; image.width * image.height];
+        let [fx, fy, cx, cy] = image.intrinsics;
+        for i in 0..points.len() {
+            let u = (points.x[i] * fx + cx).round().max(0.0) as usize;
+            let v = (points.y[i] * fy + cy).round().max(0.0) as usize;
+            if let Some(value) = values.get_mut(v * image.width + u) {
+                *value = [points.idepth[i], points.idepth_var[i]];
+            }
+        }
+        Self {
+            width: image.width,
+            values,
+        }
+    }
+
+    /// Inverse depth and variance at the nearest pixel; `None` where it is unknown.
+    #[inline]
+    pub(crate) fn nearest(&self, u: f32, v: f32) -> Option<(f32, f32)> {
+        let i = (v + 0.5) as usize * self.width + (u + 0.5) as usize;
+        match self.values.get(i) {
+            Some(&[idepth, var]) if var > 0.0 => Some((idepth, var)),
+            _ => None,
+        }
+    }
+}
+
+/// Points, image and depth of a keyframe on the levels of an alignment.
+#[derive(Clone, Debug, Default)]
+pub struct KeyframeView {
+    /// Points, as the side that is projected.
+    pub reference: Reference,
+    /// Image, as the side that is projected into.
+    pub target: Target,
+    /// Depth, as the side that is projected into.
+    pub depth: Vec<DepthLevel>,
+}
+
+impl KeyframeView {
+    /// Prepares the levels `finest..=coarsest` of a keyframe with semi-dense inverse depth.
+    #[must_use]
+    pub fn new(
+        pyramid: &Pyramid,
+        pinhole: &Pinhole,
+        samples: &[DepthSample],
+        finest: usize,
+        coarsest: usize,
+    ) -> Self {
+        let reference = Reference::new(pyramid, pinhole, samples, finest, coarsest);
+        let target = Target::new(pyramid, pinhole, finest, coarsest);
+        let depth = reference.levels.iter().zip(&target.levels);
+        Self {
+            depth: depth
+                .map(|(points, image)| DepthLevel::new(points, image))
+                .collect(),
+            reference,
+            target,
+        }
+    }
+
+    /// Points of the finest prepared level.
+    #[must_use]
+    pub fn num_points(&self) -> usize {
+        self.reference
+            .levels
+            .iter()
+            .map(ReferenceLevel::len)
+            .find(|n| *n > 0)
+            .unwrap_or(0)
+    }
+}
