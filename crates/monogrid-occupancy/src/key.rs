@@ -33,11 +33,18 @@ impl VoxelKey {
     #[must_use]
     #[inline]
     pub fn from_point(point_in_map: [f64; 3], inv_resolution: f64) -> Option<Self> {
-        let scaled = point_in_map.map(|c| (c * inv_resolution).floor());
         let limit = f64::from(BRICK_LIMIT * BRICK_EDGE);
-        // Written so that NaN fails.
-        let inside = scaled.iter().all(|&c| c >= -limit && c < limit);
-        inside.then(|| Self::new(scaled[0] as i32, scaled[1] as i32, scaled[2] as i32))
+        let mut cell = [0; 3];
+        let mut inside = true;
+        for (cell, coordinate) in cell.iter_mut().zip(point_in_map) {
+            let scaled = coordinate * inv_resolution;
+            // Rounding towards zero and stepping back is `floor` without a call on processors
+            // whose baseline cannot round. Written so that NaN fails.
+            inside &= scaled >= -limit && scaled < limit;
+            let truncated = scaled as i32;
+            *cell = truncated.wrapping_sub(i32::from(f64::from(truncated) > scaled));
+        }
+        inside.then(|| Self::from_array(cell))
     }
 
     /// Centre of the cell in map coordinates.

@@ -52,6 +52,7 @@ pub use map::{MapConfig, OccupancyMap};
 pub use octree::Leaf;
 pub use query::cast::{RayHit, UnknownCells};
 pub use query::cells::Cell;
+pub use query::snapshot::Snapshot;
 pub use scan::{
     DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };

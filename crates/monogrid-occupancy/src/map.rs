@@ -242,7 +242,7 @@ impl OccupancyMap {
         if cells.0[0] == value && cells.0[BRICK_CELLS - 1] == value {
             shard.collapse(slot);
         }
-        shard.touch(slot, self.revision + 1);
+        shard.touch(slot, self.revision);
         Ok(())
     }
 

@@ -111,7 +111,6 @@ pub fn read_bt(input: impl Read, memory_budget_bytes: usize) -> Result<Occupancy
     if header.size > 0 {
         read_node(&mut input, Cube::ROOT, &mut map)?;
     }
-    map.revision += 1;
     Ok(map)
 }
 

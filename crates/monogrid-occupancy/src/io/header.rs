@@ -131,13 +131,16 @@ pub(crate) fn empty_map(
     memory_budget_bytes: usize,
 ) -> Result<OccupancyMap, MapError> {
     let (clamp_min, clamp_max) = octomap_clamps();
-    OccupancyMap::new(MapConfig {
+    let mut map = OccupancyMap::new(MapConfig {
         resolution,
         clamp_min,
         clamp_max,
         memory_budget_bytes,
         ..MapConfig::default()
-    })
+    })?;
+    // All that is read has changed since revision 0.
+    map.revision = 1;
+    Ok(map)
 }
 
 /// A node of a tree that is being read: its first cell and its depth.

@@ -82,7 +82,6 @@ pub fn read_ot(input: impl Read, memory_budget_bytes: usize) -> Result<Occupancy
     if header.size > 0 {
         read_node(&mut input, Cube::ROOT, extra_bytes, &mut map)?;
     }
-    map.revision += 1;
     Ok(map)
 }
 

@@ -50,21 +50,9 @@ impl OccupancyMap {
         max_range: f64,
         unknown: UnknownCells,
     ) -> RayHit {
-        let norm = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
-        let cells = origin.map(|c| c * self.inv_resolution);
-        let limit = f64::from(BRICK_LIMIT * BRICK_EDGE) - 2.0 * MAX_CELLS;
-        let is_usable = norm.is_normal()
-            && norm.is_finite()
-            && max_range >= 0.0
-            && cells.iter().all(|c| c.abs() < limit);
-        if !is_usable {
+        let Some(ray) = ray_for_query(origin, direction, max_range, self.inv_resolution) else {
             return RayHit::Invalid;
-        }
-        let ray = Ray::new(
-            cells,
-            direction.map(|c| c / norm),
-            max_range * self.inv_resolution,
-        );
+        };
         let mut hit = RayHit::Nothing;
         ray.any_brick(|packed| {
             hit = self.hit_in_brick(&ray, packed, unknown);
@@ -108,12 +96,52 @@ impl OccupancyMap {
         let Some((index, range, value)) = found else {
             return RayHit::Nothing;
         };
-        let key = brick.cell(index);
-        let range = range as f64 / (1_u64 << RANGE_BITS) as f64 * self.resolution();
-        if value == UNKNOWN {
-            RayHit::Unknown { key, range }
-        } else {
-            RayHit::Occupied { key, range }
-        }
+        hit_at(
+            brick,
+            index,
+            range,
+            self.limits.occupancy(value),
+            self.resolution(),
+        )
+    }
+}
+
+/// The ray of a query, if it is usable.
+pub(crate) fn ray_for_query(
+    origin: [f64; 3],
+    direction: [f64; 3],
+    max_range: f64,
+    inv_resolution: f64,
+) -> Option<Ray> {
+    let norm = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let cells = origin.map(|c| c * inv_resolution);
+    let limit = f64::from(BRICK_LIMIT * BRICK_EDGE) - 2.0 * MAX_CELLS;
+    let is_usable = norm.is_normal()
+        && norm.is_finite()
+        && max_range >= 0.0
+        && cells.iter().all(|c| c.abs() < limit);
+    is_usable.then(|| {
+        Ray::new(
+            cells,
+            direction.map(|c| c / norm),
+            max_range * inv_resolution,
+        )
+    })
+}
+
+/// A stop at a cell of a brick, `range` in fixed point.
+pub(crate) fn hit_at(
+    brick: BrickKey,
+    index: usize,
+    range: i64,
+    state: Occupancy,
+    resolution: f64,
+) -> RayHit {
+    let key = brick.cell(index);
+    let range = range as f64 / (1_u64 << RANGE_BITS) as f64 * resolution;
+    if state == Occupancy::Unknown {
+        RayHit::Unknown { key, range }
+    } else {
+        RayHit::Occupied { key, range }
     }
 }

@@ -70,13 +70,41 @@ impl OccupancyMap {
         })
     }
 
+    /// Cells of one state with keys from `first` to `last`, both inclusive, unknown ones too if
+    /// asked for; the order of [`OccupancyMap::cells_in_key_box`].
+    pub fn keys_in_key_box(
+        &self,
+        first: VoxelKey,
+        last: VoxelKey,
+        state: Occupancy,
+    ) -> impl Iterator<Item = VoxelKey> + '_ {
+        let (low, high) = (first.brick(), last.brick());
+        // Unknown cells are mostly where there is no brick at all.
+        let (known, all) = if state == Occupancy::Unknown {
+            let column = move |x| (low.y..=high.y).map(move |y| (x, y));
+            let all = (low.x..=high.x)
+                .flat_map(column)
+                .flat_map(move |(x, y)| (low.z..=high.z).map(move |z| BrickKey::new(x, y, z)));
+            (None, Some(all))
+        } else {
+            (Some(self.bricks_in_key_box(first, last)), None)
+        };
+        known
+            .into_iter()
+            .flatten()
+            .chain(all.into_iter().flatten())
+            .flat_map(move |brick| {
+                let values = self.brick_values(brick);
+                (0..values.len())
+                    .filter(move |&i| self.limits.occupancy(values[i]) == state)
+                    .map(move |i| brick.cell(i))
+            })
+            .filter(move |key| is_inside(*key, first, last))
+    }
+
     /// The cell of a point, moved to the nearest addressable one; NaN counts as 0.
     pub(crate) fn clamped_key(&self, point: [f64; 3]) -> VoxelKey {
-        let limit = f64::from(BRICK_LIMIT * BRICK_EDGE);
-        VoxelKey::from_array(point.map(|c| {
-            let scaled = (c * self.inv_resolution).floor();
-            scaled.clamp(-limit, limit - 1.0) as i32
-        }))
+        key_of_clamped(point, self.inv_resolution)
     }
 
     /// Bricks with a known cell that overlap a box of cells, in the order of their keys.
@@ -137,6 +165,15 @@ impl OccupancyMap {
         }
         self.limits.occupancy(largest)
     }
+}
+
+/// The cell of a point, moved to the nearest addressable one; NaN counts as 0.
+pub(crate) fn key_of_clamped(point: [f64; 3], inv_resolution: f64) -> VoxelKey {
+    let limit = f64::from(BRICK_LIMIT * BRICK_EDGE);
+    VoxelKey::from_array(point.map(|c| {
+        let scaled = (c * inv_resolution).floor();
+        scaled.clamp(-limit, limit - 1.0) as i32
+    }))
 }
 
 fn is_inside(key: VoxelKey, first: VoxelKey, last: VoxelKey) -> bool {

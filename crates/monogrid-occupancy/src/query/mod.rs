@@ -4,3 +4,4 @@ pub(crate) mod batch;
 pub(crate) mod cast;
 pub(crate) mod cells;
 pub(crate) mod collide;
+pub(crate) mod snapshot;
