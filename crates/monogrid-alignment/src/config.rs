@@ -85,14 +85,14 @@ impl Default for AlignmentConfig {
 }
 
 impl AlignmentConfig {
-    /// The settings of LSD-SLAM: levels 3 to 1, Huber weights, no brightness change.
+    /// The settings of LSD-SLAM: levels 3 to 1, Huber weights; gain and bias inside the solve instead of
+    /// one iteration late.
     #[must_use]
     pub fn thesis() -> Self {
         Self {
             coarsest_level: 3,
             max_iterations: vec![5, 20, 50, 100, 100],
             robust: Robust::Huber { k: 1.5 },
-            brightness: Brightness::Constant,
             max_residual: 40.0,
             max_points: 0,
             ..Self::default()

@@ -122,6 +122,7 @@ fn main() {
         times[1] / frames as f64,
         times[2] / frames as f64
     );
+    println!("graph: {:?}", slam.graph_stats());
     let mut target_over_source = 1.0;
     if let Some(path) = &dataset.ground_truth {
         let truth: Vec<StampedPose> = monogrid_datasets::read_trajectory(path)
@@ -135,6 +136,9 @@ fn main() {
             .map(|p| (p.timestamp_ns, p.world_from_camera))
             .collect();
         for (name, poses) in [("final", &estimate), ("live", &live)] {
+            if name == "final" && number("edges", 0) > 0 {
+                edge_report(&slam, &truth, &true_depth);
+            }
             match evaluate_trajectory(poses, &truth, &TrajectoryConfig::default()) {
                 Ok(r) => {
                     println!(
@@ -160,6 +164,62 @@ fn main() {
         }
     }
     depth_report(&slam, &true_depth, &pinhole, target_over_source);
+}
+
+/// Error of every edge of the graph: rotation (degrees), direction of the translation (degrees) and scale
+/// (where both keyframes have true depth); then those of the final poses; then the edge's own sigmas.
+fn edge_report(slam: &Slam, truth: &[StampedPose], true_depth: &dyn Fn(i64) -> Option<GrayImage>) {
+    let graph = slam.pose_graph();
+    let keyframes = slam.keyframes();
+    let true_pose = |id: u64| {
+        let time = keyframes[id as usize].timestamp_ns;
+        truth
+            .iter()
+            .min_by_key(|(t, _)| (t - time).abs())
+            .unwrap()
+            .1
+    };
+    let units: Vec<Option<f64>> = keyframes
+        .iter()
+        .map(|k| {
+            let truth = true_depth(k.timestamp_ns)?;
+            let z = |p: &monogrid_slam::DepthPixel| f64::from(truth.at(p.x.into(), p.y.into()));
+            let mut ratios: Vec<f64> = k
+                .pixels
+                .iter()
+                .filter(|p| z(p).is_finite() && z(p) > 0.0)
+                .map(|p| z(p) * f64::from(p.idepth))
+                .collect();
+            ratios.sort_by(f64::total_cmp);
+            ratios.get(ratios.len() / 2).copied()
+        })
+        .collect();
+    for edge in graph.edges() {
+        let i_from_j = true_pose(edge.i).inverse() * true_pose(edge.j);
+        let unit = |id: u64| units[id as usize];
+        let ratio = unit(edge.i).zip(unit(edge.j)).map(|(i, j)| j / i);
+        let (a, b) = (graph.pose(edge.i).unwrap(), graph.pose(edge.j).unwrap());
+        let print = |found: &monogrid_geometry::Sim3| {
+            let turn = (found.rotation.inverse() * i_from_j.rotation)
+                .angle()
+                .to_degrees();
+            let angle = found.translation.angle(&i_from_j.translation).to_degrees();
+            let scale = ratio.map_or(f64::NAN, |ratio| (found.scale / ratio).ln());
+            print!(" {turn:.3} {angle:.2} {scale:.4}");
+        };
+        print!(
+            "edge {} {} {:?} t {:.3}",
+            edge.i,
+            edge.j,
+            edge.kernel,
+            edge.i_from_j.translation.norm()
+        );
+        print(&edge.i_from_j);
+        print!(" pose");
+        print(&(a.inverse() * b));
+        let sigma = |k: usize| edge.information[(k, k)].powf(-0.5);
+        println!(" sigma {:.5} {:.5} {:.5}", sigma(0), sigma(3), sigma(6));
+    }
 }
 
 /// Depth of the keyframes that have a true depth image.

@@ -1,6 +1,6 @@
 //! Settings of the whole system; the two profiles are two values of the same structs.
 
-use crate::SparseConfig;
+use crate::{GraphConfig, SparseConfig};
 use monogrid_alignment::AlignmentConfig;
 use monogrid_depth::DepthConfig;
 use serde::{Deserialize, Serialize};
@@ -34,6 +34,8 @@ pub struct SlamConfig {
     pub publication: PublicationConfig,
     /// Sparse layer.
     pub sparse: SparseConfig,
+    /// Graph of keyframes.
+    pub graph: GraphConfig,
 }
 
 impl SlamConfig {
@@ -47,6 +49,7 @@ impl SlamConfig {
             depth: DepthConfig::thesis(),
             publication: PublicationConfig::thesis(),
             sparse: SparseConfig::thesis(),
+            graph: GraphConfig::thesis(),
         }
     }
 

@@ -1,6 +1,6 @@
 //! Keyframes as they are published, and the poses that live outside them.
 
-use monogrid_geometry::{Se3, Sim3};
+use monogrid_geometry::{Mat7, Se3, Sim3};
 use monogrid_image::Image;
 
 /// Identity of a keyframe; never reused, counted from 0.
@@ -43,6 +43,9 @@ pub struct PoseSnapshot {
     pub revision: u64,
     /// Pose and scale of each keyframe, by identity.
     pub world_from_keyframe: Vec<Sim3>,
+    /// Covariance of a left update `[v, w, s]` of each keyframe's pose relative to the keyframe before
+    /// it, in the units of that one, by identity; `None` or missing where it is not known (yet).
+    pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
 }
 
 /// Whether lengths are metres.

@@ -14,6 +14,7 @@
 mod config;
 mod depth_step;
 mod frame;
+mod graph;
 mod keyframe;
 pub mod mapping;
 mod node;
@@ -30,6 +31,7 @@ pub use config::{
     SlamConfig, TrackingConfig,
 };
 pub use frame::FrameInput;
+pub use graph::{DirectEdgeConfig, GraphConfig, GraphStats, SparseEdgeConfig};
 pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
 pub use report::{FrameReport, LostReason, StageTimes, TrackingState};
 pub use sparse::{SparseConfig, SparseStats};

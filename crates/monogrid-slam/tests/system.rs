@@ -318,6 +318,11 @@ fn each_switch_changes_the_result() {
             c.sparse.enabled = false;
             c
         }),
+        ("graph", {
+            let mut c = SlamConfig::default();
+            c.graph.enabled = false;
+            c
+        }),
     ]
     .into();
     for (name, config) in switches {

@@ -45,10 +45,10 @@ pub struct SimilarityConfig {
 impl Default for SimilarityConfig {
     fn default() -> Self {
         Self {
-            coarsest_level: 4,
+            coarsest_level: 3,
             finest_level: 1,
-            max_iterations: 12,
-            max_points: 3000,
+            max_iterations: 8,
+            max_points: 1500,
             sigma_intensity: 4.0,
             shared_depth_sigma: 0.02,
             robust: Robust::StudentT { nu: 5.0 },
@@ -65,12 +65,16 @@ impl Default for SimilarityConfig {
 }
 
 impl SimilarityConfig {
-    /// The weights of LSD-SLAM: joint Huber with a threshold of 3.
+    /// LSD-SLAM: joint Huber weights with a threshold of 3, and a pair is believed when both directions
+    /// agree, within wide limits.
     #[must_use]
     pub fn thesis() -> Self {
         Self {
             robust: Robust::Huber { k: 3.0 },
             shared_depth_sigma: 0.0,
+            min_correlation: 0.2,
+            min_good_of_visible: 0.4,
+            max_reciprocal_chi_sq: 1000.0,
             ..Self::default()
         }
     }

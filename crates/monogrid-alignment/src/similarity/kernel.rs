@@ -97,13 +97,91 @@ impl SimilarityLinearization {
     }
 }
 
+/// Points that are worked on side by side.
+const LANES: usize = 8;
+/// Points summed in `f32` before the sums move to `f64`.
+const BLOCK: usize = 1024;
+/// Unknowns on which the photometric residual depends: all but the scale.
+const PHOTOMETRIC: [usize; 8] = [0, 1, 2, 3, 4, 5, 7, 8];
+/// Unknowns on which the depth residual depends: v along the axis, w across it, scale.
+const DEPTH: [usize; 4] = [2, 3, 4, 6];
+
+/// Residuals of one kind of a chunk of points, with weights and derivatives by `N` unknowns.
+struct Lanes<const N: usize> {
+    residual: [f32; LANES],
+    weight: [f32; LANES],
+    jacobian: [[f32; LANES]; N],
+}
+
+impl<const N: usize> Lanes<N> {
+    const EMPTY: Self = Self {
+        residual: [0.0; LANES],
+        weight: [0.0; LANES],
+        jacobian: [[0.0; LANES]; N],
+    };
+
+    fn set(&mut self, lane: usize, residual: f32, weight: f32, row: [f32; N]) {
+        self.residual[lane] = residual;
+        self.weight[lane] = weight;
+        for (values, value) in self.jacobian.iter_mut().zip(row) {
+            values[lane] = value;
+        }
+    }
+}
+
+/// Sums of `w J^T J` and `w J^T r` of one kind; lanes stay apart, so that the loops vectorise and the
+/// order of the sums is the same on every machine.
+struct BlockSums<const N: usize> {
+    hessian: [[[f32; LANES]; N]; N],
+    gradient: [[f32; LANES]; N],
+}
+
+impl<const N: usize> BlockSums<N> {
+    const ZERO: Self = Self {
+        hessian: [[[0.0; LANES]; N]; N],
+        gradient: [[0.0; LANES]; N],
+    };
+
+    #[inline]
+    fn add(&mut self, lanes: &Lanes<N>) {
+        for row in 0..N {
+            let derivative = &lanes.jacobian[row];
+            let weighted: [f32; LANES] = std::array::from_fn(|l| lanes.weight[l] * derivative[l]);
+            add_products(&mut self.gradient[row], &weighted, &lanes.residual);
+            for column in row..N {
+                let sums = &mut self.hessian[row][column];
+                add_products(sums, &weighted, &lanes.jacobian[column]);
+            }
+        }
+    }
+
+    /// Moves the sums to the equations of all unknowns.
+    fn flush(&mut self, unknowns: [usize; N], out: &mut SimilarityLinearization) {
+        let total = |lanes: &[f32; LANES]| lanes.iter().map(|x| f64::from(*x)).sum::<f64>();
+        for (row, &i) in unknowns.iter().enumerate() {
+            out.gradient[i] += total(&self.gradient[row]);
+            for (column, &j) in unknowns.iter().enumerate().skip(row) {
+                out.hessian[(i, j)] += total(&self.hessian[row][column]);
+            }
+        }
+        *self = Self::ZERO;
+    }
+}
+
+#[inline]
+fn add_products(sums: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
+    for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+        *sum += a * b;
+    }
+}
+
 /// Both residuals of a point with their derivatives.
 struct PointResiduals {
     photometric: f32,
     photometric_var: f32,
-    photometric_row: [f32; UNKNOWNS],
+    photometric_row: [f32; 8],
     /// Residual, variance, row.
-    depth: Option<(f32, f32, [f32; UNKNOWNS])>,
+    depth: Option<(f32, f32, [f32; 4])>,
     intensities: [f32; 2],
 }
 
@@ -120,11 +198,27 @@ pub fn linearize_similarity(
 ) -> SimilarityLinearization {
     let projection = Projection::new(state);
     let mut out = SimilarityLinearization::zero();
-    for i in (0..points.len()).step_by(stride.max(1)) {
-        let Some(residuals) = projection.residuals(points, i, image, depth, weighting) else {
-            continue;
-        };
-        add_point(&mut out, &residuals, weighting);
+    let stride = stride.max(1);
+    let count = points.len().div_ceil(stride);
+    let (mut photometric, mut geometric) = (BlockSums::<8>::ZERO, BlockSums::<4>::ZERO);
+    for block in (0..count).step_by(BLOCK) {
+        let block_end = (block + BLOCK).min(count);
+        for start in (block..block_end).step_by(LANES) {
+            let (mut p, mut d) = (Lanes::EMPTY, Lanes::EMPTY);
+            let mut cost = ChunkCost::default();
+            for (lane, i) in (start..(start + LANES).min(block_end)).enumerate() {
+                let found = projection.residuals(points, i * stride, image, depth, weighting);
+                if let Some(residuals) = found {
+                    let lanes = (&mut p, &mut d, lane);
+                    weigh_point(&residuals, weighting, lanes, &mut cost, &mut out);
+                }
+            }
+            out.cost += cost.total(weighting.robust);
+            photometric.add(&p);
+            geometric.add(&d);
+        }
+        photometric.flush(PHOTOMETRIC, &mut out);
+        geometric.flush(DEPTH, &mut out);
     }
     for row in 0..UNKNOWNS {
         for column in 0..row {
@@ -134,34 +228,35 @@ pub fn linearize_similarity(
     out
 }
 
-/// Adds a point with the joint weight of its residuals (`[ECCV14]` equation 18).
-fn add_point(
-    out: &mut SimilarityLinearization,
+/// Gives a point the joint weight of its residuals (`[ECCV14]` equation 18).
+#[inline]
+fn weigh_point(
     point: &PointResiduals,
     weighting: &SimilarityWeighting,
+    (photometric, geometric, lane): (&mut Lanes<8>, &mut Lanes<4>, usize),
+    cost: &mut ChunkCost,
+    out: &mut SimilarityLinearization,
 ) {
-    let [scale_p, scale_d] = weighting.scale;
+    let [scale_p, scale_d] = weighting.scale.map(|s| s * s);
     let photometric_sq = point.photometric * point.photometric / point.photometric_var;
-    let (depth_sq, dimension) = match &point.depth {
-        Some((residual, var, _)) => (residual * residual / var, 2.0),
-        None => (0.0, 1.0),
-    };
-    let joint_sq = photometric_sq / (scale_p * scale_p) + depth_sq / (scale_d * scale_d);
-    let (weight, cost) = robust(weighting.robust, joint_sq, dimension);
-    out.cost += f64::from(cost);
+    let depth_sq = point
+        .depth
+        .map_or(0.0, |(residual, var, _)| residual * residual / var);
+    let joint_sq = photometric_sq / scale_p + depth_sq / scale_d;
+    let weight = cost.add(weighting.robust, joint_sq, point.depth.is_some());
     out.num_visible += 1;
     out.num_good += usize::from(photometric_sq < 9.0);
     out.scale_sums[0] += f64::from(weight * photometric_sq);
-    add_row(
-        out,
-        &point.photometric_row,
+    photometric.set(
+        lane,
         point.photometric,
-        weight / (point.photometric_var * scale_p * scale_p),
+        weight / (point.photometric_var * scale_p),
+        point.photometric_row,
     );
-    if let Some((residual, var, row)) = &point.depth {
+    if let Some((residual, var, row)) = point.depth {
         out.num_depth += 1;
         out.scale_sums[1] += f64::from(weight * depth_sq);
-        add_row(out, row, *residual, weight / (var * scale_d * scale_d));
+        geometric.set(lane, residual, weight / (var * scale_d), row);
     }
     let [a, b] = point.intensities.map(f64::from);
     for (sum, value) in out.moments.iter_mut().zip([a, b, a * a, b * b, a * b]) {
@@ -169,35 +264,53 @@ fn add_point(
     }
 }
 
-fn add_row(out: &mut SimilarityLinearization, row: &[f32; UNKNOWNS], residual: f32, weight: f32) {
-    for (i, &a) in row.iter().enumerate() {
-        if a == 0.0 {
-            continue;
-        }
-        let weighted = f64::from(weight * a);
-        out.gradient[i] += weighted * f64::from(residual);
-        for (j, &b) in row.iter().enumerate().skip(i) {
-            out.hessian[(i, j)] += weighted * f64::from(b);
+/// Cost of a chunk of points: one logarithm of a product instead of one for each point.
+struct ChunkCost {
+    sum: f64,
+    /// Products of `1 + s / nu` of the points with one and with two residuals.
+    products: [f64; 2],
+}
+
+impl Default for ChunkCost {
+    fn default() -> Self {
+        Self {
+            sum: 0.0,
+            products: [1.0; 2],
         }
     }
 }
 
-/// Weight and cost of a squared normalised residual of the given dimension.
-#[inline]
-fn robust(robust: Robust, squared: f32, dimension: f32) -> (f32, f32) {
-    match robust {
-        Robust::Huber { k } => {
-            let magnitude = squared.sqrt();
-            if magnitude <= k {
-                (1.0, squared)
-            } else {
-                (k / magnitude, k * (2.0 * magnitude - k))
+impl ChunkCost {
+    /// Adds a squared normalised residual; returns its weight.
+    #[inline]
+    fn add(&mut self, robust: Robust, squared: f32, has_depth: bool) -> f32 {
+        match robust {
+            Robust::Huber { k } => {
+                let magnitude = squared.sqrt();
+                if magnitude <= k {
+                    self.sum += f64::from(squared);
+                    1.0
+                } else {
+                    self.sum += f64::from(k * (2.0 * magnitude - k));
+                    k / magnitude
+                }
+            }
+            Robust::StudentT { nu } => {
+                self.products[usize::from(has_depth)] *= f64::from(1.0 + squared / nu);
+                let dimension = if has_depth { 2.0 } else { 1.0 };
+                (nu + dimension) / (nu + squared)
             }
         }
-        Robust::StudentT { nu } => (
-            (nu + dimension) / (nu + squared),
-            (nu + dimension) * (squared / nu).ln_1p(),
-        ),
+    }
+
+    fn total(&self, robust: Robust) -> f64 {
+        match robust {
+            Robust::Huber { .. } => self.sum,
+            Robust::StudentT { nu } => {
+                let nu = f64::from(nu);
+                (nu + 1.0) * self.products[0].ln() + (nu + 2.0) * self.products[1].ln()
+            }
+        }
     }
 }
 
@@ -262,24 +375,14 @@ impl Projection {
                 -(gx * x * y + gy * (1.0 + y * y)),
                 gx * (1.0 + x * x) + gy * x * y,
                 gy * x - gx * y,
-                0.0, // a change of scale moves the point along its viewing ray
+                // no scale: its change moves the point along its viewing ray
                 -scaled,
                 -1.0,
             ],
             depth: depth.nearest(u, v).map(|(idepth_b, var_b)| {
                 let transfer = (q[2] - d * t[2]) * inv_qz * inv_qz;
                 let shared = weighting.shared_depth_var * inv_z * inv_z;
-                let row = [
-                    0.0,
-                    0.0,
-                    -inv_z * inv_z,
-                    -inv_z * y,
-                    inv_z * x,
-                    0.0,
-                    -inv_z,
-                    0.0,
-                    0.0,
-                ];
+                let row = [-inv_z * inv_z, -inv_z * y, inv_z * x, -inv_z];
                 let var = var_b + transfer * transfer * var_a + shared;
                 (inv_z - idepth_b, var, row)
             }),

@@ -402,6 +402,7 @@ mod tests {
         let snapshot = PoseSnapshot {
             revision: 1,
             world_from_keyframe: last.to_vec(),
+            ..PoseSnapshot::default()
         };
         live.finish(&snapshot, &z_up, Some(Vec3::zeros()), threads)
             .unwrap()
@@ -458,6 +459,7 @@ mod tests {
         let snapshot = PoseSnapshot {
             revision: 1,
             world_from_keyframe: vec![pose(0.0)],
+            ..PoseSnapshot::default()
         };
         let maps = live
             .finish(&snapshot, &z_up, Some(Vec3::zeros()), 1)

@@ -4,10 +4,13 @@ use super::adjust::adjust_window;
 use super::matching::{NewPoint, anchor_points, find_in_new_keyframe, find_in_older_keyframes};
 use super::{SparseConfig, adjust};
 use crate::KeyframeId;
+use crate::graph::SparseEdge;
 use crate::node::Node;
+
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
 use monogrid_image::Mask;
+use std::collections::BTreeMap;
 
 /// Where a keyframe sees a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,6 +113,71 @@ impl SparseLayer {
         stats.removed_observations = adjusted.removed_observations;
         self.drop_unconfirmed(node.id, config);
         stats
+    }
+
+    /// Moves a keyframe with the points anchored in it; lengths there grow by the given factor.
+    pub(crate) fn move_keyframe(
+        &mut self,
+        keyframe: KeyframeId,
+        world_from_camera: &Se3,
+        growth: f64,
+    ) {
+        let Some(pose) = self.camera_from_world.get_mut(keyframe as usize) else {
+            return;
+        };
+        *pose = world_from_camera.inverse();
+        for point in self.points.iter_mut().filter(|p| p.host == keyframe) {
+            point.idepth /= growth;
+            point.prior_idepth /= growth;
+            point.prior_sigma /= growth;
+        }
+    }
+
+    /// Pairs of keyframes with at least `min_shared` common points of which one is among the newest
+    /// `window`, older keyframe first: of each of these at most `max_edges`, the most common points
+    /// first.
+    pub(crate) fn shared_points(
+        &self,
+        newest: KeyframeId,
+        window: usize,
+        min_shared: usize,
+        max_edges: usize,
+    ) -> Vec<SparseEdge> {
+        let first_recent = (newest + 1).saturating_sub(window as KeyframeId);
+        let mut shared: BTreeMap<(KeyframeId, KeyframeId), usize> = BTreeMap::new();
+        let mut seen_by = Vec::new();
+        for point in self.points.iter().filter(|p| p.alive) {
+            seen_by.clear();
+            seen_by.push(point.host);
+            seen_by.extend(point.observations.iter().map(|o| o.keyframe));
+            seen_by.sort_unstable();
+            for (at, &j) in seen_by
+                .iter()
+                .enumerate()
+                .filter(|(_, j)| **j >= first_recent)
+            {
+                for &i in &seen_by[..at] {
+                    *shared.entry((i, j)).or_default() += 1;
+                }
+            }
+        }
+        let mut edges: Vec<SparseEdge> = shared
+            .into_iter()
+            .filter(|(_, count)| *count >= min_shared)
+            .map(|((i, j), shared_points)| SparseEdge {
+                i,
+                j,
+                shared_points,
+            })
+            .collect();
+        // the strongest of each newer keyframe
+        edges.sort_by_key(|e| (e.j, std::cmp::Reverse(e.shared_points), e.i));
+        let mut taken = (KeyframeId::MAX, 0);
+        edges.retain(|edge| {
+            taken = (edge.j, if taken.0 == edge.j { taken.1 + 1 } else { 1 });
+            taken.1 <= max_edges
+        });
+        edges
     }
 
     /// Pose of the new keyframe from the found points; returns those that agree with it.

@@ -1,20 +1,24 @@
 //! The system: one frame after the other, in the order in which a reader would do it by hand.
 
-use crate::depth_step::{observe, regularize, tracking_samples};
+mod graph;
+mod keyframes;
+
+use self::graph::GraphLink;
+use crate::depth_step::{observe, regularize};
 use crate::frame::Frame;
 use crate::node::{Exposure, Node, world_from_camera};
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
-use crate::sparse::scale::{DenseLink, dense_links, keyframe_scale};
+use crate::sparse::scale::DenseLink;
 use crate::sparse::{SparseLayer, SparseStats};
 use crate::start::{Start, StartOutcome, Started};
 use crate::tracker::{MotionPrior, extrapolate, track};
 use crate::{
-    ConfigError, DepthPixel, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason,
-    PoseSnapshot, Scale, SlamConfig, StageTimes, TrackingState, TrajectoryPose,
+    ConfigError, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, PoseSnapshot, Scale,
+    SlamConfig, StageTimes, TrackingState, TrajectoryPose,
 };
 use monogrid_alignment::{Motion, Reference};
-use monogrid_depth::{DepthMap, HostFrame, PixelFilter, StereoFrame};
-use monogrid_geometry::{Pinhole, Se3};
+use monogrid_depth::{DepthMap, StereoFrame};
+use monogrid_geometry::{Mat7, Pinhole, Se3};
 use monogrid_image::{Mask, Pyramid};
 use std::sync::Arc;
 use std::time::Instant;
@@ -42,6 +46,10 @@ pub struct Slam {
     sparse_stats: SparseStats,
     /// Dense depth at the points that a keyframe sees, by identity.
     links: Vec<Vec<DenseLink>>,
+    /// Constraints and optimisation in the background.
+    graph: Option<GraphLink>,
+    /// Covariance of each keyframe relative to the one before it, by identity.
+    relative_covariance: Vec<Option<Mat7>>,
 }
 
 /// The keyframe that frames are tracked on.
@@ -86,6 +94,7 @@ impl Slam {
     ) -> Result<Self, ConfigError> {
         config.validate()?;
         let start = Start::new(&config, seed);
+        let graph = GraphLink::new(&config.graph, pinhole, &mask);
         Ok(Self {
             config,
             pinhole,
@@ -103,6 +112,8 @@ impl Slam {
             sparse: SparseLayer::default(),
             sparse_stats: SparseStats::default(),
             links: Vec::new(),
+            graph,
+            relative_covariance: Vec::new(),
         })
     }
 
@@ -123,8 +134,11 @@ impl Slam {
 
     /// Finishes the last keyframe; its identity, if there is one.
     pub fn finish(&mut self) -> Option<KeyframeId> {
-        self.current.as_ref()?;
+        self.take_graph_update();
+        let view = self.graph_view(&self.current.as_ref()?.depth);
         let id = self.publish_current();
+        self.submit_graph_job(view, None, true);
+        self.take_graph_update();
         self.current = None;
         id
     }
@@ -354,6 +368,9 @@ impl Slam {
     /// One frame of normal operation: track, then refine the depth or make a keyframe.
     fn process_running(&mut self, frame: Frame, begin: Instant) -> FrameReport {
         let mut report = blank_report(frame.index, frame.timestamp_ns, TrackingState::Lost);
+        self.count_graph_frame();
+        report.milliseconds.graph = milliseconds(begin);
+        let begin = Instant::now();
         let (Some(current), Some(last)) = (self.current.as_ref(), self.last.as_ref()) else {
             return report;
         };
@@ -385,6 +402,7 @@ impl Slam {
             ));
         }
         let after_tracking = Instant::now();
+        let graph_before = report.milliseconds.graph;
         let evidence = KeyframeEvidence {
             relative_distance: motion.frame_from_keyframe.inverse().translation.norm(),
             usage: f64::from(alignment.usage),
@@ -397,7 +415,8 @@ impl Slam {
         } else if tracked.state == TrackingState::Good {
             self.refine_depth(&frame, &tracked.alignment);
         }
-        report.milliseconds.depth = milliseconds(after_tracking) - report.milliseconds.graph;
+        report.milliseconds.depth =
+            milliseconds(after_tracking) - (report.milliseconds.graph - graph_before);
         report
     }
 
@@ -422,193 +441,6 @@ impl Slam {
         regularize(&mut current.depth, config);
         current.num_mapped += 1;
         self.refresh_reference();
-    }
-
-    /// Publishes the current keyframe and lets `frame` take over.
-    fn change_keyframe(
-        &mut self,
-        frame: &Frame,
-        motion: &Motion,
-        report: &mut FrameReport,
-    ) -> Option<KeyframeId> {
-        let finished = self.publish_current();
-        let current = self.current.take()?;
-        let host =
-            Arc::new(HostFrame::new(frame.image().clone(), self.mask.clone(), self.pinhole).ok()?);
-        let (mut depth, _) =
-            current
-                .depth
-                .propagate(host, &motion.frame_from_keyframe, &self.config.depth);
-        // The unit of the new keyframe is its median depth.
-        let median_idepth = depth
-            .median_idepth()
-            .filter(|m| m.is_finite() && *m > 0.0)?;
-        depth.rescale(1.0 / median_idepth);
-        let unit = 1.0 / f64::from(median_idepth);
-        let parent = self.nodes.last()?;
-        let keyframe_from_frame = motion.frame_from_keyframe.inverse();
-        let world_from_keyframe = parent.world_from_keyframe * keyframe_from_frame.with_scale(unit);
-        let exposure = parent.exposure.then(motion.log_gain.exp(), motion.bias);
-        self.push_node(frame, world_from_keyframe, exposure);
-        let before_graph = Instant::now();
-        self.link_dense_depth(&current.depth, self.nodes.len() - 2);
-        self.adjust(&depth);
-        report.milliseconds.graph = milliseconds(before_graph);
-        self.observe_old_keyframes(&mut depth);
-        regularize(&mut depth, &self.config.depth);
-        if let Some(last) = self.last.as_mut() {
-            last.motion = Motion::from_pose(Se3::identity());
-            last.frame_from_previous.translation /= unit;
-        }
-        self.set_current(depth);
-        finished
-    }
-
-    /// Brings the newest keyframe into the sparse layer and takes over the adjusted poses and scales.
-    fn adjust(&mut self, depth: &DepthMap) {
-        if !self.config.sparse.enabled {
-            return;
-        }
-        self.sparse_stats = self.sparse.add_keyframe(
-            &self.nodes,
-            depth,
-            &self.pinhole,
-            &self.mask,
-            &self.config.sparse,
-        );
-        self.link_dense_depth(depth, self.nodes.len() - 1);
-        for (node, links) in self.nodes.iter_mut().zip(&self.links) {
-            let world_from_camera = self.sparse.camera_from_world[node.id as usize].inverse();
-            let scale = keyframe_scale(&self.sparse, node.id, links, &self.pinhole)
-                .unwrap_or(node.world_from_keyframe.scale);
-            node.world_from_keyframe = world_from_camera.with_scale(scale);
-        }
-        self.update_snapshot();
-    }
-
-    /// Notes the dense depth at the points that a keyframe sees.
-    fn link_dense_depth(&mut self, depth: &DepthMap, keyframe: usize) {
-        if !self.config.sparse.enabled {
-            return;
-        }
-        self.links.resize(self.nodes.len(), Vec::new());
-        self.links[keyframe] = dense_links(&self.sparse, keyframe as KeyframeId, depth);
-    }
-
-    /// Observes the newest keyframe's pixels in older keyframes with a useful baseline.
-    fn observe_old_keyframes(&self, depth: &mut DepthMap) {
-        let config = &self.config.keyframes;
-        let Some((node, older)) = self.nodes.split_last() else {
-            return;
-        };
-        let frames: Vec<StereoFrame<'_>> = older
-            .iter()
-            .rev()
-            .map(|other| (other, node.other_from_self(other)))
-            .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
-            .take(config.old_keyframes_observed)
-            .map(|(other, pose)| {
-                let (gain, bias) = node.exposure.relative(&other.exposure);
-                StereoFrame {
-                    image: other.pyramid.level(0),
-                    frame_from_keyframe: pose,
-                    gain: gain as f32,
-                    bias: bias as f32,
-                    residual_rms: 5.0,
-                    pose_sigma_trans: 0.002,
-                    pose_sigma_rot: 0.001,
-                    id: other.frame_index as u32,
-                }
-            })
-            .collect();
-        if !frames.is_empty() {
-            observe(depth, &frames, &self.config.depth);
-        }
-    }
-
-    /// Adds a keyframe and its pose.
-    fn push_node(
-        &mut self,
-        frame: &Frame,
-        world_from_keyframe: monogrid_geometry::Sim3,
-        exposure: Exposure,
-    ) {
-        self.nodes.push(Node {
-            id: self.nodes.len() as KeyframeId,
-            frame_index: frame.index,
-            timestamp_ns: frame.timestamp_ns,
-            pyramid: Arc::new(frame.pyramid.clone()),
-            world_from_keyframe,
-            exposure,
-        });
-        self.update_snapshot();
-    }
-
-    fn update_snapshot(&mut self) {
-        self.snapshot = Arc::new(PoseSnapshot {
-            revision: self.snapshot.revision + 1,
-            world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
-        });
-    }
-
-    fn set_current(&mut self, depth: DepthMap) {
-        self.current = Some(Current {
-            depth,
-            reference: Reference::default(),
-            num_mapped: 0,
-        });
-        self.refresh_reference();
-    }
-
-    /// Rebuilds the points that frames are tracked on from the newest depth.
-    fn refresh_reference(&mut self) {
-        let (Some(current), Some(node)) = (self.current.as_mut(), self.nodes.last()) else {
-            return;
-        };
-        let config = &self.config.tracking;
-        let samples = tracking_samples(&current.depth, config);
-        current.reference = Reference::new(
-            &node.pyramid,
-            &self.pinhole,
-            &samples,
-            config.alignment.finest_level,
-            config.alignment.coarsest_level,
-        );
-    }
-
-    /// Publishes depth and image of the current keyframe.
-    fn publish_current(&mut self) -> Option<KeyframeId> {
-        let current = self.current.as_ref()?;
-        let node = self.nodes.last()?;
-        let publication = &self.config.publication;
-        let filter = PixelFilter {
-            min_validity: publication.min_validity,
-            smoothed: publication.smoothed,
-            ..PixelFilter::default()
-        };
-        let pixels = current
-            .depth
-            .pixels(filter)
-            .map(|p| DepthPixel {
-                x: p.x,
-                y: p.y,
-                idepth: p.idepth,
-                idepth_var: p.idepth_var * publication.sigma_factor.powi(2)
-                    + (publication.relative_sigma * p.idepth).powi(2),
-            })
-            .collect();
-        self.finished.push(Keyframe {
-            id: node.id,
-            frame_index: node.frame_index,
-            timestamp_ns: node.timestamp_ns,
-            revision: 0,
-            image: node
-                .pyramid
-                .level(0)
-                .map(|v| v.round().clamp(0.0, 255.0) as u8),
-            pixels,
-        });
-        Some(node.id)
     }
 }
 

@@ -1,0 +1,138 @@
+//! Settings of the keyframe graph.
+
+use monogrid_alignment::SimilarityConfig;
+use serde::{Deserialize, Serialize};
+
+/// Settings of constraint search and pose graph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GraphConfig {
+    /// Whether keyframes are constrained by direct alignment and their poses optimised.
+    pub enabled: bool,
+    /// Alignment of two keyframes.
+    pub similarity: SimilarityConfig,
+    /// The nearest keyframes that are tried beside the previous one.
+    pub nearest: usize,
+    /// Smallest predicted overlap of these.
+    pub min_nearest_overlap: f64,
+    /// Largest distance of these in units of the median depth.
+    pub max_nearest_distance: f64,
+    /// Predicted overlap from which every other keyframe is tried too, however old.
+    pub min_overlap: f64,
+    /// At most this many of those, the largest overlap first.
+    pub max_overlapping: usize,
+    /// Largest angle between the rays to the same surface, degrees.
+    pub max_view_angle_deg: f64,
+    /// Largest ratio of the distances to the same surface.
+    pub max_distance_ratio: f64,
+    /// Relative standard deviation of the scale between successive keyframes that tracking and
+    /// propagation leave.
+    pub odometry_scale_sigma: f64,
+    /// Squared normalised residual from which edges other than those between successive keyframes lose
+    /// weight.
+    pub switch_chi_sq: f64,
+    /// Frames after which the result of an optimisation is taken over.
+    pub lag_frames: usize,
+    /// Iterations of an optimisation.
+    pub max_iterations: usize,
+    /// Whether at the end all keyframes look for constraints once more with the final poses.
+    pub final_search: bool,
+    /// Errors of direct alignment that its residuals do not show.
+    pub direct_edges: DirectEdgeConfig,
+    /// Edges from the points of the sparse layer.
+    pub sparse_edges: SparseEdgeConfig,
+}
+
+/// Errors of a direct alignment that both of its directions share (surfaces that look different from
+/// elsewhere, smoothed depth, rolling shutter): standard deviations added to those of the residuals.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DirectEdgeConfig {
+    /// Of the translation, as a share of it.
+    pub translation_share: f64,
+    /// Of the translation, median depths.
+    pub translation_sigma: f64,
+    /// Of the rotation, rad.
+    pub rotation_sigma: f64,
+    /// Of the logarithm of the scale.
+    pub scale_sigma: f64,
+}
+
+impl Default for DirectEdgeConfig {
+    fn default() -> Self {
+        Self {
+            translation_share: 0.02,
+            translation_sigma: 0.003,
+            rotation_sigma: 0.003,
+            scale_sigma: 0.01,
+        }
+    }
+}
+
+/// How well the sparse layer knows the motion between two keyframes that share points, for a number of
+/// shared points at which it is known best. The errors that count are those of the model, not of the
+/// pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SparseEdgeConfig {
+    /// Shared points from which two keyframes have an edge.
+    pub min_shared_points: usize,
+    /// Edges of a keyframe to older ones at most, those with the most shared points.
+    pub max_edges: usize,
+    /// Shared points at which the standard deviations below hold; with fewer they grow with the root.
+    pub reference_points: usize,
+    /// Standard deviation of the translation, median depths.
+    pub translation_sigma: f64,
+    /// Standard deviation of the rotation, rad.
+    pub rotation_sigma: f64,
+    /// Standard deviation of the logarithm of the scale.
+    pub scale_sigma: f64,
+}
+
+impl Default for SparseEdgeConfig {
+    fn default() -> Self {
+        Self {
+            min_shared_points: 15,
+            max_edges: 12,
+            reference_points: 100,
+            translation_sigma: 0.0008,
+            rotation_sigma: 0.0005,
+            scale_sigma: 0.005,
+        }
+    }
+}
+
+impl Default for GraphConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            similarity: SimilarityConfig::default(),
+            nearest: 10,
+            min_nearest_overlap: 0.2,
+            max_nearest_distance: 1.3,
+            min_overlap: 0.35,
+            max_overlapping: 10,
+            max_view_angle_deg: 50.0,
+            max_distance_ratio: 2.0,
+            odometry_scale_sigma: 0.05,
+            switch_chi_sq: 25.0,
+            lag_frames: 3,
+            max_iterations: 10,
+            final_search: true,
+            direct_edges: DirectEdgeConfig::default(),
+            sparse_edges: SparseEdgeConfig::default(),
+        }
+    }
+}
+
+impl GraphConfig {
+    /// LSD-SLAM: the weights of its alignment, the ten nearest keyframes only.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            similarity: SimilarityConfig::thesis(),
+            max_overlapping: 0,
+            ..Self::default()
+        }
+    }
+}

@@ -1,0 +1,559 @@
+//! Constraints between keyframes and the optimisation of their poses.
+
+use super::GraphConfig;
+use super::search::{Candidate, ImageBounds, Probes, choose};
+use crate::KeyframeId;
+use crate::node::Exposure;
+use monogrid_alignment::{
+    DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
+};
+use monogrid_geometry::{Mat6, Mat7, Pinhole, Sim3};
+use monogrid_graph::RobustKernel;
+use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph, PoseGraphConfig};
+use monogrid_image::Pyramid;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A finished keyframe: what the alignment needs.
+#[derive(Clone, Debug)]
+pub(crate) struct GraphView {
+    pub id: KeyframeId,
+    pub pyramid: Arc<Pyramid>,
+    /// Depth in the keyframe's units.
+    pub samples: Vec<DepthSample>,
+    pub exposure: Exposure,
+}
+
+/// Motion between a keyframe and the one before it, as tracking found it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OdometryEdge {
+    pub keyframe: KeyframeId,
+    pub previous_from_keyframe: Sim3,
+    /// Covariance of a left update `[v, w]`, in the units of the previous keyframe.
+    pub covariance: Mat6,
+}
+
+/// Two keyframes that share points of the sparse layer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SparseEdge {
+    pub i: KeyframeId,
+    pub j: KeyframeId,
+    pub shared_points: usize,
+}
+
+/// What the graph has to do for a finished keyframe.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct GraphJob {
+    /// The keyframe that was finished, if one was.
+    pub finished: Option<GraphView>,
+    /// Present poses of all keyframes, by identity.
+    pub world_from_keyframe: Vec<Sim3>,
+    /// Motion of the newest keyframe.
+    pub odometry: Option<OdometryEdge>,
+    /// Pairs whose relative pose the sparse layer has just adjusted.
+    pub sparse_edges: Vec<SparseEdge>,
+    /// Whether all keyframes look for constraints once more.
+    pub is_final: bool,
+}
+
+/// What came of a job.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct GraphUpdate {
+    /// Poses of all keyframes of the job, by identity.
+    pub world_from_keyframe: Vec<Sim3>,
+    /// Covariance of each keyframe relative to the one before it, in the units of that one.
+    pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
+    /// All edges.
+    pub edges: Vec<GraphEdge>,
+    /// What was done.
+    pub stats: GraphStats,
+}
+
+/// What the graph has done so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GraphStats {
+    /// Pairs of keyframes that were aligned.
+    pub pairs_tried: usize,
+    /// Pairs that gave a constraint.
+    pub constraints: usize,
+    /// Constraints that the optimisation has switched off.
+    pub switched_off: usize,
+    /// Longest time from a keyframe's finish to the use of its optimised poses, ms.
+    pub max_wait_ms: f64,
+    /// Time of the alignments, ms.
+    pub alignment_ms: f64,
+    /// Longest job, ms.
+    pub max_job_ms: f64,
+    /// Time of all jobs, ms.
+    pub total_ms: f64,
+}
+
+/// Where an edge comes from. Odometry gives way to the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum EdgeKind {
+    Odometry,
+    Sparse,
+    Direct,
+}
+
+/// The keyframes as the graph keeps them.
+#[derive(Clone, Debug)]
+struct Entry {
+    view: GraphView,
+    probes: Probes,
+}
+
+/// Keyframes that are prepared for alignment at the same time at most.
+const MAX_PREPARED: usize = 24;
+/// A pair that was refused is tried again when the start differs by this much (norm of the tangent).
+const NEW_START: f64 = 0.1;
+/// Rounds of the final search.
+const FINAL_ROUNDS: usize = 2;
+
+/// The graph with all that its jobs need.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyframeGraph {
+    config: GraphConfig,
+    image: ImageBounds,
+    entries: BTreeMap<KeyframeId, Entry>,
+    world_from_keyframe: Vec<Sim3>,
+    /// By the older and the newer keyframe, and the kind.
+    edges: BTreeMap<(KeyframeId, KeyframeId, EdgeKind), GraphEdge>,
+    refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
+    /// Prepared keyframes, the most recently used last.
+    prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
+    stats: GraphStats,
+}
+
+impl KeyframeGraph {
+    /// A graph without keyframes, for images of the given size.
+    pub(crate) fn new(
+        config: GraphConfig,
+        pinhole: Pinhole,
+        (width, height): (usize, usize),
+    ) -> Self {
+        Self {
+            config,
+            image: ImageBounds {
+                pinhole,
+                width: width as f64,
+                height: height as f64,
+            },
+            entries: BTreeMap::new(),
+            world_from_keyframe: Vec::new(),
+            edges: BTreeMap::new(),
+            refused: BTreeMap::new(),
+            prepared: Vec::new(),
+            stats: GraphStats::default(),
+        }
+    }
+
+    /// Searches constraints for the finished keyframe and optimises all poses.
+    pub(crate) fn run(&mut self, job: GraphJob) -> GraphUpdate {
+        let begin = Instant::now();
+        self.world_from_keyframe
+            .clone_from(&job.world_from_keyframe);
+        if let Some(odometry) = &job.odometry {
+            self.add_odometry(odometry);
+        }
+        for edge in &job.sparse_edges {
+            self.set_sparse_edge(edge);
+        }
+        if let Some(view) = job.finished {
+            let id = view.id;
+            let probes = Probes::new(&view.samples, &self.image.pinhole);
+            self.entries.insert(id, Entry { view, probes });
+            self.search(id);
+        }
+        let mut covariances = self.optimise();
+        if job.is_final {
+            for _ in 0..FINAL_ROUNDS {
+                let before = self.stats.constraints;
+                let ids: Vec<KeyframeId> = self.entries.keys().copied().collect();
+                for id in ids {
+                    self.search(id);
+                }
+                if self.stats.constraints == before {
+                    break;
+                }
+                covariances = self.optimise();
+            }
+        }
+        let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
+        self.stats.max_job_ms = self.stats.max_job_ms.max(milliseconds);
+        self.stats.total_ms += milliseconds;
+        GraphUpdate {
+            world_from_keyframe: self.world_from_keyframe.clone(),
+            previous_from_keyframe_covariance: covariances,
+            edges: self.edges.values().copied().collect(),
+            stats: self.stats,
+        }
+    }
+
+    /// The motion that tracking found holds a keyframe until something better does.
+    fn add_odometry(&mut self, odometry: &OdometryEdge) {
+        let Some(previous) = odometry.keyframe.checked_sub(1) else {
+            return;
+        };
+        let mut covariance = Mat7::zeros();
+        covariance
+            .fixed_view_mut::<6, 6>(0, 0)
+            .copy_from(&odometry.covariance);
+        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        let Some(information) = covariance.cholesky().map(|c| c.inverse()) else {
+            return;
+        };
+        let edge = GraphEdge {
+            i: u64::from(previous),
+            j: u64::from(odometry.keyframe),
+            i_from_j: odometry.previous_from_keyframe,
+            information,
+            kernel: RobustKernel::None,
+        };
+        self.edges
+            .insert((previous, odometry.keyframe, EdgeKind::Odometry), edge);
+    }
+
+    /// The relative pose of two keyframes as the sparse layer has it now.
+    fn set_sparse_edge(&mut self, found: &SparseEdge) {
+        let config = &self.config.sparse_edges;
+        let (i, j) = (found.i, found.j);
+        let i_from_j = self.relative(i, j);
+        let factor = (config.reference_points as f64 / found.shared_points.max(1) as f64).max(1.0);
+        let mut information = Mat7::zeros();
+        for k in 0..7 {
+            let sigma = match k {
+                0..3 => config.translation_sigma,
+                3..6 => config.rotation_sigma,
+                _ => config.scale_sigma,
+            };
+            information[(k, k)] = 1.0 / (sigma * sigma * factor);
+        }
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j,
+            information,
+            kernel: RobustKernel::Huber { delta: 3.0 },
+        };
+        self.edges.remove(&(i, j, EdgeKind::Odometry));
+        self.edges.insert((i, j, EdgeKind::Sparse), edge);
+    }
+
+    fn relative(&self, i: KeyframeId, j: KeyframeId) -> Sim3 {
+        self.world_from_keyframe[i as usize].inverse() * self.world_from_keyframe[j as usize]
+    }
+
+    /// Tries to constrain a keyframe to the previous, the nearest and the overlapping ones.
+    fn search(&mut self, id: KeyframeId) {
+        let previous = id.checked_sub(1);
+        let mut chosen = self.choose(id);
+        if let Some(previous) = previous
+            && !chosen.contains(&previous)
+        {
+            chosen.insert(0, previous);
+        }
+        for other in chosen {
+            if self.edges.contains_key(&(other, id, EdgeKind::Direct)) {
+                continue;
+            }
+            let key = (other, id);
+            let start = self.relative(other, id);
+            let is_new = |refused: &Sim3| (refused.inverse() * start).log().norm() > NEW_START;
+            if !self.refused.get(&key).is_none_or(is_new) {
+                continue;
+            }
+            self.stats.pairs_tried += 1;
+            let begin = Instant::now();
+            let constraint = self.align(id, other);
+            self.stats.alignment_ms += begin.elapsed().as_secs_f64() * 1e3;
+            match constraint {
+                Some(constraint) => self.set_direct_edge(other, id, &constraint),
+                None => {
+                    self.refused.insert(key, start);
+                }
+            }
+        }
+    }
+
+    fn choose(&self, id: KeyframeId) -> Vec<KeyframeId> {
+        let Some(own) = self.entries.get(&id) else {
+            return Vec::new();
+        };
+        let others: Vec<Candidate<'_>> = self
+            .entries
+            .range(..id)
+            .map(|(id, entry)| Candidate {
+                id: *id,
+                world_from_keyframe: self.world_from_keyframe[*id as usize],
+                probes: &entry.probes,
+            })
+            .collect();
+        let own = Candidate {
+            id,
+            world_from_keyframe: self.world_from_keyframe[id as usize],
+            probes: &own.probes,
+        };
+        choose(&own, &others, &self.image, &self.config)
+    }
+
+    /// Direct alignment of keyframe `id` to `other`, in both directions.
+    fn align(&mut self, id: KeyframeId, other: KeyframeId) -> Option<SimilarityConstraint> {
+        let (own_view, other_view) = (self.prepare(id)?, self.prepare(other)?);
+        let exposure = |id: KeyframeId| self.entries.get(&id).map(|e| e.view.exposure);
+        let (gain, bias) = exposure(id)?.relative(&exposure(other)?);
+        let initial = SimilarityState {
+            b_from_a: self.relative(other, id),
+            log_gain: gain.ln(),
+            bias,
+        };
+        align_reciprocally(&own_view, &other_view, &initial, &self.config.similarity).ok()
+    }
+
+    /// Points, image and depth of a keyframe on the levels of the alignment.
+    fn prepare(&mut self, id: KeyframeId) -> Option<Arc<KeyframeView>> {
+        if let Some(at) = self.prepared.iter().position(|(other, _)| *other == id) {
+            let found = self.prepared.remove(at);
+            let view = Arc::clone(&found.1);
+            self.prepared.push(found);
+            return Some(view);
+        }
+        let view = &self.entries.get(&id)?.view;
+        let config = &self.config.similarity;
+        let (finest, coarsest) = (config.finest_level, config.coarsest_level);
+        let prepared = Arc::new(KeyframeView::new(
+            &view.pyramid,
+            &self.image.pinhole,
+            &view.samples,
+            finest,
+            coarsest,
+        ));
+        if self.prepared.len() >= MAX_PREPARED {
+            self.prepared.remove(0);
+        }
+        self.prepared.push((id, Arc::clone(&prepared)));
+        Some(prepared)
+    }
+
+    fn set_direct_edge(&mut self, i: KeyframeId, j: KeyframeId, constraint: &SimilarityConstraint) {
+        let Some(information) = self.with_model_error(constraint) else {
+            return;
+        };
+        self.stats.constraints += 1;
+        let kernel = if i + 1 == j {
+            RobustKernel::Huber { delta: 3.0 }
+        } else {
+            RobustKernel::DynamicCovariance {
+                phi: self.config.switch_chi_sq,
+            }
+        };
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j: constraint.b_from_a,
+            information,
+            kernel,
+        };
+        self.edges.remove(&(i, j, EdgeKind::Odometry));
+        self.edges.insert((i, j, EdgeKind::Direct), edge);
+    }
+
+    /// Information of a constraint when the errors that its residuals do not show are counted too.
+    fn with_model_error(&self, constraint: &SimilarityConstraint) -> Option<Mat7> {
+        let config = &self.config.direct_edges;
+        let mut covariance = constraint.information.cholesky()?.inverse();
+        let moved = constraint.b_from_a.translation.norm() * config.translation_share;
+        let translation_var = config.translation_sigma.powi(2) + moved * moved;
+        for k in 0..7 {
+            covariance[(k, k)] += match k {
+                0..3 => translation_var,
+                3..6 => config.rotation_sigma.powi(2),
+                _ => config.scale_sigma.powi(2),
+            };
+        }
+        let information = covariance.cholesky()?.inverse();
+        Some((information + information.transpose()) * 0.5)
+    }
+
+    /// Moves the poses to the optimum; covariance of each keyframe relative to the one before.
+    fn optimise(&mut self) -> Vec<Option<Mat7>> {
+        let none = vec![None; self.world_from_keyframe.len()];
+        let Some(mut graph) = self.pose_graph() else {
+            return none;
+        };
+        let settings = PoseGraphConfig {
+            max_iterations: self.config.max_iterations,
+            ..PoseGraphConfig::default()
+        };
+        let Ok(report) = graph.optimise(&settings) else {
+            return none;
+        };
+        for (pose, node) in self.world_from_keyframe.iter_mut().zip(graph.nodes()) {
+            *pose = node.world_from_keyframe;
+        }
+        self.stats.switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
+        let Ok(uncertainty) = graph.uncertainty() else {
+            return none;
+        };
+        (0..self.world_from_keyframe.len() as u64)
+            .map(|id| uncertainty.relative(id.checked_sub(1)?, id).ok())
+            .collect()
+    }
+
+    fn pose_graph(&self) -> Option<PoseGraph> {
+        let mut graph = PoseGraph::new();
+        for (id, pose) in self.world_from_keyframe.iter().enumerate() {
+            let node = GraphNode {
+                id: id as u64,
+                world_from_keyframe: *pose,
+                is_fixed: id == 0,
+            };
+            graph.add_node(node).ok()?;
+        }
+        for edge in self.edges.values() {
+            // an edge that the graph refuses (a scale beyond reason) is no constraint
+            let _ = graph.add_edge(*edge);
+        }
+        Some(graph)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
+mod tests {
+    use super::*;
+    use monogrid_datasets::synth::SynthSequence;
+    use monogrid_geometry::Vec7;
+
+    /// Keyframes of a rendered room with exact depth, and their true poses; the unit of keyframe k is
+    /// `1 + 0.1 k` metres.
+    fn keyframes(
+        sequence: &SynthSequence,
+        step: usize,
+        count: usize,
+    ) -> (Vec<GraphView>, Vec<Sim3>) {
+        let mut views = Vec::new();
+        let mut poses = Vec::new();
+        for k in 0..count {
+            let frame = sequence.frame(k * step).unwrap();
+            let depth = sequence.depth(k * step).unwrap();
+            let unit = 1.0 + 0.1 * k as f32;
+            let image = &frame.image;
+            let mut samples = Vec::new();
+            for y in 2..image.height() - 2 {
+                for x in 2..image.width() - 2 {
+                    let dx = image.at(x + 1, y) - image.at(x - 1, y);
+                    let dy = image.at(x, y + 1) - image.at(x, y - 1);
+                    let z = depth.at(x, y);
+                    if dx.hypot(dy) > 10.0 && z.is_finite() && z > 0.0 {
+                        let idepth = unit / z;
+                        let idepth_var = (0.01 * idepth).powi(2);
+                        let (x, y) = (x as u16, y as u16);
+                        samples.push(DepthSample {
+                            x,
+                            y,
+                            idepth,
+                            idepth_var,
+                        });
+                    }
+                }
+            }
+            poses.push(frame.world_from_camera.with_scale(f64::from(unit)));
+            views.push(GraphView {
+                id: k as KeyframeId,
+                pyramid: Arc::new(Pyramid::new(image.clone(), 5)),
+                samples,
+                exposure: Exposure::NEUTRAL,
+            });
+        }
+        // relative to the first, which holds the world
+        let first_from_world = poses[0].inverse();
+        (
+            views,
+            poses.iter().map(|pose| first_from_world * *pose).collect(),
+        )
+    }
+
+    fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
+        let errors = found.iter().zip(truth).map(|(f, t)| {
+            let difference = t.inverse() * *f;
+            (difference.translation.norm(), difference.scale.ln().abs())
+        });
+        errors.fold((0.0, 0.0), |worst, e| (worst.0.max(e.0), worst.1.max(e.1)))
+    }
+
+    #[test]
+    fn constraints_take_out_the_drift_of_position_and_scale() {
+        let sequence = SynthSequence::small_demo().unwrap();
+        let camera = sequence.camera();
+        let (views, truth) = keyframes(&sequence, 8, 8);
+        let drift = Sim3::exp(&Vec7::from_column_slice(&[
+            0.006, -0.004, 0.005, 0.002, 0.003, -0.002, 0.03,
+        ]));
+        let config = GraphConfig::default();
+        let size = (camera.width, camera.height);
+        let mut graph = KeyframeGraph::new(config, camera.pinhole, size);
+        let mut poses = vec![truth[0]];
+        let mut chain = vec![truth[0]];
+        let mut stats = GraphStats::default();
+        for (k, view) in views.iter().enumerate() {
+            let job = |world_from_keyframe: &[Sim3], odometry| GraphJob {
+                finished: Some(view.clone()),
+                world_from_keyframe: world_from_keyframe.to_vec(),
+                odometry,
+                ..GraphJob::default()
+            };
+            let odometry = (k + 1 < views.len()).then(|| {
+                let previous_from_keyframe = truth[k].inverse() * truth[k + 1] * drift;
+                poses.push(poses[k] * previous_from_keyframe);
+                chain.push(chain[k] * previous_from_keyframe);
+                OdometryEdge {
+                    keyframe: k as KeyframeId + 1,
+                    previous_from_keyframe,
+                    covariance: Mat6::identity() * 1e-4,
+                }
+            });
+            let update = graph.run(job(&poses, odometry));
+            poses = update.world_from_keyframe;
+            stats = update.stats;
+            assert!(
+                update
+                    .previous_from_keyframe_covariance
+                    .iter()
+                    .skip(1)
+                    .all(Option::is_some)
+            );
+        }
+        let (before, after) = (error(&chain, &truth), error(&poses, &truth));
+        assert!(stats.constraints >= 10, "{stats:?}");
+        assert!(before.0 > 0.04 && before.1 > 0.19, "{before:?}");
+        assert!(after.0 < 0.01 && after.1 < 0.01, "{before:?} {after:?}");
+    }
+
+    #[test]
+    fn a_keyframe_of_another_room_is_not_constrained() {
+        let sequence = SynthSequence::small_demo().unwrap();
+        let camera = sequence.camera();
+        let (mut views, poses) = keyframes(&sequence, 8, 2);
+        // the depth of the first, the image upside down
+        let image = views[0].pyramid.level(0).clone();
+        let (width, height) = (image.width(), image.height());
+        let turned = monogrid_image::GrayImage::from_fn(width, height, |x, y| {
+            image.at(width - 1 - x, height - 1 - y)
+        });
+        views[1].pyramid = Arc::new(Pyramid::new(turned, 5));
+        let size = (width, height);
+        let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, size);
+        let mut last = GraphUpdate::default();
+        for view in views {
+            last = graph.run(GraphJob {
+                finished: Some(view),
+                world_from_keyframe: poses.clone(),
+                ..GraphJob::default()
+            });
+        }
+        assert_eq!((last.stats.pairs_tried, last.stats.constraints), (1, 0));
+        assert_eq!(last.world_from_keyframe, poses, "nothing to move them");
+    }
+}

@@ -1,0 +1,20 @@
+//! The graph of keyframes: constraints are searched and the poses optimised beside tracking.
+//!
+//! Flow: a finished keyframe becomes a [`GraphJob`] → [`worker::GraphWorker`] runs it on its own thread
+//! → [`search`] picks the keyframes that should see the same surfaces, direct alignment over Sim(3) turns
+//! them into edges, the pose graph is optimised → [`GraphUpdate`] is taken over by the system a fixed
+//! number of frames later.
+//!
+//! The lag is counted in frames, never in time, so that the result is the same on every machine.
+
+mod config;
+mod keyframe_graph;
+mod search;
+mod worker;
+
+pub use config::{DirectEdgeConfig, GraphConfig, SparseEdgeConfig};
+pub use keyframe_graph::GraphStats;
+pub(crate) use keyframe_graph::{
+    GraphJob, GraphUpdate, GraphView, KeyframeGraph, OdometryEdge, SparseEdge,
+};
+pub(crate) use worker::GraphWorker;

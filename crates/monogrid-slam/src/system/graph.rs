@@ -1,0 +1,168 @@
+//! The graph of keyframes works beside tracking; its results are taken over at a fixed lag.
+
+use super::Slam;
+use crate::KeyframeId;
+use crate::depth_step::tracking_samples;
+use crate::graph::{
+    GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, KeyframeGraph, OdometryEdge,
+};
+use monogrid_depth::DepthMap;
+use monogrid_geometry::{Mat7, Pinhole};
+use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
+use monogrid_image::Mask;
+use std::time::Instant;
+
+/// The graph's worker and what it has told so far.
+#[derive(Debug)]
+pub(super) struct GraphLink {
+    worker: GraphWorker,
+    /// Frames until the job under way is taken over, and when it was given.
+    due: Option<(usize, Instant)>,
+    edges: Vec<GraphEdge>,
+    stats: GraphStats,
+}
+
+impl GraphLink {
+    /// A link, if the configuration asks for a graph.
+    pub(super) fn new(config: &crate::GraphConfig, pinhole: Pinhole, mask: &Mask) -> Option<Self> {
+        config.enabled.then(|| {
+            let size = (mask.width(), mask.height());
+            let graph = KeyframeGraph::new(config.clone(), pinhole, size);
+            Self {
+                worker: GraphWorker::new(graph, rayon::current_num_threads()),
+                due: None,
+                edges: Vec::new(),
+                stats: GraphStats::default(),
+            }
+        })
+    }
+}
+
+impl Slam {
+    /// What the graph has done so far.
+    #[must_use]
+    pub fn graph_stats(&self) -> GraphStats {
+        self.graph
+            .as_ref()
+            .map_or_else(GraphStats::default, |link| link.stats)
+    }
+
+    /// The graph of keyframes with the newest poses; with chain edges alone when there is no graph.
+    #[must_use]
+    pub fn pose_graph(&self) -> PoseGraph {
+        let mut graph = PoseGraph::new();
+        for node in &self.nodes {
+            // identities are unique and poses finite, so nothing is refused
+            let _ = graph.add_node(GraphNode {
+                id: u64::from(node.id),
+                world_from_keyframe: node.world_from_keyframe,
+                is_fixed: node.id == 0,
+            });
+        }
+        let edges = self.graph.as_ref().map_or(&[][..], |link| &link.edges);
+        for edge in edges {
+            let _ = graph.add_edge(*edge);
+        }
+        for pair in self.nodes.windows(2).filter(|_| edges.is_empty()) {
+            let _ = graph.add_edge(GraphEdge {
+                i: u64::from(pair[0].id),
+                j: u64::from(pair[1].id),
+                i_from_j: pair[0].world_from_keyframe.inverse() * pair[1].world_from_keyframe,
+                information: Mat7::identity(),
+                kernel: monogrid_graph::RobustKernel::None,
+            });
+        }
+        graph
+    }
+
+    /// What the graph needs of a keyframe that is about to be finished.
+    pub(super) fn graph_view(&self, depth: &DepthMap) -> Option<GraphView> {
+        self.graph.as_ref()?;
+        let node = self.nodes.last()?;
+        Some(GraphView {
+            id: node.id,
+            pyramid: std::sync::Arc::clone(&node.pyramid),
+            samples: tracking_samples(depth, &self.config.tracking),
+            exposure: node.exposure,
+        })
+    }
+
+    /// Gives the graph a finished keyframe and the poses as they are now.
+    pub(super) fn submit_graph_job(
+        &mut self,
+        finished: Option<GraphView>,
+        odometry: Option<OdometryEdge>,
+        is_final: bool,
+    ) {
+        let newest = self.nodes.len().saturating_sub(1) as KeyframeId;
+        let Some(link) = self.graph.as_mut() else {
+            return;
+        };
+        let sparse_edges = if self.config.sparse.enabled {
+            let config = &self.config.graph.sparse_edges;
+            self.sparse.shared_points(
+                newest,
+                self.config.sparse.window_newest,
+                config.min_shared_points,
+                config.max_edges,
+            )
+        } else {
+            Vec::new()
+        };
+        link.worker.submit(GraphJob {
+            finished,
+            world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
+            odometry,
+            sparse_edges,
+            is_final,
+        });
+        link.due = Some((self.config.graph.lag_frames, Instant::now()));
+    }
+
+    /// Counts a frame, and takes over the result that is due.
+    pub(super) fn count_graph_frame(&mut self) {
+        let Some((left, _)) = self.graph.as_mut().and_then(|link| link.due.as_mut()) else {
+            return;
+        };
+        if *left > 0 {
+            *left -= 1;
+            return;
+        }
+        self.take_graph_update();
+    }
+
+    /// Takes over the result of the job under way, waiting for it when it is not ready.
+    pub(super) fn take_graph_update(&mut self) {
+        let Some(link) = self.graph.as_mut() else {
+            return;
+        };
+        let Some((_, given)) = link.due.take() else {
+            return;
+        };
+        let Some(update) = link.worker.take() else {
+            return;
+        };
+        let waited_ms = given.elapsed().as_secs_f64() * 1e3;
+        let max_wait_ms = link.stats.max_wait_ms.max(waited_ms);
+        link.stats = GraphStats {
+            max_wait_ms,
+            ..update.stats
+        };
+        link.edges.clone_from(&update.edges);
+        self.apply_graph_update(&update);
+    }
+
+    /// Moves the keyframes, and with them what is anchored in them.
+    fn apply_graph_update(&mut self, update: &GraphUpdate) {
+        for (node, pose) in self.nodes.iter_mut().zip(&update.world_from_keyframe) {
+            if self.config.sparse.enabled {
+                let growth = pose.scale / node.world_from_keyframe.scale;
+                self.sparse.move_keyframe(node.id, &pose.to_se3(), growth);
+            }
+            node.world_from_keyframe = *pose;
+        }
+        self.relative_covariance
+            .clone_from(&update.previous_from_keyframe_covariance);
+        self.update_snapshot();
+    }
+}
