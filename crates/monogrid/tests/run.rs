@@ -48,6 +48,7 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
         "keyframes.txt",
         "recording.mgk",
         "graph.g2o",
+        "graph_rigid.g2o",
         "global.ot",
         "global.bt",
         "local.ot",

@@ -275,6 +275,8 @@ fn summarise(
         dropped,
         lost_episodes: tracked.slam.lost_episodes(),
         keyframes: tracked.slam.keyframes().len(),
+        constraints: tracked.slam.graph_stats().constraints,
+        graph_wait_ms: tracked.slam.graph_stats().max_wait_ms,
         loop_closures: 0,
         points,
         frames_per_second: 0.0,

@@ -9,11 +9,14 @@ use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, render};
 use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_tum};
+use monogrid_graph::g2o;
+use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
 use monogrid_slam::mapping::Maps;
 use std::fmt::Write;
 
-/// Writes `trajectory.txt`, `trajectory_live.txt`, `frames.csv`, `keyframes.txt` and `graph.g2o`.
+/// Writes `trajectory.txt`, `trajectory_live.txt`, `frames.csv`, `keyframes.txt`,
+/// `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
 pub fn write_tables(
     folder: &OutputFolder,
     tracked: &Tracked,
@@ -26,7 +29,9 @@ pub fn write_tables(
     )?;
     folder.write("frames.csv", frames_csv(&tracked.rows))?;
     folder.write("keyframes.txt", keyframes_txt(tracked, frame))?;
-    folder.write("graph.g2o", graph_g2o(tracked, frame))
+    let graph = keyframe_graph(tracked, frame);
+    folder.write("graph.g2o", g2o::write(&graph))?;
+    folder.write("graph_rigid.g2o", g2o::write_rigid(&graph))
 }
 
 /// Final poses of all tracked frames in the frame of the results.
@@ -128,48 +133,15 @@ fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
     text
 }
 
-/// The chain of keyframes for g2o: vertices are poses (`VERTEX_SE3:QUAT`), edges the motion from each
-/// keyframe to the next; the scale of a keyframe stands in a comment before its vertex.
-fn graph_g2o(tracked: &Tracked, frame: &MapFrame) -> String {
-    let mut text = String::new();
-    let mut previous: Option<(u32, monogrid_geometry::Se3)> = None;
-    let mut edges = String::new();
-    for keyframe in tracked.slam.keyframes() {
-        let Some(pose) = tracked
-            .snapshot
-            .world_from_keyframe
-            .get(keyframe.id as usize)
-        else {
-            continue;
-        };
-        let map_from_keyframe = frame.map_from_world * *pose;
-        let rigid = map_from_keyframe.to_se3();
-        let _ = writeln!(
-            text,
-            "# keyframe {} scale {:.9}",
-            keyframe.id, map_from_keyframe.scale
-        );
-        let _ = writeln!(text, "VERTEX_SE3:QUAT {} {}", keyframe.id, seven(&rigid));
-        if let Some((id, before)) = previous {
-            let motion = before.inverse() * rigid;
-            let _ = writeln!(
-                edges,
-                "EDGE_SE3:QUAT {id} {} {} 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1",
-                keyframe.id,
-                seven(&motion)
-            );
-        }
-        previous = Some((keyframe.id, rigid));
+/// The keyframe graph in the frame of the results.
+fn keyframe_graph(tracked: &Tracked, frame: &MapFrame) -> PoseGraph {
+    let mut graph = tracked.slam.pose_graph();
+    let nodes: Vec<_> = graph.nodes().to_vec();
+    for node in nodes {
+        // Only poses that are not finite are refused; they stay as they are.
+        let _ = graph.set_pose(node.id, frame.map_from_world * node.world_from_keyframe);
     }
-    text + &edges
-}
-
-fn seven(pose: &monogrid_geometry::Se3) -> String {
-    let (t, q) = (pose.translation, pose.rotation.coords);
-    format!(
-        "{:.9} {:.9} {:.9} {:.10} {:.10} {:.10} {:.10}",
-        t.x, t.y, t.z, q.x, q.y, q.z, q.w
-    )
+    graph
 }
 
 /// Writes the maps in all formats; returns the preview as a PNG file.

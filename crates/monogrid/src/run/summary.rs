@@ -54,6 +54,10 @@ pub struct Summary {
     pub lost_episodes: usize,
     /// Finished keyframes.
     pub keyframes: usize,
+    /// Pairs of keyframes constrained by direct alignment.
+    pub constraints: usize,
+    /// Longest time from the end of a keyframe to the use of its optimised poses, milliseconds.
+    pub graph_wait_ms: f64,
     /// Loops closed.
     pub loop_closures: usize,
     /// Depth measurements mapped.
