@@ -20,8 +20,8 @@ pub use depth::{
     KeyframeDepth, KeyframeDepthReport, NormalisedError,
 };
 pub use map::{
-    Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapReport, Policies,
-    PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, evaluate_map,
+    Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapEvaluator, MapReport,
+    Policies, PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, evaluate_map,
 };
 pub use paths::{PathConfig, PathError, PathReport, PathStats, PathsReport, evaluate_paths};
 pub use statistics::{ErrorSummary, median, robust_deviation};

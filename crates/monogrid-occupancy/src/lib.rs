@@ -35,6 +35,7 @@ mod evidence;
 mod integrate;
 mod io;
 mod key;
+mod likelihood;
 mod map;
 mod octree;
 mod query;

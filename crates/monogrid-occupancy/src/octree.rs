@@ -407,6 +407,14 @@ impl OccupancyMap {
         Ok(Octree::new(self)?.counts.leaves)
     }
 
+    /// Nodes of the pruned octree, leaves included, as OctoMap would count them.
+    ///
+    /// # Errors
+    /// A cell beyond OctoMap's 16-bit keys.
+    pub fn octree_node_count(&self) -> Result<usize, MapError> {
+        Ok(Octree::new(self)?.counts.nodes)
+    }
+
     /// Leaves of the pruned octree; of a map beyond OctoMap's keys, the number of uniform
     /// bricks plus that of known cells in mixed ones. Visits every brick.
     #[must_use]
@@ -481,5 +489,6 @@ mod tests {
         // Nodes: root and 11 inner levels down to edge 16, then 8 bricks, 8, 8, 8.
         let octree = Octree::new(&map).unwrap();
         assert_eq!(octree.counts.nodes, 13 + 8 + 8 + 8 + 8);
+        assert_eq!(map.octree_node_count().unwrap(), octree.counts.nodes);
     }
 }

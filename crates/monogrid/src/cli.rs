@@ -1,6 +1,9 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
+use crate::commands::sensor_model::SensorModelArgs;
+use crate::commands::slice::SliceArgs;
+use crate::commands::sweep::SweepArgs;
 use crate::commands::synth::SynthArgs;
 use crate::commands::tools::{CropArgs, DiffArgs, MergeArgs, ProjectArgs, TransformArgs};
 use crate::commands::truth::TruthArgs;
@@ -50,6 +53,17 @@ pub enum Command {
     /// Synthetic dataset in TUM layout with exact depth, poses and truth map
     #[command(after_help = "Example: monogrid synth office --out recordings/office --frames 600")]
     Synth(SynthArgs),
+    /// The thesis' experiments: every resolution, sensor model and parameter, with tables and figures
+    #[command(
+        after_help = "Example: monogrid sweep runs/room/recording.mgk --truth truth.ot --align gt:groundtruth.txt --out sweeps/room"
+    )]
+    Sweep(SweepArgs),
+    /// Curves of the inverse sensor models: probability over range, for any parameters
+    #[command(after_help = "Example: monogrid sensor-model --plot curves")]
+    SensorModel(SensorModelArgs),
+    /// Grey pictures of the layers of a map
+    #[command(after_help = "Example: monogrid slice kitchen.ot slices --leaves")]
+    Slice(SliceArgs),
     /// Facts about a map
     #[command(after_help = "Example: monogrid info kitchen.bt")]
     Info(InfoArgs),

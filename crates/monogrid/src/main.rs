@@ -14,8 +14,10 @@ mod input;
 mod mapfile;
 mod output;
 mod picture;
+mod recorded;
 mod report;
 mod run;
+mod sweep;
 mod usage;
 
 use clap::Parser;
@@ -39,6 +41,9 @@ fn main() -> ExitCode {
         Command::Merge(args) => commands::tools::merge(args),
         Command::Diff(args) => commands::tools::diff(args),
         Command::Project(args) => commands::tools::project(args),
+        Command::SensorModel(args) => commands::sensor_model::execute(args),
+        Command::Slice(args) => commands::slice::execute(args),
+        Command::Sweep(args) => commands::sweep::execute(args),
         Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
             commands::evaluate::trajectory(args)
         }

@@ -5,7 +5,7 @@ use crate::statistics::median;
 use serde::Serialize;
 
 /// Distances between centres of cells, in map units (metres in a metric map).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SurfaceDistances {
     /// Mean distance from a predicted occupied cell to the nearest truly occupied one; `None` when
     /// there are no such cells.
@@ -27,32 +27,54 @@ pub struct SurfaceDistances {
     pub tolerance_m: f64,
 }
 
-/// Distances between two sets of cells of edge `resolution`. At most `max_queries` cells of each set,
-/// evenly spread over their order, ask for their nearest neighbour.
-pub(crate) fn surface_distances(
-    predicted: Vec<[i32; 3]>,
-    truth: Vec<[i32; 3]>,
-    truth_to_find: &[[i32; 3]],
+/// The true surface, ready to be asked for its nearest cells.
+#[derive(Debug)]
+pub(crate) struct TrueSurface {
+    tree: CellTree,
+    /// Cells that should be found in the estimate, a sample.
+    to_find: Vec<[i32; 3]>,
     resolution: f64,
     tolerance: f64,
     max_queries: usize,
-) -> SurfaceDistances {
-    let occupied_ratio = (!truth.is_empty()).then(|| predicted.len() as f64 / truth.len() as f64);
-    let from_predicted = sample(&predicted, max_queries);
-    let from_truth = sample(truth_to_find, max_queries);
-    let to_truth = distances(&from_predicted, &CellTree::new(truth), resolution);
-    let to_predicted = distances(&from_truth, &CellTree::new(predicted), resolution);
-    // Distances are multiples of the resolution but for rounding.
-    let reach = tolerance * (1.0 + 1e-9);
-    SurfaceDistances {
-        accuracy_m: mean(&to_truth),
-        accuracy_median_m: median(&to_truth),
-        accuracy_p95_m: quantile(&to_truth, 0.95),
-        accuracy_within_tolerance: share_within(&to_truth, from_predicted.len(), reach),
-        completeness: share_within(&to_predicted, from_truth.len(), reach),
-        completeness_m: mean(&to_predicted),
-        occupied_ratio,
-        tolerance_m: tolerance,
+}
+
+impl TrueSurface {
+    /// Of the truly occupied `cells` of edge `resolution`, those in view are to be found. At most
+    /// `max_queries` cells of each set, evenly spread over their order, ask for their nearest neighbour.
+    pub fn new(
+        cells: Vec<[i32; 3]>,
+        is_in_view: impl Fn([i32; 3]) -> bool,
+        resolution: f64,
+        tolerance: f64,
+        max_queries: usize,
+    ) -> Self {
+        let in_view: Vec<[i32; 3]> = cells.iter().copied().filter(|k| is_in_view(*k)).collect();
+        Self {
+            to_find: sample(&in_view, max_queries),
+            tree: CellTree::new(cells),
+            resolution,
+            tolerance,
+            max_queries,
+        }
+    }
+
+    /// Distances between `predicted` cells and this surface; the ratio of their numbers is left out.
+    pub fn distances(&self, predicted: Vec<[i32; 3]>) -> SurfaceDistances {
+        let from_predicted = sample(&predicted, self.max_queries);
+        let to_truth = distances(&from_predicted, &self.tree, self.resolution);
+        let to_predicted = distances(&self.to_find, &CellTree::new(predicted), self.resolution);
+        // Distances are multiples of the resolution but for rounding.
+        let reach = self.tolerance * (1.0 + 1e-9);
+        SurfaceDistances {
+            accuracy_m: mean(&to_truth),
+            accuracy_median_m: median(&to_truth),
+            accuracy_p95_m: quantile(&to_truth, 0.95),
+            accuracy_within_tolerance: share_within(&to_truth, from_predicted.len(), reach),
+            completeness: share_within(&to_predicted, self.to_find.len(), reach),
+            completeness_m: mean(&to_predicted),
+            occupied_ratio: None,
+            tolerance_m: self.tolerance,
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use crate::truth::{CellCounts, TruthGrid};
 use monogrid_occupancy::Occupancy;
 
 /// The cells in view, by keys of the truth; without a view all cells are.
+#[derive(Debug)]
 pub(crate) struct InView<'a> {
     grid: Option<&'a TruthGrid>,
     /// Cells of the truth along one edge of a cell of the view.
@@ -37,7 +38,7 @@ impl<'a> InView<'a> {
         for cell in truth.cells() {
             let key = truth.global(cell);
             if self.contains(key) {
-                counts.add(truth.state(key));
+                counts.add(truth.state_at(cell));
             }
         }
         Some(counts)

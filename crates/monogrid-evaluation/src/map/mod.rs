@@ -16,6 +16,7 @@ mod scores;
 pub use calibration::{Calibration, ReliabilityBin};
 pub use classify::{Contingency, RocPoint};
 pub use geometry::SurfaceDistances;
+use geometry::TrueSurface;
 pub use report::{MapReport, Policies, PolicyReport};
 
 use crate::truth::{CellCounts, TruthGrid};
@@ -36,7 +37,8 @@ pub struct MapEvaluationConfig<'a> {
     /// means "in view". Its cells may be a whole number of times as large as those of the truth.
     /// Completeness then only asks for surfaces in view. Default: none.
     pub in_view: Option<&'a TruthGrid>,
-    /// At most so many cells of each surface ask for their nearest neighbour. Default 1,000,000.
+    /// At most so many cells of each surface ask for their nearest neighbour; with 0 the distances are
+    /// absent and the shares within the tolerance 0. Default 1,000,000.
     pub max_distance_queries: usize,
 }
 
@@ -87,7 +89,9 @@ pub enum MapEvaluationError {
 struct Pass {
     scores: ScoreCounter,
     slices: Vec<Slice>,
+    /// Predicted occupied cells; empty when nobody asks for distances.
     predicted: Vec<[i32; 3]>,
+    num_predicted: usize,
     outside: u64,
     seen_in_view: CellCounts,
 }
@@ -108,94 +112,168 @@ pub fn evaluate_map(
     truth: &TruthGrid,
     config: &MapEvaluationConfig,
 ) -> Result<MapReport, MapEvaluationError> {
-    let resolution = truth.resolution();
-    if (estimate.resolution() / resolution - 1.0).abs() > 1e-6 {
-        return Err(MapEvaluationError::Resolution {
-            estimate: estimate.resolution(),
-            truth: resolution,
-        });
-    }
-    let view = InView::new(config.in_view, resolution)?;
-    let truth_counts = truth.counts();
-    if truth_counts.free == 0 || truth_counts.occupied == 0 {
-        return Err(MapEvaluationError::OneClass {
-            free: truth_counts.free,
-            occupied: truth_counts.occupied,
-        });
-    }
-    let pass = pass_over(estimate, truth, &view);
-    let observed = pass
-        .slices
-        .iter()
-        .fold(CellCounts::default(), |sum, s| sum.plus(&s.observed));
-    let ssd_per_slice = sums_of_squares(&pass.slices, truth);
-    let ssd_total: f64 = ssd_per_slice.iter().sum();
-    let scores = pass.scores.into_sorted();
-    let groups = policy_groups(&scores, &truth_counts, &observed);
-    let roc = groups.map(|g| classify::roc_26(g));
-    let surface = distances(pass.predicted, truth, config, &view);
-    let in_view = view.counts(truth);
-    let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
-    Ok(MapReport {
-        policies: groups.map(|g| policy_report(g)),
-        roc,
-        coverage_free: share(observed.free, truth_counts.free),
-        coverage_occupied: share(observed.occupied, truth_counts.occupied),
-        coverage_free_in_view: in_view.map(|v| share(pass.seen_in_view.free, v.free)),
-        coverage_occupied_in_view: in_view.map(|v| share(pass.seen_in_view.occupied, v.occupied)),
-        calibration: calibration::calibration(&groups.observed),
-        surface,
-        ssd: ssd_total / ssd_per_slice.len().max(1) as f64,
-        ssd_normalised: ssd_total / truth_counts.total().max(1) as f64,
-        ssd_per_slice,
-        probability_histogram: histogram(&scores),
-        truth: truth_counts,
-        observed: observed.total(),
-        observed_outside: pass.outside,
-    })
+    check_resolution(estimate, truth)?;
+    MapEvaluator::new(truth, config)?.evaluate(estimate)
 }
 
-fn pass_over(estimate: &OccupancyMap, truth: &TruthGrid, view: &InView) -> Pass {
-    let mut pass = Pass {
-        scores: ScoreCounter::default(),
-        slices: vec![Slice::default(); truth.size()[2]],
-        predicted: Vec::new(),
-        outside: 0,
-        seen_in_view: CellCounts::default(),
-    };
-    for cell in estimate.cells() {
-        let key = cell.key.to_array();
-        if cell.log_odds > 0.0 {
-            pass.predicted.push(key);
-        }
-        let Some(local) = truth.local(key) else {
-            pass.outside += 1;
-            continue;
-        };
-        let state = truth.state(key);
-        let counts = pass.scores.at(cell.log_odds);
-        let slice = &mut pass.slices[local[2]];
-        let value = match state {
-            Occupancy::Occupied => {
-                counts.occupied += 1;
-                1.0
-            }
-            Occupancy::Free => {
-                counts.free += 1;
-                0.0
-            }
-            Occupancy::Unknown => {
-                counts.unknown += 1;
-                0.5
-            }
-        };
-        slice.squares += (probability(cell.log_odds) - value).powi(2);
-        slice.observed.add(state);
-        if view.contains(key) {
-            pass.seen_in_view.add(state);
-        }
+fn check_resolution(estimate: &OccupancyMap, truth: &TruthGrid) -> Result<(), MapEvaluationError> {
+    if (estimate.resolution() / truth.resolution() - 1.0).abs() > 1e-6 {
+        return Err(MapEvaluationError::Resolution {
+            estimate: estimate.resolution(),
+            truth: truth.resolution(),
+        });
     }
-    pass
+    Ok(())
+}
+
+/// A truth prepared for the comparison of many maps with it: what depends on the truth alone (counts,
+/// the view, the tree of its surface) is found once.
+#[derive(Debug)]
+pub struct MapEvaluator<'a> {
+    truth: &'a TruthGrid,
+    view: InView<'a>,
+    counts: CellCounts,
+    counts_per_layer: Vec<CellCounts>,
+    counts_in_view: Option<CellCounts>,
+    surface: Option<TrueSurface>,
+}
+
+impl<'a> MapEvaluator<'a> {
+    /// Prepares a truth.
+    ///
+    /// # Errors
+    /// A view that does not fit the truth, or a truth without free or without occupied cells.
+    pub fn new(
+        truth: &'a TruthGrid,
+        config: &MapEvaluationConfig<'a>,
+    ) -> Result<Self, MapEvaluationError> {
+        let resolution = truth.resolution();
+        let view = InView::new(config.in_view, resolution)?;
+        let counts_per_layer: Vec<CellCounts> = (0..truth.size()[2])
+            .map(|z| truth.layer_counts(z))
+            .collect();
+        let counts = counts_per_layer
+            .iter()
+            .fold(CellCounts::default(), |sum, layer| sum.plus(layer));
+        if counts.free == 0 || counts.occupied == 0 {
+            return Err(MapEvaluationError::OneClass {
+                free: counts.free,
+                occupied: counts.occupied,
+            });
+        }
+        let tolerance = config.tolerance_m.unwrap_or_else(|| resolution.max(0.05));
+        let surface = (config.max_distance_queries > 0).then(|| {
+            let cells = truth.keys_in(Occupancy::Occupied);
+            TrueSurface::new(
+                cells.collect(),
+                |key| view.contains(key),
+                resolution,
+                tolerance,
+                config.max_distance_queries,
+            )
+        });
+        Ok(Self {
+            truth,
+            counts,
+            counts_per_layer,
+            counts_in_view: view.counts(truth),
+            surface,
+            view,
+        })
+    }
+
+    /// Compares a map with the truth.
+    ///
+    /// # Errors
+    /// Cells of different size.
+    pub fn evaluate(&self, estimate: &OccupancyMap) -> Result<MapReport, MapEvaluationError> {
+        check_resolution(estimate, self.truth)?;
+        let pass = self.pass_over(estimate);
+        let observed = pass
+            .slices
+            .iter()
+            .fold(CellCounts::default(), |sum, s| sum.plus(&s.observed));
+        let ssd_per_slice = sums_of_squares(&pass.slices, &self.counts_per_layer);
+        let ssd_total: f64 = ssd_per_slice.iter().sum();
+        let scores = pass.scores.into_sorted();
+        let groups = policy_groups(&scores, &self.counts, &observed);
+        let seen = pass.seen_in_view;
+        let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
+        Ok(MapReport {
+            policies: groups.map(|g| policy_report(g)),
+            roc: groups.map(|g| classify::roc_26(g)),
+            coverage_free: share(observed.free, self.counts.free),
+            coverage_occupied: share(observed.occupied, self.counts.occupied),
+            coverage_free_in_view: self.counts_in_view.map(|v| share(seen.free, v.free)),
+            coverage_occupied_in_view: self
+                .counts_in_view
+                .map(|v| share(seen.occupied, v.occupied)),
+            calibration: calibration::calibration(&groups.observed),
+            surface: SurfaceDistances {
+                occupied_ratio: Some(share(pass.num_predicted as u64, self.counts.occupied)),
+                ..self
+                    .surface
+                    .as_ref()
+                    .map(|surface| surface.distances(pass.predicted))
+                    .unwrap_or_default()
+            },
+            ssd: ssd_total / ssd_per_slice.len().max(1) as f64,
+            ssd_normalised: ssd_total / self.counts.total().max(1) as f64,
+            ssd_per_slice,
+            probability_histogram: histogram(&scores),
+            truth: self.counts,
+            observed: observed.total(),
+            observed_outside: pass.outside,
+        })
+    }
+
+    fn pass_over(&self, estimate: &OccupancyMap) -> Pass {
+        let truth = self.truth;
+        let mut pass = Pass {
+            scores: ScoreCounter::default(),
+            slices: vec![Slice::default(); truth.size()[2]],
+            predicted: Vec::new(),
+            num_predicted: 0,
+            outside: 0,
+            seen_in_view: CellCounts::default(),
+        };
+        for cell in estimate.cells() {
+            let key = cell.key.to_array();
+            if cell.log_odds > 0.0 {
+                pass.num_predicted += 1;
+                if self.surface.is_some() {
+                    pass.predicted.push(key);
+                }
+            }
+            let Some(local) = truth.local(key) else {
+                pass.outside += 1;
+                continue;
+            };
+            let state = truth.state_at(local);
+            let counts = pass.scores.at(cell.log_odds);
+            let slice = &mut pass.slices[local[2]];
+            let value = match state {
+                Occupancy::Occupied => {
+                    counts.occupied += 1;
+                    1.0
+                }
+                Occupancy::Free => {
+                    counts.free += 1;
+                    0.0
+                }
+                Occupancy::Unknown => {
+                    counts.unknown += 1;
+                    0.5
+                }
+            };
+            slice.squares += (probability(cell.log_odds) - value).powi(2);
+            slice.observed.add(state);
+            if self.counts_in_view.is_some() && self.view.contains(key) {
+                pass.seen_in_view.add(state);
+            }
+        }
+        pass
+    }
 }
 
 fn probability(log_odds: f32) -> f64 {
@@ -203,12 +281,11 @@ fn probability(log_odds: f32) -> f64 {
 }
 
 /// Adds to every slice what the cells that were not observed differ by: half where the truth is known.
-fn sums_of_squares(slices: &[Slice], truth: &TruthGrid) -> Vec<f64> {
+fn sums_of_squares(slices: &[Slice], layers: &[CellCounts]) -> Vec<f64> {
     slices
         .iter()
-        .enumerate()
-        .map(|(z, slice)| {
-            let all = truth.layer_counts(z);
+        .zip(layers)
+        .map(|(slice, all)| {
             let known = all.free + all.occupied;
             let seen = slice.observed.free + slice.observed.occupied;
             slice.squares + 0.25 * (known - seen) as f64
@@ -273,31 +350,6 @@ fn policy_report(groups: &[ScoreGroup]) -> PolicyReport {
         best_f1,
         best_f1_threshold,
     }
-}
-
-fn distances(
-    predicted: Vec<[i32; 3]>,
-    truth: &TruthGrid,
-    config: &MapEvaluationConfig,
-    view: &InView,
-) -> SurfaceDistances {
-    let surface: Vec<[i32; 3]> = truth.keys_in(Occupancy::Occupied).collect();
-    let to_find: Vec<[i32; 3]> = surface
-        .iter()
-        .filter(|key| view.contains(**key))
-        .copied()
-        .collect();
-    let tolerance = config
-        .tolerance_m
-        .unwrap_or_else(|| truth.resolution().max(0.05));
-    geometry::surface_distances(
-        predicted,
-        surface,
-        &to_find,
-        truth.resolution(),
-        tolerance,
-        config.max_distance_queries,
-    )
 }
 
 fn histogram(scores: &[(f32, scores::ClassCounts)]) -> Vec<u64> {

@@ -122,9 +122,16 @@ impl TruthGrid {
     /// What is true of a cell; unknown outside the box.
     #[must_use]
     pub fn state(&self, key: [i32; 3]) -> Occupancy {
-        match self.local(key).map(|cell| self.code(cell)) {
-            Some(FREE) => Occupancy::Free,
-            Some(OCCUPIED) => Occupancy::Occupied,
+        self.local(key)
+            .map_or(Occupancy::Unknown, |cell| self.state_at(cell))
+    }
+
+    /// As [`TruthGrid::state`], of a cell of the box counted from its first.
+    #[inline]
+    pub(crate) fn state_at(&self, cell: [usize; 3]) -> Occupancy {
+        match self.code(cell) {
+            FREE => Occupancy::Free,
+            OCCUPIED => Occupancy::Occupied,
             _ => Occupancy::Unknown,
         }
     }

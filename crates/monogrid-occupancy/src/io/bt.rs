@@ -5,38 +5,11 @@ use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::header::{self, Cube, TREE_DEPTH, octomap_clamps, read_array};
 use crate::error::MapError;
-use crate::evidence::{Occupancy, UNKNOWN};
-use crate::key::BRICK_CELLS;
 use crate::map::OccupancyMap;
 use crate::octree::{Leaf, Node, Octree, TreeVisitor};
-use crate::storage::BrickRef;
 
 const TITLE: &str = "# Octomap OcTree binary file";
 const FORMAT: &str = ".bt";
-const FREE: i16 = -1;
-const OCCUPIED: i16 = 1;
-
-impl OccupancyMap {
-    /// The map with every known cell replaced by one of two values.
-    fn maximum_likelihood(&self) -> Result<OccupancyMap, MapError> {
-        let classify = |value: i16| match self.limits.occupancy(value) {
-            Occupancy::Unknown => UNKNOWN,
-            Occupancy::Free => FREE,
-            Occupancy::Occupied => OCCUPIED,
-        };
-        let mut likely = OccupancyMap::new(self.config().clone())?;
-        for key in self.bricks() {
-            match self.brick(key) {
-                BrickRef::Uniform(value) => likely.set_brick_uniform(key, classify(value)),
-                BrickRef::Mixed(_) => {
-                    let values: [i16; BRICK_CELLS] = self.brick_values(key).map(classify);
-                    likely.set_brick(key, &values);
-                }
-            }
-        }
-        Ok(likely)
-    }
-}
 
 /// Writes a map as OctoMap's `.bt`: occupied, free or unknown only. The map itself is not
 /// changed.

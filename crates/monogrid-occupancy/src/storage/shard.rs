@@ -248,7 +248,12 @@ impl Shard {
 
     /// Bytes allocated for the directory and the payloads.
     pub(crate) fn bytes(&self) -> usize {
-        self.slots.capacity() * Self::SLOT_BYTES + self.pool.bytes()
+        self.directory_bytes() + self.pool.bytes()
+    }
+
+    /// Bytes allocated for the directory.
+    pub(crate) fn directory_bytes(&self) -> usize {
+        self.slots.capacity() * Self::SLOT_BYTES
     }
 }
 

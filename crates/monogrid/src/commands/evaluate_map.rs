@@ -1,27 +1,48 @@
 //! `monogrid evaluate map` and `monogrid evaluate paths`: a map against the true one.
 
-use super::print_json;
-use crate::cli::{JsonArg, positive};
+use super::{print_json, tools, use_threads};
+use crate::cli::{JsonArg, MappingArgs, positive};
+use crate::config::{Profile, RunConfig};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile;
+use crate::recorded::Recorded;
+use crate::run::align::Align;
 use clap::Args;
+use monogrid_datasets::read_sim3;
 use monogrid_evaluation::{
     MapEvaluationConfig, MapReport, PathConfig, PathReport, PathStats, PathsReport, PolicyReport,
-    TruthGrid, evaluate_map, evaluate_paths,
+    TruthGrid, cells_in_view, evaluate_map, evaluate_paths,
 };
 use monogrid_occupancy::OccupancyMap;
+use monogrid_slam::mapping::Mapper;
 use std::path::{Path, PathBuf};
 
 /// `monogrid evaluate map`.
 #[derive(Debug, Args)]
 pub struct EvaluateMapArgs {
-    /// Estimated map (.ot; a .bt has no probabilities to rank)
+    /// Estimated map (.ot; a .bt has no probabilities to rank), or a recording (.mgk) to map
     pub estimate: PathBuf,
     /// True map (.ot or .bt); its cells as large as the estimate's, or a whole number of times smaller
     pub truth: PathBuf,
     /// Surfaces this close agree [default: 0.05 or the edge of a cell, whichever is larger]
     #[arg(long, value_name = "L", value_parser = positive)]
     pub tolerance: Option<f64>,
+    /// Recording that a map was made from: its keyframes tell which cells could be seen at all
+    #[arg(long, value_name = "FILE.mgk")]
+    pub recording: Option<PathBuf>,
+    /// Bring the poses of the recording to the frame of a reference, as when the map was made
+    #[arg(long, value_name = "gt:FILE|sim3:FILE")]
+    pub align: Option<String>,
+    /// Cells farther from every keyframe do not count as seen
+    #[arg(long, value_name = "L", value_parser = positive, default_value_t = 10.0)]
+    pub view_range: f64,
+    /// Turn and scale the finished map by a Sim(3) file before it is compared, as the thesis did;
+    /// a map built with --align is better
+    #[arg(long, value_name = "FILE")]
+    pub move_map: Option<PathBuf>,
+    /// Settings of the maps of a recording
+    #[command(flatten)]
+    pub mapping: MappingArgs,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -55,11 +76,39 @@ pub struct EvaluatePathsArgs {
 /// Most cells of the box of a true map, two bits each.
 const MAX_CELLS: u64 = 4_000_000_000;
 
+/// Edge of the cells in which views are traced: finer ones cost time and change little.
+const VIEW_CELL: f64 = 0.064;
+
 /// Compares an estimated map with the true one, cell by cell.
 pub fn map(args: &EvaluateMapArgs) -> CommandResult {
-    let (estimate, truth) = load_pair(&args.estimate, &args.truth)?;
+    let is_recording = args.estimate.extension().is_some_and(|e| e == "mgk");
+    let source = is_recording.then_some(&args.estimate);
+    let recorded = match source.or(args.recording.as_ref()) {
+        Some(path) => Some(Recorded::read(path, &Align::parse(args.align.as_deref())?)?),
+        None if args.align.is_some() => {
+            return Err(Failure::input(
+                "--align brings the poses of a recording to a frame: give the recording instead of \
+                 the map, or with --recording; a finished map can be moved with --move-map",
+            ));
+        }
+        None => None,
+    };
+    let estimate = match &recorded {
+        Some(recorded) if is_recording => mapped(recorded, &args.mapping)?,
+        _ => mapfile::load(&args.estimate)?.0,
+    };
+    let truth = load_truth(&args.truth)?;
+    let (estimate, truth) = match &args.move_map {
+        Some(file) => rotated_and_scaled(&estimate, truth, file, &args.truth)?,
+        None => fitted(estimate, truth, &args.truth)?,
+    };
+    let in_view = match &recorded {
+        Some(recorded) => Some(in_view(&truth, recorded, args.view_range)?),
+        None => None,
+    };
     let config = MapEvaluationConfig {
         tolerance_m: args.tolerance,
+        in_view: in_view.as_ref(),
         ..MapEvaluationConfig::default()
     };
     let report = evaluate_map(&estimate, &truth, &config).bad_input()?;
@@ -69,6 +118,47 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
         print_map(&report);
     }
     Ok(Outcome::Done)
+}
+
+/// The map of a recording by its own settings and the options.
+fn mapped(recorded: &Recorded, options: &MappingArgs) -> Result<OccupancyMap, Failure> {
+    let mut config = recorded
+        .config
+        .clone()
+        .unwrap_or_else(|| RunConfig::of(Profile::Default));
+    config.apply(options);
+    config.validate()?;
+    let threads = use_threads(None)?;
+    let mapper = Mapper::new(config.mapping, recorded.camera, threads);
+    let scans = recorded.scans(&mapper.config().filter);
+    let poses = recorded.world_from_keyframes();
+    let built = mapper.build(&scans, &poses, &recorded.frame.map_from_world);
+    Ok(built.while_running("the map cannot be built")?.0)
+}
+
+/// The cells that some keyframe of a recording looks at.
+pub fn in_view(truth: &TruthGrid, recorded: &Recorded, range: f64) -> Result<TruthGrid, Failure> {
+    let factor = (VIEW_CELL / truth.resolution()).floor().max(1.0) as u32;
+    let coarse = truth
+        .coarsened(factor)
+        .while_running("no view can be made")?;
+    Ok(cells_in_view(&coarse, &recorded.views(), range))
+}
+
+/// The thesis' alignment: the finished map is turned, scaled and resampled into the cells of the truth.
+fn rotated_and_scaled(
+    estimate: &OccupancyMap,
+    truth: TruthGrid,
+    sim3: &Path,
+    truth_path: &Path,
+) -> Result<(OccupancyMap, TruthGrid), Failure> {
+    let target_from_map = read_sim3(sim3).bad_input()?;
+    // cells as large as the scaled ones, rounded to a whole number of true cells
+    let scaled = estimate.resolution() * target_from_map.scale;
+    let factor = (scaled / truth.resolution()).round().max(1.0);
+    let moved = tools::moved(estimate, &target_from_map, truth.resolution() * factor)
+        .while_running("the map cannot be moved")?;
+    fitted(moved, truth, truth_path)
 }
 
 /// Plans in both maps and checks each path in the other.
@@ -91,21 +181,35 @@ pub fn paths(args: &EvaluatePathsArgs) -> CommandResult {
     Ok(Outcome::Done)
 }
 
-/// Both maps, the truth with cells as large as those of the estimate where a whole number of its own
-/// makes one.
+/// Both maps, the truth with cells as large as those of the estimate.
 fn load_pair(estimate: &Path, truth: &Path) -> Result<(OccupancyMap, TruthGrid), Failure> {
     let (map, _) = mapfile::load(estimate)?;
-    let (true_map, _) = mapfile::load(truth)?;
-    let of_truth = |error: monogrid_evaluation::TruthError| {
-        Failure::Input(anyhow::Error::from(error).context(format!("true map {}", truth.display())))
-    };
-    let grid = TruthGrid::from_map(&true_map, MAX_CELLS).map_err(of_truth)?;
-    let ratio = map.resolution() / grid.resolution();
+    fitted(map, load_truth(truth)?, truth)
+}
+
+/// Reads a true map.
+pub fn load_truth(path: &Path) -> Result<TruthGrid, Failure> {
+    let (map, _) = mapfile::load(path)?;
+    TruthGrid::from_map(&map, MAX_CELLS).map_err(|error| of_truth(error, path))
+}
+
+fn of_truth(error: monogrid_evaluation::TruthError, path: &Path) -> Failure {
+    Failure::Input(anyhow::Error::from(error).context(format!("true map {}", path.display())))
+}
+
+/// The truth with cells as large as those of the estimate, where a whole number of its own makes one.
+fn fitted(
+    map: OccupancyMap,
+    truth: TruthGrid,
+    path: &Path,
+) -> Result<(OccupancyMap, TruthGrid), Failure> {
+    let ratio = map.resolution() / truth.resolution();
     let factor = ratio.round();
     if factor >= 2.0 && (ratio - factor).abs() < 1e-6 * factor && factor < f64::from(u32::MAX) {
-        return Ok((map, grid.coarsened(factor as u32).map_err(of_truth)?));
+        let coarse = truth.coarsened(factor as u32);
+        return Ok((map, coarse.map_err(|error| of_truth(error, path))?));
     }
-    Ok((map, grid))
+    Ok((map, truth))
 }
 
 fn print_map(report: &MapReport) {
@@ -151,6 +255,16 @@ fn print_map(report: &MapReport) {
         100.0 * report.coverage_occupied,
         report.observed_outside
     );
+    if let (Some(free), Some(occupied)) = (
+        report.coverage_free_in_view,
+        report.coverage_occupied_in_view,
+    ) {
+        println!(
+            "of those that a keyframe looks at: {:.1} % of the free and {:.1} % of the occupied cells",
+            100.0 * free,
+            100.0 * occupied
+        );
+    }
     println!(
         "surface: accuracy {}, completeness {:.1} % within {}",
         or_dash(report.surface.accuracy_m),

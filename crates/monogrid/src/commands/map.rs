@@ -6,11 +6,11 @@ use crate::config::{Profile, RunConfig};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::{depth_calibration, registered_depth};
 use crate::mapfile::{self, MapFormat};
+use crate::recorded::Recorded;
 use crate::run::align::Align;
 use crate::usage::{peak_rss_bytes, process_cpu};
 use monogrid_datasets::{
-    Dataset, DepthRegistration, ReadOptions, Recording, ScansReader, SourceOptions, TimedPose,
-    read_trajectory,
+    Dataset, DepthRegistration, ScansReader, SourceOptions, TimedPose, read_trajectory,
 };
 use monogrid_geometry::{Camera, Distortion, Se3, Sim3};
 use monogrid_image::Undistorter;
@@ -161,60 +161,15 @@ impl Stopwatch {
 }
 
 fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Failure> {
-    let recording =
-        Recording::read(&args.recording, ReadOptions { with_images: false }).bad_input()?;
-    let session = &recording.session;
-    let recorded = RunConfig::recorded_mapping(&session.config);
-    let mut warnings = Vec::new();
-    if recorded.is_none() {
-        warnings.push("the recording holds no usable settings; the defaults are used".to_owned());
-    }
-    if recording.end.is_none() {
-        warnings.push("the run that wrote this recording did not end by itself".to_owned());
-    }
-    if recording.damage.num_gaps > 0 {
-        warnings.push(format!(
-            "{} bytes of the recording are damaged and were left out",
-            recording.damage.lost_bytes
-        ));
-    }
-    let config = settings(args, recorded)?;
-    let camera = KeyframeCamera {
-        pinhole: session.pinhole,
-        width: session.width,
-        height: session.height,
-    };
-    let mapper = Mapper::new(config.mapping, camera, threads);
-    let poses: Vec<Option<Sim3>> = recording
-        .keyframes
-        .iter()
-        .map(|keyframe| keyframe.world_from_keyframe)
-        .collect();
-    let trajectory: Vec<(i64, Se3)> = recording
-        .keyframes
-        .iter()
-        .filter_map(|k| Some((k.timestamp_ns, k.world_from_keyframe?.to_se3())))
-        .collect();
-    if trajectory.is_empty() {
-        return Err(Failure::input(format!(
-            "{} holds no keyframe with a pose: tracking never started, or the file ends too early",
-            args.recording.display()
-        )));
-    }
-    let (frame, align_warning) = align.frame(&trajectory);
-    if let Some(warning) = align_warning {
-        return Err(Failure::input(warning));
-    }
+    let recorded = Recorded::read(&args.recording, align)?;
+    let config = settings(args, recorded.config.clone())?;
+    let mapper = Mapper::new(config.mapping, recorded.camera, threads);
+    let poses = recorded.world_from_keyframes();
     let mut watch = Stopwatch::new();
     let (map, stats) = watch
         .time(|| {
-            let filter = &mapper.config().filter;
-            let scans: Vec<KeyframeScan> = recording
-                .keyframes
-                .iter()
-                .map(|k| KeyframeScan::new(k.id, &pixels_of(k), &camera, filter))
-                .collect();
-            mapper.build(&scans, &poses, &frame.map_from_world)
+            let scans = recorded.scans(&mapper.config().filter);
+            mapper.build(&scans, &poses, &recorded.frame.map_from_world)
         })
         .while_running("the map cannot be built")?;
     Ok(Built {
@@ -223,22 +178,9 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
         scans: stats.keyframes,
         cpu: watch.cpu,
         wall: watch.wall,
-        frame: frame.description,
-        warnings,
+        frame: recorded.frame.description,
+        warnings: recorded.warnings,
     })
-}
-
-fn pixels_of(keyframe: &monogrid_datasets::RecordedKeyframe) -> Vec<monogrid_slam::DepthPixel> {
-    keyframe
-        .pixels
-        .iter()
-        .map(|pixel| monogrid_slam::DepthPixel {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.idepth_var,
-        })
-        .collect()
 }
 
 /// Settings for measurements whose poses and sigmas are given: neither range limit nor uncertainty of

@@ -452,16 +452,32 @@ fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)
         let depth = input.read_depth(Path::new(argument), &calibration)?;
         return Ok(Some((first, depth)));
     }
+    let seed = dataset_seed_depth(input, args.depth_calibration.as_deref())?;
+    if seed.is_none() {
+        return Err(Failure::input(format!(
+            "--seed-depth dataset: {} has no depth image for any of the frames to use",
+            dataset.root.display()
+        )));
+    }
+    Ok(seed)
+}
+
+/// The first depth image of the source that belongs to a frame to use, and that frame's index.
+pub fn dataset_seed_depth(
+    input: &Input,
+    calibration: Option<&Path>,
+) -> Result<Option<(usize, GrayImage)>, Failure> {
+    let Images::Files(dataset) = &input.images else {
+        return Ok(None);
+    };
     let seeded = input
         .frames
         .iter()
         .find_map(|frame| Some((frame, dataset.depth_of_frame(frame.timestamp_ns)?)));
     let Some((frame, entry)) = seeded else {
-        return Err(Failure::input(format!(
-            "--seed-depth dataset: {} has no depth image for any of the frames to use",
-            dataset.root.display()
-        )));
+        return Ok(None);
     };
+    let calibration = crate::input::depth_calibration(dataset, calibration, &input.camera)?;
     let depth = input.read_depth(&entry.path, &calibration)?;
     Ok(Some((frame.index, depth)))
 }

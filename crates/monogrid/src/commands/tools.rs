@@ -196,7 +196,7 @@ pub fn transform(args: &TransformArgs) -> CommandResult {
 ///
 /// Going back from the target leaves no holes. Candidates are the target cells around each known
 /// source cell, as far as the corners of that cell reach.
-fn moved(
+pub fn moved(
     map: &OccupancyMap,
     target_from_source: &Sim3,
     resolution: f64,

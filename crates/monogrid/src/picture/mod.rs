@@ -2,6 +2,7 @@
 
 pub mod colour;
 pub mod keyframe;
+pub mod slice;
 pub mod voxels;
 
 use monogrid_image::Image;

@@ -22,6 +22,8 @@ pub struct View {
     pub azimuth: f64,
     /// Angle above the horizon, radians.
     pub elevation: f64,
+    /// Lower and upper corner of the box that fills the picture; `None`: what there is to see.
+    pub frame: Option<[[f64; 3]; 2]>,
 }
 
 impl Default for View {
@@ -31,6 +33,7 @@ impl Default for View {
             height: 640,
             azimuth: (-125.0f64).to_radians(),
             elevation: 48.0f64.to_radians(),
+            frame: None,
         }
     }
 }
@@ -60,6 +63,16 @@ pub fn render(cubes: &[Cube], path: &[[f64; 3]], cut_height: Option<f64>, view: 
     for pair in path.windows(2) {
         canvas.draw_line(pair[0], pair[1]);
     }
+    shrink(&canvas.picture, OVERSAMPLING)
+}
+
+/// Renders cubes in given colours, one per cube.
+pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Picture {
+    let mut canvas = Canvas::new(view, cubes, &[]);
+    for (cube, colour) in cubes.iter().zip(colours) {
+        canvas.draw_cube(cube, *colour);
+    }
+    canvas.shade_depth_steps();
     shrink(&canvas.picture, OVERSAMPLING)
 }
 
@@ -106,7 +119,17 @@ impl Canvas {
             [-cos_a * sin_e, -sin_a * sin_e, cos_e],
             [-cos_a * cos_e, -sin_a * cos_e, -sin_e],
         ];
+        let framed = |axis: [f64; 3], [low, high]: [[f64; 3]; 2]| {
+            let ends = |a: usize| [axis[a] * low[a], axis[a] * high[a]];
+            (0..3).fold((0.0, 0.0), |(least, most), a| {
+                let [p, q] = ends(a);
+                (least + f64::min(p, q), most + f64::max(p, q))
+            })
+        };
         let extent = |axis: [f64; 3]| {
+            if let Some(corners) = view.frame {
+                return framed(axis, corners);
+            }
             let mut positions: Vec<f64> = cubes.iter().map(|c| dot(axis, c.center)).collect();
             let mut low = colour::quantile(&mut positions, EXTENT_QUANTILE);
             let mut high = colour::quantile(&mut positions, 1.0 - EXTENT_QUANTILE);
@@ -283,6 +306,7 @@ mod tests {
             height: 100,
             azimuth: 0.0,
             elevation: 90.0f64.to_radians() - 1e-3,
+            frame: None,
         };
         let hidden = cube(0.0, 0.0, 0.0);
         let top = cube(0.0, 0.0, 5.0);

@@ -19,9 +19,9 @@ h1{font-size:1.7em;margin-bottom:.2em}h2{font-size:1.25em;margin-top:2em;border-
 table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top}
 th{font-weight:600;color:#555}td.n{text-align:right;font-variant-numeric:tabular-nums}
 svg{width:100%;background:#fff;border:1px solid #e4e4e0;margin:.4em 0}
-svg .title{font:600 14px system-ui,sans-serif}svg .tick{font:11px system-ui,sans-serif;fill:#666}
-svg .label{font:12px system-ui,sans-serif;fill:#444}svg .grid{stroke:#ececea;fill:none}
-svg .line{fill:none;stroke-width:1.6;stroke-linejoin:round}
+.grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(380px,1fr));gap:8px}.scroll{overflow-x:auto}
+.row{display:grid;grid-auto-flow:column;grid-auto-columns:1fr;gap:6px;margin:.5em 0}.row figcaption{font-size:12px;color:#666}
+td b{color:#b3541e}h3{font-size:1.05em;margin-bottom:.2em}.dot{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .8em}
 img{max-width:100%;border:1px solid #e4e4e0}.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px;margin:.5em 0}
 .triple figcaption,.ribbon{font-size:12px;color:#666}figure{margin:0}pre{background:#f0f0ec;padding:.8em;overflow:auto;font-size:12px}";
 
@@ -70,6 +70,68 @@ impl Page {
             self.body.push_str("</tr>");
         }
         self.body.push_str("</table>");
+    }
+
+    /// A third-level heading.
+    pub fn subheading(&mut self, text: &str) {
+        let _ = write!(self.body, "<h3>{}</h3>", escape(text));
+    }
+
+    /// A table of numbers; cells that start with `*` are emphasised.
+    pub fn number_table(&mut self, header: &[String], rows: &[Vec<String>]) {
+        self.body.push_str("<div class=\"scroll\"><table><tr>");
+        for cell in header {
+            let _ = write!(self.body, "<th>{}</th>", escape(cell));
+        }
+        self.body.push_str("</tr>");
+        for row in rows {
+            self.body.push_str("<tr>");
+            for (column, cell) in row.iter().enumerate() {
+                let class = if column == 0 { "" } else { " class=\"n\"" };
+                let _ = match cell.strip_prefix('*') {
+                    Some(best) => write!(self.body, "<td{class}><b>{}</b></td>", escape(best)),
+                    None => write!(self.body, "<td{class}>{}</td>", escape(cell)),
+                };
+            }
+            self.body.push_str("</tr>");
+        }
+        self.body.push_str("</table></div>");
+    }
+
+    /// Small plots side by side.
+    pub fn panels(&mut self, plots: &[Plot]) {
+        self.body.push_str("<div class=\"grid2\">");
+        for plot in plots {
+            self.body.push_str(&plot.render());
+        }
+        self.body.push_str("</div>");
+    }
+
+    /// Embedded pictures side by side with their captions.
+    pub fn row(&mut self, pictures: &[(Vec<u8>, String)]) {
+        self.body.push_str("<div class=\"row\">");
+        for (png, caption) in pictures {
+            let _ = write!(
+                self.body,
+                "<figure><img src=\"{}\" alt=\"{1}\"><figcaption>{1}</figcaption></figure>",
+                data_url(png),
+                escape(caption)
+            );
+        }
+        self.body.push_str("</div>");
+    }
+
+    /// What colours mean.
+    pub fn colour_key(&mut self, entries: &[([u8; 3], &str)]) {
+        self.body.push_str("<p class=\"note\">");
+        for ([r, g, b], meaning) in entries {
+            let _ = write!(
+                self.body,
+                "<span class=\"dot\" style=\"background:rgb({r},{g},{b})\"></span>{}",
+                escape(meaning)
+            );
+        }
+        self.body.push_str("</p>");
     }
 
     /// A plot.
@@ -128,11 +190,12 @@ impl Page {
     pub fn finish(self, title: &str, lead: &str) -> String {
         format!(
             "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title>\
-             <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}</style></head>\
+             <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}{3}</style></head>\
              <body><h1>{0}</h1><p class=\"lead\">{1}</p>{2}</body></html>\n",
             escape(title),
             escape(lead),
-            self.body
+            self.body,
+            svg::STYLE
         )
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 /// One curve. Gaps are `NaN`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Series {
     /// Name in the legend; empty for none.
     pub name: String,
@@ -11,10 +11,18 @@ pub struct Series {
     pub colour: &'static str,
     /// Points.
     pub points: Vec<[f64; 2]>,
+    /// Whether the line is dashed.
+    pub is_dashed: bool,
 }
 
+/// Colours that can be told apart, for curves of one plot.
+pub const COLOURS: [&str; 10] = [
+    "#4a3aa7", "#2a6fbb", "#1f9bb5", "#1f9e77", "#66a61e", "#b8a000", "#e08a1e", "#d95f02",
+    "#c7372f", "#8c1d5a",
+];
+
 /// A plot.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Plot {
     /// Text above.
     pub title: String,
@@ -28,37 +36,63 @@ pub struct Plot {
     pub equal_axes: bool,
     /// Start the vertical axis at zero.
     pub from_zero: bool,
+    /// Ranges of both axes; by default those of the points.
+    pub ranges: Option<[[f64; 2]; 2]>,
+    /// A small panel of about equal sides, with its legend inside at the lower right.
+    pub is_panel: bool,
 }
 
-const WIDTH: f64 = 760.0;
-const HEIGHT: f64 = 240.0;
-const HEIGHT_EQUAL: f64 = 520.0;
+const SIZE: [f64; 2] = [760.0, 240.0];
+const SIZE_EQUAL: [f64; 2] = [760.0, 520.0];
+const SIZE_PANEL: [f64; 2] = [420.0, 380.0];
+/// How the parts of a plot look.
+pub const STYLE: &str = "\
+svg .title{font:600 14px system-ui,sans-serif}svg .tick{font:11px system-ui,sans-serif;fill:#666}\
+svg .label{font:12px system-ui,sans-serif;fill:#444}svg .grid{stroke:#ececea;fill:none}\
+svg .line{fill:none;stroke-width:1.6;stroke-linejoin:round}";
 const MARGIN: [f64; 4] = [30.0, 15.0, 42.0, 62.0]; // top, right, bottom, left
 /// Curves are thinned to about this many points: more cannot be seen and make the page heavy.
 const MAX_POINTS: usize = 1500;
 
 impl Plot {
+    fn size(&self) -> [f64; 2] {
+        match (self.is_panel, self.equal_axes) {
+            (true, _) => SIZE_PANEL,
+            (false, true) => SIZE_EQUAL,
+            (false, false) => SIZE,
+        }
+    }
+
+    /// The plot as a file of its own.
+    pub fn file(&self) -> String {
+        let [width, height] = self.size();
+        let opening = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" "
+        );
+        self.render().replacen("<svg ", &opening, 1).replacen(
+            '>',
+            &format!("><style>{STYLE}</style>"),
+            1,
+        )
+    }
+
     /// The plot as an `<svg>` element.
     pub fn render(&self) -> String {
-        let height = if self.equal_axes {
-            HEIGHT_EQUAL
-        } else {
-            HEIGHT
-        };
+        let [width, height] = self.size();
         let [top, right, bottom, left] = MARGIN;
-        let (inner_width, inner_height) = (WIDTH - left - right, height - top - bottom);
-        let [mut xs, mut ys] = self.ranges();
+        let (inner_width, inner_height) = (width - left - right, height - top - bottom);
+        let [mut xs, mut ys] = self.ranges.unwrap_or_else(|| self.data_ranges());
         if self.equal_axes {
             equalise(&mut xs, &mut ys, inner_width / inner_height);
         }
         let px = |x: f64| left + (x - xs[0]) / (xs[1] - xs[0]) * inner_width;
         let py = |y: f64| top + (ys[1] - y) / (ys[1] - ys[0]) * inner_height;
         let mut svg = format!(
-            "<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{0}\">\
+            "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{0}\">\
              <text class=\"title\" x=\"{left}\" y=\"18\">{0}</text>",
             escape(&self.title)
         );
-        self.draw_grid(&mut svg, [xs, ys], height, &px, &py);
+        self.draw_grid(&mut svg, [xs, ys], &px, &py);
         for series in &self.series {
             draw_series(&mut svg, series, &px, &py);
         }
@@ -67,7 +101,7 @@ impl Plot {
         svg
     }
 
-    fn ranges(&self) -> [[f64; 2]; 2] {
+    fn data_ranges(&self) -> [[f64; 2]; 2] {
         let mut ranges = [0, 1].map(|axis| {
             let values = || {
                 self.series
@@ -101,13 +135,13 @@ impl Plot {
         &self,
         svg: &mut String,
         [xs, ys]: [[f64; 2]; 2],
-        height: f64,
         px: &dyn Fn(f64) -> f64,
         py: &dyn Fn(f64) -> f64,
     ) {
         let [top, right, bottom, left] = MARGIN;
-        let (x_end, y_end) = (WIDTH - right, height - bottom);
-        for tick in ticks(xs, 8) {
+        let [width, height] = self.size();
+        let (x_end, y_end) = (width - right, height - bottom);
+        for tick in ticks(xs, if self.is_panel { 5 } else { 8 }) {
             let x = px(tick);
             let _ = write!(
                 svg,
@@ -139,7 +173,22 @@ impl Plot {
     }
 
     fn draw_legend(&self, svg: &mut String) {
-        let mut x = WIDTH - MARGIN[1];
+        let [width, height] = self.size();
+        let mut x = width - MARGIN[1];
+        if self.is_panel {
+            let mut y = height - MARGIN[2] - 8.0;
+            for series in self.series.iter().rev().filter(|s| !s.name.is_empty()) {
+                let _ = write!(
+                    svg,
+                    "<text class=\"tick\" x=\"{:.0}\" y=\"{y:.0}\" text-anchor=\"end\" style=\"fill:{}\">{}</text>",
+                    x - 6.0,
+                    series.colour,
+                    escape(&series.name)
+                );
+                y -= 14.0;
+            }
+            return;
+        }
         for series in self.series.iter().rev().filter(|s| !s.name.is_empty()) {
             let _ = write!(
                 svg,
@@ -188,8 +237,13 @@ fn draw_series(
     }
     let _ = write!(
         svg,
-        "<path class=\"line\" d=\"{path}\" stroke=\"{}\"/>",
-        series.colour
+        "<path class=\"line\" d=\"{path}\" stroke=\"{}\"{}/>",
+        series.colour,
+        if series.is_dashed {
+            " stroke-dasharray=\"5 4\""
+        } else {
+            ""
+        }
     );
 }
 
@@ -249,16 +303,18 @@ mod tests {
                 name: "s".into(),
                 colour: "red",
                 points,
+                is_dashed: true,
             }],
-            equal_axes: false,
-            from_zero: false,
+            ..Plot::default()
         };
         let gap = plot(vec![[0.0, 1.0], [1.0, f64::NAN], [2.0, 3.0], [3.0, 2.0]]).render();
         let line = gap.split("class=\"line\" d=\"").nth(1).unwrap();
         let line = line.split('"').next().unwrap();
         assert_eq!(line.matches('M').count(), 2);
         assert_eq!(line.matches('L').count(), 1);
-        assert!(gap.contains("a &lt; b"));
+        assert!(gap.contains("a &lt; b") && gap.contains("stroke-dasharray"));
+        let file = plot(vec![[0.0, 1.0]]).file();
+        assert!(file.starts_with("<svg xmlns=") && file.contains("><style>svg .title"));
         for points in [vec![], vec![[1.0, 1.0]], vec![[f64::INFINITY, 0.0]]] {
             let svg = plot(points).render();
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");

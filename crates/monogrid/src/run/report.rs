@@ -165,12 +165,14 @@ fn path_plot(input: &ReportInput) -> Plot {
             name: "reference".into(),
             colour: "#b0b0b0",
             points: from_above(input.reference),
+            ..Series::default()
         });
     }
     series.push(Series {
         name: "estimated".into(),
         colour: "#1f6fb4",
         points: from_above(input.path),
+        ..Series::default()
     });
     let unit = if input.summary.scale == "metric" {
         "m"
@@ -183,7 +185,7 @@ fn path_plot(input: &ReportInput) -> Plot {
         y_label: format!("y ({unit})"),
         series,
         equal_axes: true,
-        from_zero: false,
+        ..Plot::default()
     }
 }
 
@@ -263,14 +265,15 @@ fn tracking_plots(rows: &[FrameRow]) -> Vec<Plot> {
                 [row.index as f64, value]
             })
             .collect(),
+        ..Series::default()
     };
     let plot = |title: &str, y_label: &str, series| Plot {
         title: title.to_owned(),
         x_label: "frame".into(),
         y_label: y_label.to_owned(),
         series,
-        equal_axes: false,
         from_zero: true,
+        ..Plot::default()
     };
     vec![
         plot(

@@ -1,0 +1,136 @@
+//! `monogrid slice`: a map as one grey picture per layer of cells.
+
+use super::print_json;
+use crate::cli::{JsonArg, positive};
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::mapfile;
+use crate::output::write_atomically;
+use crate::picture::slice::{Window, draw_borders, slice};
+use clap::Args;
+use monogrid_datasets::encode_png;
+use monogrid_occupancy::{Leaf, OccupancyMap};
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// `monogrid slice`.
+#[derive(Debug, Args)]
+pub struct SliceArgs {
+    /// Map (.ot or .bt)
+    pub map: PathBuf,
+    /// Folder for the pictures; files of the same names are replaced
+    pub out: PathBuf,
+    /// Distance between slices [default: the edge of a cell]
+    #[arg(long, value_name = "L", value_parser = positive)]
+    pub step: Option<f64>,
+    /// Slices whose cells' centres are lower are left out
+    #[arg(long, value_name = "Z", allow_negative_numbers = true, default_value_t = f64::NEG_INFINITY, hide_default_value = true)]
+    pub min_height: f64,
+    /// Slices whose cells' centres are higher are left out
+    #[arg(long, value_name = "Z", allow_negative_numbers = true, default_value_t = f64::INFINITY, hide_default_value = true)]
+    pub max_height: f64,
+    /// Draw the borders of the octree's leaves: equal cells are one large cell
+    #[arg(long)]
+    pub leaves: bool,
+    /// About the longer side of the pictures, px; a cell is at least one pixel
+    #[arg(long, value_name = "N", default_value_t = 1024)]
+    pub pixels: usize,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `slice --json`.
+#[derive(Debug, Serialize)]
+struct SliceReport {
+    slices: usize,
+    resolution: f64,
+    pixels_per_cell: usize,
+    first_x: f64,
+    first_y: f64,
+    heights: Vec<f64>,
+}
+
+/// Writes the pictures.
+pub fn execute(args: &SliceArgs) -> CommandResult {
+    let (map, _) = mapfile::load(&args.map)?;
+    let Some((first, last)) = map.key_bounds() else {
+        return Err(Failure::input(format!(
+            "{} knows no cell: there is nothing to slice",
+            args.map.display()
+        )));
+    };
+    let resolution = map.resolution();
+    let window = Window::new([first.x, first.y], [last.x, last.y], args.pixels);
+    let layers = layers(args, resolution, first.z, last.z);
+    if layers.is_empty() {
+        return Err(Failure::input(format!(
+            "no layer of {} lies between --min-height and --max-height; its cells reach from {:.3} to {:.3}",
+            args.map.display(),
+            f64::from(first.z) * resolution,
+            f64::from(last.z + 1) * resolution
+        )));
+    }
+    std::fs::create_dir_all(&args.out).map_err(|error| {
+        Failure::input(format!("{} cannot be written: {error}", args.out.display()))
+    })?;
+    let leaves = if args.leaves {
+        map.octree_leaves()
+            .while_running("the leaves cannot be found")?
+    } else {
+        Vec::new()
+    };
+    for (index, z) in layers.iter().enumerate() {
+        let file = args.out.join(format!("slice_{index:04}.png"));
+        write_slice(&map, &window, *z, &leaves, &file)?;
+    }
+    let report = SliceReport {
+        slices: layers.len(),
+        resolution,
+        pixels_per_cell: window.scale,
+        first_x: f64::from(window.first[0]) * resolution,
+        first_y: f64::from(window.first[1]) * resolution,
+        heights: layers.iter().map(|z| height(*z, resolution)).collect(),
+    };
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        println!(
+            "{}: {} slices from z = {:.3} to {:.3}, {} pixels per cell; black free, white occupied, grey unknown",
+            args.out.display(),
+            report.slices,
+            report.heights.first().copied().unwrap_or_default(),
+            report.heights.last().copied().unwrap_or_default(),
+            report.pixels_per_cell
+        );
+    }
+    Ok(Outcome::Done)
+}
+
+/// Height of the centres of a layer.
+fn height(z: i32, resolution: f64) -> f64 {
+    (f64::from(z) + 0.5) * resolution
+}
+
+/// Layers to draw, from below.
+fn layers(args: &SliceArgs, resolution: f64, first: i32, last: i32) -> Vec<i32> {
+    let step = (args.step.unwrap_or(resolution) / resolution)
+        .round()
+        .clamp(1.0, f64::from(i32::MAX)) as usize;
+    (first..=last)
+        .filter(|z| (args.min_height..=args.max_height).contains(&height(*z, resolution)))
+        .step_by(step)
+        .collect()
+}
+
+fn write_slice(
+    map: &OccupancyMap,
+    window: &Window,
+    z: i32,
+    leaves: &[Leaf],
+    file: &Path,
+) -> Result<(), Failure> {
+    let mut picture = slice(map, window, z);
+    draw_borders(&mut picture, leaves, window, z);
+    let png = encode_png(&picture);
+    write_atomically(file, |out| out.write_all(&png))
+}

@@ -1,0 +1,447 @@
+//! `monogrid sweep`: the thesis' experiments on recordings.
+
+use super::evaluate_map::{in_view, load_truth};
+use super::{print_json, use_threads};
+use crate::cli::{JsonArg, SourceArgs, positive};
+use crate::config::Profile;
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::input::Input;
+use crate::output::write_atomically;
+use crate::recorded::Recorded;
+use crate::run::align::Align;
+use crate::sweep::build::Job;
+use crate::sweep::page::{self, Lead, truth_slice_file};
+use crate::sweep::pictures::{PictureOrders, truth_slice};
+use crate::sweep::plan::{self, Entry, RESOLUTIONS};
+use crate::sweep::schedule::{self, Resources, SweepProgress};
+use crate::sweep::slam_rate::{self, Rate, RateJob};
+use crate::sweep::tables::RecordingResult;
+use crate::usage::peak_rss_bytes;
+use clap::Args;
+use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid};
+use monogrid_slam::mapping::{KeyframeScan, MappingConfig};
+use serde::Serialize;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// `monogrid sweep`.
+#[derive(Debug, Args)]
+pub struct SweepArgs {
+    /// Recordings (.mgk) of one environment, e.g. with both profiles
+    #[arg(required = true)]
+    pub recordings: Vec<PathBuf>,
+    /// True map (.ot or .bt), best of the finest resolution; without it nothing is compared
+    #[arg(long, value_name = "MAP.ot")]
+    pub truth: Option<PathBuf>,
+    /// Output folder; a sweep that was interrupted goes on where it was
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Bring the poses of the recordings to the frame of the truth
+    #[arg(long, value_name = "gt:FILE|sim3:FILE")]
+    pub align: Option<String>,
+    /// Edges of the cells, metres
+    #[arg(long, value_name = "L,...", value_delimiter = ',', value_parser = positive, default_values_t = RESOLUTIONS)]
+    pub resolutions: Vec<f64>,
+    /// Memory that all maps may take together, GB; maps beyond it are marked
+    #[arg(long, value_name = "GB", value_parser = positive, default_value_t = 4.0)]
+    pub memory: f64,
+    /// Cells farther from every keyframe do not count as seen
+    #[arg(long, value_name = "L", value_parser = positive, default_value_t = 10.0)]
+    pub view_range: f64,
+    /// Measure SLAM with each mapping beside it on this source, one run after the other
+    #[arg(long, value_name = "SOURCE")]
+    pub slam_source: Option<PathBuf>,
+    /// Frames of each of these runs
+    #[arg(long, value_name = "N", default_value_t = 300)]
+    pub slam_frames: usize,
+    /// Maps built at the same time [default: all cores]; the results do not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `sweep --json`.
+#[derive(Debug, Serialize)]
+struct SweepReport {
+    maps: usize,
+    beyond_memory: usize,
+    wall_seconds: f64,
+    map_cpu_seconds: f64,
+    peak_rss_bytes: Option<u64>,
+    page: PathBuf,
+    warnings: Vec<String>,
+}
+
+/// File that marks a folder as ours.
+const MARKER: &str = "sweep.json";
+
+/// Carries out the sweep and writes the page.
+pub fn execute(args: &SweepArgs) -> CommandResult {
+    let begin = Instant::now();
+    let workers = use_threads(args.threads)?;
+    let align = Align::parse(args.align.as_deref())?;
+    let mut resolutions = args.resolutions.clone();
+    resolutions.sort_by(f64::total_cmp);
+    resolutions.dedup();
+    let recordings = read_recordings(args, &align)?;
+    let finest_truth = args.truth.as_deref().map(load_truth).transpose()?;
+    prepare_folder(args, &recordings)?;
+    let orders = orders(&recordings, finest_truth.as_ref(), &resolutions);
+    let resources = Resources {
+        workers,
+        memory_bytes: (args.memory * 1e9) as usize,
+    };
+    let num_maps = recordings.len() * resolutions.len() * plan::models().len();
+    let progress = SweepProgress::new(num_maps, std::io::stderr().is_terminal());
+    let sweep = Sweep {
+        args,
+        finest_truth: finest_truth.as_ref(),
+        orders: &orders,
+        resources,
+        progress: &progress,
+    };
+    let mut results = Vec::new();
+    for recording in &recordings {
+        results.push(sweep.result(recording, &resolutions)?);
+    }
+    progress.finish();
+    if let Some(source) = &args.slam_source {
+        for (result, recording) in results.iter_mut().zip(&recordings) {
+            result.rates = rates(args, source, recording, &resolutions, workers)?;
+        }
+    }
+    conclude(args, &results, &recordings, &orders, begin)
+}
+
+/// A recording and its name in the output.
+struct Named {
+    name: String,
+    path: PathBuf,
+    recorded: Recorded,
+}
+
+fn read_recordings(args: &SweepArgs, align: &Align) -> Result<Vec<Named>, Failure> {
+    let mut named: Vec<Named> = Vec::new();
+    for path in &args.recordings {
+        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+        let folder = std::path::absolute(path)
+            .ok()
+            .and_then(|p| Some(p.parent()?.file_name()?.to_string_lossy().into_owned()));
+        // every run calls its recording the same
+        let name = match (stem.as_deref(), folder) {
+            (Some("recording") | None, Some(folder)) => folder,
+            (stem, _) => stem.unwrap_or("recording").to_owned(),
+        };
+        if named.iter().any(|other| other.name == name) {
+            return Err(Failure::input(format!(
+                "two recordings are called {name}: give them different file names"
+            )));
+        }
+        named.push(Named {
+            recorded: Recorded::read(path, align)?,
+            name,
+            path: path.clone(),
+        });
+    }
+    Ok(named)
+}
+
+fn prepare_folder(args: &SweepArgs, recordings: &[Named]) -> Result<(), Failure> {
+    let out = &args.out;
+    let is_used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+    if is_used && !out.join(MARKER).is_file() {
+        return Err(Failure::input(format!(
+            "output folder {} exists and holds no sweep; choose another with --out",
+            out.display()
+        )));
+    }
+    let folders = recordings.iter().map(|r| out.join(&r.name));
+    for folder in folders.chain([out.join("truth")]) {
+        std::fs::create_dir_all(&folder).map_err(|error| {
+            Failure::input(format!("{} cannot be written: {error}", folder.display()))
+        })?;
+    }
+    let names: Vec<&str> = recordings.iter().map(|r| r.name.as_str()).collect();
+    let marker = serde_json::json!({ "recordings": names }).to_string();
+    write_atomically(&out.join(MARKER), |file| file.write_all(marker.as_bytes()))
+}
+
+/// The part of the world that pictures show: what is true to be free, or where the cameras were.
+fn orders(recordings: &[Named], truth: Option<&TruthGrid>, resolutions: &[f64]) -> PictureOrders {
+    /// Around the cameras, where there is no truth.
+    const AROUND: f64 = 3.0;
+    // the thesis shows maps of 16 mm
+    let distance = |r: &f64| (r.ln() - 0.016_f64.ln()).abs();
+    let nearest = resolutions
+        .iter()
+        .copied()
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let (low, high) = match truth {
+        Some(truth) => {
+            let first = truth.center(truth.first_key());
+            let edges = truth.size().map(|n| n as f64 * truth.resolution());
+            (first, std::array::from_fn(|a| first[a] + edges[a]))
+        }
+        None => {
+            let views = recordings.iter().flat_map(|r| r.recorded.views());
+            let mut low = [f64::INFINITY; 3];
+            let mut high = [f64::NEG_INFINITY; 3];
+            for view in views {
+                for axis in 0..3 {
+                    let center = view.world_from_camera.translation[axis];
+                    low[axis] = low[axis].min(center - AROUND);
+                    high[axis] = high[axis].max(center + AROUND);
+                }
+            }
+            (low, high)
+        }
+    };
+    PictureOrders::new(low, high, nearest.unwrap_or(0.016))
+}
+
+/// What all recordings of a sweep share.
+struct Sweep<'a> {
+    args: &'a SweepArgs,
+    finest_truth: Option<&'a TruthGrid>,
+    orders: &'a PictureOrders,
+    resources: Resources,
+    progress: &'a SweepProgress,
+}
+
+impl Sweep<'_> {
+    /// All maps of one recording, coarse ones first: they are quick and show early what is wrong.
+    fn result(&self, named: &Named, resolutions: &[f64]) -> Result<RecordingResult, Failure> {
+        let recorded = &named.recorded;
+        let all_scans = recorded.scans(&MappingConfig::thesis().filter);
+        let view = match self.finest_truth {
+            Some(truth) => Some(in_view(truth, recorded, self.args.view_range)?),
+            None => None,
+        };
+        let mut records = Vec::new();
+        for &resolution in resolutions.iter().rev() {
+            let truth = self.truth_at(resolution)?;
+            if let Some(truth) = &truth {
+                self.write_truth_slices(truth)?;
+            }
+            let view = match &view {
+                Some(view) => Some(at_least_as_coarse(view, resolution)?),
+                None => None,
+            };
+            let config = MapEvaluationConfig {
+                in_view: view.as_ref(),
+                max_distance_queries: 0,
+                ..MapEvaluationConfig::default()
+            };
+            let evaluator = match &truth {
+                Some(truth) => Some(MapEvaluator::new(truth, &config).bad_input()?),
+                None => None,
+            };
+            records.extend(self.maps_at(named, &all_scans, resolution, evaluator.as_ref())?);
+        }
+        Ok(self.facts(named, &all_scans, resolutions, records))
+    }
+
+    fn maps_at(
+        &self,
+        named: &Named,
+        all_scans: &[KeyframeScan],
+        resolution: f64,
+        evaluator: Option<&MapEvaluator>,
+    ) -> Result<Vec<crate::sweep::record::MapRecord>, Failure> {
+        let folder = self.args.out.join(&named.name);
+        let job = Job {
+            recorded: &named.recorded,
+            all_scans,
+            evaluator,
+            orders: self.orders,
+            folder: &folder,
+        };
+        let entries: Vec<Entry> = plan::models()
+            .into_iter()
+            .map(|model| Entry { model, resolution })
+            .collect();
+        let stamp = self.stamp(named)?;
+        let fingerprint =
+            |entry: &Entry| format!("{stamp}{:?}", entry.model.mapping(entry.resolution));
+        schedule::run(&job, &entries, fingerprint, self.resources, self.progress)
+    }
+
+    /// What all records of a recording depend on.
+    fn stamp(&self, named: &Named) -> Result<String, Failure> {
+        let mut stamp = file_stamp(&named.path)?;
+        if let Some(truth) = &self.args.truth {
+            stamp.push_str(&file_stamp(truth)?);
+        }
+        let options = (&self.args.align, self.args.memory, self.args.view_range);
+        Ok(format!("{stamp}{options:?} {} ", env!("CARGO_PKG_VERSION")))
+    }
+
+    /// The truth with cells of this size; `None` where it is not fine enough.
+    fn truth_at(&self, resolution: f64) -> Result<Option<TruthGrid>, Failure> {
+        let Some(finest) = self.finest_truth else {
+            return Ok(None);
+        };
+        let ratio = resolution / finest.resolution();
+        let factor = ratio.round();
+        if factor < 1.0 || (ratio - factor).abs() > 1e-6 * factor {
+            return Ok(None);
+        }
+        finest.coarsened(factor as u32).map(Some).bad_input()
+    }
+
+    fn write_truth_slices(&self, truth: &TruthGrid) -> Result<(), Failure> {
+        for (index, height) in self.orders.heights.iter().enumerate() {
+            let name = truth_slice_file(truth.resolution(), index);
+            let png = truth_slice(truth, self.orders, *height);
+            write_atomically(&self.args.out.join(name), |file| file.write_all(&png))?;
+        }
+        Ok(())
+    }
+
+    fn facts(
+        &self,
+        named: &Named,
+        all_scans: &[KeyframeScan],
+        resolutions: &[f64],
+        records: Vec<crate::sweep::record::MapRecord>,
+    ) -> RecordingResult {
+        let recorded = &named.recorded;
+        let times = || recorded.keyframes.iter().map(|k| k.timestamp_ns);
+        let span = times().max().unwrap_or(0) - times().min().unwrap_or(0);
+        RecordingResult {
+            name: named.name.clone(),
+            profile: recorded.session.profile.clone(),
+            is_metric: recorded.frame.is_aligned
+                || recorded.session.scale == monogrid_datasets::Scale::Metric,
+            frames: recorded.num_frames.unwrap_or(0),
+            keyframes: recorded.world_from_keyframes().iter().flatten().count(),
+            points: all_scans.iter().map(|scan| scan.pixels.len()).sum(),
+            video_seconds: span as f64 * 1e-9,
+            environment: self
+                .finest_truth
+                .map(|truth| truth.size().map(|n| n as f64 * truth.resolution())),
+            resolutions: resolutions.to_vec(),
+            records,
+            rates: Vec::new(),
+        }
+    }
+}
+
+/// A view with cells no smaller than those of a truth: seen is what is seen in part.
+fn at_least_as_coarse(view: &TruthGrid, resolution: f64) -> Result<TruthGrid, Failure> {
+    let factor = (resolution / view.resolution()).round().max(1.0);
+    view.coarsened(factor as u32)
+        .while_running("no view can be made")
+}
+
+/// Name, length and time of change of a file.
+fn file_stamp(path: &Path) -> Result<String, Failure> {
+    let metadata = std::fs::metadata(path)
+        .map_err(|error| Failure::input(format!("{} cannot be read: {error}", path.display())))?;
+    let changed = metadata
+        .modified()
+        .ok()
+        .and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok())
+        .map_or(0, |since| since.as_nanos());
+    Ok(format!("{} {} {changed}; ", path.display(), metadata.len()))
+}
+
+fn rates(
+    args: &SweepArgs,
+    source: &Path,
+    named: &Named,
+    resolutions: &[f64],
+    threads: usize,
+) -> Result<Vec<Rate>, Failure> {
+    let input_args = SourceArgs {
+        max_frames: Some(args.slam_frames),
+        ..SourceArgs::default()
+    };
+    let input = Input::open(source, &input_args)?;
+    let profile = match named.recorded.session.profile.as_str() {
+        "thesis" => Profile::Thesis,
+        _ => Profile::Default,
+    };
+    let folder = args.out.join(&named.name);
+    let job = RateJob {
+        seed_depth: super::run::dataset_seed_depth(&input, None)?,
+        input: &input,
+        profile,
+        threads,
+        scratch: &folder.join("slam-run"),
+        file: &folder.join("slam-rates.json"),
+        fingerprint: format!(
+            "{} {} frames, {threads} threads, {}",
+            source.display(),
+            args.slam_frames,
+            env!("CARGO_PKG_VERSION")
+        ),
+    };
+    slam_rate::measure(&job, resolutions)
+}
+
+fn conclude(
+    args: &SweepArgs,
+    results: &[RecordingResult],
+    recordings: &[Named],
+    orders: &PictureOrders,
+    begin: Instant,
+) -> CommandResult {
+    let records = || results.iter().flat_map(|result| &result.records);
+    let num_maps = records().count();
+    let beyond = records().filter(|record| record.built().is_none()).count();
+    let cpu: f64 = records().filter_map(|r| r.built()).map(|b| b.seconds).sum();
+    let warnings: Vec<String> = recordings
+        .iter()
+        .flat_map(|r| {
+            r.recorded
+                .warnings
+                .iter()
+                .map(|w| format!("{}: {w}", r.name))
+        })
+        .collect();
+    let lead = Lead {
+        text: format!(
+            "{num_maps} maps of {} recordings, {} resolutions; {beyond} beyond {} GB.",
+            recordings.len(),
+            args.resolutions.len(),
+            args.memory
+        ),
+        facts: vec![
+            ("CPU time of all maps".to_owned(), format!("{cpu:.0} s")),
+            (
+                "Truth".to_owned(),
+                args.truth
+                    .as_ref()
+                    .map_or_else(|| "none".to_owned(), |path| path.display().to_string()),
+            ),
+            (
+                "Alignment".to_owned(),
+                "the poses of the keyframes, before mapping; the thesis turned and scaled finished maps"
+                    .to_owned(),
+            ),
+        ],
+        warnings: warnings.clone(),
+    };
+    page::write(&args.out, &lead, results, orders)?;
+    let report = SweepReport {
+        maps: num_maps,
+        beyond_memory: beyond,
+        wall_seconds: begin.elapsed().as_secs_f64(),
+        map_cpu_seconds: cpu,
+        peak_rss_bytes: peak_rss_bytes(),
+        page: args.out.join("sweep.html"),
+        warnings,
+    };
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        for warning in &report.warnings {
+            eprintln!("warning: {warning}");
+        }
+        println!("{} {}", lead.text, report.page.display());
+    }
+    Ok(Outcome::Done)
+}

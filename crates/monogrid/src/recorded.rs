@@ -1,0 +1,130 @@
+//! A recording ready to be mapped: keyframes, the camera, and the frame their poses are brought to.
+
+use crate::config::RunConfig;
+use crate::failure::{Classify, Failure};
+use crate::run::align::{Align, MapFrame};
+use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SessionInfo};
+use monogrid_evaluation::View;
+use monogrid_geometry::{Se3, Sim3};
+use monogrid_slam::DepthPixel;
+use monogrid_slam::mapping::{DepthFilterConfig, KeyframeCamera, KeyframeScan};
+use std::path::Path;
+
+/// A recording in memory.
+#[derive(Debug)]
+pub struct Recorded {
+    /// What holds for all of it.
+    pub session: SessionInfo,
+    /// Its settings; `None` when they cannot be understood.
+    pub config: Option<RunConfig>,
+    /// Camera of the keyframes.
+    pub camera: KeyframeCamera,
+    /// Keyframes in the order of their ids.
+    pub keyframes: Vec<RecordedKeyframe>,
+    /// Frames of the source that were used, where the run ended by itself.
+    pub num_frames: Option<u64>,
+    /// The frame of maps.
+    pub frame: MapFrame,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+impl Recorded {
+    /// Reads a recording and finds the frame of its maps.
+    pub fn read(path: &Path, align: &Align) -> Result<Self, Failure> {
+        let recording = Recording::read(path, ReadOptions { with_images: false }).bad_input()?;
+        let config = RunConfig::recorded_mapping(&recording.session.config);
+        let warnings = warnings(&recording, config.is_some());
+        let trajectory: Vec<(i64, Se3)> = recording
+            .keyframes
+            .iter()
+            .filter_map(|k| Some((k.timestamp_ns, k.world_from_keyframe?.to_se3())))
+            .collect();
+        if trajectory.is_empty() {
+            return Err(Failure::input(format!(
+                "{} holds no keyframe with a pose: tracking never started, or the file ends too early",
+                path.display()
+            )));
+        }
+        let (frame, align_failure) = align.frame(&trajectory);
+        if let Some(reason) = align_failure {
+            return Err(Failure::input(reason));
+        }
+        let session = recording.session;
+        Ok(Self {
+            camera: KeyframeCamera {
+                pinhole: session.pinhole,
+                width: session.width,
+                height: session.height,
+            },
+            session,
+            config,
+            keyframes: recording.keyframes,
+            num_frames: recording.end.map(|end| end.num_frames),
+            frame,
+            warnings,
+        })
+    }
+
+    /// What of each keyframe is mapped.
+    pub fn scans(&self, filter: &DepthFilterConfig) -> Vec<KeyframeScan> {
+        self.keyframes
+            .iter()
+            .map(|k| KeyframeScan::new(k.id, &pixels_of(k), &self.camera, filter))
+            .collect()
+    }
+
+    /// Poses of the keyframes in the world of the run.
+    pub fn world_from_keyframes(&self) -> Vec<Option<Sim3>> {
+        self.keyframes
+            .iter()
+            .map(|keyframe| keyframe.world_from_keyframe)
+            .collect()
+    }
+
+    /// What the keyframes look at, in the frame of maps.
+    pub fn views(&self) -> Vec<View> {
+        self.keyframes
+            .iter()
+            .filter_map(|keyframe| {
+                let pose = self.frame.map_from_world * keyframe.world_from_keyframe?;
+                Some(View {
+                    world_from_camera: pose.to_se3(),
+                    camera: self.camera.pinhole,
+                    width: self.camera.width,
+                    height: self.camera.height,
+                })
+            })
+            .collect()
+    }
+}
+
+fn warnings(recording: &Recording, has_settings: bool) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if !has_settings {
+        warnings.push("the recording holds no usable settings; the defaults are used".to_owned());
+    }
+    if recording.end.is_none() {
+        warnings.push("the run that wrote this recording did not end by itself".to_owned());
+    }
+    if recording.damage.num_gaps > 0 {
+        warnings.push(format!(
+            "{} bytes of the recording are damaged and were left out",
+            recording.damage.lost_bytes
+        ));
+    }
+    warnings
+}
+
+fn pixels_of(keyframe: &RecordedKeyframe) -> Vec<DepthPixel> {
+    keyframe
+        .pixels
+        .iter()
+        .map(|pixel| DepthPixel {
+            x: pixel.x,
+            y: pixel.y,
+            idepth: pixel.idepth,
+            idepth_var: pixel.idepth_var,
+        })
+        .collect()
+}

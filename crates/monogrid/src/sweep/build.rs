@@ -1,0 +1,153 @@
+//! One map of a sweep: built keyframe by keyframe, measured, compared with the truth, drawn.
+
+use super::pictures::{self, PictureOrders};
+use super::plan::Entry;
+use super::record::{Built, Growth, MapResult, Scores};
+use crate::failure::{Classify, Failure};
+use crate::recorded::Recorded;
+use crate::usage::thread_cpu;
+use monogrid_evaluation::MapEvaluator;
+use monogrid_geometry::Sim3;
+use monogrid_occupancy::{MapError, OccupancyMap, write_bt, write_ot};
+use monogrid_slam::mapping::{KeyframeScan, Mapper, MappingConfig};
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+
+/// Keyframes at which the maximum-likelihood form is measured: it visits every cell.
+const LIKELIHOOD_SAMPLES: usize = 8;
+
+/// What the maps of one recording at one resolution share.
+#[derive(Debug)]
+pub struct Job<'a> {
+    /// The recording.
+    pub recorded: &'a Recorded,
+    /// All measurements, for the rules without a filter.
+    pub all_scans: &'a [KeyframeScan],
+    /// The truth at this resolution.
+    pub evaluator: Option<&'a MapEvaluator<'a>>,
+    /// Heights of slices and views to draw.
+    pub orders: &'a PictureOrders,
+    /// Folder of the recording in the output.
+    pub folder: &'a Path,
+}
+
+/// Builds, measures and compares one map that may take `budget` bytes.
+pub fn build(job: &Job, entry: &Entry, budget: usize) -> Result<MapResult, Failure> {
+    let config = entry.model.mapping(entry.resolution);
+    let mapper = Mapper::new(config.clone(), job.recorded.camera, 1);
+    let filtered;
+    let scans = if keeps_everything(&config) {
+        job.all_scans
+    } else {
+        filtered = job.recorded.scans(&config.filter);
+        &filtered
+    };
+    let mut map = empty(&config, budget)?;
+    let mut grown = Grown::default();
+    match grown.grow(&mut map, &mapper, job.recorded, scans) {
+        Ok(()) => {}
+        Err(MapError::MemoryBudget { .. }) => {
+            return Ok(MapResult::BeyondMemory {
+                limit_bytes: budget,
+            });
+        }
+        Err(error) => return Err(error).while_running("a map of the sweep cannot be built"),
+    }
+    let scores = match job.evaluator {
+        Some(evaluator) => Some(Scores::from_report(
+            &evaluator
+                .evaluate(&map)
+                .while_running("a map of the sweep cannot be compared")?,
+        )),
+        None => None,
+    };
+    let pictures = pictures::draw(job, entry, &map, &mapper, scans)?;
+    let (low, high) = map.bounds().unwrap_or_default();
+    Ok(MapResult::Built(Box::new(Built {
+        keyframes: grown.keyframes,
+        points: grown.points,
+        seconds: grown.cpu.as_secs_f64(),
+        bytes: map.bytes_in_memory(),
+        bytes_likelihood: map.maximum_likelihood_bytes(),
+        nodes: map.octree_node_count().ok(),
+        leaves: map.leaf_count(),
+        extent: std::array::from_fn(|axis| high[axis] - low[axis]),
+        ot_bytes: file_bytes(|out| write_ot(&map, out)),
+        bt_bytes: file_bytes(|out| write_bt(&map, out)),
+        growth: grown.growth,
+        scores,
+        pictures,
+    })))
+}
+
+fn keeps_everything(config: &MappingConfig) -> bool {
+    config.filter == MappingConfig::thesis().filter
+}
+
+/// An empty map with a limit to its memory.
+fn empty(config: &MappingConfig, budget: usize) -> Result<OccupancyMap, Failure> {
+    let map_config = monogrid_occupancy::MapConfig {
+        memory_budget_bytes: budget,
+        ..config.map_config()
+    };
+    OccupancyMap::new(map_config).while_running("a map of the sweep cannot be made")
+}
+
+/// A map while it grows.
+#[derive(Debug, Default)]
+struct Grown {
+    keyframes: usize,
+    points: usize,
+    cpu: Duration,
+    growth: Vec<Growth>,
+}
+
+impl Grown {
+    fn grow(
+        &mut self,
+        map: &mut OccupancyMap,
+        mapper: &Mapper,
+        recorded: &Recorded,
+        scans: &[KeyframeScan],
+    ) -> Result<(), MapError> {
+        let sampled = scans.len().div_ceil(LIKELIHOOD_SAMPLES).max(1);
+        let poses = recorded.world_from_keyframes();
+        for (scan, pose) in scans.iter().zip(&poses) {
+            let Some(pose) = pose else { continue };
+            let map_from_keyframe: Sim3 = recorded.frame.map_from_world * *pose;
+            let before = thread_cpu();
+            self.points += mapper.integrate(map, scan, &map_from_keyframe)?;
+            self.cpu += thread_cpu() - before;
+            self.keyframes += 1;
+            let is_sampled = self.keyframes.is_multiple_of(sampled);
+            self.growth.push(Growth {
+                keyframes: self.keyframes,
+                bytes: map.bytes_in_memory(),
+                bytes_likelihood: is_sampled.then(|| map.maximum_likelihood_bytes()),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Counts what is written and forgets it.
+#[derive(Default)]
+struct Counter(u64);
+
+impl Write for Counter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn file_bytes(write: impl FnOnce(&mut Counter) -> Result<(), MapError>) -> Option<u64> {
+    let mut counter = Counter::default();
+    write(&mut counter).ok()?;
+    Some(counter.0)
+}

@@ -1,0 +1,425 @@
+//! The figures of a sweep.
+
+use super::plan::{BUFFERS, Model, SIGNIFICANCES, usual_models};
+use super::record::{MapRecord, PolicyScores, Scores};
+use super::tables::{RecordingResult, Score, andert_models, mm, thrun_models};
+use super::thesis;
+use crate::report::svg::{COLOURS, Plot, Series};
+
+/// A named group of plots that belong together.
+#[derive(Debug)]
+pub struct Figure {
+    /// Start of the names of its files.
+    pub file: &'static str,
+    /// Title.
+    pub title: String,
+    /// What the reader must know.
+    pub note: String,
+    /// The plots.
+    pub plots: Vec<Plot>,
+}
+
+/// Which cells a ROC curve counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RocPolicy {
+    /// Cells whose truth is known: probably the thesis' way.
+    Known,
+    /// Observed cells.
+    Observed,
+}
+
+impl RocPolicy {
+    fn of(self, scores: &Scores) -> &PolicyScores {
+        match self {
+            Self::Known => &scores.known,
+            Self::Observed => &scores.observed,
+        }
+    }
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Known => "all cells whose truth is known, unobserved ones at 0.5",
+            Self::Observed => "observed cells",
+        }
+    }
+}
+
+fn roc_panel(title: String, curves: Vec<(String, &'static str, bool, &PolicyScores)>) -> Plot {
+    let mut series = vec![Series {
+        name: String::new(),
+        colour: "#bbbbbb",
+        points: vec![[0.0, 0.0], [1.0, 1.0]],
+        is_dashed: true,
+    }];
+    for (name, colour, is_dashed, scores) in curves {
+        // completed with the corners, as the area is
+        let mut points = vec![[1.0, 1.0]];
+        points.extend(&scores.roc);
+        points.push([0.0, 0.0]);
+        series.push(Series {
+            name: format!("{name}: {:.3}", scores.auc_26),
+            colour,
+            points,
+            is_dashed,
+        });
+    }
+    Plot {
+        title,
+        x_label: "false positive rate".into(),
+        y_label: "true positive rate".into(),
+        series,
+        ranges: Some([[0.0, 1.0], [0.0, 1.0]]),
+        is_panel: true,
+        ..Plot::default()
+    }
+}
+
+/// Figures 6.13 and 6.14: one panel per resolution, one curve per value.
+pub fn roc_over_parameter(result: &RecordingResult, is_thrun: bool, policy: RocPolicy) -> Figure {
+    let (models, number, family) = if is_thrun {
+        (thrun_models(), "6.13", "Thrun")
+    } else {
+        (andert_models(), "6.14", "Andert")
+    };
+    let plots = result
+        .resolutions
+        .iter()
+        .map(|&resolution| {
+            let curves = models
+                .iter()
+                .enumerate()
+                .filter_map(|(i, model)| {
+                    let scores = policy.of(result.scores(*model, resolution)?);
+                    Some((model.label(), COLOURS[i], false, scores))
+                })
+                .collect();
+            roc_panel(mm(resolution), curves)
+        })
+        .collect();
+    Figure {
+        file: match (is_thrun, policy) {
+            (true, RocPolicy::Known) => "figure-6.13-roc-thrun",
+            (true, RocPolicy::Observed) => "figure-6.13-roc-observed-thrun",
+            (false, RocPolicy::Known) => "figure-6.14-roc-andert",
+            (false, RocPolicy::Observed) => "figure-6.14-roc-observed-andert",
+        },
+        title: format!("ROC curves, {family} (Figure {number}): {}", result.name),
+        note: format!(
+            "Counted: {}. The area under each curve stands beside its value.",
+            policy.words()
+        ),
+        plots,
+    }
+}
+
+/// Figure 6.16: two values of L with the same area and different curves, at the finest resolution.
+pub fn roc_of_equal_area(result: &RecordingResult) -> Option<Figure> {
+    let resolution = *result.resolutions.first()?;
+    let curves: Vec<(Model, &PolicyScores)> = thrun_models()
+        .into_iter()
+        .filter_map(|model| Some((model, &result.scores(model, resolution)?.known)))
+        .collect();
+    // the most alike in area among those that are at least three values apart
+    let mut pairs: Vec<(usize, usize)> = (0..curves.len())
+        .flat_map(|i| (i + 3..curves.len()).map(move |j| (i, j)))
+        .collect();
+    let gap = |&(i, j): &(usize, usize)| (curves[i].1.auc_26 - curves[j].1.auc_26).abs();
+    pairs.sort_by(|a, b| gap(a).total_cmp(&gap(b)));
+    let &(i, j) = pairs.first()?;
+    let curve = |index: usize, colour| {
+        let (model, scores) = curves[index];
+        (model.label(), colour, false, scores)
+    };
+    Some(Figure {
+        file: "figure-6.16-roc-equal-area",
+        title: format!(
+            "Two values of L with nearly the same area (Figure 6.16): {}",
+            result.name
+        ),
+        note: "The thesis: L = 0.3 and 1.0 at 8 mm, both 0.85. The area alone does not choose \
+               between them."
+            .to_owned(),
+        plots: vec![roc_panel(
+            mm(resolution),
+            vec![curve(i, "#1f9e77"), curve(j, "#c7372f")],
+        )],
+    })
+}
+
+/// Figure 6.17: the best of both models against each other, with the ideal model and ours.
+pub fn roc_of_best(result: &RecordingResult, policy: RocPolicy) -> Figure {
+    let score: fn(&Scores) -> f64 = match policy {
+        RocPolicy::Known => |scores| Score::AucKnown.of(scores),
+        RocPolicy::Observed => |scores| Score::AucObserved.of(scores),
+    };
+    let plots = result
+        .resolutions
+        .iter()
+        .map(|&resolution| {
+            let named = [
+                (
+                    "Thrun",
+                    "#2a6fbb",
+                    result.best(&thrun_models(), resolution, score),
+                ),
+                (
+                    "Andert",
+                    "#c7372f",
+                    result.best(&andert_models(), resolution, score),
+                ),
+                ("", "#888888", Some(Model::Ideal)),
+                ("", "#1f9e77", Some(Model::Automatic)),
+            ];
+            let curves = named
+                .into_iter()
+                .filter_map(|(name, colour, model)| {
+                    let model = model?;
+                    let scores = policy.of(result.scores(model, resolution)?);
+                    let label = format!("{name} {}", model.label());
+                    Some((label.trim().to_owned(), colour, false, scores))
+                })
+                .collect();
+            roc_panel(mm(resolution), curves)
+        })
+        .collect();
+    Figure {
+        file: match policy {
+            RocPolicy::Known => "figure-6.17-roc-best",
+            RocPolicy::Observed => "figure-6.17-roc-observed-best",
+        },
+        title: format!("The best of each model (Figure 6.17): {}", result.name),
+        note: format!("Counted: {}.", policy.words()),
+        plots,
+    }
+}
+
+/// Share of cells per bin of probability, as log10, with unobserved cells at 0.5 as in the thesis.
+fn distribution(records: &[&MapRecord]) -> Option<Vec<[f64; 2]>> {
+    let mut shares: Vec<f64> = Vec::new();
+    let mut count = 0;
+    for scores in records.iter().filter_map(|record| record.scores()) {
+        let mut bins = scores.histogram.clone();
+        if let Some(middle) = bins.get_mut(50) {
+            *middle += scores.unobserved;
+        }
+        let total: u64 = bins.iter().sum();
+        shares.resize(bins.len(), 0.0);
+        for (share, cells) in shares.iter_mut().zip(&bins) {
+            *share += *cells as f64 / total.max(1) as f64;
+        }
+        count += 1;
+    }
+    if count == 0 {
+        return None;
+    }
+    // steps: both ends of each bin
+    let width = 1.0 / shares.len() as f64;
+    let points = shares.iter().enumerate().flat_map(|(i, share)| {
+        let height = (share / f64::from(count)).max(1e-7).log10();
+        [[i as f64 * width, height], [(i + 1) as f64 * width, height]]
+    });
+    Some(points.collect())
+}
+
+fn distribution_panel(title: &str, records: &[&MapRecord]) -> Option<Plot> {
+    Some(Plot {
+        title: title.to_owned(),
+        x_label: "probability of occupancy".into(),
+        y_label: "log10 of the share of cells".into(),
+        series: vec![Series {
+            name: String::new(),
+            colour: "#2a6fbb",
+            points: distribution(records)?,
+            ..Series::default()
+        }],
+        ranges: Some([[0.0, 1.0], [-7.0, 0.0]]),
+        is_panel: true,
+        ..Plot::default()
+    })
+}
+
+/// Figures 6.8 (all resolutions) and 6.15 (the finest).
+pub fn distributions(result: &RecordingResult) -> Vec<Figure> {
+    let select = |family: &'static str, resolution: Option<f64>| -> Vec<&MapRecord> {
+        result
+            .records
+            .iter()
+            .filter(|r| r.entry.model.family() == family)
+            .filter(|r| resolution.is_none_or(|wanted| (r.entry.resolution - wanted).abs() < 1e-9))
+            .collect()
+    };
+    let families = [
+        ("thrun", "Thrun"),
+        ("andert", "Andert"),
+        ("automatic", "ours, automatic"),
+    ];
+    let panels = |resolution: Option<f64>| {
+        families
+            .into_iter()
+            .filter_map(|(family, title)| distribution_panel(title, &select(family, resolution)))
+            .collect::<Vec<_>>()
+    };
+    let note = "Cells whose truth is inside the box; unobserved ones count at 0.5, as in the thesis. \
+                Thrun has peaks at both limits (0.12 and 0.97) and at 0.5, Andert one more at its \
+                free value 0.3.";
+    let mut figures = vec![Figure {
+        file: "figure-6.8-distribution",
+        title: format!(
+            "Distribution of probabilities, mean of all maps (Figure 6.8): {}",
+            result.name
+        ),
+        note: note.to_owned(),
+        plots: panels(None),
+    }];
+    if let Some(&finest) = result.resolutions.first() {
+        figures.push(Figure {
+            file: "figure-6.15-distribution-finest",
+            title: format!(
+                "Distribution at {} (Figure 6.15): {}",
+                mm(finest),
+                result.name
+            ),
+            note: note.to_owned(),
+            plots: panels(Some(finest)),
+        });
+    }
+    figures.retain(|figure| !figure.plots.is_empty());
+    figures
+}
+
+/// Memory while the map grows (thesis 6.1.3): one panel per resolution.
+pub fn growth(result: &RecordingResult) -> Figure {
+    const MODEL_COLOURS: [&str; 5] = ["#888888", "#e08a1e", "#2a6fbb", "#c7372f", "#1f9e77"];
+    let plots = result
+        .resolutions
+        .iter()
+        .map(|&resolution| {
+            let mut series = Vec::new();
+            for (model, colour) in usual_models().into_iter().zip(MODEL_COLOURS) {
+                let Some(built) = result.record(model, resolution).and_then(MapRecord::built)
+                else {
+                    continue;
+                };
+                let points = |bytes: &dyn Fn(&super::record::Growth) -> Option<usize>| {
+                    built
+                        .growth
+                        .iter()
+                        .filter_map(|g| Some([g.keyframes as f64, bytes(g)? as f64 / 1e6]))
+                        .collect::<Vec<_>>()
+                };
+                series.push(Series {
+                    name: format!(
+                        "{} {}",
+                        model.family(),
+                        model.parameter().map_or(String::new(), |p| p.to_string())
+                    ),
+                    colour,
+                    points: points(&|g| Some(g.bytes)),
+                    is_dashed: false,
+                });
+                series.push(Series {
+                    name: String::new(),
+                    colour,
+                    points: points(&|g| g.bytes_likelihood),
+                    is_dashed: true,
+                });
+            }
+            Plot {
+                title: mm(resolution),
+                x_label: "keyframes".into(),
+                y_label: "MB".into(),
+                series,
+                from_zero: true,
+                is_panel: true,
+                ..Plot::default()
+            }
+        })
+        .collect();
+    Figure {
+        file: "figure-memory-growth",
+        title: format!(
+            "Memory per keyframe as the map grows (thesis 6.1.3): {}",
+            result.name
+        ),
+        note: "Solid: with probabilities; dashed: in maximum-likelihood form.".to_owned(),
+        plots,
+    }
+}
+
+/// The scores over L or k, with the thesis' AUC dashed: the shape of Tables 6.8 and 6.9.
+pub fn score_over_parameter(result: &RecordingResult, is_thrun: bool) -> Figure {
+    let (models, of_thesis, values) = if is_thrun {
+        (thrun_models(), thesis::AUC_THRUN, BUFFERS)
+    } else {
+        (andert_models(), thesis::AUC_ANDERT, SIGNIFICANCES)
+    };
+    let plots = result
+        .resolutions
+        .iter()
+        .map(|&resolution| {
+            let curve = |name: &str, colour, score: &dyn Fn(&Scores) -> f64| Series {
+                name: name.to_owned(),
+                colour,
+                points: models
+                    .iter()
+                    .zip(values)
+                    .filter_map(|(m, value)| Some([value, score(result.scores(*m, resolution)?)]))
+                    .collect(),
+                is_dashed: false,
+            };
+            let mut series = vec![
+                curve("AUC known", "#2a6fbb", &|s| Score::AucKnown.of(s)),
+                curve("AUC observed", "#1f9e77", &|s| Score::AucObserved.of(s)),
+                curve("MCC observed", "#c7372f", &|s| Score::MccObserved.of(s)),
+            ];
+            if let Some(column) = thesis::column(resolution) {
+                series.push(Series {
+                    name: "thesis: AUC".into(),
+                    colour: "#888888",
+                    points: values
+                        .iter()
+                        .zip(of_thesis)
+                        .map(|(value, row)| [*value, row[column]])
+                        .collect(),
+                    is_dashed: true,
+                });
+            }
+            Plot {
+                title: mm(resolution),
+                x_label: if is_thrun { "L, m" } else { "k, m" }.into(),
+                y_label: "score".into(),
+                series,
+                ranges: Some([[0.0, values[9]], [0.0, 1.0]]),
+                is_panel: true,
+                ..Plot::default()
+            }
+        })
+        .collect();
+    let (file, what) = if is_thrun {
+        ("figure-table-6.8", "L (Table 6.8)")
+    } else {
+        ("figure-table-6.9", "k (Table 6.9)")
+    };
+    Figure {
+        file,
+        title: format!("Scores over {what}: {}", result.name),
+        note: "Dashed: the thesis, another room and another SLAM.".to_owned(),
+        plots,
+    }
+}
+
+/// All figures of a recording that were compared with a truth.
+pub fn compared(result: &RecordingResult) -> Vec<Figure> {
+    let mut figures = vec![
+        score_over_parameter(result, true),
+        score_over_parameter(result, false),
+    ];
+    for policy in [RocPolicy::Known, RocPolicy::Observed] {
+        figures.push(roc_over_parameter(result, true, policy));
+        figures.push(roc_over_parameter(result, false, policy));
+        figures.push(roc_of_best(result, policy));
+    }
+    figures.extend(roc_of_equal_area(result));
+    figures.extend(distributions(result));
+    figures
+}

@@ -1,0 +1,198 @@
+//! What a sweep leaves for people: tables as CSV, figures as SVG, and one page that holds everything.
+
+use super::figures::{self, Figure};
+use super::pictures::{AFTER_ONE, AFTER_SEVERAL, LIKELY, PictureOrders};
+use super::plan::Model;
+use super::record::{MapRecord, PictureKind};
+use super::tables::{self, RecordingResult, Score, Table, andert_models, mm, thrun_models};
+use crate::failure::Failure;
+use crate::output::write_atomically;
+use crate::report::Page;
+use std::io::Write;
+use std::path::Path;
+
+/// What the page says at its top.
+#[derive(Debug)]
+pub struct Lead {
+    /// One sentence.
+    pub text: String,
+    /// Facts about the sweep.
+    pub facts: Vec<(String, String)>,
+    /// What the reader should not miss.
+    pub warnings: Vec<String>,
+}
+
+/// Writes `*.csv`, `*.svg` and `sweep.html` into `out`.
+pub fn write(
+    out: &Path,
+    lead: &Lead,
+    results: &[RecordingResult],
+    orders: &PictureOrders,
+) -> Result<(), Failure> {
+    let mut page = Page::default();
+    for warning in &lead.warnings {
+        page.warning(warning);
+    }
+    page.facts(&lead.facts);
+    page.heading("Data sets");
+    let writer = Writer { out };
+    writer.table(&mut page, "", &tables::data_sets(results))?;
+    writer.file("maps.csv", tables::all_maps_csv(results).as_bytes())?;
+    for result in results {
+        writer.recording(&mut page, result, orders)?;
+    }
+    let html = page.finish("Sweep over sensor models and resolutions", &lead.text);
+    writer.file("sweep.html", html.as_bytes())
+}
+
+struct Writer<'a> {
+    out: &'a Path,
+}
+
+impl Writer<'_> {
+    fn file(&self, name: &str, content: &[u8]) -> Result<(), Failure> {
+        write_atomically(&self.out.join(name), |file| file.write_all(content))
+    }
+
+    fn recording(
+        &self,
+        page: &mut Page,
+        result: &RecordingResult,
+        orders: &PictureOrders,
+    ) -> Result<(), Failure> {
+        let folder = format!("{}/", result.name);
+        page.heading(&format!(
+            "{}: recorded with the profile {}",
+            result.name, result.profile
+        ));
+        if !result.is_metric {
+            page.warning("The scale of this recording is arbitrary: lengths are map units, and L and k mean something else than in the thesis.");
+        }
+        self.table(page, &folder, &tables::memory(result))?;
+        self.figure(page, &folder, &figures::growth(result))?;
+        self.table(page, &folder, &tables::speed(result))?;
+        let is_compared = result.records.iter().any(|r| r.scores().is_some());
+        if is_compared {
+            for score in [Score::AucKnown, Score::AucObserved, Score::MccObserved] {
+                for is_thrun in [true, false] {
+                    let table = tables::over_parameter(result, is_thrun, score);
+                    self.table(page, &folder, &table)?;
+                }
+            }
+            self.table(page, &folder, &tables::best_of(result))?;
+            for figure in figures::compared(result) {
+                self.figure(page, &folder, &figure)?;
+            }
+        }
+        self.slices(page, result, orders);
+        self.views(page, result, orders);
+        Ok(())
+    }
+
+    fn table(&self, page: &mut Page, folder: &str, table: &Table) -> Result<(), Failure> {
+        self.file(
+            &format!("{folder}{}.csv", table.file),
+            table.csv().as_bytes(),
+        )?;
+        page.subheading(&table.title);
+        page.number_table(&table.header, &table.rows);
+        page.note(&table.note);
+        Ok(())
+    }
+
+    fn figure(&self, page: &mut Page, folder: &str, figure: &Figure) -> Result<(), Failure> {
+        for plot in &figure.plots {
+            let panel: String = plot
+                .title
+                .chars()
+                .filter(|c| c.is_ascii_alphanumeric() || *c == '.')
+                .collect();
+            let name = format!("{folder}{}-{panel}.svg", figure.file);
+            self.file(&name, plot.file().as_bytes())?;
+        }
+        page.subheading(&figure.title);
+        page.panels(&figure.plots);
+        page.note(&figure.note);
+        Ok(())
+    }
+
+    /// Figure 6.12: truth, ideal, Thrun, Andert and ours side by side.
+    fn slices(&self, page: &mut Page, result: &RecordingResult, orders: &PictureOrders) {
+        page.subheading(&format!("Slices (Figure 6.12): {}", result.name));
+        let known = |scores: &super::record::Scores| Score::AucKnown.of(scores);
+        for &resolution in &result.resolutions {
+            let models = [
+                Some(Model::Ideal),
+                result.best(&thrun_models(), resolution, known),
+                result.best(&andert_models(), resolution, known),
+                Some(Model::Automatic),
+            ];
+            for (index, height) in orders.heights.iter().enumerate() {
+                let mut pictures = Vec::new();
+                let truth = self.out.join(truth_slice_file(resolution, index));
+                if let Ok(png) = std::fs::read(truth) {
+                    pictures.push((png, format!("truth, {}, z = {height:.2}", mm(resolution))));
+                }
+                for model in models.into_iter().flatten() {
+                    let record = result.record(model, resolution);
+                    let wanted = PictureKind::Slice(*height);
+                    if let Some(png) = record.and_then(|r| self.picture(result, r, wanted)) {
+                        pictures.push((png, format!("{} {}", model.family(), model.label())));
+                    }
+                }
+                if pictures.len() > 1 {
+                    page.row(&pictures);
+                }
+            }
+        }
+        page.note(
+            "Black free, white occupied, grey unknown. L and k: the best by AUC of known cells.",
+        );
+    }
+
+    /// Figures 6.9 to 6.11: the unprocessed map, three values of L and of k.
+    fn views(&self, page: &mut Page, result: &RecordingResult, orders: &PictureOrders) {
+        let resolution = orders.view_resolution;
+        let picture = |model: Model| {
+            let record = result.record(model, resolution)?;
+            let png = self.picture(result, record, PictureKind::View)?;
+            Some((png, format!("{} {}", model.family(), model.label())))
+        };
+        let all: Vec<(Vec<u8>, String)> = PictureOrders::viewed()
+            .into_iter()
+            .filter_map(picture)
+            .collect();
+        if all.is_empty() {
+            return;
+        }
+        page.subheading(&format!(
+            "Occupied cells at {} (Figures 6.9 to 6.11): {}",
+            mm(resolution),
+            result.name
+        ));
+        for row in all.chunks(4) {
+            page.row(row);
+        }
+        page.colour_key(&[
+            (AFTER_ONE, "at the upper limit after one measurement"),
+            (AFTER_SEVERAL, "after several"),
+            (LIKELY, "above 0.7"),
+        ]);
+        page.note("Cut above 80 % of the height. The thesis shows L = 0.05, 0.45 and 1.0.");
+    }
+
+    fn picture(
+        &self,
+        result: &RecordingResult,
+        record: &MapRecord,
+        kind: PictureKind,
+    ) -> Option<Vec<u8>> {
+        let file = record.built()?.pictures.iter().find(|p| p.kind == kind)?;
+        std::fs::read(self.out.join(&result.name).join(&file.file)).ok()
+    }
+}
+
+/// Where a slice of the truth is kept.
+pub fn truth_slice_file(resolution: f64, index: usize) -> String {
+    format!("truth/slice-{resolution}-{index}.png")
+}

@@ -1,0 +1,114 @@
+//! How fast SLAM is with each way of mapping beside it (thesis 6.1.4, Table 6.5).
+
+use super::plan::{Entry, usual_models};
+use crate::config::{Profile, RunConfig};
+use crate::failure::Failure;
+use crate::input::Input;
+use crate::output::{OutputFolder, write_atomically};
+use crate::run::{RunSettings, track};
+use monogrid_image::GrayImage;
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// SLAM with one way of mapping.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Rate {
+    /// The mapping.
+    pub entry: Entry,
+    /// Frames tracked.
+    pub frames: usize,
+    /// Frames over wall time, until the last keyframe was tracked, recorded and mapped.
+    pub frames_per_second: f64,
+}
+
+/// What is run.
+#[derive(Debug)]
+pub struct RateJob<'a> {
+    /// The frames.
+    pub input: &'a Input,
+    /// Metric depth to start with.
+    pub seed_depth: Option<(usize, GrayImage)>,
+    /// Rules of SLAM.
+    pub profile: Profile,
+    /// Threads.
+    pub threads: usize,
+    /// Where runs may write.
+    pub scratch: &'a Path,
+    /// Where the rates are kept for a resumed sweep.
+    pub file: &'a Path,
+    /// Everything that the rates depend on.
+    pub fingerprint: String,
+}
+
+/// What is kept.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    fingerprint: String,
+    rates: Vec<Rate>,
+}
+
+/// Runs SLAM once per usual model and resolution, one after the other.
+pub fn measure(job: &RateJob, resolutions: &[f64]) -> Result<Vec<Rate>, Failure> {
+    let mut rates = kept(job);
+    for &resolution in resolutions {
+        for model in usual_models() {
+            let entry = Entry { model, resolution };
+            if rates.iter().any(|rate| rate.entry == entry) {
+                continue;
+            }
+            let rate = run_once(job, entry)?;
+            eprintln!(
+                "SLAM beside {}: {:.1} frames per second",
+                entry.name(),
+                rate.frames_per_second
+            );
+            rates.push(rate);
+            keep(job, &rates)?;
+        }
+    }
+    Ok(rates)
+}
+
+fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
+    let folder = OutputFolder::prepare(job.scratch, true)?;
+    let settings = RunSettings {
+        config: RunConfig {
+            mapping: entry.model.mapping(entry.resolution),
+            ..RunConfig::of(job.profile)
+        },
+        seed_depth: job.seed_depth.clone(),
+        realtime: false,
+        threads: job.threads,
+        show_progress: false,
+    };
+    let begin = Instant::now();
+    let tracked = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
+    let seconds = begin.elapsed().as_secs_f64();
+    // the rates are all that is wanted of the run
+    let _ = std::fs::remove_dir_all(job.scratch);
+    Ok(Rate {
+        entry,
+        frames: tracked.rows.len(),
+        frames_per_second: tracked.rows.len() as f64 / seconds.max(1e-9),
+    })
+}
+
+fn kept(job: &RateJob) -> Vec<Rate> {
+    let text = std::fs::read_to_string(job.file).unwrap_or_default();
+    match serde_json::from_str::<Kept>(&text) {
+        Ok(kept) if kept.fingerprint == job.fingerprint => kept.rates,
+        _ => Vec::new(),
+    }
+}
+
+fn keep(job: &RateJob, rates: &[Rate]) -> Result<(), Failure> {
+    let kept = Kept {
+        fingerprint: job.fingerprint.clone(),
+        rates: rates.to_vec(),
+    };
+    let text = serde_json::to_string(&kept).map_err(Failure::running)?;
+    write_atomically(job.file, |out| out.write_all(text.as_bytes()))
+}
