@@ -2,7 +2,8 @@
 
 use super::plan::{BUFFERS, Model, SIGNIFICANCES, usual_models};
 use super::record::{MapRecord, PolicyScores, Scores};
-use super::tables::{RecordingResult, Score, andert_models, mm, thrun_models};
+use super::result::{RecordingResult, andert_models, thrun_models};
+use super::tables::{Score, mm};
 use super::thesis;
 use crate::report::svg::{COLOURS, Plot, Series};
 

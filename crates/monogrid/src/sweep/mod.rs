@@ -11,6 +11,7 @@ pub mod page;
 pub mod pictures;
 pub mod plan;
 pub mod record;
+pub mod result;
 pub mod schedule;
 pub mod slam_rate;
 pub mod tables;
