@@ -2,6 +2,7 @@
 
 mod graph;
 mod keyframes;
+mod trajectory;
 
 use self::graph::GraphLink;
 use crate::depth_step::{observe, regularize};
@@ -14,7 +15,7 @@ use crate::start::{Start, StartOutcome, Started};
 use crate::tracker::{MotionPrior, extrapolate, track};
 use crate::{
     ConfigError, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, PoseSnapshot, Scale,
-    SlamConfig, StageTimes, TrackingState, TrajectoryPose,
+    SlamConfig, StageTimes, TrackingState,
 };
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, StereoFrame};
@@ -153,25 +154,6 @@ impl Slam {
     #[must_use]
     pub fn snapshot(&self) -> Arc<PoseSnapshot> {
         Arc::clone(&self.snapshot)
-    }
-
-    /// All frames with a believed pose, with everything known now, in the order of time.
-    #[must_use]
-    pub fn trajectory(&self) -> Vec<TrajectoryPose> {
-        let mut poses: Vec<TrajectoryPose> = self
-            .records
-            .iter()
-            .map(|record| TrajectoryPose {
-                frame_index: record.frame_index,
-                timestamp_ns: record.timestamp_ns,
-                world_from_camera: world_from_camera(
-                    &self.nodes[record.keyframe as usize].world_from_keyframe,
-                    &record.frame_from_keyframe,
-                ),
-            })
-            .collect();
-        poses.sort_by_key(|pose| (pose.timestamp_ns, pose.frame_index));
-        poses
     }
 
     /// Whether lengths are metres.
