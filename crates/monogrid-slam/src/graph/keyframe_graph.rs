@@ -25,12 +25,13 @@ pub(crate) struct GraphView {
     pub exposure: Exposure,
 }
 
-/// Motion between a keyframe and the one before it, as tracking found it.
+/// Motion between a keyframe and the one that it was tracked on, as tracking found it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OdometryEdge {
+    pub parent: KeyframeId,
     pub keyframe: KeyframeId,
-    pub previous_from_keyframe: Sim3,
-    /// Covariance of a left update `[v, w]`, in the units of the previous keyframe.
+    pub parent_from_keyframe: Sim3,
+    /// Covariance of a left update `[v, w]`, in the units of the parent.
     pub covariance: Mat6,
 }
 
@@ -193,9 +194,6 @@ impl KeyframeGraph {
 
     /// The motion that tracking found holds a keyframe until something better does.
     fn add_odometry(&mut self, odometry: &OdometryEdge) {
-        let Some(previous) = odometry.keyframe.checked_sub(1) else {
-            return;
-        };
         let mut covariance = Mat7::zeros();
         covariance
             .fixed_view_mut::<6, 6>(0, 0)
@@ -205,14 +203,16 @@ impl KeyframeGraph {
             return;
         };
         let edge = GraphEdge {
-            i: u64::from(previous),
+            i: u64::from(odometry.parent),
             j: u64::from(odometry.keyframe),
-            i_from_j: odometry.previous_from_keyframe,
+            i_from_j: odometry.parent_from_keyframe,
             information,
             kernel: RobustKernel::None,
         };
-        self.edges
-            .insert((previous, odometry.keyframe, EdgeKind::Odometry), edge);
+        self.edges.insert(
+            (odometry.parent, odometry.keyframe, EdgeKind::Odometry),
+            edge,
+        );
     }
 
     /// The relative pose of two keyframes as the sparse layer has it now.
@@ -509,8 +509,9 @@ mod tests {
                 poses.push(poses[k] * previous_from_keyframe);
                 chain.push(chain[k] * previous_from_keyframe);
                 OdometryEdge {
+                    parent: k as KeyframeId,
                     keyframe: k as KeyframeId + 1,
-                    previous_from_keyframe,
+                    parent_from_keyframe: previous_from_keyframe,
                     covariance: Mat6::identity() * 1e-4,
                 }
             });

@@ -3,7 +3,7 @@
 use super::{Current, Slam, milliseconds};
 use crate::depth_step::{observe, regularize, tracking_samples};
 use crate::frame::Frame;
-use crate::graph::OdometryEdge;
+use crate::graph::{GraphView, OdometryEdge};
 use crate::node::{Exposure, Node};
 use crate::sparse::scale::{dense_links, keyframe_scale};
 use crate::{DepthPixel, FrameReport, Keyframe, KeyframeId, PoseSnapshot};
@@ -13,8 +13,17 @@ use monogrid_geometry::{Mat6, Se3};
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Depth that a new keyframe takes over.
+pub(super) struct Successor {
+    /// In the new keyframe's units.
+    pub depth: DepthMap,
+    /// The new keyframe's unit in its parent's units.
+    pub unit: f64,
+}
+
 impl Slam {
-    /// Publishes the current keyframe and lets `frame` take over.
+    /// Publishes the current keyframe and lets `frame` take over; nothing happens when no depth can be
+    /// handed on.
     pub(super) fn change_keyframe(
         &mut self,
         frame: &Frame,
@@ -22,45 +31,76 @@ impl Slam {
         report: &mut FrameReport,
     ) -> Option<KeyframeId> {
         self.take_graph_update();
-        let finished = self.publish_current();
+        let successor = self.successor(&self.current.as_ref()?.depth, frame, motion)?;
+        let unit = successor.unit;
+        let (finished, view) = self.finish_current()?;
+        self.begin_keyframe(frame, finished, motion, successor, view, report);
+        if let Some(last) = self.last.as_mut() {
+            last.motion = Motion::from_pose(Se3::identity());
+            last.frame_from_previous.translation /= unit;
+        }
+        Some(finished)
+    }
+
+    /// Publishes the current keyframe; its identity and what the graph needs of it.
+    pub(super) fn finish_current(&mut self) -> Option<(KeyframeId, Option<GraphView>)> {
+        let id = self.publish_current()?;
         let current = self.current.take()?;
-        let view = self.graph_view(&current.depth);
+        self.link_dense_depth(&current.depth, id as usize);
+        Some((id, self.graph_view(&current.depth)))
+    }
+
+    /// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
+    /// the keyframe's units; `None` when nothing arrives there.
+    pub(super) fn successor(
+        &self,
+        depth: &DepthMap,
+        frame: &Frame,
+        motion: &Motion,
+    ) -> Option<Successor> {
         let host =
             Arc::new(HostFrame::new(frame.image().clone(), self.mask.clone(), self.pinhole).ok()?);
-        let (mut depth, _) =
-            current
-                .depth
-                .propagate(host, &motion.frame_from_keyframe, &self.config.depth);
-        // The unit of the new keyframe is its median depth.
+        let (mut depth, _) = depth.propagate(host, &motion.frame_from_keyframe, &self.config.depth);
         let median_idepth = depth
             .median_idepth()
             .filter(|m| m.is_finite() && *m > 0.0)?;
         depth.rescale(1.0 / median_idepth);
-        let unit = 1.0 / f64::from(median_idepth);
-        let parent = self.nodes.last()?;
+        Some(Successor {
+            depth,
+            unit: 1.0 / f64::from(median_idepth),
+        })
+    }
+    /// Makes `frame` the newest keyframe, on top of a parent that it was tracked on; `view` is the keyframe
+    /// that was finished for it.
+    pub(super) fn begin_keyframe(
+        &mut self,
+        frame: &Frame,
+        parent: KeyframeId,
+        motion: &Motion,
+        successor: Successor,
+        view: Option<GraphView>,
+        report: &mut FrameReport,
+    ) {
+        let Successor { mut depth, unit } = successor;
         let keyframe_from_frame = motion.frame_from_keyframe.inverse();
         let parent_from_keyframe = keyframe_from_frame.with_scale(unit);
-        let world_from_keyframe = parent.world_from_keyframe * parent_from_keyframe;
-        let exposure = parent.exposure.then(motion.log_gain.exp(), motion.bias);
+        let node = &self.nodes[parent as usize];
+        let world_from_keyframe = node.world_from_keyframe * parent_from_keyframe;
+        let exposure = node.exposure.then(motion.log_gain.exp(), motion.bias);
         self.push_node(frame, world_from_keyframe, exposure);
         let before_graph = Instant::now();
-        self.link_dense_depth(&current.depth, self.nodes.len() - 2);
         self.adjust(&depth);
         let odometry = report.covariance.map(|covariance| OdometryEdge {
+            parent,
             keyframe: self.nodes.len() as KeyframeId - 1,
-            previous_from_keyframe: parent_from_keyframe,
+            parent_from_keyframe,
             covariance: in_keyframe(&covariance, &keyframe_from_frame),
         });
         self.submit_graph_job(view, odometry, false);
         report.milliseconds.graph += milliseconds(before_graph);
         self.observe_old_keyframes(&mut depth);
         regularize(&mut depth, &self.config.depth);
-        if let Some(last) = self.last.as_mut() {
-            last.motion = Motion::from_pose(Se3::identity());
-            last.frame_from_previous.translation /= unit;
-        }
         self.set_current(depth);
-        finished
     }
 
     /// Brings the newest keyframe into the sparse layer and takes over the adjusted poses and scales.

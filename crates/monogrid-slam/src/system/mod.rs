@@ -136,12 +136,10 @@ impl Slam {
     /// Finishes the last keyframe; its identity, if there is one.
     pub fn finish(&mut self) -> Option<KeyframeId> {
         self.take_graph_update();
-        let view = self.graph_view(&self.current.as_ref()?.depth);
-        let id = self.publish_current();
+        let (id, view) = self.finish_current()?;
         self.submit_graph_job(view, None, true);
         self.take_graph_update();
-        self.current = None;
-        id
+        Some(id)
     }
 
     /// Finished keyframes, by identity.
@@ -393,7 +391,7 @@ impl Slam {
         };
         if is_new_keyframe(&evidence, &self.config.keyframes) {
             report.finished_keyframe = self.change_keyframe(&frame, &motion, &mut report);
-            report.created_keyframe = true;
+            report.created_keyframe = report.finished_keyframe.is_some();
         } else if tracked.state == TrackingState::Good {
             self.refine_depth(&frame, &tracked.alignment);
         }
