@@ -30,6 +30,7 @@
 //! Conventions: cell boundaries lie on multiples of the resolution, as in OctoMap; all lengths
 //! are in map units (metres, if the poses and measurements are); sensors look along +z.
 
+mod combine;
 mod error;
 mod evidence;
 mod integrate;
@@ -44,15 +45,20 @@ mod scans_file;
 mod sensor;
 mod storage;
 
+pub use combine::{CellCounts, MapDifference};
 pub use error::MapError;
 pub use evidence::{Occupancy, log_odds_from_probability, probability_from_log_odds};
 pub use integrate::{IntegrationConfig, IntegrationReport, IntegrationRule, integrate};
-pub use io::{read_bt, read_ot, save_atomically, write_bt, write_ot, write_pcd, write_ply};
+pub use io::{
+    MGO_MAGIC, read_bt, read_mgo, read_ot, save_atomically, write_bt, write_mgo, write_ot,
+    write_pcd, write_ply,
+};
 pub use key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 pub use map::{MapConfig, OccupancyMap};
 pub use octree::Leaf;
 pub use query::cast::{RayHit, UnknownCells};
 pub use query::cells::Cell;
+pub use query::project::Projection;
 pub use query::snapshot::Snapshot;
 pub use scan::{
     DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,

@@ -11,7 +11,7 @@ pub(crate) const FREE: i16 = -1;
 /// Evidence of occupied cells in the maximum-likelihood form.
 pub(crate) const OCCUPIED: i16 = 1;
 
-fn classified(limits: Limits, value: i16) -> i16 {
+pub(crate) fn classified(limits: Limits, value: i16) -> i16 {
     match limits.occupancy(value) {
         Occupancy::Unknown => UNKNOWN,
         Occupancy::Free => FREE,
@@ -20,7 +20,9 @@ fn classified(limits: Limits, value: i16) -> i16 {
 }
 
 impl OccupancyMap {
-    /// The map with every known cell replaced by one of two values.
+    /// The map with every known cell replaced by one of two values: what the figures below are
+    /// compared with.
+    #[cfg(test)]
     pub(crate) fn maximum_likelihood(&self) -> Result<OccupancyMap, MapError> {
         let mut likely = OccupancyMap::new(self.config().clone())?;
         for key in self.bricks() {

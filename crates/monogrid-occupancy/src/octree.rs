@@ -8,6 +8,7 @@
 use crate::error::MapError;
 use crate::evidence::UNKNOWN;
 use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
+use crate::likelihood::classified;
 use crate::map::OccupancyMap;
 use crate::storage::BrickRef;
 
@@ -196,9 +197,32 @@ pub(crate) trait TreeVisitor {
     fn leaf(&mut self, leaf: Leaf) -> Result<(), MapError>;
 }
 
+/// What a walk shows of the evidence of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum View {
+    /// As it is stored.
+    Evidence,
+    /// Only free or occupied: the maximum-likelihood tree of `.bt`.
+    Likely,
+}
+
+impl View {
+    fn of(self, map: &OccupancyMap, value: i16) -> i16 {
+        match self {
+            Self::Evidence => value,
+            Self::Likely => classified(map.limits, value),
+        }
+    }
+
+    fn brick(self, map: &OccupancyMap, key: BrickKey) -> BrickTree {
+        BrickTree::new(map.brick_values(key).map(|value| self.of(map, value)))
+    }
+}
+
 /// The levels of the tree from bricks (0) up to the root (13).
 pub(crate) struct Octree<'a> {
     map: &'a OccupancyMap,
+    view: View,
     levels: Vec<Vec<(u64, Node)>>,
     pub counts: TreeCounts,
 }
@@ -208,7 +232,7 @@ impl<'a> Octree<'a> {
     ///
     /// # Errors
     /// A brick beyond OctoMap's 16-bit keys.
-    pub(crate) fn new(map: &'a OccupancyMap) -> Result<Self, MapError> {
+    pub(crate) fn new(map: &'a OccupancyMap, view: View) -> Result<Self, MapError> {
         let mut counts = TreeCounts::default();
         let mut bricks = Vec::new();
         for key in map.bricks() {
@@ -221,9 +245,9 @@ impl<'a> Octree<'a> {
                 });
             }
             let root = match map.brick(key) {
-                BrickRef::Uniform(value) => cell_node(value),
+                BrickRef::Uniform(value) => cell_node(view.of(map, value)),
                 BrickRef::Mixed(_) => {
-                    let tree = BrickTree::new(map.brick_values(key));
+                    let tree = view.brick(map, key);
                     if let Node::Inner(_) = tree.root {
                         let inside = tree.counts();
                         counts.nodes += inside.nodes;
@@ -244,6 +268,7 @@ impl<'a> Octree<'a> {
         }
         let mut octree = Self {
             map,
+            view,
             levels,
             counts,
         };
@@ -298,7 +323,7 @@ impl<'a> Octree<'a> {
             }),
             Node::Inner(_) if level == 0 => {
                 let key = brick_of_morton(code);
-                visit_brick(key, &BrickTree::new(self.map.brick_values(key)), visitor)
+                visit_brick(key, &self.view.brick(self.map, key), visitor)
             }
             Node::Inner(value) => {
                 let below = &self.levels[level - 1];
@@ -404,7 +429,7 @@ impl OccupancyMap {
     /// # Errors
     /// A cell beyond OctoMap's 16-bit keys.
     pub fn octree_leaf_count(&self) -> Result<usize, MapError> {
-        Ok(Octree::new(self)?.counts.leaves)
+        Ok(Octree::new(self, View::Evidence)?.counts.leaves)
     }
 
     /// Nodes of the pruned octree, leaves included, as OctoMap would count them.
@@ -412,7 +437,7 @@ impl OccupancyMap {
     /// # Errors
     /// A cell beyond OctoMap's 16-bit keys.
     pub fn octree_node_count(&self) -> Result<usize, MapError> {
-        Ok(Octree::new(self)?.counts.nodes)
+        Ok(Octree::new(self, View::Evidence)?.counts.nodes)
     }
 
     /// Leaves of the pruned octree; of a map beyond OctoMap's keys, the number of uniform
@@ -438,7 +463,7 @@ impl OccupancyMap {
     /// # Errors
     /// A cell beyond OctoMap's 16-bit keys.
     pub fn octree_leaves(&self) -> Result<Vec<Leaf>, MapError> {
-        let octree = Octree::new(self)?;
+        let octree = Octree::new(self, View::Evidence)?;
         let mut collect = Collect(Vec::with_capacity(octree.counts.leaves));
         octree.visit(&mut collect)?;
         Ok(collect.0)
@@ -487,7 +512,7 @@ mod tests {
         let cells: u64 = leaves.iter().map(|l| u64::from(l.edge_cells).pow(3)).sum();
         assert_eq!(cells, 16 * 16 * 16);
         // Nodes: root and 11 inner levels down to edge 16, then 8 bricks, 8, 8, 8.
-        let octree = Octree::new(&map).unwrap();
+        let octree = Octree::new(&map, View::Evidence).unwrap();
         assert_eq!(octree.counts.nodes, 13 + 8 + 8 + 8 + 8);
         assert_eq!(map.octree_node_count().unwrap(), octree.counts.nodes);
     }

@@ -67,7 +67,7 @@ pub enum Command {
     /// Facts about a map
     #[command(after_help = "Example: monogrid info kitchen.bt")]
     Info(InfoArgs),
-    /// Convert a map: .ot and .bt to .ot, .bt, .ply or .pcd
+    /// Convert a map: .ot, .bt and .mgo to .ot, .bt, .mgo, .ply or .pcd
     #[command(after_help = "Example: monogrid convert kitchen.ot kitchen.ply")]
     Convert(ConvertArgs),
     /// Move, turn and scale a map
@@ -301,8 +301,8 @@ pub struct CheckArgs {
 pub struct MapArgs {
     /// Recording (.mgk), scans (.scans) or a folder in TUM layout with depth images
     pub recording: PathBuf,
-    /// Map to write: .ot (probabilities) or .bt (occupied, free)
-    #[arg(long, value_name = "MAP.{ot,bt}")]
+    /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
+    #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
     pub out: PathBuf,
     #[command(flatten)]
     pub mapping: MappingArgs,
@@ -331,7 +331,7 @@ pub struct MapArgs {
 /// `monogrid info`.
 #[derive(Debug, Args)]
 pub struct InfoArgs {
-    /// Map (.ot or .bt)
+    /// Map (.ot, .bt or .mgo)
     pub map: PathBuf,
     #[command(flatten)]
     pub json: JsonArg,
@@ -340,9 +340,9 @@ pub struct InfoArgs {
 /// `monogrid convert`.
 #[derive(Debug, Args)]
 pub struct ConvertArgs {
-    /// Map to read (.ot or .bt)
+    /// Map to read (.ot, .bt or .mgo)
     pub input: PathBuf,
-    /// File to write (.ot, .bt, .ply or .pcd); point clouds hold the centres of occupied cells
+    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied cells
     pub output: PathBuf,
     #[command(flatten)]
     pub json: JsonArg,

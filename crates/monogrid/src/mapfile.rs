@@ -2,8 +2,8 @@
 
 use crate::failure::{Classify, Failure};
 use monogrid_occupancy::{
-    MapError, Occupancy, OccupancyMap, read_bt, read_ot, save_atomically, write_bt, write_ot,
-    write_pcd, write_ply,
+    MGO_MAGIC, MapError, OccupancyMap, read_bt, read_mgo, read_ot, save_atomically, write_bt,
+    write_mgo, write_ot, write_pcd, write_ply,
 };
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -19,6 +19,8 @@ pub enum MapFormat {
     Ot,
     /// OctoMap, binary.
     Bt,
+    /// Exact, with checksums, and small.
+    Mgo,
     /// Point cloud of occupied cells.
     Ply,
     /// Point cloud of occupied cells.
@@ -26,6 +28,11 @@ pub enum MapFormat {
 }
 
 impl MapFormat {
+    /// What a map can be read from again.
+    pub const MAPS: [Self; 3] = [Self::Ot, Self::Bt, Self::Mgo];
+    /// All that can be written.
+    pub const ALL: [Self; 5] = [Self::Ot, Self::Bt, Self::Mgo, Self::Ply, Self::Pcd];
+
     /// The format that a file name asks for, if it is one of `allowed`.
     pub fn from_name(path: &Path, allowed: &[Self]) -> Result<Self, Failure> {
         let extension = path
@@ -34,6 +41,7 @@ impl MapFormat {
         let format = match extension.as_deref() {
             Some("ot") => Some(Self::Ot),
             Some("bt") => Some(Self::Bt),
+            Some("mgo") => Some(Self::Mgo),
             Some("ply") => Some(Self::Ply),
             Some("pcd") => Some(Self::Pcd),
             _ => None,
@@ -54,6 +62,7 @@ impl MapFormat {
         match self {
             Self::Ot => ".ot",
             Self::Bt => ".bt",
+            Self::Mgo => ".mgo",
             Self::Ply => ".ply",
             Self::Pcd => ".pcd",
         }
@@ -64,6 +73,7 @@ impl MapFormat {
         match self {
             Self::Ot => "OctoMap .ot (probabilities)",
             Self::Bt => "OctoMap .bt (occupied, free, unknown)",
+            Self::Mgo => "monogrid .mgo (exact log-odds, checksums)",
             Self::Ply => "PLY point cloud",
             Self::Pcd => "PCD point cloud",
         }
@@ -75,13 +85,14 @@ pub fn save(map: &OccupancyMap, path: &Path, format: MapFormat) -> Result<(), Fa
     let result = save_atomically(path, |file| match format {
         MapFormat::Ot => write_ot(map, file),
         MapFormat::Bt => write_bt(map, file),
+        MapFormat::Mgo => write_mgo(map, file),
         MapFormat::Ply => write_ply(map, file),
         MapFormat::Pcd => write_pcd(map, file),
     });
     result.while_running("the map cannot be written")
 }
 
-/// Reads an `.ot` or `.bt` by its first line, whatever its name.
+/// Reads an `.ot`, `.bt` or `.mgo` by its first bytes, whatever its name.
 pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
     let file = File::open(path).map_err(|error| {
         Failure::input(format!("map {} cannot be read: {error}", path.display()))
@@ -94,40 +105,20 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
         MapFormat::Bt
     } else if start.starts_with(b"# Octomap OcTree file") {
         MapFormat::Ot
+    } else if start.starts_with(&MGO_MAGIC) {
+        MapFormat::Mgo
     } else {
         return Err(Failure::input(format!(
-            "{} is not a map: its first line is not that of an OctoMap .ot or .bt file",
+            "{} is not a map: it begins neither as an OctoMap .ot or .bt file nor as a .mgo file",
             path.display()
         )));
     };
     let map = match format {
         MapFormat::Bt => read_bt(input, READ_BUDGET_BYTES),
+        MapFormat::Mgo => read_mgo(input, READ_BUDGET_BYTES),
         _ => read_ot(input, READ_BUDGET_BYTES),
     };
     map.map(|map| (map, format)).map_err(|error: MapError| {
         Failure::Input(anyhow::Error::from(error).context(format!("map {}", path.display())))
     })
-}
-
-/// Known cells of a map, counted in cells of its resolution.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct CellCounts {
-    /// Cells at least as likely occupied as the threshold.
-    pub occupied: u64,
-    /// Other known cells.
-    pub free: u64,
-}
-
-/// Counts known cells.
-pub fn count_cells(map: &OccupancyMap) -> Result<CellCounts, MapError> {
-    let mut counts = CellCounts::default();
-    for leaf in map.octree_leaves()? {
-        let cells = u64::from(leaf.edge_cells).pow(3);
-        match map.state_of(leaf.first) {
-            Occupancy::Occupied => counts.occupied += cells,
-            Occupancy::Free => counts.free += cells,
-            Occupancy::Unknown => {}
-        }
-    }
-    Ok(counts)
 }

@@ -5,20 +5,20 @@ use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::header::{self, Cube, TREE_DEPTH, octomap_clamps, read_array};
 use crate::error::MapError;
+use crate::likelihood::FREE;
 use crate::map::OccupancyMap;
-use crate::octree::{Leaf, Node, Octree, TreeVisitor};
+use crate::octree::{Leaf, Node, Octree, TreeVisitor, View};
 
 const TITLE: &str = "# Octomap OcTree binary file";
 const FORMAT: &str = ".bt";
 
-/// Writes a map as OctoMap's `.bt`: occupied, free or unknown only. The map itself is not
-/// changed.
+/// Writes a map as OctoMap's `.bt`: occupied, free or unknown only. The map itself is
+/// neither changed nor copied: memory beyond it is some bytes per brick.
 ///
 /// # Errors
 /// Writing fails, or a cell is beyond OctoMap's 16-bit keys.
 pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
-    let likely = map.maximum_likelihood()?;
-    let octree = Octree::new(&likely)?;
+    let octree = Octree::new(map, View::Likely)?;
     let mut out = BufWriter::new(out);
     header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
     let mut writer = BtWriter { out: &mut out };
@@ -50,7 +50,7 @@ impl<W: Write> TreeVisitor for BtWriter<'_, W> {
             .fold(0_u16, |bits, (octant, child)| {
                 let code = match child {
                     Node::Unknown => 0,
-                    Node::Leaf(value) if *value < 0 => 1,
+                    Node::Leaf(FREE) => 1,
                     Node::Leaf(_) => 2,
                     Node::Inner(_) => 3,
                 };

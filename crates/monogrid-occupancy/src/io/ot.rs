@@ -7,7 +7,7 @@ use super::header::{self, Cube, TREE_DEPTH, read_array};
 use crate::error::MapError;
 use crate::evidence::log_odds_from_evidence;
 use crate::map::OccupancyMap;
-use crate::octree::{Leaf, Node, Octree, TreeVisitor};
+use crate::octree::{Leaf, Node, Octree, TreeVisitor, View};
 
 const TITLE: &str = "# Octomap OcTree file";
 const FORMAT: &str = ".ot";
@@ -18,7 +18,7 @@ const FORMAT: &str = ".ot";
 /// # Errors
 /// Writing fails, or a cell is beyond OctoMap's 16-bit keys.
 pub fn write_ot(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
-    let octree = Octree::new(map)?;
+    let octree = Octree::new(map, View::Evidence)?;
     let mut out = BufWriter::new(out);
     header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
     octree.visit(&mut OtWriter { out: &mut out })?;

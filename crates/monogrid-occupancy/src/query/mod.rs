@@ -4,4 +4,5 @@ pub(crate) mod batch;
 pub(crate) mod cast;
 pub(crate) mod cells;
 pub(crate) mod collide;
+pub(crate) mod project;
 pub(crate) mod snapshot;

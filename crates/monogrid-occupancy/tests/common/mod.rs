@@ -111,3 +111,32 @@ pub fn room_scan(random: &mut Random, id: u32, points: usize, half: f64) -> Owne
     }
     scan
 }
+
+/// Damaged copies of a file, the same ones every time: changed bits and bytes, extreme numbers,
+/// cuts, repeated and removed stretches.
+pub fn mutations(file: &[u8], count: usize) -> impl Iterator<Item = Vec<u8>> + '_ {
+    let mut random = Random(file.len() as u64 + 17);
+    (0..count).map(move |_| {
+        let mut bytes = file.to_vec();
+        for _ in 0..=(random.unit() * 3.0) as usize {
+            let at = (random.unit() * bytes.len() as f64) as usize;
+            let end = (at + 1 + (random.unit() * 24.0) as usize).min(bytes.len());
+            match (random.unit() * 6.0) as usize {
+                _ if bytes.is_empty() => {}
+                0 => bytes[at] ^= 1 << (random.unit() * 8.0) as u32,
+                1 => bytes[at] = (random.unit() * 256.0) as u8,
+                2 => bytes[at..end.min(at + 4)].fill(255),
+                3 => bytes[at..end.min(at + 8)].fill(0),
+                4 => drop(bytes.drain(at..end)),
+                _ => {
+                    let stretch = bytes[at..end].to_vec();
+                    bytes.splice(at..at, stretch);
+                }
+            }
+            if random.unit() < 0.05 {
+                bytes.truncate(at);
+            }
+        }
+        bytes
+    })
+}

@@ -7,8 +7,7 @@ use crate::mapfile::{self, MapFormat};
 
 /// Reads a map and writes it in another format.
 pub fn execute(args: &ConvertArgs) -> CommandResult {
-    let allowed = [MapFormat::Ot, MapFormat::Bt, MapFormat::Ply, MapFormat::Pcd];
-    let format = MapFormat::from_name(&args.output, &allowed)?;
+    let format = MapFormat::from_name(&args.output, &MapFormat::ALL)?;
     let (map, from) = mapfile::load(&args.input)?;
     mapfile::save(&map, &args.output, format)?;
     let file_bytes = std::fs::metadata(&args.output).map_or(0, |m| m.len());
@@ -27,7 +26,7 @@ pub fn execute(args: &ConvertArgs) -> CommandResult {
             format.description(),
             file_bytes as f64 / 1e6
         );
-        if from == MapFormat::Bt && format == MapFormat::Ot {
+        if from == MapFormat::Bt && matches!(format, MapFormat::Ot | MapFormat::Mgo) {
             println!("a .bt holds no probabilities: free and occupied cells got OctoMap's limits");
         }
     }

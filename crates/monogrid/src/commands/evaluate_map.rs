@@ -156,7 +156,11 @@ fn rotated_and_scaled(
     // cells as large as the scaled ones, rounded to a whole number of true cells
     let scaled = estimate.resolution() * target_from_map.scale;
     let factor = (scaled / truth.resolution()).round().max(1.0);
-    let moved = tools::moved(estimate, &target_from_map, truth.resolution() * factor)
+    let moved = estimate
+        .transformed(
+            &tools::similarity(&target_from_map),
+            truth.resolution() * factor,
+        )
         .while_running("the map cannot be moved")?;
     fitted(moved, truth, truth_path)
 }

@@ -2,7 +2,7 @@
 
 use super::print_json;
 use crate::cli::InfoArgs;
-use crate::failure::{Classify, CommandResult, Outcome};
+use crate::failure::{CommandResult, Outcome};
 use crate::mapfile;
 use serde::Serialize;
 
@@ -22,7 +22,7 @@ struct Info {
 /// Prints facts about a map.
 pub fn execute(args: &InfoArgs) -> CommandResult {
     let (map, format) = mapfile::load(&args.map)?;
-    let counts = mapfile::count_cells(&map).while_running("the cells cannot be counted")?;
+    let counts = map.cell_counts();
     let bounds = map.bounds();
     let info = Info {
         format: format.description(),

@@ -52,7 +52,7 @@ struct Built {
 /// Builds and writes the map.
 pub fn execute(args: &MapArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
-    let format = MapFormat::from_name(&args.out, &[MapFormat::Ot, MapFormat::Bt])?;
+    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
     let align = Align::parse(args.align.as_deref())?;
     let built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,

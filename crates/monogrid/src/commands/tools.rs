@@ -3,13 +3,12 @@
 use super::print_json;
 use crate::cli::{JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::gridmap;
 use crate::mapfile::{self, MapFormat};
 use crate::output::write_atomically;
 use clap::Args;
 use monogrid_datasets::read_sim3;
-use monogrid_geometry::{Sim3, Vec3};
-use monogrid_occupancy::{MapConfig, MapError, Occupancy, OccupancyMap, VoxelKey};
+use monogrid_geometry::Sim3;
+use monogrid_occupancy::{MapDifference, OccupancyMap, Similarity};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,9 +16,9 @@ use std::path::{Path, PathBuf};
 /// `monogrid crop`.
 #[derive(Debug, Args)]
 pub struct CropArgs {
-    /// Map to read (.ot or .bt)
+    /// Map to read (.ot, .bt or .mgo)
     pub input: PathBuf,
-    /// Map to write (.ot or .bt)
+    /// Map to write (.ot, .bt or .mgo)
     pub output: PathBuf,
     /// Lower corner of the box that is kept
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
@@ -34,12 +33,12 @@ pub struct CropArgs {
 /// `monogrid merge`.
 #[derive(Debug, Args)]
 pub struct MergeArgs {
-    /// Map to read (.ot or .bt)
+    /// Map to read (.ot, .bt or .mgo)
     pub first: PathBuf,
     /// Map to add, of the same resolution and frame
     pub second: PathBuf,
-    /// Map to write (.ot or .bt)
-    #[arg(long, value_name = "MAP.{ot,bt}")]
+    /// Map to write (.ot, .bt or .mgo)
+    #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
     pub out: PathBuf,
     #[command(flatten)]
     pub json: JsonArg,
@@ -48,9 +47,9 @@ pub struct MergeArgs {
 /// `monogrid transform`.
 #[derive(Debug, Args)]
 pub struct TransformArgs {
-    /// Map to read (.ot or .bt)
+    /// Map to read (.ot, .bt or .mgo)
     pub input: PathBuf,
-    /// Map to write (.ot or .bt)
+    /// Map to write (.ot, .bt or .mgo)
     pub output: PathBuf,
     /// Sim(3) file, target_from_source: scale tx ty tz qx qy qz qw
     #[arg(long, value_name = "FILE")]
@@ -65,7 +64,7 @@ pub struct TransformArgs {
 /// `monogrid diff`.
 #[derive(Debug, Args)]
 pub struct DiffArgs {
-    /// Map before (.ot or .bt)
+    /// Map before (.ot, .bt or .mgo)
     pub before: PathBuf,
     /// Map after, of the same resolution and frame
     pub after: PathBuf,
@@ -76,7 +75,7 @@ pub struct DiffArgs {
 /// `monogrid project`.
 #[derive(Debug, Args)]
 pub struct ProjectArgs {
-    /// Map to read (.ot or .bt)
+    /// Map to read (.ot, .bt or .mgo)
     pub map: PathBuf,
     /// Image to write (.pgm); its description is written beside it (.yaml)
     pub output: PathBuf,
@@ -102,7 +101,7 @@ fn point(text: &str) -> Result<[f64; 3], String> {
 
 /// What was written, for people and programs.
 fn report_written(map: &OccupancyMap, path: &Path, json: JsonArg) -> CommandResult {
-    let counts = mapfile::count_cells(map).while_running("the cells cannot be counted")?;
+    let counts = map.cell_counts();
     if json.json {
         print_json(&serde_json::json!({
             "resolution": map.resolution(),
@@ -122,11 +121,9 @@ fn report_written(map: &OccupancyMap, path: &Path, json: JsonArg) -> CommandResu
     Ok(Outcome::Done)
 }
 
-const WRITTEN: [MapFormat; 2] = [MapFormat::Ot, MapFormat::Bt];
-
 /// Keeps the cells that touch a box.
 pub fn crop(args: &CropArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &WRITTEN)?;
+    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS)?;
     if (0..3).any(|axis| args.min[axis] >= args.max[axis]) {
         return Err(Failure::input(format!(
             "--min {:?} is not below --max {:?} in every direction",
@@ -134,29 +131,21 @@ pub fn crop(args: &CropArgs) -> CommandResult {
         )));
     }
     let (map, _) = mapfile::load(&args.input)?;
-    let kept = cropped(&map, args.min, args.max).while_running("the map cannot be cropped")?;
+    let kept = map
+        .cropped(args.min, args.max)
+        .while_running("the map cannot be cropped")?;
     mapfile::save(&kept, &args.output, format)?;
     report_written(&kept, &args.output, args.json)
 }
 
-fn cropped(map: &OccupancyMap, low: [f64; 3], high: [f64; 3]) -> Result<OccupancyMap, MapError> {
-    let mut kept = OccupancyMap::new(map.config().clone())?;
-    for cell in map.cells_in_box(low, high) {
-        kept.set_log_odds(cell.key, Some(cell.log_odds))?;
-    }
-    Ok(kept)
-}
-
 /// Adds the log-odds of two maps, as if both had been measured into one.
 pub fn merge(args: &MergeArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.out, &WRITTEN)?;
+    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
     let (mut map, _) = mapfile::load(&args.first)?;
     let (other, _) = mapfile::load(&args.second)?;
     check_same_resolution(&map, &other, [&args.first, &args.second])?;
-    for cell in other.cells() {
-        map.add_log_odds(cell.key, cell.log_odds)
-            .while_running("the maps cannot be merged")?;
-    }
+    map.merge(&other)
+        .while_running("the maps cannot be merged")?;
     mapfile::save(&map, &args.out, format)?;
     report_written(&map, &args.out, args.json)
 }
@@ -180,60 +169,32 @@ fn check_same_resolution(
 
 /// Moves a map; a map built with `--align` is better than one that was resampled.
 pub fn transform(args: &TransformArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &WRITTEN)?;
+    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS)?;
     let (map, _) = mapfile::load(&args.input)?;
     let target_from_source = read_sim3(&args.sim3).bad_input()?;
     let resolution = args
         .resolution
         .unwrap_or(map.resolution() * target_from_source.scale);
-    let moved = moved(&map, &target_from_source, resolution)
+    let moved = map
+        .transformed(&similarity(&target_from_source), resolution)
         .while_running("the map cannot be transformed")?;
     mapfile::save(&moved, &args.output, format)?;
     report_written(&moved, &args.output, args.json)
 }
 
-/// Every cell of the target takes the log-odds of the source cell that holds its centre.
-///
-/// Going back from the target leaves no holes. Candidates are the target cells around each known
-/// source cell, as far as the corners of that cell reach.
-pub fn moved(
-    map: &OccupancyMap,
-    target_from_source: &Sim3,
-    resolution: f64,
-) -> Result<OccupancyMap, MapError> {
-    let source_from_target = target_from_source.inverse();
-    let mut target = OccupancyMap::new(MapConfig {
-        resolution,
-        ..map.config().clone()
-    })?;
-    let half_diagonal = 0.5 * 3.0_f64.sqrt() * map.resolution() * target_from_source.scale;
-    for cell in map.cells() {
-        let center = *target_from_source * Vec3::from(cell.key.center(map.resolution()));
-        let corner = |offset: f64| {
-            let point = center.add_scalar(offset);
-            VoxelKey::from_point(point.into(), 1.0 / resolution)
-        };
-        let (Some(first), Some(last)) = (corner(-half_diagonal), corner(half_diagonal)) else {
-            continue;
-        };
-        for z in first.z..=last.z {
-            for y in first.y..=last.y {
-                for x in first.x..=last.x {
-                    let key = VoxelKey::new(x, y, z);
-                    let in_source = source_from_target * Vec3::from(key.center(resolution));
-                    if map.key(in_source.into()) == Some(cell.key) {
-                        target.set_log_odds(key, Some(cell.log_odds))?;
-                    }
-                }
-            }
-        }
+/// The same transform in the types of the occupancy crate.
+pub fn similarity(transform: &Sim3) -> Similarity {
+    let rotation = transform.to_se3().rotation_matrix();
+    Similarity {
+        scale: transform.scale,
+        rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
+        translation: transform.translation.into(),
     }
-    Ok(target)
 }
 
 /// `diff --json`: cells by their state before and after.
-#[derive(Debug, Default, Serialize, PartialEq)]
-struct Difference {
+#[derive(Debug, Serialize)]
+struct DifferenceReport {
     same: u64,
     free_to_occupied: u64,
     occupied_to_free: u64,
@@ -248,9 +209,11 @@ pub fn diff(args: &DiffArgs) -> CommandResult {
     let (before, _) = mapfile::load(&args.before)?;
     let (after, _) = mapfile::load(&args.after)?;
     check_same_resolution(&before, &after, [&args.before, &args.after])?;
-    let difference = difference(&before, &after);
+    let difference = before
+        .difference(&after)
+        .while_running("the maps cannot be compared")?;
     if args.json.json {
-        print_json(&difference)?;
+        print_json(&DifferenceReport::from(difference))?;
         return Ok(Outcome::Done);
     }
     println!("{:>12} cells in the same state", difference.same);
@@ -273,26 +236,17 @@ pub fn diff(args: &DiffArgs) -> CommandResult {
     Ok(Outcome::Done)
 }
 
-fn difference(before: &OccupancyMap, after: &OccupancyMap) -> Difference {
-    let mut result = Difference::default();
-    let (mut sum, mut both) = (0.0, 0_u64);
-    for cell in before.cells() {
-        let Some(log_odds) = after.log_odds_of(cell.key) else {
-            result.only_before += 1;
-            continue;
-        };
-        both += 1;
-        sum += f64::from((log_odds - cell.log_odds).abs());
-        match (cell.state, after.state_of(cell.key)) {
-            (Occupancy::Free, Occupancy::Occupied) => result.free_to_occupied += 1,
-            (Occupancy::Occupied, Occupancy::Free) => result.occupied_to_free += 1,
-            _ => result.same += 1,
+impl From<MapDifference> for DifferenceReport {
+    fn from(difference: MapDifference) -> Self {
+        Self {
+            same: difference.same,
+            free_to_occupied: difference.free_to_occupied,
+            occupied_to_free: difference.occupied_to_free,
+            only_before: difference.only_before,
+            only_after: difference.only_after,
+            mean_log_odds_difference: difference.mean_log_odds_difference,
         }
     }
-    let is_new = |key| before.log_odds_of(key).is_none();
-    result.only_after = after.cells().filter(|cell| is_new(cell.key)).count() as u64;
-    result.mean_log_odds_difference = sum / both.max(1) as f64;
-    result
 }
 
 /// Writes the map seen from above, for nav2's map server.
@@ -306,9 +260,7 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
     };
     let (map, _) = mapfile::load(&args.map)?;
     let heights = [args.min_height, args.max_height];
-    let Some(grid) =
-        gridmap::project(&map, heights).while_running("the map cannot be projected")?
-    else {
+    let Some(grid) = map.projected(heights[0], heights[1]) else {
         return Err(Failure::input(format!(
             "{} has no known cells between the heights {} and {}",
             args.map.display(),

@@ -86,7 +86,7 @@ const POSITIONS_PER_SEC: f64 = 5.0;
 
 /// Builds and writes the map.
 pub fn execute(args: &TruthArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.out, &[MapFormat::Ot, MapFormat::Bt])?;
+    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
     let made = match Kind::of(&args.source)? {
         Kind::Folder => from_folder(args)?,
         Kind::Mesh => from_mesh(args)?,
