@@ -166,5 +166,41 @@ fn main() -> Result<(), Box<dyn Error>> {
         map.bytes_in_memory() as f64 / 1e6
     );
     measure!("snapshot", &snapshot, &questions);
+    measure_distances(&map, &questions.points)
+}
+
+/// A field up to 30 cells, made anew and following one changed cell, and its queries.
+fn measure_distances(map: &OccupancyMap, points: &[[f64; 3]]) -> Result<(), Box<dyn Error>> {
+    let config = DistanceConfig {
+        max_distance: 30.5 * map.resolution(),
+        ..DistanceConfig::default()
+    };
+    let (seconds, field) = best(|| DistanceField::new(map, config, 1))?;
+    let mut field = field?;
+    println!(
+        "distances up to {:.2}: made in {seconds:.3} s, {:.1} MB",
+        config.max_distance,
+        field.bytes_in_memory() as f64 / 1e6
+    );
+    let (seconds, near) = best(|| points.iter().filter_map(|p| field.distance(*p)).count())?;
+    println!(
+        "distance   {:8.2} M/s  {near} of {} within reach",
+        points.len() as f64 / seconds * 1e-6,
+        points.len()
+    );
+    let mut map = map.clone();
+    let free = points.iter().find(|p| map.state(**p) == Occupancy::Free);
+    let key = free.and_then(|p| map.key(*p)).ok_or("no free cell")?;
+    let mut log_odds = 1.0;
+    let (seconds, bricks) = best(|| -> Result<usize, MapError> {
+        log_odds = -log_odds;
+        map.set_log_odds(key, Some(log_odds))?;
+        Ok(field.update(&map, 1))
+    })?;
+    println!(
+        "update after one cell: {:.2} ms, {} bricks",
+        seconds * 1e3,
+        bricks?
+    );
     Ok(())
 }

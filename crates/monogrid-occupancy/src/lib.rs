@@ -58,6 +58,7 @@ pub use map::{MapConfig, OccupancyMap};
 pub use octree::Leaf;
 pub use query::cast::{RayHit, UnknownCells};
 pub use query::cells::Cell;
+pub use query::distance::{DistanceConfig, DistanceField};
 pub use query::project::Projection;
 pub use query::snapshot::Snapshot;
 pub use scan::{

@@ -4,5 +4,6 @@ pub(crate) mod batch;
 pub(crate) mod cast;
 pub(crate) mod cells;
 pub(crate) mod collide;
+pub(crate) mod distance;
 pub(crate) mod project;
 pub(crate) mod snapshot;
