@@ -1,5 +1,6 @@
 //! The maximum-likelihood form of a map: every known cell is either free or occupied, without degrees.
 
+#[cfg(test)]
 use crate::error::MapError;
 use crate::evidence::{Limits, Occupancy, UNKNOWN};
 use crate::key::BRICK_CELLS;

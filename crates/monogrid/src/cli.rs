@@ -318,6 +318,9 @@ pub struct MapArgs {
     /// Settings, TOML (as config.toml of a run; its section [mapping] is used)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Change one setting, e.g. --set mapping.update_limits=[-0.6,1.2]
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
     /// Complete set of settings to start from [default: default]
     #[arg(long, value_enum)]
     pub profile: Option<ProfileArg>,

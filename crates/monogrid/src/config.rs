@@ -97,14 +97,21 @@ impl RunConfig {
             Some(path) => format!("configuration {}: {error}", path.display()),
             None => error,
         })?;
+        from_file.with_settings(settings)
+    }
+
+    /// These settings with those of `--set key=value` in place.
+    pub fn with_settings(self, settings: &[String]) -> Result<Self, Failure> {
         if settings.is_empty() {
-            return Ok(from_file);
+            return Ok(self);
         }
+        let mut table = Table::try_from(&self).map_err(Failure::running)?;
+        let mut config = self;
         for setting in settings {
             apply_setting(&mut table, setting)?;
-            Self::from_table(&table, &|error| format!("--set {setting}: {error}"))?;
+            config = Self::from_table(&table, &|error| format!("--set {setting}: {error}"))?;
         }
-        Self::from_table(&table, &|error| error)
+        Ok(config)
     }
 
     /// As [`Self::resolve`], with nothing of the file but its profile and its section `[mapping]`, so that

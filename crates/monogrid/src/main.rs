@@ -9,7 +9,6 @@ mod cli;
 mod commands;
 mod config;
 mod failure;
-mod gridmap;
 mod input;
 mod mapfile;
 mod output;

@@ -148,3 +148,43 @@ fn posed_depth_images_become_a_map() {
     let high = info["bounds_max"][2].as_f64().unwrap();
     assert!(low > -0.5 && high < 4.5, "{info}");
 }
+
+#[test]
+fn settings_of_map_can_be_set_and_its_own_format_is_exact() {
+    let dir = tempfile::tempdir().unwrap();
+    let scans = dir.path().join("wall.scans");
+    write_scans(&scans);
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let run = |args: &[&str]| {
+        let output = monogrid(args);
+        assert_eq!(code(&output), 0, "{args:?}: {}", stderr(&output));
+        output
+    };
+    let scans = scans.display().to_string();
+    let set = "mapping.resolution=0.1";
+    run(&["map", &scans, "--set", set, "--out", &path("a.mgo")]);
+    run(&["map", &scans, "--resolution", "0.1", "--out", &path("b.ot")]);
+    // The same evidence, whichever way it went through files.
+    run(&["convert", &path("a.mgo"), &path("a.ot")]);
+    assert_eq!(
+        fs::read(path("a.ot")).unwrap(),
+        fs::read(path("b.ot")).unwrap()
+    );
+    let facts = |name: &str| json(&run(&["info", &path(name), "--json"]));
+    let (own, octomap) = (facts("a.mgo"), facts("b.ot"));
+    assert!(own["format"].as_str().unwrap().contains(".mgo"), "{own}");
+    for fact in ["resolution", "leaves", "cells_occupied", "cells_free"] {
+        assert_eq!(own[fact], octomap[fact], "{fact}");
+    }
+    assert!(own["file_bytes"].as_u64() < octomap["file_bytes"].as_u64());
+    let bad = monogrid([
+        "map",
+        &scans,
+        "--set",
+        "mapping.sizes=1",
+        "--out",
+        &path("c.ot"),
+    ]);
+    assert_eq!(code(&bad), 2);
+    assert!(stderr(&bad).contains("mapping.sizes=1"), "{}", stderr(&bad));
+}

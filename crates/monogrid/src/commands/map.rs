@@ -1,19 +1,16 @@
 //! `monogrid map`: an occupancy map from a recording, from scans, or from posed depth images.
 
+use super::posed_depth::PosedDepthFolder;
 use super::{print_json, use_threads};
 use crate::cli::MapArgs;
 use crate::config::{Profile, RunConfig};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::input::{depth_calibration, registered_depth};
 use crate::mapfile::{self, MapFormat};
 use crate::recorded::Recorded;
 use crate::run::align::Align;
 use crate::usage::{peak_rss_bytes, process_cpu};
-use monogrid_datasets::{
-    Dataset, DepthRegistration, ScansReader, SourceOptions, TimedPose, read_trajectory,
-};
-use monogrid_geometry::{Camera, Distortion, Se3, Sim3};
-use monogrid_image::Undistorter;
+use monogrid_datasets::ScansReader;
+use monogrid_geometry::Sim3;
 use monogrid_occupancy::OccupancyMap;
 use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper};
 use serde::Serialize;
@@ -128,10 +125,16 @@ impl Kind {
 /// The settings: those of the recording unless a file or profile is given, then the options.
 fn settings(args: &MapArgs, recorded: Option<RunConfig>) -> Result<RunConfig, Failure> {
     let explicit = args.config.is_some() || args.profile.is_some();
-    let mut config = match recorded {
+    let config = match recorded {
         Some(recorded) if !explicit => recorded,
         _ => RunConfig::resolve_mapping(args.profile.map(Into::into), args.config.as_deref())?,
     };
+    finish_settings(config, args)
+}
+
+/// What the command line says, over everything else.
+fn finish_settings(config: RunConfig, args: &MapArgs) -> Result<RunConfig, Failure> {
+    let mut config = config.with_settings(&args.set)?;
     config.apply(&args.mapping);
     config.validate()?;
     Ok(config)
@@ -193,9 +196,7 @@ fn settings_for_given_poses(args: &MapArgs) -> Result<RunConfig, Failure> {
     if args.config.is_some() {
         return settings(args, None);
     }
-    base.apply(&args.mapping);
-    base.validate()?;
-    Ok(base)
+    finish_settings(base, args)
 }
 
 /// The frame of data that has its own poses.
@@ -247,31 +248,25 @@ fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Fa
 }
 
 fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Failure> {
-    let dataset = Dataset::open(&args.recording, SourceOptions::default()).bad_input()?;
-    let (camera, calibration) = depth_camera(&dataset, args)?;
-    let poses = trajectory_of(&dataset, args)?;
+    let folder = PosedDepthFolder::open(
+        &args.recording,
+        args.depth_calibration.as_deref(),
+        args.trajectory.as_deref(),
+    )?;
     let config = settings_for_given_poses(args)?;
     let (map_from_world, frame) = given_frame(align)?;
-    let undistorter = Undistorter::new(&camera, monogrid_image::WorkingSize::Automatic, None);
-    let (width, height) = undistorter.size();
-    let keyframe_camera = KeyframeCamera {
-        pinhole: *undistorter.pinhole(),
+    let (width, height) = folder.size();
+    let camera = KeyframeCamera {
+        pinhole: folder.pinhole(),
         width,
         height,
     };
-    let registration = DepthRegistration::new(&calibration, undistorter.pinhole(), width, height);
-    let mapper = Mapper::new(config.mapping, keyframe_camera, threads);
+    let mapper = Mapper::new(config.mapping, camera, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
     let (mut points, mut scans) = (0, 0u32);
-    let mut warnings = dataset.warnings.clone();
-    let mut num_without_pose = 0;
-    for entry in &dataset.depths {
-        let Some(pose) = nearest_pose(&poses, entry.timestamp_ns) else {
-            num_without_pose += 1;
-            continue;
-        };
-        let depth = registered_depth(&entry.path, &calibration, &registration)?;
+    for (entry, pose) in folder.posed() {
+        let depth = folder.read(entry)?;
         points += watch
             .time(|| {
                 let scan = KeyframeScan::from_depth_image(scans, &depth, mapper.config());
@@ -284,10 +279,12 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
     if scans == 0 {
         return Err(Failure::input(format!(
             "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
-            dataset.depths.len(),
+            folder.num_depths(),
             args.recording.display()
         )));
     }
+    let mut warnings = folder.warnings().to_vec();
+    let num_without_pose = folder.num_depths() - scans as usize;
     if num_without_pose > 0 {
         warnings.push(format!(
             "{num_without_pose} depth images have no pose of their time"
@@ -302,88 +299,4 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         frame,
         warnings,
     })
-}
-
-/// The camera into which depth is brought, and that of the depth images.
-fn depth_camera(
-    dataset: &Dataset,
-    args: &MapArgs,
-) -> Result<(Camera, monogrid_datasets::DepthCalibration), Failure> {
-    if dataset.depths.is_empty() {
-        return Err(Failure::input(format!(
-            "{} has no depth images: expected depth.txt and depth/",
-            args.recording.display()
-        )));
-    }
-    let colour = dataset.calibration(None).bad_input()?;
-    let fallback = colour.as_ref().map(|calibration| calibration.camera);
-    let calibration = match (&args.depth_calibration, fallback) {
-        (None, None) if dataset.depth_calibration_path.is_none() => {
-            return Err(Failure::input(format!(
-                "no calibration in {}: expected calibration_depth.txt or calibration.txt, or \
-                 --depth-calibration",
-                dataset.root.display()
-            )));
-        }
-        (file, colour) => depth_calibration(
-            dataset,
-            file.as_deref(),
-            &colour.unwrap_or(Camera {
-                width: 1,
-                height: 1,
-                pinhole: monogrid_geometry::Pinhole::new(1.0, 1.0, 0.0, 0.0),
-                distortion: Distortion::None,
-            }),
-        )?,
-    };
-    // poses are those of the colour camera where there is one
-    Ok((fallback.unwrap_or(calibration.camera), calibration))
-}
-
-fn trajectory_of(dataset: &Dataset, args: &MapArgs) -> Result<Vec<TimedPose>, Failure> {
-    let path = args.trajectory.as_ref().or(dataset.ground_truth.as_ref());
-    let Some(path) = path else {
-        return Err(Failure::input(format!(
-            "no poses for the depth images of {}: expected groundtruth.txt, or --trajectory FILE",
-            args.recording.display()
-        )));
-    };
-    read_trajectory(path).bad_input()
-}
-
-/// Times farther apart than this do not belong together.
-const MAX_POSE_DISTANCE_NS: u64 = 20_000_000;
-
-/// The pose nearest in time, if it is near enough.
-fn nearest_pose(poses: &[TimedPose], timestamp_ns: i64) -> Option<Se3> {
-    let after = poses.partition_point(|pose| pose.timestamp_ns < timestamp_ns);
-    let candidates = &poses[after.saturating_sub(1)..(after + 1).min(poses.len())];
-    let nearest = candidates
-        .iter()
-        .min_by_key(|pose| pose.timestamp_ns.abs_diff(timestamp_ns))?;
-    (nearest.timestamp_ns.abs_diff(timestamp_ns) <= MAX_POSE_DISTANCE_NS)
-        .then_some(nearest.world_from_camera)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use monogrid_geometry::{Rotation, Vec3};
-
-    #[test]
-    fn poses_are_taken_from_the_nearest_time_or_not_at_all() {
-        let pose = |timestamp_ns, x| TimedPose {
-            timestamp_ns,
-            world_from_camera: Se3::new(Rotation::identity(), Vec3::new(x, 0.0, 0.0)),
-        };
-        let poses = [pose(0, 0.0), pose(30_000_000, 1.0), pose(90_000_000, 2.0)];
-        let x_at = |t| nearest_pose(&poses, t).map(|p| p.translation.x as i32);
-        assert_eq!(x_at(-5_000_000), Some(0));
-        assert_eq!(x_at(14_000_000), Some(0));
-        assert_eq!(x_at(16_000_000), Some(1));
-        assert_eq!(x_at(60_000_000), None);
-        assert_eq!(x_at(100_000_000), Some(2));
-        assert_eq!(x_at(120_000_000), None);
-        assert_eq!(nearest_pose(&[], 0), None);
-    }
 }

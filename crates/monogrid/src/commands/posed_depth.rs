@@ -82,13 +82,22 @@ impl PosedDepthFolder {
 
     /// Depth images that have a pose of their time, in the order of time.
     pub fn posed(&self) -> Vec<(&DepthEntry, Se3)> {
-        let with_pose = |entry| Some((entry, self.pose_at(entry)?));
-        self.dataset.depths.iter().filter_map(with_pose).collect()
+        let with_pose = |entry: &'_ DepthEntry| nearest_pose(&self.poses, entry.timestamp_ns);
+        self.dataset
+            .depths
+            .iter()
+            .filter_map(|entry| Some((entry, with_pose(entry)?)))
+            .collect()
     }
 
     /// Number of depth images, with or without pose.
     pub fn num_depths(&self) -> usize {
         self.dataset.depths.len()
+    }
+
+    /// What to tell the user about the folder.
+    pub fn warnings(&self) -> &[String] {
+        &self.dataset.warnings
     }
 
     /// Intrinsics of the depth that [`Self::read`] returns.
@@ -105,16 +114,38 @@ impl PosedDepthFolder {
     pub fn read(&self, entry: &DepthEntry) -> Result<GrayImage, Failure> {
         registered_depth(&entry.path, &self.calibration, &self.registration)
     }
+}
 
-    /// The pose nearest in time, if it is near enough.
-    fn pose_at(&self, entry: &DepthEntry) -> Option<Se3> {
-        let time = entry.timestamp_ns;
-        let after = self.poses.partition_point(|pose| pose.timestamp_ns < time);
-        let candidates = &self.poses[after.saturating_sub(1)..(after + 1).min(self.poses.len())];
-        let nearest = candidates
-            .iter()
-            .min_by_key(|pose| pose.timestamp_ns.abs_diff(time))?;
-        (nearest.timestamp_ns.abs_diff(time) <= MAX_POSE_DISTANCE_NS)
-            .then_some(nearest.world_from_camera)
+/// The pose nearest in time, if it is near enough.
+fn nearest_pose(poses: &[TimedPose], timestamp_ns: i64) -> Option<Se3> {
+    let after = poses.partition_point(|pose| pose.timestamp_ns < timestamp_ns);
+    let candidates = &poses[after.saturating_sub(1)..(after + 1).min(poses.len())];
+    let nearest = candidates
+        .iter()
+        .min_by_key(|pose| pose.timestamp_ns.abs_diff(timestamp_ns))?;
+    (nearest.timestamp_ns.abs_diff(timestamp_ns) <= MAX_POSE_DISTANCE_NS)
+        .then_some(nearest.world_from_camera)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Rotation, Vec3};
+
+    #[test]
+    fn poses_are_taken_from_the_nearest_time_or_not_at_all() {
+        let pose = |timestamp_ns, x| TimedPose {
+            timestamp_ns,
+            world_from_camera: Se3::new(Rotation::identity(), Vec3::new(x, 0.0, 0.0)),
+        };
+        let poses = [pose(0, 0.0), pose(30_000_000, 1.0), pose(90_000_000, 2.0)];
+        let x_at = |t| nearest_pose(&poses, t).map(|p| p.translation.x as i32);
+        assert_eq!(x_at(-5_000_000), Some(0));
+        assert_eq!(x_at(14_000_000), Some(0));
+        assert_eq!(x_at(16_000_000), Some(1));
+        assert_eq!(x_at(60_000_000), None);
+        assert_eq!(x_at(100_000_000), Some(2));
+        assert_eq!(x_at(120_000_000), None);
+        assert_eq!(nearest_pose(&[], 0), None);
     }
 }

@@ -289,11 +289,11 @@ fn summarise(
         } else {
             0.0
         },
-        map: maps.map_or(MapFacts::default(), |maps| MapFacts {
-            resolution: maps.global.resolution(),
-            leaves: maps.global.leaf_count(),
-            bytes_in_memory: maps.global.bytes_in_memory(),
-        }),
+        map: MapFacts {
+            resolution: settings.config.mapping.resolution,
+            leaves: maps.map_or(0, |maps| maps.global.leaf_count()),
+            bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
+        },
         peak_rss_bytes: peak_rss_bytes(),
         scale: if is_metric { "metric" } else { "arbitrary" },
         frame: frame.description.clone(),

@@ -3,7 +3,6 @@
 use super::align::MapFrame;
 use super::{FrameFate, FrameRow, Tracked, in_map};
 use crate::failure::{Classify, Failure};
-use crate::gridmap;
 use crate::mapfile::{self, MapFormat};
 use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
@@ -182,8 +181,7 @@ pub fn navigation_band(cubes: &[Cube], path: &[[f64; 3]]) -> [f64; 2] {
 fn write_grid(folder: &OutputFolder, map: &OccupancyMap, path: &[[f64; 3]]) -> Result<(), Failure> {
     let cubes = occupied_cubes(map).while_running("the map cannot be projected")?;
     let band = navigation_band(&cubes, path);
-    let grid = gridmap::project(map, band).while_running("the map cannot be projected")?;
-    if let Some(grid) = grid {
+    if let Some(grid) = map.projected(band[0], band[1]) {
         folder.write("map.pgm", grid.to_pgm())?;
         let note = format!("# cells from z = {:.3} to {:.3}\n", band[0], band[1]);
         folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
