@@ -14,6 +14,7 @@
 mod absolute_pose;
 mod corners;
 mod describe;
+mod place;
 mod polynomial;
 mod rng;
 #[cfg(test)]
@@ -27,6 +28,9 @@ pub use corners::{Corner, CornerConfig, detect_corners};
 pub use describe::{
     Descriptor, DescriptorMatch, Feature, FeatureConfig, FeatureExtractor, MatchConfig,
     PlaceCandidate, PlaceConfig, PlaceIndex, match_descriptors,
+};
+pub use place::{
+    DepthLookup, InverseDepth, LoopMatch, PlaceMemory, PlaceMemoryConfig, Relocalisation, Support,
 };
 pub use rng::Rng;
 pub use track::{

@@ -112,11 +112,26 @@ impl FeatureExtractor {
     /// Features of an image, finest level first. `mask` (level-0 size, 0 = ignore) excludes pixels.
     #[must_use]
     pub fn extract(&self, pyramid: &Pyramid, mask: Option<&Mask>) -> Vec<Feature> {
-        let num_levels = self.config.num_levels.min(pyramid.num_levels());
+        self.extract_smoothed(pyramid, &self.smoothed_levels(pyramid), mask)
+    }
+
+    /// The levels that are described, smoothed as [`Self::describe_at`] wants them.
+    pub(crate) fn smoothed_levels(&self, pyramid: &Pyramid) -> Vec<GrayImage> {
+        let levels = pyramid.levels.iter().take(self.config.num_levels);
+        levels.map(smoothed).collect()
+    }
+
+    /// As [`Self::extract`], with levels that were smoothed before.
+    pub(crate) fn extract_smoothed(
+        &self,
+        pyramid: &Pyramid,
+        smooth: &[GrayImage],
+        mask: Option<&Mask>,
+    ) -> Vec<Feature> {
         // shares 1, 1/2, 1/4, ... that sum to one
-        let total: f64 = (0..num_levels).map(|l| 0.5f64.powi(l as i32)).sum();
+        let total: f64 = (0..smooth.len()).map(|l| 0.5f64.powi(l as i32)).sum();
         let mut features = Vec::with_capacity(self.config.max_features);
-        for level in 0..num_levels {
+        for (level, smooth) in smooth.iter().enumerate() {
             let share = 0.5f64.powi(level as i32) / total;
             let scale = (1usize << level) as f64;
             let corners = detect_corners(
@@ -131,14 +146,26 @@ impl FeatureExtractor {
                     border_px: (RADIUS as usize + 2) << level,
                 },
             );
-            let smooth = smoothed(pyramid.level(level));
             features.extend(
                 corners
                     .iter()
-                    .filter_map(|corner| self.describe_corner(&smooth, corner, level)),
+                    .filter_map(|corner| self.describe_corner(smooth, corner, level)),
             );
         }
         features
+    }
+
+    /// Descriptor at a level-0 pixel on a level that [`Self::smoothed_levels`] gave; `None` too close to
+    /// the border.
+    pub(crate) fn describe_at(
+        &self,
+        smooth: &GrayImage,
+        pixel: Vec2,
+        level: usize,
+    ) -> Option<Descriptor> {
+        let corner = Corner { pixel, score: 0.0 };
+        let described = self.describe_corner(smooth, &corner, level);
+        described.map(|feature| feature.descriptor)
     }
 
     /// Descriptors of given level-0 pixels on level 0; `None` too close to the border.

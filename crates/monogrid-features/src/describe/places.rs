@@ -48,7 +48,7 @@ const NUM_KEYS: usize = 1 << 16;
 const END: u32 = u32::MAX;
 /// A list longer than this is of no use (smooth patches share their bits) and is not followed
 /// further; the newest come first.
-const MAX_LIST: usize = 256;
+const MAX_LIST: usize = 128;
 
 /// One stored descriptor.
 #[derive(Clone, Debug)]

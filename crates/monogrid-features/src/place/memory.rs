@@ -1,0 +1,253 @@
+//! Keyframes that are remembered, and the two questions: where is this frame, was this seen before.
+
+use super::PlaceMemoryConfig;
+use super::locate::{Side, is_determined, locate};
+use super::refine::Freedom;
+use super::support::{Support, support};
+use super::view::{DepthLookup, Landmark, View, landmarks};
+use crate::{Descriptor, Feature, FeatureExtractor, PlaceIndex};
+use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
+use monogrid_image::{Mask, Pyramid};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Where a frame is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Relocalisation {
+    /// The keyframe.
+    pub keyframe: u64,
+    /// Pose relative to it, translation in its units.
+    pub frame_from_keyframe: Se3,
+    /// Covariance of a left update `[v, w]`.
+    pub covariance: Mat6,
+    /// Corners that agree with the pose.
+    pub num_inliers: usize,
+    /// What the frame should show and does.
+    pub support: Support,
+}
+
+/// Two keyframes of one place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoopMatch {
+    /// The other, older keyframe.
+    pub keyframe: u64,
+    /// Pose and ratio of units.
+    pub this_from_other: Sim3,
+    /// Covariance of a left update `[v, w, s]`.
+    pub covariance: Mat7,
+    /// Corners that agree with it.
+    pub num_inliers: usize,
+    /// What this keyframe should show of the other and does.
+    pub support: Support,
+    /// What the other should show of this and does.
+    pub support_of_other: Support,
+}
+
+/// A remembered keyframe.
+#[derive(Clone, Debug)]
+struct Known {
+    pyramid: Arc<Pyramid>,
+    features: Vec<Feature>,
+    landmarks: Vec<Option<Landmark>>,
+}
+
+impl Known {
+    fn size(&self) -> (usize, usize) {
+        let image = self.pyramid.level(0);
+        (image.width(), image.height())
+    }
+}
+
+/// Remembers keyframes by their appearance. About 0.2 MB per keyframe beside its (shared) pyramid.
+#[derive(Clone, Debug)]
+pub struct PlaceMemory {
+    pinhole: Pinhole,
+    config: PlaceMemoryConfig,
+    extractor: FeatureExtractor,
+    index: PlaceIndex,
+    known: BTreeMap<u64, Known>,
+}
+
+impl PlaceMemory {
+    /// A memory without keyframes, for undistorted images of one camera.
+    #[must_use]
+    pub fn new(pinhole: Pinhole, config: PlaceMemoryConfig) -> Self {
+        Self {
+            pinhole,
+            extractor: FeatureExtractor::new(config.features.clone()),
+            config,
+            index: PlaceIndex::new(),
+            known: BTreeMap::new(),
+        }
+    }
+
+    /// Number of keyframes.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.known.len()
+    }
+
+    /// Whether nothing is remembered.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.known.is_empty()
+    }
+
+    /// Remembers a keyframe. Returns whether it was new: a known identity gets the new depths, its
+    /// image stays.
+    pub fn insert(
+        &mut self,
+        id: u64,
+        pyramid: &Arc<Pyramid>,
+        mask: Option<&Mask>,
+        depth: &DepthLookup,
+    ) -> bool {
+        let is_new = !self.known.contains_key(&id);
+        let known = self.known.entry(id).or_insert_with(|| Known {
+            pyramid: Arc::clone(pyramid),
+            features: View::new(&self.extractor, pyramid, mask).features,
+            landmarks: Vec::new(),
+        });
+        let max_sigma = self.config.max_relative_sigma;
+        known.landmarks = landmarks(&known.features, depth, &self.pinhole, max_sigma);
+        if is_new {
+            let descriptors: Vec<Descriptor> =
+                known.features.iter().map(|f| f.descriptor).collect();
+            self.index.add(id, &descriptors);
+        }
+        is_new
+    }
+
+    /// Poses of a frame relative to keyframes that it shows, most inliers first; empty when none is
+    /// recognised beyond doubt. `is_allowed` excludes keyframes.
+    #[must_use]
+    pub fn relocalise(
+        &self,
+        pyramid: &Pyramid,
+        mask: Option<&Mask>,
+        is_allowed: impl Fn(u64) -> bool,
+    ) -> Vec<Relocalisation> {
+        let Some(image) = pyramid.levels.first() else {
+            return Vec::new();
+        };
+        let size = (image.width(), image.height());
+        let view = View::new(&self.extractor, pyramid, mask);
+        let frame = Side::new(&view.features, &[], size);
+        let candidates = self
+            .index
+            .query(&view.descriptors(), &self.config.candidates, is_allowed);
+        let mut found: Vec<Relocalisation> = candidates
+            .iter()
+            .filter_map(|candidate| {
+                let known = self.known.get(&candidate.place)?;
+                let keyframe = Side::new(&known.features, &known.landmarks, known.size());
+                let (fit, correspondences) = locate(
+                    &keyframe,
+                    &frame,
+                    &candidate.matches,
+                    Freedom::Rigid,
+                    &self.pinhole,
+                    &self.config,
+                )?;
+                if !is_determined(&fit, &correspondences, size, &self.config) {
+                    return None;
+                }
+                let support = self.support(&known.landmarks, &view, &fit.b_from_a);
+                let is_sound = self.is_supported(&support, self.config.min_agreement);
+                is_sound.then(|| Relocalisation {
+                    keyframe: candidate.place,
+                    frame_from_keyframe: fit.b_from_a.to_se3(),
+                    covariance: fit.covariance.fixed_view::<6, 6>(0, 0).into_owned(),
+                    num_inliers: fit.num_inliers,
+                    support,
+                })
+            })
+            .collect();
+        found.sort_by_key(|r| (std::cmp::Reverse(r.num_inliers), r.keyframe));
+        found
+    }
+
+    /// Remembered keyframes that show the same place as the remembered keyframe `id`, verified in both
+    /// directions, most inliers first. `is_allowed` excludes keyframes, such as its neighbours.
+    #[must_use]
+    pub fn find_loops(&self, id: u64, is_allowed: impl Fn(u64) -> bool) -> Vec<LoopMatch> {
+        let Some(this) = self.known.get(&id) else {
+            return Vec::new();
+        };
+        let descriptors: Vec<Descriptor> = this.features.iter().map(|f| f.descriptor).collect();
+        let candidates = self
+            .index
+            .query(&descriptors, &self.config.candidates, |other| {
+                other != id && is_allowed(other)
+            });
+        let this_side = Side::new(&this.features, &this.landmarks, this.size());
+        let this_view = self.view_of(this);
+        let mut found: Vec<LoopMatch> = candidates
+            .iter()
+            .filter_map(|candidate| {
+                let other = self.known.get(&candidate.place)?;
+                let other_side = Side::new(&other.features, &other.landmarks, other.size());
+                let (fit, correspondences) = locate(
+                    &other_side,
+                    &this_side,
+                    &candidate.matches,
+                    Freedom::Similarity,
+                    &self.pinhole,
+                    &self.config,
+                )?;
+                if !is_determined(&fit, &correspondences, this.size(), &self.config) {
+                    return None;
+                }
+                let is_supported = |s| self.is_supported(s, self.config.min_loop_agreement);
+                let support = self.support(&other.landmarks, &this_view, &fit.b_from_a);
+                if !is_supported(&support) {
+                    return None;
+                }
+                let back = fit.b_from_a.inverse();
+                let support_of_other = self.support(&this.landmarks, &self.view_of(other), &back);
+                let is_sound = is_supported(&support_of_other);
+                is_sound.then_some(LoopMatch {
+                    keyframe: candidate.place,
+                    this_from_other: fit.b_from_a,
+                    covariance: fit.covariance,
+                    num_inliers: fit.num_inliers,
+                    support,
+                    support_of_other,
+                })
+            })
+            .collect();
+        found.sort_by_key(|m| (std::cmp::Reverse(m.num_inliers), m.keyframe));
+        found
+    }
+
+    /// The smoothed image of a keyframe, made again: it is large and seldom needed.
+    fn view_of(&self, known: &Known) -> View {
+        View {
+            features: Vec::new(),
+            smooth: self.extractor.smoothed_levels(&known.pyramid),
+        }
+    }
+
+    fn support(
+        &self,
+        landmarks: &[Option<Landmark>],
+        view: &View,
+        view_from_keyframe: &Sim3,
+    ) -> Support {
+        support(
+            landmarks,
+            view,
+            view_from_keyframe,
+            &self.extractor,
+            &self.pinhole,
+            self.config.max_guided_distance,
+        )
+    }
+
+    fn is_supported(&self, support: &Support, min_agreement: f64) -> bool {
+        support.num_visible >= self.config.min_inliers
+            && support.cells_visible >= self.config.min_cells
+            && support.agreement() >= min_agreement
+            && support.contradiction() <= self.config.max_contradiction
+    }
+}
