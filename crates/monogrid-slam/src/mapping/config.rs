@@ -120,6 +120,56 @@ impl Default for DepthFilterConfig {
     }
 }
 
+/// How plain surfaces get depth from the depth around them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FillConfig {
+    /// Whether plain regions are filled. Default true.
+    pub enabled: bool,
+    /// Regions are where the smoothed gradient is at most this, grey levels per pixel, above 0. Default 3.
+    pub max_gradient: f64,
+    /// Smallest region, pixels, at least 1. Default 30.
+    pub min_area_px: usize,
+    /// Random triples per plane (sample consensus), at least 1. Default 60.
+    pub samples: usize,
+    /// Measurements of the outline that must lie on a plane, at least 3. Default 20.
+    pub min_inliers: usize,
+    /// The same for a plane that another region found. Default 8.
+    pub min_inliers_offered: usize,
+    /// Planes that regions without an own one may choose from. Default 12.
+    pub max_offered: usize,
+    /// Share of the outline that must lie on the plane of a region, in (0, 1]. Default 0.3.
+    pub min_inlier_share: f64,
+    /// The same for a plane that was found elsewhere. Default 0.5.
+    pub min_offered_share: f64,
+    /// Share of the outline that may lie behind the plane, in [0, 1). Default 0.05.
+    pub max_behind_share: f64,
+    /// How flat surfaces are: standard deviation of the inverse depth around the plane over the inverse
+    /// depth, above 0. Default 0.01.
+    pub relative_sigma: f64,
+    /// Neighbouring depths whose errors count as one in the uncertainty of the fit, at least 1. Default 30.
+    pub correlated_points: f64,
+}
+
+impl Default for FillConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            max_gradient: 3.0,
+            min_area_px: 30,
+            samples: 60,
+            min_inliers: 20,
+            min_inliers_offered: 8,
+            max_offered: 12,
+            min_inlier_share: 0.3,
+            min_offered_share: 0.5,
+            max_behind_share: 0.05,
+            relative_sigma: 0.01,
+            correlated_points: 30.0,
+        }
+    }
+}
+
 /// Settings of [`crate::mapping`].
 ///
 /// Lengths are in map units: metres where the scale is known.
@@ -174,6 +224,8 @@ pub struct MappingConfig {
     pub depth_image_sigma: f64,
     /// Which measurements are mapped.
     pub filter: DepthFilterConfig,
+    /// Depth of plain surfaces.
+    pub fill: FillConfig,
 }
 
 impl Default for MappingConfig {
@@ -200,6 +252,7 @@ impl Default for MappingConfig {
             pose_sigma_deg: 0.1,
             depth_image_sigma: 0.01,
             filter: DepthFilterConfig::default(),
+            fill: FillConfig::default(),
         }
     }
 }
@@ -226,6 +279,10 @@ impl MappingConfig {
                 max_relative_sigma: f64::INFINITY,
                 min_support: 0,
                 skip_keyframes: 0,
+            },
+            fill: FillConfig {
+                enabled: false,
+                ..FillConfig::default()
             },
             ..Self::default()
         }

@@ -106,6 +106,7 @@ impl Mapper {
         map_from_keyframe: &Sim3,
     ) -> Result<usize, MapError> {
         let pinhole = &self.camera.pinhole;
+        let num_filled = scan.num_filled;
         let scan = Scan {
             id: scan.id,
             world_from_sensor: similarity(map_from_keyframe),
@@ -120,7 +121,8 @@ impl Mapper {
                 pixels: &scan.pixels,
             }),
         };
-        integrate(map, &scan, &self.integration, self.threads).map(|report| report.points)
+        integrate(map, &scan, &self.integration, self.threads)
+            .map(|report| report.points.saturating_sub(num_filled))
     }
 
     /// Adds points measured from the origin of a sensor, with the standard deviation of each range.

@@ -11,12 +11,14 @@
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame.
 
 mod config;
+mod fill;
 mod maps;
 mod scan;
 
 pub use config::{
-    AndertFormKind, AutoLength, DepthFilterConfig, IntegrationKind, MappingConfig, SensorModelKind,
+    AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig, SensorModelKind,
     SigmaMode, ThrunFormKind,
 };
+pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, MapStats, Mapper, Maps, z_up_from_camera_world};
 pub use scan::{KeyframeCamera, KeyframeScan};

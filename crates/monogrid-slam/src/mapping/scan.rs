@@ -1,9 +1,9 @@
 //! From the depth of a keyframe to the measurements that are mapped.
 
-use super::{DepthFilterConfig, MappingConfig};
+use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
 use crate::{DepthPixel, KeyframeId};
 use monogrid_geometry::Pinhole;
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, Image};
 use monogrid_occupancy::DepthPixel as Measurement;
 
 /// Camera of the keyframes.
@@ -24,6 +24,8 @@ pub struct KeyframeScan {
     pub id: KeyframeId,
     /// Its measurements, row-major, in units of the keyframe.
     pub pixels: Vec<Measurement>,
+    /// How many of them were not measured, but filled in between ([`KeyframeScan::filled`]).
+    pub num_filled: usize,
 }
 
 impl KeyframeScan {
@@ -39,6 +41,7 @@ impl KeyframeScan {
             return Self {
                 id,
                 pixels: Vec::new(),
+                num_filled: 0,
             };
         }
         let support = Support::new(pixels, camera, config);
@@ -52,7 +55,25 @@ impl KeyframeScan {
                 sigma_idepth: pixel.idepth_var.sqrt(),
             })
             .collect();
-        Self { id, pixels }
+        Self {
+            id,
+            pixels,
+            num_filled: 0,
+        }
+    }
+
+    /// The same with depth on plain surfaces, if the settings ask for it.
+    #[must_use]
+    pub fn filled(mut self, image: &Image<u8>, config: &MappingConfig) -> Self {
+        if !config.fill.enabled {
+            return self;
+        }
+        let limit = config.filter.max_relative_sigma;
+        let filled = fill_plain_regions(image, &self.pixels, limit, &config.fill);
+        self.num_filled = filled.len();
+        self.pixels.extend(filled);
+        self.pixels.sort_unstable_by_key(|p| (p.y, p.x));
+        self
     }
 }
 
@@ -74,7 +95,11 @@ impl KeyframeScan {
                 }
             }
         }
-        Self { id, pixels }
+        Self {
+            id,
+            pixels,
+            num_filled: 0,
+        }
     }
 }
 

@@ -1,0 +1,336 @@
+//! Maps of a recording of a built-in world against its exact truth, under any settings: the loop in which
+//! the defaults of mapping are found.
+//!
+//! `cargo run --release -p monogrid-slam --example map_study -- WORLD FOLDER RECORDING [res=R,R…]
+//! [VARIANT…]`
+//!
+//! `FOLDER` is what `monogrid synth WORLD` wrote, with its finest `truth.ot`. A variant is a list of
+//! `key=value` with commas between: keys of `[mapping]` (`filter.min_support=4`), `depth=true` (the
+//! rendered depth of the mapped pixels), `depth=dense` (rendered depth of all pixels), `poses=true`.
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::too_many_lines,
+    missing_docs,
+    reason = "a tool for development, read from top to bottom"
+)]
+
+use monogrid_datasets::synth::{LightingConfig, Renderer, Shutter, World};
+use monogrid_datasets::{ReadOptions, Recording, read_trajectory};
+use monogrid_evaluation::{
+    MapEvaluationConfig, TrajectoryConfig, TruthGrid, View, cells_in_view, evaluate_map,
+    evaluate_trajectory,
+};
+use monogrid_geometry::{Camera, Distortion, Se3, Sim3};
+use monogrid_image::GrayImage;
+use monogrid_occupancy::{Occupancy, read_ot};
+use monogrid_slam::DepthPixel;
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper, MappingConfig};
+use std::fs::File;
+use std::path::Path;
+
+struct Frame {
+    id: u32,
+    pixels: Vec<DepthPixel>,
+    estimated: Sim3,
+    truth: Se3,
+    depth: GrayImage,
+    image: monogrid_image::Image<u8>,
+}
+
+fn main() {
+    let mut args = std::env::args().skip(1);
+    let (world, folder, recording) = (
+        args.next().expect("world"),
+        args.next().expect("folder"),
+        args.next().expect("recording"),
+    );
+    let mut resolutions = vec![0.064];
+    let mut variants = Vec::new();
+    for arg in args {
+        match arg.strip_prefix("res=") {
+            Some(list) => resolutions = list.split(',').map(|r| r.parse().unwrap()).collect(),
+            None => variants.push(arg),
+        }
+    }
+    let recording =
+        Recording::read(Path::new(&recording), ReadOptions { with_images: true }).unwrap();
+    let session = &recording.session;
+    let camera = KeyframeCamera {
+        pinhole: session.pinhole,
+        width: session.width,
+        height: session.height,
+    };
+    let truth_poses = read_trajectory(&Path::new(&folder).join("groundtruth.txt")).unwrap();
+    let stamped = |poses: &[(i64, Se3)]| poses.to_vec();
+    let estimate: Vec<(i64, Se3)> = recording
+        .keyframes
+        .iter()
+        .map(|k| (k.timestamp_ns, k.world_from_keyframe.unwrap().to_se3()))
+        .collect();
+    let gt: Vec<(i64, Se3)> = truth_poses
+        .iter()
+        .map(|p| (p.timestamp_ns, p.world_from_camera))
+        .collect();
+    let fit = evaluate_trajectory(&stamped(&estimate), &gt, &TrajectoryConfig::default()).unwrap();
+    let map_from_world = fit.gt_from_est;
+    println!("{} keyframes", estimate.len());
+    let world = World::by_name_with(&world, &LightingConfig::quick()).unwrap();
+    let renderer = Renderer::new(
+        &Camera {
+            width: camera.width,
+            height: camera.height,
+            pinhole: camera.pinhole,
+            distortion: Distortion::None,
+        },
+        2.2,
+    );
+    let frames: Vec<Frame> = recording
+        .keyframes
+        .iter()
+        .map(|k| {
+            let truth = truth_poses
+                .iter()
+                .min_by_key(|p| p.timestamp_ns.abs_diff(k.timestamp_ns))
+                .unwrap()
+                .world_from_camera;
+            Frame {
+                id: k.id,
+                pixels: k
+                    .pixels
+                    .iter()
+                    .map(|p| DepthPixel {
+                        x: p.x,
+                        y: p.y,
+                        idepth: p.idepth,
+                        idepth_var: p.idepth_var,
+                    })
+                    .collect(),
+                estimated: map_from_world * k.world_from_keyframe.unwrap(),
+                truth,
+                image: k.image.clone().unwrap(),
+                depth: renderer.depth(&world, &[], Shutter::Global(truth)),
+            }
+        })
+        .collect();
+    let finest = {
+        let map = read_ot(File::open(std::env::var_os("TRUTH").map_or_else(|| Path::new(&folder).join("truth.ot"), Into::into)).unwrap(), usize::MAX);
+        TruthGrid::from_map(&map.unwrap(), 4_000_000_000).unwrap()
+    };
+    if let Some(p) = std::env::var_os("SAVE16") {
+        let m = finest.coarsened(2).unwrap().to_map().unwrap();
+        monogrid_occupancy::write_ot(&m, &mut std::io::BufWriter::new(File::create(p).unwrap())).unwrap();
+        return;
+    }
+    for resolution in resolutions {
+        let factor = |r: f64| (r / finest.resolution()).round() as u32;
+        let truth = finest.coarsened(factor(resolution).max(1)).unwrap();
+        let coarse = finest.coarsened(factor(resolution.max(0.064))).unwrap();
+        let views: Vec<View> = frames
+            .iter()
+            .map(|f| View {
+                world_from_camera: f.truth,
+                camera: camera.pinhole,
+                width: camera.width,
+                height: camera.height,
+            })
+            .collect();
+        let in_view = std::env::var_os("VIEW").map(|_| cells_in_view(&coarse, &views, 10.0));
+        println!(
+            "{:<60} {:>5} {:>6} {:>6} {:>5} {:>5} {:>5} {:>6} {:>5} {:>5} {:>5} {:>6} {:>7}",
+            "variant", "mm", "AUC", "known", "MCC", "prec", "rec", "cov F", "O", "viewF", "O", "acc m", "points"
+        );
+        for variant in &variants {
+            let mut mapping = serde_json::to_value(MappingConfig::default()).unwrap();
+            let (mut depth_source, mut true_poses) = ("estimated", false);
+            mapping["resolution"] = resolution.into();
+            for (key, value) in variant.split(',').filter_map(|s| s.split_once('=')) {
+                match key {
+                    "depth" => depth_source = value,
+                    "poses" => true_poses = value == "true",
+                    _ => {
+                        let mut node = &mut mapping;
+                        for part in key.split('.') {
+                            node = node.get_mut(part).expect(key);
+                        }
+                        *node = serde_json::from_str(&value.replace(';', ",")).unwrap_or_else(|_| value.into());
+                    }
+                }
+            }
+            let config: MappingConfig = serde_json::from_value(mapping).unwrap();
+            config.validate().unwrap();
+            let mapper = Mapper::new(config, camera, 2);
+            let mut map = mapper.empty_map().unwrap();
+            let mut points = 0;
+            let mut errors = [Errors::default(), Errors::default()];
+            for frame in &frames {
+                let mut scan = KeyframeScan::new(
+                    frame.id,
+                    &frame.pixels,
+                    &camera,
+                    &mapper.config().filter,
+                );
+                let measured = scan.pixels.clone();
+                scan = scan.filled(&frame.image, mapper.config());
+                let mut pose = frame.estimated;
+                if true_poses {
+                    pose = frame.truth.with_scale(pose.scale);
+                }
+                if let Some(dir) = std::env::var_os("PICTURES")
+                    && frame.id % 6 == 5
+                {
+                    let (w, h) = (camera.width, camera.height);
+                    let mut rgb: Vec<u8> = frame
+                        .image
+                        .as_slice()
+                        .iter()
+                        .flat_map(|g| [*g / 2; 3])
+                        .collect();
+                    for p in &scan.pixels {
+                        if measured.binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x)).is_ok() != (dir == "measured") {
+                            continue;
+                        }
+                        let z = frame.depth.at(p.x.into(), p.y.into()) / frame.estimated.scale as f32;
+                        let e = p.idepth * z - 1.0;
+                        let c = if e.abs() < 0.03 { [0, 160, 0] } else if e.abs() < 0.1 { [200, 200, 0] } else if e > 0.0 { [255, 0, 0] } else { [60, 60, 255] };
+                        let at = 3 * (usize::from(p.y) * w + usize::from(p.x));
+                        rgb[at..at + 3].copy_from_slice(&c);
+                    }
+                    let mut ppm = format!("P6 {w} {h} 255\n").into_bytes();
+                    ppm.extend(rgb);
+                    std::fs::write(Path::new("/tmp/q/pic").join(format!("{:03}.ppm", frame.id)), ppm).unwrap();
+                }
+                for p in &mut scan.pixels {
+                    let z = frame.depth.at(p.x.into(), p.y.into()) / pose.scale as f32;
+                    errors[usize::from(measured.binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x)).is_err())].add(p.idepth, p.sigma_idepth, 1.0 / z);
+                    if depth_source == "true" && z.is_finite() {
+                        p.idepth = 1.0 / z;
+                    }
+                }
+                if depth_source == "dense" {
+                    scan = KeyframeScan::from_depth_image(frame.id, &frame.depth, mapper.config());
+                    pose = pose.to_se3().with_scale(1.0);
+                }
+                points += mapper.integrate(&mut map, &scan, &pose).unwrap();
+            }
+            let report = evaluate_map(
+                &map,
+                &truth,
+                &MapEvaluationConfig {
+                    in_view: in_view.as_ref(),
+                    max_distance_queries: 20_000,
+                    ..MapEvaluationConfig::default()
+                },
+            )
+            .unwrap();
+            let (o, k) = (&report.policies.observed, &report.policies.known);
+            println!(
+                "{:<60} {:>5} {:>6.4} {:>6.4} {:>5.3} {:>5.3} {:>5.3} {:>6.3} {:>5.3} {:>5.3} {:>5.3} {:>6.3} {:>7} {}\n  {} fill {}",
+                variant,
+                resolution * 1e3,
+                o.auc,
+                k.auc,
+                o.mcc,
+                o.precision,
+                o.recall,
+                report.coverage_free,
+                report.coverage_occupied,
+                report.coverage_free_in_view.unwrap_or(f64::NAN),
+                report.coverage_occupied_in_view.unwrap_or(f64::NAN),
+                report.surface.accuracy_m.unwrap_or(f64::NAN),
+                points,
+                errors[0],
+                errors[1].relative.len(),
+                errors[1],
+            );
+            if std::env::var_os("VERBOSE").is_some() {
+                describe(&map, &truth, &finest);
+            }
+        }
+    }
+}
+
+/// Where false cells are: distance (in cells) of false positives to the true surface.
+fn describe(map: &monogrid_occupancy::OccupancyMap, truth: &TruthGrid, finest: &TruthGrid) {
+    let f = (truth.resolution() / finest.resolution()).round() as i32;
+    let mut fill = [[0usize; 12]; 2];
+    let mut layer = std::collections::BTreeMap::<i32, [usize; 2]>::new();
+    let mut scores = [[0usize; 12]; 2];
+    for key in truth.keys_in(Occupancy::Occupied) {
+        let Some(l) = map.log_odds_of(monogrid_occupancy::VoxelKey::new(key[0], key[1], key[2])) else { continue };
+        let mut n = 0i32;
+        for x in 0..f { for y in 0..f { for z in 0..f {
+            n += i32::from(finest.state([key[0] * f + x, key[1] * f + y, key[2] * f + z]) == Occupancy::Occupied);
+        }}}
+        let bin = ((n as f64 / (f * f) as f64) * 8.0) as usize;
+        let hit = usize::from(l > 0.0);
+        fill[hit][bin.min(11)] += 1;
+        layer.entry(key[2]).or_default()[hit] += 1;
+        scores[1][((l + 2.0) * 2.0).clamp(0.0, 11.0) as usize] += 1;
+    }
+    for key in truth.keys_in(Occupancy::Free) {
+        if let Some(l) = map.log_odds_of(monogrid_occupancy::VoxelKey::new(key[0], key[1], key[2])) {
+            scores[0][((l + 2.0) * 2.0).clamp(0.0, 11.0) as usize] += 1;
+        }
+    }
+    println!("    FN by eighths of a full layer: {:?}\n    TP {:?}\n    free scores {:?}\n    occ scores {:?}", fill[0], fill[1], scores[0], scores[1]);
+    println!("    layers [FN, TP]: {layer:?}");
+    let mut histogram = [0usize; 8];
+    for brick in map.bricks() {
+        for key in (0..monogrid_occupancy::BRICK_CELLS).map(|i| brick.cell(i)) {
+            let Some(log_odds) = map.log_odds_of(key) else {
+                continue;
+            };
+            let k = key.to_array();
+            if log_odds > 0.0 && truth.state(k) == Occupancy::Free {
+                let near = (0..7i32).find(|r| {
+                    (-r..=*r).any(|x| {
+                        (-r..=*r).any(|y| {
+                            (-r..=*r).any(|z| {
+                                x.abs().max(y.abs()).max(z.abs()) == *r
+                                    && truth.state([k[0] + x, k[1] + y, k[2] + z])
+                                        == Occupancy::Occupied
+                            })
+                        })
+                    })
+                });
+                histogram[near.unwrap_or(7) as usize] += 1;
+            }
+        }
+    }
+    println!("    false positives by distance in cells: {histogram:?}");
+}
+
+#[derive(Default)]
+struct Errors {
+    relative: Vec<f32>,
+    normalised: Vec<f32>,
+}
+
+impl Errors {
+    fn add(&mut self, idepth: f32, sigma: f32, truth: f32) {
+        if truth.is_finite() {
+            self.relative.push((idepth / truth - 1.0).abs());
+            self.normalised.push(((idepth - truth) / sigma).abs());
+        }
+    }
+}
+
+impl std::fmt::Display for Errors {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let share = |v: &[f32], limit: f32| {
+            v.iter().filter(|e| **e > limit).count() as f64 / v.len().max(1) as f64
+        };
+        let mut sorted = self.relative.clone();
+        sorted.sort_by(f32::total_cmp);
+        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(f32::NAN);
+        write!(
+            f,
+            "depth error: median {median:.4}, >3% {:.3}, >10% {:.3}; > 2 sigma {:.3}",
+            share(&self.relative, 0.03),
+            share(&self.relative, 0.1),
+            share(&self.normalised, 2.0)
+        )
+    }
+}

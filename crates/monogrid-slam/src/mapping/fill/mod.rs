@@ -1,0 +1,181 @@
+//! Depth of plain surfaces: planes through the depth around them.
+//!
+//! A semi-dense depth map knows depth where the image has gradients. Walls, floors and table tops are
+//! plain; seen from a robot they are most of a room, and a map without them has neither these surfaces
+//! nor the free space before them. What is known is their outline, and what is likely is that they are
+//! flat: the inverse depth of a plane is an affine function of the pixel,
+//!
+//! ```text
+//! d(x, y) = a x + b y + c
+//! ```
+//!
+//! Flow: **regions** of weak gradient ([`regions`]) → **planes** through the measurements along the
+//! outline of each ([`plane`], sample consensus: outlines also show what stands before the surface) →
+//! the planes of the whole image are offered to the regions that found none (tiles of one floor) → each
+//! pixel of a region gets the depth of the plane whose outline is nearest inside the region.
+//!
+//! A plane is believed if most of the outline lies on it or before it. An outline *behind* the plane
+//! contradicts it: a plain surface cannot be seen through. The uncertainty of a filled pixel grows with
+//! its distance from the outline as the covariance of the fit says, so far extrapolation fails the same
+//! limit as any imprecise measurement.
+
+mod plane;
+mod regions;
+
+use super::FillConfig;
+use monogrid_image::Image;
+use monogrid_occupancy::DepthPixel as Measurement;
+use plane::{Border, Plane, fit_plane};
+use regions::{NO_REGION, Regions};
+
+/// Measurements of the whole image that planes are looked for in, at most.
+const MAX_IMAGE_POINTS: usize = 4000;
+/// Planes of the whole image, at most.
+const MAX_IMAGE_PLANES: u64 = 6;
+/// Random triples for each of them.
+const MAX_IMAGE_SAMPLES: usize = 300;
+/// Share of all measurements on such a plane.
+const MIN_IMAGE_SHARE: f64 = 0.05;
+/// Where the region of a measurement is looked for: offsets of this many pixels along eight directions.
+const BORDER_OFFSETS_PX: [i32; 2] = [2, 5];
+
+/// Depth of the plain regions of a keyframe, at pixels that have none in `measured`.
+///
+/// `measured` passed the filter; `max_relative_sigma` is the limit of that filter. The result is
+/// row-major, in units of the keyframe.
+#[must_use]
+pub fn fill_plain_regions(
+    image: &Image<u8>,
+    measured: &[Measurement],
+    max_relative_sigma: f64,
+    config: &FillConfig,
+) -> Vec<Measurement> {
+    let regions = Regions::new(image, measured, config);
+    let borders = borders(&regions, measured);
+    let mut planes: Vec<Option<Plane>> = borders
+        .iter()
+        .enumerate()
+        .map(|(region, border)| fit_plane(border, region as u64, config))
+        .collect();
+    share_planes(measured, &borders, &mut planes, config);
+    fill(&regions, &planes, max_relative_sigma, config)
+}
+
+/// The measurements along the outline of each region. One on the edge between two regions belongs to
+/// both.
+fn borders(regions: &Regions, measured: &[Measurement]) -> Vec<Border> {
+    let mut borders = vec![Border::default(); regions.count];
+    for point in measured {
+        let mut found: [u32; 16] = [NO_REGION; 16];
+        let mut num_found = 0;
+        for offset in BORDER_OFFSETS_PX {
+            for (dx, dy) in EIGHT_DIRECTIONS {
+                let (x, y) = (
+                    i32::from(point.x) + dx * offset,
+                    i32::from(point.y) + dy * offset,
+                );
+                let label = regions.at(x, y);
+                if label != NO_REGION && !found[..num_found].contains(&label) {
+                    found[num_found] = label;
+                    num_found += 1;
+                    borders[label as usize].push(point);
+                }
+            }
+        }
+    }
+    borders
+}
+
+const EIGHT_DIRECTIONS: [(i32, i32); 8] = [
+    (1, 0),
+    (-1, 0),
+    (0, 1),
+    (0, -1),
+    (1, 1),
+    (1, -1),
+    (-1, 1),
+    (-1, -1),
+];
+
+/// Gives a region a plane that is seen in many places, if its outline agrees with that as well as with
+/// its own: the tiles of a floor share one plane, the bricks of a wall another.
+fn share_planes(
+    measured: &[Measurement],
+    borders: &[Border],
+    planes: &mut [Option<Plane>],
+    config: &FillConfig,
+) {
+    let mut pool = planes_of_image(measured, config);
+    pool.extend(planes.iter().flatten().cloned());
+    // the best supported first; equal support in the order of the regions
+    pool.sort_by_key(|plane| std::cmp::Reverse(plane.inliers));
+    pool.truncate(config.max_offered);
+    for (border, own) in borders.iter().zip(planes) {
+        let own_score = own.as_ref().map_or(0, |p| border.count(p, config).score());
+        let best = pool
+            .iter()
+            .map(|plane| (border.count(plane, config), plane))
+            .filter(|(count, _)| {
+                count.is_believable(
+                    config.min_inliers_offered,
+                    config.min_offered_share,
+                    config,
+                )
+            })
+            // the first of equal ones
+            .rev()
+            .max_by_key(|(count, _)| count.score());
+        if let Some((count, plane)) = best
+            && 5 * count.score() >= 4 * own_score
+        {
+            *own = Some(plane.clone());
+        }
+    }
+}
+
+/// Planes that much of the whole image lies on, one after the other.
+fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> Vec<Plane> {
+    let stride = measured.len().div_ceil(MAX_IMAGE_POINTS).max(1);
+    let mut left = Border::default();
+    for point in measured.iter().step_by(stride) {
+        left.push(point);
+    }
+    let min_inliers = (left.len() as f64 * MIN_IMAGE_SHARE) as usize;
+    let mut planes = Vec::new();
+    for round in 0..MAX_IMAGE_PLANES {
+        match left.take_best_plane(round, MAX_IMAGE_SAMPLES, config) {
+            Some(plane) if plane.inliers >= min_inliers.max(config.min_inliers) => {
+                planes.push(plane);
+            }
+            _ => break,
+        }
+    }
+    planes
+}
+
+/// The depth of all pixels of the regions that have a plane, where it is certain enough.
+fn fill(
+    regions: &Regions,
+    planes: &[Option<Plane>],
+    max_relative_sigma: f64,
+    config: &FillConfig,
+) -> Vec<Measurement> {
+    let mut filled = Vec::new();
+    for (index, label) in regions.labels.iter().enumerate() {
+        let Some(Some(plane)) = planes.get(*label as usize) else {
+            continue;
+        };
+        let (x, y) = (index % regions.width, index / regions.width);
+        let (idepth, fit_sigma) = plane.at(x as f64, y as f64);
+        let sigma = fit_sigma.hypot(config.relative_sigma * idepth);
+        if idepth > 0.0 && sigma <= max_relative_sigma * idepth {
+            filled.push(Measurement {
+                x: x as u16,
+                y: y as u16,
+                idepth: idepth as f32,
+                sigma_idepth: sigma as f32,
+            });
+        }
+    }
+    filled
+}

@@ -1,0 +1,251 @@
+//! Planes through the outline of a region.
+
+use super::FillConfig;
+use monogrid_occupancy::DepthPixel as Measurement;
+use nalgebra::{Matrix3, Vector3};
+
+/// Points that a candidate is judged by, at most.
+const MAX_JUDGES: usize = 300;
+
+/// A measurement on an outline.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BorderPoint {
+    x: f64,
+    y: f64,
+    idepth: f64,
+    sigma: f64,
+}
+
+/// The measurements along the outline of a region.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Border {
+    points: Vec<BorderPoint>,
+}
+
+/// How an outline judges a plane.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Count {
+    on_plane: usize,
+    behind: usize,
+    total: usize,
+}
+
+impl Count {
+    /// Agreement less contradiction.
+    pub fn score(self) -> i64 {
+        self.on_plane as i64 - 4 * self.behind as i64
+    }
+
+    /// Whether enough lies on the plane, and little behind it.
+    pub fn is_believable(self, min_inliers: usize, min_share: f64, config: &FillConfig) -> bool {
+        let total = self.total as f64;
+        self.on_plane >= min_inliers
+            && self.on_plane as f64 >= min_share * total
+            && self.behind as f64 <= config.max_behind_share * total
+    }
+}
+
+/// The inverse depth of a plane over the image, with the uncertainty of the fit.
+#[derive(Clone, Debug)]
+pub(super) struct Plane {
+    /// Of (x, y, 1), x and y relative to `center`.
+    coefficients: Vector3<f64>,
+    center: [f64; 2],
+    covariance: Matrix3<f64>,
+    /// Relative standard deviation that all its points share: that of a typical one.
+    shared_sigma: f64,
+    /// Points that it was fitted to.
+    pub inliers: usize,
+}
+
+impl Plane {
+    /// Inverse depth at a pixel and the standard deviation of the fit there.
+    pub fn at(&self, x: f64, y: f64) -> (f64, f64) {
+        let row = self.row(x, y);
+        let variance = row.dot(&(self.covariance * row));
+        let idepth = self.coefficients.dot(&row);
+        (idepth, variance.max(0.0).sqrt().hypot(self.shared_sigma * idepth))
+    }
+
+    fn row(&self, x: f64, y: f64) -> Vector3<f64> {
+        Vector3::new(x - self.center[0], y - self.center[1], 1.0)
+    }
+
+    /// Whether a point lies on the plane.
+    pub fn explains(&self, point: &BorderPoint, config: &FillConfig) -> bool {
+        self.gap(point, config).abs() <= 2.0
+    }
+
+    /// Inverse depth of the point less that of the plane there, in standard deviations.
+    fn gap(&self, point: &BorderPoint, config: &FillConfig) -> f64 {
+        let expected = self.coefficients.dot(&self.row(point.x, point.y));
+        let flatness = config.relative_sigma * point.idepth;
+        (point.idepth - expected) / point.sigma.min(flatness).hypot(flatness)
+    }
+}
+
+impl Border {
+    /// Adds a measurement.
+    pub fn push(&mut self, point: &Measurement) {
+        self.points.push(BorderPoint {
+            x: point.x.into(),
+            y: point.y.into(),
+            idepth: point.idepth.into(),
+            sigma: point.sigma_idepth.into(),
+        });
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Finds the plane that most points lie on, and takes these points away.
+    pub fn take_best_plane(
+        &mut self,
+        seed: u64,
+        samples: usize,
+        config: &FillConfig,
+    ) -> Option<Plane> {
+        if self.points.len() < config.min_inliers {
+            return None;
+        }
+        // here nothing is seen through anything: points behind a plane do not contradict it
+        let score = |points: &[BorderPoint], plane: &Plane| {
+            count(points, plane, config).on_plane as i64
+        };
+        let plane = best_plane(&self.points, seed, samples, score, config)?;
+        self.points.retain(|point| !plane.explains(point, config));
+        Some(plane)
+    }
+
+    /// How the outline judges a plane.
+    pub fn count(&self, plane: &Plane, config: &FillConfig) -> Count {
+        count(&self.points, plane, config)
+    }
+}
+
+fn count(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> Count {
+    let mut count = Count {
+        total: points.len(),
+        ..Count::default()
+    };
+    for point in points {
+        let gap = plane.gap(point, config);
+        if gap.abs() <= 2.0 {
+            count.on_plane += 1;
+        } else if gap < -2.5 {
+            count.behind += 1;
+        }
+    }
+    count
+}
+
+/// The plane that an outline agrees with best; none if it contradicts it.
+///
+/// The sampling is a function of `seed` alone.
+pub(super) fn fit_plane(border: &Border, seed: u64, config: &FillConfig) -> Option<Plane> {
+    if border.points.len() < config.min_inliers {
+        return None;
+    }
+    let score = |points: &[BorderPoint], plane: &Plane| count(points, plane, config).score();
+    let plane = best_plane(&border.points, seed, config.samples, score, config)?;
+    border
+        .count(&plane, config)
+        .is_believable(config.min_inliers, config.min_inlier_share, config)
+        .then_some(plane)
+}
+
+/// The candidate of the best score (Fischler and Bolles, 1981), fitted to them.
+fn best_plane(
+    points: &[BorderPoint],
+    seed: u64,
+    samples: usize,
+    score: impl Fn(&[BorderPoint], &Plane) -> i64,
+    config: &FillConfig,
+) -> Option<Plane> {
+    let stride = points.len().div_ceil(MAX_JUDGES);
+    let judges: Vec<BorderPoint> = points.iter().step_by(stride).copied().collect();
+    let mut state = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut best: Option<(i64, Plane)> = None;
+    for _ in 0..samples {
+        let triple = [(); 3].map(|()| points[random_below(&mut state, points.len())]);
+        let Some(plane) = through(&triple) else {
+            continue;
+        };
+        let score = score(&judges, &plane);
+        if best.as_ref().is_none_or(|(other, _)| score > *other) {
+            best = Some((score, plane));
+        }
+    }
+    let (_, mut plane) = best?;
+    for _ in 0..2 {
+        let inliers: Vec<&BorderPoint> =
+            points.iter().filter(|p| plane.explains(p, config)).collect();
+        plane = fitted(&inliers, config)?;
+    }
+    Some(plane)
+}
+
+/// A number below `count` (splitmix64).
+fn random_below(state: &mut u64, count: usize) -> usize {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut word = *state;
+    word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((word ^ (word >> 31)) % count as u64) as usize
+}
+
+/// The plane through three points that are not almost on one line.
+fn through(points: &[BorderPoint; 3]) -> Option<Plane> {
+    let [a, b, c] = points;
+    let (ux, uy) = (b.x - a.x, b.y - a.y);
+    let (vx, vy) = (c.x - a.x, c.y - a.y);
+    let area = ux * vy - uy * vx;
+    let longest_sq = (ux * ux + uy * uy).max(vx * vx + vy * vy);
+    if area.abs() < 0.1 * longest_sq || longest_sq < 25.0 {
+        return None;
+    }
+    let (du, dv) = (b.idepth - a.idepth, c.idepth - a.idepth);
+    Some(Plane {
+        coefficients: Vector3::new(
+            (du * vy - dv * uy) / area,
+            (dv * ux - du * vx) / area,
+            a.idepth,
+        ),
+        center: [a.x, a.y],
+        covariance: Matrix3::zeros(),
+        shared_sigma: 0.0,
+        inliers: 3,
+    })
+}
+
+/// Weighted least squares. Neighbouring depths share their errors: `correlated_points` of them count as
+/// one in the covariance.
+fn fitted(points: &[&BorderPoint], config: &FillConfig) -> Option<Plane> {
+    let count = points.len() as f64;
+    if points.len() < 3 {
+        return None;
+    }
+    let center = [
+        points.iter().map(|p| p.x).sum::<f64>() / count,
+        points.iter().map(|p| p.y).sum::<f64>() / count,
+    ];
+    let mut information = Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    for point in points {
+        let row = Vector3::new(point.x - center[0], point.y - center[1], 1.0);
+        let weight =
+            1.0 / (point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2));
+        information += row * row.transpose() * weight;
+        right += row * (weight * point.idepth);
+    }
+    let inverse = information.try_inverse()?;
+    Some(Plane {
+        coefficients: inverse * right,
+        center,
+        covariance: inverse * config.correlated_points,
+        shared_sigma: points.iter().map(|p| p.sigma / p.idepth).sum::<f64>() / count,
+        inliers: points.len(),
+    })
+}

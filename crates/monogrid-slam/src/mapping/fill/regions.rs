@@ -1,0 +1,163 @@
+//! Connected regions of weak gradient.
+
+use super::FillConfig;
+use monogrid_image::Image;
+use monogrid_occupancy::DepthPixel as Measurement;
+
+/// The label of pixels that belong to no region.
+pub(super) const NO_REGION: u32 = u32::MAX;
+
+/// Plain regions of an image.
+pub(super) struct Regions {
+    pub width: usize,
+    pub height: usize,
+    /// Region of each pixel, row-major.
+    pub labels: Vec<u32>,
+    /// Number of regions; labels are less.
+    pub count: usize,
+}
+
+impl Regions {
+    /// Finds the regions of an image; measured pixels belong to none.
+    ///
+    /// Pixels connect over their *core*: those whose eight neighbours are plain too. A gap of two pixels
+    /// in a faint edge therefore does not join the surfaces on both sides.
+    pub fn new(image: &Image<u8>, measured: &[Measurement], config: &FillConfig) -> Self {
+        let (width, height) = (image.width(), image.height());
+        let mut plain = plain_pixels(image, config.max_gradient);
+        for point in measured {
+            let (x, y) = (usize::from(point.x), usize::from(point.y));
+            if x < width && y < height {
+                plain[y * width + x] = false;
+            }
+        }
+        let core = eroded(&plain, width, height);
+        let mut this = Self {
+            width,
+            height,
+            labels: vec![NO_REGION; width * height],
+            count: 0,
+        };
+        this.connect(&core, config.min_area_px);
+        this.grow_by_one(&plain);
+        this
+    }
+
+    /// Label of a pixel; outside the image none.
+    pub fn at(&self, x: i32, y: i32) -> u32 {
+        let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
+        if inside {
+            self.labels[y as usize * self.width + x as usize]
+        } else {
+            NO_REGION
+        }
+    }
+
+    /// Labels connected components of at least `min_area` pixels in the order of their first pixel.
+    fn connect(&mut self, core: &[bool], min_area: usize) {
+        let mut is_visited = vec![false; core.len()];
+        let mut component = Vec::new();
+        for start in 0..core.len() {
+            if !core[start] || is_visited[start] {
+                continue;
+            }
+            component.clear();
+            component.push(start);
+            is_visited[start] = true;
+            let mut next = 0;
+            while let Some(&index) = component.get(next) {
+                next += 1;
+                for neighbour in neighbours(index, self.width, self.height) {
+                    if core[neighbour] && !is_visited[neighbour] {
+                        is_visited[neighbour] = true;
+                        component.push(neighbour);
+                    }
+                }
+            }
+            if component.len() >= min_area {
+                for &index in &component {
+                    self.labels[index] = self.count as u32;
+                }
+                self.count += 1;
+            }
+        }
+    }
+
+    /// Gives back the rim that the erosion took.
+    fn grow_by_one(&mut self, plain: &[bool]) {
+        let source = self.labels.clone();
+        for (index, label) in self.labels.iter_mut().enumerate() {
+            if *label == NO_REGION && plain[index] {
+                *label = neighbours(index, self.width, self.height)
+                    .map(|n| source[n])
+                    .find(|l| *l != NO_REGION)
+                    .unwrap_or(NO_REGION);
+            }
+        }
+    }
+}
+
+/// The up to four neighbours of a pixel.
+fn neighbours(index: usize, width: usize, height: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = (index % width, index / width);
+    [
+        (x > 0).then(|| index - 1),
+        (x + 1 < width).then(|| index + 1),
+        (y > 0).then(|| index - width),
+        (y + 1 < height).then(|| index + width),
+    ]
+    .into_iter()
+    .flatten()
+}
+
+/// Pixels whose gradient, after smoothing by (1 2 1)/4 in both directions, is weak.
+fn plain_pixels(image: &Image<u8>, max_gradient: f64) -> Vec<bool> {
+    let (width, height) = (image.width(), image.height());
+    let smooth = smoothed(image);
+    let at = |x: usize, y: usize| i32::from(smooth[y * width + x]);
+    // smoothed values are 16 times the grey level, differences are over two pixels
+    let limit = (32.0 * max_gradient).powi(2);
+    let mut plain = vec![false; width * height];
+    for y in 1..height.saturating_sub(1) {
+        for x in 1..width.saturating_sub(1) {
+            let dx = f64::from(at(x + 1, y) - at(x - 1, y));
+            let dy = f64::from(at(x, y + 1) - at(x, y - 1));
+            plain[y * width + x] = dx * dx + dy * dy <= limit;
+        }
+    }
+    plain
+}
+
+/// 16 times the smoothed image.
+fn smoothed(image: &Image<u8>) -> Vec<u16> {
+    let (width, height) = (image.width(), image.height());
+    let mut rows = vec![0u16; width * height];
+    for y in 0..height {
+        let row = image.row(y);
+        for x in 0..width {
+            let (left, right) = (row[x.saturating_sub(1)], row[(x + 1).min(width - 1)]);
+            rows[y * width + x] = u16::from(left) + 2 * u16::from(row[x]) + u16::from(right);
+        }
+    }
+    let mut out = vec![0u16; width * height];
+    for y in 0..height {
+        let (up, down) = (y.saturating_sub(1), (y + 1).min(height - 1));
+        for x in 0..width {
+            out[y * width + x] =
+                rows[up * width + x] + 2 * rows[y * width + x] + rows[down * width + x];
+        }
+    }
+    out
+}
+
+/// Pixels whose 3x3 neighbourhood is set.
+fn eroded(set: &[bool], width: usize, height: usize) -> Vec<bool> {
+    let mut out = vec![false; set.len()];
+    for y in 1..height.saturating_sub(1) {
+        for x in 1..width.saturating_sub(1) {
+            out[y * width + x] = (y - 1..=y + 1)
+                .all(|row| (x - 1..=x + 1).all(|column| set[row * width + column]));
+        }
+    }
+    out
+}
