@@ -5,8 +5,11 @@
 //! [VARIANT…]`
 //!
 //! `FOLDER` is what `monogrid synth WORLD` wrote, with its finest `truth.ot`. A variant is a list of
-//! `key=value` with commas between: keys of `[mapping]` (`filter.min_support=4`), `depth=true` (the
+//! `key=value` with commas between (`update_limits=[-0.2;1.2]` has a semicolon inside): keys of `[mapping]` (`filter.min_support=4`), `depth=true` (the
 //! rendered depth of the mapped pixels), `depth=dense` (rendered depth of all pixels), `poses=true`.
+//!
+//! In the environment: `VIEW=1` adds the coverage of what is in view, `VERBOSE=1` tells how far false
+//! positives are from the true surface, `TRUTH=MAP.ot` is read instead of the folder's truth.
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
@@ -115,14 +118,16 @@ fn main() {
         })
         .collect();
     let finest = {
-        let map = read_ot(File::open(std::env::var_os("TRUTH").map_or_else(|| Path::new(&folder).join("truth.ot"), Into::into)).unwrap(), usize::MAX);
+        let map = read_ot(
+            File::open(
+                std::env::var_os("TRUTH")
+                    .map_or_else(|| Path::new(&folder).join("truth.ot"), Into::into),
+            )
+            .unwrap(),
+            usize::MAX,
+        );
         TruthGrid::from_map(&map.unwrap(), 4_000_000_000).unwrap()
     };
-    if let Some(p) = std::env::var_os("SAVE16") {
-        let m = finest.coarsened(2).unwrap().to_map().unwrap();
-        monogrid_occupancy::write_ot(&m, &mut std::io::BufWriter::new(File::create(p).unwrap())).unwrap();
-        return;
-    }
     for resolution in resolutions {
         let factor = |r: f64| (r / finest.resolution()).round() as u32;
         let truth = finest.coarsened(factor(resolution).max(1)).unwrap();
@@ -139,7 +144,19 @@ fn main() {
         let in_view = std::env::var_os("VIEW").map(|_| cells_in_view(&coarse, &views, 10.0));
         println!(
             "{:<60} {:>5} {:>6} {:>6} {:>5} {:>5} {:>5} {:>6} {:>5} {:>5} {:>5} {:>6} {:>7}",
-            "variant", "mm", "AUC", "known", "MCC", "prec", "rec", "cov F", "O", "viewF", "O", "acc m", "points"
+            "variant",
+            "mm",
+            "AUC",
+            "known",
+            "MCC",
+            "prec",
+            "rec",
+            "cov F",
+            "O",
+            "viewF",
+            "O",
+            "acc m",
+            "points"
         );
         for variant in &variants {
             let mut mapping = serde_json::to_value(MappingConfig::default()).unwrap();
@@ -154,7 +171,8 @@ fn main() {
                         for part in key.split('.') {
                             node = node.get_mut(part).expect(key);
                         }
-                        *node = serde_json::from_str(&value.replace(';', ",")).unwrap_or_else(|_| value.into());
+                        *node = serde_json::from_str(&value.replace(';', ","))
+                            .unwrap_or_else(|_| value.into());
                     }
                 }
             }
@@ -165,45 +183,23 @@ fn main() {
             let mut points = 0;
             let mut errors = [Errors::default(), Errors::default()];
             for frame in &frames {
-                let mut scan = KeyframeScan::new(
-                    frame.id,
-                    &frame.pixels,
-                    &camera,
-                    &mapper.config().filter,
-                );
-                let measured = scan.pixels.clone();
-                scan = scan.filled(&frame.image, mapper.config());
+                let scan_with = |image| {
+                    KeyframeScan::new(frame.id, &frame.pixels, image, &camera, mapper.config())
+                };
+                let measured = scan_with(None).pixels;
+                let mut scan = scan_with(Some(&frame.image));
                 let mut pose = frame.estimated;
                 if true_poses {
                     pose = frame.truth.with_scale(pose.scale);
                 }
-                if let Some(dir) = std::env::var_os("PICTURES")
-                    && frame.id % 6 == 5
-                {
-                    let (w, h) = (camera.width, camera.height);
-                    let mut rgb: Vec<u8> = frame
-                        .image
-                        .as_slice()
-                        .iter()
-                        .flat_map(|g| [*g / 2; 3])
-                        .collect();
-                    for p in &scan.pixels {
-                        if measured.binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x)).is_ok() != (dir == "measured") {
-                            continue;
-                        }
-                        let z = frame.depth.at(p.x.into(), p.y.into()) / frame.estimated.scale as f32;
-                        let e = p.idepth * z - 1.0;
-                        let c = if e.abs() < 0.03 { [0, 160, 0] } else if e.abs() < 0.1 { [200, 200, 0] } else if e > 0.0 { [255, 0, 0] } else { [60, 60, 255] };
-                        let at = 3 * (usize::from(p.y) * w + usize::from(p.x));
-                        rgb[at..at + 3].copy_from_slice(&c);
-                    }
-                    let mut ppm = format!("P6 {w} {h} 255\n").into_bytes();
-                    ppm.extend(rgb);
-                    std::fs::write(Path::new("/tmp/q/pic").join(format!("{:03}.ppm", frame.id)), ppm).unwrap();
-                }
                 for p in &mut scan.pixels {
                     let z = frame.depth.at(p.x.into(), p.y.into()) / pose.scale as f32;
-                    errors[usize::from(measured.binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x)).is_err())].add(p.idepth, p.sigma_idepth, 1.0 / z);
+                    errors[usize::from(
+                        measured
+                            .binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x))
+                            .is_err(),
+                    )]
+                    .add(p.idepth, p.sigma_idepth, 1.0 / z);
                     if depth_source == "true" && z.is_finite() {
                         p.idepth = 1.0 / z;
                     }
@@ -245,37 +241,14 @@ fn main() {
                 errors[1],
             );
             if std::env::var_os("VERBOSE").is_some() {
-                describe(&map, &truth, &finest);
+                describe(&map, &truth);
             }
         }
     }
 }
 
 /// Where false cells are: distance (in cells) of false positives to the true surface.
-fn describe(map: &monogrid_occupancy::OccupancyMap, truth: &TruthGrid, finest: &TruthGrid) {
-    let f = (truth.resolution() / finest.resolution()).round() as i32;
-    let mut fill = [[0usize; 12]; 2];
-    let mut layer = std::collections::BTreeMap::<i32, [usize; 2]>::new();
-    let mut scores = [[0usize; 12]; 2];
-    for key in truth.keys_in(Occupancy::Occupied) {
-        let Some(l) = map.log_odds_of(monogrid_occupancy::VoxelKey::new(key[0], key[1], key[2])) else { continue };
-        let mut n = 0i32;
-        for x in 0..f { for y in 0..f { for z in 0..f {
-            n += i32::from(finest.state([key[0] * f + x, key[1] * f + y, key[2] * f + z]) == Occupancy::Occupied);
-        }}}
-        let bin = ((n as f64 / (f * f) as f64) * 8.0) as usize;
-        let hit = usize::from(l > 0.0);
-        fill[hit][bin.min(11)] += 1;
-        layer.entry(key[2]).or_default()[hit] += 1;
-        scores[1][((l + 2.0) * 2.0).clamp(0.0, 11.0) as usize] += 1;
-    }
-    for key in truth.keys_in(Occupancy::Free) {
-        if let Some(l) = map.log_odds_of(monogrid_occupancy::VoxelKey::new(key[0], key[1], key[2])) {
-            scores[0][((l + 2.0) * 2.0).clamp(0.0, 11.0) as usize] += 1;
-        }
-    }
-    println!("    FN by eighths of a full layer: {:?}\n    TP {:?}\n    free scores {:?}\n    occ scores {:?}", fill[0], fill[1], scores[0], scores[1]);
-    println!("    layers [FN, TP]: {layer:?}");
+fn describe(map: &monogrid_occupancy::OccupancyMap, truth: &TruthGrid) {
     let mut histogram = [0usize; 8];
     for brick in map.bricks() {
         for key in (0..monogrid_occupancy::BRICK_CELLS).map(|i| brick.cell(i)) {

@@ -7,7 +7,7 @@ use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_slam::DepthPixel;
-use monogrid_slam::mapping::{DepthFilterConfig, KeyframeCamera, KeyframeScan};
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, MappingConfig};
 use std::path::Path;
 
 /// A recording in memory.
@@ -32,7 +32,7 @@ pub struct Recorded {
 impl Recorded {
     /// Reads a recording and finds the frame of its maps.
     pub fn read(path: &Path, align: &Align) -> Result<Self, Failure> {
-        let recording = Recording::read(path, ReadOptions { with_images: false }).bad_input()?;
+        let recording = Recording::read(path, ReadOptions::default()).bad_input()?;
         let config = RunConfig::recorded_mapping(&recording.session.config);
         let warnings = warnings(&recording, config.is_some());
         let trajectory: Vec<(i64, Se3)> = recording
@@ -67,10 +67,10 @@ impl Recorded {
     }
 
     /// What of each keyframe is mapped.
-    pub fn scans(&self, filter: &DepthFilterConfig) -> Vec<KeyframeScan> {
+    pub fn scans(&self, config: &MappingConfig) -> Vec<KeyframeScan> {
         self.keyframes
             .iter()
-            .map(|k| KeyframeScan::new(k.id, &pixels_of(k), &self.camera, filter))
+            .map(|k| KeyframeScan::new(k.id, &pixels_of(k), k.image.as_ref(), &self.camera, config))
             .collect()
     }
 

@@ -138,7 +138,7 @@ pub struct FillConfig {
     pub min_inliers_offered: usize,
     /// Planes that regions without an own one may choose from. Default 12.
     pub max_offered: usize,
-    /// Share of the outline that must lie on the plane of a region, in (0, 1]. Default 0.3.
+    /// Share of the outline that must lie on the plane of a region, in (0, 1]. Default 0.5.
     pub min_inlier_share: f64,
     /// The same for a plane that was found elsewhere. Default 0.5.
     pub min_offered_share: f64,
@@ -147,7 +147,7 @@ pub struct FillConfig {
     /// How flat surfaces are: standard deviation of the inverse depth around the plane over the inverse
     /// depth, above 0. Default 0.01.
     pub relative_sigma: f64,
-    /// Neighbouring depths whose errors count as one in the uncertainty of the fit, at least 1. Default 30.
+    /// Neighbouring depths whose errors count as one in the uncertainty of the fit, at least 1. Default 100.
     pub correlated_points: f64,
 }
 
@@ -161,11 +161,11 @@ impl Default for FillConfig {
             min_inliers: 20,
             min_inliers_offered: 8,
             max_offered: 12,
-            min_inlier_share: 0.3,
+            min_inlier_share: 0.5,
             min_offered_share: 0.5,
             max_behind_share: 0.05,
             relative_sigma: 0.01,
-            correlated_points: 30.0,
+            correlated_points: 100.0,
         }
     }
 }
@@ -184,7 +184,7 @@ pub struct MappingConfig {
     /// cell's diagonal and `buffer_sigmas` standard deviations. Default `"auto"`.
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic, above 0.861 (below, a hit is
-    /// evidence against the obstacle). Default 2.
+    /// evidence against the obstacle). Default 1.75; docs/sensor-parameters.md derives it.
     pub buffer_sigmas: f64,
     /// Form of the model `thrun`. Default `exact`.
     pub thrun_form: ThrunFormKind,
@@ -200,7 +200,8 @@ pub struct MappingConfig {
     /// How measurements are combined. Default `fused`.
     pub integration: IntegrationKind,
     /// Limits of one update, log-odds, below and above 0: a single ray must not decide. Default
-    /// -0.6 and 1.2.
+    /// -0.2 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
+    /// rest says little (docs/sensor-parameters.md).
     pub update_limits: [f64; 2],
     /// Updates smaller than this (log-odds) behind the obstacle end the ray, 0 to 1. The models stay
     /// above 1/2 far behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.6.
@@ -234,14 +235,14 @@ impl Default for MappingConfig {
             resolution: 0.05,
             sensor_model: SensorModelKind::Thrun,
             buffer: AutoLength::Auto,
-            buffer_sigmas: 2.0,
+            buffer_sigmas: 1.75,
             thrun_form: ThrunFormKind::Exact,
             significance: AutoLength::Auto,
             significance_gain: 1.0,
             andert_p_min: 0.3,
             andert_form: AndertFormKind::Monocular,
             integration: IntegrationKind::Fused,
-            update_limits: [-0.6, 1.2],
+            update_limits: [-0.2, 1.2],
             tail_log_odds: 0.6,
             clamp: [-2.0, 3.5],
             occupancy_threshold: 0.5,

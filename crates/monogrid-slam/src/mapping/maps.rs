@@ -381,7 +381,7 @@ mod tests {
                 idepth_var: 1e-4,
             })
             .collect();
-        KeyframeScan::new(id, &pixels, &CAMERA, &config().filter)
+        KeyframeScan::new(id, &pixels, None, &CAMERA, &config())
     }
 
     fn pose(x: f64) -> Sim3 {

@@ -16,8 +16,8 @@ mod maps;
 mod scan;
 
 pub use config::{
-    AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig, SensorModelKind,
-    SigmaMode, ThrunFormKind,
+    AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig,
+    SensorModelKind, SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, MapStats, Mapper, Maps, z_up_from_camera_world};

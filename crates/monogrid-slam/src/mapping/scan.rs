@@ -24,14 +24,30 @@ pub struct KeyframeScan {
     pub id: KeyframeId,
     /// Its measurements, row-major, in units of the keyframe.
     pub pixels: Vec<Measurement>,
-    /// How many of them were not measured, but filled in between ([`KeyframeScan::filled`]).
+    /// How many of them were not measured, but filled in between ([`super::fill_plain_regions`]).
     pub num_filled: usize,
 }
 
 impl KeyframeScan {
-    /// The measurements of a keyframe that pass the filter.
+    /// The measurements of a keyframe that pass the filter and, if the settings ask for it and there is
+    /// an image, depth on the plain surfaces between them.
     #[must_use]
     pub fn new(
+        id: KeyframeId,
+        pixels: &[DepthPixel],
+        image: Option<&Image<u8>>,
+        camera: &KeyframeCamera,
+        config: &MappingConfig,
+    ) -> Self {
+        let scan = Self::measured(id, pixels, camera, &config.filter);
+        match image {
+            Some(image) if config.fill.enabled => scan.filled(image, config),
+            _ => scan,
+        }
+    }
+
+    /// The measurements that pass the filter.
+    fn measured(
         id: KeyframeId,
         pixels: &[DepthPixel],
         camera: &KeyframeCamera,
@@ -62,12 +78,8 @@ impl KeyframeScan {
         }
     }
 
-    /// The same with depth on plain surfaces, if the settings ask for it.
-    #[must_use]
-    pub fn filled(mut self, image: &Image<u8>, config: &MappingConfig) -> Self {
-        if !config.fill.enabled {
-            return self;
-        }
+    /// The same with depth on plain surfaces.
+    fn filled(mut self, image: &Image<u8>, config: &MappingConfig) -> Self {
         let limit = config.filter.max_relative_sigma;
         let filled = fill_plain_regions(image, &self.pixels, limit, &config.fill);
         self.num_filled = filled.len();
@@ -214,7 +226,9 @@ mod tests {
         pixels.extend(invalid);
         pixels.extend(patch);
         let count = |config: &DepthFilterConfig| {
-            KeyframeScan::new(3, &pixels, &CAMERA, config).pixels.len()
+            KeyframeScan::measured(3, &pixels, &CAMERA, config)
+                .pixels
+                .len()
         };
         assert_eq!(count(&DepthFilterConfig::default()), 5);
         assert_eq!(count(&MappingConfig::thesis().filter), 12);
@@ -252,7 +266,7 @@ mod tests {
             })
             .map(|p| (p.x, p.y))
             .collect();
-        let scan = KeyframeScan::new(0, &pixels, &CAMERA, &config);
+        let scan = KeyframeScan::measured(0, &pixels, &CAMERA, &config);
         let found: Vec<(u16, u16)> = scan.pixels.iter().map(|p| (p.x, p.y)).collect();
         assert_eq!(found, expected);
         assert!(found.len() > 20 && found.len() < pixels.len());

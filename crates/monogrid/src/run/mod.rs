@@ -261,8 +261,14 @@ fn grow_maps(
 }
 
 fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {
-    let filter = &maps.mapper().config().filter;
-    KeyframeScan::new(keyframe.id, &keyframe.pixels, camera, filter)
+    let config = maps.mapper().config();
+    KeyframeScan::new(
+        keyframe.id,
+        &keyframe.pixels,
+        Some(&keyframe.image),
+        camera,
+        config,
+    )
 }
 
 /// The thread that tracks.

@@ -116,11 +116,7 @@ fn share_planes(
             .iter()
             .map(|plane| (border.count(plane, config), plane))
             .filter(|(count, _)| {
-                count.is_believable(
-                    config.min_inliers_offered,
-                    config.min_offered_share,
-                    config,
-                )
+                count.is_believable(config.min_inliers_offered, config.min_offered_share, config)
             })
             // the first of equal ones
             .rev()
@@ -179,3 +175,6 @@ fn fill(
     }
     filled
 }
+
+#[cfg(test)]
+mod tests;

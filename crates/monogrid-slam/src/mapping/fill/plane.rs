@@ -64,7 +64,10 @@ impl Plane {
         let row = self.row(x, y);
         let variance = row.dot(&(self.covariance * row));
         let idepth = self.coefficients.dot(&row);
-        (idepth, variance.max(0.0).sqrt().hypot(self.shared_sigma * idepth))
+        (
+            idepth,
+            variance.max(0.0).sqrt().hypot(self.shared_sigma * idepth),
+        )
     }
 
     fn row(&self, x: f64, y: f64) -> Vector3<f64> {
@@ -111,9 +114,8 @@ impl Border {
             return None;
         }
         // here nothing is seen through anything: points behind a plane do not contradict it
-        let score = |points: &[BorderPoint], plane: &Plane| {
-            count(points, plane, config).on_plane as i64
-        };
+        let score =
+            |points: &[BorderPoint], plane: &Plane| count(points, plane, config).on_plane as i64;
         let plane = best_plane(&self.points, seed, samples, score, config)?;
         self.points.retain(|point| !plane.explains(point, config));
         Some(plane)
@@ -180,8 +182,10 @@ fn best_plane(
     }
     let (_, mut plane) = best?;
     for _ in 0..2 {
-        let inliers: Vec<&BorderPoint> =
-            points.iter().filter(|p| plane.explains(p, config)).collect();
+        let inliers: Vec<&BorderPoint> = points
+            .iter()
+            .filter(|p| plane.explains(p, config))
+            .collect();
         plane = fitted(&inliers, config)?;
     }
     Some(plane)
@@ -235,8 +239,7 @@ fn fitted(points: &[&BorderPoint], config: &FillConfig) -> Option<Plane> {
     let mut right = Vector3::zeros();
     for point in points {
         let row = Vector3::new(point.x - center[0], point.y - center[1], 1.0);
-        let weight =
-            1.0 / (point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2));
+        let weight = 1.0 / (point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2));
         information += row * row.transpose() * weight;
         right += row * (weight * point.idepth);
     }

@@ -155,8 +155,8 @@ fn eroded(set: &[bool], width: usize, height: usize) -> Vec<bool> {
     let mut out = vec![false; set.len()];
     for y in 1..height.saturating_sub(1) {
         for x in 1..width.saturating_sub(1) {
-            out[y * width + x] = (y - 1..=y + 1)
-                .all(|row| (x - 1..=x + 1).all(|column| set[row * width + column]));
+            out[y * width + x] =
+                (y - 1..=y + 1).all(|row| (x - 1..=x + 1).all(|column| set[row * width + column]));
         }
     }
     out
