@@ -184,7 +184,7 @@ pub struct MappingConfig {
     /// cell's diagonal and `buffer_sigmas` standard deviations. Default `"auto"`.
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic, above 0.861 (below, a hit is
-    /// evidence against the obstacle). Default 1.75; docs/sensor-parameters.md derives it.
+    /// evidence against the obstacle). Default 2.25; docs/sensor-parameters.md derives it.
     pub buffer_sigmas: f64,
     /// Form of the model `thrun`. Default `exact`.
     pub thrun_form: ThrunFormKind,
@@ -235,7 +235,7 @@ impl Default for MappingConfig {
             resolution: 0.05,
             sensor_model: SensorModelKind::Thrun,
             buffer: AutoLength::Auto,
-            buffer_sigmas: 1.75,
+            buffer_sigmas: 2.25,
             thrun_form: ThrunFormKind::Exact,
             significance: AutoLength::Auto,
             significance_gain: 1.0,
