@@ -170,6 +170,77 @@ impl Default for FillConfig {
     }
 }
 
+impl FillConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        let share = |value: f64| value > 0.0 && value <= 1.0;
+        let positive = |value: f64| value > 0.0 && value.is_finite();
+        let checks = [
+            (
+                "mapping.fill.max_gradient",
+                self.max_gradient,
+                positive(self.max_gradient),
+                "above 0",
+            ),
+            (
+                "mapping.fill.min_area_px",
+                self.min_area_px as f64,
+                self.min_area_px >= 1,
+                "at least 1",
+            ),
+            (
+                "mapping.fill.samples",
+                self.samples as f64,
+                self.samples >= 1,
+                "at least 1",
+            ),
+            (
+                "mapping.fill.min_inliers",
+                self.min_inliers as f64,
+                self.min_inliers >= 3,
+                "at least 3",
+            ),
+            (
+                "mapping.fill.min_inlier_share",
+                self.min_inlier_share,
+                share(self.min_inlier_share),
+                "0 to 1, above 0",
+            ),
+            (
+                "mapping.fill.min_offered_share",
+                self.min_offered_share,
+                share(self.min_offered_share),
+                "0 to 1, above 0",
+            ),
+            (
+                "mapping.fill.max_behind_share",
+                self.max_behind_share,
+                (0.0..1.0).contains(&self.max_behind_share),
+                "0 to 1, below 1",
+            ),
+            (
+                "mapping.fill.relative_sigma",
+                self.relative_sigma,
+                positive(self.relative_sigma),
+                "above 0",
+            ),
+            (
+                "mapping.fill.correlated_points",
+                self.correlated_points,
+                self.correlated_points >= 1.0 && self.correlated_points.is_finite(),
+                "at least 1",
+            ),
+        ];
+        match checks.into_iter().find(|(_, _, is_allowed, _)| !is_allowed) {
+            None => Ok(()),
+            Some((name, value, _, allowed)) => Err(ConfigError {
+                name,
+                value,
+                allowed,
+            }),
+        }
+    }
+}
+
 /// Settings of [`crate::mapping`].
 ///
 /// Lengths are in map units: metres where the scale is known.
@@ -361,6 +432,7 @@ impl MappingConfig {
             "mapping.filter.max_relative_sigma",
             self.filter.max_relative_sigma,
         )?;
+        self.fill.validate()?;
         let support = self.filter.min_support;
         check(
             "mapping.filter.min_support",
@@ -450,6 +522,10 @@ mod tests {
         config.buffer = AutoLength::Fixed(-1.0);
         assert_eq!(config.validate().unwrap_err().name, "mapping.buffer");
         config.buffer = AutoLength::Auto;
+        config.fill.correlated_points = 0.0;
+        let name = config.validate().unwrap_err().name;
+        assert_eq!(name, "mapping.fill.correlated_points");
+        config.fill.correlated_points = 1.0;
         config.update_limits = [0.1, 1.0];
         assert_eq!(config.validate().unwrap_err().name, "mapping.update_limits");
     }
