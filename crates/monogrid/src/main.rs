@@ -8,6 +8,7 @@
 mod cli;
 mod commands;
 mod config;
+mod curves;
 mod failure;
 mod input;
 mod mapfile;

@@ -7,9 +7,9 @@ use crate::config::Profile;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::Input;
 use crate::output::write_atomically;
-use crate::recorded::Recorded;
 use crate::run::align::Align;
 use crate::sweep::build::Job;
+use crate::sweep::inputs::{Named, file_stamp, orders, prepare_folder, read_recordings};
 use crate::sweep::page::{self, Lead, truth_slice_file};
 use crate::sweep::pictures::{PictureOrders, truth_slice};
 use crate::sweep::plan::{self, Entry, RESOLUTIONS};
@@ -74,9 +74,6 @@ struct SweepReport {
     warnings: Vec<String>,
 }
 
-/// File that marks a folder as ours.
-const MARKER: &str = "sweep.json";
-
 /// Carries out the sweep and writes the page.
 pub fn execute(args: &SweepArgs) -> CommandResult {
     let begin = Instant::now();
@@ -85,9 +82,9 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
     let mut resolutions = args.resolutions.clone();
     resolutions.sort_by(f64::total_cmp);
     resolutions.dedup();
-    let recordings = read_recordings(args, &align)?;
+    let recordings = read_recordings(&args.recordings, &align)?;
     let finest_truth = args.truth.as_deref().map(load_truth).transpose()?;
-    prepare_folder(args, &recordings)?;
+    prepare_folder(&args.out, &recordings)?;
     let orders = orders(&recordings, finest_truth.as_ref(), &resolutions);
     let resources = Resources {
         workers,
@@ -113,92 +110,6 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
         }
     }
     conclude(args, &results, &recordings, &orders, begin)
-}
-
-/// A recording and its name in the output.
-struct Named {
-    name: String,
-    path: PathBuf,
-    recorded: Recorded,
-}
-
-fn read_recordings(args: &SweepArgs, align: &Align) -> Result<Vec<Named>, Failure> {
-    let mut named: Vec<Named> = Vec::new();
-    for path in &args.recordings {
-        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
-        let folder = std::path::absolute(path)
-            .ok()
-            .and_then(|p| Some(p.parent()?.file_name()?.to_string_lossy().into_owned()));
-        // every run calls its recording the same
-        let name = match (stem.as_deref(), folder) {
-            (Some("recording") | None, Some(folder)) => folder,
-            (stem, _) => stem.unwrap_or("recording").to_owned(),
-        };
-        if named.iter().any(|other| other.name == name) {
-            return Err(Failure::input(format!(
-                "two recordings are called {name}: give them different file names"
-            )));
-        }
-        named.push(Named {
-            recorded: Recorded::read(path, align)?,
-            name,
-            path: path.clone(),
-        });
-    }
-    Ok(named)
-}
-
-fn prepare_folder(args: &SweepArgs, recordings: &[Named]) -> Result<(), Failure> {
-    let out = &args.out;
-    let is_used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-    if is_used && !out.join(MARKER).is_file() {
-        return Err(Failure::input(format!(
-            "output folder {} exists and holds no sweep; choose another with --out",
-            out.display()
-        )));
-    }
-    let folders = recordings.iter().map(|r| out.join(&r.name));
-    for folder in folders.chain([out.join("truth")]) {
-        std::fs::create_dir_all(&folder).map_err(|error| {
-            Failure::input(format!("{} cannot be written: {error}", folder.display()))
-        })?;
-    }
-    let names: Vec<&str> = recordings.iter().map(|r| r.name.as_str()).collect();
-    let marker = serde_json::json!({ "recordings": names }).to_string();
-    write_atomically(&out.join(MARKER), |file| file.write_all(marker.as_bytes()))
-}
-
-/// The part of the world that pictures show: what is true to be free, or where the cameras were.
-fn orders(recordings: &[Named], truth: Option<&TruthGrid>, resolutions: &[f64]) -> PictureOrders {
-    /// Around the cameras, where there is no truth.
-    const AROUND: f64 = 3.0;
-    // the thesis shows maps of 16 mm
-    let distance = |r: &f64| (r.ln() - 0.016_f64.ln()).abs();
-    let nearest = resolutions
-        .iter()
-        .copied()
-        .min_by(|a, b| distance(a).total_cmp(&distance(b)));
-    let (low, high) = match truth {
-        Some(truth) => {
-            let first = truth.center(truth.first_key());
-            let edges = truth.size().map(|n| n as f64 * truth.resolution());
-            (first, std::array::from_fn(|a| first[a] + edges[a]))
-        }
-        None => {
-            let views = recordings.iter().flat_map(|r| r.recorded.views());
-            let mut low = [f64::INFINITY; 3];
-            let mut high = [f64::NEG_INFINITY; 3];
-            for view in views {
-                for axis in 0..3 {
-                    let center = view.world_from_camera.translation[axis];
-                    low[axis] = low[axis].min(center - AROUND);
-                    high[axis] = high[axis].max(center + AROUND);
-                }
-            }
-            (low, high)
-        }
-    };
-    PictureOrders::new(low, high, nearest.unwrap_or(0.016))
 }
 
 /// What all recordings of a sweep share.
@@ -334,18 +245,6 @@ fn at_least_as_coarse(view: &TruthGrid, resolution: f64) -> Result<TruthGrid, Fa
     let factor = (resolution / view.resolution()).round().max(1.0);
     view.coarsened(factor as u32)
         .while_running("no view can be made")
-}
-
-/// Name, length and time of change of a file.
-fn file_stamp(path: &Path) -> Result<String, Failure> {
-    let metadata = std::fs::metadata(path)
-        .map_err(|error| Failure::input(format!("{} cannot be read: {error}", path.display())))?;
-    let changed = metadata
-        .modified()
-        .ok()
-        .and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok())
-        .map_or(0, |since| since.as_nanos());
-    Ok(format!("{} {} {changed}; ", path.display(), metadata.len()))
 }
 
 fn rates(

@@ -128,7 +128,7 @@ mod tests {
         let picture = slice(&map(), &window, 1);
         assert_eq!((picture.width(), picture.height()), (12, 12));
         // cell (5, 0): columns 10 and 11, second row from below
-        assert_eq!(picture.at(11, 9), 247);
+        assert_eq!(picture.at(11, 9), 248);
         assert_eq!(picture.at(11, 11), UNKNOWN_GREY);
         assert_eq!(picture.at(0, 9), 30);
         assert_eq!(picture.at(0, 0), UNKNOWN_GREY);

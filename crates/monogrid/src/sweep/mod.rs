@@ -7,6 +7,7 @@
 
 pub mod build;
 pub mod figures;
+pub mod inputs;
 pub mod page;
 pub mod pictures;
 pub mod plan;

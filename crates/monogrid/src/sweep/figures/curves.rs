@@ -1,198 +1,12 @@
-//! The figures of a sweep.
+//! Distributions of probabilities, growth of memory, scores over parameters.
 
-use super::plan::{BUFFERS, Model, SIGNIFICANCES, usual_models};
-use super::record::{MapRecord, PolicyScores, Scores};
-use super::result::{RecordingResult, andert_models, thrun_models};
-use super::tables::{Score, mm};
-use super::thesis;
-use crate::report::svg::{COLOURS, Plot, Series};
-
-/// A named group of plots that belong together.
-#[derive(Debug)]
-pub struct Figure {
-    /// Start of the names of its files.
-    pub file: &'static str,
-    /// Title.
-    pub title: String,
-    /// What the reader must know.
-    pub note: String,
-    /// The plots.
-    pub plots: Vec<Plot>,
-}
-
-/// Which cells a ROC curve counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RocPolicy {
-    /// Cells whose truth is known: probably the thesis' way.
-    Known,
-    /// Observed cells.
-    Observed,
-}
-
-impl RocPolicy {
-    fn of(self, scores: &Scores) -> &PolicyScores {
-        match self {
-            Self::Known => &scores.known,
-            Self::Observed => &scores.observed,
-        }
-    }
-
-    fn words(self) -> &'static str {
-        match self {
-            Self::Known => "all cells whose truth is known, unobserved ones at 0.5",
-            Self::Observed => "observed cells",
-        }
-    }
-}
-
-fn roc_panel(title: String, curves: Vec<(String, &'static str, bool, &PolicyScores)>) -> Plot {
-    let mut series = vec![Series {
-        name: String::new(),
-        colour: "#bbbbbb",
-        points: vec![[0.0, 0.0], [1.0, 1.0]],
-        is_dashed: true,
-    }];
-    for (name, colour, is_dashed, scores) in curves {
-        // completed with the corners, as the area is
-        let mut points = vec![[1.0, 1.0]];
-        points.extend(&scores.roc);
-        points.push([0.0, 0.0]);
-        series.push(Series {
-            name: format!("{name}: {:.3}", scores.auc_26),
-            colour,
-            points,
-            is_dashed,
-        });
-    }
-    Plot {
-        title,
-        x_label: "false positive rate".into(),
-        y_label: "true positive rate".into(),
-        series,
-        ranges: Some([[0.0, 1.0], [0.0, 1.0]]),
-        is_panel: true,
-        ..Plot::default()
-    }
-}
-
-/// Figures 6.13 and 6.14: one panel per resolution, one curve per value.
-pub fn roc_over_parameter(result: &RecordingResult, is_thrun: bool, policy: RocPolicy) -> Figure {
-    let (models, number, family) = if is_thrun {
-        (thrun_models(), "6.13", "Thrun")
-    } else {
-        (andert_models(), "6.14", "Andert")
-    };
-    let plots = result
-        .resolutions
-        .iter()
-        .map(|&resolution| {
-            let curves = models
-                .iter()
-                .enumerate()
-                .filter_map(|(i, model)| {
-                    let scores = policy.of(result.scores(*model, resolution)?);
-                    Some((model.label(), COLOURS[i], false, scores))
-                })
-                .collect();
-            roc_panel(mm(resolution), curves)
-        })
-        .collect();
-    Figure {
-        file: match (is_thrun, policy) {
-            (true, RocPolicy::Known) => "figure-6.13-roc-thrun",
-            (true, RocPolicy::Observed) => "figure-6.13-roc-observed-thrun",
-            (false, RocPolicy::Known) => "figure-6.14-roc-andert",
-            (false, RocPolicy::Observed) => "figure-6.14-roc-observed-andert",
-        },
-        title: format!("ROC curves, {family} (Figure {number}): {}", result.name),
-        note: format!(
-            "Counted: {}. The area under each curve stands beside its value.",
-            policy.words()
-        ),
-        plots,
-    }
-}
-
-/// Figure 6.16: two values of L with the same area and different curves, at the finest resolution.
-pub fn roc_of_equal_area(result: &RecordingResult) -> Option<Figure> {
-    let resolution = *result.resolutions.first()?;
-    let curves: Vec<(Model, &PolicyScores)> = thrun_models()
-        .into_iter()
-        .filter_map(|model| Some((model, &result.scores(model, resolution)?.known)))
-        .collect();
-    // the most alike in area among those that are at least three values apart
-    let mut pairs: Vec<(usize, usize)> = (0..curves.len())
-        .flat_map(|i| (i + 3..curves.len()).map(move |j| (i, j)))
-        .collect();
-    let gap = |&(i, j): &(usize, usize)| (curves[i].1.auc_26 - curves[j].1.auc_26).abs();
-    pairs.sort_by(|a, b| gap(a).total_cmp(&gap(b)));
-    let &(i, j) = pairs.first()?;
-    let curve = |index: usize, colour| {
-        let (model, scores) = curves[index];
-        (model.label(), colour, false, scores)
-    };
-    Some(Figure {
-        file: "figure-6.16-roc-equal-area",
-        title: format!(
-            "Two values of L with nearly the same area (Figure 6.16): {}",
-            result.name
-        ),
-        note: "The thesis: L = 0.3 and 1.0 at 8 mm, both 0.85. The area alone does not choose \
-               between them."
-            .to_owned(),
-        plots: vec![roc_panel(
-            mm(resolution),
-            vec![curve(i, "#1f9e77"), curve(j, "#c7372f")],
-        )],
-    })
-}
-
-/// Figure 6.17: the best of both models against each other, with the ideal model and ours.
-pub fn roc_of_best(result: &RecordingResult, policy: RocPolicy) -> Figure {
-    let score: fn(&Scores) -> f64 = match policy {
-        RocPolicy::Known => |scores| Score::AucKnown.of(scores),
-        RocPolicy::Observed => |scores| Score::AucObserved.of(scores),
-    };
-    let plots = result
-        .resolutions
-        .iter()
-        .map(|&resolution| {
-            let named = [
-                (
-                    "Thrun",
-                    "#2a6fbb",
-                    result.best(&thrun_models(), resolution, score),
-                ),
-                (
-                    "Andert",
-                    "#c7372f",
-                    result.best(&andert_models(), resolution, score),
-                ),
-                ("", "#888888", Some(Model::Ideal)),
-                ("", "#1f9e77", Some(Model::Automatic)),
-            ];
-            let curves = named
-                .into_iter()
-                .filter_map(|(name, colour, model)| {
-                    let model = model?;
-                    let scores = policy.of(result.scores(model, resolution)?);
-                    let label = format!("{name} {}", model.label());
-                    Some((label.trim().to_owned(), colour, false, scores))
-                })
-                .collect();
-            roc_panel(mm(resolution), curves)
-        })
-        .collect();
-    Figure {
-        file: match policy {
-            RocPolicy::Known => "figure-6.17-roc-best",
-            RocPolicy::Observed => "figure-6.17-roc-observed-best",
-        },
-        title: format!("The best of each model (Figure 6.17): {}", result.name),
-        note: format!("Counted: {}.", policy.words()),
-        plots,
-    }
-}
+use super::Figure;
+use crate::report::svg::{Plot, Series};
+use crate::sweep::plan::{BUFFERS, SIGNIFICANCES, usual_models};
+use crate::sweep::record::{Growth, MapRecord, Scores};
+use crate::sweep::result::{RecordingResult, andert_models, thrun_models};
+use crate::sweep::tables::{Score, mm};
+use crate::sweep::thesis;
 
 /// Share of cells per bin of probability, as log10, with unobserved cells at 0.5 as in the thesis.
 fn distribution(records: &[&MapRecord]) -> Option<Vec<[f64; 2]>> {
@@ -301,7 +115,7 @@ pub fn growth(result: &RecordingResult) -> Figure {
                 else {
                     continue;
                 };
-                let points = |bytes: &dyn Fn(&super::record::Growth) -> Option<usize>| {
+                let points = |bytes: &dyn Fn(&Growth) -> Option<usize>| {
                     built
                         .growth
                         .iter()
@@ -407,20 +221,4 @@ pub fn score_over_parameter(result: &RecordingResult, is_thrun: bool) -> Figure 
         note: "Dashed: the thesis, another room and another SLAM.".to_owned(),
         plots,
     }
-}
-
-/// All figures of a recording that were compared with a truth.
-pub fn compared(result: &RecordingResult) -> Vec<Figure> {
-    let mut figures = vec![
-        score_over_parameter(result, true),
-        score_over_parameter(result, false),
-    ];
-    for policy in [RocPolicy::Known, RocPolicy::Observed] {
-        figures.push(roc_over_parameter(result, true, policy));
-        figures.push(roc_over_parameter(result, false, policy));
-        figures.push(roc_of_best(result, policy));
-    }
-    figures.extend(roc_of_equal_area(result));
-    figures.extend(distributions(result));
-    figures
 }
