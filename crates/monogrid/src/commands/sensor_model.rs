@@ -6,10 +6,9 @@ use crate::curves::{Figure, curve, figure, plot, thesis_figures, thrun_forms};
 use crate::failure::{CommandResult, Failure, Outcome};
 use crate::output::write_atomically;
 use crate::report::Page;
-use crate::report::svg::{COLOURS, Plot, number};
+use crate::report::svg::{COLOURS, number};
 use clap::{Args, ValueEnum};
 use monogrid_occupancy::{AndertForm, Buffer, SensorModel, Significance, ThrunForm};
-use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -81,7 +80,7 @@ pub fn execute(args: &SensorModelArgs) -> CommandResult {
             write_atomically(&file, |out| out.write_all(text.as_bytes()))
         };
         write("svg", figure.plot.file())?;
-        write("csv", csv(&figure.plot))?;
+        write("csv", figure.plot.csv())?;
         page.plot(&figure.plot);
         page.note(&figure.note);
     }
@@ -138,46 +137,4 @@ fn chosen(args: &SensorModelArgs, model: CurveModel) -> Result<Figure, Failure> 
         &format!("{sensor:?}"),
         plot("The chosen model", series, 2.0 * farthest),
     ))
-}
-
-/// One line per range: the value of each curve.
-fn csv(plot: &Plot) -> String {
-    let mut text = plot.x_label.replace(',', "");
-    for series in &plot.series {
-        let name = if series.name.is_empty() {
-            "value"
-        } else {
-            &series.name
-        };
-        let _ = write!(text, ",{}", name.replace(',', ""));
-    }
-    text.push('\n');
-    let rows = plot
-        .series
-        .iter()
-        .map(|s| s.points.len())
-        .min()
-        .unwrap_or(0);
-    for row in 0..rows {
-        let _ = write!(text, "{:.5}", plot.series[0].points[row][0]);
-        for series in &plot.series {
-            let _ = write!(text, ",{:.6}", series.points[row][1]);
-        }
-        text.push('\n');
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::curves::POINTS;
-
-    #[test]
-    fn tables_have_one_column_per_curve() {
-        let figure = &thesis_figures()[4];
-        let text = csv(&figure.plot);
-        assert_eq!(text.lines().count(), POINTS + 1);
-        assert!(text.lines().all(|line| line.split(',').count() == 6));
-    }
 }

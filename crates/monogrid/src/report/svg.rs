@@ -76,6 +76,18 @@ impl Plot {
         )
     }
 
+    /// The points of all curves: one line each.
+    pub fn csv(&self) -> String {
+        let plain = |text: &str| text.replace([',', '"'], "");
+        let mut text = format!("curve,{},{}\n", plain(&self.x_label), plain(&self.y_label));
+        for series in &self.series {
+            for [x, y] in &series.points {
+                let _ = writeln!(text, "{},{x:.6},{y:.6}", plain(&series.name));
+            }
+        }
+        text
+    }
+
     /// The plot as an `<svg>` element.
     pub fn render(&self) -> String {
         let [width, height] = self.size();
@@ -313,7 +325,9 @@ mod tests {
         assert_eq!(line.matches('M').count(), 2);
         assert_eq!(line.matches('L').count(), 1);
         assert!(gap.contains("a &lt; b") && gap.contains("stroke-dasharray"));
-        let file = plot(vec![[0.0, 1.0]]).file();
+        let one_point = plot(vec![[0.0, 1.0]]);
+        assert_eq!(one_point.csv(), "curve,x,y\ns,0.000000,1.000000\n");
+        let file = one_point.file();
         assert!(file.starts_with("<svg xmlns=") && file.contains("><style>svg .title"));
         for points in [vec![], vec![[1.0, 1.0]], vec![[f64::INFINITY, 0.0]]] {
             let svg = plot(points).render();

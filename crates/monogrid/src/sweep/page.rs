@@ -1,4 +1,5 @@
-//! What a sweep leaves for people: tables as CSV, figures as SVG, and one page that holds everything.
+//! What a sweep leaves for people: tables as CSV and Markdown, figures as SVG with their points as CSV,
+//! and one page that holds everything.
 
 use super::figures::{self, Figure};
 use super::pictures::{AFTER_ONE, AFTER_SEVERAL, LIKELY, PictureOrders};
@@ -23,7 +24,7 @@ pub struct Lead {
     pub warnings: Vec<String>,
 }
 
-/// Writes `*.csv`, `*.svg` and `sweep.html` into `out`.
+/// Writes `*.csv`, `*.svg`, `tables.md` and `sweep.html` into `out`.
 pub fn write(
     out: &Path,
     lead: &Lead,
@@ -36,18 +37,24 @@ pub fn write(
     }
     page.facts(&lead.facts);
     page.heading("Data sets");
-    let writer = Writer { out };
+    let mut writer = Writer {
+        out,
+        markdown: String::new(),
+    };
     writer.table(&mut page, "", &tables::data_sets(results))?;
     writer.file("maps.csv", tables::all_maps_csv(results).as_bytes())?;
     for result in results {
         writer.recording(&mut page, result, orders)?;
     }
+    writer.file("tables.md", writer.markdown.as_bytes())?;
     let html = page.finish("Sweep over sensor models and resolutions", &lead.text);
     writer.file("sweep.html", html.as_bytes())
 }
 
 struct Writer<'a> {
     out: &'a Path,
+    /// All tables, for pages such as a project's documentation.
+    markdown: String,
 }
 
 impl Writer<'_> {
@@ -56,7 +63,7 @@ impl Writer<'_> {
     }
 
     fn recording(
-        &self,
+        &mut self,
         page: &mut Page,
         result: &RecordingResult,
         orders: &PictureOrders,
@@ -90,11 +97,12 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn table(&self, page: &mut Page, folder: &str, table: &Table) -> Result<(), Failure> {
+    fn table(&mut self, page: &mut Page, folder: &str, table: &Table) -> Result<(), Failure> {
         self.file(
             &format!("{folder}{}.csv", table.file),
             table.csv().as_bytes(),
         )?;
+        self.markdown.push_str(&table.markdown());
         page.subheading(&table.title);
         page.number_table(&table.header, &table.rows);
         page.note(&table.note);
@@ -108,8 +116,9 @@ impl Writer<'_> {
                 .chars()
                 .filter(|c| c.is_ascii_alphanumeric() || *c == '.')
                 .collect();
-            let name = format!("{folder}{}-{panel}.svg", figure.file);
-            self.file(&name, plot.file().as_bytes())?;
+            let name = format!("{folder}{}-{panel}", figure.file);
+            self.file(&format!("{name}.svg"), plot.file().as_bytes())?;
+            self.file(&format!("{name}.csv"), plot.csv().as_bytes())?;
         }
         page.subheading(&figure.title);
         page.panels(&figure.plots);

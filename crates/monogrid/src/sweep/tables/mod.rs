@@ -36,6 +36,26 @@ impl Table {
         }
         text
     }
+
+    /// A section of a Markdown page; the best of each column is bold.
+    pub fn markdown(&self) -> String {
+        let row = |cells: &[String]| {
+            let cells: Vec<String> = cells
+                .iter()
+                .map(|cell| match cell.strip_prefix('*') {
+                    Some(best) => format!("**{best}**"),
+                    None => cell.replace('|', "\\|"),
+                })
+                .collect();
+            format!("| {} |\n", cells.join(" | "))
+        };
+        let mut text = format!("### {}\n\n{}\n\n", self.title, self.note);
+        text.push_str(&row(&self.header));
+        text.push_str(&format!("{}|\n", "|---".repeat(self.header.len())));
+        text.extend(self.rows.iter().map(|cells| row(cells)));
+        text.push('\n');
+        text
+    }
 }
 
 fn csv_cell(cell: &str) -> String {
@@ -66,5 +86,26 @@ fn model_name(model: Model) -> String {
         Model::Thrun(l) => format!("Thrun, L = {l}"),
         Model::Andert(k) => format!("Andert, k = {k}"),
         Model::Automatic => "ours, automatic".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_written_as_csv_and_as_markdown() {
+        let table = Table {
+            file: "t",
+            title: "Title".into(),
+            note: "Note.".into(),
+            header: headings("a", &["b"]),
+            rows: vec![vec!["*1".into(), "x, \"y\" | z".into()]],
+        };
+        assert_eq!(table.csv(), "a,b\n1,\"x, \"\"y\"\" | z\"\n");
+        assert_eq!(
+            table.markdown(),
+            "### Title\n\nNote.\n\n| a | b |\n|---|---|\n| **1** | x, \"y\" \\| z |\n\n"
+        );
     }
 }
