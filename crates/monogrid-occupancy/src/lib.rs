@@ -36,6 +36,7 @@ mod evidence;
 mod integrate;
 mod io;
 mod key;
+mod keyframes;
 mod likelihood;
 mod map;
 mod octree;
@@ -54,6 +55,7 @@ pub use io::{
     write_pcd, write_ply,
 };
 pub use key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
+pub use keyframes::{KeyframeChange, KeyframeMap};
 pub use map::{MapConfig, OccupancyMap};
 pub use octree::Leaf;
 pub use query::cast::{RayHit, UnknownCells};

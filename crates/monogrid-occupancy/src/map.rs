@@ -149,6 +149,16 @@ impl OccupancyMap {
             .map_or(BrickRef::Uniform(UNKNOWN), |slot| shard.contents(slot))
     }
 
+    /// The payload of a brick that has one.
+    #[inline]
+    pub(crate) fn payload(&self, key: BrickKey) -> Option<&[i16; BRICK_CELLS]> {
+        let packed = key.pack();
+        match self.brick(key) {
+            BrickRef::Uniform(_) => None,
+            BrickRef::Mixed(payload) => Some(self.shards[shard_of(hash(packed))].payload(payload)),
+        }
+    }
+
     /// Evidence of the 512 cells of a brick.
     pub(crate) fn brick_values(&self, key: BrickKey) -> [i16; BRICK_CELLS] {
         let packed = key.pack();

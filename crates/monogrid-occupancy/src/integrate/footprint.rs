@@ -109,6 +109,21 @@ impl<'a> Footprints<'a> {
         })
     }
 
+    /// [`Footprints::block_evidence`] without vectors.
+    #[cfg(test)]
+    pub(crate) fn block_evidence_scalar(
+        &self,
+        center: [f32; 3],
+        weights: &Weights,
+    ) -> [i16; BLOCK_CELLS] {
+        match &self.images.images[..] {
+            [image] => self
+                .kernel(0)
+                .block_scalar(&self.block(image, center), weights),
+            _ => self.block_evidence(center, weights),
+        }
+    }
+
     fn kernel(&self, index: usize) -> Kernel<'_> {
         Kernel {
             image: &self.kernel_images[index],

@@ -61,6 +61,24 @@ pub(crate) fn integrate_fused(
     })
 }
 
+/// Packed keys of the bricks that a scan can change, in no order.
+pub(crate) fn bricks_seen(
+    map: &OccupancyMap,
+    scan: &Scan,
+    config: &IntegrationConfig,
+    threads: usize,
+) -> Result<Vec<u64>, MapError> {
+    origin_in_cells(map, scan)?;
+    let images = RangeImages::new(scan, config, map.resolution())?;
+    let footprints = Footprints::new(&images, config.max_range, map.resolution());
+    let search = Search {
+        footprints: &footprints,
+        resolution: map.resolution(),
+    };
+    let tasks = search.tasks(threads, None);
+    Ok(tasks.into_iter().flatten().map(|task| task.0).collect())
+}
+
 /// Fails before anything is changed if the scan could exceed the memory budget.
 fn check_budget(
     map: &OccupancyMap,
@@ -269,5 +287,148 @@ impl Writer<'_> {
             }
         }
         updates
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::MapConfig;
+    use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
+
+    /// A rough room around the sensor, in all directions or within 75 degrees of forward.
+    fn scan_points(everywhere: bool, seed: u64, count: usize) -> Vec<[f32; 3]> {
+        let mut state = seed;
+        let mut unit = move || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 40) as f32 / (1 << 24) as f32
+        };
+        (0..count)
+            .map(|_| {
+                let (u, v) = (unit() * 1.6 - 0.8, unit() * 1.2 - 0.6);
+                let direction = if everywhere {
+                    [unit() - 0.5, unit() - 0.5, unit() - 0.5]
+                } else {
+                    [u, v, 1.0]
+                };
+                let norm = direction.iter().map(|c| c * c).sum::<f32>().sqrt();
+                let side = direction.iter().fold(0.0_f32, |m, c| m.max(c.abs())) / norm;
+                let range = (if u > 0.1 { 1.4 } else { 0.9 }) / side + 0.02 * unit();
+                direction.map(|c| c / norm * range)
+            })
+            .collect()
+    }
+
+    /// Every cell around the sensor on its own: no search, no free bricks, no vectors.
+    fn cell_by_cell(map: &mut OccupancyMap, scan: &Scan, config: &IntegrationConfig) {
+        let resolution = map.resolution();
+        let images = RangeImages::new(scan, config, resolution).unwrap();
+        let footprints = Footprints::new(&images, config.max_range, resolution);
+        let reach = (3.0 / resolution / 8.0).ceil() as i32;
+        for x in -reach..reach {
+            for y in -reach..reach {
+                for z in -reach..reach {
+                    let brick = BrickKey::new(x, y, z);
+                    let center = relative_center(brick, 4.0, resolution, images.origin);
+                    let weights = footprints.weights(center);
+                    for octant in 0..8_usize {
+                        let side = [octant & 1, octant >> 1 & 1, octant >> 2];
+                        let cell = footprints.resolution;
+                        let middle = std::array::from_fn(|i| {
+                            center[i] + (side[i] as f32 * 4.0 - 2.0) * cell
+                        });
+                        let block = footprints.block_evidence_scalar(middle, &weights);
+                        for (i, update) in block.into_iter().enumerate().filter(|b| b.1 != 0) {
+                            let at = [i & 3, i >> 2 & 3, i >> 4];
+                            let index: usize =
+                                (0..3).map(|a| (side[a] * 4 + at[a]) << (3 * a)).sum();
+                            let key = brick.cell(index);
+                            let value = map.limits.updated(map.evidence(key), update);
+                            let log_odds = crate::evidence::log_odds_from_evidence(value);
+                            map.set_log_odds(key, Some(log_odds)).unwrap();
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_search_the_free_bricks_and_the_threads_change_nothing() {
+        for (everywhere, resolution) in [(false, 0.05), (false, 0.13), (true, 0.07), (true, 0.2)] {
+            for max_range in [100.0, 0.8] {
+                let config = IntegrationConfig {
+                    max_range,
+                    ..IntegrationConfig::default()
+                };
+                let maps = [0, 1, 2, 3].map(|threads| {
+                    let mut map =
+                        OccupancyMap::new(MapConfig::with_resolution(resolution)).unwrap();
+                    for id in 0..2 {
+                        let points = scan_points(everywhere, u64::from(id) + 5, 4000);
+                        let (sin, cos) = (0.4 * f64::from(id + 1)).sin_cos();
+                        let scan = Scan {
+                            id,
+                            world_from_sensor: Similarity {
+                                scale: 1.0,
+                                rotation: [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]],
+                                translation: [0.11, -0.2, 0.3 * f64::from(id)],
+                            },
+                            pose_sigma: PoseSigma::default(),
+                            data: ScanData::Points(PointScan {
+                                points: &points,
+                                sigmas: &[0.02],
+                            }),
+                        };
+                        if threads == 0 {
+                            cell_by_cell(&mut map, &scan, &config);
+                        } else {
+                            integrate_fused(&mut map, &scan, &config, threads, None).unwrap();
+                        }
+                    }
+                    map
+                });
+                assert!(maps[0].cells().count() > 100);
+                for map in &maps[1..] {
+                    assert!(*map == maps[0], "{everywhere} {resolution} {max_range}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_wall_is_free_in_front_occupied_at_it_and_unknown_behind() {
+        let mut points = Vec::new();
+        for i in -60..=60_i16 {
+            for j in -60..=60_i16 {
+                points.push([f32::from(i) / 60.0, f32::from(j) / 60.0, 1.0].map(|c| c * 2.0));
+            }
+        }
+        let scan = Scan {
+            id: 0,
+            world_from_sensor: Similarity::IDENTITY,
+            pose_sigma: PoseSigma::default(),
+            data: ScanData::Points(PointScan {
+                points: &points,
+                sigmas: &[0.01],
+            }),
+        };
+        let config = IntegrationConfig::default();
+        let mut map = OccupancyMap::new(MapConfig::with_resolution(0.04)).unwrap();
+        integrate_fused(&mut map, &scan, &config, 1, None).unwrap();
+        for cell in map.cells() {
+            let [x, y, z] = cell.key.center(0.04);
+            assert!(z < 2.2 && x.abs() < 1.2 * z + 0.1 && y.abs() < 1.2 * z + 0.1);
+            if z < 1.9 {
+                // One update: between once and twice the limit of one measurement.
+                assert!((-0.81..=-0.39).contains(&cell.log_odds), "{cell:?}");
+            }
+            if (1.98..2.02).contains(&z) && x.abs().max(y.abs()) < 0.5 {
+                assert!(cell.log_odds > 0.0, "{cell:?}");
+            }
+        }
+        assert!(map.cells().count() > 20_000);
     }
 }

@@ -18,6 +18,10 @@ pub(crate) const EIGHT_SAMPLES: [[f32; 2]; 8] = [
 /// Samples in a footprint of two to ten pixels.
 pub(crate) const FOUR_SAMPLES: [[f32; 2]; 4] =
     [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
+/// In a footprint of several samples, one for an obstacle counts `1 + 2^HIT_GAIN` times: a coarse
+/// cell is occupied if anything in it is, and free only if all of it is. Measured on the room of
+/// the benchmark, see BENCHMARKS.md.
+pub(crate) const HIT_GAIN: i32 = 1;
 /// Footprints up to this wide take the nearest pixel alone.
 pub(crate) const SINGLE_SAMPLE_PX: f32 = 1.5;
 /// Footprints up to this wide take four samples.
@@ -146,8 +150,9 @@ impl Kernel<'_> {
     #[inline]
     fn sum(&self, samples: &[[f32; 2]], [u, v]: [f32; 2], width: f32, range: f32) -> (i32, usize) {
         samples.iter().fold((0, 0), |(sum, hits), [du, dv]| {
-            let sample = self.sample(u + du * width, v + dv * width, range);
-            (sum + i32::from(sample), hits + usize::from(sample != 0))
+            let sample = i32::from(self.sample(u + du * width, v + dv * width, range));
+            let gained = sample + (sample.max(0) << HIT_GAIN);
+            (sum + gained, hits + usize::from(sample != 0))
         })
     }
 

@@ -11,8 +11,8 @@
 use std::arch::x86_64::*;
 
 use super::kernel::{
-    BLOCK_CELLS, Block, EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, Kernel, SINGLE_SAMPLE_PX,
-    Weights,
+    BLOCK_CELLS, Block, EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, HIT_GAIN, Kernel,
+    SINGLE_SAMPLE_PX, Weights,
 };
 
 /// Evidence for the cells of a block, or `None` if this processor has no AVX2.
@@ -165,7 +165,9 @@ impl<'a> Lanes<'a> {
                 _mm256_add_ps(v, offset(*dv)),
                 range,
             );
-            sum = _mm256_add_epi32(sum, sample);
+            let positive = _mm256_max_epi32(sample, _mm256_setzero_si256());
+            let gained = _mm256_add_epi32(sample, _mm256_slli_epi32::<HIT_GAIN>(positive));
+            sum = _mm256_add_epi32(sum, gained);
             // Unequal lanes: 1 + (-1 where equal).
             let missed = _mm256_cmpeq_epi32(sample, _mm256_setzero_si256());
             hits = _mm256_add_epi32(hits, _mm256_add_epi32(missed, _mm256_set1_epi32(1)));

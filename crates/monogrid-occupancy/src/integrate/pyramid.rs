@@ -66,9 +66,14 @@ impl Pyramid {
                 }
             })
             .collect();
+        Self::from_bounds(image.width, image.height, bounds)
+    }
+
+    /// A pyramid over a grid of `width` x `height` bounds, row by row; neither is 0.
+    pub(crate) fn from_bounds(width: usize, height: usize, bounds: Vec<Bounds>) -> Self {
         let mut levels = vec![Level {
-            width: image.width,
-            height: image.height,
+            width,
+            height,
             bounds,
         }];
         while let Some(last) = levels.last()
@@ -94,20 +99,8 @@ impl Pyramid {
         let is_clipped = (0..2).any(|i| low[i] < 0.0 || high[i] >= size[i] as f32);
         let first = [0, 1].map(|i| low[i].max(0.0) as i32 as usize);
         let end = [0, 1].map(|i| (high[i].min(1e6) as i32 as usize).min(size[i] - 1));
-        let span = (end[0] - first[0]).max(end[1] - first[1]);
-        // At this level the block is at most three wide.
-        let level = (usize::BITS - span.leading_zeros()).saturating_sub(1) as usize;
-        let level = level.min(self.levels.len() - 1);
-        let blocks = &self.levels[level];
-        let mut joined: Option<Bounds> = None;
-        for row in first[1] >> level..=end[1] >> level {
-            let start = row * blocks.width;
-            let row = &blocks.bounds[start + (first[0] >> level)..=start + (end[0] >> level)];
-            for &bounds in row {
-                joined = Some(joined.map_or(bounds, |j| j.join(bounds)));
-            }
-        }
-        joined.map(|bounds| Bounds {
+        let bounds = self.block_bounds(first, end);
+        Some(Bounds {
             free_until: if is_clipped {
                 f32::NEG_INFINITY
             } else {
@@ -115,6 +108,26 @@ impl Pyramid {
             },
             ..bounds
         })
+    }
+
+    /// Bounds over pixels `first` to `last` (column, row), both inclusive and inside the image.
+    #[inline]
+    pub(crate) fn block_bounds(&self, first: [usize; 2], last: [usize; 2]) -> Bounds {
+        let span = (last[0] - first[0]).max(last[1] - first[1]);
+        // At this level the block is at most three wide.
+        let level = (usize::BITS - span.leading_zeros()).saturating_sub(1) as usize;
+        let level = level.min(self.levels.len() - 1);
+        let blocks = &self.levels[level];
+        let mut joined = Bounds {
+            free_until: f32::INFINITY,
+            changes_until: f32::NEG_INFINITY,
+        };
+        for row in first[1] >> level..=last[1] >> level {
+            let start = row * blocks.width;
+            let row = &blocks.bounds[start + (first[0] >> level)..=start + (last[0] >> level)];
+            joined = row.iter().fold(joined, |joined, b| joined.join(*b));
+        }
+        joined
     }
 
     /// Bounds over the whole image.

@@ -95,8 +95,15 @@ impl Ray {
 
     /// Calls `visit(packed key, time at which the ray leaves the brick)` for every brick.
     #[inline]
-    pub(crate) fn for_each_brick(&self, mut visit: impl FnMut(u64, i64)) {
-        self.walk_bricks(|key, leaves| {
+    pub(crate) fn for_each_brick(&self, visit: impl FnMut(u64, i64)) {
+        self.for_each_brick_from(0, visit);
+    }
+
+    /// Calls `visit(packed key, time at which the ray leaves the brick)` for every brick that the
+    /// ray has not left at the time `from`.
+    #[inline]
+    pub(crate) fn for_each_brick_from(&self, from: i64, mut visit: impl FnMut(u64, i64)) {
+        self.walk_bricks(from, |key, leaves| {
             visit(key, leaves);
             false
         });
@@ -104,23 +111,34 @@ impl Ray {
 
     /// Calls `stop(packed key)` for every brick until it says so.
     pub(crate) fn any_brick(&self, mut stop: impl FnMut(u64) -> bool) {
-        self.walk_bricks(|key, _| stop(key));
+        self.walk_bricks(0, |key, _| stop(key));
+    }
+
+    /// Calls `stop(packed key, time at which the ray leaves the brick)` until it says so.
+    #[inline]
+    pub(crate) fn any_brick_leaving(&self, stop: impl FnMut(u64, i64) -> bool) {
+        self.walk_bricks(0, stop);
     }
 
     #[inline]
-    fn walk_bricks(&self, mut visit: impl FnMut(u64, i64) -> bool) {
-        let brick = BrickKey::new(self.start[0] >> 3, self.start[1] >> 3, self.start[2] >> 3);
-        let mut key = brick.pack();
+    fn walk_bricks(&self, from: i64, mut visit: impl FnMut(u64, i64) -> bool) {
+        let from = from.min(self.end - 1);
         let mut next = [0; 3];
-        for (axis, next) in next.iter_mut().enumerate() {
-            let inside = self.start[axis] & (BRICK_EDGE - 1);
-            let crossings = if self.sign[axis] > 0 {
-                BRICK_EDGE - 1 - inside
+        let mut cell = self.start;
+        for axis in 0..3 {
+            if from > 0 {
+                cell[axis] += self.sign[axis] * self.crossings(axis, from, (0, i64::MAX)) as i32;
+            }
+            // Crossings until the ray leaves the brick of this cell.
+            let brick_end = if self.sign[axis] > 0 {
+                cell[axis] | (BRICK_EDGE - 1)
             } else {
-                inside
+                cell[axis] & -BRICK_EDGE
             };
-            *next = self.first[axis] + i64::from(crossings) * self.step[axis];
+            let crossings = (brick_end - self.start[axis]) * self.sign[axis];
+            next[axis] = self.first[axis] + i64::from(crossings) * self.step[axis];
         }
+        let mut key = BrickKey::new(cell[0] >> 3, cell[1] >> 3, cell[2] >> 3).pack();
         let key_step = [1_i64 << 42, 1 << 21, 1];
         loop {
             let leaves = next[0].min(next[1]).min(next[2]);
@@ -136,9 +154,19 @@ impl Ray {
     /// Where the ray enters a brick that it crosses.
     #[inline]
     pub(crate) fn enter(&self, brick: BrickKey) -> Entry {
+        self.enter_from(brick, 0)
+    }
+
+    /// Where the ray enters a brick that it crosses, or is at the time `from` if that is later.
+    #[inline]
+    pub(crate) fn enter_from(&self, brick: BrickKey, from: i64) -> Entry {
         let low = brick.first_cell().to_array();
         let mut before = [0_i64; 3];
-        let mut enters = i64::MIN;
+        let mut enters = if from > 0 {
+            from.min(self.end - 1)
+        } else {
+            i64::MIN
+        };
         let mut stop = self.end;
         for axis in 0..3 {
             // Crossings on this axis before the ray is in the brick's layer.
@@ -161,7 +189,8 @@ impl Ray {
             stop,
         };
         for (axis, &before) in before.iter().enumerate() {
-            let crossings = self.crossings_until(axis, enters, before);
+            let window = (before.max(0), before + i64::from(BRICK_EDGE) - 1);
+            let crossings = self.crossings(axis, enters, window);
             let cell = self.start[axis] + self.sign[axis] * crossings as i32;
             entry.index |= ((cell & 7) as usize) << (3 * axis);
             entry.next[axis] = self.first[axis] + crossings * self.step[axis];
@@ -170,10 +199,9 @@ impl Ray {
         entry
     }
 
-    /// Crossings of `axis` up to and at `time`, known to lie in `[before, before + 7]`.
+    /// Crossings of `axis` up to and at `time`, known to lie in the window from `least` to `most`.
     #[inline]
-    fn crossings_until(&self, axis: usize, time: i64, before: i64) -> i64 {
-        let (least, most) = (before.max(0), before + i64::from(BRICK_EDGE) - 1);
+    fn crossings(&self, axis: usize, time: i64, (least, most): (i64, i64)) -> i64 {
         if time < self.first[axis] {
             return least;
         }
@@ -187,6 +215,15 @@ impl Ray {
             crossings += 1;
         }
         crossings
+    }
+
+    /// An entry whose walk ends at the time `end` at the latest.
+    #[inline]
+    pub(crate) fn until(entry: Entry, end: i64) -> Entry {
+        Entry {
+            stop: entry.stop.min(end),
+            ..entry
+        }
     }
 
     /// Calls `visit(position in the brick, range of the centre)` for every cell from `entry` on.
@@ -350,6 +387,27 @@ mod tests {
                 let clear = p.iter().all(|c| (c - c.round()).abs() > 1e-6);
                 assert!(!clear || visited.contains(&key(p)), "missed {p:?}");
             }
+        }
+    }
+
+    #[test]
+    fn a_walk_from_a_later_time_ends_with_the_same_cells() {
+        for (index, (origin, direction, length)) in rays().into_iter().enumerate() {
+            let ray = Ray::new(origin, direction, length);
+            let whole = cells_of(&ray);
+            let from = fixed(length * (index % 8) as f64 / 7.0, TIME_BITS);
+            let mut rest = Vec::new();
+            ray.for_each_brick_from(from, |packed, _| {
+                let brick = BrickKey::unpack(packed);
+                ray.walk(ray.enter_from(brick, from), |index, range| {
+                    rest.push((brick.cell(index), range));
+                });
+            });
+            assert!(whole.ends_with(&rest) && !rest.is_empty());
+            // What was left out lies wholly before that time: one cell is at most sqrt(3) long.
+            let skipped = (whole.len() - rest.len()) as f64;
+            let least = length * (index % 8) as f64 / 7.0 - 3_f64.sqrt();
+            assert!(skipped >= least.floor(), "{skipped} cells of {least}");
         }
     }
 

@@ -1,0 +1,374 @@
+//! Settled space: where the rays of a scan cannot change anything any more.
+//!
+//! Most visits of the rule `rays` meet cells that hold the lowest value already and take it down
+//! once more. A cube is settled if all its cells hold the lowest value and every beam that could
+//! cross it is still in free space behind it. The search splits cubes around the sensor and
+//! notes, per tile of directions, the range of the nearest cube that is not settled: rays begin
+//! there. It only leaves out updates that change nothing, so the map is that of every ray walked
+//! from the sensor.
+
+use super::parallel::for_each;
+use super::pyramid::{Bounds, Pyramid};
+use super::rays::{Beam, origin_in_cells};
+use crate::key::{BRICK_CELLS, VoxelKey};
+use crate::map::OccupancyMap;
+use crate::scan::Scan;
+use crate::storage::BrickRef;
+
+/// Directions within this slope of the forward axis have tiles.
+const WIDEST_SLOPE: f32 = 3.0;
+/// The space around the sensor that is left to the rays themselves.
+pub(crate) const NEAR_CELLS: f64 = 4.0;
+/// Most tiles along an edge.
+const MOST_TILES: f64 = 96.0;
+/// Beams that are longer on average do without.
+const MOST_CELLS: f64 = 160.0;
+/// Edge of the cubes at which the search begins: 2^7 cells.
+const ROOT_LEVEL: u32 = 7;
+/// Level of a brick.
+const BRICK_LEVEL: u32 = 3;
+/// Guards, in cells and slopes, against the rounding of what is compared here.
+const MARGIN: f64 = 1e-4;
+
+/// The beams of a scan, by tiles of their directions.
+pub(crate) struct BeamTiles {
+    /// Rows: right, down and forward of the sensor in the map.
+    axes: [[f64; 3]; 3],
+    /// Place of the sensor in cells.
+    origin: [f64; 3],
+    low: [f64; 2],
+    tiles_per_slope: [f64; 2],
+    size: [usize; 2],
+    /// Least and greatest range of free space of the beams of each tile.
+    ranges: Pyramid,
+    reach: f64,
+    /// Cubes of this level are not split further.
+    leaf_level: u32,
+}
+
+/// A cube of cells as the sensor sees it.
+struct View {
+    nearest: f64,
+    farthest: f64,
+    first_tile: [usize; 2],
+    last_tile: [usize; 2],
+}
+
+impl BeamTiles {
+    /// Sorts beams into tiles; `None` if there are none or some look too far aside.
+    pub(crate) fn new(map: &OccupancyMap, scan: &Scan, beams: &[Beam]) -> Option<Self> {
+        let origin = origin_in_cells(map, scan).ok()?;
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        for beam in beams {
+            for axis in 0..2 {
+                low[axis] = low[axis].min(beam.slopes[axis]);
+                high[axis] = high[axis].max(beam.slopes[axis]);
+            }
+        }
+        // Written so that NaN fails. The slopes of a backward beam are mirrored.
+        let narrow = (0..2).all(|i| low[i] > -WIDEST_SLOPE && high[i] < WIDEST_SLOPE);
+        if beams.is_empty() || !narrow || beams.iter().any(|beam| !beam.looks_forward) {
+            return None;
+        }
+        let mean = beams.iter().map(Beam::free_cells).sum::<f64>() / beams.len() as f64;
+        // Fine cells are crossed by few beams each: looking for them costs more than it saves.
+        if mean > MOST_CELLS {
+            return None;
+        }
+        // A tile is about as large as a cell at the mean range.
+        let size = [0, 1].map(|i| {
+            let extent = f64::from(high[i] - low[i]);
+            (extent * mean).clamp(1.0, MOST_TILES).ceil() as usize
+        });
+        let rotation = scan.world_from_sensor.rotation;
+        let mut tiles = Self {
+            axes: std::array::from_fn(|a| std::array::from_fn(|i| rotation[i][a])),
+            origin,
+            low: low.map(f64::from),
+            tiles_per_slope: std::array::from_fn(|i| {
+                size[i] as f64 / f64::from(high[i] - low[i]).max(1e-6)
+            }),
+            size,
+            ranges: Pyramid::from_bounds(1, 1, vec![NO_BEAM]),
+            reach: 0.0,
+            leaf_level: u32::from(mean > 64.0),
+        };
+        let mut ranges = vec![NO_BEAM; size[0] * size[1]];
+        for beam in beams {
+            let range = &mut ranges[tiles.tile_of(beam.slopes)];
+            let free = beam.free_cells();
+            tiles.reach = tiles.reach.max(free);
+            range.free_until = range.free_until.min(free as f32);
+            range.changes_until = range.changes_until.max(free as f32);
+        }
+        tiles.ranges = Pyramid::from_bounds(size[0], size[1], ranges);
+        Some(tiles)
+    }
+
+    /// The tile of a beam.
+    #[inline]
+    pub(crate) fn tile_of(&self, slopes: [f32; 2]) -> usize {
+        let at = |i: usize| {
+            let tile = (f64::from(slopes[i]) - self.low[i]) * self.tiles_per_slope[i];
+            (tile as usize).min(self.size[i] - 1)
+        };
+        at(1) * self.size[0] + at(0)
+    }
+
+    /// How the cube of `2^level` cells that begins at `first` is seen; `None` if no tile sees it.
+    fn view(&self, first: VoxelKey, level: u32) -> Option<View> {
+        let half = 0.5 * f64::from(1_u32 << level);
+        let first = first.to_array();
+        let center: [f64; 3] = std::array::from_fn(|i| f64::from(first[i]) + half - self.origin[i]);
+        let (mut near_sq, mut far_sq) = (0.0, 0.0);
+        for c in center {
+            let near = (c.abs() - half).max(0.0);
+            near_sq += near * near;
+            far_sq += (c.abs() + half) * (c.abs() + half);
+        }
+        let middle = self
+            .axes
+            .map(|a| a[0] * center[0] + a[1] * center[1] + a[2] * center[2]);
+        let extent = self
+            .axes
+            .map(|a| (a[0].abs() + a[1].abs() + a[2].abs()) * half);
+        if middle[2] + extent[2] <= 0.0 {
+            return None;
+        }
+        let (mut first_tile, mut last_tile) = ([0; 2], [0; 2]);
+        for axis in 0..2 {
+            let (low, high) = if middle[2] - extent[2] > 0.5 * half {
+                self.slope_span(axis, middle, extent)
+            } else {
+                self.slope_span_of_near_cube(axis, center, half)?
+            };
+            let tile = |slope: f64| (slope - self.low[axis]) * self.tiles_per_slope[axis];
+            let (low, high) = (tile(low - MARGIN), tile(high + MARGIN));
+            if high < 0.0 || low >= self.size[axis] as f64 {
+                return None;
+            }
+            first_tile[axis] = low.max(0.0) as usize;
+            last_tile[axis] = (high as usize).min(self.size[axis] - 1);
+        }
+        Some(View {
+            nearest: near_sq.sqrt(),
+            farthest: far_sq.sqrt(),
+            first_tile,
+            last_tile,
+        })
+    }
+
+    /// Slopes of a cube that lies wholly before the sensor.
+    #[inline]
+    fn slope_span(&self, axis: usize, middle: [f64; 3], extent: [f64; 3]) -> (f64, f64) {
+        let (near, far) = (middle[2] - extent[2], middle[2] + extent[2]);
+        let (low, high) = (middle[axis] - extent[axis], middle[axis] + extent[axis]);
+        (
+            low / if low < 0.0 { near } else { far },
+            high / if high > 0.0 { near } else { far },
+        )
+    }
+
+    /// Slopes between the tile borders that have the cube on both sides of them: for cubes so
+    /// near that their slopes have no bound. `None` if the cube is outside of all tiles.
+    fn slope_span_of_near_cube(
+        &self,
+        axis: usize,
+        center: [f64; 3],
+        half: f64,
+    ) -> Option<(f64, f64)> {
+        // Least and greatest x - slope * z over the cube.
+        let span_at = |slope: f64| {
+            let normal: [f64; 3] =
+                std::array::from_fn(|i| self.axes[axis][i] - slope * self.axes[2][i]);
+            let middle: f64 = (0..3).map(|i| normal[i] * center[i]).sum();
+            let extent: f64 = normal.iter().map(|n| n.abs()).sum::<f64>() * half;
+            (middle - extent - MARGIN, middle + extent + MARGIN)
+        };
+        let border = |i: usize| self.low[axis] + i as f64 / self.tiles_per_slope[axis];
+        let sees = |i: usize| {
+            let (left, right) = (border(i) - MARGIN, border(i + 1) + MARGIN);
+            span_at(left).1 >= 0.0 && span_at(right).0 <= 0.0
+        };
+        let first = (0..self.size[axis]).find(|&i| sees(i))?;
+        let last = (first..self.size[axis]).rev().find(|&i| sees(i))?;
+        // The middles of the tiles: margins then do not reach the next.
+        Some((
+            border(first) + 2.0 * MARGIN,
+            border(last + 1) - 2.0 * MARGIN,
+        ))
+    }
+
+    fn roots(&self) -> Vec<VoxelKey> {
+        let edge = f64::from(1_u32 << ROOT_LEVEL);
+        let first = self
+            .origin
+            .map(|c| ((c - self.reach) / edge).floor() as i32);
+        let last = self
+            .origin
+            .map(|c| ((c + self.reach) / edge).floor() as i32);
+        let mut roots = Vec::new();
+        for x in first[0]..=last[0] {
+            for y in first[1]..=last[1] {
+                for z in first[2]..=last[2] {
+                    let at = |c: i32| c << ROOT_LEVEL;
+                    roots.push(VoxelKey::new(at(x), at(y), at(z)));
+                }
+            }
+        }
+        roots
+    }
+}
+
+const NO_BEAM: Bounds = Bounds {
+    free_until: f32::INFINITY,
+    changes_until: f32::NEG_INFINITY,
+};
+
+/// Per tile, the range in cells before which nothing can change.
+pub(crate) struct Settled {
+    until: Vec<f32>,
+}
+
+impl Settled {
+    /// Looks at all space that the beams cross freely.
+    pub(crate) fn search(map: &OccupancyMap, tiles: &BeamTiles, threads: usize) -> Self {
+        let roots = tiles.roots();
+        let share = roots.len().div_ceil(threads).max(1);
+        let mut searches: Vec<(&[VoxelKey], Search)> = roots
+            .chunks(share)
+            .map(|roots| (roots, Search::new(map, tiles)))
+            .collect();
+        for_each(&mut searches, threads, |_, (roots, search)| {
+            for root in *roots {
+                search.visit(*root, ROOT_LEVEL);
+            }
+        });
+        let mut until = vec![f32::INFINITY; tiles.size[0] * tiles.size[1]];
+        for (_, search) in &searches {
+            for (least, found) in until.iter_mut().zip(&search.until) {
+                *least = least.min(*found);
+            }
+        }
+        Self { until }
+    }
+
+    /// Range in cells up to which a beam of the tile changes nothing, if it is free until there.
+    #[inline]
+    pub(crate) fn until(&self, tile: usize) -> f64 {
+        (f64::from(self.until[tile]) - MARGIN).max(0.0)
+    }
+}
+
+/// The search of one thread.
+struct Search<'a> {
+    map: &'a OccupancyMap,
+    tiles: &'a BeamTiles,
+    until: Vec<f32>,
+}
+
+impl<'a> Search<'a> {
+    fn new(map: &'a OccupancyMap, tiles: &'a BeamTiles) -> Self {
+        Self {
+            map,
+            tiles,
+            until: vec![f32::INFINITY; tiles.size[0] * tiles.size[1]],
+        }
+    }
+
+    /// Cubes of bricks.
+    fn visit(&mut self, first: VoxelKey, level: u32) {
+        let Some((view, passes)) = self.look(first, level) else {
+            return;
+        };
+        if level > BRICK_LEVEL {
+            for_octants(first, level, |child| self.visit(child, level - 1));
+            return;
+        }
+        let brick = first.brick();
+        match self.map.brick(brick) {
+            BrickRef::Uniform(value) if value != self.map.limits.min => self.block(&view),
+            BrickRef::Uniform(_) if passes => {}
+            BrickRef::Uniform(_) => self.split(first, level, &view, None),
+            BrickRef::Mixed(_) => {
+                let payload = self.map.payload(brick);
+                self.split(first, level, &view, payload);
+            }
+        }
+    }
+
+    /// Cubes inside a brick, whose cells are given if they are not all at the lowest value.
+    fn visit_cells(&mut self, first: VoxelKey, level: u32, cells: Option<&Cells>) {
+        let Some((view, passes)) = self.look(first, level) else {
+            return;
+        };
+        let lowest = self.map.limits.min;
+        if passes && cells.is_none_or(|cells| all_equal(cells, first, level, lowest)) {
+            return;
+        }
+        self.split(first, level, &view, cells);
+    }
+
+    fn split(&mut self, first: VoxelKey, level: u32, view: &View, cells: Option<&Cells>) {
+        if level <= self.tiles.leaf_level {
+            self.block(view);
+        } else {
+            for_octants(first, level, |child| {
+                self.visit_cells(child, level - 1, cells);
+            });
+        }
+    }
+
+    /// A cube that beams cross in free space, and whether all of them do.
+    #[inline]
+    fn look(&self, first: VoxelKey, level: u32) -> Option<(View, bool)> {
+        let view = self.tiles.view(first, level)?;
+        let ranges = self
+            .tiles
+            .ranges
+            .block_bounds(view.first_tile, view.last_tile);
+        if view.nearest > f64::from(ranges.changes_until) || view.farthest + MARGIN < NEAR_CELLS {
+            return None;
+        }
+        let passes = view.farthest + MARGIN <= f64::from(ranges.free_until);
+        Some((view, passes))
+    }
+
+    /// Beams through this cube begin there at the latest.
+    fn block(&mut self, view: &View) {
+        let nearest = view.nearest as f32;
+        for row in view.first_tile[1]..=view.last_tile[1] {
+            let start = row * self.tiles.size[0];
+            for until in &mut self.until[start + view.first_tile[0]..=start + view.last_tile[0]] {
+                *until = until.min(nearest);
+            }
+        }
+    }
+}
+
+type Cells = [i16; BRICK_CELLS];
+
+/// The eight halves of a cube.
+fn for_octants(first: VoxelKey, level: u32, mut visit: impl FnMut(VoxelKey)) {
+    let half = 1 << (level - 1);
+    for octant in 0..8 {
+        visit(VoxelKey::new(
+            first.x + (octant & 1) * half,
+            first.y + (octant >> 1 & 1) * half,
+            first.z + (octant >> 2) * half,
+        ));
+    }
+}
+
+/// Whether a cube inside a brick holds one value.
+#[inline]
+fn all_equal(cells: &Cells, first: VoxelKey, level: u32, value: i16) -> bool {
+    let edge = 1_usize << level;
+    let start = first.index_in_brick();
+    (0..edge).all(|z| {
+        (0..edge).all(|y| {
+            let row = start + 8 * y + 64 * z;
+            cells[row..row + edge].iter().all(|&c| c == value)
+        })
+    })
+}

@@ -1,0 +1,163 @@
+//! Maps that follow their keyframes equal maps built from scratch, byte for byte.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
+
+mod common;
+
+use std::collections::BTreeMap;
+
+use common::{OwnedScan, Random, room_scan};
+use monogrid_occupancy::*;
+
+fn rules() -> [IntegrationConfig; 3] {
+    let with = |rule, model| IntegrationConfig {
+        rule,
+        model,
+        ..IntegrationConfig::default()
+    };
+    [
+        with(IntegrationRule::Fused, SensorModel::THRUN),
+        with(IntegrationRule::Rays, SensorModel::THRUN),
+        with(IntegrationRule::Fused, SensorModel::None),
+    ]
+}
+
+const CELL: f64 = 0.09;
+
+fn bytes(map: &OccupancyMap) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write_ot(map, &mut bytes).unwrap();
+    bytes
+}
+
+fn from_scratch(scans: &BTreeMap<u32, OwnedScan>, config: &IntegrationConfig) -> Vec<u8> {
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(CELL)).unwrap();
+    for scan in scans.values() {
+        integrate(&mut map, &scan.borrow(), config, 1).unwrap();
+    }
+    bytes(&map)
+}
+
+#[test]
+fn any_history_of_changes_ends_with_the_map_built_from_scratch() {
+    for (case, config) in rules().into_iter().enumerate() {
+        let mut random = Random(case as u64 + 20);
+        let mut scans = BTreeMap::new();
+        let new = |threads| {
+            KeyframeMap::new(MapConfig::with_resolution(CELL), config.clone(), threads).unwrap()
+        };
+        let (mut one, mut three) = (new(1), new(3));
+        for step in 0..14_u32 {
+            let id = (random.between(0.0, 6.0)) as u32;
+            let scan = room_scan(&mut random, id, 900, 2.0);
+            let changes = match step % 4 {
+                0 | 1 => {
+                    scans.insert(id, scan.clone());
+                    vec![KeyframeChange::Set(scan.borrow())]
+                }
+                2 => {
+                    let other = id + 1;
+                    let poses = [random.pose(0.7), random.pose(0.7)];
+                    for (id, pose) in [id, other].into_iter().zip(poses) {
+                        if let Some(scan) = scans.get_mut(&id) {
+                            scan.pose = pose;
+                        }
+                    }
+                    [id, other]
+                        .into_iter()
+                        .zip(poses)
+                        .map(|(id, world_from_sensor)| KeyframeChange::Move {
+                            id,
+                            world_from_sensor,
+                        })
+                        .collect()
+                }
+                _ => {
+                    scans.remove(&id);
+                    vec![KeyframeChange::Remove { id }]
+                }
+            };
+            one.apply(&changes).unwrap();
+            three.apply(&changes).unwrap();
+            let expected = from_scratch(&scans, &config);
+            assert!(bytes(one.map()) == expected, "case {case} step {step}");
+            assert!(
+                bytes(three.map()) == expected,
+                "case {case} step {step}, 3 threads"
+            );
+        }
+        assert!(one.ids().eq(scans.keys().copied()));
+        assert!(bytes(one.map()).len() > 1000);
+    }
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter_and_a_removed_keyframe_can_be_put_back() {
+    for (case, config) in rules().into_iter().enumerate() {
+        let mut random = Random(case as u64 + 40);
+        let scans: Vec<_> = (0..5)
+            .map(|id| room_scan(&mut random, id, 700, 2.0))
+            .collect();
+        let mut maps = [[0, 1, 2, 3, 4], [4, 2, 0, 3, 1]].map(|order| {
+            let mut map =
+                KeyframeMap::new(MapConfig::with_resolution(CELL), config.clone(), 2).unwrap();
+            for id in order {
+                map.set(&scans[id].borrow()).unwrap();
+            }
+            map
+        });
+        let all = bytes(maps[0].map());
+        assert!(all == bytes(maps[1].map()), "case {case}");
+        let map = &mut maps[0];
+        map.apply(&[KeyframeChange::Remove { id: 1 }]).unwrap();
+        assert!(all != bytes(map.map()));
+        map.set(&scans[1].borrow()).unwrap();
+        assert!(all == bytes(map.map()), "case {case}");
+    }
+}
+
+#[test]
+fn the_work_follows_what_changed() {
+    let mut random = Random(3);
+    let config = IntegrationConfig::default();
+    let mut map = KeyframeMap::new(MapConfig::with_resolution(0.05), config, 1).unwrap();
+    for id in 0..4 {
+        let mut scan = room_scan(&mut random, id, 900, 1.0);
+        // Rooms far from each other.
+        scan.pose.translation[0] += 50.0 * f64::from(id);
+        map.set(&scan.borrow()).unwrap();
+    }
+    let revision = map.map().revision();
+    let rebuilt = map.apply(&[KeyframeChange::Remove { id: 1 }]).unwrap();
+    let changed = map.map().bricks_changed_since(revision);
+    assert!(rebuilt > 0 && !changed.is_empty());
+    let edge = 8.0 * 0.05;
+    for brick in changed {
+        assert!(
+            (45.0..55.0).contains(&(f64::from(brick.x) * edge)),
+            "{brick:?}"
+        );
+    }
+    let same = map.apply(&[KeyframeChange::Remove { id: 77 }]).unwrap();
+    assert_eq!(same, 0);
+}
+
+#[test]
+fn a_change_that_does_not_fit_into_memory_leaves_everything_as_it_was() {
+    let mut random = Random(8);
+    let small = room_scan(&mut random, 5, 200, 0.4);
+    let large = room_scan(&mut random, 2, 4000, 9.0);
+    for config in &rules()[..2] {
+        let budget = MapConfig {
+            resolution: 0.03,
+            memory_budget_bytes: 3 << 20,
+            ..MapConfig::default()
+        };
+        let mut map = KeyframeMap::new(budget, config.clone(), 2).unwrap();
+        map.set(&small.borrow()).unwrap();
+        let before = bytes(map.map());
+        let error = map.set(&large.borrow()).unwrap_err();
+        assert!(matches!(error, MapError::MemoryBudget { .. }), "{error}");
+        assert!(before == bytes(map.map()));
+        assert!(map.ids().eq([5]));
+    }
+}
