@@ -18,11 +18,15 @@ use crate::storage::BrickRef;
 /// Directions within this slope of the forward axis have tiles.
 const WIDEST_SLOPE: f32 = 3.0;
 /// The space around the sensor that is left to the rays themselves.
-pub(crate) const NEAR_CELLS: f64 = 4.0;
+pub(crate) const NEAR_CELLS: f64 = 6.0;
 /// Most tiles along an edge.
 const MOST_TILES: f64 = 96.0;
 /// Beams that are longer on average do without.
 const MOST_CELLS: f64 = 160.0;
+/// Beyond this range, bricks without a lowest cell are not split.
+const FAR_CELLS: f64 = 24.0;
+/// Least extent of all tiles together, as slope: tiles are much wider than the margin.
+const LEAST_EXTENT: f64 = 0.01;
 /// Edge of the cubes at which the search begins: 2^7 cells.
 const ROOT_LEVEL: u32 = 7;
 /// Level of a brick.
@@ -86,7 +90,7 @@ impl BeamTiles {
             origin,
             low: low.map(f64::from),
             tiles_per_slope: std::array::from_fn(|i| {
-                size[i] as f64 / f64::from(high[i] - low[i]).max(1e-6)
+                size[i] as f64 / f64::from(high[i] - low[i]).max(LEAST_EXTENT)
             }),
             size,
             ranges: Pyramid::from_bounds(1, 1, vec![NO_BEAM]),
@@ -193,10 +197,8 @@ impl BeamTiles {
         let first = (0..self.size[axis]).find(|&i| sees(i))?;
         let last = (first..self.size[axis]).rev().find(|&i| sees(i))?;
         // The middles of the tiles: margins then do not reach the next.
-        Some((
-            border(first) + 2.0 * MARGIN,
-            border(last + 1) - 2.0 * MARGIN,
-        ))
+        let middle = |i: usize| self.low[axis] + (i as f64 + 0.5) / self.tiles_per_slope[axis];
+        Some((middle(first), middle(last)))
     }
 
     fn roots(&self) -> Vec<VoxelKey> {
@@ -286,30 +288,38 @@ impl<'a> Search<'a> {
             return;
         }
         let brick = first.brick();
-        match self.map.brick(brick) {
-            BrickRef::Uniform(value) if value != self.map.limits.min => self.block(&view),
-            BrickRef::Uniform(_) if passes => {}
-            BrickRef::Uniform(_) => self.split(first, level, &view, None),
-            BrickRef::Mixed(_) => {
-                let payload = self.map.payload(brick);
-                self.split(first, level, &view, payload);
-            }
-        }
+        let lowest = self.map.limits.min;
+        let cells = match self.map.brick(brick) {
+            BrickRef::Uniform(value) if value == lowest && passes => return,
+            BrickRef::Uniform(value) if value == lowest => Contents::Lowest,
+            // Far away, a brick is small enough as it is.
+            BrickRef::Uniform(_) if view.nearest > FAR_CELLS => return self.block(&view),
+            BrickRef::Uniform(_) => Contents::Other,
+            BrickRef::Mixed(_) => self
+                .map
+                .payload(brick)
+                .map_or(Contents::Other, Contents::Cells),
+        };
+        self.split(first, level, &view, cells);
     }
 
-    /// Cubes inside a brick, whose cells are given if they are not all at the lowest value.
-    fn visit_cells(&mut self, first: VoxelKey, level: u32, cells: Option<&Cells>) {
+    /// Cubes inside a brick.
+    fn visit_cells(&mut self, first: VoxelKey, level: u32, cells: Contents) {
         let Some((view, passes)) = self.look(first, level) else {
             return;
         };
-        let lowest = self.map.limits.min;
-        if passes && cells.is_none_or(|cells| all_equal(cells, first, level, lowest)) {
+        let is_lowest = || match cells {
+            Contents::Lowest => true,
+            Contents::Other => false,
+            Contents::Cells(cells) => all_equal(cells, first, level, self.map.limits.min),
+        };
+        if passes && is_lowest() {
             return;
         }
         self.split(first, level, &view, cells);
     }
 
-    fn split(&mut self, first: VoxelKey, level: u32, view: &View, cells: Option<&Cells>) {
+    fn split(&mut self, first: VoxelKey, level: u32, view: &View, cells: Contents) {
         if level <= self.tiles.leaf_level {
             self.block(view);
         } else {
@@ -347,6 +357,16 @@ impl<'a> Search<'a> {
 }
 
 type Cells = [i16; BRICK_CELLS];
+
+/// What the cells of a brick hold.
+#[derive(Clone, Copy)]
+enum Contents<'a> {
+    /// The lowest value.
+    Lowest,
+    /// One other value, or unknown.
+    Other,
+    Cells(&'a Cells),
+}
 
 /// The eight halves of a cube.
 fn for_octants(first: VoxelKey, level: u32, mut visit: impl FnMut(VoxelKey)) {
