@@ -77,6 +77,7 @@ impl<'a> Footprints<'a> {
             return Weights {
                 single: 1.0,
                 by_hits: std::array::from_fn(|i| 1.0 / (i + 1) as f32),
+                obstacle: 0,
             };
         };
         let image = &self.images.images[index];
@@ -88,6 +89,7 @@ impl<'a> Footprints<'a> {
         Weights {
             single: weight(8),
             by_hits: std::array::from_fn(|i| weight(i + 1) / (i + 1) as f32),
+            obstacle: self.images.obstacle_weight,
         }
     }
 

@@ -71,6 +71,8 @@ pub(crate) struct RangeImages {
     pub images: Vec<RangeImage>,
     pub tables: TableSet,
     pub points: usize,
+    /// How often a sample for an obstacle counts in addition.
+    pub obstacle_weight: i32,
 }
 
 impl RangeImages {
@@ -112,6 +114,7 @@ impl RangeImages {
             images,
             tables,
             points,
+            obstacle_weight: i32::from(config.obstacle_weight),
         })
     }
 }

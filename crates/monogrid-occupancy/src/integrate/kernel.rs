@@ -18,10 +18,6 @@ pub(crate) const EIGHT_SAMPLES: [[f32; 2]; 8] = [
 /// Samples in a footprint of two to ten pixels.
 pub(crate) const FOUR_SAMPLES: [[f32; 2]; 4] =
     [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
-/// In a footprint of several samples, one for an obstacle counts `1 + 2^HIT_GAIN` times: a coarse
-/// cell is occupied if anything in it is, and free only if all of it is. Measured on the room of
-/// the benchmark, see BENCHMARKS.md.
-pub(crate) const HIT_GAIN: i32 = 1;
 /// Footprints up to this wide take the nearest pixel alone.
 pub(crate) const SINGLE_SAMPLE_PX: f32 = 1.5;
 /// Footprints up to this wide take four samples.
@@ -71,6 +67,8 @@ pub(crate) struct Weights {
     pub single: f32,
     /// By the number of samples that hit, less one.
     pub by_hits: [f32; 8],
+    /// How often a sample for an obstacle counts in addition, in a footprint of several.
+    pub obstacle: i32,
 }
 
 /// Where a block lies, in the axes of an image, and how far it counts.
@@ -138,20 +136,27 @@ impl Kernel<'_> {
             return evidence(i32::from(self.sample(u, v, range)), weights.single);
         }
         if width <= FOUR_SAMPLES_PX {
-            let (sum, hits) = self.sum(&FOUR_SAMPLES, [u, v], width, range);
+            let (sum, hits) = self.sum(&FOUR_SAMPLES, [u, v], width, range, weights.obstacle);
             // Four samples that hit stand for as much as eight.
             return evidence(2 * sum, weights.by_hits[(2 * hits).saturating_sub(1)]);
         }
-        let (sum, hits) = self.sum(&EIGHT_SAMPLES, [u, v], width, range);
+        let (sum, hits) = self.sum(&EIGHT_SAMPLES, [u, v], width, range, weights.obstacle);
         evidence(sum, weights.by_hits[hits.saturating_sub(1)])
     }
 
     /// Sum of the samples' evidence, and how many said anything.
     #[inline]
-    fn sum(&self, samples: &[[f32; 2]], [u, v]: [f32; 2], width: f32, range: f32) -> (i32, usize) {
+    fn sum(
+        &self,
+        samples: &[[f32; 2]],
+        [u, v]: [f32; 2],
+        width: f32,
+        range: f32,
+        obstacle: i32,
+    ) -> (i32, usize) {
         samples.iter().fold((0, 0), |(sum, hits), [du, dv]| {
             let sample = i32::from(self.sample(u + du * width, v + dv * width, range));
-            let gained = sample + (sample.max(0) << HIT_GAIN);
+            let gained = sample + sample.max(0) * obstacle;
             (sum + gained, hits + usize::from(sample != 0))
         })
     }
@@ -245,6 +250,7 @@ pub(crate) mod tests {
                 let weights = Weights {
                     single: 1.0 + unit(),
                     by_hits: std::array::from_fn(|h| (1.0 + unit()) / (h + 1) as f32),
+                    obstacle: i % 3,
                 };
                 (block, weights)
             })

@@ -11,8 +11,8 @@
 use std::arch::x86_64::*;
 
 use super::kernel::{
-    BLOCK_CELLS, Block, EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, HIT_GAIN, Kernel,
-    SINGLE_SAMPLE_PX, Weights,
+    BLOCK_CELLS, Block, EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, Kernel, SINGLE_SAMPLE_PX,
+    Weights,
 };
 
 /// Evidence for the cells of a block, or `None` if this processor has no AVX2.
@@ -69,6 +69,7 @@ struct Lanes<'a> {
     max_range: __m256,
     single: __m256,
     by_hits: __m256,
+    obstacle: __m256i,
 }
 
 impl<'a> Lanes<'a> {
@@ -96,6 +97,7 @@ impl<'a> Lanes<'a> {
             min_depth: _mm256_set1_ps(block.min_depth),
             max_range: _mm256_set1_ps(block.max_range),
             single: _mm256_set1_ps(weights.single),
+            obstacle: _mm256_set1_epi32(weights.obstacle),
             by_hits: _mm256_setr_ps(w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]),
         }
     }
@@ -166,7 +168,7 @@ impl<'a> Lanes<'a> {
                 range,
             );
             let positive = _mm256_max_epi32(sample, _mm256_setzero_si256());
-            let gained = _mm256_add_epi32(sample, _mm256_slli_epi32::<HIT_GAIN>(positive));
+            let gained = _mm256_add_epi32(sample, _mm256_mullo_epi32(positive, self.obstacle));
             sum = _mm256_add_epi32(sum, gained);
             // Unequal lanes: 1 + (-1 where equal).
             let missed = _mm256_cmpeq_epi32(sample, _mm256_setzero_si256());

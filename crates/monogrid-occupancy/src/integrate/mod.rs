@@ -54,6 +54,10 @@ pub struct IntegrationConfig {
     /// Behind the obstacle, evidence smaller than this (log-odds, not negative) is not written.
     /// Default 0.02.
     pub cutoff_log_odds: f32,
+    /// Rule `fused`: how often, beyond once, a measurement of an obstacle counts among those in the
+    /// footprint of a coarse cell, 0 to 3. A coarse cell is occupied if anything in it is, and free
+    /// only if all of it is; but false measurements gain as well. Default 2, for range sensors.
+    pub obstacle_weight: u8,
     /// What the uncertainty of an inverse depth is taken for. Default: propagated to the range.
     pub sigma_mode: SigmaMode,
 }
@@ -67,6 +71,7 @@ impl Default for IntegrationConfig {
             update_min: -0.4,
             update_max: 1.2,
             cutoff_log_odds: 0.02,
+            obstacle_weight: 2,
             sigma_mode: SigmaMode::default(),
         }
     }
@@ -98,6 +103,9 @@ impl IntegrationConfig {
         }
         if !(0.0..=1.0).contains(&self.cutoff_log_odds) {
             return fail("cutoff_log_odds", f64::from(self.cutoff_log_odds), "0 to 1");
+        }
+        if self.obstacle_weight > 3 {
+            return fail("obstacle_weight", f64::from(self.obstacle_weight), "0 to 3");
         }
         Ok(())
     }

@@ -51,6 +51,8 @@ impl Mapper {
             update_min: config.update_limits[0] as f32,
             update_max: config.update_limits[1] as f32,
             cutoff_log_odds: config.tail_log_odds as f32,
+            // Depth from video has false measurements enough: they would gain as well.
+            obstacle_weight: 0,
             sigma_mode: match config.sigma_mode {
                 SigmaMode::Range => OccupancySigmaMode::Range,
                 SigmaMode::RawInverseDepth => OccupancySigmaMode::RawInverseDepth,
@@ -158,7 +160,12 @@ impl Mapper {
             pose_sigma: self.pose_sigma(),
             data: ScanData::Points(PointScan { points, sigmas }),
         };
-        integrate(map, &scan, &self.integration, self.threads).map(|report| report.points)
+        // A range sensor, unlike depth from video, measures few obstacles that are not there.
+        let integration = IntegrationConfig {
+            obstacle_weight: IntegrationConfig::default().obstacle_weight,
+            ..self.integration.clone()
+        };
+        integrate(map, &scan, &integration, self.threads).map(|report| report.points)
     }
 
     fn pose_sigma(&self) -> PoseSigma {
