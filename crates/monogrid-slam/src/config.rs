@@ -199,6 +199,15 @@ pub struct TrackingConfig {
     pub min_correlation: f64,
     /// Degraded below this share of good points of the visible ones.
     pub degraded_good_of_visible: f32,
+    /// After a loss, or with degraded residuals, a pose is believed only with this correlation of the grey
+    /// values,
+    pub return_correlation: f64,
+    /// after a loss also with this share of good points of the visible ones,
+    pub return_good_of_visible: f32,
+    /// this usage,
+    pub return_usage: f32,
+    /// and at most this logarithm of the gain, up or down.
+    pub return_max_log_gain: f64,
 }
 
 impl Default for TrackingConfig {
@@ -218,6 +227,10 @@ impl Default for TrackingConfig {
             min_good_of_visible: 0.55,
             min_correlation: 0.4,
             degraded_good_of_visible: 0.7,
+            return_correlation: 0.8,
+            return_good_of_visible: 0.85,
+            return_usage: 0.5,
+            return_max_log_gain: 0.4,
         }
     }
 }
@@ -236,6 +249,10 @@ impl TrackingConfig {
             min_good_of_visible: 0.5,
             min_correlation: 0.0,
             degraded_good_of_visible: 0.5,
+            return_correlation: 0.0,
+            return_good_of_visible: 0.0,
+            return_usage: 0.0,
+            return_max_log_gain: 1e3,
             ..Self::default()
         }
     }

@@ -31,7 +31,9 @@ pub use config::{
     SlamConfig, TrackingConfig,
 };
 pub use frame::FrameInput;
-pub use graph::{DirectEdgeConfig, GraphConfig, GraphStats, SparseEdgeConfig};
+pub use graph::{
+    DirectEdgeConfig, GraphConfig, GraphStats, PlaceRecognitionConfig, SparseEdgeConfig,
+};
 pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
 pub use report::{FrameReport, LostReason, StageTimes, TrackingState};
 pub use sparse::{SparseConfig, SparseStats};

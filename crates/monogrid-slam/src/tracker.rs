@@ -182,6 +182,20 @@ fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Opti
     (TrackingState::Good, None)
 }
 
+/// Whether a pose may be believed right after a loss or with degraded residuals, when nothing says that the
+/// camera is near its last place: a picture of another place can be "explained" by little contrast and
+/// little overlap.
+pub(crate) fn is_convincing(
+    alignment: &Alignment,
+    was_lost: bool,
+    config: &TrackingConfig,
+) -> bool {
+    alignment.correlation.unwrap_or(0.0) >= config.return_correlation
+        && (!was_lost || alignment.good_of_visible >= config.return_good_of_visible)
+        && alignment.usage >= config.return_usage
+        && alignment.motion.log_gain.abs() <= config.return_max_log_gain
+}
+
 /// The motion per nanosecond continued over another interval.
 pub(crate) fn extrapolate(frame_from_last: &Se3, interval_ns: i64, next_interval_ns: i64) -> Se3 {
     if interval_ns <= 0 {

@@ -22,6 +22,8 @@ pub struct PlaceMemoryConfig {
     /// Fewest parts of the image (of 6 x 4) with corners that agree, and with several that should be in
     /// view: repeated posters and ceilings agree in small parts of the image. Default 6.
     pub min_cells: usize,
+    /// The same of a loop closure: a few things far away say little about the translation. Default 8.
+    pub min_loop_cells: usize,
     /// Smallest share of the corners in view that look as predicted, of a relocalised frame.
     /// Default 0.5.
     pub min_agreement: f64,
@@ -55,6 +57,7 @@ impl Default for PlaceMemoryConfig {
             max_guided_distance: 70,
             min_inliers: 25,
             min_cells: 6,
+            min_loop_cells: 8,
             min_agreement: 0.5,
             min_loop_agreement: 0.6,
             max_contradiction: 0.25,

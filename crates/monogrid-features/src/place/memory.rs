@@ -153,7 +153,8 @@ impl PlaceMemory {
                     return None;
                 }
                 let support = self.support(&known.landmarks, &view, &fit.b_from_a);
-                let is_sound = self.is_supported(&support, self.config.min_agreement);
+                let is_sound =
+                    self.is_supported(&support, self.config.min_cells, self.config.min_agreement);
                 is_sound.then(|| Relocalisation {
                     keyframe: candidate.place,
                     frame_from_keyframe: fit.b_from_a.to_se3(),
@@ -198,7 +199,12 @@ impl PlaceMemory {
                 if !is_determined(&fit, &correspondences, this.size(), &self.config) {
                     return None;
                 }
-                let is_supported = |s| self.is_supported(s, self.config.min_loop_agreement);
+                let PlaceMemoryConfig {
+                    min_loop_cells,
+                    min_loop_agreement,
+                    ..
+                } = self.config;
+                let is_supported = |s| self.is_supported(s, min_loop_cells, min_loop_agreement);
                 let support = self.support(&other.landmarks, &this_view, &fit.b_from_a);
                 if !is_supported(&support) {
                     return None;
@@ -244,9 +250,9 @@ impl PlaceMemory {
         )
     }
 
-    fn is_supported(&self, support: &Support, min_agreement: f64) -> bool {
+    fn is_supported(&self, support: &Support, min_cells: usize, min_agreement: f64) -> bool {
         support.num_visible >= self.config.min_inliers
-            && support.cells_visible >= self.config.min_cells
+            && support.cells_visible >= min_cells
             && support.agreement() >= min_agreement
             && support.contradiction() <= self.config.max_contradiction
     }

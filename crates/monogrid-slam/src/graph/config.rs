@@ -37,10 +37,38 @@ pub struct GraphConfig {
     pub max_iterations: usize,
     /// Whether at the end all keyframes look for constraints once more with the final poses.
     pub final_search: bool,
+    /// Loops and relocalisation by appearance.
+    pub places: PlaceRecognitionConfig,
     /// Errors of direct alignment that its residuals do not show.
     pub direct_edges: DirectEdgeConfig,
     /// Edges from the points of the sparse layer.
     pub sparse_edges: SparseEdgeConfig,
+}
+
+/// Settings of the recognition of places.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlaceRecognitionConfig {
+    /// Whether keyframes are remembered by their appearance: loops that the poses do not predict are found
+    /// only so, and a lost camera finds back only so to another keyframe than the last.
+    pub enabled: bool,
+    /// Keyframes between the two of a loop at least.
+    pub min_keyframes_between: u32,
+    /// Recognised keyframes that are aligned directly at most.
+    pub max_loops: usize,
+    /// Frames that must be lost in a row before the camera is looked for elsewhere.
+    pub min_lost_frames: usize,
+}
+
+impl Default for PlaceRecognitionConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            min_keyframes_between: 8,
+            max_loops: 3,
+            min_lost_frames: 2,
+        }
+    }
 }
 
 /// Errors of a direct alignment that both of its directions share (surfaces that look different from
@@ -119,6 +147,7 @@ impl Default for GraphConfig {
             lag_frames: 3,
             max_iterations: 10,
             final_search: true,
+            places: PlaceRecognitionConfig::default(),
             direct_edges: DirectEdgeConfig::default(),
             sparse_edges: SparseEdgeConfig::default(),
         }

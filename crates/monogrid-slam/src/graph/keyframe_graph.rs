@@ -7,10 +7,11 @@ use crate::node::Exposure;
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
-use monogrid_geometry::{Mat6, Mat7, Pinhole, Sim3};
+use monogrid_features::{DepthLookup, InverseDepth, PlaceMemory, PlaceMemoryConfig};
+use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph, PoseGraphConfig};
-use monogrid_image::Pyramid;
+use monogrid_image::{Mask, Pyramid};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
@@ -33,6 +34,14 @@ pub(crate) struct OdometryEdge {
     pub parent_from_keyframe: Sim3,
     /// Covariance of a left update `[v, w]`, in the units of the parent.
     pub covariance: Mat6,
+}
+
+/// A keyframe that a frame shows, and where the frame is.
+#[derive(Clone, Debug)]
+pub(crate) struct Relocalised {
+    pub view: GraphView,
+    /// Translation in the keyframe's units.
+    pub frame_from_keyframe: Se3,
 }
 
 /// Two keyframes that share points of the sparse layer.
@@ -78,6 +87,10 @@ pub struct GraphStats {
     pub pairs_tried: usize,
     /// Pairs that gave a constraint.
     pub constraints: usize,
+    /// Keyframes that were recognised as an old place.
+    pub loops_proposed: usize,
+    /// Of these, those that direct alignment confirmed.
+    pub loop_closures: usize,
     /// Constraints that the optimisation has switched off.
     pub switched_off: usize,
     /// Longest time from a keyframe's finish to the use of its optimised poses, ms.
@@ -122,29 +135,30 @@ pub(crate) struct KeyframeGraph {
     /// By the older and the newer keyframe, and the kind.
     edges: BTreeMap<(KeyframeId, KeyframeId, EdgeKind), GraphEdge>,
     refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
+    /// Keyframes by their appearance.
+    places: PlaceMemory,
+    mask: Mask,
     /// Prepared keyframes, the most recently used last.
     prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
     stats: GraphStats,
 }
 
 impl KeyframeGraph {
-    /// A graph without keyframes, for images of the given size.
-    pub(crate) fn new(
-        config: GraphConfig,
-        pinhole: Pinhole,
-        (width, height): (usize, usize),
-    ) -> Self {
+    /// A graph without keyframes, for images of which `mask` says what belongs to the picture.
+    pub(crate) fn new(config: GraphConfig, pinhole: Pinhole, mask: Mask) -> Self {
         Self {
             config,
             image: ImageBounds {
                 pinhole,
-                width: width as f64,
-                height: height as f64,
+                width: mask.width() as f64,
+                height: mask.height() as f64,
             },
             entries: BTreeMap::new(),
             world_from_keyframe: Vec::new(),
             edges: BTreeMap::new(),
             refused: BTreeMap::new(),
+            places: PlaceMemory::new(pinhole, PlaceMemoryConfig::default()),
+            mask,
             prepared: Vec::new(),
             stats: GraphStats::default(),
         }
@@ -164,8 +178,14 @@ impl KeyframeGraph {
         if let Some(view) = job.finished {
             let id = view.id;
             let probes = Probes::new(&view.samples, &self.image.pinhole);
+            self.remember(&view);
             self.entries.insert(id, Entry { view, probes });
             self.search(id);
+            if self.search_loops(id) {
+                // With the loop closed other keyframes of the place are where they can be predicted.
+                self.optimise();
+                self.search(id);
+            }
         }
         let mut covariances = self.optimise();
         if job.is_final {
@@ -266,7 +286,7 @@ impl KeyframeGraph {
             }
             self.stats.pairs_tried += 1;
             let begin = Instant::now();
-            let constraint = self.align(id, other);
+            let constraint = self.align(id, other, start);
             self.stats.alignment_ms += begin.elapsed().as_secs_f64() * 1e3;
             match constraint {
                 Some(constraint) => self.set_direct_edge(other, id, &constraint),
@@ -275,6 +295,69 @@ impl KeyframeGraph {
                 }
             }
         }
+    }
+
+    /// Remembers a keyframe by its appearance.
+    fn remember(&mut self, view: &GraphView) {
+        if !self.config.places.enabled {
+            return;
+        }
+        let depths = view.samples.iter().map(|sample| {
+            let depth = InverseDepth {
+                idepth: sample.idepth,
+                idepth_var: sample.idepth_var,
+            };
+            (sample.x, sample.y, depth)
+        });
+        let lookup = DepthLookup::new(self.mask.width(), self.mask.height(), depths);
+        let id = u64::from(view.id);
+        self.places
+            .insert(id, &view.pyramid, Some(&self.mask), &lookup);
+    }
+
+    /// Looks for old keyframes of the same place by appearance, and constrains a keyframe to them by direct
+    /// alignment from the pose that the recognised points give; whether one was.
+    fn search_loops(&mut self, id: KeyframeId) -> bool {
+        let between = self.config.places.min_keyframes_between;
+        let Some(newest_old) = id.checked_sub(between + 1) else {
+            return false;
+        };
+        if !self.config.places.enabled {
+            return false;
+        }
+        let edges = &self.edges;
+        let is_new = |other: u64| {
+            let other = other as KeyframeId;
+            other <= newest_old && !edges.contains_key(&(other, id, EdgeKind::Direct))
+        };
+        let matches = self.places.find_loops(u64::from(id), is_new);
+        let mut closed = false;
+        for found in matches.iter().take(self.config.places.max_loops) {
+            let other = found.keyframe as KeyframeId;
+            self.stats.loops_proposed += 1;
+            let other_from_own = found.this_from_other.inverse();
+            if let Some(constraint) = self.align(id, other, other_from_own) {
+                self.set_direct_edge(other, id, &constraint);
+                self.stats.loop_closures += 1;
+                closed = true;
+            }
+        }
+        closed
+    }
+
+    /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it.
+    pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
+        let found = self.places.relocalise(frame, Some(&self.mask), |_| true);
+        found
+            .iter()
+            .filter_map(|found| {
+                let view = &self.entries.get(&(found.keyframe as KeyframeId))?.view;
+                Some(Relocalised {
+                    view: view.clone(),
+                    frame_from_keyframe: found.frame_from_keyframe,
+                })
+            })
+            .collect()
     }
 
     fn choose(&self, id: KeyframeId) -> Vec<KeyframeId> {
@@ -299,12 +382,17 @@ impl KeyframeGraph {
     }
 
     /// Direct alignment of keyframe `id` to `other`, in both directions.
-    fn align(&mut self, id: KeyframeId, other: KeyframeId) -> Option<SimilarityConstraint> {
+    fn align(
+        &mut self,
+        id: KeyframeId,
+        other: KeyframeId,
+        other_from_own: Sim3,
+    ) -> Option<SimilarityConstraint> {
         let (own_view, other_view) = (self.prepare(id)?, self.prepare(other)?);
         let exposure = |id: KeyframeId| self.entries.get(&id).map(|e| e.view.exposure);
         let (gain, bias) = exposure(id)?.relative(&exposure(other)?);
         let initial = SimilarityState {
-            b_from_a: self.relative(other, id),
+            b_from_a: other_from_own,
             log_gain: gain.ln(),
             bias,
         };
@@ -492,8 +580,8 @@ mod tests {
             0.006, -0.004, 0.005, 0.002, 0.003, -0.002, 0.03,
         ]));
         let config = GraphConfig::default();
-        let size = (camera.width, camera.height);
-        let mut graph = KeyframeGraph::new(config, camera.pinhole, size);
+        let mask = Mask::filled(camera.width, camera.height, 255);
+        let mut graph = KeyframeGraph::new(config, camera.pinhole, mask);
         let mut poses = vec![truth[0]];
         let mut chain = vec![truth[0]];
         let mut stats = GraphStats::default();
@@ -544,8 +632,8 @@ mod tests {
             image.at(width - 1 - x, height - 1 - y)
         });
         views[1].pyramid = Arc::new(Pyramid::new(turned, 5));
-        let size = (width, height);
-        let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, size);
+        let mask = Mask::filled(width, height, 255);
+        let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask);
         let mut last = GraphUpdate::default();
         for view in views {
             last = graph.run(GraphJob {

@@ -1,11 +1,17 @@
-//! Runs jobs of the graph on a thread of its own.
+//! Runs the work of the graph on a thread of its own.
 
-use super::keyframe_graph::{GraphJob, GraphUpdate, KeyframeGraph};
+use super::keyframe_graph::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
+use monogrid_image::Pyramid;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
+/// What the thread is asked.
+pub(crate) enum Request {
+    Job(Box<GraphJob>),
+    Relocalise(Pyramid),
+}
+
 /// The graph and the thread on which it works. At most one job is under way.
-#[derive(Debug)]
 pub(crate) enum GraphWorker {
     /// With a single thread a job is done when it is given.
     Inline {
@@ -13,11 +19,21 @@ pub(crate) enum GraphWorker {
         done: Option<GraphUpdate>,
     },
     Threaded {
-        jobs: Option<Sender<GraphJob>>,
+        requests: Option<Sender<Request>>,
         updates: Receiver<GraphUpdate>,
+        places: Receiver<Vec<Relocalised>>,
         thread: Option<JoinHandle<()>>,
         under_way: bool,
     },
+}
+
+impl std::fmt::Debug for GraphWorker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Inline { .. } => "GraphWorker::Inline",
+            Self::Threaded { .. } => "GraphWorker::Threaded",
+        })
+    }
 }
 
 impl GraphWorker {
@@ -29,12 +45,20 @@ impl GraphWorker {
                 done: None,
             };
         }
-        let (jobs, inbox) = channel::<GraphJob>();
+        let (requests, inbox) = channel::<Request>();
         let (outbox, updates) = channel();
+        let (place_outbox, places) = channel();
         let mut threaded = graph.clone();
         let work = move || {
-            while let Ok(job) = inbox.recv() {
-                if outbox.send(threaded.run(job)).is_err() {
+            // ends when the system is gone: then either channel is closed
+            while let Ok(request) = inbox.recv() {
+                let answered = match request {
+                    Request::Job(job) => outbox.send(threaded.run(*job)).is_ok(),
+                    Request::Relocalise(frame) => {
+                        place_outbox.send(threaded.relocalise(&frame)).is_ok()
+                    }
+                };
+                if !answered {
                     return;
                 }
             }
@@ -42,8 +66,9 @@ impl GraphWorker {
         let name = "keyframe-graph".to_owned();
         match std::thread::Builder::new().name(name).spawn(work) {
             Ok(thread) => Self::Threaded {
-                jobs: Some(jobs),
+                requests: Some(requests),
                 updates,
+                places,
                 thread: Some(thread),
                 under_way: false,
             },
@@ -56,9 +81,12 @@ impl GraphWorker {
         match self {
             Self::Inline { graph, done } => *done = Some(graph.run(job)),
             Self::Threaded {
-                jobs, under_way, ..
+                requests,
+                under_way,
+                ..
             } => {
-                *under_way = jobs.as_ref().is_some_and(|jobs| jobs.send(job).is_ok());
+                let request = Request::Job(Box::new(job));
+                *under_way = requests.as_ref().is_some_and(|r| r.send(request).is_ok());
             }
         }
     }
@@ -74,12 +102,32 @@ impl GraphWorker {
                 .flatten(),
         }
     }
+
+    /// Where a frame is among the keyframes of all jobs so far, waiting for the answer.
+    pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
+        match self {
+            Self::Inline { graph, .. } => graph.relocalise(frame),
+            Self::Threaded {
+                requests, places, ..
+            } => {
+                let request = Request::Relocalise(frame.clone());
+                let is_sent = requests.as_ref().is_some_and(|r| r.send(request).is_ok());
+                is_sent
+                    .then(|| places.recv().ok())
+                    .flatten()
+                    .unwrap_or_default()
+            }
+        }
+    }
 }
 
 impl Drop for GraphWorker {
     fn drop(&mut self) {
-        if let Self::Threaded { jobs, thread, .. } = self {
-            jobs.take();
+        if let Self::Threaded {
+            requests, thread, ..
+        } = self
+        {
+            requests.take();
             if let Some(thread) = thread.take() {
                 // a panic there has been reported there; nothing is left to do here
                 let _ = thread.join();

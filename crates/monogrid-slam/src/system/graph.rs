@@ -5,11 +5,12 @@ use crate::KeyframeId;
 use crate::depth_step::tracking_samples;
 use crate::graph::{
     GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, KeyframeGraph, OdometryEdge,
+    Relocalised,
 };
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
-use monogrid_image::Mask;
+use monogrid_image::{Mask, Pyramid};
 use std::time::Instant;
 
 /// The graph's worker and what it has told so far.
@@ -26,8 +27,7 @@ impl GraphLink {
     /// A link, if the configuration asks for a graph.
     pub(super) fn new(config: &crate::GraphConfig, pinhole: Pinhole, mask: &Mask) -> Option<Self> {
         config.enabled.then(|| {
-            let size = (mask.width(), mask.height());
-            let graph = KeyframeGraph::new(config.clone(), pinhole, size);
+            let graph = KeyframeGraph::new(config.clone(), pinhole, mask.clone());
             Self {
                 worker: GraphWorker::new(graph, rayon::current_num_threads()),
                 due: None,
@@ -117,6 +117,16 @@ impl Slam {
             is_final,
         });
         link.due = Some((self.config.graph.lag_frames, Instant::now()));
+    }
+
+    /// Keyframes that a frame shows, by appearance, the most certain first.
+    pub(super) fn recognise(&mut self, frame: &Pyramid) -> Vec<Relocalised> {
+        if !self.config.graph.places.enabled {
+            return Vec::new();
+        }
+        self.take_graph_update();
+        let link = self.graph.as_ref();
+        link.map_or_else(Vec::new, |link| link.worker.relocalise(frame))
     }
 
     /// Counts a frame, and takes over the result that is due.

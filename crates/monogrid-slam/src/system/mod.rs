@@ -2,6 +2,7 @@
 
 mod graph;
 mod keyframes;
+mod relocalise;
 mod trajectory;
 
 use self::graph::GraphLink;
@@ -12,7 +13,7 @@ use crate::policy::{KeyframeEvidence, is_new_keyframe};
 use crate::sparse::scale::DenseLink;
 use crate::sparse::{SparseLayer, SparseStats};
 use crate::start::{Start, StartOutcome, Started};
-use crate::tracker::{MotionPrior, extrapolate, track};
+use crate::tracker::{MotionPrior, extrapolate, is_convincing, track};
 use crate::{
     ConfigError, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, PoseSnapshot, Scale,
     SlamConfig, StageTimes, TrackingState,
@@ -43,6 +44,7 @@ pub struct Slam {
     scale: Scale,
     lost_in_a_row: usize,
     lost_episodes: usize,
+    relocalisations: usize,
     sparse: SparseLayer,
     sparse_stats: SparseStats,
     /// Dense depth at the points that a keyframe sees, by identity.
@@ -110,6 +112,7 @@ impl Slam {
             scale: Scale::Arbitrary,
             lost_in_a_row: 0,
             lost_episodes: 0,
+            relocalisations: 0,
             sparse: SparseLayer::default(),
             sparse_stats: SparseStats::default(),
             links: Vec::new(),
@@ -170,6 +173,12 @@ impl Slam {
     #[must_use]
     pub fn lost_episodes(&self) -> usize {
         self.lost_episodes
+    }
+
+    /// Times that a lost camera was recognised at another keyframe.
+    #[must_use]
+    pub fn relocalisations(&self) -> usize {
+        self.relocalisations
     }
 
     /// Intrinsics of the working images.
@@ -354,7 +363,19 @@ impl Slam {
         let (Some(current), Some(last)) = (self.current.as_ref(), self.last.as_ref()) else {
             return report;
         };
-        let tracked = self.track_on(current, last, &frame);
+        let mut tracked = self.track_on(current, last, &frame);
+        let is_doubtful = self.lost_in_a_row > 0 || tracked.state == TrackingState::Degraded;
+        if is_doubtful
+            && tracked.state != TrackingState::Lost
+            && !is_convincing(
+                &tracked.alignment,
+                self.lost_in_a_row > 0,
+                &self.config.tracking,
+            )
+        {
+            tracked.state = TrackingState::Lost;
+            tracked.reason = Some(LostReason::Residuals);
+        }
         let alignment = &tracked.alignment;
         report.milliseconds.tracking = milliseconds(begin);
         report.state = tracked.state;
@@ -369,6 +390,9 @@ impl Slam {
                 self.lost_episodes += 1;
             }
             self.lost_in_a_row += 1;
+            let before = Instant::now();
+            self.relocalise(&frame, &mut report);
+            report.milliseconds.graph += milliseconds(before);
             return report;
         }
         self.lost_in_a_row = 0;

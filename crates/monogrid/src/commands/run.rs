@@ -277,7 +277,7 @@ fn summarise(
         keyframes: tracked.slam.keyframes().len(),
         constraints: tracked.slam.graph_stats().constraints,
         graph_wait_ms: tracked.slam.graph_stats().max_wait_ms,
-        loop_closures: 0,
+        loop_closures: tracked.slam.graph_stats().loop_closures,
         points,
         frames_per_second: 0.0,
         seconds: Seconds {

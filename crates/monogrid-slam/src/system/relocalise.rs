@@ -1,0 +1,103 @@
+//! A camera that is lost finds back to any keyframe that it sees.
+
+use super::{Last, Slam};
+use crate::frame::Frame;
+use crate::graph::Relocalised;
+use crate::tracker::{MotionPrior, Tracked, track};
+use crate::{FrameReport, TrackingState};
+use monogrid_alignment::{Motion, Reference};
+use monogrid_depth::{DepthMap, DepthState, HostFrame};
+use monogrid_geometry::Se3;
+use std::sync::Arc;
+
+impl Slam {
+    /// Looks for a lost frame among all keyframes; where it is recognised and direct alignment agrees, it
+    /// becomes a keyframe there and tracking goes on. Whether it did.
+    pub(super) fn relocalise(&mut self, frame: &Frame, report: &mut FrameReport) -> bool {
+        if self.lost_in_a_row < self.config.graph.places.min_lost_frames {
+            return false;
+        }
+        for found in self.recognise(&frame.pyramid) {
+            let tracked = self.track_on_keyframe(&found, frame);
+            if tracked.state == TrackingState::Good && self.resume(frame, &found, &tracked, report)
+            {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Direct alignment of a frame to a recognised keyframe, from the pose that its points give.
+    fn track_on_keyframe(&self, found: &Relocalised, frame: &Frame) -> Tracked {
+        let config = &self.config.tracking;
+        let reference = Reference::new(
+            &found.view.pyramid,
+            &self.pinhole,
+            &found.view.samples,
+            config.alignment.finest_level,
+            config.alignment.coarsest_level,
+        );
+        let prior = MotionPrior {
+            last_from_keyframe: Motion::from_pose(found.frame_from_keyframe),
+            frame_from_last: Se3::identity(),
+        };
+        track(&reference, frame, &prior, None, &self.pinhole, config)
+    }
+
+    /// Makes the frame a keyframe on top of the recognised one.
+    fn resume(
+        &mut self,
+        frame: &Frame,
+        found: &Relocalised,
+        tracked: &Tracked,
+        report: &mut FrameReport,
+    ) -> bool {
+        let motion = tracked.alignment.motion;
+        let Some(depth) = self.depth_of(found) else {
+            return false;
+        };
+        let Some(successor) = self.successor(&depth, frame, &motion) else {
+            return false;
+        };
+        report.state = TrackingState::Good;
+        report.reason = None;
+        report.covariance = tracked.alignment.covariance;
+        report.exposure_gain = tracked.alignment.gain();
+        let finished = self.finish_current();
+        report.finished_keyframe = finished.as_ref().map(|(id, _)| *id);
+        let view = finished.and_then(|(_, view)| view);
+        self.begin_keyframe(frame, found.view.id, &motion, successor, view, report);
+        report.created_keyframe = true;
+        self.lost_in_a_row = 0;
+        self.last = Some(Last {
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: frame.pyramid.clone(),
+            motion: Motion::from_pose(Se3::identity()),
+            frame_from_previous: Se3::identity(),
+            interval_ns: 0,
+        });
+        self.remember(frame, Motion::from_pose(Se3::identity()));
+        if let Some(node) = self.nodes.last() {
+            report.keyframe = Some(node.id);
+            report.world_from_camera = Some(node.world_from_keyframe.to_se3());
+        }
+        self.relocalisations += 1;
+        true
+    }
+
+    /// The depth of a recognised keyframe, as it was when the keyframe was finished.
+    fn depth_of(&self, found: &Relocalised) -> Option<DepthMap> {
+        let image = found.view.pyramid.level(0).clone();
+        let host = Arc::new(HostFrame::new(image, self.mask.clone(), self.pinhole).ok()?);
+        let mut depth = DepthMap::empty(host, &self.config.depth);
+        for sample in &found.view.samples {
+            let state = DepthState::Known {
+                idepth: sample.idepth,
+                idepth_var: sample.idepth_var,
+                validity: self.config.depth.mature_validity,
+            };
+            depth.seed_pixel(sample.x.into(), sample.y.into(), state);
+        }
+        Some(depth)
+    }
+}
