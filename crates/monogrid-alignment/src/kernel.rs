@@ -3,6 +3,7 @@
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::Se3;
 use nalgebra::{SMatrix, SVector};
+use rayon::prelude::*;
 
 /// Unknowns: twist `[v, w]` of the frame, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 8;
@@ -12,6 +13,8 @@ const LANES: usize = 8;
 const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// Points summed in `f32` before the sum moves to `f64`.
 const BLOCK: usize = 2048;
+/// Below this many points threads cost more than they bring.
+const MIN_PARALLEL: usize = 2 * BLOCK;
 
 /// The state that is estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,17 +109,29 @@ pub fn linearize(
     };
     let stride = stride.max(1);
     let count = reference.len().div_ceil(stride);
-    for block in (0..count).step_by(BLOCK) {
-        let mut triangle = [[0.0f32; LANES]; TRIANGLE];
-        let mut gradient = [[0.0f32; LANES]; UNKNOWNS];
-        let mut sums = Sums::default();
-        let block_end = (block + BLOCK).min(count);
-        for start in (block..block_end).step_by(LANES) {
+    let block = |start: usize| {
+        let mut block = Block::default();
+        let block_end = (start + BLOCK).min(count);
+        for start in (start..block_end).step_by(LANES) {
             let chunk = (start..(start + LANES).min(block_end)).map(|i| i * stride);
-            let lanes = projection.chunk(reference, target, weighting, chunk, &mut sums);
-            accumulate(&lanes, &mut triangle, &mut gradient);
+            let lanes = projection.chunk(reference, target, weighting, chunk, &mut block.sums);
+            accumulate(&lanes, &mut block.triangle, &mut block.gradient);
         }
-        out.add_block(&triangle, &gradient, &sums);
+        block
+    };
+    if count > MIN_PARALLEL {
+        // blocks are fixed and added in their order: the same bits for any number of threads
+        let blocks: Vec<Block> = (0..count.div_ceil(BLOCK))
+            .into_par_iter()
+            .map(|index| block(index * BLOCK))
+            .collect();
+        for block in &blocks {
+            out.add_block(block);
+        }
+    } else {
+        for start in (0..count).step_by(BLOCK) {
+            out.add_block(&block(start));
+        }
     }
     for row in 0..UNKNOWNS {
         for column in 0..row {
@@ -124,6 +139,23 @@ pub fn linearize(
         }
     }
     out
+}
+
+/// Sums of a block of points.
+struct Block {
+    triangle: [[f32; LANES]; TRIANGLE],
+    gradient: [[f32; LANES]; UNKNOWNS],
+    sums: Sums,
+}
+
+impl Default for Block {
+    fn default() -> Self {
+        Self {
+            triangle: [[0.0; LANES]; TRIANGLE],
+            gradient: [[0.0; LANES]; UNKNOWNS],
+            sums: Sums::default(),
+        }
+    }
 }
 
 /// Scalar sums of a block.
@@ -139,12 +171,12 @@ struct Sums {
 }
 
 impl Linearization {
-    fn add_block(
-        &mut self,
-        triangle: &[[f32; LANES]; TRIANGLE],
-        gradient: &[[f32; LANES]; UNKNOWNS],
-        sums: &Sums,
-    ) {
+    fn add_block(&mut self, block: &Block) {
+        let Block {
+            triangle,
+            gradient,
+            sums,
+        } = block;
         let total = |lanes: &[f32; LANES]| lanes.iter().map(|x| f64::from(*x)).sum::<f64>();
         let mut k = 0;
         for (row, sums) in gradient.iter().enumerate() {

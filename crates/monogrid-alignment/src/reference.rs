@@ -2,6 +2,7 @@
 
 use monogrid_geometry::Pinhole;
 use monogrid_image::{Pyramid, pyramid_intrinsics};
+use rayon::prelude::*;
 
 /// Inverse depth of one keyframe pixel at full resolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,6 +86,7 @@ impl Reference {
     ) -> Self {
         let intrinsics = pyramid_intrinsics(pinhole, pyramid.num_levels());
         let levels = (0..pyramid.num_levels())
+            .into_par_iter()
             .map(|level| {
                 if level < finest || level > coarsest {
                     return ReferenceLevel::default();

@@ -43,5 +43,5 @@ pub use map::{DepthMap, DepthState};
 pub use observe::{DepthBand, StereoFrame};
 pub use pixels::{PixelDepth, PixelFilter};
 pub use propagate::PropagationStats;
-pub use regularize::{RegularizeBand, RegularizeStats};
+pub use regularize::{FilledHole, RegularizeBand, RegularizeStats};
 pub use stats::{ObserveStats, PixelOutcome};

@@ -19,6 +19,8 @@ const RADIUS: usize = PATCH / 2;
 const SAMPLES: usize = PATCH + 2;
 /// Longest interval, px.
 pub(crate) const MAX_STEPS: usize = 250;
+/// Positions of a short search.
+const SHORT: usize = 28;
 /// Iterations of the refinement.
 const MAX_ITERATIONS: usize = 6;
 /// The refinement stops when it moves less, px.
@@ -191,11 +193,28 @@ pub(crate) fn search(
     ambiguity: (f32, f32),
 ) -> Result<LineMatch, NoMatch> {
     let num = num_steps.min(MAX_STEPS) + 1;
-    let mut values = [0.0f32; MAX_STEPS + 1 + 2 * RADIUS];
-    let values = &mut values[..num + 2 * RADIUS];
+    // most searches are short, and clearing the long buffers would take longer than they do
+    if num <= SHORT {
+        let (mut values, mut costs) = ([0.0; SHORT + 2 * RADIUS], [0.0; SHORT]);
+        let buffers = (&mut values[..num + 2 * RADIUS], &mut costs[..num]);
+        search_in(patch, walk, from, buffers, ambiguity)
+    } else {
+        let (mut values, mut costs) = ([0.0; MAX_STEPS + 1 + 2 * RADIUS], [0.0; MAX_STEPS + 1]);
+        let buffers = (&mut values[..num + 2 * RADIUS], &mut costs[..num]);
+        search_in(patch, walk, from, buffers, ambiguity)
+    }
+}
+
+/// [`search`] at `costs.len()` positions; `values` holds a patch more.
+#[inline]
+fn search_in(
+    patch: &Patch,
+    walk: &Walk<'_>,
+    from: f32,
+    (values, costs): (&mut [f32], &mut [f32]),
+    ambiguity: (f32, f32),
+) -> Result<LineMatch, NoMatch> {
     walk.fill(from - RADIUS as f32, values);
-    let mut costs = [0.0f32; MAX_STEPS + 1];
-    let costs = &mut costs[..num];
     fill_costs(patch, values, costs);
     let (mut best, mut best_cost) = (0, f32::INFINITY);
     for (i, &cost) in costs.iter().enumerate() {
@@ -203,7 +222,7 @@ pub(crate) fn search(
             (best, best_cost) = (i, cost);
         }
     }
-    if best == 0 || best + 1 == num {
+    if best == 0 || best + 1 == costs.len() {
         return Err(NoMatch::AtIntervalEnd);
     }
     let (ratio, noise_ssd) = ambiguity;

@@ -37,6 +37,13 @@ pub struct RegularizeBand<'a> {
     smooth_var: &'a mut [f32],
 }
 
+/// A pixel without depth and the hypothesis that its neighbours give it.
+#[derive(Clone, Copy, Debug)]
+pub struct FilledHole {
+    index: usize,
+    hypothesis: Hypothesis,
+}
+
 impl DepthMap {
     /// Bands for [`RegularizeBand::regularize`]; call [`DepthMap::remove_unsupported`] after all.
     pub fn regularize_bands(&mut self, rows_per_band: usize) -> Vec<RegularizeBand<'_>> {
@@ -83,32 +90,45 @@ impl DepthMap {
         stats
     }
 
-    /// Gives candidate pixels without depth, but with confirmed neighbours, the neighbours' depth, with a
-    /// variance that covers their spread and without any confirmation. Returns how many.
-    pub fn fill_holes(&mut self, config: &DepthConfig) -> usize {
-        let (w, h) = (self.host.width(), self.host.height());
-        let mut filled = Vec::new();
-        for y in 0..h {
+    /// Candidate pixels of some rows without depth, but with confirmed neighbours, with the neighbours' depth, a
+    /// variance that covers their spread and no confirmation. Reads only, so that rows can be searched side by
+    /// side; [`DepthMap::fill`] stores what was found.
+    #[must_use]
+    pub fn holes(&self, rows: std::ops::Range<usize>, config: &DepthConfig) -> Vec<FilledHole> {
+        let w = self.host.width();
+        let mut found = Vec::new();
+        for y in rows.start..rows.end.min(self.host.height()) {
             for &x in self.candidates.row(y) {
                 let x = usize::from(x);
-                let i = y * w + x;
-                if self.arrays.var[i] > 0.0 || self.arrays.failures[i] > 2 {
+                let index = y * w + x;
+                if self.arrays.var[index] > 0.0 || self.arrays.failures[index] > 2 {
                     continue;
                 }
                 if let Some(hypothesis) = self.hole(x, y, config) {
-                    filled.push((i, hypothesis));
+                    found.push(FilledHole { index, hypothesis });
                 }
             }
         }
-        for (i, hypothesis) in &filled {
+        found
+    }
+
+    /// Stores what [`DepthMap::holes`] found.
+    pub fn fill(&mut self, holes: &[FilledHole]) {
+        for FilledHole { index, hypothesis } in holes {
             // what failed before may fail again: its failures keep counting
-            let failures = self.arrays.failures[*i];
-            self.arrays.set(*i, *hypothesis);
-            self.arrays.failures[*i] = failures;
-            self.smooth_idepth[*i] = hypothesis.idepth;
-            self.smooth_var[*i] = hypothesis.var;
+            let failures = self.arrays.failures[*index];
+            self.arrays.set(*index, *hypothesis);
+            self.arrays.failures[*index] = failures;
+            self.smooth_idepth[*index] = hypothesis.idepth;
+            self.smooth_var[*index] = hypothesis.var;
         }
-        filled.len()
+    }
+
+    /// Fills the holes of all rows on the calling thread. Returns how many.
+    pub fn fill_holes(&mut self, config: &DepthConfig) -> usize {
+        let holes = self.holes(0..self.host.height(), config);
+        self.fill(&holes);
+        holes.len()
     }
 
     /// Inverse-variance mean of the 5x5 neighbours when they are confirmed enough.
@@ -175,11 +195,29 @@ impl DepthMap {
     }
 }
 
+/// Validities of a band and the rows beside it as numbers that can be summed in lanes.
+struct Validity {
+    /// Index of the first value in the map.
+    first: usize,
+    values: Vec<f32>,
+}
+
 impl RegularizeBand<'_> {
     /// Computes the smoothed values of the band's rows.
     pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
         let mut stats = RegularizeStats::default();
         let candidates = self.candidates;
+        let first_needed = self.first_row.saturating_sub(RADIUS) * self.width;
+        let end = (self.first_row + self.num_rows + RADIUS) * self.width;
+        let validity = &self.arrays.validity;
+        let validity = Validity {
+            first: first_needed,
+            // converted once, not once for each of the 25 pixels that look at it
+            values: validity[first_needed..end.min(validity.len())]
+                .iter()
+                .map(|v| f32::from(*v))
+                .collect(),
+        };
         for row in 0..self.num_rows {
             let y = self.first_row + row;
             for &x in candidates.row(y) {
@@ -189,7 +227,7 @@ impl RegularizeBand<'_> {
                     self.smooth_var[out] = 0.0;
                     continue;
                 }
-                match self.smoothed(x, y, config) {
+                match self.smoothed(x, y, &validity, config) {
                     Some((idepth, var)) => {
                         self.smooth_idepth[out] = idepth;
                         self.smooth_var[out] = var;
@@ -208,7 +246,13 @@ impl RegularizeBand<'_> {
     /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by
     /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid.
     #[inline]
-    fn smoothed(&self, x: usize, y: usize, config: &DepthConfig) -> Option<(f32, f32)> {
+    fn smoothed(
+        &self,
+        x: usize,
+        y: usize,
+        validity: &Validity,
+        config: &DepthConfig,
+    ) -> Option<(f32, f32)> {
         let arrays = self.arrays;
         let w = self.width;
         let i = y * w + x;
@@ -222,7 +266,7 @@ impl RegularizeBand<'_> {
             let start = (y + dy - RADIUS) * w + x - RADIUS;
             let vars = f32x8::new(*lanes(&arrays.var, start)?);
             let gaps = f32x8::new(*lanes(&arrays.idepth, start)?) - idepth_lanes;
-            let validities = f32x8::new(lanes(&arrays.validity, start)?.map(f32::from));
+            let validities = f32x8::new(*lanes(&validity.values, start - validity.first)?);
             let known = vars.simd_gt(f32x8::ZERO) & COLUMN_USED.simd_gt(f32x8::ZERO);
             let used = known & (gaps * gaps).simd_le(var_lanes + vars);
             let weights = used & (f32x8::ONE / (vars + slope_sq * (COLUMN_SQ + row_sq)));

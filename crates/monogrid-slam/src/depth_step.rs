@@ -2,7 +2,7 @@
 
 use crate::TrackingConfig;
 use monogrid_alignment::DepthSample;
-use monogrid_depth::{DepthConfig, DepthMap, ObserveStats, PixelFilter, StereoFrame};
+use monogrid_depth::{DepthConfig, DepthMap, FilledHole, ObserveStats, PixelFilter, StereoFrame};
 use rayon::prelude::*;
 
 /// Rows per band: fixed, so that the result does not depend on the number of threads.
@@ -29,7 +29,14 @@ pub(crate) fn observe(
 
 /// Fills holes, smooths, and drops what its neighbourhood does not support.
 pub(crate) fn regularize(depth: &mut DepthMap, config: &DepthConfig) {
-    depth.fill_holes(config);
+    let num_bands = depth.host().height().div_ceil(BAND_ROWS);
+    let holes: Vec<Vec<FilledHole>> = (0..num_bands)
+        .into_par_iter()
+        .map(|band| depth.holes(band * BAND_ROWS..(band + 1) * BAND_ROWS, config))
+        .collect();
+    for found in &holes {
+        depth.fill(found);
+    }
     depth
         .regularize_bands(BAND_ROWS)
         .into_par_iter()

@@ -123,6 +123,11 @@ impl Slam {
 
     /// Processes the next frame.
     pub fn process_frame(&mut self, input: FrameInput) -> FrameReport {
+        // inside the pool of threads its many short parallel steps begin without waking anybody
+        rayon::scope(|_| self.process_in_pool(input))
+    }
+
+    fn process_in_pool(&mut self, input: FrameInput) -> FrameReport {
         let begin = Instant::now();
         if let Some(report) = self.repeat(&input) {
             return report;
