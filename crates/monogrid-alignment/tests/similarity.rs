@@ -111,6 +111,25 @@ fn recovers_pose_and_scale_between_keyframes_of_different_units() {
     }
 }
 
+/// Brightness that was handed on over a hundred keyframes says nothing any more.
+#[test]
+fn a_wrong_start_of_the_brightness_does_no_harm() {
+    let b_from_world = Se3::exp(&Vec6::new(0.1, -0.05, 0.05, 0.02, -0.03, 0.03));
+    let a = keyframe(&Se3::identity(), 1.0, 1.0, 0.0);
+    let b = keyframe(&b_from_world, 1.3, 1.1, -6.0);
+    let truth = true_similarity(&Se3::identity(), 1.0, &b_from_world, 1.3);
+    for (log_gain, bias) in [(0.9, -80.0), (-1.2, 120.0)] {
+        let start = SimilarityState {
+            b_from_a: truth,
+            log_gain,
+            bias,
+        };
+        let found = align_reciprocally(&a, &b, &start, &SimilarityConfig::default()).unwrap();
+        let error = (found.b_from_a * truth.inverse()).log();
+        assert!(error.amax() < 2e-3, "{error}");
+    }
+}
+
 #[test]
 fn information_is_as_large_as_the_error_says() {
     // White noise of a known size on the images and depths of both.

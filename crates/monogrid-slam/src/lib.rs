@@ -32,7 +32,8 @@ pub use config::{
 };
 pub use frame::FrameInput;
 pub use graph::{
-    DirectEdgeConfig, GraphConfig, GraphStats, PlaceRecognitionConfig, SparseEdgeConfig,
+    DirectEdgeConfig, DriftConfig, GraphConfig, GraphStats, PlaceRecognitionConfig,
+    SparseEdgeConfig,
 };
 pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
 pub use report::{FrameReport, LostReason, StageTimes, TrackingState};

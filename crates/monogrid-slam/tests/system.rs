@@ -229,6 +229,61 @@ fn a_covered_lens_is_lost_with_a_reason_and_found_again() {
     assert!(report.ate_rmse < 0.015 * report.path_length);
 }
 
+/// After ten seconds the video jumps back to its beginning: to another keyframe than the last.
+#[test]
+fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
+    const SEEN_AGAIN: std::ops::Range<usize> = 4..16;
+    let sequence = SynthSequence::small_demo().unwrap();
+    let mut inputs: Vec<FrameInput> = (0..300)
+        .step_by(3)
+        .enumerate()
+        .map(|(index, k)| {
+            let frame = sequence.frame(k).unwrap();
+            FrameInput {
+                index,
+                timestamp_ns: frame.timestamp_ns,
+                image: frame.image,
+                seed_depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+            }
+        })
+        .collect();
+    let jump = inputs.len();
+    let end_ns = inputs[jump - 1].timestamp_ns;
+    for k in SEEN_AGAIN {
+        let index = inputs.len();
+        inputs.push(FrameInput {
+            index,
+            timestamp_ns: end_ns + (index - jump + 1) as i64 * 100_000_000,
+            ..inputs[k].clone()
+        });
+    }
+    let (slam, reports) = run(SlamConfig::default(), 0, &inputs);
+    assert_eq!(slam.relocalisations(), 1);
+    assert!(
+        reports[jump..]
+            .iter()
+            .filter(|r| r.world_from_camera.is_none())
+            .count()
+            <= 2
+    );
+    // what was seen twice has the same pose twice
+    let poses = slam.trajectory();
+    let pose = |index: usize| {
+        Some(
+            poses
+                .iter()
+                .find(|p| p.frame_index == index)?
+                .world_from_camera,
+        )
+    };
+    for (k, again) in SEEN_AGAIN.zip(jump..).skip(2) {
+        let again_from_first = pose(again).unwrap().inverse() * pose(k).unwrap();
+        let (moved, turned) = (again_from_first.translation, again_from_first.rotation);
+        assert!(moved.norm() < 0.02, "frame {k}: {moved}");
+        assert!(turned.angle() < 0.01, "frame {k}");
+    }
+}
+
 #[test]
 fn every_setting_is_checked_and_survives_a_file() {
     let mut config = SlamConfig::default();

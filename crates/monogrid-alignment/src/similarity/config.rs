@@ -59,7 +59,7 @@ impl Default for SimilarityConfig {
             min_depth_share: 0.1,
             min_correlation: 0.6,
             max_scale_change: 2.0,
-            max_reciprocal_chi_sq: 60.0,
+            max_reciprocal_chi_sq: 200.0,
         }
     }
 }

@@ -79,10 +79,25 @@ impl SimilarityLinearization {
     /// Correlation of the grey values of the visible points.
     #[must_use]
     pub fn correlation(&self) -> Option<f64> {
+        let (_, [var_a, var_b], covariance) = self.second_moments()?;
+        Some(covariance / (var_a * var_b).sqrt())
+    }
+
+    /// Logarithm of the gain and bias that give the visible points of a the mean and contrast that b has
+    /// there.
+    #[must_use]
+    pub fn matching_brightness(&self) -> Option<(f64, f64)> {
+        let ([mean_a, mean_b], [var_a, var_b], _) = self.second_moments()?;
+        let gain = (var_b / var_a).sqrt();
+        Some((gain.ln(), mean_b - gain * mean_a))
+    }
+
+    /// Means, variances and covariance of the grey values of the visible points in a and b.
+    fn second_moments(&self) -> Option<([f64; 2], [f64; 2], f64)> {
         let n = self.num_visible as f64;
         let [a, b, aa, bb, ab] = self.moments.map(|sum| sum / n);
         let (var_a, var_b) = (aa - a * a, bb - b * b);
-        (n > 8.0 && var_a > 1.0 && var_b > 1.0).then(|| (ab - a * b) / (var_a * var_b).sqrt())
+        (n > 8.0 && var_a > 1.0 && var_b > 1.0).then_some(([a, b], [var_a, var_b], ab - a * b))
     }
 
     /// Information of the similarity alone, with gain and bias marginalised out.

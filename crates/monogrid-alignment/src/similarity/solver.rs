@@ -47,7 +47,7 @@ pub fn align_similarity(
         .min(a.reference.coarsest_level())
         .min(b.target.coarsest_level());
     let finest = finest.min(coarsest);
-    let mut state = *initial;
+    let mut state = with_plausible_brightness(a, b, coarsest, initial, config);
     let mut scale = None;
     let mut iterations = 0;
     let mut level = coarsest;
@@ -60,6 +60,43 @@ pub fn align_similarity(
             return summarise(&solved, iterations, config);
         }
         level -= 1;
+    }
+}
+
+/// The given gain and bias, or those that give the visible points of `a` the mean and contrast of what they
+/// meet in `b`, whichever cost less: brightness that was handed on over many keyframes drifts as poses do.
+fn with_plausible_brightness(
+    a: &KeyframeView,
+    b: &KeyframeView,
+    level: usize,
+    initial: &SimilarityState,
+    config: &SimilarityConfig,
+) -> SimilarityState {
+    let weighting = SimilarityWeighting::initial(config);
+    let evaluate = |state: &SimilarityState| {
+        let (image, depth) = (&b.target.levels[level], &b.depth[level]);
+        linearize_similarity(
+            &a.reference.levels[level],
+            image,
+            depth,
+            state,
+            &weighting,
+            1,
+        )
+    };
+    let given = evaluate(initial);
+    let Some((log_gain, bias)) = given.matching_brightness() else {
+        return *initial;
+    };
+    let matched = SimilarityState {
+        log_gain,
+        bias,
+        ..*initial
+    };
+    if evaluate(&matched).mean_cost() < given.mean_cost() {
+        matched
+    } else {
+        *initial
     }
 }
 
@@ -84,12 +121,8 @@ fn align_level(
         0 => 1,
         max => points.len().div_ceil(max).max(1),
     };
-    let mut weighting = SimilarityWeighting {
-        intensity_var: config.sigma_intensity.powi(2),
-        shared_depth_var: config.shared_depth_sigma.powi(2),
-        robust: config.robust,
-        scale: initial_scale.unwrap_or([1.0; 2]),
-    };
+    let mut weighting = SimilarityWeighting::initial(config);
+    weighting.scale = initial_scale.unwrap_or(weighting.scale);
     let evaluate = |state: &SimilarityState, weighting: &SimilarityWeighting| {
         let (image, depth) = (&b.target.levels[level], &b.depth[level]);
         linearize_similarity(points, image, depth, state, weighting, stride)
@@ -131,6 +164,17 @@ fn align_level(
         linear,
         iterations,
         scale: weighting.scale,
+    }
+}
+
+impl SimilarityWeighting {
+    fn initial(config: &SimilarityConfig) -> Self {
+        Self {
+            intensity_var: config.sigma_intensity.powi(2),
+            shared_depth_var: config.shared_depth_sigma.powi(2),
+            robust: config.robust,
+            scale: [1.0; 2],
+        }
     }
 }
 

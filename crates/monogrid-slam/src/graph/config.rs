@@ -58,6 +58,40 @@ pub struct PlaceRecognitionConfig {
     pub max_loops: usize,
     /// Frames that must be lost in a row before the camera is looked for elsewhere.
     pub min_lost_frames: usize,
+    /// What drift can do between the keyframes of a loop.
+    pub drift: DriftConfig,
+}
+
+/// Largest drift between two keyframes: a loop that contradicts the poses by more can be switched off by the
+/// others, one that contradicts them less cannot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DriftConfig {
+    /// Drift of the position at least, median depths.
+    pub translation_start: f64,
+    /// Its growth as a share of the path.
+    pub translation_share: f64,
+    /// Drift of the rotation at least, rad.
+    pub rotation_start: f64,
+    /// Its growth per keyframe, rad.
+    pub rotation_step: f64,
+    /// Drift of the logarithm of the scale at least.
+    pub scale_start: f64,
+    /// Its growth per keyframe.
+    pub scale_step: f64,
+}
+
+impl Default for DriftConfig {
+    fn default() -> Self {
+        Self {
+            translation_start: 0.05,
+            translation_share: 0.02,
+            rotation_start: 0.01,
+            rotation_step: 0.0005,
+            scale_start: 0.02,
+            scale_step: 0.002,
+        }
+    }
 }
 
 impl Default for PlaceRecognitionConfig {
@@ -67,6 +101,7 @@ impl Default for PlaceRecognitionConfig {
             min_keyframes_between: 8,
             max_loops: 3,
             min_lost_frames: 2,
+            drift: DriftConfig::default(),
         }
     }
 }
@@ -107,6 +142,10 @@ pub struct SparseEdgeConfig {
     pub min_shared_points: usize,
     /// Edges of a keyframe to older ones at most, those with the most shared points.
     pub max_edges: usize,
+    /// Largest difference of the numbers of two keyframes with an edge. Points found again after a long time
+    /// pull both ends of a loop together only half, because each end is held by points of its own: the
+    /// relative pose that is left is no measurement.
+    pub max_gap: u32,
     /// Shared points at which the standard deviations below hold; with fewer they grow with the root.
     pub reference_points: usize,
     /// Standard deviation of the translation, median depths.
@@ -122,6 +161,7 @@ impl Default for SparseEdgeConfig {
         Self {
             min_shared_points: 15,
             max_edges: 12,
+            max_gap: 25,
             reference_points: 100,
             translation_sigma: 0.0008,
             rotation_sigma: 0.0005,

@@ -122,6 +122,10 @@ struct Entry {
 const MAX_PREPARED: usize = 24;
 /// A pair that was refused is tried again when the start differs by this much (norm of the tangent).
 const NEW_START: f64 = 0.1;
+/// Kernel of edges that are right but for single large errors.
+const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
+/// Newest keyframes whose covariances follow the graph while it grows.
+const NEWEST: usize = 12;
 /// Rounds of the final search.
 const FINAL_ROUNDS: usize = 2;
 
@@ -140,7 +144,18 @@ pub(crate) struct KeyframeGraph {
     mask: Mask,
     /// Prepared keyframes, the most recently used last.
     prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
+    /// Covariance of each keyframe relative to the one before.
+    covariances: Vec<Option<Mat7>>,
     stats: GraphStats,
+}
+
+/// Where the optimum is looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Search {
+    /// Near the poses as they are, which a few new constraints hardly move.
+    Near,
+    /// Also far away, through ever narrower kernels: a loop was closed.
+    Wide,
 }
 
 impl KeyframeGraph {
@@ -160,6 +175,7 @@ impl KeyframeGraph {
             places: PlaceMemory::new(pinhole, PlaceMemoryConfig::default()),
             mask,
             prepared: Vec::new(),
+            covariances: Vec::new(),
             stats: GraphStats::default(),
         }
     }
@@ -183,11 +199,15 @@ impl KeyframeGraph {
             self.search(id);
             if self.search_loops(id) {
                 // With the loop closed other keyframes of the place are where they can be predicted.
-                self.optimise();
+                self.optimise(Search::Wide);
                 self.search(id);
             }
         }
-        let mut covariances = self.optimise();
+        self.optimise(if job.is_final {
+            Search::Wide
+        } else {
+            Search::Near
+        });
         if job.is_final {
             for _ in 0..FINAL_ROUNDS {
                 let before = self.stats.constraints;
@@ -198,15 +218,16 @@ impl KeyframeGraph {
                 if self.stats.constraints == before {
                     break;
                 }
-                covariances = self.optimise();
+                self.optimise(Search::Wide);
             }
         }
+        self.update_covariances(job.is_final);
         let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
         self.stats.max_job_ms = self.stats.max_job_ms.max(milliseconds);
         self.stats.total_ms += milliseconds;
         GraphUpdate {
             world_from_keyframe: self.world_from_keyframe.clone(),
-            previous_from_keyframe_covariance: covariances,
+            previous_from_keyframe_covariance: self.covariances.clone(),
             edges: self.edges.values().copied().collect(),
             stats: self.stats,
         }
@@ -255,7 +276,7 @@ impl KeyframeGraph {
             j: u64::from(j),
             i_from_j,
             information,
-            kernel: RobustKernel::Huber { delta: 3.0 },
+            kernel: CERTAIN,
         };
         self.edges.remove(&(i, j, EdgeKind::Odometry));
         self.edges.insert((i, j, EdgeKind::Sparse), edge);
@@ -289,7 +310,14 @@ impl KeyframeGraph {
             let constraint = self.align(id, other, start);
             self.stats.alignment_ms += begin.elapsed().as_secs_f64() * 1e3;
             match constraint {
-                Some(constraint) => self.set_direct_edge(other, id, &constraint),
+                Some(constraint) => {
+                    let kernel = if other + 1 == id {
+                        CERTAIN
+                    } else {
+                        self.doubted()
+                    };
+                    self.set_direct_edge(other, id, &constraint, kernel);
+                }
                 None => {
                     self.refused.insert(key, start);
                 }
@@ -337,7 +365,13 @@ impl KeyframeGraph {
             self.stats.loops_proposed += 1;
             let other_from_own = found.this_from_other.inverse();
             if let Some(constraint) = self.align(id, other, other_from_own) {
-                self.set_direct_edge(other, id, &constraint);
+                // recognised and aligned: it is right unless it contradicts what drift can do
+                let kernel = if self.can_have_drifted(other, id, &constraint.b_from_a) {
+                    CERTAIN
+                } else {
+                    self.doubted()
+                };
+                self.set_direct_edge(other, id, &constraint, kernel);
                 self.stats.loop_closures += 1;
                 closed = true;
             }
@@ -424,18 +458,43 @@ impl KeyframeGraph {
         Some(prepared)
     }
 
-    fn set_direct_edge(&mut self, i: KeyframeId, j: KeyframeId, constraint: &SimilarityConstraint) {
+    /// Kernel of edges that may be wrong.
+    fn doubted(&self) -> RobustKernel {
+        RobustKernel::DynamicCovariance {
+            phi: self.config.switch_chi_sq,
+        }
+    }
+
+    /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
+    /// them. Successive errors have common causes (calibration, the scale of what is seen), so drift grows
+    /// with the path, not with its root as the edges of the graph would have it: a loop that corrects it
+    /// contradicts them, and would be switched off as if it were wrong.
+    fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
+        let drift = &self.config.places.drift;
+        let error = (i_from_j.inverse() * self.relative(i, j)).log();
+        let steps = f64::from(j.saturating_sub(i));
+        let poses = &self.world_from_keyframe[i as usize..=j as usize];
+        let path_in_world: f64 = poses
+            .windows(2)
+            .map(|pair| (pair[1].translation - pair[0].translation).norm())
+            .sum();
+        let path = path_in_world / self.world_from_keyframe[j as usize].scale;
+        error.fixed_rows::<3>(0).norm() <= drift.translation_start + drift.translation_share * path
+            && error.fixed_rows::<3>(3).norm() <= drift.rotation_start + drift.rotation_step * steps
+            && error[6].abs() <= drift.scale_start + drift.scale_step * steps
+    }
+
+    fn set_direct_edge(
+        &mut self,
+        i: KeyframeId,
+        j: KeyframeId,
+        constraint: &SimilarityConstraint,
+        kernel: RobustKernel,
+    ) {
         let Some(information) = self.with_model_error(constraint) else {
             return;
         };
         self.stats.constraints += 1;
-        let kernel = if i + 1 == j {
-            RobustKernel::Huber { delta: 3.0 }
-        } else {
-            RobustKernel::DynamicCovariance {
-                phi: self.config.switch_chi_sq,
-            }
-        };
         let edge = GraphEdge {
             i: u64::from(i),
             j: u64::from(j),
@@ -464,29 +523,45 @@ impl KeyframeGraph {
         Some((information + information.transpose()) * 0.5)
     }
 
-    /// Moves the poses to the optimum; covariance of each keyframe relative to the one before.
-    fn optimise(&mut self) -> Vec<Option<Mat7>> {
-        let none = vec![None; self.world_from_keyframe.len()];
+    /// Moves the poses to the optimum.
+    fn optimise(&mut self, search: Search) {
         let Some(mut graph) = self.pose_graph() else {
-            return none;
+            return;
         };
+        let default = PoseGraphConfig::default();
         let settings = PoseGraphConfig {
             max_iterations: self.config.max_iterations,
-            ..PoseGraphConfig::default()
+            graduation: match search {
+                Search::Near => None,
+                Search::Wide => default.graduation,
+            },
+            ..default
         };
         let Ok(report) = graph.optimise(&settings) else {
-            return none;
+            return;
         };
         for (pose, node) in self.world_from_keyframe.iter_mut().zip(graph.nodes()) {
             *pose = node.world_from_keyframe;
         }
         self.stats.switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
-        let Ok(uncertainty) = graph.uncertainty() else {
-            return none;
+    }
+
+    /// Covariances of keyframes relative to the one before, of the newest, or of all: what the graph says
+    /// about two neighbours hardly changes when others join.
+    fn update_covariances(&mut self, all: bool) {
+        let num = self.world_from_keyframe.len();
+        self.covariances.resize(num, None);
+        let Some(uncertainty) = self.pose_graph().and_then(|g| g.uncertainty().ok()) else {
+            return;
         };
-        (0..self.world_from_keyframe.len() as u64)
-            .map(|id| uncertainty.relative(id.checked_sub(1)?, id).ok())
-            .collect()
+        let first = if all {
+            1
+        } else {
+            num.saturating_sub(NEWEST).max(1)
+        };
+        for (id, covariance) in (first as u64..).zip(&mut self.covariances[first.min(num)..]) {
+            *covariance = uncertainty.relative(id - 1, id).ok();
+        }
     }
 
     fn pose_graph(&self) -> Option<PoseGraph> {

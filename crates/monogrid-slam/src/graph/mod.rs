@@ -12,7 +12,9 @@ mod keyframe_graph;
 mod search;
 mod worker;
 
-pub use config::{DirectEdgeConfig, GraphConfig, PlaceRecognitionConfig, SparseEdgeConfig};
+pub use config::{
+    DirectEdgeConfig, DriftConfig, GraphConfig, PlaceRecognitionConfig, SparseEdgeConfig,
+};
 pub use keyframe_graph::GraphStats;
 pub(crate) use keyframe_graph::{
     GraphJob, GraphUpdate, GraphView, KeyframeGraph, OdometryEdge, Relocalised, SparseEdge,

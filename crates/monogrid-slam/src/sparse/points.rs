@@ -4,7 +4,7 @@ use super::adjust::adjust_window;
 use super::matching::{NewPoint, anchor_points, find_in_new_keyframe, find_in_older_keyframes};
 use super::{SparseConfig, adjust};
 use crate::KeyframeId;
-use crate::graph::SparseEdge;
+use crate::graph::{SparseEdge, SparseEdgeConfig};
 use crate::node::Node;
 
 use monogrid_depth::DepthMap;
@@ -133,15 +133,13 @@ impl SparseLayer {
         }
     }
 
-    /// Pairs of keyframes with at least `min_shared` common points of which one is among the newest
-    /// `window`, older keyframe first: of each of these at most `max_edges`, the most common points
-    /// first.
+    /// Pairs of keyframes with enough common points and not too far apart, of which one is among the newest
+    /// `window`, older keyframe first: of each of these the ones with the most common points, those first.
     pub(crate) fn shared_points(
         &self,
         newest: KeyframeId,
         window: usize,
-        min_shared: usize,
-        max_edges: usize,
+        config: &SparseEdgeConfig,
     ) -> Vec<SparseEdge> {
         let first_recent = (newest + 1).saturating_sub(window as KeyframeId);
         let mut shared: BTreeMap<(KeyframeId, KeyframeId), usize> = BTreeMap::new();
@@ -163,7 +161,7 @@ impl SparseLayer {
         }
         let mut edges: Vec<SparseEdge> = shared
             .into_iter()
-            .filter(|(_, count)| *count >= min_shared)
+            .filter(|((i, j), count)| *count >= config.min_shared_points && j - i <= config.max_gap)
             .map(|((i, j), shared_points)| SparseEdge {
                 i,
                 j,
@@ -175,7 +173,7 @@ impl SparseLayer {
         let mut taken = (KeyframeId::MAX, 0);
         edges.retain(|edge| {
             taken = (edge.j, if taken.0 == edge.j { taken.1 + 1 } else { 1 });
-            taken.1 <= max_edges
+            taken.1 <= config.max_edges
         });
         edges
     }

@@ -100,12 +100,8 @@ impl Slam {
         };
         let sparse_edges = if self.config.sparse.enabled {
             let config = &self.config.graph.sparse_edges;
-            self.sparse.shared_points(
-                newest,
-                self.config.sparse.window_newest,
-                config.min_shared_points,
-                config.max_edges,
-            )
+            self.sparse
+                .shared_points(newest, self.config.sparse.window_newest, config)
         } else {
             Vec::new()
         };
