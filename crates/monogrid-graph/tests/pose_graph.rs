@@ -424,6 +424,57 @@ fn rigid_g2o_edges_have_g2os_own_error() {
 }
 
 #[test]
+fn damaged_g2o_files_are_graphs_that_can_be_written_or_errors() {
+    let file = g2o::write(&random_graph(&options(6)).graph);
+    // All vertices and the first edges.
+    let (vertices, edges): (Vec<&str>, Vec<&str>) =
+        file.lines().partition(|line| line.starts_with("VERTEX"));
+    let lines = vertices.into_iter().chain(edges.into_iter().take(20));
+    let file: String = lines.flat_map(|line| [line, "\n"]).collect();
+    let words = [
+        "nan",
+        "-inf",
+        "1e999",
+        "-1",
+        "99999999999999999999",
+        "\n",
+        " ",
+        "#",
+    ];
+    let mut random = Random(3);
+    let (mut accepted, mut refused) = (0, 0);
+    for _ in 0..400 {
+        let mut text = file.clone().into_bytes();
+        for _ in 0..=random.below(3) {
+            let at = random.below(text.len());
+            let end = (at + random.below(20)).min(text.len());
+            match random.below(6) {
+                0 => text[at] ^= 1 << random.below(7),
+                4 | 5 if text[at].is_ascii_digit() => text[at] = b'0' + random.below(10) as u8,
+                1 => drop(text.drain(at..end)),
+                2 => text.truncate(at + 1),
+                _ => drop(text.splice(at..end, words[random.below(8)].bytes())),
+            }
+        }
+        match g2o::read(&String::from_utf8_lossy(&text), RobustKernel::None) {
+            Ok(read) => {
+                accepted += 1;
+                let again = g2o::read(&g2o::write(&read.graph), RobustKernel::None).unwrap();
+                assert_eq!(again.graph.nodes().len(), read.graph.nodes().len());
+            }
+            Err(error) => {
+                refused += 1;
+                assert!(!error.to_string().is_empty());
+            }
+        }
+    }
+    assert!(
+        accepted > 10 && refused > 10,
+        "{accepted} accepted, {refused} refused"
+    );
+}
+
+#[test]
 fn broken_g2o_files_say_which_line() {
     let check = |text: &str, part: &str| {
         let message = g2o::read(text, RobustKernel::None).unwrap_err().to_string();

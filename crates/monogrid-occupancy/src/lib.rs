@@ -2,7 +2,7 @@
 //!
 //! An [`OccupancyMap`] holds log-odds per cell in sparse bricks of 8 x 8 x 8 cells; space that is
 //! equal all over a brick costs 16 bytes. [`integrate`] adds range measurements with an inverse
-//! [`SensorModel`]; [`write_ot`] and [`write_bt`] write OctoMap's files. Usable without any SLAM:
+//! [`SensorModel`]. Usable without any SLAM; ten lines from a lidar to a map:
 //!
 //! ```
 //! use monogrid_occupancy::*;
@@ -12,20 +12,62 @@
 //! let points = [[0.0_f32, 0.0, 2.0], [0.1, 0.0, 2.0]]; // in the sensor frame, metres
 //! let scan = Scan {
 //!     id: 0,
-//!     world_from_sensor: Similarity::IDENTITY,
+//!     world_from_sensor: Similarity::IDENTITY, // from your odometry
 //!     pose_sigma: PoseSigma::default(),
 //!     data: ScanData::Points(PointScan { points: &points, sigmas: &[0.02] }),
 //! };
-//! let config = IntegrationConfig { rule: IntegrationRule::Rays, ..IntegrationConfig::default() };
-//! integrate(&mut map, &scan, &config, 2)?;
-//! assert_eq!(map.state([0.0, 0.0, 1.0]), Occupancy::Free);
+//! integrate(&mut map, &scan, &IntegrationConfig::default(), 2)?;
 //! assert_eq!(map.state([0.0, 0.0, 2.0]), Occupancy::Occupied);
-//! assert_eq!(map.state([0.0, 0.0, 3.0]), Occupancy::Unknown);
-//! let mut file = Vec::new();
-//! write_bt(&map, &mut file)?;
+//! write_bt(&map, &mut std::io::sink())?; // or save_atomically(path, |file| write_ot(&map, file))
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! Depth images are [`ScanData::Depth`], holes included. The examples `lidar` and `depth_camera`
+//! are whole programs.
+//!
+//! # Questions
+//!
+//! | question | of the map | many of them, or on another thread |
+//! |---|---|---|
+//! | what is here? | [`OccupancyMap::state`], [`OccupancyMap::log_odds`] | [`Snapshot::state`], [`Snapshot::states`] |
+//! | and in a larger cell? | [`OccupancyMap::state_at_level`] | |
+//! | what does a ray hit first? | [`OccupancyMap::cast_ray`] | [`Snapshot::cast_ray`] |
+//! | does a robot fit here? | [`OccupancyMap::sphere_collides`], [`OccupancyMap::box_collides`] | the same of [`Snapshot`] |
+//! | how far is the nearest obstacle? | | [`DistanceField::distance`] |
+//! | what is in this box? | [`OccupancyMap::cells_in_box`], [`OccupancyMap::keys_in_key_box`] | |
+//! | what changed? | [`OccupancyMap::bricks_changed_since`], [`OccupancyMap::difference`] | |
+//! | what does it look like from above? | [`OccupancyMap::projected`] | |
+//!
+//! A [`Snapshot`] and a [`DistanceField`] follow their map by reading the bricks that changed:
+//!
+//! ```
+//! # use monogrid_occupancy::*;
+//! # fn main() -> Result<(), MapError> {
+//! let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1))?;
+//! let mut snapshot = Snapshot::new(&map);
+//! let mut distances = DistanceField::new(&map, DistanceConfig::default(), 1)?;
+//! map.add_log_odds(VoxelKey::new(5, 0, 0), 2.0)?;
+//! for brick in map.bricks_changed_since(snapshot.revision()) {
+//!     // publish `map.cells_in_key_box(brick.first_cell(), brick.cell(BRICK_CELLS - 1))`
+//! #   assert_eq!(brick, BrickKey::new(0, 0, 0));
+//! }
+//! snapshot.update(&map);
+//! distances.update(&map, 1);
+//! assert!(snapshot.sphere_collides([0.3, 0.0, 0.0], 0.25, UnknownCells::PassThrough));
+//! assert_eq!(distances.distance([0.15, 0.05, 0.05]), Some(0.4));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # Maps from maps, and files
+//!
+//! [`OccupancyMap::merge`], [`OccupancyMap::cropped`], [`OccupancyMap::within`] and
+//! [`OccupancyMap::transformed`] make maps from maps. Files are OctoMap's `.ot` ([`read_ot`],
+//! [`write_ot`]) and `.bt` ([`read_bt`], [`write_bt`]), the exact and small `.mgo` ([`read_mgo`],
+//! [`write_mgo`]), and point clouds ([`write_ply`], [`write_pcd`]). Writers stream; readers are
+//! given a memory budget and take any bytes without a panic. [`save_atomically`] keeps the old
+//! file until the new one is on disk.
 //!
 //! Conventions: cell boundaries lie on multiples of the resolution, as in OctoMap; all lengths
 //! are in map units (metres, if the poses and measurements are); sensors look along +z.

@@ -4,6 +4,7 @@ mod calibration;
 mod check;
 mod hostile;
 mod images;
+mod mutations;
 mod recording;
 mod register;
 mod scans;

@@ -93,6 +93,11 @@ fn run() -> Vec<Record> {
     ]
 }
 
+/// The bytes of a small recording.
+pub fn recording_bytes() -> Vec<u8> {
+    write(&run()).bytes
+}
+
 struct Written {
     _folder: tempfile::TempDir,
     path: PathBuf,
