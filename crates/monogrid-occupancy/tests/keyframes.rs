@@ -161,3 +161,86 @@ fn a_change_that_does_not_fit_into_memory_leaves_everything_as_it_was() {
         assert!(map.ids().eq([5]));
     }
 }
+
+#[test]
+fn an_update_in_steps_leaves_the_map_complete_until_it_is_done_and_takes_new_scans_along() {
+    for (case, config) in rules().into_iter().enumerate() {
+        for num_moved in [1, 5] {
+            let mut random = Random(case as u64 * 7 + num_moved);
+            let mut scans = BTreeMap::new();
+            let mut map =
+                KeyframeMap::new(MapConfig::with_resolution(CELL), config.clone(), 2).unwrap();
+            for id in 0..5 {
+                let scan = room_scan(&mut random, id, 700, 2.0);
+                map.set(&scan.borrow()).unwrap();
+                scans.insert(id, scan);
+            }
+            let mut follower = Snapshot::new(map.map());
+            let mut front = scans.clone();
+            let moves: Vec<_> = (0..num_moved as u32)
+                .map(|id| {
+                    let world_from_sensor = random.pose(0.7);
+                    scans.get_mut(&id).unwrap().pose = world_from_sensor;
+                    KeyframeChange::Move {
+                        id,
+                        world_from_sensor,
+                    }
+                })
+                .collect();
+            map.begin_update(&moves).unwrap();
+            let mut steps = 0;
+            while map.step_update().unwrap().is_none() {
+                steps += 1;
+                // The map of before, with what is added while the update is under way.
+                if steps % 2 == 1 && steps < 8 {
+                    let scan = room_scan(&mut random, 10 + steps, 300, 2.0);
+                    map.set(&scan.borrow()).unwrap();
+                    front.insert(scan.id, scan.clone());
+                    scans.insert(scan.id, scan);
+                }
+                assert!(map.is_updating());
+                assert!(bytes(map.map()) == from_scratch(&front, &config));
+                follower.update(map.map());
+            }
+            assert!(!map.is_updating() && steps > 4);
+            let expected = from_scratch(&scans, &config);
+            assert!(
+                bytes(map.map()) == expected,
+                "case {case}, {num_moved} moved"
+            );
+            // Those who follow the map brick by brick see the change, and lost bricks vanish.
+            follower.update(map.map());
+            let cells = (-40..40).flat_map(|x| (-40..40).map(move |y| (x, y)));
+            for (x, y) in cells {
+                for z in -40..40 {
+                    let key = VoxelKey::new(x, y, z);
+                    assert_eq!(follower.state_of(key), map.map().state_of(key));
+                }
+            }
+            // Later changes know where the moved keyframes are.
+            map.apply(&[KeyframeChange::Remove { id: 0 }]).unwrap();
+            scans.remove(&0);
+            assert!(bytes(map.map()) == from_scratch(&scans, &config));
+        }
+    }
+}
+
+#[test]
+fn a_shared_map_stays_as_it_is() {
+    let mut random = Random(5);
+    let mut map = KeyframeMap::new(
+        MapConfig::with_resolution(CELL),
+        IntegrationConfig::default(),
+        1,
+    )
+    .unwrap();
+    map.set(&room_scan(&mut random, 0, 500, 2.0).borrow())
+        .unwrap();
+    let shared = map.share();
+    let before = bytes(&shared);
+    map.set(&room_scan(&mut random, 1, 500, 2.0).borrow())
+        .unwrap();
+    assert!(bytes(&shared) == before && bytes(map.map()) != before);
+    let counts: Vec<_> = map.points().collect();
+    assert!(counts.iter().map(|c| c.0).eq([0, 1]) && counts.iter().all(|c| c.1 > 300));
+}

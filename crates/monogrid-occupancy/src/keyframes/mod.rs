@@ -3,19 +3,22 @@
 //! bit for bit.
 //!
 //! Every brick is a function of the scans that see it, in the order of their ids. A scan newer
-//! than all others is added to the map; any other change rebuilds the bricks that the changed scans
-//! see (where they were and where they are) from all scans that see them. Evidence is clamped when
-//! it is written, so it cannot be subtracted.
+//! than all others is added to the map; any other change is an [`update::Update`]: a second map in
+//! which the bricks that the changed scans see (where they were and where they are) are rebuilt from
+//! all scans that see them. Evidence is clamped when it is written, so it cannot be subtracted.
+//!
+//! The work of an update can be spread over steps of one scan each; until the last, the map is that
+//! of before, complete, and grows with new scans.
+
+mod update;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use self::update::Update;
 use crate::error::MapError;
-use crate::evidence::UNKNOWN;
-use crate::integrate::{
-    IntegrationConfig, IntegrationReport, bricks_seen, integrate, integrate_where,
-};
-use crate::key::{BRICK_CELLS, BrickKey};
+use crate::integrate::{IntegrationConfig, bricks_seen, integrate};
+use crate::key::BrickKey;
 use crate::map::{MapConfig, OccupancyMap};
 use crate::scan::{DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, Similarity};
 
@@ -42,6 +45,8 @@ struct Keyframe {
     data: Arc<OwnedData>,
     /// Groups of bricks that the scan sees, sorted.
     groups: Arc<Vec<u64>>,
+    /// Measurements that were used when it was last integrated.
+    points: usize,
 }
 
 impl Keyframe {
@@ -70,6 +75,7 @@ impl Keyframe {
             pose_sigma: scan.pose_sigma,
             data: Arc::new(data),
             groups: Arc::default(),
+            points: 0,
         }
     }
 
@@ -109,10 +115,13 @@ pub enum KeyframeChange<'a> {
 /// A map and the keyframes it is made of.
 #[derive(Clone, Debug)]
 pub struct KeyframeMap {
-    map: OccupancyMap,
+    /// Shared with those who asked for it; copied when it changes while they hold it.
+    map: Arc<OccupancyMap>,
     config: IntegrationConfig,
     keyframes: BTreeMap<u32, Keyframe>,
     threads: usize,
+    /// Changes under way.
+    update: Option<Update>,
 }
 
 impl KeyframeMap {
@@ -127,23 +136,35 @@ impl KeyframeMap {
     ) -> Result<Self, MapError> {
         config.validate()?;
         Ok(Self {
-            map: OccupancyMap::new(map)?,
+            map: Arc::new(OccupancyMap::new(map)?),
             config,
             keyframes: BTreeMap::new(),
             threads: threads.max(1),
+            update: None,
         })
     }
 
-    /// The map as it is now.
+    /// Changes the number of threads; results do not depend on it.
+    pub fn set_threads(&mut self, threads: usize) {
+        self.threads = threads.max(1);
+    }
+
+    /// The map as it is now: without the changes of an update that is under way.
     #[must_use]
     pub fn map(&self) -> &OccupancyMap {
         &self.map
     }
 
+    /// The same for another thread. It stays as it is while this map goes on.
+    #[must_use]
+    pub fn share(&self) -> Arc<OccupancyMap> {
+        Arc::clone(&self.map)
+    }
+
     /// The map, without its keyframes.
     #[must_use]
     pub fn into_map(self) -> OccupancyMap {
-        self.map
+        Arc::unwrap_or_clone(self.map)
     }
 
     /// Ids of the keyframes in the map, ascending.
@@ -151,7 +172,14 @@ impl KeyframeMap {
         self.keyframes.keys().copied()
     }
 
+    /// Ids of the keyframes in the map, ascending, and how many measurements of each were used.
+    pub fn points(&self) -> impl Iterator<Item = (u32, usize)> + '_ {
+        self.keyframes.values().map(|k| (k.id, k.points))
+    }
+
     /// Adds or replaces one keyframe: [`KeyframeMap::apply`] of one [`KeyframeChange::Set`].
+    ///
+    /// A keyframe newer than all others is added at once, also while an update is under way.
     ///
     /// # Errors
     /// As [`KeyframeMap::apply`].
@@ -159,7 +187,8 @@ impl KeyframeMap {
         self.apply(&[KeyframeChange::Set(*scan)]).map(|_| ())
     }
 
-    /// Makes changes, one after the other, with a single rebuild of the bricks concerned.
+    /// Makes changes, one after the other, with a single rebuild of the bricks concerned; an update
+    /// that is under way is finished before.
     ///
     /// Returns how many bricks were built anew; 0 where scans were only added at the end.
     ///
@@ -168,112 +197,81 @@ impl KeyframeMap {
     /// as before.
     pub fn apply(&mut self, changes: &[KeyframeChange]) -> Result<usize, MapError> {
         if let [KeyframeChange::Set(scan)] = changes
-            && self
-                .keyframes
-                .keys()
-                .next_back()
-                .is_none_or(|last| *last < scan.id)
+            && self.newest().is_none_or(|newest| newest < scan.id)
         {
             self.append(scan)?;
             return Ok(0);
         }
-        let mut keyframes = self.keyframes.clone();
-        let mut dirty = Vec::new();
-        for change in changes {
-            let id = match change {
-                KeyframeChange::Set(scan) => scan.id,
-                KeyframeChange::Move { id, .. } | KeyframeChange::Remove { id } => *id,
-            };
-            let old = keyframes.remove(&id);
-            let new = match (change, &old) {
-                (KeyframeChange::Set(scan), _) => Some(Keyframe::new(scan)),
-                (
-                    KeyframeChange::Move {
-                        world_from_sensor, ..
-                    },
-                    Some(old),
-                ) => Some(Keyframe {
-                    world_from_sensor: *world_from_sensor,
-                    ..old.clone()
-                }),
-                (KeyframeChange::Move { .. }, None) | (KeyframeChange::Remove { .. }, _) => None,
-            };
-            let is_same = matches!((change, &old, &new), (KeyframeChange::Move { .. }, Some(old), Some(new))
-                if old.world_from_sensor == new.world_from_sensor);
-            if is_same {
-                keyframes.extend(old.map(|old| (id, old)));
-                continue;
-            }
-            if let Some(old) = old {
-                dirty.extend(self.seen_by(&old)?);
-            }
-            if let Some(mut new) = new {
-                let seen = self.seen_by(&new)?;
-                new.groups = Arc::new(groups_of(&seen));
-                dirty.extend(seen);
-                keyframes.insert(id, new);
+        self.finish_update()?;
+        self.begin_update(changes)?;
+        self.finish_update()
+    }
+
+    /// Begins to make changes in a second map, which takes the place of the first when
+    /// [`KeyframeMap::step_update`] has been called often enough. An update that is under way is
+    /// finished before.
+    ///
+    /// The two maps need twice the memory meanwhile; the budget holds for each.
+    ///
+    /// # Errors
+    /// An invalid scan or pose, or as [`KeyframeMap::step_update`].
+    pub fn begin_update(&mut self, changes: &[KeyframeChange]) -> Result<(), MapError> {
+        self.finish_update()?;
+        self.update = Update::new(&self.keyframes, changes)?;
+        Ok(())
+    }
+
+    /// Whether an update is under way.
+    #[must_use]
+    pub fn is_updating(&self) -> bool {
+        self.update.is_some()
+    }
+
+    /// Goes on with the update: at most one scan is integrated. Returns how many bricks were built
+    /// anew when the update is finished (0 if there was none), `None` when there is more to do.
+    ///
+    /// # Errors
+    /// The memory budget could be exceeded; the update is given up, the map stays as before.
+    pub fn step_update(&mut self) -> Result<Option<usize>, MapError> {
+        let Some(mut update) = self.update.take() else {
+            return Ok(Some(0));
+        };
+        if update.step(self)? {
+            return Ok(Some(update.finish(self)));
+        }
+        self.update = Some(update);
+        Ok(None)
+    }
+
+    /// Goes on with the update to its end.
+    fn finish_update(&mut self) -> Result<usize, MapError> {
+        loop {
+            if let Some(rebuilt) = self.step_update()? {
+                return Ok(rebuilt);
             }
         }
-        dirty.sort_unstable();
-        dirty.dedup();
-        self.rebuild(&dirty, &keyframes)?;
-        self.keyframes = keyframes;
-        Ok(dirty.len())
+    }
+
+    /// The largest id, those of an update that is under way included.
+    fn newest(&self) -> Option<u32> {
+        let coming = self.update.as_ref().and_then(Update::newest);
+        self.keyframes.keys().next_back().copied().max(coming)
     }
 
     /// A scan after all others: the map without it is what it is added to.
-    fn append(&mut self, scan: &Scan) -> Result<IntegrationReport, MapError> {
+    fn append(&mut self, scan: &Scan) -> Result<(), MapError> {
         scan.validate()?;
         let mut keyframe = Keyframe::new(scan);
         keyframe.groups = Arc::new(groups_of(&self.seen_by(&keyframe)?));
-        let report = integrate(&mut self.map, scan, &self.config, self.threads)?;
+        let map = Arc::make_mut(&mut self.map);
+        keyframe.points = integrate(map, scan, &self.config, self.threads)?.points;
         self.keyframes.insert(scan.id, keyframe);
-        Ok(report)
+        Ok(())
     }
 
     /// Packed keys of the bricks that a keyframe can change, sorted.
     fn seen_by(&self, keyframe: &Keyframe) -> Result<Vec<u64>, MapError> {
-        let scan = keyframe.scan();
-        scan.validate()?;
-        bricks_seen(&self.map, &scan, &self.config, self.threads)
-    }
-
-    /// Builds bricks anew from the keyframes that see them; on an error they are put back.
-    fn rebuild(
-        &mut self,
-        dirty: &[u64],
-        keyframes: &BTreeMap<u32, Keyframe>,
-    ) -> Result<(), MapError> {
-        if dirty.is_empty() {
-            return Ok(());
-        }
-        let keys: Vec<BrickKey> = dirty.iter().map(|&key| BrickKey::unpack(key)).collect();
-        let known: Vec<(BrickKey, [i16; BRICK_CELLS])> = keys
-            .iter()
-            .map(|&key| (key, self.map.brick_values(key)))
-            .filter(|(_, values)| values.iter().any(|&v| v != UNKNOWN))
-            .collect();
-        self.map.check_budget(dirty.len(), 0)?;
-        self.map.revision += 1;
-        for (key, _) in &known {
-            self.map.set_brick_uniform(*key, UNKNOWN);
-        }
-        let groups = groups_of(dirty);
-        for keyframe in keyframes.values().filter(|k| intersect(&k.groups, &groups)) {
-            let (scan, only) = (keyframe.scan(), Some(dirty));
-            if let Err(error) =
-                integrate_where(&mut self.map, &scan, &self.config, self.threads, only)
-            {
-                for &key in &keys {
-                    self.map.set_brick_uniform(key, UNKNOWN);
-                }
-                for (key, values) in &known {
-                    self.map.set_brick(*key, values);
-                }
-                return Err(error);
-            }
-        }
-        Ok(())
+        bricks_seen(&self.map, &keyframe.scan(), &self.config, self.threads)
     }
 }
 
