@@ -13,7 +13,7 @@
 mod update;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use self::update::Update;
 use crate::error::MapError;
@@ -43,8 +43,8 @@ struct Keyframe {
     world_from_sensor: Similarity,
     pose_sigma: PoseSigma,
     data: Arc<OwnedData>,
-    /// Groups of bricks that the scan sees, sorted.
-    groups: Arc<Vec<u64>>,
+    /// Groups of bricks that the scan sees from there, sorted; found when they are needed.
+    groups: Arc<OnceLock<Vec<u64>>>,
     /// Measurements that were used when it was last integrated.
     points: usize,
 }
@@ -243,6 +243,11 @@ impl KeyframeMap {
         Ok(None)
     }
 
+    /// Gives up the update that is under way.
+    pub fn abandon_update(&mut self) {
+        self.update = None;
+    }
+
     /// Goes on with the update to its end.
     fn finish_update(&mut self) -> Result<usize, MapError> {
         loop {
@@ -262,7 +267,6 @@ impl KeyframeMap {
     fn append(&mut self, scan: &Scan) -> Result<(), MapError> {
         scan.validate()?;
         let mut keyframe = Keyframe::new(scan);
-        keyframe.groups = Arc::new(groups_of(&self.seen_by(&keyframe)?));
         let map = Arc::make_mut(&mut self.map);
         keyframe.points = integrate(map, scan, &self.config, self.threads)?.points;
         self.keyframes.insert(scan.id, keyframe);
@@ -271,7 +275,20 @@ impl KeyframeMap {
 
     /// Packed keys of the bricks that a keyframe can change, sorted.
     fn seen_by(&self, keyframe: &Keyframe) -> Result<Vec<u64>, MapError> {
-        bricks_seen(&self.map, &keyframe.scan(), &self.config, self.threads)
+        let seen = bricks_seen(&self.map, &keyframe.scan(), &self.config, self.threads)?;
+        keyframe.groups.get_or_init(|| groups_of(&seen));
+        Ok(seen)
+    }
+
+    /// Whether a keyframe may change bricks of some groups (sorted).
+    fn may_change(&self, keyframe: &Keyframe, groups: &[u64]) -> Result<bool, MapError> {
+        if keyframe.groups.get().is_none() {
+            self.seen_by(keyframe)?;
+        }
+        Ok(keyframe
+            .groups
+            .get()
+            .is_none_or(|own| intersect(own, groups)))
     }
 }
 

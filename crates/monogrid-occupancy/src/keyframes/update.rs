@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Keyframe, KeyframeChange, KeyframeMap, groups_of, intersect};
+use super::{Keyframe, KeyframeChange, KeyframeMap, groups_of};
 use crate::error::MapError;
 use crate::evidence::UNKNOWN;
 use crate::integrate::integrate_where;
@@ -86,6 +86,7 @@ impl Update {
                     Some(before),
                 ) if before.world_from_sensor != *world_from_sensor => Some(Keyframe {
                     world_from_sensor: *world_from_sensor,
+                    groups: Arc::default(),
                     ..before.clone()
                 }),
                 _ => continue,
@@ -128,10 +129,8 @@ impl Update {
                     if let Some(old) = front.keyframes.get(&id) {
                         dirty.extend(front.seen_by(old)?);
                     }
-                    if let Some(Some(new)) = self.changed.get_mut(&id) {
-                        let seen = front.seen_by(new)?;
-                        new.groups = Arc::new(groups_of(&seen));
-                        dirty.extend(seen);
+                    if let Some(Some(new)) = self.changed.get(&id) {
+                        dirty.extend(front.seen_by(new)?);
                     }
                 }
                 if left.is_empty() {
@@ -140,7 +139,7 @@ impl Update {
                 }
                 Ok(false)
             }
-            Stage::Building(building) => building.step(front, &mut self.changed),
+            Stage::Building(building) => building.step(front, &self.changed),
         }
     }
 
@@ -206,34 +205,33 @@ impl Building {
     fn step(
         &mut self,
         front: &KeyframeMap,
-        changed: &mut BTreeMap<u32, Option<Keyframe>>,
+        changed: &BTreeMap<u32, Option<Keyframe>>,
     ) -> Result<bool, MapError> {
         while let Some(id) = self.next(front, changed) {
             self.done = Some(id);
-            let mut new = changed.get_mut(&id);
-            let keyframe = match &mut new {
-                Some(None) => continue,
-                Some(Some(keyframe)) => keyframe,
-                None => match front.keyframes.get(&id) {
-                    Some(keyframe) => keyframe,
-                    None => continue,
-                },
+            let keyframe = match changed.get(&id) {
+                Some(new) => new.as_ref(),
+                None => front.keyframes.get(&id),
+            };
+            let Some(keyframe) = keyframe else {
+                continue;
             };
             let only = match &self.extent {
-                Extent::Some { newest, groups, .. }
-                    if Some(id) <= *newest && !intersect(&keyframe.groups, groups) =>
-                {
-                    continue;
+                Extent::Some {
+                    dirty,
+                    groups,
+                    newest,
+                } if Some(id) <= *newest => {
+                    if !front.may_change(keyframe, groups)? {
+                        continue;
+                    }
+                    Some(&dirty[..])
                 }
-                Extent::Some { newest, dirty, .. } if Some(id) <= *newest => Some(&dirty[..]),
                 _ => None,
             };
             let (config, threads) = (&front.config, front.threads);
             let report = integrate_where(&mut self.map, &keyframe.scan(), config, threads, only)?;
             self.points.push((id, report.points));
-            if let (Extent::All, Some(Some(keyframe))) = (&self.extent, new) {
-                keyframe.groups = Arc::new(groups_of(&front.seen_by(keyframe)?));
-            }
             return Ok(false);
         }
         Ok(true)

@@ -285,6 +285,9 @@ pub struct MappingConfig {
     pub max_range: f64,
     /// Radius of the local map around the camera, above 0. Default 3.
     pub local_radius: f64,
+    /// While a run goes on, the global map follows keyframes of which some measurement moved by at
+    /// least this many cells, at least 0. The final maps have all poses exactly. Default 1.
+    pub follow_threshold: f64,
     /// What is taken as the standard deviation of a range. Default `range`.
     pub sigma_mode: SigmaMode,
     /// Standard deviation of a keyframe's position relative to its neighbours, at least 0. Default 0.01.
@@ -319,6 +322,7 @@ impl Default for MappingConfig {
             occupancy_threshold: 0.5,
             max_range: 10.0,
             local_radius: 3.0,
+            follow_threshold: 1.0,
             sigma_mode: SigmaMode::Range,
             pose_sigma: 0.01,
             pose_sigma_deg: 0.1,
@@ -425,6 +429,7 @@ impl MappingConfig {
         for (name, value) in [
             ("mapping.pose_sigma", self.pose_sigma),
             ("mapping.pose_sigma_deg", self.pose_sigma_deg),
+            ("mapping.follow_threshold", self.follow_threshold),
         ] {
             check(name, value, value >= 0.0 && value.is_finite(), "at least 0")?;
         }

@@ -2,10 +2,11 @@
 //!
 //! Flow: the depth of a keyframe → [`KeyframeScan`] (what passes the filter, in the keyframe's own
 //! units) → [`Mapper::integrate`] with the pose that is known → an occupancy map. [`LiveMaps`] does so
-//! while a run goes on and builds the final maps at its end.
+//! while a run goes on, for other threads to read, and leaves the final maps at its end.
 //!
 //! * *large*: every keyframe at the pose it had when it was finished, with its drift;
-//! * *global*: every keyframe at its final pose; always what a build from scratch gives;
+//! * *global*: every keyframe where the graph has it; always what a build from scratch gives. It follows
+//!   the graph in steps of bounded work; what is read is the map of one revision of the poses, complete;
 //! * *local*: the part of *global* within a radius of the current camera.
 //!
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame.
@@ -20,5 +21,5 @@ pub use config::{
     SensorModelKind, SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
-pub use maps::{LiveMaps, MapStats, Mapper, Maps, z_up_from_camera_world};
+pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};
 pub use scan::{KeyframeCamera, KeyframeScan};

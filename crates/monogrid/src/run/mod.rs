@@ -2,7 +2,7 @@
 //!
 //! Threads own their data and pass messages over bounded channels: the reader decodes ahead, the
 //! calling thread tracks (with the pool of threads for its inner loops), the recorder saves, the mapper
-//! integrates keyframes. Every channel is first in, first out and nothing looks at a clock, so the
+//! integrates keyframes and follows the graph. Every channel is first in, first out and nothing looks at a clock, so the
 //! results are the same for any number of threads (`--realtime`, which drops frames, excepted).
 
 pub mod align;
@@ -33,7 +33,7 @@ use reader::{Delivered, Reader};
 use recorder::Change;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -179,6 +179,7 @@ pub fn track(
             settings,
             rows: Vec::with_capacity(input.frames.len()),
             published: Vec::new(),
+            published_poses: 0,
             listeners: [record_sender, map_sender],
             progress: Progress::new(input.frames.len(), settings.show_progress),
         };
@@ -227,37 +228,56 @@ fn session_info(input: &Input, settings: &RunSettings) -> Result<SessionInfo, Fa
     })
 }
 
-/// Integrates keyframes as they are finished; returns the maps and the CPU time used.
+/// Integrates keyframes as they are finished, and lets the maps follow the graph while there is nothing
+/// else to do; returns the maps and the CPU time used.
 fn grow_maps(
     changes: &Receiver<Change>,
-    live: LiveMaps,
+    mut maps: LiveMaps,
     camera: &KeyframeCamera,
 ) -> (Result<LiveMaps, MapError>, Duration) {
-    let mut live = Ok(live);
-    for change in changes {
-        let Ok(maps) = &mut live else {
-            continue;
+    let mut result = Ok(());
+    let mut has_work = false;
+    loop {
+        let received = if has_work {
+            changes.try_recv()
+        } else {
+            changes.recv().map_err(|_| TryRecvError::Disconnected)
         };
-        let result = match &change {
-            Change::Finished(keyframe, snapshot) => {
-                let scan = scan_of(keyframe, maps, camera);
-                match snapshot.world_from_keyframe.get(keyframe.id as usize) {
-                    Some(pose) => maps.add(scan, *pose),
-                    None => Ok(()),
-                }
+        match received {
+            // what is left to be done is done for the final maps, on all threads
+            Err(TryRecvError::Disconnected) => break,
+            // after an error changes are still received, so that nobody waits for this thread
+            _ if result.is_err() => has_work = false,
+            Ok(change) => {
+                result = take_change(&mut maps, &change, camera);
+                has_work = true;
             }
-            Change::Revised(keyframe) => {
-                let scan = scan_of(keyframe, maps, camera);
-                maps.revise(scan);
-                Ok(())
-            }
-            Change::End(..) => Ok(()),
-        };
-        if let Err(error) = result {
-            live = Err(error);
+            Err(TryRecvError::Empty) => match maps.step() {
+                Ok(has_worked) => has_work = has_worked,
+                Err(error) => result = Err(error),
+            },
         }
     }
-    (live, thread_cpu())
+    (result.map(|()| maps), thread_cpu())
+}
+
+fn take_change(
+    maps: &mut LiveMaps,
+    change: &Change,
+    camera: &KeyframeCamera,
+) -> Result<(), MapError> {
+    match change {
+        Change::Finished(keyframe, snapshot) => {
+            let scan = scan_of(keyframe, maps, camera);
+            if let Some(pose) = snapshot.world_from_keyframe.get(keyframe.id as usize) {
+                maps.add(&scan, *pose)?;
+            }
+            maps.follow(Arc::clone(snapshot));
+        }
+        Change::Revised(keyframe) => maps.revise(scan_of(keyframe, maps, camera)),
+        Change::Moved(snapshot) | Change::End(snapshot, _) => maps.follow(Arc::clone(snapshot)),
+    }
+    Ok(())
 }
 
 fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {
@@ -278,6 +298,8 @@ struct Tracking<'a> {
     rows: Vec<FrameRow>,
     /// Revision of the depth of each keyframe that the listeners know.
     published: Vec<u32>,
+    /// Revision of the poses that the listeners know.
+    published_poses: u64,
     /// Recorder and mapper.
     listeners: [SyncSender<Change>; 2],
     progress: Progress,
@@ -362,7 +384,7 @@ impl Tracking<'_> {
         row(FrameFate::Processed(Box::new(report)))
     }
 
-    /// Tells the listeners about new keyframes and new depth of old ones.
+    /// Tells the listeners about new keyframes, and new depth and poses of old ones.
     fn publish(&mut self) {
         let mut changes = Vec::new();
         for (position, keyframe) in self.slam.keyframes().iter().enumerate() {
@@ -377,6 +399,13 @@ impl Tracking<'_> {
                     let keyframe = Arc::new(keyframe.clone());
                     changes.push(Change::Finished(keyframe, self.slam.snapshot()));
                 }
+            }
+        }
+        let snapshot = self.slam.snapshot();
+        if snapshot.revision != self.published_poses && !self.published.is_empty() {
+            self.published_poses = snapshot.revision;
+            if !changes.iter().any(|c| matches!(c, Change::Finished(..))) {
+                changes.push(Change::Moved(snapshot));
             }
         }
         for change in changes {

@@ -20,6 +20,8 @@ pub enum Change {
     Finished(Arc<Keyframe>, Arc<monogrid_slam::PoseSnapshot>),
     /// The depth of a finished keyframe became better.
     Revised(Arc<Keyframe>),
+    /// Finished keyframes have other poses.
+    Moved(Arc<monogrid_slam::PoseSnapshot>),
     /// The run is over, these are its last poses.
     End(Arc<monogrid_slam::PoseSnapshot>, EndRecord),
 }
@@ -87,6 +89,8 @@ fn save(
             .while_running(DOING)?;
             save_pictures(folder, keyframe)
         }
+        // poses are recorded with the next keyframe, or at the end
+        Change::Moved(_) => Ok(()),
         Change::End(snapshot, end) => {
             open.append_poses(poses(snapshot)).while_running(DOING)?;
             match writer.take() {

@@ -1,0 +1,257 @@
+//! How long the global map needs after a loop closure that moves every keyframe, and what that costs
+//! tracking meanwhile.
+//!
+//! `cargo run --release -p monogrid-slam --example live_maps -- RECORDING FOLDER [key=value …]`
+//!
+//! Keys: `res=M` (edge of a cell), `keyframes=N` (keyframes of the recording are repeated up to this
+//! number, as seen a little later), `closures=N`, `frames=N` of FOLDER to track beside the closures.
+//!
+//! The closure is a drift of 4 % in scale, 10 cm and 2 degrees, growing from the first keyframe to the
+//! last. CPU seconds are those of one thread; wall time means something on an idle machine only.
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    missing_docs,
+    reason = "a tool for development, read from top to bottom"
+)]
+
+use monogrid_datasets::{Dataset, ReadOptions, Recording, SourceOptions, read_gray};
+use monogrid_geometry::{Sim3, Vec7};
+use monogrid_image::{GrayImage, Undistorter, WorkingSize};
+use monogrid_occupancy::write_ot;
+use monogrid_slam::mapping::{
+    KeyframeCamera, KeyframeScan, LiveMaps, Mapper, MappingConfig, z_up_from_camera_world,
+};
+use monogrid_slam::{DepthPixel, FrameInput, PoseSnapshot, Slam, SlamConfig};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+fn main() {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let [recording, folder, rest @ ..] = &args[..] else {
+        println!("usage: live_maps RECORDING FOLDER [res=M] [keyframes=N] [closures=N] [frames=N]");
+        return;
+    };
+    let options: BTreeMap<&str, f64> = rest
+        .iter()
+        .map(|a| a.split_once('=').unwrap())
+        .map(|(k, v)| (k, v.parse().unwrap()))
+        .collect();
+    let number = |key: &str, default: f64| options.get(key).copied().unwrap_or(default);
+    let config = MappingConfig {
+        resolution: number("res", 0.016),
+        // every keyframe is moved, so that the map can be compared with one from scratch
+        follow_threshold: 0.0,
+        ..MappingConfig::default()
+    };
+    let keyframes = number("keyframes", 45.0) as usize;
+    let (camera, scans, poses) = keyframes_of(Path::new(recording), keyframes, &config);
+    let points: usize = scans.iter().map(|s| s.pixels.len()).sum();
+    println!(
+        "{} keyframes, {points} measurements, cells of {} m",
+        scans.len(),
+        config.resolution
+    );
+
+    let mut live = LiveMaps::new(
+        Mapper::new(config.clone(), camera, 1),
+        z_up_from_camera_world(),
+    )
+    .unwrap();
+    let before = thread_seconds();
+    for (scan, pose) in scans.iter().zip(&poses) {
+        live.add(scan, *pose).unwrap();
+    }
+    println!(
+        "large and global map: {:.3} s of CPU",
+        thread_seconds() - before
+    );
+    let reader = live.reader();
+    let mut snapshot = Arc::default();
+    for closure in 1..=number("closures", 3.0) as u64 {
+        snapshot = corrected(&poses, closure);
+        let (wall, cpu) = (Instant::now(), thread_seconds());
+        live.follow(Arc::clone(&snapshot));
+        let mut longest: f64 = 0.0;
+        loop {
+            let step = thread_seconds();
+            if !live.step().unwrap() {
+                break;
+            }
+            longest = longest.max(thread_seconds() - step);
+        }
+        assert_eq!(reader.latest().unwrap().revision, closure);
+        println!(
+            "closure {closure}: ready after {:.3} s of CPU, {:.3} s; longest step {:.3} s of CPU",
+            thread_seconds() - cpu,
+            wall.elapsed().as_secs_f64(),
+            longest
+        );
+    }
+    let view = reader.latest().unwrap();
+    let wanted: Vec<_> = snapshot
+        .world_from_keyframe
+        .iter()
+        .copied()
+        .map(Some)
+        .collect();
+    let before = thread_seconds();
+    let scratch = Mapper::new(config, camera, 1)
+        .build(&scans, &wanted, &z_up_from_camera_world())
+        .unwrap()
+        .0;
+    let bytes = |map| {
+        let mut bytes = Vec::new();
+        write_ot(map, &mut bytes).unwrap();
+        bytes
+    };
+    println!(
+        "from scratch: {:.3} s of CPU; identical bytes: {}; {:.0} MB",
+        thread_seconds() - before,
+        bytes(&view.global) == bytes(&scratch),
+        scratch.bytes_in_memory() as f64 / 1e6
+    );
+    beside_tracking(
+        Path::new(folder),
+        live,
+        &poses,
+        number("frames", 200.0) as usize,
+    );
+}
+
+/// Tracks frames with and without a closure under way all the time.
+fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: usize) {
+    let dataset = Dataset::open(folder, SourceOptions::default()).unwrap();
+    let camera = dataset.calibration(None).unwrap().unwrap().camera;
+    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+    let images: Vec<(usize, i64, GrayImage)> = dataset.frames[..frames.min(dataset.frames.len())]
+        .iter()
+        .map(|f| {
+            let image = undistorter.apply(&read_gray(&f.path).unwrap()).unwrap();
+            (f.index, f.timestamp_ns, image)
+        })
+        .collect();
+    let track = || {
+        let mask = undistorter.mask().clone();
+        let mut slam = Slam::new(SlamConfig::default(), *undistorter.pinhole(), mask, 0).unwrap();
+        let (wall, cpu) = (Instant::now(), thread_seconds());
+        for (index, timestamp_ns, image) in &images {
+            slam.process_frame(FrameInput {
+                index: *index,
+                timestamp_ns: *timestamp_ns,
+                image: image.clone(),
+                seed_depth: None,
+            });
+        }
+        let frames = images.len() as f64;
+        (
+            frames / (thread_seconds() - cpu),
+            frames / wall.elapsed().as_secs_f64(),
+        )
+    };
+    let alone = track();
+    let stop = AtomicBool::new(false);
+    let (beside, closures) = std::thread::scope(|scope| {
+        let mapper = scope.spawn(|| {
+            let mut closures = 0;
+            while !stop.load(Ordering::Relaxed) {
+                closures += 1;
+                live.follow(corrected(poses, closures + 100));
+                while !stop.load(Ordering::Relaxed) && live.step().unwrap() {}
+            }
+            closures
+        });
+        let beside = track();
+        stop.store(true, Ordering::Relaxed);
+        (beside, mapper.join().unwrap())
+    });
+    println!(
+        "tracking of {} frames per second of CPU: alone {:.1}, beside {closures} closures without a \
+         pause {:.1} ({:.0} %); per second: {:.1}, {:.1} ({:.0} %)",
+        images.len(),
+        alone.0,
+        beside.0,
+        100.0 * beside.0 / alone.0,
+        alone.1,
+        beside.1,
+        100.0 * beside.1 / alone.1
+    );
+}
+
+/// Scans and poses of `count` keyframes.
+fn keyframes_of(
+    recording: &Path,
+    count: usize,
+    config: &MappingConfig,
+) -> (KeyframeCamera, Vec<KeyframeScan>, Vec<Sim3>) {
+    let recording = Recording::read(recording, ReadOptions { with_images: true }).unwrap();
+    let camera = KeyframeCamera {
+        pinhole: recording.session.pinhole,
+        width: recording.session.width,
+        height: recording.session.height,
+    };
+    let recorded = &recording.keyframes;
+    let mut poses = Vec::new();
+    let mut scans = Vec::new();
+    for id in 0..count {
+        let keyframe = &recorded[id % recorded.len()];
+        let pixels: Vec<DepthPixel> = keyframe
+            .pixels
+            .iter()
+            .map(|p| DepthPixel {
+                x: p.x,
+                y: p.y,
+                idepth: p.idepth,
+                idepth_var: p.idepth_var,
+            })
+            .collect();
+        let image = keyframe.image.as_ref();
+        scans.push(KeyframeScan::new(
+            id as u32, &pixels, image, &camera, config,
+        ));
+        let later = drift((id / recorded.len()) as f64 * 0.1);
+        poses.push(keyframe.world_from_keyframe.unwrap() * later);
+    }
+    (camera, scans, poses)
+}
+
+/// A part of the drift that is corrected.
+fn drift(share: f64) -> Sim3 {
+    Sim3::exp(&(share * Vec7::from([0.06, -0.05, 0.06, 0.02, -0.02, 0.02, 0.04])))
+}
+
+/// Poses after a closure, different ones for each revision.
+fn corrected(poses: &[Sim3], revision: u64) -> Arc<PoseSnapshot> {
+    let sign = if revision.is_multiple_of(2) {
+        -1.0
+    } else {
+        1.0
+    };
+    let world_from_keyframe = poses.iter().enumerate().map(|(i, pose)| {
+        let share = (i + 1) as f64 / poses.len() as f64;
+        drift(sign * share) * *pose
+    });
+    Arc::new(PoseSnapshot {
+        revision,
+        world_from_keyframe: world_from_keyframe.collect(),
+        ..PoseSnapshot::default()
+    })
+}
+
+/// CPU time of this thread; wall time where the system does not say.
+fn thread_seconds() -> f64 {
+    let nanoseconds = std::fs::read_to_string("/proc/thread-self/schedstat")
+        .ok()
+        .and_then(|s| s.split_whitespace().next()?.parse::<u64>().ok());
+    match nanoseconds {
+        Some(nanoseconds) => nanoseconds as f64 * 1e-9,
+        None => {
+            use std::sync::OnceLock;
+            static START: OnceLock<Instant> = OnceLock::new();
+            START.get_or_init(Instant::now).elapsed().as_secs_f64()
+        }
+    }
+}

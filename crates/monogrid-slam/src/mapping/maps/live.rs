@@ -1,0 +1,205 @@
+//! The three maps of a run.
+
+use super::global::GlobalMap;
+use super::mapper::{MapStats, Mapper};
+use crate::mapping::KeyframeScan;
+use crate::{KeyframeId, PoseSnapshot};
+use monogrid_geometry::{Sim3, Vec3};
+use monogrid_occupancy::{MapError, OccupancyMap};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The three maps at the end of a run.
+#[derive(Clone, Debug)]
+pub struct Maps {
+    /// Every keyframe at its final pose.
+    pub global: OccupancyMap,
+    /// Every keyframe at its first pose.
+    pub large: OccupancyMap,
+    /// *global* around the camera.
+    pub local: OccupancyMap,
+    /// What *global* was built from.
+    pub stats: MapStats,
+}
+
+/// The maps of a running system at one moment. They never change.
+#[derive(Clone, Debug)]
+pub struct LiveView {
+    /// Revision of the poses ([`PoseSnapshot::revision`]) at which *global* has the keyframes, but for
+    /// those that moved less than `follow_threshold` since they were mapped, or came afterwards.
+    pub revision: u64,
+    /// What *global* holds.
+    pub stats: MapStats,
+    /// Every keyframe once, at the poses of one revision.
+    pub global: Arc<OccupancyMap>,
+    /// Every keyframe where it was when it was finished.
+    pub large: Arc<OccupancyMap>,
+    local_radius: f64,
+}
+
+impl LiveView {
+    /// The part of *global* around a camera.
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn local(&self, camera_in_map: Vec3) -> Result<OccupancyMap, MapError> {
+        self.global.within(camera_in_map.into(), self.local_radius)
+    }
+}
+
+/// Gives other threads the newest maps of a run. Copies give the same.
+#[derive(Clone, Debug, Default)]
+pub struct MapReader(Arc<Mutex<Option<Arc<LiveView>>>>);
+
+impl MapReader {
+    /// The maps after the last change; `None` before the first keyframe is finished.
+    #[must_use]
+    pub fn latest(&self) -> Option<Arc<LiveView>> {
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
+    }
+
+    fn put(&self, view: LiveView) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(view));
+    }
+
+    fn is_read(&self) -> bool {
+        Arc::strong_count(&self.0) > 1
+    }
+}
+
+/// Maps that grow while keyframes are finished, and follow the graph.
+///
+/// Meant for a thread of its own: it adds keyframes and poses as they come, and calls
+/// [`LiveMaps::step`] whenever nothing else is to be done. The work of a step is bounded, so that new
+/// keyframes never wait for long; what other threads read ([`LiveMaps::reader`]) is always complete.
+#[derive(Debug)]
+pub struct LiveMaps {
+    mapper: Mapper,
+    map_from_world: Sim3,
+    large: Arc<OccupancyMap>,
+    first_poses: Vec<(KeyframeId, Sim3)>,
+    global: GlobalMap,
+    published: MapReader,
+}
+
+impl LiveMaps {
+    /// Empty maps in the frame given by `map_from_world`.
+    ///
+    /// # Errors
+    /// A setting of the map outside its range.
+    pub fn new(mapper: Mapper, map_from_world: Sim3) -> Result<Self, MapError> {
+        Ok(Self {
+            large: Arc::new(mapper.empty_map()?),
+            global: GlobalMap::new(&mapper, map_from_world)?,
+            mapper,
+            map_from_world,
+            first_poses: Vec::new(),
+            published: MapReader::default(),
+        })
+    }
+
+    /// What maps are built with.
+    #[must_use]
+    pub fn mapper(&self) -> &Mapper {
+        &self.mapper
+    }
+
+    /// For threads that read the maps while they grow. As long as nobody does, nothing is copied.
+    #[must_use]
+    pub fn reader(&self) -> MapReader {
+        let reader = self.published.clone();
+        if !self.first_poses.is_empty() {
+            self.publish();
+        }
+        reader
+    }
+
+    /// Adds a finished keyframe at the pose it has now; keyframes come in the order of their ids.
+    ///
+    /// # Errors
+    /// An invalid pose, or a map that would exceed its memory.
+    pub fn add(&mut self, scan: &KeyframeScan, world_from_keyframe: Sim3) -> Result<(), MapError> {
+        let pose = self.map_from_world * world_from_keyframe;
+        let large = Arc::make_mut(&mut self.large);
+        self.mapper.integrate(large, scan, &pose)?;
+        self.first_poses.push((scan.id, world_from_keyframe));
+        self.global.add(&self.mapper, scan, &world_from_keyframe)?;
+        self.publish();
+        Ok(())
+    }
+
+    /// Takes better depth of a keyframe that was added before; *global* will use it.
+    pub fn revise(&mut self, scan: KeyframeScan) {
+        self.global.revise(scan);
+    }
+
+    /// Says where keyframes are now; *global* follows in [`LiveMaps::step`].
+    pub fn follow(&mut self, poses: Arc<PoseSnapshot>) {
+        self.global.follow(poses);
+    }
+
+    /// Brings *global* closer to the newest poses and depths, by at most the integration of one
+    /// keyframe; `false` when it is up to date.
+    ///
+    /// # Errors
+    /// An invalid pose, or a map that would exceed its memory.
+    pub fn step(&mut self) -> Result<bool, MapError> {
+        let revision = self.global.revision();
+        let has_worked = self.global.step(&self.mapper)?;
+        if self.global.revision() != revision {
+            self.publish();
+        }
+        Ok(has_worked)
+    }
+
+    fn publish(&self) {
+        if self.published.is_read() {
+            self.published.put(LiveView {
+                revision: self.global.revision(),
+                stats: self.global.stats(),
+                global: self.global.share(),
+                large: Arc::clone(&self.large),
+                local_radius: self.mapper.config().local_radius,
+            });
+        }
+    }
+
+    /// The final maps: *global* at the poses of `snapshot`, all in the frame of `map_from_world`,
+    /// *local* around `camera_in_map`.
+    ///
+    /// They are those that a build from scratch gives, whatever [`LiveMaps::step`] had done.
+    ///
+    /// # Errors
+    /// An invalid pose, or a map that would exceed its memory.
+    pub fn finish(
+        self,
+        snapshot: &Arc<PoseSnapshot>,
+        map_from_world: &Sim3,
+        camera_in_map: Option<Vec3>,
+        threads: usize,
+    ) -> Result<Maps, MapError> {
+        let mapper = self.mapper.with_threads(threads);
+        let mut global = self.global;
+        global.settle(&mapper, Arc::clone(snapshot), map_from_world)?;
+        let large = if self.map_from_world == *map_from_world {
+            Arc::unwrap_or_clone(self.large)
+        } else {
+            let poses = self.first_poses.iter();
+            global.elsewhere(poses.map(|(id, pose)| (*id, *map_from_world * *pose)))?
+        };
+        let stats = global.stats();
+        let global = global.into_map();
+        let local = match camera_in_map {
+            Some(center) => global.within(center.into(), mapper.config().local_radius)?,
+            None => mapper.empty_map()?,
+        };
+        Ok(Maps {
+            global,
+            large,
+            local,
+            stats,
+        })
+    }
+}

@@ -1,0 +1,232 @@
+//! One scan into one map.
+
+use super::super::{IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, SigmaMode};
+use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3, nalgebra::Matrix3};
+use monogrid_occupancy::{
+    DepthScan, IntegrationConfig, IntegrationRule, MapError, OccupancyMap, PointScan, PoseSigma,
+    Scan, ScanData, SigmaMode as OccupancySigmaMode, Similarity, integrate,
+};
+
+/// Axes of robotics (x forward, y left, z up) from those of the first camera (x right, y down, z
+/// forward): the frame of all exports when nothing better is known about "up".
+#[must_use]
+pub fn z_up_from_camera_world() -> Sim3 {
+    let matrix = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    let rotation = Rotation::from_rotation_matrix(
+        &monogrid_geometry::nalgebra::Rotation3::from_matrix_unchecked(matrix),
+    );
+    Sim3::new(1.0, rotation, Vec3::zeros())
+}
+
+/// What an integration did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MapStats {
+    /// Measurements mapped.
+    pub points: usize,
+    /// Keyframes mapped.
+    pub keyframes: usize,
+}
+
+/// Turns scans into maps with fixed settings.
+#[derive(Clone, Debug)]
+pub struct Mapper {
+    config: MappingConfig,
+    camera: KeyframeCamera,
+    integration: IntegrationConfig,
+    threads: usize,
+}
+
+impl Mapper {
+    /// Prepares mapping of keyframes of one camera on `threads` threads.
+    #[must_use]
+    pub fn new(config: MappingConfig, camera: KeyframeCamera, threads: usize) -> Self {
+        let integration = IntegrationConfig {
+            rule: match config.integration {
+                IntegrationKind::Fused => IntegrationRule::Fused,
+                IntegrationKind::Rays => IntegrationRule::Rays,
+            },
+            model: config.sensor(),
+            max_range: config.max_range,
+            update_min: config.update_limits[0] as f32,
+            update_max: config.update_limits[1] as f32,
+            cutoff_log_odds: config.tail_log_odds as f32,
+            // Depth from video has false measurements enough: they would gain as well.
+            obstacle_weight: 0,
+            sigma_mode: match config.sigma_mode {
+                SigmaMode::Range => OccupancySigmaMode::Range,
+                SigmaMode::RawInverseDepth => OccupancySigmaMode::RawInverseDepth,
+            },
+        };
+        Self {
+            config,
+            camera,
+            integration,
+            threads,
+        }
+    }
+
+    /// Prepares mapping of points, which need no camera.
+    #[must_use]
+    pub fn without_camera(config: MappingConfig, threads: usize) -> Self {
+        let camera = KeyframeCamera {
+            pinhole: Pinhole::new(1.0, 1.0, 0.0, 0.0),
+            width: 0,
+            height: 0,
+        };
+        Self::new(config, camera, threads)
+    }
+
+    /// The settings.
+    #[must_use]
+    pub fn config(&self) -> &MappingConfig {
+        &self.config
+    }
+
+    /// The settings of the integration that follow from them.
+    #[must_use]
+    pub fn integration(&self) -> &IntegrationConfig {
+        &self.integration
+    }
+
+    /// An empty map.
+    ///
+    /// # Errors
+    /// A setting of the map outside its range.
+    pub fn empty_map(&self) -> Result<OccupancyMap, MapError> {
+        OccupancyMap::new(self.config.map_config())
+    }
+
+    /// Adds one scan to a map; returns how many measurements were used.
+    ///
+    /// # Errors
+    /// An invalid pose, or a map that would exceed its memory.
+    pub fn integrate(
+        &self,
+        map: &mut OccupancyMap,
+        scan: &KeyframeScan,
+        map_from_keyframe: &Sim3,
+    ) -> Result<usize, MapError> {
+        let occupancy_scan = self.scan(scan, map_from_keyframe);
+        integrate(map, &occupancy_scan, &self.integration, self.threads)
+            .map(|report| report.points.saturating_sub(scan.num_filled))
+    }
+
+    /// A scan at a pose as the occupancy map takes it.
+    pub(super) fn scan<'a>(&self, scan: &'a KeyframeScan, map_from_keyframe: &Sim3) -> Scan<'a> {
+        let pinhole = &self.camera.pinhole;
+        Scan {
+            id: scan.id,
+            world_from_sensor: similarity(map_from_keyframe),
+            pose_sigma: self.pose_sigma(),
+            data: ScanData::Depth(DepthScan {
+                width: self.camera.width as u32,
+                height: self.camera.height as u32,
+                fx: pinhole.fx,
+                fy: pinhole.fy,
+                cx: pinhole.cx,
+                cy: pinhole.cy,
+                pixels: &scan.pixels,
+            }),
+        }
+    }
+
+    /// The camera of the keyframes.
+    #[must_use]
+    pub fn camera(&self) -> &KeyframeCamera {
+        &self.camera
+    }
+
+    /// Threads that integrate.
+    pub(super) fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// The same on another number of threads; the results are the same.
+    pub(super) fn with_threads(&self, threads: usize) -> Self {
+        Self {
+            threads,
+            ..self.clone()
+        }
+    }
+
+    /// Adds points measured from the origin of a sensor, with the standard deviation of each range.
+    ///
+    /// `world_from_sensor` are the rows of a 3x4 matrix.
+    ///
+    /// # Errors
+    /// An invalid pose, or a map that would exceed its memory.
+    pub fn integrate_points(
+        &self,
+        map: &mut OccupancyMap,
+        id: u32,
+        world_from_sensor: &[f64; 12],
+        map_from_world: &Sim3,
+        (points, sigmas): (&[[f32; 3]], &[f32]),
+    ) -> Result<usize, MapError> {
+        let row = |i: usize| -> [f64; 4] { std::array::from_fn(|j| world_from_sensor[4 * i + j]) };
+        let rigid = Similarity::from_rigid_rows([row(0), row(1), row(2)]);
+        let outer = similarity(map_from_world);
+        let scan = Scan {
+            id,
+            world_from_sensor: Similarity {
+                scale: outer.scale,
+                rotation: std::array::from_fn(|i| {
+                    std::array::from_fn(|j| {
+                        (0..3)
+                            .map(|k| outer.rotation[i][k] * rigid.rotation[k][j])
+                            .sum()
+                    })
+                }),
+                translation: outer.transform(rigid.translation),
+            },
+            pose_sigma: self.pose_sigma(),
+            data: ScanData::Points(PointScan { points, sigmas }),
+        };
+        // A range sensor, unlike depth from video, measures few obstacles that are not there.
+        let integration = IntegrationConfig {
+            obstacle_weight: IntegrationConfig::default().obstacle_weight,
+            ..self.integration.clone()
+        };
+        integrate(map, &scan, &integration, self.threads).map(|report| report.points)
+    }
+
+    fn pose_sigma(&self) -> PoseSigma {
+        PoseSigma {
+            translation: self.config.pose_sigma,
+            rotation_rad: self.config.pose_sigma_deg.to_radians(),
+        }
+    }
+
+    /// A map from all scans, in the order of their ids, at the given poses.
+    ///
+    /// Scans without a pose are left out.
+    ///
+    /// # Errors
+    /// An invalid pose, or a map that would exceed its memory.
+    pub fn build(
+        &self,
+        scans: &[KeyframeScan],
+        world_from_keyframe: &[Option<Sim3>],
+        map_from_world: &Sim3,
+    ) -> Result<(OccupancyMap, MapStats), MapError> {
+        let mut map = self.empty_map()?;
+        let mut stats = MapStats::default();
+        for (scan, pose) in scans.iter().zip(world_from_keyframe) {
+            if let Some(pose) = pose {
+                stats.points += self.integrate(&mut map, scan, &(*map_from_world * *pose))?;
+                stats.keyframes += 1;
+            }
+        }
+        Ok((map, stats))
+    }
+}
+
+/// The same transform in the types of the occupancy crate.
+pub(super) fn similarity(transform: &Sim3) -> Similarity {
+    let rotation = transform.to_se3().rotation_matrix();
+    Similarity {
+        scale: transform.scale,
+        rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
+        translation: transform.translation.into(),
+    }
+}
