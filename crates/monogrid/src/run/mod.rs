@@ -2,8 +2,8 @@
 //!
 //! Threads own their data and pass messages over bounded channels: the reader decodes ahead, the
 //! calling thread tracks (with the pool of threads for its inner loops), the recorder saves, the mapper
-//! integrates keyframes and follows the graph. Every channel is first in, first out and nothing looks at a clock, so the
-//! results are the same for any number of threads (`--realtime`, which drops frames, excepted).
+//! integrates keyframes and follows the graph. Every channel is first in, first out and no result depends on a clock: they are
+//! the same for any number of threads (`--realtime`, which drops frames, excepted).
 
 pub mod align;
 pub mod outputs;
