@@ -160,7 +160,10 @@ fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: us
             while !stop.load(Ordering::Relaxed) {
                 closures += 1;
                 live.follow(corrected(poses, closures + 100));
-                while !stop.load(Ordering::Relaxed) && live.step().unwrap() {}
+                let mut has_work = true;
+                while has_work && !stop.load(Ordering::Relaxed) {
+                    has_work = live.step().unwrap();
+                }
             }
             closures
         });
