@@ -90,16 +90,22 @@ fn main() -> Result<(), Box<dyn Error>> {
         points += report.points;
     }
     let (payloads, bricks) = map.brick_counts();
+    let unpacked = map.bytes_in_memory();
+    let cpu_started = cpu_seconds()?;
+    map.pack(options.threads);
+    let pack_cpu = cpu_seconds()? - cpu_started;
     println!(
         "RESULT peer=monogrid rule={:?} res={} threads={} points={points} wall={wall:.4} cpu={cpu:.4} \
-         cpu_per_100k={:.6} wall_per_100k={:.6} leaf={} bricks={bricks} payloads={payloads} mem_mb={:.1}",
+         cpu_per_100k={:.6} wall_per_100k={:.6} leaf={} bricks={bricks} payloads={payloads} mem_mb={:.1} \
+         unpacked_mb={:.1} pack_cpu={pack_cpu:.2}",
         options.config.rule,
         options.resolution,
         options.threads,
         cpu / points as f64 * 1e5,
         wall / points as f64 * 1e5,
         map.leaf_count(),
-        map.bytes_in_memory() as f64 / 1048576.0,
+        map.bytes_in_memory() as f64 / 1e6,
+        unpacked as f64 / 1e6,
     );
     if let Some(path) = options.out {
         let started = Instant::now();

@@ -158,6 +158,15 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let questions = Questions { points, rays };
     measure!("map", &map, &questions);
+    let unpacked = map.bytes_in_memory();
+    let mut packed = map.clone();
+    packed.pack(1);
+    println!(
+        "packed {:.1} MB, before {:.1} MB",
+        packed.bytes_in_memory() as f64 / 1e6,
+        unpacked as f64 / 1e6
+    );
+    measure!("packed", &packed, &questions);
     let (seconds, snapshot) = best(|| Snapshot::new(&map))?;
     println!(
         "snapshot made in {:.3} s, {:.1} MB (the map {:.1} MB)",
@@ -191,7 +200,8 @@ fn measure_distances(map: &OccupancyMap, points: &[[f64; 3]]) -> Result<(), Box<
     let mut map = map.clone();
     let free = points.iter().find(|p| map.state(**p) == Occupancy::Free);
     let key = free.and_then(|p| map.key(*p)).ok_or("no free cell")?;
-    let mut log_odds = 1.0;
+    // Every update makes an obstacle or removes it.
+    let mut log_odds = -1.0;
     let (seconds, bricks) = best(|| -> Result<usize, MapError> {
         log_odds = -log_odds;
         map.set_log_odds(key, Some(log_odds))?;

@@ -7,7 +7,7 @@ use crate::evidence::{Occupancy, UNKNOWN, log_odds_from_evidence};
 use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 use crate::map::{MapConfig, OccupancyMap};
 use crate::scan::Similarity;
-use crate::storage::BrickRef;
+use crate::storage::{BrickRef, Shard};
 
 /// Cell sizes closer than this are the same: files round them.
 const SAME_RESOLUTION: f64 = 1e-6;
@@ -51,7 +51,9 @@ impl OccupancyMap {
         for key in self.bricks() {
             match self.brick(key) {
                 BrickRef::Uniform(value) => add(value, BRICK_CELLS as u64),
-                BrickRef::Mixed(_) => self.brick_values(key).iter().for_each(|v| add(*v, 1)),
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
+                    self.brick_values(key).iter().for_each(|v| add(*v, 1));
+                }
             }
         }
         counts
@@ -139,7 +141,8 @@ impl OccupancyMap {
         let limits = self.limits;
         // A uniform brick of the other map may break up one of this map, or the other way round.
         let (own_payloads, own_bricks) = self.brick_counts();
-        let new_payloads = (own_bricks - own_payloads).min(payloads) + payloads;
+        let packed: usize = self.shards.iter().map(Shard::packed_bricks).sum();
+        let new_payloads = (own_bricks - own_payloads).min(payloads) + payloads + packed;
         self.check_budget(bricks, new_payloads)?;
         self.revision += 1;
         for key in other.bricks() {

@@ -69,6 +69,8 @@
 //! given a memory budget and take any bytes without a panic. [`save_atomically`] keeps the old
 //! file until the new one is on disk.
 //!
+//! [`OccupancyMap::pack`] makes a finished map two thirds smaller in memory without changing a cell.
+//!
 //! Conventions: cell boundaries lie on multiples of the resolution, as in OctoMap; all lengths
 //! are in map units (metres, if the poses and measurements are); sensors look along +z.
 

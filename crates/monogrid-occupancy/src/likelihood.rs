@@ -31,7 +31,7 @@ impl OccupancyMap {
                 BrickRef::Uniform(value) => {
                     likely.set_brick_uniform(key, classified(self.limits, value));
                 }
-                BrickRef::Mixed(_) => {
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                     let values = self.brick_values(key);
                     likely.set_brick(key, &values.map(|v| classified(self.limits, v)));
                 }
@@ -54,7 +54,7 @@ impl OccupancyMap {
                     .bricks()
                     .filter(|(_, _, contents)| match *contents {
                         BrickRef::Uniform(_) => false,
-                        BrickRef::Mixed(payload) => self.stays_mixed(shard.payload(payload)),
+                        contents => self.stays_mixed(&shard.values(contents)),
                     })
                     .count()
             })

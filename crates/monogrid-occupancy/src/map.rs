@@ -2,6 +2,7 @@
 
 use crate::error::MapError;
 use crate::evidence::{Limits, Occupancy, UNKNOWN, evidence_from_log_odds, log_odds_from_evidence};
+use crate::integrate::parallel::for_each;
 use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
 use crate::storage::{BrickRef, SHARDS, Shard, hash, shard_of};
 
@@ -152,20 +153,23 @@ impl OccupancyMap {
     /// The payload of a brick that has one.
     #[inline]
     pub(crate) fn payload(&self, key: BrickKey) -> Option<&[i16; BRICK_CELLS]> {
-        let packed = key.pack();
         match self.brick(key) {
-            BrickRef::Uniform(_) => None,
-            BrickRef::Mixed(payload) => Some(self.shards[shard_of(hash(packed))].payload(payload)),
+            BrickRef::Uniform(_) | BrickRef::Packed(_) => None,
+            BrickRef::Mixed(payload) => {
+                Some(self.shards[shard_of(hash(key.pack()))].payload(payload))
+            }
         }
+    }
+
+    /// Whether a brick can be written to without another payload.
+    #[inline]
+    pub(crate) fn has_payload(&self, key: BrickKey) -> bool {
+        matches!(self.brick(key), BrickRef::Mixed(_))
     }
 
     /// Evidence of the 512 cells of a brick.
     pub(crate) fn brick_values(&self, key: BrickKey) -> [i16; BRICK_CELLS] {
-        let packed = key.pack();
-        match self.brick(key) {
-            BrickRef::Uniform(value) => [value; BRICK_CELLS],
-            BrickRef::Mixed(payload) => *self.shards[shard_of(hash(packed))].payload(payload),
-        }
+        self.shards[shard_of(hash(key.pack()))].values(self.brick(key))
     }
 
     /// Sets the log-odds of a cell (`None`: unknown), saturating only at the storable range of
@@ -235,7 +239,7 @@ impl OccupancyMap {
     ) -> Result<(), MapError> {
         let packed = first.brick().pack();
         let hash = hash(packed);
-        if let BrickRef::Uniform(_) = self.brick(first.brick()) {
+        if !self.has_payload(first.brick()) {
             self.check_budget(1, 1)?;
         }
         let shard = &mut self.shards[shard_of(hash)];
@@ -327,13 +331,24 @@ impl OccupancyMap {
             + self.shards.iter().map(Shard::bytes).sum::<usize>()
     }
 
-    /// Number of bricks that hold their own 512 values, and of all bricks.
+    /// Number of bricks whose values differ, packed or not, and of all bricks.
     #[must_use]
     pub fn brick_counts(&self) -> (usize, usize) {
         (
-            self.shards.iter().map(Shard::payloads).sum(),
+            self.shards
+                .iter()
+                .map(|s| s.payloads() + s.packed_bricks())
+                .sum(),
             self.shards.iter().map(Shard::len).sum(),
         )
+    }
+
+    /// Packs the bricks whose values differ into a palette and an index per cell, on `threads`
+    /// threads: a finished map then needs about a third of the memory. No cell changes, and
+    /// everything can still be asked and done; a brick that changes afterwards is unpacked first.
+    /// Meanwhile each thread needs memory for 1/64 of the packed map.
+    pub fn pack(&mut self, threads: usize) {
+        for_each(&mut self.shards, threads, |_, shard| shard.pack());
     }
 
     /// Smallest box of cells, first and last inclusive, that holds every known cell.
@@ -355,7 +370,7 @@ impl OccupancyMap {
                     extend(key.first_cell());
                     extend(key.cell(BRICK_CELLS - 1));
                 }
-                BrickRef::Mixed(_) => {
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                     let values = self.brick_values(key);
                     (0..BRICK_CELLS)
                         .filter(|&i| values[i] != UNKNOWN)

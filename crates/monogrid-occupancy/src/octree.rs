@@ -246,7 +246,7 @@ impl<'a> Octree<'a> {
             }
             let root = match map.brick(key) {
                 BrickRef::Uniform(value) => cell_node(view.of(map, value)),
-                BrickRef::Mixed(_) => {
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                     let tree = view.brick(map, key);
                     if let Node::Inner(_) = tree.root {
                         let inside = tree.counts();
@@ -449,7 +449,7 @@ impl OccupancyMap {
                 .into_iter()
                 .map(|key| match self.brick(key) {
                     BrickRef::Uniform(_) => 1,
-                    BrickRef::Mixed(_) => {
+                    BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                         let values = self.brick_values(key);
                         values.iter().filter(|v| **v != UNKNOWN).count()
                     }

@@ -15,7 +15,7 @@ use crate::evidence::Limits;
 use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
-use crate::storage::{BrickRef, SHARDS, Shard, hash, shard_of};
+use crate::storage::{SHARDS, Shard, hash, shard_of};
 
 /// A brick to be updated: its packed key, and whether it is free as a whole.
 type Task = (u64, bool);
@@ -89,7 +89,7 @@ fn check_budget(
     if map.check_budget(bricks, mixed).is_ok() {
         return Ok(());
     }
-    let is_new = |task: &&Task| matches!(map.brick(BrickKey::unpack(task.0)), BrickRef::Uniform(_));
+    let is_new = |task: &&Task| !map.has_payload(BrickKey::unpack(task.0));
     let new: Vec<&Task> = tasks.iter().flatten().filter(is_new).collect();
     map.check_budget(new.len(), new.iter().filter(|t| !t.1).count())
 }

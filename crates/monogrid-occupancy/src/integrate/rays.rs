@@ -235,7 +235,7 @@ fn check_budget(map: &OccupancyMap, beams: &[Beam]) -> Result<(), MapError> {
     let keys = bricks_crossed(beams);
     let without_payload = keys
         .iter()
-        .filter(|&&key| matches!(map.brick(BrickKey::unpack(key)), BrickRef::Uniform(_)))
+        .filter(|&&key| !map.has_payload(BrickKey::unpack(key)))
         .count();
     map.check_budget(without_payload, without_payload)
 }

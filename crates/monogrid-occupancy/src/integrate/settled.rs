@@ -289,6 +289,7 @@ impl<'a> Search<'a> {
         }
         let brick = first.brick();
         let lowest = self.map.limits.min;
+        let unpacked;
         let cells = match self.map.brick(brick) {
             BrickRef::Uniform(value) if value == lowest && passes => return,
             BrickRef::Uniform(value) if value == lowest => Contents::Lowest,
@@ -299,6 +300,10 @@ impl<'a> Search<'a> {
                 .map
                 .payload(brick)
                 .map_or(Contents::Other, Contents::Cells),
+            BrickRef::Packed(_) => {
+                unpacked = self.map.brick_values(brick);
+                Contents::Cells(&unpacked)
+            }
         };
         self.split(first, level, &view, cells);
     }

@@ -73,26 +73,20 @@ impl OccupancyMap {
             Occupancy::Free => false,
         };
         let brick = BrickKey::unpack(packed);
-        let mut found = None;
-        match contents {
-            BrickRef::Uniform(value) => {
-                if stops(value) {
-                    let entry = ray.enter(brick);
-                    found = Some((entry.index, entry.range, value));
-                }
-            }
+        let found = match contents {
+            BrickRef::Uniform(value) => stops(value).then(|| {
+                let entry = ray.enter(brick);
+                (entry.index, entry.range, value)
+            }),
             BrickRef::Mixed(payload) => {
                 let cells = shard.payload(payload);
-                ray.walk_until(ray.enter(brick), |index, range| {
-                    let value = cells[index];
-                    let stop = stops(value);
-                    if stop {
-                        found = Some((index, range, value));
-                    }
-                    stop
-                });
+                first_in_brick(ray, brick, |index| cells[index], stops)
             }
-        }
+            BrickRef::Packed(word) => {
+                let cells = shard.packed(word);
+                first_in_brick(ray, brick, |index| cells.value(index), stops)
+            }
+        };
         let Some((index, range, value)) = found else {
             return RayHit::Nothing;
         };
@@ -104,6 +98,26 @@ impl OccupancyMap {
             self.resolution(),
         )
     }
+}
+
+/// The first cell of a brick along a ray that stops it: its index, range and evidence.
+#[inline]
+fn first_in_brick(
+    ray: &Ray,
+    brick: BrickKey,
+    value_of: impl Fn(usize) -> i16,
+    stops: impl Fn(i16) -> bool,
+) -> Option<(usize, i64, i16)> {
+    let mut found = None;
+    ray.walk_until(ray.enter(brick), |index, range| {
+        let value = value_of(index);
+        let stop = stops(value);
+        if stop {
+            found = Some((index, range, value));
+        }
+        stop
+    });
+    found
 }
 
 /// The ray of a query, if it is usable.

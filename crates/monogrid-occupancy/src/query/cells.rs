@@ -152,7 +152,7 @@ impl OccupancyMap {
         for brick in self.bricks_in_key_box(first, last) {
             let in_brick = match self.brick(brick) {
                 BrickRef::Uniform(value) => value,
-                BrickRef::Mixed(_) => {
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                     let values = self.brick_values(brick);
                     (0..values.len())
                         .filter(|&i| is_inside(brick.cell(i), first, last))

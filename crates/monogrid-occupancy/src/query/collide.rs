@@ -27,7 +27,7 @@ impl States for OccupancyMap {
     fn may_stop(&self, brick: BrickKey, unknown: UnknownCells) -> bool {
         match self.brick(brick) {
             BrickRef::Uniform(value) => stops(self.limits.occupancy(value), unknown),
-            BrickRef::Mixed(_) => true,
+            BrickRef::Mixed(_) | BrickRef::Packed(_) => true,
         }
     }
 

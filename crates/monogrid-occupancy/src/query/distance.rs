@@ -214,7 +214,7 @@ impl DistanceField {
         match map.brick(key) {
             BrickRef::Uniform(value) if is_obstacle(value) => [!0; 8],
             BrickRef::Uniform(_) => [0; 8],
-            BrickRef::Mixed(_) => {
+            BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                 let values = map.brick_values(key);
                 std::array::from_fn(|word| {
                     let cells = &values[64 * word..64 * word + 64];

@@ -119,7 +119,7 @@ impl Block {
                     put(index, word_of_state(state(value)), None);
                     continue;
                 }
-                BrickRef::Mixed(_) => {
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                     Masks::new(&map.brick_values(BrickKey::unpack(packed)), state)
                 }
             };

@@ -1,5 +1,7 @@
-//! Where evidence lives: bricks in sharded open-addressing directories with pooled payloads.
+//! Where evidence lives: bricks in sharded open-addressing directories with pooled or packed
+//! payloads.
 
+pub(crate) mod packed;
 pub(crate) mod pool;
 pub(crate) mod shard;
 

@@ -58,6 +58,13 @@ impl Pool {
         &mut self.chunks[index as usize / CHUNK][index as usize % CHUNK]
     }
 
+    /// A payload with these values.
+    pub(crate) fn insert(&mut self, payload: &Payload) -> u32 {
+        let index = self.allocate(0);
+        self.get_mut(index).0 = payload.0;
+        index
+    }
+
     /// Payloads in use.
     pub(crate) fn len(&self) -> usize {
         self.used as usize - self.free.len()

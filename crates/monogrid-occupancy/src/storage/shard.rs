@@ -1,20 +1,26 @@
 //! One shard of a map: an open-addressing directory of bricks and the pool of their payloads.
 //!
+//! Payloads can be packed ([`Shard::pack`]); a packed brick gets a payload again when it changes.
+//!
 //! Bricks are never taken out of a directory: a brick whose cells all became unknown stays as a
 //! uniform unknown brick, so that "changed since revision n" also reports what vanished.
 
+use super::packed::{self, PackedBrick};
 use super::pool::{Payload, Pool};
 use crate::evidence::{Limits, UNKNOWN};
 use crate::key::BRICK_CELLS;
 
 const EMPTY: u64 = u64::MAX;
 const UNIFORM: u32 = 1 << 31;
+const PACKED: u32 = 1 << 30;
 
-/// Contents of a brick: one value for all cells, or the index of a payload.
+/// Contents of a brick: one value for all cells, the index of a payload, or the first word of a
+/// packed brick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum BrickRef {
     Uniform(i16),
     Mixed(u32),
+    Packed(u32),
 }
 
 /// Position in a directory; valid until the next insertion into the same shard.
@@ -25,17 +31,19 @@ pub(crate) struct SlotIndex(pub u32);
 struct Slot {
     key: u64,
     revision: u32,
-    /// `UNIFORM | value` or the index of a payload.
+    /// `UNIFORM | value`, `PACKED | word`, or the index of a payload.
     contents: u32,
 }
 
 impl Slot {
     #[inline]
     fn contents(self) -> BrickRef {
-        if self.contents & UNIFORM == 0 {
-            BrickRef::Mixed(self.contents)
-        } else {
+        if self.contents & UNIFORM != 0 {
             BrickRef::Uniform(self.contents as u16 as i16)
+        } else if self.contents & PACKED != 0 {
+            BrickRef::Packed(self.contents & !PACKED)
+        } else {
+            BrickRef::Mixed(self.contents)
         }
     }
 }
@@ -50,6 +58,9 @@ pub(crate) struct Shard {
     slots: Vec<Slot>,
     len: usize,
     pool: Pool,
+    /// Words of the packed bricks, and of those that were given a payload since.
+    packed: Vec<u64>,
+    packed_len: usize,
 }
 
 impl Shard {
@@ -137,24 +148,41 @@ impl Shard {
         &self.pool.get(index).0
     }
 
+    #[inline]
+    pub(crate) fn packed(&self, word: u32) -> PackedBrick<'_> {
+        PackedBrick::new(&self.packed[word as usize..])
+    }
+
+    /// Evidence of all cells.
+    pub(crate) fn values(&self, contents: BrickRef) -> [i16; BRICK_CELLS] {
+        match contents {
+            BrickRef::Uniform(value) => [value; BRICK_CELLS],
+            BrickRef::Mixed(payload) => *self.payload(payload),
+            BrickRef::Packed(word) => self.packed(word).values(),
+        }
+    }
+
     /// Evidence of one cell.
     #[inline]
     pub(crate) fn value(&self, slot: SlotIndex, index_in_brick: usize) -> i16 {
         match self.contents(slot) {
             BrickRef::Uniform(value) => value,
             BrickRef::Mixed(payload) => self.payload(payload)[index_in_brick],
+            BrickRef::Packed(word) => self.packed(word).value(index_in_brick),
         }
     }
 
     /// Makes all cells of a brick equal and returns its payload to the pool.
     pub(crate) fn set_uniform(&mut self, slot: SlotIndex, value: i16) {
-        if let BrickRef::Mixed(payload) = self.contents(slot) {
-            self.pool.release(payload);
+        match self.contents(slot) {
+            BrickRef::Uniform(_) => {}
+            BrickRef::Mixed(payload) => self.pool.release(payload),
+            BrickRef::Packed(_) => self.packed_len -= 1,
         }
         self.slots[slot.0 as usize].contents = uniform_word(value);
     }
 
-    /// The payload of a brick for writing; a uniform brick gets one first.
+    /// The payload of a brick for writing; a uniform or packed brick gets one first.
     #[inline]
     pub(crate) fn payload_mut(&mut self, slot: SlotIndex) -> &mut Payload {
         let payload = match self.contents(slot) {
@@ -164,8 +192,50 @@ impl Shard {
                 self.slots[slot.0 as usize].contents = payload;
                 payload
             }
+            BrickRef::Packed(word) => self.unpack(slot, word),
         };
         self.pool.get_mut(payload)
+    }
+
+    #[cold]
+    fn unpack(&mut self, slot: SlotIndex, word: u32) -> u32 {
+        let payload = self.pool.insert(&Payload(self.packed(word).values()));
+        self.slots[slot.0 as usize].contents = payload;
+        self.packed_len -= 1;
+        payload
+    }
+
+    /// Packs every payload that becomes smaller by it, and gives back the memory of payloads and
+    /// packed bricks that are no longer in use. No evidence changes.
+    pub(crate) fn pack(&mut self) {
+        let mut words = Vec::new();
+        let mut pool = Pool::default();
+        let mut packed_len = 0;
+        for index in 0..self.slots.len() {
+            let slot = self.slots[index];
+            if slot.key == EMPTY {
+                continue;
+            }
+            let first = words.len();
+            let is_packed = match slot.contents() {
+                BrickRef::Uniform(_) => continue,
+                // Positions have 30 bits: what lies beyond 8 GiB of one shard has a payload.
+                _ if first >= PACKED as usize => false,
+                BrickRef::Mixed(payload) => packed::pack(self.payload(payload), &mut words),
+                BrickRef::Packed(word) => {
+                    words.extend_from_slice(self.packed(word).words());
+                    true
+                }
+            };
+            self.slots[index].contents = if is_packed {
+                packed_len += 1;
+                PACKED | first as u32
+            } else {
+                pool.insert(&Payload(self.values(slot.contents())))
+            };
+        }
+        words.shrink_to_fit();
+        (self.packed, self.packed_len, self.pool) = (words, packed_len, pool);
     }
 
     /// Drops the payload of a brick whose cells are all equal.
@@ -194,9 +264,9 @@ impl Shard {
                 self.slots[slot.0 as usize].contents = uniform_word(updated);
                 updated != value
             }
-            BrickRef::Mixed(payload) => {
+            BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                 let mut changed = 0;
-                for value in &mut self.pool.get_mut(payload).0 {
+                for value in &mut self.payload_mut(slot).0 {
                     let updated = limits.updated(*value, delta);
                     changed |= *value ^ updated;
                     *value = updated;
@@ -241,14 +311,19 @@ impl Shard {
         self.len
     }
 
-    /// Bricks with a payload.
+    /// Bricks with a payload, packed ones not counted.
     pub(crate) fn payloads(&self) -> usize {
         self.pool.len()
     }
 
+    /// Packed bricks.
+    pub(crate) fn packed_bricks(&self) -> usize {
+        self.packed_len
+    }
+
     /// Bytes allocated for the directory and the payloads.
     pub(crate) fn bytes(&self) -> usize {
-        self.directory_bytes() + self.pool.bytes()
+        self.directory_bytes() + self.pool.bytes() + self.packed.capacity() * size_of::<u64>()
     }
 
     /// Bytes allocated for the directory.
@@ -275,10 +350,15 @@ mod tests {
                 .wrapping_add(1442695040888963407);
             state >> 33
         };
-        for _ in 0..20_000 {
+        let mut most_packed = 0;
+        for step in 0..20_000 {
             let key = random() % 700;
             let slot = shard.find_or_insert(key, hash(key));
             let cells = oracle.entry(key).or_insert([UNKNOWN; BRICK_CELLS]);
+            if step % 1500 == 700 {
+                shard.pack();
+                most_packed = most_packed.max(shard.packed_bricks());
+            }
             match random() % 4 {
                 0 => {
                     let value = (random() % 5) as i16 * 100 - 200;
@@ -305,7 +385,9 @@ mod tests {
             .values()
             .filter(|c| c.iter().any(|v| *v != c[0]))
             .count();
-        assert_eq!(shard.payloads(), mixed, "uniform bricks hold no payload");
+        let own = shard.payloads() + shard.packed_bricks();
+        assert_eq!(own, mixed, "uniform bricks hold no payload");
+        assert!(most_packed > 50, "{most_packed} packed");
         for (key, cells) in oracle {
             let slot = shard.find(key, hash(key)).unwrap();
             for (index, value) in cells.iter().enumerate() {

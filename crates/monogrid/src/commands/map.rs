@@ -51,11 +51,12 @@ pub fn execute(args: &MapArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
     let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
     let align = Align::parse(args.align.as_deref())?;
-    let built = match Kind::of(&args.recording)? {
+    let mut built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,
         Kind::Scans => from_scans(args, &align, threads)?,
         Kind::Folder => from_folder(args, &align, threads)?,
     };
+    built.map.pack(threads);
     mapfile::save(&built.map, &args.out, format)?;
     for warning in &built.warnings {
         eprintln!("warning: {warning}");
