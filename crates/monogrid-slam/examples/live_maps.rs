@@ -63,13 +63,13 @@ fn main() {
     .unwrap();
     let before = thread_seconds();
     for (scan, pose) in scans.iter().zip(&poses) {
-        live.add(scan, *pose).unwrap();
+        live.add(scan.clone(), *pose).unwrap();
     }
+    let reader = live.reader().unwrap();
     println!(
         "large and global map: {:.3} s of CPU",
         thread_seconds() - before
     );
-    let reader = live.reader();
     let mut snapshot = Arc::default();
     for closure in 1..=number("closures", 3.0) as u64 {
         snapshot = corrected(&poses, closure);

@@ -270,7 +270,7 @@ fn take_change(
         Change::Finished(keyframe, snapshot) => {
             let scan = scan_of(keyframe, maps, camera);
             if let Some(pose) = snapshot.world_from_keyframe.get(keyframe.id as usize) {
-                maps.add(&scan, *pose)?;
+                maps.add(scan, *pose)?;
             }
             maps.follow(Arc::clone(snapshot));
         }

@@ -175,12 +175,14 @@ impl GlobalMap {
             .collect()
     }
 
-    /// Brings every keyframe to its exact pose, in the frame of `map_from_world`.
+    /// Brings every keyframe to its exact pose, in the frame of `map_from_world`, and adds those that
+    /// are `waiting`, newer than all others, with the poses they had when they came.
     pub fn settle(
         &mut self,
         mapper: &Mapper,
-        wanted: Arc<PoseSnapshot>,
+        wanted: &Arc<PoseSnapshot>,
         map_from_world: &Sim3,
+        waiting: Vec<(KeyframeScan, Sim3)>,
     ) -> Result<(), MapError> {
         self.map.set_threads(mapper.threads());
         if let Some(coming) = self.coming.take() {
@@ -189,8 +191,12 @@ impl GlobalMap {
             self.take_back(coming);
         }
         self.map_from_world = *map_from_world;
-        self.follow(wanted);
+        self.follow(Arc::clone(wanted));
         while self.step_beyond(mapper, 0.0)? {}
+        for (scan, first) in waiting {
+            let pose = wanted.world_from_keyframe.get(scan.id as usize);
+            self.add(mapper, &scan, pose.unwrap_or(&first))?;
+        }
         Ok(())
     }
 

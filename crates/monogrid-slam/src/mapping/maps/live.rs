@@ -81,6 +81,9 @@ pub struct LiveMaps {
     large: Arc<OccupancyMap>,
     first_poses: Vec<(KeyframeId, Sim3)>,
     global: GlobalMap,
+    /// Keyframes that came while nobody read, at the poses they had; *global* takes them when it is
+    /// wanted. A map that follows every small correction costs twice its integration and more.
+    waiting: Vec<(KeyframeScan, Sim3)>,
     published: MapReader,
 }
 
@@ -96,6 +99,7 @@ impl LiveMaps {
             mapper,
             map_from_world,
             first_poses: Vec::new(),
+            waiting: Vec::new(),
             published: MapReader::default(),
         })
     }
@@ -106,33 +110,46 @@ impl LiveMaps {
         &self.mapper
     }
 
-    /// For threads that read the maps while they grow. As long as nobody does, nothing is copied.
-    #[must_use]
-    pub fn reader(&self) -> MapReader {
+    /// For threads that read the maps while they grow. As long as nobody does, nothing is copied, and
+    /// *global* is left for the end.
+    ///
+    /// # Errors
+    /// As [`LiveMaps::add`], for keyframes that came before.
+    pub fn reader(&mut self) -> Result<MapReader, MapError> {
         let reader = self.published.clone();
+        for (scan, world_from_keyframe) in std::mem::take(&mut self.waiting) {
+            self.global.add(&self.mapper, &scan, &world_from_keyframe)?;
+        }
         if !self.first_poses.is_empty() {
             self.publish();
         }
-        reader
+        Ok(reader)
     }
 
     /// Adds a finished keyframe at the pose it has now; keyframes come in the order of their ids.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
-    pub fn add(&mut self, scan: &KeyframeScan, world_from_keyframe: Sim3) -> Result<(), MapError> {
+    pub fn add(&mut self, scan: KeyframeScan, world_from_keyframe: Sim3) -> Result<(), MapError> {
         let pose = self.map_from_world * world_from_keyframe;
         let large = Arc::make_mut(&mut self.large);
-        self.mapper.integrate(large, scan, &pose)?;
+        self.mapper.integrate(large, &scan, &pose)?;
         self.first_poses.push((scan.id, world_from_keyframe));
-        self.global.add(&self.mapper, scan, &world_from_keyframe)?;
-        self.publish();
+        if self.published.is_read() {
+            self.global.add(&self.mapper, &scan, &world_from_keyframe)?;
+            self.publish();
+        } else {
+            self.waiting.push((scan, world_from_keyframe));
+        }
         Ok(())
     }
 
     /// Takes better depth of a keyframe that was added before; *global* will use it.
     pub fn revise(&mut self, scan: KeyframeScan) {
-        self.global.revise(scan);
+        match self.waiting.iter_mut().find(|(w, _)| w.id == scan.id) {
+            Some((waiting, _)) => *waiting = scan,
+            None => self.global.revise(scan),
+        }
     }
 
     /// Says where keyframes are now; *global* follows in [`LiveMaps::step`].
@@ -141,11 +158,14 @@ impl LiveMaps {
     }
 
     /// Brings *global* closer to the newest poses and depths, by at most the integration of one
-    /// keyframe; `false` when it is up to date.
+    /// keyframe; `false` when it is up to date, or when nobody reads.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
     pub fn step(&mut self) -> Result<bool, MapError> {
+        if !self.published.is_read() {
+            return Ok(false);
+        }
         let revision = self.global.revision();
         let has_worked = self.global.step(&self.mapper)?;
         if self.global.revision() != revision {
@@ -182,7 +202,7 @@ impl LiveMaps {
     ) -> Result<Maps, MapError> {
         let mapper = self.mapper.with_threads(threads);
         let mut global = self.global;
-        global.settle(&mapper, Arc::clone(snapshot), map_from_world)?;
+        global.settle(&mapper, snapshot, map_from_world, self.waiting)?;
         let large = if self.map_from_world == *map_from_world {
             Arc::unwrap_or_clone(self.large)
         } else {

@@ -52,7 +52,7 @@ fn finished(last: &[Sim3], threads: usize) -> Maps {
     let z_up = z_up_from_camera_world();
     let mut live = LiveMaps::new(mapper, z_up).unwrap();
     for (id, x) in [(0, 0.0), (1, 0.3)] {
-        live.add(&wall(id), pose(x)).unwrap();
+        live.add(wall(id), pose(x)).unwrap();
     }
     let snapshot = PoseSnapshot {
         revision: 1,
@@ -110,7 +110,7 @@ fn the_local_map_is_the_part_of_the_global_one_around_the_camera() {
     let mapper = Mapper::new(config, CAMERA, 1);
     let z_up = z_up_from_camera_world();
     let mut live = LiveMaps::new(mapper, z_up).unwrap();
-    live.add(&wall(0), pose(0.0)).unwrap();
+    live.add(wall(0), pose(0.0)).unwrap();
     let snapshot = PoseSnapshot {
         revision: 1,
         world_from_keyframe: vec![pose(0.0)],
@@ -223,7 +223,7 @@ impl History {
         threads: usize,
         steps: &mut dyn FnMut() -> usize,
         frame: &Sim3,
-        mut look: impl FnMut(&LiveMaps, usize),
+        mut look: impl FnMut(&mut LiveMaps, usize),
     ) -> Maps {
         let config = MappingConfig {
             follow_threshold: 0.0,
@@ -232,15 +232,15 @@ impl History {
         let mapper = Mapper::new(config, CAMERA, threads);
         let mut live = LiveMaps::new(mapper, z_up_from_camera_world()).unwrap();
         for (i, scan) in self.scans.iter().enumerate() {
-            live.add(scan, self.first[i]).unwrap();
+            live.add(scan.clone(), self.first[i]).unwrap();
             live.follow(Arc::clone(&self.snapshots[i]));
             if i == self.revised.0 {
                 live.revise(self.revised.1.clone());
             }
-            look(&live, i);
+            look(&mut live, i);
             for _ in 0..steps() {
                 live.step().unwrap();
-                look(&live, i);
+                look(&mut live, i);
             }
         }
         live.finish(self.last(), frame, Some(Vec3::zeros()), threads)
@@ -271,7 +271,15 @@ fn after_every_keyframe_has_moved_the_maps_are_those_built_from_scratch_for_any_
         ];
         for (timing, steps) in timings.iter_mut().enumerate() {
             for threads in [1, 2] {
-                let maps = history.play(threads, steps, &z_up, |_, _| {});
+                // Nobody reads, somebody always does, or only for a while.
+                let mut reader = None;
+                let maps = history.play(threads, steps, &z_up, |live, newest| {
+                    if timing == 1 || timing == 2 && (1..4).contains(&newest) {
+                        reader.get_or_insert_with(|| live.reader().unwrap());
+                    } else {
+                        reader = None;
+                    }
+                });
                 let case = format!("seed {seed}, timing {timing}, {threads} threads");
                 assert!(bytes(&maps.global) == bytes(&global), "{case}");
                 assert!(bytes(&maps.large) == bytes(&large), "{case}");
@@ -289,7 +297,10 @@ fn maps_in_a_frame_found_at_the_end_are_built_there() {
     let mut random = Random(77);
     let history = History::new(&mut random);
     let frame = random.pose();
-    let maps = history.play(1, &mut || 3, &frame, |_, _| {});
+    let mut reader = None;
+    let maps = history.play(1, &mut || 3, &frame, |live, _| {
+        reader.get_or_insert_with(|| live.reader().unwrap());
+    });
     let scans = history.final_scans();
     let final_poses = &history.last().world_from_keyframe;
     let global = from_scratch(&scans, final_poses, &frame);
@@ -308,7 +319,7 @@ fn what_is_read_is_always_complete_and_of_one_revision() {
         let mut reader = None;
         let mut held = None;
         history.play(1, &mut || random.below(9), &z_up, |live, newest| {
-            let reader = reader.get_or_insert_with(|| live.reader());
+            let reader = reader.get_or_insert_with(|| live.reader().unwrap());
             let view = reader.latest().unwrap();
             assert_eq!(view.stats.keyframes, newest + 1);
             let large = from_scratch(&history.scans[..=newest], &history.first[..=newest], &z_up);
@@ -351,7 +362,8 @@ fn what_is_read_is_always_complete_and_of_one_revision() {
 fn keyframes_that_hardly_moved_wait_for_the_end() {
     let mapper = Mapper::new(config(), CAMERA, 1);
     let mut live = LiveMaps::new(mapper, z_up_from_camera_world()).unwrap();
-    live.add(&wall(0), pose(0.0)).unwrap();
+    let _reader = live.reader().unwrap();
+    live.add(wall(0), pose(0.0)).unwrap();
     // Cells of 0.1, and the default is to follow from one cell on.
     let mut moved_to = |revision, x| {
         live.follow(Arc::new(PoseSnapshot {
