@@ -71,10 +71,14 @@
 //!
 //! [`OccupancyMap::pack`] makes a finished map two thirds smaller in memory without changing a cell.
 //!
+//! Free rays clear what is gone; [`Decay`] forgets what is never looked at again, down to the map that
+//! was loaded.
+//!
 //! Conventions: cell boundaries lie on multiples of the resolution, as in OctoMap; all lengths
 //! are in map units (metres, if the poses and measurements are); sensors look along +z.
 
 mod combine;
+mod decay;
 mod error;
 mod evidence;
 mod integrate;
@@ -91,6 +95,7 @@ mod sensor;
 mod storage;
 
 pub use combine::{CellCounts, MapDifference};
+pub use decay::{Decay, DecayConfig};
 pub use error::MapError;
 pub use evidence::{Occupancy, log_odds_from_probability, probability_from_log_odds};
 pub use integrate::{IntegrationConfig, IntegrationReport, IntegrationRule, integrate};
