@@ -2,9 +2,10 @@
 
 use super::image::{HOLE, RangeImage, RangeImages};
 use super::kernel::{
-    BLOCK_CELLS, Block, FlatTables, Kernel, KernelImage, KernelPixel, Weights, evidence,
+    BLOCK_CELLS, Block, FlatTables, Kernel, KernelImage, KernelPixel, Weights, cell_of, evidence,
 };
-use super::pyramid::Pyramid;
+use super::octants::{Cube, Octants, View};
+use super::windows::Windows;
 use crate::sensor::table::EvidenceTable;
 
 /// Depth below which nothing is projected, in cells.
@@ -13,24 +14,13 @@ const NEAREST_CELLS: f32 = 0.25;
 /// A prepared scan with everything that an update needs.
 pub(crate) struct Footprints<'a> {
     pub images: &'a RangeImages,
-    pub pyramids: Vec<Pyramid>,
+    windows: Vec<Windows>,
     pub max_range: f32,
     pub resolution: f32,
     kernel_images: Vec<KernelImage>,
     tables: FlatTables,
     /// The update of one measurement in free space.
     free: i16,
-}
-
-/// What a block of cells can get from a scan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum BlockClass {
-    /// Nothing.
-    Untouched,
-    /// Every cell the same free update.
-    Free,
-    /// Anything.
-    Mixed,
 }
 
 impl<'a> Footprints<'a> {
@@ -40,10 +30,10 @@ impl<'a> Footprints<'a> {
         let (flat, headers) = flatten(tables);
         Self {
             images,
-            pyramids: images
+            windows: images
                 .images
                 .iter()
-                .map(|image| Pyramid::new(image, &images.tables, max_range))
+                .map(|image| Windows::new(image, &images.tables, max_range))
                 .collect(),
             max_range,
             resolution: resolution as f32,
@@ -93,37 +83,49 @@ impl<'a> Footprints<'a> {
         }
     }
 
-    /// Evidence for 4 x 4 x 4 cells around `center` (relative to the sensor, world axes), x
-    /// fastest; 0 where the scan says nothing.
-    pub(crate) fn block_evidence(&self, center: [f32; 3], weights: &Weights) -> [i16; BLOCK_CELLS] {
-        if let [image] = &self.images.images[..] {
-            let block = self.block(image, center);
-            return self.kernel(0).block(&block, weights);
+    /// Evidence for those octants of 4 x 4 x 4 cells around `center` (relative to the sensor, world
+    /// axes) that are `wanted`; 0 where the scan says nothing. Cells as [`cell_of`] orders them.
+    pub(crate) fn block_evidence(
+        &self,
+        center: [f32; 3],
+        weights: &Weights,
+        wanted: u8,
+        evidence: &mut [i16; BLOCK_CELLS],
+    ) {
+        let cube = Cube {
+            center,
+            half: 2.0 * self.resolution,
+        };
+        if let Some(index) = self.image_of_cube(cube) {
+            let block = self.block(&self.images.images[index], center);
+            self.kernel(index).block(&block, weights, wanted, evidence);
+            return;
         }
-        // Around a sensor that looks everywhere, each cell has its own image.
-        std::array::from_fn(|i| {
-            let at = [i & 3, i >> 2 & 3, i >> 4];
-            let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 1.5) * self.resolution);
-            self.image_of(point).map_or(0, |index| {
-                let block = self.block(&self.images.images[index], center);
-                self.kernel(index).cell(&block, at, weights)
-            })
+        // Where the images of a sensor that looks everywhere meet, each cell has its own.
+        for (i, value) in evidence.iter_mut().enumerate() {
+            if wanted >> (i >> 3) & 1 != 0 {
+                *value = self.cell_evidence(center, cell_of(i), weights);
+            }
+        }
+    }
+
+    /// Evidence of one cell of a block.
+    fn cell_evidence(&self, center: [f32; 3], at: [usize; 3], weights: &Weights) -> i16 {
+        let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 1.5) * self.resolution);
+        self.image_of(point).map_or(0, |index| {
+            let block = self.block(&self.images.images[index], center);
+            self.kernel(index).cell(&block, at, weights)
         })
     }
 
-    /// [`Footprints::block_evidence`] without vectors.
+    /// [`Footprints::block_evidence`] cell by cell, without vectors.
     #[cfg(test)]
     pub(crate) fn block_evidence_scalar(
         &self,
         center: [f32; 3],
         weights: &Weights,
     ) -> [i16; BLOCK_CELLS] {
-        match &self.images.images[..] {
-            [image] => self
-                .kernel(0)
-                .block_scalar(&self.block(image, center), weights),
-            _ => self.block_evidence(center, weights),
-        }
+        std::array::from_fn(|i| self.cell_evidence(center, cell_of(i), weights))
     }
 
     fn kernel(&self, index: usize) -> Kernel<'_> {
@@ -150,91 +152,56 @@ impl<'a> Footprints<'a> {
         evidence(i32::from(self.free), weights.single)
     }
 
-    /// What the cells of a cube with centre `center` (relative to the sensor, world axes) and
-    /// half edge `half` can get. Conservative: `Mixed` where it is not certain.
-    pub(crate) fn classify(&self, center: [f32; 3], half: f32) -> BlockClass {
-        let mut nearest_sq = 0.0;
-        let mut farthest_sq = 0.0;
-        for c in center {
-            let near = (c.abs() - half).max(0.0);
-            nearest_sq += near * near;
-            farthest_sq += (c.abs() + half) * (c.abs() + half);
-        }
+    /// The image that all points of a cube belong to, if there is one.
+    fn image_of_cube(&self, cube: Cube) -> Option<usize> {
         match &self.images.images[..] {
-            [] => BlockClass::Untouched,
-            [image] => self.classify_in(0, image, center, half, (nearest_sq, farthest_sq)),
-            images => {
-                // A cube that belongs to one face of the sensor's cube is judged there.
-                for (index, image) in images.iter().enumerate() {
-                    let (p, e) = extent_in_image(image, center, half);
-                    let side = (p[0].abs() + e[0]).max(p[1].abs() + e[1]);
-                    if p[2] - e[2] > side {
-                        let range_sq = (nearest_sq, farthest_sq);
-                        return self.classify_in(index, image, center, half, range_sq);
-                    }
-                }
-                let farthest = self.pyramids.iter().map(|p| p.whole().changes_until);
-                if nearest_sq.sqrt() > farthest.fold(f32::MIN, f32::max) {
-                    BlockClass::Untouched
-                } else {
-                    BlockClass::Mixed
-                }
-            }
+            [_] => Some(0),
+            images => images.iter().position(|image| {
+                let (p, e) = extent_in_image(image, cube.center, 1.001 * cube.half);
+                p[2] - e[2] > (p[0].abs() + e[0]).max(p[1].abs() + e[1])
+            }),
         }
     }
 
-    fn classify_in(
-        &self,
-        index: usize,
-        image: &RangeImage,
-        center: [f32; 3],
-        half: f32,
-        (nearest_sq, farthest_sq): (f32, f32),
-    ) -> BlockClass {
-        // Half a cell more: footprints stick out of the block. A little more: rounding.
-        let half = (half + 0.55 * self.resolution) * 1.0001;
-        let (p, e) = extent_in_image(image, center, half);
-        let (near, far) = (p[2] - e[2], p[2] + e[2]);
-        let pyramid = &self.pyramids[index];
-        let bounds = if near <= 2.0 * NEAREST_CELLS * self.resolution {
-            if far <= 0.0 {
-                return BlockClass::Untouched;
-            }
-            let whole = pyramid.whole();
-            if nearest_sq.sqrt() > whole.changes_until {
-                return BlockClass::Untouched;
-            }
-            return BlockClass::Mixed;
-        } else {
-            let span = |axis: usize| {
-                let (low, high) = (p[axis] - e[axis], p[axis] + e[axis]);
-                let low = low / if low < 0.0 { near } else { far };
-                let high = high / if high > 0.0 { near } else { far };
-                // Half a pixel more: truncation then finds the nearest pixel.
-                let (focal, center) = (image.focal[axis], image.center[axis] + 0.5);
-                (low * focal + center - 0.01, high * focal + center + 0.01)
-            };
-            let ((left, right), (top, bottom)) = (span(0), span(1));
-            pyramid.bounds([left, top], [right, bottom])
+    /// What the cells of the eight halves of a cube can get.
+    pub(crate) fn judge(&self, cube: Cube) -> Octants {
+        let Some(index) = self.image_of_cube(cube) else {
+            return self.judge_by_range(cube);
         };
-        let Some(bounds) = bounds else {
-            return BlockClass::Untouched;
+        let view = View {
+            image: &self.images.images[index],
+            windows: &self.windows[index],
+            cell: self.resolution,
+            nearest: 2.0 * NEAREST_CELLS * self.resolution,
         };
-        // Relative margins against rounding of ranges in f32.
-        if nearest_sq.sqrt() > bounds.changes_until * 1.00001 {
-            BlockClass::Untouched
-        } else if farthest_sq.sqrt() < bounds.free_until * 0.99999 {
-            BlockClass::Free
-        } else {
-            BlockClass::Mixed
+        #[cfg(target_arch = "x86_64")]
+        if let Some(octants) = super::octants_avx2::judge(&view, cube) {
+            return octants;
         }
+        view.judge(cube)
+    }
+
+    /// The octants that something can reach at all.
+    fn judge_by_range(&self, cube: Cube) -> Octants {
+        let half = 0.5 * cube.half;
+        let farthest = self.farthest_change();
+        let mut octants = Octants::default();
+        for octant in 0..8 {
+            let nearest_sq = (0..3).fold(0.0, |sum, axis| {
+                let side = if octant >> axis & 1 == 0 { -half } else { half };
+                let near = ((cube.center[axis] + side).abs() - half).max(0.0);
+                sum + near * near
+            });
+            octants.touched |= u8::from(nearest_sq.sqrt() <= farthest * 1.00001) << octant;
+        }
+        octants
     }
 
     /// No cell farther than this from the sensor changes.
     pub(crate) fn farthest_change(&self) -> f32 {
-        self.pyramids
+        self.windows
             .iter()
-            .map(|p| p.whole().changes_until)
+            .map(Windows::farthest_change)
             .fold(0.0, f32::max)
     }
 }

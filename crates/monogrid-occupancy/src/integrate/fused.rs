@@ -1,12 +1,14 @@
 //! The rule `fused`: one update per cell and scan.
 //!
-//! Flow: measurements -> range images with pyramids -> cubes of bricks are split only where the
-//! pyramids cannot tell what their cells get -> free bricks get one addition, mixed ones an
-//! update per cell from the measurements in the cell's footprint, shard by shard.
+//! Flow: measurements -> range images with bounds over windows of pixels -> cubes are split, down to
+//! 2 x 2 x 2 cells, only where the bounds cannot tell what their cells get -> free bricks get one
+//! addition, mixed ones an update per cell from the measurements in the cell's footprint, shard by
+//! shard. A brick that is saturated free and can only become freer costs a look into the directory.
 
-use super::footprint::{BlockClass, Footprints};
+use super::footprint::Footprints;
 use super::image::RangeImages;
-use super::kernel::{BLOCK_CELLS, Weights};
+use super::kernel::{BLOCK_CELLS, Weights, cell_of};
+use super::octants::{Cube, Octants};
 use super::parallel::for_each;
 use super::rays::{BrickFilter, origin_in_cells};
 use super::{IntegrationConfig, IntegrationReport};
@@ -15,10 +17,20 @@ use crate::evidence::Limits;
 use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
-use crate::storage::{SHARDS, Shard, hash, shard_of};
+use crate::storage::{BrickRef, SHARDS, Shard, hash, shard_of};
 
-/// A brick to be updated: its packed key, and whether it is free as a whole.
-type Task = (u64, bool);
+/// A brick to be updated: its packed key, and what its cells get.
+type Task = (u64, Update);
+
+/// What the cells of a brick get.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Update {
+    /// All the same free update.
+    Free,
+    /// Free updates or nothing.
+    Clear,
+    Any,
+}
 
 /// Bricks along the edge of the cubes at which the search begins, as a power of two.
 const ROOT_LEVEL: u32 = 4;
@@ -39,7 +51,11 @@ pub(crate) fn integrate_fused(
         resolution: map.resolution(),
     };
     let tasks = search.tasks(threads, only);
-    let mixed = tasks.iter().flatten().filter(|t| !t.1).count();
+    let mixed = tasks
+        .iter()
+        .flatten()
+        .filter(|t| t.1 != Update::Free)
+        .count();
     let bricks = tasks.iter().map(Vec::len).sum();
     check_budget(map, &tasks, bricks, mixed)?;
     map.revision += 1;
@@ -50,8 +66,8 @@ pub(crate) fn integrate_fused(
         revision: map.revision,
     };
     for_each(&mut map.shards, threads, |index, shard| {
-        for &(key, is_free) in &tasks[index] {
-            writer.update_brick(shard, key, is_free);
+        for &(key, update) in &tasks[index] {
+            writer.update_brick(shard, key, update);
         }
     });
     Ok(IntegrationReport {
@@ -91,7 +107,10 @@ fn check_budget(
     }
     let is_new = |task: &&Task| !map.has_payload(BrickKey::unpack(task.0));
     let new: Vec<&Task> = tasks.iter().flatten().filter(is_new).collect();
-    map.check_budget(new.len(), new.iter().filter(|t| !t.1).count())
+    map.check_budget(
+        new.len(),
+        new.iter().filter(|t| t.1 != Update::Free).count(),
+    )
 }
 
 /// The search for the bricks that a scan changes.
@@ -120,13 +139,16 @@ impl Search<'_> {
         by_shard
     }
 
-    /// Cubes of the root level around everything that the scan can change.
+    /// Cubes of the root level that the scan can change.
     fn roots(&self) -> Vec<BrickKey> {
         let reach = f64::from(self.footprints.farthest_change());
         if reach <= 0.0 {
             return Vec::new();
         }
-        let edge = self.resolution * f64::from(BRICK_EDGE << ROOT_LEVEL);
+        // At most two cubes of this level along each axis hold everything.
+        let bricks = 2.0 * reach / (self.resolution * f64::from(BRICK_EDGE));
+        let level = (bricks.log2().ceil() as u32).clamp(ROOT_LEVEL + 1, 24);
+        let edge = self.resolution * f64::from(BRICK_EDGE) * f64::from(1 << level);
         let origin = self.footprints.images.origin;
         let first = origin.map(|c| ((c - reach) / edge).floor() as i32);
         let last = origin.map(|c| ((c + reach) / edge).floor() as i32);
@@ -134,58 +156,82 @@ impl Search<'_> {
         for x in first[0]..=last[0] {
             for y in first[1]..=last[1] {
                 for z in first[2]..=last[2] {
-                    let key = BrickKey::new(x << ROOT_LEVEL, y << ROOT_LEVEL, z << ROOT_LEVEL);
-                    if self.class(key, ROOT_LEVEL) != BlockClass::Untouched {
-                        roots.push(key);
-                    }
+                    let first = BrickKey::new(x << level, y << level, z << level);
+                    self.split_to_roots(first, level, &mut roots);
                 }
             }
         }
         roots
     }
 
-    fn class(&self, first: BrickKey, level: u32) -> BlockClass {
-        let half = self.resolution * f64::from(BRICK_EDGE << level) * 0.5;
-        let center = relative_center(
-            first,
-            f64::from(BRICK_EDGE << level) * 0.5,
-            self.resolution,
-            self.footprints.images.origin,
-        );
-        self.footprints.classify(center, half as f32)
+    fn split_to_roots(&self, first: BrickKey, level: u32, roots: &mut Vec<BrickKey>) {
+        let octants = self.judge(first, level);
+        for child in children(first, level, octants.touched) {
+            if level - 1 == ROOT_LEVEL {
+                roots.push(child.1);
+            } else {
+                self.split_to_roots(child.1, level - 1, roots);
+            }
+        }
+    }
+
+    /// Judges the octants of a cube of `2^level` bricks.
+    fn judge(&self, first: BrickKey, level: u32) -> Octants {
+        let half_cells = f64::from(1 << level) * f64::from(BRICK_EDGE / 2);
+        let origin = self.footprints.images.origin;
+        self.footprints.judge(Cube {
+            center: relative_center(first, half_cells, self.resolution, origin),
+            half: (half_cells * self.resolution) as f32,
+        })
     }
 
     fn visit(&self, first: BrickKey, level: u32, only: BrickFilter, tasks: &mut Vec<Task>) {
-        let only = match only.map(|keys| keys_in_cube(keys, first, level)) {
-            Some([]) => return,
-            only => only,
-        };
-        let class = self.class(first, level);
-        match class {
-            BlockClass::Untouched => {}
-            BlockClass::Mixed if level > 0 => {
-                let half = 1 << (level - 1);
-                for octant in 0..8 {
-                    let child = BrickKey::new(
-                        first.x + (octant & 1) * half,
-                        first.y + (octant >> 1 & 1) * half,
-                        first.z + (octant >> 2) * half,
-                    );
-                    self.visit(child, level - 1, only, tasks);
-                }
+        let octants = self.judge(first, level);
+        for (bit, child) in children(first, level, octants.touched) {
+            let only = match only.map(|keys| keys_in_cube(keys, child, level - 1)) {
+                Some([]) => continue,
+                only => only,
+            };
+            if octants.free & bit != 0 {
+                push_cube(child, level - 1, only, tasks);
+            } else if level > 1 {
+                self.visit(child, level - 1, only, tasks);
+            } else {
+                let update = if octants.clear & bit != 0 {
+                    Update::Clear
+                } else {
+                    Update::Any
+                };
+                tasks.push((child.pack(), update));
             }
-            BlockClass::Mixed | BlockClass::Free => {
-                let is_free = class == BlockClass::Free;
-                let edge = 1 << level;
-                for x in 0..edge {
-                    for y in 0..edge {
-                        for z in 0..edge {
-                            let key = BrickKey::new(first.x + x, first.y + y, first.z + z).pack();
-                            if only.is_none_or(|only| only.binary_search(&key).is_ok()) {
-                                tasks.push((key, is_free));
-                            }
-                        }
-                    }
+        }
+    }
+}
+
+/// Those octants of a cube of `2^level` bricks that are in `wanted`, with their bits.
+fn children(first: BrickKey, level: u32, wanted: u8) -> impl Iterator<Item = (u8, BrickKey)> {
+    let half = 1 << (level - 1);
+    (0..8)
+        .map(|octant| (1_u8 << octant, octant))
+        .filter_map(move |(bit, octant)| {
+            let child = BrickKey::new(
+                first.x + (octant & 1) * half,
+                first.y + (octant >> 1 & 1) * half,
+                first.z + (octant >> 2) * half,
+            );
+            (wanted & bit != 0).then_some((bit, child))
+        })
+}
+
+/// All bricks of a free cube of `2^level` bricks.
+fn push_cube(first: BrickKey, level: u32, only: BrickFilter, tasks: &mut Vec<Task>) {
+    let edge = 1 << level;
+    for x in 0..edge {
+        for y in 0..edge {
+            for z in 0..edge {
+                let key = BrickKey::new(first.x + x, first.y + y, first.z + z).pack();
+                if only.is_none_or(|only| only.binary_search(&key).is_ok()) {
+                    tasks.push((key, Update::Free));
                 }
             }
         }
@@ -238,12 +284,15 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn update_brick(&self, shard: &mut Shard, key: u64, is_free: bool) {
+    fn update_brick(&self, shard: &mut Shard, key: u64, update: Update) {
+        if update != Update::Any && self.is_settled(shard, key) {
+            return;
+        }
         let origin = self.footprints.images.origin;
         let brick = BrickKey::unpack(key);
         let center = relative_center(brick, 4.0, self.resolution, origin);
         let weights = self.footprints.weights(center);
-        if is_free {
+        if update == Update::Free {
             let free = self.footprints.free_evidence(&weights);
             if free != 0 {
                 let slot = shard.find_or_insert(key, hash(key));
@@ -253,8 +302,8 @@ impl Writer<'_> {
             }
             return;
         }
-        let updates = self.cell_updates(center, &weights);
-        if updates.iter().all(|&u| u == 0) {
+        let mut updates = [0; BRICK_CELLS];
+        if !self.cell_updates(center, &weights, &mut updates) {
             return;
         }
         let slot = shard.find_or_insert(key, hash(key));
@@ -263,30 +312,68 @@ impl Writer<'_> {
         }
     }
 
-    /// Updates of the 512 cells of a brick with centre `center` relative to the sensor.
-    fn cell_updates(&self, center: [f32; 3], weights: &Weights) -> [i16; BRICK_CELLS] {
-        let mut updates = [0; BRICK_CELLS];
+    /// Whether all cells of a brick hold the lowest value, so that nothing free changes them.
+    fn is_settled(&self, shard: &Shard, key: u64) -> bool {
+        shard
+            .find(key, hash(key))
+            .is_some_and(|slot| shard.contents(slot) == BrickRef::Uniform(self.limits.min))
+    }
+
+    /// Updates of the 512 cells of a brick with centre `center` relative to the sensor; whether
+    /// there are any. All are 0 before.
+    fn cell_updates(
+        &self,
+        center: [f32; 3],
+        weights: &Weights,
+        updates: &mut [i16; BRICK_CELLS],
+    ) -> bool {
         let cell = self.footprints.resolution;
-        // Octants of 4 x 4 x 4 cells: most of them are free or untouched as a whole.
-        for octant in 0..8_usize {
+        let free = self.footprints.free_evidence(weights);
+        let octants = self.footprints.judge(Cube {
+            center,
+            half: 4.0 * cell,
+        });
+        let mut any = 0;
+        for octant in (0..8_usize).filter(|o| octants.touched >> o & 1 != 0) {
             let side = [octant & 1, octant >> 1 & 1, octant >> 2];
-            let middle = std::array::from_fn(|i| center[i] + (side[i] as f32 * 4.0 - 2.0) * cell);
-            let uniform = match self.footprints.classify(middle, 2.0 * cell) {
-                BlockClass::Untouched => continue,
-                BlockClass::Free => Some(self.footprints.free_evidence(weights)),
-                BlockClass::Mixed => None,
-            };
-            let block = match uniform {
-                Some(free) => [free; BLOCK_CELLS],
-                None => self.footprints.block_evidence(middle, weights),
-            };
-            for (row, cells) in block.chunks_exact(4).enumerate() {
-                let (y, z) = (side[1] * 4 + (row & 3), side[2] * 4 + (row >> 2));
-                let start = side[0] * 4 + 8 * y + 64 * z;
-                updates[start..start + 4].copy_from_slice(cells);
+            let mut block = [0; BLOCK_CELLS];
+            if octants.free >> octant & 1 != 0 {
+                block = [free; BLOCK_CELLS];
+            } else {
+                let center =
+                    std::array::from_fn(|i| center[i] + (side[i] as f32 * 4.0 - 2.0) * cell);
+                self.block_updates(center, weights, free, &mut block);
+            }
+            for (index, &update) in block.iter().enumerate() {
+                let at = cell_of(index);
+                let [x, y, z] = std::array::from_fn(|i| side[i] * 4 + at[i]);
+                updates[x + 8 * y + 64 * z] = update;
+                any |= update;
             }
         }
-        updates
+        any != 0
+    }
+
+    /// Updates of 4 x 4 x 4 cells; all are 0 before.
+    fn block_updates(
+        &self,
+        center: [f32; 3],
+        weights: &Weights,
+        free: i16,
+        block: &mut [i16; BLOCK_CELLS],
+    ) {
+        let half = 2.0 * self.footprints.resolution;
+        let octants = self.footprints.judge(Cube { center, half });
+        for (octant, cells) in block.chunks_exact_mut(8).enumerate() {
+            if octants.free >> octant & 1 != 0 {
+                cells.fill(free);
+            }
+        }
+        let wanted = octants.touched & !octants.free;
+        if wanted != 0 {
+            self.footprints
+                .block_evidence(center, weights, wanted, block);
+        }
     }
 }
 
@@ -341,7 +428,7 @@ mod tests {
                         });
                         let block = footprints.block_evidence_scalar(middle, &weights);
                         for (i, update) in block.into_iter().enumerate().filter(|b| b.1 != 0) {
-                            let at = [i & 3, i >> 2 & 3, i >> 4];
+                            let at = cell_of(i);
                             let index: usize =
                                 (0..3).map(|a| (side[a] * 4 + at[a]) << (3 * a)).sum();
                             let key = brick.cell(index);

@@ -25,6 +25,13 @@ pub(crate) const FOUR_SAMPLES_PX: f32 = 3.2;
 /// Cells of a block.
 pub(crate) const BLOCK_CELLS: usize = 64;
 
+/// The cell of a block at position `index`: octants of 2 x 2 x 2 cells one after the other, x
+/// fastest among octants and inside each.
+#[inline]
+pub(crate) fn cell_of(index: usize) -> [usize; 3] {
+    std::array::from_fn(|axis| (index >> (3 + axis) & 1) * 2 + (index >> axis & 1))
+}
+
 /// A measurement as the kernel needs it: where its table begins in space and in memory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
@@ -105,19 +112,36 @@ pub(crate) struct Kernel<'a> {
 }
 
 impl Kernel<'_> {
-    /// Evidence for the cells of a block, x fastest; 0 where the scan says nothing.
+    /// Evidence for the cells of the `wanted` octants of a block; 0 where the scan says nothing.
+    /// Other cells are left alone. Cells as [`cell_of`] orders them.
     #[inline]
-    pub(crate) fn block(&self, block: &Block, weights: &Weights) -> [i16; BLOCK_CELLS] {
+    pub(crate) fn block(
+        &self,
+        block: &Block,
+        weights: &Weights,
+        wanted: u8,
+        evidence: &mut [i16; BLOCK_CELLS],
+    ) {
         #[cfg(target_arch = "x86_64")]
-        if let Some(evidence) = super::kernel_avx2::block(self, block, weights) {
-            return evidence;
+        if super::kernel_avx2::block(self, block, weights, wanted, evidence) {
+            return;
         }
-        self.block_scalar(block, weights)
+        self.block_scalar(block, weights, wanted, evidence);
     }
 
     /// [`Kernel::block`] without vectors.
-    pub(crate) fn block_scalar(&self, block: &Block, weights: &Weights) -> [i16; BLOCK_CELLS] {
-        std::array::from_fn(|i| self.cell(block, [i & 3, i >> 2 & 3, i >> 4], weights))
+    pub(crate) fn block_scalar(
+        &self,
+        block: &Block,
+        weights: &Weights,
+        wanted: u8,
+        evidence: &mut [i16; BLOCK_CELLS],
+    ) {
+        for (index, value) in evidence.iter_mut().enumerate() {
+            if wanted >> (index >> 3) & 1 != 0 {
+                *value = self.cell(block, cell_of(index), weights);
+            }
+        }
     }
 
     /// Evidence for one cell of a block.
@@ -277,7 +301,9 @@ pub(crate) mod tests {
         };
         let (mut zero, mut free, mut other) = (0, 0, 0);
         for (block, weights) in &blocks {
-            for value in kernel.block_scalar(block, weights) {
+            let mut evidence = [0; BLOCK_CELLS];
+            kernel.block_scalar(block, weights, 0xff, &mut evidence);
+            for value in evidence {
                 match value {
                     0 => zero += 1,
                     ..0 => free += 1,

@@ -14,11 +14,15 @@ pub(crate) mod image;
 pub(crate) mod kernel;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;
+pub(crate) mod octants;
+#[cfg(target_arch = "x86_64")]
+mod octants_avx2;
 pub(crate) mod parallel;
 pub(crate) mod pyramid;
 pub(crate) mod ray;
 pub(crate) mod rays;
 pub(crate) mod settled;
+pub(crate) mod windows;
 
 use crate::error::MapError;
 use crate::map::OccupancyMap;

@@ -1,7 +1,4 @@
-//! Pyramids of a range image: how near could something be, how far can anything matter?
-
-use super::image::{HOLE, RangeImage};
-use crate::sensor::table::TableSet;
+//! Pyramids of ranges: how near could something be, how far can anything matter?
 
 /// Bounds over a block of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -11,11 +8,6 @@ pub(crate) struct Bounds {
     /// No pixel of the block changes a cell beyond this; minus infinity if all are holes.
     pub changes_until: f32,
 }
-
-const NOTHING: Bounds = Bounds {
-    free_until: f32::NEG_INFINITY,
-    changes_until: f32::NEG_INFINITY,
-};
 
 impl Bounds {
     #[inline]
@@ -39,36 +31,6 @@ pub(crate) struct Pyramid {
 }
 
 impl Pyramid {
-    pub(crate) fn new(image: &RangeImage, tables: &TableSet, max_range: f32) -> Self {
-        // Nothing is uniformly free if measurements of different uncertainty say different things.
-        let free = tables.tables().first().map_or(0, |t| t.free);
-        let one_free_value = tables.tables().iter().all(|t| t.free == free);
-        let reach: Vec<(f32, f32)> = tables
-            .tables()
-            .iter()
-            .map(|t| (t.start as f32, t.end() as f32))
-            .collect();
-        let bounds = image
-            .pixels
-            .iter()
-            .map(|pixel| {
-                if pixel.range == HOLE {
-                    return NOTHING;
-                }
-                let (start, end) = reach[usize::from(pixel.table)];
-                Bounds {
-                    free_until: if one_free_value {
-                        (pixel.range + start).min(max_range)
-                    } else {
-                        f32::NEG_INFINITY
-                    },
-                    changes_until: (pixel.range + end).min(max_range),
-                }
-            })
-            .collect();
-        Self::from_bounds(image.width, image.height, bounds)
-    }
-
     /// A pyramid over a grid of `width` x `height` bounds, row by row; neither is 0.
     pub(crate) fn from_bounds(width: usize, height: usize, bounds: Vec<Bounds>) -> Self {
         let mut levels = vec![Level {
@@ -83,31 +45,6 @@ impl Pyramid {
             levels.push(next);
         }
         Self { levels }
-    }
-
-    /// Bounds over the pixels that the box from `low` to `high` (column, row) touches, where pixel
-    /// `i` covers `[i, i + 1)`; pixels outside the image are holes. `None` if all are outside.
-    #[inline]
-    pub(crate) fn bounds(&self, low: [f32; 2], high: [f32; 2]) -> Option<Bounds> {
-        let image = &self.levels[0];
-        let size = [image.width, image.height];
-        // Written so that NaN counts as outside.
-        let touches = |i: usize| high[i] >= 0.0 && low[i] < size[i] as f32;
-        if !(touches(0) && touches(1)) {
-            return None;
-        }
-        let is_clipped = (0..2).any(|i| low[i] < 0.0 || high[i] >= size[i] as f32);
-        let first = [0, 1].map(|i| low[i].max(0.0) as i32 as usize);
-        let end = [0, 1].map(|i| (high[i].min(1e6) as i32 as usize).min(size[i] - 1));
-        let bounds = self.block_bounds(first, end);
-        Some(Bounds {
-            free_until: if is_clipped {
-                f32::NEG_INFINITY
-            } else {
-                bounds.free_until
-            },
-            ..bounds
-        })
     }
 
     /// Bounds over pixels `first` to `last` (column, row), both inclusive and inside the image.
@@ -128,15 +65,6 @@ impl Pyramid {
             joined = row.iter().fold(joined, |joined, b| joined.join(*b));
         }
         joined
-    }
-
-    /// Bounds over the whole image.
-    pub(crate) fn whole(&self) -> Bounds {
-        self.levels
-            .last()
-            .and_then(|level| level.bounds.first())
-            .copied()
-            .unwrap_or(NOTHING)
     }
 }
 
@@ -174,7 +102,10 @@ mod tests {
                 state = state.wrapping_mul(1664525).wrapping_add(1013904223);
                 let near = (state >> 16) as f32;
                 if state.is_multiple_of(9) {
-                    NOTHING
+                    Bounds {
+                        free_until: f32::NEG_INFINITY,
+                        changes_until: f32::NEG_INFINITY,
+                    }
                 } else {
                     Bounds {
                         free_until: near,
@@ -183,23 +114,11 @@ mod tests {
                 }
             })
             .collect();
-        let mut pyramid = Pyramid {
-            levels: vec![Level {
-                width,
-                height,
-                bounds: bounds.clone(),
-            }],
-        };
-        while pyramid.levels.last().unwrap().bounds.len() > 1 {
-            let next = pyramid.levels.last().unwrap().halved();
-            pyramid.levels.push(next);
-        }
+        let pyramid = Pyramid::from_bounds(width, height, bounds.clone());
         for (x0, x1, y0, y1) in (0..13).flat_map(|a| {
             (a..13).flat_map(move |b| (0..7).flat_map(move |c| (c..7).map(move |d| (a, b, c, d))))
         }) {
-            let found = pyramid
-                .bounds([x0 as f32, y0 as f32], [x1 as f32 + 0.4, y1 as f32])
-                .unwrap();
+            let found = pyramid.block_bounds([x0, y0], [x1, y1]);
             for y in y0..=y1 {
                 for x in x0..=x1 {
                     let inside = bounds[y * width + x];
@@ -208,9 +127,5 @@ mod tests {
                 }
             }
         }
-        assert!(pyramid.bounds([-9.0, 0.0], [-1.0, 3.0]).is_none());
-        let clipped = pyramid.bounds([-1.0, 0.0], [2.0, 3.0]).unwrap();
-        assert_eq!(clipped.free_until, f32::NEG_INFINITY);
-        assert_eq!(pyramid.whole().free_until, f32::NEG_INFINITY);
     }
 }
