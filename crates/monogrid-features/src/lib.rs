@@ -30,7 +30,9 @@ pub use describe::{
     PlaceCandidate, PlaceConfig, PlaceIndex, match_descriptors,
 };
 pub use place::{
-    DepthLookup, InverseDepth, LoopMatch, PlaceMemory, PlaceMemoryConfig, Relocalisation, Support,
+    DepthLookup, FabMap, FabMapConfig, InverseDepth, LoopMatch, PlaceBelief, PlaceBeliefs,
+    PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, Relocalisation, Support, TrainingError,
+    VocabularyConfig, VocabularyError, VocabularyProgress,
 };
 pub use rng::Rng;
 pub use track::{

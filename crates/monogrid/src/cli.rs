@@ -7,6 +7,7 @@ use crate::commands::sweep::SweepArgs;
 use crate::commands::synth::SynthArgs;
 use crate::commands::tools::{CropArgs, DiffArgs, MergeArgs, ProjectArgs, TransformArgs};
 use crate::commands::truth::TruthArgs;
+use crate::commands::vocabulary::VocabularyArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -89,6 +90,11 @@ pub enum Command {
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"
     )]
     Project(ProjectArgs),
+    /// Train the words by which FAB-MAP knows places, on images of many places
+    #[command(
+        after_help = "Example: monogrid vocabulary recordings/kitchen recordings/office --every 10 --out places.vocabulary"
+    )]
+    Vocabulary(VocabularyArgs),
     /// Compare a result with the truth
     #[command(subcommand)]
     Evaluate(EvaluateCommand),

@@ -44,6 +44,7 @@ fn main() -> ExitCode {
         Command::SensorModel(args) => commands::sensor_model::execute(args),
         Command::Slice(args) => commands::slice::execute(args),
         Command::Sweep(args) => commands::sweep::execute(args),
+        Command::Vocabulary(args) => commands::vocabulary::execute(args),
         Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
             commands::evaluate::trajectory(args)
         }

@@ -73,7 +73,7 @@ const RADIUS: i32 = 15;
 /// Directions for which the pattern is tabulated.
 const NUM_DIRECTIONS: usize = 30;
 /// Seed of the pattern: descriptors of one seed cannot be compared with those of another.
-const PATTERN_SEED: u64 = 0x6D6F_6E6F;
+pub(crate) const PATTERN_SEED: u64 = 0x6D6F_6E6F;
 
 /// Offsets of one comparison, px: the bit is set when the first is darker than the second.
 type Comparison = [[i8; 2]; 2];

@@ -6,6 +6,7 @@ mod places;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use descriptor::PATTERN_SEED;
 pub use descriptor::{Descriptor, Feature, FeatureConfig, FeatureExtractor};
 pub use matching::{DescriptorMatch, MatchConfig, match_descriptors};
 pub use places::{PlaceCandidate, PlaceConfig, PlaceIndex};

@@ -12,6 +12,7 @@
 //! 5. what *should* be seen is compared with what *is* seen (`support`): two rooms with the same
 //!    furniture agree in the furniture, but not in what is seen beside it.
 mod config;
+mod fabmap;
 mod locate;
 mod memory;
 mod refine;
@@ -22,6 +23,10 @@ mod tests;
 mod view;
 
 pub use config::PlaceMemoryConfig;
+pub use fabmap::{
+    FabMap, FabMapConfig, PlaceBelief, PlaceBeliefs, PlaceVocabulary, TrainingError,
+    VocabularyConfig, VocabularyError, VocabularyProgress,
+};
 pub use memory::{LoopMatch, PlaceMemory, Relocalisation};
 pub use support::Support;
 pub use view::{DepthLookup, InverseDepth};

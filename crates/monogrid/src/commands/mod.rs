@@ -16,6 +16,7 @@ pub mod sweep;
 pub mod synth;
 pub mod tools;
 pub mod truth;
+pub mod vocabulary;
 
 use crate::failure::Failure;
 use serde::Serialize;

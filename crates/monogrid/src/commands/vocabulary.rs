@@ -1,0 +1,135 @@
+//! `monogrid vocabulary`: what FAB-MAP knows of the appearance of the world.
+
+use super::{print_json, use_threads};
+use crate::cli::JsonArg;
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::output::write_atomically;
+use clap::Args;
+use indicatif::ProgressBar;
+use monogrid_datasets::{Dataset, DatasetError, SourceOptions, read_gray};
+use monogrid_features::{
+    Descriptor, FeatureConfig, FeatureExtractor, PlaceVocabulary, VocabularyConfig,
+    VocabularyProgress,
+};
+use monogrid_image::Pyramid;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::io::Write;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+/// `monogrid vocabulary`.
+#[derive(Debug, Args)]
+pub struct VocabularyArgs {
+    /// Folders of images, in any layout that `run` reads
+    #[arg(value_name = "IMAGES", required = true)]
+    pub images: Vec<PathBuf>,
+    /// The file
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Use every N-th image: neighbours in a video show the same
+    #[arg(long, value_name = "N", default_value = "10")]
+    pub every: NonZeroUsize,
+    /// Most words
+    #[arg(long, value_name = "N", default_value_t = VocabularyConfig::default().max_words)]
+    pub words: usize,
+    /// Images that are kept as examples of places never seen
+    #[arg(long, value_name = "N", default_value_t = VocabularyConfig::default().max_samples)]
+    pub samples: usize,
+    /// Seed of everything random
+    #[arg(long, value_name = "SEED", default_value_t = VocabularyConfig::default().seed)]
+    pub seed: u64,
+    /// Threads [default: all cores]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    out: &'a Path,
+    images: usize,
+    descriptors: usize,
+    words: usize,
+    samples: usize,
+    bytes: usize,
+}
+
+/// Pyramid levels, as tracking makes them.
+const NUM_LEVELS: usize = 4;
+
+/// Trains and writes.
+pub fn execute(args: &VocabularyArgs) -> CommandResult {
+    use_threads(args.threads)?;
+    let paths = image_paths(args)?;
+    let images = describe(&paths)?;
+    let config = VocabularyConfig {
+        max_words: args.words,
+        max_samples: args.samples,
+        seed: args.seed,
+        ..VocabularyConfig::default()
+    };
+    let bar = ProgressBar::new_spinner();
+    let vocabulary = PlaceVocabulary::train(&images, &config, |progress| {
+        bar.set_message(match progress {
+            VocabularyProgress::Clustering(n) => {
+                format!("words, iteration {n} of at most {}", config.max_iterations)
+            }
+            VocabularyProgress::Words(n) => format!("words of {n} of {} images", images.len()),
+            VocabularyProgress::Tree => "tree over the words".to_owned(),
+        });
+        bar.tick();
+    })
+    .map_err(Failure::input)?;
+    bar.finish_and_clear();
+    let bytes = vocabulary.to_bytes();
+    write_atomically(&args.out, |out| out.write_all(&bytes))?;
+    let report = Report {
+        out: &args.out,
+        images: images.len(),
+        descriptors: images.iter().map(Vec::len).sum(),
+        words: vocabulary.num_words(),
+        samples: vocabulary.num_samples(),
+        bytes: bytes.len(),
+    };
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        println!(
+            "{}: {} words of {} corners in {} images, {:.2} MB",
+            report.out.display(),
+            report.words,
+            report.descriptors,
+            report.images,
+            report.bytes as f64 / 1e6
+        );
+    }
+    Ok(Outcome::Done)
+}
+
+/// The images to learn from, in the order of the folders.
+fn image_paths(args: &VocabularyArgs) -> Result<Vec<PathBuf>, Failure> {
+    let mut paths = Vec::new();
+    for folder in &args.images {
+        let dataset = Dataset::open(folder, SourceOptions::default()).bad_input()?;
+        let frames = dataset.frames.into_iter().step_by(args.every.get());
+        paths.extend(frames.map(|frame| frame.path));
+    }
+    Ok(paths)
+}
+
+/// The descriptors of each image.
+fn describe(paths: &[PathBuf]) -> Result<Vec<Vec<Descriptor>>, Failure> {
+    let extractor = FeatureExtractor::new(FeatureConfig::default());
+    let bar = ProgressBar::new(paths.len() as u64);
+    let describe = |path: &PathBuf| -> Result<Vec<Descriptor>, DatasetError> {
+        let pyramid = Pyramid::new(read_gray(path)?, NUM_LEVELS);
+        let features = extractor.extract(&pyramid, None);
+        bar.inc(1);
+        Ok(features.iter().map(|f| f.descriptor).collect())
+    };
+    let images: Result<Vec<_>, _> = paths.par_iter().map(describe).collect();
+    bar.finish_and_clear();
+    images.bad_input()
+}
