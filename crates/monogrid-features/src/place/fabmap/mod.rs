@@ -6,12 +6,12 @@
 //! detector turns things into words. Against them stands the place that was never seen before, made of
 //! images of other places that the vocabulary brings along.
 //!
-//! | step | equation | where |
+//! | step | from | where |
 //! |---|---|---|
-//! | words: medians of binary descriptors | Grana et al. (2013), k-majority | [`words`] |
-//! | tree: maximum spanning tree of mutual information | Chow and Liu, (12) | [`tree`] |
-//! | `p(z_q \| e_q, z_p)`, `p(Z \| L)` | Cummins and Newman, (6) to (12) | [`likelihood`] |
-//! | `p(Z \| new place)`, posterior | the same, (13) to (16) | [`map`] |
+//! | words: medians of binary descriptors | Grana et al. (2013), k-majority | `words` |
+//! | tree: maximum spanning tree of mutual information | Chow and Liu | `tree` |
+//! | `p(z_q \| e_q, z_p)`, `p(Z \| L)` | Cummins and Newman | `likelihood` |
+//! | `p(Z \| new place)`, posterior | the same | `map` |
 //!
 //! Differences to the paper: binary words instead of SURF, one image per place, and a uniform prior over
 //! the places that are asked for instead of a motion model (keyframes are asked for everywhere).
