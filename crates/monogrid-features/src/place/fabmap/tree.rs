@@ -39,12 +39,14 @@ impl Occurrences {
         pairs.map(|(a, b)| (a & b).count_ones() as usize).sum()
     }
 
-    /// Mutual information of two words over the images, nats: `sum p(a,b) ln(p(a,b) / (p(a) p(b)))`.
+    /// Mutual information of two words over the images, nats.
+    #[cfg(test)]
     pub(super) fn mutual_information(&self, a: usize, b: usize) -> f64 {
         self.information(self.count(a), self.count(b), self.count_both(a, b))
     }
 
-    /// The same from counts: images with `a`, with `b`, and with both.
+    /// Mutual information of two words, nats, `sum p(a,b) ln(p(a,b) / (p(a) p(b)))`, from the number of
+    /// images with `a`, with `b`, and with both.
     fn information(&self, num_a: usize, num_b: usize, num_both: usize) -> f64 {
         let n = self.num_images as f64;
         let term = |joint: usize, of_a: usize, of_b: usize| {
