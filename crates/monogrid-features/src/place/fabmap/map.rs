@@ -9,8 +9,8 @@ use std::sync::Arc;
 /// Settings of [`FabMap`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FabMapConfig {
-    /// `p(z = 1 | e = 1)`, the probability that a thing that exists is seen as its word. Default 0.39, of
-    /// Cummins and Newman.
+    /// `p(z = 1 | e = 1)`, the probability that a thing that exists is seen as its word. Default 0.39, as
+    /// LSD-SLAM uses FAB-MAP.
     pub p_seen: f64,
     /// `p(z = 1 | e = 0)`, the probability of a word without its thing. Default 0.01.
     pub p_phantom: f64,
