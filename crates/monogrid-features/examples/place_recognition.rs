@@ -111,7 +111,7 @@ fn print_curve(name: &str, mut answers: Vec<Answer>, num_known: usize) {
             .max_by(|a, b| a.1.total_cmp(&b.1));
         match best {
             Some((_, recall, score)) => {
-                println!("  precision {wanted:.2}: recall {recall:.3} (score {score:.1})")
+                println!("  precision {wanted:.2}: recall {recall:.3} (score {score:.1})");
             }
             None => println!("  precision {wanted:.2}: never"),
         }
