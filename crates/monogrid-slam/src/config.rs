@@ -4,9 +4,10 @@ use crate::{GraphConfig, SparseConfig};
 use monogrid_alignment::AlignmentConfig;
 use monogrid_depth::DepthConfig;
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 /// A setting outside its documented range.
-#[derive(Debug, thiserror::Error, Clone, PartialEq)]
+#[derive(Debug, Error, Clone, PartialEq)]
 #[error("{name} is {value}, allowed {allowed}")]
 #[non_exhaustive]
 pub struct ConfigError {
@@ -16,6 +17,17 @@ pub struct ConfigError {
     pub value: f64,
     /// What is allowed.
     pub allowed: &'static str,
+}
+
+/// Why a [`crate::Slam`] cannot be made as configured.
+#[derive(Debug, Error)]
+pub enum SlamError {
+    /// A setting outside its range.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Places cannot be recognised.
+    #[error(transparent)]
+    Places(#[from] crate::PlacesError),
 }
 
 /// Settings of [`crate::Slam`].

@@ -28,12 +28,12 @@ mod two_view_start;
 
 pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
-    SlamConfig, TrackingConfig,
+    SlamConfig, SlamError, TrackingConfig,
 };
 pub use frame::FrameInput;
 pub use graph::{
-    DirectEdgeConfig, DriftConfig, GraphConfig, GraphStats, PlaceRecognitionConfig,
-    SparseEdgeConfig,
+    DirectEdgeConfig, DriftConfig, GraphConfig, GraphStats, PlaceMethod, PlaceRecognitionConfig,
+    PlacesError, SparseEdgeConfig,
 };
 pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
 pub use report::{FrameReport, LostReason, StageTimes, TrackingState};

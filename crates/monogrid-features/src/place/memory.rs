@@ -1,14 +1,14 @@
 //! Keyframes that are remembered, and the two questions: where is this frame, was this seen before.
 
-use super::PlaceMemoryConfig;
 use super::locate::{Side, is_determined, locate};
 use super::refine::Freedom;
 use super::support::{Support, support};
 use super::view::{DepthLookup, Landmark, View, landmarks};
-use crate::{Descriptor, Feature, FeatureExtractor, PlaceIndex};
+use super::{FabMap, PlaceMemoryConfig};
+use crate::{Descriptor, Feature, FeatureExtractor, PlaceCandidate, PlaceIndex};
 use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
 use monogrid_image::{Mask, Pyramid};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Where a frame is.
@@ -65,6 +65,7 @@ pub struct PlaceMemory {
     config: PlaceMemoryConfig,
     extractor: FeatureExtractor,
     index: PlaceIndex,
+    fab_map: Option<FabMap>,
     known: BTreeMap<u64, Known>,
 }
 
@@ -77,8 +78,16 @@ impl PlaceMemory {
             extractor: FeatureExtractor::new(config.features.clone()),
             config,
             index: PlaceIndex::new(),
+            fab_map: None,
             known: BTreeMap::new(),
         }
+    }
+
+    /// The same memory, with [`FabMap`] in the choice of the keyframes that are compared further.
+    #[must_use]
+    pub fn with_fab_map(mut self, fab_map: FabMap) -> Self {
+        self.fab_map = Some(fab_map);
+        self
     }
 
     /// Number of keyframes.
@@ -114,6 +123,9 @@ impl PlaceMemory {
             let descriptors: Vec<Descriptor> =
                 known.features.iter().map(|f| f.descriptor).collect();
             self.index.add(id, &descriptors);
+            if let Some(fab_map) = &mut self.fab_map {
+                fab_map.add(id, &descriptors);
+            }
         }
         is_new
     }
@@ -133,9 +145,7 @@ impl PlaceMemory {
         let size = (image.width(), image.height());
         let view = View::new(&self.extractor, pyramid, mask);
         let frame = Side::new(&view.features, &[], size);
-        let candidates = self
-            .index
-            .query(&view.descriptors(), &self.config.candidates, is_allowed);
+        let candidates = self.look_alikes(&view.descriptors(), is_allowed);
         let mut found: Vec<Relocalisation> = candidates
             .iter()
             .filter_map(|candidate| {
@@ -176,11 +186,7 @@ impl PlaceMemory {
             return Vec::new();
         };
         let descriptors: Vec<Descriptor> = this.features.iter().map(|f| f.descriptor).collect();
-        let candidates = self
-            .index
-            .query(&descriptors, &self.config.candidates, |other| {
-                other != id && is_allowed(other)
-            });
+        let candidates = self.look_alikes(&descriptors, |other| other != id && is_allowed(other));
         let this_side = Side::new(&this.features, &this.landmarks, this.size());
         let this_view = self.view_of(this);
         let mut found: Vec<LoopMatch> = candidates
@@ -224,6 +230,29 @@ impl PlaceMemory {
             .collect();
         found.sort_by_key(|m| (std::cmp::Reverse(m.num_inliers), m.keyframe));
         found
+    }
+
+    /// The allowed keyframes that may show the place of these corners: those that share most of them, with
+    /// FAB-MAP only of those that are more probable than a new place.
+    fn look_alikes(
+        &self,
+        descriptors: &[Descriptor],
+        is_allowed: impl Fn(u64) -> bool,
+    ) -> Vec<PlaceCandidate> {
+        let config = &self.config.candidates;
+        let Some(fab_map) = &self.fab_map else {
+            return self.index.query(descriptors, config, is_allowed);
+        };
+        let beliefs = fab_map.query(descriptors, is_allowed);
+        let believed: BTreeSet<u64> = beliefs
+            .places
+            .iter()
+            .take(fab_map.config().max_candidates)
+            .filter(|belief| belief.ln_ratio > fab_map.config().min_ln_ratio)
+            .map(|belief| belief.place)
+            .collect();
+        self.index
+            .query(descriptors, config, |place| believed.contains(&place))
     }
 
     /// The smoothed image of a keyframe, made again: it is large and seldom needed.

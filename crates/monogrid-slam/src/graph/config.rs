@@ -2,6 +2,7 @@
 
 use monogrid_alignment::SimilarityConfig;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Settings of constraint search and pose graph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -52,6 +53,11 @@ pub struct PlaceRecognitionConfig {
     /// Whether keyframes are remembered by their appearance: loops that the poses do not predict are found
     /// only so, and a lost camera finds back only so to another keyframe than the last.
     pub enabled: bool,
+    /// How keyframes that may show the same place are chosen.
+    pub method: PlaceMethod,
+    /// File with the words of FAB-MAP, made by `monogrid vocabulary`; empty for the one that comes with
+    /// the program.
+    pub vocabulary: PathBuf,
     /// Keyframes between the two of a loop at least.
     pub min_keyframes_between: u32,
     /// Recognised keyframes that are aligned directly at most.
@@ -60,6 +66,17 @@ pub struct PlaceRecognitionConfig {
     pub min_lost_frames: usize,
     /// What drift can do between the keyframes of a loop.
     pub drift: DriftConfig,
+}
+
+/// How keyframes that may show the same place are chosen, before they are compared corner by corner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlaceMethod {
+    /// Most corners in common. Finds more, needs no vocabulary.
+    #[default]
+    Corners,
+    /// FAB-MAP: the probability of the words of the image, against that of a place never seen.
+    FabMap,
 }
 
 /// Largest drift between two keyframes: a loop that contradicts the poses by more can be switched off by the
@@ -98,6 +115,8 @@ impl Default for PlaceRecognitionConfig {
     fn default() -> Self {
         Self {
             enabled: true,
+            method: PlaceMethod::default(),
+            vocabulary: PathBuf::new(),
             min_keyframes_between: 8,
             max_loops: 3,
             min_lost_frames: 2,
@@ -195,12 +214,16 @@ impl Default for GraphConfig {
 }
 
 impl GraphConfig {
-    /// LSD-SLAM: the weights of its alignment, the ten nearest keyframes only.
+    /// LSD-SLAM: the weights of its alignment, the ten nearest keyframes only, loops from FAB-MAP.
     #[must_use]
     pub fn thesis() -> Self {
         Self {
             similarity: SimilarityConfig::thesis(),
             max_overlapping: 0,
+            places: PlaceRecognitionConfig {
+                method: PlaceMethod::FabMap,
+                ..PlaceRecognitionConfig::default()
+            },
             ..Self::default()
         }
     }

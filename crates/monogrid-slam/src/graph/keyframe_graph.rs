@@ -1,13 +1,14 @@
 //! Constraints between keyframes and the optimisation of their poses.
 
 use super::GraphConfig;
+use super::places::{PlacesError, memory_of_places};
 use super::search::{Candidate, ImageBounds, Probes, choose};
 use crate::KeyframeId;
 use crate::node::Exposure;
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
-use monogrid_features::{DepthLookup, InverseDepth, PlaceMemory, PlaceMemoryConfig};
+use monogrid_features::{DepthLookup, InverseDepth, PlaceMemory};
 use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph, PoseGraphConfig};
@@ -160,8 +161,16 @@ enum Search {
 
 impl KeyframeGraph {
     /// A graph without keyframes, for images of which `mask` says what belongs to the picture.
-    pub(crate) fn new(config: GraphConfig, pinhole: Pinhole, mask: Mask) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// A vocabulary that cannot be used.
+    pub(crate) fn new(
+        config: GraphConfig,
+        pinhole: Pinhole,
+        mask: Mask,
+    ) -> Result<Self, PlacesError> {
+        let places = memory_of_places(&config.places, pinhole)?;
+        Ok(Self {
             config,
             image: ImageBounds {
                 pinhole,
@@ -172,12 +181,12 @@ impl KeyframeGraph {
             world_from_keyframe: Vec::new(),
             edges: BTreeMap::new(),
             refused: BTreeMap::new(),
-            places: PlaceMemory::new(pinhole, PlaceMemoryConfig::default()),
+            places,
             mask,
             prepared: Vec::new(),
             covariances: Vec::new(),
             stats: GraphStats::default(),
-        }
+        })
     }
 
     /// Searches constraints for the finished keyframe and optimises all poses.
@@ -656,7 +665,7 @@ mod tests {
         ]));
         let config = GraphConfig::default();
         let mask = Mask::filled(camera.width, camera.height, 255);
-        let mut graph = KeyframeGraph::new(config, camera.pinhole, mask);
+        let mut graph = KeyframeGraph::new(config, camera.pinhole, mask).unwrap();
         let mut poses = vec![truth[0]];
         let mut chain = vec![truth[0]];
         let mut stats = GraphStats::default();
@@ -708,7 +717,7 @@ mod tests {
         });
         views[1].pyramid = Arc::new(Pyramid::new(turned, 5));
         let mask = Mask::filled(width, height, 255);
-        let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask);
+        let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask).unwrap();
         let mut last = GraphUpdate::default();
         for view in views {
             last = graph.run(GraphJob {

@@ -9,14 +9,17 @@
 
 mod config;
 mod keyframe_graph;
+mod places;
 mod search;
 mod worker;
 
 pub use config::{
-    DirectEdgeConfig, DriftConfig, GraphConfig, PlaceRecognitionConfig, SparseEdgeConfig,
+    DirectEdgeConfig, DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig,
+    SparseEdgeConfig,
 };
 pub use keyframe_graph::GraphStats;
 pub(crate) use keyframe_graph::{
     GraphJob, GraphUpdate, GraphView, KeyframeGraph, OdometryEdge, Relocalised, SparseEdge,
 };
+pub use places::PlacesError;
 pub(crate) use worker::GraphWorker;

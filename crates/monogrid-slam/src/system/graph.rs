@@ -5,7 +5,7 @@ use crate::KeyframeId;
 use crate::depth_step::tracking_samples;
 use crate::graph::{
     GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, KeyframeGraph, OdometryEdge,
-    Relocalised,
+    PlacesError, Relocalised,
 };
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat7, Pinhole};
@@ -25,16 +25,21 @@ pub(super) struct GraphLink {
 
 impl GraphLink {
     /// A link, if the configuration asks for a graph.
-    pub(super) fn new(config: &crate::GraphConfig, pinhole: Pinhole, mask: &Mask) -> Option<Self> {
-        config.enabled.then(|| {
-            let graph = KeyframeGraph::new(config.clone(), pinhole, mask.clone());
-            Self {
-                worker: GraphWorker::new(graph, rayon::current_num_threads()),
-                due: None,
-                edges: Vec::new(),
-                stats: GraphStats::default(),
-            }
-        })
+    pub(super) fn new(
+        config: &crate::GraphConfig,
+        pinhole: Pinhole,
+        mask: &Mask,
+    ) -> Result<Option<Self>, PlacesError> {
+        if !config.enabled {
+            return Ok(None);
+        }
+        let graph = KeyframeGraph::new(config.clone(), pinhole, mask.clone())?;
+        Ok(Some(Self {
+            worker: GraphWorker::new(graph, rayon::current_num_threads()),
+            due: None,
+            edges: Vec::new(),
+            stats: GraphStats::default(),
+        }))
     }
 }
 

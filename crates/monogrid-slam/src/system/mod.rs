@@ -15,8 +15,8 @@ use crate::sparse::{SparseLayer, SparseStats};
 use crate::start::{Start, StartOutcome, Started};
 use crate::tracker::{MotionPrior, extrapolate, is_convincing, track};
 use crate::{
-    ConfigError, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, PoseSnapshot, Scale,
-    SlamConfig, StageTimes, TrackingState,
+    FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, PoseSnapshot, Scale, SlamConfig,
+    SlamError, StageTimes, TrackingState,
 };
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, StereoFrame};
@@ -88,16 +88,16 @@ impl Slam {
     /// A system for working images of the given camera. `mask` has their size.
     ///
     /// # Errors
-    /// When a setting is outside its range.
+    /// When a setting is outside its range, or a vocabulary for places cannot be used.
     pub fn new(
         config: SlamConfig,
         pinhole: Pinhole,
         mask: Mask,
         seed: u64,
-    ) -> Result<Self, ConfigError> {
+    ) -> Result<Self, SlamError> {
         config.validate()?;
         let start = Start::new(&config, seed);
-        let graph = GraphLink::new(&config.graph, pinhole, &mask);
+        let graph = GraphLink::new(&config.graph, pinhole, &mask)?;
         Ok(Self {
             config,
             pinhole,
