@@ -32,9 +32,9 @@ fn a_trained_vocabulary_serves_a_run_and_a_damaged_one_is_refused() {
             "--max-frames",
             max_frames,
             "--set",
-            "graph.places.method=\"fab-map\"",
+            "slam.graph.places.method=\"fab-map\"",
             "--set",
-            &format!("graph.places.vocabulary=\"{file}\""),
+            &format!("slam.graph.places.vocabulary=\"{file}\""),
         ])
     };
     let used = run("60");
