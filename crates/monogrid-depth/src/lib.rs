@@ -30,6 +30,7 @@ mod line_match;
 mod map;
 mod measure;
 mod observe;
+mod packed;
 mod pixels;
 mod propagate;
 mod regularize;
@@ -41,6 +42,7 @@ pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, Varia
 pub use host::{HostError, HostFrame};
 pub use map::{DepthMap, DepthState};
 pub use observe::{DepthBand, StereoFrame};
+pub use packed::PackedDepth;
 pub use pixels::{PixelDepth, PixelFilter};
 pub use propagate::PropagationStats;
 pub use regularize::{FilledHole, RegularizeBand, RegularizeStats};

@@ -288,6 +288,62 @@ pub struct KeyframeConfig {
     pub old_keyframes_observed: usize,
     /// Only keyframes with at least this relative baseline (in median depths) are observed again.
     pub min_relative_baseline: f64,
+    /// When an old keyframe is used again instead of a new one.
+    pub reactivation: ReactivationConfig,
+}
+
+/// Settings of the return to keyframes that exist already.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ReactivationConfig {
+    /// Whether a known view is tracked on its old keyframe: where the camera stays in a place, the number of
+    /// keyframes is bounded.
+    pub enabled: bool,
+    /// Keyframes that were used last, beside the current one, that are left alone.
+    pub min_keyframes_between: usize,
+    /// First keyframe that may be used again.
+    pub first_keyframe: u32,
+    /// Closest keyframes on which a frame is tracked to find out.
+    pub max_candidates: usize,
+    /// Largest score (distance and lost overlap, 1 where a new keyframe is made) as predicted from the poses,
+    /// the angle standing for the overlap,
+    pub max_predicted_score: f64,
+    /// and as tracking finds it.
+    pub max_score: f64,
+    /// Smallest usage times share of good points.
+    pub min_good_usage: f32,
+    /// Largest difference between the tracked and the predicted pose: norm of the twist, median depths and
+    /// rad. A place at which the poses do not agree yet gets a new keyframe.
+    pub max_disagreement: f64,
+}
+
+impl Default for ReactivationConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            min_keyframes_between: 2,
+            first_keyframe: 0,
+            max_candidates: 2,
+            max_predicted_score: 1.0,
+            max_score: 0.8,
+            min_good_usage: 0.7,
+            max_disagreement: 0.03,
+        }
+    }
+}
+
+impl ReactivationConfig {
+    /// LSD-SLAM: not the first five keyframes of a random start; the pose may differ by 0.2.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            min_keyframes_between: 0,
+            first_keyframe: 5,
+            max_score: 1.0,
+            max_disagreement: 0.2,
+            ..Self::default()
+        }
+    }
 }
 
 impl Default for KeyframeConfig {
@@ -300,6 +356,7 @@ impl Default for KeyframeConfig {
             ramp_keyframes: 0,
             old_keyframes_observed: 3,
             min_relative_baseline: 0.03,
+            reactivation: ReactivationConfig::default(),
         }
     }
 }
@@ -314,6 +371,7 @@ impl KeyframeConfig {
             min_mapped_frames: 5,
             ramp_keyframes: 5,
             old_keyframes_observed: 0,
+            reactivation: ReactivationConfig::thesis(),
             ..Self::default()
         }
     }

@@ -43,8 +43,9 @@ pub struct PoseSnapshot {
     pub revision: u64,
     /// Pose and scale of each keyframe, by identity.
     pub world_from_keyframe: Vec<Sim3>,
-    /// Covariance of a left update `[v, w, s]` of each keyframe's pose relative to the keyframe before
-    /// it, in the units of that one, by identity; `None` or missing where it is not known (yet).
+    /// Covariance of a left update `[v, w, s]` of each keyframe's pose relative to the keyframe that it was
+    /// tracked on when it was made (mostly the one before), in the units of that one, by identity;
+    /// `None` or missing where it is not known (yet).
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
 }
 

@@ -28,7 +28,7 @@ mod two_view_start;
 
 pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
-    SlamConfig, SlamError, TrackingConfig,
+    ReactivationConfig, SlamConfig, SlamError, TrackingConfig,
 };
 pub use frame::FrameInput;
 pub use graph::{
@@ -36,6 +36,6 @@ pub use graph::{
     PlacesError, SparseEdgeConfig,
 };
 pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
-pub use report::{FrameReport, LostReason, StageTimes, TrackingState};
+pub use report::{FrameReport, LostReason, MapSize, StageTimes, TrackingState};
 pub use sparse::{SparseConfig, SparseStats};
 pub use system::Slam;

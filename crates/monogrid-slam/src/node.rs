@@ -1,6 +1,7 @@
 //! Keyframes as the system works with them: image, pose, brightness.
 
 use crate::KeyframeId;
+use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_image::Pyramid;
 use std::sync::Arc;
@@ -37,12 +38,16 @@ impl Exposure {
 #[derive(Clone, Debug)]
 pub(crate) struct Node {
     pub id: KeyframeId,
+    /// Keyframe that it was tracked on when it was made; none for the first.
+    pub parent: Option<KeyframeId>,
     pub frame_index: usize,
     pub timestamp_ns: i64,
     pub pyramid: Arc<Pyramid>,
     /// Pose and unit.
     pub world_from_keyframe: Sim3,
     pub exposure: Exposure,
+    /// Its depth as it was left, once it is out of use.
+    pub depth: Option<Arc<PackedDepth>>,
 }
 
 impl Node {
@@ -53,6 +58,43 @@ impl Node {
         // expresses the translation in own units.
         Se3::new(relative.rotation, relative.translation / relative.scale)
     }
+}
+
+/// Steps from keyframe to keyframe along which tracking came from `a` to `b`, in either direction: each
+/// keyframe was tracked on its parent.
+pub(crate) fn steps_between(nodes: &[Node], a: KeyframeId, b: KeyframeId) -> u32 {
+    let parent_of = |id: KeyframeId| nodes.get(id as usize).and_then(|node| node.parent);
+    path_between(parent_of, a, b).len().saturating_sub(1) as u32
+}
+
+/// The keyframes of those steps, from `a` to `b`. Keyframes without a common ancestor follow each other.
+pub(crate) fn path_between(
+    parent_of: impl Fn(KeyframeId) -> Option<KeyframeId>,
+    a: KeyframeId,
+    b: KeyframeId,
+) -> Vec<KeyframeId> {
+    let (mut left, mut right) = (vec![a], vec![b]);
+    let (mut a, mut b) = (a, b);
+    // a parent is always older than its child
+    while a != b {
+        let (side, end) = if a > b {
+            (&mut left, &mut a)
+        } else {
+            (&mut right, &mut b)
+        };
+        match parent_of(*end) {
+            Some(parent) => {
+                *end = parent;
+                side.push(parent);
+            }
+            None => break,
+        }
+    }
+    if a == b {
+        right.pop();
+    }
+    left.extend(right.iter().rev());
+    left
 }
 
 /// Pose in the world of a frame known relative to a keyframe (translation in its units).
@@ -69,11 +111,13 @@ mod tests {
     fn node(id: KeyframeId, world_from_keyframe: Sim3) -> Node {
         Node {
             id,
+            parent: None,
             frame_index: 0,
             timestamp_ns: 0,
             pyramid: Arc::default(),
             world_from_keyframe,
             exposure: Exposure::NEUTRAL,
+            depth: None,
         }
     }
 

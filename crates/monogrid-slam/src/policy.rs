@@ -3,7 +3,7 @@
 use crate::KeyframeConfig;
 
 /// What the decision looks at.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct KeyframeEvidence {
     /// Distance from the keyframe times its mean inverse depth.
     pub relative_distance: f64,
@@ -15,21 +15,26 @@ pub(crate) struct KeyframeEvidence {
     pub num_keyframes: usize,
 }
 
-/// `[ECCV14]` weighted combination of distance and lost overlap, against a threshold that grows over
-/// the first keyframes of a random start.
+/// How far a frame is from a keyframe: 1 where a new keyframe is needed. `[ECCV14]` weighted combination of
+/// distance and lost overlap.
+pub(crate) fn keyframe_score(evidence: &KeyframeEvidence, config: &KeyframeConfig) -> f64 {
+    let distance = evidence.relative_distance * config.distance_weight;
+    let lost = (1.0 - evidence.usage) * config.usage_weight;
+    distance * distance + lost * lost
+}
+
+/// The score against a threshold that grows over the first keyframes of a random start.
 pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConfig) -> bool {
     if evidence.num_mapped < config.min_mapped_frames {
         // A frame that has lost most of the keyframe cannot wait.
         return evidence.usage < config.urgent_usage;
     }
-    let distance = evidence.relative_distance * config.distance_weight;
-    let lost = (1.0 - evidence.usage) * config.usage_weight;
     let ramp = if config.ramp_keyframes > 0 && evidence.num_keyframes < config.ramp_keyframes {
         0.7 * (0.2 + 0.16 * evidence.num_keyframes as f64)
     } else {
         1.0
     };
-    distance * distance + lost * lost > ramp
+    keyframe_score(evidence, config) > ramp
 }
 
 #[cfg(test)]

@@ -78,6 +78,19 @@ pub struct StageTimes {
     pub graph: f64,
 }
 
+/// Size of what the system keeps about the places it has seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MapSize {
+    /// Keyframes.
+    pub keyframes: usize,
+    /// Edges of their graph.
+    pub edges: usize,
+    /// Points of the sparse layer.
+    pub points: usize,
+    /// Depth of keyframes that are out of use, bytes.
+    pub depth_bytes: usize,
+}
+
 /// Outcome of one frame.
 #[derive(Clone, Debug)]
 pub struct FrameReport {
@@ -110,4 +123,6 @@ pub struct FrameReport {
     pub finished_keyframe: Option<KeyframeId>,
     /// Whether this frame became a keyframe.
     pub created_keyframe: bool,
+    /// Keyframe that existed already and with which tracking goes on after this frame.
+    pub reactivated_keyframe: Option<KeyframeId>,
 }

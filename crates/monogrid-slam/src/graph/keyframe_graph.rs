@@ -4,7 +4,7 @@ use super::GraphConfig;
 use super::places::{PlacesError, memory_of_places};
 use super::search::{Candidate, ImageBounds, Probes, choose};
 use crate::KeyframeId;
-use crate::node::Exposure;
+use crate::node::{Exposure, path_between};
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
@@ -37,6 +37,19 @@ pub(crate) struct OdometryEdge {
     pub covariance: Mat6,
 }
 
+/// A keyframe was left for another that existed already: tracking has seen both in one frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Handover {
+    /// The older of the two.
+    pub i: KeyframeId,
+    /// The newer.
+    pub j: KeyframeId,
+    /// As tracking found it, the scale as the poses have it.
+    pub i_from_j: Sim3,
+    /// Covariance of a left update `[v, w]`, in the units of the older.
+    pub covariance: Mat6,
+}
+
 /// A keyframe that a frame shows, and where the frame is.
 #[derive(Clone, Debug)]
 pub(crate) struct Relocalised {
@@ -60,8 +73,12 @@ pub(crate) struct GraphJob {
     pub finished: Option<GraphView>,
     /// Present poses of all keyframes, by identity.
     pub world_from_keyframe: Vec<Sim3>,
+    /// The keyframe that each was tracked on when it was made, by identity.
+    pub parents: Vec<Option<KeyframeId>>,
     /// Motion of the newest keyframe.
     pub odometry: Option<OdometryEdge>,
+    /// The change to a keyframe that existed already.
+    pub handover: Option<Handover>,
     /// Pairs whose relative pose the sparse layer has just adjusted.
     pub sparse_edges: Vec<SparseEdge>,
     /// Whether all keyframes look for constraints once more.
@@ -73,7 +90,7 @@ pub(crate) struct GraphJob {
 pub(crate) struct GraphUpdate {
     /// Poses of all keyframes of the job, by identity.
     pub world_from_keyframe: Vec<Sim3>,
-    /// Covariance of each keyframe relative to the one before it, in the units of that one.
+    /// Covariance of each keyframe relative to its parent, in the units of that one.
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
     /// All edges.
     pub edges: Vec<GraphEdge>,
@@ -137,6 +154,7 @@ pub(crate) struct KeyframeGraph {
     image: ImageBounds,
     entries: BTreeMap<KeyframeId, Entry>,
     world_from_keyframe: Vec<Sim3>,
+    parents: Vec<Option<KeyframeId>>,
     /// By the older and the newer keyframe, and the kind.
     edges: BTreeMap<(KeyframeId, KeyframeId, EdgeKind), GraphEdge>,
     refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
@@ -145,7 +163,7 @@ pub(crate) struct KeyframeGraph {
     mask: Mask,
     /// Prepared keyframes, the most recently used last.
     prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
-    /// Covariance of each keyframe relative to the one before.
+    /// Covariance of each keyframe relative to its parent.
     covariances: Vec<Option<Mat7>>,
     stats: GraphStats,
 }
@@ -179,6 +197,7 @@ impl KeyframeGraph {
             },
             entries: BTreeMap::new(),
             world_from_keyframe: Vec::new(),
+            parents: Vec::new(),
             edges: BTreeMap::new(),
             refused: BTreeMap::new(),
             places,
@@ -194,6 +213,8 @@ impl KeyframeGraph {
         let begin = Instant::now();
         self.world_from_keyframe
             .clone_from(&job.world_from_keyframe);
+        self.parents.clone_from(&job.parents);
+        let mut is_changed = job.is_final || job.odometry.is_some() || !job.sparse_edges.is_empty();
         if let Some(odometry) = &job.odometry {
             self.add_odometry(odometry);
         }
@@ -204,19 +225,28 @@ impl KeyframeGraph {
             let id = view.id;
             let probes = Probes::new(&view.samples, &self.image.pinhole);
             self.remember(&view);
-            self.entries.insert(id, Entry { view, probes });
-            self.search(id);
-            if self.search_loops(id) {
-                // With the loop closed other keyframes of the place are where they can be predicted.
-                self.optimise(Search::Wide);
+            self.prepared.retain(|(prepared, _)| *prepared != id);
+            let is_new = self.entries.insert(id, Entry { view, probes }).is_none();
+            if is_new {
+                is_changed = true;
                 self.search(id);
+                if self.search_loops(id) {
+                    // With the loop closed other keyframes of the place are where they can be predicted.
+                    self.optimise(Search::Wide);
+                    self.search(id);
+                }
             }
         }
-        self.optimise(if job.is_final {
-            Search::Wide
-        } else {
-            Search::Near
-        });
+        if let Some(handover) = &job.handover {
+            is_changed |= self.link(handover);
+        }
+        if is_changed {
+            self.optimise(if job.is_final {
+                Search::Wide
+            } else {
+                Search::Near
+            });
+        }
         if job.is_final {
             for _ in 0..FINAL_ROUNDS {
                 let before = self.stats.constraints;
@@ -230,7 +260,9 @@ impl KeyframeGraph {
                 self.optimise(Search::Wide);
             }
         }
-        self.update_covariances(job.is_final);
+        if is_changed {
+            self.update_covariances(job.is_final);
+        }
         let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
         self.stats.max_job_ms = self.stats.max_job_ms.max(milliseconds);
         self.stats.total_ms += milliseconds;
@@ -265,6 +297,37 @@ impl KeyframeGraph {
         );
     }
 
+    /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
+    /// fails, by what tracking found; whether they were not constrained before.
+    fn link(&mut self, handover: &Handover) -> bool {
+        let (i, j) = (handover.i, handover.j);
+        let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
+        if kinds.iter().any(|k| self.edges.contains_key(&(i, j, *k))) {
+            return false;
+        }
+        if let Some(constraint) = self.align(j, i, handover.i_from_j) {
+            self.set_direct_edge(i, j, &constraint, self.doubted());
+            return true;
+        }
+        let mut covariance = Mat7::zeros();
+        covariance
+            .fixed_view_mut::<6, 6>(0, 0)
+            .copy_from(&handover.covariance);
+        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
+            return false;
+        };
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j: handover.i_from_j,
+            information,
+            kernel: self.doubted(),
+        };
+        self.edges.insert((i, j, EdgeKind::Odometry), edge);
+        true
+    }
+
     /// The relative pose of two keyframes as the sparse layer has it now.
     fn set_sparse_edge(&mut self, found: &SparseEdge) {
         let config = &self.config.sparse_edges;
@@ -295,14 +358,18 @@ impl KeyframeGraph {
         self.world_from_keyframe[i as usize].inverse() * self.world_from_keyframe[j as usize]
     }
 
-    /// Tries to constrain a keyframe to the previous, the nearest and the overlapping ones.
+    fn parent_of(&self, id: KeyframeId) -> Option<KeyframeId> {
+        self.parents.get(id as usize).copied().flatten()
+    }
+
+    /// Tries to constrain a keyframe to its parent, the nearest and the overlapping ones.
     fn search(&mut self, id: KeyframeId) {
-        let previous = id.checked_sub(1);
+        let parent = self.parent_of(id);
         let mut chosen = self.choose(id);
-        if let Some(previous) = previous
-            && !chosen.contains(&previous)
+        if let Some(parent) = parent
+            && !chosen.contains(&parent)
         {
-            chosen.insert(0, previous);
+            chosen.insert(0, parent);
         }
         for other in chosen {
             if self.edges.contains_key(&(other, id, EdgeKind::Direct)) {
@@ -320,7 +387,7 @@ impl KeyframeGraph {
             self.stats.alignment_ms += begin.elapsed().as_secs_f64() * 1e3;
             match constraint {
                 Some(constraint) => {
-                    let kernel = if other + 1 == id {
+                    let kernel = if Some(other) == parent {
                         CERTAIN
                     } else {
                         self.doubted()
@@ -481,11 +548,12 @@ impl KeyframeGraph {
     fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
         let drift = &self.config.places.drift;
         let error = (i_from_j.inverse() * self.relative(i, j)).log();
-        let steps = f64::from(j.saturating_sub(i));
-        let poses = &self.world_from_keyframe[i as usize..=j as usize];
-        let path_in_world: f64 = poses
+        let path = path_between(|id| self.parent_of(id), i, j);
+        let steps = path.len().saturating_sub(1) as f64;
+        let position = |id: KeyframeId| self.world_from_keyframe[id as usize].translation;
+        let path_in_world: f64 = path
             .windows(2)
-            .map(|pair| (pair[1].translation - pair[0].translation).norm())
+            .map(|pair| (position(pair[1]) - position(pair[0])).norm())
             .sum();
         let path = path_in_world / self.world_from_keyframe[j as usize].scale;
         error.fixed_rows::<3>(0).norm() <= drift.translation_start + drift.translation_share * path
@@ -500,7 +568,10 @@ impl KeyframeGraph {
         constraint: &SimilarityConstraint,
         kernel: RobustKernel,
     ) {
-        let Some(information) = self.with_model_error(constraint) else {
+        let Some(covariance) = constraint.information.cholesky().map(|c| c.inverse()) else {
+            return;
+        };
+        let Some(information) = self.with_model_error(covariance, &constraint.b_from_a) else {
             return;
         };
         self.stats.constraints += 1;
@@ -515,11 +586,10 @@ impl KeyframeGraph {
         self.edges.insert((i, j, EdgeKind::Direct), edge);
     }
 
-    /// Information of a constraint when the errors that its residuals do not show are counted too.
-    fn with_model_error(&self, constraint: &SimilarityConstraint) -> Option<Mat7> {
+    /// Information of a relative pose when the errors that its residuals do not show are counted too.
+    fn with_model_error(&self, mut covariance: Mat7, i_from_j: &Sim3) -> Option<Mat7> {
         let config = &self.config.direct_edges;
-        let mut covariance = constraint.information.cholesky()?.inverse();
-        let moved = constraint.b_from_a.translation.norm() * config.translation_share;
+        let moved = i_from_j.translation.norm() * config.translation_share;
         let translation_var = config.translation_sigma.powi(2) + moved * moved;
         for k in 0..7 {
             covariance[(k, k)] += match k {
@@ -555,7 +625,7 @@ impl KeyframeGraph {
         self.stats.switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
     }
 
-    /// Covariances of keyframes relative to the one before, of the newest, or of all: what the graph says
+    /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph says
     /// about two neighbours hardly changes when others join.
     fn update_covariances(&mut self, all: bool) {
         let num = self.world_from_keyframe.len();
@@ -568,8 +638,10 @@ impl KeyframeGraph {
         } else {
             num.saturating_sub(NEWEST).max(1)
         };
-        for (id, covariance) in (first as u64..).zip(&mut self.covariances[first.min(num)..]) {
-            *covariance = uncertainty.relative(id - 1, id).ok();
+        for id in first..num {
+            let parent = self.parent_of(id as KeyframeId);
+            self.covariances[id] =
+                parent.and_then(|p| uncertainty.relative(u64::from(p), id as u64).ok());
         }
     }
 
@@ -647,6 +719,10 @@ mod tests {
         )
     }
 
+    fn chain_of(len: usize) -> Vec<Option<KeyframeId>> {
+        (0..len as KeyframeId).map(|id| id.checked_sub(1)).collect()
+    }
+
     fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
         let errors = found.iter().zip(truth).map(|(f, t)| {
             let difference = t.inverse() * *f;
@@ -673,6 +749,7 @@ mod tests {
             let job = |world_from_keyframe: &[Sim3], odometry| GraphJob {
                 finished: Some(view.clone()),
                 world_from_keyframe: world_from_keyframe.to_vec(),
+                parents: chain_of(world_from_keyframe.len()),
                 odometry,
                 ..GraphJob::default()
             };
@@ -723,6 +800,7 @@ mod tests {
             last = graph.run(GraphJob {
                 finished: Some(view),
                 world_from_keyframe: poses.clone(),
+                parents: chain_of(poses.len()),
                 ..GraphJob::default()
             });
         }

@@ -19,7 +19,8 @@ pub use config::{
 };
 pub use keyframe_graph::GraphStats;
 pub(crate) use keyframe_graph::{
-    GraphJob, GraphUpdate, GraphView, KeyframeGraph, OdometryEdge, Relocalised, SparseEdge,
+    GraphJob, GraphUpdate, GraphView, Handover, KeyframeGraph, OdometryEdge, Relocalised,
+    SparseEdge,
 };
 pub use places::PlacesError;
 pub(crate) use worker::GraphWorker;

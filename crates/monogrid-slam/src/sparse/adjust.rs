@@ -52,14 +52,15 @@ pub(crate) fn refine_pose(
     }
 }
 
-/// Adjusts the window around the newest keyframe and removes observations that do not fit.
+/// Adjusts the window around the newest keyframe, the last of `recent`, and removes observations that do not
+/// fit.
 pub(crate) fn adjust_window(
     layer: &mut SparseLayer,
-    newest: KeyframeId,
+    recent: &[KeyframeId],
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Adjusted {
-    let mut free = window(layer, newest, config);
+    let mut free = window(layer, recent, config);
     // A keyframe that sees too little keeps the pose that tracking gave it.
     let seen = count_observations(layer);
     free.retain(|id| seen.get(id).copied().unwrap_or(0) >= config.min_shared_points);
@@ -118,9 +119,12 @@ fn count_observations(layer: &SparseLayer) -> BTreeMap<KeyframeId, usize> {
     seen
 }
 
-/// The newest keyframes, and the older ones that share most points with them.
-fn window(layer: &SparseLayer, newest: KeyframeId, config: &SparseConfig) -> Vec<KeyframeId> {
-    let first_recent = (newest + 1).saturating_sub(config.window_newest as KeyframeId);
+/// The keyframes used last, and the others that share most points with the newest.
+fn window(layer: &SparseLayer, recent: &[KeyframeId], config: &SparseConfig) -> Vec<KeyframeId> {
+    let recent = &recent[recent.len().saturating_sub(config.window_newest)..];
+    let Some(&newest) = recent.last() else {
+        return Vec::new();
+    };
     let mut shared: BTreeMap<KeyframeId, usize> = BTreeMap::new();
     for point in layer.points.iter().filter(|p| p.alive) {
         let seen_by_newest =
@@ -129,7 +133,7 @@ fn window(layer: &SparseLayer, newest: KeyframeId, config: &SparseConfig) -> Vec
             continue;
         }
         let others = point.observations.iter().map(|o| o.keyframe);
-        for id in others.chain([point.host]).filter(|id| *id < first_recent) {
+        for id in others.chain([point.host]).filter(|id| !recent.contains(id)) {
             *shared.entry(id).or_default() += 1;
         }
     }
@@ -139,7 +143,7 @@ fn window(layer: &SparseLayer, newest: KeyframeId, config: &SparseConfig) -> Vec
         .map(|(id, count)| (count, id))
         .collect();
     covisible.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
-    let mut ids: Vec<KeyframeId> = (first_recent..=newest).collect();
+    let mut ids = recent.to_vec();
     ids.extend(
         covisible
             .iter()

@@ -2,6 +2,7 @@
 
 use super::SparseConfig;
 use super::points::{Observation, SparseLayer, SparsePoint};
+use crate::KeyframeId;
 use crate::node::Node;
 use monogrid_depth::{DepthMap, DepthState};
 use monogrid_features::{CornerConfig, PatchSearchConfig, detect_corners, find_patch, patch_warp};
@@ -222,18 +223,25 @@ pub(crate) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)>
     (idepth > 0.0).then(|| (f64::from(idepth), f64::from((var + spread * spread).sqrt())))
 }
 
-/// For each new point of the newest keyframe, where older keyframes see it.
+/// For each new point of the newest keyframe, where the keyframes used last see it.
 pub(crate) fn find_in_older_keyframes(
     layer: &SparseLayer,
     nodes: &[Node],
+    recent: &[KeyframeId],
     anchored: &[NewPoint],
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<Vec<Observation>> {
-    let Some((newest, older)) = nodes.split_last() else {
+    let Some((newest, _)) = nodes.split_last() else {
         return Vec::new();
     };
-    let first = older.len().saturating_sub(config.back_search_keyframes);
+    let older: Vec<&Node> = recent
+        .iter()
+        .rev()
+        .filter(|id| **id != newest.id)
+        .take(config.back_search_keyframes)
+        .map(|id| &nodes[*id as usize])
+        .collect();
     let world_from_newest = layer.camera_from_world[newest.id as usize].inverse();
     let image = newest.pyramid.level(0);
     let size = (image.width() as f64, image.height() as f64);
@@ -243,7 +251,7 @@ pub(crate) fn find_in_older_keyframes(
         .map(|point| {
             let position = pinhole.unproject(&point.pixel) / point.idepth;
             let mut observations = Vec::new();
-            for node in &older[first..] {
+            for node in older.iter().rev() {
                 let node_from_newest =
                     layer.camera_from_world[node.id as usize] * world_from_newest;
                 let in_node = node_from_newest * position;

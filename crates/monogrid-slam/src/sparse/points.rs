@@ -5,7 +5,7 @@ use super::matching::{NewPoint, anchor_points, find_in_new_keyframe, find_in_old
 use super::{SparseConfig, adjust};
 use crate::KeyframeId;
 use crate::graph::{SparseEdge, SparseEdgeConfig};
-use crate::node::Node;
+use crate::node::{Node, steps_between};
 
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
@@ -77,10 +77,12 @@ impl SparsePoint {
 }
 
 impl SparseLayer {
-    /// Adds the newest of `nodes` and adjusts. `depth` is its dense depth (its own units).
+    /// Adds the newest of `nodes` and adjusts. `depth` is its dense depth (its own units), `recent` are
+    /// the keyframes in the order in which they were last used, the newest at the end.
     pub(crate) fn add_keyframe(
         &mut self,
         nodes: &[Node],
+        recent: &[KeyframeId],
         depth: &DepthMap,
         pinhole: &Pinhole,
         mask: &Mask,
@@ -106,8 +108,8 @@ impl SparseLayer {
         let seen: Vec<Vec2> = inliers.iter().map(|(_, pixel)| *pixel).collect();
         let anchored = anchor_points(node, depth, &seen, mask, config);
         stats.anchored = anchored.len();
-        self.add_points(nodes, anchored, pinhole, config);
-        let adjusted = adjust_window(self, node.id, pinhole, config);
+        self.add_points(nodes, recent, anchored, pinhole, config);
+        let adjusted = adjust_window(self, recent, pinhole, config);
         stats.adjusted_keyframes = adjusted.num_keyframes;
         stats.adjusted_points = adjusted.num_points;
         stats.removed_observations = adjusted.removed_observations;
@@ -133,15 +135,14 @@ impl SparseLayer {
         }
     }
 
-    /// Pairs of keyframes with enough common points and not too far apart, of which one is among the newest
-    /// `window`, older keyframe first: of each of these the ones with the most common points, those first.
+    /// Pairs of keyframes with enough common points and not too far apart, of which one is among `window`,
+    /// older keyframe first: of each keyframe the older ones with the most common points, those first.
     pub(crate) fn shared_points(
         &self,
-        newest: KeyframeId,
-        window: usize,
+        nodes: &[Node],
+        window: &[KeyframeId],
         config: &SparseEdgeConfig,
     ) -> Vec<SparseEdge> {
-        let first_recent = (newest + 1).saturating_sub(window as KeyframeId);
         let mut shared: BTreeMap<(KeyframeId, KeyframeId), usize> = BTreeMap::new();
         let mut seen_by = Vec::new();
         for point in self.points.iter().filter(|p| p.alive) {
@@ -149,19 +150,20 @@ impl SparseLayer {
             seen_by.push(point.host);
             seen_by.extend(point.observations.iter().map(|o| o.keyframe));
             seen_by.sort_unstable();
-            for (at, &j) in seen_by
-                .iter()
-                .enumerate()
-                .filter(|(_, j)| **j >= first_recent)
-            {
+            for (at, &j) in seen_by.iter().enumerate() {
+                let is_recent = window.contains(&j);
                 for &i in &seen_by[..at] {
-                    *shared.entry((i, j)).or_default() += 1;
+                    if is_recent || window.contains(&i) {
+                        *shared.entry((i, j)).or_default() += 1;
+                    }
                 }
             }
         }
         let mut edges: Vec<SparseEdge> = shared
             .into_iter()
-            .filter(|((i, j), count)| *count >= config.min_shared_points && j - i <= config.max_gap)
+            .filter(|((i, j), count)| {
+                *count >= config.min_shared_points && steps_between(nodes, *i, *j) <= config.max_gap
+            })
             .map(|((i, j), shared_points)| SparseEdge {
                 i,
                 j,
@@ -214,6 +216,7 @@ impl SparseLayer {
     fn add_points(
         &mut self,
         nodes: &[Node],
+        recent: &[KeyframeId],
         anchored: Vec<NewPoint>,
         pinhole: &Pinhole,
         config: &SparseConfig,
@@ -221,7 +224,7 @@ impl SparseLayer {
         let Some(node) = nodes.last() else {
             return;
         };
-        let observations = find_in_older_keyframes(self, nodes, &anchored, pinhole, config);
+        let observations = find_in_older_keyframes(self, nodes, recent, &anchored, pinhole, config);
         for (new, observations) in anchored.into_iter().zip(observations) {
             self.points.push(SparsePoint {
                 host: node.id,

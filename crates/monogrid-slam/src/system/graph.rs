@@ -4,8 +4,8 @@ use super::Slam;
 use crate::KeyframeId;
 use crate::depth_step::tracking_samples;
 use crate::graph::{
-    GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, KeyframeGraph, OdometryEdge,
-    PlacesError, Relocalised,
+    GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, Handover, KeyframeGraph,
+    OdometryEdge, PlacesError, Relocalised,
 };
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat7, Pinhole};
@@ -21,6 +21,15 @@ pub(super) struct GraphLink {
     due: Option<(usize, Instant)>,
     edges: Vec<GraphEdge>,
     stats: GraphStats,
+}
+
+/// What tracking has found about two keyframes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Links {
+    /// A new keyframe was made.
+    pub odometry: Option<OdometryEdge>,
+    /// Tracking went on with a keyframe that existed already.
+    pub handover: Option<Handover>,
 }
 
 impl GraphLink {
@@ -81,9 +90,9 @@ impl Slam {
     }
 
     /// What the graph needs of a keyframe that is about to be finished.
-    pub(super) fn graph_view(&self, depth: &DepthMap) -> Option<GraphView> {
+    pub(super) fn graph_view(&self, id: KeyframeId, depth: &DepthMap) -> Option<GraphView> {
         self.graph.as_ref()?;
-        let node = self.nodes.last()?;
+        let node = self.nodes.get(id as usize)?;
         Some(GraphView {
             id: node.id,
             pyramid: std::sync::Arc::clone(&node.pyramid),
@@ -96,24 +105,27 @@ impl Slam {
     pub(super) fn submit_graph_job(
         &mut self,
         finished: Option<GraphView>,
-        odometry: Option<OdometryEdge>,
+        links: Links,
         is_final: bool,
     ) {
-        let newest = self.nodes.len().saturating_sub(1) as KeyframeId;
         let Some(link) = self.graph.as_mut() else {
             return;
         };
-        let sparse_edges = if self.config.sparse.enabled {
+        // without a new keyframe nothing was adjusted
+        let sparse_edges = if self.config.sparse.enabled && links.handover.is_none() {
             let config = &self.config.graph.sparse_edges;
-            self.sparse
-                .shared_points(newest, self.config.sparse.window_newest, config)
+            let window = self.config.sparse.window_newest;
+            let window = &self.recent[self.recent.len().saturating_sub(window)..];
+            self.sparse.shared_points(&self.nodes, window, config)
         } else {
             Vec::new()
         };
         link.worker.submit(GraphJob {
             finished,
             world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
-            odometry,
+            parents: self.nodes.iter().map(|n| n.parent).collect(),
+            odometry: links.odometry,
+            handover: links.handover,
             sparse_edges,
             is_final,
         });

@@ -1,5 +1,7 @@
 //! Change of the keyframe: publish, propagate, adjust.
 
+use super::graph::Links;
+use super::trajectory::Visit;
 use super::{Current, Slam, milliseconds};
 use crate::depth_step::{observe, regularize, tracking_samples};
 use crate::frame::Frame;
@@ -22,24 +24,40 @@ pub(super) struct Successor {
 }
 
 impl Slam {
-    /// Publishes the current keyframe and lets `frame` take over; nothing happens when no depth can be
-    /// handed on.
-    pub(super) fn change_keyframe(
+    /// Publishes the current keyframe and goes on with another: one that shows the same, or `frame`.
+    pub(super) fn leave_keyframe(
         &mut self,
         frame: &Frame,
         motion: &Motion,
         report: &mut FrameReport,
-    ) -> Option<KeyframeId> {
+    ) {
         self.take_graph_update();
+        if !self.reactivate(frame, motion, report) {
+            self.change_keyframe(frame, motion, report);
+        }
+    }
+
+    /// Publishes the current keyframe and lets `frame` take over; nothing happens when no depth can be
+    /// handed on.
+    fn change_keyframe(
+        &mut self,
+        frame: &Frame,
+        motion: &Motion,
+        report: &mut FrameReport,
+    ) -> Option<()> {
         let successor = self.successor(&self.current.as_ref()?.depth, frame, motion)?;
         let unit = successor.unit;
         let (finished, view) = self.finish_current()?;
+        report.finished_keyframe = Some(finished);
+        report.created_keyframe = true;
+        let newest = self.nodes.len() as KeyframeId;
+        self.hand_over(frame.timestamp_ns, motion, newest, Se3::identity());
         self.begin_keyframe(frame, finished, motion, successor, view, report);
         if let Some(last) = self.last.as_mut() {
             last.motion = Motion::from_pose(Se3::identity());
             last.frame_from_previous.translation /= unit;
         }
-        Some(finished)
+        Some(())
     }
 
     /// Publishes the current keyframe; its identity and what the graph needs of it.
@@ -47,7 +65,10 @@ impl Slam {
         let id = self.publish_current()?;
         let current = self.current.take()?;
         self.link_dense_depth(&current.depth, id as usize);
-        Some((id, self.graph_view(&current.depth)))
+        if self.config.keyframes.reactivation.enabled {
+            self.nodes[id as usize].depth = Some(Arc::new(current.depth.packed()));
+        }
+        Some((id, self.graph_view(id, &current.depth)))
     }
 
     /// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
@@ -87,7 +108,7 @@ impl Slam {
         let node = &self.nodes[parent as usize];
         let world_from_keyframe = node.world_from_keyframe * parent_from_keyframe;
         let exposure = node.exposure.then(motion.log_gain.exp(), motion.bias);
-        self.push_node(frame, world_from_keyframe, exposure);
+        self.push_node(frame, Some(parent), world_from_keyframe, exposure);
         let before_graph = Instant::now();
         self.adjust(&depth);
         let odometry = report.covariance.map(|covariance| OdometryEdge {
@@ -96,11 +117,15 @@ impl Slam {
             parent_from_keyframe,
             covariance: in_keyframe(&covariance, &keyframe_from_frame),
         });
-        self.submit_graph_job(view, odometry, false);
+        let links = Links {
+            odometry,
+            handover: None,
+        };
+        self.submit_graph_job(view, links, false);
         report.milliseconds.graph += milliseconds(before_graph);
         self.observe_old_keyframes(&mut depth);
         regularize(&mut depth, &self.config.depth);
-        self.set_current(depth);
+        self.set_current(self.nodes.len() as KeyframeId - 1, depth);
     }
 
     /// Brings the newest keyframe into the sparse layer and takes over the adjusted poses and scales.
@@ -110,6 +135,7 @@ impl Slam {
         }
         self.sparse_stats = self.sparse.add_keyframe(
             &self.nodes,
+            &self.recent,
             depth,
             &self.pinhole,
             &self.mask,
@@ -134,15 +160,15 @@ impl Slam {
         self.links[keyframe] = dense_links(&self.sparse, keyframe as KeyframeId, depth);
     }
 
-    /// Observes the newest keyframe's pixels in older keyframes with a useful baseline.
+    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
     pub(super) fn observe_old_keyframes(&self, depth: &mut DepthMap) {
         let config = &self.config.keyframes;
-        let Some((node, older)) = self.nodes.split_last() else {
+        let Some(node) = self.nodes.last() else {
             return;
         };
-        let frames: Vec<StereoFrame<'_>> = older
-            .iter()
-            .rev()
+        let others = self.recent.iter().rev().filter(|id| **id != node.id);
+        let frames: Vec<StereoFrame<'_>> = others
+            .map(|id| &self.nodes[*id as usize])
             .map(|other| (other, node.other_from_self(other)))
             .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
             .take(config.old_keyframes_observed)
@@ -169,16 +195,24 @@ impl Slam {
     pub(super) fn push_node(
         &mut self,
         frame: &Frame,
+        parent: Option<KeyframeId>,
         world_from_keyframe: monogrid_geometry::Sim3,
         exposure: Exposure,
     ) {
+        let id = self.nodes.len() as KeyframeId;
+        if self.visits.is_empty() {
+            self.visits.push(Visit::new(id, frame.timestamp_ns));
+        }
+        self.recent.push(id);
         self.nodes.push(Node {
-            id: self.nodes.len() as KeyframeId,
+            id,
+            parent,
             frame_index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             pyramid: Arc::new(frame.pyramid.clone()),
             world_from_keyframe,
             exposure,
+            depth: None,
         });
         self.update_snapshot();
     }
@@ -191,8 +225,9 @@ impl Slam {
         });
     }
 
-    pub(super) fn set_current(&mut self, depth: DepthMap) {
+    pub(super) fn set_current(&mut self, id: KeyframeId, depth: DepthMap) {
         self.current = Some(Current {
+            id,
             depth,
             reference: Reference::default(),
             num_mapped: 0,
@@ -202,9 +237,10 @@ impl Slam {
 
     /// Rebuilds the points that frames are tracked on from the newest depth.
     pub(super) fn refresh_reference(&mut self) {
-        let (Some(current), Some(node)) = (self.current.as_mut(), self.nodes.last()) else {
+        let Some(current) = self.current.as_mut() else {
             return;
         };
+        let node = &self.nodes[current.id as usize];
         let config = &self.config.tracking;
         let samples = tracking_samples(&current.depth, config);
         current.reference = Reference::new(
@@ -219,14 +255,14 @@ impl Slam {
     /// Publishes depth and image of the current keyframe.
     pub(super) fn publish_current(&mut self) -> Option<KeyframeId> {
         let current = self.current.as_ref()?;
-        let node = self.nodes.last()?;
+        let node = &self.nodes[current.id as usize];
         let publication = &self.config.publication;
         let filter = PixelFilter {
             min_validity: publication.min_validity,
             smoothed: publication.smoothed,
             ..PixelFilter::default()
         };
-        let pixels = current
+        let pixels: Vec<DepthPixel> = current
             .depth
             .pixels(filter)
             .map(|p| DepthPixel {
@@ -237,6 +273,14 @@ impl Slam {
                     + (publication.relative_sigma * p.idepth).powi(2),
             })
             .collect();
+        let id = node.id;
+        if let Some(known) = self.finished.get_mut(id as usize) {
+            if is_worth_a_revision(&known.pixels, &pixels) {
+                known.pixels = pixels;
+                known.revision += 1;
+            }
+            return Some(id);
+        }
         self.finished.push(Keyframe {
             id: node.id,
             frame_index: node.frame_index,
@@ -248,8 +292,28 @@ impl Slam {
                 .map(|v| v.round().clamp(0.0, 255.0) as u8),
             pixels,
         });
-        Some(node.id)
+        Some(id)
     }
+}
+
+/// Whether depth has become so much better that everybody should use it: a keyframe that is used again and
+/// again would otherwise be published without end.
+fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
+    const MORE_PIXELS: f64 = 1.05;
+    const LESS_VARIANCE: f64 = 0.9;
+    let relative_variance = |pixels: &[DepthPixel]| {
+        let mut all: Vec<f32> = pixels
+            .iter()
+            .map(|p| p.idepth_var / (p.idepth * p.idepth))
+            .collect();
+        let middle = all.len() / 2;
+        if all.is_empty() {
+            return f64::INFINITY;
+        }
+        f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1)
+    };
+    better.len() as f64 > known.len() as f64 * MORE_PIXELS
+        || relative_variance(better) < relative_variance(known) * LESS_VARIANCE
 }
 
 /// Covariance of `frame_from_keyframe` (left, in the frame) as that of its inverse (left, in the

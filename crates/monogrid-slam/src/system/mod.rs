@@ -2,10 +2,12 @@
 
 mod graph;
 mod keyframes;
+mod reactivate;
 mod relocalise;
 mod trajectory;
 
-use self::graph::GraphLink;
+use self::graph::{GraphLink, Links};
+use self::trajectory::Visit;
 use crate::depth_step::{observe, regularize};
 use crate::frame::Frame;
 use crate::node::{Exposure, Node, world_from_camera};
@@ -15,8 +17,8 @@ use crate::sparse::{SparseLayer, SparseStats};
 use crate::start::{Start, StartOutcome, Started};
 use crate::tracker::{MotionPrior, extrapolate, is_convincing, track};
 use crate::{
-    FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, PoseSnapshot, Scale, SlamConfig,
-    SlamError, StageTimes, TrackingState,
+    FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, MapSize, PoseSnapshot, Scale,
+    SlamConfig, SlamError, StageTimes, TrackingState,
 };
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, StereoFrame};
@@ -37,6 +39,10 @@ pub struct Slam {
     start: Option<Start>,
     nodes: Vec<Node>,
     current: Option<Current>,
+    /// All keyframes in the order in which tracking last used them, the newest at the end.
+    recent: Vec<KeyframeId>,
+    /// Stretches of time on one keyframe.
+    visits: Vec<Visit>,
     last: Option<Last>,
     records: Vec<Record>,
     finished: Vec<Keyframe>,
@@ -45,21 +51,24 @@ pub struct Slam {
     lost_in_a_row: usize,
     lost_episodes: usize,
     relocalisations: usize,
+    reactivations: usize,
     sparse: SparseLayer,
     sparse_stats: SparseStats,
     /// Dense depth at the points that a keyframe sees, by identity.
     links: Vec<Vec<DenseLink>>,
     /// Constraints and optimisation in the background.
     graph: Option<GraphLink>,
-    /// Covariance of each keyframe relative to the one before it, by identity.
+    /// Covariance of each keyframe relative to its parent, by identity.
     relative_covariance: Vec<Option<Mat7>>,
 }
 
 /// The keyframe that frames are tracked on.
 #[derive(Debug)]
 struct Current {
+    id: KeyframeId,
     depth: DepthMap,
     reference: Reference,
+    /// Frames that refined its depth since it is in use.
     num_mapped: usize,
 }
 
@@ -80,7 +89,8 @@ struct Last {
 struct Record {
     frame_index: usize,
     timestamp_ns: i64,
-    keyframe: KeyframeId,
+    /// Position in the list of visits.
+    visit: usize,
     frame_from_keyframe: Se3,
 }
 
@@ -105,6 +115,8 @@ impl Slam {
             start: Some(start),
             nodes: Vec::new(),
             current: None,
+            recent: Vec::new(),
+            visits: Vec::new(),
             last: None,
             records: Vec::new(),
             finished: Vec::new(),
@@ -113,6 +125,7 @@ impl Slam {
             lost_in_a_row: 0,
             lost_episodes: 0,
             relocalisations: 0,
+            reactivations: 0,
             sparse: SparseLayer::default(),
             sparse_stats: SparseStats::default(),
             links: Vec::new(),
@@ -145,7 +158,7 @@ impl Slam {
     pub fn finish(&mut self) -> Option<KeyframeId> {
         self.take_graph_update();
         let (id, view) = self.finish_current()?;
-        self.submit_graph_job(view, None, true);
+        self.submit_graph_job(view, Links::default(), true);
         self.take_graph_update();
         Some(id)
     }
@@ -186,6 +199,29 @@ impl Slam {
         self.relocalisations
     }
 
+    /// Times that tracking went on with a keyframe that existed already instead of a new one.
+    #[must_use]
+    pub fn reactivations(&self) -> usize {
+        self.reactivations
+    }
+
+    /// What grows while the camera sees new places, and only then.
+    #[must_use]
+    pub fn map_size(&self) -> MapSize {
+        let packed = self.nodes.iter().filter_map(|node| node.depth.as_ref());
+        MapSize {
+            keyframes: self.nodes.len(),
+            edges: self.pose_graph().edges().len(),
+            points: self.sparse.points.len(),
+            depth_bytes: packed.map(|depth| depth.bytes_in_memory()).sum(),
+        }
+    }
+
+    /// The keyframe that frames are tracked on.
+    fn current_node(&self) -> Option<&Node> {
+        self.nodes.get(self.current.as_ref()?.id as usize)
+    }
+
     /// Intrinsics of the working images.
     #[must_use]
     pub fn pinhole(&self) -> &Pinhole {
@@ -198,11 +234,11 @@ impl Slam {
         if self.start.is_some() || self.lost_in_a_row > 0 || last.pyramid.level(0) != &input.image {
             return None;
         }
-        let node = self.nodes.last()?;
+        let node = self.current_node()?;
         let record = Record {
             frame_index: input.index,
             timestamp_ns: input.timestamp_ns,
-            keyframe: node.id,
+            visit: self.visits.len().checked_sub(1)?,
             frame_from_keyframe: last.motion.frame_from_keyframe,
         };
         let mut report = blank_report(input.index, input.timestamp_ns, TrackingState::Good);
@@ -254,6 +290,7 @@ impl Slam {
         self.scale = scale;
         self.push_node(
             &keyframe,
+            None,
             monogrid_geometry::Sim3::new(
                 world_scale,
                 monogrid_geometry::Rotation::identity(),
@@ -263,11 +300,11 @@ impl Slam {
         );
         self.sparse.has_seed = scale == Scale::Metric;
         self.adjust(&depth);
-        self.set_current(depth);
+        self.set_current(0, depth);
         self.records.push(Record {
             frame_index: keyframe.index,
             timestamp_ns: keyframe.timestamp_ns,
-            keyframe: 0,
+            visit: 0,
             frame_from_keyframe: Se3::identity(),
         });
         let interval_ns = later.first().or(earlier.last()).map_or(0, |other| {
@@ -334,7 +371,7 @@ impl Slam {
 
     /// Stores a believed pose and makes it the prior of the next frame.
     fn remember(&mut self, frame: &Frame, motion: Motion) {
-        let Some(id) = self.nodes.last().map(|node| node.id) else {
+        let Some(visit) = self.visits.len().checked_sub(1) else {
             return;
         };
         let (frame_from_previous, interval_ns) = match &self.last {
@@ -354,7 +391,7 @@ impl Slam {
         self.records.push(Record {
             frame_index: frame.index,
             timestamp_ns: frame.timestamp_ns,
-            keyframe: id,
+            visit,
             frame_from_keyframe: motion.frame_from_keyframe,
         });
     }
@@ -389,7 +426,7 @@ impl Slam {
         report.good_share = alignment.good_of_visible;
         report.usage = alignment.usage;
         report.exposure_gain = alignment.gain();
-        report.keyframe = self.nodes.last().map(|node| node.id);
+        report.keyframe = self.current_node().map(|node| node.id);
         if tracked.state == TrackingState::Lost {
             if self.lost_in_a_row == 0 {
                 self.lost_episodes += 1;
@@ -404,7 +441,7 @@ impl Slam {
         report.covariance = alignment.covariance;
         let motion = alignment.motion;
         self.remember(&frame, motion);
-        if let Some(node) = self.nodes.last() {
+        if let Some(node) = self.current_node() {
             report.world_from_camera = Some(world_from_camera(
                 &node.world_from_keyframe,
                 &motion.frame_from_keyframe,
@@ -419,8 +456,7 @@ impl Slam {
             num_keyframes: self.nodes.len(),
         };
         if is_new_keyframe(&evidence, &self.config.keyframes) {
-            report.finished_keyframe = self.change_keyframe(&frame, &motion, &mut report);
-            report.created_keyframe = report.finished_keyframe.is_some();
+            self.leave_keyframe(&frame, &motion, &mut report);
         } else if tracked.state == TrackingState::Good {
             self.refine_depth(&frame, &tracked.alignment);
         }
@@ -483,5 +519,6 @@ fn blank_report(index: usize, timestamp_ns: i64, state: TrackingState) -> FrameR
         keyframe: None,
         finished_keyframe: None,
         created_keyframe: false,
+        reactivated_keyframe: None,
     }
 }

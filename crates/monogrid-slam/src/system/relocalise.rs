@@ -1,10 +1,11 @@
 //! A camera that is lost finds back to any keyframe that it sees.
 
+use super::trajectory::Visit;
 use super::{Last, Slam};
 use crate::frame::Frame;
 use crate::graph::Relocalised;
 use crate::tracker::{MotionPrior, Tracked, track};
-use crate::{FrameReport, TrackingState};
+use crate::{FrameReport, KeyframeId, TrackingState};
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, DepthState, HostFrame};
 use monogrid_geometry::Se3;
@@ -65,6 +66,8 @@ impl Slam {
         report.exposure_gain = tracked.alignment.gain();
         let finished = self.finish_current();
         report.finished_keyframe = finished.as_ref().map(|(id, _)| *id);
+        let newest = self.nodes.len() as KeyframeId;
+        self.visits.push(Visit::new(newest, frame.timestamp_ns));
         let view = finished.and_then(|(_, view)| view);
         self.begin_keyframe(frame, found.view.id, &motion, successor, view, report);
         report.created_keyframe = true;
@@ -77,7 +80,7 @@ impl Slam {
             interval_ns: 0,
         });
         self.remember(frame, Motion::from_pose(Se3::identity()));
-        if let Some(node) = self.nodes.last() {
+        if let Some(node) = self.current_node() {
             report.keyframe = Some(node.id);
             report.world_from_camera = Some(node.world_from_keyframe.to_se3());
         }

@@ -1,16 +1,45 @@
 //! Poses of all frames from those of the keyframes.
 
 use super::{Record, Slam};
-use crate::TrajectoryPose;
 use crate::node::world_from_camera;
+use crate::{KeyframeId, TrajectoryPose};
+use monogrid_alignment::Motion;
 use monogrid_geometry::{Se3, Vec6};
 
-/// What adjustment found about the end of a keyframe's time: the pose of the next keyframe differs from
-/// the tracked one.
+/// A stretch of time in which frames were tracked on one keyframe.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Visit {
+    pub keyframe: KeyframeId,
+    begin_ns: i64,
+    end: Option<VisitEnd>,
+}
+
+/// The frame with which tracking went on with another keyframe.
+#[derive(Clone, Copy, Debug)]
+struct VisitEnd {
+    timestamp_ns: i64,
+    /// As it was tracked on the keyframe that was left.
+    frame_from_keyframe: Se3,
+    next: KeyframeId,
+    frame_from_next: Se3,
+}
+
+impl Visit {
+    pub(super) fn new(keyframe: KeyframeId, begin_ns: i64) -> Self {
+        Self {
+            keyframe,
+            begin_ns,
+            end: None,
+        }
+    }
+}
+
+/// What is known now about the end of a visit: the pose of its last frame relative to the next keyframe
+/// differs from the tracked one.
 struct Correction {
     begin_ns: i64,
     end_ns: i64,
-    /// Logarithm of `tracked_from_adjusted` of the next keyframe's camera.
+    /// Logarithm of `tracked_from_adjusted` of the last frame's camera.
     twist: Vec6,
 }
 
@@ -24,19 +53,39 @@ impl Correction {
 }
 
 impl Slam {
+    /// Ends the visit of the current keyframe with a frame that both keyframes know.
+    pub(super) fn hand_over(
+        &mut self,
+        timestamp_ns: i64,
+        motion: &Motion,
+        next: KeyframeId,
+        frame_from_next: Se3,
+    ) {
+        if let Some(visit) = self.visits.last_mut() {
+            visit.end = Some(VisitEnd {
+                timestamp_ns,
+                frame_from_keyframe: motion.frame_from_keyframe,
+                next,
+                frame_from_next,
+            });
+        }
+        self.visits.push(Visit::new(next, timestamp_ns));
+    }
+
     /// All frames with a believed pose, with everything known now, in the order of time.
     ///
-    /// Frames are known relative to their keyframe. Where the next keyframe was adjusted, the difference
-    /// to its tracked pose is spread over the frames between the two.
+    /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
+    /// the last of them, the difference is spread over the frames of the visit.
     #[must_use]
     pub fn trajectory(&self) -> Vec<TrajectoryPose> {
-        let corrections = self.corrections();
+        let corrections: Vec<Option<Correction>> =
+            self.visits.iter().map(|v| self.correction(v)).collect();
         let mut poses: Vec<TrajectoryPose> = self
             .records
             .iter()
             .map(|record| {
                 let tracked = self.tracked_pose(record);
-                let correction = corrections.get(record.keyframe as usize);
+                let correction = corrections.get(record.visit);
                 TrajectoryPose {
                     frame_index: record.frame_index,
                     timestamp_ns: record.timestamp_ns,
@@ -52,27 +101,26 @@ impl Slam {
     }
 
     fn tracked_pose(&self, record: &Record) -> Se3 {
-        let keyframe = &self.nodes[record.keyframe as usize];
+        let keyframe = &self.nodes[self.visits[record.visit].keyframe as usize];
         world_from_camera(&keyframe.world_from_keyframe, &record.frame_from_keyframe)
     }
 
-    /// Per keyframe the correction over its time; none for the last one.
-    fn corrections(&self) -> Vec<Option<Correction>> {
-        let mut corrections: Vec<Option<Correction>> = self.nodes.iter().map(|_| None).collect();
-        for record in &self.records {
-            let Some(next) = self.nodes.get(record.keyframe as usize + 1) else {
-                continue;
-            };
-            if record.frame_index == next.frame_index {
-                let tracked_from_adjusted =
-                    self.tracked_pose(record).inverse() * next.world_from_keyframe.to_se3();
-                corrections[record.keyframe as usize] = Some(Correction {
-                    begin_ns: self.nodes[record.keyframe as usize].timestamp_ns,
-                    end_ns: next.timestamp_ns,
-                    twist: tracked_from_adjusted.log(),
-                });
-            }
-        }
-        corrections
+    /// The correction over the time of a visit; none for the last one, or where tracking was lost.
+    fn correction(&self, visit: &Visit) -> Option<Correction> {
+        let end = visit.end.as_ref()?;
+        let pose = |keyframe: KeyframeId, frame_from_keyframe: &Se3| {
+            let node = self.nodes.get(keyframe as usize)?;
+            Some(world_from_camera(
+                &node.world_from_keyframe,
+                frame_from_keyframe,
+            ))
+        };
+        let tracked = pose(visit.keyframe, &end.frame_from_keyframe)?;
+        let adjusted = pose(end.next, &end.frame_from_next)?;
+        Some(Correction {
+            begin_ns: visit.begin_ns,
+            end_ns: end.timestamp_ns,
+            twist: (tracked.inverse() * adjusted).log(),
+        })
     }
 }

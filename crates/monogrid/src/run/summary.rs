@@ -170,6 +170,7 @@ mod tests {
                 keyframe: None,
                 finished_keyframe: None,
                 created_keyframe: false,
+                reactivated_keyframe: None,
             })),
         }
     }

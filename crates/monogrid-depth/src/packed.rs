@@ -1,0 +1,152 @@
+//! The depth of a keyframe that is out of use, small, until it is used again.
+
+use crate::{DepthConfig, DepthMap, HostFrame};
+use std::sync::Arc;
+
+/// A pixel with a hypothesis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct PackedPixel {
+    x: u16,
+    y: u16,
+    idepth: f32,
+    var: f32,
+    /// Upper halves of the numbers' bits: they only bound variances.
+    prior_var: u16,
+    floor_var: u16,
+    photo_px: u16,
+    validity: u8,
+}
+
+/// What a [`DepthMap`] knows, without what follows from its image: 20 bytes per known pixel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PackedDepth {
+    pixels: Vec<PackedPixel>,
+    noise_var: f32,
+    noise_measured: bool,
+    near_limit: f32,
+}
+
+impl PackedDepth {
+    /// Number of pixels with a hypothesis.
+    #[must_use]
+    pub fn num_known(&self) -> usize {
+        self.pixels.len()
+    }
+
+    /// Heap memory, bytes.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> usize {
+        self.pixels.capacity() * size_of::<PackedPixel>()
+    }
+}
+
+fn upper_half(value: f32) -> u16 {
+    (value.to_bits() >> 16) as u16
+}
+
+fn from_upper_half(bits: u16) -> f32 {
+    f32::from_bits(u32::from(bits) << 16)
+}
+
+impl DepthMap {
+    /// The hypotheses of all pixels; counts of failures are forgotten.
+    #[must_use]
+    pub fn packed(&self) -> PackedDepth {
+        let mut pixels = Vec::with_capacity(self.num_known());
+        let (width, arrays) = (self.host.width(), &self.arrays);
+        for y in 0..self.host.height() {
+            for &x in self.candidates.row(y) {
+                let i = y * width + usize::from(x);
+                if arrays.var[i] > 0.0 {
+                    pixels.push(PackedPixel {
+                        x,
+                        y: y as u16,
+                        idepth: arrays.idepth[i],
+                        var: arrays.var[i],
+                        prior_var: upper_half(arrays.prior_var[i]),
+                        floor_var: upper_half(arrays.floor_var[i]),
+                        photo_px: upper_half(arrays.photo_px[i]),
+                        validity: arrays.validity[i],
+                    });
+                }
+            }
+        }
+        pixels.shrink_to_fit();
+        PackedDepth {
+            pixels,
+            noise_var: self.noise_var,
+            noise_measured: self.noise_measured,
+            near_limit: self.near_limit,
+        }
+    }
+
+    /// The depth map of a keyframe from its image and hypotheses; not smoothed yet. Pixels of which
+    /// the image says that they cannot carry a depth are left out.
+    #[must_use]
+    pub fn unpacked(host: Arc<HostFrame>, packed: &PackedDepth, config: &DepthConfig) -> Self {
+        let mut depth = Self::empty(host, config);
+        let width = depth.host.width();
+        for pixel in &packed.pixels {
+            let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+            if !depth.is_candidate(x, y) {
+                continue;
+            }
+            let i = y * width + x;
+            depth.arrays.idepth[i] = pixel.idepth;
+            depth.arrays.var[i] = pixel.var;
+            depth.arrays.prior_var[i] = from_upper_half(pixel.prior_var);
+            depth.arrays.floor_var[i] = from_upper_half(pixel.floor_var);
+            depth.arrays.photo_px[i] = from_upper_half(pixel.photo_px);
+            depth.arrays.validity[i] = pixel.validity;
+            depth.smooth_idepth[i] = pixel.idepth;
+            depth.smooth_var[i] = pixel.var;
+        }
+        depth.noise_var = packed.noise_var;
+        depth.noise_measured = packed.noise_measured;
+        depth.near_limit = packed.near_limit;
+        depth
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
+mod tests {
+    use super::*;
+    use crate::DepthState;
+    use monogrid_geometry::Pinhole;
+    use monogrid_image::{GrayImage, Mask};
+
+    fn host() -> Arc<HostFrame> {
+        let image = GrayImage::from_fn(64, 48, |x, y| ((x * 37 + y * 11) % 97) as f32 * 2.0);
+        let pinhole = Pinhole::new(60.0, 60.0, 31.5, 23.5);
+        Arc::new(HostFrame::new(image, Mask::filled(64, 48, 255), pinhole).unwrap())
+    }
+
+    #[test]
+    fn what_is_known_comes_back() {
+        let config = DepthConfig::default();
+        let mut depth = DepthMap::empty(host(), &config);
+        for (x, y) in [(10, 10), (20, 31), (50, 40), (33, 7)] {
+            let state = DepthState::Known {
+                idepth: 0.5 + x as f32 * 0.01,
+                idepth_var: 1e-3 * y as f32,
+                validity: x as u8,
+            };
+            assert!(depth.seed_pixel(x, y, state));
+        }
+        let packed = depth.packed();
+        assert_eq!(packed.num_known(), 4);
+        assert!(packed.bytes_in_memory() <= 4 * 20);
+        let back = DepthMap::unpacked(host(), &packed, &config);
+        for y in 0..48 {
+            for x in 0..64 {
+                assert_eq!(depth.state(x, y), back.state(x, y));
+            }
+        }
+        let (a, b) = (&depth.arrays.prior_var, &back.arrays.prior_var);
+        for (a, b) in a.iter().zip(b).filter(|(a, _)| a.is_finite()) {
+            assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
+        }
+        assert_eq!(back.packed(), packed);
+    }
+}

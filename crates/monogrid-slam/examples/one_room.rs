@@ -1,0 +1,154 @@
+//! A camera that stays in one place: plays a sequence forth and back and prints what grows.
+//!
+//! `cargo run --release -p monogrid-slam --example one_room -- FOLDER [key=value …]`
+//!
+//! Keys: `frames=N` (to play in all, default 18000), `max=N` (use the first N images), `shift=N` (each way back
+//! and forth begins N images later: not the same views), `size=WxH`, and settings as `keyframes.min_mapped_frames=5`.
+//! One line per way: keyframes, edges of the graph, points, memory, time per frame, keyframes used again, and the
+//! error of the frames so far.
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    missing_docs,
+    reason = "a tool for development, read from top to bottom"
+)]
+
+use monogrid_datasets::{Dataset, SourceOptions, read_gray};
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
+use monogrid_image::{GrayImage, Image, Undistorter, WorkingSize};
+use monogrid_slam::{FrameInput, Slam, SlamConfig};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Time between two frames.
+const INTERVAL_NS: i64 = 33_333_333;
+
+fn main() {
+    let mut args = std::env::args().skip(1);
+    let folder = args.next().unwrap();
+    let options: BTreeMap<String, String> = args
+        .map(|a| {
+            let (k, v) = a.split_once('=').unwrap();
+            (k.to_owned(), v.to_owned())
+        })
+        .collect();
+    let number = |key: &str, default: usize| {
+        options
+            .get(key)
+            .map_or(default, |v| v.parse::<usize>().unwrap())
+    };
+    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
+    let camera = dataset.calibration(None).unwrap().unwrap().camera;
+    let size = match options.get("size").and_then(|s| s.split_once('x')) {
+        Some((w, h)) => WorkingSize::Exact {
+            width: w.parse().unwrap(),
+            height: h.parse().unwrap(),
+        },
+        None => WorkingSize::Automatic,
+    };
+    let undistorter = Undistorter::new(&camera, size, None);
+    let mut value = serde_json::to_value(SlamConfig::default()).unwrap();
+    for (key, v) in options.iter().filter(|(k, _)| k.contains('.')) {
+        let mut node = &mut value;
+        for part in key.split('.') {
+            node = node.get_mut(part).expect(key);
+        }
+        *node = serde_json::from_str(v).unwrap();
+    }
+    let config = serde_json::from_value(value).unwrap();
+    let mask = undistorter.mask().clone();
+    let mut slam = Slam::new(config, *undistorter.pinhole(), mask, 0).unwrap();
+    let truth: Vec<StampedPose> =
+        monogrid_datasets::read_trajectory(dataset.ground_truth.as_ref().unwrap())
+            .unwrap()
+            .iter()
+            .map(|p| (p.timestamp_ns, p.world_from_camera))
+            .collect();
+    let images: Vec<(i64, Image<u8>)> = dataset
+        .frames
+        .iter()
+        .take(number("max", usize::MAX))
+        .map(|entry| {
+            let image: GrayImage = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
+            (
+                entry.timestamp_ns,
+                image.map(|v| v.round().clamp(0.0, 255.0) as u8),
+            )
+        })
+        .collect();
+    let order = forth_and_back(images.len(), number("shift", 0), number("frames", 18_000));
+    let mut played: Vec<StampedPose> = Vec::new();
+    let (mut lost, mut used_again) = (0, 0);
+    let (mut millis, mut frames) = (0.0, 0);
+    println!(
+        "way, frames, keyframes, edges, points, depth MB, RSS MB, ms per frame, used again, lost, ATE m"
+    );
+    for (index, &(way, source)) in order.iter().enumerate() {
+        let (timestamp_ns, image) = &images[source];
+        let pose = truth
+            .iter()
+            .min_by_key(|(t, _)| (t - timestamp_ns).abs())
+            .unwrap();
+        let timestamp_ns = index as i64 * INTERVAL_NS;
+        played.push((timestamp_ns, pose.1));
+        let begin = std::time::Instant::now();
+        let report = slam.process_frame(FrameInput {
+            index,
+            timestamp_ns,
+            image: image.map(f32::from),
+            seed_depth: None,
+        });
+        millis += begin.elapsed().as_secs_f64() * 1e3;
+        frames += 1;
+        lost += usize::from(index > 200 && report.world_from_camera.is_none());
+        used_again += usize::from(report.reactivated_keyframe.is_some());
+        if order.get(index + 1).is_none_or(|next| next.0 != way) {
+            let estimate: Vec<StampedPose> = slam
+                .trajectory()
+                .iter()
+                .map(|p| (p.timestamp_ns, p.world_from_camera))
+                .collect();
+            let error = evaluate_trajectory(&estimate, &played, &TrajectoryConfig::default())
+                .map_or(f64::NAN, |r| r.ate_rmse);
+            let size = slam.map_size();
+            println!(
+                "{way}, {}, {}, {}, {}, {:.1}, {:.0}, {:.1}, {used_again}, {lost}, {error:.4}",
+                index + 1,
+                size.keyframes,
+                size.edges,
+                size.points,
+                size.depth_bytes as f64 * 1e-6,
+                rss_bytes() * 1e-6,
+                millis / f64::from(frames),
+            );
+            (millis, frames, used_again) = (0.0, 0, 0);
+        }
+    }
+}
+
+/// Which way and which image comes when.
+fn forth_and_back(images: usize, shift: usize, frames: usize) -> Vec<(usize, usize)> {
+    let mut order = Vec::new();
+    let mut way = 0;
+    while order.len() < frames {
+        let first = (way * shift) % (images / 3 + 1);
+        let one_way: Vec<usize> = if way % 2 == 0 {
+            (first..images).collect()
+        } else {
+            (first..images).rev().collect()
+        };
+        order.extend(one_way.into_iter().map(|source| (way, source)));
+        way += 1;
+    }
+    order.truncate(frames);
+    order
+}
+
+fn rss_bytes() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages = text
+        .split_whitespace()
+        .nth(1)
+        .and_then(|p| p.parse::<f64>().ok());
+    pages.unwrap_or(f64::NAN) * 4096.0
+}

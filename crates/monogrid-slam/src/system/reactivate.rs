@@ -1,0 +1,250 @@
+//! Tracking goes on with a keyframe that exists already: where the camera stays in a known place, the number
+//! of keyframes does not grow.
+
+use super::graph::Links;
+use super::{Slam, milliseconds};
+use crate::config::ReactivationConfig;
+use crate::depth_step::{regularize, tracking_samples};
+use crate::frame::Frame;
+use crate::graph::Handover;
+use crate::node::Node;
+use crate::policy::{KeyframeEvidence, keyframe_score};
+use crate::tracker::{MotionPrior, Tracked, track};
+use crate::{FrameReport, KeyframeId, TrackingState};
+use monogrid_alignment::{Alignment, Motion, Reference};
+use monogrid_depth::{DepthMap, HostFrame};
+use monogrid_geometry::{Mat6, Se3, Sim3};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A keyframe that may show what the frame shows.
+struct Candidate {
+    id: KeyframeId,
+    /// From the poses; translation in the candidate's units.
+    frame_from_candidate: Se3,
+    score: f64,
+}
+
+/// A candidate that tracking confirms.
+struct Confirmed {
+    id: KeyframeId,
+    depth: DepthMap,
+    alignment: Alignment,
+}
+
+impl Slam {
+    /// Looks for a keyframe that shows what the frame shows and on which it can be tracked, and goes on
+    /// with that one; whether there was one.
+    pub(super) fn reactivate(
+        &mut self,
+        frame: &Frame,
+        motion: &Motion,
+        report: &mut FrameReport,
+    ) -> bool {
+        let Some(confirmed) = self.find_known_view(frame, motion) else {
+            return false;
+        };
+        let Some((left, view)) = self.finish_current() else {
+            return false;
+        };
+        report.finished_keyframe = Some(left);
+        let begin = Instant::now();
+        let handover = report.covariance.map(|covariance| {
+            self.handover(
+                (left, motion, &covariance),
+                (confirmed.id, &confirmed.alignment),
+            )
+        });
+        self.submit_graph_job(
+            view,
+            Links {
+                odometry: None,
+                handover,
+            },
+            false,
+        );
+        report.milliseconds.graph += milliseconds(begin);
+        let found = confirmed.alignment.motion;
+        self.hand_over(
+            frame.timestamp_ns,
+            motion,
+            confirmed.id,
+            found.frame_from_keyframe,
+        );
+        if let Some(last) = self.last.as_mut() {
+            last.motion = found;
+            let unit = |id: KeyframeId| self.nodes[id as usize].world_from_keyframe.scale;
+            last.frame_from_previous.translation *= unit(left) / unit(confirmed.id);
+        }
+        self.use_again(confirmed.id, confirmed.depth);
+        report.reactivated_keyframe = Some(confirmed.id);
+        true
+    }
+
+    /// Makes a keyframe that was left the current one again.
+    pub(super) fn use_again(&mut self, id: KeyframeId, depth: DepthMap) {
+        self.recent.retain(|other| *other != id);
+        self.recent.push(id);
+        self.set_current(id, depth);
+        self.reactivations += 1;
+    }
+
+    /// Depth of a keyframe as it was left, smoothed.
+    pub(super) fn stored_depth(&self, id: KeyframeId) -> Option<DepthMap> {
+        let node = self.nodes.get(id as usize)?;
+        let packed = node.depth.as_ref()?;
+        let image = node.pyramid.level(0).clone();
+        let host = Arc::new(HostFrame::new(image, self.mask.clone(), self.pinhole).ok()?);
+        let mut depth = DepthMap::unpacked(host, packed, &self.config.depth);
+        regularize(&mut depth, &self.config.depth);
+        Some(depth)
+    }
+
+    /// The closest keyframe on which the frame can be tracked to where the poses say that it is.
+    fn find_known_view(&self, frame: &Frame, motion: &Motion) -> Option<Confirmed> {
+        let config = &self.config.keyframes.reactivation;
+        if !config.enabled {
+            return None;
+        }
+        let current = self.current_node()?;
+        let exposure = current.exposure.then(motion.log_gain.exp(), motion.bias);
+        self.candidates(current, motion, config)
+            .into_iter()
+            .find_map(|candidate| {
+                let node = &self.nodes[candidate.id as usize];
+                let depth = self.stored_depth(candidate.id)?;
+                let (gain, bias) = node.exposure.relative(&exposure);
+                let predicted = Motion {
+                    log_gain: gain.ln(),
+                    bias,
+                    ..Motion::from_pose(candidate.frame_from_candidate)
+                };
+                let tracked = self.track_on_depth(node, &depth, frame, predicted);
+                self.confirms(&candidate, &tracked, config)
+                    .then_some(Confirmed {
+                        id: candidate.id,
+                        depth,
+                        alignment: tracked.alignment,
+                    })
+            })
+    }
+
+    /// Keyframes that should show about the same as the frame, closest first.
+    fn candidates(
+        &self,
+        current: &Node,
+        motion: &Motion,
+        config: &ReactivationConfig,
+    ) -> Vec<Candidate> {
+        let keyframe_from_frame = Sim3::from(motion.frame_from_keyframe.inverse());
+        let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
+        let width = self.mask.width() as f64;
+        let field_of_view = 2.0 * (0.5 * width / self.pinhole.fx).atan();
+        let others = self
+            .recent
+            .iter()
+            .rev()
+            .skip(1 + config.min_keyframes_between);
+        let mut candidates: Vec<Candidate> = others
+            .filter(|id| **id >= config.first_keyframe)
+            .filter_map(|id| {
+                let node = &self.nodes[*id as usize];
+                node.depth.as_ref()?;
+                let candidate_from_frame = node.world_from_keyframe.inverse() * world_from_frame;
+                let turned = candidate_from_frame.rotation.angle() / field_of_view;
+                let evidence = KeyframeEvidence {
+                    relative_distance: candidate_from_frame.translation.norm(),
+                    usage: 1.0 - turned.min(1.0),
+                    ..KeyframeEvidence::default()
+                };
+                let score = keyframe_score(&evidence, &self.config.keyframes);
+                let pose = Se3::new(
+                    candidate_from_frame.rotation,
+                    candidate_from_frame.translation,
+                );
+                (score < config.max_predicted_score).then_some(Candidate {
+                    id: *id,
+                    frame_from_candidate: pose.inverse(),
+                    score,
+                })
+            })
+            .collect();
+        candidates.sort_by(|a, b| a.score.total_cmp(&b.score).then(a.id.cmp(&b.id)));
+        candidates.truncate(config.max_candidates);
+        candidates
+    }
+
+    /// Tracks a frame on a keyframe that is not the current one.
+    fn track_on_depth(
+        &self,
+        node: &Node,
+        depth: &DepthMap,
+        frame: &Frame,
+        predicted: Motion,
+    ) -> Tracked {
+        let config = &self.config.tracking;
+        let reference = Reference::new(
+            &node.pyramid,
+            &self.pinhole,
+            &tracking_samples(depth, config),
+            config.alignment.finest_level,
+            config.alignment.coarsest_level,
+        );
+        let prior = MotionPrior {
+            last_from_keyframe: predicted,
+            frame_from_last: Se3::identity(),
+        };
+        track(&reference, frame, &prior, None, &self.pinhole, config)
+    }
+
+    /// Whether a frame was tracked on a candidate as well as on a keyframe of its own, to where it was
+    /// expected.
+    fn confirms(
+        &self,
+        candidate: &Candidate,
+        tracked: &Tracked,
+        config: &ReactivationConfig,
+    ) -> bool {
+        let alignment = &tracked.alignment;
+        let found = &alignment.motion.frame_from_keyframe;
+        let evidence = KeyframeEvidence {
+            relative_distance: found.inverse().translation.norm(),
+            usage: f64::from(alignment.usage),
+            ..KeyframeEvidence::default()
+        };
+        let disagreement = *found * candidate.frame_from_candidate.inverse();
+        tracked.state == TrackingState::Good
+            && keyframe_score(&evidence, &self.config.keyframes) < config.max_score
+            && alignment.usage * alignment.good_of_visible >= config.min_good_usage
+            && disagreement.log().norm() <= config.max_disagreement
+    }
+
+    /// What a frame that was tracked on two keyframes says about them.
+    fn handover(
+        &self,
+        (left, motion, covariance): (KeyframeId, &Motion, &Mat6),
+        (found, alignment): (KeyframeId, &Alignment),
+    ) -> Handover {
+        let side = |id: KeyframeId, motion: &Motion, covariance: &Mat6| {
+            let keyframe_from_frame = motion.frame_from_keyframe.inverse();
+            let adjoint = keyframe_from_frame.adjoint();
+            let scale = self.nodes[id as usize].world_from_keyframe.scale;
+            let covariance = adjoint * covariance * adjoint.transpose();
+            (id, keyframe_from_frame, scale, covariance)
+        };
+        let a = side(left, motion, covariance);
+        let other = alignment.covariance.unwrap_or(*covariance);
+        let b = side(found, &alignment.motion, &other);
+        let (older, newer) = if a.0 < b.0 { (a, b) } else { (b, a) };
+        // both see the same frame; lengths in units of the older
+        let unit = newer.2 / older.2;
+        let newer_from_frame = Se3::new(newer.1.rotation, newer.1.translation * unit);
+        let rigid = older.1 * newer_from_frame.inverse();
+        Handover {
+            i: older.0,
+            j: newer.0,
+            i_from_j: rigid.with_scale(unit),
+            covariance: older.3 + newer.3 * (unit * unit).max(1.0),
+        }
+    }
+}
