@@ -9,6 +9,7 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
+    clippy::too_many_lines,
     missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]

@@ -125,4 +125,6 @@ pub struct FrameReport {
     pub created_keyframe: bool,
     /// Keyframe that existed already and with which tracking goes on after this frame.
     pub reactivated_keyframe: Option<KeyframeId>,
+    /// Whether the camera was lost and this frame was recognised.
+    pub relocalised: bool,
 }

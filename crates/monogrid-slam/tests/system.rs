@@ -400,3 +400,73 @@ fn world_starts_at_the_first_keyframe() {
     let first = slam.trajectory()[0].world_from_camera;
     assert!((first.inverse() * Se3::identity()).log().norm() < 1e-9);
 }
+
+const ONE_WAY: usize = 70;
+
+/// Seven seconds again and again, to the last frame and back to the first.
+fn back_and_forth(ways: usize) -> Vec<FrameInput> {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let frames: Vec<GrayImage> = (0..ONE_WAY)
+        .map(|k| sequence.frame(3 * k).unwrap().image)
+        .collect();
+    (0..ways * ONE_WAY)
+        .map(|index| FrameInput {
+            index,
+            timestamp_ns: index as i64 * 100_000_000,
+            image: frames[source_of(index)].clone(),
+            seed_depth: (index == 0).then(|| sequence.depth(0)).flatten(),
+        })
+        .collect()
+}
+
+fn source_of(index: usize) -> usize {
+    let (way, k) = (index / ONE_WAY, index % ONE_WAY);
+    if way % 2 == 0 { k } else { ONE_WAY - 1 - k }
+}
+
+#[test]
+fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
+    const WAYS: usize = 6;
+    let inputs = back_and_forth(WAYS);
+    let mut slam = system(SlamConfig::default(), 0);
+    let mut sizes = Vec::new();
+    let mut again = 0;
+    for input in &inputs {
+        let report = slam.process_frame(input.clone());
+        assert_eq!(report.state, TrackingState::Good, "{}", input.index);
+        again += usize::from(report.reactivated_keyframe.is_some());
+        if (input.index + 1) % ONE_WAY == 0 {
+            sizes.push(slam.map_size());
+        }
+    }
+    slam.finish();
+    assert!(again >= 6, "{again}");
+    assert_eq!(slam.reactivations(), again);
+    // each way leaves off somewhat elsewhere; after the third all views are known
+    let (early, last) = (sizes[2], sizes[WAYS - 1]);
+    assert_eq!(last.keyframes, early.keyframes, "{sizes:?}");
+    assert_eq!(last.points, early.points, "{sizes:?}");
+    assert!(last.edges <= early.edges * 11 / 10, "{sizes:?}");
+    assert!(last.depth_bytes <= early.depth_bytes * 11 / 10, "{sizes:?}");
+    // revisions stop when depth no longer improves
+    let revisions: u32 = slam.keyframes().iter().map(|k| k.revision).sum();
+    assert!(revisions > 0 && (revisions as usize) < again, "{revisions}");
+    // and the same image has the same pose, each time
+    let poses = slam.trajectory();
+    assert_eq!(poses.len(), inputs.len());
+    for (index, pose) in poses.iter().enumerate().skip(ONE_WAY) {
+        let first = poses[source_of(index)].world_from_camera;
+        let moved = pose.world_from_camera.inverse() * first;
+        assert!(moved.translation.norm() < 0.02, "{index}: {moved:?}");
+        assert!(moved.rotation.angle() < 0.01, "{index}: {moved:?}");
+    }
+    let mut without = SlamConfig::default();
+    without.keyframes.reactivation.enabled = false;
+    let (grown, _) = run(without, 0, &inputs);
+    assert!(
+        grown.keyframes().len() > slam.keyframes().len(),
+        "{} {}",
+        grown.keyframes().len(),
+        slam.keyframes().len()
+    );
+}

@@ -520,5 +520,6 @@ fn blank_report(index: usize, timestamp_ns: i64, state: TrackingState) -> FrameR
         finished_keyframe: None,
         created_keyframe: false,
         reactivated_keyframe: None,
+        relocalised: false,
     }
 }

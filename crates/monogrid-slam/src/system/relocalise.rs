@@ -1,9 +1,12 @@
 //! A camera that is lost finds back to any keyframe that it sees.
 
+use super::graph::Links;
 use super::trajectory::Visit;
 use super::{Last, Slam};
 use crate::frame::Frame;
 use crate::graph::Relocalised;
+use crate::node::world_from_camera;
+use crate::policy::{KeyframeEvidence, keyframe_score};
 use crate::tracker::{MotionPrior, Tracked, track};
 use crate::{FrameReport, KeyframeId, TrackingState};
 use monogrid_alignment::{Motion, Reference};
@@ -45,8 +48,86 @@ impl Slam {
         track(&reference, frame, &prior, None, &self.pinhole, config)
     }
 
-    /// Makes the frame a keyframe on top of the recognised one.
+    /// Goes on with the recognised keyframe where the frame shows about the same, else makes the frame a
+    /// keyframe on top of it.
     fn resume(
+        &mut self,
+        frame: &Frame,
+        found: &Relocalised,
+        tracked: &Tracked,
+        report: &mut FrameReport,
+    ) -> bool {
+        let alignment = &tracked.alignment;
+        let evidence = KeyframeEvidence {
+            relative_distance: alignment
+                .motion
+                .frame_from_keyframe
+                .inverse()
+                .translation
+                .norm(),
+            usage: f64::from(alignment.usage),
+            ..KeyframeEvidence::default()
+        };
+        let config = &self.config.keyframes;
+        let is_same_view = config.reactivation.enabled
+            && found.view.id >= config.reactivation.first_keyframe
+            && keyframe_score(&evidence, config) < config.reactivation.max_score;
+        let motion = if is_same_view && self.resume_on_known(frame, found, report) {
+            alignment.motion
+        } else if self.resume_on_new(frame, found, tracked, report) {
+            Motion::from_pose(Se3::identity())
+        } else {
+            return false;
+        };
+        report.state = TrackingState::Good;
+        report.reason = None;
+        report.relocalised = true;
+        report.covariance = alignment.covariance;
+        report.exposure_gain = alignment.gain();
+        self.lost_in_a_row = 0;
+        self.last = Some(Last {
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: frame.pyramid.clone(),
+            motion,
+            frame_from_previous: Se3::identity(),
+            interval_ns: 0,
+        });
+        self.remember(frame, motion);
+        if let Some(node) = self.current_node() {
+            report.keyframe = Some(node.id);
+            report.world_from_camera = Some(world_from_camera(
+                &node.world_from_keyframe,
+                &motion.frame_from_keyframe,
+            ));
+        }
+        self.relocalisations += 1;
+        true
+    }
+
+    /// Uses the recognised keyframe again.
+    fn resume_on_known(
+        &mut self,
+        frame: &Frame,
+        found: &Relocalised,
+        report: &mut FrameReport,
+    ) -> bool {
+        let id = found.view.id;
+        let finished = self.finish_current();
+        let Some(depth) = self.stored_depth(id) else {
+            return false;
+        };
+        if let Some((left, view)) = finished {
+            report.finished_keyframe = Some(left);
+            self.submit_graph_job(view, Links::default(), false);
+        }
+        self.visits.push(Visit::new(id, frame.timestamp_ns));
+        self.use_again(id, depth);
+        report.reactivated_keyframe = Some(id);
+        true
+    }
+
+    /// Makes the frame a keyframe on top of the recognised one.
+    fn resume_on_new(
         &mut self,
         frame: &Frame,
         found: &Relocalised,
@@ -60,31 +141,14 @@ impl Slam {
         let Some(successor) = self.successor(&depth, frame, &motion) else {
             return false;
         };
-        report.state = TrackingState::Good;
-        report.reason = None;
-        report.covariance = tracked.alignment.covariance;
-        report.exposure_gain = tracked.alignment.gain();
         let finished = self.finish_current();
         report.finished_keyframe = finished.as_ref().map(|(id, _)| *id);
+        report.covariance = tracked.alignment.covariance;
         let newest = self.nodes.len() as KeyframeId;
         self.visits.push(Visit::new(newest, frame.timestamp_ns));
         let view = finished.and_then(|(_, view)| view);
         self.begin_keyframe(frame, found.view.id, &motion, successor, view, report);
         report.created_keyframe = true;
-        self.lost_in_a_row = 0;
-        self.last = Some(Last {
-            timestamp_ns: frame.timestamp_ns,
-            pyramid: frame.pyramid.clone(),
-            motion: Motion::from_pose(Se3::identity()),
-            frame_from_previous: Se3::identity(),
-            interval_ns: 0,
-        });
-        self.remember(frame, Motion::from_pose(Se3::identity()));
-        if let Some(node) = self.current_node() {
-            report.keyframe = Some(node.id);
-            report.world_from_camera = Some(node.world_from_keyframe.to_se3());
-        }
-        self.relocalisations += 1;
         true
     }
 

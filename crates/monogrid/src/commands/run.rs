@@ -275,6 +275,8 @@ fn summarise(
         dropped,
         lost_episodes: tracked.slam.lost_episodes(),
         keyframes: tracked.slam.keyframes().len(),
+        reactivated_keyframes: tracked.slam.reactivations(),
+        relocalisations: tracked.slam.relocalisations(),
         constraints: tracked.slam.graph_stats().constraints,
         graph_wait_ms: tracked.slam.graph_stats().max_wait_ms,
         loop_closures: tracked.slam.graph_stats().loop_closures,

@@ -11,6 +11,7 @@ use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_tum};
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
+use monogrid_slam::FrameReport;
 use monogrid_slam::mapping::Maps;
 use std::fmt::Write;
 
@@ -59,7 +60,7 @@ fn live_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
 
 fn frames_csv(rows: &[FrameRow]) -> String {
     let mut text = String::from(
-        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe\n",
+        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe,event\n",
     );
     for row in rows {
         let (state, reason) = match &row.fate {
@@ -82,7 +83,7 @@ fn frames_csv(rows: &[FrameRow]) -> String {
             let times = report.milliseconds;
             let _ = write!(
                 text,
-                "{:.4},{:.4},{:.4},{:.5},{:.3},{:.3},{:.3},{}",
+                "{:.4},{:.4},{:.4},{:.5},{:.3},{:.3},{:.3},{},{}",
                 report.residual,
                 report.good_share,
                 report.usage,
@@ -90,14 +91,30 @@ fn frames_csv(rows: &[FrameRow]) -> String {
                 times.tracking,
                 times.depth,
                 times.graph,
-                report.keyframe.map(|id| id.to_string()).unwrap_or_default()
+                report.keyframe.map(|id| id.to_string()).unwrap_or_default(),
+                events(report)
             );
         } else {
-            text.push_str(",,,,,,,");
+            text.push_str(",,,,,,,,");
         }
         text.push('\n');
     }
     text
+}
+
+/// What happened with a frame beside its tracking, several separated by spaces.
+fn events(report: &FrameReport) -> String {
+    let mut events = Vec::new();
+    if report.relocalised {
+        events.push("relocalised".to_owned());
+    }
+    if report.created_keyframe {
+        events.push("new_keyframe".to_owned());
+    }
+    if let Some(id) = report.reactivated_keyframe {
+        events.push(format!("reactivated:{id}"));
+    }
+    events.join(" ")
 }
 
 fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {

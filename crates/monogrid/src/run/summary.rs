@@ -54,6 +54,10 @@ pub struct Summary {
     pub lost_episodes: usize,
     /// Finished keyframes.
     pub keyframes: usize,
+    /// Times that tracking went on with a keyframe that existed already instead of a new one.
+    pub reactivated_keyframes: usize,
+    /// Times that a lost camera was recognised.
+    pub relocalisations: usize,
     /// Pairs of keyframes constrained by direct alignment.
     pub constraints: usize,
     /// Longest time from the end of a keyframe to the use of its optimised poses, milliseconds.
@@ -171,6 +175,7 @@ mod tests {
                 finished_keyframe: None,
                 created_keyframe: false,
                 reactivated_keyframe: None,
+                relocalised: false,
             })),
         }
     }
