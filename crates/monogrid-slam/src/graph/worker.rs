@@ -50,6 +50,7 @@ impl GraphWorker {
         let (place_outbox, places) = channel();
         let mut threaded = graph.clone();
         let work = move || {
+            let _own_pool = pool_of_this_thread();
             // ends when the system is gone: then either channel is closed
             while let Ok(request) = inbox.recv() {
                 let answered = match request {
@@ -121,6 +122,15 @@ impl GraphWorker {
     }
 }
 
+/// A pool for the parallel loops of this thread that consists of this thread alone.
+///
+/// In the pool of the others a thread that waits for a part of this thread's loop may take up the next frame
+/// meanwhile, and tracking that frame may wait for this thread: both would wait for ever.
+fn pool_of_this_thread() -> Option<rayon::ThreadPool> {
+    let builder = rayon::ThreadPoolBuilder::new().num_threads(1);
+    builder.use_current_thread().build().ok()
+}
+
 impl Drop for GraphWorker {
     fn drop(&mut self) {
         if let Self::Threaded {
@@ -133,5 +143,25 @@ impl Drop for GraphWorker {
                 let _ = thread.join();
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rayon::prelude::*;
+
+    #[test]
+    fn loops_of_the_worker_stay_on_its_thread() {
+        let thread = std::thread::spawn(|| {
+            let pool = pool_of_this_thread();
+            let here = std::thread::current().id();
+            let elsewhere = (0..1000)
+                .into_par_iter()
+                .filter(|_| std::thread::current().id() != here)
+                .count();
+            (pool.is_some(), elsewhere)
+        });
+        assert_eq!(thread.join().ok(), Some((true, 0)));
     }
 }
