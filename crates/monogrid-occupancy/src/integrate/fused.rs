@@ -5,12 +5,13 @@
 //! addition, mixed ones an update per cell from the measurements in the cell's footprint, shard by
 //! shard. A brick that is saturated free and can only become freer costs a look into the directory.
 
+use super::beam::origin_in_cells;
 use super::footprint::Footprints;
 use super::image::RangeImages;
 use super::kernel::{BLOCK_CELLS, Weights, cell_of};
 use super::octants::{Cube, Octants};
 use super::parallel::for_each;
-use super::rays::{BrickFilter, origin_in_cells};
+use super::rays::BrickFilter;
 use super::{IntegrationConfig, IntegrationReport};
 use crate::error::MapError;
 use crate::evidence::Limits;

@@ -4,7 +4,7 @@
 //! are as fine as the measurements are dense, but no finer than half a typical cell.
 
 use super::IntegrationConfig;
-use super::rays::total_sigma;
+use super::beam::total_sigma;
 use crate::error::MapError;
 use crate::scan::{DepthScan, Scan, ScanData};
 use crate::sensor::table::TableSet;

@@ -8,12 +8,14 @@
 //! Both are split over shards of bricks that no two threads share, so the result is the same,
 //! bit for bit, for any number of threads.
 
+pub(crate) mod beam;
 pub(crate) mod footprint;
 pub(crate) mod fused;
 pub(crate) mod image;
 pub(crate) mod kernel;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;
+mod near;
 pub(crate) mod octants;
 #[cfg(target_arch = "x86_64")]
 mod octants_avx2;
@@ -22,6 +24,7 @@ pub(crate) mod pyramid;
 pub(crate) mod ray;
 pub(crate) mod rays;
 pub(crate) mod settled;
+mod visits;
 pub(crate) mod windows;
 
 use crate::error::MapError;

@@ -23,6 +23,7 @@ pub(crate) struct Ray {
     sign: [i32; 3],
     first: [i64; 3],
     step: [i64; 3],
+    /// Crossings per unit of time, for estimates.
     inv_step: [f64; 3],
     /// Range of the start cell's centre along the ray.
     range_at_start: i64,
@@ -45,9 +46,16 @@ pub(crate) struct Entry {
     stop: i64,
 }
 
+/// Bits of a position along each axis of the cube of cells around a sensor, whose own cell is in
+/// the middle.
+pub(crate) const NEAR_BITS: u32 = 4;
+
 /// Time or range in fixed point.
+#[inline]
 pub(crate) fn fixed(value: f64, bits: u32) -> i64 {
-    (value * (1_u64 << bits) as f64).round() as i64
+    let scaled = value * (1_u64 << bits) as f64;
+    // Rounds without a call on processors whose baseline cannot.
+    (scaled + 0.5_f64.copysign(scaled)) as i64
 }
 
 impl Ray {
@@ -55,7 +63,8 @@ impl Ray {
     ///
     /// The origin must be within the map's address range less [`MAX_CELLS`].
     pub(crate) fn new(origin: [f64; 3], direction: [f64; 3], length: f64) -> Self {
-        let start = origin.map(|o| o.floor() as i32);
+        // `floor` without a call on processors whose baseline cannot round.
+        let start = origin.map(|o| o as i32 - i32::from(f64::from(o as i32) > o));
         let mut ray = Self {
             start,
             sign: [1; 3],
@@ -85,7 +94,7 @@ impl Ray {
                 to_plane * per_cell
             };
             ray.first[axis] = (first.min(NEVER) as i64 & !3) | axis as i64;
-            ray.inv_step[axis] = 1.0 / ray.step[axis] as f64;
+            ray.inv_step[axis] = speed / (1_u64 << TIME_BITS) as f64;
             ray.range_step[axis] = fixed(speed, RANGE_BITS);
             range += (0.5 - fraction) * direction[axis];
         }
@@ -121,7 +130,7 @@ impl Ray {
     }
 
     #[inline]
-    fn walk_bricks(&self, from: i64, mut visit: impl FnMut(u64, i64) -> bool) {
+    pub(crate) fn walk_bricks(&self, from: i64, mut visit: impl FnMut(u64, i64) -> bool) {
         let from = from.min(self.end - 1);
         let mut next = [0; 3];
         let mut cell = self.start;
@@ -238,7 +247,91 @@ impl Ray {
     /// Calls `stop(position in the brick, range of the centre)` for every cell from `entry` on
     /// until it says so.
     #[inline]
-    pub(crate) fn walk_until(&self, entry: Entry, mut stop_at: impl FnMut(usize, i64) -> bool) {
+    pub(crate) fn walk_until(&self, entry: Entry, stop_at: impl FnMut(usize, i64) -> bool) {
+        self.step_through::<3>(entry, stop_at);
+    }
+
+    /// Whether one of the cells up to the time `end`, less than half of [`NEAR_BITS`]' cube away,
+    /// satisfies a condition on its position there.
+    #[inline]
+    pub(crate) fn any_near_cell(&self, end: i64, mut is: impl FnMut(usize) -> bool) -> bool {
+        let middle = 1 << (NEAR_BITS - 1);
+        let entry = Entry {
+            index: (0..3).fold(0, |index, axis| index | middle << (axis * NEAR_BITS)),
+            next: self.first,
+            range: 0,
+            stop: end.min(self.end),
+        };
+        let mut found = false;
+        self.step_through::<NEAR_BITS>(entry, |index, _| {
+            found = is(index);
+            found
+        });
+        found
+    }
+
+    /// Calls `visit(packed key of the brick, position in it, range of the centre)` for every cell
+    /// from the one in which the ray is at the time `from` to its end.
+    #[inline]
+    pub(crate) fn for_each_cell_from(&self, from: i64, mut visit: impl FnMut(u64, usize, i64)) {
+        let from = from.min(self.end - 1);
+        let (mut cell, mut next, mut range) = (self.start, self.first, self.range_at_start);
+        if from > 0 {
+            for axis in 0..3 {
+                let crossings = self.crossings(axis, from, (0, i64::MAX));
+                cell[axis] += self.sign[axis] * crossings as i32;
+                next[axis] += crossings * self.step[axis];
+                range += crossings * self.range_step[axis];
+            }
+        }
+        let mut key = BrickKey::new(cell[0] >> 3, cell[1] >> 3, cell[2] >> 3).pack();
+        let key_step: [i64; 3] =
+            std::array::from_fn(|axis| i64::from(self.sign[axis]) << (42 - 21 * axis));
+        // Positions in the brick have a guard bit each: set for falling positions, clear for others
+        // while the ray is in the brick, so that the step out of it turns the bit.
+        let inside = (0..3).fold(0, |bits, axis| {
+            bits | u32::from(self.sign[axis] < 0) << (4 * axis + 3)
+        });
+        let mut place = (0..3).fold(inside, |place, axis| {
+            place | ((cell[axis] & 7) as u32) << (4 * axis)
+        });
+        let place_step: [u32; 3] =
+            std::array::from_fn(|axis| (self.sign[axis] << (4 * axis)) as u32);
+        let [mut x, mut y, mut z] = next;
+        loop {
+            let time = x.min(y).min(z);
+            let index = place & 7 | place >> 1 & 0o70 | place >> 2 & 0o700;
+            visit(key, index as usize, range);
+            if time >= self.end {
+                return;
+            }
+            let [mx, my, mz] = [x, y, z].map(|next| -i64::from(next == time));
+            x += self.step[0] & mx;
+            y += self.step[1] & my;
+            z += self.step[2] & mz;
+            range +=
+                (self.range_step[0] & mx) | (self.range_step[1] & my) | (self.range_step[2] & mz);
+            place = place.wrapping_add(
+                (place_step[0] & mx as u32)
+                    | (place_step[1] & my as u32)
+                    | (place_step[2] & mz as u32),
+            );
+            let left = (place ^ inside) & 0x888;
+            if left != 0 {
+                place ^= left;
+                let axis = (left.trailing_zeros() / 4) as usize;
+                key = key.wrapping_add_signed(key_step[axis]);
+            }
+        }
+    }
+
+    /// Steps from cell to cell; positions have `BITS` bits along each axis, x lowest.
+    #[inline]
+    fn step_through<const BITS: u32>(
+        &self,
+        entry: Entry,
+        mut stop_at: impl FnMut(usize, i64) -> bool,
+    ) {
         let Entry {
             mut index,
             next: [mut x, mut y, mut z],
@@ -246,10 +339,11 @@ impl Ray {
             stop,
         } = entry;
         let index_step: [isize; 3] =
-            std::array::from_fn(|axis| self.sign[axis] as isize * (1 << (3 * axis)));
+            std::array::from_fn(|axis| self.sign[axis] as isize * (1 << (BITS as usize * axis)));
+        let last = (1 << (3 * BITS)) - 1;
         loop {
             let time = x.min(y).min(z);
-            if stop_at(index & 511, range) || time >= stop {
+            if stop_at(index & last, range) || time >= stop {
                 return;
             }
             // Exactly one axis has this time. Masks instead of branches: which axis comes next
@@ -404,6 +498,11 @@ mod tests {
                 });
             });
             assert!(whole.ends_with(&rest) && !rest.is_empty());
+            let mut straight = Vec::new();
+            ray.for_each_cell_from(from, |packed, index, range| {
+                straight.push((BrickKey::unpack(packed).cell(index), range));
+            });
+            assert_eq!(straight, rest);
             // What was left out lies wholly before that time: one cell is at most sqrt(3) long.
             let skipped = (whole.len() - rest.len()) as f64;
             let least = length * (index % 8) as f64 / 7.0 - 3_f64.sqrt();

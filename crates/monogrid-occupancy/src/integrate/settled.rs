@@ -7,9 +7,9 @@
 //! there. It only leaves out updates that change nothing, so the map is that of every ray walked
 //! from the sensor.
 
+use super::beam::{Beams, Measured};
 use super::parallel::for_each;
 use super::pyramid::{Bounds, Pyramid};
-use super::rays::{Beam, origin_in_cells};
 use crate::key::{BRICK_CELLS, VoxelKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
@@ -60,8 +60,8 @@ struct View {
 
 impl BeamTiles {
     /// Sorts beams into tiles; `None` if there are none or some look too far aside.
-    pub(crate) fn new(map: &OccupancyMap, scan: &Scan, beams: &[Beam]) -> Option<Self> {
-        let origin = origin_in_cells(map, scan).ok()?;
+    pub(crate) fn new(scan: &Scan, beams: &Beams) -> Option<Self> {
+        let (origin, beams) = (beams.origin, &beams.measured[..]);
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         for beam in beams {
             for axis in 0..2 {
@@ -74,15 +74,15 @@ impl BeamTiles {
         if beams.is_empty() || !narrow || beams.iter().any(|beam| !beam.looks_forward) {
             return None;
         }
-        let mean = beams.iter().map(Beam::free_cells).sum::<f64>() / beams.len() as f64;
+        let mean = beams.iter().map(Measured::free_cells).sum::<f64>() / beams.len() as f64;
         // Fine cells are crossed by few beams each: looking for them costs more than it saves.
         if mean > MOST_CELLS {
             return None;
         }
-        // A tile is about as large as a cell at the mean range.
+        // A tile is about half as large as a cell at the mean range.
         let size = [0, 1].map(|i| {
             let extent = f64::from(high[i] - low[i]);
-            (extent * mean).clamp(1.0, MOST_TILES).ceil() as usize
+            (2.0 * extent * mean).clamp(1.0, MOST_TILES).ceil() as usize
         });
         let rotation = scan.world_from_sensor.rotation;
         let mut tiles = Self {
