@@ -6,7 +6,8 @@
 //!
 //! `FOLDER` is what `monogrid synth WORLD` wrote, with its finest `truth.ot`. A variant is a list of
 //! `key=value` with commas between (`update_limits=[-0.2;1.2]` has a semicolon inside): keys of `[mapping]` (`filter.min_support=4`), `depth=true` (the
-//! rendered depth of the mapped pixels), `depth=dense` (rendered depth of all pixels), `poses=true`.
+//! rendered depth of the mapped pixels), `depth=dense` (rendered depth of all pixels), `poses=true`, `sigma=0.5` (a factor on the
+//! standard deviations of what is mapped).
 //!
 //! In the environment: `VIEW=1` adds the coverage of what is in view, `VERBOSE=1` tells how far false
 //! positives are from the true surface, `TRUTH=MAP.ot` is read instead of the folder's truth.
@@ -160,11 +161,12 @@ fn main() {
         );
         for variant in &variants {
             let mut mapping = serde_json::to_value(MappingConfig::default()).unwrap();
-            let (mut depth_source, mut true_poses) = ("estimated", false);
+            let (mut depth_source, mut true_poses, mut sigma_scale) = ("estimated", false, 1.0f32);
             mapping["resolution"] = resolution.into();
             for (key, value) in variant.split(',').filter_map(|s| s.split_once('=')) {
                 match key {
                     "depth" => depth_source = value,
+                    "sigma" => sigma_scale = value.parse().unwrap(),
                     "poses" => true_poses = value == "true",
                     _ => {
                         let mut node = &mut mapping;
@@ -182,24 +184,23 @@ fn main() {
             let mut map = mapper.empty_map().unwrap();
             let mut points = 0;
             let mut errors = [Errors::default(), Errors::default()];
+            let mut scans = Vec::new();
+            let mut poses = Vec::new();
             for frame in &frames {
-                let scan_with = |image| {
-                    KeyframeScan::new(frame.id, &frame.pixels, image, &camera, mapper.config())
-                };
-                let measured = scan_with(None).pixels;
-                let mut scan = scan_with(Some(&frame.image));
+                let mut scan = KeyframeScan::new(
+                    frame.id,
+                    &frame.pixels,
+                    Some(&frame.image),
+                    &camera,
+                    mapper.config(),
+                );
                 let mut pose = frame.estimated;
                 if true_poses {
                     pose = frame.truth.with_scale(pose.scale);
                 }
                 for p in &mut scan.pixels {
+                    p.sigma_idepth *= sigma_scale;
                     let z = frame.depth.at(p.x.into(), p.y.into()) / pose.scale as f32;
-                    errors[usize::from(
-                        measured
-                            .binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x))
-                            .is_err(),
-                    )]
-                    .add(p.idepth, p.sigma_idepth, 1.0 / z);
                     if depth_source == "true" && z.is_finite() {
                         p.idepth = 1.0 / z;
                     }
@@ -208,7 +209,19 @@ fn main() {
                     scan = KeyframeScan::from_depth_image(frame.id, &frame.depth, mapper.config());
                     pose = pose.to_se3().with_scale(1.0);
                 }
-                points += mapper.integrate(&mut map, &scan, &pose).unwrap();
+                scans.push(scan);
+                poses.push(pose);
+            }
+            for ((frame, scan), pose) in frames.iter().zip(&scans).zip(&poses) {
+                for p in &scan.pixels {
+                    let z = frame.depth.at(p.x.into(), p.y.into()) / pose.scale as f32;
+                    let is_filled = frame
+                        .pixels
+                        .binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x))
+                        .is_err();
+                    errors[usize::from(is_filled)].add(p.idepth, p.sigma_idepth, 1.0 / z);
+                }
+                points += mapper.integrate(&mut map, scan, pose).unwrap();
             }
             let report = evaluate_map(
                 &map,
@@ -242,8 +255,77 @@ fn main() {
             );
             if std::env::var_os("VERBOSE").is_some() {
                 describe(&map, &truth);
+                ranks(&map, &truth);
             }
         }
+    }
+}
+
+/// What costs AUC: for classes of true occupied cells by log-odds, their share, the AUC that they lose
+/// against the free cells, and where the free directions of their surface are.
+fn ranks(map: &monogrid_occupancy::OccupancyMap, truth: &TruthGrid) {
+    const EDGES: [f32; 8] = [-3.0, -2.0, -1.0, -0.3, 0.0, 0.6, 1.5, 3.0];
+    let bin = |l: f32| EDGES.iter().filter(|e| l > **e).count();
+    let mut free = Vec::new();
+    let mut occupied = Vec::new();
+    for brick in map.bricks() {
+        for key in (0..monogrid_occupancy::BRICK_CELLS).map(|i| brick.cell(i)) {
+            let Some(log_odds) = map.log_odds_of(key) else {
+                continue;
+            };
+            match truth.state(key.to_array()) {
+                Occupancy::Free => free.push(log_odds),
+                Occupancy::Occupied => occupied.push((log_odds, key)),
+                Occupancy::Unknown => {}
+            }
+        }
+    }
+    free.sort_by(f32::total_cmp);
+    let mut count = [[0usize; 2]; 9];
+    let mut loss = [0.0f64; 9];
+    let mut faces = [[0usize; 5]; 9];
+    for l in &free {
+        count[bin(*l)][0] += 1;
+    }
+    for (l, key) in &occupied {
+        let above = free.len() - free.partition_point(|f| f <= l);
+        let equal = free.len() - above - free.partition_point(|f| f < l);
+        let b = bin(*l);
+        count[b][1] += 1;
+        loss[b] += (above as f64 + 0.5 * equal as f64) / free.len() as f64 / occupied.len() as f64;
+        let k = key.to_array();
+        let is_free =
+            |d: [i32; 3]| truth.state([k[0] + d[0], k[1] + d[1], k[2] + d[2]]) == Occupancy::Free;
+        let up = is_free([0, 0, 1]);
+        let down = is_free([0, 0, -1]);
+        let side = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]
+            .into_iter()
+            .any(is_free);
+        let class = match (up || down, side) {
+            (true, false) if up => 0,
+            (true, false) => 1,
+            (false, true) => 2,
+            (true, true) => 3,
+            (false, false) => 4,
+        };
+        faces[b][class] += 1;
+    }
+    println!(
+        "    log-odds | free, occupied share | AUC lost | free above only, below only, beside only, both, none"
+    );
+    for b in 0..9 {
+        println!(
+            "    > {:>5} | {:.4} {:.4} | {:.4} | {:?}",
+            if b == 0 {
+                f32::NEG_INFINITY
+            } else {
+                EDGES[b - 1]
+            },
+            count[b][0] as f64 / free.len() as f64,
+            count[b][1] as f64 / occupied.len() as f64,
+            loss[b],
+            faces[b],
+        );
     }
 }
 
