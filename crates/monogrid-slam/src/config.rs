@@ -28,6 +28,9 @@ pub enum SlamError {
     /// Places cannot be recognised.
     #[error(transparent)]
     Places(#[from] crate::PlacesError),
+    /// A map cannot be continued.
+    #[error(transparent)]
+    Continue(#[from] crate::ContinueError),
 }
 
 /// Settings of [`crate::Slam`].
@@ -315,6 +318,13 @@ pub struct ReactivationConfig {
     /// Largest difference between the tracked and the predicted pose: norm of the twist, median depths and
     /// rad. A place at which the poses do not agree yet gets a new keyframe.
     pub max_disagreement: f64,
+    /// From this number of old keyframes that should show about the same there are enough of them: any on which
+    /// the frame can be tracked is used,
+    pub crowd: usize,
+    /// up to this score,
+    pub crowded_max_score: f64,
+    /// and this difference of the poses. So the number of keyframes in a place is bounded.
+    pub crowded_max_disagreement: f64,
 }
 
 impl Default for ReactivationConfig {
@@ -328,6 +338,9 @@ impl Default for ReactivationConfig {
             max_score: 0.8,
             min_good_usage: 0.7,
             max_disagreement: 0.03,
+            crowd: 3,
+            crowded_max_score: 2.0,
+            crowded_max_disagreement: 0.1,
         }
     }
 }
@@ -341,6 +354,7 @@ impl ReactivationConfig {
             first_keyframe: 5,
             max_score: 1.0,
             max_disagreement: 0.2,
+            crowd: 1_000_000,
             ..Self::default()
         }
     }

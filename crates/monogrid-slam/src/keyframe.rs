@@ -58,6 +58,27 @@ pub enum Scale {
     Arbitrary,
 }
 
+/// A frame with a believed pose, relative to its keyframe: it follows when the keyframe is moved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackedFrame {
+    /// Index of the frame in its source.
+    pub frame_index: usize,
+    /// Time of the frame.
+    pub timestamp_ns: i64,
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// Pose, translation in the keyframe's units.
+    pub keyframe_from_frame: Se3,
+}
+
+impl TrackedFrame {
+    /// The pose in the world, given the keyframe's.
+    #[must_use]
+    pub fn world_from_camera(&self, world_from_keyframe: &Sim3) -> Se3 {
+        (*world_from_keyframe * self.keyframe_from_frame.with_scale(1.0)).to_se3()
+    }
+}
+
 /// A frame with a believed pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrajectoryPose {

@@ -22,6 +22,7 @@ mod policy;
 mod report;
 mod sparse;
 mod start;
+mod stored;
 mod system;
 mod tracker;
 mod two_view_start;
@@ -32,10 +33,13 @@ pub use config::{
 };
 pub use frame::FrameInput;
 pub use graph::{
-    DirectEdgeConfig, DriftConfig, GraphConfig, GraphStats, PlaceMethod, PlaceRecognitionConfig,
-    PlacesError, SparseEdgeConfig,
+    DirectEdgeConfig, DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod,
+    PlaceRecognitionConfig, PlacesError, SparseEdgeConfig,
 };
-pub use keyframe::{DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrajectoryPose};
+pub use keyframe::{
+    DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame, TrajectoryPose,
+};
 pub use report::{FrameReport, LostReason, MapSize, StageTimes, TrackingState};
 pub use sparse::{SparseConfig, SparseStats};
+pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
 pub use system::Slam;

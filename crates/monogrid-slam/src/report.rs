@@ -48,6 +48,8 @@ pub enum LostReason {
     NoTexture,
     /// The motion since the last frame is not that of a camera.
     Jump,
+    /// A map is continued and the camera has not been recognised in it yet.
+    NotRecognised,
     /// The image is the same as the one before; its pose was taken over.
     Repeated,
 }
@@ -62,6 +64,7 @@ impl fmt::Display for LostReason {
             Self::Residuals => "grey values do not agree with the keyframe",
             Self::NoTexture => "image has almost no texture",
             Self::Jump => "implausible motion",
+            Self::NotRecognised => "not recognised in the map",
             Self::Repeated => "repeated image",
         })
     }

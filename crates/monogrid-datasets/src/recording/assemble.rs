@@ -1,6 +1,6 @@
 //! The state of a run at the end of its recording.
 
-use super::{Damage, PoseSnapshot};
+use super::{Continuation, Damage, PoseSnapshot};
 use super::{DepthPixel, EndRecord, KeyframeRecord, Record, RecordingReader, SessionInfo};
 use crate::DatasetError;
 use monogrid_geometry::{Camera, Distortion, Sim3};
@@ -50,6 +50,8 @@ pub struct Recording {
     pub keyframes: Vec<RecordedKeyframe>,
     /// Revision of the newest poses; `None` when there are none.
     pub pose_revision: Option<u64>,
+    /// What a later session needs to go on; `None` when the run was killed or is of an earlier version.
+    pub continuation: Option<Continuation>,
     /// The end marker; `None` when the run was killed or is still going on.
     pub end: Option<EndRecord>,
     /// What was lost.
@@ -81,6 +83,7 @@ impl Recording {
         let mut keyframes = BTreeMap::new();
         // depth that came before its keyframe can only be that of a keyframe lost to damage
         let mut newest_poses: Option<PoseSnapshot> = None;
+        let mut continuation = None;
         let mut end = None;
         for record in reader.by_ref() {
             match record? {
@@ -104,6 +107,7 @@ impl Recording {
                         newest_poses = Some(p);
                     }
                 }
+                Record::Continuation(c) => continuation = Some(c),
                 Record::End(e) => end = Some(e),
             }
         }
@@ -125,6 +129,7 @@ impl Recording {
             session,
             keyframes,
             pose_revision,
+            continuation,
             end,
             damage: reader.damage(),
             num_invalid_pixels,

@@ -1,5 +1,6 @@
 //! Bytes of the records; `docs/formats.md` describes the same for people.
 
+use super::continuation;
 use super::{
     DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, Scale, SessionInfo,
 };
@@ -25,6 +26,7 @@ const KIND_KEYFRAME: u32 = 2;
 const KIND_DEPTH: u32 = 3;
 const KIND_POSES: u32 = 4;
 const KIND_END: u32 = 5;
+const KIND_CONTINUATION: u32 = 6;
 
 const IMAGE_NONE: u8 = 0;
 const IMAGE_RAW: u8 = 1;
@@ -69,6 +71,10 @@ pub(super) fn encode_record(record: &Record) -> Option<Vec<u8>> {
             KIND_DEPTH
         }
         Record::Poses(snapshot) => encode_poses(snapshot, &mut out)?,
+        Record::Continuation(continuation) => {
+            continuation::encode(continuation, &mut out)?;
+            KIND_CONTINUATION
+        }
         Record::End(end) => {
             out.u64(end.num_frames);
             out.u64(end.num_tracked);
@@ -162,6 +168,7 @@ pub(super) fn decode_record(
         KIND_KEYFRAME => decode_keyframe(&mut input, with_images).map(Record::Keyframe),
         KIND_DEPTH => decode_depth(&mut input).map(Record::Depth),
         KIND_POSES => decode_poses(&mut input).map(Record::Poses),
+        KIND_CONTINUATION => continuation::decode(&mut input).map(Record::Continuation),
         KIND_END => decode_end(&mut input).map(Record::End),
         _ => return Ok(None),
     };
@@ -253,19 +260,23 @@ fn decode_end(input: &mut Input) -> Option<EndRecord> {
 }
 
 /// Little-endian output.
-struct Bytes(Vec<u8>);
+pub(super) struct Bytes(pub(super) Vec<u8>);
 
 impl Bytes {
-    fn u32(&mut self, v: u32) {
+    pub(super) fn u32(&mut self, v: u32) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
-    fn u64(&mut self, v: u64) {
+    pub(super) fn u64(&mut self, v: u64) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
-    fn f64(&mut self, v: f64) {
+    pub(super) fn f64(&mut self, v: f64) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
-    fn blob(&mut self, bytes: &[u8]) -> Option<()> {
+    pub(super) fn count(&mut self, count: usize) -> Option<()> {
+        self.u32(u32::try_from(count).ok()?);
+        Some(())
+    }
+    pub(super) fn blob(&mut self, bytes: &[u8]) -> Option<()> {
         self.u32(u32::try_from(bytes.len()).ok()?);
         self.0.extend_from_slice(bytes);
         Some(())
@@ -287,7 +298,7 @@ impl Bytes {
 const PIXEL_BYTES: usize = 12;
 
 /// Little-endian input that never reads beyond its end.
-struct Input<'a>(&'a [u8]);
+pub(super) struct Input<'a>(&'a [u8]);
 
 impl<'a> Input<'a> {
     fn take(&mut self, count: usize) -> Option<&'a [u8]> {
@@ -295,23 +306,35 @@ impl<'a> Input<'a> {
         self.0 = tail;
         Some(head)
     }
-    fn u8(&mut self) -> Option<u8> {
+    pub(super) fn u8(&mut self) -> Option<u8> {
         Some(self.take(1)?[0])
     }
-    fn u32(&mut self) -> Option<u32> {
+    pub(super) fn u32(&mut self) -> Option<u32> {
         Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
     }
-    fn u64(&mut self) -> Option<u64> {
+    pub(super) fn u64(&mut self) -> Option<u64> {
         Some(u64::from_le_bytes(self.take(8)?.try_into().ok()?))
     }
     fn f64(&mut self) -> Option<f64> {
         Some(f64::from_le_bytes(self.take(8)?.try_into().ok()?))
     }
+    pub(super) fn finite(&mut self) -> Option<f64> {
+        self.f64().filter(|v| v.is_finite())
+    }
+    /// A number of elements, then the elements.
+    pub(super) fn list<T>(
+        &mut self,
+        mut element: impl FnMut(&mut Self) -> Option<T>,
+    ) -> Option<Vec<T>> {
+        // no room is reserved for what may not be there
+        let count = self.u32()?;
+        (0..count).map(|_| element(self)).collect()
+    }
     fn blob(&mut self) -> Option<&'a [u8]> {
         let count = self.u32()? as usize;
         self.take(count)
     }
-    fn text(&mut self) -> Option<String> {
+    pub(super) fn text(&mut self) -> Option<String> {
         String::from_utf8(self.blob()?.to_vec()).ok()
     }
     fn pixels(&mut self) -> Option<Vec<DepthPixel>> {

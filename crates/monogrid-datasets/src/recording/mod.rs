@@ -5,11 +5,15 @@
 //! record it was writing; a damaged file yields every record that is whole.
 
 mod assemble;
+mod continuation;
 mod format;
 mod reader;
 mod writer;
 
 pub use assemble::{ReadOptions, RecordedKeyframe, Recording};
+pub use continuation::{
+    Continuation, KeyframeLink, RecordedEdge, RecordedFrame, RecordedPoint, RecordedSession,
+};
 pub use reader::{Damage, RecordingReader};
 pub use writer::RecordingWriter;
 
@@ -117,6 +121,8 @@ pub enum Record {
     Depth(DepthRevision),
     /// New poses.
     Poses(PoseSnapshot),
+    /// What a later session needs to go on.
+    Continuation(Continuation),
     /// The run ended by itself.
     End(EndRecord),
 }

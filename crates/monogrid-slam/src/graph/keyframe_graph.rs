@@ -5,6 +5,7 @@ use super::places::{PlacesError, memory_of_places};
 use super::search::{Candidate, ImageBounds, Probes, choose};
 use crate::KeyframeId;
 use crate::node::{Exposure, path_between};
+use crate::stored::StoredEdge;
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
@@ -13,7 +14,7 @@ use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph, PoseGraphConfig};
 use monogrid_image::{Mask, Pyramid};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -85,6 +86,16 @@ pub(crate) struct GraphJob {
     pub is_final: bool,
 }
 
+/// The graph of an earlier session.
+#[derive(Clone, Debug)]
+pub(crate) struct RestoredGraph {
+    /// All keyframes, by identity.
+    pub views: Vec<GraphView>,
+    pub world_from_keyframe: Vec<Sim3>,
+    pub parents: Vec<Option<KeyframeId>>,
+    pub edges: Vec<StoredEdge>,
+}
+
 /// What came of a job.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GraphUpdate {
@@ -93,7 +104,7 @@ pub(crate) struct GraphUpdate {
     /// Covariance of each keyframe relative to its parent, in the units of that one.
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
     /// All edges.
-    pub edges: Vec<GraphEdge>,
+    pub edges: Vec<StoredEdge>,
     /// What was done.
     pub stats: GraphStats,
 }
@@ -123,9 +134,12 @@ pub struct GraphStats {
 
 /// Where an edge comes from. Odometry gives way to the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum EdgeKind {
+pub enum EdgeKind {
+    /// Tracked motion.
     Odometry,
+    /// Points of the sparse layer that both keyframes see.
     Sparse,
+    /// Direct alignment.
     Direct,
 }
 
@@ -208,6 +222,55 @@ impl KeyframeGraph {
         })
     }
 
+    /// The graph as an earlier session left it. Keyframes without a constraint are held where they are.
+    pub(crate) fn restore(&mut self, restored: RestoredGraph) {
+        self.world_from_keyframe = restored.world_from_keyframe;
+        self.parents = restored.parents;
+        for StoredEdge { kind, edge } in restored.edges {
+            let (i, j) = (edge.i as KeyframeId, edge.j as KeyframeId);
+            if i < j && (j as usize) < self.parents.len() {
+                self.edges.insert((i, j, kind), edge);
+            }
+        }
+        let linked: BTreeSet<KeyframeId> = self.edges.keys().map(|key| key.1).collect();
+        for view in restored.views {
+            let id = view.id;
+            let probes = Probes::new(&view.samples, &self.image.pinhole);
+            self.remember(&view);
+            self.entries.insert(id, Entry { view, probes });
+            let before = self.parent_of(id).or(id.checked_sub(1));
+            if let Some(before) = before.filter(|_| !linked.contains(&id)) {
+                self.hold(before, id);
+            }
+        }
+    }
+
+    /// Holds two keyframes as they are to each other.
+    fn hold(&mut self, i: KeyframeId, j: KeyframeId) {
+        let i_from_j = self.relative(i, j);
+        if let Some(information) = self.with_model_error(Mat7::zeros(), &i_from_j) {
+            let edge = GraphEdge {
+                i: u64::from(i),
+                j: u64::from(j),
+                i_from_j,
+                information,
+                kernel: CERTAIN,
+            };
+            self.edges.insert((i, j, EdgeKind::Odometry), edge);
+        }
+    }
+
+    /// All edges with where they come from.
+    pub(crate) fn stored_edges(&self) -> Vec<StoredEdge> {
+        let edges = self.edges.iter();
+        edges
+            .map(|((_, _, kind), edge)| StoredEdge {
+                kind: *kind,
+                edge: *edge,
+            })
+            .collect()
+    }
+
     /// Searches constraints for the finished keyframe and optimises all poses.
     pub(crate) fn run(&mut self, job: GraphJob) -> GraphUpdate {
         let begin = Instant::now();
@@ -269,7 +332,7 @@ impl KeyframeGraph {
         GraphUpdate {
             world_from_keyframe: self.world_from_keyframe.clone(),
             previous_from_keyframe_covariance: self.covariances.clone(),
-            edges: self.edges.values().copied().collect(),
+            edges: self.stored_edges(),
             stats: self.stats,
         }
     }

@@ -17,10 +17,10 @@ pub use config::{
     DirectEdgeConfig, DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig,
     SparseEdgeConfig,
 };
-pub use keyframe_graph::GraphStats;
+pub use keyframe_graph::{EdgeKind, GraphStats};
 pub(crate) use keyframe_graph::{
     GraphJob, GraphUpdate, GraphView, Handover, KeyframeGraph, OdometryEdge, Relocalised,
-    SparseEdge,
+    RestoredGraph, SparseEdge,
 };
 pub use places::PlacesError;
 pub(crate) use worker::GraphWorker;

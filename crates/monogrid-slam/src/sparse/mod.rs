@@ -17,3 +17,4 @@ pub(crate) mod scale;
 pub use config::SparseConfig;
 pub(crate) use points::SparseLayer;
 pub use points::SparseStats;
+pub(crate) use points::{Observation, SparsePoint};

@@ -5,8 +5,9 @@ use crate::KeyframeId;
 use crate::depth_step::tracking_samples;
 use crate::graph::{
     GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, Handover, KeyframeGraph,
-    OdometryEdge, PlacesError, Relocalised,
+    OdometryEdge, PlacesError, Relocalised, RestoredGraph,
 };
+use crate::stored::StoredEdge;
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
@@ -19,7 +20,7 @@ pub(super) struct GraphLink {
     worker: GraphWorker,
     /// Frames until the job under way is taken over, and when it was given.
     due: Option<(usize, Instant)>,
-    edges: Vec<GraphEdge>,
+    edges: Vec<StoredEdge>,
     stats: GraphStats,
 }
 
@@ -50,6 +51,28 @@ impl GraphLink {
             stats: GraphStats::default(),
         }))
     }
+
+    /// A link to the graph of an earlier session.
+    pub(super) fn continued(
+        config: &crate::GraphConfig,
+        pinhole: Pinhole,
+        mask: &Mask,
+        restored: RestoredGraph,
+    ) -> Result<Option<Self>, PlacesError> {
+        let mut graph = KeyframeGraph::new(config.clone(), pinhole, mask.clone())?;
+        graph.restore(restored);
+        Ok(Some(Self {
+            edges: graph.stored_edges(),
+            worker: GraphWorker::new(graph, rayon::current_num_threads()),
+            due: None,
+            stats: GraphStats::default(),
+        }))
+    }
+
+    /// All edges as they are known.
+    pub(super) fn edges(&self) -> &[StoredEdge] {
+        &self.edges
+    }
 }
 
 impl Slam {
@@ -75,7 +98,7 @@ impl Slam {
         }
         let edges = self.graph.as_ref().map_or(&[][..], |link| &link.edges);
         for edge in edges {
-            let _ = graph.add_edge(*edge);
+            let _ = graph.add_edge(edge.edge);
         }
         for pair in self.nodes.windows(2).filter(|_| edges.is_empty()) {
             let _ = graph.add_edge(GraphEdge {
@@ -108,7 +131,7 @@ impl Slam {
         links: Links,
         is_final: bool,
     ) {
-        let Some(link) = self.graph.as_mut() else {
+        let Some(link) = self.graph.as_mut().filter(|_| !self.is_frozen) else {
             return;
         };
         // without a new keyframe nothing was adjusted

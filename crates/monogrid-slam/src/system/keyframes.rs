@@ -32,8 +32,14 @@ impl Slam {
         report: &mut FrameReport,
     ) {
         self.take_graph_update();
-        if !self.reactivate(frame, motion, report) {
+        if self.reactivate(frame, motion, report) {
+            return;
+        }
+        if !self.is_frozen {
             self.change_keyframe(frame, motion, report);
+        } else if let Some(current) = self.current.as_mut() {
+            // there is no better keyframe; it is looked for again after a while
+            current.num_mapped = 0;
         }
     }
 
@@ -62,10 +68,14 @@ impl Slam {
 
     /// Publishes the current keyframe; its identity and what the graph needs of it.
     pub(super) fn finish_current(&mut self) -> Option<(KeyframeId, Option<GraphView>)> {
+        if self.is_frozen {
+            let current = self.current.take()?;
+            return Some((current.id, None));
+        }
         let id = self.publish_current()?;
         let current = self.current.take()?;
         self.link_dense_depth(&current.depth, id as usize);
-        if self.config.keyframes.reactivation.enabled {
+        if self.config.keyframes.reactivation.enabled || self.nodes[id as usize].depth.is_some() {
             self.nodes[id as usize].depth = Some(Arc::new(current.depth.packed()));
         }
         Some((id, self.graph_view(id, &current.depth)))

@@ -4,6 +4,7 @@ mod graph;
 mod keyframes;
 mod reactivate;
 mod relocalise;
+mod sessions;
 mod trajectory;
 
 use self::graph::{GraphLink, Links};
@@ -37,6 +38,8 @@ pub struct Slam {
     pinhole: Pinhole,
     mask: Mask,
     start: Option<Start>,
+    /// Whether the map must stay as it is.
+    is_frozen: bool,
     nodes: Vec<Node>,
     current: Option<Current>,
     /// All keyframes in the order in which tracking last used them, the newest at the end.
@@ -113,6 +116,7 @@ impl Slam {
             pinhole,
             mask,
             start: Some(start),
+            is_frozen: false,
             nodes: Vec::new(),
             current: None,
             recent: Vec::new(),
@@ -156,6 +160,9 @@ impl Slam {
 
     /// Finishes the last keyframe; its identity, if there is one.
     pub fn finish(&mut self) -> Option<KeyframeId> {
+        if self.is_frozen {
+            return None;
+        }
         self.take_graph_update();
         let (id, view) = self.finish_current()?;
         self.submit_graph_job(view, Links::default(), true);
@@ -403,6 +410,8 @@ impl Slam {
         report.milliseconds.graph = milliseconds(begin);
         let begin = Instant::now();
         let (Some(current), Some(last)) = (self.current.as_ref(), self.last.as_ref()) else {
+            self.look_for_place(&frame, &mut report);
+            report.milliseconds.graph += milliseconds(begin);
             return report;
         };
         let mut tracked = self.track_on(current, last, &frame);
@@ -470,6 +479,10 @@ impl Slam {
         let Some(current) = self.current.as_mut() else {
             return;
         };
+        current.num_mapped += 1;
+        if self.is_frozen {
+            return;
+        }
         let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
         let stereo = StereoFrame {
             image: frame.image(),
@@ -484,7 +497,6 @@ impl Slam {
         let config = &self.config.depth;
         observe(&mut current.depth, &[stereo], config);
         regularize(&mut current.depth, config);
-        current.num_mapped += 1;
         self.refresh_reference();
     }
 }

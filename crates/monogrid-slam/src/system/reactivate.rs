@@ -25,6 +25,14 @@ struct Candidate {
     score: f64,
 }
 
+/// What a candidate must fulfil.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    score: f64,
+    good_usage: f32,
+    disagreement: f64,
+}
+
 /// A candidate that tracking confirms.
 struct Confirmed {
     id: KeyframeId,
@@ -47,7 +55,7 @@ impl Slam {
         let Some((left, view)) = self.finish_current() else {
             return false;
         };
-        report.finished_keyframe = Some(left);
+        report.finished_keyframe = (!self.is_frozen).then_some(left);
         let begin = Instant::now();
         let handover = report.covariance.map(|covariance| {
             self.handover(
@@ -102,40 +110,54 @@ impl Slam {
 
     /// The closest keyframe on which the frame can be tracked to where the poses say that it is.
     fn find_known_view(&self, frame: &Frame, motion: &Motion) -> Option<Confirmed> {
-        let config = &self.config.keyframes.reactivation;
+        let config = &self.in_use();
         if !config.enabled {
             return None;
         }
         let current = self.current_node()?;
         let exposure = current.exposure.then(motion.log_gain.exp(), motion.bias);
-        self.candidates(current, motion, config)
-            .into_iter()
-            .find_map(|candidate| {
-                let node = &self.nodes[candidate.id as usize];
-                let depth = self.stored_depth(candidate.id)?;
-                let (gain, bias) = node.exposure.relative(&exposure);
-                let predicted = Motion {
-                    log_gain: gain.ln(),
-                    bias,
-                    ..Motion::from_pose(candidate.frame_from_candidate)
-                };
-                let tracked = self.track_on_depth(node, &depth, frame, predicted);
-                self.confirms(&candidate, &tracked, config)
-                    .then_some(Confirmed {
-                        id: candidate.id,
-                        depth,
-                        alignment: tracked.alignment,
-                    })
-            })
+        let (candidates, limits) = self.candidates(current, motion, config);
+        candidates.into_iter().find_map(|candidate| {
+            let node = &self.nodes[candidate.id as usize];
+            let depth = self.stored_depth(candidate.id)?;
+            let (gain, bias) = node.exposure.relative(&exposure);
+            let predicted = Motion {
+                log_gain: gain.ln(),
+                bias,
+                ..Motion::from_pose(candidate.frame_from_candidate)
+            };
+            let tracked = self.track_on_depth(node, &depth, frame, predicted);
+            self.confirms(&candidate, &tracked, limits)
+                .then_some(Confirmed {
+                    id: candidate.id,
+                    depth,
+                    alignment: tracked.alignment,
+                })
+        })
     }
 
-    /// Keyframes that should show about the same as the frame, closest first.
+    /// The settings; where no keyframe can be made, any closer one is better than none.
+    fn in_use(&self) -> ReactivationConfig {
+        let config = self.config.keyframes.reactivation.clone();
+        if !self.is_frozen {
+            return config;
+        }
+        ReactivationConfig {
+            enabled: true,
+            min_keyframes_between: 0,
+            first_keyframe: 0,
+            crowd: 1,
+            ..config
+        }
+    }
+
+    /// Keyframes that should show about the same as the frame, closest first, and what they must fulfil.
     fn candidates(
         &self,
         current: &Node,
         motion: &Motion,
         config: &ReactivationConfig,
-    ) -> Vec<Candidate> {
+    ) -> (Vec<Candidate>, Limits) {
         let keyframe_from_frame = Sim3::from(motion.frame_from_keyframe.inverse());
         let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
         let width = self.mask.width() as f64;
@@ -170,8 +192,22 @@ impl Slam {
             })
             .collect();
         candidates.sort_by(|a, b| a.score.total_cmp(&b.score).then(a.id.cmp(&b.id)));
-        candidates.truncate(config.max_candidates);
-        candidates
+        let limits = if candidates.len() >= config.crowd {
+            candidates.truncate(config.crowd.max(config.max_candidates));
+            Limits {
+                score: config.crowded_max_score,
+                good_usage: 0.0,
+                disagreement: config.crowded_max_disagreement,
+            }
+        } else {
+            candidates.truncate(config.max_candidates);
+            Limits {
+                score: config.max_score,
+                good_usage: config.min_good_usage,
+                disagreement: config.max_disagreement,
+            }
+        };
+        (candidates, limits)
     }
 
     /// Tracks a frame on a keyframe that is not the current one.
@@ -199,12 +235,7 @@ impl Slam {
 
     /// Whether a frame was tracked on a candidate as well as on a keyframe of its own, to where it was
     /// expected.
-    fn confirms(
-        &self,
-        candidate: &Candidate,
-        tracked: &Tracked,
-        config: &ReactivationConfig,
-    ) -> bool {
+    fn confirms(&self, candidate: &Candidate, tracked: &Tracked, limits: Limits) -> bool {
         let alignment = &tracked.alignment;
         let found = &alignment.motion.frame_from_keyframe;
         let evidence = KeyframeEvidence {
@@ -214,9 +245,9 @@ impl Slam {
         };
         let disagreement = *found * candidate.frame_from_candidate.inverse();
         tracked.state == TrackingState::Good
-            && keyframe_score(&evidence, &self.config.keyframes) < config.max_score
-            && alignment.usage * alignment.good_of_visible >= config.min_good_usage
-            && disagreement.log().norm() <= config.max_disagreement
+            && keyframe_score(&evidence, &self.config.keyframes) < limits.score
+            && alignment.usage * alignment.good_of_visible >= limits.good_usage
+            && disagreement.log().norm() <= limits.disagreement
     }
 
     /// What a frame that was tracked on two keyframes says about them.

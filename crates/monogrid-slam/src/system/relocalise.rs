@@ -8,19 +8,28 @@ use crate::graph::Relocalised;
 use crate::node::world_from_camera;
 use crate::policy::{KeyframeEvidence, keyframe_score};
 use crate::tracker::{MotionPrior, Tracked, track};
-use crate::{FrameReport, KeyframeId, TrackingState};
+use crate::{FrameReport, KeyframeId, LostReason, TrackingState};
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, DepthState, HostFrame};
 use monogrid_geometry::Se3;
 use std::sync::Arc;
 
 impl Slam {
-    /// Looks for a lost frame among all keyframes; where it is recognised and direct alignment agrees, it
-    /// becomes a keyframe there and tracking goes on. Whether it did.
+    /// The first frames with the map of an earlier session.
+    pub(super) fn look_for_place(&mut self, frame: &Frame, report: &mut FrameReport) {
+        report.reason = Some(LostReason::NotRecognised);
+        self.lost_in_a_row += 1;
+        self.recognise_and_resume(frame, report);
+    }
+
+    /// Looks for a lost frame among all keyframes; where it is recognised and direct alignment agrees,
+    /// tracking goes on there. Whether it does.
     pub(super) fn relocalise(&mut self, frame: &Frame, report: &mut FrameReport) -> bool {
-        if self.lost_in_a_row < self.config.graph.places.min_lost_frames {
-            return false;
-        }
+        self.lost_in_a_row >= self.config.graph.places.min_lost_frames
+            && self.recognise_and_resume(frame, report)
+    }
+
+    fn recognise_and_resume(&mut self, frame: &Frame, report: &mut FrameReport) -> bool {
         for found in self.recognise(&frame.pyramid) {
             let tracked = self.track_on_keyframe(&found, frame);
             if tracked.state == TrackingState::Good && self.resume(frame, &found, &tracked, report)
@@ -72,13 +81,14 @@ impl Slam {
         let is_same_view = config.reactivation.enabled
             && found.view.id >= config.reactivation.first_keyframe
             && keyframe_score(&evidence, config) < config.reactivation.max_score;
-        let motion = if is_same_view && self.resume_on_known(frame, found, report) {
-            alignment.motion
-        } else if self.resume_on_new(frame, found, tracked, report) {
-            Motion::from_pose(Se3::identity())
-        } else {
-            return false;
-        };
+        let motion =
+            if (is_same_view || self.is_frozen) && self.resume_on_known(frame, found, report) {
+                alignment.motion
+            } else if !self.is_frozen && self.resume_on_new(frame, found, tracked, report) {
+                Motion::from_pose(Se3::identity())
+            } else {
+                return false;
+            };
         report.state = TrackingState::Good;
         report.reason = None;
         report.relocalised = true;

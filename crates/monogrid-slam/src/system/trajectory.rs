@@ -78,26 +78,31 @@ impl Slam {
     /// the last of them, the difference is spread over the frames of the visit.
     #[must_use]
     pub fn trajectory(&self) -> Vec<TrajectoryPose> {
-        let corrections: Vec<Option<Correction>> =
-            self.visits.iter().map(|v| self.correction(v)).collect();
         let mut poses: Vec<TrajectoryPose> = self
-            .records
-            .iter()
-            .map(|record| {
-                let tracked = self.tracked_pose(record);
-                let correction = corrections.get(record.visit);
-                TrajectoryPose {
-                    frame_index: record.frame_index,
-                    timestamp_ns: record.timestamp_ns,
-                    world_from_camera: match correction.and_then(Option::as_ref) {
-                        Some(correction) => tracked * correction.at(record.timestamp_ns),
-                        None => tracked,
-                    },
-                }
+            .corrected_poses()
+            .map(|(record, world_from_camera)| TrajectoryPose {
+                frame_index: record.frame_index,
+                timestamp_ns: record.timestamp_ns,
+                world_from_camera,
             })
             .collect();
         poses.sort_by_key(|pose| (pose.timestamp_ns, pose.frame_index));
         poses
+    }
+
+    /// All records with `world_from_camera`.
+    pub(super) fn corrected_poses(&self) -> impl Iterator<Item = (&Record, Se3)> {
+        let corrections: Vec<Option<Correction>> =
+            self.visits.iter().map(|v| self.correction(v)).collect();
+        self.records.iter().map(move |record| {
+            let tracked = self.tracked_pose(record);
+            let correction = corrections.get(record.visit);
+            let pose = match correction.and_then(Option::as_ref) {
+                Some(correction) => tracked * correction.at(record.timestamp_ns),
+                None => tracked,
+            };
+            (record, pose)
+        })
     }
 
     fn tracked_pose(&self, record: &Record) -> Se3 {

@@ -1,0 +1,210 @@
+//! What a later session needs to go on where a run ended, beside keyframes and poses.
+
+use super::format::{Bytes, Input};
+use crate::pose_from_numbers;
+use monogrid_geometry::{Se3, Sim3};
+
+/// Everything of a finished run that keyframes, depth and poses do not say.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Continuation {
+    /// The runs that made the map, the first one first.
+    pub sessions: Vec<RecordedSession>,
+    /// One per keyframe.
+    pub keyframes: Vec<KeyframeLink>,
+    /// Constraints between keyframes.
+    pub edges: Vec<RecordedEdge>,
+    /// Points that several keyframes see.
+    pub points: Vec<RecordedPoint>,
+    /// Frames with a believed pose, session by session.
+    pub frames: Vec<RecordedFrame>,
+}
+
+/// One run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordedSession {
+    /// Name of its source.
+    pub source: String,
+    /// First keyframe that it made; later ones up to the next session's are its too.
+    pub first_keyframe: u32,
+}
+
+/// How a keyframe came about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframeLink {
+    /// The keyframe.
+    pub id: u32,
+    /// Keyframe that it was tracked on; none for the first.
+    pub parent: Option<u32>,
+    /// `I_keyframe = gain * I_first + bias`.
+    pub gain: f64,
+    /// See [`Self::gain`].
+    pub bias: f64,
+}
+
+/// An edge of the keyframe graph.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecordedEdge {
+    /// Older keyframe.
+    pub i: u32,
+    /// Newer keyframe.
+    pub j: u32,
+    /// 0 tracked motion, 1 common points, 2 direct alignment.
+    pub kind: u8,
+    /// Robust kernel: 0 none, 1 Huber, 2 Cauchy, 3 dynamic covariance scaling.
+    pub kernel: u8,
+    /// Parameter of the kernel.
+    pub kernel_parameter: f64,
+    /// Measured relative pose.
+    pub i_from_j: Sim3,
+    /// Upper triangle of the information of a left update `[v, w, s]`, row by row.
+    pub information: [f64; 28],
+}
+
+/// A point of the sparse layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedPoint {
+    /// Keyframe in which it is anchored.
+    pub host: u32,
+    /// Its pixel there.
+    pub pixel: [f64; 2],
+    /// Inverse depth there, the one it was created with and the standard deviation of that, 1 / world units.
+    pub idepth: [f64; 3],
+    /// Other keyframes that see it, and where.
+    pub observations: Vec<(u32, [f64; 2])>,
+}
+
+/// A frame with a believed pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecordedFrame {
+    /// Session, from 0.
+    pub session: u32,
+    /// Index in the source of its session.
+    pub frame_index: u64,
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// Keyframe that it is known relative to.
+    pub keyframe: u32,
+    /// Pose, translation in the units of the keyframe.
+    pub keyframe_from_frame: Se3,
+}
+
+const NO_PARENT: u32 = u32::MAX;
+
+pub(super) fn encode(record: &Continuation, out: &mut Bytes) -> Option<()> {
+    out.count(record.sessions.len())?;
+    for session in &record.sessions {
+        out.blob(session.source.as_bytes())?;
+        out.u32(session.first_keyframe);
+    }
+    out.count(record.keyframes.len())?;
+    for keyframe in &record.keyframes {
+        out.u32(keyframe.id);
+        out.u32(keyframe.parent.unwrap_or(NO_PARENT));
+        out.f64(keyframe.gain);
+        out.f64(keyframe.bias);
+    }
+    out.count(record.edges.len())?;
+    for edge in &record.edges {
+        out.u32(edge.i);
+        out.u32(edge.j);
+        out.0.extend([edge.kind, edge.kernel]);
+        out.f64(edge.kernel_parameter);
+        out.f64(edge.i_from_j.scale);
+        encode_pose(&edge.i_from_j.to_se3(), out);
+        edge.information.iter().for_each(|v| out.f64(*v));
+    }
+    out.count(record.points.len())?;
+    for point in &record.points {
+        out.u32(point.host);
+        let numbers = point.pixel.iter().chain(&point.idepth);
+        numbers.for_each(|v| out.f64(*v));
+        out.count(point.observations.len())?;
+        for (keyframe, pixel) in &point.observations {
+            out.u32(*keyframe);
+            pixel.iter().for_each(|v| out.f64(*v));
+        }
+    }
+    out.count(record.frames.len())?;
+    for frame in &record.frames {
+        out.u32(frame.session);
+        out.u64(frame.frame_index);
+        out.u64(frame.timestamp_ns as u64);
+        out.u32(frame.keyframe);
+        encode_pose(&frame.keyframe_from_frame, out);
+    }
+    Some(())
+}
+
+fn encode_pose(pose: &Se3, out: &mut Bytes) {
+    let (t, q) = (pose.translation, pose.rotation.quaternion());
+    [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
+        .into_iter()
+        .for_each(|v| out.f64(v));
+}
+
+pub(super) fn decode(input: &mut Input) -> Option<Continuation> {
+    Some(Continuation {
+        sessions: input.list(|input| {
+            Some(RecordedSession {
+                source: input.text()?,
+                first_keyframe: input.u32()?,
+            })
+        })?,
+        keyframes: input.list(|input| {
+            Some(KeyframeLink {
+                id: input.u32()?,
+                parent: Some(input.u32()?).filter(|id| *id != NO_PARENT),
+                gain: input.finite()?,
+                bias: input.finite()?,
+            })
+        })?,
+        edges: input.list(decode_edge)?,
+        points: input.list(|input| {
+            Some(RecordedPoint {
+                host: input.u32()?,
+                pixel: [input.finite()?, input.finite()?],
+                idepth: [input.finite()?, input.finite()?, input.finite()?],
+                observations: input
+                    .list(|input| Some((input.u32()?, [input.finite()?, input.finite()?])))?,
+            })
+        })?,
+        frames: input.list(|input| {
+            Some(RecordedFrame {
+                session: input.u32()?,
+                frame_index: input.u64()?,
+                timestamp_ns: input.u64()? as i64,
+                keyframe: input.u32()?,
+                keyframe_from_frame: decode_pose(input)?,
+            })
+        })?,
+    })
+}
+
+fn decode_edge(input: &mut Input) -> Option<RecordedEdge> {
+    let (i, j) = (input.u32()?, input.u32()?);
+    let (kind, kernel) = (input.u8()?, input.u8()?);
+    let kernel_parameter = input.finite()?;
+    let scale = input.finite()?;
+    let i_from_j = decode_pose(input)?.with_scale(scale);
+    let mut information = [0.0; 28];
+    for value in &mut information {
+        *value = input.finite()?;
+    }
+    Some(RecordedEdge {
+        i,
+        j,
+        kind,
+        kernel,
+        kernel_parameter,
+        i_from_j,
+        information,
+    })
+}
+
+fn decode_pose(input: &mut Input) -> Option<Se3> {
+    let mut numbers = [0.0; 7];
+    for n in &mut numbers {
+        *n = input.finite()?;
+    }
+    pose_from_numbers(&numbers)
+}
