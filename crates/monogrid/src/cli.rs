@@ -224,6 +224,17 @@ pub struct RunArgs {
     pub source: PathBuf,
     #[command(flatten)]
     pub input: SourceArgs,
+    /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result holds both
+    #[arg(
+        long = "continue",
+        value_name = "DIR",
+        conflicts_with = "seed_depth",
+        help_heading = "Input"
+    )]
+    pub continue_from: Option<PathBuf>,
+    /// Only track in the map of --continue, which stays as it is; writes the trajectory and no map
+    #[arg(long, requires = "continue_from", help_heading = "Input")]
+    pub localise_only: bool,
     /// Output folder [default: runs/NAME]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,

@@ -130,6 +130,20 @@ impl RunConfig {
         Self::of_mapping_table(None, text.parse().ok()?).ok()
     }
 
+    /// All settings of a recorded configuration; `None` when they cannot be understood.
+    pub fn recorded(text: &str) -> Option<Self> {
+        let content: Table = text.parse().ok()?;
+        let named = content.get("profile").cloned();
+        let profile = named
+            .map(Value::try_into)
+            .transpose()
+            .ok()?
+            .unwrap_or_default();
+        let mut table = Table::try_from(Self::of(profile)).ok()?;
+        merge(&mut table, content);
+        Self::from_table(&table, &|error| error).ok()
+    }
+
     fn of_mapping_table(profile: Option<Profile>, mut content: Table) -> Result<Self, String> {
         let named: Option<Profile> = content
             .remove("profile")

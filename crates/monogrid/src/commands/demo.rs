@@ -51,6 +51,7 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
     let settings = RunSettings {
         config,
         seed_depth: None,
+        continued: None,
         realtime: false,
         threads,
         show_progress: std::io::stderr().is_terminal(),

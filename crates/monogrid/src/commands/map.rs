@@ -211,6 +211,11 @@ fn given_frame(align: &Align) -> Result<(Sim3, String), Failure> {
             *target_from_results,
             format!("aligned by {}", path.display()),
         )),
+        Align::Map {
+            map_from_world,
+            description,
+            ..
+        } => Ok((*map_from_world, description.clone())),
         Align::Trajectory { .. } => Err(Failure::input(
             "--align gt: needs a recording of a run (.mgk); data with given poses can be moved with sim3:FILE",
         )),

@@ -8,13 +8,16 @@ use crate::input::{Images, Input};
 use crate::output::OutputFolder;
 use crate::run::align::{Align, MapFrame};
 use crate::run::report::{ReportInput, page};
-use crate::run::summary::{MapFacts, Seconds, Summary, is_lost_for_good, stage_seconds};
+use crate::run::sessions::{Continued, Earlier, sessions};
+use crate::run::summary::{
+    MapFacts, Seconds, SessionSummary, Summary, is_lost_for_good, stage_seconds,
+};
 use crate::run::{EarlyEnd, FrameFate, RunSettings, Tracked, in_map, outputs, track};
 use crate::usage::{peak_rss_bytes, process_cpu};
 use monogrid_geometry::Vec3;
 use monogrid_image::GrayImage;
-use monogrid_slam::Scale;
 use monogrid_slam::mapping::Maps;
+use monogrid_slam::{Purpose, Scale};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -33,11 +36,12 @@ pub fn process_start() -> Instant {
 /// Runs the command.
 pub fn execute(args: &RunArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
-    let mut config = RunConfig::resolve(
-        args.profile.map(Into::into),
-        args.config.as_deref(),
-        &args.set,
-    )?;
+    let earlier = args
+        .continue_from
+        .as_deref()
+        .map(Earlier::read)
+        .transpose()?;
+    let mut config = configuration(args, earlier.as_ref())?;
     config.apply(&args.mapping);
     if let Some(radius) = args.local_radius {
         config.mapping.local_radius = radius;
@@ -46,18 +50,45 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         config.seed = seed;
     }
     config.validate()?;
-    let align = Align::parse(args.align.as_deref())?;
-    let input = Input::open(&args.source, &args.input)?;
+    let mut align = Align::parse(args.align.as_deref())?;
+    let mut source = args.input.clone();
+    if let Some(earlier) = &earlier {
+        let size = (earlier.session.width, earlier.session.height);
+        source.size = source.size.or(Some(size));
+        if matches!(align, Align::FirstCamera) {
+            align = Align::Map {
+                map_from_world: earlier.map_from_world,
+                description: earlier.frame_description.clone(),
+                is_metric: earlier.is_metric,
+            };
+        }
+    }
+    let mut input = Input::open(&args.source, &source)?;
+    if let Some(earlier) = &earlier {
+        earlier.check_camera(&input)?;
+        input.warnings.extend(earlier.warnings.iter().cloned());
+    }
     let seed_depth = seed_depth(&input, args)?;
     let out = args
         .out
         .clone()
         .unwrap_or_else(|| PathBuf::from("runs").join(&input.name));
     refuse_output_inside_source(&out, &args.source)?;
+    if let Some(continued) = &args.continue_from {
+        refuse_output_in_place(&out, continued)?;
+    }
     let folder = OutputFolder::prepare(&out, args.force)?;
     let settings = RunSettings {
         config,
         seed_depth,
+        continued: earlier.map(|earlier| Continued {
+            earlier,
+            purpose: if args.localise_only {
+                Purpose::LocaliseOnly
+            } else {
+                Purpose::Extend
+            },
+        }),
         realtime: args.realtime,
         threads,
         show_progress: std::io::stderr().is_terminal(),
@@ -67,6 +98,41 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         Ok(Extras::default())
     })?;
     conclude(&finished, &folder, args.json.json)
+}
+
+/// The settings of the command line; those of the continued run where none are named.
+fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunConfig, Failure> {
+    if let Some(earlier) = earlier
+        && args.config.is_none()
+        && args.profile.is_none()
+    {
+        let recorded = RunConfig::recorded(&earlier.session.config).ok_or_else(|| {
+            Failure::input(format!(
+                "the settings in {} cannot be understood by this version; choose some with --profile or --config",
+                earlier.path.display()
+            ))
+        })?;
+        return recorded.with_settings(&args.set);
+    }
+    RunConfig::resolve(
+        args.profile.map(Into::into),
+        args.config.as_deref(),
+        &args.set,
+    )
+}
+
+/// The run that is continued must not be emptied for the new one.
+fn refuse_output_in_place(out: &Path, continued: &Path) -> Result<(), Failure> {
+    let (Ok(out), Ok(continued)) = (out.canonicalize(), continued.canonicalize()) else {
+        return Ok(());
+    };
+    if continued.starts_with(&out) {
+        return Err(Failure::input(format!(
+            "the output folder {} holds the run to continue; choose another with --out",
+            out.display()
+        )));
+    }
+    Ok(())
 }
 
 /// What a caller adds to summary and report.
@@ -119,7 +185,7 @@ pub fn run_all(
         .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
         .collect();
     let (frame, align_warning) = align.frame(&trajectory);
-    outputs::write_tables(folder, &tracked, &frame)?;
+    outputs::write_tables(folder, &tracked, &frame, settings)?;
     let mut warnings = input.warnings.clone();
     warnings.extend(align_warning);
     let path: Vec<[f64; 3]> = tracked
@@ -146,7 +212,7 @@ pub fn run_all(
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     let outcome = match summary.status {
-        "not_initialised" | "lost" => Outcome::NotTracked,
+        "not_initialised" | "not_recognised" | "lost" => Outcome::NotTracked,
         _ => Outcome::Done,
     };
     let verdict = verdict(&summary, &tracked);
@@ -211,7 +277,7 @@ fn final_maps(
     });
     let live =
         std::mem::replace(&mut tracked.live_maps, unfinished).map_err(|error| error.to_string())?;
-    if tracked.slam.keyframes().is_empty() {
+    if tracked.slam.keyframes().is_empty() || settings.is_localise_only() {
         return Ok(None);
     }
     let before = process_cpu();
@@ -258,6 +324,7 @@ fn summarise(
     let status = match &tracked.early_end {
         Some(EarlyEnd::Unreadable(_)) => "unreadable",
         _ if tracked.slam.keyframes().is_empty() => "not_initialised",
+        _ if settings.continued.is_some() && tracked.trajectory.is_empty() => "not_recognised",
         _ if is_lost_for_good(&tracked.rows) => "lost",
         Some(EarlyEnd::Interrupted) => "interrupted",
         None => "done",
@@ -277,6 +344,18 @@ fn summarise(
         keyframes: tracked.slam.keyframes().len(),
         reactivated_keyframes: tracked.slam.reactivations(),
         relocalisations: tracked.slam.relocalisations(),
+        sessions: sessions(
+            &tracked.slam,
+            settings.continued.as_ref().map(|c| &c.earlier),
+            &input.name,
+        )
+        .into_iter()
+        .map(|session| SessionSummary {
+            source: session.source,
+            first_keyframe: session.first_keyframe,
+        })
+        .collect(),
+        localise_only: settings.is_localise_only(),
         constraints: tracked.slam.graph_stats().constraints,
         graph_wait_ms: tracked.slam.graph_stats().max_wait_ms,
         loop_closures: tracked.slam.graph_stats().loop_closures,
@@ -343,6 +422,7 @@ fn verdict(summary: &Summary, tracked: &Tracked) -> String {
                 "Tracking never started ({reason}). The camera must move sideways while it sees texture; there is no map."
             )
         }
+        "not_recognised" => "The camera was never recognised in the map: no frame shows a place that it holds. The map is as it was.".to_owned(),
         "lost" => format!(
             "Tracking was lost for good; {share:.0} % of the frames have a pose, and what was mapped until then is saved."
         ),

@@ -21,6 +21,15 @@ pub enum Align {
         /// The transform.
         target_from_results: Sim3,
     },
+    /// The frame of the map of an earlier run.
+    Map {
+        /// From the world of that run.
+        map_from_world: Sim3,
+        /// What that run says about it.
+        description: String,
+        /// Whether its lengths are metres.
+        is_metric: bool,
+    },
     /// The frame of a trajectory, to which the estimated one is fitted.
     Trajectory {
         /// The file it came from.
@@ -79,6 +88,19 @@ impl Align {
         };
         match self {
             Self::FirstCamera => (first_camera, None),
+            Self::Map {
+                map_from_world,
+                description,
+                is_metric,
+            } => (
+                MapFrame {
+                    map_from_world: *map_from_world,
+                    description: description.clone(),
+                    is_aligned: *is_metric,
+                    fit: None,
+                },
+                None,
+            ),
             Self::Sim3 {
                 path,
                 target_from_results,

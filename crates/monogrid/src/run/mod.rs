@@ -11,6 +11,7 @@ pub mod progress;
 pub mod reader;
 pub mod recorder;
 pub mod report;
+pub mod sessions;
 pub mod summary;
 
 use crate::config::RunConfig;
@@ -26,11 +27,12 @@ use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, Mapper, z_up_from_camera_world,
 };
 use monogrid_slam::{
-    FrameInput, FrameReport, Keyframe, PoseSnapshot, Slam, TrackingState, TrajectoryPose,
+    FrameInput, FrameReport, Keyframe, PoseSnapshot, Purpose, Slam, TrackingState, TrajectoryPose,
 };
 use progress::Progress;
 use reader::{Delivered, Reader};
 use recorder::Change;
+use sessions::{Continued, Earlier, continuation};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
@@ -47,12 +49,26 @@ pub struct RunSettings {
     pub config: RunConfig,
     /// Depth (metres) to start with, and the index of the frame it belongs to.
     pub seed_depth: Option<(usize, GrayImage)>,
+    /// The map to go on with.
+    pub continued: Option<Continued>,
     /// Play at the frames' own pace.
     pub realtime: bool,
     /// Threads for the final maps.
     pub threads: usize,
     /// Whether to show a progress bar.
     pub show_progress: bool,
+}
+
+impl RunSettings {
+    /// Whether the map of an earlier run is only used, not changed.
+    pub fn is_localise_only(&self) -> bool {
+        let purpose = self.continued.as_ref().map(|continued| continued.purpose);
+        purpose == Some(Purpose::LocaliseOnly)
+    }
+
+    fn earlier(&self) -> Option<&Earlier> {
+        self.continued.as_ref().map(|continued| &continued.earlier)
+    }
 }
 
 /// What became of a frame.
@@ -144,13 +160,7 @@ pub fn track(
     interrupted: &AtomicBool,
 ) -> Result<Tracked, Failure> {
     let config = &settings.config;
-    let slam = Slam::new(
-        config.slam.clone(),
-        *input.pinhole(),
-        input.mask().clone(),
-        config.seed,
-    )
-    .map_err(Failure::input)?;
+    let slam = system(input, settings)?;
     let (width, height) = input.size();
     let camera = KeyframeCamera {
         pinhole: *input.pinhole(),
@@ -166,27 +176,39 @@ pub fn track(
     thread::scope(|scope| {
         let (record_sender, record_changes) = sync_channel(CHANGES_AHEAD);
         let (map_sender, map_changes) = sync_channel(CHANGES_AHEAD);
-        let recorder = scope.spawn(|| {
+        let is_recorded = !settings.is_localise_only();
+        let recorder = scope.spawn(move || {
             // owned here, so that the channel closes if this thread fails
             let changes = record_changes;
-            recorder::record(&changes, folder, &session)
+            if is_recorded {
+                recorder::record(&changes, folder, &session)
+            } else {
+                Ok(Duration::ZERO)
+            }
         });
         let mapping = scope.spawn(move || grow_maps(&map_changes, live, &camera));
         let reader = Reader::start(scope, input, settings.realtime, &stop)
             .map_err(|error| Failure::running(format!("cannot start a thread: {error}")))?;
+        let mut listeners = vec![record_sender, map_sender];
+        if !is_recorded {
+            // closes the channels, whose receivers then end
+            listeners.clear();
+        }
         let mut tracking = Tracking {
             slam,
             settings,
             rows: Vec::with_capacity(input.frames.len()),
             published: Vec::new(),
             published_poses: 0,
-            listeners: [record_sender, map_sender],
+            listeners,
             progress: Progress::new(input.frames.len(), settings.show_progress),
         };
+        // keyframes of an earlier session are new to the listeners
+        tracking.publish();
         let early_end = tracking.process_all(&reader.frames, interrupted);
         stop.store(true, Ordering::Relaxed);
         let reading = reader.join();
-        let ended = tracking.finish();
+        let ended = tracking.finish(&input.name);
         let recorded = recorder
             .join()
             .unwrap_or_else(|_| Err(Failure::running("the recorder failed")))?;
@@ -211,15 +233,34 @@ pub fn track(
     })
 }
 
+/// A new system, or one that goes on with the map of an earlier run.
+fn system(input: &Input, settings: &RunSettings) -> Result<Slam, Failure> {
+    let config = &settings.config;
+    let (slam, mask) = (config.slam.clone(), input.mask().clone());
+    let made = match &settings.continued {
+        None => Slam::new(slam, *input.pinhole(), mask, config.seed),
+        Some(Continued { earlier, purpose }) => Slam::continue_from(
+            slam,
+            *input.pinhole(),
+            mask,
+            config.seed,
+            earlier.map.clone(),
+            *purpose,
+        ),
+    };
+    made.map_err(Failure::input)
+}
+
 fn session_info(input: &Input, settings: &RunSettings) -> Result<SessionInfo, Failure> {
     let (width, height) = input.size();
     Ok(SessionInfo {
         pinhole: *input.pinhole(),
         width,
         height,
-        scale: match settings.seed_depth {
-            Some(_) => monogrid_datasets::Scale::Metric,
-            None => monogrid_datasets::Scale::Arbitrary,
+        scale: match (&settings.seed_depth, settings.earlier()) {
+            (Some(_), _) => monogrid_datasets::Scale::Metric,
+            (None, Some(earlier)) => earlier.session.scale,
+            (None, None) => monogrid_datasets::Scale::Arbitrary,
         },
         seed: settings.config.seed,
         profile: settings.config.profile.name().to_owned(),
@@ -275,7 +316,7 @@ fn take_change(
             maps.follow(Arc::clone(snapshot));
         }
         Change::Revised(keyframe) => maps.revise(scan_of(keyframe, maps, camera)),
-        Change::Moved(snapshot) | Change::End(snapshot, _) => maps.follow(Arc::clone(snapshot)),
+        Change::Moved(snapshot) | Change::End(snapshot, ..) => maps.follow(Arc::clone(snapshot)),
     }
     Ok(())
 }
@@ -300,8 +341,8 @@ struct Tracking<'a> {
     published: Vec<u32>,
     /// Revision of the poses that the listeners know.
     published_poses: u64,
-    /// Recorder and mapper.
-    listeners: [SyncSender<Change>; 2],
+    /// Recorder and mapper; none when the map stays as it is.
+    listeners: Vec<SyncSender<Change>>,
     progress: Progress,
 }
 
@@ -421,7 +462,7 @@ impl Tracking<'_> {
     }
 
     /// Finishes the last keyframe and closes the channels.
-    fn finish(mut self) -> Ended {
+    fn finish(mut self, source: &str) -> Ended {
         self.slam.finish();
         self.publish();
         let snapshot = self.slam.snapshot();
@@ -431,7 +472,11 @@ impl Tracking<'_> {
             num_tracked: trajectory.len() as u64,
             summary: String::new(),
         };
-        self.send(&Change::End(Arc::clone(&snapshot), end));
+        if !self.listeners.is_empty() {
+            let continuation = continuation(&self.slam, self.settings.earlier(), source);
+            let continuation = Arc::new(continuation);
+            self.send(&Change::End(Arc::clone(&snapshot), continuation, end));
+        }
         self.progress.finish();
         Ended {
             rows: self.rows,

@@ -1,13 +1,14 @@
 //! The files of a run, besides the recording: trajectories, tables, maps and pictures.
 
 use super::align::MapFrame;
-use super::{FrameFate, FrameRow, Tracked, in_map};
+use super::sessions::{Earlier, MAP_FROM_WORLD, tracked_frame};
+use super::{FrameFate, FrameRow, RunSettings, Tracked, in_map};
 use crate::failure::{Classify, Failure};
 use crate::mapfile::{self, MapFormat};
 use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, render};
-use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_tum};
+use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_sim3, format_tum};
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
@@ -16,11 +17,12 @@ use monogrid_slam::mapping::Maps;
 use std::fmt::Write;
 
 /// Writes `trajectory.txt`, `trajectory_live.txt`, `frames.csv`, `keyframes.txt`,
-/// `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
+/// `trajectory_earlier.txt`, `map_from_world.txt`, `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
 pub fn write_tables(
     folder: &OutputFolder,
     tracked: &Tracked,
     frame: &MapFrame,
+    settings: &RunSettings,
 ) -> Result<(), Failure> {
     folder.write("trajectory.txt", format_tum(&final_poses(tracked, frame)))?;
     folder.write(
@@ -28,10 +30,41 @@ pub fn write_tables(
         format_tum(&live_poses(tracked, frame)),
     )?;
     folder.write("frames.csv", frames_csv(&tracked.rows))?;
+    folder.write(MAP_FROM_WORLD, format_sim3(&frame.map_from_world))?;
+    if settings.is_localise_only() {
+        return Ok(());
+    }
+    if let Some(continued) = &settings.continued {
+        let text = earlier_trajectory(&continued.earlier, tracked, frame);
+        folder.write("trajectory_earlier.txt", text)?;
+    }
     folder.write("keyframes.txt", keyframes_txt(tracked, frame))?;
     let graph = keyframe_graph(tracked, frame);
     folder.write("graph.g2o", g2o::write(&graph))?;
     folder.write("graph_rigid.g2o", g2o::write_rigid(&graph))
+}
+
+/// The frames of earlier sessions where they are known to be now, session after session.
+fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) -> String {
+    let mut text = String::new();
+    for (number, session) in (0..).zip(&earlier.sessions) {
+        let _ = writeln!(text, "# session {number}: {}", session.source);
+        let frames = earlier.frames.iter().filter(|f| f.session == number);
+        let poses: Vec<TimedPose> = frames
+            .filter_map(|recorded| {
+                let frame_then = tracked_frame(recorded);
+                let poses = &tracked.snapshot.world_from_keyframe;
+                let keyframe = poses.get(recorded.keyframe as usize)?;
+                let pose = frame_then.world_from_camera(keyframe);
+                Some(TimedPose {
+                    timestamp_ns: recorded.timestamp_ns,
+                    world_from_camera: in_map(&frame.map_from_world, &pose),
+                })
+            })
+            .collect();
+        text += &format_tum(&poses);
+    }
+    text
 }
 
 /// Final poses of all tracked frames in the frame of the results.

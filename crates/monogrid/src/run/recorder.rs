@@ -5,8 +5,8 @@ use crate::output::OutputFolder;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::usage::thread_cpu;
 use monogrid_datasets::{
-    DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, RecordingWriter,
-    SessionInfo, encode_png, encode_png_rgb,
+    Continuation, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
+    RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_slam::Keyframe;
 use std::sync::Arc;
@@ -22,8 +22,12 @@ pub enum Change {
     Revised(Arc<Keyframe>),
     /// Finished keyframes have other poses.
     Moved(Arc<monogrid_slam::PoseSnapshot>),
-    /// The run is over, these are its last poses.
-    End(Arc<monogrid_slam::PoseSnapshot>, EndRecord),
+    /// The run is over: its last poses, and what a later one needs to go on.
+    End(
+        Arc<monogrid_slam::PoseSnapshot>,
+        Arc<Continuation>,
+        EndRecord,
+    ),
 }
 
 /// Name of the recording.
@@ -91,8 +95,10 @@ fn save(
         }
         // poses are recorded with the next keyframe, or at the end
         Change::Moved(_) => Ok(()),
-        Change::End(snapshot, end) => {
+        Change::End(snapshot, continuation, end) => {
             open.append_poses(poses(snapshot)).while_running(DOING)?;
+            let continuation = Record::Continuation(Continuation::clone(continuation));
+            open.append(&continuation).while_running(DOING)?;
             match writer.take() {
                 Some(open) => open.finish(end.clone()).while_running(DOING),
                 None => Ok(()),

@@ -33,6 +33,15 @@ pub struct MapFacts {
     pub bytes_in_memory: usize,
 }
 
+/// A run that took part in a map.
+#[derive(Clone, Debug, Serialize)]
+pub struct SessionSummary {
+    /// Name of its source.
+    pub source: String,
+    /// First keyframe that it made, if it made any.
+    pub first_keyframe: u32,
+}
+
 /// The content of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -40,7 +49,7 @@ pub struct Summary {
     pub source: String,
     /// Version of the program.
     pub version: &'static str,
-    /// `done`, `interrupted`, `not_initialised`, `lost` or `unreadable`.
+    /// `done`, `interrupted`, `not_initialised`, `not_recognised`, `lost` or `unreadable`.
     pub status: &'static str,
     /// Frames of the source that were used.
     pub frames: usize,
@@ -62,6 +71,10 @@ pub struct Summary {
     pub constraints: usize,
     /// Longest time from the end of a keyframe to the use of its optimised poses, milliseconds.
     pub graph_wait_ms: f64,
+    /// The runs that made the map, this one last.
+    pub sessions: Vec<SessionSummary>,
+    /// Whether the map of an earlier run was only used.
+    pub localise_only: bool,
     /// Loops closed.
     pub loop_closures: usize,
     /// Depth measurements mapped.

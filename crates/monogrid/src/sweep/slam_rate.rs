@@ -80,6 +80,7 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
             ..RunConfig::of(job.profile)
         },
         seed_depth: job.seed_depth.clone(),
+        continued: None,
         realtime: false,
         threads: job.threads,
         show_progress: false,

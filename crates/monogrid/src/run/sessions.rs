@@ -1,0 +1,357 @@
+//! A run that goes on with the map of an earlier one.
+
+use super::recorder::RECORDING;
+use crate::failure::{Classify, Failure};
+use crate::input::Input;
+use monogrid_datasets::{
+    Continuation, KeyframeLink, ReadOptions, RecordedEdge, RecordedFrame, RecordedKeyframe,
+    RecordedPoint, RecordedSession, Recording, SessionInfo, read_sim3,
+};
+use monogrid_geometry::{Mat7, Pinhole, Sim3};
+use monogrid_graph::RobustKernel;
+use monogrid_graph::pose_graph::GraphEdge;
+use monogrid_slam::mapping::z_up_from_camera_world;
+use monogrid_slam::{
+    DepthPixel, EdgeKind, Keyframe, KeyframeId, Purpose, Scale, Slam, StoredEdge, StoredKeyframe,
+    StoredMap, StoredPoint, TrackedFrame,
+};
+use std::path::{Path, PathBuf};
+
+/// File with the transform from the world of a run to the frame of its results.
+pub const MAP_FROM_WORLD: &str = "map_from_world.txt";
+
+/// The earlier run.
+#[derive(Clone, Debug)]
+pub struct Earlier {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// Camera, scale and settings.
+    pub session: SessionInfo,
+    /// Its map.
+    pub map: StoredMap,
+    /// Runs that made the map.
+    pub sessions: Vec<RecordedSession>,
+    /// Their frames.
+    pub frames: Vec<RecordedFrame>,
+    /// The frame of its results.
+    pub map_from_world: Sim3,
+    /// What its summary says about that frame.
+    pub frame_description: String,
+    /// Whether lengths of its results are metres.
+    pub is_metric: bool,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+/// A map to go on with, and how.
+#[derive(Clone, Debug)]
+pub struct Continued {
+    /// The map.
+    pub earlier: Earlier,
+    /// Whether it grows.
+    pub purpose: Purpose,
+}
+
+impl Earlier {
+    /// Reads the recording in the folder of a run, or a recording.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let file = if path.is_dir() {
+            path.join(RECORDING)
+        } else {
+            path.to_owned()
+        };
+        if !file.is_file() {
+            return Err(Failure::input(format!(
+                "--continue {}: there is no {RECORDING}; expected the output folder of an earlier run",
+                path.display()
+            )));
+        }
+        let recording = Recording::read(&file, ReadOptions::default()).bad_input()?;
+        let mut warnings = Vec::new();
+        if recording.damage.num_gaps > 0 {
+            warnings.push(format!(
+                "{} bytes of {} are damaged",
+                recording.damage.lost_bytes,
+                file.display()
+            ));
+        }
+        let continuation = recording.continuation.clone().unwrap_or_else(|| {
+            warnings.push(format!(
+                "{} was not finished, or by an earlier version: only keyframes and poses are taken over",
+                file.display()
+            ));
+            Continuation::default()
+        });
+        let map = stored_map(&recording, &continuation, &file)?;
+        let folder = file.parent().unwrap_or(Path::new(""));
+        let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
+        let summary: serde_json::Value = serde_json::from_str(&summary).unwrap_or_default();
+        let said = |key: &str| summary.get(key)?.as_str().map(str::to_owned);
+        let frame_file = folder.join(MAP_FROM_WORLD);
+        let (map_from_world, description) = if frame_file.is_file() {
+            (read_sim3(&frame_file).bad_input()?, said("frame"))
+        } else {
+            (z_up_from_camera_world(), None)
+        };
+        let sessions = if continuation.sessions.is_empty() {
+            vec![RecordedSession {
+                source: recording.session.source.clone(),
+                first_keyframe: 0,
+            }]
+        } else {
+            continuation.sessions
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            is_metric: map.scale == Scale::Metric || said("scale").as_deref() == Some("metric"),
+            session: recording.session,
+            map,
+            sessions,
+            frames: continuation.frames,
+            map_from_world,
+            frame_description: description.unwrap_or_else(|| {
+                "z up as the first camera of the first session was held".to_owned()
+            }),
+            warnings,
+        })
+    }
+
+    /// Refuses a source whose camera is not that of the map.
+    pub fn check_camera(&self, input: &Input) -> Result<(), Failure> {
+        let (found, expected) = (input.pinhole(), &self.session.pinhole);
+        let size = (self.session.width, self.session.height);
+        let focal = |a: f64, b: f64| (a / b - 1.0).abs() < 0.01;
+        let centre = |a: f64, b: f64| (a - b).abs() < 2.0;
+        let is_same = input.size() == size
+            && focal(found.fx, expected.fx)
+            && focal(found.fy, expected.fy)
+            && centre(found.cx, expected.cx)
+            && centre(found.cy, expected.cy);
+        if is_same {
+            return Ok(());
+        }
+        let (width, height) = input.size();
+        Err(Failure::input(format!(
+            "the map of {} was made with images of {}x{} pixels, {}; {} gives {width}x{height}, {}: \
+             expected the same camera and working size",
+            self.path.display(),
+            size.0,
+            size.1,
+            describe(expected),
+            input.name,
+            describe(found)
+        )))
+    }
+}
+
+fn describe(p: &Pinhole) -> String {
+    format!(
+        "fx {:.1} fy {:.1} cx {:.1} cy {:.1}",
+        p.fx, p.fy, p.cx, p.cy
+    )
+}
+
+/// The map of a recording. Keyframes at its end without a pose (the run was killed) are left out.
+fn stored_map(
+    recording: &Recording,
+    continuation: &Continuation,
+    file: &Path,
+) -> Result<StoredMap, Failure> {
+    let links = |id: u32| continuation.keyframes.iter().find(|link| link.id == id);
+    let mut keyframes = Vec::with_capacity(recording.keyframes.len());
+    for recorded in &recording.keyframes {
+        let Some(world_from_keyframe) = recorded.world_from_keyframe else {
+            break;
+        };
+        let Some(keyframe) = keyframe(recorded) else {
+            return Err(Failure::input(format!(
+                "{}: keyframe {} has no image, without which the camera cannot be recognised",
+                file.display(),
+                recorded.id
+            )));
+        };
+        let link = links(recorded.id).copied().unwrap_or(KeyframeLink {
+            id: recorded.id,
+            parent: recorded.id.checked_sub(1),
+            gain: 1.0,
+            bias: 0.0,
+        });
+        keyframes.push(StoredKeyframe {
+            keyframe,
+            world_from_keyframe,
+            parent: link.parent,
+            gain: link.gain,
+            bias: link.bias,
+        });
+    }
+    let map = StoredMap {
+        scale: match recording.session.scale {
+            monogrid_datasets::Scale::Metric => Scale::Metric,
+            monogrid_datasets::Scale::Arbitrary => Scale::Arbitrary,
+        },
+        pose_revision: recording.pose_revision.unwrap_or(0),
+        keyframes,
+        edges: continuation.edges.iter().filter_map(stored_edge).collect(),
+        points: continuation.points.iter().map(stored_point).collect(),
+    };
+    let size = (recording.session.width, recording.session.height);
+    map.check(size)
+        .map_err(|error| Failure::input(format!("{}: {error}", file.display())))?;
+    Ok(map)
+}
+
+fn keyframe(recorded: &RecordedKeyframe) -> Option<Keyframe> {
+    let pixels = recorded.pixels.iter().map(|pixel| DepthPixel {
+        x: pixel.x,
+        y: pixel.y,
+        idepth: pixel.idepth,
+        idepth_var: pixel.idepth_var,
+    });
+    Some(Keyframe {
+        id: recorded.id,
+        frame_index: recorded.frame_index as usize,
+        timestamp_ns: recorded.timestamp_ns,
+        revision: recorded.depth_revision,
+        image: recorded.image.clone()?,
+        pixels: pixels.collect(),
+    })
+}
+
+/// An edge; `None` for kinds of a later version.
+fn stored_edge(recorded: &RecordedEdge) -> Option<StoredEdge> {
+    let kind = match recorded.kind {
+        0 => EdgeKind::Odometry,
+        1 => EdgeKind::Sparse,
+        2 => EdgeKind::Direct,
+        _ => return None,
+    };
+    let parameter = recorded.kernel_parameter;
+    let kernel = match recorded.kernel {
+        0 => RobustKernel::None,
+        1 => RobustKernel::Huber { delta: parameter },
+        2 => RobustKernel::Cauchy { scale: parameter },
+        3 => RobustKernel::DynamicCovariance { phi: parameter },
+        _ => return None,
+    };
+    let mut information = Mat7::zeros();
+    let mut values = recorded.information.iter();
+    for row in 0..7 {
+        for column in row..7 {
+            let value = *values.next()?;
+            information[(row, column)] = value;
+            information[(column, row)] = value;
+        }
+    }
+    Some(StoredEdge {
+        kind,
+        edge: GraphEdge {
+            i: recorded.i.into(),
+            j: recorded.j.into(),
+            i_from_j: recorded.i_from_j,
+            information,
+            kernel,
+        },
+    })
+}
+
+fn recorded_edge(stored: &StoredEdge) -> RecordedEdge {
+    let edge = &stored.edge;
+    let (kernel, kernel_parameter) = match edge.kernel {
+        RobustKernel::None => (0, 0.0),
+        RobustKernel::Huber { delta } => (1, delta),
+        RobustKernel::Cauchy { scale } => (2, scale),
+        RobustKernel::DynamicCovariance { phi } => (3, phi),
+        // one that the format does not know
+        _ => (0, 0.0),
+    };
+    let mut information = [0.0; 28];
+    let upper = (0..7).flat_map(|row| (row..7).map(move |column| (row, column)));
+    for (value, at) in information.iter_mut().zip(upper) {
+        *value = edge.information[at];
+    }
+    RecordedEdge {
+        i: edge.i as u32,
+        j: edge.j as u32,
+        kind: match stored.kind {
+            EdgeKind::Odometry => 0,
+            EdgeKind::Sparse => 1,
+            EdgeKind::Direct => 2,
+        },
+        kernel,
+        kernel_parameter,
+        i_from_j: edge.i_from_j,
+        information,
+    }
+}
+
+fn stored_point(recorded: &RecordedPoint) -> StoredPoint {
+    let [idepth, prior, sigma] = recorded.idepth;
+    StoredPoint {
+        host: recorded.host,
+        pixel: recorded.pixel,
+        idepth,
+        prior: [prior, sigma],
+        observations: recorded.observations.clone(),
+    }
+}
+
+fn recorded_point(stored: &StoredPoint) -> RecordedPoint {
+    RecordedPoint {
+        host: stored.host,
+        pixel: stored.pixel,
+        idepth: [stored.idepth, stored.prior[0], stored.prior[1]],
+        observations: stored.observations.clone(),
+    }
+}
+
+/// The sessions of a map when this run is over.
+pub fn sessions(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Vec<RecordedSession> {
+    let mut sessions = earlier.map_or_else(Vec::new, |earlier| earlier.sessions.clone());
+    let first = earlier.map_or(0, |earlier| earlier.map.keyframes.len());
+    sessions.push(RecordedSession {
+        source: source.to_owned(),
+        first_keyframe: first.min(slam.keyframes().len()) as u32,
+    });
+    sessions
+}
+
+/// What a later run needs of a finished one.
+pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Continuation {
+    let map = slam.stored_map();
+    let sessions = sessions(slam, earlier, source);
+    let session = sessions.len() as u32 - 1;
+    let mut frames = earlier.map_or_else(Vec::new, |earlier| earlier.frames.clone());
+    frames.extend(slam.tracked_frames().iter().map(|frame| RecordedFrame {
+        session,
+        frame_index: frame.frame_index as u64,
+        timestamp_ns: frame.timestamp_ns,
+        keyframe: frame.keyframe,
+        keyframe_from_frame: frame.keyframe_from_frame,
+    }));
+    Continuation {
+        sessions,
+        keyframes: map
+            .keyframes
+            .iter()
+            .map(|stored| KeyframeLink {
+                id: stored.keyframe.id,
+                parent: stored.parent,
+                gain: stored.gain,
+                bias: stored.bias,
+            })
+            .collect(),
+        edges: map.edges.iter().map(recorded_edge).collect(),
+        points: map.points.iter().map(recorded_point).collect(),
+        frames,
+    }
+}
+
+/// A frame of an earlier session as the library has it.
+pub fn tracked_frame(recorded: &RecordedFrame) -> TrackedFrame {
+    TrackedFrame {
+        frame_index: recorded.frame_index as usize,
+        timestamp_ns: recorded.timestamp_ns,
+        keyframe: recorded.keyframe as KeyframeId,
+        keyframe_from_frame: recorded.keyframe_from_frame,
+    }
+}

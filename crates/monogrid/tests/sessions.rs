@@ -1,0 +1,273 @@
+//! Runs that go on with the map of an earlier one.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+mod common;
+
+use common::{assert_fails, code, files, json, monogrid, small_sequence, stderr};
+use monogrid_datasets::{encode_png, read_trajectory};
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
+use monogrid_image::Image;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::sync::OnceLock;
+
+fn run(source: &Path, out: &Path, more: &[&str]) -> Output {
+    let mut args = vec!["run".to_owned(), source.display().to_string()];
+    args.extend([
+        "--out".to_owned(),
+        out.display().to_string(),
+        "--json".to_owned(),
+    ]);
+    args.extend(more.iter().map(|s| (*s).to_owned()));
+    monogrid(args)
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// The first 90 frames of the small sequence, mapped once.
+fn first_run() -> &'static Path {
+    static FOLDER: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
+    let (_, folder) = FOLDER.get_or_init(|| {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("first");
+        let more = ["--seed-depth", "dataset", "--max-frames", "90"];
+        let output = run(small_sequence(), &folder, &more);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        (dir, folder)
+    });
+    folder
+}
+
+fn poses(file: &Path) -> Vec<StampedPose> {
+    read_trajectory(file)
+        .unwrap()
+        .iter()
+        .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
+        .collect()
+}
+
+#[test]
+fn a_second_session_extends_the_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let before = files(first_run());
+    let second = dir.path().join("second");
+    let more = ["--continue", text(first_run()), "--start", "60"];
+    let output = run(small_sequence(), &second, &more);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = json(&output);
+    assert!(files(first_run()) == before, "the first run was changed");
+    assert_eq!(summary["scale"], "metric");
+    let sessions = summary["sessions"].as_array().unwrap();
+    assert_eq!(sessions.len(), 2);
+    let new_from = sessions[1]["first_keyframe"].as_u64().unwrap();
+    assert!(
+        summary["keyframes"].as_u64().unwrap() > new_from,
+        "{summary}"
+    );
+    assert!(summary["relocalisations"].as_u64().unwrap() >= 1);
+    // both sessions lie in one frame, at one scale
+    let mut all = poses(&second.join("trajectory_earlier.txt"));
+    let overlap = 60 * 1_000_000_000 / 30;
+    all.retain(|pose| pose.0 < overlap);
+    all.extend(poses(&second.join("trajectory.txt")));
+    assert!(all.len() > 145, "{}", all.len());
+    let truth = poses(&small_sequence().join("groundtruth.txt"));
+    let report = evaluate_trajectory(&all, &truth, &TrajectoryConfig::default()).unwrap();
+    assert!(
+        report.ate_rmse < 0.01 * report.path_length,
+        "{}",
+        report.ate_rmse
+    );
+    assert!((report.scale - 1.0).abs() < 0.03, "{}", report.scale);
+    // the recording of the second holds everything: its map is built from it alone
+    let again = second.join("again.ot");
+    let recording = second.join("recording.mgk");
+    let output = monogrid(["map", text(&recording), "--out", text(&again)]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let global = fs::read(second.join("global.ot")).unwrap();
+    assert!(global == fs::read(again).unwrap());
+    assert!(global.len() > fs::read(first_run().join("global.ot")).unwrap().len());
+    // and a third goes on with the second
+    let third = dir.path().join("third");
+    let more = [
+        "--continue",
+        text(&second),
+        "--start",
+        "120",
+        "--threads",
+        "1",
+    ];
+    let output = run(small_sequence(), &third, &more);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert_eq!(json(&output)["sessions"].as_array().unwrap().len(), 3);
+    let earlier = fs::read_to_string(third.join("trajectory_earlier.txt")).unwrap();
+    assert_eq!(
+        earlier
+            .lines()
+            .filter(|l| l.starts_with("# session"))
+            .count(),
+        2
+    );
+    // the same bytes for another number of threads
+    let fourth = dir.path().join("fourth");
+    let more = [
+        "--continue",
+        text(&second),
+        "--start",
+        "120",
+        "--threads",
+        "3",
+    ];
+    assert_eq!(code(&run(small_sequence(), &fourth, &more)), 0);
+    for name in ["trajectory.txt", "recording.mgk", "global.ot", "graph.g2o"] {
+        let read = |folder: &Path| fs::read(folder.join(name)).unwrap();
+        assert!(read(&third) == read(&fourth), "{name} differs");
+    }
+}
+
+#[test]
+fn localising_gives_poses_in_the_frame_of_the_map_and_no_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let before = files(first_run());
+    let out = dir.path().join("here");
+    let more = [
+        "--continue",
+        text(first_run()),
+        "--localise-only",
+        "--start",
+        "20",
+        "--max-frames",
+        "60",
+    ];
+    let output = run(small_sequence(), &out, &more);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(files(first_run()) == before, "the map was changed");
+    let summary = json(&output);
+    assert_eq!(summary["localise_only"], true);
+    for name in [
+        "recording.mgk",
+        "global.ot",
+        "keyframes",
+        "graph.g2o",
+        "map.pgm",
+    ] {
+        assert!(!out.join(name).exists(), "{name}");
+    }
+    assert!(
+        fs::read_to_string(out.join("frames.csv"))
+            .unwrap()
+            .contains("relocalised")
+    );
+    // the same frames were mapped: they have about the same poses, without any alignment
+    let mapped = poses(&first_run().join("trajectory.txt"));
+    let localised = poses(&out.join("trajectory.txt"));
+    assert!(localised.len() > 55, "{}", localised.len());
+    for (time, pose) in &localised {
+        let (_, then) = mapped.iter().find(|(t, _)| t == time).unwrap();
+        let difference = then.inverse() * *pose;
+        assert!(
+            difference.translation.norm() < 0.02,
+            "{time}: {difference:?}"
+        );
+        assert!(difference.rotation.angle() < 0.01, "{time}: {difference:?}");
+    }
+}
+
+#[test]
+fn a_camera_elsewhere_is_said_to_be() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = dir.path().join("noise");
+    fs::create_dir_all(&source).unwrap();
+    fs::copy(
+        small_sequence().join("calibration.txt"),
+        source.join("calibration.txt"),
+    )
+    .unwrap();
+    for k in 0..12u32 {
+        let image = Image::from_fn(320, 240, |x, y| {
+            ((x as u32 / 3 * 7919 + y as u32 / 3 * 104_729 + k * 31) % 251) as u8
+        });
+        fs::write(source.join(format!("{k:03}.png")), encode_png(&image)).unwrap();
+    }
+    for more in [&["--localise-only"][..], &[]] {
+        let out = dir.path().join("out");
+        let mut args = vec!["--continue", text(first_run())];
+        args.extend(more);
+        let output = run(&source, &out, &args);
+        assert_eq!(code(&output), 3, "{}", stderr(&output));
+        assert!(
+            stderr(&output).contains("never recognised"),
+            "{}",
+            stderr(&output)
+        );
+        assert_eq!(json(&output)["status"], "not_recognised");
+        let trajectory = fs::read_to_string(out.join("trajectory.txt")).unwrap();
+        assert!(trajectory.lines().all(|line| line.starts_with('#')));
+        assert_eq!(out.join("global.ot").exists(), more.is_empty());
+    }
+}
+
+#[test]
+fn wrong_arguments_and_broken_maps_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let source = small_sequence();
+    let map = text(first_run());
+    assert_fails(&run(source, &out, &["--localise-only"]), 2, &["--continue"]);
+    let missing = dir.path().join("nowhere");
+    let output = run(source, &out, &["--continue", text(&missing)]);
+    assert_fails(&output, 2, &["nowhere", "recording.mgk"]);
+    let output = run(
+        source,
+        &out,
+        &["--continue", map, "--seed-depth", "dataset"],
+    );
+    assert_fails(&output, 2, &["--seed-depth"]);
+    let output = run(source, first_run(), &["--continue", map]);
+    assert_fails(&output, 2, &["--out"]);
+    let output = run(source, &out, &["--continue", map, "--size", "160x120"]);
+    assert_fails(&output, 2, &["320x240", "160x120"]);
+    let more = [
+        "--continue",
+        map,
+        "--set",
+        "slam.graph.places.enabled=false",
+    ];
+    assert_fails(&run(source, &out, &more), 2, &["graph.places.enabled"]);
+    assert!(first_run().join("recording.mgk").exists());
+    // not a recording; one whose keyframes are gone; one that was cut off
+    let broken = dir.path().join("broken");
+    fs::create_dir_all(&broken).unwrap();
+    let file = broken.join("recording.mgk");
+    let whole = fs::read(first_run().join("recording.mgk")).unwrap();
+    fs::write(&file, b"something else").unwrap();
+    let output = run(source, &out, &["--continue", text(&broken)]);
+    assert_fails(&output, 2, &["recording.mgk"]);
+    let second = find_record(&whole, 1);
+    fs::write(&file, &whole[..second]).unwrap();
+    let output = run(source, &out, &["--continue", text(&broken)]);
+    assert_fails(&output, 2, &["no keyframes"]);
+    let mut damaged = whole.clone();
+    damaged[second + 300] ^= 0xff;
+    fs::write(&file, &damaged).unwrap();
+    let output = run(source, &out, &["--continue", text(&broken)]);
+    assert_fails(&output, 2, &["keyframe 0 is missing"]);
+    fs::write(&file, &whole[..whole.len() * 3 / 5]).unwrap();
+    let more = ["--continue", text(&broken), "--max-frames", "20"];
+    let output = run(source, &out, &more);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(
+        stderr(&output).contains("only keyframes and poses"),
+        "{}",
+        stderr(&output)
+    );
+}
+
+/// Where the n-th record begins.
+fn find_record(bytes: &[u8], n: usize) -> usize {
+    let starts = bytes.windows(4).enumerate().filter(|(_, w)| w == b"RMGK");
+    starts.map(|(at, _)| at).nth(n).unwrap()
+}
