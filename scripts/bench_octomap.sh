@@ -1,14 +1,16 @@
 #!/bin/sh
-# Speed and quality of occupancy maps against OctoMap on the same scans, in one run.
+# Speed, quality and memory of occupancy maps against OctoMap on the same scans, in one run.
 # Needs: apt-get install -y liboctomap-dev g++ python3-numpy
-# usage: scripts/bench_octomap.sh [WORK_FOLDER] [SCANS, default 12; 45 for the whole room]
+# usage: scripts/bench_octomap.sh [WORK_FOLDER] [SCANS, default 45: the whole room; 12 in a tenth of the time]
+# Over the whole room OctoMap alone takes 13 minutes at 8 mm and 3 at 16 mm; CELLS="0.128 0.064 0.032" leaves them out.
 # 1. CPU seconds per 100k points with Thrun's model, L = 0.08 m (OctoMap: mode=gauss, the thesis' way), one thread, and
-#    the ratios; two threads as wall seconds of one over wall seconds of two
-# 2. AUC and MCC over the observed cells of the whole room, against OctoMap's mode=cloudd; memory of our maps
+#    the ratios; two threads as wall seconds of one over wall seconds of two, beside what a pure computation gains
+# 2. AUC and MCC over the observed cells of the whole room, against OctoMap's mode=cloudd
+# 3. memory of the finished default maps, of the large hall as well with MACHINE=1 (a minute and 1.6 GB at 16 mm)
 set -eu
 here=$(cd "$(dirname "$0")/.." && pwd); bench=$here/../shared/bench
 [ -d "$bench" ] || { echo "SKIPPED: $bench is absent"; exit 0; }
-work=${1:-$(mktemp -d)}; scans=${2:-12}; mkdir -p "$work"
+work=${1:-$(mktemp -d)}; scans=${2:-45}; mkdir -p "$work"
 [ -x "$work/octomap_baseline" ] || g++ -O3 -o "$work/octomap_baseline" "$bench/octomap_baseline.cpp" -loctomap -loctomath
 [ -f "$work/office.scans" ] || python3 "$bench/generate_scans.py" "$work/office.scans" office
 cargo build -q --release --manifest-path "$here/Cargo.toml" -p monogrid-occupancy --examples
@@ -16,21 +18,35 @@ examples=${CARGO_TARGET_DIR:-$here/target}/release/examples
 field() { grep -o " $1=[0-9.e+-]*" | cut -d= -f2; }
 # The best of three: the others measure what else the machine was doing.
 best() { name=$1; shift; for _ in 1 2 3; do "$examples/map_scans" "$work/office.scans" "$@" | field "$name"; done | sort -g | head -1; }
+now() { date +%s.%N; }
+spin() { awk 'BEGIN { for (i = 0; i < 3e7; i++) x += i % 7 }'; }
 
-echo "cell     OctoMap  rays (ratio)  fused L=0.08 (ratio)  fused default (ratio)  rays, 2 threads (speed-up)"
+start=$(now); spin; middle=$(now); spin & spin; wait; end=$(now)
+awk -v a="$start" -v b="$middle" -v c="$end" 'BEGIN { printf "two threads of a pure computation: %.2fx\n", 2 * (b - a) / (c - b) }'
+echo "cell     OctoMap  rays (ratio)  fused L=0.08 (ratio)  fused default (ratio)  two threads: rays, fused"
 for cell in ${CELLS:-0.128 0.064 0.032 0.016 0.008}; do
   octomap=$("$work/octomap_baseline" "$work/office.scans" "$cell" 100 mode=gauss L=0.08 quiet=1 scans="$scans" | field cpu_per_100k)
   echo "$cell $octomap $(best cpu_per_100k "$cell" rule=rays L=0.08 scans="$scans") $(best cpu_per_100k "$cell" L=0.08 scans="$scans")" \
     "$(best cpu_per_100k "$cell" scans="$scans") $(best wall_per_100k "$cell" rule=rays L=0.08 scans="$scans")" \
-    "$(best wall_per_100k "$cell" rule=rays L=0.08 scans="$scans" threads=2)" |
-    awk '{ printf "%s  %.4f  %.5f (%.1fx)  %.6f (%.0fx)  %.6f (%.0fx)  %.5f (%.2fx)\n", $1, $2, $3, $2/$3, $4, $2/$4, $5, $2/$5, $7, $6/$7 }'
+    "$(best wall_per_100k "$cell" rule=rays L=0.08 scans="$scans" threads=2)" \
+    "$(best wall_per_100k "$cell" L=0.08 scans="$scans") $(best wall_per_100k "$cell" L=0.08 scans="$scans" threads=2)" |
+    awk '{ printf "%s  %.4f  %.5f (%.1fx)  %.6f (%.0fx)  %.6f (%.0fx)  %.2fx %.2fx\n", $1, $2, $3, $2/$3, $4, $2/$4, $5, $2/$5, $6/$7, $8/$9 }'
 done
 
 echo "quality of the whole room, observed cells"
-for cell in ${QUALITY_CELLS:-0.128 0.064 0.032}; do
+for cell in ${QUALITY_CELLS:-0.128 0.064 0.032 0.016}; do
   "$work/octomap_baseline" "$work/office.scans" "$cell" 100 mode=cloudd quiet=1 out="$work/cloudd.ot" > /dev/null 2>&1
   for rule in rays fused; do
-    "$examples/map_scans" "$work/office.scans" "$cell" rule=$rule threads=2 out="$work/$rule.ot" | grep -o 'mem_mb=.*' | sed "s/^/$rule at $cell: /"
+    "$examples/map_scans" "$work/office.scans" "$cell" rule=$rule threads=2 out="$work/$rule.ot" > /dev/null
   done
   "$examples/box_room_quality" "$work/office.obj" "$work/cloudd.ot" "$work/rays.ot" "$work/fused.ot"
+done
+
+echo "memory of finished default maps (packed; unpacked)"
+rooms=office; [ -z "${MACHINE:-}" ] || rooms="office machine"
+for room in $rooms; do
+  [ -f "$work/$room.scans" ] || python3 "$bench/generate_scans.py" "$work/$room.scans" "$room"
+  for cell in ${MEMORY_CELLS:-0.032 0.016}; do
+    echo "$room $cell $("$examples/map_scans" "$work/$room.scans" "$cell" threads=2 | grep -o ' mem_mb=.*')"
+  done
 done

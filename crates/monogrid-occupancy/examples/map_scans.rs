@@ -61,20 +61,10 @@ fn parse() -> Result<Options, Box<dyn Error>> {
     Ok(options)
 }
 
-/// CPU seconds of all threads of this process so far.
-fn cpu_seconds() -> Result<f64, Box<dyn Error>> {
-    let stat = std::fs::read_to_string("/proc/self/schedstat")?;
-    let own: f64 = stat.split(' ').next().ok_or("empty schedstat")?.parse()?;
-    // The first number is the main thread's; ended workers are only in the clock ticks of `stat`.
-    let stat = std::fs::read_to_string("/proc/self/stat")?;
-    let fields: Vec<&str> = stat
-        .rsplit(')')
-        .next()
-        .ok_or("bad stat")?
-        .split_whitespace()
-        .collect();
-    let ticks: f64 = fields[11].parse::<f64>()? + fields[12].parse::<f64>()?;
-    Ok((own * 1e-9).max(ticks / 100.0))
+/// CPU seconds of all threads of this process so far, those that ended included.
+fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -83,17 +73,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (mut points, mut wall, mut cpu) = (0, 0.0, 0.0);
     for scan in ScansReader::new(File::open(&options.input)?)?.take(options.scans) {
         let scan = scan?;
-        let (started, cpu_started) = (Instant::now(), cpu_seconds()?);
+        let (started, cpu_started) = (Instant::now(), cpu_seconds());
         let report = integrate(&mut map, &scan.as_scan(), &options.config, options.threads)?;
         wall += started.elapsed().as_secs_f64();
-        cpu += cpu_seconds()? - cpu_started;
+        cpu += cpu_seconds() - cpu_started;
         points += report.points;
     }
     let (payloads, bricks) = map.brick_counts();
     let unpacked = map.bytes_in_memory();
-    let cpu_started = cpu_seconds()?;
+    let cpu_started = cpu_seconds();
     map.pack(options.threads);
-    let pack_cpu = cpu_seconds()? - cpu_started;
+    let pack_cpu = cpu_seconds() - cpu_started;
     println!(
         "RESULT peer=monogrid rule={:?} res={} threads={} points={points} wall={wall:.4} cpu={cpu:.4} \
          cpu_per_100k={:.6} wall_per_100k={:.6} leaf={} bricks={bricks} payloads={payloads} mem_mb={:.1} \

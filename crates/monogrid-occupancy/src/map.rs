@@ -18,7 +18,7 @@ pub struct MapConfig {
     /// Cells at least this likely are occupied, in (0, 1). Default 0.5.
     pub occupancy_threshold: f64,
     /// Most bytes that the map may allocate; changes that could need more fail before they touch
-    /// the map. Default 8 GiB.
+    /// the map (where it helps, [`integrate`](crate::integrate) packs the map first). Default 8 GiB.
     pub memory_budget_bytes: usize,
 }
 
@@ -349,6 +349,13 @@ impl OccupancyMap {
     /// Meanwhile each thread needs memory for 1/64 of the packed map.
     pub fn pack(&mut self, threads: usize) {
         for_each(&mut self.shards, threads, |_, shard| shard.pack());
+    }
+
+    /// Whether an eighth of the memory budget or more is in bricks that could be packed.
+    pub(crate) fn is_worth_packing(&self) -> bool {
+        let unpacked = self.shards.iter().map(Shard::payloads).sum::<usize>();
+        let bytes = unpacked * BRICK_CELLS * size_of::<i16>();
+        bytes >= self.config.memory_budget_bytes / 8
     }
 
     /// Smallest box of cells, first and last inclusive, that holds every known cell.

@@ -1,5 +1,7 @@
 //! What is put into a map: range measurements from one place, with their uncertainty.
 
+use std::ops::ControlFlow;
+
 use crate::error::MapError;
 
 /// A similarity transform: `x_in_world = scale * rotation * x_in_sensor + translation`.
@@ -243,13 +245,40 @@ impl Scan<'_> {
         Ok(())
     }
 
+    /// Calls `take` for every usable measurement until it breaks off.
+    #[inline]
+    pub(crate) fn each_measurement(
+        &self,
+        mode: SigmaMode,
+        mut take: impl FnMut(Measurement) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        match self.data {
+            ScanData::Points(PointScan {
+                points,
+                sigmas: [sigma],
+            }) => points
+                .iter()
+                .filter_map(|point| measured_point(*point, *sigma))
+                .try_for_each(take),
+            ScanData::Points(PointScan { points, sigmas }) => points
+                .iter()
+                .zip(sigmas)
+                .filter_map(|(point, sigma)| measured_point(*point, *sigma))
+                .try_for_each(take),
+            ScanData::Depth(_) => {
+                let mut all = (0..self.len()).filter_map(|index| self.measurement(index, mode));
+                all.try_for_each(&mut take)
+            }
+        }
+    }
+
     /// Measurement `index`; `None` if it is not finite, has no length or no uncertainty.
     #[inline]
     pub(crate) fn measurement(&self, index: usize, mode: SigmaMode) -> Option<Measurement> {
-        let (point, sigma) = match self.data {
+        match self.data {
             ScanData::Points(scan) => {
                 let sigma = scan.sigmas[index.min(scan.sigmas.len() - 1)];
-                (scan.points[index].map(f64::from), f64::from(sigma))
+                measured_point(scan.points[index], sigma)
             }
             ScanData::Depth(scan) => {
                 let pixel = scan.pixels[index];
@@ -269,18 +298,28 @@ impl Scan<'_> {
                     }
                     SigmaMode::RawInverseDepth => sigma_d,
                 };
-                (ray.map(|c| c / d), sigma)
+                usable(ray.map(|c| c / d), sigma)
             }
-        };
-        let range = (point[0] * point[0] + point[1] * point[1] + point[2] * point[2]).sqrt();
-        // Written so that NaN fails.
-        let usable = range > 1e-9 && range < 1e9 && sigma > 0.0 && sigma < 1e9;
-        usable.then_some(Measurement {
-            point,
-            range,
-            sigma,
-        })
+        }
     }
+}
+
+#[inline]
+fn measured_point(point: [f32; 3], sigma: f32) -> Option<Measurement> {
+    usable(point.map(f64::from), f64::from(sigma))
+}
+
+/// The measurement, if it is finite and has a length and an uncertainty.
+#[inline]
+fn usable(point: [f64; 3], sigma: f64) -> Option<Measurement> {
+    let range = (point[0] * point[0] + point[1] * point[1] + point[2] * point[2]).sqrt();
+    // Written so that NaN fails.
+    let usable = range > 1e-9 && range < 1e9 && sigma > 0.0 && sigma < 1e9;
+    usable.then_some(Measurement {
+        point,
+        range,
+        sigma,
+    })
 }
 
 #[cfg(test)]

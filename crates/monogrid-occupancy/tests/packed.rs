@@ -67,3 +67,32 @@ fn a_map_packed_between_scans_grows_into_the_same_map() {
         assert!(plain == packed);
     }
 }
+
+#[test]
+fn a_map_that_reaches_its_budget_packs_itself_and_goes_on() {
+    for config in configs() {
+        let grown = |memory_budget_bytes: usize| {
+            let mut random = Random(5);
+            let mut map = OccupancyMap::new(MapConfig {
+                resolution: 0.06,
+                memory_budget_bytes,
+                ..MapConfig::default()
+            })
+            .unwrap();
+            for id in 0..24 {
+                // Rooms far from each other: each scan has bricks of its own.
+                let mut scan = room_scan(&mut random, id, 1500, 2.0);
+                scan.pose.translation[0] += 20.0 * f64::from(id);
+                integrate(&mut map, &scan.borrow(), &config, 2)?;
+            }
+            Ok(map)
+        };
+        let plain: OccupancyMap = grown(1 << 30).unwrap();
+        let budget = plain.bytes_in_memory() * 3 / 4;
+        let packed = grown(budget).unwrap();
+        assert!(packed.bytes_in_memory() <= budget);
+        assert!(plain == packed);
+        let error: MapError = grown(budget / 3).unwrap_err();
+        assert!(matches!(error, MapError::MemoryBudget { .. }), "{error}");
+    }
+}

@@ -3,6 +3,8 @@
 //! A scan that looks one way becomes one pinhole image, any other the six faces of a cube. Pixels
 //! are as fine as the measurements are dense, but no finer than half a typical cell.
 
+use std::ops::ControlFlow;
+
 use super::IntegrationConfig;
 use super::beam::total_sigma;
 use crate::error::MapError;
@@ -11,6 +13,9 @@ use crate::sensor::table::TableSet;
 
 /// Pixels along the edge of a cell's footprint at the mean range.
 const PIXELS_PER_CELL: f64 = 2.0;
+/// Measurements per pixel of a point cloud, on average: with one, a third of the pixels of randomly
+/// spread measurements are empty, and gaps are left that nothing can close.
+const POINTS_PER_PIXEL: f64 = 1.4;
 /// A scan whose directions all lie within this slope of the forward axis is one image.
 const WIDEST_SLOPE: f32 = 2.5;
 /// Slope of a cube's faces, with a margin for footprints that cross an edge.
@@ -136,15 +141,28 @@ const CUBE: [[[f64; 3]; 3]; 6] = [
 struct RangeModel<'a> {
     scan: &'a Scan<'a>,
     resolution: f64,
+    /// The last uncertainty of a range, and with that of the pose: most sensors state one for all.
+    last: (f64, f64),
 }
 
-impl RangeModel<'_> {
+impl<'a> RangeModel<'a> {
+    fn new(scan: &'a Scan<'a>, resolution: f64) -> Self {
+        Self {
+            scan,
+            resolution,
+            last: (f64::NAN, f64::NAN),
+        }
+    }
+
     #[inline]
-    fn range_and_sigma(&self, range: f64, sigma: f64) -> (f32, f32) {
+    fn range_and_sigma(&mut self, range: f64, sigma: f64) -> (f32, f32) {
         let scale = self.scan.world_from_sensor.scale;
         let range = range * scale;
-        let sigma = total_sigma(sigma * scale, range, self.scan, self.resolution);
-        (range as f32, sigma as f32)
+        if sigma != self.last.0 || self.scan.pose_sigma.rotation_rad != 0.0 {
+            let total = total_sigma(sigma * scale, range, self.scan, self.resolution);
+            self.last = (sigma, total);
+        }
+        (range as f32, self.last.1 as f32)
     }
 }
 
@@ -155,17 +173,14 @@ fn collect_forward(
     resolution: f64,
     tables: &mut TableSet,
 ) -> Option<Vec<Sample>> {
-    let model = RangeModel { scan, resolution };
+    let mut model = RangeModel::new(scan, resolution);
     let mut samples = Vec::with_capacity(scan.len());
-    for index in 0..scan.len() {
-        let Some(measured) = scan.measurement(index, config.sigma_mode) else {
-            continue;
-        };
+    let end = scan.each_measurement(config.sigma_mode, |measured| {
         let [x, y, z] = measured.point;
         let inverse = 1.0 / z;
         let (u, v) = ((x * inverse) as f32, (y * inverse) as f32);
         if !(z > 0.0 && u.abs() < WIDEST_SLOPE && v.abs() < WIDEST_SLOPE) {
-            return None;
+            return ControlFlow::Break(());
         }
         let (range, sigma) = model.range_and_sigma(measured.range, measured.sigma);
         samples.push(Sample {
@@ -174,8 +189,9 @@ fn collect_forward(
             range,
             table: tables.prepare(range, sigma),
         });
-    }
-    Some(samples)
+        ControlFlow::Continue(())
+    });
+    end.is_continue().then_some(samples)
 }
 
 /// The samples of the six faces of a cube; those near an edge belong to both faces.
@@ -189,7 +205,7 @@ fn collect_cube(
     resolution: f64,
     tables: &mut TableSet,
 ) -> (Vec<([[f64; 3]; 3], Vec<Sample>)>, usize) {
-    let model = RangeModel { scan, resolution };
+    let mut model = RangeModel::new(scan, resolution);
     let mut faces: Vec<_> = CUBE.iter().map(|axes| (*axes, Vec::new())).collect();
     let mut points = 0;
     for index in 0..scan.len() {
@@ -212,11 +228,19 @@ fn collect_cube(
 
 /// Extent of the samples' slopes.
 fn slope_bounds(samples: &[Sample]) -> ([f32; 2], [f32; 2]) {
-    samples
-        .iter()
-        .fold(([f32::MAX; 2], [f32::MIN; 2]), |([lu, lv], [hu, hv]), s| {
-            ([lu.min(s.u), lv.min(s.v)], [hu.max(s.u), hv.max(s.v)])
-        })
+    let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+    for Sample { u, v, .. } in samples {
+        // Comparisons instead of `min` and `max`: slopes are finite.
+        low = [
+            if *u < low[0] { *u } else { low[0] },
+            if *v < low[1] { *v } else { low[1] },
+        ];
+        high = [
+            if *u > high[0] { *u } else { high[0] },
+            if *v > high[1] { *v } else { high[1] },
+        ];
+    }
+    (low, high)
 }
 
 fn build_image(
@@ -228,10 +252,13 @@ fn build_image(
     let (low, high) = slope_bounds(samples);
     let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(1e-3));
     let mean_range = samples.iter().map(|s| f64::from(s.range)).sum::<f64>() / samples.len() as f64;
-    // One measurement per pixel on average, or the camera's own pixels.
+    // As many measurements per pixel as leave few gaps, or the camera's own pixels.
     let (focal_u, aspect) = match native {
         Some(camera) => (camera.fx.abs(), (camera.fy / camera.fx).abs()),
-        None => ((samples.len() as f64 / (extent[0] * extent[1])).sqrt(), 1.0),
+        None => {
+            let pixels = samples.len() as f64 / POINTS_PER_PIXEL;
+            ((pixels / (extent[0] * extent[1])).sqrt(), 1.0)
+        }
     };
     let focal_u = focal_u
         .min(PIXELS_PER_CELL * mean_range / resolution)

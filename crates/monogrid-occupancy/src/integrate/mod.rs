@@ -141,6 +141,9 @@ pub struct IntegrationReport {
 ///
 /// The result does not depend on `threads`. On an error the map is as before.
 ///
+/// A map that could exceed its memory budget is packed first ([`OccupancyMap::pack`]) if an eighth of
+/// the budget or more is in bricks that are not packed; with less to gain, every scan would pack again.
+///
 /// # Errors
 /// An invalid scan or configuration, or the memory budget could be exceeded.
 pub fn integrate(
@@ -151,7 +154,14 @@ pub fn integrate(
 ) -> Result<IntegrationReport, MapError> {
     config.validate()?;
     scan.validate()?;
-    integrate_where(map, scan, config, threads.max(1), None)
+    let threads = threads.max(1);
+    match integrate_where(map, scan, config, threads, None) {
+        Err(MapError::MemoryBudget { .. }) if map.is_worth_packing() => {
+            map.pack(threads);
+            integrate_where(map, scan, config, threads, None)
+        }
+        done => done,
+    }
 }
 
 /// Packed keys, sorted, of all bricks that a valid scan can change.
