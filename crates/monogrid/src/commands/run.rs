@@ -282,7 +282,7 @@ fn final_maps(
     }
     let before = process_cpu();
     let camera = path.last().map(|point| Vec3::from(*point));
-    let maps = live
+    let mut maps = live
         .finish(
             &tracked.snapshot,
             &frame.map_from_world,
@@ -290,6 +290,9 @@ fn final_maps(
             settings.threads,
         )
         .map_err(|error| error.to_string())?;
+    for map in [&mut maps.global, &mut maps.large, &mut maps.local] {
+        map.pack(settings.threads);
+    }
     tracked.cpu.mapping += process_cpu() - before;
     Ok(Some(maps))
 }
