@@ -107,6 +107,10 @@ pub struct FrameReport {
     pub reason: Option<LostReason>,
     /// Pose as known now; `None` while initialising or lost.
     pub world_from_camera: Option<Se3>,
+    /// Pose by what was tracked from frame to frame alone, in units of the world then: it begins at
+    /// `world_from_camera`, drifts, and never jumps. `None` while initialising or lost; where the camera is
+    /// recognised afterwards it goes on from where it was.
+    pub odom_from_camera: Option<Se3>,
     /// Covariance of the pose relative to the keyframe: twist `[v, w]`, left, in the frame, keyframe
     /// units.
     pub covariance: Option<Mat6>,
@@ -130,4 +134,12 @@ pub struct FrameReport {
     pub reactivated_keyframe: Option<KeyframeId>,
     /// Whether the camera was lost and this frame was recognised.
     pub relocalised: bool,
+}
+
+impl FrameReport {
+    /// What the map corrects of odometry: jumps with loops, optimisation and relocalisation.
+    #[must_use]
+    pub fn map_from_odom(&self) -> Option<Se3> {
+        Some(self.world_from_camera? * self.odom_from_camera?.inverse())
+    }
 }

@@ -88,8 +88,8 @@ fn fingerprint(slam: &Slam, reports: &[FrameReport]) -> String {
     for report in reports {
         writeln!(
             text,
-            "{:?} {:?} {:?}",
-            report.state, report.world_from_camera, report.covariance
+            "{:?} {:?} {:?} {:?}",
+            report.state, report.world_from_camera, report.odom_from_camera, report.covariance
         )
         .unwrap();
     }
@@ -229,6 +229,25 @@ fn a_covered_lens_is_lost_with_a_reason_and_found_again() {
     assert!(report.ate_rmse < 0.015 * report.path_length);
 }
 
+#[test]
+fn odometry_follows_the_camera_from_frame_to_frame() {
+    let (slam, reports) = run(SlamConfig::default(), 0, &with_seed_depth());
+    assert!(slam.keyframes().len() > 2, "a keyframe was changed");
+    let truth = &clip().truth;
+    let odometry = |k: usize| reports[k].odom_from_camera.unwrap();
+    for k in 1..reports.len() {
+        let step = odometry(k - 1).inverse() * odometry(k);
+        let true_step = truth[k - 1].1.inverse() * truth[k].1;
+        let error = step.inverse() * true_step;
+        assert!(error.translation.norm() < 0.004, "{k}: {error:?}");
+        assert!(error.rotation.angle() < 0.003, "{k}: {error:?}");
+    }
+    let last = reports.last().unwrap();
+    let corrected = last.map_from_odom().unwrap() * last.odom_from_camera.unwrap();
+    let difference = corrected.inverse() * last.world_from_camera.unwrap();
+    assert!(difference.translation.norm() < 1e-9);
+}
+
 /// After ten seconds the video jumps back to its beginning: to another keyframe than the last.
 #[test]
 fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
@@ -266,6 +285,14 @@ fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
             .count()
             <= 2
     );
+    // the jump is a correction of the map, not a motion
+    let found = reports[jump..].iter().find(|r| r.relocalised).unwrap();
+    let before = reports[jump - 1].odom_from_camera.unwrap();
+    let motion = before.inverse() * found.odom_from_camera.unwrap();
+    assert!(motion.translation.norm() < 1e-9 && motion.rotation.angle() < 1e-9);
+    let correction = found.map_from_odom().unwrap();
+    let earlier = reports[jump - 1].map_from_odom().unwrap();
+    assert!((earlier.inverse() * correction).translation.norm() > 0.1);
     // what was seen twice has the same pose twice
     let poses = slam.trajectory();
     let pose = |index: usize| {

@@ -44,6 +44,7 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
     for name in [
         "trajectory.txt",
         "trajectory_live.txt",
+        "trajectory_odometry.txt",
         "frames.csv",
         "keyframes.txt",
         "recording.mgk",

@@ -2,12 +2,14 @@
 
 mod graph;
 mod keyframes;
+mod odometry;
 mod reactivate;
 mod relocalise;
 mod sessions;
 mod trajectory;
 
 use self::graph::{GraphLink, Links};
+use self::odometry::Odometry;
 use self::trajectory::Visit;
 use crate::depth_step::{observe, regularize};
 use crate::frame::Frame;
@@ -63,6 +65,8 @@ pub struct Slam {
     graph: Option<GraphLink>,
     /// Covariance of each keyframe relative to its parent, by identity.
     relative_covariance: Vec<Option<Mat7>>,
+    /// Motion without corrections.
+    odometry: Odometry,
 }
 
 /// The keyframe that frames are tracked on.
@@ -135,13 +139,18 @@ impl Slam {
             links: Vec::new(),
             graph,
             relative_covariance: Vec::new(),
+            odometry: Odometry::default(),
         })
     }
 
     /// Processes the next frame.
     pub fn process_frame(&mut self, input: FrameInput) -> FrameReport {
         // inside the pool of threads its many short parallel steps begin without waking anybody
-        rayon::scope(|_| self.process_in_pool(input))
+        rayon::scope(|_| {
+            let mut report = self.process_in_pool(input);
+            self.advance_odometry(&mut report);
+            report
+        })
     }
 
     fn process_in_pool(&mut self, input: FrameInput) -> FrameReport {
@@ -522,6 +531,7 @@ fn blank_report(index: usize, timestamp_ns: i64, state: TrackingState) -> FrameR
         state,
         reason: None,
         world_from_camera: None,
+        odom_from_camera: None,
         covariance: None,
         residual: 0.0,
         good_share: 0.0,

@@ -34,6 +34,14 @@ impl Visit {
     }
 }
 
+impl Visit {
+    /// The next keyframe and the pose relative to it of the frame of this time, if that ended the visit.
+    pub(super) fn handed_over_at(&self, timestamp_ns: i64) -> Option<(KeyframeId, Se3)> {
+        let end = self.end.as_ref()?;
+        (end.timestamp_ns == timestamp_ns).then_some((end.next, end.frame_from_next))
+    }
+}
+
 /// What is known now about the end of a visit: the pose of its last frame relative to the next keyframe
 /// differs from the tracked one.
 struct Correction {

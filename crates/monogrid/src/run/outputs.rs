@@ -9,6 +9,7 @@ use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, render};
 use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_sim3, format_tum};
+use monogrid_geometry::Se3;
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
@@ -16,8 +17,8 @@ use monogrid_slam::FrameReport;
 use monogrid_slam::mapping::Maps;
 use std::fmt::Write;
 
-/// Writes `trajectory.txt`, `trajectory_live.txt`, `frames.csv`, `keyframes.txt`,
-/// `trajectory_earlier.txt`, `map_from_world.txt`, `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
+/// Writes `trajectory.txt`, `trajectory_live.txt`, `trajectory_odometry.txt`, `frames.csv`,
+/// `keyframes.txt`, `trajectory_earlier.txt`, `map_from_world.txt`, `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
 pub fn write_tables(
     folder: &OutputFolder,
     tracked: &Tracked,
@@ -27,7 +28,11 @@ pub fn write_tables(
     folder.write("trajectory.txt", format_tum(&final_poses(tracked, frame)))?;
     folder.write(
         "trajectory_live.txt",
-        format_tum(&live_poses(tracked, frame)),
+        format_tum(&reported_poses(tracked, frame, |r| r.world_from_camera)),
+    )?;
+    folder.write(
+        "trajectory_odometry.txt",
+        format_tum(&reported_poses(tracked, frame, |r| r.odom_from_camera)),
     )?;
     folder.write("frames.csv", frames_csv(&tracked.rows))?;
     folder.write(MAP_FROM_WORLD, format_sim3(&frame.map_from_world))?;
@@ -79,13 +84,18 @@ pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
         .collect()
 }
 
-fn live_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
+/// Poses as they were reported frame by frame.
+fn reported_poses(
+    tracked: &Tracked,
+    frame: &MapFrame,
+    pose: impl Fn(&FrameReport) -> Option<Se3>,
+) -> Vec<TimedPose> {
     let reports = tracked.rows.iter().filter_map(FrameRow::report);
     reports
         .filter_map(|report| {
             Some(TimedPose {
                 timestamp_ns: report.timestamp_ns,
-                world_from_camera: in_map(&frame.map_from_world, &report.world_from_camera?),
+                world_from_camera: in_map(&frame.map_from_world, &pose(report)?),
             })
         })
         .collect()

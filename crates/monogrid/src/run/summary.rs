@@ -178,6 +178,7 @@ mod tests {
                 state,
                 reason: None,
                 world_from_camera: None,
+                odom_from_camera: None,
                 covariance: None,
                 residual: 0.0,
                 good_share: 0.0,
