@@ -147,19 +147,18 @@ fn a_box_that_moved_on_leaves_less_than_a_twentieth_of_its_cells() {
     }
 }
 
+/// Adds a scan with the default settings.
+fn add(map: &mut OccupancyMap, scan: &Scan, threads: usize) {
+    integrate(map, scan, &IntegrationConfig::default(), threads).unwrap();
+}
+
 #[test]
 fn what_nobody_looks_at_again_decays_and_a_loaded_map_comes_back() {
     let mut random = Random(12);
     let mut loaded = OccupancyMap::new(MapConfig::with_resolution(CELL)).unwrap();
     for id in 0..4 {
         let scan = camera_scan(&mut random, id, [-1.6, 0.0, 0.0], None);
-        integrate(
-            &mut loaded,
-            &scan.borrow(),
-            &IntegrationConfig::default(),
-            1,
-        )
-        .unwrap();
+        add(&mut loaded, &scan.borrow(), 1);
     }
     loaded.pack(1);
     let loaded = Arc::new(loaded);
@@ -176,13 +175,7 @@ fn what_nobody_looks_at_again_decays_and_a_loaded_map_comes_back() {
         for id in 0..10 {
             let obstacle = Some(moving_box([0.6, 0.2, 0.1]));
             let scan = camera_scan(&mut random, id, [-1.6, 0.0, 0.0], obstacle);
-            integrate(
-                &mut map,
-                &scan.borrow(),
-                &IntegrationConfig::default(),
-                threads,
-            )
-            .unwrap();
+            add(&mut map, &scan.borrow(), threads);
             decay.scan_integrated(&mut map, threads).unwrap();
         }
         let with_box = occupied_inside(&map).len();
@@ -191,13 +184,7 @@ fn what_nobody_looks_at_again_decays_and_a_loaded_map_comes_back() {
         for id in 10..110 {
             let mut scan = room_scan(&mut random, id, 100, 1.0);
             scan.pose.translation[0] += 100.0;
-            integrate(
-                &mut map,
-                &scan.borrow(),
-                &IntegrationConfig::default(),
-                threads,
-            )
-            .unwrap();
+            add(&mut map, &scan.borrow(), threads);
             changed = decay.scan_integrated(&mut map, threads).unwrap();
         }
         assert!(changed > 0, "the latest scans still fade");

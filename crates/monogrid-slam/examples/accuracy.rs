@@ -13,57 +13,40 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
+mod options;
+
 use monogrid_datasets::{Dataset, DepthRegistration, SourceOptions, read_depth, read_gray};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Undistorter, WorkingSize};
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
-use std::collections::BTreeMap;
+use options::Options;
 use std::path::Path;
 
 fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
-    let options: BTreeMap<String, String> = args
-        .map(|a| {
-            let (k, v) = a.split_once('=').unwrap();
-            (k.to_owned(), v.to_owned())
-        })
-        .collect();
-    let number = |key: &str, default: usize| {
-        options
-            .get(key)
-            .map_or(default, |v| v.parse::<usize>().unwrap())
-    };
+    let options = Options::read(args);
     let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
     let camera = dataset.calibration(None).unwrap().unwrap().camera;
     let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
     let (width, height) = undistorter.size();
     let pinhole = *undistorter.pinhole();
-    let mut config = if options.get("profile").is_some_and(|p| p == "thesis") {
+    let profile = if options.0.get("profile").is_some_and(|p| p == "thesis") {
         SlamConfig::thesis()
     } else {
         SlamConfig::default()
     };
-    let set = options.iter().filter(|(k, _)| k.contains('.'));
-    let mut value = serde_json::to_value(&config).unwrap();
-    for (key, v) in set {
-        let mut node = &mut value;
-        for part in key.split('.') {
-            node = node.get_mut(part).expect(key);
-        }
-        *node = serde_json::from_str(v).unwrap();
-    }
-    config = serde_json::from_value(value).unwrap();
+    let config = options.applied_to(&profile);
     let mut slam = Slam::new(
         config,
         pinhole,
         undistorter.mask().clone(),
-        number("seed", 0) as u64,
+        options.number("seed", 0) as u64,
     )
     .unwrap();
-    let first = number("start", 0);
-    let last = (first + number("max", usize::MAX / 2)).min(dataset.frames.len());
+    let first = options.number("start", 0);
+    let last = (first + options.number("max", usize::MAX / 2)).min(dataset.frames.len());
     let registration = dataset.depth_calibration().unwrap().map(|c| {
         (
             c.units_per_metre,
@@ -81,7 +64,7 @@ fn main() {
     let mut times = [0.0f64; 3];
     for (i, entry) in dataset.frames[first..last].iter().enumerate() {
         let image = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
-        let seed_depth = (i == 0 && options.get("init").is_some_and(|v| v == "depth"))
+        let seed_depth = (i == 0 && options.0.get("init").is_some_and(|v| v == "depth"))
             .then(|| true_depth(entry.timestamp_ns))
             .flatten();
         let report = slam.process_frame(FrameInput {
@@ -94,7 +77,7 @@ fn main() {
         times[0] += report.milliseconds.tracking;
         times[1] += report.milliseconds.depth;
         times[2] += report.milliseconds.graph;
-        if number("verbose", 0) > 0 || report.state == TrackingState::Lost {
+        if options.number("verbose", 0) > 0 || report.state == TrackingState::Lost {
             println!(
                 "{} {} {:?} kf {:?} res {:.1} good {:.2} usage {:.2} gain {:.2} {}",
                 report.index,
@@ -136,7 +119,7 @@ fn main() {
             .map(|p| (p.timestamp_ns, p.world_from_camera))
             .collect();
         for (name, poses) in [("final", &estimate), ("live", &live)] {
-            if name == "final" && number("edges", 0) > 0 {
+            if name == "final" && options.number("edges", 0) > 0 {
                 edge_report(&slam, &truth, &true_depth);
             }
             match evaluate_trajectory(poses, &truth, &TrajectoryConfig::default()) {

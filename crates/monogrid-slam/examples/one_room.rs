@@ -14,11 +14,13 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
+mod options;
+
 use monogrid_datasets::{Dataset, SourceOptions, read_gray};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{GrayImage, Image, Undistorter, WorkingSize};
 use monogrid_slam::{FrameInput, Slam, SlamConfig};
-use std::collections::BTreeMap;
+use options::Options;
 use std::path::Path;
 
 /// Time between two frames.
@@ -27,20 +29,10 @@ const INTERVAL_NS: i64 = 33_333_333;
 fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
-    let options: BTreeMap<String, String> = args
-        .map(|a| {
-            let (k, v) = a.split_once('=').unwrap();
-            (k.to_owned(), v.to_owned())
-        })
-        .collect();
-    let number = |key: &str, default: usize| {
-        options
-            .get(key)
-            .map_or(default, |v| v.parse::<usize>().unwrap())
-    };
+    let options = Options::read(args);
     let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
     let camera = dataset.calibration(None).unwrap().unwrap().camera;
-    let size = match options.get("size").and_then(|s| s.split_once('x')) {
+    let size = match options.0.get("size").and_then(|s| s.split_once('x')) {
         Some((w, h)) => WorkingSize::Exact {
             width: w.parse().unwrap(),
             height: h.parse().unwrap(),
@@ -48,15 +40,7 @@ fn main() {
         None => WorkingSize::Automatic,
     };
     let undistorter = Undistorter::new(&camera, size, None);
-    let mut value = serde_json::to_value(SlamConfig::default()).unwrap();
-    for (key, v) in options.iter().filter(|(k, _)| k.contains('.')) {
-        let mut node = &mut value;
-        for part in key.split('.') {
-            node = node.get_mut(part).expect(key);
-        }
-        *node = serde_json::from_str(v).unwrap();
-    }
-    let config = serde_json::from_value(value).unwrap();
+    let config = options.applied_to(&SlamConfig::default());
     let mask = undistorter.mask().clone();
     let mut slam = Slam::new(config, *undistorter.pinhole(), mask, 0).unwrap();
     let truth: Vec<StampedPose> =
@@ -68,7 +52,7 @@ fn main() {
     let images: Vec<(i64, Image<u8>)> = dataset
         .frames
         .iter()
-        .take(number("max", usize::MAX))
+        .take(options.number("max", usize::MAX))
         .map(|entry| {
             let image: GrayImage = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
             (
@@ -77,7 +61,11 @@ fn main() {
             )
         })
         .collect();
-    let order = forth_and_back(images.len(), number("shift", 0), number("frames", 18_000));
+    let order = forth_and_back(
+        images.len(),
+        options.number("shift", 0),
+        options.number("frames", 18_000),
+    );
     let mut played: Vec<StampedPose> = Vec::new();
     let (mut lost, mut used_again) = (0, 0);
     let (mut millis, mut frames) = (0.0, 0);

@@ -92,15 +92,12 @@ fn a_second_session_extends_the_map() {
     assert!(global.len() > fs::read(first_run().join("global.ot")).unwrap().len());
     // and a third goes on with the second
     let third = dir.path().join("third");
-    let more = [
-        "--continue",
-        text(&second),
-        "--start",
-        "120",
-        "--threads",
-        "1",
-    ];
-    let output = run(small_sequence(), &third, &more);
+    let go_on = |out: &Path, threads: &str| {
+        let more = ["--continue", text(&second), "--start", "120"];
+        let more = [&more[..], &["--threads", threads]].concat();
+        run(small_sequence(), out, &more)
+    };
+    let output = go_on(&third, "1");
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     assert_eq!(json(&output)["sessions"].as_array().unwrap().len(), 3);
     let earlier = fs::read_to_string(third.join("trajectory_earlier.txt")).unwrap();
@@ -113,15 +110,7 @@ fn a_second_session_extends_the_map() {
     );
     // the same bytes for another number of threads
     let fourth = dir.path().join("fourth");
-    let more = [
-        "--continue",
-        text(&second),
-        "--start",
-        "120",
-        "--threads",
-        "3",
-    ];
-    assert_eq!(code(&run(small_sequence(), &fourth, &more)), 0);
+    assert_eq!(code(&go_on(&fourth, "3")), 0);
     for name in ["trajectory.txt", "recording.mgk", "global.ot", "graph.g2o"] {
         let read = |folder: &Path| fs::read(folder.join(name)).unwrap();
         assert!(read(&third) == read(&fourth), "{name} differs");

@@ -5,7 +5,7 @@
 
 use super::image::RangeImage;
 use super::kernel::{EIGHT_SAMPLES, FOUR_SAMPLES, SINGLE_SAMPLE_PX};
-use super::windows::Windows;
+use super::windows::{Windows, higher, lower};
 
 /// Octants of a cube as bits: bit `x | y << 1 | z << 2`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,16 +68,6 @@ pub(crate) const WIDEST_SAMPLE: f32 = {
 #[inline]
 fn lanes(f: impl Fn(usize) -> f32) -> Lanes {
     std::array::from_fn(f)
-}
-
-#[inline]
-fn lower(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-#[inline]
-fn higher(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 /// `-1` or `1` for the side of octant `octant` along `axis`.

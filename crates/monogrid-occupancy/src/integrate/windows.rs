@@ -190,13 +190,15 @@ impl Bounds {
     }
 }
 
+/// The smaller of two, as the vector instructions choose it: the second where they cannot be compared.
 #[inline]
-fn lower(a: f32, b: f32) -> f32 {
+pub(super) fn lower(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
+/// The larger of two, likewise.
 #[inline]
-fn higher(a: f32, b: f32) -> f32 {
+pub(super) fn higher(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 

@@ -1,0 +1,38 @@
+//! `name=value` arguments of the examples.
+
+use serde::{Serialize, de::DeserializeOwned};
+use std::collections::BTreeMap;
+
+/// Options by name.
+pub struct Options(pub BTreeMap<String, String>);
+
+impl Options {
+    /// Reads the arguments that are left.
+    pub fn read(args: impl Iterator<Item = String>) -> Self {
+        let pairs = args.map(|a| {
+            let (name, value) = a.split_once('=').unwrap();
+            (name.to_owned(), value.to_owned())
+        });
+        Self(pairs.collect())
+    }
+
+    /// A number, or its default.
+    pub fn number(&self, name: &str, default: usize) -> usize {
+        self.0
+            .get(name)
+            .map_or(default, |v| v.parse::<usize>().unwrap())
+    }
+
+    /// `config` with the settings whose names have a dot.
+    pub fn applied_to<T: Serialize + DeserializeOwned>(&self, config: &T) -> T {
+        let mut value = serde_json::to_value(config).unwrap();
+        for (key, text) in self.0.iter().filter(|(key, _)| key.contains('.')) {
+            let mut node = &mut value;
+            for part in key.split('.') {
+                node = node.get_mut(part).expect(key);
+            }
+            *node = serde_json::from_str(text).unwrap();
+        }
+        serde_json::from_value(value).unwrap()
+    }
+}
