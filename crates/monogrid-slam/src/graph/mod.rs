@@ -8,6 +8,7 @@
 //! The lag is counted in frames, never in time, so that the result is the same on every machine.
 
 mod config;
+mod job;
 mod keyframe_graph;
 mod places;
 mod search;
@@ -17,10 +18,11 @@ pub use config::{
     DirectEdgeConfig, DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig,
     SparseEdgeConfig,
 };
-pub use keyframe_graph::{EdgeKind, GraphStats};
-pub(crate) use keyframe_graph::{
-    GraphJob, GraphUpdate, GraphView, Handover, KeyframeGraph, OdometryEdge, Relocalised,
-    RestoredGraph, SparseEdge,
+pub use job::{EdgeKind, GraphStats};
+pub(crate) use job::{
+    GraphJob, GraphUpdate, GraphView, Handover, OdometryEdge, Relocalised, RestoredGraph,
+    SparseEdge,
 };
+pub(crate) use keyframe_graph::KeyframeGraph;
 pub use places::PlacesError;
 pub(crate) use worker::GraphWorker;

@@ -1,6 +1,6 @@
 //! Runs the work of the graph on a thread of its own.
 
-use super::keyframe_graph::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
+use super::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
 use monogrid_image::Pyramid;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;

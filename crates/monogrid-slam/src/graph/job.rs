@@ -1,0 +1,134 @@
+//! What the graph is given, and what comes of it.
+
+use crate::KeyframeId;
+use crate::node::Exposure;
+use crate::stored::StoredEdge;
+use monogrid_alignment::DepthSample;
+use monogrid_geometry::{Mat6, Mat7, Se3, Sim3};
+use monogrid_image::Pyramid;
+use std::sync::Arc;
+
+/// A finished keyframe: what the alignment needs.
+#[derive(Clone, Debug)]
+pub(crate) struct GraphView {
+    pub id: KeyframeId,
+    pub pyramid: Arc<Pyramid>,
+    /// Depth in the keyframe's units.
+    pub samples: Vec<DepthSample>,
+    pub exposure: Exposure,
+}
+
+/// Motion between a keyframe and the one that it was tracked on, as tracking found it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OdometryEdge {
+    pub parent: KeyframeId,
+    pub keyframe: KeyframeId,
+    pub parent_from_keyframe: Sim3,
+    /// Covariance of a left update `[v, w]`, in the units of the parent.
+    pub covariance: Mat6,
+}
+
+/// A keyframe was left for another that existed already: tracking has seen both in one frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Handover {
+    /// The older of the two.
+    pub i: KeyframeId,
+    /// The newer.
+    pub j: KeyframeId,
+    /// As tracking found it, the scale as the poses have it.
+    pub i_from_j: Sim3,
+    /// Covariance of a left update `[v, w]`, in the units of the older.
+    pub covariance: Mat6,
+}
+
+/// A keyframe that a frame shows, and where the frame is.
+#[derive(Clone, Debug)]
+pub(crate) struct Relocalised {
+    pub view: GraphView,
+    /// Translation in the keyframe's units.
+    pub frame_from_keyframe: Se3,
+}
+
+/// Two keyframes that share points of the sparse layer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SparseEdge {
+    pub i: KeyframeId,
+    pub j: KeyframeId,
+    pub shared_points: usize,
+}
+
+/// What the graph has to do for a finished keyframe.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct GraphJob {
+    /// The keyframe that was finished, if one was.
+    pub finished: Option<GraphView>,
+    /// Present poses of all keyframes, by identity.
+    pub world_from_keyframe: Vec<Sim3>,
+    /// The keyframe that each was tracked on when it was made, by identity.
+    pub parents: Vec<Option<KeyframeId>>,
+    /// Motion of the newest keyframe.
+    pub odometry: Option<OdometryEdge>,
+    /// The change to a keyframe that existed already.
+    pub handover: Option<Handover>,
+    /// Pairs whose relative pose the sparse layer has just adjusted.
+    pub sparse_edges: Vec<SparseEdge>,
+    /// Whether all keyframes look for constraints once more.
+    pub is_final: bool,
+}
+
+/// The graph of an earlier session.
+#[derive(Clone, Debug)]
+pub(crate) struct RestoredGraph {
+    /// All keyframes, by identity.
+    pub views: Vec<GraphView>,
+    pub world_from_keyframe: Vec<Sim3>,
+    pub parents: Vec<Option<KeyframeId>>,
+    pub edges: Vec<StoredEdge>,
+}
+
+/// What came of a job.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct GraphUpdate {
+    /// Poses of all keyframes of the job, by identity.
+    pub world_from_keyframe: Vec<Sim3>,
+    /// Covariance of each keyframe relative to its parent, in the units of that one.
+    pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
+    /// All edges.
+    pub edges: Vec<StoredEdge>,
+    /// What was done.
+    pub stats: GraphStats,
+}
+
+/// What the graph has done so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GraphStats {
+    /// Pairs of keyframes that were aligned.
+    pub pairs_tried: usize,
+    /// Pairs that gave a constraint.
+    pub constraints: usize,
+    /// Keyframes that were recognised as an old place.
+    pub loops_proposed: usize,
+    /// Of these, those that direct alignment confirmed.
+    pub loop_closures: usize,
+    /// Constraints that the optimisation has switched off.
+    pub switched_off: usize,
+    /// Longest time from a keyframe's finish to the use of its optimised poses, ms.
+    pub max_wait_ms: f64,
+    /// Time of the alignments, ms.
+    pub alignment_ms: f64,
+    /// Longest job, ms.
+    pub max_job_ms: f64,
+    /// Time of all jobs, ms.
+    pub total_ms: f64,
+}
+
+/// Where an edge comes from. Odometry gives way to the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EdgeKind {
+    /// Tracked motion.
+    Odometry,
+    /// Points of the sparse layer that both keyframes see.
+    Sparse,
+    /// Direct alignment.
+    Direct,
+}

@@ -1,0 +1,175 @@
+//! What the edges of the graph say, and how much they are believed.
+
+use super::{CERTAIN, KeyframeGraph};
+use crate::KeyframeId;
+use crate::graph::job::{EdgeKind, Handover, OdometryEdge, SparseEdge};
+use crate::node::path_between;
+use monogrid_alignment::SimilarityConstraint;
+use monogrid_geometry::{Mat7, Sim3};
+use monogrid_graph::RobustKernel;
+use monogrid_graph::pose_graph::GraphEdge;
+
+impl KeyframeGraph {
+    /// Holds two keyframes as they are to each other.
+    pub(super) fn hold(&mut self, i: KeyframeId, j: KeyframeId) {
+        let i_from_j = self.relative(i, j);
+        if let Some(information) = self.with_model_error(Mat7::zeros(), &i_from_j) {
+            let edge = GraphEdge {
+                i: u64::from(i),
+                j: u64::from(j),
+                i_from_j,
+                information,
+                kernel: CERTAIN,
+            };
+            self.edges.insert((i, j, EdgeKind::Odometry), edge);
+        }
+    }
+
+    /// The motion that tracking found holds a keyframe until something better does.
+    pub(super) fn add_odometry(&mut self, odometry: &OdometryEdge) {
+        let mut covariance = Mat7::zeros();
+        covariance
+            .fixed_view_mut::<6, 6>(0, 0)
+            .copy_from(&odometry.covariance);
+        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        let Some(information) = covariance.cholesky().map(|c| c.inverse()) else {
+            return;
+        };
+        let edge = GraphEdge {
+            i: u64::from(odometry.parent),
+            j: u64::from(odometry.keyframe),
+            i_from_j: odometry.parent_from_keyframe,
+            information,
+            kernel: RobustKernel::None,
+        };
+        self.edges.insert(
+            (odometry.parent, odometry.keyframe, EdgeKind::Odometry),
+            edge,
+        );
+    }
+
+    /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
+    /// fails, by what tracking found; whether they were not constrained before.
+    pub(super) fn link(&mut self, handover: &Handover) -> bool {
+        let (i, j) = (handover.i, handover.j);
+        let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
+        if kinds.iter().any(|k| self.edges.contains_key(&(i, j, *k))) {
+            return false;
+        }
+        if let Some(constraint) = self.align(j, i, handover.i_from_j) {
+            self.set_direct_edge(i, j, &constraint, self.doubted());
+            return true;
+        }
+        let mut covariance = Mat7::zeros();
+        covariance
+            .fixed_view_mut::<6, 6>(0, 0)
+            .copy_from(&handover.covariance);
+        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
+            return false;
+        };
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j: handover.i_from_j,
+            information,
+            kernel: self.doubted(),
+        };
+        self.edges.insert((i, j, EdgeKind::Odometry), edge);
+        true
+    }
+
+    /// The relative pose of two keyframes as the sparse layer has it now.
+    pub(super) fn set_sparse_edge(&mut self, found: &SparseEdge) {
+        let config = &self.config.sparse_edges;
+        let (i, j) = (found.i, found.j);
+        let i_from_j = self.relative(i, j);
+        let factor = (config.reference_points as f64 / found.shared_points.max(1) as f64).max(1.0);
+        let mut information = Mat7::zeros();
+        for k in 0..7 {
+            let sigma = match k {
+                0..3 => config.translation_sigma,
+                3..6 => config.rotation_sigma,
+                _ => config.scale_sigma,
+            };
+            information[(k, k)] = 1.0 / (sigma * sigma * factor);
+        }
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j,
+            information,
+            kernel: CERTAIN,
+        };
+        self.edges.remove(&(i, j, EdgeKind::Odometry));
+        self.edges.insert((i, j, EdgeKind::Sparse), edge);
+    }
+
+    pub(super) fn set_direct_edge(
+        &mut self,
+        i: KeyframeId,
+        j: KeyframeId,
+        constraint: &SimilarityConstraint,
+        kernel: RobustKernel,
+    ) {
+        let Some(covariance) = constraint.information.cholesky().map(|c| c.inverse()) else {
+            return;
+        };
+        let Some(information) = self.with_model_error(covariance, &constraint.b_from_a) else {
+            return;
+        };
+        self.stats.constraints += 1;
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j: constraint.b_from_a,
+            information,
+            kernel,
+        };
+        self.edges.remove(&(i, j, EdgeKind::Odometry));
+        self.edges.insert((i, j, EdgeKind::Direct), edge);
+    }
+
+    /// Information of a relative pose when the errors that its residuals do not show are counted too.
+    pub(super) fn with_model_error(&self, mut covariance: Mat7, i_from_j: &Sim3) -> Option<Mat7> {
+        let config = &self.config.direct_edges;
+        let moved = i_from_j.translation.norm() * config.translation_share;
+        let translation_var = config.translation_sigma.powi(2) + moved * moved;
+        for k in 0..7 {
+            covariance[(k, k)] += match k {
+                0..3 => translation_var,
+                3..6 => config.rotation_sigma.powi(2),
+                _ => config.scale_sigma.powi(2),
+            };
+        }
+        let information = covariance.cholesky()?.inverse();
+        Some((information + information.transpose()) * 0.5)
+    }
+
+    /// Kernel of edges that may be wrong.
+    pub(super) fn doubted(&self) -> RobustKernel {
+        RobustKernel::DynamicCovariance {
+            phi: self.config.switch_chi_sq,
+        }
+    }
+
+    /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
+    /// them. Successive errors have common causes (calibration, the scale of what is seen), so drift grows
+    /// with the path, not with its root as the edges of the graph would have it: a loop that corrects it
+    /// contradicts them, and would be switched off as if it were wrong.
+    pub(super) fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
+        let drift = &self.config.places.drift;
+        let error = (i_from_j.inverse() * self.relative(i, j)).log();
+        let path = path_between(|id| self.parent_of(id), i, j);
+        let steps = path.len().saturating_sub(1) as f64;
+        let position = |id: KeyframeId| self.world_from_keyframe[id as usize].translation;
+        let path_in_world: f64 = path
+            .windows(2)
+            .map(|pair| (position(pair[1]) - position(pair[0])).norm())
+            .sum();
+        let path = path_in_world / self.world_from_keyframe[j as usize].scale;
+        error.fixed_rows::<3>(0).norm() <= drift.translation_start + drift.translation_share * path
+            && error.fixed_rows::<3>(3).norm() <= drift.rotation_start + drift.rotation_step * steps
+            && error[6].abs() <= drift.scale_start + drift.scale_step * steps
+    }
+}

@@ -1,0 +1,144 @@
+//! The graph on rendered keyframes.
+#![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
+
+use super::*;
+use crate::graph::job::OdometryEdge;
+use crate::node::Exposure;
+use monogrid_alignment::DepthSample;
+use monogrid_datasets::synth::SynthSequence;
+use monogrid_geometry::{Mat6, Vec7};
+use monogrid_image::Pyramid;
+
+/// Keyframes of a rendered room with exact depth, and their true poses; the unit of keyframe k is
+/// `1 + 0.1 k` metres.
+fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<GraphView>, Vec<Sim3>) {
+    let mut views = Vec::new();
+    let mut poses = Vec::new();
+    for k in 0..count {
+        let frame = sequence.frame(k * step).unwrap();
+        let depth = sequence.depth(k * step).unwrap();
+        let unit = 1.0 + 0.1 * k as f32;
+        let image = &frame.image;
+        let mut samples = Vec::new();
+        for y in 2..image.height() - 2 {
+            for x in 2..image.width() - 2 {
+                let dx = image.at(x + 1, y) - image.at(x - 1, y);
+                let dy = image.at(x, y + 1) - image.at(x, y - 1);
+                let z = depth.at(x, y);
+                if dx.hypot(dy) > 10.0 && z.is_finite() && z > 0.0 {
+                    let idepth = unit / z;
+                    let idepth_var = (0.01 * idepth).powi(2);
+                    let (x, y) = (x as u16, y as u16);
+                    samples.push(DepthSample {
+                        x,
+                        y,
+                        idepth,
+                        idepth_var,
+                    });
+                }
+            }
+        }
+        poses.push(frame.world_from_camera.with_scale(f64::from(unit)));
+        views.push(GraphView {
+            id: k as KeyframeId,
+            pyramid: Arc::new(Pyramid::new(image.clone(), 5)),
+            samples,
+            exposure: Exposure::NEUTRAL,
+        });
+    }
+    // relative to the first, which holds the world
+    let first_from_world = poses[0].inverse();
+    (
+        views,
+        poses.iter().map(|pose| first_from_world * *pose).collect(),
+    )
+}
+
+fn chain_of(len: usize) -> Vec<Option<KeyframeId>> {
+    (0..len as KeyframeId).map(|id| id.checked_sub(1)).collect()
+}
+
+fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
+    let errors = found.iter().zip(truth).map(|(f, t)| {
+        let difference = t.inverse() * *f;
+        (difference.translation.norm(), difference.scale.ln().abs())
+    });
+    errors.fold((0.0, 0.0), |worst, e| (worst.0.max(e.0), worst.1.max(e.1)))
+}
+
+#[test]
+fn constraints_take_out_the_drift_of_position_and_scale() {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let camera = sequence.camera();
+    let (views, truth) = keyframes(&sequence, 8, 8);
+    let drift = Sim3::exp(&Vec7::from_column_slice(&[
+        0.006, -0.004, 0.005, 0.002, 0.003, -0.002, 0.03,
+    ]));
+    let config = GraphConfig::default();
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    let mut graph = KeyframeGraph::new(config, camera.pinhole, mask).unwrap();
+    let mut poses = vec![truth[0]];
+    let mut chain = vec![truth[0]];
+    let mut stats = GraphStats::default();
+    for (k, view) in views.iter().enumerate() {
+        let job = |world_from_keyframe: &[Sim3], odometry| GraphJob {
+            finished: Some(view.clone()),
+            world_from_keyframe: world_from_keyframe.to_vec(),
+            parents: chain_of(world_from_keyframe.len()),
+            odometry,
+            ..GraphJob::default()
+        };
+        let odometry = (k + 1 < views.len()).then(|| {
+            let previous_from_keyframe = truth[k].inverse() * truth[k + 1] * drift;
+            poses.push(poses[k] * previous_from_keyframe);
+            chain.push(chain[k] * previous_from_keyframe);
+            OdometryEdge {
+                parent: k as KeyframeId,
+                keyframe: k as KeyframeId + 1,
+                parent_from_keyframe: previous_from_keyframe,
+                covariance: Mat6::identity() * 1e-4,
+            }
+        });
+        let update = graph.run(job(&poses, odometry));
+        poses = update.world_from_keyframe;
+        stats = update.stats;
+        assert!(
+            update
+                .previous_from_keyframe_covariance
+                .iter()
+                .skip(1)
+                .all(Option::is_some)
+        );
+    }
+    let (before, after) = (error(&chain, &truth), error(&poses, &truth));
+    assert!(stats.constraints >= 10, "{stats:?}");
+    assert!(before.0 > 0.04 && before.1 > 0.19, "{before:?}");
+    assert!(after.0 < 0.01 && after.1 < 0.01, "{before:?} {after:?}");
+}
+
+#[test]
+fn a_keyframe_of_another_room_is_not_constrained() {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let camera = sequence.camera();
+    let (mut views, poses) = keyframes(&sequence, 8, 2);
+    // the depth of the first, the image upside down
+    let image = views[0].pyramid.level(0).clone();
+    let (width, height) = (image.width(), image.height());
+    let turned = monogrid_image::GrayImage::from_fn(width, height, |x, y| {
+        image.at(width - 1 - x, height - 1 - y)
+    });
+    views[1].pyramid = Arc::new(Pyramid::new(turned, 5));
+    let mask = Mask::filled(width, height, 255);
+    let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask).unwrap();
+    let mut last = GraphUpdate::default();
+    for view in views {
+        last = graph.run(GraphJob {
+            finished: Some(view),
+            world_from_keyframe: poses.clone(),
+            parents: chain_of(poses.len()),
+            ..GraphJob::default()
+        });
+    }
+    assert_eq!((last.stats.pairs_tried, last.stats.constraints), (1, 0));
+    assert_eq!(last.world_from_keyframe, poses, "nothing to move them");
+}
