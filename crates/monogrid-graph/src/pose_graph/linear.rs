@@ -6,6 +6,13 @@ use crate::RobustKernel;
 use crate::tangent::sim3_left_jacobian_inverse;
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 
+/// What an edge leaves at some poses.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Residual {
+    r: Vec7,
+    chi2: f64,
+}
+
 /// The terms of a graph's cost, with indices instead of identities.
 pub(super) struct Terms<'a> {
     edges: &'a [GraphEdge],
@@ -44,15 +51,32 @@ impl<'a> Terms<'a> {
     }
 
     fn chi2(&self, edge: usize, poses: &[Sim3]) -> f64 {
+        self.fit(edge, poses).chi2
+    }
+
+    fn fit(&self, edge: usize, poses: &[Sim3]) -> Residual {
         let r = self.residual(edge, poses);
-        r.dot(&(self.edges[edge].information * r)).max(0.0)
+        let chi2 = r.dot(&(self.edges[edge].information * r)).max(0.0);
+        Residual { r, chi2 }
     }
 
     /// Robust cost, with the bounded kernels of new edges `width` times as wide.
     pub(super) fn cost(&self, poses: &[Sim3], width: f64) -> f64 {
+        self.evaluate(poses, width, &mut Vec::new())
+    }
+
+    /// The same; `residuals` becomes what all edges leave.
+    pub(super) fn evaluate(
+        &self,
+        poses: &[Sim3],
+        width: f64,
+        residuals: &mut Vec<Residual>,
+    ) -> f64 {
+        residuals.clear();
+        residuals.extend((0..self.edges.len()).map(|edge| self.fit(edge, poses)));
         let mut sum = 0.0;
-        for edge in 0..self.edges.len() {
-            sum += self.kernel(edge, width).cost(self.chi2(edge, poses));
+        for (edge, residual) in residuals.iter().enumerate() {
+            sum += self.kernel(edge, width).cost(residual.chi2);
         }
         for &(i, j, log_ratio, weight) in &self.scale_priors {
             let r = poses[j].scale.ln() - poses[i].scale.ln() - log_ratio;
@@ -112,43 +136,46 @@ impl<'a> Terms<'a> {
         (0..self.edges.len()).any(is_off)
     }
 
-    /// Normal equations `H x = b` at `poses`; `slot` gives each node's place among the free ones.
+    /// Normal equations `H x = b` at `poses`, of which `residuals` are known; `slot` gives each node's place
+    /// among the free ones.
     pub(super) fn linearise(
         &self,
         poses: &[Sim3],
+        residuals: &[Residual],
         width: f64,
         slot: &[Option<usize>],
         pattern: &BlockPattern,
-    ) -> (BlockMatrix, Vec<Vec7>) {
-        let mut h = pattern.zeros();
+        h: &mut BlockMatrix,
+    ) -> Vec<Vec7> {
+        h.clear();
         let mut b = vec![Vec7::zeros(); slot.iter().flatten().count()];
+        let adjoints: Vec<Mat7> = poses.iter().map(|pose| pose.inverse().adjoint()).collect();
         for (edge, e) in self.edges.iter().enumerate() {
             let (i, j) = self.ends[edge];
             if slot[i].is_none() && slot[j].is_none() {
                 continue;
             }
-            let r = self.residual(edge, poses);
-            let chi2 = r.dot(&(e.information * r)).max(0.0);
+            let Residual { r, chi2 } = residuals[edge];
             let weight = self.kernel(edge, width).weight(chi2);
             // d r / d T_j = J_l^-1(r) Ad(T_i^-1), and its negative by T_i
-            let jacobian = sim3_left_jacobian_inverse(&r) * poses[i].inverse().adjoint();
+            let jacobian = sim3_left_jacobian_inverse(&r) * adjoints[i];
             let weighted = jacobian.tr_mul(&e.information) * weight;
             let block = weighted * jacobian;
             let gradient = weighted * r;
             if let Some(a) = slot[j] {
-                pattern.add_diagonal(&mut h, a, &block);
+                pattern.add_diagonal(h, a, &block);
                 b[a] -= gradient;
             }
             if let Some(a) = slot[i] {
-                pattern.add_diagonal(&mut h, a, &block);
+                pattern.add_diagonal(h, a, &block);
                 b[a] += gradient;
             }
             if let (Some(a), Some(c)) = (slot[i], slot[j]) {
-                pattern.add_symmetric(&mut h, a, c, &-block);
+                pattern.add_symmetric(h, a, c, &-block);
             }
         }
-        self.add_scale_priors(poses, slot, pattern, &mut h, &mut b);
-        (h, b)
+        self.add_scale_priors(poses, slot, pattern, h, &mut b);
+        b
     }
 
     /// Scale priors are linear in the last component of the updates.
@@ -243,7 +270,10 @@ mod tests {
         assert!(pattern.is_some());
         let Some(pattern) = pattern else { return };
         let poses = [a, b];
-        let (_, gradient) = terms.linearise(&poses, 1.0, &slot, &pattern);
+        let mut residuals = Vec::new();
+        terms.evaluate(&poses, 1.0, &mut residuals);
+        let mut h = pattern.zeros();
+        let gradient = terms.linearise(&poses, &residuals, 1.0, &slot, &pattern, &mut h);
         for node in 0..2 {
             for k in 0..7 {
                 let cost = |h: f64| {

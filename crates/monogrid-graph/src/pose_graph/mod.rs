@@ -278,6 +278,19 @@ impl PoseGraph {
         Ok(())
     }
 
+    /// Adds a measurement that an earlier optimisation of the same graph has judged: its kernel is used as it
+    /// is.
+    ///
+    /// # Errors
+    /// As [`PoseGraph::add_edge`].
+    pub fn add_judged_edge(&mut self, edge: GraphEdge) -> Result<(), PoseGraphError> {
+        self.add_edge(edge)?;
+        if let Some(is_judged) = self.is_judged.last_mut() {
+            *is_judged = true;
+        }
+        Ok(())
+    }
+
     /// Adds an expectation about a scale ratio.
     ///
     /// # Errors

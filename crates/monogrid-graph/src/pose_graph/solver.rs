@@ -195,25 +195,30 @@ impl Problem<'_> {
         max_iterations: usize,
         iterations: &mut usize,
     ) -> Result<GraphOutcome, PoseGraphError> {
+        let (terms, pattern) = (self.terms, self.pattern);
         let mut damping = Damping::new(self.config.initial_damping);
-        let mut cost = self.terms.cost(poses, width);
+        let (mut residuals, mut new_residuals) = (Vec::new(), Vec::new());
+        let mut cost = terms.evaluate(poses, width, &mut residuals);
+        let (mut h, mut damped) = (pattern.zeros(), pattern.zeros());
+        let mut factor = pattern.factor().ok_or(PoseGraphError::Singular)?;
         for _ in 0..max_iterations {
-            let (h, b) = self.terms.linearise(poses, width, self.slot, self.pattern);
-            let diagonal = self.pattern.diagonal(&h);
+            let b = terms.linearise(poses, &residuals, width, self.slot, pattern, &mut h);
+            let diagonal = pattern.diagonal(&h);
             let decrease = loop {
-                let mut damped = h.clone();
-                self.pattern.add_to_diagonal(&mut damped, |c| {
+                damped.copy_from(&h);
+                pattern.add_to_diagonal(&mut damped, |c| {
                     damping.lambda * diagonal[c] + DIAGONAL_FLOOR
                 });
-                let factor = self.pattern.factorise(&damped);
-                let step = factor.and_then(|f| self.pattern.solve(&f, &b));
+                let is_definite = pattern.factorise(&damped, &mut factor);
+                let step = is_definite.and_then(|()| pattern.solve(&factor, &b));
                 if let Some(step) = step.filter(|s| is_small(s)) {
                     let predicted = predicted_decrease(&step, &b, &diagonal, damping.lambda);
                     let candidate = self.apply(poses, &step);
-                    let new_cost = self.terms.cost(&candidate, width);
+                    let new_cost = terms.evaluate(&candidate, width, &mut new_residuals);
                     if new_cost < cost {
                         damping.accept((cost - new_cost) / predicted.max(f64::MIN_POSITIVE));
                         *poses = candidate;
+                        std::mem::swap(&mut residuals, &mut new_residuals);
                         break cost - new_cost;
                     }
                     if predicted <= 1e-9 * cost.max(1e-12) {

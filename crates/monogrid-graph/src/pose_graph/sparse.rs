@@ -31,9 +31,22 @@ pub(super) struct BlockMatrix {
     values: Vec<f64>,
 }
 
-/// A factorised matrix.
+impl BlockMatrix {
+    /// Makes it zero.
+    pub(super) fn clear(&mut self) {
+        self.values.fill(0.0);
+    }
+
+    /// Makes it equal to another of the same pattern.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        self.values.copy_from_slice(&other.values);
+    }
+}
+
+/// Room for a factorised matrix.
 pub(super) struct Factor {
     values: Vec<f64>,
+    memory: MemBuffer,
 }
 
 impl BlockPattern {
@@ -126,26 +139,32 @@ impl BlockPattern {
         }
     }
 
-    /// Factorises; `None` when not positive definite.
-    pub(super) fn factorise(&self, matrix: &BlockMatrix) -> Option<Factor> {
-        let view = SparseColMatRef::new(self.matrix.as_ref(), matrix.values.as_slice());
-        let mut values = vec![0.0; self.symbolic.len_val()];
+    /// Room for a factorisation, to be used again and again; `None` without memory.
+    pub(super) fn factor(&self) -> Option<Factor> {
         let scratch = self
             .symbolic
             .factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
-        let mut memory = MemBuffer::try_new(scratch).ok()?;
+        Some(Factor {
+            values: vec![0.0; self.symbolic.len_val()],
+            memory: MemBuffer::try_new(scratch).ok()?,
+        })
+    }
+
+    /// Factorises; `None` when not positive definite.
+    pub(super) fn factorise(&self, matrix: &BlockMatrix, factor: &mut Factor) -> Option<()> {
+        let view = SparseColMatRef::new(self.matrix.as_ref(), matrix.values.as_slice());
         self.symbolic
             .factorize_numeric_llt(
-                &mut values,
+                &mut factor.values,
                 view,
                 Side::Lower,
                 Default::default(),
                 Par::Seq,
-                MemStack::new(&mut memory),
+                MemStack::new(&mut factor.memory),
                 Default::default(),
             )
             .ok()?;
-        Some(Factor { values })
+        Some(())
     }
 
     fn solve_in_place(&self, factor: &Factor, rhs: &mut Mat<f64>) -> Option<()> {

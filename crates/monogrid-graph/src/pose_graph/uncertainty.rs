@@ -27,8 +27,15 @@ impl GraphUncertainty {
             None
         } else {
             let pattern = pattern(&terms, &slot).ok_or(PoseGraphError::Singular)?;
-            let (h, _) = terms.linearise(&graph.poses(), 1.0, &slot, &pattern);
-            let factor = pattern.factorise(&h).ok_or(PoseGraphError::Singular)?;
+            let poses = graph.poses();
+            let mut residuals = Vec::new();
+            terms.evaluate(&poses, 1.0, &mut residuals);
+            let mut h = pattern.zeros();
+            terms.linearise(&poses, &residuals, 1.0, &slot, &pattern, &mut h);
+            let mut factor = pattern.factor().ok_or(PoseGraphError::Singular)?;
+            pattern
+                .factorise(&h, &mut factor)
+                .ok_or(PoseGraphError::Singular)?;
             Some((pattern, factor))
         };
         let nodes = graph.nodes.iter().zip(&slot);

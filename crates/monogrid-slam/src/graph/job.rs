@@ -116,6 +116,8 @@ pub struct GraphStats {
     pub max_wait_ms: f64,
     /// Time of the alignments, ms.
     pub alignment_ms: f64,
+    /// Longest optimisation of all poses, ms.
+    pub max_optimisation_ms: f64,
     /// Longest job, ms.
     pub max_job_ms: f64,
     /// Time of all jobs, ms.

@@ -21,7 +21,7 @@ impl KeyframeGraph {
                 information,
                 kernel: CERTAIN,
             };
-            self.edges.insert((i, j, EdgeKind::Odometry), edge);
+            self.set_edge((i, j, EdgeKind::Odometry), edge);
         }
     }
 
@@ -42,10 +42,8 @@ impl KeyframeGraph {
             information,
             kernel: RobustKernel::None,
         };
-        self.edges.insert(
-            (odometry.parent, odometry.keyframe, EdgeKind::Odometry),
-            edge,
-        );
+        let key = (odometry.parent, odometry.keyframe, EdgeKind::Odometry);
+        self.set_edge(key, edge);
     }
 
     /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
@@ -75,7 +73,7 @@ impl KeyframeGraph {
             information,
             kernel: self.doubted(),
         };
-        self.edges.insert((i, j, EdgeKind::Odometry), edge);
+        self.set_edge((i, j, EdgeKind::Odometry), edge);
         true
     }
 
@@ -102,7 +100,7 @@ impl KeyframeGraph {
             kernel: CERTAIN,
         };
         self.edges.remove(&(i, j, EdgeKind::Odometry));
-        self.edges.insert((i, j, EdgeKind::Sparse), edge);
+        self.set_edge((i, j, EdgeKind::Sparse), edge);
     }
 
     pub(super) fn set_direct_edge(
@@ -127,7 +125,7 @@ impl KeyframeGraph {
             kernel,
         };
         self.edges.remove(&(i, j, EdgeKind::Odometry));
-        self.edges.insert((i, j, EdgeKind::Direct), edge);
+        self.set_edge((i, j, EdgeKind::Direct), edge);
     }
 
     /// Information of a relative pose when the errors that its residuals do not show are counted too.

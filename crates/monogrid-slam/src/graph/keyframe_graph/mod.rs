@@ -35,6 +35,9 @@ const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
 /// Rounds of the final search.
 const FINAL_ROUNDS: usize = 2;
 
+/// The older and the newer keyframe of an edge, and its kind.
+type EdgeKey = (KeyframeId, KeyframeId, EdgeKind);
+
 /// The graph with all that its jobs need.
 #[derive(Clone, Debug)]
 pub(crate) struct KeyframeGraph {
@@ -43,8 +46,10 @@ pub(crate) struct KeyframeGraph {
     entries: BTreeMap<KeyframeId, Entry>,
     world_from_keyframe: Vec<Sim3>,
     parents: Vec<Option<KeyframeId>>,
-    /// By the older and the newer keyframe, and the kind.
-    edges: BTreeMap<(KeyframeId, KeyframeId, EdgeKind), GraphEdge>,
+    edges: BTreeMap<EdgeKey, GraphEdge>,
+    /// Edges that an optimisation has seen: they decide from then on by how well they fit, and only what
+    /// is new makes it look far away.
+    judged: BTreeSet<EdgeKey>,
     refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
     /// Keyframes by their appearance.
     places: PlaceMemory,
@@ -78,6 +83,7 @@ impl KeyframeGraph {
             world_from_keyframe: Vec::new(),
             parents: Vec::new(),
             edges: BTreeMap::new(),
+            judged: BTreeSet::new(),
             refused: BTreeMap::new(),
             places,
             mask,
@@ -94,7 +100,7 @@ impl KeyframeGraph {
         for StoredEdge { kind, edge } in restored.edges {
             let (i, j) = (edge.i as KeyframeId, edge.j as KeyframeId);
             if i < j && (j as usize) < self.parents.len() {
-                self.edges.insert((i, j, kind), edge);
+                self.set_edge((i, j, kind), edge);
             }
         }
         let linked: BTreeSet<KeyframeId> = self.edges.keys().map(|key| key.1).collect();
@@ -108,6 +114,12 @@ impl KeyframeGraph {
                 self.hold(before, id);
             }
         }
+    }
+
+    /// Adds an edge or replaces one.
+    fn set_edge(&mut self, key: EdgeKey, edge: GraphEdge) {
+        self.judged.remove(&key);
+        self.edges.insert(key, edge);
     }
 
     /// All edges with where they come from.
@@ -152,6 +164,10 @@ impl KeyframeGraph {
         }
         if let Some(handover) = &job.handover {
             is_changed |= self.link(handover);
+        }
+        if job.is_final {
+            // Nobody waits any more: what was switched off is considered again.
+            self.judged.clear();
         }
         if is_changed {
             self.optimise(if job.is_final {

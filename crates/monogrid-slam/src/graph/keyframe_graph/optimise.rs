@@ -3,6 +3,7 @@
 use super::KeyframeGraph;
 use crate::KeyframeId;
 use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig};
+use std::time::Instant;
 
 /// Newest keyframes whose covariances follow the graph while it grows.
 const NEWEST: usize = 12;
@@ -12,13 +13,14 @@ const NEWEST: usize = 12;
 pub(super) enum Search {
     /// Near the poses as they are, which a few new constraints hardly move.
     Near,
-    /// Also far away, through ever narrower kernels: a loop was closed.
+    /// Also far away, with ever narrower kernels of the edges that are new: a loop was closed.
     Wide,
 }
 
 impl KeyframeGraph {
     /// Moves the poses to the optimum.
     pub(super) fn optimise(&mut self, search: Search) {
+        let begin = Instant::now();
         let Some(mut graph) = self.pose_graph() else {
             return;
         };
@@ -37,7 +39,10 @@ impl KeyframeGraph {
         for (pose, node) in self.world_from_keyframe.iter_mut().zip(graph.nodes()) {
             *pose = node.world_from_keyframe;
         }
+        self.judged.extend(self.edges.keys().copied());
         self.stats.switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
+        let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
+        self.stats.max_optimisation_ms = self.stats.max_optimisation_ms.max(milliseconds);
     }
 
     /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph says
@@ -70,9 +75,13 @@ impl KeyframeGraph {
             };
             graph.add_node(node).ok()?;
         }
-        for edge in self.edges.values() {
+        for (key, edge) in &self.edges {
             // an edge that the graph refuses (a scale beyond reason) is no constraint
-            let _ = graph.add_edge(*edge);
+            let _ = if self.judged.contains(key) {
+                graph.add_judged_edge(*edge)
+            } else {
+                graph.add_edge(*edge)
+            };
         }
         Some(graph)
     }
