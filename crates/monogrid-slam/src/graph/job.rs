@@ -116,7 +116,7 @@ pub struct GraphStats {
     pub max_wait_ms: f64,
     /// Time of the alignments, ms.
     pub alignment_ms: f64,
-    /// Longest optimisation of all poses, ms.
+    /// Longest optimisation of all poses while the run went on, ms.
     pub max_optimisation_ms: f64,
     /// Longest job, ms.
     pub max_job_ms: f64,

@@ -206,6 +206,21 @@ pub fn run_all(
         Some(maps) => Some(outputs::write_maps(folder, maps, &path)?),
         None => None,
     };
+    let closed_loops = tracked.slam.graph_stats().loop_closures > 0;
+    let reported_path = if closed_loops {
+        outputs::reported_path(&tracked, &frame)
+    } else {
+        Vec::new()
+    };
+    let loops = match maps.as_ref().filter(|_| closed_loops) {
+        Some(maps) => Some(outputs::write_loop_pictures(
+            folder,
+            maps,
+            &reported_path,
+            &path,
+        )?),
+        None => None,
+    };
     let extras = extras(&tracked, &frame, maps.as_ref())?;
     warnings.extend(extras.warnings);
     let mut summary = summarise(input, settings, &tracked, &frame, maps.as_ref(), warnings);
@@ -224,8 +239,10 @@ pub fn run_all(
             summary: &summary,
             frame: &frame,
             path: &path,
+            reported_path: &reported_path,
             reference: &extras.reference,
             preview: preview.as_deref(),
+            loops: loops.as_ref(),
             config: &config_text,
         },
     );

@@ -84,6 +84,15 @@ pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
         .collect()
 }
 
+/// Positions of the camera as they were reported frame by frame.
+pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
+    let poses = reported_poses(tracked, frame, |report| report.world_from_camera);
+    poses
+        .iter()
+        .map(|pose| pose.world_from_camera.translation.into())
+        .collect()
+}
+
 /// Poses as they were reported frame by frame.
 fn reported_poses(
     tracked: &Tracked,
@@ -224,6 +233,45 @@ pub fn write_maps(
     let preview = encode_png_rgb(&picture);
     folder.write("preview.png", &preview)?;
     Ok(preview)
+}
+
+/// The map before and after loops were closed, from above, as PNG files: every keyframe where it was when it
+/// was finished, and where the graph has it in the end. The same piece of the world in both.
+pub fn write_loop_pictures(
+    folder: &OutputFolder,
+    maps: &Maps,
+    reported_path: &[[f64; 3]],
+    path: &[[f64; 3]],
+) -> Result<[Vec<u8>; 2], Failure> {
+    let cubes = |map| occupied_cubes(map).while_running("the maps cannot be drawn");
+    let (before, after) = (cubes(&maps.large)?, cubes(&maps.global)?);
+    let cut = dollhouse_cut(&after, path);
+    let view = View {
+        elevation: std::f64::consts::FRAC_PI_2,
+        frame: extent(&after),
+        ..View::default()
+    };
+    let before = encode_png_rgb(&render(&before, reported_path, cut, &view));
+    let after = encode_png_rgb(&render(&after, path, cut, &view));
+    folder.write("loops_before.png", &before)?;
+    folder.write("loops_after.png", &after)?;
+    Ok([before, after])
+}
+
+/// Box of what is there, but for a few cells far away, with some room around it.
+fn extent(cubes: &[Cube]) -> Option<[[f64; 3]; 2]> {
+    if cubes.is_empty() {
+        return None;
+    }
+    let mut corners = [[0.0; 3]; 2];
+    for axis in 0..3 {
+        let mut values: Vec<f64> = cubes.iter().map(|cube| cube.center[axis]).collect();
+        let low = quantile(&mut values, 0.005);
+        let high = quantile(&mut values, 0.995);
+        let room = 0.05 * (high - low);
+        (corners[0][axis], corners[1][axis]) = (low - room, high + room);
+    }
+    Some(corners)
 }
 
 /// Heights that matter to what moves where the camera moved: from somewhat above the floor (where

@@ -28,10 +28,14 @@ pub struct ReportInput<'a> {
     pub frame: &'a MapFrame,
     /// Camera centres in the frame of the results.
     pub path: &'a [[f64; 3]],
+    /// Path as it was reported frame by frame; empty to leave it out.
+    pub reported_path: &'a [[f64; 3]],
     /// Reference path in the same frame; empty for none.
     pub reference: &'a [[f64; 3]],
     /// View of the map, PNG.
     pub preview: Option<&'a [u8]>,
+    /// The map before and after loops were closed, PNG.
+    pub loops: Option<&'a [Vec<u8>; 2]>,
     /// The effective configuration.
     pub config: &'a str,
 }
@@ -53,6 +57,19 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
     }
     page.heading("Path of the camera, from above");
     page.plot(&path_plot(input));
+    if let Some([before, after]) = input.loops {
+        page.heading("What the loops corrected");
+        page.row(&[
+            (
+                before.clone(),
+                "before: each keyframe where it was when it was finished".into(),
+            ),
+            (
+                after.clone(),
+                "after: where the graph of keyframes has it".into(),
+            ),
+        ]);
+    }
     page.heading("Tracking");
     page.ribbon(&ribbon(&tracked.rows));
     page.note("green: good, yellow: degraded, red: lost, blue: starting, grey: no image");
@@ -165,6 +182,14 @@ fn path_plot(input: &ReportInput) -> Plot {
             name: "reference".into(),
             colour: "#b0b0b0",
             points: from_above(input.reference),
+            ..Series::default()
+        });
+    }
+    if !input.reported_path.is_empty() {
+        series.push(Series {
+            name: "as reported, before corrections".into(),
+            colour: "#e08a3c",
+            points: from_above(input.reported_path),
             ..Series::default()
         });
     }

@@ -165,13 +165,9 @@ impl KeyframeGraph {
         if let Some(handover) = &job.handover {
             is_changed |= self.link(handover);
         }
-        if job.is_final {
-            // Nobody waits any more: what was switched off is considered again.
-            self.judged.clear();
-        }
         if is_changed {
             self.optimise(if job.is_final {
-                Search::Wide
+                Search::Final
             } else {
                 Search::Near
             });
@@ -186,7 +182,7 @@ impl KeyframeGraph {
                 if self.stats.constraints == before {
                     break;
                 }
-                self.optimise(Search::Wide);
+                self.optimise(Search::Final);
             }
         }
         if is_changed {

@@ -15,12 +15,17 @@ pub(super) enum Search {
     Near,
     /// Also far away, with ever narrower kernels of the edges that are new: a loop was closed.
     Wide,
+    /// The same for all edges: nobody waits any more, what was switched off is considered again.
+    Final,
 }
 
 impl KeyframeGraph {
     /// Moves the poses to the optimum.
     pub(super) fn optimise(&mut self, search: Search) {
         let begin = Instant::now();
+        if search == Search::Final {
+            self.judged.clear();
+        }
         let Some(mut graph) = self.pose_graph() else {
             return;
         };
@@ -29,7 +34,7 @@ impl KeyframeGraph {
             max_iterations: self.config.max_iterations,
             graduation: match search {
                 Search::Near => None,
-                Search::Wide => default.graduation,
+                Search::Wide | Search::Final => default.graduation,
             },
             ..default
         };
@@ -41,6 +46,9 @@ impl KeyframeGraph {
         }
         self.judged.extend(self.edges.keys().copied());
         self.stats.switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
+        if search == Search::Final {
+            return;
+        }
         let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
         self.stats.max_optimisation_ms = self.stats.max_optimisation_ms.max(milliseconds);
     }
