@@ -53,6 +53,7 @@ fn in_the_true_map_every_path_is_found_and_safe() {
     for stats in [
         report.unknown_blocked.all,
         report.unknown_blocked.observed,
+        report.unknown_blocked.path_observed,
         report.unknown_free.all,
     ] {
         assert_eq!(stats.pairs, 60);
@@ -115,7 +116,35 @@ fn what_was_not_observed_is_a_matter_of_the_rule() {
     assert!(blocked.all.unreachable > 0.6, "{blocked:?}");
     assert_eq!(blocked.observed.unreachable, 0.0);
     assert!((4..30).contains(&blocked.observed.pairs));
+    assert_eq!(blocked.path_observed.pairs, blocked.observed.pairs);
     assert_eq!(free.all.unreachable, 0.0);
+}
+
+#[test]
+fn a_path_through_the_unknown_is_not_one_through_the_observed_space() {
+    let truth = rooms();
+    let mut map = truth.to_map().expect("fits");
+    // the wall with its door is not observed: both rooms are
+    let between = (0..42).flat_map(|z| (0..52).flat_map(move |y| (48..58).map(move |x| [x, y, z])));
+    set(&mut map, between, None);
+    let blocked = evaluate_paths(&map, &truth, &config())
+        .expect("a report")
+        .unknown_blocked;
+    let (ends, paths) = (blocked.observed, blocked.path_observed);
+    assert!(ends.false_positive > 0.3, "{blocked:?}");
+    assert!(paths.pairs > 10 && paths.pairs < ends.pairs, "{blocked:?}");
+    assert_eq!(paths.false_positive, 0.0, "nothing observed is in the way");
+    // a false obstacle in the observed space is
+    set(
+        &mut map,
+        wall(false).map(|[x, y, z]| [x - 25, y, z]),
+        Some(2.0),
+    );
+    let blocked = evaluate_paths(&map, &truth, &config())
+        .expect("a report")
+        .unknown_blocked;
+    assert_eq!(blocked.path_observed.pairs, paths.pairs);
+    assert!(blocked.path_observed.false_positive > 0.1, "{blocked:?}");
 }
 
 #[test]

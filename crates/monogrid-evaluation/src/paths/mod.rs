@@ -126,6 +126,9 @@ pub struct PathReport {
     /// Over the pairs inside the observed space: around start and goal the map knows every cell that
     /// the robot fills.
     pub observed: PathStats,
+    /// Over the pairs whose shortest path in the truth runs through the observed space: all along it the map
+    /// knows every cell that the robot fills. What blocks these are false obstacles alone.
+    pub path_observed: PathStats,
 }
 
 /// Results of [`evaluate_paths`].
@@ -189,12 +192,13 @@ pub fn evaluate_paths(
     let routes: Vec<Route> = pairs
         .into_iter()
         .filter_map(|(start, goal)| {
-            let is_observed = [start, goal]
-                .iter()
-                .all(|i| to_unobserved.at(*i) >= clearances.collide);
-            truth_planner
-                .plan(start, goal)
-                .map(|path| Route { path, is_observed })
+            let is_inside =
+                |cells: &[usize]| least_distance(&to_unobserved, cells) >= clearances.collide;
+            truth_planner.plan(start, goal).map(|path| Route {
+                are_ends_observed: is_inside(&[start, goal]),
+                is_path_observed: is_inside(&path.cells),
+                path,
+            })
         })
         .collect();
     drop(truth_planner);
@@ -229,7 +233,10 @@ impl Clearances {
 /// The shortest path of a pair in the truth.
 struct Route {
     path: Path,
-    is_observed: bool,
+    /// Whether the map knows what the robot fills at start and goal.
+    are_ends_observed: bool,
+    /// Whether it does all along the path.
+    is_path_observed: bool,
 }
 
 /// What became of one route on the map.
@@ -384,14 +391,14 @@ fn compare(
             }
         })
         .collect();
-    let observed = routes
-        .iter()
-        .zip(&outcomes)
-        .filter(|(route, _)| route.is_observed)
-        .map(|(_, outcome)| outcome);
+    let of = |is_counted: fn(&Route) -> bool| {
+        let pairs = routes.iter().zip(&outcomes);
+        stats(pairs.filter_map(|(route, outcome)| is_counted(route).then_some(outcome)))
+    };
     PathReport {
-        observed: stats(observed),
-        all: stats(outcomes.iter()),
+        all: of(|_| true),
+        observed: of(|route| route.are_ends_observed),
+        path_observed: of(|route| route.is_path_observed),
     }
 }
 

@@ -308,13 +308,17 @@ fn print_paths(report: &PathsReport) {
     ];
     for (name, rule) in rules {
         print_stats(&format!("{name}, all"), &rule.all);
-        print_stats(&format!("{name}, in observed space"), &rule.observed);
+        print_stats(&format!("{name}, ends observed"), &rule.observed);
+        print_stats(&format!("{name}, path observed"), &rule.path_observed);
     }
     println!();
     println!(
         "blocked: of the pairs, the shortest true path is blocked in the map (false positive)"
     );
     println!("colliding: of the paths planned on the map, it hits something true (false negative)");
+    println!(
+        "observed: the map knows all that the robot fills, at start and goal or all along that path"
+    );
 }
 
 fn print_stats(name: &str, stats: &PathStats) {

@@ -263,15 +263,14 @@ fn extent(cubes: &[Cube]) -> Option<[[f64; 3]; 2]> {
     if cubes.is_empty() {
         return None;
     }
-    let mut corners = [[0.0; 3]; 2];
-    for axis in 0..3 {
+    let ranges = [0, 1, 2].map(|axis| {
         let mut values: Vec<f64> = cubes.iter().map(|cube| cube.center[axis]).collect();
         let low = quantile(&mut values, 0.005);
         let high = quantile(&mut values, 0.995);
         let room = 0.05 * (high - low);
-        (corners[0][axis], corners[1][axis]) = (low - room, high + room);
-    }
-    Some(corners)
+        [low - room, high + room]
+    });
+    Some([0, 1].map(|end| ranges.map(|range| range[end])))
 }
 
 /// Heights that matter to what moves where the camera moved: from somewhat above the floor (where
