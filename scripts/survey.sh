@@ -4,12 +4,13 @@
 #   scripts/survey.sh [SEQUENCE...]     a folder, or WORLD:MOTION:NOISE (office:drone:off)
 #
 # Without arguments: all sequences of ../shared/data, and 5 worlds x 4 motions, noisy and clean.
-# BIN: another binary; FRAMES: frames of the worlds (default 1500); PROFILES; ROWS: a file that rows are
+# BIN: another binary; FRAMES: frames of the worlds (default 1500); SIZE: of their images; PROFILES; ROWS: a file that rows are
 # appended to, in which finished rows are found again when the script is started a second time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 bin=${BIN:-target/release/monogrid}
 frames=${FRAMES:-1500}
+size=${SIZE:-640x480}
 profiles=${PROFILES:-default thesis}
 rows=${ROWS:-/dev/null}
 sequences=("$@")
@@ -62,7 +63,7 @@ for sequence in "${sequences[@]}"; do
     fi
     if [ -z "$made" ]; then
       rm -rf "$source"
-      "$bin" synth "$world" --motion "$motion" --noise "$noise" --frames "$frames" --depth-every 0 \
+      "$bin" synth "$world" --motion "$motion" --noise "$noise" --frames "$frames" --size "$size" --depth-every 0 \
         --truth-resolution 0.2 --quick-light --out "$source" >/dev/null 2>&1
       made=1
     fi

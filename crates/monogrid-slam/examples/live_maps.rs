@@ -156,6 +156,9 @@ fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: us
     let stop = AtomicBool::new(false);
     let (beside, closures) = std::thread::scope(|scope| {
         let mapper = scope.spawn(|| {
+            // as the program's mapper, which lets tracking go first
+            #[cfg(target_os = "linux")]
+            rustix::process::nice(10).unwrap();
             let mut closures = 0;
             while !stop.load(Ordering::Relaxed) {
                 closures += 1;

@@ -46,6 +46,17 @@ pub fn peak_rss_bytes() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
+/// Lets other threads go first where there are not enough processors for all: for work that may wait.
+/// Has no effect where priorities belong to processes.
+pub fn give_way() {
+    /// A tenth of the share of a thread that did not give way.
+    #[cfg(target_os = "linux")]
+    const NICENESS: i32 = 10;
+    // refused only where raising priorities is meant; the thread then stays as it is
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(NICENESS);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -18,7 +18,7 @@ use crate::config::RunConfig;
 use crate::failure::Failure;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::output::OutputFolder;
-use crate::usage::{process_cpu, thread_cpu};
+use crate::usage::{give_way, process_cpu, thread_cpu};
 use monogrid_datasets::{EndRecord, SessionInfo};
 use monogrid_geometry::Sim3;
 use monogrid_image::GrayImage;
@@ -276,6 +276,7 @@ fn grow_maps(
     mut maps: LiveMaps,
     camera: &KeyframeCamera,
 ) -> (Result<LiveMaps, MapError>, Duration) {
+    give_way();
     let mut result = Ok(());
     let mut has_work = false;
     loop {
