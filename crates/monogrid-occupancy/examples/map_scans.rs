@@ -53,6 +53,7 @@ fn parse() -> Result<Options, Box<dyn Error>> {
                     form: ThrunForm::Exact,
                 }
             }
+            "obstacle" => options.config.obstacle_weight = value.parse()?,
             "scans" => options.scans = value.parse()?,
             "out" => options.out = Some(value.to_owned()),
             _ => return Err(format!("unknown option {argument}; {usage}").into()),
@@ -60,6 +61,9 @@ fn parse() -> Result<Options, Box<dyn Error>> {
     }
     Ok(options)
 }
+
+/// Scans in memory at a time.
+const SCANS: usize = 16;
 
 /// CPU seconds of all threads of this process so far, those that ended included.
 fn cpu_seconds() -> f64 {
@@ -71,10 +75,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = parse()?;
     let mut map = OccupancyMap::new(MapConfig::with_resolution(options.resolution))?;
     let (mut points, mut wall, mut cpu) = (0, 0.0, 0.0);
-    for scan in ScansReader::new(File::open(&options.input)?)?.take(options.scans) {
-        let scan = scan?;
+    let mut reader = ScansReader::new(File::open(&options.input)?)?.take(options.scans);
+    loop {
+        let scans: Vec<_> = reader.by_ref().take(SCANS).collect::<Result<_, _>>()?;
+        if scans.is_empty() {
+            break;
+        }
+        let scans: Vec<Scan> = scans.iter().map(StoredScan::as_scan).collect();
         let (started, cpu_started) = (Instant::now(), cpu_seconds());
-        let report = integrate(&mut map, &scan.as_scan(), &options.config, options.threads)?;
+        let report = integrate_scans(&mut map, &scans, &options.config, options.threads)?;
         wall += started.elapsed().as_secs_f64();
         cpu += cpu_seconds() - cpu_started;
         points += report.points;

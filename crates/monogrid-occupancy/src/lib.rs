@@ -98,7 +98,9 @@ pub use combine::{CellCounts, MapDifference};
 pub use decay::{Decay, DecayConfig};
 pub use error::MapError;
 pub use evidence::{Occupancy, log_odds_from_probability, probability_from_log_odds};
-pub use integrate::{IntegrationConfig, IntegrationReport, IntegrationRule, integrate};
+pub use integrate::{
+    IntegrationConfig, IntegrationReport, IntegrationRule, integrate, integrate_scans,
+};
 pub use io::{
     MGO_MAGIC, read_bt, read_mgo, read_ot, save_atomically, write_bt, write_mgo, write_ot,
     write_pcd, write_ply,

@@ -351,11 +351,21 @@ impl OccupancyMap {
         for_each(&mut self.shards, threads, |_, shard| shard.pack());
     }
 
-    /// Whether an eighth of the memory budget or more is in bricks that could be packed.
-    pub(crate) fn is_worth_packing(&self) -> bool {
+    /// Packs the map after it refused to grow, if an eighth of the memory budget or more is in bricks
+    /// that are not packed. Otherwise gives back the error.
+    pub(crate) fn pack_for_budget(
+        &mut self,
+        error: MapError,
+        threads: usize,
+    ) -> Result<(), MapError> {
         let unpacked = self.shards.iter().map(Shard::payloads).sum::<usize>();
         let bytes = unpacked * BRICK_CELLS * size_of::<i16>();
-        bytes >= self.config.memory_budget_bytes / 8
+        let is_full = matches!(error, MapError::MemoryBudget { .. });
+        if !is_full || bytes < self.config.memory_budget_bytes / 8 {
+            return Err(error);
+        }
+        self.pack(threads);
+        Ok(())
     }
 
     /// Smallest box of cells, first and last inclusive, that holds every known cell.

@@ -1,7 +1,8 @@
 //! Measurements as rays with their evidence, and where they begin.
 
 use super::IntegrationConfig;
-use super::near::{NEAR_END, NearCells};
+use super::near::{NEAR_END, NearCells, NearEnds};
+use super::parallel::for_each;
 use super::ray::{MAX_CELLS, RANGE_BITS, Ray, TIME_BITS, fixed};
 use super::settled::{BeamTiles, Settled};
 use crate::error::MapError;
@@ -153,7 +154,23 @@ pub(crate) struct Beginnings<'a> {
     pub near: NearCells,
 }
 
-impl Beginnings<'_> {
+impl<'a> Beginnings<'a> {
+    /// Looks at a map into which measurements are still to be integrated.
+    pub(crate) fn find(
+        map: &OccupancyMap,
+        tiles: &'a BeamTiles,
+        ends: &NearEnds,
+        threads: usize,
+    ) -> Self {
+        let mut parts = Settled::parts(map, tiles, threads);
+        for_each(&mut parts, threads, |_, part| part.run());
+        Self {
+            tiles,
+            settled: Settled::join(&parts),
+            near: NearCells::new(map, ends),
+        }
+    }
+
     /// Lets a beam begin where the first cell lies that it could change.
     #[inline]
     pub(crate) fn settle(&self, beam: &mut Beam, measured: &Measured) {

@@ -12,8 +12,8 @@ use crate::sensor::table::EvidenceTable;
 const NEAREST_CELLS: f32 = 0.25;
 
 /// A prepared scan with everything that an update needs.
-pub(crate) struct Footprints<'a> {
-    pub images: &'a RangeImages,
+pub(crate) struct Footprints {
+    pub images: RangeImages,
     windows: Vec<Windows>,
     pub max_range: f32,
     pub resolution: f32,
@@ -23,13 +23,12 @@ pub(crate) struct Footprints<'a> {
     free: i16,
 }
 
-impl<'a> Footprints<'a> {
-    pub(crate) fn new(images: &'a RangeImages, max_range: f64, resolution: f64) -> Self {
+impl Footprints {
+    pub(crate) fn new(images: RangeImages, max_range: f64, resolution: f64) -> Self {
         let max_range = max_range as f32;
         let tables = images.tables.tables();
         let (flat, headers) = flatten(tables);
         Self {
-            images,
             windows: images
                 .images
                 .iter()
@@ -44,6 +43,7 @@ impl<'a> Footprints<'a> {
                 .collect(),
             tables: flat,
             free: tables.first().map_or(0, |table| table.free),
+            images,
         }
     }
 

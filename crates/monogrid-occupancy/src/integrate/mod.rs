@@ -8,6 +8,7 @@
 //! Both are split over shards of bricks that no two threads share, so the result is the same,
 //! bit for bit, for any number of threads.
 
+mod batches;
 pub(crate) mod beam;
 pub(crate) mod footprint;
 pub(crate) mod fused;
@@ -23,9 +24,11 @@ pub(crate) mod parallel;
 pub(crate) mod pyramid;
 pub(crate) mod ray;
 pub(crate) mod rays;
+mod search;
 pub(crate) mod settled;
 mod visits;
 pub(crate) mod windows;
+mod writer;
 
 use crate::error::MapError;
 use crate::map::OccupancyMap;
@@ -137,6 +140,14 @@ pub struct IntegrationReport {
     pub brick_visits: usize,
 }
 
+impl IntegrationReport {
+    fn add(&mut self, other: &Self) {
+        self.points += other.points;
+        self.skipped += other.skipped;
+        self.brick_visits += other.brick_visits;
+    }
+}
+
 /// Adds one scan to a map, using `threads` threads (at least one).
 ///
 /// The result does not depend on `threads`. On an error the map is as before.
@@ -155,12 +166,46 @@ pub fn integrate(
     config.validate()?;
     scan.validate()?;
     let threads = threads.max(1);
-    match integrate_where(map, scan, config, threads, None) {
-        Err(MapError::MemoryBudget { .. }) if map.is_worth_packing() => {
-            map.pack(threads);
-            integrate_where(map, scan, config, threads, None)
+    integrate_where(map, scan, config, threads, None).or_else(|error| {
+        map.pack_for_budget(error, threads)?;
+        integrate_where(map, scan, config, threads, None)
+    })
+}
+
+/// Adds scans one after the other: the map of [`integrate`] for each of them, the same bytes, but
+/// several threads share the work better, because they prepare scans while others are written.
+///
+/// Needs memory for four prepared scans per thread (about 6 MB for one of 100,000 measurements), so
+/// hand it all there are only if they are few. The report is the sum of all scans.
+///
+/// # Errors
+/// As [`integrate`], of the first scan that fails; the map then holds those before it.
+pub fn integrate_scans(
+    map: &mut OccupancyMap,
+    scans: &[Scan],
+    config: &IntegrationConfig,
+    threads: usize,
+) -> Result<IntegrationReport, MapError> {
+    config.validate()?;
+    let invalid = scans.iter().position(|scan| scan.validate().is_err());
+    let valid = &scans[..invalid.unwrap_or(scans.len())];
+    let mut report = IntegrationReport::default();
+    match config.rule {
+        IntegrationRule::Fused if threads > 1 && config.model != SensorModel::None => {
+            report = fused::integrate_scans(map, valid, config, threads)?;
         }
-        done => done,
+        IntegrationRule::Rays if threads > 1 && config.model != SensorModel::None => {
+            report = rays::integrate_scans(map, valid, config, threads)?;
+        }
+        _ => {
+            for scan in valid {
+                report.add(&integrate(map, scan, config, threads)?);
+            }
+        }
+    }
+    match invalid {
+        Some(invalid) => scans[invalid].validate().map(|()| report),
+        None => Ok(report),
     }
 }
 

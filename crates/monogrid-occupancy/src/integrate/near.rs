@@ -17,6 +17,31 @@ const EDGE: i32 = 1 << NEAR_BITS;
 const BEFORE: i32 = EDGE / 2;
 const CELLS: usize = 1 << (3 * NEAR_BITS);
 
+/// The cells of a cube around the sensor that beams cross which see more than free space there, and
+/// can raise them.
+pub(crate) struct NearEnds {
+    /// Cell of the map at the cube's first corner.
+    first: [i32; 3],
+    can_rise: Vec<bool>,
+}
+
+impl NearEnds {
+    pub(crate) fn new(beams: &Beams) -> Self {
+        let mut can_rise = vec![false; CELLS];
+        let ends_here = |m: &&Measured| !m.is_free_until(NEAR_END);
+        for measured in beams.measured.iter().filter(ends_here) {
+            beams.beam(measured).ray.any_near_cell(NEAR_END, |index| {
+                can_rise[index] = true;
+                false
+            });
+        }
+        Self {
+            first: beams.origin.map(|c| c.floor() as i32 - BEFORE),
+            can_rise,
+        }
+    }
+}
+
 /// A cube of cells around the sensor.
 pub(crate) struct NearCells {
     /// Whether beams in free space leave the cell as it is, by its position, x fastest.
@@ -24,9 +49,9 @@ pub(crate) struct NearCells {
 }
 
 impl NearCells {
-    /// Looks at a map into which the measurements in `left` are still to be integrated.
-    pub(crate) fn new(map: &OccupancyMap, beams: &Beams, left: &[Measured]) -> Self {
-        let first = beams.origin.map(|c| c.floor() as i32 - BEFORE);
+    /// Looks at a map into which measurements are still to be integrated.
+    pub(crate) fn new(map: &OccupancyMap, ends: &NearEnds) -> Self {
+        let first = ends.first;
         let lowest = map.limits.min;
         let mut keeps = vec![false; CELLS];
         // Bricks, and of each the cells in the cube.
@@ -47,19 +72,13 @@ impl NearCells {
                         for (cy, y) in inside(1, y) {
                             for (cx, x) in inside(0, x) {
                                 let value = values[VoxelKey::new(cx, cy, cz).index_in_brick()];
-                                keeps[position([x, y, z])] = value == lowest;
+                                let at = position([x, y, z]);
+                                keeps[at] = value == lowest && !ends.can_rise[at];
                             }
                         }
                     }
                 }
             }
-        }
-        // A beam that ends here can raise what it crosses.
-        for measured in left.iter().filter(|m| !m.is_free_until(NEAR_END)) {
-            beams.beam(measured).ray.any_near_cell(NEAR_END, |index| {
-                keeps[index] = false;
-                false
-            });
         }
         Self { keeps }
     }

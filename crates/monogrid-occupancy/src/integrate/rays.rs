@@ -1,23 +1,20 @@
 //! The rule `rays`: every measurement updates every cell that its ray crosses.
 //!
-//! Flow: measurements -> rays in cell units (`beam`) -> in batches, the rays' updates are handed to
-//! the shards of their bricks, and each shard takes them ray by ray in the order of the measurements
-//! (`visits`). Rays begin where the first cell lies that they could change (`settled`, `near`).
+//! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates are
+//! handed to the shards of their bricks, and each shard takes them ray by ray in the order of the
+//! measurements (`visits`). Rays begin where the first cell lies that they could change (`settled`, `near`).
 
+use super::batches::Walk;
 use super::beam::{Beams, Beginnings, Measured};
-use super::near::NearCells;
+use super::near::NearEnds;
 use super::parallel::for_each;
-use super::settled::{BeamTiles, Settled};
-use super::visits::{ShardWriter, Worker};
+use super::settled::BeamTiles;
 use super::{IntegrationConfig, IntegrationReport};
 use crate::error::MapError;
 use crate::key::BrickKey;
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
 
-/// Beams walked before their visits are applied: few enough to stay in a core's own cache, where
-/// every brick on their way looks them up.
-const BEAMS_PER_BATCH: usize = 4096;
 /// Share of the beams after which settled space is looked for again, and how much later then.
 const FIRST_SHARE: usize = 8;
 const NEXT_SHARE: usize = 3;
@@ -25,7 +22,52 @@ const NEXT_SHARE: usize = 3;
 /// Bricks to which an integration is restricted, sorted by packed key.
 pub(crate) type BrickFilter<'a> = Option<&'a [u64]>;
 
-/// Adds a scan by the rule `rays`.
+/// The beams of a scan and their directions; does not depend on what the map holds.
+pub(crate) struct Prepared {
+    beams: Beams,
+    /// Where it is worth a search: by directions, and near the sensor.
+    tiles: Option<(BeamTiles, NearEnds)>,
+    skipped: usize,
+}
+
+impl Prepared {
+    /// Prepares a valid scan.
+    fn new(map: &OccupancyMap, scan: &Scan, config: &IntegrationConfig) -> Result<Self, MapError> {
+        let beams = Beams::new(map, scan, config)?;
+        Ok(Self {
+            tiles: BeamTiles::new(scan, &beams).map(|tiles| (tiles, NearEnds::new(&beams))),
+            skipped: scan.len() - beams.measured.len(),
+            beams,
+        })
+    }
+}
+
+/// Adds valid scans one after the other by the rule `rays`; on an error, those before it.
+pub(crate) fn integrate_scans(
+    map: &mut OccupancyMap,
+    scans: &[Scan],
+    config: &IntegrationConfig,
+    threads: usize,
+) -> Result<IntegrationReport, MapError> {
+    let mut report = IntegrationReport::default();
+    for scans in scans.chunks(threads) {
+        let mut prepared: Vec<_> = scans.iter().map(|scan| (scan, None)).collect();
+        for_each(&mut prepared, threads, |_, (scan, prepared)| {
+            *prepared = Some(Prepared::new(map, scan, config));
+        });
+        for prepared in prepared.into_iter().filter_map(|(_, prepared)| prepared) {
+            let prepared = prepared?;
+            if let Err(error) = check_budget(map, &prepared.beams) {
+                map.pack_for_budget(error, threads)?;
+                check_budget(map, &prepared.beams)?;
+            }
+            report.add(&integrate_prepared(map, &prepared, threads, None));
+        }
+    }
+    Ok(report)
+}
+
+/// Adds a valid scan by the rule `rays`.
 pub(crate) fn integrate_rays(
     map: &mut OccupancyMap,
     scan: &Scan,
@@ -33,54 +75,47 @@ pub(crate) fn integrate_rays(
     threads: usize,
     only: BrickFilter,
 ) -> Result<IntegrationReport, MapError> {
-    let beams = Beams::new(map, scan, config)?;
-    check_budget(map, &beams)?;
+    let prepared = Prepared::new(map, scan, config)?;
+    check_budget(map, &prepared.beams)?;
+    Ok(integrate_prepared(map, &prepared, threads, only))
+}
+
+fn integrate_prepared(
+    map: &mut OccupancyMap,
+    prepared: &Prepared,
+    threads: usize,
+    only: BrickFilter,
+) -> IntegrationReport {
     map.revision += 1;
+    let Prepared { beams, tiles, .. } = prepared;
     let all = &beams.measured[..];
     let mut report = IntegrationReport {
         points: all.len(),
-        skipped: scan.len() - all.len(),
+        skipped: prepared.skipped,
         brick_visits: 0,
     };
-    let tiles = BeamTiles::new(scan, &beams);
-    let mut workers: Vec<Worker> = (0..threads).map(|_| Worker::new()).collect();
-    let mut beginnings = None;
-    let mut next_search = 0;
+    let mut spare = Vec::new();
     let mut first = 0;
     while first < all.len() {
-        if first >= next_search
-            && let Some(tiles) = &tiles
-        {
-            beginnings = Some(Beginnings {
-                settled: Settled::search(map, tiles, threads),
-                near: NearCells::new(map, &beams, &all[first..]),
-                tiles,
-            });
-            next_search = (first * NEXT_SHARE).max(all.len() / FIRST_SHARE).max(1);
-        }
-        let mut last = (first + BEAMS_PER_BATCH).min(all.len());
-        if first < next_search {
-            last = last.min(next_search);
-        }
-        let batch = &all[first..last];
-        let share = batch.len().div_ceil(threads).max(1);
-        for_each(&mut workers, threads, |index, worker| {
-            let start = (index * share).min(batch.len());
-            let batch = &batch[start..(start + share).min(batch.len())];
-            worker.collect(&beams, batch, beginnings.as_ref(), only);
-        });
-        report.brick_visits += workers.iter().map(Worker::visits).sum::<usize>();
-        let (limits, revision) = (map.limits, map.revision);
-        for_each(&mut map.shards, threads, |index, shard| {
-            let mut writer = ShardWriter::new(&beams.tables, limits, revision);
-            for worker in &workers {
-                writer.apply(shard, worker, index);
-            }
-        });
+        let beginnings = tiles
+            .as_ref()
+            .map(|(tiles, ends)| Beginnings::find(map, tiles, ends, threads));
+        let last = match beginnings {
+            Some(_) => (first * NEXT_SHARE).max(all.len() / FIRST_SHARE).max(1),
+            None => all.len(),
+        };
+        let last = last.min(all.len());
+        let walk = Walk {
+            beams,
+            beginnings: beginnings.as_ref(),
+            only,
+            threads,
+        };
+        report.brick_visits += walk.integrate(map, &all[first..last], &mut spare);
         first = last;
     }
     map.collapse_touched(threads);
-    Ok(report)
+    report
 }
 
 /// Upper bound of the bricks that a ray can meet.
@@ -259,11 +294,10 @@ mod tests {
                 assert!(map == expected, "scan {id} at {resolution}");
                 let beams = Beams::new(&map, &scan, &config).unwrap();
                 let tiles = BeamTiles::new(&scan, &beams).unwrap();
-                let settled = Settled::search(&map, &tiles, threads);
-                let near = NearCells::new(&map, &beams, &beams.measured);
-                let is_short = |b: &&Measured| settled.until(tiles.tile_of(b.slopes)) > 8.0;
+                let found = Beginnings::find(&map, &tiles, &NearEnds::new(&beams), threads);
+                let is_short = |b: &&Measured| found.settled.until(tiles.tile_of(b.slopes)) > 8.0;
                 let short = beams.measured.iter().filter(is_short).count();
-                let is_near = |b: &&Measured| near.are_settled_for(&beams.beam(b));
+                let is_near = |b: &&Measured| found.near.are_settled_for(&beams.beam(b));
                 let near = beams.measured.iter().filter(is_near).count();
                 assert!(
                     id < 3 || near > 1000,

@@ -8,7 +8,6 @@
 //! from the sensor.
 
 use super::beam::{Beams, Measured};
-use super::parallel::for_each;
 use super::pyramid::{Bounds, Pyramid};
 use crate::key::{BRICK_CELLS, VoxelKey};
 use crate::map::OccupancyMap;
@@ -27,8 +26,12 @@ const MOST_CELLS: f64 = 160.0;
 const FAR_CELLS: f64 = 24.0;
 /// Least extent of all tiles together, as slope: tiles are much wider than the margin.
 const LEAST_EXTENT: f64 = 0.01;
-/// Edge of the cubes at which the search begins: 2^7 cells.
-const ROOT_LEVEL: u32 = 7;
+/// Cubes of this level are split until they are small enough to be shared among threads.
+const FIRST_LEVEL: u32 = 7;
+/// Edge of the cubes that are handed out to the threads: 2^5 cells.
+const ROOT_LEVEL: u32 = 5;
+/// Parts of the search per thread.
+const PARTS: usize = 4;
 /// Level of a brick.
 const BRICK_LEVEL: u32 = 3;
 /// Guards, in cells and slopes, against the rounding of what is compared here.
@@ -201,8 +204,9 @@ impl BeamTiles {
         Some((middle(first), middle(last)))
     }
 
+    /// Where the search begins: cubes of [`ROOT_LEVEL`] that beams cross.
     fn roots(&self) -> Vec<VoxelKey> {
-        let edge = f64::from(1_u32 << ROOT_LEVEL);
+        let edge = f64::from(1_u32 << FIRST_LEVEL);
         let first = self
             .origin
             .map(|c| ((c - self.reach) / edge).floor() as i32);
@@ -213,12 +217,23 @@ impl BeamTiles {
         for x in first[0]..=last[0] {
             for y in first[1]..=last[1] {
                 for z in first[2]..=last[2] {
-                    let at = |c: i32| c << ROOT_LEVEL;
-                    roots.push(VoxelKey::new(at(x), at(y), at(z)));
+                    let at = |c: i32| c << FIRST_LEVEL;
+                    self.split(VoxelKey::new(at(x), at(y), at(z)), FIRST_LEVEL, &mut roots);
                 }
             }
         }
         roots
+    }
+
+    fn split(&self, first: VoxelKey, level: u32, roots: &mut Vec<VoxelKey>) {
+        if self.view(first, level).is_none() {
+            return;
+        }
+        if level == ROOT_LEVEL {
+            roots.push(first);
+        } else {
+            for_octants(first, level, |child| self.split(child, level - 1, roots));
+        }
     }
 }
 
@@ -233,22 +248,33 @@ pub(crate) struct Settled {
 }
 
 impl Settled {
-    /// Looks at all space that the beams cross freely.
-    pub(crate) fn search(map: &OccupancyMap, tiles: &BeamTiles, threads: usize) -> Self {
+    /// The parts of a search through all space that the beams cross freely, to be done in any order
+    /// and joined.
+    pub(crate) fn parts<'a>(
+        map: &'a OccupancyMap,
+        tiles: &'a BeamTiles,
+        threads: usize,
+    ) -> Vec<Search<'a>> {
         let roots = tiles.roots();
-        let share = roots.len().div_ceil(threads).max(1);
-        let mut searches: Vec<(&[VoxelKey], Search)> = roots
-            .chunks(share)
-            .map(|roots| (roots, Search::new(map, tiles)))
-            .collect();
-        for_each(&mut searches, threads, |_, (roots, search)| {
-            for root in *roots {
-                search.visit(*root, ROOT_LEVEL);
+        let parts = if threads == 1 { 1 } else { PARTS * threads };
+        // Neighbours take about the same time: they are dealt out in turn.
+        let part = |first| Search {
+            map,
+            tiles,
+            roots: roots.iter().skip(first).step_by(parts).copied().collect(),
+            until: vec![f32::INFINITY; tiles.size[0] * tiles.size[1]],
+        };
+        (0..parts).map(part).collect()
+    }
+
+    /// Joins the parts of a search.
+    pub(crate) fn join(parts: &[Search]) -> Self {
+        let mut until = Vec::new();
+        for part in parts {
+            if until.is_empty() {
+                until.clone_from(&part.until);
             }
-        });
-        let mut until = vec![f32::INFINITY; tiles.size[0] * tiles.size[1]];
-        for (_, search) in &searches {
-            for (least, found) in until.iter_mut().zip(&search.until) {
+            for (least, found) in until.iter_mut().zip(&part.until) {
                 *least = least.min(*found);
             }
         }
@@ -262,19 +288,19 @@ impl Settled {
     }
 }
 
-/// The search of one thread.
-struct Search<'a> {
+/// A part of the search.
+pub(crate) struct Search<'a> {
     map: &'a OccupancyMap,
     tiles: &'a BeamTiles,
+    roots: Vec<VoxelKey>,
     until: Vec<f32>,
 }
 
-impl<'a> Search<'a> {
-    fn new(map: &'a OccupancyMap, tiles: &'a BeamTiles) -> Self {
-        Self {
-            map,
-            tiles,
-            until: vec![f32::INFINITY; tiles.size[0] * tiles.size[1]],
+impl Search<'_> {
+    /// Does this part.
+    pub(crate) fn run(&mut self) {
+        for root in std::mem::take(&mut self.roots) {
+            self.visit(root, ROOT_LEVEL);
         }
     }
 

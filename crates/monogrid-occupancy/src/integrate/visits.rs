@@ -14,12 +14,20 @@ use crate::key::{BRICK_CELLS, BrickKey};
 use crate::sensor::table::{EvidenceTable, TableSet};
 use crate::storage::{BrickRef, SHARDS, Shard, SlotIndex, hash, shard_of};
 
+/// A batch of beams and the visits that they make.
+pub(crate) struct Visits {
+    beams: Vec<Beam>,
+    /// By shard.
+    lists: Vec<List>,
+    count: usize,
+}
+
 /// Visits of the bricks of one shard, in the order of the beams.
 ///
 /// A visit is a packed key in two words and a third, which is either `beam << 2 | near << 1 | 1` for
 /// a brick in free space, or `count << 2` before as many updates: `position << 16 | evidence`.
 #[derive(Clone, Debug, Default)]
-struct Visits {
+struct List {
     words: Vec<u32>,
 }
 
@@ -32,7 +40,7 @@ const MOST_CELLS: usize = 24;
 /// Free space so short before the obstacle is walked with it: looking for its bricks costs more.
 const SHORT: i64 = 12 << TIME_BITS;
 
-impl Visits {
+impl List {
     #[inline]
     fn push(&mut self, key: u64, word: u32, updates: &[u32]) {
         self.words
@@ -41,26 +49,25 @@ impl Visits {
     }
 }
 
-/// One thread's share of a batch: beams and the visits that they make.
-pub(crate) struct Worker {
-    beams: Vec<Beam>,
-    /// By shard.
-    lists: Vec<Visits>,
-    visits: usize,
-}
-
-impl Worker {
-    pub(crate) fn new() -> Self {
+impl Default for Visits {
+    fn default() -> Self {
         Self {
             beams: Vec::new(),
-            lists: vec![Visits::default(); SHARDS],
-            visits: 0,
+            lists: vec![List::default(); SHARDS],
+            count: 0,
         }
     }
+}
 
-    /// Visits of the batch.
-    pub(crate) fn visits(&self) -> usize {
-        self.visits
+impl Visits {
+    /// Number of visits.
+    pub(crate) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// How much there is to be applied to a shard, in words.
+    pub(crate) fn words(&self, shard: usize) -> usize {
+        self.lists[shard].words.len()
     }
 
     /// Step 1: the visits of each beam, in the order of the beams.
@@ -73,7 +80,7 @@ impl Worker {
     ) {
         self.lists.iter_mut().for_each(|list| list.words.clear());
         self.beams.clear();
-        self.visits = 0;
+        self.count = 0;
         for (index, measured) in batch.iter().enumerate() {
             let mut beam = beams.beam(measured);
             if let Some(beginnings) = beginnings {
@@ -87,7 +94,7 @@ impl Worker {
                 visits: 0,
             };
             collector.collect(beams.tables.table(beam.table));
-            self.visits += collector.visits;
+            self.count += collector.visits;
             self.beams.push(beam);
         }
     }
@@ -95,7 +102,7 @@ impl Worker {
 
 /// The visits of one beam.
 struct Collector<'a> {
-    lists: &'a mut [Visits],
+    lists: &'a mut [List],
     only: BrickFilter<'a>,
     beam: &'a Beam,
     /// The third word of a free visit.
@@ -184,9 +191,9 @@ impl<'a> ShardWriter<'a> {
         }
     }
 
-    /// Takes the visits that a worker found for the shard `index`.
-    pub(crate) fn apply(&mut self, shard: &mut Shard, worker: &Worker, index: usize) {
-        let mut words = &worker.lists[index].words[..];
+    /// Takes the visits of a batch in the shard `index`.
+    pub(crate) fn apply(&mut self, shard: &mut Shard, visits: &Visits, index: usize) {
+        let mut words = &visits.lists[index].words[..];
         while let [low, high, word, rest @ ..] = words {
             let key = u64::from(*high) << 32 | u64::from(*low);
             let slot = shard.find_or_insert(key, hash(key));
@@ -196,7 +203,7 @@ impl<'a> ShardWriter<'a> {
                 words = rest;
                 self.update(shard, slot, updates);
             } else {
-                let beam = &worker.beams[(word >> 2) as usize];
+                let beam = &visits.beams[(word >> 2) as usize];
                 self.clear(shard, slot, key, beam, word & NEAR != 0);
             }
         }
