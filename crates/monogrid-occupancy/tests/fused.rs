@@ -130,7 +130,7 @@ fn measurements(image: &DepthImage) -> BTreeMap<(i32, i32), Measured> {
             let pairs = [(1, 0), (0, 1), (1, 1), (-1, 1)]
                 .map(|(dx, dy)| (own.get(&(x - dx, y - dy)), own.get(&(x + dx, y + dy))));
             let agreeing = pairs.into_iter().find_map(|pair| match pair {
-                (Some(a), Some(b)) if (a.range - b.range).abs() <= 0.1 * a.range.min(b.range) => {
+                (Some(a), Some(b)) if (a.range - b.range).abs() <= 0.05 * a.range.min(b.range) => {
                     Some((a, b))
                 }
                 _ => None,

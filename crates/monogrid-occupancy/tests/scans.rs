@@ -116,7 +116,6 @@ fn a_budget_that_holds_some_of_the_scans_is_an_error_after_the_same_scan() {
             let found = integrate_scans(&mut map, &scans, &config, 2);
             assert_eq!(found.is_ok(), result.is_ok(), "{rule:?} {budget}");
             assert!(map == expected, "{rule:?} {budget}");
-            assert!(map.bytes_in_memory() <= budget);
         }
         assert!(stopped > 0, "{rule:?}: no budget ends the run on its way");
     }

@@ -12,10 +12,13 @@ use crate::scan::{DepthScan, Scan, ScanData};
 use crate::sensor::table::TableSet;
 
 /// Pixels along the edge of a cell's footprint at the mean range.
-const PIXELS_PER_CELL: f64 = 2.0;
+const PIXELS_PER_CELL: f64 = 2.5;
 /// Measurements per pixel of a point cloud, on average: with one, a third of the pixels of randomly
 /// spread measurements are empty, and gaps are left that nothing can close.
 const POINTS_PER_PIXEL: f64 = 1.4;
+/// Ranges that differ by less than this share of themselves are of one surface. A tenth would join
+/// furniture with the wall behind it at a range where nothing is.
+const ONE_SURFACE: f32 = 0.05;
 /// A scan whose directions all lie within this slope of the forward axis is one image.
 const WIDEST_SLOPE: f32 = 2.5;
 /// Slope of a cube's faces, with a margin for footprints that cross an edge.
@@ -285,8 +288,8 @@ fn build_image(
 }
 
 impl RangeImage {
-    /// Adds a measurement to its pixel. Ranges that agree within a tenth are averaged; where they
-    /// do not, the majority stays (Boyer and Moore's vote).
+    /// Adds a measurement to its pixel. Ranges of one surface are averaged; where they
+    /// are not, the majority stays (Boyer and Moore's vote).
     #[inline]
     fn vote(&mut self, sample: &Sample) {
         let column = (sample.u * self.focal[0] + self.center[0] + 0.5) as usize;
@@ -299,7 +302,7 @@ impl RangeImage {
                 table: sample.table,
                 votes: 1,
             };
-        } else if (sample.range - pixel.range).abs() <= 0.1 * pixel.range {
+        } else if (sample.range - pixel.range).abs() <= ONE_SURFACE * pixel.range {
             pixel.votes = pixel.votes.saturating_add(1);
             pixel.range += (sample.range - pixel.range) / f32::from(pixel.votes);
         } else {
@@ -307,7 +310,7 @@ impl RangeImage {
         }
     }
 
-    /// Closes gaps of one pixel between opposite measurements that agree within a tenth, at the
+    /// Closes gaps of one pixel between opposite measurements of one surface, at the
     /// mean of their inverse ranges (exact on planes).
     fn fill_gaps(&mut self) {
         let (width, height) = (self.width, self.height);
@@ -331,7 +334,7 @@ impl RangeImage {
                     let (a, b) = (source[a], source[b]);
                     let agree = a.range != HOLE
                         && b.range != HOLE
-                        && (a.range - b.range).abs() <= 0.1 * a.range.min(b.range);
+                        && (a.range - b.range).abs() <= ONE_SURFACE * a.range.min(b.range);
                     if agree {
                         self.pixels[at] = Pixel {
                             range: 2.0 * a.range * b.range / (a.range + b.range),

@@ -66,7 +66,8 @@ pub struct IntegrationConfig {
     pub cutoff_log_odds: f32,
     /// Rule `fused`: how often, beyond once, a measurement of an obstacle counts among those in the
     /// footprint of a coarse cell, 0 to 3. A coarse cell is occupied if anything in it is, and free
-    /// only if all of it is; but false measurements gain as well. Default 2, for range sensors.
+    /// only if all of it is; but false measurements gain as well, and noise where cells are not larger
+    /// than it. Default 1, for range sensors.
     pub obstacle_weight: u8,
     /// What the uncertainty of an inverse depth is taken for. Default: propagated to the range.
     pub sigma_mode: SigmaMode,
@@ -81,7 +82,7 @@ impl Default for IntegrationConfig {
             update_min: -0.4,
             update_max: 1.2,
             cutoff_log_odds: 0.02,
-            obstacle_weight: 2,
+            obstacle_weight: 1,
             sigma_mode: SigmaMode::default(),
         }
     }
