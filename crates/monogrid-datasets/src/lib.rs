@@ -35,10 +35,10 @@ pub use images::{
     encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask, register_depth,
 };
 pub use recording::{
-    Continuation, Damage, DepthPixel, DepthRevision, EndRecord, KeyframeLink, KeyframeRecord,
-    PoseSnapshot, ReadOptions, Record, RecordedEdge, RecordedFrame, RecordedKeyframe,
-    RecordedPoint, RecordedSession, Recording, RecordingReader, RecordingWriter, Scale,
-    SessionInfo,
+    Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe, KeyframeLink,
+    KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedEdge, RecordedFrame,
+    RecordedKeyframe, RecordedPoint, RecordedSession, Recording, RecordingReader, RecordingWriter,
+    Scale, SessionInfo,
 };
 pub use scans::{Scan, ScanPoint, ScansReader};
 pub use source::{

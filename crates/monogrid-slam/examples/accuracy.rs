@@ -60,7 +60,7 @@ fn main() {
     };
     let begin = std::time::Instant::now();
     let mut live = Vec::new();
-    let mut counts = [0usize; 4];
+    let mut counts = [0usize; 5];
     let mut times = [0.0f64; 3];
     for (i, entry) in dataset.frames[first..last].iter().enumerate() {
         let image = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
@@ -98,7 +98,7 @@ fn main() {
     slam.finish();
     let frames = last - first;
     println!(
-        "{frames} frames, {} keyframes, states {counts:?} [init good degraded lost], {:.1} fps, ms/frame tracking {:.1} depth {:.1} graph {:.1}",
+        "{frames} frames, {} keyframes, states {counts:?} [init good degraded fragment lost], {:.1} fps, ms/frame tracking {:.1} depth {:.1} graph {:.1}",
         slam.keyframes().len(),
         frames as f64 / begin.elapsed().as_secs_f64(),
         times[0] / frames as f64,

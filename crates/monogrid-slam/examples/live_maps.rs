@@ -74,7 +74,7 @@ fn main() {
     for closure in 1..=number("closures", 3.0) as u64 {
         snapshot = corrected(&poses, closure);
         let (wall, cpu) = (Instant::now(), thread_seconds());
-        live.follow(Arc::clone(&snapshot));
+        live.follow(Arc::clone(&snapshot)).unwrap();
         let mut longest: f64 = 0.0;
         loop {
             let step = thread_seconds();
@@ -162,7 +162,7 @@ fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: us
             let mut closures = 0;
             while !stop.load(Ordering::Relaxed) {
                 closures += 1;
-                live.follow(corrected(poses, closures + 100));
+                live.follow(corrected(poses, closures + 100)).unwrap();
                 let mut has_work = true;
                 while has_work && !stop.load(Ordering::Relaxed) {
                     has_work = live.step().unwrap();

@@ -1,6 +1,6 @@
 //! Settings of the whole system; the two profiles are two values of the same structs.
 
-use crate::{GraphConfig, SparseConfig};
+use crate::{FragmentConfig, GraphConfig, SparseConfig};
 use monogrid_alignment::AlignmentConfig;
 use monogrid_depth::DepthConfig;
 use serde::{Deserialize, Serialize};
@@ -51,6 +51,8 @@ pub struct SlamConfig {
     pub sparse: SparseConfig,
     /// Graph of keyframes.
     pub graph: GraphConfig,
+    /// New fragments of the map after a loss.
+    pub fragments: FragmentConfig,
 }
 
 impl SlamConfig {
@@ -65,6 +67,7 @@ impl SlamConfig {
             publication: PublicationConfig::thesis(),
             sparse: SparseConfig::thesis(),
             graph: GraphConfig::thesis(),
+            fragments: FragmentConfig::default(),
         }
     }
 
@@ -98,6 +101,11 @@ impl SlamConfig {
             (
                 "tracking.alignment.sigma_intensity",
                 f64::from(t.alignment.sigma_intensity),
+            ),
+            ("fragments.min_lost_secs", self.fragments.min_lost_secs),
+            (
+                "fragments.max_disagreement",
+                self.fragments.max_disagreement,
             ),
         ];
         for (name, value) in positive {
@@ -214,8 +222,13 @@ pub struct TrackingConfig {
     pub min_correlation: f64,
     /// Degraded below this share of good points of the visible ones.
     pub degraded_good_of_visible: f32,
-    /// After a loss, or with degraded residuals, a pose is believed only with this correlation of the grey
-    /// values,
+    /// Largest difference from where the motion of the last frames leads (norm of the twist, median depths and
+    /// rad) that is no surprise, and
+    pub surprising_motion: f64,
+    /// largest change of the logarithm of the gain from one frame to the next.
+    pub surprising_log_gain: f64,
+    /// After a loss or a surprise, or with degraded residuals, a pose is believed only with this correlation of
+    /// the grey values,
     pub return_correlation: f64,
     /// after a loss also with this share of good points of the visible ones,
     pub return_good_of_visible: f32,
@@ -242,6 +255,8 @@ impl Default for TrackingConfig {
             min_good_of_visible: 0.55,
             min_correlation: 0.4,
             degraded_good_of_visible: 0.7,
+            surprising_motion: 0.2,
+            surprising_log_gain: 0.2,
             return_correlation: 0.8,
             return_good_of_visible: 0.85,
             return_usage: 0.5,

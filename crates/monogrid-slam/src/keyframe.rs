@@ -1,5 +1,6 @@
 //! Keyframes as they are published, and the poses that live outside them.
 
+use crate::{FragmentId, MAIN_MAP};
 use monogrid_geometry::{Mat7, Se3, Sim3};
 use monogrid_image::Image;
 
@@ -41,12 +42,29 @@ pub struct Keyframe {
 pub struct PoseSnapshot {
     /// Grows with every change.
     pub revision: u64,
-    /// Pose and scale of each keyframe, by identity.
+    /// Pose and scale of each keyframe, by identity; in the world of its fragment.
     pub world_from_keyframe: Vec<Sim3>,
     /// Covariance of a left update `[v, w, s]` of each keyframe's pose relative to the keyframe that it was
     /// tracked on when it was made (mostly the one before), in the units of that one, by identity;
     /// `None` or missing where it is not known (yet).
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
+    /// Fragment of each keyframe, by identity; the main map where it is missing.
+    pub fragment: Vec<FragmentId>,
+}
+
+impl PoseSnapshot {
+    /// The fragment of a keyframe.
+    #[must_use]
+    pub fn fragment_of(&self, id: KeyframeId) -> FragmentId {
+        self.fragment.get(id as usize).copied().unwrap_or(MAIN_MAP)
+    }
+
+    /// Pose and scale of a keyframe in the main map, if it belongs to it.
+    #[must_use]
+    pub fn in_main_map(&self, id: KeyframeId) -> Option<&Sim3> {
+        let pose = self.world_from_keyframe.get(id as usize);
+        pose.filter(|_| self.fragment_of(id) == MAIN_MAP)
+    }
 }
 
 /// Whether lengths are metres.

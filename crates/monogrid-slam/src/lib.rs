@@ -13,6 +13,7 @@
 
 mod config;
 mod depth_step;
+mod fragments;
 mod frame;
 mod graph;
 mod keyframe;
@@ -31,6 +32,7 @@ pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
     ReactivationConfig, SlamConfig, SlamError, TrackingConfig,
 };
+pub use fragments::{Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP};
 pub use frame::FrameInput;
 pub use graph::{
     DirectEdgeConfig, DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod,
@@ -39,7 +41,7 @@ pub use graph::{
 pub use keyframe::{
     DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame, TrajectoryPose,
 };
-pub use report::{FrameReport, LostReason, MapSize, StageTimes, TrackingState};
+pub use report::{FrameReport, InFragment, LostReason, MapSize, StageTimes, TrackingState};
 pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
 pub use system::Slam;

@@ -1,6 +1,6 @@
 //! Keyframes as the system works with them: image, pose, brightness.
 
-use crate::KeyframeId;
+use crate::{FragmentId, KeyframeId};
 use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_image::Pyramid;
@@ -38,12 +38,16 @@ impl Exposure {
 #[derive(Clone, Debug)]
 pub(crate) struct Node {
     pub id: KeyframeId,
-    /// Keyframe that it was tracked on when it was made; none for the first.
+    /// Fragment that it belongs to now.
+    pub fragment: FragmentId,
+    /// Keyframes of that fragment when it was made: the first ones of a random start are not to be trusted.
+    pub rank: u32,
+    /// Keyframe that it was tracked on when it was made; none for the first of a fragment.
     pub parent: Option<KeyframeId>,
     pub frame_index: usize,
     pub timestamp_ns: i64,
     pub pyramid: Arc<Pyramid>,
-    /// Pose and unit.
+    /// Pose and unit, in the world of its fragment.
     pub world_from_keyframe: Sim3,
     pub exposure: Exposure,
     /// Its depth as it was left, once it is out of use.
@@ -111,6 +115,8 @@ mod tests {
     fn node(id: KeyframeId, world_from_keyframe: Sim3) -> Node {
         Node {
             id,
+            fragment: 0,
+            rank: id,
             parent: None,
             frame_index: 0,
             timestamp_ns: 0,

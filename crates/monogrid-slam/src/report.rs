@@ -1,6 +1,6 @@
 //! What is said about each frame.
 
-use crate::KeyframeId;
+use crate::{FragmentId, KeyframeId};
 use monogrid_geometry::{Mat6, Se3};
 use std::fmt;
 
@@ -13,6 +13,8 @@ pub enum TrackingState {
     Good,
     /// The pose is believed, but the depth is not updated with this frame.
     Degraded,
+    /// The pose is believed, but only within a fragment of which it is not known where it lies in the main map.
+    Fragment,
     /// There is no pose for this frame.
     Lost,
 }
@@ -25,6 +27,7 @@ impl TrackingState {
             Self::Initialising => "initialising",
             Self::Good => "good",
             Self::Degraded => "degraded",
+            Self::Fragment => "fragment",
             Self::Lost => "lost",
         }
     }
@@ -105,11 +108,11 @@ pub struct FrameReport {
     pub state: TrackingState,
     /// Why it is not [`TrackingState::Good`].
     pub reason: Option<LostReason>,
-    /// Pose as known now; `None` while initialising or lost.
+    /// Pose in the main map as known now; `None` while initialising or lost, or in a fragment.
     pub world_from_camera: Option<Se3>,
     /// Pose by what was tracked from frame to frame alone, in units of the world then: it begins at
-    /// `world_from_camera`, drifts, and never jumps. `None` while initialising or lost; where the camera is
-    /// recognised afterwards it goes on from where it was.
+    /// `world_from_camera`, drifts, and never jumps. `None` while initialising or lost, or in a fragment, whose
+    /// unit is not that of the world; where the camera is recognised afterwards it goes on from where it was.
     pub odom_from_camera: Option<Se3>,
     /// Covariance of the pose relative to the keyframe: twist `[v, w]`, left, in the frame, keyframe
     /// units.
@@ -134,6 +137,21 @@ pub struct FrameReport {
     pub reactivated_keyframe: Option<KeyframeId>,
     /// Whether the camera was lost and this frame was recognised.
     pub relocalised: bool,
+    /// Where the camera is, when that is not in the main map.
+    pub fragment: Option<InFragment>,
+    /// Fragment that was started with this frame.
+    pub started_fragment: Option<FragmentId>,
+    /// Fragments that became a part of another before or with this frame.
+    pub joined_fragments: Vec<FragmentId>,
+}
+
+/// A pose in the world of a fragment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InFragment {
+    /// The fragment.
+    pub id: FragmentId,
+    /// Pose as known now, in its own unit of length.
+    pub fragment_from_camera: Se3,
 }
 
 impl FrameReport {

@@ -1,6 +1,6 @@
 //! A finished map as it is kept between sessions.
 
-use crate::{EdgeKind, Keyframe, KeyframeId, Scale};
+use crate::{EdgeKind, FragmentId, Keyframe, KeyframeId, Scale};
 use monogrid_geometry::Sim3;
 use monogrid_graph::pose_graph::GraphEdge;
 
@@ -25,9 +25,11 @@ pub struct StoredMap {
 pub struct StoredKeyframe {
     /// Image and depth.
     pub keyframe: Keyframe,
-    /// Pose and unit.
+    /// Fragment that it belongs to: not 0 where that was never joined to the main map.
+    pub fragment: FragmentId,
+    /// Pose and unit in the world of its fragment.
     pub world_from_keyframe: Sim3,
-    /// Older keyframe that it was tracked on; none for the first.
+    /// Older keyframe that it was tracked on; none for the first of a fragment.
     pub parent: Option<KeyframeId>,
     /// Brightness relative to the first keyframe: `I_keyframe = gain * I_first + bias`.
     pub gain: f64,

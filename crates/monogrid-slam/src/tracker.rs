@@ -19,6 +19,9 @@ pub(crate) struct MotionPrior {
 #[derive(Clone, Debug)]
 pub(crate) struct Tracked {
     pub alignment: Alignment,
+    /// Whether the pose is far from where the motion of the last frames leads: then another picture may have
+    /// been "explained".
+    pub is_surprising: bool,
     pub state: TrackingState,
     pub reason: Option<LostReason>,
 }
@@ -75,10 +78,19 @@ pub(crate) fn track(
     );
     let (state, reason) = judge(&alignment, config);
     Tracked {
+        is_surprising: is_surprising(&alignment, prior, config),
         alignment,
         state,
         reason,
     }
+}
+
+fn is_surprising(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
+    let last = &prior.last_from_keyframe;
+    let expected = prior.frame_from_last * last.frame_from_keyframe;
+    let difference = alignment.motion.frame_from_keyframe * expected.inverse();
+    let change = alignment.motion.log_gain - last.log_gain;
+    difference.log().norm() > config.surprising_motion || change.abs() > config.surprising_log_gain
 }
 
 /// Whether a coarse alignment is good enough to stop looking for a better start.

@@ -17,6 +17,19 @@ pub struct Continuation {
     pub points: Vec<RecordedPoint>,
     /// Frames with a believed pose, session by session.
     pub frames: Vec<RecordedFrame>,
+    /// Keyframes that are not in the main map, and therefore have no recorded pose.
+    pub fragments: Vec<FragmentKeyframe>,
+}
+
+/// A keyframe of a fragment that was not joined to the main map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FragmentKeyframe {
+    /// The keyframe.
+    pub keyframe: u32,
+    /// The fragment, from 1.
+    pub fragment: u32,
+    /// Pose and unit in the world of the fragment.
+    pub fragment_from_keyframe: Sim3,
 }
 
 /// One run.
@@ -132,6 +145,13 @@ pub(super) fn encode(record: &Continuation, out: &mut Bytes) -> Option<()> {
         out.u32(frame.keyframe);
         encode_pose(&frame.keyframe_from_frame, out);
     }
+    out.count(record.fragments.len())?;
+    for member in &record.fragments {
+        out.u32(member.keyframe);
+        out.u32(member.fragment);
+        out.f64(member.fragment_from_keyframe.scale);
+        encode_pose(&member.fragment_from_keyframe.to_se3(), out);
+    }
     Some(())
 }
 
@@ -177,6 +197,20 @@ pub(super) fn decode(input: &mut Input) -> Option<Continuation> {
                 keyframe_from_frame: decode_pose(input)?,
             })
         })?,
+        // earlier versions end here
+        fragments: if input.is_empty() {
+            Vec::new()
+        } else {
+            input.list(|input| {
+                let (keyframe, fragment) = (input.u32()?, input.u32()?);
+                let scale = input.finite().filter(|scale| *scale > 0.0)?;
+                Some(FragmentKeyframe {
+                    keyframe,
+                    fragment,
+                    fragment_from_keyframe: decode_pose(input)?.with_scale(scale),
+                })
+            })?
+        },
     })
 }
 

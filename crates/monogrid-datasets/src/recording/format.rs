@@ -301,6 +301,10 @@ const PIXEL_BYTES: usize = 12;
 pub(super) struct Input<'a>(&'a [u8]);
 
 impl<'a> Input<'a> {
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     fn take(&mut self, count: usize) -> Option<&'a [u8]> {
         let (head, tail) = self.0.split_at_checked(count)?;
         self.0 = tail;

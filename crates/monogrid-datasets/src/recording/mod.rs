@@ -12,7 +12,8 @@ mod writer;
 
 pub use assemble::{ReadOptions, RecordedKeyframe, Recording};
 pub use continuation::{
-    Continuation, KeyframeLink, RecordedEdge, RecordedFrame, RecordedPoint, RecordedSession,
+    Continuation, FragmentKeyframe, KeyframeLink, RecordedEdge, RecordedFrame, RecordedPoint,
+    RecordedSession,
 };
 pub use reader::{Damage, RecordingReader};
 pub use writer::RecordingWriter;

@@ -1,8 +1,8 @@
 //! What the graph is given, and what comes of it.
 
-use crate::KeyframeId;
 use crate::node::Exposure;
 use crate::stored::StoredEdge;
+use crate::{FragmentId, KeyframeId};
 use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Mat6, Mat7, Se3, Sim3};
 use monogrid_image::Pyramid;
@@ -16,6 +16,8 @@ pub(crate) struct GraphView {
     /// Depth in the keyframe's units.
     pub samples: Vec<DepthSample>,
     pub exposure: Exposure,
+    /// Whether its shape and scale can be relied on: not so the first keyframes of a random start.
+    pub is_settled: bool,
 }
 
 /// Motion between a keyframe and the one that it was tracked on, as tracking found it.
@@ -66,6 +68,8 @@ pub(crate) struct GraphJob {
     pub world_from_keyframe: Vec<Sim3>,
     /// The keyframe that each was tracked on when it was made, by identity.
     pub parents: Vec<Option<KeyframeId>>,
+    /// Fragment of each, by identity; the main map where it is missing.
+    pub fragments: Vec<FragmentId>,
     /// Motion of the newest keyframe.
     pub odometry: Option<OdometryEdge>,
     /// The change to a keyframe that existed already.
@@ -83,6 +87,7 @@ pub(crate) struct RestoredGraph {
     pub views: Vec<GraphView>,
     pub world_from_keyframe: Vec<Sim3>,
     pub parents: Vec<Option<KeyframeId>>,
+    pub fragments: Vec<FragmentId>,
     pub edges: Vec<StoredEdge>,
 }
 
@@ -93,10 +98,21 @@ pub(crate) struct GraphUpdate {
     pub world_from_keyframe: Vec<Sim3>,
     /// Covariance of each keyframe relative to its parent, in the units of that one.
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
+    /// Fragment of each keyframe of the job, by identity.
+    pub fragments: Vec<FragmentId>,
+    /// Fragments that became a part of another.
+    pub joined: Vec<Joined>,
     /// All edges.
     pub edges: Vec<StoredEdge>,
     /// What was done.
     pub stats: GraphStats,
+}
+
+/// A fragment that became a part of another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Joined {
+    pub from: FragmentId,
+    pub into: FragmentId,
 }
 
 /// What the graph has done so far.

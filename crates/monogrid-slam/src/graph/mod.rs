@@ -20,7 +20,7 @@ pub use config::{
 };
 pub use job::{EdgeKind, GraphStats};
 pub(crate) use job::{
-    GraphJob, GraphUpdate, GraphView, Handover, OdometryEdge, Relocalised, RestoredGraph,
+    GraphJob, GraphUpdate, GraphView, Handover, Joined, OdometryEdge, Relocalised, RestoredGraph,
     SparseEdge,
 };
 pub(crate) use keyframe_graph::KeyframeGraph;

@@ -2,7 +2,8 @@
 
 use super::SparseConfig;
 use super::points::SparseLayer;
-use crate::KeyframeId;
+use crate::node::Node;
+use crate::{FragmentId, KeyframeId};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
 use monogrid_graph::bundle::{
     AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, InverseDepthPrior, Observation,
@@ -52,11 +53,32 @@ pub(crate) fn refine_pose(
     }
 }
 
+/// What is known about the world of a fragment.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Gauge {
+    /// The keyframe that is the world.
+    origin: KeyframeId,
+    /// Whether the inverse depths of its points are metric measurements.
+    is_metric: bool,
+}
+
+impl Gauge {
+    pub(crate) fn of(layer: &SparseLayer, nodes: &[Node], fragment: FragmentId) -> Self {
+        let first = nodes.iter().find(|node| node.fragment == fragment);
+        let origin = first.map_or(0, |node| node.id);
+        Self {
+            origin,
+            is_metric: layer.has_seed && origin == 0,
+        }
+    }
+}
+
 /// Adjusts the window around the newest keyframe, the last of `recent`, and removes observations that do not
 /// fit.
 pub(crate) fn adjust_window(
     layer: &mut SparseLayer,
     recent: &[KeyframeId],
+    gauge: Gauge,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Adjusted {
@@ -64,7 +86,7 @@ pub(crate) fn adjust_window(
     // A keyframe that sees too little keeps the pose that tracking gave it.
     let seen = count_observations(layer);
     free.retain(|id| seen.get(id).copied().unwrap_or(0) >= config.min_shared_points);
-    let Some(problem) = Problem::build(layer, &free, pinhole, config) else {
+    let Some(problem) = Problem::build(layer, &free, gauge, pinhole, config) else {
         return Adjusted::default();
     };
     let settings = BundleConfig {
@@ -166,6 +188,7 @@ impl Problem {
     fn build(
         layer: &SparseLayer,
         free: &[KeyframeId],
+        gauge: Gauge,
         pinhole: &Pinhole,
         config: &SparseConfig,
     ) -> Option<Self> {
@@ -188,10 +211,9 @@ impl Problem {
             *value = slot;
         }
         let keyframes: Vec<KeyframeId> = slots.keys().copied().collect();
-        let seeded = layer.has_seed;
         let mut bundle = BundleProblem {
             pinhole: *pinhole,
-            keyframes: freedoms(layer, &keyframes, &is_free, seeded),
+            keyframes: freedoms(layer, &keyframes, &is_free, gauge),
             points: Vec::with_capacity(points.len()),
             observations: Vec::new(),
             pose_priors: Vec::new(),
@@ -202,10 +224,12 @@ impl Problem {
                 host: slots[&point.host],
                 pixel: point.pixel,
                 inverse_depth: point.idepth,
-                prior: (seeded && point.host == 0).then_some(InverseDepthPrior {
-                    mean: point.prior_idepth,
-                    sigma: point.prior_sigma,
-                }),
+                prior: (gauge.is_metric && point.host == gauge.origin).then_some(
+                    InverseDepthPrior {
+                        mean: point.prior_idepth,
+                        sigma: point.prior_sigma,
+                    },
+                ),
             });
             for observation in &point.observations {
                 bundle.observations.push(Observation {
@@ -224,29 +248,34 @@ impl Problem {
     }
 }
 
-/// What may change about each pose. The first keyframe is the world; where nothing else is fixed and no
+/// What may change about each pose. The first keyframe of the fragment is its world; where nothing else is fixed and no
 /// depth was measured, the distance to the farthest keyframe holds the scale.
 fn freedoms(
     layer: &SparseLayer,
     keyframes: &[KeyframeId],
     is_free: &dyn Fn(KeyframeId) -> bool,
-    seeded: bool,
+    gauge: Gauge,
 ) -> Vec<BundleKeyframe> {
     let mut out: Vec<BundleKeyframe> = keyframes
         .iter()
         .map(|&id| BundleKeyframe {
             camera_from_world: layer.camera_from_world[id as usize],
-            freedom: if id == 0 || !is_free(id) {
+            freedom: if id == gauge.origin || !is_free(id) {
                 PoseFreedom::Fixed
             } else {
                 PoseFreedom::Free
             },
         })
         .collect();
+    let floats = out.iter().all(|k| k.freedom == PoseFreedom::Free);
+    if let Some(oldest) = out.first_mut().filter(|_| floats) {
+        // the window is all of a fragment that was joined: it shares no points with the rest
+        oldest.freedom = PoseFreedom::Fixed;
+    }
     let fixed: Vec<usize> = (0..out.len())
         .filter(|&i| out[i].freedom == PoseFreedom::Fixed)
         .collect();
-    if let ([anchor], false) = (fixed.as_slice(), seeded) {
+    if let ([anchor], false) = (fixed.as_slice(), gauge.is_metric && !floats) {
         let centre = |k: &BundleKeyframe| k.camera_from_world.inverse().translation;
         let origin = centre(&out[*anchor]);
         let farthest = (0..out.len())

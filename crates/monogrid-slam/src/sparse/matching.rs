@@ -50,7 +50,7 @@ pub(crate) fn find_in_new_keyframe(
         .points
         .iter()
         .enumerate()
-        .filter(|(_, point)| point.alive)
+        .filter(|(_, point)| point.alive && nodes[point.host as usize].fragment == newest.fragment)
         .filter_map(|(i, point)| {
             predict(layer, point, &camera_from_world, size, pinhole, config).map(|pixel| (i, pixel))
         })

@@ -1,6 +1,6 @@
 //! The points and the steps for a new keyframe.
 
-use super::adjust::adjust_window;
+use super::adjust::{Gauge, adjust_window};
 use super::matching::{NewPoint, anchor_points, find_in_new_keyframe, find_in_older_keyframes};
 use super::{SparseConfig, adjust};
 use crate::KeyframeId;
@@ -78,7 +78,7 @@ impl SparsePoint {
 
 impl SparseLayer {
     /// Adds the newest of `nodes` and adjusts. `depth` is its dense depth (its own units), `recent` are
-    /// the keyframes in the order in which they were last used, the newest at the end.
+    /// the keyframes of its fragment in the order in which they were last used, the newest at the end.
     pub(crate) fn add_keyframe(
         &mut self,
         nodes: &[Node],
@@ -109,11 +109,12 @@ impl SparseLayer {
         let anchored = anchor_points(node, depth, &seen, mask, config);
         stats.anchored = anchored.len();
         self.add_points(nodes, recent, anchored, pinhole, config);
-        let adjusted = adjust_window(self, recent, pinhole, config);
+        let gauge = Gauge::of(self, nodes, node.fragment);
+        let adjusted = adjust_window(self, recent, gauge, pinhole, config);
         stats.adjusted_keyframes = adjusted.num_keyframes;
         stats.adjusted_points = adjusted.num_points;
         stats.removed_observations = adjusted.removed_observations;
-        self.drop_unconfirmed(node.id, config);
+        self.drop_unconfirmed(node, nodes, config);
         stats
     }
 
@@ -239,9 +240,11 @@ impl SparseLayer {
     }
 
     /// Drops points that were not found again soon after they were anchored.
-    fn drop_unconfirmed(&mut self, newest: KeyframeId, config: &SparseConfig) {
+    fn drop_unconfirmed(&mut self, newest: &Node, nodes: &[Node], config: &SparseConfig) {
         for point in &mut self.points {
-            let old = newest.saturating_sub(point.host) >= config.drop_after_keyframes;
+            let is_near = nodes[point.host as usize].fragment == newest.fragment;
+            let age = newest.id.saturating_sub(point.host);
+            let old = is_near && age >= config.drop_after_keyframes;
             if old && point.observations.len() < 2 {
                 point.alive = false;
             }

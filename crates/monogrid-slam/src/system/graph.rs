@@ -1,13 +1,13 @@
 //! The graph of keyframes works beside tracking; its results are taken over at a fixed lag.
 
 use super::Slam;
-use crate::KeyframeId;
 use crate::depth_step::tracking_samples;
 use crate::graph::{
     GraphJob, GraphStats, GraphUpdate, GraphView, GraphWorker, Handover, KeyframeGraph,
     OdometryEdge, PlacesError, Relocalised, RestoredGraph,
 };
 use crate::stored::StoredEdge;
+use crate::{KeyframeId, MAIN_MAP, SlamConfig};
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
@@ -36,14 +36,15 @@ pub(super) struct Links {
 impl GraphLink {
     /// A link, if the configuration asks for a graph.
     pub(super) fn new(
-        config: &crate::GraphConfig,
+        config: &SlamConfig,
         pinhole: Pinhole,
         mask: &Mask,
     ) -> Result<Option<Self>, PlacesError> {
-        if !config.enabled {
+        if !config.graph.enabled {
             return Ok(None);
         }
-        let graph = KeyframeGraph::new(config.clone(), pinhole, mask.clone())?;
+        let graph = KeyframeGraph::new(config.graph.clone(), pinhole, mask.clone())?
+            .with_fragments(config.fragments.clone());
         Ok(Some(Self {
             worker: GraphWorker::new(graph, rayon::current_num_threads()),
             due: None,
@@ -54,12 +55,13 @@ impl GraphLink {
 
     /// A link to the graph of an earlier session.
     pub(super) fn continued(
-        config: &crate::GraphConfig,
+        config: &SlamConfig,
         pinhole: Pinhole,
         mask: &Mask,
         restored: RestoredGraph,
     ) -> Result<Option<Self>, PlacesError> {
-        let mut graph = KeyframeGraph::new(config.clone(), pinhole, mask.clone())?;
+        let mut graph = KeyframeGraph::new(config.graph.clone(), pinhole, mask.clone())?
+            .with_fragments(config.fragments.clone());
         graph.restore(restored);
         Ok(Some(Self {
             edges: graph.stored_edges(),
@@ -84,11 +86,20 @@ impl Slam {
             .map_or_else(GraphStats::default, |link| link.stats)
     }
 
-    /// The graph of keyframes with the newest poses; with chain edges alone when there is no graph.
+    /// Edges of the graph, in all fragments.
+    pub(super) fn num_edges(&self) -> usize {
+        match &self.graph {
+            Some(link) => link.edges.len(),
+            None => self.nodes.len().saturating_sub(1),
+        }
+    }
+
+    /// The graph of the main map's keyframes with the newest poses; with chain edges alone when there is no
+    /// graph.
     #[must_use]
     pub fn pose_graph(&self) -> PoseGraph {
         let mut graph = PoseGraph::new();
-        for node in &self.nodes {
+        for node in self.nodes.iter().filter(|n| n.fragment == MAIN_MAP) {
             // identities are unique and poses finite, so nothing is refused
             let _ = graph.add_node(GraphNode {
                 id: u64::from(node.id),
@@ -98,6 +109,7 @@ impl Slam {
         }
         let edges = self.graph.as_ref().map_or(&[][..], |link| &link.edges);
         for edge in edges {
+            // those of other fragments have no nodes here
             let _ = graph.add_edge(edge.edge);
         }
         for pair in self.nodes.windows(2).filter(|_| edges.is_empty()) {
@@ -121,6 +133,7 @@ impl Slam {
             pyramid: std::sync::Arc::clone(&node.pyramid),
             samples: tracking_samples(depth, &self.config.tracking),
             exposure: node.exposure,
+            is_settled: self.is_settled(node),
         })
     }
 
@@ -131,22 +144,28 @@ impl Slam {
         links: Links,
         is_final: bool,
     ) {
-        let Some(link) = self.graph.as_mut().filter(|_| !self.is_frozen) else {
+        if self.graph.is_none() || self.is_frozen {
             return;
-        };
+        }
         // without a new keyframe nothing was adjusted
         let sparse_edges = if self.config.sparse.enabled && links.handover.is_none() {
             let config = &self.config.graph.sparse_edges;
+            let fragment = self.nodes.last().map_or(MAIN_MAP, |node| node.fragment);
+            let recent = self.recent_in(fragment);
             let window = self.config.sparse.window_newest;
-            let window = &self.recent[self.recent.len().saturating_sub(window)..];
+            let window = &recent[recent.len().saturating_sub(window)..];
             self.sparse.shared_points(&self.nodes, window, config)
         } else {
             Vec::new()
+        };
+        let Some(link) = self.graph.as_mut() else {
+            return;
         };
         link.worker.submit(GraphJob {
             finished,
             world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
             parents: self.nodes.iter().map(|n| n.parent).collect(),
+            fragments: self.nodes.iter().map(|n| n.fragment).collect(),
             odometry: links.odometry,
             handover: links.handover,
             sparse_edges,
@@ -206,6 +225,10 @@ impl Slam {
                 self.sparse.move_keyframe(node.id, &pose.to_se3(), growth);
             }
             node.world_from_keyframe = *pose;
+        }
+        self.note_joined(&update.joined);
+        for (node, fragment) in self.nodes.iter_mut().zip(&update.fragments) {
+            node.fragment = *fragment;
         }
         self.relative_covariance
             .clone_from(&update.previous_from_keyframe_covariance);

@@ -1,14 +1,13 @@
 //! Change of the keyframe: publish, propagate, adjust.
 
 use super::graph::Links;
-use super::trajectory::Visit;
 use super::{Current, Slam, milliseconds};
 use crate::depth_step::{observe, regularize, tracking_samples};
 use crate::frame::Frame;
 use crate::graph::{GraphView, OdometryEdge};
 use crate::node::{Exposure, Node};
 use crate::sparse::scale::{dense_links, keyframe_scale};
-use crate::{DepthPixel, FrameReport, Keyframe, KeyframeId, PoseSnapshot};
+use crate::{DepthPixel, FragmentId, FrameReport, Keyframe, KeyframeId, MAIN_MAP, PoseSnapshot};
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, HostFrame, PixelFilter, StereoFrame};
 use monogrid_geometry::{Mat6, Se3};
@@ -116,9 +115,12 @@ impl Slam {
         let keyframe_from_frame = motion.frame_from_keyframe.inverse();
         let parent_from_keyframe = keyframe_from_frame.with_scale(unit);
         let node = &self.nodes[parent as usize];
-        let world_from_keyframe = node.world_from_keyframe * parent_from_keyframe;
+        let (world_from_keyframe, fragment) = (
+            node.world_from_keyframe * parent_from_keyframe,
+            node.fragment,
+        );
         let exposure = node.exposure.then(motion.log_gain.exp(), motion.bias);
-        self.push_node(frame, Some(parent), world_from_keyframe, exposure);
+        self.push_node(frame, fragment, Some(parent), world_from_keyframe, exposure);
         let before_graph = Instant::now();
         self.adjust(&depth);
         let odometry = report.covariance.map(|covariance| OdometryEdge {
@@ -143,16 +145,18 @@ impl Slam {
         if !self.config.sparse.enabled {
             return;
         }
+        let fragment = self.nodes.last().map_or(MAIN_MAP, |node| node.fragment);
         self.sparse_stats = self.sparse.add_keyframe(
             &self.nodes,
-            &self.recent,
+            &self.recent_in(fragment),
             depth,
             &self.pinhole,
             &self.mask,
             &self.config.sparse,
         );
         self.link_dense_depth(depth, self.nodes.len() - 1);
-        for (node, links) in self.nodes.iter_mut().zip(&self.links) {
+        let nodes = self.nodes.iter_mut().zip(&self.links);
+        for (node, links) in nodes.filter(|(node, _)| node.fragment == fragment) {
             let world_from_camera = self.sparse.camera_from_world[node.id as usize].inverse();
             let scale = keyframe_scale(&self.sparse, node.id, links, &self.pinhole)
                 .unwrap_or(node.world_from_keyframe.scale);
@@ -176,7 +180,8 @@ impl Slam {
         let Some(node) = self.nodes.last() else {
             return;
         };
-        let others = self.recent.iter().rev().filter(|id| **id != node.id);
+        let recent = self.recent_in(node.fragment);
+        let others = recent.iter().rev().filter(|id| **id != node.id);
         let frames: Vec<StereoFrame<'_>> = others
             .map(|id| &self.nodes[*id as usize])
             .map(|other| (other, node.other_from_self(other)))
@@ -201,21 +206,22 @@ impl Slam {
         }
     }
 
-    /// Adds a keyframe and its pose.
+    /// Adds a keyframe and its pose in the world of its fragment.
     pub(super) fn push_node(
         &mut self,
         frame: &Frame,
+        fragment: FragmentId,
         parent: Option<KeyframeId>,
         world_from_keyframe: monogrid_geometry::Sim3,
         exposure: Exposure,
     ) {
         let id = self.nodes.len() as KeyframeId;
-        if self.visits.is_empty() {
-            self.visits.push(Visit::new(id, frame.timestamp_ns));
-        }
+        let rank = self.num_keyframes_in(fragment) as u32;
         self.recent.push(id);
         self.nodes.push(Node {
             id,
+            fragment,
+            rank,
             parent,
             frame_index: frame.index,
             timestamp_ns: frame.timestamp_ns,
@@ -232,6 +238,7 @@ impl Slam {
             revision: self.snapshot.revision + 1,
             world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
             previous_from_keyframe_covariance: self.relative_covariance.clone(),
+            fragment: self.nodes.iter().map(|n| n.fragment).collect(),
         });
     }
 

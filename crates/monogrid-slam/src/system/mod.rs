@@ -1,27 +1,30 @@
 //! The system: one frame after the other, in the order in which a reader would do it by hand.
 
+mod fragments;
 mod graph;
 mod keyframes;
 mod odometry;
 mod reactivate;
 mod relocalise;
 mod sessions;
+mod start;
 mod trajectory;
 
+use self::fragments::Loss;
 use self::graph::{GraphLink, Links};
 use self::odometry::Odometry;
 use self::trajectory::Visit;
 use crate::depth_step::{observe, regularize};
 use crate::frame::Frame;
-use crate::node::{Exposure, Node, world_from_camera};
+use crate::node::Node;
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
 use crate::sparse::scale::DenseLink;
 use crate::sparse::{SparseLayer, SparseStats};
-use crate::start::{Start, StartOutcome, Started};
+use crate::start::Start;
 use crate::tracker::{MotionPrior, extrapolate, is_convincing, track};
 use crate::{
-    FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, MapSize, PoseSnapshot, Scale,
-    SlamConfig, SlamError, StageTimes, TrackingState,
+    Fragment, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, MapSize, PoseSnapshot,
+    Scale, SlamConfig, SlamError, StageTimes, TrackingState,
 };
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::{DepthMap, StereoFrame};
@@ -39,6 +42,7 @@ pub struct Slam {
     config: SlamConfig,
     pinhole: Pinhole,
     mask: Mask,
+    seed: u64,
     start: Option<Start>,
     /// Whether the map must stay as it is.
     is_frozen: bool,
@@ -54,6 +58,12 @@ pub struct Slam {
     snapshot: Arc<PoseSnapshot>,
     scale: Scale,
     lost_in_a_row: usize,
+    /// What is being done about a loss that lasts.
+    loss: Loss,
+    /// All but the main map, by identity.
+    fragments: Vec<Fragment>,
+    /// Frame that is being processed.
+    frame_index: usize,
     lost_episodes: usize,
     relocalisations: usize,
     reactivations: usize,
@@ -114,11 +124,12 @@ impl Slam {
     ) -> Result<Self, SlamError> {
         config.validate()?;
         let start = Start::new(&config, seed);
-        let graph = GraphLink::new(&config.graph, pinhole, &mask)?;
+        let graph = GraphLink::new(&config, pinhole, &mask)?;
         Ok(Self {
             config,
             pinhole,
             mask,
+            seed,
             start: Some(start),
             is_frozen: false,
             nodes: Vec::new(),
@@ -131,6 +142,9 @@ impl Slam {
             snapshot: Arc::default(),
             scale: Scale::Arbitrary,
             lost_in_a_row: 0,
+            loss: Loss::default(),
+            fragments: Vec::new(),
+            frame_index: 0,
             lost_episodes: 0,
             relocalisations: 0,
             reactivations: 0,
@@ -147,7 +161,10 @@ impl Slam {
     pub fn process_frame(&mut self, input: FrameInput) -> FrameReport {
         // inside the pool of threads its many short parallel steps begin without waking anybody
         rayon::scope(|_| {
+            self.frame_index = input.index;
+            let before = self.open_fragments();
             let mut report = self.process_in_pool(input);
+            self.report_joined(&before, &mut report);
             self.advance_odometry(&mut report);
             report
         })
@@ -227,7 +244,7 @@ impl Slam {
         let packed = self.nodes.iter().filter_map(|node| node.depth.as_ref());
         MapSize {
             keyframes: self.nodes.len(),
-            edges: self.pose_graph().edges().len(),
+            edges: self.num_edges(),
             points: self.sparse.points.len(),
             depth_bytes: packed.map(|depth| depth.bytes_in_memory()).sum(),
         }
@@ -250,7 +267,7 @@ impl Slam {
         if self.start.is_some() || self.lost_in_a_row > 0 || last.pyramid.level(0) != &input.image {
             return None;
         }
-        let node = self.current_node()?;
+        let node = self.current_node()?.id;
         let record = Record {
             frame_index: input.index,
             timestamp_ns: input.timestamp_ns,
@@ -259,102 +276,11 @@ impl Slam {
         };
         let mut report = blank_report(input.index, input.timestamp_ns, TrackingState::Good);
         report.reason = Some(LostReason::Repeated);
-        report.world_from_camera = Some(world_from_camera(
-            &node.world_from_keyframe,
-            &record.frame_from_keyframe,
-        ));
-        report.keyframe = Some(node.id);
+        self.report_pose(&mut report, &record.frame_from_keyframe);
+        report.keyframe = Some(node);
         report.exposure_gain = last.motion.log_gain.exp() as f32;
         self.records.push(record);
         Some(report)
-    }
-
-    /// One frame before there is a map.
-    fn process_start(
-        &mut self,
-        mut start: Start,
-        frame: Frame,
-        seed_depth: Option<&monogrid_image::GrayImage>,
-        begin: Instant,
-    ) -> FrameReport {
-        let mut report = blank_report(frame.index, frame.timestamp_ns, TrackingState::Initialising);
-        match start.add_frame(frame, seed_depth, &self.pinhole, &self.mask, &self.config) {
-            StartOutcome::Waiting(reason) => {
-                report.reason = Some(reason);
-                self.start = Some(start);
-            }
-            StartOutcome::Started(started) => {
-                self.begin_map(*started, &mut report);
-            }
-        }
-        report.milliseconds.tracking = milliseconds(begin);
-        report
-    }
-
-    /// Makes the first keyframe and tracks the frames that waited for it: those after it in their
-    /// order, those before it backwards.
-    fn begin_map(&mut self, started: Started, report: &mut FrameReport) {
-        let Started {
-            keyframe,
-            depth,
-            world_scale,
-            scale,
-            first_step,
-            later,
-            earlier,
-        } = started;
-        self.scale = scale;
-        self.push_node(
-            &keyframe,
-            None,
-            monogrid_geometry::Sim3::new(
-                world_scale,
-                monogrid_geometry::Rotation::identity(),
-                monogrid_geometry::Vec3::zeros(),
-            ),
-            Exposure::NEUTRAL,
-        );
-        self.sparse.has_seed = scale == Scale::Metric;
-        self.adjust(&depth);
-        self.set_current(0, depth);
-        self.records.push(Record {
-            frame_index: keyframe.index,
-            timestamp_ns: keyframe.timestamp_ns,
-            visit: 0,
-            frame_from_keyframe: Se3::identity(),
-        });
-        let interval_ns = later.first().or(earlier.last()).map_or(0, |other| {
-            (other.timestamp_ns - keyframe.timestamp_ns).abs()
-        });
-        let moving = |frame_from_previous: Se3| Last {
-            timestamp_ns: keyframe.timestamp_ns,
-            pyramid: keyframe.pyramid.clone(),
-            motion: Motion::from_pose(Se3::identity()),
-            frame_from_previous,
-            interval_ns,
-        };
-        self.last = Some(moving(first_step.inverse()));
-        let finest = self.config.tracking.alignment.finest_level;
-        for buffered in earlier.iter().rev() {
-            let frame = buffered.restore(&self.pinhole, finest, NUM_LEVELS);
-            // Stops at the first frame that cannot be believed.
-            let Some(motion) = self.track_silently(&frame) else {
-                break;
-            };
-            self.remember(&frame, motion);
-        }
-        self.last = Some(moving(first_step));
-        for buffered in &later {
-            let begin = Instant::now();
-            let frame = buffered.restore(&self.pinhole, finest, NUM_LEVELS);
-            *report = self.process_running(frame, begin);
-        }
-        report.created_keyframe = true;
-        report.keyframe = Some(0);
-        if report.world_from_camera.is_none() && self.last.is_some() {
-            report.state = TrackingState::Good;
-            report.world_from_camera = Some(Se3::identity());
-        }
     }
 
     /// Tracks a frame on the current keyframe without touching the map.
@@ -419,12 +345,14 @@ impl Slam {
         report.milliseconds.graph = milliseconds(begin);
         let begin = Instant::now();
         let (Some(current), Some(last)) = (self.current.as_ref(), self.last.as_ref()) else {
-            self.look_for_place(&frame, &mut report);
+            self.look_for_place(frame, &mut report);
             report.milliseconds.graph += milliseconds(begin);
             return report;
         };
         let mut tracked = self.track_on(current, last, &frame);
-        let is_doubtful = self.lost_in_a_row > 0 || tracked.state == TrackingState::Degraded;
+        let is_doubtful = self.lost_in_a_row > 0
+            || tracked.is_surprising
+            || tracked.state == TrackingState::Degraded;
         if is_doubtful
             && tracked.state != TrackingState::Lost
             && !is_convincing(
@@ -451,27 +379,22 @@ impl Slam {
             }
             self.lost_in_a_row += 1;
             let before = Instant::now();
-            self.relocalise(&frame, &mut report);
+            self.relocalise(frame, &mut report);
             report.milliseconds.graph += milliseconds(before);
             return report;
         }
-        self.lost_in_a_row = 0;
+        self.end_loss();
         report.covariance = alignment.covariance;
         let motion = alignment.motion;
         self.remember(&frame, motion);
-        if let Some(node) = self.current_node() {
-            report.world_from_camera = Some(world_from_camera(
-                &node.world_from_keyframe,
-                &motion.frame_from_keyframe,
-            ));
-        }
+        self.report_pose(&mut report, &motion.frame_from_keyframe);
         let after_tracking = Instant::now();
         let graph_before = report.milliseconds.graph;
         let evidence = KeyframeEvidence {
             relative_distance: motion.frame_from_keyframe.inverse().translation.norm(),
             usage: f64::from(alignment.usage),
             num_mapped: self.current.as_ref().map_or(0, |c| c.num_mapped),
-            num_keyframes: self.nodes.len(),
+            num_keyframes: self.num_keyframes_in(self.current_fragment()),
         };
         if is_new_keyframe(&evidence, &self.config.keyframes) {
             self.leave_keyframe(&frame, &motion, &mut report);
@@ -543,5 +466,8 @@ fn blank_report(index: usize, timestamp_ns: i64, state: TrackingState) -> FrameR
         created_keyframe: false,
         reactivated_keyframe: None,
         relocalised: false,
+        fragment: None,
+        started_fragment: None,
+        joined_fragments: Vec::new(),
     }
 }

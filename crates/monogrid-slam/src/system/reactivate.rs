@@ -162,13 +162,10 @@ impl Slam {
         let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
         let width = self.mask.width() as f64;
         let field_of_view = 2.0 * (0.5 * width / self.pinhole.fx).atan();
-        let others = self
-            .recent
-            .iter()
-            .rev()
-            .skip(1 + config.min_keyframes_between);
+        let recent = self.recent_in(current.fragment);
+        let others = recent.iter().rev().skip(1 + config.min_keyframes_between);
         let mut candidates: Vec<Candidate> = others
-            .filter(|id| **id >= config.first_keyframe)
+            .filter(|id| self.nodes[**id as usize].rank >= config.first_keyframe)
             .filter_map(|id| {
                 let node = &self.nodes[*id as usize];
                 node.depth.as_ref()?;

@@ -5,7 +5,6 @@ use super::trajectory::Visit;
 use super::{Last, Slam};
 use crate::frame::Frame;
 use crate::graph::Relocalised;
-use crate::node::world_from_camera;
 use crate::policy::{KeyframeEvidence, keyframe_score};
 use crate::tracker::{MotionPrior, Tracked, track};
 use crate::{FrameReport, KeyframeId, LostReason, TrackingState};
@@ -16,17 +15,21 @@ use std::sync::Arc;
 
 impl Slam {
     /// The first frames with the map of an earlier session.
-    pub(super) fn look_for_place(&mut self, frame: &Frame, report: &mut FrameReport) {
+    pub(super) fn look_for_place(&mut self, frame: Frame, report: &mut FrameReport) {
         report.reason = Some(LostReason::NotRecognised);
         self.lost_in_a_row += 1;
-        self.recognise_and_resume(frame, report);
+        if !self.recognise_and_resume(&frame, report) {
+            self.await_fragment(frame, report);
+        }
     }
 
     /// Looks for a lost frame among all keyframes; where it is recognised and direct alignment agrees,
-    /// tracking goes on there. Whether it does.
-    pub(super) fn relocalise(&mut self, frame: &Frame, report: &mut FrameReport) -> bool {
-        self.lost_in_a_row >= self.config.graph.places.min_lost_frames
-            && self.recognise_and_resume(frame, report)
+    /// tracking goes on there. Where it is not for long, a fragment of the map is started.
+    pub(super) fn relocalise(&mut self, frame: Frame, report: &mut FrameReport) {
+        let is_lost_enough = self.lost_in_a_row >= self.config.graph.places.min_lost_frames;
+        if !(is_lost_enough && self.recognise_and_resume(&frame, report)) {
+            self.await_fragment(frame, report);
+        }
     }
 
     fn recognise_and_resume(&mut self, frame: &Frame, report: &mut FrameReport) -> bool {
@@ -79,7 +82,7 @@ impl Slam {
         };
         let config = &self.config.keyframes;
         let is_same_view = config.reactivation.enabled
-            && found.view.id >= config.reactivation.first_keyframe
+            && self.nodes[found.view.id as usize].rank >= config.reactivation.first_keyframe
             && keyframe_score(&evidence, config) < config.reactivation.max_score;
         let motion =
             if (is_same_view || self.is_frozen) && self.resume_on_known(frame, found, report) {
@@ -94,7 +97,7 @@ impl Slam {
         report.relocalised = true;
         report.covariance = alignment.covariance;
         report.exposure_gain = alignment.gain();
-        self.lost_in_a_row = 0;
+        self.end_loss();
         self.last = Some(Last {
             timestamp_ns: frame.timestamp_ns,
             pyramid: frame.pyramid.clone(),
@@ -103,13 +106,8 @@ impl Slam {
             interval_ns: 0,
         });
         self.remember(frame, motion);
-        if let Some(node) = self.current_node() {
-            report.keyframe = Some(node.id);
-            report.world_from_camera = Some(world_from_camera(
-                &node.world_from_keyframe,
-                &motion.frame_from_keyframe,
-            ));
-        }
+        report.keyframe = self.current_node().map(|node| node.id);
+        self.report_pose(report, &motion.frame_from_keyframe);
         self.relocalisations += 1;
         true
     }

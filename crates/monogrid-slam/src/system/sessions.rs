@@ -44,9 +44,10 @@ impl Slam {
             views,
             world_from_keyframe: slam.nodes.iter().map(|n| n.world_from_keyframe).collect(),
             parents: slam.nodes.iter().map(|n| n.parent).collect(),
+            fragments: slam.nodes.iter().map(|n| n.fragment).collect(),
             edges: map.edges,
         };
-        slam.graph = GraphLink::continued(&slam.config.graph, slam.pinhole, &slam.mask, restored)?;
+        slam.graph = GraphLink::continued(&slam.config, slam.pinhole, &slam.mask, restored)?;
         slam.update_snapshot();
         let snapshot = Arc::make_mut(&mut slam.snapshot);
         snapshot.revision = map.pose_revision.saturating_add(1);
@@ -68,6 +69,7 @@ impl Slam {
             keyframes: keyframes
                 .map(|(keyframe, node)| StoredKeyframe {
                     keyframe: keyframe.clone(),
+                    fragment: node.fragment,
                     world_from_keyframe: node.world_from_keyframe,
                     parent: node.parent,
                     gain: node.exposure.gain,
@@ -97,7 +99,7 @@ impl Slam {
         }
     }
 
-    /// Frames with a believed pose, relative to their keyframes, in the order of time.
+    /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of time.
     #[must_use]
     pub fn tracked_frames(&self) -> Vec<TrackedFrame> {
         let mut frames: Vec<TrackedFrame> = self
@@ -170,8 +172,12 @@ impl Slam {
             bias: stored.bias,
         };
         let pyramid = Arc::new(Pyramid::new(image, super::NUM_LEVELS));
+        self.restore_fragment(stored.fragment, &keyframe);
+        let rank = self.num_keyframes_in(stored.fragment) as u32;
         self.nodes.push(Node {
             id,
+            fragment: stored.fragment,
+            rank,
             parent: stored.parent,
             frame_index: keyframe.frame_index,
             timestamp_ns: keyframe.timestamp_ns,
@@ -188,6 +194,7 @@ impl Slam {
             pyramid,
             samples: tracking_samples(&depth, &self.config.tracking),
             exposure,
+            is_settled: true,
         })
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Record, Slam};
 use crate::node::world_from_camera;
-use crate::{KeyframeId, TrajectoryPose};
+use crate::{FragmentId, KeyframeId, MAIN_MAP, TrajectoryPose};
 use monogrid_alignment::Motion;
 use monogrid_geometry::{Se3, Vec6};
 
@@ -80,14 +80,21 @@ impl Slam {
         self.visits.push(Visit::new(next, timestamp_ns));
     }
 
-    /// All frames with a believed pose, with everything known now, in the order of time.
+    /// All frames with a believed pose in the main map, with everything known now, in the order of time.
     ///
     /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
     /// the last of them, the difference is spread over the frames of the visit.
     #[must_use]
     pub fn trajectory(&self) -> Vec<TrajectoryPose> {
+        self.trajectory_in(MAIN_MAP)
+    }
+
+    /// The same of a fragment, in its own world; empty once it is joined to another.
+    #[must_use]
+    pub fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
         let mut poses: Vec<TrajectoryPose> = self
             .corrected_poses()
+            .filter(|(record, _)| self.fragment_of(record) == fragment)
             .map(|(record, world_from_camera)| TrajectoryPose {
                 frame_index: record.frame_index,
                 timestamp_ns: record.timestamp_ns,
@@ -98,7 +105,7 @@ impl Slam {
         poses
     }
 
-    /// All records with `world_from_camera`.
+    /// All records with `world_from_camera`, each in the world of its fragment.
     pub(super) fn corrected_poses(&self) -> impl Iterator<Item = (&Record, Se3)> {
         let corrections: Vec<Option<Correction>> =
             self.visits.iter().map(|v| self.correction(v)).collect();
@@ -111,6 +118,12 @@ impl Slam {
             };
             (record, pose)
         })
+    }
+
+    /// The fragment of the keyframe that a frame was tracked on.
+    pub(super) fn fragment_of(&self, record: &Record) -> FragmentId {
+        let keyframe = self.visits[record.visit].keyframe;
+        self.nodes[keyframe as usize].fragment
     }
 
     fn tracked_pose(&self, record: &Record) -> Se3 {

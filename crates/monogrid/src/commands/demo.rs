@@ -111,10 +111,7 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<serde_json::
     };
     let mut comparison = DepthComparison::new();
     for keyframe in tracked.slam.keyframes() {
-        let pose = tracked
-            .snapshot
-            .world_from_keyframe
-            .get(keyframe.id as usize);
+        let pose = tracked.snapshot.in_main_map(keyframe.id);
         let (Some(pose), Some(true_depth)) = (pose, sequence.depth(keyframe.frame_index)) else {
             continue;
         };

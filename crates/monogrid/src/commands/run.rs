@@ -10,9 +10,9 @@ use crate::run::align::{Align, MapFrame};
 use crate::run::report::{ReportInput, page};
 use crate::run::sessions::{Continued, Earlier, sessions};
 use crate::run::summary::{
-    MapFacts, Seconds, SessionSummary, Summary, is_lost_for_good, stage_seconds,
+    End, FragmentSummary, MapFacts, Seconds, SessionSummary, Summary, end_of, stage_seconds,
 };
-use crate::run::{EarlyEnd, FrameFate, RunSettings, Tracked, in_map, outputs, track};
+use crate::run::{EarlyEnd, FrameFate, FrameRow, RunSettings, Tracked, in_map, outputs, track};
 use crate::usage::{peak_rss_bytes, process_cpu};
 use monogrid_geometry::Vec3;
 use monogrid_image::GrayImage;
@@ -227,7 +227,7 @@ pub fn run_all(
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     let outcome = match summary.status {
-        "not_initialised" | "not_recognised" | "lost" => Outcome::NotTracked,
+        "not_initialised" | "not_recognised" | "lost" | "fragment" => Outcome::NotTracked,
         _ => Outcome::Done,
     };
     let verdict = verdict(&summary, &tracked);
@@ -345,9 +345,12 @@ fn summarise(
         Some(EarlyEnd::Unreadable(_)) => "unreadable",
         _ if tracked.slam.keyframes().is_empty() => "not_initialised",
         _ if settings.continued.is_some() && tracked.trajectory.is_empty() => "not_recognised",
-        _ if is_lost_for_good(&tracked.rows) => "lost",
-        Some(EarlyEnd::Interrupted) => "interrupted",
-        None => "done",
+        _ => match end_of(&tracked.rows) {
+            End::Lost => "lost",
+            End::Fragment if !has_last_frame(tracked) => "fragment",
+            _ if tracked.early_end.is_some() => "interrupted",
+            _ => "done",
+        },
     };
     let is_metric = tracked.slam.scale() == Scale::Metric || frame.is_aligned;
     let points = maps.map_or(0, |maps| maps.stats.points);
@@ -364,6 +367,12 @@ fn summarise(
         keyframes: tracked.slam.keyframes().len(),
         reactivated_keyframes: tracked.slam.reactivations(),
         relocalisations: tracked.slam.relocalisations(),
+        fragments: tracked
+            .slam
+            .fragments()
+            .iter()
+            .map(FragmentSummary::new)
+            .collect(),
         sessions: sessions(
             &tracked.slam,
             settings.continued.as_ref().map(|c| &c.earlier),
@@ -413,6 +422,14 @@ fn summarise(
     .timed()
 }
 
+/// Whether the last frame is in the map: a fragment may have been joined when the run was over.
+fn has_last_frame(tracked: &Tracked) -> bool {
+    let last = tracked.rows.iter().rev().find_map(FrameRow::report);
+    let placed = tracked.trajectory.last();
+    last.zip(placed)
+        .is_some_and(|(last, placed)| placed.frame_index >= last.index)
+}
+
 impl Summary {
     fn timed(mut self) -> Self {
         finish_times(&mut self);
@@ -431,6 +448,7 @@ fn finish_times(summary: &mut Summary) {
 /// One sentence for people.
 fn verdict(summary: &Summary, tracked: &Tracked) -> String {
     let share = 100.0 * summary.tracked as f64 / summary.frames.max(1) as f64;
+    let num_apart = num_apart(summary);
     match summary.status {
         "not_initialised" => {
             let last = tracked.rows.iter().rev().find_map(|row| row.report());
@@ -442,7 +460,13 @@ fn verdict(summary: &Summary, tracked: &Tracked) -> String {
                 "Tracking never started ({reason}). The camera must move sideways while it sees texture; there is no map."
             )
         }
+        "not_recognised" if num_apart > 0 => format!(
+            "The camera was never recognised in the map. What it saw is kept as {num_apart} fragment(s) beside it, which a later run may join."
+        ),
         "not_recognised" => "The camera was never recognised in the map: no frame shows a place that it holds. The map is as it was.".to_owned(),
+        "fragment" => format!(
+            "Tracking was lost and went on in a fragment that was never recognised as part of the map; {share:.0} % of the frames have a pose in the map."
+        ),
         "lost" => format!(
             "Tracking was lost for good; {share:.0} % of the frames have a pose, and what was mapped until then is saved."
         ),
@@ -460,6 +484,12 @@ fn verdict(summary: &Summary, tracked: &Tracked) -> String {
     }
 }
 
+/// Fragments that were not joined.
+fn num_apart(summary: &Summary) -> usize {
+    let fragments = summary.fragments.iter();
+    fragments.filter(|f| f.joined_into.is_none()).count()
+}
+
 fn summary_lines(summary: &Summary, folder: &Path) -> String {
     let unit = if summary.scale == "metric" {
         "m"
@@ -470,17 +500,33 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
         .peak_rss_bytes
         .map(|bytes| format!(", {:.0} MB of memory", bytes as f64 / 1e6))
         .unwrap_or_default();
-    let mut lines = format!(
-        "  {} frames, {} keyframes, {} measurements mapped\n  \
-         map: cells of {} {unit}, {} leaves\n  \
-         {:.1} s, {:.1} frames per second{memory}\n",
-        summary.frames,
-        summary.keyframes,
-        summary.points,
-        summary.map.resolution,
-        summary.map.leaves,
-        summary.seconds.total,
-        summary.frames_per_second,
+    let mut lines = if summary.localise_only {
+        format!(
+            "  {} frames; the map of {} keyframes stays as it is, no new one is written\n",
+            summary.frames, summary.keyframes
+        )
+    } else {
+        format!(
+            "  {} frames, {} keyframes, {} measurements mapped\n  \
+             map: cells of {} {unit}, {} leaves\n",
+            summary.frames,
+            summary.keyframes,
+            summary.points,
+            summary.map.resolution,
+            summary.map.leaves,
+        )
+    };
+    if !summary.fragments.is_empty() {
+        let num_apart = num_apart(summary);
+        lines += &format!(
+            "  {} fragments after losses, {} joined to the map, {num_apart} apart\n",
+            summary.fragments.len(),
+            summary.fragments.len() - num_apart
+        );
+    }
+    lines += &format!(
+        "  {:.1} s, {:.1} frames per second{memory}\n",
+        summary.seconds.total, summary.frames_per_second,
     );
     if let Some(ate) = summary
         .trajectory

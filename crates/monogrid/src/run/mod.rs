@@ -104,10 +104,11 @@ impl FrameRow {
         }
     }
 
-    /// Whether tracking had a map and no pose.
-    pub fn is_lost(&self) -> bool {
+    /// Whether there was a map and the frame has no pose in it.
+    pub fn has_no_place(&self) -> bool {
+        let placeless = [TrackingState::Lost, TrackingState::Fragment];
         self.report()
-            .is_some_and(|report| report.state == TrackingState::Lost)
+            .is_some_and(|report| placeless.contains(&report.state))
     }
 }
 
@@ -311,15 +312,18 @@ fn take_change(
     match change {
         Change::Finished(keyframe, snapshot) => {
             let scan = scan_of(keyframe, maps, camera);
-            if let Some(pose) = snapshot.world_from_keyframe.get(keyframe.id as usize) {
-                maps.add(scan, *pose)?;
+            match snapshot.in_main_map(keyframe.id) {
+                Some(pose) => maps.add(scan, *pose)?,
+                None => maps.add_apart(scan),
             }
-            maps.follow(Arc::clone(snapshot));
+            maps.follow(Arc::clone(snapshot))
         }
-        Change::Revised(keyframe) => maps.revise(scan_of(keyframe, maps, camera)),
+        Change::Revised(keyframe) => {
+            maps.revise(scan_of(keyframe, maps, camera));
+            Ok(())
+        }
         Change::Moved(snapshot) | Change::End(snapshot, ..) => maps.follow(Arc::clone(snapshot)),
     }
-    Ok(())
 }
 
 fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {

@@ -13,11 +13,11 @@ use monogrid_geometry::Se3;
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
-use monogrid_slam::FrameReport;
-use monogrid_slam::mapping::Maps;
+use monogrid_slam::mapping::{Maps, z_up_from_camera_world};
+use monogrid_slam::{FragmentId, FrameReport};
 use std::fmt::Write;
 
-/// Writes `trajectory.txt`, `trajectory_live.txt`, `trajectory_odometry.txt`, `frames.csv`,
+/// Writes `trajectory.txt`, `trajectory_fragment_N.txt`, `trajectory_live.txt`, `trajectory_odometry.txt`, `frames.csv`,
 /// `keyframes.txt`, `trajectory_earlier.txt`, `map_from_world.txt`, `graph.g2o` (similarities, exact) and `graph_rigid.g2o` (poses alone, for viewers of other programs).
 pub fn write_tables(
     folder: &OutputFolder,
@@ -26,6 +26,13 @@ pub fn write_tables(
     settings: &RunSettings,
 ) -> Result<(), Failure> {
     folder.write("trajectory.txt", format_tum(&final_poses(tracked, frame)))?;
+    for fragment in tracked.slam.fragments() {
+        let poses = fragment_poses(tracked, fragment.id);
+        if !poses.is_empty() {
+            let name = format!("trajectory_fragment_{}.txt", fragment.id);
+            folder.write(&name, format_tum(&poses))?;
+        }
+    }
     folder.write(
         "trajectory_live.txt",
         format_tum(&reported_poses(tracked, frame, |r| r.world_from_camera)),
@@ -58,8 +65,7 @@ fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) ->
         let poses: Vec<TimedPose> = frames
             .filter_map(|recorded| {
                 let frame_then = tracked_frame(recorded);
-                let poses = &tracked.snapshot.world_from_keyframe;
-                let keyframe = poses.get(recorded.keyframe as usize)?;
+                let keyframe = tracked.snapshot.in_main_map(recorded.keyframe)?;
                 let pose = frame_then.world_from_camera(keyframe);
                 Some(TimedPose {
                     timestamp_ns: recorded.timestamp_ns,
@@ -93,6 +99,19 @@ pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
         .collect()
 }
 
+/// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
+fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
+    let map_from_fragment = z_up_from_camera_world();
+    let poses = tracked.slam.trajectory_in(id);
+    poses
+        .iter()
+        .map(|pose| TimedPose {
+            timestamp_ns: pose.timestamp_ns,
+            world_from_camera: in_map(&map_from_fragment, &pose.world_from_camera),
+        })
+        .collect()
+}
+
 /// Poses as they were reported frame by frame.
 fn reported_poses(
     tracked: &Tracked,
@@ -112,7 +131,7 @@ fn reported_poses(
 
 fn frames_csv(rows: &[FrameRow]) -> String {
     let mut text = String::from(
-        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe,event\n",
+        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe,event,fragment\n",
     );
     for row in rows {
         let (state, reason) = match &row.fate {
@@ -135,7 +154,7 @@ fn frames_csv(rows: &[FrameRow]) -> String {
             let times = report.milliseconds;
             let _ = write!(
                 text,
-                "{:.4},{:.4},{:.4},{:.5},{:.3},{:.3},{:.3},{},{}",
+                "{:.4},{:.4},{:.4},{:.5},{:.3},{:.3},{:.3},{},{},{}",
                 report.residual,
                 report.good_share,
                 report.usage,
@@ -144,10 +163,14 @@ fn frames_csv(rows: &[FrameRow]) -> String {
                 times.depth,
                 times.graph,
                 report.keyframe.map(|id| id.to_string()).unwrap_or_default(),
-                events(report)
+                events(report),
+                report
+                    .fragment
+                    .map(|f| f.id.to_string())
+                    .unwrap_or_default()
             );
         } else {
-            text.push_str(",,,,,,,,");
+            text.push_str(",,,,,,,,,");
         }
         text.push('\n');
     }
@@ -166,17 +189,19 @@ fn events(report: &FrameReport) -> String {
     if let Some(id) = report.reactivated_keyframe {
         events.push(format!("reactivated:{id}"));
     }
+    if let Some(id) = report.started_fragment {
+        events.push(format!("fragment_started:{id}"));
+    }
+    for id in &report.joined_fragments {
+        events.push(format!("fragment_joined:{id}"));
+    }
     events.join(" ")
 }
 
 fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
     let mut text = String::from("# id frame timestamp scale tx ty tz qx qy qz qw points\n");
     for keyframe in tracked.slam.keyframes() {
-        let Some(pose) = tracked
-            .snapshot
-            .world_from_keyframe
-            .get(keyframe.id as usize)
-        else {
+        let Some(pose) = tracked.snapshot.in_main_map(keyframe.id) else {
             continue;
         };
         let pose = frame.map_from_world * *pose;

@@ -120,11 +120,13 @@ fn recorded_pixels(keyframe: &Keyframe) -> Vec<DepthPixel> {
         .collect()
 }
 
+/// Poses of the keyframes of the main map: nothing else has a place in a map.
 fn poses(snapshot: &monogrid_slam::PoseSnapshot) -> PoseSnapshot {
     PoseSnapshot {
         revision: snapshot.revision,
         poses: (0u32..)
             .zip(snapshot.world_from_keyframe.iter().copied())
+            .filter(|(id, _)| snapshot.in_main_map(*id).is_some())
             .collect(),
     }
 }

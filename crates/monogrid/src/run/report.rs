@@ -72,7 +72,9 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
     }
     page.heading("Tracking");
     page.ribbon(&ribbon(&tracked.rows));
-    page.note("green: good, yellow: degraded, red: lost, blue: starting, grey: no image");
+    page.note(
+        "green: good, yellow: degraded, red: lost, violet: in a fragment of the map, blue: starting, grey: no image",
+    );
     let losses = losses(&tracked.rows);
     if !losses.is_empty() {
         page.table(&["frames", "what happened"], &losses);
@@ -220,6 +222,7 @@ fn colour(row: &FrameRow) -> (&'static str, &'static str) {
             TrackingState::Initialising => ("#7fa8d8", "starting"),
             TrackingState::Good => ("#5fb36a", "good"),
             TrackingState::Degraded => ("#e8c547", "degraded"),
+            TrackingState::Fragment => ("#a06cc4", "in a fragment"),
             TrackingState::Lost => ("#cc4b37", "lost"),
         },
         FrameFate::BeforeSeed => ("#7fa8d8", "starting"),
@@ -266,6 +269,7 @@ fn losses(rows: &[FrameRow]) -> Vec<Vec<String>> {
                     let reason = report.reason.map(|r| r.to_string()).unwrap_or_default();
                     format!("lost: {reason}")
                 }
+                FrameFate::Processed(report) => format!("fragment {}", report.fragment?.id),
                 FrameFate::Skipped(reason) => format!("unreadable: {reason}"),
                 FrameFate::Dropped => "dropped: the program was behind".to_owned(),
                 _ => return None,

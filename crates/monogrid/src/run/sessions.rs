@@ -4,16 +4,16 @@ use super::recorder::RECORDING;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
 use monogrid_datasets::{
-    Continuation, KeyframeLink, ReadOptions, RecordedEdge, RecordedFrame, RecordedKeyframe,
-    RecordedPoint, RecordedSession, Recording, SessionInfo, read_sim3,
+    Continuation, FragmentKeyframe, KeyframeLink, ReadOptions, RecordedEdge, RecordedFrame,
+    RecordedKeyframe, RecordedPoint, RecordedSession, Recording, SessionInfo, read_sim3,
 };
 use monogrid_geometry::{Mat7, Pinhole, Sim3};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::GraphEdge;
 use monogrid_slam::mapping::z_up_from_camera_world;
 use monogrid_slam::{
-    DepthPixel, EdgeKind, Keyframe, KeyframeId, Purpose, Scale, Slam, StoredEdge, StoredKeyframe,
-    StoredMap, StoredPoint, TrackedFrame,
+    DepthPixel, EdgeKind, Keyframe, KeyframeId, MAIN_MAP, Purpose, Scale, Slam, StoredEdge,
+    StoredKeyframe, StoredMap, StoredPoint, TrackedFrame,
 };
 use std::path::{Path, PathBuf};
 
@@ -151,7 +151,8 @@ fn describe(p: &Pinhole) -> String {
     )
 }
 
-/// The map of a recording. Keyframes at its end without a pose (the run was killed) are left out.
+/// The map of a recording. Keyframes at its end without a pose (the run was killed) are left out, and so are all
+/// after one of a fragment whose run was killed.
 fn stored_map(
     recording: &Recording,
     continuation: &Continuation,
@@ -160,7 +161,11 @@ fn stored_map(
     let links = |id: u32| continuation.keyframes.iter().find(|link| link.id == id);
     let mut keyframes = Vec::with_capacity(recording.keyframes.len());
     for recorded in &recording.keyframes {
-        let Some(world_from_keyframe) = recorded.world_from_keyframe else {
+        let mut members = continuation.fragments.iter();
+        let member = members.find(|m| m.keyframe == recorded.id);
+        let in_fragment = member.map(|m| (m.fragment, m.fragment_from_keyframe));
+        let in_main_map = recorded.world_from_keyframe.map(|pose| (MAIN_MAP, pose));
+        let Some((fragment, world_from_keyframe)) = in_fragment.or(in_main_map) else {
             break;
         };
         let Some(keyframe) = keyframe(recorded) else {
@@ -178,6 +183,7 @@ fn stored_map(
         });
         keyframes.push(StoredKeyframe {
             keyframe,
+            fragment,
             world_from_keyframe,
             parent: link.parent,
             gain: link.gain,
@@ -343,6 +349,16 @@ pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Con
         edges: map.edges.iter().map(recorded_edge).collect(),
         points: map.points.iter().map(recorded_point).collect(),
         frames,
+        fragments: map
+            .keyframes
+            .iter()
+            .filter(|stored| stored.fragment != MAIN_MAP)
+            .map(|stored| FragmentKeyframe {
+                keyframe: stored.keyframe.id,
+                fragment: stored.fragment,
+                fragment_from_keyframe: stored.world_from_keyframe,
+            })
+            .collect(),
     }
 }
 

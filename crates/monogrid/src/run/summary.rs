@@ -1,7 +1,19 @@
 //! `summary.json`: what a run did, in numbers.
 
 use super::{CpuTimes, FrameRow, Tracked};
+use monogrid_slam::{Fragment, TrackingState};
 use serde::Serialize;
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// With poses in the map, or with a short loss.
+    Tracked,
+    /// Without a pose for a while.
+    Lost,
+    /// The same, in a fragment that was not joined.
+    Fragment,
+}
 
 /// Seconds of a run.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -42,6 +54,40 @@ pub struct SessionSummary {
     pub first_keyframe: u32,
 }
 
+/// A fragment of the map that a lost camera began.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct FragmentSummary {
+    /// Its number, as in `frames.csv`.
+    pub id: u32,
+    /// Its first keyframe.
+    pub first_keyframe: u32,
+    /// Frame of that keyframe.
+    pub first_frame: usize,
+    /// Its keyframes, until it was joined.
+    pub keyframes: usize,
+    /// Its frames with a pose, until it was joined.
+    pub frames: usize,
+    /// The fragment that it became a part of, 0 for the main map; `null` if it never did.
+    pub joined_into: Option<u32>,
+    /// The frame after which it was.
+    pub joined_at_frame: Option<usize>,
+}
+
+impl FragmentSummary {
+    /// What the summary says of a fragment.
+    pub fn new(fragment: &Fragment) -> Self {
+        Self {
+            id: fragment.id,
+            first_keyframe: fragment.first_keyframe,
+            first_frame: fragment.first_frame,
+            keyframes: fragment.keyframes,
+            frames: fragment.frames,
+            joined_into: fragment.joined.map(|join| join.into),
+            joined_at_frame: fragment.joined.map(|join| join.frame),
+        }
+    }
+}
+
 /// The content of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -49,11 +95,12 @@ pub struct Summary {
     pub source: String,
     /// Version of the program.
     pub version: &'static str,
-    /// `done`, `interrupted`, `not_initialised`, `not_recognised`, `lost` or `unreadable`.
+    /// `done`, `interrupted`, `not_initialised`, `not_recognised`, `lost`, `fragment` (the run ended in a fragment
+    /// that was not joined) or `unreadable`.
     pub status: &'static str,
     /// Frames of the source that were used.
     pub frames: usize,
-    /// Frames with a believed pose.
+    /// Frames with a believed pose in the map.
     pub tracked: usize,
     /// Unreadable frames.
     pub skipped: usize,
@@ -71,6 +118,8 @@ pub struct Summary {
     pub constraints: usize,
     /// Longest time from the end of a keyframe to the use of its optimised poses, milliseconds.
     pub graph_wait_ms: f64,
+    /// Fragments that a lost camera began.
+    pub fragments: Vec<FragmentSummary>,
     /// The runs that made the map, this one last.
     pub sessions: Vec<SessionSummary>,
     /// Whether the map of an earlier run was only used.
@@ -119,20 +168,29 @@ const LOST_FOR_GOOD_SECS: f64 = 1.0;
 /// And at least so many frames.
 const LOST_FOR_GOOD_FRAMES: usize = 10;
 
-/// Whether the run ended without tracking.
-pub fn is_lost_for_good(rows: &[FrameRow]) -> bool {
+/// Whether the last second of a run has poses in the map, and what it has instead.
+pub fn end_of(rows: &[FrameRow]) -> End {
     let processed: Vec<&FrameRow> = rows.iter().filter(|row| row.report().is_some()).collect();
     let num_lost = processed
         .iter()
         .rev()
-        .take_while(|row| row.is_lost())
+        .take_while(|row| row.has_no_place())
         .count();
     let tail = &processed[processed.len() - num_lost..];
     let span_secs = match (tail.first(), tail.last()) {
         (Some(first), Some(last)) => (last.timestamp_ns - first.timestamp_ns) as f64 * 1e-9,
         _ => 0.0,
     };
-    num_lost >= LOST_FOR_GOOD_FRAMES && span_secs >= LOST_FOR_GOOD_SECS
+    if num_lost < LOST_FOR_GOOD_FRAMES || span_secs < LOST_FOR_GOOD_SECS {
+        return End::Tracked;
+    }
+    let reports = tail.iter().filter_map(|row| row.report());
+    let mut states = reports.map(|report| report.state);
+    if states.any(|state| state == TrackingState::Fragment) {
+        End::Fragment
+    } else {
+        End::Lost
+    }
 }
 
 /// CPU seconds of the stages: the CPU time of tracking, depth and graph together, divided as the wall
@@ -165,7 +223,7 @@ pub fn stage_seconds(tracked: &Tracked, cpu: &CpuTimes) -> Seconds {
 mod tests {
     use super::*;
     use crate::run::FrameFate;
-    use monogrid_slam::{FrameReport, StageTimes, TrackingState};
+    use monogrid_slam::{FrameReport, StageTimes};
 
     fn row(index: usize, state: TrackingState) -> FrameRow {
         let timestamp_ns = index as i64 * 33_000_000;
@@ -190,6 +248,9 @@ mod tests {
                 created_keyframe: false,
                 reactivated_keyframe: None,
                 relocalised: false,
+                fragment: None,
+                started_fragment: None,
+                joined_fragments: Vec::new(),
             })),
         }
     }
@@ -209,9 +270,14 @@ mod tests {
                 })
                 .collect()
         };
-        assert!(is_lost_for_good(&rows(40, 0)));
-        assert!(!is_lost_for_good(&rows(20, 0)), "less than a second");
-        assert!(!is_lost_for_good(&rows(40, 1)), "found again");
-        assert!(!is_lost_for_good(&[]));
+        assert_eq!(end_of(&rows(40, 0)), End::Lost);
+        assert_eq!(end_of(&rows(20, 0)), End::Tracked, "less than a second");
+        assert_eq!(end_of(&rows(40, 1)), End::Tracked, "found again");
+        assert_eq!(end_of(&[]), End::Tracked);
+        let mut in_fragment = rows(40, 0);
+        in_fragment.extend((140..180).map(|i| row(i, TrackingState::Fragment)));
+        assert_eq!(end_of(&in_fragment), End::Fragment);
+        in_fragment.push(row(180, TrackingState::Good));
+        assert_eq!(end_of(&in_fragment), End::Tracked);
     }
 }

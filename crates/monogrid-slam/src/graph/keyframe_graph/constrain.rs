@@ -75,19 +75,22 @@ impl KeyframeGraph {
     }
 
     /// Looks for old keyframes of the same place by appearance, and constrains a keyframe to them by direct
-    /// alignment from the pose that the recognised points give; whether one was.
+    /// alignment from the pose that the recognised points give; whether one was. Those of other fragments are
+    /// sightings, until enough of them agree.
     pub(super) fn search_loops(&mut self, id: KeyframeId) -> bool {
         let between = self.config.places.min_keyframes_between;
-        let Some(newest_old) = id.checked_sub(between + 1) else {
-            return false;
-        };
-        if !self.config.places.enabled {
+        let newest_old = id.checked_sub(between + 1);
+        let own_fragment = self.fragment_of(id);
+        let is_alone = self.fragments.iter().all(|f| *f == own_fragment);
+        if !self.config.places.enabled || (newest_old.is_none() && is_alone) {
             return false;
         }
-        let edges = &self.edges;
         let is_new = |other: u64| {
             let other = other as KeyframeId;
-            other <= newest_old && !edges.contains_key(&(other, id, EdgeKind::Direct))
+            if self.fragment_of(other) != own_fragment {
+                return self.may_join(id, other);
+            }
+            newest_old.is_some_and(|newest| other <= newest) && !self.is_aligned(other, id)
         };
         let matches = self.places.find_loops(u64::from(id), is_new);
         let mut closed = false;
@@ -96,6 +99,10 @@ impl KeyframeGraph {
             self.stats.loops_proposed += 1;
             let other_from_own = found.this_from_other.inverse();
             if let Some(constraint) = self.align(id, other, other_from_own) {
+                if self.fragment_of(other) != own_fragment {
+                    self.add_sighting(other, id, constraint);
+                    continue;
+                }
                 // recognised and aligned: it is right unless it contradicts what drift can do
                 let kernel = if self.can_have_drifted(other, id, &constraint.b_from_a) {
                     CERTAIN
@@ -107,12 +114,14 @@ impl KeyframeGraph {
                 closed = true;
             }
         }
-        closed
+        self.join_fragments(id) || closed
     }
 
-    /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it.
+    /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it. Keyframes of
+    /// the main map come first.
     pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
-        let found = self.places.relocalise(frame, Some(&self.mask), |_| true);
+        let mut found = self.places.relocalise(frame, Some(&self.mask), |_| true);
+        found.sort_by_key(|found| self.fragment_of(found.keyframe as KeyframeId));
         found
             .iter()
             .filter_map(|found| {
@@ -132,6 +141,7 @@ impl KeyframeGraph {
         let others: Vec<Candidate<'_>> = self
             .entries
             .range(..id)
+            .filter(|(other, _)| self.fragment_of(**other) == self.fragment_of(id))
             .map(|(id, entry)| Candidate {
                 id: *id,
                 world_from_keyframe: self.world_from_keyframe[*id as usize],

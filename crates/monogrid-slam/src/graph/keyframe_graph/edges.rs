@@ -3,7 +3,6 @@
 use super::{CERTAIN, KeyframeGraph};
 use crate::KeyframeId;
 use crate::graph::job::{EdgeKind, Handover, OdometryEdge, SparseEdge};
-use crate::node::path_between;
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::{Mat7, Sim3};
 use monogrid_graph::RobustKernel;
@@ -158,14 +157,7 @@ impl KeyframeGraph {
     pub(super) fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
         let drift = &self.config.places.drift;
         let error = (i_from_j.inverse() * self.relative(i, j)).log();
-        let path = path_between(|id| self.parent_of(id), i, j);
-        let steps = path.len().saturating_sub(1) as f64;
-        let position = |id: KeyframeId| self.world_from_keyframe[id as usize].translation;
-        let path_in_world: f64 = path
-            .windows(2)
-            .map(|pair| (position(pair[1]) - position(pair[0])).norm())
-            .sum();
-        let path = path_in_world / self.world_from_keyframe[j as usize].scale;
+        let (steps, path) = self.path(i, j);
         error.fixed_rows::<3>(0).norm() <= drift.translation_start + drift.translation_share * path
             && error.fixed_rows::<3>(3).norm() <= drift.rotation_start + drift.rotation_step * steps
             && error[6].abs() <= drift.scale_start + drift.scale_step * steps

@@ -2,17 +2,19 @@
 
 mod constrain;
 mod edges;
+mod join;
 mod optimise;
 #[cfg(test)]
 mod tests;
 
+use self::join::Sighting;
 use self::optimise::Search;
 use super::GraphConfig;
-use super::job::{EdgeKind, GraphJob, GraphStats, GraphUpdate, GraphView, RestoredGraph};
+use super::job::{EdgeKind, GraphJob, GraphStats, GraphUpdate, GraphView, Joined, RestoredGraph};
 use super::places::{PlacesError, memory_of_places};
 use super::search::{ImageBounds, Probes};
-use crate::KeyframeId;
 use crate::stored::StoredEdge;
+use crate::{FragmentConfig, FragmentId, KeyframeId, MAIN_MAP};
 use monogrid_alignment::KeyframeView;
 use monogrid_features::PlaceMemory;
 use monogrid_geometry::{Mat7, Pinhole, Sim3};
@@ -46,6 +48,14 @@ pub(crate) struct KeyframeGraph {
     entries: BTreeMap<KeyframeId, Entry>,
     world_from_keyframe: Vec<Sim3>,
     parents: Vec<Option<KeyframeId>>,
+    /// Fragment of each keyframe. Each has its own world, held by its first keyframe, and is optimised alone.
+    fragments: Vec<FragmentId>,
+    /// Fragments that the job under way has to do with.
+    active: BTreeSet<FragmentId>,
+    joining: FragmentConfig,
+    sightings: Vec<Sighting>,
+    /// Fragments that were joined in the job under way.
+    joined: Vec<Joined>,
     edges: BTreeMap<EdgeKey, GraphEdge>,
     /// Edges that an optimisation has seen: they decide from then on by how well they fit, and only what
     /// is new makes it look far away.
@@ -82,6 +92,11 @@ impl KeyframeGraph {
             entries: BTreeMap::new(),
             world_from_keyframe: Vec::new(),
             parents: Vec::new(),
+            fragments: Vec::new(),
+            active: BTreeSet::from([MAIN_MAP]),
+            joining: FragmentConfig::default(),
+            sightings: Vec::new(),
+            joined: Vec::new(),
             edges: BTreeMap::new(),
             judged: BTreeSet::new(),
             refused: BTreeMap::new(),
@@ -93,10 +108,17 @@ impl KeyframeGraph {
         })
     }
 
+    /// The same graph with other settings for the joining of fragments.
+    pub(crate) fn with_fragments(mut self, config: FragmentConfig) -> Self {
+        self.joining = config;
+        self
+    }
+
     /// The graph as an earlier session left it. Keyframes without a constraint are held where they are.
     pub(crate) fn restore(&mut self, restored: RestoredGraph) {
         self.world_from_keyframe = restored.world_from_keyframe;
         self.parents = restored.parents;
+        self.fragments = restored.fragments;
         for StoredEdge { kind, edge } in restored.edges {
             let (i, j) = (edge.i as KeyframeId, edge.j as KeyframeId);
             if i < j && (j as usize) < self.parents.len() {
@@ -109,8 +131,10 @@ impl KeyframeGraph {
             let probes = Probes::new(&view.samples, &self.image.pinhole);
             self.remember(&view);
             self.entries.insert(id, Entry { view, probes });
+            let is_free = !linked.contains(&id) && !self.is_root_with_edge(id);
             let before = self.parent_of(id).or(id.checked_sub(1));
-            if let Some(before) = before.filter(|_| !linked.contains(&id)) {
+            let is_near = |other: &KeyframeId| self.fragment_of(*other) == self.fragment_of(id);
+            if let Some(before) = before.filter(is_near).filter(|_| is_free) {
                 self.hold(before, id);
             }
         }
@@ -120,6 +144,13 @@ impl KeyframeGraph {
     fn set_edge(&mut self, key: EdgeKey, edge: GraphEdge) {
         self.judged.remove(&key);
         self.edges.insert(key, edge);
+    }
+
+    /// Whether a keyframe is the first of a fragment, and later ones hold it.
+    fn is_root_with_edge(&self, id: KeyframeId) -> bool {
+        let first = (id, KeyframeId::MIN, EdgeKind::Odometry);
+        let mut edges = self.edges.range(first..);
+        self.parent_of(id).is_none() && edges.next().is_some_and(|(key, _)| key.0 == id)
     }
 
     /// All edges with where they come from.
@@ -139,6 +170,10 @@ impl KeyframeGraph {
         self.world_from_keyframe
             .clone_from(&job.world_from_keyframe);
         self.parents.clone_from(&job.parents);
+        self.fragments.clone_from(&job.fragments);
+        self.fragments
+            .resize(self.world_from_keyframe.len(), MAIN_MAP);
+        self.active = self.fragments_of(&job);
         let mut is_changed = job.is_final || job.odometry.is_some() || !job.sparse_edges.is_empty();
         if let Some(odometry) = &job.odometry {
             self.add_odometry(odometry);
@@ -193,10 +228,25 @@ impl KeyframeGraph {
         self.stats.total_ms += milliseconds;
         GraphUpdate {
             world_from_keyframe: self.world_from_keyframe.clone(),
+            fragments: self.fragments.clone(),
+            joined: std::mem::take(&mut self.joined),
             previous_from_keyframe_covariance: self.covariances.clone(),
             edges: self.stored_edges(),
             stats: self.stats,
         }
+    }
+
+    /// The fragments that a job has to do with.
+    fn fragments_of(&self, job: &GraphJob) -> BTreeSet<FragmentId> {
+        if job.is_final {
+            return self.all_fragments();
+        }
+        let finished = job.finished.iter().map(|view| view.id);
+        let made = job.odometry.iter().map(|odometry| odometry.keyframe);
+        let handed_over = job.handover.iter().map(|handover| handover.j);
+        let shared = job.sparse_edges.iter().map(|edge| edge.j);
+        let keyframes = finished.chain(made).chain(handed_over).chain(shared);
+        keyframes.map(|id| self.fragment_of(id)).collect()
     }
 
     fn relative(&self, i: KeyframeId, j: KeyframeId) -> Sim3 {

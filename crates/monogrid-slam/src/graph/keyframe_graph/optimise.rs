@@ -1,7 +1,7 @@
 //! Moving the poses to the optimum, and their covariances.
 
-use super::KeyframeGraph;
-use crate::KeyframeId;
+use super::{EdgeKey, KeyframeGraph};
+use crate::{FragmentId, KeyframeId};
 use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig};
 use std::time::Instant;
 
@@ -20,13 +20,20 @@ pub(super) enum Search {
 }
 
 impl KeyframeGraph {
-    /// Moves the poses to the optimum.
+    /// Moves the poses of the fragments in question to the optimum.
     pub(super) fn optimise(&mut self, search: Search) {
-        let begin = Instant::now();
         if search == Search::Final {
             self.judged.clear();
         }
-        let Some(mut graph) = self.pose_graph() else {
+        self.stats.switched_off = 0;
+        for fragment in self.active.clone() {
+            self.optimise_fragment(fragment, search);
+        }
+    }
+
+    fn optimise_fragment(&mut self, fragment: FragmentId, search: Search) {
+        let begin = Instant::now();
+        let Some(mut graph) = self.pose_graph(fragment) else {
             return;
         };
         let default = PoseGraphConfig::default();
@@ -41,11 +48,13 @@ impl KeyframeGraph {
         let Ok(report) = graph.optimise(&settings) else {
             return;
         };
-        for (pose, node) in self.world_from_keyframe.iter_mut().zip(graph.nodes()) {
-            *pose = node.world_from_keyframe;
+        for node in graph.nodes() {
+            self.world_from_keyframe[node.id as usize] = node.world_from_keyframe;
         }
-        self.judged.extend(self.edges.keys().copied());
-        self.stats.switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
+        let is_inside = |key: &&EdgeKey| self.fragment_of(key.0) == fragment;
+        let judged: Vec<EdgeKey> = self.edges.keys().filter(is_inside).copied().collect();
+        self.judged.extend(judged);
+        self.stats.switched_off += report.edges.iter().filter(|fit| fit.weight < 0.1).count();
         if search == Search::Final {
             return;
         }
@@ -58,32 +67,38 @@ impl KeyframeGraph {
     pub(super) fn update_covariances(&mut self, all: bool) {
         let num = self.world_from_keyframe.len();
         self.covariances.resize(num, None);
-        let Some(uncertainty) = self.pose_graph().and_then(|g| g.uncertainty().ok()) else {
-            return;
-        };
         let first = if all {
             1
         } else {
             num.saturating_sub(NEWEST).max(1)
         };
-        for id in first..num {
-            let parent = self.parent_of(id as KeyframeId);
-            self.covariances[id] =
-                parent.and_then(|p| uncertainty.relative(u64::from(p), id as u64).ok());
+        for fragment in &self.active {
+            let graph = self.pose_graph(*fragment);
+            let Some(uncertainty) = graph.and_then(|g| g.uncertainty().ok()) else {
+                continue;
+            };
+            for id in (first..num).filter(|id| self.fragments[*id] == *fragment) {
+                let parent = self.parent_of(id as KeyframeId);
+                self.covariances[id] =
+                    parent.and_then(|p| uncertainty.relative(u64::from(p), id as u64).ok());
+            }
         }
     }
 
-    pub(super) fn pose_graph(&self) -> Option<PoseGraph> {
+    /// The graph of a fragment, whose first keyframe holds its world.
+    pub(super) fn pose_graph(&self, fragment: FragmentId) -> Option<PoseGraph> {
         let mut graph = PoseGraph::new();
-        for (id, pose) in self.world_from_keyframe.iter().enumerate() {
+        let poses = self.world_from_keyframe.iter().zip(&self.fragments);
+        for (id, (pose, _)) in poses.enumerate().filter(|(_, (_, f))| **f == fragment) {
             let node = GraphNode {
                 id: id as u64,
                 world_from_keyframe: *pose,
-                is_fixed: id == 0,
+                is_fixed: graph.nodes().is_empty(),
             };
             graph.add_node(node).ok()?;
         }
-        for (key, edge) in &self.edges {
+        let is_inside = |key: &EdgeKey| self.fragment_of(key.0) == fragment;
+        for (key, edge) in self.edges.iter().filter(|(key, _)| is_inside(key)) {
             // an edge that the graph refuses (a scale beyond reason) is no constraint
             let _ = if self.judged.contains(key) {
                 graph.add_judged_edge(*edge)

@@ -44,6 +44,7 @@ fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<GraphV
             pyramid: Arc::new(Pyramid::new(image.clone(), 5)),
             samples,
             exposure: Exposure::NEUTRAL,
+            is_settled: true,
         });
     }
     // relative to the first, which holds the world
@@ -141,4 +142,95 @@ fn a_keyframe_of_another_room_is_not_constrained() {
     }
     assert_eq!((last.stats.pairs_tried, last.stats.constraints), (1, 0));
     assert_eq!(last.world_from_keyframe, poses, "nothing to move them");
+}
+
+/// Keyframes of one room as two fragments, the second in a world of its own; what comes of the last job.
+fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let camera = sequence.camera();
+    let (views, truth) = keyframes(&sequence, 8, 8);
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    let graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask).unwrap();
+    let mut graph = graph.with_fragments(config);
+    let fragment_from_world = Sim3::exp(&Vec7::from_column_slice(&[
+        1.3, -0.4, 0.8, 0.3, 0.9, -0.2, 0.7,
+    ]));
+    let fragments = [0, 0, 0, 0, 1, 1, 1, 1];
+    let mut poses: Vec<Sim3> = truth
+        .iter()
+        .zip(fragments)
+        .map(|(pose, fragment)| match fragment {
+            0 => *pose,
+            _ => fragment_from_world * *pose,
+        })
+        .collect();
+    let parents = [
+        None,
+        Some(0),
+        Some(1),
+        Some(2),
+        None,
+        Some(4),
+        Some(5),
+        Some(6),
+    ];
+    let mut fragments = fragments.to_vec();
+    let mut joined = Vec::new();
+    let mut last = GraphUpdate::default();
+    for view in views {
+        let id = view.id as usize;
+        last = graph.run(GraphJob {
+            finished: Some(view),
+            world_from_keyframe: poses[..=id].to_vec(),
+            parents: parents[..=id].to_vec(),
+            fragments: fragments[..=id].to_vec(),
+            ..GraphJob::default()
+        });
+        // later keyframes of the fragment are where it is now
+        let moved = last.world_from_keyframe[id] * poses[id].inverse();
+        let own = fragments[id];
+        for later in id + 1..poses.len() {
+            if fragments[later] == own && !last.joined.is_empty() {
+                poses[later] = moved * poses[later];
+                fragments[later] = last.fragments[id];
+            }
+        }
+        poses[..=id].clone_from_slice(&last.world_from_keyframe);
+        fragments[..=id].clone_from_slice(&last.fragments);
+        joined.append(&mut last.joined);
+    }
+    last.joined = joined;
+    (last, truth, fragment_from_world)
+}
+
+#[test]
+fn a_fragment_joins_where_several_keyframes_say_that_it_is() {
+    let (update, truth, _) = two_fragments(FragmentConfig::default());
+    assert_eq!(update.joined, [Joined { from: 1, into: 0 }]);
+    assert_eq!(update.fragments, [0; 8]);
+    assert!(update.stats.loop_closures >= 2);
+    let after = error(&update.world_from_keyframe, &truth);
+    assert!(after.0 < 0.02 && after.1 < 0.02, "{after:?}");
+}
+
+#[test]
+fn a_fragment_that_too_few_keyframes_recognise_stays_where_it_is() {
+    let (update, truth, fragment_from_world) = two_fragments(FragmentConfig {
+        min_agreeing: 5,
+        ..FragmentConfig::default()
+    });
+    assert_eq!(update.joined, []);
+    assert_eq!(update.fragments, [0, 0, 0, 0, 1, 1, 1, 1]);
+    let (main, fragment) = update.world_from_keyframe.split_at(4);
+    let expected: Vec<Sim3> = truth[4..]
+        .iter()
+        .map(|t| fragment_from_world * *t)
+        .collect();
+    let (in_main, in_fragment) = (error(main, &truth[..4]), error(fragment, &expected));
+    assert!(in_main.0 < 0.01 && in_main.1 < 0.01, "{in_main:?}");
+    // twice the unit: errors in its own length
+    assert!(
+        in_fragment.0 < 0.02 && in_fragment.1 < 0.01,
+        "{in_fragment:?}"
+    );
 }

@@ -67,7 +67,7 @@ impl GlobalMap {
         self.revision
     }
 
-    /// Adds a keyframe, newer than all others, where it is now.
+    /// Adds a keyframe where it is now; cheapest when it is newer than all others.
     pub fn add(
         &mut self,
         mapper: &Mapper,
@@ -176,13 +176,13 @@ impl GlobalMap {
     }
 
     /// Brings every keyframe to its exact pose, in the frame of `map_from_world`, and adds those that
-    /// are `waiting`, newer than all others, with the poses they had when they came.
+    /// are `waiting`, with the poses they had when they came.
     pub fn settle(
         &mut self,
         mapper: &Mapper,
         wanted: &Arc<PoseSnapshot>,
         map_from_world: &Sim3,
-        waiting: Vec<(KeyframeScan, Sim3)>,
+        mut waiting: Vec<(KeyframeScan, Sim3)>,
     ) -> Result<(), MapError> {
         self.map.set_threads(mapper.threads());
         if let Some(coming) = self.coming.take() {
@@ -193,6 +193,8 @@ impl GlobalMap {
         self.map_from_world = *map_from_world;
         self.follow(Arc::clone(wanted));
         while self.step_beyond(mapper, 0.0)? {}
+        // the newest is added without work on the others
+        waiting.sort_by_key(|(scan, _)| scan.id);
         for (scan, first) in waiting {
             let pose = wanted.world_from_keyframe.get(scan.id as usize);
             self.add(mapper, &scan, pose.unwrap_or(&first))?;

@@ -6,12 +6,13 @@ use crate::mapping::KeyframeScan;
 use crate::{KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{MapError, OccupancyMap};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The three maps at the end of a run.
 #[derive(Clone, Debug)]
 pub struct Maps {
-    /// Every keyframe at its final pose.
+    /// Every keyframe of the main map at its final pose.
     pub global: OccupancyMap,
     /// Every keyframe at its first pose.
     pub large: OccupancyMap,
@@ -84,6 +85,8 @@ pub struct LiveMaps {
     /// Keyframes that came while nobody read, at the poses they had; *global* takes them when it is
     /// wanted. A map that follows every small correction costs twice its integration and more.
     waiting: Vec<(KeyframeScan, Sim3)>,
+    /// Keyframes of fragments that are not joined to the main map: nobody knows where they are.
+    apart: BTreeMap<KeyframeId, KeyframeScan>,
     published: MapReader,
 }
 
@@ -100,6 +103,7 @@ impl LiveMaps {
             map_from_world,
             first_poses: Vec::new(),
             waiting: Vec::new(),
+            apart: BTreeMap::new(),
             published: MapReader::default(),
         })
     }
@@ -126,7 +130,8 @@ impl LiveMaps {
         Ok(reader)
     }
 
-    /// Adds a finished keyframe at the pose it has now; keyframes come in the order of their ids.
+    /// Adds a finished keyframe at the pose it has now; keyframes come in the order of their ids, but for those
+    /// of joined fragments.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
@@ -144,17 +149,40 @@ impl LiveMaps {
         Ok(())
     }
 
+    /// Takes a finished keyframe of a fragment; it is added when [`LiveMaps::follow`] hears that the fragment is
+    /// joined to the main map.
+    pub fn add_apart(&mut self, scan: KeyframeScan) {
+        self.apart.insert(scan.id, scan);
+    }
+
     /// Takes better depth of a keyframe that was added before; *global* will use it.
     pub fn revise(&mut self, scan: KeyframeScan) {
+        if let Some(apart) = self.apart.get_mut(&scan.id) {
+            *apart = scan;
+            return;
+        }
         match self.waiting.iter_mut().find(|(w, _)| w.id == scan.id) {
             Some((waiting, _)) => *waiting = scan,
             None => self.global.revise(scan),
         }
     }
 
-    /// Says where keyframes are now; *global* follows in [`LiveMaps::step`].
-    pub fn follow(&mut self, poses: Arc<PoseSnapshot>) {
+    /// Says where keyframes are now; *global* follows in [`LiveMaps::step`]. Keyframes that have come to the
+    /// main map are added.
+    ///
+    /// # Errors
+    /// As [`LiveMaps::add`].
+    pub fn follow(&mut self, poses: Arc<PoseSnapshot>) -> Result<(), MapError> {
+        for (id, scan) in std::mem::take(&mut self.apart) {
+            match poses.in_main_map(id) {
+                Some(pose) => self.add(scan, *pose)?,
+                None => {
+                    self.apart.insert(id, scan);
+                }
+            }
+        }
         self.global.follow(poses);
+        Ok(())
     }
 
     /// Brings *global* closer to the newest poses and depths, by at most the integration of one
@@ -194,12 +222,13 @@ impl LiveMaps {
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
     pub fn finish(
-        self,
+        mut self,
         snapshot: &Arc<PoseSnapshot>,
         map_from_world: &Sim3,
         camera_in_map: Option<Vec3>,
         threads: usize,
     ) -> Result<Maps, MapError> {
+        self.follow(Arc::clone(snapshot))?;
         let mapper = self.mapper.with_threads(threads);
         let mut global = self.global;
         global.settle(&mapper, snapshot, map_from_world, self.waiting)?;

@@ -233,7 +233,7 @@ impl History {
         let mut live = LiveMaps::new(mapper, z_up_from_camera_world()).unwrap();
         for (i, scan) in self.scans.iter().enumerate() {
             live.add(scan.clone(), self.first[i]).unwrap();
-            live.follow(Arc::clone(&self.snapshots[i]));
+            live.follow(Arc::clone(&self.snapshots[i])).unwrap();
             if i == self.revised.0 {
                 live.revise(self.revised.1.clone());
             }
@@ -370,7 +370,8 @@ fn keyframes_that_hardly_moved_wait_for_the_end() {
             revision,
             world_from_keyframe: vec![pose(x)],
             ..PoseSnapshot::default()
-        }));
+        }))
+        .unwrap();
         let mut steps = 0;
         while live.step().unwrap() {
             steps += 1;
@@ -390,4 +391,50 @@ fn keyframes_that_hardly_moved_wait_for_the_end() {
         .unwrap();
     let expected = from_scratch(&[wall(0)], &[pose(0.05)], &z_up_from_camera_world());
     assert!(bytes(&maps.global) == bytes(&expected));
+}
+
+#[test]
+fn keyframes_of_a_fragment_are_mapped_once_it_is_joined() {
+    let z_up = z_up_from_camera_world();
+    let snapshot = |revision, poses: &[Sim3], fragment: &[u32]| {
+        Arc::new(PoseSnapshot {
+            revision,
+            world_from_keyframe: poses.to_vec(),
+            fragment: fragment.to_vec(),
+            ..PoseSnapshot::default()
+        })
+    };
+    let elsewhere = Sim3::new(0.3, Rotation::identity(), Vec3::new(7.0, 8.0, 9.0));
+    let before = [pose(0.0), elsewhere, pose(0.3)];
+    let after = [pose(0.0), pose(0.6), pose(0.3)];
+    for (is_read, is_joined) in [(false, false), (false, true), (true, false), (true, true)] {
+        let mut live = LiveMaps::new(Mapper::new(config(), CAMERA, 1), z_up).unwrap();
+        let reader = is_read.then(|| live.reader().unwrap());
+        live.add(wall(0), before[0]).unwrap();
+        live.add_apart(wall(7));
+        live.add_apart(wall(1));
+        live.revise(wall(1));
+        live.add(wall(2), before[2]).unwrap();
+        live.follow(snapshot(1, &before, &[0, 1, 0])).unwrap();
+        while live.step().unwrap() {}
+        if let Some(reader) = &reader {
+            assert_eq!(reader.latest().unwrap().stats.keyframes, 2);
+        }
+        let fragments = if is_joined { [0, 0, 0] } else { [0, 1, 0] };
+        let last = snapshot(2, &after, &fragments);
+        if is_joined {
+            live.follow(Arc::clone(&last)).unwrap();
+        }
+        if let Some(reader) = &reader {
+            let keyframes = if is_joined { 3 } else { 2 };
+            assert_eq!(reader.latest().unwrap().stats.keyframes, keyframes);
+        }
+        let maps = live.finish(&last, &z_up, None, 1).unwrap();
+        let poses: Vec<Option<Sim3>> = (0..3).map(|i| last.in_main_map(i).copied()).collect();
+        let mapper = Mapper::new(config(), CAMERA, 1);
+        let scans = [wall(0), wall(1), wall(2)];
+        let (expected, stats) = mapper.build(&scans, &poses, &z_up).unwrap();
+        assert_eq!(maps.stats, stats, "read {is_read}, joined {is_joined}");
+        assert!(bytes(&maps.global) == bytes(&expected));
+    }
 }

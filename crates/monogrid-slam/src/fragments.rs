@@ -1,0 +1,71 @@
+//! Fragments of the map: what a camera sees that was lost and does not recognise the place.
+//!
+//! The first map is fragment 0, the *main map*. A later fragment has a world of its own (the camera of its
+//! first keyframe, of unknown place and scale) until its keyframes are recognised in another one.
+
+use crate::KeyframeId;
+use serde::{Deserialize, Serialize};
+
+/// Identity of a fragment; never reused. 0 is the main map.
+pub type FragmentId = u32;
+
+/// The fragment that the first keyframe belongs to, and all that are joined to it.
+pub const MAIN_MAP: FragmentId = 0;
+
+/// When a lost camera starts a new fragment of the map, and when that is joined to another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FragmentConfig {
+    /// Whether there are fragments; without, a lost camera waits until it sees a known place. They need
+    /// `graph.enabled` and `graph.places.enabled`, without which none would ever be joined.
+    pub enabled: bool,
+    /// Seconds of video with texture that the camera must be lost before a fragment is started; a known
+    /// place is recognised in less.
+    pub min_lost_secs: f64,
+    /// Fragments that are not joined at most; while there are as many, a lost camera waits.
+    pub max_apart: usize,
+    /// Keyframes of a fragment that must be recognised in another one, verified by points in both directions
+    /// and aligned directly, and agree about where the fragment is. More for places that look alike.
+    pub min_agreeing: usize,
+    /// Largest difference between two that agree: norm of the twist in median depths, rad, and the logarithm
+    /// of the scale, beside what drift can do between them (`graph.places.drift`).
+    pub max_disagreement: f64,
+}
+
+impl Default for FragmentConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            min_lost_secs: 1.0,
+            max_apart: 8,
+            min_agreeing: 2,
+            max_disagreement: 0.1,
+        }
+    }
+}
+
+/// What is known of a fragment other than the main map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fragment {
+    /// Identity.
+    pub id: FragmentId,
+    /// Its first keyframe.
+    pub first_keyframe: KeyframeId,
+    /// Frame of that keyframe, as indexed by the source.
+    pub first_frame: usize,
+    /// Its keyframes, when it was joined or now.
+    pub keyframes: usize,
+    /// Its frames with a pose, when it was joined or now.
+    pub frames: usize,
+    /// What it became a part of.
+    pub joined: Option<Join>,
+}
+
+/// A fragment became a part of another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Join {
+    /// The other, which is older.
+    pub into: FragmentId,
+    /// The frame after which it was.
+    pub frame: usize,
+}

@@ -1,0 +1,200 @@
+//! When a fragment of the map becomes a part of another.
+//!
+//! A *sighting* is a keyframe that was recognised in another fragment, verified by points in both directions
+//! and aligned directly. Each says where one fragment lies in the other, with its scale. A single one may be
+//! wrong (rooms that look alike): fragments are joined when several keyframes agree, and more of them than
+//! contradict.
+
+use super::{CERTAIN, KeyframeGraph};
+use crate::graph::job::{EdgeKind, Joined};
+use crate::node::path_between;
+use crate::{FragmentId, KeyframeId, MAIN_MAP};
+use monogrid_alignment::SimilarityConstraint;
+use monogrid_geometry::Sim3;
+use std::collections::BTreeSet;
+
+/// Sightings that are kept at most; the oldest are forgotten.
+const MAX_SIGHTINGS: usize = 64;
+
+/// A keyframe that was recognised in another fragment.
+#[derive(Clone, Debug)]
+pub(super) struct Sighting {
+    /// The keyframe of the other fragment, older.
+    other: KeyframeId,
+    own: KeyframeId,
+    /// `other_from_own` as direct alignment found it.
+    constraint: SimilarityConstraint,
+}
+
+impl KeyframeGraph {
+    /// The fragment of a keyframe.
+    pub(super) fn fragment_of(&self, id: KeyframeId) -> FragmentId {
+        self.fragments.get(id as usize).copied().unwrap_or(MAIN_MAP)
+    }
+
+    /// Fragments with keyframes.
+    pub(super) fn all_fragments(&self) -> BTreeSet<FragmentId> {
+        self.fragments.iter().copied().collect()
+    }
+
+    /// Whether a keyframe may say where its fragment is in that of another.
+    pub(super) fn may_join(&self, own: KeyframeId, other: KeyframeId) -> bool {
+        let is_settled = |id| self.entries.get(&id).is_some_and(|e| e.view.is_settled);
+        is_settled(own) && is_settled(other)
+    }
+
+    /// Remembers that a keyframe was recognised in another fragment.
+    pub(super) fn add_sighting(
+        &mut self,
+        other: KeyframeId,
+        own: KeyframeId,
+        constraint: SimilarityConstraint,
+    ) {
+        if self.sightings.len() >= MAX_SIGHTINGS {
+            self.sightings.remove(0);
+        }
+        self.sightings.push(Sighting {
+            other,
+            own,
+            constraint,
+        });
+    }
+
+    /// Joins fragments about which the sightings of keyframe `own` are confirmed by those of others; whether
+    /// there were any.
+    pub(super) fn join_fragments(&mut self, own: KeyframeId) -> bool {
+        let mut has_joined = false;
+        while let Some(agreeing) = self.confirmed(own) {
+            self.join(&agreeing);
+            has_joined = true;
+        }
+        has_joined
+    }
+
+    /// The sightings that agree with one of keyframe `own`, that one first, if they are enough.
+    fn confirmed(&self, own: KeyframeId) -> Option<Vec<Sighting>> {
+        let candidates = self.sightings.iter().filter(|s| s.own == own);
+        candidates.into_iter().find_map(|sighting| {
+            let pair = self.pair_of(sighting);
+            let comparable = self.sightings.iter().filter(|s| self.pair_of(s) == pair);
+            let (agreeing, contradicting): (Vec<&Sighting>, Vec<&Sighting>) =
+                comparable.partition(|s| self.agree(sighting, s));
+            let keyframes = |sightings: &[&Sighting]| {
+                let own: BTreeSet<KeyframeId> = sightings.iter().map(|s| s.own).collect();
+                own.len()
+            };
+            let count = keyframes(&agreeing);
+            let is_enough = count >= self.joining.min_agreeing && count > keyframes(&contradicting);
+            is_enough.then(|| {
+                let others = agreeing.iter().filter(|s| !std::ptr::eq(**s, sighting));
+                std::iter::once(sighting)
+                    .chain(others.copied())
+                    .cloned()
+                    .collect()
+            })
+        })
+    }
+
+    /// The two fragments of a sighting, the older first.
+    fn pair_of(&self, sighting: &Sighting) -> (FragmentId, FragmentId) {
+        let (a, b) = (
+            self.fragment_of(sighting.other),
+            self.fragment_of(sighting.own),
+        );
+        (a.min(b), a.max(b))
+    }
+
+    /// Where the newer fragment is in the older one.
+    fn older_from_newer(&self, sighting: &Sighting) -> Sim3 {
+        let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
+        let other_from_own = sighting.constraint.b_from_a;
+        let others_from_owns =
+            world_from(sighting.other) * other_from_own * world_from(sighting.own).inverse();
+        if self.fragment_of(sighting.other) < self.fragment_of(sighting.own) {
+            others_from_owns
+        } else {
+            others_from_owns.inverse()
+        }
+    }
+
+    /// Whether two sightings of the same fragments say the same, but for what drift can do between them.
+    fn agree(&self, a: &Sighting, b: &Sighting) -> bool {
+        let others_from_owns = {
+            let older_from_newer = self.older_from_newer(a);
+            if self.fragment_of(b.other) < self.fragment_of(b.own) {
+                older_from_newer
+            } else {
+                older_from_newer.inverse()
+            }
+        };
+        let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
+        let predicted = world_from(b.other).inverse() * others_from_owns * world_from(b.own);
+        let error = (b.constraint.b_from_a.inverse() * predicted).log();
+        // keyframes of one fragment are on either side of each sighting
+        let fragment = self.fragment_of(b.own);
+        let (own_of_a, other_of_a) = if self.fragment_of(a.own) == fragment {
+            (a.own, a.other)
+        } else {
+            (a.other, a.own)
+        };
+        let (own_steps, own_path) = self.path(own_of_a, b.own);
+        let (other_steps, other_path) = self.path(other_of_a, b.other);
+        let (steps, path) = (own_steps + other_steps, own_path + other_path);
+        let drift = &self.config.places.drift;
+        let start = self.joining.max_disagreement;
+        error.fixed_rows::<3>(0).norm() <= start + drift.translation_share * path
+            && error.fixed_rows::<3>(3).norm() <= start + drift.rotation_step * steps
+            && error[6].abs() <= start + drift.scale_step * steps
+    }
+
+    /// Keyframes along which tracking came from one keyframe to another, and their distance in units of the
+    /// second.
+    pub(super) fn path(&self, i: KeyframeId, j: KeyframeId) -> (f64, f64) {
+        let path = path_between(|id| self.parent_of(id), i, j);
+        let position = |id: KeyframeId| self.world_from_keyframe[id as usize].translation;
+        let in_world: f64 = path
+            .windows(2)
+            .map(|pair| (position(pair[1]) - position(pair[0])).norm())
+            .sum();
+        let steps = path.len().saturating_sub(1) as f64;
+        (steps, in_world / self.world_from_keyframe[j as usize].scale)
+    }
+
+    /// Moves the newer fragment of agreeing sightings to where the first of them has it in the older one, and
+    /// holds it there by all of them.
+    fn join(&mut self, agreeing: &[Sighting]) {
+        let Some(first) = agreeing.first() else {
+            return;
+        };
+        let (into, from) = self.pair_of(first);
+        let into_from_fragment = self.older_from_newer(first);
+        self.sightings = std::mem::take(&mut self.sightings)
+            .into_iter()
+            .filter(|s| self.pair_of(s) != (into, from))
+            .collect();
+        for (pose, fragment) in self.world_from_keyframe.iter_mut().zip(&mut self.fragments) {
+            if *fragment == from {
+                *pose = into_from_fragment * *pose;
+                *fragment = into;
+            }
+        }
+        for sighting in agreeing {
+            let (i, j) = (sighting.other, sighting.own);
+            let kernel = if self.can_have_drifted(i, j, &sighting.constraint.b_from_a) {
+                CERTAIN
+            } else {
+                self.doubted()
+            };
+            self.set_direct_edge(i, j, &sighting.constraint, kernel);
+            self.stats.loop_closures += 1;
+        }
+        self.active.remove(&from);
+        self.active.insert(into);
+        self.joined.push(Joined { from, into });
+    }
+
+    /// Whether two keyframes have a direct edge.
+    pub(super) fn is_aligned(&self, i: KeyframeId, j: KeyframeId) -> bool {
+        self.edges.contains_key(&(i, j, EdgeKind::Direct))
+    }
+}
