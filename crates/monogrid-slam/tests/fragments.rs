@@ -66,7 +66,7 @@ fn video<'a>(images: impl Iterator<Item = &'a GrayImage>) -> Vec<FrameInput> {
         .collect()
 }
 
-fn known_then<'a>(after: &'a [GrayImage]) -> Vec<FrameInput> {
+fn known_then(after: &[GrayImage]) -> Vec<FrameInput> {
     video(world().known.iter().chain(after))
 }
 
