@@ -103,6 +103,9 @@ impl KeyframeGraph {
                     self.add_sighting(other, id, constraint);
                     continue;
                 }
+                if !self.is_drift(other, id, &constraint.b_from_a) {
+                    continue; // the poses knew it already
+                }
                 // recognised and aligned: it is right unless it contradicts what drift can do
                 let kernel = if self.can_have_drifted(other, id, &constraint.b_from_a) {
                     CERTAIN

@@ -150,6 +150,18 @@ impl KeyframeGraph {
         }
     }
 
+    /// Whether the poses of two keyframes differ from a measurement by more than drift is at least. A loop that
+    /// agrees with them would not correct anything but tie keyframes together that see each other from far
+    /// away, where direct alignment is worse than what holds them: in a room that is in view all the time
+    /// such edges make the poses worse.
+    pub(super) fn is_drift(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
+        let drift = &self.config.places.drift;
+        let error = (i_from_j.inverse() * self.relative(i, j)).log();
+        error.fixed_rows::<3>(0).norm() > drift.translation_start
+            || error.fixed_rows::<3>(3).norm() > drift.rotation_start
+            || error[6].abs() > drift.scale_start
+    }
+
     /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
     /// them. Successive errors have common causes (calibration, the scale of what is seen), so drift grows
     /// with the path, not with its root as the edges of the graph would have it: a loop that corrects it
