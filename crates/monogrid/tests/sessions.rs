@@ -4,7 +4,7 @@
 mod common;
 
 use common::{assert_fails, code, files, json, monogrid, small_sequence, stderr};
-use monogrid_datasets::{encode_png, read_trajectory};
+use monogrid_datasets::{Dataset, SourceOptions, encode_png, read_gray, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::Image;
 use std::fs;
@@ -136,6 +136,11 @@ fn localising_gives_poses_in_the_frame_of_the_map_and_no_map() {
     assert!(files(first_run()) == before, "the map was changed");
     let summary = json(&output);
     assert_eq!(summary["localise_only"], true);
+    let said = stderr(&output);
+    assert!(
+        said.contains("stays as it is") && !said.contains("leaves"),
+        "{said}"
+    );
     for name in [
         "recording.mgk",
         "global.ot",
@@ -197,6 +202,74 @@ fn a_camera_elsewhere_is_said_to_be() {
         assert!(trajectory.lines().all(|line| line.starts_with('#')));
         assert_eq!(out.join("global.ot").exists(), more.is_empty());
     }
+}
+
+/// A folder with the first images of the small sequence, and then what it looks like in a mirror: another place.
+fn cut_sequence(to: &Path, first: usize, mirrored: usize) {
+    let dataset = Dataset::open(small_sequence(), SourceOptions::default()).unwrap();
+    fs::create_dir_all(to).unwrap();
+    let calibration = "calibration.txt";
+    fs::copy(small_sequence().join(calibration), to.join(calibration)).unwrap();
+    for k in 0..first + mirrored {
+        let shown = if k < first { k } else { k - first + 20 };
+        let image = read_gray(&dataset.frames[shown].path).unwrap();
+        let width = image.width();
+        let image = Image::from_fn(width, image.height(), |x, y| {
+            image.at(if k < first { x } else { width - 1 - x }, y) as u8
+        });
+        fs::write(to.join(format!("{k:03}.png")), encode_png(&image)).unwrap();
+    }
+}
+
+#[test]
+fn a_fragment_is_kept_apart_and_goes_on_in_a_later_session() {
+    let dir = tempfile::tempdir().unwrap();
+    let (source, out) = (dir.path().join("cut"), dir.path().join("out"));
+    cut_sequence(&source, 45, 95);
+    let output = run(&source, &out, &[]);
+    assert_eq!(code(&output), 3, "{}", stderr(&output));
+    assert!(stderr(&output).contains("fragment"), "{}", stderr(&output));
+    let summary = json(&output);
+    assert_eq!(summary["status"], "fragment");
+    let fragment = &summary["fragments"][0];
+    assert_eq!(
+        (&fragment["id"], &fragment["joined_into"]),
+        (&1.into(), &serde_json::Value::Null)
+    );
+    // the map and its files hold the first part alone
+    let main = poses(&out.join("trajectory.txt"));
+    let apart = poses(&out.join("trajectory_fragment_1.txt"));
+    assert_eq!(summary["tracked"], main.len());
+    assert_eq!(fragment["frames"], apart.len());
+    assert!((40..=45).contains(&main.len()) && apart.len() > 30);
+    assert!(main.iter().all(|(time, _)| *time < apart[0].0));
+    let rows = fs::read_to_string(out.join("frames.csv")).unwrap();
+    assert!(rows.contains("fragment_started:1"));
+    assert!(rows.lines().last().unwrap().ends_with(",1"), "{rows}");
+    let lines = |name: &str| fs::read_to_string(out.join(name)).unwrap().lines().count();
+    let first_keyframe = fragment["first_keyframe"].as_u64().unwrap() as usize;
+    assert_eq!(lines("keyframes.txt"), 1 + first_keyframe);
+    // a map from the recording too
+    let again = dir.path().join("again.ot");
+    let recording = out.join("recording.mgk");
+    let output = monogrid(["map", text(&recording), "--out", text(&again)]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(fs::read(again).unwrap() == fs::read(out.join("global.ot")).unwrap());
+    // a later session recognises the fragment, and still has no place in the map
+    let (later, second) = (dir.path().join("later"), dir.path().join("second"));
+    cut_sequence(&later, 0, 80);
+    let output = run(&later, &second, &["--continue", text(&out)]);
+    assert_eq!(code(&output), 3, "{}", stderr(&output));
+    let summary = json(&output);
+    assert_eq!(summary["status"], "not_recognised");
+    assert_eq!(summary["fragments"].as_array().unwrap().len(), 1);
+    assert!(
+        fs::read(second.join("global.ot")).unwrap() == fs::read(out.join("global.ot")).unwrap()
+    );
+    assert!(poses(&second.join("trajectory_fragment_1.txt")).len() > 50);
+    let earlier = fs::read_to_string(second.join("trajectory_earlier.txt")).unwrap();
+    let earlier = earlier.lines().filter(|line| !line.starts_with('#'));
+    assert_eq!(earlier.count(), main.len());
 }
 
 #[test]
