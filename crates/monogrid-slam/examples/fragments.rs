@@ -7,7 +7,8 @@
 //! come from another sequence (`0-300,OTHER:0-400` with `OTHER=FOLDER2`): such a part must never be joined.
 //! `seed=I`, and settings as `fragments.min_lost_secs=2.0`; `maps=1` prints every frame that changes its state.
 //!
-//! Printed are the fragments, and errors with the similarity that aligns the first part: of poses as they were
+//! Printed are the fragments, and errors with the similarity that aligns the first part (rotations: the mean of
+//! all differences in it, since positions determine that less well): of poses as they were
 //! reported after the first part (what a robot would have believed), and of all final poses after it.
 #![allow(
     clippy::print_stdout,
@@ -20,7 +21,7 @@
 mod options;
 
 use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_gray, read_trajectory};
-use monogrid_geometry::{Se3, Sim3, Vec3, align_similarity};
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, align_similarity};
 use monogrid_image::{GrayImage, Undistorter, WorkingSize};
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use options::Options;
@@ -95,9 +96,9 @@ struct Errors {
 }
 
 impl Errors {
-    fn add(&mut self, true_from_world: &Sim3, pose: &Se3, truth: &Se3) {
-        let position = (*true_from_world * pose.translation - truth.translation).norm();
-        let rotation = (true_from_world.rotation * pose.rotation).inverse() * truth.rotation;
+    fn add(&mut self, (fit, turn): &(Sim3, Rotation), pose: &Se3, truth: &Se3) {
+        let position = (*fit * pose.translation - truth.translation).norm();
+        let rotation = (*turn * pose.rotation).inverse() * truth.rotation;
         self.count += 1;
         self.sum_sq += position * position;
         self.largest_m = self.largest_m.max(position);
@@ -180,18 +181,23 @@ fn main() {
     let second = begins.get(1).copied().unwrap_or(frames.len());
     let trajectory = slam.trajectory();
     let truth = |k: usize| frames[k].map(|(scene, frame)| (scene, scenes[scene].true_pose(frame)));
-    let first_part: Vec<(Vec3, Vec3)> = trajectory
+    let first_part: Vec<(Se3, Se3)> = trajectory
         .iter()
         .filter(|pose| pose.frame_index < second)
-        .filter_map(|pose| {
-            let (_, truth) = truth(pose.frame_index)?;
-            Some((pose.world_from_camera.translation, truth.translation))
-        })
+        .filter_map(|pose| Some((pose.world_from_camera, truth(pose.frame_index)?.1)))
         .collect();
-    let (estimate, true_positions): (Vec<Vec3>, Vec<Vec3>) = first_part.into_iter().unzip();
-    let true_from_world = align_similarity(&estimate, &true_positions, true)
-        .unwrap()
-        .target_from_source;
+    let positions = first_part.iter();
+    let (estimate, true_positions): (Vec<Vec3>, Vec<Vec3>) = positions
+        .map(|(e, t)| (e.translation, t.translation))
+        .unzip();
+    let fit = align_similarity(&estimate, &true_positions, true).unwrap();
+    let turns = first_part.iter();
+    let turns: Vec<Rotation> = turns
+        .map(|(e, t)| t.rotation * e.rotation.inverse())
+        .collect();
+    let from_first = |turn: &Rotation| (turns[0].inverse() * *turn).scaled_axis();
+    let mean = turns.iter().map(from_first).sum::<Vec3>() / turns.len() as f64;
+    let true_from_world = (fit.target_from_source, turns[0] * Rotation::new(mean));
     let errors = |poses: &mut dyn Iterator<Item = (usize, Se3)>| {
         let (mut errors, mut elsewhere) = (Errors::default(), 0);
         for (k, pose) in poses {

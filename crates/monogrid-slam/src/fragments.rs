@@ -24,8 +24,9 @@ pub struct FragmentConfig {
     pub min_lost_secs: f64,
     /// Fragments that are not joined at most; while there are as many, a lost camera waits.
     pub max_apart: usize,
-    /// Keyframes of a fragment that must be recognised in another one, verified by points in both directions
-    /// and aligned directly, and agree about where the fragment is. More for places that look alike.
+    /// Keyframes of a fragment that must be recognised in another one, verified by points in both directions,
+    /// and agree about where the fragment is; one of them must have been aligned directly. More for places
+    /// that look alike.
     pub min_agreeing: usize,
     /// Largest difference between two that agree: norm of the twist in median depths, rad, and the logarithm
     /// of the scale, beside what drift can do between them (`graph.places.drift`).

@@ -98,11 +98,12 @@ impl KeyframeGraph {
             let other = found.keyframe as KeyframeId;
             self.stats.loops_proposed += 1;
             let other_from_own = found.this_from_other.inverse();
-            if let Some(constraint) = self.align(id, other, other_from_own) {
-                if self.fragment_of(other) != own_fragment {
-                    self.add_sighting(other, id, constraint);
-                    continue;
-                }
+            let constraint = self.align(id, other, other_from_own);
+            if self.fragment_of(other) != own_fragment {
+                self.add_sighting(other, id, other_from_own, constraint);
+                continue;
+            }
+            if let Some(constraint) = constraint {
                 if !self.is_drift(other, id, &constraint.b_from_a) {
                     continue; // the poses knew it already
                 }

@@ -1,9 +1,9 @@
 //! When a fragment of the map becomes a part of another.
 //!
-//! A *sighting* is a keyframe that was recognised in another fragment, verified by points in both directions
-//! and aligned directly. Each says where one fragment lies in the other, with its scale. A single one may be
-//! wrong (rooms that look alike): fragments are joined when several keyframes agree, and more of them than
-//! contradict.
+//! A *sighting* is a keyframe that was recognised in another fragment, verified by points in both directions.
+//! Each says where one fragment lies in the other, with its scale. A single one may be wrong (rooms that look
+//! alike): fragments are joined when several keyframes agree, one of them aligned directly, and more of them
+//! than contradict.
 
 use super::{CERTAIN, KeyframeGraph};
 use crate::graph::job::{EdgeKind, Joined};
@@ -22,8 +22,9 @@ pub(super) struct Sighting {
     /// The keyframe of the other fragment, older.
     other: KeyframeId,
     own: KeyframeId,
-    /// `other_from_own` as direct alignment found it.
-    constraint: SimilarityConstraint,
+    /// As direct alignment found it, else as the recognised points have it.
+    other_from_own: Sim3,
+    constraint: Option<SimilarityConstraint>,
 }
 
 impl KeyframeGraph {
@@ -43,12 +44,14 @@ impl KeyframeGraph {
         is_settled(own) && is_settled(other)
     }
 
-    /// Remembers that a keyframe was recognised in another fragment.
+    /// Remembers that a keyframe was recognised in another fragment: by points, and by direct alignment unless
+    /// that failed.
     pub(super) fn add_sighting(
         &mut self,
         other: KeyframeId,
         own: KeyframeId,
-        constraint: SimilarityConstraint,
+        other_from_own: Sim3,
+        constraint: Option<SimilarityConstraint>,
     ) {
         if self.sightings.len() >= MAX_SIGHTINGS {
             self.sightings.remove(0);
@@ -56,6 +59,7 @@ impl KeyframeGraph {
         self.sightings.push(Sighting {
             other,
             own,
+            other_from_own: constraint.as_ref().map_or(other_from_own, |c| c.b_from_a),
             constraint,
         });
     }
@@ -71,7 +75,7 @@ impl KeyframeGraph {
         has_joined
     }
 
-    /// The sightings that agree with one of keyframe `own`, that one first, if they are enough.
+    /// The sightings that agree with one of keyframe `own`, one that was aligned first, if they are enough.
     fn confirmed(&self, own: KeyframeId) -> Option<Vec<Sighting>> {
         let candidates = self.sightings.iter().filter(|s| s.own == own);
         candidates.into_iter().find_map(|sighting| {
@@ -85,13 +89,10 @@ impl KeyframeGraph {
             };
             let count = keyframes(&agreeing);
             let is_enough = count >= self.joining.min_agreeing && count > keyframes(&contradicting);
-            is_enough.then(|| {
-                let others = agreeing.iter().filter(|s| !std::ptr::eq(**s, sighting));
-                std::iter::once(sighting)
-                    .chain(others.copied())
-                    .cloned()
-                    .collect()
-            })
+            let (aligned, others): (Vec<&Sighting>, Vec<&Sighting>) =
+                agreeing.iter().partition(|s| s.constraint.is_some());
+            (is_enough && !aligned.is_empty())
+                .then(|| aligned.into_iter().chain(others).cloned().collect())
         })
     }
 
@@ -107,9 +108,9 @@ impl KeyframeGraph {
     /// Where the newer fragment is in the older one.
     fn older_from_newer(&self, sighting: &Sighting) -> Sim3 {
         let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
-        let other_from_own = sighting.constraint.b_from_a;
-        let others_from_owns =
-            world_from(sighting.other) * other_from_own * world_from(sighting.own).inverse();
+        let others_from_owns = world_from(sighting.other)
+            * sighting.other_from_own
+            * world_from(sighting.own).inverse();
         if self.fragment_of(sighting.other) < self.fragment_of(sighting.own) {
             others_from_owns
         } else {
@@ -129,7 +130,7 @@ impl KeyframeGraph {
         };
         let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
         let predicted = world_from(b.other).inverse() * others_from_owns * world_from(b.own);
-        let error = (b.constraint.b_from_a.inverse() * predicted).log();
+        let error = (b.other_from_own.inverse() * predicted).log();
         // keyframes of one fragment are on either side of each sighting
         let fragment = self.fragment_of(b.own);
         let (own_of_a, other_of_a) = if self.fragment_of(a.own) == fragment {
@@ -161,7 +162,7 @@ impl KeyframeGraph {
     }
 
     /// Moves the newer fragment of agreeing sightings to where the first of them has it in the older one, and
-    /// holds it there by all of them.
+    /// holds it there by all that were aligned.
     fn join(&mut self, agreeing: &[Sighting]) {
         let Some(first) = agreeing.first() else {
             return;
@@ -180,12 +181,15 @@ impl KeyframeGraph {
         }
         for sighting in agreeing {
             let (i, j) = (sighting.other, sighting.own);
-            let kernel = if self.can_have_drifted(i, j, &sighting.constraint.b_from_a) {
+            let Some(constraint) = &sighting.constraint else {
+                continue;
+            };
+            let kernel = if self.can_have_drifted(i, j, &constraint.b_from_a) {
                 CERTAIN
             } else {
                 self.doubted()
             };
-            self.set_direct_edge(i, j, &sighting.constraint, kernel);
+            self.set_direct_edge(i, j, constraint, kernel);
             self.stats.loop_closures += 1;
         }
         self.active.remove(&from);
