@@ -4,7 +4,7 @@ use super::super::{IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig,
 use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3, nalgebra::Matrix3};
 use monogrid_occupancy::{
     DepthScan, IntegrationConfig, IntegrationRule, MapError, OccupancyMap, PointScan, PoseSigma,
-    Scan, ScanData, SigmaMode as OccupancySigmaMode, Similarity, integrate,
+    Scan, ScanData, SigmaMode as OccupancySigmaMode, Similarity, integrate, integrate_scans,
 };
 
 /// Axes of robotics (x forward, y left, z up) from those of the first camera (x right, y down, z
@@ -210,13 +210,21 @@ impl Mapper {
         map_from_world: &Sim3,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
         let mut map = self.empty_map()?;
-        let mut stats = MapStats::default();
-        for (scan, pose) in scans.iter().zip(world_from_keyframe) {
-            if let Some(pose) = pose {
-                stats.points += self.integrate(&mut map, scan, &(*map_from_world * *pose))?;
-                stats.keyframes += 1;
-            }
-        }
+        let mut num_filled = 0;
+        let posed: Vec<Scan> = scans
+            .iter()
+            .zip(world_from_keyframe)
+            .filter_map(|(scan, pose)| {
+                let pose = *map_from_world * (*pose)?;
+                num_filled += scan.num_filled;
+                Some(self.scan(scan, &pose))
+            })
+            .collect();
+        let report = integrate_scans(&mut map, &posed, &self.integration, self.threads)?;
+        let stats = MapStats {
+            points: report.points.saturating_sub(num_filled),
+            keyframes: posed.len(),
+        };
         Ok((map, stats))
     }
 }
