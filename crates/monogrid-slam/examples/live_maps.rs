@@ -158,7 +158,7 @@ fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: us
         let mapper = scope.spawn(|| {
             // as the program's mapper, which lets tracking go first
             #[cfg(target_os = "linux")]
-            rustix::process::nice(10).unwrap();
+            rustix::process::nice(19).unwrap();
             let mut closures = 0;
             while !stop.load(Ordering::Relaxed) {
                 closures += 1;

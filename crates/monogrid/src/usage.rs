@@ -49,9 +49,9 @@ pub fn peak_rss_bytes() -> Option<u64> {
 /// Lets other threads go first where there are not enough processors for all: for work that may wait.
 /// Has no effect where priorities belong to processes.
 pub fn give_way() {
-    /// A tenth of the share of a thread that did not give way.
+    /// The lowest priority: 10 let tracking beside map updates keep 68 % of its rate, this 80 %.
     #[cfg(target_os = "linux")]
-    const NICENESS: i32 = 10;
+    const NICENESS: i32 = 19;
     // refused only where raising priorities is meant; the thread then stays as it is
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(NICENESS);
