@@ -4,7 +4,7 @@ use super::{CERTAIN, KeyframeGraph};
 use crate::KeyframeId;
 use crate::graph::job::{EdgeKind, Handover, OdometryEdge, SparseEdge};
 use monogrid_alignment::SimilarityConstraint;
-use monogrid_geometry::{Mat7, Sim3};
+use monogrid_geometry::{Mat6, Mat7, Sim3};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::GraphEdge;
 
@@ -26,11 +26,7 @@ impl KeyframeGraph {
 
     /// The motion that tracking found holds a keyframe until something better does.
     pub(super) fn add_odometry(&mut self, odometry: &OdometryEdge) {
-        let mut covariance = Mat7::zeros();
-        covariance
-            .fixed_view_mut::<6, 6>(0, 0)
-            .copy_from(&odometry.covariance);
-        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        let covariance = self.with_unknown_scale(&odometry.covariance);
         let Some(information) = covariance.cholesky().map(|c| c.inverse()) else {
             return;
         };
@@ -45,6 +41,14 @@ impl KeyframeGraph {
         self.set_edge(key, edge);
     }
 
+    /// Covariance of a motion `[v, w]` as one of a similarity `[v, w, s]`: tracking does not measure scale.
+    fn with_unknown_scale(&self, motion: &Mat6) -> Mat7 {
+        let mut covariance = Mat7::zeros();
+        covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(motion);
+        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        covariance
+    }
+
     /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
     /// fails, by what tracking found; whether they were not constrained before.
     pub(super) fn link(&mut self, handover: &Handover) -> bool {
@@ -57,11 +61,7 @@ impl KeyframeGraph {
             self.set_direct_edge(i, j, &constraint, self.doubted());
             return true;
         }
-        let mut covariance = Mat7::zeros();
-        covariance
-            .fixed_view_mut::<6, 6>(0, 0)
-            .copy_from(&handover.covariance);
-        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
+        let covariance = self.with_unknown_scale(&handover.covariance);
         let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
             return false;
         };
