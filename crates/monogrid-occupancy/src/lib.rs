@@ -9,7 +9,8 @@
 //!
 //! # fn main() -> Result<(), MapError> {
 //! let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05))?;
-//! let points = [[0.0_f32, 0.0, 2.0], [0.1, 0.0, 2.0]]; // in the sensor frame, metres
+//! let row = |y: i16| (-50_i16..=50).map(move |x| [0.01 * f32::from(x), 0.01 * f32::from(y), 2.0]);
+//! let points: Vec<[f32; 3]> = (-50..=50).flat_map(row).collect(); // in the sensor frame, metres
 //! let scan = Scan {
 //!     id: 0,
 //!     world_from_sensor: Similarity::IDENTITY, // from your odometry
@@ -23,8 +24,9 @@
 //! # }
 //! ```
 //!
-//! Depth images are [`ScanData::Depth`], holes included. The examples `lidar` and `depth_camera`
-//! are whole programs.
+//! Depth images are [`ScanData::Depth`], holes included. The examples `lidar` and `depth_camera` are
+//! whole programs. Scans of a few lone points are for [`IntegrationRule::Rays`]: the default rule may
+//! miss a point with no others in the directions around it.
 //!
 //! # Questions
 //!

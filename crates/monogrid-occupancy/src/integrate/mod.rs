@@ -41,7 +41,8 @@ use crate::sensor::table::UpdateLimits;
 pub enum IntegrationRule {
     /// Every measurement updates every cell that its ray crosses.
     Rays,
-    /// One update per cell and scan.
+    /// One update per cell and scan. For scans that cover surfaces: a point with no others in the
+    /// directions around it may fall between the samples of a footprint.
     #[default]
     Fused,
 }
