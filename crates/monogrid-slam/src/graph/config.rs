@@ -80,7 +80,8 @@ pub enum PlaceMethod {
 }
 
 /// Largest drift between two keyframes: a loop that contradicts the poses by more can be switched off by the
-/// others, one that contradicts them less cannot.
+/// others, one that contradicts them less cannot. A loop that contradicts them by less than drift is at least
+/// (`*_start`) tells nothing new and adds no edge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DriftConfig {
