@@ -32,9 +32,7 @@ impl Visit {
             end: None,
         }
     }
-}
 
-impl Visit {
     /// The next keyframe and the pose relative to it of the frame of this time, if that ended the visit.
     pub(super) fn handed_over_at(&self, timestamp_ns: i64) -> Option<(KeyframeId, Se3)> {
         let end = self.end.as_ref()?;

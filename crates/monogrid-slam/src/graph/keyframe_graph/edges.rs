@@ -6,21 +6,13 @@ use crate::graph::job::{EdgeKind, Handover, OdometryEdge, SparseEdge};
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::{Mat6, Mat7, Sim3};
 use monogrid_graph::RobustKernel;
-use monogrid_graph::pose_graph::GraphEdge;
 
 impl KeyframeGraph {
     /// Holds two keyframes as they are to each other.
     pub(super) fn hold(&mut self, i: KeyframeId, j: KeyframeId) {
         let i_from_j = self.relative(i, j);
         if let Some(information) = self.with_model_error(Mat7::zeros(), &i_from_j) {
-            let edge = GraphEdge {
-                i: u64::from(i),
-                j: u64::from(j),
-                i_from_j,
-                information,
-                kernel: CERTAIN,
-            };
-            self.set_edge((i, j, EdgeKind::Odometry), edge);
+            self.set_edge((i, j, EdgeKind::Odometry), i_from_j, information, CERTAIN);
         }
     }
 
@@ -30,15 +22,13 @@ impl KeyframeGraph {
         let Some(information) = covariance.cholesky().map(|c| c.inverse()) else {
             return;
         };
-        let edge = GraphEdge {
-            i: u64::from(odometry.parent),
-            j: u64::from(odometry.keyframe),
-            i_from_j: odometry.parent_from_keyframe,
-            information,
-            kernel: RobustKernel::None,
-        };
         let key = (odometry.parent, odometry.keyframe, EdgeKind::Odometry);
-        self.set_edge(key, edge);
+        self.set_edge(
+            key,
+            odometry.parent_from_keyframe,
+            information,
+            RobustKernel::None,
+        );
     }
 
     /// Covariance of a motion `[v, w]` as one of a similarity `[v, w, s]`: tracking does not measure scale.
@@ -65,14 +55,13 @@ impl KeyframeGraph {
         let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
             return false;
         };
-        let edge = GraphEdge {
-            i: u64::from(i),
-            j: u64::from(j),
-            i_from_j: handover.i_from_j,
+        let kernel = self.doubted();
+        self.set_edge(
+            (i, j, EdgeKind::Odometry),
+            handover.i_from_j,
             information,
-            kernel: self.doubted(),
-        };
-        self.set_edge((i, j, EdgeKind::Odometry), edge);
+            kernel,
+        );
         true
     }
 
@@ -91,15 +80,8 @@ impl KeyframeGraph {
             };
             information[(k, k)] = 1.0 / (sigma * sigma * factor);
         }
-        let edge = GraphEdge {
-            i: u64::from(i),
-            j: u64::from(j),
-            i_from_j,
-            information,
-            kernel: CERTAIN,
-        };
         self.edges.remove(&(i, j, EdgeKind::Odometry));
-        self.set_edge((i, j, EdgeKind::Sparse), edge);
+        self.set_edge((i, j, EdgeKind::Sparse), i_from_j, information, CERTAIN);
     }
 
     pub(super) fn set_direct_edge(
@@ -116,15 +98,13 @@ impl KeyframeGraph {
             return;
         };
         self.stats.constraints += 1;
-        let edge = GraphEdge {
-            i: u64::from(i),
-            j: u64::from(j),
-            i_from_j: constraint.b_from_a,
+        self.edges.remove(&(i, j, EdgeKind::Odometry));
+        self.set_edge(
+            (i, j, EdgeKind::Direct),
+            constraint.b_from_a,
             information,
             kernel,
-        };
-        self.edges.remove(&(i, j, EdgeKind::Odometry));
-        self.set_edge((i, j, EdgeKind::Direct), edge);
+        );
     }
 
     /// Information of a relative pose when the errors that its residuals do not show are counted too.
@@ -155,11 +135,7 @@ impl KeyframeGraph {
     /// away, where direct alignment is worse than what holds them: in a room that is in view all the time
     /// such edges make the poses worse.
     pub(super) fn is_drift(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
-        let drift = &self.config.places.drift;
-        let error = (i_from_j.inverse() * self.relative(i, j)).log();
-        error.fixed_rows::<3>(0).norm() > drift.translation_start
-            || error.fixed_rows::<3>(3).norm() > drift.rotation_start
-            || error[6].abs() > drift.scale_start
+        !self.is_within_drift(i, j, i_from_j, (0.0, 0.0))
     }
 
     /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
@@ -167,9 +143,20 @@ impl KeyframeGraph {
     /// with the path, not with its root as the edges of the graph would have it: a loop that corrects it
     /// contradicts them, and would be switched off as if it were wrong.
     pub(super) fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
+        self.is_within_drift(i, j, i_from_j, self.path(i, j))
+    }
+
+    /// Whether the poses of two keyframes differ from a measurement by no more than drift over so many steps
+    /// and such a path.
+    fn is_within_drift(
+        &self,
+        i: KeyframeId,
+        j: KeyframeId,
+        i_from_j: &Sim3,
+        (steps, path): (f64, f64),
+    ) -> bool {
         let drift = &self.config.places.drift;
         let error = (i_from_j.inverse() * self.relative(i, j)).log();
-        let (steps, path) = self.path(i, j);
         error.fixed_rows::<3>(0).norm() <= drift.translation_start + drift.translation_share * path
             && error.fixed_rows::<3>(3).norm() <= drift.rotation_start + drift.rotation_step * steps
             && error[6].abs() <= drift.scale_start + drift.scale_step * steps

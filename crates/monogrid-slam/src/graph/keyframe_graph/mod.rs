@@ -122,7 +122,7 @@ impl KeyframeGraph {
         for StoredEdge { kind, edge } in restored.edges {
             let (i, j) = (edge.i as KeyframeId, edge.j as KeyframeId);
             if i < j && (j as usize) < self.parents.len() {
-                self.set_edge((i, j, kind), edge);
+                self.set_edge((i, j, kind), edge.i_from_j, edge.information, edge.kernel);
             }
         }
         let linked: BTreeSet<KeyframeId> = self.edges.keys().map(|key| key.1).collect();
@@ -141,9 +141,22 @@ impl KeyframeGraph {
     }
 
     /// Adds an edge or replaces one.
-    fn set_edge(&mut self, key: EdgeKey, edge: GraphEdge) {
-        self.judged.remove(&key);
-        self.edges.insert(key, edge);
+    fn set_edge(
+        &mut self,
+        (i, j, kind): EdgeKey,
+        i_from_j: Sim3,
+        information: Mat7,
+        kernel: RobustKernel,
+    ) {
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j,
+            information,
+            kernel,
+        };
+        self.judged.remove(&(i, j, kind));
+        self.edges.insert((i, j, kind), edge);
     }
 
     /// Whether a keyframe is the first of a fragment, and later ones hold it.
