@@ -4,8 +4,8 @@ use crate::cli::SourceArgs;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::synth::SynthSequence;
 use monogrid_datasets::{
-    Calibration, Dataset, DatasetError, DepthCalibration, DepthRegistration, FrameEntry,
-    SourceOptions, read_depth, read_gray, read_mask, read_photometric,
+    Calibration, Dataset, DatasetError, FrameEntry, SourceOptions, read_gray, read_mask,
+    read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_image::{GrayImage, Mask, Photometric, Undistorter, WorkingSize};
@@ -179,53 +179,6 @@ impl Input {
             return Err(size_error);
         }
         self.undistorter.apply(&image).ok_or(size_error)
-    }
-
-    /// Depth in the working camera (metres, NaN where unknown) of a depth image file.
-    pub fn read_depth(
-        &self,
-        path: &Path,
-        calibration: &DepthCalibration,
-    ) -> Result<GrayImage, Failure> {
-        let (width, height) = self.size();
-        let registration = DepthRegistration::new(calibration, self.pinhole(), width, height);
-        registered_depth(path, calibration, &registration)
-    }
-}
-
-/// A depth image file as depth (metres, NaN where unknown) in the camera of `registration`.
-pub fn registered_depth(
-    path: &Path,
-    calibration: &DepthCalibration,
-    registration: &DepthRegistration,
-) -> Result<GrayImage, Failure> {
-    let depth = read_depth(path, calibration.units_per_metre).bad_input()?;
-    registration.register(&depth).ok_or_else(|| {
-        Failure::input(format!(
-            "depth image {} is {}x{} pixels, its calibration is for {}x{}; \
-             give the right one with --depth-calibration",
-            path.display(),
-            depth.width(),
-            depth.height(),
-            calibration.camera.width,
-            calibration.camera.height
-        ))
-    })
-}
-
-/// The depth calibration: from a file, else the source's own, else the colour camera's with the units
-/// of TUM RGB-D.
-pub fn depth_calibration(
-    dataset: &Dataset,
-    file: Option<&Path>,
-    colour: &Camera,
-) -> Result<DepthCalibration, Failure> {
-    match file {
-        Some(path) => DepthCalibration::read(path).bad_input(),
-        None => Ok(dataset
-            .depth_calibration()
-            .bad_input()?
-            .unwrap_or_else(|| DepthCalibration::registered(*colour))),
     }
 }
 

@@ -9,8 +9,10 @@ mod cli;
 mod commands;
 mod config;
 mod curves;
+mod depth_images;
 mod failure;
 mod input;
+mod keyframe_pixels;
 mod mapfile;
 mod output;
 mod picture;
@@ -26,7 +28,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     // the clock of "frames per second, everything included"
-    commands::run::process_start();
+    usage::process_start();
     let result = match &Cli::parse().command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),

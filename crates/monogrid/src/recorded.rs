@@ -2,11 +2,11 @@
 
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
+use crate::keyframe_pixels::from_recorded;
 use crate::run::align::{Align, MapFrame};
 use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
-use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, MappingConfig};
 use std::path::Path;
 
@@ -70,7 +70,10 @@ impl Recorded {
     pub fn scans(&self, config: &MappingConfig) -> Vec<KeyframeScan> {
         self.keyframes
             .iter()
-            .map(|k| KeyframeScan::new(k.id, &pixels_of(k), k.image.as_ref(), &self.camera, config))
+            .map(|k| {
+                let pixels = from_recorded(&k.pixels);
+                KeyframeScan::new(k.id, &pixels, k.image.as_ref(), &self.camera, config)
+            })
             .collect()
     }
 
@@ -114,17 +117,4 @@ fn warnings(recording: &Recording, has_settings: bool) -> Vec<String> {
         ));
     }
     warnings
-}
-
-fn pixels_of(keyframe: &RecordedKeyframe) -> Vec<DepthPixel> {
-    keyframe
-        .pixels
-        .iter()
-        .map(|pixel| DepthPixel {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.idepth_var,
-        })
-        .collect()
 }

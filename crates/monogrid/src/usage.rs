@@ -1,6 +1,13 @@
-//! What the process has used: CPU time and memory.
+//! What the process has used: time and memory.
 
-use std::time::Duration;
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+/// When the process started, as nearly as it is known: when this was called first.
+pub fn process_start() -> Instant {
+    static START: OnceLock<Instant> = OnceLock::new();
+    *START.get_or_init(Instant::now)
+}
 
 /// CPU time of all threads of this process.
 pub fn process_cpu() -> Duration {
@@ -27,13 +34,10 @@ fn clock(clock: Clock) -> Duration {
     Duration::new(time.tv_sec.max(0) as u64, time.tv_nsec.max(0) as u32)
 }
 
-/// Without such a clock: wall time since the first call, an upper bound for one thread.
+/// Without such a clock: wall time since the start, an upper bound for one thread.
 #[cfg(not(unix))]
 fn clock(_: Clock) -> Duration {
-    use std::sync::OnceLock;
-    use std::time::Instant;
-    static START: OnceLock<Instant> = OnceLock::new();
-    START.get_or_init(Instant::now).elapsed()
+    process_start().elapsed()
 }
 
 /// Largest resident memory so far, bytes; `None` where the system does not say.

@@ -1,22 +1,27 @@
 //! `monogrid demo`: a built-in world from rendering to the report, compared with the exact truth.
 
 use super::depth::{Candidate, DepthComparison};
-use super::run::{Extras, conclude, run_all};
+use super::truth::triangles_of;
 use super::use_threads;
 use crate::cli::DemoArgs;
 use crate::config::RunConfig;
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
 use crate::output::OutputFolder;
+use crate::run::RunSettings;
 use crate::run::align::Align;
-use crate::run::{RunSettings, Tracked};
+use crate::run::conclusion::conclude;
+use crate::run::outputs::path_of;
+use crate::run::threads::Tracked;
+use crate::run::whole::{Extras, run_all};
 use monogrid_datasets::TimedPose;
 use monogrid_datasets::synth::SynthSequence;
 use monogrid_evaluation::{
-    DepthEstimate, MapEvaluationConfig, TruthConfig, evaluate_map, truth_from_triangles,
+    DepthReport, MapEvaluationConfig, MapReport, TruthConfig, evaluate_map, truth_from_triangles,
 };
 use monogrid_slam::mapping::Maps;
 use std::io::IsTerminal;
+use std::path::Path;
 
 /// Runs the command.
 pub fn execute(args: &DemoArgs) -> CommandResult {
@@ -35,10 +40,7 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         sequence = sequence.shortened(frames);
     }
     let poses = true_poses(&sequence);
-    let reference = poses
-        .iter()
-        .map(|p| p.world_from_camera.translation.into())
-        .collect();
+    let reference = path_of(&poses);
     let align = Align::Trajectory {
         path: "the exact truth".into(),
         poses,
@@ -49,14 +51,10 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         input.frames.len()
     );
     let settings = RunSettings {
-        config,
-        seed_depth: None,
-        continued: None,
-        realtime: false,
-        threads,
         show_progress: std::io::stderr().is_terminal(),
+        ..RunSettings::new(config, threads)
     };
-    let finished = run_all(&input, &folder, &settings, &align, |tracked, _, maps| {
+    let finished = run_all(&input, &folder, &settings, &align, |tracked, maps| {
         Ok(Extras {
             reference,
             depth: compare_depth(&input, tracked)?,
@@ -81,31 +79,22 @@ fn true_poses(sequence: &SynthSequence) -> Vec<TimedPose> {
 }
 
 /// The global map against the voxelised surfaces of the world; `None` without a map.
-fn compare_map(input: &Input, maps: Option<&Maps>) -> Result<Option<serde_json::Value>, Failure> {
+fn compare_map(input: &Input, maps: Option<&Maps>) -> Result<Option<MapReport>, Failure> {
     let (Images::Rendered(sequence), Some(maps)) = (&input.images, maps) else {
         return Ok(None);
     };
-    let mesh = sequence.world().mesh();
-    let triangles: Vec<[[f64; 3]; 3]> = mesh
-        .triangles
-        .iter()
-        .map(|corners| corners.map(|i| mesh.vertices[i as usize].map(f64::from)))
-        .collect();
-    let cameras: Vec<[f64; 3]> = true_poses(sequence)
-        .iter()
-        .map(|pose| pose.world_from_camera.translation.into())
-        .collect();
+    let world = sequence.world();
+    let triangles = triangles_of(&world.mesh(), Path::new(world.name()))?;
+    let cameras = path_of(&true_poses(sequence));
     let config = TruthConfig::with_resolution(maps.global.resolution());
     let truth = truth_from_triangles(&triangles, &cameras, &config).map_err(Failure::running)?;
-    let report = evaluate_map(&maps.global, &truth.grid, &MapEvaluationConfig::default())
-        .map_err(Failure::running)?;
-    serde_json::to_value(report)
+    evaluate_map(&maps.global, &truth.grid, &MapEvaluationConfig::default())
         .map(Some)
         .map_err(Failure::running)
 }
 
 /// Depth of the keyframes against the exact depth; `None` without keyframes.
-fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<serde_json::Value>, Failure> {
+fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<DepthReport>, Failure> {
     let Images::Rendered(sequence) = &input.images else {
         return Ok(None);
     };
@@ -118,16 +107,7 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<serde_json::
         let candidate = Candidate {
             id: keyframe.id,
             image: &keyframe.image,
-            pixels: keyframe
-                .pixels
-                .iter()
-                .map(|pixel| DepthEstimate {
-                    x_px: u32::from(pixel.x),
-                    y_px: u32::from(pixel.y),
-                    idepth: pixel.idepth,
-                    idepth_var: pixel.idepth_var,
-                })
-                .collect(),
+            pixels: &keyframe.pixels,
             world_scale: pose.scale,
         };
         comparison.add(&candidate, &true_depth)?;
@@ -135,8 +115,5 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<serde_json::
     if comparison.num_compared() == 0 {
         return Ok(None);
     }
-    let report = comparison.finish()?;
-    serde_json::to_value(report)
-        .map(Some)
-        .map_err(Failure::running)
+    comparison.finish().map(Some)
 }

@@ -1,8 +1,10 @@
 //! Depth of keyframes against the truth.
 
 use crate::failure::Failure;
-use monogrid_evaluation::{DepthConfig, DepthEstimate, DepthEvaluator, DepthReport, KeyframeDepth};
+use crate::keyframe_pixels::to_estimates;
+use monogrid_evaluation::{DepthConfig, DepthEvaluator, DepthReport, KeyframeDepth};
 use monogrid_image::{GradientImage, GrayImage, Image};
+use monogrid_slam::DepthPixel;
 
 /// A keyframe to compare.
 #[derive(Debug)]
@@ -11,8 +13,8 @@ pub struct Candidate<'a> {
     pub id: u32,
     /// Its grey image.
     pub image: &'a Image<u8>,
-    /// x, y, inverse depth and variance.
-    pub pixels: Vec<DepthEstimate>,
+    /// Its depth.
+    pub pixels: &'a [DepthPixel],
     /// Length of its unit.
     pub world_scale: f64,
 }
@@ -41,7 +43,7 @@ impl DepthComparison {
                 id: u64::from(candidate.id),
                 width: candidate.image.width(),
                 height: candidate.image.height(),
-                estimates: &candidate.pixels,
+                estimates: &to_estimates(candidate.pixels),
                 world_scale: candidate.world_scale,
                 true_depth: true_depth.as_slice(),
                 gradient: gradient.as_slice(),

@@ -3,15 +3,14 @@
 use super::depth::{Candidate, DepthComparison};
 use super::print_json;
 use crate::cli::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
+use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::input::{depth_calibration, registered_depth};
+use crate::keyframe_pixels::from_recorded;
 use crate::run::align::{alignment_mode, stamped_all};
 use monogrid_datasets::{
     Dataset, DepthRegistration, ReadOptions, Recording, SourceOptions, format_sim3, read_trajectory,
 };
-use monogrid_evaluation::{
-    DepthEstimate, DepthReport, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
-};
+use monogrid_evaluation::{DepthReport, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Camera, Distortion};
 
 /// Compares an estimated trajectory with the true one.
@@ -111,16 +110,7 @@ fn compare(
         let candidate = Candidate {
             id: keyframe.id,
             image,
-            pixels: keyframe
-                .pixels
-                .iter()
-                .map(|pixel| DepthEstimate {
-                    x_px: u32::from(pixel.x),
-                    y_px: u32::from(pixel.y),
-                    idepth: pixel.idepth,
-                    idepth_var: pixel.idepth_var,
-                })
-                .collect(),
+            pixels: &from_recorded(&keyframe.pixels),
             world_scale: pose.scale,
         };
         comparison.add(&candidate, &true_depth)?;

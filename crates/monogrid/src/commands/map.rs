@@ -271,7 +271,7 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
     let (mut points, mut scans) = (0, 0u32);
-    for (entry, pose) in folder.posed() {
+    for (entry, pose) in folder.posed()? {
         let depth = folder.read(entry)?;
         points += watch
             .time(|| {
@@ -281,13 +281,6 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
             })
             .while_running("the map cannot be built")?;
         scans += 1;
-    }
-    if scans == 0 {
-        return Err(Failure::input(format!(
-            "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
-            folder.num_depths(),
-            args.recording.display()
-        )));
     }
     let mut warnings = folder.warnings().to_vec();
     let num_without_pose = folder.num_depths() - scans as usize;

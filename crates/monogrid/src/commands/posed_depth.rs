@@ -1,7 +1,7 @@
 //! A folder with depth images and a pose for each of them.
 
+use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, Failure};
-use crate::input::{depth_calibration, registered_depth};
 use monogrid_datasets::{
     Dataset, DepthCalibration, DepthEntry, DepthRegistration, SourceOptions, TimedPose,
     read_trajectory,
@@ -80,14 +80,21 @@ impl PosedDepthFolder {
         })
     }
 
-    /// Depth images that have a pose of their time, in the order of time.
-    pub fn posed(&self) -> Vec<(&DepthEntry, Se3)> {
+    /// Depth images that have a pose of their time, in the order of time; at least one.
+    pub fn posed(&self) -> Result<Vec<(&DepthEntry, Se3)>, Failure> {
         let with_pose = |entry: &'_ DepthEntry| nearest_pose(&self.poses, entry.timestamp_ns);
-        self.dataset
-            .depths
-            .iter()
+        let depths = self.dataset.depths.iter();
+        let posed: Vec<_> = depths
             .filter_map(|entry| Some((entry, with_pose(entry)?)))
-            .collect()
+            .collect();
+        if posed.is_empty() {
+            return Err(Failure::input(format!(
+                "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
+                self.num_depths(),
+                self.dataset.root.display()
+            )));
+        }
+        Ok(posed)
     }
 
     /// Number of depth images, with or without pose.

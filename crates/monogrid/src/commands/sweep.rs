@@ -4,6 +4,7 @@ use super::evaluate_map::{in_view, load_truth};
 use super::{print_json, use_threads};
 use crate::cli::{JsonArg, SourceArgs, positive};
 use crate::config::Profile;
+use crate::depth_images::dataset_seed_depth;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::Input;
 use crate::output::write_atomically;
@@ -265,7 +266,7 @@ fn rates(
     };
     let folder = args.out.join(&named.name);
     let job = RateJob {
-        seed_depth: super::run::dataset_seed_depth(&input, None)?,
+        seed_depth: dataset_seed_depth(&input, None)?,
         input: &input,
         profile,
         threads,

@@ -250,7 +250,8 @@ fn truth_config(args: &TruthArgs) -> TruthConfig {
     }
 }
 
-fn triangles_of(mesh: &TriangleMesh, source: &Path) -> Result<Vec<Triangle>, Failure> {
+/// The triangles of a mesh.
+pub fn triangles_of(mesh: &TriangleMesh, source: &Path) -> Result<Vec<Triangle>, Failure> {
     let corner = |index: u32| mesh.vertices.get(index as usize).map(|v| v.map(f64::from));
     let triangle = |[a, b, c]: [u32; 3]| Some([corner(a)?, corner(b)?, corner(c)?]);
     let triangles: Option<Vec<Triangle>> = mesh.triangles.iter().map(|t| triangle(*t)).collect();
@@ -298,14 +299,7 @@ fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
         args.depth_calibration.as_deref(),
         args.trajectory.as_deref(),
     )?;
-    let posed = folder.posed();
-    if posed.is_empty() {
-        return Err(Failure::input(format!(
-            "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
-            folder.num_depths(),
-            args.source.display()
-        )));
-    }
+    let posed = folder.posed()?;
     if args.every == Some(0) {
         return Err(Failure::input("--every is 0, expected at least 1"));
     }

@@ -135,6 +135,11 @@ impl Align {
     }
 }
 
+/// `map_from_camera` of a pose in the world: the scale of the frame applies to the position only.
+pub fn in_map(map_from_world: &Sim3, world_from_camera: &Se3) -> Se3 {
+    (*map_from_world * world_from_camera.with_scale(1.0)).to_se3()
+}
+
 fn fit(trajectory: &[(i64, Se3)], poses: &[TimedPose]) -> Result<TrajectoryReport, String> {
     let estimate: Vec<StampedPose> = trajectory
         .iter()

@@ -1,6 +1,6 @@
 //! The progress bar on standard error: frames, rate, state of tracking, keyframes.
 
-use super::{FrameFate, FrameRow};
+use super::frames::{FrameFate, FrameRow};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::time::Instant;
 

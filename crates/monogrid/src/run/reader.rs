@@ -13,32 +13,24 @@ const FRAMES_AHEAD: usize = 6;
 
 /// What the reader delivers, in the order of the source.
 #[derive(Debug)]
-pub enum Delivered {
+pub struct Delivered {
+    /// Index in the source.
+    pub index: usize,
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// What there is of the frame.
+    pub content: Content,
+}
+
+/// What there is of a frame.
+#[derive(Debug)]
+pub enum Content {
     /// A working image.
-    Frame {
-        /// Index in the source.
-        index: usize,
-        /// Time, nanoseconds.
-        timestamp_ns: i64,
-        /// The image.
-        image: GrayImage,
-    },
-    /// A frame that could not be used.
-    Skipped {
-        /// Index in the source.
-        index: usize,
-        /// Time, nanoseconds.
-        timestamp_ns: i64,
-        /// Why.
-        reason: String,
-    },
-    /// A frame that came too early for a program that is behind (only with `--realtime`).
-    Dropped {
-        /// Index in the source.
-        index: usize,
-        /// Time, nanoseconds.
-        timestamp_ns: i64,
-    },
+    Image(GrayImage),
+    /// Nothing that could be used, and why.
+    Unusable(String),
+    /// Nothing, because it came too early for a program that is behind (only with `--realtime`).
+    TooEarly,
 }
 
 /// A running reader; ends when its frames are delivered, `stop` is set, or nobody listens.
@@ -81,17 +73,12 @@ impl<'scope> Reader<'scope> {
 
 fn read(input: &Input, position: usize) -> Delivered {
     let entry = &input.frames[position];
-    let (index, timestamp_ns) = (entry.index, entry.timestamp_ns);
-    match input.read(entry) {
-        Ok(image) => Delivered::Frame {
-            index,
-            timestamp_ns,
-            image,
-        },
-        Err(reason) => Delivered::Skipped {
-            index,
-            timestamp_ns,
-            reason: reason.to_string(),
+    Delivered {
+        index: entry.index,
+        timestamp_ns: entry.timestamp_ns,
+        content: match input.read(entry) {
+            Ok(image) => Content::Image(image),
+            Err(reason) => Content::Unusable(reason.to_string()),
         },
     }
 }
@@ -112,10 +99,11 @@ fn read_at_pace(input: &Input, sender: &SyncSender<Delivered>, stop: &AtomicBool
     let begin = Instant::now();
     let mut pending: Vec<Delivered> = Vec::new();
     for position in 0..input.frames.len() {
-        let entry = &input.frames[position];
-        let (index, timestamp_ns) = (entry.index, entry.timestamp_ns);
         let delivered = read(input, position);
-        let offset = timestamp_ns.saturating_sub(first.timestamp_ns).max(0) as u64;
+        let offset = delivered
+            .timestamp_ns
+            .saturating_sub(first.timestamp_ns)
+            .max(0) as u64;
         let due = Duration::from_nanos(offset);
         while begin.elapsed() < due && !stop.load(Ordering::Relaxed) {
             thread::sleep((due - begin.elapsed().min(due)).min(Duration::from_millis(50)));
@@ -125,9 +113,9 @@ fn read_at_pace(input: &Input, sender: &SyncSender<Delivered>, stop: &AtomicBool
         }
         match sender.try_send(delivered) {
             Ok(()) => {}
-            Err(TrySendError::Full(_)) => pending.push(Delivered::Dropped {
-                index,
-                timestamp_ns,
+            Err(TrySendError::Full(late)) => pending.push(Delivered {
+                content: Content::TooEarly,
+                ..late
             }),
             Err(TrySendError::Disconnected(_)) => return,
         }

@@ -1,34 +1,18 @@
 //! What is saved while a run goes on: the recording and the pictures of keyframes.
 
+use super::change::Change;
 use crate::failure::{Classify, Failure};
+use crate::keyframe_pixels::to_recorded;
 use crate::output::OutputFolder;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::usage::thread_cpu;
 use monogrid_datasets::{
-    Continuation, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
-    RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
+    Continuation, DepthRevision, KeyframeRecord, PoseSnapshot, Record, RecordingWriter,
+    SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_slam::Keyframe;
-use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
-
-/// A change of the map of keyframes.
-#[derive(Clone, Debug)]
-pub enum Change {
-    /// A keyframe was finished.
-    Finished(Arc<Keyframe>, Arc<monogrid_slam::PoseSnapshot>),
-    /// The depth of a finished keyframe became better.
-    Revised(Arc<Keyframe>),
-    /// Finished keyframes have other poses.
-    Moved(Arc<monogrid_slam::PoseSnapshot>),
-    /// The run is over: its last poses, and what a later one needs to go on.
-    End(
-        Arc<monogrid_slam::PoseSnapshot>,
-        Arc<Continuation>,
-        EndRecord,
-    ),
-}
 
 /// Name of the recording.
 pub const RECORDING: &str = "recording.mgk";
@@ -78,7 +62,7 @@ fn save(
                 frame_index: keyframe.frame_index as u64,
                 timestamp_ns: keyframe.timestamp_ns,
                 image: Some(keyframe.image.clone()),
-                pixels: recorded_pixels(keyframe),
+                pixels: to_recorded(&keyframe.pixels),
             })
             .while_running(DOING)?;
             open.append_poses(poses(snapshot)).while_running(DOING)?;
@@ -88,7 +72,7 @@ fn save(
             open.append_depth(DepthRevision {
                 keyframe_id: keyframe.id,
                 revision: keyframe.revision,
-                pixels: recorded_pixels(keyframe),
+                pixels: to_recorded(&keyframe.pixels),
             })
             .while_running(DOING)?;
             save_pictures(folder, keyframe)
@@ -105,19 +89,6 @@ fn save(
             }
         }
     }
-}
-
-fn recorded_pixels(keyframe: &Keyframe) -> Vec<DepthPixel> {
-    keyframe
-        .pixels
-        .iter()
-        .map(|pixel| DepthPixel {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.idepth_var,
-        })
-        .collect()
 }
 
 /// Poses of the keyframes of the main map: nothing else has a place in a map.

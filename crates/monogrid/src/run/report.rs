@@ -1,10 +1,10 @@
 //! `report.html` of a run.
 
 use super::align::MapFrame;
+use super::frames::{FrameFate, FrameRow};
 use super::recorder::measured;
 use super::summary::Summary;
-use super::{FrameFate, FrameRow, Tracked};
-use crate::commands::run::number_at;
+use super::threads::Tracked;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
@@ -90,11 +90,7 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
 
 fn facts(input: &ReportInput) -> Vec<(String, String)> {
     let summary = input.summary;
-    let unit = if summary.scale == "metric" {
-        "m"
-    } else {
-        "map units"
-    };
+    let unit = unit(summary);
     let mut facts = vec![
         (
             "Frames",
@@ -135,27 +131,22 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
             ),
         ));
     }
-    let depth = |name: &str| number_at(summary.depth.as_ref(), &[name]);
-    if let (Some(within_3), Some(within_10)) =
-        (depth("within_3_percent"), depth("within_10_percent"))
-    {
+    if let Some(depth) = &summary.depth {
         facts.push((
             "Depth against the truth",
             format!(
                 "of all pixels with texture {:.0} % within 3 %, {:.0} % within 10 %",
-                100.0 * within_3,
-                100.0 * within_10
+                100.0 * depth.shares.within_3_percent,
+                100.0 * depth.shares.within_10_percent
             ),
         ));
     }
-    let map = |name: &str| number_at(summary.map_error.as_ref(), &["policies", "observed", name]);
-    if let (Some(auc), Some(mcc), Some(precision), Some(recall)) =
-        (map("auc"), map("mcc"), map("precision"), map("recall"))
-    {
+    if let Some(map) = summary.observed_map_error() {
         facts.push((
             "Map against the truth",
             format!(
-                "observed cells: AUC {auc:.3}, MCC {mcc:.3}, precision {precision:.3}, recall {recall:.3}"
+                "observed cells: AUC {:.3}, MCC {:.3}, precision {:.3}, recall {:.3}",
+                map.auc, map.mcc, map.precision, map.recall
             ),
         ));
     }
@@ -163,6 +154,15 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
         .into_iter()
         .map(|(name, value)| (name.to_owned(), value))
         .collect()
+}
+
+/// Name of the unit of length.
+fn unit(summary: &Summary) -> &'static str {
+    if summary.is_metric() {
+        "m"
+    } else {
+        "map units"
+    }
 }
 
 fn path_length(path: &[[f64; 3]]) -> f64 {
@@ -201,11 +201,7 @@ fn path_plot(input: &ReportInput) -> Plot {
         points: from_above(input.path),
         ..Series::default()
     });
-    let unit = if input.summary.scale == "metric" {
-        "m"
-    } else {
-        "map units"
-    };
+    let unit = unit(input.summary);
     Plot {
         title: String::new(),
         x_label: format!("x ({unit})"),

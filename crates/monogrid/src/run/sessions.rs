@@ -3,6 +3,7 @@
 use super::recorder::RECORDING;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
+use crate::keyframe_pixels::from_recorded;
 use monogrid_datasets::{
     Continuation, FragmentKeyframe, KeyframeLink, ReadOptions, RecordedEdge, RecordedFrame,
     RecordedKeyframe, RecordedPoint, RecordedSession, Recording, SessionInfo, read_sim3,
@@ -12,8 +13,8 @@ use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::GraphEdge;
 use monogrid_slam::mapping::z_up_from_camera_world;
 use monogrid_slam::{
-    DepthPixel, EdgeKind, Keyframe, KeyframeId, MAIN_MAP, Purpose, Scale, Slam, StoredEdge,
-    StoredKeyframe, StoredMap, StoredPoint, TrackedFrame,
+    EdgeKind, Keyframe, KeyframeId, MAIN_MAP, Purpose, Scale, Slam, StoredEdge, StoredKeyframe,
+    StoredMap, StoredPoint, TrackedFrame,
 };
 use std::path::{Path, PathBuf};
 
@@ -207,19 +208,13 @@ fn stored_map(
 }
 
 fn keyframe(recorded: &RecordedKeyframe) -> Option<Keyframe> {
-    let pixels = recorded.pixels.iter().map(|pixel| DepthPixel {
-        x: pixel.x,
-        y: pixel.y,
-        idepth: pixel.idepth,
-        idepth_var: pixel.idepth_var,
-    });
     Some(Keyframe {
         id: recorded.id,
         frame_index: recorded.frame_index as usize,
         timestamp_ns: recorded.timestamp_ns,
         revision: recorded.depth_revision,
         image: recorded.image.clone()?,
-        pixels: pixels.collect(),
+        pixels: from_recorded(&recorded.pixels),
     })
 }
 

@@ -5,7 +5,8 @@ use crate::config::{Profile, RunConfig};
 use crate::failure::Failure;
 use crate::input::Input;
 use crate::output::{OutputFolder, write_atomically};
-use crate::run::{RunSettings, track};
+use crate::run::RunSettings;
+use crate::run::threads::track;
 use monogrid_image::GrayImage;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -74,19 +75,16 @@ pub fn measure(job: &RateJob, resolutions: &[f64]) -> Result<Vec<Rate>, Failure>
 
 fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
     let folder = OutputFolder::prepare(job.scratch, true)?;
+    let config = RunConfig {
+        mapping: entry.model.mapping(entry.resolution),
+        ..RunConfig::of(job.profile)
+    };
     let settings = RunSettings {
-        config: RunConfig {
-            mapping: entry.model.mapping(entry.resolution),
-            ..RunConfig::of(job.profile)
-        },
         seed_depth: job.seed_depth.clone(),
-        continued: None,
-        realtime: false,
-        threads: job.threads,
-        show_progress: false,
+        ..RunSettings::new(config, job.threads)
     };
     let begin = Instant::now();
-    let tracked = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
+    let (tracked, _maps) = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
     let seconds = begin.elapsed().as_secs_f64();
     // the rates are all that is wanted of the run
     let _ = std::fs::remove_dir_all(job.scratch);

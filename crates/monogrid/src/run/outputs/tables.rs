@@ -1,20 +1,18 @@
-//! The files of a run, besides the recording: trajectories, tables, maps and pictures.
+//! Trajectories, tables and the graph of keyframes as files.
 
-use super::align::MapFrame;
-use super::sessions::{Earlier, MAP_FROM_WORLD, tracked_frame};
-use super::{FrameFate, FrameRow, RunSettings, Tracked, in_map};
-use crate::failure::{Classify, Failure};
-use crate::mapfile::{self, MapFormat};
+use crate::failure::Failure;
 use crate::output::OutputFolder;
-use crate::picture::colour::quantile;
-use crate::picture::voxels::{Cube, View, dollhouse_cut, render};
-use monogrid_datasets::{TimedPose, encode_png_rgb, format_seconds, format_sim3, format_tum};
-use monogrid_geometry::Se3;
+use crate::run::RunSettings;
+use crate::run::align::{MapFrame, in_map};
+use crate::run::frames::{FrameFate, FrameRow};
+use crate::run::sessions::{Earlier, MAP_FROM_WORLD, tracked_frame};
+use crate::run::threads::Tracked;
+use monogrid_datasets::{TimedPose, format_seconds, format_sim3, format_tum};
+use monogrid_geometry::{Se3, Sim3};
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
-use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
-use monogrid_slam::mapping::{Maps, z_up_from_camera_world};
-use monogrid_slam::{FragmentId, FrameReport};
+use monogrid_slam::mapping::z_up_from_camera_world;
+use monogrid_slam::{FragmentId, FrameReport, TrajectoryPose};
 use std::fmt::Write;
 
 /// Writes `trajectory.txt`, `trajectory_fragment_N.txt`, `trajectory_live.txt`, `trajectory_odometry.txt`, `frames.csv`,
@@ -23,9 +21,10 @@ pub fn write_tables(
     folder: &OutputFolder,
     tracked: &Tracked,
     frame: &MapFrame,
+    final_poses: &[TimedPose],
     settings: &RunSettings,
 ) -> Result<(), Failure> {
-    folder.write("trajectory.txt", format_tum(&final_poses(tracked, frame)))?;
+    folder.write("trajectory.txt", format_tum(final_poses))?;
     for fragment in tracked.slam.fragments() {
         let poses = fragment_poses(tracked, fragment.id);
         if !poses.is_empty() {
@@ -80,35 +79,34 @@ fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) ->
 
 /// Final poses of all tracked frames in the frame of the results.
 pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
-    tracked
-        .trajectory
+    all_in_map(&frame.map_from_world, &tracked.trajectory)
+}
+
+/// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
+fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
+    all_in_map(&z_up_from_camera_world(), &tracked.slam.trajectory_in(id))
+}
+
+fn all_in_map(map_from_world: &Sim3, trajectory: &[TrajectoryPose]) -> Vec<TimedPose> {
+    trajectory
         .iter()
         .map(|pose| TimedPose {
             timestamp_ns: pose.timestamp_ns,
-            world_from_camera: in_map(&frame.map_from_world, &pose.world_from_camera),
+            world_from_camera: in_map(map_from_world, &pose.world_from_camera),
         })
         .collect()
 }
 
 /// Positions of the camera as they were reported frame by frame.
 pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
-    let poses = reported_poses(tracked, frame, |report| report.world_from_camera);
+    path_of(&reported_poses(tracked, frame, |r| r.world_from_camera))
+}
+
+/// Positions of the camera.
+pub fn path_of(poses: &[TimedPose]) -> Vec<[f64; 3]> {
     poses
         .iter()
         .map(|pose| pose.world_from_camera.translation.into())
-        .collect()
-}
-
-/// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
-fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
-    let map_from_fragment = z_up_from_camera_world();
-    let poses = tracked.slam.trajectory_in(id);
-    poses
-        .iter()
-        .map(|pose| TimedPose {
-            timestamp_ns: pose.timestamp_ns,
-            world_from_camera: in_map(&map_from_fragment, &pose.world_from_camera),
-        })
         .collect()
 }
 
@@ -235,102 +233,4 @@ fn keyframe_graph(tracked: &Tracked, frame: &MapFrame) -> PoseGraph {
         let _ = graph.set_pose(node.id, frame.map_from_world * node.world_from_keyframe);
     }
     graph
-}
-
-/// Writes the maps in all formats; returns the preview as a PNG file.
-pub fn write_maps(
-    folder: &OutputFolder,
-    maps: &Maps,
-    path: &[[f64; 3]],
-) -> Result<Vec<u8>, Failure> {
-    for (name, map, format) in [
-        ("global.ot", &maps.global, MapFormat::Ot),
-        ("global.bt", &maps.global, MapFormat::Bt),
-        ("local.ot", &maps.local, MapFormat::Ot),
-        ("large.ot", &maps.large, MapFormat::Ot),
-        ("cloud.ply", &maps.global, MapFormat::Ply),
-    ] {
-        mapfile::save(map, &folder.file(name), format)?;
-    }
-    write_grid(folder, &maps.global, path)?;
-    let cubes = occupied_cubes(&maps.global).while_running("the preview cannot be drawn")?;
-    let picture = render(&cubes, path, dollhouse_cut(&cubes, path), &View::default());
-    let preview = encode_png_rgb(&picture);
-    folder.write("preview.png", &preview)?;
-    Ok(preview)
-}
-
-/// The map before and after loops were closed, from above, as PNG files: every keyframe where it was when it
-/// was finished, and where the graph has it in the end. The same piece of the world in both.
-pub fn write_loop_pictures(
-    folder: &OutputFolder,
-    maps: &Maps,
-    reported_path: &[[f64; 3]],
-    path: &[[f64; 3]],
-) -> Result<[Vec<u8>; 2], Failure> {
-    let cubes = |map| occupied_cubes(map).while_running("the maps cannot be drawn");
-    let (before, after) = (cubes(&maps.large)?, cubes(&maps.global)?);
-    let cut = dollhouse_cut(&after, path);
-    let view = View {
-        elevation: std::f64::consts::FRAC_PI_2,
-        frame: extent(&after),
-        ..View::default()
-    };
-    let before = encode_png_rgb(&render(&before, reported_path, cut, &view));
-    let after = encode_png_rgb(&render(&after, path, cut, &view));
-    folder.write("loops_before.png", &before)?;
-    folder.write("loops_after.png", &after)?;
-    Ok([before, after])
-}
-
-/// Box of what is there, but for a few cells far away, with some room around it.
-fn extent(cubes: &[Cube]) -> Option<[[f64; 3]; 2]> {
-    if cubes.is_empty() {
-        return None;
-    }
-    let ranges = [0, 1, 2].map(|axis| {
-        let mut values: Vec<f64> = cubes.iter().map(|cube| cube.center[axis]).collect();
-        let low = quantile(&mut values, 0.005);
-        let high = quantile(&mut values, 0.995);
-        let room = 0.05 * (high - low);
-        [low - room, high + room]
-    });
-    Some([0, 1].map(|end| ranges.map(|range| range[end])))
-}
-
-/// Heights that matter to what moves where the camera moved: from somewhat above the floor (where
-/// there is one below the camera) to somewhat above the camera.
-pub fn navigation_band(cubes: &[Cube], path: &[[f64; 3]]) -> [f64; 2] {
-    let heights = || path.iter().map(|p| p[2]);
-    let highest = heights().fold(f64::NEG_INFINITY, f64::max);
-    let lowest = heights().fold(f64::INFINITY, f64::min);
-    let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
-    let floor = quantile(&mut occupied, 0.02).min(lowest);
-    let height = highest - floor;
-    [floor + 0.1 * height, highest + 0.1 * height]
-}
-
-fn write_grid(folder: &OutputFolder, map: &OccupancyMap, path: &[[f64; 3]]) -> Result<(), Failure> {
-    let cubes = occupied_cubes(map).while_running("the map cannot be projected")?;
-    let band = navigation_band(&cubes, path);
-    if let Some(grid) = map.projected(band[0], band[1]) {
-        folder.write("map.pgm", grid.to_pgm())?;
-        let note = format!("# cells from z = {:.3} to {:.3}\n", band[0], band[1]);
-        folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
-    }
-    Ok(())
-}
-
-/// Occupied leaves as cubes.
-pub fn occupied_cubes(map: &OccupancyMap) -> Result<Vec<Cube>, MapError> {
-    let resolution = map.resolution();
-    Ok(map
-        .octree_leaves()?
-        .into_iter()
-        .filter(|leaf| map.state_of(leaf.first) == Occupancy::Occupied)
-        .map(|leaf| Cube {
-            center: leaf.center(resolution),
-            size: f64::from(leaf.edge_cells) * resolution,
-        })
-        .collect())
 }

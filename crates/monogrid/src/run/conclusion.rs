@@ -1,0 +1,128 @@
+//! What the user reads when a run is over.
+
+use super::summary::{Status, Summary};
+use super::threads::Tracked;
+use super::whole::Finished;
+use crate::commands::print_json;
+use crate::failure::{CommandResult, Failure};
+use crate::output::OutputFolder;
+use std::path::Path;
+
+/// Says how it went; the exit code.
+pub fn conclude(finished: &Finished, folder: &OutputFolder, json: bool) -> CommandResult {
+    let text = format!(
+        "{}\n{}\n",
+        finished.verdict,
+        summary_lines(&finished.summary, folder.path())
+    );
+    if json {
+        eprint!("{text}");
+        print_json(&finished.summary)?;
+    } else {
+        print!("{text}");
+    }
+    match &finished.failure {
+        Some(reason) => Err(Failure::running(format!(
+            "{reason} (what was found until then is saved in {})",
+            folder.path().display()
+        ))),
+        None => Ok(finished.outcome),
+    }
+}
+
+/// One sentence for people.
+pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
+    let share = 100.0 * summary.tracked as f64 / summary.frames.max(1) as f64;
+    let num_apart = summary.num_apart();
+    match summary.status {
+        Status::NotInitialised => {
+            let last = tracked.rows.iter().rev().find_map(|row| row.report());
+            let reason = last
+                .and_then(|report| report.reason)
+                .map(|reason| reason.to_string())
+                .unwrap_or_else(|| "no usable frame".into());
+            format!(
+                "Tracking never started ({reason}). The camera must move sideways while it sees texture; there is no map."
+            )
+        }
+        Status::NotRecognised if num_apart > 0 => format!(
+            "The camera was never recognised in the map. What it saw is kept as {num_apart} fragment(s) beside it, which a later run may join."
+        ),
+        Status::NotRecognised => "The camera was never recognised in the map: no frame shows a place that it holds. The map is as it was.".to_owned(),
+        Status::Fragment => format!(
+            "Tracking was lost and went on in a fragment that was never recognised as part of the map; {share:.0} % of the frames have a pose in the map."
+        ),
+        Status::Lost => format!(
+            "Tracking was lost for good; {share:.0} % of the frames have a pose, and what was mapped until then is saved."
+        ),
+        Status::Unreadable => format!(
+            "The images became unreadable; {share:.0} % of the frames until then have a pose."
+        ),
+        Status::Interrupted => format!(
+            "Interrupted; {share:.0} % of the frames until then have a pose, everything is saved."
+        ),
+        Status::Done if summary.lost_episodes > 0 => format!(
+            "{share:.0} % of the frames have a pose; tracking was lost {} times and found again.",
+            summary.lost_episodes
+        ),
+        Status::Done => format!("{share:.0} % of the frames have a pose; tracking was never lost."),
+    }
+}
+
+/// Numbers for people.
+fn summary_lines(summary: &Summary, folder: &Path) -> String {
+    let unit = if summary.is_metric() {
+        "m"
+    } else {
+        "map units (scale unknown)"
+    };
+    let memory = summary
+        .peak_rss_bytes
+        .map(|bytes| format!(", {:.0} MB of memory", bytes as f64 / 1e6))
+        .unwrap_or_default();
+    let mut lines = if summary.localise_only {
+        format!(
+            "  {} frames; the map of {} keyframes stays as it is, no new one is written\n",
+            summary.frames, summary.keyframes
+        )
+    } else {
+        format!(
+            "  {} frames, {} keyframes, {} measurements mapped\n  \
+             map: cells of {} {unit}, {} leaves\n",
+            summary.frames,
+            summary.keyframes,
+            summary.points,
+            summary.map.resolution,
+            summary.map.leaves,
+        )
+    };
+    if !summary.fragments.is_empty() {
+        let num_apart = summary.num_apart();
+        lines += &format!(
+            "  {} fragments after losses, {} joined to the map, {num_apart} apart\n",
+            summary.fragments.len(),
+            summary.fragments.len() - num_apart
+        );
+    }
+    lines += &format!(
+        "  {:.1} s, {:.1} frames per second{memory}\n",
+        summary.seconds.total, summary.frames_per_second,
+    );
+    if let Some(fit) = &summary.trajectory {
+        lines += &format!("  error against the reference: {:.4} m\n", fit.ate_rmse);
+    }
+    if let Some(depth) = &summary.depth {
+        lines += &format!(
+            "  depth: {:.0} % of the textured pixels within 3 %\n",
+            100.0 * depth.shares.within_3_percent
+        );
+    }
+    if let Some(map) = summary.observed_map_error() {
+        lines += &format!(
+            "  map against the truth: AUC {:.3}, MCC {:.3}\n",
+            map.auc, map.mcc
+        );
+    }
+    lines += &format!("  look at {}", folder.join("report.html").display());
+    lines
+}

@@ -1,0 +1,44 @@
+//! What became of each frame of the source.
+
+use monogrid_slam::{FrameReport, TrackingState};
+
+/// What became of a frame.
+#[derive(Clone, Debug)]
+pub enum FrameFate {
+    /// It was given to tracking.
+    Processed(Box<FrameReport>),
+    /// It could not be used.
+    Skipped(String),
+    /// It came while the program was behind.
+    Dropped,
+    /// It lies before the frame with the seed depth.
+    BeforeSeed,
+}
+
+/// One frame of the source and what became of it.
+#[derive(Clone, Debug)]
+pub struct FrameRow {
+    /// Index in the source.
+    pub index: usize,
+    /// Time, nanoseconds.
+    pub timestamp_ns: i64,
+    /// What became of it.
+    pub fate: FrameFate,
+}
+
+impl FrameRow {
+    /// The report of a processed frame.
+    pub fn report(&self) -> Option<&FrameReport> {
+        match &self.fate {
+            FrameFate::Processed(report) => Some(report),
+            _ => None,
+        }
+    }
+
+    /// Whether there was a map and the frame has no pose in it.
+    pub fn has_no_place(&self) -> bool {
+        let placeless = [TrackingState::Lost, TrackingState::Fragment];
+        self.report()
+            .is_some_and(|report| placeless.contains(&report.state))
+    }
+}

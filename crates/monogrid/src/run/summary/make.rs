@@ -1,0 +1,120 @@
+//! What a run did, counted.
+
+use super::{
+    ARBITRARY, FragmentSummary, METRIC, MapFacts, Seconds, SessionSummary, Status, Summary,
+};
+use crate::input::Input;
+use crate::run::RunSettings;
+use crate::run::align::MapFrame;
+use crate::run::frames::{FrameFate, FrameRow};
+use crate::run::sessions::sessions;
+use crate::run::threads::Tracked;
+use monogrid_slam::Scale;
+use monogrid_slam::mapping::Maps;
+
+impl Summary {
+    /// The summary of a run as far as it has come, without what is known from a truth.
+    pub fn new(
+        input: &Input,
+        settings: &RunSettings,
+        tracked: &Tracked,
+        frame: &MapFrame,
+        maps: Option<&Maps>,
+    ) -> Self {
+        let slam = &tracked.slam;
+        let graph = slam.graph_stats();
+        let is_metric = slam.scale() == Scale::Metric || frame.is_aligned;
+        let points = maps.map_or(0, |maps| maps.stats.points);
+        let (width, height) = input.size();
+        let mut summary = Self {
+            source: input.name.clone(),
+            version: env!("CARGO_PKG_VERSION"),
+            status: Status::of(tracked, settings),
+            frames: tracked.rows.len(),
+            tracked: tracked.trajectory.len(),
+            skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
+            dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
+            lost_episodes: slam.lost_episodes(),
+            keyframes: slam.keyframes().len(),
+            reactivated_keyframes: slam.reactivations(),
+            relocalisations: slam.relocalisations(),
+            fragments: slam.fragments().iter().map(FragmentSummary::new).collect(),
+            sessions: session_summaries(input, settings, tracked),
+            localise_only: settings.is_localise_only(),
+            constraints: graph.constraints,
+            graph_wait_ms: graph.max_wait_ms,
+            loop_closures: graph.loop_closures,
+            points,
+            frames_per_second: 0.0,
+            seconds: stage_seconds(tracked),
+            mapping_seconds_per_100k_points: if points > 0 {
+                tracked.cpu.mapping.as_secs_f64() * 1e5 / points as f64
+            } else {
+                0.0
+            },
+            map: MapFacts {
+                resolution: settings.config.mapping.resolution,
+                leaves: maps.map_or(0, |maps| maps.global.leaf_count()),
+                bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
+            },
+            peak_rss_bytes: None,
+            scale: if is_metric { METRIC } else { ARBITRARY },
+            frame: frame.description.clone(),
+            profile: settings.config.profile.name(),
+            seed: settings.config.seed,
+            working_size: [width, height],
+            threads: settings.threads,
+            warnings: Vec::new(),
+            trajectory: frame.fit.clone(),
+            depth: None,
+            map_error: None,
+        };
+        summary.take_times();
+        summary
+    }
+}
+
+fn count(tracked: &Tracked, test: fn(&FrameFate) -> bool) -> usize {
+    tracked.rows.iter().filter(|row| test(&row.fate)).count()
+}
+
+fn session_summaries(
+    input: &Input,
+    settings: &RunSettings,
+    tracked: &Tracked,
+) -> Vec<SessionSummary> {
+    sessions(&tracked.slam, settings.earlier(), &input.name)
+        .into_iter()
+        .map(|session| SessionSummary {
+            source: session.source,
+            first_keyframe: session.first_keyframe,
+        })
+        .collect()
+}
+
+/// CPU seconds of the stages: the CPU time of tracking, depth and graph together, divided as the wall
+/// time of their steps.
+fn stage_seconds(tracked: &Tracked) -> Seconds {
+    let cpu = &tracked.cpu;
+    let mut walls = [0.0; 3];
+    for report in tracked.rows.iter().filter_map(FrameRow::report) {
+        let times = report.milliseconds;
+        for (wall, time) in walls
+            .iter_mut()
+            .zip([times.tracking, times.depth, times.graph])
+        {
+            *wall += time;
+        }
+    }
+    let total: f64 = walls.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    let [tracking, depth, graph] = walls.map(|wall| cpu.slam.as_secs_f64() * wall / total);
+    Seconds {
+        total: 0.0,
+        tracking,
+        depth,
+        graph,
+        mapping: cpu.mapping.as_secs_f64(),
+        reading: cpu.reading.as_secs_f64(),
+        recording: cpu.recording.as_secs_f64(),
+    }
+}

@@ -1,0 +1,196 @@
+//! `summary.json`: what a run did, in numbers.
+
+mod make;
+mod status;
+
+pub use status::Status;
+
+use crate::usage::{peak_rss_bytes, process_start};
+use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
+use monogrid_slam::Fragment;
+use serde::{Serialize, Serializer};
+
+/// What `scale` says of metres.
+const METRIC: &str = "metric";
+/// And of everything else.
+const ARBITRARY: &str = "arbitrary";
+
+/// Seconds of a run.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Seconds {
+    /// Wall time from the start of the process.
+    pub total: f64,
+    /// CPU time of tracking.
+    pub tracking: f64,
+    /// CPU time of the depth filter.
+    pub depth: f64,
+    /// CPU time of the keyframe graph.
+    pub graph: f64,
+    /// CPU time of mapping.
+    pub mapping: f64,
+    /// CPU time of decoding and undistortion.
+    pub reading: f64,
+    /// CPU time of recording and pictures.
+    pub recording: f64,
+}
+
+/// Facts about the global map.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct MapFacts {
+    /// Edge of a cell.
+    pub resolution: f64,
+    /// Leaves of the pruned octree.
+    pub leaves: usize,
+    /// Memory of the map itself.
+    pub bytes_in_memory: usize,
+}
+
+/// A run that took part in a map.
+#[derive(Clone, Debug, Serialize)]
+pub struct SessionSummary {
+    /// Name of its source.
+    pub source: String,
+    /// First keyframe that it made, if it made any.
+    pub first_keyframe: u32,
+}
+
+/// A fragment of the map that a lost camera began.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct FragmentSummary {
+    /// Its number, as in `frames.csv`.
+    pub id: u32,
+    /// Its first keyframe.
+    pub first_keyframe: u32,
+    /// Frame of that keyframe.
+    pub first_frame: usize,
+    /// Its keyframes, until it was joined.
+    pub keyframes: usize,
+    /// Its frames with a pose, until it was joined.
+    pub frames: usize,
+    /// The fragment that it became a part of, 0 for the main map; `null` if it never did.
+    pub joined_into: Option<u32>,
+    /// The frame after which it was.
+    pub joined_at_frame: Option<usize>,
+}
+
+impl FragmentSummary {
+    /// What the summary says of a fragment.
+    pub fn new(fragment: &Fragment) -> Self {
+        Self {
+            id: fragment.id,
+            first_keyframe: fragment.first_keyframe,
+            first_frame: fragment.first_frame,
+            keyframes: fragment.keyframes,
+            frames: fragment.frames,
+            joined_into: fragment.joined.map(|join| join.into),
+            joined_at_frame: fragment.joined.map(|join| join.frame),
+        }
+    }
+}
+
+/// The content of `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// Name of the source.
+    pub source: String,
+    /// Version of the program.
+    pub version: &'static str,
+    /// How it ended.
+    pub status: Status,
+    /// Frames of the source that were used.
+    pub frames: usize,
+    /// Frames with a believed pose in the map.
+    pub tracked: usize,
+    /// Unreadable frames.
+    pub skipped: usize,
+    /// Frames dropped because the program was behind (`--realtime`).
+    pub dropped: usize,
+    /// Times that tracking was lost.
+    pub lost_episodes: usize,
+    /// Finished keyframes.
+    pub keyframes: usize,
+    /// Times that tracking went on with a keyframe that existed already instead of a new one.
+    pub reactivated_keyframes: usize,
+    /// Times that a lost camera was recognised.
+    pub relocalisations: usize,
+    /// Pairs of keyframes constrained by direct alignment.
+    pub constraints: usize,
+    /// Longest time from the end of a keyframe to the use of its optimised poses, milliseconds.
+    pub graph_wait_ms: f64,
+    /// Fragments that a lost camera began.
+    pub fragments: Vec<FragmentSummary>,
+    /// The runs that made the map, this one last.
+    pub sessions: Vec<SessionSummary>,
+    /// Whether the map of an earlier run was only used.
+    pub localise_only: bool,
+    /// Loops closed.
+    pub loop_closures: usize,
+    /// Depth measurements mapped.
+    pub points: usize,
+    /// Frames over wall time, from the start of the process to the last file.
+    pub frames_per_second: f64,
+    /// Times.
+    pub seconds: Seconds,
+    /// CPU time of mapping per 100 000 measurements.
+    pub mapping_seconds_per_100k_points: f64,
+    /// The global map.
+    pub map: MapFacts,
+    /// Largest resident memory; `null` where the system does not say.
+    pub peak_rss_bytes: Option<u64>,
+    /// `metric` or `arbitrary`.
+    pub scale: &'static str,
+    /// The frame of trajectory and maps.
+    pub frame: String,
+    /// Profile.
+    pub profile: &'static str,
+    /// Seed.
+    pub seed: u64,
+    /// Working size of the images.
+    pub working_size: [usize; 2],
+    /// Threads of computation.
+    pub threads: usize,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// Error against a reference trajectory, where one was given.
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "as_value")]
+    pub trajectory: Option<TrajectoryReport>,
+    /// Error of the depth against the truth, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "as_value")]
+    pub depth: Option<DepthReport>,
+    /// Error of the global map against the truth, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "as_value")]
+    pub map_error: Option<MapReport>,
+}
+
+/// Writes a report with its keys in the order of the alphabet.
+fn as_value<S: Serializer>(report: &impl Serialize, serializer: S) -> Result<S::Ok, S::Error> {
+    serde_json::to_value(report)
+        .map_err(serde::ser::Error::custom)?
+        .serialize(serializer)
+}
+
+impl Summary {
+    /// Whether lengths are metres.
+    pub fn is_metric(&self) -> bool {
+        self.scale == METRIC
+    }
+
+    /// Fragments that were not joined.
+    pub fn num_apart(&self) -> usize {
+        let fragments = self.fragments.iter();
+        fragments.filter(|f| f.joined_into.is_none()).count()
+    }
+
+    /// The error of the map over the cells that it observed.
+    pub fn observed_map_error(&self) -> Option<&PolicyReport> {
+        Some(&self.map_error.as_ref()?.policies.observed)
+    }
+
+    /// Brings the numbers that grow until the last file is written up to date.
+    pub fn take_times(&mut self) {
+        let total = process_start().elapsed().as_secs_f64();
+        self.seconds.total = total;
+        self.frames_per_second = self.frames as f64 / total.max(1e-9);
+        self.peak_rss_bytes = peak_rss_bytes();
+    }
+}
