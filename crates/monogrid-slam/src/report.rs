@@ -3,6 +3,7 @@
 use crate::{FragmentId, KeyframeId};
 use monogrid_geometry::{Mat6, Se3};
 use std::fmt;
+use std::time::Instant;
 
 /// How far the pose of a frame is to be believed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,6 +85,11 @@ pub struct StageTimes {
     pub graph: f64,
 }
 
+/// Wall time since an instant.
+pub(crate) fn milliseconds(begin: Instant) -> f64 {
+    begin.elapsed().as_secs_f64() * 1e3
+}
+
 /// Size of what the system keeps about the places it has seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MapSize {
@@ -155,6 +161,33 @@ pub struct InFragment {
 }
 
 impl FrameReport {
+    /// A report of which nothing but the state is known yet.
+    #[must_use]
+    pub fn new(index: usize, timestamp_ns: i64, state: TrackingState) -> Self {
+        Self {
+            index,
+            timestamp_ns,
+            state,
+            reason: None,
+            world_from_camera: None,
+            odom_from_camera: None,
+            covariance: None,
+            residual: 0.0,
+            good_share: 0.0,
+            usage: 0.0,
+            exposure_gain: 1.0,
+            milliseconds: StageTimes::default(),
+            keyframe: None,
+            finished_keyframe: None,
+            created_keyframe: false,
+            reactivated_keyframe: None,
+            relocalised: false,
+            fragment: None,
+            started_fragment: None,
+            joined_fragments: Vec::new(),
+        }
+    }
+
     /// What the map corrects of odometry: jumps with loops, optimisation and relocalisation.
     #[must_use]
     pub fn map_from_odom(&self) -> Option<Se3> {

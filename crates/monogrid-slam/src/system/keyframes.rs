@@ -1,26 +1,20 @@
 //! Change of the keyframe: publish, propagate, adjust.
 
+use super::depth::Successor;
 use super::graph::Links;
-use super::{Current, Slam, milliseconds};
-use crate::depth_step::{observe, regularize, tracking_samples};
+use super::{Current, Slam};
+use crate::depth_step::regularize;
 use crate::frame::Frame;
 use crate::graph::{GraphView, OdometryEdge};
 use crate::node::{Exposure, Node};
+use crate::report::milliseconds;
 use crate::sparse::scale::{dense_links, keyframe_scale};
 use crate::{DepthPixel, FragmentId, FrameReport, Keyframe, KeyframeId, MAIN_MAP, PoseSnapshot};
 use monogrid_alignment::{Motion, Reference};
-use monogrid_depth::{DepthMap, HostFrame, PixelFilter, StereoFrame};
+use monogrid_depth::{DepthMap, PixelFilter};
 use monogrid_geometry::{Mat6, Se3};
 use std::sync::Arc;
 use std::time::Instant;
-
-/// Depth that a new keyframe takes over.
-pub(super) struct Successor {
-    /// In the new keyframe's units.
-    pub depth: DepthMap,
-    /// The new keyframe's unit in its parent's units.
-    pub unit: f64,
-}
 
 impl Slam {
     /// Publishes the current keyframe and goes on with another: one that shows the same, or `frame`.
@@ -80,26 +74,6 @@ impl Slam {
         Some((id, self.graph_view(id, &current.depth)))
     }
 
-    /// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
-    /// the keyframe's units; `None` when nothing arrives there.
-    pub(super) fn successor(
-        &self,
-        depth: &DepthMap,
-        frame: &Frame,
-        motion: &Motion,
-    ) -> Option<Successor> {
-        let host =
-            Arc::new(HostFrame::new(frame.image().clone(), self.mask.clone(), self.pinhole).ok()?);
-        let (mut depth, _) = depth.propagate(host, &motion.frame_from_keyframe, &self.config.depth);
-        let median_idepth = depth
-            .median_idepth()
-            .filter(|m| m.is_finite() && *m > 0.0)?;
-        depth.rescale(1.0 / median_idepth);
-        Some(Successor {
-            depth,
-            unit: 1.0 / f64::from(median_idepth),
-        })
-    }
     /// Makes `frame` the newest keyframe, on top of a parent that it was tracked on; `view` is the keyframe
     /// that was finished for it.
     pub(super) fn begin_keyframe(
@@ -174,38 +148,6 @@ impl Slam {
         self.links[keyframe] = dense_links(&self.sparse, keyframe as KeyframeId, depth);
     }
 
-    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
-    pub(super) fn observe_old_keyframes(&self, depth: &mut DepthMap) {
-        let config = &self.config.keyframes;
-        let Some(node) = self.nodes.last() else {
-            return;
-        };
-        let recent = self.recent_in(node.fragment);
-        let others = recent.iter().rev().filter(|id| **id != node.id);
-        let frames: Vec<StereoFrame<'_>> = others
-            .map(|id| &self.nodes[*id as usize])
-            .map(|other| (other, node.other_from_self(other)))
-            .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
-            .take(config.old_keyframes_observed)
-            .map(|(other, pose)| {
-                let (gain, bias) = node.exposure.relative(&other.exposure);
-                StereoFrame {
-                    image: other.pyramid.level(0),
-                    frame_from_keyframe: pose,
-                    gain: gain as f32,
-                    bias: bias as f32,
-                    residual_rms: 5.0,
-                    pose_sigma_trans: 0.002,
-                    pose_sigma_rot: 0.001,
-                    id: other.frame_index as u32,
-                }
-            })
-            .collect();
-        if !frames.is_empty() {
-            observe(depth, &frames, &self.config.depth);
-        }
-    }
-
     /// Adds a keyframe and its pose in the world of its fragment.
     pub(super) fn push_node(
         &mut self,
@@ -250,23 +192,6 @@ impl Slam {
             num_mapped: 0,
         });
         self.refresh_reference();
-    }
-
-    /// Rebuilds the points that frames are tracked on from the newest depth.
-    pub(super) fn refresh_reference(&mut self) {
-        let Some(current) = self.current.as_mut() else {
-            return;
-        };
-        let node = &self.nodes[current.id as usize];
-        let config = &self.config.tracking;
-        let samples = tracking_samples(&current.depth, config);
-        current.reference = Reference::new(
-            &node.pyramid,
-            &self.pinhole,
-            &samples,
-            config.alignment.finest_level,
-            config.alignment.coarsest_level,
-        );
     }
 
     /// Publishes depth and image of the current keyframe.
@@ -335,7 +260,7 @@ fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
 
 /// Covariance of `frame_from_keyframe` (left, in the frame) as that of its inverse (left, in the
 /// keyframe).
-fn in_keyframe(covariance: &Mat6, keyframe_from_frame: &Se3) -> Mat6 {
+pub(super) fn in_keyframe(covariance: &Mat6, keyframe_from_frame: &Se3) -> Mat6 {
     let adjoint = keyframe_from_frame.adjoint();
     adjoint * covariance * adjoint.transpose()
 }

@@ -1,5 +1,18 @@
 //! The system: one frame after the other, in the order in which a reader would do it by hand.
+//!
+//! ```text
+//! process_frame
+//!   -> start        until there is a first keyframe
+//!   -> tracking     each frame on the current keyframe
+//!        lost:       -> relocalise -> fragments     find back, or begin anew
+//!        tracked:    -> depth                       refine the keyframe
+//!                    -> keyframes  -> reactivate    change to another one, known or new
+//!                                  -> graph         what constrains the one that was left
+//!   -> odometry     motion without corrections
+//! trajectory, sessions: what is known of all frames; what is kept for a later run
+//! ```
 
+mod depth;
 mod fragments;
 mod graph;
 mod keyframes;
@@ -8,26 +21,24 @@ mod reactivate;
 mod relocalise;
 mod sessions;
 mod start;
+mod tracking;
 mod trajectory;
 
 use self::fragments::Loss;
 use self::graph::{GraphLink, Links};
 use self::odometry::Odometry;
 use self::trajectory::Visit;
-use crate::depth_step::{observe, regularize};
 use crate::frame::Frame;
 use crate::node::Node;
-use crate::policy::{KeyframeEvidence, is_new_keyframe};
 use crate::sparse::scale::DenseLink;
 use crate::sparse::{SparseLayer, SparseStats};
 use crate::start::Start;
-use crate::tracker::{MotionPrior, extrapolate, is_convincing, track};
 use crate::{
-    Fragment, FrameInput, FrameReport, Keyframe, KeyframeId, LostReason, MapSize, PoseSnapshot,
-    Scale, SlamConfig, SlamError, StageTimes, TrackingState,
+    Fragment, FrameInput, FrameReport, Keyframe, KeyframeId, MapSize, PoseSnapshot, Scale,
+    SlamConfig, SlamError,
 };
 use monogrid_alignment::{Motion, Reference};
-use monogrid_depth::{DepthMap, StereoFrame};
+use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat7, Pinhole, Se3};
 use monogrid_image::{Mask, Pyramid};
 use std::sync::Arc;
@@ -259,215 +270,5 @@ impl Slam {
     #[must_use]
     pub fn pinhole(&self) -> &Pinhole {
         &self.pinhole
-    }
-
-    /// A byte-identical image has the pose of the one before and adds no information.
-    fn repeat(&mut self, input: &FrameInput) -> Option<FrameReport> {
-        let last = self.last.as_ref()?;
-        if self.start.is_some() || self.lost_in_a_row > 0 || last.pyramid.level(0) != &input.image {
-            return None;
-        }
-        let node = self.current_node()?.id;
-        let record = Record {
-            frame_index: input.index,
-            timestamp_ns: input.timestamp_ns,
-            visit: self.visits.len().checked_sub(1)?,
-            frame_from_keyframe: last.motion.frame_from_keyframe,
-        };
-        let mut report = blank_report(input.index, input.timestamp_ns, TrackingState::Good);
-        report.reason = Some(LostReason::Repeated);
-        self.report_pose(&mut report, &record.frame_from_keyframe);
-        report.keyframe = Some(node);
-        report.exposure_gain = last.motion.log_gain.exp() as f32;
-        self.records.push(record);
-        Some(report)
-    }
-
-    /// Tracks a frame on the current keyframe without touching the map.
-    fn track_silently(&self, frame: &Frame) -> Option<Motion> {
-        let (current, last) = (self.current.as_ref()?, self.last.as_ref()?);
-        let tracked = self.track_on(current, last, frame);
-        (tracked.state == TrackingState::Good).then_some(tracked.alignment.motion)
-    }
-
-    fn track_on(&self, current: &Current, last: &Last, frame: &Frame) -> crate::tracker::Tracked {
-        let interval_ns = (frame.timestamp_ns - last.timestamp_ns).abs();
-        let frame_from_last = if self.config.tracking.motion_hypotheses {
-            extrapolate(&last.frame_from_previous, last.interval_ns, interval_ns)
-        } else {
-            Se3::identity()
-        };
-        let prior = MotionPrior {
-            last_from_keyframe: last.motion,
-            frame_from_last,
-        };
-        track(
-            &current.reference,
-            frame,
-            &prior,
-            Some(&last.pyramid),
-            &self.pinhole,
-            &self.config.tracking,
-        )
-    }
-
-    /// Stores a believed pose and makes it the prior of the next frame.
-    fn remember(&mut self, frame: &Frame, motion: Motion) {
-        let Some(visit) = self.visits.len().checked_sub(1) else {
-            return;
-        };
-        let (frame_from_previous, interval_ns) = match &self.last {
-            Some(last) => (
-                motion.frame_from_keyframe * last.motion.frame_from_keyframe.inverse(),
-                (frame.timestamp_ns - last.timestamp_ns).abs(),
-            ),
-            None => (Se3::identity(), 0),
-        };
-        self.last = Some(Last {
-            timestamp_ns: frame.timestamp_ns,
-            pyramid: frame.pyramid.clone(),
-            motion,
-            frame_from_previous,
-            interval_ns,
-        });
-        self.records.push(Record {
-            frame_index: frame.index,
-            timestamp_ns: frame.timestamp_ns,
-            visit,
-            frame_from_keyframe: motion.frame_from_keyframe,
-        });
-    }
-
-    /// One frame of normal operation: track, then refine the depth or make a keyframe.
-    fn process_running(&mut self, frame: Frame, begin: Instant) -> FrameReport {
-        let mut report = blank_report(frame.index, frame.timestamp_ns, TrackingState::Lost);
-        self.count_graph_frame();
-        report.milliseconds.graph = milliseconds(begin);
-        let begin = Instant::now();
-        let (Some(current), Some(last)) = (self.current.as_ref(), self.last.as_ref()) else {
-            self.look_for_place(frame, &mut report);
-            report.milliseconds.graph += milliseconds(begin);
-            return report;
-        };
-        let mut tracked = self.track_on(current, last, &frame);
-        let is_doubtful = self.lost_in_a_row > 0
-            || tracked.is_surprising
-            || tracked.state == TrackingState::Degraded;
-        if is_doubtful
-            && tracked.state != TrackingState::Lost
-            && !is_convincing(
-                &tracked.alignment,
-                self.lost_in_a_row > 0,
-                &self.config.tracking,
-            )
-        {
-            tracked.state = TrackingState::Lost;
-            tracked.reason = Some(LostReason::Residuals);
-        }
-        let alignment = &tracked.alignment;
-        report.milliseconds.tracking = milliseconds(begin);
-        report.state = tracked.state;
-        report.reason = tracked.reason;
-        report.residual = alignment.residual_rms;
-        report.good_share = alignment.good_of_visible;
-        report.usage = alignment.usage;
-        report.exposure_gain = alignment.gain();
-        report.keyframe = self.current_node().map(|node| node.id);
-        if tracked.state == TrackingState::Lost {
-            if self.lost_in_a_row == 0 {
-                self.lost_episodes += 1;
-            }
-            self.lost_in_a_row += 1;
-            let before = Instant::now();
-            self.relocalise(frame, &mut report);
-            report.milliseconds.graph += milliseconds(before);
-            return report;
-        }
-        self.end_loss();
-        report.covariance = alignment.covariance;
-        let motion = alignment.motion;
-        self.remember(&frame, motion);
-        self.report_pose(&mut report, &motion.frame_from_keyframe);
-        let after_tracking = Instant::now();
-        let graph_before = report.milliseconds.graph;
-        let evidence = KeyframeEvidence {
-            relative_distance: motion.frame_from_keyframe.inverse().translation.norm(),
-            usage: f64::from(alignment.usage),
-            num_mapped: self.current.as_ref().map_or(0, |c| c.num_mapped),
-            num_keyframes: self.num_keyframes_in(self.current_fragment()),
-        };
-        if is_new_keyframe(&evidence, &self.config.keyframes) {
-            self.leave_keyframe(&frame, &motion, &mut report);
-        } else if tracked.state == TrackingState::Good {
-            self.refine_depth(&frame, &tracked.alignment);
-        }
-        report.milliseconds.depth =
-            milliseconds(after_tracking) - (report.milliseconds.graph - graph_before);
-        report
-    }
-
-    /// Observes the current keyframe's pixels in a tracked frame.
-    fn refine_depth(&mut self, frame: &Frame, alignment: &monogrid_alignment::Alignment) {
-        let Some(current) = self.current.as_mut() else {
-            return;
-        };
-        current.num_mapped += 1;
-        if self.is_frozen {
-            return;
-        }
-        let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
-        let stereo = StereoFrame {
-            image: frame.image(),
-            frame_from_keyframe: alignment.motion.frame_from_keyframe,
-            gain: alignment.gain(),
-            bias: alignment.bias(),
-            residual_rms: alignment.residual_rms,
-            pose_sigma_trans,
-            pose_sigma_rot,
-            id: frame.index as u32,
-        };
-        let config = &self.config.depth;
-        observe(&mut current.depth, &[stereo], config);
-        regularize(&mut current.depth, config);
-        self.refresh_reference();
-    }
-}
-
-/// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.
-fn pose_sigmas(covariance: Option<&monogrid_geometry::Mat6>) -> (f32, f32) {
-    covariance.map_or((0.005, 0.002), |c| {
-        let mean = |from: usize| {
-            ((c[(from, from)] + c[(from + 1, from + 1)] + c[(from + 2, from + 2)]) / 3.0).sqrt()
-        };
-        (mean(0) as f32, mean(3) as f32)
-    })
-}
-
-fn milliseconds(begin: Instant) -> f64 {
-    begin.elapsed().as_secs_f64() * 1e3
-}
-
-fn blank_report(index: usize, timestamp_ns: i64, state: TrackingState) -> FrameReport {
-    FrameReport {
-        index,
-        timestamp_ns,
-        state,
-        reason: None,
-        world_from_camera: None,
-        odom_from_camera: None,
-        covariance: None,
-        residual: 0.0,
-        good_share: 0.0,
-        usage: 0.0,
-        exposure_gain: 1.0,
-        milliseconds: StageTimes::default(),
-        keyframe: None,
-        finished_keyframe: None,
-        created_keyframe: false,
-        reactivated_keyframe: None,
-        relocalised: false,
-        fragment: None,
-        started_fragment: None,
-        joined_fragments: Vec::new(),
     }
 }

@@ -1,20 +1,21 @@
 //! Tracking goes on with a keyframe that exists already: where the camera stays in a known place, the number
 //! of keyframes does not grow.
 
+use super::Slam;
 use super::graph::Links;
-use super::{Slam, milliseconds};
+use super::keyframes::in_keyframe;
 use crate::config::ReactivationConfig;
-use crate::depth_step::{regularize, tracking_samples};
+use crate::depth_step::tracking_samples;
 use crate::frame::Frame;
 use crate::graph::Handover;
 use crate::node::Node;
 use crate::policy::{KeyframeEvidence, keyframe_score};
-use crate::tracker::{MotionPrior, Tracked, track};
+use crate::report::milliseconds;
+use crate::tracker::Tracked;
 use crate::{FrameReport, KeyframeId, TrackingState};
-use monogrid_alignment::{Alignment, Motion, Reference};
-use monogrid_depth::{DepthMap, HostFrame};
+use monogrid_alignment::{Alignment, Motion};
+use monogrid_depth::DepthMap;
 use monogrid_geometry::{Mat6, Se3, Sim3};
-use std::sync::Arc;
 use std::time::Instant;
 
 /// A keyframe that may show what the frame shows.
@@ -97,17 +98,6 @@ impl Slam {
         self.reactivations += 1;
     }
 
-    /// Depth of a keyframe as it was left, smoothed.
-    pub(super) fn stored_depth(&self, id: KeyframeId) -> Option<DepthMap> {
-        let node = self.nodes.get(id as usize)?;
-        let packed = node.depth.as_ref()?;
-        let image = node.pyramid.level(0).clone();
-        let host = Arc::new(HostFrame::new(image, self.mask.clone(), self.pinhole).ok()?);
-        let mut depth = DepthMap::unpacked(host, packed, &self.config.depth);
-        regularize(&mut depth, &self.config.depth);
-        Some(depth)
-    }
-
     /// The closest keyframe on which the frame can be tracked to where the poses say that it is.
     fn find_known_view(&self, frame: &Frame, motion: &Motion) -> Option<Confirmed> {
         let config = &self.in_use();
@@ -126,7 +116,8 @@ impl Slam {
                 bias,
                 ..Motion::from_pose(candidate.frame_from_candidate)
             };
-            let tracked = self.track_on_depth(node, &depth, frame, predicted);
+            let samples = tracking_samples(&depth, &self.config.tracking);
+            let tracked = self.track_on_other(&node.pyramid, &samples, frame, predicted);
             self.confirms(&candidate, &tracked, limits)
                 .then_some(Confirmed {
                     id: candidate.id,
@@ -207,29 +198,6 @@ impl Slam {
         (candidates, limits)
     }
 
-    /// Tracks a frame on a keyframe that is not the current one.
-    fn track_on_depth(
-        &self,
-        node: &Node,
-        depth: &DepthMap,
-        frame: &Frame,
-        predicted: Motion,
-    ) -> Tracked {
-        let config = &self.config.tracking;
-        let reference = Reference::new(
-            &node.pyramid,
-            &self.pinhole,
-            &tracking_samples(depth, config),
-            config.alignment.finest_level,
-            config.alignment.coarsest_level,
-        );
-        let prior = MotionPrior {
-            last_from_keyframe: predicted,
-            frame_from_last: Se3::identity(),
-        };
-        track(&reference, frame, &prior, None, &self.pinhole, config)
-    }
-
     /// Whether a frame was tracked on a candidate as well as on a keyframe of its own, to where it was
     /// expected.
     fn confirms(&self, candidate: &Candidate, tracked: &Tracked, limits: Limits) -> bool {
@@ -255,9 +223,8 @@ impl Slam {
     ) -> Handover {
         let side = |id: KeyframeId, motion: &Motion, covariance: &Mat6| {
             let keyframe_from_frame = motion.frame_from_keyframe.inverse();
-            let adjoint = keyframe_from_frame.adjoint();
             let scale = self.nodes[id as usize].world_from_keyframe.scale;
-            let covariance = adjoint * covariance * adjoint.transpose();
+            let covariance = in_keyframe(covariance, &keyframe_from_frame);
             (id, keyframe_from_frame, scale, covariance)
         };
         let a = side(left, motion, covariance);

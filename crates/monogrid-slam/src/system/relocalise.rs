@@ -6,12 +6,10 @@ use super::{Last, Slam};
 use crate::frame::Frame;
 use crate::graph::Relocalised;
 use crate::policy::{KeyframeEvidence, keyframe_score};
-use crate::tracker::{MotionPrior, Tracked, track};
+use crate::tracker::Tracked;
 use crate::{FrameReport, KeyframeId, LostReason, TrackingState};
-use monogrid_alignment::{Motion, Reference};
-use monogrid_depth::{DepthMap, DepthState, HostFrame};
+use monogrid_alignment::Motion;
 use monogrid_geometry::Se3;
-use std::sync::Arc;
 
 impl Slam {
     /// The first frames with the map of an earlier session.
@@ -34,30 +32,16 @@ impl Slam {
 
     fn recognise_and_resume(&mut self, frame: &Frame, report: &mut FrameReport) -> bool {
         for found in self.recognise(&frame.pyramid) {
-            let tracked = self.track_on_keyframe(&found, frame);
+            // from the pose that its points give
+            let predicted = Motion::from_pose(found.frame_from_keyframe);
+            let view = &found.view;
+            let tracked = self.track_on_other(&view.pyramid, &view.samples, frame, predicted);
             if tracked.state == TrackingState::Good && self.resume(frame, &found, &tracked, report)
             {
                 return true;
             }
         }
         false
-    }
-
-    /// Direct alignment of a frame to a recognised keyframe, from the pose that its points give.
-    fn track_on_keyframe(&self, found: &Relocalised, frame: &Frame) -> Tracked {
-        let config = &self.config.tracking;
-        let reference = Reference::new(
-            &found.view.pyramid,
-            &self.pinhole,
-            &found.view.samples,
-            config.alignment.finest_level,
-            config.alignment.coarsest_level,
-        );
-        let prior = MotionPrior {
-            last_from_keyframe: Motion::from_pose(found.frame_from_keyframe),
-            frame_from_last: Se3::identity(),
-        };
-        track(&reference, frame, &prior, None, &self.pinhole, config)
     }
 
     /// Goes on with the recognised keyframe where the frame shows about the same, else makes the frame a
@@ -143,7 +127,9 @@ impl Slam {
         report: &mut FrameReport,
     ) -> bool {
         let motion = tracked.alignment.motion;
-        let Some(depth) = self.depth_of(found) else {
+        let image = found.view.pyramid.level(0).clone();
+        // as it was when the keyframe was finished
+        let Some(depth) = self.sampled_depth(image, &found.view.samples) else {
             return false;
         };
         let Some(successor) = self.successor(&depth, frame, &motion) else {
@@ -158,21 +144,5 @@ impl Slam {
         self.begin_keyframe(frame, found.view.id, &motion, successor, view, report);
         report.created_keyframe = true;
         true
-    }
-
-    /// The depth of a recognised keyframe, as it was when the keyframe was finished.
-    fn depth_of(&self, found: &Relocalised) -> Option<DepthMap> {
-        let image = found.view.pyramid.level(0).clone();
-        let host = Arc::new(HostFrame::new(image, self.mask.clone(), self.pinhole).ok()?);
-        let mut depth = DepthMap::empty(host, &self.config.depth);
-        for sample in &found.view.samples {
-            let state = DepthState::Known {
-                idepth: sample.idepth,
-                idepth_var: sample.idepth_var,
-                validity: self.config.depth.mature_validity,
-            };
-            depth.seed_pixel(sample.x.into(), sample.y.into(), state);
-        }
-        Some(depth)
     }
 }

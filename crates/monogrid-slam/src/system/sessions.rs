@@ -2,13 +2,12 @@
 
 use super::Slam;
 use super::graph::GraphLink;
-use crate::depth_step::{regularize, tracking_samples};
+use crate::depth_step::tracking_samples;
 use crate::graph::{GraphView, RestoredGraph};
 use crate::node::{Exposure, Node};
 use crate::sparse::{Observation, SparsePoint};
 use crate::stored::{ContinueError, Purpose, StoredKeyframe, StoredMap, StoredPoint};
-use crate::{Keyframe, KeyframeId, Scale, SlamConfig, SlamError, TrackedFrame};
-use monogrid_depth::{DepthMap, DepthState, HostFrame};
+use crate::{KeyframeId, Scale, SlamConfig, SlamError, TrackedFrame};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::{Mask, Pyramid};
 use std::sync::Arc;
@@ -196,28 +195,5 @@ impl Slam {
             exposure,
             is_settled: true,
         })
-    }
-
-    /// The depth filter of a keyframe as far as its published depth says.
-    fn published_depth(&self, keyframe: &Keyframe) -> Option<DepthMap> {
-        let image = keyframe.image.map(f32::from);
-        let host = Arc::new(HostFrame::new(image, self.mask.clone(), self.pinhole).ok()?);
-        let mut depth = DepthMap::empty(host, &self.config.depth);
-        let publication = &self.config.publication;
-        let validity = self.config.depth.mature_validity;
-        let validity = validity.max(publication.min_validity);
-        for pixel in &keyframe.pixels {
-            // publication has made the variance larger; errors that all pixels share stay in a part of it
-            let shared = (publication.relative_sigma * pixel.idepth).powi(2);
-            let own = (pixel.idepth_var - shared).max(0.1 * pixel.idepth_var);
-            let state = DepthState::Known {
-                idepth: pixel.idepth,
-                idepth_var: own / publication.sigma_factor.powi(2),
-                validity,
-            };
-            depth.seed_pixel(pixel.x.into(), pixel.y.into(), state);
-        }
-        regularize(&mut depth, &self.config.depth);
-        Some(depth)
     }
 }

@@ -2,9 +2,10 @@
 
 use super::graph::Links;
 use super::trajectory::Visit;
-use super::{Last, NUM_LEVELS, Record, Slam, blank_report, milliseconds};
+use super::{Last, NUM_LEVELS, Record, Slam};
 use crate::frame::Frame;
 use crate::node::Exposure;
+use crate::report::milliseconds;
 use crate::start::{Start, StartOutcome, Started};
 use crate::{FragmentId, FrameReport, KeyframeId, MAIN_MAP, Scale, TrackingState};
 use monogrid_alignment::Motion;
@@ -20,7 +21,8 @@ impl Slam {
         seed_depth: Option<&monogrid_image::GrayImage>,
         begin: Instant,
     ) -> FrameReport {
-        let mut report = blank_report(frame.index, frame.timestamp_ns, TrackingState::Initialising);
+        let mut report =
+            FrameReport::new(frame.index, frame.timestamp_ns, TrackingState::Initialising);
         match start.add_frame(frame, seed_depth, &self.pinhole, &self.mask, &self.config) {
             StartOutcome::Waiting(reason) => {
                 report.reason = Some(reason);

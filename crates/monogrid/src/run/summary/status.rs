@@ -110,35 +110,14 @@ fn end_of(rows: &[FrameRow]) -> End {
 mod tests {
     use super::*;
     use crate::run::frames::FrameFate;
-    use monogrid_slam::{FrameReport, StageTimes};
+    use monogrid_slam::FrameReport;
 
     fn row(index: usize, state: TrackingState) -> FrameRow {
         let timestamp_ns = index as i64 * 33_000_000;
         FrameRow {
             index,
             timestamp_ns,
-            fate: FrameFate::Processed(Box::new(FrameReport {
-                index,
-                timestamp_ns,
-                state,
-                reason: None,
-                world_from_camera: None,
-                odom_from_camera: None,
-                covariance: None,
-                residual: 0.0,
-                good_share: 0.0,
-                usage: 0.0,
-                exposure_gain: 1.0,
-                milliseconds: StageTimes::default(),
-                keyframe: None,
-                finished_keyframe: None,
-                created_keyframe: false,
-                reactivated_keyframe: None,
-                relocalised: false,
-                fragment: None,
-                started_fragment: None,
-                joined_fragments: Vec::new(),
-            })),
+            fate: FrameFate::Processed(Box::new(FrameReport::new(index, timestamp_ns, state))),
         }
     }
 
