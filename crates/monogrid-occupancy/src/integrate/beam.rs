@@ -1,7 +1,6 @@
 //! Measurements as rays with their evidence, and where they begin.
 
 use super::IntegrationConfig;
-use super::near::{NEAR_END, NearCells, NearEnds};
 use super::parallel::for_each;
 use super::ray::{MAX_CELLS, RANGE_BITS, Ray, TIME_BITS, fixed};
 use super::settled::{BeamTiles, Settled};
@@ -40,10 +39,8 @@ pub(crate) struct Measured {
 /// A measurement as a ray with its evidence.
 pub(crate) struct Beam {
     pub ray: Ray,
-    /// Time up to which no cell can change any more, but for those near the sensor.
+    /// Time up to which no cell can change any more.
     pub settled_until: i64,
-    /// Whether those near the sensor cannot change either.
-    pub near_is_settled: bool,
     pub table: u16,
     /// Range in fixed point at which the first entry of the table begins.
     table_start: i64,
@@ -53,8 +50,6 @@ pub(crate) struct Beam {
     pub free_until: i64,
 }
 
-/// No cell is left out twice or visited twice if the settled piece is longer than a cell.
-const CELL_DIAGONAL: i64 = 2 << TIME_BITS;
 /// A centre is projected at most half a diagonal beyond the end of its cell's piece.
 const HALF_DIAGONAL: f64 = 0.87;
 
@@ -111,7 +106,6 @@ impl Beams {
         Beam {
             ray: Ray::new(self.origin, measured.direction, measured.length),
             settled_until: 0,
-            near_is_settled: false,
             table: measured.table,
             table_start: fixed(measured.table_start, RANGE_BITS),
             entries_per_range: table.inv_step * per_range,
@@ -126,11 +120,20 @@ impl Measured {
         self.free.min(self.length)
     }
 
-    /// Whether its beam sees nothing but free space up to a time.
-    #[inline]
-    pub(crate) fn is_free_until(&self, time: i64) -> bool {
-        // Cells that it enters before that time end at most a diagonal later.
-        fixed(self.free, TIME_BITS) > time + CELL_DIAGONAL
+    /// The octant of its direction: bit `axis` is set if it falls along that axis.
+    pub(crate) fn octant(&self) -> usize {
+        (0..3).fold(0, |octant, axis| {
+            octant | usize::from(self.direction[axis] < 0.0) << axis
+        })
+    }
+
+    /// Its beam takes down every cell whose centre is nearer than this range.
+    pub(crate) fn raises_from(&self) -> f64 {
+        if self.free > 0.0 {
+            self.table_start
+        } else {
+            0.0
+        }
     }
 }
 
@@ -151,23 +154,16 @@ impl Beam {
 pub(crate) struct Beginnings<'a> {
     pub tiles: &'a BeamTiles,
     pub settled: Settled,
-    pub near: NearCells,
 }
 
 impl<'a> Beginnings<'a> {
     /// Looks at a map into which measurements are still to be integrated.
-    pub(crate) fn find(
-        map: &OccupancyMap,
-        tiles: &'a BeamTiles,
-        ends: &NearEnds,
-        threads: usize,
-    ) -> Self {
+    pub(crate) fn find(map: &OccupancyMap, tiles: &'a BeamTiles, threads: usize) -> Self {
         let mut parts = Settled::parts(map, tiles, threads);
         for_each(&mut parts, threads, |_, part| part.run());
         Self {
             tiles,
             settled: Settled::join(&parts),
-            near: NearCells::new(map, ends),
         }
     }
 
@@ -176,10 +172,7 @@ impl<'a> Beginnings<'a> {
     pub(crate) fn settle(&self, beam: &mut Beam, measured: &Measured) {
         let cells = self.settled.until(self.tiles.tile_of(measured.slopes));
         let until = fixed(cells.min(MAX_CELLS), TIME_BITS).min(beam.free_until);
-        if until > NEAR_END + CELL_DIAGONAL {
-            beam.settled_until = until.min(beam.ray.end);
-            beam.near_is_settled = self.near.are_settled_for(beam);
-        }
+        beam.settled_until = until.min(beam.ray.end);
     }
 }
 

@@ -16,7 +16,6 @@ pub(crate) mod image;
 pub(crate) mod kernel;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;
-mod near;
 pub(crate) mod octants;
 #[cfg(target_arch = "x86_64")]
 mod octants_avx2;

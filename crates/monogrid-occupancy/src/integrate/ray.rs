@@ -5,7 +5,7 @@
 //! meets the same cells as one that began at the sensor. Times of different axes never tie: their
 //! lowest two bits hold the axis, which orders corner crossings x before y before z.
 
-use crate::key::{BRICK_EDGE, BrickKey};
+use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey};
 
 /// Fraction bits of times.
 pub(crate) const TIME_BITS: u32 = 40;
@@ -45,10 +45,6 @@ pub(crate) struct Entry {
     /// Time at which the ray leaves the brick or ends.
     stop: i64,
 }
-
-/// Bits of a position along each axis of the cube of cells around a sensor, whose own cell is in
-/// the middle.
-pub(crate) const NEAR_BITS: u32 = 4;
 
 /// Time or range in fixed point.
 #[inline]
@@ -121,12 +117,6 @@ impl Ray {
     /// Calls `stop(packed key)` for every brick until it says so.
     pub(crate) fn any_brick(&self, mut stop: impl FnMut(u64) -> bool) {
         self.walk_bricks(0, |key, _| stop(key));
-    }
-
-    /// Calls `stop(packed key, time at which the ray leaves the brick)` until it says so.
-    #[inline]
-    pub(crate) fn any_brick_leaving(&self, stop: impl FnMut(u64, i64) -> bool) {
-        self.walk_bricks(0, stop);
     }
 
     #[inline]
@@ -226,15 +216,6 @@ impl Ray {
         crossings
     }
 
-    /// An entry whose walk ends at the time `end` at the latest.
-    #[inline]
-    pub(crate) fn until(entry: Entry, end: i64) -> Entry {
-        Entry {
-            stop: entry.stop.min(end),
-            ..entry
-        }
-    }
-
     /// Calls `visit(position in the brick, range of the centre)` for every cell from `entry` on.
     #[inline]
     pub(crate) fn walk(&self, entry: Entry, mut visit: impl FnMut(usize, i64)) {
@@ -247,27 +228,38 @@ impl Ray {
     /// Calls `stop(position in the brick, range of the centre)` for every cell from `entry` on
     /// until it says so.
     #[inline]
-    pub(crate) fn walk_until(&self, entry: Entry, stop_at: impl FnMut(usize, i64) -> bool) {
-        self.step_through::<3>(entry, stop_at);
-    }
-
-    /// Whether one of the cells up to the time `end`, less than half of [`NEAR_BITS`]' cube away,
-    /// satisfies a condition on its position there.
-    #[inline]
-    pub(crate) fn any_near_cell(&self, end: i64, mut is: impl FnMut(usize) -> bool) -> bool {
-        let middle = 1 << (NEAR_BITS - 1);
-        let entry = Entry {
-            index: (0..3).fold(0, |index, axis| index | middle << (axis * NEAR_BITS)),
-            next: self.first,
-            range: 0,
-            stop: end.min(self.end),
-        };
-        let mut found = false;
-        self.step_through::<NEAR_BITS>(entry, |index, _| {
-            found = is(index);
-            found
-        });
-        found
+    pub(crate) fn walk_until(&self, entry: Entry, mut stop_at: impl FnMut(usize, i64) -> bool) {
+        let Entry {
+            mut index,
+            next: [mut x, mut y, mut z],
+            mut range,
+            stop,
+        } = entry;
+        let index_step: [isize; 3] =
+            std::array::from_fn(|axis| self.sign[axis] as isize * (1 << (3 * axis)));
+        loop {
+            let time = x.min(y).min(z);
+            if stop_at(index % BRICK_CELLS, range) || time >= stop {
+                return;
+            }
+            // Exactly one axis has this time. Masks instead of branches: which axis comes next
+            // cannot be predicted.
+            let (mx, my, mz) = (
+                -i64::from(x == time),
+                -i64::from(y == time),
+                -i64::from(z == time),
+            );
+            x += self.step[0] & mx;
+            y += self.step[1] & my;
+            z += self.step[2] & mz;
+            range +=
+                (self.range_step[0] & mx) | (self.range_step[1] & my) | (self.range_step[2] & mz);
+            index = index.wrapping_add_signed(
+                (index_step[0] & mx as isize)
+                    | (index_step[1] & my as isize)
+                    | (index_step[2] & mz as isize),
+            );
+        }
     }
 
     /// Calls `visit(packed key of the brick, position in it, range of the centre)` for every cell
@@ -322,47 +314,6 @@ impl Ray {
                 let axis = (left.trailing_zeros() / 4) as usize;
                 key = key.wrapping_add_signed(key_step[axis]);
             }
-        }
-    }
-
-    /// Steps from cell to cell; positions have `BITS` bits along each axis, x lowest.
-    #[inline]
-    fn step_through<const BITS: u32>(
-        &self,
-        entry: Entry,
-        mut stop_at: impl FnMut(usize, i64) -> bool,
-    ) {
-        let Entry {
-            mut index,
-            next: [mut x, mut y, mut z],
-            mut range,
-            stop,
-        } = entry;
-        let index_step: [isize; 3] =
-            std::array::from_fn(|axis| self.sign[axis] as isize * (1 << (BITS as usize * axis)));
-        let last = (1 << (3 * BITS)) - 1;
-        loop {
-            let time = x.min(y).min(z);
-            if stop_at(index & last, range) || time >= stop {
-                return;
-            }
-            // Exactly one axis has this time. Masks instead of branches: which axis comes next
-            // cannot be predicted.
-            let (mx, my, mz) = (
-                -i64::from(x == time),
-                -i64::from(y == time),
-                -i64::from(z == time),
-            );
-            x += self.step[0] & mx;
-            y += self.step[1] & my;
-            z += self.step[2] & mz;
-            range +=
-                (self.range_step[0] & mx) | (self.range_step[1] & my) | (self.range_step[2] & mz);
-            index = index.wrapping_add_signed(
-                (index_step[0] & mx as isize)
-                    | (index_step[1] & my as isize)
-                    | (index_step[2] & mz as isize),
-            );
         }
     }
 }

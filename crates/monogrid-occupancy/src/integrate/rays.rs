@@ -2,11 +2,10 @@
 //!
 //! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates are
 //! handed to the shards of their bricks, and each shard takes them ray by ray in the order of the
-//! measurements (`visits`). Rays begin where the first cell lies that they could change (`settled`, `near`).
+//! measurements (`visits`). Rays begin where the first cell lies that they could change (`settled`).
 
 use super::batches::Walk;
 use super::beam::{Beams, Beginnings, Measured};
-use super::near::NearEnds;
 use super::parallel::for_each;
 use super::settled::BeamTiles;
 use super::{IntegrationConfig, IntegrationReport};
@@ -25,8 +24,8 @@ pub(crate) type BrickFilter<'a> = Option<&'a [u64]>;
 /// The beams of a scan and their directions; does not depend on what the map holds.
 pub(crate) struct Prepared {
     beams: Beams,
-    /// Where it is worth a search: by directions, and near the sensor.
-    tiles: Option<(BeamTiles, NearEnds)>,
+    /// Where it is worth a search.
+    tiles: Option<BeamTiles>,
     skipped: usize,
 }
 
@@ -35,7 +34,7 @@ impl Prepared {
     fn new(map: &OccupancyMap, scan: &Scan, config: &IntegrationConfig) -> Result<Self, MapError> {
         let beams = Beams::new(map, scan, config)?;
         Ok(Self {
-            tiles: BeamTiles::new(scan, &beams).map(|tiles| (tiles, NearEnds::new(&beams))),
+            tiles: BeamTiles::new(scan, &beams),
             skipped: scan.len() - beams.measured.len(),
             beams,
         })
@@ -99,7 +98,7 @@ fn integrate_prepared(
     while first < all.len() {
         let beginnings = tiles
             .as_ref()
-            .map(|(tiles, ends)| Beginnings::find(map, tiles, ends, threads));
+            .map(|tiles| Beginnings::find(map, tiles, threads));
         let last = match beginnings {
             Some(_) => (first * NEXT_SHARE).max(all.len() / FIRST_SHARE).max(1),
             None => all.len(),
@@ -256,7 +255,8 @@ mod tests {
                 .wrapping_add(1442695040888963407);
             (state >> 40) as f32 / (1 << 24) as f32
         };
-        for (resolution, threads) in [(0.08, 1), (0.05, 3)] {
+        // The first sensor of the second case is where eight cells meet.
+        for (resolution, threads, y) in [(0.08, 1, 0.21), (0.05, 3, 0.0)] {
             let config = IntegrationConfig {
                 rule: IntegrationRule::Rays,
                 update_min: -2.0,
@@ -280,7 +280,7 @@ mod tests {
                     world_from_sensor: Similarity {
                         scale: 1.0,
                         rotation: [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]],
-                        translation: [0.03 * f64::from(id), 0.21, -0.4],
+                        translation: [0.03 * f64::from(id), y, 0.0],
                     },
                     pose_sigma: PoseSigma::default(),
                     data: ScanData::Points(PointScan {
@@ -294,15 +294,9 @@ mod tests {
                 assert!(map == expected, "scan {id} at {resolution}");
                 let beams = Beams::new(&map, &scan, &config).unwrap();
                 let tiles = BeamTiles::new(&scan, &beams).unwrap();
-                let found = Beginnings::find(&map, &tiles, &NearEnds::new(&beams), threads);
+                let found = Beginnings::find(&map, &tiles, threads);
                 let is_short = |b: &&Measured| found.settled.until(tiles.tile_of(b.slopes)) > 8.0;
                 let short = beams.measured.iter().filter(is_short).count();
-                let is_near = |b: &&Measured| found.near.are_settled_for(&beams.beam(b));
-                let near = beams.measured.iter().filter(is_near).count();
-                assert!(
-                    id < 3 || near > 1000,
-                    "{near} beams are settled near the sensor"
-                );
                 assert!(id < 3 || short > 1000, "{short} beams begin later");
             }
         }

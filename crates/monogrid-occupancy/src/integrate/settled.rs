@@ -2,7 +2,7 @@
 //!
 //! Most visits of the rule `rays` meet cells that hold the lowest value already and take it down
 //! once more. A cube is settled if all its cells hold the lowest value and every beam that could
-//! cross it is still in free space behind it. The search splits cubes around the sensor and
+//! cross it is there still far enough before its obstacle to take them down. The search splits cubes around the sensor and
 //! notes, per tile of directions, the range of the nearest cube that is not settled: rays begin
 //! there. It only leaves out updates that change nothing, so the map is that of every ray walked
 //! from the sensor.
@@ -16,8 +16,6 @@ use crate::storage::BrickRef;
 
 /// Directions within this slope of the forward axis have tiles.
 const WIDEST_SLOPE: f32 = 3.0;
-/// The space around the sensor that is left to the rays themselves.
-pub(crate) const NEAR_CELLS: f64 = 6.0;
 /// Most tiles along an edge.
 const MOST_TILES: f64 = 96.0;
 /// Beams that are longer on average do without.
@@ -34,8 +32,10 @@ const ROOT_LEVEL: u32 = 5;
 const PARTS: usize = 4;
 /// Level of a brick.
 const BRICK_LEVEL: u32 = 3;
-/// Guards, in cells and slopes, against the rounding of what is compared here.
+/// Guard against the rounding of slopes.
 const MARGIN: f64 = 1e-4;
+/// Guard against the rounding of ranges, in cells.
+const RANGE_MARGIN: f64 = 1e-2;
 
 /// The beams of a scan, by tiles of their directions.
 pub(crate) struct BeamTiles {
@@ -43,10 +43,14 @@ pub(crate) struct BeamTiles {
     axes: [[f64; 3]; 3],
     /// Place of the sensor in cells.
     origin: [f64; 3],
+    /// A bit for each octant into which beams go.
+    octants: u8,
+    /// Cell of the sensor.
+    start: [i32; 3],
     low: [f64; 2],
     tiles_per_slope: [f64; 2],
     size: [usize; 2],
-    /// Least and greatest range of free space of the beams of each tile.
+    /// Per tile, the least range at which a beam raises cells, and the greatest of free space.
     ranges: Pyramid,
     reach: f64,
     /// Cubes of this level are not split further.
@@ -56,7 +60,8 @@ pub(crate) struct BeamTiles {
 /// A cube of cells as the sensor sees it.
 struct View {
     nearest: f64,
-    farthest: f64,
+    /// Range of the farthest centre of a cell.
+    farthest_center: f64,
     first_tile: [usize; 2],
     last_tile: [usize; 2],
 }
@@ -91,6 +96,8 @@ impl BeamTiles {
         let mut tiles = Self {
             axes: std::array::from_fn(|a| std::array::from_fn(|i| rotation[i][a])),
             origin,
+            start: origin.map(|c| c.floor() as i32),
+            octants: beams.iter().fold(0, |octants, b| octants | 1 << b.octant()),
             low: low.map(f64::from),
             tiles_per_slope: std::array::from_fn(|i| {
                 size[i] as f64 / f64::from(high[i] - low[i]).max(LEAST_EXTENT)
@@ -105,11 +112,33 @@ impl BeamTiles {
             let range = &mut ranges[tiles.tile_of(beam.slopes)];
             let free = beam.free_cells();
             tiles.reach = tiles.reach.max(free);
-            range.free_until = range.free_until.min(free as f32);
+            range.free_until = range.free_until.min(beam.raises_from() as f32);
             range.changes_until = range.changes_until.max(free as f32);
         }
         tiles.ranges = Pyramid::from_bounds(size[0], size[1], ranges);
-        Some(tiles)
+        // Ranges of beams are compared with those of cubes, which other units would falsify.
+        let is_rigid = stretch(&rotation) * tiles.reach.max(1000.0) < RANGE_MARGIN;
+        is_rigid.then_some(tiles)
+    }
+
+    /// Whether a beam goes into the octants around the sensor's cell in which a cube lies.
+    ///
+    /// Exact, as beams never turn round: cubes that touch the sensor's place are seen from all tiles,
+    /// though few beams or none may cross them.
+    #[inline]
+    fn is_reached(&self, first: VoxelKey, level: u32) -> bool {
+        const FALLING: [u8; 3] = [0b1010_1010, 0b1100_1100, 0b1111_0000];
+        let first = first.to_array();
+        let mut octants = self.octants;
+        for axis in 0..3 {
+            let start = self.start[axis];
+            if start < first[axis] {
+                octants &= !FALLING[axis];
+            } else if start >= first[axis] + (1 << level) {
+                octants &= FALLING[axis];
+            }
+        }
+        octants != 0
     }
 
     /// The tile of a beam.
@@ -131,7 +160,8 @@ impl BeamTiles {
         for c in center {
             let near = (c.abs() - half).max(0.0);
             near_sq += near * near;
-            far_sq += (c.abs() + half) * (c.abs() + half);
+            let far = c.abs() + half - 0.5;
+            far_sq += far * far;
         }
         let middle = self
             .axes
@@ -159,7 +189,7 @@ impl BeamTiles {
         }
         Some(View {
             nearest: near_sq.sqrt(),
-            farthest: far_sq.sqrt(),
+            farthest_center: far_sq.sqrt(),
             first_tile,
             last_tile,
         })
@@ -237,6 +267,13 @@ impl BeamTiles {
     }
 }
 
+/// How much a rotation can change lengths, as a share.
+fn stretch(rotation: &[[f64; 3]; 3]) -> f64 {
+    let dot = |i: usize, j: usize| (0..3).map(|k| rotation[k][i] * rotation[k][j]).sum::<f64>();
+    let off = |i: usize, j: usize| (dot(i, j) - f64::from(u8::from(i == j))).abs();
+    (0..3).flat_map(|i| (0..3).map(move |j| off(i, j))).sum()
+}
+
 const NO_BEAM: Bounds = Bounds {
     free_until: f32::INFINITY,
     changes_until: f32::NEG_INFINITY,
@@ -284,7 +321,7 @@ impl Settled {
     /// Range in cells up to which a beam of the tile changes nothing, if it is free until there.
     #[inline]
     pub(crate) fn until(&self, tile: usize) -> f64 {
-        (f64::from(self.until[tile]) - MARGIN).max(0.0)
+        (f64::from(self.until[tile]) - RANGE_MARGIN).max(0.0)
     }
 }
 
@@ -360,18 +397,21 @@ impl Search<'_> {
         }
     }
 
-    /// A cube that beams cross in free space, and whether all of them do.
+    /// A cube that beams cross in free space, and whether none of them can raise a cell of it.
     #[inline]
     fn look(&self, first: VoxelKey, level: u32) -> Option<(View, bool)> {
+        if !self.tiles.is_reached(first, level) {
+            return None;
+        }
         let view = self.tiles.view(first, level)?;
         let ranges = self
             .tiles
             .ranges
             .block_bounds(view.first_tile, view.last_tile);
-        if view.nearest > f64::from(ranges.changes_until) || view.farthest + MARGIN < NEAR_CELLS {
+        if view.nearest > f64::from(ranges.changes_until) + RANGE_MARGIN {
             return None;
         }
-        let passes = view.farthest + MARGIN <= f64::from(ranges.free_until);
+        let passes = view.farthest_center + RANGE_MARGIN <= f64::from(ranges.free_until);
         Some((view, passes))
     }
 

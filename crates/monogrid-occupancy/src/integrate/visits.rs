@@ -6,8 +6,7 @@
 //! is saturated free ends with a look into the directory.
 
 use super::beam::{Beam, Beams, Beginnings, Measured};
-use super::near::NEAR_END;
-use super::ray::{Ray, TIME_BITS};
+use super::ray::TIME_BITS;
 use super::rays::BrickFilter;
 use crate::evidence::Limits;
 use crate::key::{BRICK_CELLS, BrickKey};
@@ -24,8 +23,8 @@ pub(crate) struct Visits {
 
 /// Visits of the bricks of one shard, in the order of the beams.
 ///
-/// A visit is a packed key in two words and a third, which is either `beam << 2 | near << 1 | 1` for
-/// a brick in free space, or `count << 2` before as many updates: `position << 16 | evidence`.
+/// A visit is a packed key in two words and a third, which is either `beam << 1 | 1` for a
+/// brick in free space, or `count << 1` before as many updates: `position << 16 | evidence`.
 #[derive(Clone, Debug, Default)]
 struct List {
     words: Vec<u32>,
@@ -33,8 +32,6 @@ struct List {
 
 /// A brick in free space.
 const FREE: u32 = 1;
-/// The piece before the settled one.
-const NEAR: u32 = 2;
 /// Cells that a ray can cross in a brick, at most.
 const MOST_CELLS: usize = 24;
 /// Free space so short before the obstacle is walked with it: looking for its bricks costs more.
@@ -90,7 +87,7 @@ impl Visits {
                 lists: &mut self.lists,
                 only,
                 beam: &beam,
-                word: (index as u32) << 2 | FREE,
+                word: (index as u32) << 1 | FREE,
                 visits: 0,
             };
             collector.collect(beams.tables.table(beam.table));
@@ -124,12 +121,6 @@ impl Collector<'_> {
     fn collect(&mut self, table: &EvidenceTable) {
         let beam = self.beam;
         let mut from = beam.settled_until;
-        if from > 0 && !beam.near_is_settled {
-            beam.ray.any_brick_leaving(|key, leaves| {
-                self.push(key, self.word | NEAR, &[]);
-                leaves >= NEAR_END
-            });
-        }
         if beam.free_until - from > SHORT {
             let mut is_done = true;
             beam.ray.walk_bricks(from, |key, leaves| {
@@ -157,7 +148,7 @@ impl Collector<'_> {
         beam.ray.for_each_cell_from(from, |key, index, range| {
             if key != brick {
                 if count > 0 {
-                    self.push(brick, (count as u32) << 2, &updates[..count]);
+                    self.push(brick, (count as u32) << 1, &updates[..count]);
                 }
                 (brick, count) = (key, 0);
             }
@@ -168,7 +159,7 @@ impl Collector<'_> {
             }
         });
         if count > 0 {
-            self.push(brick, (count as u32) << 2, &updates[..count]);
+            self.push(brick, (count as u32) << 1, &updates[..count]);
         }
     }
 }
@@ -199,18 +190,18 @@ impl<'a> ShardWriter<'a> {
             let slot = shard.find_or_insert(key, hash(key));
             words = rest;
             if word & FREE == 0 {
-                let (updates, rest) = rest.split_at((word >> 2) as usize);
+                let (updates, rest) = rest.split_at((word >> 1) as usize);
                 words = rest;
                 self.update(shard, slot, updates);
             } else {
-                let beam = &visits.beams[(word >> 2) as usize];
-                self.clear(shard, slot, key, beam, word & NEAR != 0);
+                let beam = &visits.beams[(word >> 1) as usize];
+                self.clear(shard, slot, key, beam);
             }
         }
     }
 
-    /// A brick that the beam crosses wholly in free space, or its near piece in one.
-    fn clear(&mut self, shard: &mut Shard, slot: SlotIndex, key: u64, beam: &Beam, is_near: bool) {
+    /// A brick that the beam crosses wholly in free space.
+    fn clear(&mut self, shard: &mut Shard, slot: SlotIndex, key: u64, beam: &Beam) {
         let free = self.tables.table(beam.table).free;
         if free == 0 {
             return;
@@ -220,12 +211,9 @@ impl<'a> ShardWriter<'a> {
         }
         let limits = self.limits;
         let cells = &mut shard.payload_mut(slot).0;
-        let brick = BrickKey::unpack(key);
-        let entry = if is_near {
-            Ray::until(beam.ray.enter(brick), NEAR_END)
-        } else {
-            beam.ray.enter_from(brick, beam.settled_until)
-        };
+        let entry = beam
+            .ray
+            .enter_from(BrickKey::unpack(key), beam.settled_until);
         beam.ray.walk(entry, |index, _| {
             cells[index] = limits.updated(cells[index], free);
         });
