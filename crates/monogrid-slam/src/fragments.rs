@@ -28,8 +28,9 @@ pub struct FragmentConfig {
     /// and agree about where the fragment is; one of them must have been aligned directly. More for places
     /// that look alike.
     pub min_agreeing: usize,
-    /// Largest difference between two that agree: norm of the twist in median depths, rad, and the logarithm
-    /// of the scale, beside what drift can do between them (`graph.places.drift`).
+    /// Largest difference between two that agree where there is no way between them: median depths, rad, and
+    /// the logarithm of the scale. It grows with the way as drift does (`graph.places.drift`), but starts
+    /// here, because recognised points say less than direct alignment.
     pub max_disagreement: f64,
 }
 

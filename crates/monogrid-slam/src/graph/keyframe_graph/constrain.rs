@@ -107,14 +107,7 @@ impl KeyframeGraph {
                 if !self.is_drift(other, id, &constraint.b_from_a) {
                     continue; // the poses knew it already
                 }
-                // recognised and aligned: it is right unless it contradicts what drift can do
-                let kernel = if self.can_have_drifted(other, id, &constraint.b_from_a) {
-                    CERTAIN
-                } else {
-                    self.doubted()
-                };
-                self.set_direct_edge(other, id, &constraint, kernel);
-                self.stats.loop_closures += 1;
+                self.close_loop(other, id, &constraint);
                 closed = true;
             }
         }

@@ -84,6 +84,23 @@ impl KeyframeGraph {
         self.set_edge((i, j, EdgeKind::Sparse), i_from_j, information, CERTAIN);
     }
 
+    /// Adds the edge of two keyframes that were recognised and aligned: it is right unless it contradicts what
+    /// drift can do.
+    pub(super) fn close_loop(
+        &mut self,
+        i: KeyframeId,
+        j: KeyframeId,
+        constraint: &SimilarityConstraint,
+    ) {
+        let kernel = if self.can_have_drifted(i, j, &constraint.b_from_a) {
+            CERTAIN
+        } else {
+            self.doubted()
+        };
+        self.set_direct_edge(i, j, constraint, kernel);
+        self.stats.loop_closures += 1;
+    }
+
     pub(super) fn set_direct_edge(
         &mut self,
         i: KeyframeId,
@@ -128,37 +145,5 @@ impl KeyframeGraph {
         RobustKernel::DynamicCovariance {
             phi: self.config.switch_chi_sq,
         }
-    }
-
-    /// Whether the poses of two keyframes differ from a measurement by more than drift is at least. A loop that
-    /// agrees with them would not correct anything but tie keyframes together that see each other from far
-    /// away, where direct alignment is worse than what holds them: in a room that is in view all the time
-    /// such edges make the poses worse.
-    pub(super) fn is_drift(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
-        !self.is_within_drift(i, j, i_from_j, (0.0, 0.0))
-    }
-
-    /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
-    /// them. Successive errors have common causes (calibration, the scale of what is seen), so drift grows
-    /// with the path, not with its root as the edges of the graph would have it: a loop that corrects it
-    /// contradicts them, and would be switched off as if it were wrong.
-    pub(super) fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
-        self.is_within_drift(i, j, i_from_j, self.path(i, j))
-    }
-
-    /// Whether the poses of two keyframes differ from a measurement by no more than drift over so many steps
-    /// and such a path.
-    fn is_within_drift(
-        &self,
-        i: KeyframeId,
-        j: KeyframeId,
-        i_from_j: &Sim3,
-        (steps, path): (f64, f64),
-    ) -> bool {
-        let drift = &self.config.places.drift;
-        let error = (i_from_j.inverse() * self.relative(i, j)).log();
-        error.fixed_rows::<3>(0).norm() <= drift.translation_start + drift.translation_share * path
-            && error.fixed_rows::<3>(3).norm() <= drift.rotation_start + drift.rotation_step * steps
-            && error[6].abs() <= drift.scale_start + drift.scale_step * steps
     }
 }

@@ -5,9 +5,8 @@
 //! alike): fragments are joined when several keyframes agree, one of them aligned directly, and more of them
 //! than contradict.
 
-use super::{CERTAIN, KeyframeGraph};
+use super::KeyframeGraph;
 use crate::graph::job::{EdgeKind, Joined};
-use crate::node::path_between;
 use crate::{FragmentId, KeyframeId, MAIN_MAP};
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::Sim3;
@@ -105,60 +104,38 @@ impl KeyframeGraph {
         (a.min(b), a.max(b))
     }
 
-    /// Where the newer fragment is in the older one.
-    fn older_from_newer(&self, sighting: &Sighting) -> Sim3 {
+    /// What a sighting says: the pose of the other of its two fragments in `fragment`.
+    fn fragment_from_other(&self, fragment: FragmentId, sighting: &Sighting) -> Sim3 {
         let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
         let others_from_owns = world_from(sighting.other)
             * sighting.other_from_own
             * world_from(sighting.own).inverse();
-        if self.fragment_of(sighting.other) < self.fragment_of(sighting.own) {
+        if self.fragment_of(sighting.other) == fragment {
             others_from_owns
         } else {
             others_from_owns.inverse()
         }
     }
 
-    /// Whether two sightings of the same fragments say the same, but for what drift can do between them.
+    /// Whether two sightings of the same fragments say the same, but for what drift can do on the ways between
+    /// their keyframes in both fragments, and for the errors of recognition.
     fn agree(&self, a: &Sighting, b: &Sighting) -> bool {
-        let others_from_owns = {
-            let older_from_newer = self.older_from_newer(a);
-            if self.fragment_of(b.other) < self.fragment_of(b.own) {
-                older_from_newer
-            } else {
-                older_from_newer.inverse()
-            }
-        };
+        let others_from_owns = self.fragment_from_other(self.fragment_of(b.other), a);
         let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
         let predicted = world_from(b.other).inverse() * others_from_owns * world_from(b.own);
         let error = (b.other_from_own.inverse() * predicted).log();
         // keyframes of one fragment are on either side of each sighting
-        let fragment = self.fragment_of(b.own);
-        let (own_of_a, other_of_a) = if self.fragment_of(a.own) == fragment {
+        let is_same_side = self.fragment_of(a.own) == self.fragment_of(b.own);
+        let (own_of_a, other_of_a) = if is_same_side {
             (a.own, a.other)
         } else {
             (a.other, a.own)
         };
-        let (own_steps, own_path) = self.path(own_of_a, b.own);
-        let (other_steps, other_path) = self.path(other_of_a, b.other);
-        let (steps, path) = (own_steps + other_steps, own_path + other_path);
+        let way = self.way(own_of_a, b.own) + self.way(other_of_a, b.other);
         let drift = &self.config.places.drift;
-        let start = self.joining.max_disagreement;
-        error.fixed_rows::<3>(0).norm() <= start + drift.translation_share * path
-            && error.fixed_rows::<3>(3).norm() <= start + drift.rotation_step * steps
-            && error[6].abs() <= start + drift.scale_step * steps
-    }
-
-    /// Keyframes along which tracking came from one keyframe to another, and their distance in units of the
-    /// second.
-    pub(super) fn path(&self, i: KeyframeId, j: KeyframeId) -> (f64, f64) {
-        let path = path_between(|id| self.parent_of(id), i, j);
-        let position = |id: KeyframeId| self.world_from_keyframe[id as usize].translation;
-        let in_world: f64 = path
-            .windows(2)
-            .map(|pair| (position(pair[1]) - position(pair[0])).norm())
-            .sum();
-        let steps = path.len().saturating_sub(1) as f64;
-        (steps, in_world / self.world_from_keyframe[j as usize].scale)
+        drift
+            .starting_at(self.joining.max_disagreement)
+            .explains(&error, way)
     }
 
     /// Moves the newer fragment of agreeing sightings to where the first of them has it in the older one, and
@@ -168,7 +145,7 @@ impl KeyframeGraph {
             return;
         };
         let (into, from) = self.pair_of(first);
-        let into_from_fragment = self.older_from_newer(first);
+        let into_from_fragment = self.fragment_from_other(into, first);
         self.sightings = std::mem::take(&mut self.sightings)
             .into_iter()
             .filter(|s| self.pair_of(s) != (into, from))
@@ -180,17 +157,9 @@ impl KeyframeGraph {
             }
         }
         for sighting in agreeing {
-            let (i, j) = (sighting.other, sighting.own);
-            let Some(constraint) = &sighting.constraint else {
-                continue;
-            };
-            let kernel = if self.can_have_drifted(i, j, &constraint.b_from_a) {
-                CERTAIN
-            } else {
-                self.doubted()
-            };
-            self.set_direct_edge(i, j, constraint, kernel);
-            self.stats.loop_closures += 1;
+            if let Some(constraint) = &sighting.constraint {
+                self.close_loop(sighting.other, sighting.own, constraint);
+            }
         }
         self.active.remove(&from);
         self.active.insert(into);

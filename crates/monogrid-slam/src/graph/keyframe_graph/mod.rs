@@ -1,6 +1,7 @@
 //! Constraints between keyframes and the optimisation of their poses.
 
 mod constrain;
+mod drift;
 mod edges;
 mod join;
 mod optimise;
