@@ -20,19 +20,16 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-use monogrid_datasets::{
-    Dataset, DepthRegistration, SourceOptions, read_depth, read_gray, read_trajectory,
-};
+mod bench;
+
+use bench::{Options, Sequence, seconds_of_work};
 use monogrid_features::{
     Descriptor, FabMap, FabMapConfig, FeatureConfig, FeatureExtractor, PlaceConfig, PlaceIndex,
     PlaceVocabulary,
 };
 use monogrid_geometry::{Pinhole, Se3, Vec2};
-use monogrid_image::{GrayImage, Pyramid, Undistorter, WorkingSize};
-use std::collections::BTreeMap;
-use std::path::Path;
+use monogrid_image::GrayImage;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// A keyframe with all that the truth needs.
 struct Key {
@@ -127,46 +124,18 @@ fn print_curve(name: &str, mut answers: Vec<Answer>, num_known: usize) {
     println!("  curve (recall, precision): {}", text.join(" "));
 }
 
-/// Time that this thread has worked, where the system tells; else wall time.
-fn seconds_of_work() -> f64 {
-    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
-    let wall = START.get_or_init(Instant::now).elapsed().as_secs_f64();
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    let first = text.split_whitespace().next();
-    first
-        .and_then(|ns| ns.parse::<f64>().ok())
-        .map_or(wall, |ns| 1e-9 * ns)
-}
-
-fn keys(dataset: &Dataset, undistorter: &Undistorter, step: usize) -> Vec<Key> {
-    let (width, height) = undistorter.size();
-    let truth = read_trajectory(dataset.ground_truth.as_ref().unwrap()).unwrap();
-    let calibration = dataset.depth_calibration().unwrap();
+fn keys(sequence: &Sequence, step: usize) -> Vec<Key> {
     let extractor = FeatureExtractor::new(FeatureConfig::default());
     let mut keys = Vec::new();
-    for frame in (0..dataset.frames.len()).step_by(step) {
-        let entry = &dataset.frames[frame];
-        let nearest = truth
-            .iter()
-            .min_by_key(|p| p.timestamp_ns.abs_diff(entry.timestamp_ns))
-            .unwrap();
-        if nearest.timestamp_ns.abs_diff(entry.timestamp_ns) > 15_000_000 {
+    for frame in (0..sequence.dataset.frames.len()).step_by(step) {
+        let Some(world_from_camera) = sequence.true_pose(frame) else {
             continue;
-        }
-        let depth = dataset.depth_of_frame(entry.timestamp_ns).map(|depth| {
-            let calibration = calibration.as_ref().unwrap();
-            let raw = read_depth(&depth.path, calibration.units_per_metre).unwrap();
-            DepthRegistration::new(calibration, undistorter.pinhole(), width, height)
-                .register(&raw)
-                .unwrap()
-        });
-        let image = read_gray(&entry.path).unwrap();
-        let pyramid = Pyramid::new(undistorter.apply(&image).unwrap(), 4);
-        let features = extractor.extract(&pyramid, None);
+        };
+        let features = extractor.extract(&sequence.pyramid(frame), None);
         keys.push(Key {
             frame,
-            world_from_camera: nearest.world_from_camera,
-            depth,
+            world_from_camera,
+            depth: sequence.true_depth(frame),
             descriptors: features.iter().map(|f| f.descriptor).collect(),
         });
     }
@@ -176,28 +145,23 @@ fn keys(dataset: &Dataset, undistorter: &Undistorter, step: usize) -> Vec<Key> {
 fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
-    let options: BTreeMap<String, String> = args
-        .filter_map(|a| a.split_once('=').map(|(k, v)| (k.to_owned(), v.to_owned())))
-        .collect();
-    let option =
-        |name: &str, usual: f64| -> f64 { options.get(name).map_or(usual, |v| v.parse().unwrap()) };
-    let vocabulary = options.get("vocabulary").map_or_else(
+    let options = Options::read(args);
+    let vocabulary = options.0.get("vocabulary").map_or_else(
         || PlaceVocabulary::built_in().unwrap(),
         |path| PlaceVocabulary::from_bytes(&std::fs::read(path).unwrap()).unwrap(),
     );
     let usual = FabMapConfig::default();
     let config = FabMapConfig {
-        p_seen: option("p_seen", usual.p_seen),
-        p_phantom: option("p_phantom", usual.p_phantom),
-        is_mean_field: option("mean_field", 0.0) > 0.0,
+        p_seen: options.number("p_seen", usual.p_seen),
+        p_phantom: options.number("p_phantom", usual.p_phantom),
+        is_mean_field: options.number("mean_field", 0.0) > 0.0,
         ..usual
     };
-    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
-    let camera = dataset.calibration(None).unwrap().unwrap().camera;
-    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
-    let keys = keys(&dataset, &undistorter, option("step", 10.0) as usize);
-    let (gap, usual_depth) = (option("gap", 100.0) as usize, option("depth", 2.0));
+    let sequence = Sequence::open(&folder);
+    let keys = keys(&sequence, options.number("step", 10));
+    let (gap, usual_depth) = (options.number("gap", 100), options.number("depth", 2.0));
     let overlap = |a: &Key, b: &Key| {
+        let undistorter = &sequence.undistorter;
         let (pinhole, size) = (undistorter.pinhole(), undistorter.size());
         seen(a, b, pinhole, size, usual_depth).max(seen(b, a, pinhole, size, usual_depth))
     };

@@ -20,16 +20,14 @@
     reason = "a tool for development, read from top to bottom"
 )]
 
-use monogrid_datasets::{
-    Dataset, DepthRegistration, SourceOptions, read_depth, read_gray, read_trajectory,
-};
+mod bench;
+
+use bench::{Options, Sequence, seconds_of_work};
 use monogrid_features::{DepthLookup, InverseDepth, PlaceMemory, PlaceMemoryConfig, Rng};
 use monogrid_geometry::{Se3, Sim3};
-use monogrid_image::{GrayImage, Pyramid, Undistorter, WorkingSize};
+use monogrid_image::GrayImage;
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Semi-dense depth as a depth filter would give it, in units of `unit` metres.
 fn semi_dense(image: &GrayImage, depth: &GrayImage, unit: f64, seed: u64) -> DepthLookup {
@@ -53,17 +51,6 @@ fn semi_dense(image: &GrayImage, depth: &GrayImage, unit: f64, seed: u64) -> Dep
         }
     }
     DepthLookup::new(image.width(), image.height(), pixels)
-}
-
-/// Time that this thread has worked, where the system tells; else wall time.
-fn seconds_of_work() -> f64 {
-    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
-    let wall = START.get_or_init(Instant::now).elapsed().as_secs_f64();
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    let first = text.split_whitespace().next();
-    first
-        .and_then(|ns| ns.parse::<f64>().ok())
-        .map_or(wall, |ns| 1e-9 * ns)
 }
 
 /// A keyframe and its unit in metres.
@@ -109,8 +96,7 @@ impl Tally {
 }
 
 struct Bench {
-    dataset: Dataset,
-    undistorter: Undistorter,
+    sequence: Sequence,
     poses: Vec<Option<Se3>>,
     keys: BTreeMap<u64, Key>,
     memory: PlaceMemory,
@@ -119,11 +105,6 @@ struct Bench {
 }
 
 impl Bench {
-    fn pyramid(&self, frame: usize) -> Pyramid {
-        let image = read_gray(&self.dataset.frames[frame].path).unwrap();
-        Pyramid::new(self.undistorter.apply(&image).unwrap(), 4)
-    }
-
     /// Truth of two frames: a from b, metres.
     fn truth(&self, a: usize, b: usize) -> Option<Se3> {
         Some(self.poses[a]?.inverse() * self.poses[b]?)
@@ -165,7 +146,7 @@ impl Bench {
             if self.poses[frame].is_none() {
                 continue;
             }
-            let pyramid = self.pyramid(frame);
+            let pyramid = self.sequence.pyramid(frame);
             let allowed = |id| self.is_far(id, frame);
             let found = tally.time(|| self.memory.relocalise(&pyramid, None, allowed));
             let is_possible = self.is_possible(frame, allowed);
@@ -230,7 +211,7 @@ impl Bench {
             possible += usize::from(window.clone().any(|f| self.is_possible(f, allowed)));
             for frame in window.clone() {
                 tries += 1;
-                let pyramid = self.pyramid(frame);
+                let pyramid = self.sequence.pyramid(frame);
                 if let Some(best) = self.memory.relocalise(&pyramid, None, allowed).first() {
                     let (metres, degrees) =
                         self.error(frame, best.keyframe, &best.frame_from_keyframe);
@@ -255,59 +236,34 @@ impl Bench {
 fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
-    let options: BTreeMap<String, String> = args
-        .filter_map(|a| a.split_once('=').map(|(k, v)| (k.to_owned(), v.to_owned())))
-        .collect();
-    let option = |name: &str, usual: usize| -> usize {
-        options.get(name).map_or(usual, |v| v.parse().unwrap())
-    };
-    let share =
-        |name: &str, usual: f64| -> f64 { options.get(name).map_or(usual, |v| v.parse().unwrap()) };
+    let options = Options::read(args);
     let usual = PlaceMemoryConfig::default();
     let config = PlaceMemoryConfig {
-        min_inliers: option("inliers", usual.min_inliers),
-        min_agreement: share("agreement", usual.min_agreement),
-        min_loop_agreement: share("loop_agreement", usual.min_loop_agreement),
-        max_contradiction: share("contradiction", usual.max_contradiction),
+        min_inliers: options.number("inliers", usual.min_inliers),
+        min_agreement: options.number("agreement", usual.min_agreement),
+        min_loop_agreement: options.number("loop_agreement", usual.min_loop_agreement),
+        max_contradiction: options.number("contradiction", usual.max_contradiction),
         ..usual
     };
-    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
-    let camera = dataset.calibration(None).unwrap().unwrap().camera;
-    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
-    let pinhole = *undistorter.pinhole();
-    let (width, height) = undistorter.size();
-    let calibration = dataset.depth_calibration().unwrap().unwrap();
-    let registration = DepthRegistration::new(&calibration, &pinhole, width, height);
-    let truth = read_trajectory(dataset.ground_truth.as_ref().unwrap()).unwrap();
-    let num_frames = dataset.frames.len().min(option("max_frames", usize::MAX));
-    let poses: Vec<Option<Se3>> = dataset.frames[..num_frames]
-        .iter()
-        .map(|frame| {
-            let nearest = truth
-                .iter()
-                .min_by_key(|p| p.timestamp_ns.abs_diff(frame.timestamp_ns))?;
-            let is_close = nearest.timestamp_ns.abs_diff(frame.timestamp_ns) < 15_000_000;
-            is_close.then_some(nearest.world_from_camera)
-        })
-        .collect();
+    let sequence = Sequence::open(&folder);
+    let pinhole = *sequence.undistorter.pinhole();
+    let num_frames = sequence.dataset.frames.len();
+    let num_frames = num_frames.min(options.number("max_frames", usize::MAX));
+    let poses: Vec<Option<Se3>> = (0..num_frames).map(|f| sequence.true_pose(f)).collect();
     let mut bench = Bench {
-        dataset,
-        undistorter,
+        sequence,
         poses,
         keys: BTreeMap::new(),
         memory: PlaceMemory::new(pinhole, config),
-        gap: option("gap", 30),
-        is_verbose: option("verbose", 0) == 1,
+        gap: options.number("gap", 30),
+        is_verbose: options.number("verbose", 0) == 1,
     };
     let mut rng = Rng::new(1);
-    for frame in (0..num_frames).step_by(option("step", 10)) {
-        let time = bench.dataset.frames[frame].timestamp_ns;
-        let Some(entry) = bench.dataset.depth_of_frame(time) else {
+    for frame in (0..num_frames).step_by(options.number("step", 10)) {
+        let Some(depth) = bench.sequence.true_depth(frame) else {
             continue;
         };
-        let raw = read_depth(&entry.path, calibration.units_per_metre).unwrap();
-        let depth = registration.register(&raw).unwrap();
-        let pyramid = Arc::new(bench.pyramid(frame));
+        let pyramid = Arc::new(bench.sequence.pyramid(frame));
         let unit = (0.3 * rng.normal()).exp();
         let lookup = semi_dense(pyramid.level(0), &depth, unit, frame as u64);
         let id = bench.keys.len() as u64;
@@ -315,7 +271,7 @@ fn main() {
         bench.memory.insert(id, &pyramid, None, &lookup);
     }
     println!("{} keyframes of {num_frames} frames", bench.keys.len());
-    bench.relocalise_all(option("skip", 7));
+    bench.relocalise_all(options.number("skip", 7));
     bench.loops();
-    bench.jumps(option("jumps", 20) as u64);
+    bench.jumps(options.number("jumps", 20) as u64);
 }

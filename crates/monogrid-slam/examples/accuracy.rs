@@ -9,62 +9,41 @@
     clippy::print_stdout,
     clippy::unwrap_used,
     clippy::too_many_lines,
-    missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]
 
 mod options;
+mod sequence;
 
-use monogrid_datasets::{Dataset, DepthRegistration, SourceOptions, read_depth, read_gray};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
-use monogrid_geometry::Pinhole;
-use monogrid_image::{GrayImage, Undistorter, WorkingSize};
+use monogrid_image::GrayImage;
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use options::Options;
-use std::path::Path;
+use sequence::Sequence;
 
 fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
     let options = Options::read(args);
-    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
-    let camera = dataset.calibration(None).unwrap().unwrap().camera;
-    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
-    let (width, height) = undistorter.size();
-    let pinhole = *undistorter.pinhole();
-    let profile = if options.0.get("profile").is_some_and(|p| p == "thesis") {
+    let sequence = Sequence::open(&folder);
+    let profile = if options.is("profile", "thesis") {
         SlamConfig::thesis()
     } else {
         SlamConfig::default()
     };
     let config = options.applied_to(&profile);
-    let mut slam = Slam::new(
-        config,
-        pinhole,
-        undistorter.mask().clone(),
-        options.number("seed", 0) as u64,
-    )
-    .unwrap();
+    let mut slam = sequence.system(config, options.number("seed", 0));
+    let frames = &sequence.dataset.frames;
     let first = options.number("start", 0);
-    let last = (first + options.number("max", usize::MAX / 2)).min(dataset.frames.len());
-    let registration = dataset.depth_calibration().unwrap().map(|c| {
-        (
-            c.units_per_metre,
-            DepthRegistration::new(&c, &pinhole, width, height),
-        )
-    });
-    let true_depth = |timestamp_ns: i64| -> Option<GrayImage> {
-        let (units, registration) = registration.as_ref()?;
-        let entry = dataset.depth_of_frame(timestamp_ns)?;
-        registration.register(&read_depth(&entry.path, *units).unwrap())
-    };
+    let last = (first + options.number("max", usize::MAX / 2)).min(frames.len());
+    let true_depth = |timestamp_ns: i64| sequence.true_depth(timestamp_ns);
     let begin = std::time::Instant::now();
     let mut live = Vec::new();
     let mut counts = [0usize; 5];
     let mut times = [0.0f64; 3];
-    for (i, entry) in dataset.frames[first..last].iter().enumerate() {
-        let image = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
-        let seed_depth = (i == 0 && options.0.get("init").is_some_and(|v| v == "depth"))
+    for (i, entry) in frames[first..last].iter().enumerate() {
+        let image = sequence.image(first + i);
+        let seed_depth = (i == 0 && options.is("init", "depth"))
             .then(|| true_depth(entry.timestamp_ns))
             .flatten();
         let report = slam.process_frame(FrameInput {
@@ -107,12 +86,8 @@ fn main() {
     );
     println!("graph: {:?}", slam.graph_stats());
     let mut target_over_source = 1.0;
-    if let Some(path) = &dataset.ground_truth {
-        let truth: Vec<StampedPose> = monogrid_datasets::read_trajectory(path)
-            .unwrap()
-            .iter()
-            .map(|p| (p.timestamp_ns, p.world_from_camera))
-            .collect();
+    if sequence.dataset.ground_truth.is_some() {
+        let truth: Vec<StampedPose> = sequence.stamped_truth();
         let estimate: Vec<StampedPose> = slam
             .trajectory()
             .iter()
@@ -146,7 +121,7 @@ fn main() {
             }
         }
     }
-    depth_report(&slam, &true_depth, &pinhole, target_over_source);
+    depth_report(&slam, &true_depth, target_over_source);
 }
 
 /// Error of every edge of the graph: rotation (degrees), direction of the translation (degrees) and scale
@@ -209,7 +184,6 @@ fn edge_report(slam: &Slam, truth: &[StampedPose], true_depth: &dyn Fn(i64) -> O
 fn depth_report(
     slam: &Slam,
     true_depth: &dyn Fn(i64) -> Option<GrayImage>,
-    _pinhole: &Pinhole,
     target_over_source: f64,
 ) {
     let snapshot = slam.snapshot();

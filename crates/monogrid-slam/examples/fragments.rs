@@ -14,49 +14,18 @@
     clippy::print_stdout,
     clippy::unwrap_used,
     clippy::too_many_lines,
-    missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]
 
 mod options;
+mod sequence;
 
-use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_gray, read_trajectory};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, align_similarity};
-use monogrid_image::{GrayImage, Undistorter, WorkingSize};
-use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
+use monogrid_image::GrayImage;
+use monogrid_slam::{FrameInput, SlamConfig, TrackingState};
 use options::Options;
+use sequence::Sequence;
 use std::path::Path;
-
-/// A sequence with its true poses.
-struct Scene {
-    dataset: Dataset,
-    undistorter: Undistorter,
-    truth: Vec<TimedPose>,
-}
-
-impl Scene {
-    fn open(folder: &Path) -> Self {
-        let dataset = Dataset::open(folder, SourceOptions::default()).unwrap();
-        let camera = dataset.calibration(None).unwrap().unwrap().camera;
-        Self {
-            undistorter: Undistorter::new(&camera, WorkingSize::Automatic, None),
-            truth: read_trajectory(dataset.ground_truth.as_ref().unwrap()).unwrap(),
-            dataset,
-        }
-    }
-
-    fn true_pose(&self, frame: usize) -> Se3 {
-        let time = self.dataset.frames[frame].timestamp_ns;
-        let distance = |p: &&TimedPose| (p.timestamp_ns - time).abs();
-        let nearest = self.truth.iter().min_by_key(distance);
-        nearest.unwrap().world_from_camera
-    }
-
-    fn image(&self, frame: usize) -> GrayImage {
-        let raw = read_gray(&self.dataset.frames[frame].path).unwrap();
-        self.undistorter.apply(&raw).unwrap()
-    }
-}
 
 /// A frame of the video: scene and frame, or a covered lens.
 type Shown = Option<(usize, usize)>;
@@ -123,19 +92,12 @@ fn main() {
     };
     let others: Vec<(&String, &String)> = options.0.iter().filter(is_scene).collect();
     let names: Vec<String> = others.iter().map(|(name, _)| (*name).clone()).collect();
-    let mut scenes = vec![Scene::open(Path::new(&folder))];
-    scenes.extend(
-        others
-            .iter()
-            .map(|(_, folder)| Scene::open(Path::new(folder))),
-    );
+    let mut scenes = vec![Sequence::open(&folder)];
+    scenes.extend(others.iter().map(|(_, folder)| Sequence::open(folder)));
     let (frames, begins) = video(&options, &names);
     let config = options.applied_to(&SlamConfig::default());
     let (width, height) = scenes[0].undistorter.size();
-    let pinhole = *scenes[0].undistorter.pinhole();
-    let mask = scenes[0].undistorter.mask().clone();
-    let seed = options.number("seed", 0) as u64;
-    let mut slam = Slam::new(config, pinhole, mask, seed).unwrap();
+    let mut slam = scenes[0].system(config, options.number("seed", 0));
     let mut reported: Vec<(usize, Se3)> = Vec::new();
     let mut counts = [0usize; 5];
     let mut last_state = None;

@@ -8,15 +8,15 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
-    missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]
 
-use monogrid_datasets::{Dataset, SourceOptions, TimedPose, read_gray};
+mod sequence;
+
 use monogrid_geometry::{Rotation, Se3, Vec3, align_similarity};
-use monogrid_image::{GrayImage, Undistorter, WorkingSize};
-use monogrid_slam::{FrameInput, Slam, SlamConfig};
-use std::path::Path;
+use monogrid_image::GrayImage;
+use monogrid_slam::{FrameInput, SlamConfig};
+use sequence::Sequence;
 
 /// What happens at the loss.
 #[derive(Debug)]
@@ -37,12 +37,8 @@ fn next(state: &mut u64, below: usize) -> usize {
     ((*state >> 33) as usize) % below.max(1)
 }
 
-/// A sequence with its true poses.
-struct Scene {
-    dataset: Dataset,
-    undistorter: Undistorter,
-    truth: Vec<TimedPose>,
-}
+/// The sequence of which all videos are made.
+struct Scene(Sequence);
 
 /// A pose as reported: position in the video, frame of the sequence, pose.
 type Reported = (usize, usize, Se3);
@@ -57,44 +53,17 @@ struct CaseResult {
 }
 
 impl Scene {
-    fn open(folder: &Path) -> Self {
-        let dataset = Dataset::open(folder, SourceOptions::default()).unwrap();
-        let camera = dataset.calibration(None).unwrap().unwrap().camera;
-        let truth =
-            monogrid_datasets::read_trajectory(dataset.ground_truth.as_ref().unwrap()).unwrap();
-        Self {
-            undistorter: Undistorter::new(&camera, WorkingSize::Automatic, None),
-            dataset,
-            truth,
-        }
-    }
-
-    fn true_pose(&self, frame: usize) -> Se3 {
-        let time = self.dataset.frames[frame].timestamp_ns;
-        let distance = |p: &&TimedPose| (p.timestamp_ns - time).abs();
-        self.truth
-            .iter()
-            .min_by_key(distance)
-            .unwrap()
-            .world_from_camera
-    }
-
-    fn image(&self, frame: usize) -> GrayImage {
-        let raw = read_gray(&self.dataset.frames[frame].path).unwrap();
-        self.undistorter.apply(&raw).unwrap()
-    }
-
     /// Whether a frame before the loss looked at what `frame` looks at.
     fn is_known(&self, loss: usize, frame: usize) -> bool {
-        let after = self.true_pose(frame);
+        let after = self.0.true_pose(frame);
         (0..loss).any(|i| {
-            let relative = self.true_pose(i).inverse() * after;
+            let relative = self.0.true_pose(i).inverse() * after;
             relative.translation.norm() < 0.4 && relative.rotation.angle().to_degrees() < 25.0
         })
     }
 
     fn run(&self, case: &Case, loss: usize, seed: u64) -> CaseResult {
-        let len = self.dataset.frames.len();
+        let len = self.0.dataset.frames.len();
         let (first_after, num_covered) = match *case {
             Case::Covered(frames) => (loss + frames, frames),
             Case::Jump(to) => (to, 0),
@@ -102,9 +71,8 @@ impl Scene {
         let before = (0..loss).map(|i| (i, false));
         let covered = (loss..loss + num_covered).map(|i| (i, true));
         let after = (first_after..(first_after + AFTER).min(len)).map(|i| (i, false));
-        let (width, height) = self.undistorter.size();
-        let (pinhole, mask) = (*self.undistorter.pinhole(), self.undistorter.mask().clone());
-        let mut slam = Slam::new(SlamConfig::default(), pinhole, mask, seed).unwrap();
+        let (width, height) = self.0.undistorter.size();
+        let mut slam = self.0.system(SlamConfig::default(), seed);
         let mut poses: Vec<Reported> = Vec::new();
         let mut found_after = None;
         for (k, (frame, is_covered)) in before.chain(covered).chain(after).enumerate() {
@@ -114,7 +82,7 @@ impl Scene {
                 image: if is_covered {
                     GrayImage::filled(width, height, 3.0)
                 } else {
-                    self.image(frame)
+                    self.0.image(frame)
                 },
                 seed_depth: None,
             });
@@ -143,14 +111,14 @@ impl Scene {
         let estimate: Vec<Vec3> = prior.iter().map(|p| p.2.translation).collect();
         let truth: Vec<Vec3> = prior
             .iter()
-            .map(|p| self.true_pose(p.1).translation)
+            .map(|p| self.0.true_pose(p.1).translation)
             .collect();
         let true_from_estimated = align_similarity(&estimate, &truth, true)
             .unwrap()
             .target_from_source;
         let offsets: Vec<Rotation> = prior
             .iter()
-            .map(|p| self.true_pose(p.1).rotation * p.2.rotation.inverse())
+            .map(|p| self.0.true_pose(p.1).rotation * p.2.rotation.inverse())
             .collect();
         let first = offsets[0];
         let turns = offsets.iter().map(|o| (first.inverse() * *o).scaled_axis());
@@ -159,7 +127,7 @@ impl Scene {
             .iter()
             .filter(|p| p.0 >= loss)
             .map(|(_, frame, pose)| {
-                let truth = self.true_pose(*frame);
+                let truth = self.0.true_pose(*frame);
                 let position = true_from_estimated * pose.translation - truth.translation;
                 let rotation = (turn * pose.rotation).inverse() * truth.rotation;
                 (position.norm(), rotation.angle().to_degrees())
@@ -172,10 +140,10 @@ impl Scene {
 
 fn main() {
     let mut args = std::env::args().skip(1);
-    let scene = Scene::open(Path::new(&args.next().unwrap()));
+    let scene = Scene(Sequence::open(args.next().unwrap()));
     let cases: usize = args.next().map_or(20, |n| n.parse().unwrap());
     let before: usize = args.next().map_or(250, |n| n.parse().unwrap());
-    let len = scene.dataset.frames.len();
+    let len = scene.0.dataset.frames.len();
     let (mut known_cases, mut in_time, mut wrong) = (0, 0, 0);
     for seed in 0..cases {
         let mut random = seed as u64 + 77;

@@ -11,19 +11,22 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
-    missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]
 
-use monogrid_datasets::{Dataset, ReadOptions, Recording, SourceOptions, read_gray};
+mod options;
+mod sequence;
+
+use monogrid_datasets::{ReadOptions, Recording};
 use monogrid_geometry::{Sim3, Vec7};
-use monogrid_image::{GrayImage, Undistorter, WorkingSize};
+use monogrid_image::GrayImage;
 use monogrid_occupancy::write_ot;
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, Mapper, MappingConfig, z_up_from_camera_world,
 };
-use monogrid_slam::{DepthPixel, FrameInput, PoseSnapshot, Slam, SlamConfig};
-use std::collections::BTreeMap;
+use monogrid_slam::{DepthPixel, FrameInput, PoseSnapshot, SlamConfig};
+use options::Options;
+use sequence::Sequence;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,19 +38,14 @@ fn main() {
         println!("usage: live_maps RECORDING FOLDER [res=M] [keyframes=N] [closures=N] [frames=N]");
         return;
     };
-    let options: BTreeMap<&str, f64> = rest
-        .iter()
-        .map(|a| a.split_once('=').unwrap())
-        .map(|(k, v)| (k, v.parse().unwrap()))
-        .collect();
-    let number = |key: &str, default: f64| options.get(key).copied().unwrap_or(default);
+    let options = Options::read(rest.iter().cloned());
     let config = MappingConfig {
-        resolution: number("res", 0.016),
+        resolution: options.number("res", 0.016),
         // every keyframe is moved, so that the map can be compared with one from scratch
         follow_threshold: 0.0,
         ..MappingConfig::default()
     };
-    let keyframes = number("keyframes", 45.0) as usize;
+    let keyframes = options.number("keyframes", 45);
     let (camera, scans, poses) = keyframes_of(Path::new(recording), keyframes, &config);
     let points: usize = scans.iter().map(|s| s.pixels.len()).sum();
     println!(
@@ -71,7 +69,7 @@ fn main() {
         thread_seconds() - before
     );
     let mut snapshot = Arc::default();
-    for closure in 1..=number("closures", 3.0) as u64 {
+    for closure in 1..=options.number("closures", 3) {
         snapshot = corrected(&poses, closure);
         let (wall, cpu) = (Instant::now(), thread_seconds());
         live.follow(Arc::clone(&snapshot)).unwrap();
@@ -118,25 +116,19 @@ fn main() {
         Path::new(folder),
         live,
         &poses,
-        number("frames", 200.0) as usize,
+        options.number("frames", 200),
     );
 }
 
 /// Tracks frames with and without a closure under way all the time.
 fn beside_tracking(folder: &Path, mut live: LiveMaps, poses: &[Sim3], frames: usize) {
-    let dataset = Dataset::open(folder, SourceOptions::default()).unwrap();
-    let camera = dataset.calibration(None).unwrap().unwrap().camera;
-    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
-    let images: Vec<(usize, i64, GrayImage)> = dataset.frames[..frames.min(dataset.frames.len())]
-        .iter()
-        .map(|f| {
-            let image = undistorter.apply(&read_gray(&f.path).unwrap()).unwrap();
-            (f.index, f.timestamp_ns, image)
-        })
+    let sequence = Sequence::open(folder);
+    let entries = sequence.dataset.frames.iter().enumerate().take(frames);
+    let images: Vec<(usize, i64, GrayImage)> = entries
+        .map(|(frame, entry)| (entry.index, entry.timestamp_ns, sequence.image(frame)))
         .collect();
     let track = || {
-        let mask = undistorter.mask().clone();
-        let mut slam = Slam::new(SlamConfig::default(), *undistorter.pinhole(), mask, 0).unwrap();
+        let mut slam = sequence.system(SlamConfig::default(), 0);
         let (wall, cpu) = (Instant::now(), thread_seconds());
         for (index, timestamp_ns, image) in &images {
             slam.process_frame(FrameInput {

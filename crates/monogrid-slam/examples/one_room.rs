@@ -9,19 +9,17 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
-    clippy::too_many_lines,
-    missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]
 
 mod options;
+mod sequence;
 
-use monogrid_datasets::{Dataset, SourceOptions, read_gray};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
-use monogrid_image::{GrayImage, Image, Undistorter, WorkingSize};
-use monogrid_slam::{FrameInput, Slam, SlamConfig};
+use monogrid_image::{Image, WorkingSize};
+use monogrid_slam::{FrameInput, SlamConfig};
 use options::Options;
-use std::path::Path;
+use sequence::Sequence;
 
 /// Time between two frames.
 const INTERVAL_NS: i64 = 33_333_333;
@@ -30,8 +28,6 @@ fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
     let options = Options::read(args);
-    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
-    let camera = dataset.calibration(None).unwrap().unwrap().camera;
     let size = match options.0.get("size").and_then(|s| s.split_once('x')) {
         Some((w, h)) => WorkingSize::Exact {
             width: w.parse().unwrap(),
@@ -39,26 +35,14 @@ fn main() {
         },
         None => WorkingSize::Automatic,
     };
-    let undistorter = Undistorter::new(&camera, size, None);
+    let sequence = Sequence::open_with_size(&folder, size);
     let config = options.applied_to(&SlamConfig::default());
-    let mask = undistorter.mask().clone();
-    let mut slam = Slam::new(config, *undistorter.pinhole(), mask, 0).unwrap();
-    let truth: Vec<StampedPose> =
-        monogrid_datasets::read_trajectory(dataset.ground_truth.as_ref().unwrap())
-            .unwrap()
-            .iter()
-            .map(|p| (p.timestamp_ns, p.world_from_camera))
-            .collect();
-    let images: Vec<(i64, Image<u8>)> = dataset
-        .frames
-        .iter()
-        .take(options.number("max", usize::MAX))
-        .map(|entry| {
-            let image: GrayImage = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
-            (
-                entry.timestamp_ns,
-                image.map(|v| v.round().clamp(0.0, 255.0) as u8),
-            )
+    let mut slam = sequence.system(config, 0);
+    let num_images = sequence.dataset.frames.len();
+    let images: Vec<Image<u8>> = (0..num_images.min(options.number("max", usize::MAX)))
+        .map(|frame| {
+            let image = sequence.image(frame);
+            image.map(|v| v.round().clamp(0.0, 255.0) as u8)
         })
         .collect();
     let order = forth_and_back(
@@ -73,18 +57,13 @@ fn main() {
         "way, frames, keyframes, edges, points, depth MB, RSS MB, ms per frame, used again, lost, ATE m"
     );
     for (index, &(way, source)) in order.iter().enumerate() {
-        let (timestamp_ns, image) = &images[source];
-        let pose = truth
-            .iter()
-            .min_by_key(|(t, _)| (t - timestamp_ns).abs())
-            .unwrap();
         let timestamp_ns = index as i64 * INTERVAL_NS;
-        played.push((timestamp_ns, pose.1));
+        played.push((timestamp_ns, sequence.true_pose(source)));
         let begin = std::time::Instant::now();
         let report = slam.process_frame(FrameInput {
             index,
             timestamp_ns,
-            image: image.map(f32::from),
+            image: images[source].map(f32::from),
             seed_depth: None,
         });
         millis += begin.elapsed().as_secs_f64() * 1e3;

@@ -5,16 +5,16 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
-    missing_docs,
     reason = "a tool for development, read from top to bottom"
 )]
 
+mod sequence;
+
 use monogrid_alignment::{AlignmentConfig, DepthSample, Freedom, Motion, Reference, Target, align};
-use monogrid_datasets::{Dataset, DepthRegistration, SourceOptions, read_depth, read_gray};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_geometry::Se3;
-use monogrid_image::{GrayImage, Pyramid, Undistorter, WorkingSize};
-use std::path::Path;
+use monogrid_image::{GrayImage, Pyramid};
+use sequence::Sequence;
 
 /// Depth at pixels with a gradient, with 1 % standard deviation.
 fn samples(image: &GrayImage, depth: &GrayImage) -> Vec<DepthSample> {
@@ -43,13 +43,8 @@ fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
     let frames_per_keyframe: usize = args.next().map_or(10, |n| n.parse().unwrap());
-    let dataset = Dataset::open(Path::new(&folder), SourceOptions::default()).unwrap();
-    let camera = dataset.calibration(None).unwrap().unwrap().camera;
-    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
-    let (width, height) = undistorter.size();
-    let pinhole = *undistorter.pinhole();
-    let calibration = dataset.depth_calibration().unwrap().unwrap();
-    let registration = DepthRegistration::new(&calibration, &pinhole, width, height);
+    let sequence = Sequence::open(&folder);
+    let pinhole = *sequence.pinhole();
     let config = AlignmentConfig::default();
     let (finest, coarsest) = (config.finest_level, config.coarsest_level);
     let mut world_from_keyframe = Se3::identity();
@@ -57,9 +52,8 @@ fn main() {
     let mut motion = Motion::from_pose(Se3::identity());
     let mut velocity = Se3::identity();
     let mut poses: Vec<StampedPose> = Vec::new();
-    for (i, entry) in dataset.frames.iter().enumerate() {
-        let image = undistorter.apply(&read_gray(&entry.path).unwrap()).unwrap();
-        let pyramid = Pyramid::new(image, 5);
+    for (i, entry) in sequence.dataset.frames.iter().enumerate() {
+        let pyramid = Pyramid::new(sequence.image(i), 5);
         if let Some((_, reference)) = &reference {
             let target = Target::new(&pyramid, &pinhole, finest, coarsest);
             let guess = Motion {
@@ -80,23 +74,15 @@ fn main() {
         let due = reference
             .as_ref()
             .is_none_or(|(at, _)| i >= at + frames_per_keyframe);
-        if let (true, Some(entry)) = (due, dataset.depth_of_frame(entry.timestamp_ns)) {
-            let raw = read_depth(&entry.path, calibration.units_per_metre).unwrap();
-            if let Some(depth) = registration.register(&raw) {
-                let samples = samples(pyramid.level(0), &depth);
-                let prepared = Reference::new(&pyramid, &pinhole, &samples, finest, coarsest);
-                reference = Some((i, prepared));
-                world_from_keyframe = world_from_frame;
-                motion = Motion::from_pose(Se3::identity());
-            }
+        if due && let Some(depth) = sequence.true_depth(entry.timestamp_ns) {
+            let samples = samples(pyramid.level(0), &depth);
+            let prepared = Reference::new(&pyramid, &pinhole, &samples, finest, coarsest);
+            reference = Some((i, prepared));
+            world_from_keyframe = world_from_frame;
+            motion = Motion::from_pose(Se3::identity());
         }
     }
-    let truth: Vec<StampedPose> =
-        monogrid_datasets::read_trajectory(dataset.ground_truth.as_ref().unwrap())
-            .unwrap()
-            .iter()
-            .map(|p| (p.timestamp_ns, p.world_from_camera))
-            .collect();
+    let truth: Vec<StampedPose> = sequence.stamped_truth();
     let report = evaluate_trajectory(&poses, &truth, &TrajectoryConfig::default()).unwrap();
     println!(
         "ATE {:.4} m, scale {:.3}, drift {:?}, rotation per frame {:.3} deg",

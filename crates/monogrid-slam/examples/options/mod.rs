@@ -1,7 +1,10 @@
 //! `name=value` arguments of the examples.
+#![allow(dead_code, reason = "each example uses a part")]
 
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
+use std::fmt::Debug;
+use std::str::FromStr;
 
 /// Options by name.
 pub struct Options(pub BTreeMap<String, String>);
@@ -17,10 +20,13 @@ impl Options {
     }
 
     /// A number, or its default.
-    pub fn number(&self, name: &str, default: usize) -> usize {
-        self.0
-            .get(name)
-            .map_or(default, |v| v.parse::<usize>().unwrap())
+    pub fn number<T: FromStr<Err: Debug>>(&self, name: &str, default: T) -> T {
+        self.0.get(name).map_or(default, |v| v.parse().unwrap())
+    }
+
+    /// Whether an option has a value.
+    pub fn is(&self, name: &str, value: &str) -> bool {
+        self.0.get(name).is_some_and(|found| found == value)
     }
 
     /// `config` with the settings whose names have a dot.
