@@ -16,8 +16,22 @@ pub(crate) struct Beams {
     /// Place of the sensor.
     pub origin: [f64; 3],
     pub measured: Vec<Measured>,
+    pub extent: Extent,
     pub tables: TableSet,
     resolution: f64,
+}
+
+/// Where the measurements of a scan lie, taken while they are made.
+pub(crate) struct Extent {
+    /// Least and greatest slopes.
+    pub slopes: [[f32; 2]; 2],
+    /// Whether all look along the sensor's z axis rather than against it.
+    pub looks_forward: bool,
+    /// A bit for each octant into which beams go.
+    pub octants: u8,
+    /// Sums over the beams: lengths, and ranges of free space.
+    pub length: f64,
+    pub free: f64,
 }
 
 /// One measurement; ranges in cells.
@@ -32,8 +46,6 @@ pub(crate) struct Measured {
     /// Slopes of the direction in the sensor frame, along x and y over z.
     pub slopes: [f32; 2],
     table: u16,
-    /// Whether it looks along the sensor's z axis rather than against it.
-    pub looks_forward: bool,
 }
 
 /// A measurement as a ray with its evidence.
@@ -66,6 +78,7 @@ impl Beams {
             config.update_limits(),
         )?;
         let pose = &scan.world_from_sensor;
+        let mut extent = Extent::EMPTY;
         let mut measured = Vec::with_capacity(scan.len());
         measured.extend((0..scan.len()).filter_map(|index| {
             let found = scan.measurement(index, config.sigma_mode)?;
@@ -75,7 +88,7 @@ impl Beams {
             let evidence = tables.table(table);
             let table_start = (range + evidence.start) / resolution;
             let length = (range + evidence.end()).min(config.max_range) / resolution;
-            Some(Measured {
+            let measured = Measured {
                 direction: pose.rotate(found.point.map(|c| c / found.range)),
                 table_start,
                 length,
@@ -87,12 +100,14 @@ impl Beams {
                 },
                 slopes: [0, 1].map(|i| (found.point[i] / found.point[2]) as f32),
                 table,
-                looks_forward: found.point[2] > 0.0,
-            })
+            };
+            extent.add(&measured, found.point[2] > 0.0);
+            Some(measured)
         }));
         Ok(Self {
             origin: origin_in_cells(map, scan)?,
             measured,
+            extent,
             tables,
             resolution,
         })
@@ -114,17 +129,34 @@ impl Beams {
     }
 }
 
+impl Extent {
+    const EMPTY: Self = Self {
+        slopes: [[f32::MAX; 2], [f32::MIN; 2]],
+        looks_forward: true,
+        octants: 0,
+        length: 0.0,
+        free: 0.0,
+    };
+
+    #[inline]
+    fn add(&mut self, measured: &Measured, looks_forward: bool) {
+        let [low, high] = &mut self.slopes;
+        for axis in 0..2 {
+            low[axis] = low[axis].min(measured.slopes[axis]);
+            high[axis] = high[axis].max(measured.slopes[axis]);
+        }
+        self.looks_forward &= looks_forward;
+        let falls = measured.direction.map(|c| u8::from(c < 0.0));
+        self.octants |= 1 << (falls[0] | falls[1] << 1 | falls[2] << 2);
+        self.length += measured.length;
+        self.free += measured.free_cells();
+    }
+}
+
 impl Measured {
     /// Range up to which its beam exists and sees nothing but free space.
     pub(crate) fn free_cells(&self) -> f64 {
         self.free.min(self.length)
-    }
-
-    /// The octant of its direction: bit `axis` is set if it falls along that axis.
-    pub(crate) fn octant(&self) -> usize {
-        (0..3).fold(0, |octant, axis| {
-            octant | usize::from(self.direction[axis] < 0.0) << axis
-        })
     }
 
     /// Its beam takes down every cell whose centre is nearer than this range.
@@ -141,12 +173,13 @@ impl Beam {
     /// Evidence for a cell whose centre has this range; 0 behind the obstacle.
     #[inline]
     pub(crate) fn evidence_at(&self, range: i64, table: &EvidenceTable) -> i16 {
+        // No branches: where the band begins cannot be predicted. Casts round towards 0.
         let behind_start = range - self.table_start;
         if behind_start < 0 {
             return table.free;
         }
-        let at = (behind_start as f64 * self.entries_per_range) as usize;
-        table.entries.get(at).copied().unwrap_or(0)
+        let at = (behind_start as f64 * self.entries_per_range) as i64;
+        table.step(at - i64::from(behind_start < 0))
     }
 }
 

@@ -1,20 +1,20 @@
-//! Pyramids of ranges: how near could something be, how far can anything matter?
+//! Pyramids over tiles of directions: how near can a cell be raised, how far is free space?
 
-/// Bounds over a block of pixels.
+/// Bounds over a block of tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Bounds {
-    /// Every pixel of the block sees free space up to here; minus infinity if one is a hole.
+    /// Least range of a cell's centre at which a beam can raise it.
+    pub raised_from: f32,
+    /// Farthest end of a beam's free space; minus infinity if there is no beam.
     pub free_until: f32,
-    /// No pixel of the block changes a cell beyond this; minus infinity if all are holes.
-    pub changes_until: f32,
 }
 
 impl Bounds {
     #[inline]
     fn join(self, other: Self) -> Self {
         Self {
-            free_until: self.free_until.min(other.free_until),
-            changes_until: self.changes_until.max(other.changes_until),
+            raised_from: self.raised_from.min(other.raised_from),
+            free_until: self.free_until.max(other.free_until),
         }
     }
 }
@@ -25,7 +25,7 @@ struct Level {
     bounds: Vec<Bounds>,
 }
 
-/// Bounds of blocks of `2^level` pixels' edge.
+/// Bounds of blocks of `2^level` tiles' edge.
 pub(crate) struct Pyramid {
     levels: Vec<Level>,
 }
@@ -47,7 +47,7 @@ impl Pyramid {
         Self { levels }
     }
 
-    /// Bounds over pixels `first` to `last` (column, row), both inclusive and inside the image.
+    /// Bounds over tiles `first` to `last` (column, row), both inclusive and in the grid.
     #[inline]
     pub(crate) fn block_bounds(&self, first: [usize; 2], last: [usize; 2]) -> Bounds {
         let span = (last[0] - first[0]).max(last[1] - first[1]);
@@ -56,8 +56,8 @@ impl Pyramid {
         let level = level.min(self.levels.len() - 1);
         let blocks = &self.levels[level];
         let mut joined = Bounds {
-            free_until: f32::INFINITY,
-            changes_until: f32::NEG_INFINITY,
+            raised_from: f32::INFINITY,
+            free_until: f32::NEG_INFINITY,
         };
         for row in first[1] >> level..=last[1] >> level {
             let start = row * blocks.width;
@@ -94,23 +94,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bounds_of_any_box_hold_those_of_its_pixels() {
+    fn bounds_of_any_box_hold_those_of_its_tiles() {
         let (width, height) = (13, 7);
         let mut state = 3_u32;
         let bounds: Vec<Bounds> = (0..width * height)
             .map(|_| {
                 state = state.wrapping_mul(1664525).wrapping_add(1013904223);
-                let near = (state >> 16) as f32;
-                if state.is_multiple_of(9) {
-                    Bounds {
-                        free_until: f32::NEG_INFINITY,
-                        changes_until: f32::NEG_INFINITY,
-                    }
-                } else {
-                    Bounds {
-                        free_until: near,
-                        changes_until: near + 1.0,
-                    }
+                Bounds {
+                    raised_from: (state >> 16) as f32,
+                    free_until: (state >> 12) as f32,
                 }
             })
             .collect();
@@ -122,8 +114,8 @@ mod tests {
             for y in y0..=y1 {
                 for x in x0..=x1 {
                     let inside = bounds[y * width + x];
-                    assert!(found.free_until <= inside.free_until);
-                    assert!(found.changes_until >= inside.changes_until);
+                    assert!(found.raised_from <= inside.raised_from);
+                    assert!(found.free_until >= inside.free_until);
                 }
             }
         }

@@ -46,6 +46,14 @@ pub(crate) struct Entry {
     stop: i64,
 }
 
+/// Somebody who is told of the cells that a ray crosses.
+pub(crate) trait CellVisitor {
+    /// A cell: its position in the brick, and the range of its centre.
+    fn cell(&mut self, index: usize, range: i64);
+    /// The ray leaves the brick with this packed key, or ends in it.
+    fn leave_brick(&mut self, key: u64);
+}
+
 /// Time or range in fixed point.
 #[inline]
 pub(crate) fn fixed(value: f64, bits: u32) -> i64 {
@@ -75,12 +83,10 @@ impl Ray {
         for axis in 0..3 {
             let fraction = origin[axis] - f64::from(start[axis]);
             let speed = direction[axis].abs();
-            let to_plane = if direction[axis] < 0.0 {
-                ray.sign[axis] = -1;
-                fraction
-            } else {
-                1.0 - fraction
-            };
+            // Without branches: nobody can predict the signs.
+            let falls = i32::from(direction[axis] < 0.0);
+            ray.sign[axis] = 1 - 2 * falls;
+            let to_plane = (f64::from(1 - falls) - fraction).abs();
             let per_cell = (1_u64 << TIME_BITS) as f64 / speed;
             // `min` also turns the infinity of a parallel ray into NEVER.
             ray.step[axis] = per_cell.min(NEVER) as i64 & !3;
@@ -262,10 +268,9 @@ impl Ray {
         }
     }
 
-    /// Calls `visit(packed key of the brick, position in it, range of the centre)` for every cell
-    /// from the one in which the ray is at the time `from` to its end.
+    /// Visits every cell from the one in which the ray is at the time `from` to its end.
     #[inline]
-    pub(crate) fn for_each_cell_from(&self, from: i64, mut visit: impl FnMut(u64, usize, i64)) {
+    pub(crate) fn visit_cells_from(&self, from: i64, visitor: &mut impl CellVisitor) {
         let from = from.min(self.end - 1);
         let (mut cell, mut next, mut range) = (self.start, self.first, self.range_at_start);
         if from > 0 {
@@ -293,8 +298,9 @@ impl Ray {
         loop {
             let time = x.min(y).min(z);
             let index = place & 7 | place >> 1 & 0o70 | place >> 2 & 0o700;
-            visit(key, index as usize, range);
+            visitor.cell(index as usize, range);
             if time >= self.end {
+                visitor.leave_brick(key);
                 return;
             }
             let [mx, my, mz] = [x, y, z].map(|next| -i64::from(next == time));
@@ -310,6 +316,7 @@ impl Ray {
             );
             let left = (place ^ inside) & 0x888;
             if left != 0 {
+                visitor.leave_brick(key);
                 place ^= left;
                 let axis = (left.trailing_zeros() / 4) as usize;
                 key = key.wrapping_add_signed(key_step[axis]);
@@ -331,6 +338,23 @@ mod tests {
                 .wrapping_mul(6364136223846793005)
                 .wrapping_add(1442695040888963407);
             (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        }
+    }
+
+    #[derive(Default)]
+    struct Straight {
+        in_brick: Vec<(usize, i64)>,
+        cells: Vec<(VoxelKey, i64)>,
+    }
+    impl CellVisitor for Straight {
+        fn cell(&mut self, index: usize, range: i64) {
+            self.in_brick.push((index, range));
+        }
+        fn leave_brick(&mut self, key: u64) {
+            let brick = BrickKey::unpack(key);
+            let cells = self.in_brick.drain(..);
+            self.cells
+                .extend(cells.map(|(index, range)| (brick.cell(index), range)));
         }
     }
 
@@ -449,11 +473,9 @@ mod tests {
                 });
             });
             assert!(whole.ends_with(&rest) && !rest.is_empty());
-            let mut straight = Vec::new();
-            ray.for_each_cell_from(from, |packed, index, range| {
-                straight.push((BrickKey::unpack(packed).cell(index), range));
-            });
-            assert_eq!(straight, rest);
+            let mut straight = Straight::default();
+            ray.visit_cells_from(from, &mut straight);
+            assert_eq!(straight.cells, rest);
             // What was left out lies wholly before that time: one cell is at most sqrt(3) long.
             let skipped = (whole.len() - rest.len()) as f64;
             let least = length * (index % 8) as f64 / 7.0 - 3_f64.sqrt();

@@ -5,18 +5,17 @@
 //! measurements (`visits`). Rays begin where the first cell lies that they could change (`settled`).
 
 use super::batches::Walk;
-use super::beam::{Beams, Beginnings, Measured};
+use super::beam::{Beams, Beginnings};
 use super::parallel::for_each;
 use super::settled::BeamTiles;
 use super::{IntegrationConfig, IntegrationReport};
 use crate::error::MapError;
-use crate::key::BrickKey;
+use crate::key::{BRICK_EDGE, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
 
-/// Share of the beams after which settled space is looked for again, and how much later then.
+/// Share of the beams after which settled space is looked for again: they have settled most of it.
 const FIRST_SHARE: usize = 8;
-const NEXT_SHARE: usize = 3;
 
 /// Bricks to which an integration is restricted, sorted by packed key.
 pub(crate) type BrickFilter<'a> = Option<&'a [u64]>;
@@ -100,10 +99,9 @@ fn integrate_prepared(
             .as_ref()
             .map(|tiles| Beginnings::find(map, tiles, threads));
         let last = match beginnings {
-            Some(_) => (first * NEXT_SHARE).max(all.len() / FIRST_SHARE).max(1),
-            None => all.len(),
+            Some(_) if first == 0 => all.len().div_ceil(FIRST_SHARE),
+            _ => all.len(),
         };
-        let last = last.min(all.len());
         let walk = Walk {
             beams,
             beginnings: beginnings.as_ref(),
@@ -117,16 +115,17 @@ fn integrate_prepared(
     report
 }
 
-/// Upper bound of the bricks that a ray can meet.
-fn most_bricks(measured: &Measured) -> f64 {
+/// Upper bound of the bricks that the rays can meet, each counted for itself.
+fn most_bricks(beams: &Beams) -> usize {
     // Crossings on three axes: at most sqrt(3) per brick's edge of length, one more each.
-    3_f64.sqrt() * measured.length / 8.0 + 4.0
+    let per_cell = 3_f64.sqrt() / f64::from(BRICK_EDGE);
+    (per_cell * beams.extent.length) as usize + 4 * beams.measured.len()
 }
 
 /// Fails before anything is changed if the scan could exceed the memory budget: tries ever
 /// tighter and dearer upper bounds.
 fn check_budget(map: &OccupancyMap, beams: &Beams) -> Result<(), MapError> {
-    let loose = beams.measured.iter().map(most_bricks).sum::<f64>() as usize;
+    let loose = most_bricks(beams);
     if map.check_budget(loose, loose).is_ok() {
         return Ok(());
     }
@@ -219,6 +218,7 @@ impl OccupancyMap {
 mod tests {
     use super::*;
     use crate::integrate::IntegrationRule;
+    use crate::integrate::beam::Measured;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
     use crate::storage::{hash, shard_of};

@@ -7,7 +7,7 @@
 //! there. It only leaves out updates that change nothing, so the map is that of every ray walked
 //! from the sensor.
 
-use super::beam::{Beams, Measured};
+use super::beam::Beams;
 use super::pyramid::{Bounds, Pyramid};
 use crate::key::{BRICK_CELLS, VoxelKey};
 use crate::map::OccupancyMap;
@@ -52,6 +52,7 @@ pub(crate) struct BeamTiles {
     size: [usize; 2],
     /// Per tile, the least range at which a beam raises cells, and the greatest of free space.
     ranges: Pyramid,
+    /// Farthest end of free space.
     reach: f64,
     /// Cubes of this level are not split further.
     leaf_level: u32,
@@ -69,35 +70,30 @@ struct View {
 impl BeamTiles {
     /// Sorts beams into tiles; `None` if there are none or some look too far aside.
     pub(crate) fn new(scan: &Scan, beams: &Beams) -> Option<Self> {
-        let (origin, beams) = (beams.origin, &beams.measured[..]);
-        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
-        for beam in beams {
-            for axis in 0..2 {
-                low[axis] = low[axis].min(beam.slopes[axis]);
-                high[axis] = high[axis].max(beam.slopes[axis]);
-            }
-        }
+        let (origin, extent) = (beams.origin, &beams.extent);
+        let beams = &beams.measured[..];
+        let [low, high] = extent.slopes;
         // Written so that NaN fails. The slopes of a backward beam are mirrored.
         let narrow = (0..2).all(|i| low[i] > -WIDEST_SLOPE && high[i] < WIDEST_SLOPE);
-        if beams.is_empty() || !narrow || beams.iter().any(|beam| !beam.looks_forward) {
+        if beams.is_empty() || !narrow || !extent.looks_forward {
             return None;
         }
-        let mean = beams.iter().map(Measured::free_cells).sum::<f64>() / beams.len() as f64;
+        let mean = extent.free / beams.len() as f64;
         // Fine cells are crossed by few beams each: looking for them costs more than it saves.
         if mean > MOST_CELLS {
             return None;
         }
         // A tile is about half as large as a cell at the mean range.
         let size = [0, 1].map(|i| {
-            let extent = f64::from(high[i] - low[i]);
-            (2.0 * extent * mean).clamp(1.0, MOST_TILES).ceil() as usize
+            let width = f64::from(high[i] - low[i]);
+            (2.0 * width * mean).clamp(1.0, MOST_TILES).ceil() as usize
         });
         let rotation = scan.world_from_sensor.rotation;
         let mut tiles = Self {
             axes: std::array::from_fn(|a| std::array::from_fn(|i| rotation[i][a])),
             origin,
             start: origin.map(|c| c.floor() as i32),
-            octants: beams.iter().fold(0, |octants, b| octants | 1 << b.octant()),
+            octants: extent.octants,
             low: low.map(f64::from),
             tiles_per_slope: std::array::from_fn(|i| {
                 size[i] as f64 / f64::from(high[i] - low[i]).max(LEAST_EXTENT)
@@ -112,8 +108,8 @@ impl BeamTiles {
             let range = &mut ranges[tiles.tile_of(beam.slopes)];
             let free = beam.free_cells();
             tiles.reach = tiles.reach.max(free);
-            range.free_until = range.free_until.min(beam.raises_from() as f32);
-            range.changes_until = range.changes_until.max(free as f32);
+            range.raised_from = range.raised_from.min(beam.raises_from() as f32);
+            range.free_until = range.free_until.max(free as f32);
         }
         tiles.ranges = Pyramid::from_bounds(size[0], size[1], ranges);
         // Ranges of beams are compared with those of cubes, which other units would falsify.
@@ -275,8 +271,8 @@ fn stretch(rotation: &[[f64; 3]; 3]) -> f64 {
 }
 
 const NO_BEAM: Bounds = Bounds {
-    free_until: f32::INFINITY,
-    changes_until: f32::NEG_INFINITY,
+    raised_from: f32::INFINITY,
+    free_until: f32::NEG_INFINITY,
 };
 
 /// Per tile, the range in cells before which nothing can change.
@@ -352,7 +348,6 @@ impl Search<'_> {
         }
         let brick = first.brick();
         let lowest = self.map.limits.min;
-        let unpacked;
         let cells = match self.map.brick(brick) {
             BrickRef::Uniform(value) if value == lowest && passes => return,
             BrickRef::Uniform(value) if value == lowest => Contents::Lowest,
@@ -362,32 +357,24 @@ impl Search<'_> {
             BrickRef::Mixed(_) => self
                 .map
                 .payload(brick)
-                .map_or(Contents::Other, Contents::Cells),
-            BrickRef::Packed(_) => {
-                unpacked = self.map.brick_values(brick);
-                Contents::Cells(&unpacked)
-            }
+                .map_or(Contents::Other, |cells| Contents::mixed(cells, lowest)),
+            BrickRef::Packed(_) => Contents::mixed(&self.map.brick_values(brick), lowest),
         };
-        self.split(first, level, &view, cells);
+        self.split(first, level, &view, &cells);
     }
 
     /// Cubes inside a brick.
-    fn visit_cells(&mut self, first: VoxelKey, level: u32, cells: Contents) {
+    fn visit_cells(&mut self, first: VoxelKey, level: u32, cells: &Contents) {
         let Some((view, passes)) = self.look(first, level) else {
             return;
         };
-        let is_lowest = || match cells {
-            Contents::Lowest => true,
-            Contents::Other => false,
-            Contents::Cells(cells) => all_equal(cells, first, level, self.map.limits.min),
-        };
-        if passes && is_lowest() {
+        if passes && cells.are_lowest(first, level) {
             return;
         }
         self.split(first, level, &view, cells);
     }
 
-    fn split(&mut self, first: VoxelKey, level: u32, view: &View, cells: Contents) {
+    fn split(&mut self, first: VoxelKey, level: u32, view: &View, cells: &Contents) {
         if level <= self.tiles.leaf_level {
             self.block(view);
         } else {
@@ -408,10 +395,10 @@ impl Search<'_> {
             .tiles
             .ranges
             .block_bounds(view.first_tile, view.last_tile);
-        if view.nearest > f64::from(ranges.changes_until) + RANGE_MARGIN {
+        if view.nearest > f64::from(ranges.free_until) + RANGE_MARGIN {
             return None;
         }
-        let passes = view.farthest_center + RANGE_MARGIN <= f64::from(ranges.free_until);
+        let passes = view.farthest_center + RANGE_MARGIN <= f64::from(ranges.raised_from);
         Some((view, passes))
     }
 
@@ -427,16 +414,44 @@ impl Search<'_> {
     }
 }
 
-type Cells = [i16; BRICK_CELLS];
-
 /// What the cells of a brick hold.
-#[derive(Clone, Copy)]
-enum Contents<'a> {
+enum Contents {
     /// The lowest value.
     Lowest,
     /// One other value, or unknown.
     Other,
-    Cells(&'a Cells),
+    /// A bit for each cell that holds another value than the lowest, by layers.
+    Mixed([u64; 8]),
+}
+
+impl Contents {
+    fn mixed(cells: &[i16; BRICK_CELLS], lowest: i16) -> Self {
+        let mut others = [0; 8];
+        for (others, layer) in others.iter_mut().zip(cells.chunks_exact(64)) {
+            for (row, cells) in layer.chunks_exact(8).enumerate() {
+                let bits = (0..8).fold(0, |bits, x| bits | u64::from(cells[x] != lowest) << x);
+                *others |= bits << (8 * row);
+            }
+        }
+        Self::Mixed(others)
+    }
+
+    /// Whether a cube inside the brick holds the lowest value.
+    #[inline]
+    fn are_lowest(&self, first: VoxelKey, level: u32) -> bool {
+        /// The squares of `2^level` cells at the beginning of a layer.
+        const SQUARES: [u64; 4] = [1, 0x0303, 0x0f0f_0f0f, u64::MAX];
+        match self {
+            Self::Lowest => true,
+            Self::Other => false,
+            Self::Mixed(others) => {
+                let start = first.index_in_brick();
+                let square = SQUARES[level as usize] << (start % 64);
+                let layers = start / 64..start / 64 + (1 << level);
+                others[layers].iter().all(|others| others & square == 0)
+            }
+        }
+    }
 }
 
 /// The eight halves of a cube.
@@ -449,17 +464,4 @@ fn for_octants(first: VoxelKey, level: u32, mut visit: impl FnMut(VoxelKey)) {
             first.z + (octant >> 2) * half,
         ));
     }
-}
-
-/// Whether a cube inside a brick holds one value.
-#[inline]
-fn all_equal(cells: &Cells, first: VoxelKey, level: u32, value: i16) -> bool {
-    let edge = 1_usize << level;
-    let start = first.index_in_brick();
-    (0..edge).all(|z| {
-        (0..edge).all(|y| {
-            let row = start + 8 * y + 64 * z;
-            cells[row..row + edge].iter().all(|&c| c == value)
-        })
-    })
 }

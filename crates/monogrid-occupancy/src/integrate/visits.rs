@@ -6,7 +6,7 @@
 //! is saturated free ends with a look into the directory.
 
 use super::beam::{Beam, Beams, Beginnings, Measured};
-use super::ray::TIME_BITS;
+use super::ray::{CellVisitor, TIME_BITS};
 use super::rays::BrickFilter;
 use crate::evidence::Limits;
 use crate::key::{BRICK_CELLS, BrickKey};
@@ -32,17 +32,24 @@ struct List {
 
 /// A brick in free space.
 const FREE: u32 = 1;
-/// Cells that a ray can cross in a brick, at most.
+/// A ray crosses at most 22 cells of a brick.
 const MOST_CELLS: usize = 24;
 /// Free space so short before the obstacle is walked with it: looking for its bricks costs more.
-const SHORT: i64 = 12 << TIME_BITS;
+const SHORT: i64 = 16 << TIME_BITS;
 
 impl List {
     #[inline]
-    fn push(&mut self, key: u64, word: u32, updates: &[u32]) {
+    fn push(&mut self, key: u64, word: u32) {
         self.words
             .extend_from_slice(&[key as u32, (key >> 32) as u32, word]);
+    }
+
+    #[inline]
+    fn push_updates(&mut self, updates: &[u32; MOST_CELLS], count: usize) {
+        // A copy of fixed size needs no call.
+        let end = self.words.len() + count;
         self.words.extend_from_slice(updates);
+        self.words.truncate(end);
     }
 }
 
@@ -78,49 +85,48 @@ impl Visits {
         self.lists.iter_mut().for_each(|list| list.words.clear());
         self.beams.clear();
         self.count = 0;
-        for (index, measured) in batch.iter().enumerate() {
+        for measured in batch {
             let mut beam = beams.beam(measured);
             if let Some(beginnings) = beginnings {
                 beginnings.settle(&mut beam, measured);
             }
-            let mut collector = Collector {
+            let mut visitor = Visitor {
                 lists: &mut self.lists,
                 only,
                 beam: &beam,
-                word: (index as u32) << 1 | FREE,
+                table: beams.tables.table(beam.table),
+                updates: [0; MOST_CELLS],
+                count: 0,
                 visits: 0,
             };
-            collector.collect(beams.tables.table(beam.table));
-            self.count += collector.visits;
-            self.beams.push(beam);
+            let is_needed = visitor.visit((self.beams.len() as u32) << 1 | FREE);
+            self.count += visitor.visits;
+            if is_needed {
+                self.beams.push(beam);
+            }
         }
     }
 }
 
-/// The visits of one beam.
-struct Collector<'a> {
+/// Collects the visits of one beam.
+struct Visitor<'a> {
     lists: &'a mut [List],
     only: BrickFilter<'a>,
     beam: &'a Beam,
-    /// The third word of a free visit.
-    word: u32,
+    table: &'a EvidenceTable,
+    /// So many updates of the present brick.
+    updates: [u32; MOST_CELLS],
+    count: usize,
     visits: usize,
 }
 
-impl Collector<'_> {
-    fn push(&mut self, key: u64, word: u32, updates: &[u32]) {
-        if self
-            .only
-            .is_none_or(|only| only.binary_search(&key).is_ok())
-        {
-            self.lists[shard_of(hash(key))].push(key, word, updates);
-            self.visits += 1;
-        }
-    }
-
-    fn collect(&mut self, table: &EvidenceTable) {
+impl Visitor<'_> {
+    /// Visits all that the beam can change; whether bricks in free space were visited, with `free_word`
+    /// for the third word.
+    fn visit(&mut self, free_word: u32) -> bool {
         let beam = self.beam;
         let mut from = beam.settled_until;
+        let mut is_needed = false;
         if beam.free_until - from > SHORT {
             let mut is_done = true;
             beam.ray.walk_bricks(from, |key, leaves| {
@@ -129,38 +135,46 @@ impl Collector<'_> {
                     return true;
                 }
                 from = leaves;
-                self.push(key, self.word, &[]);
+                is_needed = true;
+                if self.is_wanted(key) {
+                    self.lists[shard_of(hash(key))].push(key, free_word);
+                    self.visits += 1;
+                }
                 false
             });
             if is_done {
-                return;
+                return is_needed;
             }
         }
-        self.collect_cells(from, table);
+        beam.ray.visit_cells_from(from, self);
+        is_needed
     }
 
-    /// The updates of all cells from the time `from` on.
-    fn collect_cells(&mut self, from: i64, table: &EvidenceTable) {
-        let mut updates = [0; MOST_CELLS];
-        let mut count = 0;
-        let mut brick = u64::MAX;
-        let beam = self.beam;
-        beam.ray.for_each_cell_from(from, |key, index, range| {
-            if key != brick {
-                if count > 0 {
-                    self.push(brick, (count as u32) << 1, &updates[..count]);
-                }
-                (brick, count) = (key, 0);
-            }
-            let evidence = beam.evidence_at(range, table);
-            if evidence != 0 {
-                updates[count] = (index as u32) << 16 | u32::from(evidence as u16);
-                count += 1;
-            }
-        });
-        if count > 0 {
-            self.push(brick, (count as u32) << 1, &updates[..count]);
+    #[inline]
+    fn is_wanted(&self, key: u64) -> bool {
+        self.only
+            .is_none_or(|only| only.binary_search(&key).is_ok())
+    }
+}
+
+impl CellVisitor for Visitor<'_> {
+    #[inline]
+    fn cell(&mut self, index: usize, range: i64) {
+        let evidence = self.beam.evidence_at(range, self.table);
+        // Overwritten by the next if it changes nothing.
+        self.updates[self.count] = (index as u32) << 16 | u32::from(evidence as u16);
+        self.count += usize::from(evidence != 0);
+    }
+
+    #[inline]
+    fn leave_brick(&mut self, key: u64) {
+        if self.count > 0 && self.is_wanted(key) {
+            let list = &mut self.lists[shard_of(hash(key))];
+            list.push(key, (self.count as u32) << 1);
+            list.push_updates(&self.updates, self.count);
+            self.visits += 1;
         }
+        self.count = 0;
     }
 }
 
