@@ -1,7 +1,8 @@
 //! `report.html` of a run.
 
+mod tracking;
+
 use super::align::MapFrame;
-use super::frames::{FrameFate, FrameRow};
 use super::recorder::measured;
 use super::summary::Summary;
 use super::threads::Tracked;
@@ -10,7 +11,7 @@ use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_image::Image;
-use monogrid_slam::TrackingState;
+use tracking::{losses, ribbon, tracking_plots};
 
 /// Keyframes shown with their pictures.
 const SHOWN_KEYFRAMES: usize = 8;
@@ -210,130 +211,6 @@ fn path_plot(input: &ReportInput) -> Plot {
         equal_axes: true,
         ..Plot::default()
     }
-}
-
-fn colour(row: &FrameRow) -> (&'static str, &'static str) {
-    match &row.fate {
-        FrameFate::Processed(report) => match report.state {
-            TrackingState::Initialising => ("#7fa8d8", "starting"),
-            TrackingState::Good => ("#5fb36a", "good"),
-            TrackingState::Degraded => ("#e8c547", "degraded"),
-            TrackingState::Fragment => ("#a06cc4", "in a fragment"),
-            TrackingState::Lost => ("#cc4b37", "lost"),
-        },
-        FrameFate::BeforeSeed => ("#7fa8d8", "starting"),
-        FrameFate::Skipped(_) => ("#999999", "unreadable"),
-        FrameFate::Dropped => ("#999999", "dropped"),
-    }
-}
-
-/// Stretches of equal state as (first row, row after the last).
-fn stretches(rows: &[FrameRow]) -> Vec<(usize, usize)> {
-    let mut out: Vec<(usize, usize)> = Vec::new();
-    for i in 0..rows.len() {
-        match out.last_mut() {
-            Some((first, end)) if colour(&rows[*first]) == colour(&rows[i]) => *end = i + 1,
-            _ => out.push((i, i + 1)),
-        }
-    }
-    out
-}
-
-fn ribbon(rows: &[FrameRow]) -> Vec<(f64, &'static str, String)> {
-    stretches(rows)
-        .into_iter()
-        .map(|(first, end)| {
-            let (colour, name) = colour(&rows[first]);
-            let share = (end - first) as f64 / rows.len() as f64;
-            let text = format!(
-                "{name}: frames {} to {}",
-                rows[first].index,
-                rows[end - 1].index
-            );
-            (share, colour, text)
-        })
-        .collect()
-}
-
-/// Where tracking was lost or images were missing, and why.
-fn losses(rows: &[FrameRow]) -> Vec<Vec<String>> {
-    stretches(rows)
-        .into_iter()
-        .filter_map(|(first, end)| {
-            let what = match &rows[first].fate {
-                FrameFate::Processed(report) if report.state == TrackingState::Lost => {
-                    let reason = report.reason.map(|r| r.to_string()).unwrap_or_default();
-                    format!("lost: {reason}")
-                }
-                FrameFate::Processed(report) => format!("fragment {}", report.fragment?.id),
-                FrameFate::Skipped(reason) => format!("unreadable: {reason}"),
-                FrameFate::Dropped => "dropped: the program was behind".to_owned(),
-                _ => return None,
-            };
-            let frames = format!("{} to {}", rows[first].index, rows[end - 1].index);
-            Some(vec![frames, what])
-        })
-        .collect()
-}
-
-fn tracking_plots(rows: &[FrameRow]) -> Vec<Plot> {
-    let curve = |name: &str, colour, value: &dyn Fn(&monogrid_slam::FrameReport) -> f64| Series {
-        name: name.to_owned(),
-        colour,
-        points: rows
-            .iter()
-            .map(|row| {
-                let value = row
-                    .report()
-                    .filter(|report| report.state != TrackingState::Initialising)
-                    .map_or(f64::NAN, value);
-                [row.index as f64, value]
-            })
-            .collect(),
-        ..Series::default()
-    };
-    let plot = |title: &str, y_label: &str, series| Plot {
-        title: title.to_owned(),
-        x_label: "frame".into(),
-        y_label: y_label.to_owned(),
-        series,
-        from_zero: true,
-        ..Plot::default()
-    };
-    vec![
-        plot(
-            "How much of the keyframe is seen again and agrees",
-            "share",
-            vec![
-                curve("seen", "#b0b0b0", &|report| f64::from(report.usage)),
-                curve("agrees", "#1f6fb4", &|report| f64::from(report.good_share)),
-            ],
-        ),
-        plot(
-            "Difference of grey values",
-            "grey levels",
-            vec![curve("", "#1f6fb4", &|report| f64::from(report.residual))],
-        ),
-        plot(
-            "Exposure relative to the keyframe",
-            "gain",
-            vec![curve("", "#1f6fb4", &|report| {
-                f64::from(report.exposure_gain)
-            })],
-        ),
-        plot(
-            "Time per frame",
-            "ms",
-            vec![
-                curve("tracking and depth", "#c07a28", &|report| {
-                    report.milliseconds.tracking + report.milliseconds.depth
-                }),
-                curve("tracking", "#1f6fb4", &|report| {
-                    report.milliseconds.tracking
-                }),
-            ],
-        ),
-    ]
 }
 
 /// Some keyframes, evenly spread, with image, depth and uncertainty, at half their size.
