@@ -1,7 +1,9 @@
 //! Maps a `.scans` file and prints what it cost, comparable with `bench/octomap_baseline`.
 //!
 //! `cargo run --release -p monogrid-occupancy --example map_scans -- office.scans 0.032
-//!  [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [out=map.ot]`
+//!  [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [single=1] [out=map.ot]`
+//!
+//! With `single=1` every scan is a call of its own, as of a robot that maps while it drives.
 #![allow(clippy::print_stdout, reason = "an example program talks to its user")]
 
 use std::error::Error;
@@ -16,6 +18,7 @@ struct Options {
     config: IntegrationConfig,
     threads: usize,
     scans: usize,
+    single: bool,
     out: Option<String>,
 }
 
@@ -28,6 +31,7 @@ fn parse() -> Result<Options, Box<dyn Error>> {
         config: IntegrationConfig::default(),
         threads: 1,
         scans: usize::MAX,
+        single: false,
         out: None,
     };
     for argument in arguments {
@@ -54,6 +58,7 @@ fn parse() -> Result<Options, Box<dyn Error>> {
                 }
             }
             "obstacle" => options.config.obstacle_weight = value.parse()?,
+            "single" => options.single = value == "1",
             "scans" => options.scans = value.parse()?,
             "out" => options.out = Some(value.to_owned()),
             _ => return Err(format!("unknown option {argument}; {usage}").into()),
@@ -83,10 +88,16 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let scans: Vec<Scan> = scans.iter().map(StoredScan::as_scan).collect();
         let (started, cpu_started) = (Instant::now(), cpu_seconds());
-        let report = integrate_scans(&mut map, &scans, &options.config, options.threads)?;
+        let (config, threads) = (&options.config, options.threads);
+        for scans in scans.chunks(if options.single { 1 } else { SCANS }) {
+            points += if let [scan] = scans {
+                integrate(&mut map, scan, config, threads)?.points
+            } else {
+                integrate_scans(&mut map, scans, config, threads)?.points
+            };
+        }
         wall += started.elapsed().as_secs_f64();
         cpu += cpu_seconds() - cpu_started;
-        points += report.points;
     }
     let (payloads, bricks) = map.brick_counts();
     let unpacked = map.bytes_in_memory();

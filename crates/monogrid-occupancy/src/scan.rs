@@ -1,6 +1,6 @@
 //! What is put into a map: range measurements from one place, with their uncertainty.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 
 use crate::error::MapError;
 
@@ -270,6 +270,24 @@ impl Scan<'_> {
                 all.try_for_each(&mut take)
             }
         }
+    }
+
+    /// The scan with some of its measurements.
+    pub(crate) fn part(&self, range: Range<usize>) -> Self {
+        let data = match self.data {
+            ScanData::Points(scan) => ScanData::Points(PointScan {
+                points: &scan.points[range.clone()],
+                sigmas: match scan.sigmas {
+                    one @ [_] => one,
+                    all => &all[range],
+                },
+            }),
+            ScanData::Depth(scan) => ScanData::Depth(DepthScan {
+                pixels: &scan.pixels[range],
+                ..scan
+            }),
+        };
+        Self { data, ..*self }
     }
 
     /// Measurement `index`; `None` if it is not finite, has no length or no uncertainty.

@@ -46,7 +46,7 @@ impl Prepared {
         threads: usize,
         only: BrickFilter,
     ) -> Result<Self, MapError> {
-        let images = RangeImages::new(scan, config, resolution)?;
+        let images = RangeImages::new(scan, config, resolution, threads)?;
         let points = images.points;
         let footprints = Footprints::new(images, config.max_range, resolution);
         let search = Search {
@@ -258,7 +258,7 @@ mod tests {
     /// Every cell around the sensor on its own: no search, no free bricks, no vectors.
     fn cell_by_cell(map: &mut OccupancyMap, scan: &Scan, config: &IntegrationConfig) {
         let resolution = map.resolution();
-        let images = RangeImages::new(scan, config, resolution).unwrap();
+        let images = RangeImages::new(scan, config, resolution, 1).unwrap();
         let footprints = Footprints::new(images, config.max_range, resolution);
         let reach = (3.0 / resolution / 8.0).ceil() as i32;
         for x in -reach..reach {

@@ -7,6 +7,7 @@ use std::ops::ControlFlow;
 
 use super::IntegrationConfig;
 use super::beam::total_sigma;
+use super::parallel::for_each;
 use crate::error::MapError;
 use crate::scan::{DepthScan, Scan, ScanData};
 use crate::sensor::table::TableSet;
@@ -62,13 +63,57 @@ pub(crate) struct RangeImage {
     pub density: f32,
 }
 
-/// A measurement in an image: slopes, range in map units and table.
+/// A measurement in an image: slopes, and range with its uncertainty in map units.
 #[derive(Clone, Copy)]
 struct Sample {
     u: f32,
     v: f32,
     range: f32,
-    table: u16,
+    sigma: f32,
+}
+
+/// Measurements of one image, in their order.
+struct Samples {
+    list: Vec<Sample>,
+    /// Least and greatest slopes.
+    low: [f32; 2],
+    high: [f32; 2],
+    /// Sums of the ranges of the parts, and of those that belong to no part yet.
+    part_sums: Vec<f64>,
+    range_sum: f64,
+}
+
+impl Samples {
+    fn with_capacity(count: usize) -> Self {
+        Self {
+            list: Vec::with_capacity(count),
+            low: [f32::MAX; 2],
+            high: [f32::MIN; 2],
+            part_sums: Vec::new(),
+            range_sum: 0.0,
+        }
+    }
+
+    fn end_part(&mut self) {
+        self.part_sums.push(std::mem::take(&mut self.range_sum));
+    }
+
+    #[inline]
+    fn push(&mut self, sample: Sample) {
+        let Sample { u, v, range, .. } = sample;
+        let (low, high) = (self.low, self.high);
+        // Comparisons instead of `min` and `max`: slopes are finite.
+        self.low = [
+            if u < low[0] { u } else { low[0] },
+            if v < low[1] { v } else { low[1] },
+        ];
+        self.high = [
+            if u > high[0] { u } else { high[0] },
+            if v > high[1] { v } else { high[1] },
+        ];
+        self.range_sum += f64::from(range);
+        self.list.push(sample);
+    }
 }
 
 /// A scan prepared for the rule `fused`.
@@ -89,17 +134,18 @@ impl RangeImages {
         scan: &Scan,
         config: &IntegrationConfig,
         resolution: f64,
+        threads: usize,
     ) -> Result<Self, MapError> {
         let mut tables = TableSet::new(
             config.model.at_resolution(resolution),
             config.update_limits(),
         )?;
-        let (faces, points) = match collect_forward(scan, config, resolution, &mut tables) {
-            Some(samples) => {
-                let points = samples.len();
-                (vec![(FORWARD, samples)], points)
+        let (faces, points) = match collect_forward(scan, config, resolution, threads) {
+            Some(pieces) => {
+                let points = pieces.iter().map(|piece| piece.list.len()).sum();
+                (vec![(FORWARD, pieces)], points)
             }
-            None => collect_cube(scan, config, resolution, &mut tables),
+            None => collect_cube(scan, config, resolution),
         };
         let rotation = scan.world_from_sensor.rotation;
         let native = match scan.data {
@@ -108,13 +154,13 @@ impl RangeImages {
         };
         let images = faces
             .into_iter()
-            .filter(|(_, samples)| !samples.is_empty())
-            .map(|(axes, samples)| {
+            .filter(|(_, pieces)| pieces.iter().any(|samples| !samples.list.is_empty()))
+            .map(|(axes, pieces)| {
                 // Columns of world_from_sensor are the sensor's axes in the world.
                 let axes_in_world = axes.map(|axis: [f64; 3]| {
                     std::array::from_fn(|i| (0..3).map(|j| rotation[i][j] * axis[j]).sum())
                 });
-                build_image(axes_in_world, &samples, native, resolution)
+                build_image(axes_in_world, &pieces, native, resolution, &mut tables)
             })
             .collect();
         Ok(Self {
@@ -169,32 +215,52 @@ impl<'a> RangeModel<'a> {
     }
 }
 
-/// The samples of a sensor that looks forward; `None` if some direction is too far off.
+/// Measurements whose ranges are summed together: the same for any number of threads, as sums are
+/// rounded.
+const PART: usize = 8192;
+
+/// The samples of a sensor that looks forward, a piece per thread; `None` if some direction is too
+/// far off.
 fn collect_forward(
     scan: &Scan,
     config: &IntegrationConfig,
     resolution: f64,
-    tables: &mut TableSet,
-) -> Option<Vec<Sample>> {
-    let mut model = RangeModel::new(scan, resolution);
-    let mut samples = Vec::with_capacity(scan.len());
-    let end = scan.each_measurement(config.sigma_mode, |measured| {
-        let [x, y, z] = measured.point;
-        let inverse = 1.0 / z;
-        let (u, v) = ((x * inverse) as f32, (y * inverse) as f32);
-        if !(z > 0.0 && u.abs() < WIDEST_SLOPE && v.abs() < WIDEST_SLOPE) {
-            return ControlFlow::Break(());
-        }
-        let (range, sigma) = model.range_and_sigma(measured.range, measured.sigma);
-        samples.push(Sample {
-            u,
-            v,
-            range,
-            table: tables.prepare(range, sigma),
-        });
-        ControlFlow::Continue(())
+    threads: usize,
+) -> Option<Vec<Samples>> {
+    let parts = scan.len().div_ceil(PART);
+    let count = PART * parts.div_ceil(threads).max(1);
+    let mut pieces: Vec<_> = (0..scan.len())
+        .step_by(count)
+        .map(|first| (scan.part(first..(first + count).min(scan.len())), None))
+        .collect();
+    for_each(&mut pieces, threads, |_, (piece, samples)| {
+        *samples = collect_piece(piece, config, resolution);
     });
-    end.is_continue().then_some(samples)
+    pieces.into_iter().map(|(_, samples)| samples).collect()
+}
+
+fn collect_piece(scan: &Scan, config: &IntegrationConfig, resolution: f64) -> Option<Samples> {
+    let mut model = RangeModel::new(scan, resolution);
+    let mut samples = Samples::with_capacity(scan.len());
+    for first in (0..scan.len()).step_by(PART) {
+        let part = scan.part(first..(first + PART).min(scan.len()));
+        let end = part.each_measurement(config.sigma_mode, |measured| {
+            let [x, y, z] = measured.point;
+            let inverse = 1.0 / z;
+            let (u, v) = ((x * inverse) as f32, (y * inverse) as f32);
+            if !(z > 0.0 && u.abs() < WIDEST_SLOPE && v.abs() < WIDEST_SLOPE) {
+                return ControlFlow::Break(());
+            }
+            let (range, sigma) = model.range_and_sigma(measured.range, measured.sigma);
+            samples.push(Sample { u, v, range, sigma });
+            ControlFlow::Continue(())
+        });
+        if end.is_break() {
+            return None;
+        }
+        samples.end_part();
+    }
+    Some(samples)
 }
 
 /// The samples of the six faces of a cube; those near an edge belong to both faces.
@@ -206,10 +272,12 @@ fn collect_cube(
     scan: &Scan,
     config: &IntegrationConfig,
     resolution: f64,
-    tables: &mut TableSet,
-) -> (Vec<([[f64; 3]; 3], Vec<Sample>)>, usize) {
+) -> (Vec<([[f64; 3]; 3], Vec<Samples>)>, usize) {
     let mut model = RangeModel::new(scan, resolution);
-    let mut faces: Vec<_> = CUBE.iter().map(|axes| (*axes, Vec::new())).collect();
+    let mut faces: Vec<_> = CUBE
+        .iter()
+        .map(|axes| (*axes, vec![Samples::with_capacity(0)]))
+        .collect();
     let mut points = 0;
     for index in 0..scan.len() {
         let Some(measured) = scan.measurement(index, config.sigma_mode) else {
@@ -217,49 +285,45 @@ fn collect_cube(
         };
         points += 1;
         let (range, sigma) = model.range_and_sigma(measured.range, measured.sigma);
-        let table = tables.prepare(range, sigma);
         for (axes, samples) in &mut faces {
             let [x, y, z] = axes.map(|a| (0..3).map(|i| a[i] * measured.point[i]).sum::<f64>());
             let (u, v) = ((x / z) as f32, (y / z) as f32);
             if z > 0.0 && u.abs() <= CUBE_SLOPE && v.abs() <= CUBE_SLOPE {
-                samples.push(Sample { u, v, range, table });
+                samples[0].push(Sample { u, v, range, sigma });
             }
         }
     }
     (faces, points)
 }
 
-/// Extent of the samples' slopes.
-fn slope_bounds(samples: &[Sample]) -> ([f32; 2], [f32; 2]) {
-    let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
-    for Sample { u, v, .. } in samples {
-        // Comparisons instead of `min` and `max`: slopes are finite.
-        low = [
-            if *u < low[0] { *u } else { low[0] },
-            if *v < low[1] { *v } else { low[1] },
-        ];
-        high = [
-            if *u > high[0] { *u } else { high[0] },
-            if *v > high[1] { *v } else { high[1] },
-        ];
-    }
-    (low, high)
-}
-
 fn build_image(
     axes: [[f64; 3]; 3],
-    samples: &[Sample],
+    pieces: &[Samples],
     native: Option<DepthScan>,
     resolution: f64,
+    tables: &mut TableSet,
 ) -> RangeImage {
-    let (low, high) = slope_bounds(samples);
+    let low = [0, 1].map(|i| {
+        pieces
+            .iter()
+            .fold(f32::MAX, |low, piece| low.min(piece.low[i]))
+    });
+    let high = [0, 1].map(|i| {
+        pieces
+            .iter()
+            .fold(f32::MIN, |high, piece| high.max(piece.high[i]))
+    });
+    let count = pieces.iter().map(|piece| piece.list.len()).sum::<usize>();
     let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(1e-3));
-    let mean_range = samples.iter().map(|s| f64::from(s.range)).sum::<f64>() / samples.len() as f64;
+    let sums = pieces
+        .iter()
+        .flat_map(|p| p.part_sums.iter().chain([&p.range_sum]));
+    let mean_range = sums.sum::<f64>() / count as f64;
     // As many measurements per pixel as leave few gaps, or the camera's own pixels.
     let (focal_u, aspect) = match native {
         Some(camera) => (camera.fx.abs(), (camera.fy / camera.fx).abs()),
         None => {
-            let pixels = samples.len() as f64 / POINTS_PER_PIXEL;
+            let pixels = count as f64 / POINTS_PER_PIXEL;
             ((pixels / (extent[0] * extent[1])).sqrt(), 1.0)
         }
     };
@@ -278,11 +342,11 @@ fn build_image(
         pixels: vec![EMPTY_PIXEL; size[0] * size[1]],
         density: 1.0,
     };
-    for sample in samples {
-        image.vote(sample);
+    for sample in pieces.iter().flat_map(|piece| &piece.list) {
+        image.vote(sample, tables.prepare(sample.range, sample.sigma));
     }
     let filled = image.pixels.iter().filter(|p| p.range != HOLE).count();
-    image.density = (samples.len() as f32 / filled.max(1) as f32).max(1.0);
+    image.density = (count as f32 / filled.max(1) as f32).max(1.0);
     image.fill_gaps();
     image
 }
@@ -291,7 +355,7 @@ impl RangeImage {
     /// Adds a measurement to its pixel. Ranges of one surface are averaged; where they
     /// are not, the majority stays (Boyer and Moore's vote).
     #[inline]
-    fn vote(&mut self, sample: &Sample) {
+    fn vote(&mut self, sample: &Sample, table: u16) {
         let column = (sample.u * self.focal[0] + self.center[0] + 0.5) as usize;
         let row = (sample.v * self.focal[1] + self.center[1] + 0.5) as usize;
         let index = row.min(self.height - 1) * self.width + column.min(self.width - 1);
@@ -299,7 +363,7 @@ impl RangeImage {
         if pixel.votes == 0 {
             *pixel = Pixel {
                 range: sample.range,
-                table: sample.table,
+                table,
                 votes: 1,
             };
         } else if (sample.range - pixel.range).abs() <= ONE_SURFACE * pixel.range {

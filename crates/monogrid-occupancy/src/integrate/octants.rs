@@ -284,7 +284,7 @@ mod tests {
             }),
         };
         let cell = 0.01;
-        let images = RangeImages::new(&scan, &IntegrationConfig::default(), cell).unwrap();
+        let images = RangeImages::new(&scan, &IntegrationConfig::default(), cell, 1).unwrap();
         let windows = Windows::new(&images.images[0], &images.tables, 100.0);
         let view = View {
             image: &images.images[0],
