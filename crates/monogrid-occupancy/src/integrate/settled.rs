@@ -83,10 +83,10 @@ impl BeamTiles {
         if mean > MOST_CELLS {
             return None;
         }
-        // A tile is about half as large as a cell at the mean range.
+        // A tile is about a third as large as a cell at the mean range.
         let size = [0, 1].map(|i| {
             let width = f64::from(high[i] - low[i]);
-            (2.0 * width * mean).clamp(1.0, MOST_TILES).ceil() as usize
+            (3.0 * width * mean).clamp(1.0, MOST_TILES).ceil() as usize
         });
         let rotation = scan.world_from_sensor.rotation;
         let mut tiles = Self {

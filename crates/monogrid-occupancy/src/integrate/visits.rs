@@ -35,7 +35,7 @@ const FREE: u32 = 1;
 /// A ray crosses at most 22 cells of a brick.
 const MOST_CELLS: usize = 24;
 /// Free space so short before the obstacle is walked with it: looking for its bricks costs more.
-const SHORT: i64 = 16 << TIME_BITS;
+const SHORT: i64 = 22 << TIME_BITS;
 
 impl List {
     #[inline]
