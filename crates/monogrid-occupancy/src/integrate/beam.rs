@@ -173,13 +173,12 @@ impl Beam {
     /// Evidence for a cell whose centre has this range; 0 behind the obstacle.
     #[inline]
     pub(crate) fn evidence_at(&self, range: i64, table: &EvidenceTable) -> i16 {
-        // No branches: where the band begins cannot be predicted. Casts round towards 0.
         let behind_start = range - self.table_start;
         if behind_start < 0 {
             return table.free;
         }
-        let at = (behind_start as f64 * self.entries_per_range) as i64;
-        table.step(at - i64::from(behind_start < 0))
+        let at = (behind_start as f64 * self.entries_per_range) as usize;
+        table.entries.get(at).copied().unwrap_or(0)
     }
 }
 

@@ -224,10 +224,10 @@ fn flatten(tables: &[EvidenceTable]) -> (FlatTables, Vec<TableHeader>) {
                 start: table.start as f32,
                 inv_step: table.inv_step as f32,
                 base: entries.len() as i32,
-                last: (table.entries().len() + 1) as f32,
+                last: (table.entries.len() + 1) as f32,
             };
             entries.push(table.free);
-            entries.extend_from_slice(table.entries());
+            entries.extend_from_slice(&table.entries);
             entries.push(0);
             header
         })

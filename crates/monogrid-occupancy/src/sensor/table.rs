@@ -43,8 +43,8 @@ pub(crate) struct EvidenceTable {
     pub start: f64,
     /// Entries per map unit.
     pub inv_step: f64,
-    /// The evidence before the first entry, the entries, and 0: nothing is known behind them.
-    steps: Vec<i16>,
+    /// Entries; beyond the last one nothing is known.
+    pub entries: Vec<i16>,
 }
 
 impl EvidenceTable {
@@ -82,33 +82,18 @@ impl EvidenceTable {
         entries.truncate(kept);
         let free = at(front - sigma);
         let first = entries.iter().position(|&e| e != free).unwrap_or(kept);
-        let mut steps = vec![free];
-        steps.extend_from_slice(&entries[first..]);
-        steps.push(0);
+        entries.drain(..first);
         Self {
             free,
             start: front + first as f64 * step,
             inv_step: 1.0 / step,
-            steps,
+            entries,
         }
-    }
-
-    /// Entries; beyond the last one nothing is known.
-    pub(crate) fn entries(&self) -> &[i16] {
-        &self.steps[1..self.steps.len() - 1]
-    }
-
-    /// The entry that holds for positions from it on: 0 is the first, those before it are free space.
-    #[inline]
-    pub(crate) fn step(&self, entry: i64) -> i16 {
-        let last = self.steps.len() - 1;
-        let at = (entry + 1).clamp(0, last as i64);
-        self.steps[at as usize]
     }
 
     /// Distance behind the measured range at which the table ends.
     pub(crate) fn end(&self) -> f64 {
-        self.start + self.entries().len() as f64 / self.inv_step
+        self.start + self.entries.len() as f64 / self.inv_step
     }
 
     /// Evidence at `range - measured_range = x`; 0 behind the band.
@@ -118,7 +103,7 @@ impl EvidenceTable {
         if offset < 0.0 {
             self.free
         } else {
-            self.entries().get(offset as usize).copied().unwrap_or(0)
+            self.entries.get(offset as usize).copied().unwrap_or(0)
         }
     }
 }
@@ -332,6 +317,6 @@ mod tests {
         let table = set.table(index);
         assert_eq!(table.lookup(-2.5), evidence_from_log_odds(-0.6));
         assert_eq!(table.lookup(10.0), 0);
-        assert!(table.entries().len() < 2000);
+        assert!(table.entries.len() < 2000);
     }
 }
