@@ -340,6 +340,16 @@ pub enum ConfigError {
         /// Largest allowed.
         max: f32,
     },
+    /// A setting of [`crate::refine_depth`].
+    #[error("{name} of multi-view depth is {value}, allowed: {allowed}")]
+    MultiView {
+        /// The field.
+        name: &'static str,
+        /// The rejected value.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
 }
 
 #[cfg(test)]

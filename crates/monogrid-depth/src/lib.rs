@@ -5,7 +5,8 @@
 //!
 //! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…` →
 //! for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
-//! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`].
+//! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`]. When all poses are known:
+//! [`refine_depth`] from the images of the other keyframes.
 //!
 //! # Conventions
 //!
@@ -29,6 +30,7 @@ mod initialize;
 mod line_match;
 mod map;
 mod measure;
+mod multi_view;
 mod observe;
 mod packed;
 mod pixels;
@@ -41,6 +43,7 @@ mod variance;
 pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, VarianceModel};
 pub use host::{HostError, HostFrame};
 pub use map::{DepthMap, DepthState};
+pub use multi_view::{MultiViewConfig, SourceView, refine_depth};
 pub use observe::{DepthBand, StereoFrame};
 pub use packed::PackedDepth;
 pub use pixels::{PixelDepth, PixelFilter};

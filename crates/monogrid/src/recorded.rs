@@ -7,7 +7,9 @@ use crate::run::align::{Align, MapFrame};
 use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, MappingConfig};
+use monogrid_slam::mapping::{
+    KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, final_scans,
+};
 use std::path::Path;
 
 /// A recording in memory.
@@ -67,14 +69,24 @@ impl Recorded {
     }
 
     /// What of each keyframe is mapped.
-    pub fn scans(&self, config: &MappingConfig) -> Vec<KeyframeScan> {
-        self.keyframes
+    pub fn scans(&self, config: &MappingConfig, threads: usize) -> Vec<KeyframeScan> {
+        let pixels: Vec<_> = self
+            .keyframes
             .iter()
-            .map(|k| {
-                let pixels = from_recorded(&k.pixels);
-                KeyframeScan::new(k.id, &pixels, k.image.as_ref(), &self.camera, config)
+            .map(|k| from_recorded(&k.pixels))
+            .collect();
+        let keyframes: Vec<PosedKeyframe> = self
+            .keyframes
+            .iter()
+            .zip(&pixels)
+            .map(|(k, pixels)| PosedKeyframe {
+                id: k.id,
+                image: k.image.as_ref(),
+                pixels,
+                world_from_keyframe: k.world_from_keyframe,
             })
-            .collect()
+            .collect();
+        final_scans(&keyframes, &self.camera, config, threads)
     }
 
     /// Poses of the keyframes in the world of the run.

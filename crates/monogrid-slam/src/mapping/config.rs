@@ -1,6 +1,7 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
 use crate::ConfigError;
+use monogrid_depth::MultiViewConfig;
 use monogrid_occupancy::{AndertForm, Buffer, MapConfig, SensorModel, Significance, ThrunForm};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -116,6 +117,62 @@ impl Default for DepthFilterConfig {
             max_relative_sigma: 0.035,
             min_support: 6,
             skip_keyframes: 0,
+        }
+    }
+}
+
+/// How the depth of keyframes becomes better when the poses are known in the end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RefineConfig {
+    /// Whether the final map has it. Default true.
+    pub enabled: bool,
+    /// Keyframes that one is compared with, the nearest, at least 1. Default 8.
+    pub max_keyframes: usize,
+    /// How far these may be: distance over the median depth, plus the angle of rotation in radians; above 0.
+    /// Default 1.
+    pub max_separation: f64,
+    /// How pixels are compared.
+    pub stereo: MultiViewConfig,
+}
+
+impl Default for RefineConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            max_keyframes: 8,
+            max_separation: 1.0,
+            stereo: MultiViewConfig::default(),
+        }
+    }
+}
+
+impl RefineConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        let error = |name, value, allowed| {
+            Err(ConfigError {
+                name,
+                value,
+                allowed,
+            })
+        };
+        if self.max_keyframes == 0 {
+            return error("mapping.refine.max_keyframes", 0.0, "at least 1");
+        }
+        if !(self.max_separation > 0.0) {
+            return error(
+                "mapping.refine.max_separation",
+                self.max_separation,
+                "above 0",
+            );
+        }
+        match self.stereo.validate() {
+            Err(monogrid_depth::ConfigError::MultiView {
+                name,
+                value,
+                allowed,
+            }) => error(name, value, allowed),
+            _ => Ok(()),
         }
     }
 }
@@ -299,6 +356,8 @@ pub struct MappingConfig {
     pub depth_image_sigma: f64,
     /// Which measurements are mapped.
     pub filter: DepthFilterConfig,
+    /// Better depth at the final poses.
+    pub refine: RefineConfig,
     /// Depth of plain surfaces.
     pub fill: FillConfig,
 }
@@ -328,6 +387,7 @@ impl Default for MappingConfig {
             pose_sigma_deg: 0.1,
             depth_image_sigma: 0.01,
             filter: DepthFilterConfig::default(),
+            refine: RefineConfig::default(),
             fill: FillConfig::default(),
         }
     }
@@ -355,6 +415,10 @@ impl MappingConfig {
                 max_relative_sigma: f64::INFINITY,
                 min_support: 0,
                 skip_keyframes: 0,
+            },
+            refine: RefineConfig {
+                enabled: false,
+                ..RefineConfig::default()
             },
             fill: FillConfig {
                 enabled: false,
@@ -437,6 +501,7 @@ impl MappingConfig {
             "mapping.filter.max_relative_sigma",
             self.filter.max_relative_sigma,
         )?;
+        self.refine.validate()?;
         self.fill.validate()?;
         let support = self.filter.min_support;
         check(

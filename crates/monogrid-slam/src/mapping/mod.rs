@@ -14,12 +14,14 @@
 mod config;
 mod fill;
 mod maps;
+mod refine;
 mod scan;
 
 pub use config::{
     AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig,
-    SensorModelKind, SigmaMode, ThrunFormKind,
+    RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};
+pub use refine::{PosedKeyframe, final_scans};
 pub use scan::{KeyframeCamera, KeyframeScan};

@@ -130,7 +130,7 @@ fn mapped(recorded: &Recorded, options: &MappingArgs) -> Result<OccupancyMap, Fa
     config.validate()?;
     let threads = use_threads(None)?;
     let mapper = Mapper::new(config.mapping, recorded.camera, threads);
-    let scans = recorded.scans(mapper.config());
+    let scans = recorded.scans(mapper.config(), threads);
     let poses = recorded.world_from_keyframes();
     let built = mapper.build(&scans, &poses, &recorded.frame.map_from_world);
     Ok(built.while_running("the map cannot be built")?.0)

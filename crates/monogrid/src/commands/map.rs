@@ -172,7 +172,7 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
     let mut watch = Stopwatch::new();
     let (map, stats) = watch
         .time(|| {
-            let scans = recorded.scans(mapper.config());
+            let scans = recorded.scans(mapper.config(), threads);
             mapper.build(&scans, &poses, &recorded.frame.map_from_world)
         })
         .while_running("the map cannot be built")?;

@@ -126,7 +126,7 @@ impl Sweep<'_> {
     /// All maps of one recording, coarse ones first: they are quick and show early what is wrong.
     fn result(&self, named: &Named, resolutions: &[f64]) -> Result<RecordingResult, Failure> {
         let recorded = &named.recorded;
-        let all_scans = recorded.scans(&MappingConfig::thesis());
+        let all_scans = recorded.scans(&MappingConfig::thesis(), 1);
         let view = match self.finest_truth {
             Some(truth) => Some(in_view(truth, recorded, self.args.view_range)?),
             None => None,

@@ -65,13 +65,10 @@ fn take_change(
     }
 }
 
+/// What of a keyframe is mapped now. Filling plain surfaces is left for the final maps, which have better
+/// depth, as long as nobody looks.
 fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {
     let config = maps.mapper().config();
-    KeyframeScan::new(
-        keyframe.id,
-        &keyframe.pixels,
-        Some(&keyframe.image),
-        camera,
-        config,
-    )
+    let image = maps.is_read().then_some(&keyframe.image);
+    KeyframeScan::new(keyframe.id, &keyframe.pixels, image, camera, config)
 }

@@ -15,7 +15,7 @@ use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::Vec3;
-use monogrid_slam::mapping::Maps;
+use monogrid_slam::mapping::{KeyframeScan, Mapper, Maps, PosedKeyframe, final_scans};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Set by Ctrl-C.
@@ -154,12 +154,15 @@ fn final_maps(
     path: &[[f64; 3]],
     settings: &RunSettings,
 ) -> Result<Option<Maps>, String> {
-    let live = grown.map_err(|error| error.to_string())?;
+    let mut live = grown.map_err(|error| error.to_string())?;
     if tracked.slam.keyframes().is_empty() || settings.is_localise_only() {
         return Ok(None);
     }
     let before = process_cpu();
     let camera = path.last().map(|point| Vec3::from(*point));
+    for scan in final_scans_of(tracked, live.mapper(), settings.threads) {
+        live.revise(scan);
+    }
     let mut maps = live
         .finish(
             &tracked.snapshot,
@@ -173,6 +176,22 @@ fn final_maps(
     }
     tracked.cpu.mapping += process_cpu() - before;
     Ok(Some(maps))
+}
+
+/// The depth of all keyframes of the main map as it is mapped in the end.
+fn final_scans_of(tracked: &Tracked, mapper: &Mapper, threads: usize) -> Vec<KeyframeScan> {
+    let keyframes: Vec<PosedKeyframe> = tracked
+        .slam
+        .keyframes()
+        .iter()
+        .map(|keyframe| PosedKeyframe {
+            id: keyframe.id,
+            image: Some(&keyframe.image),
+            pixels: &keyframe.pixels,
+            world_from_keyframe: tracked.snapshot.in_main_map(keyframe.id).copied(),
+        })
+        .collect();
+    final_scans(&keyframes, mapper.camera(), mapper.config(), threads)
 }
 
 fn early_failure(tracked: &Tracked) -> Option<String> {

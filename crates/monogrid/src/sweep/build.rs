@@ -40,7 +40,7 @@ pub fn build(job: &Job, entry: &Entry, budget: usize) -> Result<MapResult, Failu
     let scans = if keeps_everything(&config) {
         job.all_scans
     } else {
-        filtered = job.recorded.scans(&config);
+        filtered = job.recorded.scans(&config, 1);
         &filtered
     };
     let mut map = empty(&config, budget)?;

@@ -163,7 +163,7 @@ fn fill(
         };
         let (x, y) = (index % regions.width, index / regions.width);
         let (idepth, fit_sigma) = plane.at(x as f64, y as f64);
-        let sigma = fit_sigma.hypot(config.relative_sigma * idepth);
+        let sigma = (fit_sigma.powi(2) + (config.relative_sigma * idepth).powi(2)).sqrt();
         if idepth > 0.0 && sigma <= max_relative_sigma * idepth {
             filled.push(Measurement {
                 x: x as u16,

@@ -66,7 +66,7 @@ impl Plane {
         let idepth = self.coefficients.dot(&row);
         (
             idepth,
-            variance.max(0.0).sqrt().hypot(self.shared_sigma * idepth),
+            (variance.max(0.0) + (self.shared_sigma * idepth).powi(2)).sqrt(),
         )
     }
 
@@ -83,7 +83,8 @@ impl Plane {
     fn gap(&self, point: &BorderPoint, config: &FillConfig) -> f64 {
         let expected = self.coefficients.dot(&self.row(point.x, point.y));
         let flatness = config.relative_sigma * point.idepth;
-        (point.idepth - expected) / point.sigma.min(flatness).hypot(flatness)
+        let sigma = point.sigma.min(flatness);
+        (point.idepth - expected) / (sigma * sigma + flatness * flatness).sqrt()
     }
 }
 

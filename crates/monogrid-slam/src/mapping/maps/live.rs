@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct Maps {
     /// Every keyframe of the main map at its final pose.
     pub global: OccupancyMap,
-    /// Every keyframe at its first pose.
+    /// Every keyframe, with its final depth, at its first pose.
     pub large: OccupancyMap,
     /// *global* around the camera.
     pub local: OccupancyMap,
@@ -82,7 +82,7 @@ pub struct LiveMaps {
     large: Arc<OccupancyMap>,
     first_poses: Vec<(KeyframeId, Sim3)>,
     global: GlobalMap,
-    /// Keyframes that came while nobody read, at the poses they had; *global* takes them when it is
+    /// Keyframes that came while nobody read, at the poses they had; the maps take them when they are
     /// wanted. A map that follows every small correction costs twice its integration and more.
     waiting: Vec<(KeyframeScan, Sim3)>,
     /// Keyframes of fragments that are not joined to the main map: nobody knows where they are.
@@ -114,15 +114,14 @@ impl LiveMaps {
         &self.mapper
     }
 
-    /// For threads that read the maps while they grow. As long as nobody does, nothing is copied, and
-    /// *global* is left for the end.
+    /// For threads that read the maps while they grow. As long as nobody does, they are left for the end.
     ///
     /// # Errors
     /// As [`LiveMaps::add`], for keyframes that came before.
     pub fn reader(&mut self) -> Result<MapReader, MapError> {
         let reader = self.published.clone();
         for (scan, world_from_keyframe) in std::mem::take(&mut self.waiting) {
-            self.global.add(&self.mapper, &scan, &world_from_keyframe)?;
+            self.integrate(&scan, &world_from_keyframe)?;
         }
         if !self.first_poses.is_empty() {
             self.publish();
@@ -136,17 +135,31 @@ impl LiveMaps {
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
     pub fn add(&mut self, scan: KeyframeScan, world_from_keyframe: Sim3) -> Result<(), MapError> {
-        let pose = self.map_from_world * world_from_keyframe;
-        let large = Arc::make_mut(&mut self.large);
-        self.mapper.integrate(large, &scan, &pose)?;
         self.first_poses.push((scan.id, world_from_keyframe));
         if self.published.is_read() {
-            self.global.add(&self.mapper, &scan, &world_from_keyframe)?;
+            self.integrate(&scan, &world_from_keyframe)?;
             self.publish();
         } else {
             self.waiting.push((scan, world_from_keyframe));
         }
         Ok(())
+    }
+
+    fn integrate(
+        &mut self,
+        scan: &KeyframeScan,
+        world_from_keyframe: &Sim3,
+    ) -> Result<(), MapError> {
+        let pose = self.map_from_world * *world_from_keyframe;
+        let large = Arc::make_mut(&mut self.large);
+        self.mapper.integrate(large, scan, &pose)?;
+        self.global.add(&self.mapper, scan, world_from_keyframe)
+    }
+
+    /// Whether somebody reads the maps while they grow.
+    #[must_use]
+    pub fn is_read(&self) -> bool {
+        self.published.is_read()
     }
 
     /// Takes a finished keyframe of a fragment; it is added when [`LiveMaps::follow`] hears that the fragment is
@@ -155,7 +168,7 @@ impl LiveMaps {
         self.apart.insert(scan.id, scan);
     }
 
-    /// Takes better depth of a keyframe that was added before; *global* will use it.
+    /// Takes better depth of a keyframe that was added before; *global* will use it, *large* at the end.
     pub fn revise(&mut self, scan: KeyframeScan) {
         if let Some(apart) = self.apart.get_mut(&scan.id) {
             *apart = scan;
@@ -231,12 +244,18 @@ impl LiveMaps {
         self.follow(Arc::clone(snapshot))?;
         let mapper = self.mapper.with_threads(threads);
         let mut global = self.global;
-        global.settle(&mapper, snapshot, map_from_world, self.waiting)?;
-        let large = if self.map_from_world == *map_from_world {
-            Arc::unwrap_or_clone(self.large)
+        let first_poses = self.first_poses.iter();
+        let large = if self.waiting.len() == self.first_poses.len() {
+            // nothing was integrated yet
+            let (scans, poses): (Vec<KeyframeScan>, Vec<Sim3>) =
+                self.waiting.iter().cloned().unzip();
+            let poses: Vec<Option<Sim3>> = poses.into_iter().map(Some).collect();
+            let large = mapper.build(&scans, &poses, map_from_world)?.0;
+            global.settle(&mapper, snapshot, map_from_world, self.waiting)?;
+            large
         } else {
-            let poses = self.first_poses.iter();
-            global.elsewhere(poses.map(|(id, pose)| (*id, *map_from_world * *pose)))?
+            global.settle(&mapper, snapshot, map_from_world, self.waiting)?;
+            global.elsewhere(first_poses.map(|(id, pose)| (*id, *map_from_world * *pose)))?
         };
         let stats = global.stats();
         let global = global.into_map();

@@ -262,7 +262,7 @@ fn after_every_keyframe_has_moved_the_maps_are_those_built_from_scratch_for_any_
         let history = History::new(&mut random);
         let final_poses = &history.last().world_from_keyframe;
         let global = from_scratch(&history.final_scans(), final_poses, &z_up);
-        let large = from_scratch(&history.scans, &history.first, &z_up);
+        let large = from_scratch(&history.final_scans(), &history.first, &z_up);
         assert_ne!(bytes(&global), bytes(&large));
         let mut timings: [Box<dyn FnMut() -> usize>; 3] = [
             Box::new(|| 0),

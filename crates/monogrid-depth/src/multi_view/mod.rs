@@ -1,0 +1,221 @@
+//! Depth of a finished keyframe from all keyframes around it, at the poses that are known in the end.
+//!
+//! The filter observes a keyframe while its pose and those of the frames are still estimates; what is
+//! wrong with them stays in the depth. When the poses are optimised, the images of the other keyframes say
+//! more. A pixel `x` of inverse depth `rho` is seen in a source at
+//!
+//! ```text
+//! x'(rho) = pi(K s R K^-1 (x, y, 1) + rho K t)          (s R, t: source from keyframe)
+//! ```
+//!
+//! Flow per pixel: the sources that see it with enough disparity along its gradient ([`sight`]) → the best
+//! normalised correlation of a patch over a short range of inverse depths ([`search`]) → Gauss-Newton on
+//! ln(rho) over all these sources, with gain and bias of each patch free, which also gives the variance.
+//! A pixel that its sources do not agree about has no new depth.
+
+mod search;
+mod sight;
+
+use crate::{ConfigError, PixelDepth};
+use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_image::Image;
+use serde::{Deserialize, Serialize};
+use sight::Projection;
+
+/// Another keyframe.
+#[derive(Clone, Copy, Debug)]
+pub struct SourceView<'a> {
+    /// Its image, of the same camera.
+    pub image: &'a Image<u8>,
+    /// From the coordinates of the refined keyframe (in its units) to those of the other.
+    pub source_from_keyframe: Sim3,
+}
+
+/// Settings of [`refine_depth`].
+///
+/// A disparity is the way of the match in px along the gradient if the inverse depth changed by all of
+/// itself: at 50 px, 2 % are one pixel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MultiViewConfig {
+    /// Sources per pixel, those of the largest disparity; at least 2. Default 5.
+    pub max_sources: usize,
+    /// Of these, so many of the smallest disparity search; at least 1. Default 2.
+    pub search_sources: usize,
+    /// Smallest disparity of a source, px, above 0. Default 15.
+    pub min_disparity_px: f64,
+    /// Largest disparity, px. Default 80: far more, and views differ too much.
+    pub max_disparity_px: f64,
+    /// The search reaches so many standard deviations, above 0, ... Default 3.
+    pub search_sigmas: f64,
+    /// ... but at least this share of the inverse depth, in (0, 0.5), ... Default 0.04.
+    pub min_search: f64,
+    /// ... and at most this, in (0, 0.5). Default 0.15.
+    pub max_search: f64,
+    /// Step of the search, px, above 0. Default 1.
+    pub step_px: f64,
+    /// Iterations after the search, at least 1. Default 2.
+    pub iterations: usize,
+    /// Two sources must correlate by this at least, in (0, 1). Default 0.7.
+    pub min_correlation: f64,
+    /// Smallest deviation of the residuals of a source, grey levels, above 0. Default 2.
+    pub grey_sigma: f64,
+    /// Residuals of a patch that count as one, since neighbours share their errors; at least 1. Default 10.
+    pub correlated_residuals: f64,
+    /// Relative standard deviation added for what all pixels share (poses), at least 0. Default 0.006.
+    pub relative_sigma: f64,
+}
+
+impl Default for MultiViewConfig {
+    fn default() -> Self {
+        Self {
+            max_sources: 5,
+            search_sources: 2,
+            min_disparity_px: 15.0,
+            max_disparity_px: 80.0,
+            search_sigmas: 3.0,
+            min_search: 0.04,
+            max_search: 0.15,
+            step_px: 1.0,
+            iterations: 2,
+            min_correlation: 0.7,
+            grey_sigma: 2.0,
+            correlated_residuals: 10.0,
+            relative_sigma: 0.006,
+        }
+    }
+}
+
+impl MultiViewConfig {
+    /// Checks all settings.
+    ///
+    /// # Errors
+    /// The first value outside its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        let share = |v: f64| v > 0.0 && v < 0.5;
+        let checks = [
+            (
+                "mapping.refine.stereo.max_sources",
+                self.max_sources as f64,
+                self.max_sources >= 2,
+                "at least 2",
+            ),
+            (
+                "mapping.refine.stereo.search_sources",
+                self.search_sources as f64,
+                self.search_sources >= 1,
+                "at least 1",
+            ),
+            (
+                "mapping.refine.stereo.min_disparity_px",
+                self.min_disparity_px,
+                positive(self.min_disparity_px),
+                "above 0",
+            ),
+            (
+                "mapping.refine.stereo.max_disparity_px",
+                self.max_disparity_px,
+                self.max_disparity_px > self.min_disparity_px,
+                "above min_disparity_px",
+            ),
+            (
+                "mapping.refine.stereo.search_sigmas",
+                self.search_sigmas,
+                positive(self.search_sigmas),
+                "above 0",
+            ),
+            (
+                "mapping.refine.stereo.min_search",
+                self.min_search,
+                share(self.min_search),
+                "above 0, below 0.5",
+            ),
+            (
+                "mapping.refine.stereo.max_search",
+                self.max_search,
+                share(self.max_search) && self.max_search >= self.min_search,
+                "min_search to 0.5",
+            ),
+            (
+                "mapping.refine.stereo.step_px",
+                self.step_px,
+                positive(self.step_px),
+                "above 0",
+            ),
+            (
+                "mapping.refine.stereo.iterations",
+                self.iterations as f64,
+                self.iterations >= 1,
+                "at least 1",
+            ),
+            (
+                "mapping.refine.stereo.min_correlation",
+                self.min_correlation,
+                self.min_correlation > 0.0 && self.min_correlation < 1.0,
+                "above 0, below 1",
+            ),
+            (
+                "mapping.refine.stereo.grey_sigma",
+                self.grey_sigma,
+                positive(self.grey_sigma),
+                "above 0",
+            ),
+            (
+                "mapping.refine.stereo.correlated_residuals",
+                self.correlated_residuals,
+                self.correlated_residuals >= 1.0 && self.correlated_residuals.is_finite(),
+                "at least 1",
+            ),
+            (
+                "mapping.refine.stereo.relative_sigma",
+                self.relative_sigma,
+                self.relative_sigma >= 0.0 && self.relative_sigma.is_finite(),
+                "at least 0",
+            ),
+        ];
+        match checks.into_iter().find(|(_, _, is_allowed, _)| !is_allowed) {
+            None => Ok(()),
+            Some((name, value, _, allowed)) => Err(ConfigError::MultiView {
+                name,
+                value,
+                allowed,
+            }),
+        }
+    }
+}
+
+/// The depths of a keyframe, better where the sources agree; the others as they were.
+///
+/// `pixels` in any order, in units of the keyframe; the result has the same order. Returns how many
+/// became better, too.
+#[must_use]
+pub fn refine_depth(
+    image: &Image<u8>,
+    camera: &Pinhole,
+    pixels: &[PixelDepth],
+    sources: &[SourceView],
+    config: &MultiViewConfig,
+) -> (Vec<PixelDepth>, usize) {
+    let projections: Vec<Projection> = sources
+        .iter()
+        .filter(|s| s.image.width() == image.width() && s.image.height() == image.height())
+        .map(|source| Projection::new(source, camera))
+        .collect();
+    let mut search = search::Search::new(image, &projections, config);
+    let mut num_refined = 0;
+    let refined = pixels
+        .iter()
+        .map(|pixel| match search.refine(pixel) {
+            Some(refined) => {
+                num_refined += 1;
+                refined
+            }
+            None => *pixel,
+        })
+        .collect();
+    (refined, num_refined)
+}
+
+#[cfg(test)]
+mod tests;

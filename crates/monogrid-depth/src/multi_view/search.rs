@@ -1,0 +1,294 @@
+//! The inverse depth that the sources agree about.
+
+use super::MultiViewConfig;
+use super::sight::{PATTERN, Projection, SAMPLES, Sight};
+use crate::PixelDepth;
+use monogrid_image::Image;
+
+/// Steps of the search to each side, at most.
+const MAX_STEPS: usize = 15;
+/// Sources below this correlation take no part in an iteration.
+const MIN_USED_CORRELATION: f32 = 0.5;
+/// How far the match of the widest source may move without a search, px.
+const CONFIRMED_PX: f64 = 0.8;
+/// Motion of that match that ends the iterations, px.
+const CONVERGED_PX: f64 = 0.1;
+/// What a source costs at most in the search: it may be occluded.
+const MAX_COST: f32 = 0.7;
+/// Patches of less contrast (root of the sum of squares, grey levels) have no depth to find.
+const MIN_CONTRAST: f32 = 8.0;
+/// Contrast below which a patch of a source counts as noise, grey levels.
+const NOISE_CONTRAST: f32 = 4.0;
+
+/// Refines the pixels of one keyframe, one after the other.
+pub(super) struct Search<'a> {
+    image: &'a Image<u8>,
+    projections: &'a [Projection<'a>],
+    config: &'a MultiViewConfig,
+    /// Of the present pixel, largest disparity first.
+    sights: Vec<Sight<'a>>,
+}
+
+/// The surroundings of a pixel in the keyframe: mean 0, norm 1.
+struct Patch([f32; SAMPLES]);
+
+/// What one iteration found.
+struct Normal {
+    /// Sum of squares of the derivative of ln(rho), by the variance of the residuals.
+    hessian: f64,
+    gradient: f64,
+    /// Sources that agree.
+    agreeing: usize,
+}
+
+impl<'a> Search<'a> {
+    pub fn new(
+        image: &'a Image<u8>,
+        projections: &'a [Projection<'a>],
+        config: &'a MultiViewConfig,
+    ) -> Self {
+        Self {
+            image,
+            projections,
+            config,
+            sights: Vec::with_capacity(projections.len()),
+        }
+    }
+
+    /// A better depth of a pixel; `None` where fewer than two sources see it or agree.
+    pub fn refine(&mut self, pixel: &PixelDepth) -> Option<PixelDepth> {
+        let patch = Patch::around(self.image, pixel)?;
+        self.find_sights(pixel)?;
+        let (idepth, information) = match self.confirm(pixel, &patch) {
+            Some(found) => found,
+            None => {
+                let (start, step) = self.best_of_range(pixel, &patch)?;
+                self.iterate(start, 1.5 * step, 2, &patch)?
+            }
+        };
+        let variance =
+            self.config.correlated_residuals / information + self.config.relative_sigma.powi(2);
+        Some(PixelDepth {
+            idepth: idepth as f32,
+            idepth_var: (variance * idepth * idepth) as f32,
+            ..*pixel
+        })
+    }
+
+    /// Finds the sources that see the pixel with the largest disparity; `None` if there are not two.
+    fn find_sights(&mut self, pixel: &PixelDepth) -> Option<()> {
+        let direction = gradient_direction(self.image, pixel)?;
+        let at = [f64::from(pixel.x), f64::from(pixel.y)];
+        let idepth = f64::from(pixel.idepth);
+        self.sights.clear();
+        self.sights.extend(
+            self.projections
+                .iter()
+                .filter_map(|p| Sight::new(p, at, idepth, direction, self.config)),
+        );
+        // stable: equal ones in the order of the sources
+        self.sights
+            .sort_by(|a, b| b.disparity.total_cmp(&a.disparity));
+        self.sights.truncate(self.config.max_sources);
+        self.sights.iter_mut().for_each(Sight::lay_out_patch);
+        (self.sights.len() >= 2).then_some(())
+    }
+
+    /// Most depths are right to within a pixel, and all sources say so: these need no search.
+    fn confirm(&self, pixel: &PixelDepth, patch: &Patch) -> Option<(f64, f64)> {
+        let reach = CONFIRMED_PX / self.sights.first()?.disparity;
+        self.iterate(pixel.idepth.into(), reach, self.sights.len(), patch)
+    }
+
+    /// The best correlation around the present depth, over the sources of the smallest disparity: the
+    /// inverse depth and the relative step of the search. `None` at the ends of the range.
+    fn best_of_range(&self, pixel: &PixelDepth, patch: &Patch) -> Option<(f64, f64)> {
+        let config = self.config;
+        let idepth = f64::from(pixel.idepth);
+        let sigma = f64::from(pixel.idepth_var).sqrt() / idepth;
+        let range = (config.search_sigmas * sigma).clamp(config.min_search, config.max_search);
+        let first = self.sights.len().saturating_sub(config.search_sources);
+        let sights = &self.sights[first..];
+        let step = (config.step_px / sights.first()?.disparity).min(range / 2.0);
+        let steps = ((range / step).ceil() as usize).min(MAX_STEPS);
+        let at = |index: usize| idepth * (1.0 + step * (index as f64 - steps as f64));
+        let mut costs = [f32::INFINITY; 2 * MAX_STEPS + 1];
+        for (index, cost) in costs.iter_mut().enumerate().take(2 * steps + 1) {
+            *cost = sights
+                .iter()
+                .map(|sight| cost_at(sight, at(index), patch))
+                .sum();
+        }
+        let best = (0..=2 * steps).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
+        if best == 0 || best == 2 * steps {
+            return None;
+        }
+        let offset = parabola_minimum(&costs[best - 1..=best + 1]);
+        Some((at(best) + idepth * step * offset, step))
+    }
+
+    /// Gauss-Newton from `start`: the inverse depth and the information about its logarithm. `None` if it
+    /// leads farther away than `reach` (relatively), or if fewer than `min_agreeing` sources agree.
+    fn iterate(
+        &self,
+        start: f64,
+        reach: f64,
+        min_agreeing: usize,
+        patch: &Patch,
+    ) -> Option<(f64, f64)> {
+        let converged = CONVERGED_PX / self.sights.first()?.disparity;
+        let mut idepth = start;
+        let mut information = 0.0;
+        for _ in 0..self.config.iterations {
+            let normal = self.normal_equation(idepth, patch);
+            if normal.agreeing < min_agreeing || normal.hessian <= 0.0 {
+                return None;
+            }
+            information = normal.hessian;
+            let update = -(normal.gradient / normal.hessian).clamp(-reach, reach);
+            idepth *= 1.0 + update;
+            if (idepth / start - 1.0).abs() > reach {
+                return None;
+            }
+            if update.abs() < converged {
+                break;
+            }
+        }
+        Some((idepth, information))
+    }
+
+    /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
+    fn normal_equation(&self, idepth: f64, patch: &Patch) -> Normal {
+        let mut normal = Normal {
+            hessian: 0.0,
+            gradient: 0.0,
+            agreeing: 0,
+        };
+        for sight in &self.sights {
+            let Some([x, y]) = sight.center(idepth) else {
+                continue;
+            };
+            // one pixel along the epipolar line
+            let motion = sight.motion(idepth);
+            let length = (motion[0] * motion[0] + motion[1] * motion[1])
+                .sqrt()
+                .max(1e-3);
+            let half = [0.5 * motion[0] / length, 0.5 * motion[1] / length];
+            let before = sight.values([x - half[0], y - half[1]]);
+            let after = sight.values([x + half[0], y + half[1]]);
+            let (mut value, mut slope) = ([0.0; SAMPLES], [0.0; SAMPLES]);
+            for (i, (b, a)) in before.iter().zip(&after).enumerate() {
+                value[i] = 0.5 * (b + a);
+                slope[i] = (a - b) * length as f32;
+            }
+            center(&mut value);
+            center(&mut slope);
+            let gain = patch.dot(&value);
+            let correlation = gain / norm(&value).max(NOISE_CONTRAST);
+            if correlation < MIN_USED_CORRELATION {
+                continue;
+            }
+            normal.agreeing += usize::from(correlation > self.config.min_correlation as f32);
+            // what a gain explains is no residual
+            let slope_gain = patch.dot(&slope);
+            for ((v, s), p) in value.iter_mut().zip(&mut slope).zip(&patch.0) {
+                *v -= gain * p;
+                *s -= slope_gain * p;
+            }
+            let (jr, jj, rr) = (
+                dot(&slope, &value),
+                dot(&slope, &slope),
+                dot(&value, &value),
+            );
+            let freedom = (SAMPLES - 3) as f64;
+            let variance = (f64::from(rr) / freedom).max(self.config.grey_sigma.powi(2));
+            normal.hessian += f64::from(jj) / variance;
+            normal.gradient += f64::from(jr) / variance;
+        }
+        normal
+    }
+}
+
+impl Patch {
+    /// `None` at the border of the image, without contrast, or without depth.
+    fn around(image: &Image<u8>, pixel: &PixelDepth) -> Option<Self> {
+        let (x, y) = (i32::from(pixel.x), i32::from(pixel.y));
+        let (width, height) = (image.width() as i32, image.height() as i32);
+        let is_inside = x >= 2 && y >= 2 && x < width - 2 && y < height - 2;
+        let has_depth = pixel.idepth > 0.0 && pixel.idepth.is_finite() && pixel.idepth_var >= 0.0;
+        if !is_inside || !has_depth {
+            return None;
+        }
+        let mut values =
+            PATTERN.map(|[dx, dy]| f32::from(image.row((y + dy) as usize)[(x + dx) as usize]));
+        center(&mut values);
+        let contrast = norm(&values);
+        (contrast >= MIN_CONTRAST).then(|| Self(values.map(|v| v / contrast)))
+    }
+
+    fn dot(&self, values: &[f32; SAMPLES]) -> f32 {
+        dot(&self.0, values)
+    }
+}
+
+/// One less the normalised correlation, limited.
+fn cost_at(sight: &Sight, idepth: f64, patch: &Patch) -> f32 {
+    let Some(at) = sight.center(idepth) else {
+        return MAX_COST;
+    };
+    let mut values = sight.values(at);
+    center(&mut values);
+    (1.0 - patch.dot(&values) / norm(&values).max(NOISE_CONTRAST)).min(MAX_COST)
+}
+
+/// Takes the mean away.
+fn center(values: &mut [f32; SAMPLES]) {
+    let mean = sum(values) / SAMPLES as f32;
+    for value in values {
+        *value -= mean;
+    }
+}
+
+fn norm(values: &[f32; SAMPLES]) -> f32 {
+    dot(values, values).sqrt()
+}
+
+/// In four lanes, which vectorises.
+fn sum(values: &[f32; SAMPLES]) -> f32 {
+    let mut lanes = [0.0; 4];
+    for four in values.chunks_exact(4) {
+        for (lane, value) in lanes.iter_mut().zip(four) {
+            *lane += value;
+        }
+    }
+    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
+}
+
+fn dot(a: &[f32; SAMPLES], b: &[f32; SAMPLES]) -> f32 {
+    let mut products = [0.0; SAMPLES];
+    for ((product, a), b) in products.iter_mut().zip(a).zip(b) {
+        *product = a * b;
+    }
+    sum(&products)
+}
+
+/// Unit vector of the gradient at a pixel that is not at the border; `None` without one.
+fn gradient_direction(image: &Image<u8>, pixel: &PixelDepth) -> Option<[f64; 2]> {
+    let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+    let row = image.row(y);
+    let dx = f64::from(row[x + 1]) - f64::from(row[x - 1]);
+    let dy = f64::from(image.row(y + 1)[x]) - f64::from(image.row(y - 1)[x]);
+    let length = (dx * dx + dy * dy).sqrt();
+    (length > 0.0).then(|| [dx / length, dy / length])
+}
+
+/// Where a parabola through three equidistant costs is least, in steps from the middle.
+fn parabola_minimum(costs: &[f32]) -> f64 {
+    let [a, b, c] = [costs[0], costs[1], costs[2]].map(f64::from);
+    let curvature = a - 2.0 * b + c;
+    if curvature > 1e-6 {
+        (0.5 * (a - c) / curvature).clamp(-0.5, 0.5)
+    } else {
+        0.0
+    }
+}

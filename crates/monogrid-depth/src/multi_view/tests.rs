@@ -1,0 +1,254 @@
+//! A slanted textured wall, whose depth in every pixel and images from everywhere are known.
+
+use super::*;
+use monogrid_geometry::{Rotation, Vec2, Vec3};
+
+const WIDTH: usize = 160;
+const HEIGHT: usize = 120;
+
+fn camera() -> Pinhole {
+    Pinhole::new(140.0, 142.0, 79.5, 59.5)
+}
+
+/// Inverse depth of the wall in the keyframe: n . K^-1 (x, y, 1).
+fn wall(x: f64, y: f64) -> f64 {
+    let ray = camera().unproject(&Vec2::new(x, y));
+    Vec3::new(0.12, -0.08, 0.5).dot(&ray)
+}
+
+/// Grey value of the wall at a point of it, in the coordinates of the keyframe.
+fn texture(p: &Vec3) -> f64 {
+    let (u, v) = (p.x, p.y + 0.3 * p.x);
+    128.0
+        + 40.0 * (9.0 * u).sin() * (7.0 * v + 1.0).cos()
+        + 30.0 * (23.0 * u + 5.0 * v).sin()
+        + 20.0 * (17.0 * v - 11.0 * u).cos()
+}
+
+/// What a camera at `source_from_keyframe` sees, gain and bias changed.
+fn view(source_from_keyframe: &Sim3, gain: f64, bias: f64) -> Image<u8> {
+    let keyframe_from_source = source_from_keyframe.inverse();
+    let origin = keyframe_from_source.translation;
+    let normal = Vec3::new(0.12, -0.08, 0.5);
+    Image::from_fn(WIDTH, HEIGHT, |x, y| {
+        let ray = camera().unproject(&Vec2::new(x as f64, y as f64));
+        let direction = keyframe_from_source.rotation * ray;
+        // n . (origin + t direction) = 1
+        let t = (1.0 - normal.dot(&origin)) / normal.dot(&direction);
+        let grey = gain * texture(&(origin + direction * t)) + bias;
+        grey.round().clamp(0.0, 255.0) as u8
+    })
+}
+
+fn pose(x: f64, y: f64, z: f64, turn: f64, scale: f64) -> Sim3 {
+    let rotation = Rotation::from_scaled_axis(Vec3::new(0.3 * turn, turn, 0.2 * turn));
+    Sim3::new(scale, rotation, Vec3::new(x, y, z))
+}
+
+/// Sources beside, above and behind the keyframe; one has another unit of length.
+fn poses() -> Vec<Sim3> {
+    vec![
+        pose(0.5, 0.1, 0.0, -0.05, 1.0),
+        pose(-0.4, 0.3, 0.1, 0.04, 1.0),
+        pose(0.1, -0.5, 0.2, 0.02, 1.0),
+        pose(-0.6, -0.2, -0.1, 0.06, 1.3),
+    ]
+}
+
+/// Depths of the wall that are wrong by `error`, relatively, with a deviation of 3 %.
+fn depths(error: impl Fn(usize, usize) -> f64) -> Vec<PixelDepth> {
+    let mut pixels = Vec::new();
+    for y in (3..HEIGHT).step_by(3) {
+        for x in (3..WIDTH).step_by(3) {
+            let idepth = wall(x as f64, y as f64) * (1.0 + error(x, y));
+            pixels.push(PixelDepth {
+                x: x as u16,
+                y: y as u16,
+                idepth: idepth as f32,
+                idepth_var: (0.03 * idepth).powi(2) as f32,
+                validity: 20,
+            });
+        }
+    }
+    pixels
+}
+
+fn relative_error(p: &PixelDepth) -> f64 {
+    f64::from(p.idepth) / wall(p.x.into(), p.y.into()) - 1.0
+}
+
+fn refined(
+    pixels: &[PixelDepth],
+    images: &[Image<u8>],
+    poses: &[Sim3],
+    config: &MultiViewConfig,
+) -> (Vec<PixelDepth>, usize) {
+    let keyframe = view(&Sim3::identity(), 1.0, 0.0);
+    let sources: Vec<SourceView> = images
+        .iter()
+        .zip(poses)
+        .map(|(image, pose)| SourceView {
+            image,
+            source_from_keyframe: *pose,
+        })
+        .collect();
+    refine_depth(&keyframe, &camera(), pixels, &sources, config)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
+    let pixels = depths(|x, y| {
+        if (x / 3 + y / 3) % 2 == 0 {
+            0.05
+        } else {
+            -0.04
+        }
+    });
+    let poses = poses();
+    let images: Vec<Image<u8>> = poses
+        .iter()
+        .enumerate()
+        .map(|(i, pose)| view(pose, 0.8 + 0.1 * i as f64, 10.0 - 4.0 * i as f64))
+        .collect();
+    let (refined, count) = refined(&pixels, &images, &poses, &MultiViewConfig::default());
+    assert_eq!(refined.len(), pixels.len());
+    assert!(2 * count > pixels.len(), "{count} of {}", pixels.len());
+    let changed: Vec<&PixelDepth> = refined
+        .iter()
+        .zip(&pixels)
+        .filter(|(after, before)| after != before)
+        .map(|(after, _)| after)
+        .collect();
+    assert_eq!(changed.len(), count);
+    let error = median(changed.iter().map(|p| relative_error(p).abs()).collect());
+    assert!(error < 0.004, "{error}");
+    let beyond_1_percent = changed.iter().filter(|p| relative_error(p).abs() > 0.01);
+    assert!(20 * beyond_1_percent.count() < count);
+    // as certain as it says
+    let within_2_sigma = changed.iter().filter(|p| {
+        relative_error(p).abs() * f64::from(p.idepth) <= 2.0 * f64::from(p.idepth_var).sqrt()
+    });
+    assert!(10 * within_2_sigma.count() > 9 * count);
+    for (after, before) in refined.iter().zip(&pixels) {
+        assert_eq!(
+            (after.x, after.y, after.validity),
+            (before.x, before.y, before.validity)
+        );
+    }
+}
+
+#[test]
+fn what_no_two_sources_agree_about_stays_as_it_was() {
+    let pixels = depths(|_, _| 0.03);
+    let poses = poses();
+    let config = MultiViewConfig::default();
+    let images: Vec<Image<u8>> = poses.iter().map(|pose| view(pose, 1.0, 0.0)).collect();
+    // a single source
+    let (one, count) = refined(&pixels, &images[..1], &poses[..1], &config);
+    assert!(count == 0 && one == pixels);
+    // images of something else: the wall turned upside down
+    let others: Vec<Image<u8>> = images
+        .iter()
+        .map(|image| {
+            Image::from_fn(WIDTH, HEIGHT, |x, y| {
+                image.row(HEIGHT - 1 - y)[WIDTH - 1 - x]
+            })
+        })
+        .collect();
+    let (_, count) = refined(&pixels, &others, &poses, &config);
+    assert!(10 * count < pixels.len(), "{count}");
+    // a plain wall
+    let plain = Image::from_fn(WIDTH, HEIGHT, |_, _| 90u8);
+    let sources: Vec<SourceView> = poses
+        .iter()
+        .map(|pose| SourceView {
+            image: &plain,
+            source_from_keyframe: *pose,
+        })
+        .collect();
+    let (same, count) = refine_depth(&plain, &camera(), &pixels, &sources, &config);
+    assert!(count == 0 && same == pixels);
+    // no depth, depth at the border, an image of another size
+    let odd = [f32::NAN, -1.0, 0.5].map(|idepth| PixelDepth {
+        x: 0,
+        y: 1,
+        idepth,
+        ..pixels[0]
+    });
+    let (after, count) = refined(&odd, &images, &poses, &config);
+    assert!(count == 0 && after.len() == 3);
+    let small = Image::from_fn(10, 10, |_, _| 90u8);
+    let sources = [SourceView {
+        image: &small,
+        source_from_keyframe: poses[0],
+    }; 3];
+    let (_, count) = refine_depth(&plain, &camera(), &pixels, &sources, &config);
+    assert_eq!(count, 0);
+}
+
+#[test]
+fn motion_of_the_match_is_the_derivative_by_the_logarithm() {
+    let image = view(&Sim3::identity(), 1.0, 0.0);
+    for pose in poses() {
+        let source = SourceView {
+            image: &image,
+            source_from_keyframe: pose,
+        };
+        let projection = Projection::new(&source, &camera());
+        let idepth = wall(80.0, 60.0);
+        let config = MultiViewConfig {
+            min_disparity_px: 0.1,
+            ..MultiViewConfig::default()
+        };
+        let sight = sight::Sight::new(&projection, [80.0, 60.0], idepth, [1.0, 0.0], &config);
+        let sight = sight.unwrap();
+        // against the projection of the point
+        let point = camera().unproject(&Vec2::new(80.0, 60.0)) / idepth;
+        let expected = camera().project(&(pose * point));
+        let [x, y] = sight.center(idepth).unwrap();
+        assert!((Vec2::new(x, y) - expected).norm() < 1e-9);
+        let h = 1e-6;
+        let (a, b) = (
+            sight.center(idepth * (1.0 - h)).unwrap(),
+            sight.center(idepth * (1.0 + h)).unwrap(),
+        );
+        let motion = sight.motion(idepth);
+        for axis in 0..2 {
+            let numeric = (b[axis] - a[axis]) / (2.0 * h);
+            assert!(
+                (motion[axis] - numeric).abs() < 1e-4,
+                "{motion:?} {numeric}"
+            );
+        }
+    }
+}
+
+#[test]
+fn settings_outside_their_range_are_named() {
+    assert!(MultiViewConfig::default().validate().is_ok());
+    let bad = MultiViewConfig {
+        max_sources: 1,
+        ..MultiViewConfig::default()
+    };
+    assert!(
+        bad.validate()
+            .unwrap_err()
+            .to_string()
+            .contains("max_sources")
+    );
+    let bad = MultiViewConfig {
+        max_search: 0.01,
+        ..MultiViewConfig::default()
+    };
+    assert!(
+        bad.validate()
+            .unwrap_err()
+            .to_string()
+            .contains("max_search")
+    );
+}
