@@ -13,6 +13,8 @@ const MIN_USED_CORRELATION: f32 = 0.5;
 const CONFIRMED_PX: f64 = 0.8;
 /// Motion of that match that ends the iterations, px.
 const CONVERGED_PX: f64 = 0.1;
+/// Depths farther apart than this contradict each other, standard deviations.
+const MAX_GAP_SIGMAS: f64 = 2.0;
 /// What a source costs at most in the search: it may be occluded.
 const MAX_COST: f32 = 0.7;
 /// Patches of less contrast (root of the sum of squares, grey levels) have no depth to find.
@@ -68,11 +70,7 @@ impl<'a> Search<'a> {
         };
         let variance =
             self.config.correlated_residuals / information + self.config.relative_sigma.powi(2);
-        Some(PixelDepth {
-            idepth: idepth as f32,
-            idepth_var: (variance * idepth * idepth) as f32,
-            ..*pixel
-        })
+        Some(fused(pixel, idepth, variance * idepth * idepth))
     }
 
     /// Finds the sources that see the pixel with the largest disparity; `None` if there are not two.
@@ -228,6 +226,23 @@ impl Patch {
 
     fn dot(&self, values: &[f32; SAMPLES]) -> f32 {
         dot(&self.0, values)
+    }
+}
+
+/// What was known before with what the sources say, or the latter alone where they contradict each other.
+fn fused(before: &PixelDepth, idepth: f64, variance: f64) -> PixelDepth {
+    let (prior, prior_variance) = (f64::from(before.idepth), f64::from(before.idepth_var));
+    let gap_sq = (prior - idepth).powi(2);
+    let (idepth, variance) = if gap_sq <= MAX_GAP_SIGMAS.powi(2) * (prior_variance + variance) {
+        let weight = variance / (prior_variance + variance);
+        (idepth + weight * (prior - idepth), prior_variance * weight)
+    } else {
+        (idepth, variance)
+    };
+    PixelDepth {
+        idepth: idepth as f32,
+        idepth_var: variance as f32,
+        ..*before
     }
 }
 
