@@ -6,7 +6,7 @@
 //!
 //! `FOLDER` is what `monogrid synth WORLD` wrote, with its finest `truth.ot`. A variant is a list of
 //! `key=value` with commas between (`update_limits=[-0.2;1.2]` has a semicolon inside): keys of `[mapping]` (`filter.min_support=4`), `depth=true` (the
-//! rendered depth of the mapped pixels), `depth=dense` (rendered depth of all pixels), `poses=true`, `sigma=0.5` (a factor on the
+//! rendered depth of the mapped pixels), `depth=true-filled` (of those in filled plain regions only), `depth=dense` (rendered depth of all pixels), `poses=true`, `sigma=0.5` (a factor on the
 //! standard deviations of what is mapped).
 //!
 //! In the environment: `VIEW=1` adds the coverage of what is in view, `VERBOSE=1` tells how far false
@@ -30,7 +30,9 @@ use monogrid_geometry::{Camera, Distortion, Se3, Sim3};
 use monogrid_image::GrayImage;
 use monogrid_occupancy::{Occupancy, read_ot};
 use monogrid_slam::DepthPixel;
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper, MappingConfig};
+use monogrid_slam::mapping::{
+    KeyframeCamera, KeyframeScan, Mapper, MappingConfig, PosedKeyframe, final_scans,
+};
 use std::fs::File;
 use std::path::Path;
 
@@ -186,14 +188,17 @@ fn main() {
             let mut errors = [Errors::default(), Errors::default()];
             let mut scans = Vec::new();
             let mut poses = Vec::new();
-            for frame in &frames {
-                let mut scan = KeyframeScan::new(
-                    frame.id,
-                    &frame.pixels,
-                    Some(&frame.image),
-                    &camera,
-                    mapper.config(),
-                );
+            let keyframes: Vec<PosedKeyframe> = frames
+                .iter()
+                .map(|frame| PosedKeyframe {
+                    id: frame.id,
+                    image: Some(&frame.image),
+                    pixels: &frame.pixels,
+                    world_from_keyframe: Some(frame.estimated),
+                })
+                .collect();
+            let measured = final_scans(&keyframes, &camera, mapper.config(), 2);
+            for (frame, mut scan) in frames.iter().zip(measured) {
                 let mut pose = frame.estimated;
                 if true_poses {
                     pose = frame.truth.with_scale(pose.scale);
@@ -201,7 +206,15 @@ fn main() {
                 for p in &mut scan.pixels {
                     p.sigma_idepth *= sigma_scale;
                     let z = frame.depth.at(p.x.into(), p.y.into()) / pose.scale as f32;
-                    if depth_source == "true" && z.is_finite() {
+                    let is_filled = || {
+                        let measured = frame
+                            .pixels
+                            .binary_search_by_key(&(p.y, p.x), |m| (m.y, m.x));
+                        measured.is_err()
+                    };
+                    let is_replaced =
+                        depth_source == "true" || depth_source == "true-filled" && is_filled();
+                    if is_replaced && z.is_finite() {
                         p.idepth = 1.0 / z;
                     }
                 }

@@ -406,6 +406,9 @@ pub struct EvaluateDepthArgs {
     /// Intrinsics and scale of the depth images [default: calibration_depth.txt in the folder]
     #[arg(long, value_name = "FILE")]
     pub depth_calibration: Option<PathBuf>,
+    /// Compare the depth of the final map: made better by the keyframes around each, at the final poses
+    #[arg(long)]
+    pub refined: bool,
     #[command(flatten)]
     pub json: JsonArg,
 }

@@ -7,6 +7,7 @@ use crate::run::align::{Align, MapFrame};
 use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
+use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, final_scans,
 };
@@ -75,17 +76,7 @@ impl Recorded {
             .iter()
             .map(|k| from_recorded(&k.pixels))
             .collect();
-        let keyframes: Vec<PosedKeyframe> = self
-            .keyframes
-            .iter()
-            .zip(&pixels)
-            .map(|(k, pixels)| PosedKeyframe {
-                id: k.id,
-                image: k.image.as_ref(),
-                pixels,
-                world_from_keyframe: k.world_from_keyframe,
-            })
-            .collect();
+        let keyframes = posed_keyframes(&self.keyframes, &pixels);
         final_scans(&keyframes, &self.camera, config, threads)
     }
 
@@ -112,6 +103,23 @@ impl Recorded {
             })
             .collect()
     }
+}
+
+/// Keyframes with their final poses, and the depths given.
+pub fn posed_keyframes<'a>(
+    keyframes: &'a [RecordedKeyframe],
+    pixels: &'a [Vec<DepthPixel>],
+) -> Vec<PosedKeyframe<'a>> {
+    keyframes
+        .iter()
+        .zip(pixels)
+        .map(|(keyframe, pixels)| PosedKeyframe {
+            id: keyframe.id,
+            image: keyframe.image.as_ref(),
+            pixels,
+            world_from_keyframe: keyframe.world_from_keyframe,
+        })
+        .collect()
 }
 
 fn warnings(recording: &Recording, has_settings: bool) -> Vec<String> {

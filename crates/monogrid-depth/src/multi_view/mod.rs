@@ -5,7 +5,7 @@
 //! more. A pixel `x` of inverse depth `rho` is seen in a source at
 //!
 //! ```text
-//! x'(rho) = pi(K s R K^-1 (x, y, 1) + rho K t)          (s R, t: source from keyframe)
+//! x'(rho) = pi(K R K^-1 (x, y, 1) + rho K t / s)          (s R, t: source from keyframe)
 //! ```
 //!
 //! Flow per pixel: the sources that see it with enough disparity along its gradient ([`sight`]) → the best
@@ -62,7 +62,7 @@ pub struct MultiViewConfig {
     pub grey_sigma: f64,
     /// Residuals of a patch that count as one, since neighbours share their errors; at least 1. Default 10.
     pub correlated_residuals: f64,
-    /// Relative standard deviation added for what all pixels share (poses), at least 0. Default 0.006.
+    /// Relative standard deviation added for what all pixels share (poses), at least 0. Default 0.008.
     pub relative_sigma: f64,
 }
 
@@ -81,7 +81,7 @@ impl Default for MultiViewConfig {
             min_correlation: 0.7,
             grey_sigma: 2.0,
             correlated_residuals: 10.0,
-            relative_sigma: 0.006,
+            relative_sigma: 0.008,
         }
     }
 }

@@ -39,6 +39,10 @@ struct Normal {
     /// Sum of squares of the derivative of ln(rho), by the variance of the residuals.
     hessian: f64,
     gradient: f64,
+    /// Sum over the sources of gradient² / hessian.
+    gains: f64,
+    /// Sources that took part.
+    used: usize,
     /// Sources that agree.
     agreeing: usize,
 }
@@ -61,15 +65,14 @@ impl<'a> Search<'a> {
     pub fn refine(&mut self, pixel: &PixelDepth) -> Option<PixelDepth> {
         let patch = Patch::around(self.image, pixel)?;
         self.find_sights(pixel)?;
-        let (idepth, information) = match self.confirm(pixel, &patch) {
+        let (idepth, variance) = match self.confirm(pixel, &patch) {
             Some(found) => found,
             None => {
                 let (start, step) = self.best_of_range(pixel, &patch)?;
                 self.iterate(start, 1.5 * step, 2, &patch)?
             }
         };
-        let variance =
-            self.config.correlated_residuals / information + self.config.relative_sigma.powi(2);
+        let variance = variance + self.config.relative_sigma.powi(2);
         Some(fused(pixel, idepth, variance * idepth * idepth))
     }
 
@@ -125,7 +128,7 @@ impl<'a> Search<'a> {
         Some((at(best) + idepth * step * offset, step))
     }
 
-    /// Gauss-Newton from `start`: the inverse depth and the information about its logarithm. `None` if it
+    /// Gauss-Newton from `start`: the inverse depth and the variance of its logarithm. `None` if it
     /// leads farther away than `reach` (relatively), or if fewer than `min_agreeing` sources agree.
     fn iterate(
         &self,
@@ -136,13 +139,13 @@ impl<'a> Search<'a> {
     ) -> Option<(f64, f64)> {
         let converged = CONVERGED_PX / self.sights.first()?.disparity;
         let mut idepth = start;
-        let mut information = 0.0;
+        let mut variance = f64::INFINITY;
         for _ in 0..self.config.iterations {
             let normal = self.normal_equation(idepth, patch);
             if normal.agreeing < min_agreeing || normal.hessian <= 0.0 {
                 return None;
             }
-            information = normal.hessian;
+            variance = normal.variance(self.config.correlated_residuals);
             let update = -(normal.gradient / normal.hessian).clamp(-reach, reach);
             idepth *= 1.0 + update;
             if (idepth / start - 1.0).abs() > reach {
@@ -152,7 +155,7 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        Some((idepth, information))
+        Some((idepth, variance))
     }
 
     /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
@@ -160,6 +163,8 @@ impl<'a> Search<'a> {
         let mut normal = Normal {
             hessian: 0.0,
             gradient: 0.0,
+            gains: 0.0,
+            used: 0,
             agreeing: 0,
         };
         for sight in &self.sights {
@@ -200,10 +205,27 @@ impl<'a> Search<'a> {
             );
             let freedom = (SAMPLES - 3) as f64;
             let variance = (f64::from(rr) / freedom).max(self.config.grey_sigma.powi(2));
-            normal.hessian += f64::from(jj) / variance;
-            normal.gradient += f64::from(jr) / variance;
+            let (hessian, gradient) = (f64::from(jj) / variance, f64::from(jr) / variance);
+            if hessian > 0.0 {
+                normal.hessian += hessian;
+                normal.gradient += gradient;
+                normal.gains += gradient * gradient / hessian;
+                normal.used += 1;
+            }
         }
         normal
+    }
+}
+
+impl Normal {
+    /// Variance of ln(rho): what the residuals leave open, times how much more the sources disagree than
+    /// that explains (errors of their poses); never less than the former.
+    fn variance(&self, correlated_residuals: f64) -> f64 {
+        let from_residuals = correlated_residuals / self.hessian;
+        // each source alone would move by -gradient / hessian; the weighted sum of squares around the mean
+        let scatter = self.gains - self.gradient * self.gradient / self.hessian;
+        let freedom = self.used.saturating_sub(1).max(1) as f64;
+        from_residuals * (scatter / (freedom * correlated_residuals)).max(1.0)
     }
 }
 

@@ -31,15 +31,17 @@ const SIZE: std::ops::RangeInclusive<f64> = 0.6..=1.7;
 #[derive(Debug)]
 pub(super) struct Projection<'a> {
     pub image: &'a Image<u8>,
-    /// K s R K^-1, by columns.
+    /// K R K^-1, by columns.
     columns: [Vec3; 3],
-    /// K t.
+    /// K t / s.
     translation: Vec3,
 }
 
 impl<'a> Projection<'a> {
     pub fn new(source: &SourceView<'a>, camera: &Pinhole) -> Self {
-        let pose = source.source_from_keyframe;
+        // in units of the keyframe: projections do not depend on those of the source, sizes shall not either
+        let mut pose = source.source_from_keyframe;
+        pose.translation /= pose.scale;
         let to_pixels = |p: Vec3| {
             Vec3::new(
                 camera.fx * p.x + camera.cx * p.z,
@@ -47,7 +49,7 @@ impl<'a> Projection<'a> {
                 p.z,
             )
         };
-        let of_ray = |ray: Vec3| to_pixels(pose.rotation * ray * pose.scale);
+        let of_ray = |ray: Vec3| to_pixels(pose.rotation * ray);
         Self {
             image: source.image,
             columns: [
@@ -64,7 +66,7 @@ impl<'a> Projection<'a> {
 #[derive(Debug)]
 pub(super) struct Sight<'a> {
     projection: &'a Projection<'a>,
-    /// K s R K^-1 (x, y, 1).
+    /// K R K^-1 (x, y, 1).
     ray: Vec3,
     /// Motion in the source per px of the keyframe, along x and y.
     axes: [[f64; 2]; 2],

@@ -51,12 +51,12 @@ fn poses() -> Vec<Sim3> {
         pose(0.5, 0.1, 0.0, -0.05, 1.0),
         pose(-0.4, 0.3, 0.1, 0.04, 1.0),
         pose(0.1, -0.5, 0.2, 0.02, 1.0),
-        pose(-0.6, -0.2, -0.1, 0.06, 1.3),
+        pose(-1.8, -0.6, -0.3, 0.06, 3.0),
     ]
 }
 
-/// Depths of the wall that are wrong by `error`, relatively, with a deviation of 3 %.
-fn depths(error: impl Fn(usize, usize) -> f64) -> Vec<PixelDepth> {
+/// Depths of the wall that are wrong by `error`, relatively, with the deviation `sigma`.
+fn depths(sigma: f64, error: impl Fn(usize, usize) -> f64) -> Vec<PixelDepth> {
     let mut pixels = Vec::new();
     for y in (3..HEIGHT).step_by(3) {
         for x in (3..WIDTH).step_by(3) {
@@ -65,7 +65,7 @@ fn depths(error: impl Fn(usize, usize) -> f64) -> Vec<PixelDepth> {
                 x: x as u16,
                 y: y as u16,
                 idepth: idepth as f32,
-                idepth_var: (0.03 * idepth).powi(2) as f32,
+                idepth_var: (sigma * idepth).powi(2) as f32,
                 validity: 20,
             });
         }
@@ -102,7 +102,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[test]
 fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
-    let pixels = depths(|x, y| {
+    let pixels = depths(0.06, |x, y| {
         if (x / 3 + y / 3) % 2 == 0 {
             0.05
         } else {
@@ -117,7 +117,7 @@ fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
         .collect();
     let (refined, count) = refined(&pixels, &images, &poses, &MultiViewConfig::default());
     assert_eq!(refined.len(), pixels.len());
-    assert!(2 * count > pixels.len(), "{count} of {}", pixels.len());
+    assert!(5 * count > 2 * pixels.len(), "{count} of {}", pixels.len());
     let changed: Vec<&PixelDepth> = refined
         .iter()
         .zip(&pixels)
@@ -126,9 +126,9 @@ fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
         .collect();
     assert_eq!(changed.len(), count);
     let error = median(changed.iter().map(|p| relative_error(p).abs()).collect());
-    assert!(error < 0.004, "{error}");
-    let beyond_1_percent = changed.iter().filter(|p| relative_error(p).abs() > 0.01);
-    assert!(20 * beyond_1_percent.count() < count);
+    assert!(error < 0.01, "{error}");
+    let beyond_2_percent = changed.iter().filter(|p| relative_error(p).abs() > 0.02);
+    assert!(10 * beyond_2_percent.count() < count);
     // as certain as it says
     let within_2_sigma = changed.iter().filter(|p| {
         relative_error(p).abs() * f64::from(p.idepth) <= 2.0 * f64::from(p.idepth_var).sqrt()
@@ -144,7 +144,7 @@ fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
 
 #[test]
 fn what_no_two_sources_agree_about_stays_as_it_was() {
-    let pixels = depths(|_, _| 0.03);
+    let pixels = depths(0.03, |_, _| 0.03);
     let poses = poses();
     let config = MultiViewConfig::default();
     let images: Vec<Image<u8>> = poses.iter().map(|pose| view(pose, 1.0, 0.0)).collect();

@@ -149,32 +149,45 @@ impl Default for RefineConfig {
 
 impl RefineConfig {
     fn validate(&self) -> Result<(), ConfigError> {
-        let error = |name, value, allowed| {
-            Err(ConfigError {
-                name,
-                value,
-                allowed,
-            })
-        };
-        if self.max_keyframes == 0 {
-            return error("mapping.refine.max_keyframes", 0.0, "at least 1");
-        }
-        if !(self.max_separation > 0.0) {
-            return error(
+        let checks = [
+            (
+                "mapping.refine.max_keyframes",
+                self.max_keyframes as f64,
+                self.max_keyframes >= 1,
+                "at least 1",
+            ),
+            (
                 "mapping.refine.max_separation",
                 self.max_separation,
+                self.max_separation > 0.0,
                 "above 0",
-            );
-        }
-        match self.stereo.validate() {
-            Err(monogrid_depth::ConfigError::MultiView {
+            ),
+        ];
+        let of_stereo = self.stereo.validate().err().and_then(|error| match error {
+            monogrid_depth::ConfigError::MultiView {
                 name,
                 value,
                 allowed,
-            }) => error(name, value, allowed),
-            _ => Ok(()),
-        }
+            } => Some((name, value, false, allowed)),
+            _ => None,
+        });
+        first_error(checks.into_iter().chain(of_stereo))
     }
+}
+
+/// The first of (name, value, whether it is allowed, what is allowed) that is not.
+fn first_error(
+    checks: impl IntoIterator<Item = (&'static str, f64, bool, &'static str)>,
+) -> Result<(), ConfigError> {
+    let error = checks
+        .into_iter()
+        .find(|(_, _, is_allowed, _)| !is_allowed)
+        .map(|(name, value, _, allowed)| ConfigError {
+            name,
+            value,
+            allowed,
+        });
+    error.map_or(Ok(()), Err)
 }
 
 /// How plain surfaces get depth from the depth around them.
@@ -287,14 +300,7 @@ impl FillConfig {
                 "at least 1",
             ),
         ];
-        match checks.into_iter().find(|(_, _, is_allowed, _)| !is_allowed) {
-            None => Ok(()),
-            Some((name, value, _, allowed)) => Err(ConfigError {
-                name,
-                value,
-                allowed,
-            }),
-        }
+        first_error(checks)
     }
 }
 

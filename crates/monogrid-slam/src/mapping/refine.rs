@@ -32,8 +32,7 @@ pub fn final_scans(
     config: &MappingConfig,
     threads: usize,
 ) -> Vec<KeyframeScan> {
-    let threads = threads.clamp(1, keyframes.len().max(1));
-    let scan = |index: usize| {
+    for_each_keyframe(keyframes.len(), threads, |index| {
         let keyframe = &keyframes[index];
         let refined;
         let pixels = if config.refine.enabled {
@@ -43,28 +42,51 @@ pub fn final_scans(
             keyframe.pixels
         };
         KeyframeScan::new(keyframe.id, pixels, keyframe.image, camera, config)
-    };
-    let of_thread = |thread: usize| -> Vec<KeyframeScan> {
-        (thread..keyframes.len())
-            .step_by(threads)
-            .map(scan)
-            .collect()
-    };
-    // keyframes in turn: neighbours cost about the same
-    let mut parts: Vec<std::vec::IntoIter<KeyframeScan>> = thread::scope(|scope| {
+    })
+}
+
+/// The depth of each keyframe, made better by the images of the keyframes around it, whether or not the
+/// settings are enabled; as it was where fewer than two of them agree.
+///
+/// The result does not depend on the number of threads.
+#[must_use]
+pub fn refined_depths(
+    keyframes: &[PosedKeyframe],
+    camera: &KeyframeCamera,
+    config: &RefineConfig,
+    threads: usize,
+) -> Vec<Vec<DepthPixel>> {
+    for_each_keyframe(keyframes.len(), threads, |index| {
+        refined_pixels(keyframes, index, camera, config)
+    })
+}
+
+/// Results of independent work in their order, on several threads: each takes every n-th, since neighbours
+/// cost about the same.
+fn for_each_keyframe<T: Send>(
+    count: usize,
+    threads: usize,
+    work: impl Fn(usize) -> T + Sync,
+) -> Vec<T> {
+    let threads = threads.clamp(1, count.max(1));
+    let of_thread =
+        |thread: usize| -> Vec<T> { (thread..count).step_by(threads).map(&work).collect() };
+    let mut parts: Vec<std::vec::IntoIter<T>> = thread::scope(|scope| {
+        let of_thread = &of_thread;
         let others: Vec<_> = (1..threads)
             .map(|thread| scope.spawn(move || of_thread(thread)))
             .collect();
         let first = of_thread(0);
+        let rest = others.into_iter().enumerate().map(|(i, other)| {
+            // a thread that failed: its share again, here
+            other.join().unwrap_or_else(|_| of_thread(i + 1))
+        });
         std::iter::once(first)
-            .chain(others.into_iter().enumerate().map(|(i, other)| {
-                // a thread that failed: its share again, here
-                other.join().unwrap_or_else(|_| of_thread(i + 1))
-            }))
+            .chain(rest)
             .map(Vec::into_iter)
             .collect()
     });
-    (0..keyframes.len())
+    (0..count)
         .filter_map(|index| parts[index % threads].next())
         .collect()
 }
@@ -146,4 +168,113 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
     let middle = idepths.len() / 2;
     (!idepths.is_empty())
         .then(|| f64::from(*idepths.select_nth_unstable_by(middle, f32::total_cmp).1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::FillConfig;
+    use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
+
+    const CAMERA: KeyframeCamera = KeyframeCamera {
+        pinhole: Pinhole {
+            fx: 140.0,
+            fy: 140.0,
+            cx: 79.5,
+            cy: 59.5,
+        },
+        width: 160,
+        height: 120,
+    };
+
+    /// A textured wall two units before the first camera, as a camera beside it sees it.
+    fn wall(x: f64) -> Image<u8> {
+        Image::from_fn(CAMERA.width, CAMERA.height, |u, v| {
+            let ray = CAMERA.pinhole.unproject(&Vec2::new(u as f64, v as f64));
+            let (a, b) = (2.0 * ray.x + x, 2.0 * ray.y);
+            let grey =
+                128.0 + 50.0 * (31.0 * a + 9.0 * b).sin() + 50.0 * (23.0 * a - 17.0 * b).cos();
+            grey as u8
+        })
+    }
+
+    /// Depths that are all 4 % too large, in a keyframe whose unit is `scale`.
+    fn depths(scale: f64) -> Vec<DepthPixel> {
+        let idepth = (0.96 * scale / 2.0) as f32;
+        (0..CAMERA.height as u16)
+            .flat_map(|y| (0..CAMERA.width as u16).map(move |x| (x, y)))
+            .map(|(x, y)| DepthPixel {
+                x,
+                y,
+                idepth,
+                idepth_var: (0.03 * idepth).powi(2),
+            })
+            .collect()
+    }
+
+    fn config() -> MappingConfig {
+        MappingConfig {
+            fill: FillConfig {
+                enabled: false,
+                ..FillConfig::default()
+            },
+            ..MappingConfig::default()
+        }
+    }
+
+    /// Share of the mapped depths of a keyframe of that unit that are right to within 2 %.
+    fn share_right(scan: &KeyframeScan, scale: f64) -> f64 {
+        let is_right = |idepth: f32| (f64::from(idepth) * 2.0 / scale - 1.0).abs() < 0.02;
+        let num_right = scan.pixels.iter().filter(|p| is_right(p.idepth)).count();
+        num_right as f64 / scan.pixels.len() as f64
+    }
+
+    #[test]
+    fn keyframes_make_each_other_better_whatever_their_units_and_the_threads() {
+        let places = [(0.0, 1.0), (0.35, 1.2), (-0.35, 0.7), (0.6, 1.0)];
+        let images = places.map(|(x, _)| wall(x));
+        let pixels = places.map(|(_, scale)| depths(scale));
+        let mut keyframes: Vec<PosedKeyframe> = (0..4)
+            .map(|i| PosedKeyframe {
+                id: i as KeyframeId,
+                image: Some(&images[i]),
+                pixels: &pixels[i],
+                world_from_keyframe: Some(Sim3::new(
+                    places[i].1,
+                    Rotation::identity(),
+                    Vec3::new(places[i].0, 0.0, 0.0),
+                )),
+            })
+            .collect();
+        let scans = final_scans(&keyframes, &CAMERA, &config(), 1);
+        for threads in [2, 3, 9] {
+            assert_eq!(final_scans(&keyframes, &CAMERA, &config(), threads), scans);
+        }
+        for (i, scan) in scans.iter().enumerate() {
+            assert_eq!(scan.id, i as KeyframeId);
+            // the others have no gradient along their epipolar lines, or are out of view
+            let share = share_right(scan, places[i].1);
+            assert!(share > 0.25, "keyframe {i}: {share}");
+        }
+        // a keyframe that nobody knows the place of neither gets nor gives
+        keyframes[1].world_from_keyframe = None;
+        keyframes[2].image = None;
+        let without = final_scans(&keyframes, &CAMERA, &config(), 2);
+        for (scan, (_, scale)) in without.iter().zip(places) {
+            // for the other two, one source is not enough
+            assert!(share_right(scan, scale) <= 0.0);
+        }
+        // and none does if it is switched off
+        let mut off = config();
+        off.refine.enabled = false;
+        keyframes[2].image = Some(&images[2]);
+        for (keyframe, scan) in keyframes
+            .iter()
+            .zip(final_scans(&keyframes, &CAMERA, &off, 2))
+        {
+            let alone =
+                KeyframeScan::new(keyframe.id, keyframe.pixels, keyframe.image, &CAMERA, &off);
+            assert_eq!(scan, alone);
+        }
+    }
 }

@@ -2,16 +2,21 @@
 
 use super::depth::{Candidate, DepthComparison};
 use super::print_json;
+use super::use_threads;
 use crate::cli::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
+use crate::config::RunConfig;
 use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
+use crate::recorded::posed_keyframes;
 use crate::run::align::{alignment_mode, stamped_all};
 use monogrid_datasets::{
     Dataset, DepthRegistration, ReadOptions, Recording, SourceOptions, format_sim3, read_trajectory,
 };
 use monogrid_evaluation::{DepthReport, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Camera, Distortion};
+use monogrid_slam::DepthPixel;
+use monogrid_slam::mapping::{KeyframeCamera, RefineConfig, refined_depths};
 
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
@@ -98,7 +103,7 @@ fn compare(
         session.height,
     );
     let mut comparison = DepthComparison::new();
-    for keyframe in &recording.keyframes {
+    for (keyframe, pixels) in recording.keyframes.iter().zip(depths(recording, args)?) {
         let (Some(image), Some(pose), Some(truth)) = (
             &keyframe.image,
             &keyframe.world_from_keyframe,
@@ -110,7 +115,7 @@ fn compare(
         let candidate = Candidate {
             id: keyframe.id,
             image,
-            pixels: &from_recorded(&keyframe.pixels),
+            pixels: &pixels,
             world_scale: pose.scale,
         };
         comparison.add(&candidate, &true_depth)?;
@@ -124,6 +129,29 @@ fn compare(
         )));
     }
     comparison.finish()
+}
+
+/// The depth of the keyframes as it was recorded, or as the final map has it.
+fn depths(
+    recording: &Recording,
+    args: &EvaluateDepthArgs,
+) -> Result<Vec<Vec<DepthPixel>>, Failure> {
+    let keyframes = &recording.keyframes;
+    let recorded: Vec<Vec<DepthPixel>> =
+        keyframes.iter().map(|k| from_recorded(&k.pixels)).collect();
+    if !args.refined {
+        return Ok(recorded);
+    }
+    let session = &recording.session;
+    let camera = KeyframeCamera {
+        pinhole: session.pinhole,
+        width: session.width,
+        height: session.height,
+    };
+    let config = RunConfig::recorded_mapping(&session.config)
+        .map_or_else(RefineConfig::default, |config| config.mapping.refine);
+    let posed = posed_keyframes(keyframes, &recorded);
+    Ok(refined_depths(&posed, &camera, &config, use_threads(None)?))
 }
 
 fn print_depth(report: &DepthReport) {

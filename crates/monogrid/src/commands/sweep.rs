@@ -9,7 +9,7 @@ use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::Input;
 use crate::output::write_atomically;
 use crate::run::align::Align;
-use crate::sweep::build::Job;
+use crate::sweep::build::{Job, Scans};
 use crate::sweep::inputs::{Named, file_stamp, orders, prepare_folder, read_recordings};
 use crate::sweep::page::{self, Lead, truth_slice_file};
 use crate::sweep::pictures::{PictureOrders, truth_slice};
@@ -20,7 +20,7 @@ use crate::sweep::slam_rate::{self, Rate, RateJob};
 use crate::usage::peak_rss_bytes;
 use clap::Args;
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid};
-use monogrid_slam::mapping::{KeyframeScan, MappingConfig};
+use monogrid_slam::mapping::KeyframeScan;
 use serde::Serialize;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -126,7 +126,7 @@ impl Sweep<'_> {
     /// All maps of one recording, coarse ones first: they are quick and show early what is wrong.
     fn result(&self, named: &Named, resolutions: &[f64]) -> Result<RecordingResult, Failure> {
         let recorded = &named.recorded;
-        let all_scans = recorded.scans(&MappingConfig::thesis(), 1);
+        let scans = Scans::new(recorded, self.resources.workers);
         let view = match self.finest_truth {
             Some(truth) => Some(in_view(truth, recorded, self.args.view_range)?),
             None => None,
@@ -150,22 +150,22 @@ impl Sweep<'_> {
                 Some(truth) => Some(MapEvaluator::new(truth, &config).bad_input()?),
                 None => None,
             };
-            records.extend(self.maps_at(named, &all_scans, resolution, evaluator.as_ref())?);
+            records.extend(self.maps_at(named, &scans, resolution, evaluator.as_ref())?);
         }
-        Ok(self.facts(named, &all_scans, resolutions, records))
+        Ok(self.facts(named, &scans.all, resolutions, records))
     }
 
     fn maps_at(
         &self,
         named: &Named,
-        all_scans: &[KeyframeScan],
+        scans: &Scans,
         resolution: f64,
         evaluator: Option<&MapEvaluator>,
     ) -> Result<Vec<crate::sweep::record::MapRecord>, Failure> {
         let folder = self.args.out.join(&named.name);
         let job = Job {
             recorded: &named.recorded,
-            all_scans,
+            scans,
             evaluator,
             orders: self.orders,
             folder: &folder,

@@ -22,8 +22,8 @@ const LIKELIHOOD_SAMPLES: usize = 8;
 pub struct Job<'a> {
     /// The recording.
     pub recorded: &'a Recorded,
-    /// All measurements, for the rules without a filter.
-    pub all_scans: &'a [KeyframeScan],
+    /// What is mapped of its keyframes.
+    pub scans: &'a Scans,
     /// The truth at this resolution.
     pub evaluator: Option<&'a MapEvaluator<'a>>,
     /// Heights of slices and views to draw.
@@ -36,13 +36,7 @@ pub struct Job<'a> {
 pub fn build(job: &Job, entry: &Entry, budget: usize) -> Result<MapResult, Failure> {
     let config = entry.model.mapping(entry.resolution);
     let mapper = Mapper::new(config.clone(), job.recorded.camera, 1);
-    let filtered;
-    let scans = if keeps_everything(&config) {
-        job.all_scans
-    } else {
-        filtered = job.recorded.scans(&config, 1);
-        &filtered
-    };
+    let scans = job.scans.for_rules(&config);
     let mut map = empty(&config, budget)?;
     let mut grown = Grown::default();
     match grown.grow(&mut map, &mapper, job.recorded, scans) {
@@ -81,8 +75,31 @@ pub fn build(job: &Job, entry: &Entry, budget: usize) -> Result<MapResult, Failu
     })))
 }
 
-fn keeps_everything(config: &MappingConfig) -> bool {
-    config.filter == MappingConfig::thesis().filter
+/// What is mapped of the keyframes of a recording: the same for all resolutions.
+#[derive(Debug)]
+pub struct Scans {
+    /// All measurements, for the thesis' rules.
+    pub all: Vec<KeyframeScan>,
+    /// What the default settings make of them.
+    default: Vec<KeyframeScan>,
+}
+
+impl Scans {
+    /// Of a recording.
+    pub fn new(recorded: &Recorded, threads: usize) -> Self {
+        Self {
+            all: recorded.scans(&MappingConfig::thesis(), threads),
+            default: recorded.scans(&MappingConfig::default(), threads),
+        }
+    }
+
+    fn for_rules(&self, config: &MappingConfig) -> &[KeyframeScan] {
+        if config.filter == MappingConfig::thesis().filter {
+            &self.all
+        } else {
+            &self.default
+        }
+    }
 }
 
 /// An empty map with a limit to its memory.
