@@ -11,7 +11,8 @@
 //! Flow per pixel: the sources that see it with enough disparity along its gradient ([`sight`]) → the best
 //! normalised correlation of a patch over a short range of inverse depths ([`search`]) → Gauss-Newton on
 //! ln(rho) over all these sources, with gain and bias of each patch free, which also gives the variance.
-//! A pixel that its sources do not agree about has no new depth.
+//! A pixel that its sources do not agree about has no new depth. Half of the pixels take the mean of their
+//! neighbours where these agree.
 
 mod search;
 mod sight;
@@ -38,6 +39,9 @@ pub struct SourceView<'a> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MultiViewConfig {
+    /// Whether every second pixel, as on a chess board, takes the mean of the refined ones around it where these
+    /// agree; half the work. Default true.
+    pub interpolate: bool,
     /// Sources per pixel, those of the largest disparity; at least 2. Default 5.
     pub max_sources: usize,
     /// Of these, so many of the smallest disparity search; at least 1. Default 2.
@@ -69,6 +73,7 @@ pub struct MultiViewConfig {
 impl Default for MultiViewConfig {
     fn default() -> Self {
         Self {
+            interpolate: true,
             max_sources: 5,
             search_sources: 2,
             min_disparity_px: 15.0,
@@ -203,18 +208,89 @@ pub fn refine_depth(
         .map(|source| Projection::new(source, camera))
         .collect();
     let mut search = search::Search::new(image, &projections, config);
-    let mut num_refined = 0;
-    let refined = pixels
+    if !config.interpolate {
+        let refined: Vec<Option<PixelDepth>> = pixels.iter().map(|p| search.refine(p)).collect();
+        return or_as_they_were(pixels, refined);
+    }
+    let is_first = |p: &PixelDepth| (p.x + p.y) % 2 == 0;
+    let mut refined: Vec<Option<PixelDepth>> = pixels
         .iter()
-        .map(|pixel| match search.refine(pixel) {
-            Some(refined) => {
-                num_refined += 1;
-                refined
-            }
-            None => *pixel,
-        })
+        .map(|p| if is_first(p) { search.refine(p) } else { None })
         .collect();
-    (refined, num_refined)
+    let first = Raster::new(image, &refined);
+    for (pixel, refined) in pixels.iter().zip(&mut refined) {
+        if !is_first(pixel) {
+            *refined = first.mean_around(pixel).or_else(|| search.refine(pixel));
+        }
+    }
+    or_as_they_were(pixels, refined)
+}
+
+fn or_as_they_were(
+    pixels: &[PixelDepth],
+    refined: Vec<Option<PixelDepth>>,
+) -> (Vec<PixelDepth>, usize) {
+    let num_refined = refined.iter().flatten().count();
+    let depths = pixels
+        .iter()
+        .zip(refined)
+        .map(|(pixel, refined)| refined.unwrap_or(*pixel))
+        .collect();
+    (depths, num_refined)
+}
+
+/// Refined depths by pixel: inverse depth and variance; 0 where there is none.
+struct Raster {
+    width: usize,
+    depths: Vec<[f32; 2]>,
+}
+
+impl Raster {
+    fn new(image: &Image<u8>, refined: &[Option<PixelDepth>]) -> Self {
+        let width = image.width();
+        let mut depths = vec![[0.0; 2]; width * image.height()];
+        for pixel in refined.iter().flatten() {
+            let index = usize::from(pixel.y) * width + usize::from(pixel.x);
+            if let Some(depth) = depths.get_mut(index) {
+                *depth = [pixel.idepth, pixel.idepth_var];
+            }
+        }
+        Self { width, depths }
+    }
+
+    /// The mean of two or more of the four neighbours, if all of them and the pixel itself agree within two
+    /// standard deviations. Neighbours share their errors: its variance is theirs.
+    fn mean_around(&self, pixel: &PixelDepth) -> Option<PixelDepth> {
+        let index = usize::from(pixel.y) * self.width + usize::from(pixel.x);
+        let around = [
+            index.checked_sub(self.width),
+            index.checked_sub(1),
+            Some(index + 1),
+            Some(index + self.width),
+        ];
+        let (mut count, mut idepth, mut variance) = (0.0, 0.0, 0.0);
+        let (mut lowest, mut highest) = (f32::INFINITY, f32::NEG_INFINITY);
+        for [d, v] in around
+            .into_iter()
+            .flatten()
+            .filter_map(|i| self.depths.get(i).copied())
+            .filter(|[d, _]| *d > 0.0)
+        {
+            count += 1.0;
+            idepth += d;
+            variance += v;
+            lowest = lowest.min(d);
+            highest = highest.max(d);
+        }
+        (idepth, variance) = (idepth / count, variance / count);
+        let agree = (highest - lowest).powi(2) <= 4.0 * 2.0 * variance
+            && (idepth - pixel.idepth).powi(2) <= 4.0 * (variance + pixel.idepth_var);
+        (count >= 2.0 && agree).then_some(PixelDepth {
+            idepth,
+            idepth_var: variance,
+            ..*pixel
+        })
+    }
 }
 
 #[cfg(test)]

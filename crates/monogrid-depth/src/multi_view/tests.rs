@@ -58,8 +58,8 @@ fn poses() -> Vec<Sim3> {
 /// Depths of the wall that are wrong by `error`, relatively, with the deviation `sigma`.
 fn depths(sigma: f64, error: impl Fn(usize, usize) -> f64) -> Vec<PixelDepth> {
     let mut pixels = Vec::new();
-    for y in (3..HEIGHT).step_by(3) {
-        for x in (3..WIDTH).step_by(3) {
+    for y in 3..HEIGHT {
+        for x in 3..WIDTH {
             let idepth = wall(x as f64, y as f64) * (1.0 + error(x, y));
             pixels.push(PixelDepth {
                 x: x as u16,
@@ -140,6 +140,39 @@ fn wrong_depths_become_right_whatever_the_exposure_and_the_unit() {
             (before.x, before.y, before.validity)
         );
     }
+}
+
+#[test]
+fn pixels_between_refined_ones_take_their_mean_where_it_is_flat() {
+    let pixels = depths(0.06, |_, _| 0.04);
+    let poses = poses();
+    let images: Vec<Image<u8>> = poses.iter().map(|pose| view(pose, 1.0, 0.0)).collect();
+    let each = MultiViewConfig {
+        interpolate: false,
+        ..MultiViewConfig::default()
+    };
+    let (all, count_all) = refined(&pixels, &images, &poses, &each);
+    let (half, count_half) = refined(&pixels, &images, &poses, &MultiViewConfig::default());
+    assert!(count_half >= count_all, "{count_half} {count_all}");
+    let mut num_means = 0;
+    for ((before, own), mean) in pixels.iter().zip(&all).zip(&half) {
+        if (before.x + before.y) % 2 == 0 {
+            assert_eq!(own, mean);
+        } else if own != mean {
+            num_means += 1;
+        }
+    }
+    assert!(4 * num_means > count_half);
+    let error = |refined: &[PixelDepth]| {
+        let changed = refined.iter().zip(&pixels).filter(|(a, b)| a != b);
+        median(changed.map(|(a, _)| relative_error(a).abs()).collect())
+    };
+    assert!(
+        error(&half) < 1.2 * error(&all),
+        "{} {}",
+        error(&half),
+        error(&all)
+    );
 }
 
 #[test]
