@@ -212,7 +212,7 @@ pub fn refine_depth(
         let refined: Vec<Option<PixelDepth>> = pixels.iter().map(|p| search.refine(p)).collect();
         return or_as_they_were(pixels, refined);
     }
-    let is_first = |p: &PixelDepth| (p.x + p.y) % 2 == 0;
+    let is_first = |p: &PixelDepth| (p.x + p.y).is_multiple_of(2);
     let mut refined: Vec<Option<PixelDepth>> = pixels
         .iter()
         .map(|p| if is_first(p) { search.refine(p) } else { None })

@@ -156,7 +156,7 @@ fn pixels_between_refined_ones_take_their_mean_where_it_is_flat() {
     assert!(count_half >= count_all, "{count_half} {count_all}");
     let mut num_means = 0;
     for ((before, own), mean) in pixels.iter().zip(&all).zip(&half) {
-        if (before.x + before.y) % 2 == 0 {
+        if (before.x + before.y).is_multiple_of(2) {
             assert_eq!(own, mean);
         } else if own != mean {
             num_means += 1;
