@@ -1,9 +1,7 @@
 //! From the video of one camera to a 3D occupancy map.
-#![allow(
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "the program talks to people; the libraries do not"
-)]
+
+#[macro_use]
+mod say;
 
 mod cli;
 mod commands;

@@ -257,3 +257,21 @@ fn maps_and_recordings_that_are_not() {
         &["a.ot", "line 1"],
     );
 }
+
+#[test]
+fn a_reader_that_goes_away_does_no_harm() {
+    let folder = tempfile::tempdir().unwrap();
+    let curves = folder.path().join("curves");
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_monogrid"))
+        .arg("sensor-model")
+        .args(["--json", "--plot"])
+        .arg(&curves)
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    // both ends are closed before anything is written
+    drop(child.stdout.take());
+    drop(child.stderr.take());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
