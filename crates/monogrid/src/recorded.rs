@@ -55,11 +55,7 @@ impl Recorded {
         }
         let session = recording.session;
         Ok(Self {
-            camera: KeyframeCamera {
-                pinhole: session.pinhole,
-                width: session.width,
-                height: session.height,
-            },
+            camera: keyframe_camera(&session),
             session,
             config,
             keyframes: recording.keyframes,
@@ -102,6 +98,15 @@ impl Recorded {
                 })
             })
             .collect()
+    }
+}
+
+/// The camera of the keyframes of a recording.
+pub fn keyframe_camera(session: &SessionInfo) -> KeyframeCamera {
+    KeyframeCamera {
+        pinhole: session.pinhole,
+        width: session.width,
+        height: session.height,
     }
 }
 

@@ -208,11 +208,7 @@ pub fn refine_depth(
         .map(|source| Projection::new(source, camera))
         .collect();
     let mut search = search::Search::new(image, &projections, config);
-    if !config.interpolate {
-        let refined: Vec<Option<PixelDepth>> = pixels.iter().map(|p| search.refine(p)).collect();
-        return or_as_they_were(pixels, refined);
-    }
-    let is_first = |p: &PixelDepth| (p.x + p.y).is_multiple_of(2);
+    let is_first = |p: &PixelDepth| !config.interpolate || (p.x ^ p.y).is_multiple_of(2);
     let mut refined: Vec<Option<PixelDepth>> = pixels
         .iter()
         .map(|p| if is_first(p) { search.refine(p) } else { None })
@@ -223,13 +219,6 @@ pub fn refine_depth(
             *refined = first.mean_around(pixel).or_else(|| search.refine(pixel));
         }
     }
-    or_as_they_were(pixels, refined)
-}
-
-fn or_as_they_were(
-    pixels: &[PixelDepth],
-    refined: Vec<Option<PixelDepth>>,
-) -> (Vec<PixelDepth>, usize) {
     let num_refined = refined.iter().flatten().count();
     let depths = pixels
         .iter()

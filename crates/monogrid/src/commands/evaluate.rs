@@ -8,7 +8,7 @@ use crate::config::RunConfig;
 use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
-use crate::recorded::posed_keyframes;
+use crate::recorded::{keyframe_camera, posed_keyframes};
 use crate::run::align::{alignment_mode, stamped_all};
 use monogrid_datasets::{
     Dataset, DepthRegistration, ReadOptions, Recording, SourceOptions, format_sim3, read_trajectory,
@@ -16,7 +16,7 @@ use monogrid_datasets::{
 use monogrid_evaluation::{DepthReport, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::DepthPixel;
-use monogrid_slam::mapping::{KeyframeCamera, RefineConfig, refined_depths};
+use monogrid_slam::mapping::{RefineConfig, refined_depths};
 
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
@@ -143,11 +143,7 @@ fn depths(
         return Ok(recorded);
     }
     let session = &recording.session;
-    let camera = KeyframeCamera {
-        pinhole: session.pinhole,
-        width: session.width,
-        height: session.height,
-    };
+    let camera = keyframe_camera(session);
     let config = RunConfig::recorded_mapping(&session.config)
         .map_or_else(RefineConfig::default, |config| config.mapping.refine);
     let posed = posed_keyframes(keyframes, &recorded);
