@@ -10,7 +10,7 @@
 # 3. AUC and MCC over the observed cells of the whole room, against OctoMap's mode=cloudd
 # 4. memory of the finished default maps, of the large hall as well with MACHINE=1 (a minute and 1.6 GB at 16 mm)
 set -eu
-here=$(cd "$(dirname "$0")/.." && pwd); bench=$here/../shared/bench
+here=$(cd "$(dirname "$0")/.." && pwd); bench=${SHARED:-$here/../shared}/bench
 [ -d "$bench" ] || { echo "SKIPPED: $bench is absent"; exit 0; }
 work=${1:-$(mktemp -d)}; scans=${2:-45}; mkdir -p "$work"
 [ -x "$work/octomap_baseline" ] || g++ -O3 -o "$work/octomap_baseline" "$bench/octomap_baseline.cpp" -loctomap -loctomath

@@ -1,9 +1,9 @@
-#!/bin/sh
+#!/usr/bin/env bash
 # Speed of queries and files on the 16 mm map of the office scans, one thread, and of OctoMap's search
 # and castRay on the same map, points and rays. Needs: apt-get install -y liboctomap-dev g++ python3-numpy
 # usage: scripts/bench_queries.sh [WORK_FOLDER]
 set -eu
-here=$(cd "$(dirname "$0")/.." && pwd); bench=$here/../shared/bench
+here=$(cd "$(dirname "$0")/.." && pwd); bench=${SHARED:-$here/../shared}/bench
 [ -d "$bench" ] || { echo "SKIPPED: $bench is absent"; exit 0; }
 work=${1:-$(mktemp -d)}; mkdir -p "$work"
 [ -f "$work/office.scans" ] || python3 "$bench/generate_scans.py" "$work/office.scans" office

@@ -8,6 +8,7 @@
 # appended to, in which finished rows are found again when the script is started a second time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/common.sh
 bin=${BIN:-target/release/monogrid}
 frames=${FRAMES:-1500}
 size=${SIZE:-640x480}
@@ -15,8 +16,8 @@ profiles=${PROFILES:-default thesis}
 rows=${ROWS:-/dev/null}
 sequences=("$@")
 if [ ${#sequences[@]} -eq 0 ]; then
-  for name in red-kitchen tsukuba icl-office kitti-forward euroc-static; do
-    sequences+=("../shared/data/$name")
+  for name in red-kitchen tsukuba icl-office icl-office-kt3 kitti-forward kitti-07 fr1-desk euroc-static; do
+    sequences+=("$shared/data/$name")
   done
   for noise in demo off; do
     for world in living-room office machine-hall corridor-loop blank-walls; do
@@ -28,8 +29,6 @@ if [ ${#sequences[@]} -eq 0 ]; then
 fi
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
-
-value() { sed -n "s/.*\"$1\": *\([-0-9.e]*\).*/\1/p" "$2" | head -1; }
 
 # The commonest reason among the frames without a pose, with their number.
 reason() {
@@ -72,14 +71,14 @@ for sequence in "${sequences[@]}"; do
     "$bin" run "$source" --profile "$profile" --out "$out/run" --resolution 0.1 --json >"$out/run.json" 2>"$out/run.err" || code=$?
     ate=– path=–
     if "$bin" evaluate trajectory "$out/run/trajectory.txt" "$source/groundtruth.txt" --json >"$out/ate.json" 2>/dev/null; then
-      ate=$(value ate_rmse "$out/ate.json" | xargs printf '%.4f')
-      path=$(value path_length "$out/ate.json" | xargs printf '%.1f')
+      ate=$(value "$out/ate.json" ate_rmse | xargs printf '%.4f')
+      path=$(value "$out/ate.json" path_length | xargs printf '%.1f')
     fi
     why=$(reason "$out/run/frames.csv" 2>/dev/null || true)
     [ "$code" -eq 0 ] || why="exit code $code; $why"
-    total=$(value frames "$out/run.json") tracked=$(value tracked "$out/run.json")
+    total=$(value "$out/run.json" frames) tracked=$(value "$out/run.json" tracked)
     share=$(awk -v t="${tracked:-0}" -v n="${total:-0}" 'BEGIN { printf "%.1f %%", n ? 100 * t / n : 0 }')
-    row="$key ${total:-0} | $share | $(value lost_episodes "$out/run.json") | $(value keyframes "$out/run.json") | $ate | $path | $why |"
+    row="$key ${total:-0} | $share | $(value "$out/run.json" lost_episodes) | $(value "$out/run.json" keyframes) | $ate | $path | $why |"
     echo "$row"
     [ "$rows" = /dev/null ] || echo "$row" >>"$rows"
   done

@@ -1,0 +1,56 @@
+# Helpers of the scripts beside it, to be sourced; $bin is the program.
+# shellcheck shell=bash
+
+# shellcheck disable=SC2034 # used by the scripts that source this
+# The folder of test data and of the baseline of the occupancy engine.
+shared=${SHARED:-../shared}
+
+# The value behind the last of the keys, within the objects that the others name: `value summary.json map_error observed auc`.
+# The file is JSON as monogrid prints it, one key per line.
+value() {
+  local file=$1
+  shift
+  awk -v keys="$*" 'BEGIN { n = split(keys, key, " "); i = 1 }
+    i < n { if (index($0, "\"" key[i] "\": {")) i++; next }
+    index($0, "\"" key[i] "\":") {
+      sub(/^[^:]*: */, ""); gsub(/[", ]/, ""); print; exit
+    }' "$file"
+}
+
+# A number with so many significant digits; a dash for what is not a number.
+digits() { awk -v n="$1" -v x="${2:-}" 'BEGIN { if (x ~ /^[-+.0-9e]+$/) { s = sprintf("%#." n "g", x); sub(/\.$/, "", s); printf "%s", s } else printf "–" }'; }
+
+# Results of other programs on a sequence, two cells: C++ LSD-SLAM and DSO (their default parameters, the same calibration).
+others() {
+  case $1 in
+    red-kitchen) echo '0.34 m, drift 5.7 | 0.39 m, drift 4.5' ;;
+    tsukuba) echo '0.41 m | 0.26 m' ;;
+    icl-office) echo '0.020 m | –' ;;
+    kitti-forward) echo '– | does not start' ;;
+    euroc-static) echo 'no keyframe | no keyframe' ;;
+    *) echo '– | –' ;;
+  esac
+}
+
+# kept_run FOLDER ARGUMENT...: `monogrid ARGUMENT... --out FOLDER`, once: a run that ended is found again by FOLDER.exit, which
+# holds its exit code. That tracking never started or was lost (3) is a result; everything else stops the script.
+kept_run() {
+  local folder=$1 code=0
+  shift
+  [ ! -f "$folder.exit" ] || return 0
+  rm -rf "$folder"
+  mkdir -p "$(dirname "$folder")"
+  "${bin:?}" "$@" --json --out "$folder" >"$folder.json" 2>"$folder.log" || code=$?
+  if [ "$code" != 0 ] && [ "$code" != 3 ]; then
+    echo "failed with exit code $code: $bin $* --out $folder" >&2
+    tail -5 "$folder.log" >&2
+    return 1
+  fi
+  echo "$code" >"$folder.exit"
+}
+
+# evaluated FOLDER SOURCE: the trajectory of a kept run against the truth, into FOLDER.ate; false where there is nothing to compare.
+evaluated() {
+  [ -f "$1.ate" ] || "$bin" evaluate trajectory "$1/trajectory.txt" "$2/groundtruth.txt" --json >"$1.ate.part" 2>/dev/null || return 1
+  [ -f "$1.ate" ] || mv "$1.ate.part" "$1.ate"
+}
