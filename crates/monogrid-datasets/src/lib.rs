@@ -32,7 +32,8 @@ pub use check::{CheckConfig, FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
 pub use images::{
     DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
-    encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask, register_depth,
+    decode_jpeg_luma, encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask,
+    register_depth,
 };
 pub use recording::{
     Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe, KeyframeLink,

@@ -28,12 +28,26 @@ pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
 /// As [`read_gray`].
 pub fn decode_gray(bytes: &[u8], path: &Path) -> Result<GrayImage, DatasetError> {
     if sniff(bytes, path)? == ImageFormat::Jpeg {
-        let (width, height, luma) =
-            jpeg::decode_luma(bytes, MAX_SIDE).map_err(|e| DatasetError::image(path, e))?;
-        let data = luma.into_iter().map(f32::from).collect();
-        return pixels(width, height, data, path);
+        return Ok(decode_jpeg_luma(bytes, MAX_SIDE * MAX_SIDE, path)?.map(f32::from));
     }
     to_gray(&decode_dynamic(bytes, path)?, path)
+}
+
+/// Decodes a JPEG image to its 8-bit luma (ITU-601); `path` is only for messages.
+///
+/// Images without Huffman tables, as in MJPEG streams, are understood.
+///
+/// # Errors
+/// When it is no complete JPEG image, or has more than `max_pixels`.
+pub fn decode_jpeg_luma(
+    bytes: &[u8],
+    max_pixels: usize,
+    path: &Path,
+) -> Result<Image<u8>, DatasetError> {
+    let (width, height, luma) =
+        jpeg::decode_luma(bytes, max_pixels).map_err(|e| DatasetError::image(path, e))?;
+    Image::from_vec(width, height, luma)
+        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }
 
 /// Reads a mask: black (below 128) pixels are not used.

@@ -1,5 +1,6 @@
 //! JPEG to luma, refusing incomplete files.
 
+use super::decode::MAX_SIDE;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
@@ -10,17 +11,24 @@ pub(super) type LumaPixels = (usize, usize, Vec<u8>);
 
 /// Decodes to luma. A YCbCr image already carries ITU-601 luma as its first component: colour is
 /// never computed. RGB and CMYK images are converted.
-pub(super) fn decode_luma(bytes: &[u8], max_side: usize) -> Result<LumaPixels, String> {
+pub(super) fn decode_luma(bytes: &[u8], max_pixels: usize) -> Result<LumaPixels, String> {
     if !is_complete(bytes) {
         return Err("the JPEG data end before its end marker (truncated file)".to_owned());
     }
     // Strict: otherwise corrupt or missing blocks are painted grey and reported as success.
     let options = DecoderOptions::default()
         .set_strict_mode(true)
-        .set_max_width(max_side)
-        .set_max_height(max_side);
+        .set_max_width(MAX_SIDE)
+        .set_max_height(MAX_SIDE);
     let mut header = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     header.decode_headers().map_err(|e| e.to_string())?;
+    if let Some((width, height)) = header.dimensions()
+        && width * height > max_pixels
+    {
+        return Err(format!(
+            "{width}x{height} pixels, expected at most {max_pixels}"
+        ));
+    }
     let has_luma = matches!(
         header.input_colorspace(),
         Some(ColorSpace::YCbCr | ColorSpace::Luma)

@@ -1,0 +1,112 @@
+//! The one error type of this crate.
+
+/// What is wrong with a video, camera or stream; every message names it, what was found and what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum VideoError {
+    /// There is no such file.
+    #[error("no video at {video:?}; check the path")]
+    Missing {
+        /// What was asked for.
+        video: String,
+    },
+    /// Reading failed.
+    #[error("cannot read {video:?}: {source}")]
+    Io {
+        /// The file, camera or address.
+        video: String,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// It can only be decoded by a program that is not there.
+    #[error(
+        "{video:?} ({found}) is decoded by ffmpeg, which is not installed: type `{}`",
+        crate::ffmpeg::INSTALL_COMMAND
+    )]
+    NeedsFfmpeg {
+        /// The file or address.
+        video: String,
+        /// Why it is not decoded here.
+        found: String,
+    },
+    /// ffmpeg could not decode it.
+    #[error("ffmpeg cannot decode {video:?}: {message}")]
+    Ffmpeg {
+        /// The file or address.
+        video: String,
+        /// Its last words.
+        message: String,
+    },
+    /// The file as a whole cannot be understood.
+    #[error("{video:?} is not a usable {kind}: found {found}, expected {expected}")]
+    Content {
+        /// The file, camera or address.
+        video: String,
+        /// "MP4", "AVI", ...
+        kind: &'static str,
+        /// What is in it.
+        found: String,
+        /// What would do.
+        expected: String,
+    },
+    /// A single frame cannot be decoded; those that follow may be.
+    #[error("frame {frame} of {video:?} cannot be decoded: {reason}")]
+    Frame {
+        /// The file, camera or address.
+        video: String,
+        /// Number of the frame in the order of the file, from 0.
+        frame: usize,
+        /// Why not.
+        reason: String,
+    },
+    /// A camera that cannot be used.
+    #[error("camera {camera:?}: {reason}")]
+    Camera {
+        /// Its device file.
+        camera: String,
+        /// What is wrong, and what would do.
+        reason: String,
+    },
+}
+
+impl VideoError {
+    /// Whether reading can go on after this error: only one frame is lost.
+    #[must_use]
+    pub fn is_single_frame(&self) -> bool {
+        matches!(self, Self::Frame { .. })
+    }
+
+    pub(crate) fn io(video: &str, source: std::io::Error) -> Self {
+        if source.kind() == std::io::ErrorKind::NotFound {
+            return Self::Missing {
+                video: video.to_owned(),
+            };
+        }
+        Self::Io {
+            video: video.to_owned(),
+            source,
+        }
+    }
+
+    pub(crate) fn content(
+        video: &str,
+        kind: &'static str,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Self {
+        Self::Content {
+            video: video.to_owned(),
+            kind,
+            found: found.into(),
+            expected: expected.into(),
+        }
+    }
+
+    pub(crate) fn frame(video: &str, frame: usize, reason: impl Into<String>) -> Self {
+        Self::Frame {
+            video: video.to_owned(),
+            frame,
+            reason: reason.into(),
+        }
+    }
+}

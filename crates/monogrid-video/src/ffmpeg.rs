@@ -1,0 +1,177 @@
+//! All other codecs and streams, through the program `ffmpeg`.
+//!
+//! It runs beside this process and writes luma as YUV4MPEG2 into a pipe; its filter `showinfo` says on
+//! standard error when each frame is shown, which YUV4MPEG2 cannot carry. Both come in the order of
+//! frames, so the n-th time belongs to the n-th frame.
+
+use crate::y4m::Y4mReader;
+use crate::{Opened, VideoError, VideoFrame};
+use std::io::{BufRead, BufReader};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+
+/// What installs ffmpeg on this system.
+pub(crate) const INSTALL_COMMAND: &str = if cfg!(target_os = "macos") {
+    "brew install ffmpeg"
+} else if cfg!(windows) {
+    "winget install ffmpeg"
+} else {
+    "sudo apt install ffmpeg"
+};
+
+/// Luma without stretching it, then the times.
+const FILTER: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p,\
+                      extractplanes=planes=y,showinfo=checksum=0";
+
+/// Longest message that is kept, characters.
+const MAX_MESSAGE: usize = 300;
+
+/// Starts ffmpeg on a file or address; `found` says why it is not decoded here.
+pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-hide_banner", "-nostats", "-loglevel", "info", "-nostdin"]);
+    let live = name.contains("://");
+    if name.starts_with("rtsp://") {
+        command.args(["-rtsp_transport", "tcp"]);
+    }
+    if live {
+        command.args(["-fflags", "nobuffer", "-flags", "low_delay"]);
+    }
+    // `file:` so that a name with a colon is not taken for an address
+    let input = if live {
+        name.to_owned()
+    } else {
+        format!("file:{name}")
+    };
+    command
+        .args(["-i", &input, "-map", "0:v:0", "-vsync", "passthrough"])
+        .args(["-vf", FILTER, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let mut child = command.spawn().map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => VideoError::NeedsFfmpeg {
+            video: name.to_owned(),
+            found: found.to_owned(),
+        },
+        _ => VideoError::io("ffmpeg", e),
+    })?;
+    let (sender, times) = channel();
+    let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+    let messages = std::thread::Builder::new()
+        .name("ffmpeg messages".into())
+        .spawn(move || {
+            let mut last_words = String::new();
+            let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
+            for line in lines.map_while(Result::ok) {
+                match shown_ns(&line) {
+                    // nobody listens any more: the rest is still read, or ffmpeg would wait
+                    Some(time) => drop(sender.send(time)),
+                    None if !line.contains("showinfo") => last_words = line,
+                    None => {}
+                }
+            }
+            last_words.chars().take(MAX_MESSAGE).collect()
+        })
+        .map_err(|e| VideoError::io("ffmpeg", e))?;
+    let mut process = Process {
+        name: name.to_owned(),
+        child,
+        messages: Some(messages),
+    };
+    let stdout = stdout.ok_or_else(|| process.failure())?;
+    let frames = Y4mReader::new(name, BufReader::with_capacity(1 << 20, stdout))
+        .map_err(|_| process.failure())?;
+    Ok(Opened {
+        description: format!("{found}, decoded by ffmpeg"),
+        length: None,
+        live,
+        frames: Box::new(FfmpegFrames {
+            frames,
+            times,
+            process,
+        }),
+    })
+}
+
+/// The time in a line of `showinfo`, nanoseconds: `... n:   3 pts:   1501 pts_time:0.0500333 ...`.
+fn shown_ns(line: &str) -> Option<i64> {
+    if !line.contains("showinfo") {
+        return None;
+    }
+    let word = line.split("pts_time:").nth(1)?.split_whitespace().next()?;
+    let seconds: f64 = word.parse().ok()?;
+    (seconds.abs() < 1e9).then(|| (seconds * 1e9).round() as i64)
+}
+
+/// The running program; it is ended when this is dropped.
+struct Process {
+    name: String,
+    child: Child,
+    messages: Option<JoinHandle<String>>,
+}
+
+impl Process {
+    /// Why it ended, in its own words.
+    fn failure(&mut self) -> VideoError {
+        drop(self.child.kill());
+        let message = self.messages.take().and_then(|m| m.join().ok());
+        VideoError::Ffmpeg {
+            video: self.name.clone(),
+            message: message
+                .filter(|m| !m.is_empty())
+                .unwrap_or_else(|| "it wrote no frame".to_owned()),
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        drop(self.child.kill());
+        drop(self.child.wait());
+    }
+}
+
+struct FfmpegFrames {
+    frames: Y4mReader<BufReader<ChildStdout>>,
+    times: Receiver<i64>,
+    process: Process,
+}
+
+impl Iterator for FfmpegFrames {
+    type Item = Result<VideoFrame, VideoError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        match self.frames.next()? {
+            Ok(frame) => Some(match self.times.recv() {
+                Ok(timestamp_ns) => Ok(VideoFrame {
+                    timestamp_ns,
+                    ..frame
+                }),
+                Err(_) => Err(self.process.failure()),
+            }),
+            Err(_) => Some(Err(self.process.failure())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::shown_ns;
+
+    #[test]
+    fn times_of_showinfo() {
+        let line = "[Parsed_showinfo_2 @ 0x55] n:   3 pts:   1501 pts_time:0.0500333 duration: 500";
+        assert_eq!(shown_ns(line), Some(50_033_300));
+        assert_eq!(
+            shown_ns("[Parsed_showinfo_2 @ 0x55] config in time_base: 1/1000"),
+            None
+        );
+        assert_eq!(shown_ns("Input #0, mov, from 'pts_time:3': "), None);
+        assert_eq!(
+            shown_ns("[Parsed_showinfo_2 @ 0] n: 0 pts: NOPTS pts_time:NOPTS"),
+            None
+        );
+    }
+}

@@ -1,0 +1,178 @@
+//! H.264 in MP4 and MOV, decoded in this process.
+
+use crate::mp4::{self, Content, Sample, Samples, Timing};
+use crate::turn::Turn;
+use crate::{Grey, Here, Opened, VideoError, VideoFrame};
+use rust_h264::decoder::{Frame, OrderedDecoder};
+use rust_h264::nal::{NalUnit, NalUnitType, parse_avcc, parse_sps_info};
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+
+/// Most pixels of a picture that is decoded here: those of level 5.2 (4096x2304). Larger ones go to
+/// ffmpeg; sixteen reference pictures of this size stay below half a gigabyte.
+const MAX_PICTURE_PIXELS: u64 = 36_864 * 256;
+
+/// Longest coded frame, bytes.
+const MAX_SAMPLE_BYTES: u32 = 1 << 25;
+
+/// Opens the first video track.
+pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, VideoError> {
+    let track = match mp4::read(name, &mut file, file_bytes)? {
+        Content::H264(track) => track,
+        Content::Other(found) => return Ok(Here::Unknown(found)),
+    };
+    let mut decoder = OrderedDecoder::new();
+    let parameter_sets = track.config.sps_list.iter().chain(&track.config.pps_list);
+    for set in parameter_sets {
+        let prefixed = [&(set.len() as u32).to_be_bytes(), set.as_slice()].concat();
+        for unit in parse_avcc(&prefixed, 4) {
+            if let Err(reason) = decode_unit(&mut decoder, &unit, 0) {
+                return Ok(Here::Unknown(format!("H.264, {reason}")));
+            }
+        }
+    }
+    let shown = |sample: &Sample| track.timing.shown_ns(sample.time).is_some();
+    let length = track.samples.clone().filter(shown).count();
+    Ok(Here::Opened(Opened {
+        description: "MP4, H.264".to_owned(),
+        length: Some(length),
+        live: false,
+        frames: Box::new(H264Frames {
+            name: name.to_owned(),
+            file,
+            length_bytes: usize::from(track.config.length_size_minus_one.get()) + 1,
+            samples: track.samples,
+            timing: track.timing,
+            turn: track.turn,
+            decoder,
+            ready: VecDeque::new(),
+            sample: 0,
+            ended: false,
+        }),
+    }))
+}
+
+/// Frames of a track in the order in which they are shown.
+struct H264Frames {
+    name: String,
+    file: File,
+    /// Bytes of the length in front of each unit.
+    length_bytes: usize,
+    samples: Samples,
+    timing: Timing,
+    turn: Turn,
+    /// Carries the time of each sample, units of the track, to its frame.
+    decoder: OrderedDecoder<i64>,
+    ready: VecDeque<(Frame, i64)>,
+    /// Samples read so far.
+    sample: usize,
+    ended: bool,
+}
+
+impl H264Frames {
+    /// Decodes the next sample; at the end gives out what the decoder still holds.
+    fn advance(&mut self) -> Result<(), VideoError> {
+        let Some(sample) = self.samples.next() else {
+            self.ended = true;
+            self.ready.extend(self.decoder.flush_with_meta());
+            return Ok(());
+        };
+        let number = self.sample;
+        self.sample += 1;
+        let failed = |reason: String| VideoError::frame(&self.name, number, reason);
+        let bytes = read_sample(&mut self.file, sample).map_err(|e| failed(e.to_string()))?;
+        let mut first_error = None;
+        for unit in parse_avcc(&bytes, self.length_bytes) {
+            match decode_unit(&mut self.decoder, &unit, sample.time) {
+                Ok(frames) => self.ready.extend(frames),
+                Err(reason) => first_error = first_error.or(Some(reason)),
+            }
+        }
+        first_error.map_or(Ok(()), |reason| Err(failed(reason)))
+    }
+
+    /// The next frame that is shown.
+    fn take_ready(&mut self) -> Option<Result<VideoFrame, VideoError>> {
+        while let Some((frame, time)) = self.ready.pop_front() {
+            let Some(timestamp_ns) = self.timing.shown_ns(time) else {
+                continue;
+            };
+            let number = self.sample;
+            return Some(match luma(frame) {
+                Some(image) => Ok(VideoFrame {
+                    image: self.turn.apply(image),
+                    timestamp_ns,
+                }),
+                None => Err(VideoError::frame(
+                    &self.name,
+                    number,
+                    "an incomplete picture",
+                )),
+            });
+        }
+        None
+    }
+}
+
+impl Iterator for H264Frames {
+    type Item = Result<VideoFrame, VideoError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(frame) = self.take_ready() {
+                return Some(frame);
+            }
+            if self.ended {
+                return None;
+            }
+            if let Err(error) = self.advance() {
+                return Some(Err(error));
+            }
+        }
+    }
+}
+
+/// Hands one unit to the decoder, unless it announces pictures that are too large.
+fn decode_unit(
+    decoder: &mut OrderedDecoder<i64>,
+    unit: &NalUnit<'_>,
+    time: i64,
+) -> Result<Vec<(Frame, i64)>, String> {
+    if unit.nal_unit_type == NalUnitType::Sps {
+        let info = parse_sps_info(unit).map_err(|e| e.to_string())?;
+        if u64::from(info.coded_width) * u64::from(info.coded_height) > MAX_PICTURE_PIXELS {
+            let (width, height) = (info.width, info.height);
+            return Err(format!("pictures of {width}x{height} pixels"));
+        }
+    }
+    decoder
+        .decode_nal_with_meta(unit, time)
+        .map_err(|e| e.to_string())
+}
+
+fn read_sample(file: &mut File, sample: Sample) -> std::io::Result<Vec<u8>> {
+    if sample.bytes > MAX_SAMPLE_BYTES {
+        let reason = format!("{} bytes for one frame", sample.bytes);
+        return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, reason));
+    }
+    file.seek(SeekFrom::Start(sample.offset))?;
+    let mut bytes = Vec::new();
+    file.take(u64::from(sample.bytes)).read_to_end(&mut bytes)?;
+    if bytes.len() < sample.bytes as usize {
+        return Err(std::io::ErrorKind::UnexpectedEof.into());
+    }
+    Ok(bytes)
+}
+
+/// The luma plane in 8 bits.
+fn luma(frame: Frame) -> Option<Grey> {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let data = match frame.bit_depth {
+        8 => frame.y,
+        bits => (frame.y.chunks_exact(2))
+            .map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) >> (bits - 8)).min(255) as u8)
+            .collect(),
+    };
+    Grey::from_vec(width, height, data)
+}

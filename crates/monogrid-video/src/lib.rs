@@ -1,0 +1,300 @@
+//! Frames of video files, cameras and streams: 8-bit grey images with times in nanoseconds.
+//!
+//! [`Video::open`] takes what a person would name and yields [`VideoFrame`]s one by one:
+//!
+//! | named | decoded by |
+//! |---|---|
+//! | MP4 or MOV with H.264 | this process (`rust_h264`) |
+//! | AVI with MJPEG, YUV4MPEG2, `-` (YUV4MPEG2 on standard input) | this process |
+//! | `/dev/video0` | this process: YUYV, MJPEG or grey of a V4L2 camera (Linux) |
+//! | `http://...` that answers with MJPEG (a phone as camera) | this process |
+//! | every other file, `rtsp://...` and other addresses | the program `ffmpeg`, when it is installed |
+//!
+//! Never more than a few frames are in memory. Times are those of the container or camera (variable
+//! rates, edit lists and reordered frames are understood), never number over rate, except where the
+//! format knows only a rate (AVI, YUV4MPEG2). Videos that were filmed upright come out upright.
+//!
+//! ```no_run
+//! let video = monogrid_video::Video::open("video.mp4")?;
+//! println!("{}", video.description());
+//! for frame in video {
+//!     let frame = frame?;
+//!     println!("{} ns: {}x{}", frame.timestamp_ns, frame.image.width(), frame.image.height());
+//! }
+//! # Ok::<(), monogrid_video::VideoError>(())
+//! ```
+//!
+//! Everything that comes from outside is checked: a damaged or hostile file is an error, never a panic,
+//! a hang, or memory without bounds.
+#![deny(missing_docs)]
+
+mod avi;
+mod camera;
+mod error;
+mod ffmpeg;
+mod h264;
+mod http;
+mod mp4;
+mod turn;
+mod y4m;
+
+pub use camera::{CameraInfo, list_cameras};
+pub use error::VideoError;
+
+use monogrid_image::Image;
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::Path;
+
+/// An 8-bit grey image.
+pub type Grey = Image<u8>;
+
+/// Most pixels of a frame: 8K and a half; more is taken for damage.
+pub(crate) const MAX_PIXELS: usize = 1 << 26;
+
+/// Bytes by which files are told apart.
+const SNIFFED_BYTES: usize = 16;
+
+/// One frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VideoFrame {
+    /// Luma as the source has it (not stretched to the full range), upright.
+    pub image: Grey,
+    /// Time, nanoseconds: of the container for files, since the first frame for cameras and streams.
+    pub timestamp_ns: i64,
+}
+
+/// What every decoder yields.
+pub(crate) type Frames = Box<dyn Iterator<Item = Result<VideoFrame, VideoError>> + Send>;
+
+/// An open video, camera or stream: an iterator over its frames in the order of time.
+///
+/// An error that [is of a single frame](VideoError::is_single_frame) may be followed by more frames,
+/// any other is the last item.
+pub struct Video {
+    name: String,
+    description: String,
+    length: Option<usize>,
+    live: bool,
+    size: (usize, usize),
+    frames: Frames,
+    /// What was read when it was opened.
+    ahead: VecDeque<Result<VideoFrame, VideoError>>,
+    last_ns: Option<i64>,
+    repaired: usize,
+    ended: bool,
+}
+
+/// A decoder and what is known before the first frame.
+pub(crate) struct Opened {
+    pub(crate) description: String,
+    pub(crate) length: Option<usize>,
+    pub(crate) live: bool,
+    pub(crate) frames: Frames,
+}
+
+/// Frames without an image that are read before a video is given up when it is opened.
+const MAX_UNREADABLE_AT_START: usize = 10;
+
+impl Video {
+    /// Opens a file, `-`, a camera (`/dev/video0`) or an address and decodes its first frame.
+    ///
+    /// # Errors
+    /// When it is not there, cannot be decoded (also not by ffmpeg), or has no frame.
+    pub fn open(source: impl AsRef<Path>) -> Result<Self, VideoError> {
+        let source = source.as_ref();
+        let name = source.to_string_lossy().into_owned();
+        let opened = if name == "-" {
+            open_y4m(&name, std::io::stdin())?
+        } else if name.starts_with("http://") {
+            match http::open(&name)? {
+                Some(stream) => stream,
+                None => ffmpeg::open(&name, "not an MJPEG stream")?,
+            }
+        } else if name.contains("://") {
+            ffmpeg::open(&name, "a network stream")?
+        } else if camera::is_camera(source) {
+            camera::open(source)?
+        } else {
+            return Self::open_file(source, name);
+        };
+        Self::start(name, opened)
+    }
+
+    /// A file that is decoded here if possible, otherwise by ffmpeg.
+    fn open_file(path: &Path, name: String) -> Result<Self, VideoError> {
+        let found = match open_here(path, &name)? {
+            Here::Opened(opened) => match Self::start(name.clone(), opened) {
+                // the first frame is the first that shows what the decoder cannot do
+                Err(VideoError::Frame { reason, .. }) => reason,
+                outcome => return outcome,
+            },
+            Here::Unknown(found) => found,
+        };
+        let opened = ffmpeg::open(&name, &found)?;
+        Self::start(name, opened)
+    }
+
+    /// Reads the first frame, for the size.
+    fn start(name: String, opened: Opened) -> Result<Self, VideoError> {
+        let mut video = Self {
+            name,
+            description: opened.description,
+            length: opened.length,
+            live: opened.live,
+            size: (0, 0),
+            frames: opened.frames,
+            ahead: VecDeque::new(),
+            last_ns: None,
+            repaired: 0,
+            ended: false,
+        };
+        for _ in 0..MAX_UNREADABLE_AT_START {
+            match video.frames.next() {
+                Some(Ok(frame)) => {
+                    video.size = (frame.image.width(), frame.image.height());
+                    video.ahead.push_back(Ok(frame));
+                    return Ok(video);
+                }
+                Some(Err(error)) if error.is_single_frame() => video.ahead.push_back(Err(error)),
+                Some(Err(error)) => return Err(error),
+                None => break,
+            }
+        }
+        Err(match video.ahead.pop_front() {
+            Some(Err(error)) => error,
+            _ => VideoError::content(&video.name, "video", "no frames", "at least one"),
+        })
+    }
+
+    /// What was opened.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Container and codec, for people.
+    #[must_use]
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// Number of frames where the container says it; frames that cannot be decoded are among them.
+    #[must_use]
+    pub fn length(&self) -> Option<usize> {
+        self.length
+    }
+
+    /// Whether frames come as they happen and do not wait.
+    #[must_use]
+    pub fn is_live(&self) -> bool {
+        self.live
+    }
+
+    /// Width and height of the first frame, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// Frames so far whose time did not come after that of the frame before and was set right behind it.
+    #[must_use]
+    pub fn repaired_times(&self) -> usize {
+        self.repaired
+    }
+
+    /// Times that increase: containers written by editors repeat times, or swap them by microseconds.
+    fn increasing(&mut self, mut frame: VideoFrame) -> VideoFrame {
+        if let Some(last_ns) = self.last_ns
+            && frame.timestamp_ns <= last_ns
+        {
+            frame.timestamp_ns = last_ns.saturating_add(1);
+            self.repaired += 1;
+        }
+        self.last_ns = Some(frame.timestamp_ns);
+        frame
+    }
+}
+
+impl Iterator for Video {
+    type Item = Result<VideoFrame, VideoError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.ended {
+            return None;
+        }
+        let item = self.ahead.pop_front().or_else(|| self.frames.next());
+        self.ended = match &item {
+            None => true,
+            Some(Err(error)) => !error.is_single_frame(),
+            Some(Ok(_)) => false,
+        };
+        item.map(|item| item.map(|frame| self.increasing(frame)))
+    }
+}
+
+impl std::fmt::Debug for Video {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Video")
+            .field("name", &self.name)
+            .field("description", &self.description)
+            .field("length", &self.length)
+            .field("size", &self.size)
+            .finish_non_exhaustive()
+    }
+}
+
+/// What this process makes of a file.
+pub(crate) enum Here {
+    Opened(Opened),
+    /// It cannot decode it, and what it is.
+    Unknown(String),
+}
+
+fn open_here(path: &Path, name: &str) -> Result<Here, VideoError> {
+    let io = |e| VideoError::io(name, e);
+    let mut file = File::open(path).map_err(io)?;
+    let metadata = file.metadata().map_err(io)?;
+    if !metadata.is_file() {
+        return Err(VideoError::content(
+            name,
+            "video",
+            "a folder or device",
+            "a video file",
+        ));
+    }
+    let mut head = Vec::new();
+    (&mut file)
+        .take(SNIFFED_BYTES as u64)
+        .read_to_end(&mut head)
+        .map_err(io)?;
+    file.rewind().map_err(io)?;
+    match head.as_slice() {
+        [] => Err(VideoError::content(
+            name,
+            "video",
+            "an empty file",
+            "a video",
+        )),
+        head if head.starts_with(y4m::MAGIC) => Ok(Here::Opened(open_y4m(name, file)?)),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..] => avi::open(name, file),
+        [_, _, _, _, b'f', b't', b'y', b'p', ..]
+        | [_, _, _, _, b'm', b'o', b'o', b'v', ..]
+        | [_, _, _, _, b'm', b'd', b'a', b't', ..]
+        | [_, _, _, _, b'w', b'i', b'd', b'e', ..] => h264::open(name, file, metadata.len()),
+        _ => Ok(Here::Unknown(
+            "a format that is not read directly".to_owned(),
+        )),
+    }
+}
+
+fn open_y4m(name: &str, reader: impl Read + Send + 'static) -> Result<Opened, VideoError> {
+    let frames = y4m::Y4mReader::new(name, BufReader::with_capacity(1 << 20, reader))?;
+    Ok(Opened {
+        description: "YUV4MPEG2".to_owned(),
+        length: None,
+        live: false,
+        frames: Box::new(frames),
+    })
+}
