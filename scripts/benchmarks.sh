@@ -140,14 +140,14 @@ part_demo() {
 depth_row() {
   local report=$results/depth.json
   "$bin" evaluate depth "$2/recording.mgk" "$3" "${@:4}" --json >"$report" 2>/dev/null
-  echo "| $1${4:+, refined} | $(digits 3 "$(value "$report" estimates_within_3_percent)") | $(digits 3 "$(value "$report" estimates_within_10_percent)")" \
+  echo "| $1${4:+, refined} | $(value "$report" keyframes) | $(digits 3 "$(value "$report" estimates_within_3_percent)") | $(digits 3 "$(value "$report" estimates_within_10_percent)")" \
     "| $(digits 2 "$(value "$report" normalised_error median)") | $(digits 2 "$(value "$report" normalised_error robust_deviation)")" \
     "| $(digits 3 "$(value "$report" normalised_error within_2_sigma)") |"
 }
 
 part_depth() {
-  echo '| depths of | within 3 % | within 10 % | normalised error: median | robust deviation | within two sigma |'
-  echo '|---|---|---|---|---|---|'
+  echo '| depths of | keyframes with a depth image | within 3 % | within 10 % | normalised error: median | robust deviation | within two sigma |'
+  echo '|---|---|---|---|---|---|---|'
   for name in "${worlds[@]}"; do
     room_run "$name"
     for refined in '' --refined; do depth_row "$name" "$run" "$source" ${refined:+"$refined"}; done

@@ -50,6 +50,7 @@ for sequence in "${sequences[@]}"; do
     *)
       name=$(basename "$sequence")
       camera=real
+      case $name in tsukuba | icl-office*) camera=synthetic ;; esac
       source=$sequence
       made=1
       ;;
