@@ -1,6 +1,13 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
+use crate::commands::check::CheckArgs;
+use crate::commands::convert::ConvertArgs;
+use crate::commands::demo::DemoArgs;
+use crate::commands::evaluate::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
+use crate::commands::info::InfoArgs;
+use crate::commands::map::MapArgs;
+use crate::commands::run::RunArgs;
 use crate::commands::sensor_model::SensorModelArgs;
 use crate::commands::slice::SliceArgs;
 use crate::commands::sweep::SweepArgs;
@@ -8,8 +15,7 @@ use crate::commands::synth::SynthArgs;
 use crate::commands::tools::{CropArgs, DiffArgs, MergeArgs, ProjectArgs, TransformArgs};
 use crate::commands::truth::TruthArgs;
 use crate::commands::vocabulary::VocabularyArgs;
-use clap::{Args, Parser, Subcommand, ValueEnum};
-use std::path::PathBuf;
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 /// From the video of one camera to a 3D occupancy map.
 #[derive(Debug, Parser)]
@@ -20,9 +26,30 @@ pub struct Cli {
     pub command: Command,
 }
 
+impl Cli {
+    /// What the process was called with.
+    pub fn from_process() -> Result<Self, clap::Error> {
+        Self::from_arg_matches(&command().try_get_matches()?)
+    }
+}
+
+/// All commands; `-1` after an option is its value, so that the option says what is wrong with it.
+fn command() -> clap::Command {
+    fn with_numbers(command: clap::Command) -> clap::Command {
+        let takes_values = |arg: &clap::Arg| arg.get_action().takes_values();
+        let command = command.mut_args(|arg| match takes_values(&arg) {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        });
+        command.mut_subcommands(with_numbers)
+    }
+    with_numbers(Cli::command())
+}
+
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 failed while running, 2 wrong usage or bad input,
-3 finished, but tracking never started or was lost for good (what was mapped is saved).
+3 finished, but tracking never started or was lost for good (what was mapped is saved),
+4 interrupted (what was mapped until then is saved), 130 interrupted again: nothing more is saved.
 
 First steps:  monogrid demo
               monogrid run my-images/ --calibration camera.toml";
@@ -123,332 +150,13 @@ pub enum EvaluateCommand {
     Paths(EvaluatePathsArgs),
 }
 
-/// Output for programs.
-#[derive(Debug, Clone, Copy, Default, Args)]
-pub struct JsonArg {
-    /// Print one JSON object to standard output
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// The two complete configurations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ProfileArg {
-    /// The best we know
-    Default,
-    /// LSD-SLAM and the mapping rules of the thesis
-    Thesis,
-}
-
-/// Inverse sensor models.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum SensorModelArg {
-    /// Ideal sensor convolved with the Gaussian of the range
-    Thrun,
-    /// Andert's model for stereo cameras
-    Andert,
-    /// Free before, occupied at the measured range
-    Ideal,
-    /// End points only, no free space
-    None,
-}
-
-/// How measurements are combined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum IntegrationArg {
-    /// One update per cell and keyframe
-    Fused,
-    /// Every measurement updates every cell that it crosses
-    Rays,
-}
-
-/// A length or "chosen from the data".
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum AutoOr {
-    /// From the resolution and the uncertainty of each measurement
-    Auto,
-    /// A fixed value
-    Value(f64),
-}
-
-/// Sensor model and map options shared by `run` and `map`.
-#[derive(Debug, Clone, Default, Args)]
-pub struct MappingArgs {
-    /// Inverse sensor model [default: thrun]
-    #[arg(long, value_enum, help_heading = "Mapping")]
-    pub sensor_model: Option<SensorModelArg>,
-    /// Edge length of a cell, in metres or map units [default: 0.05]
-    #[arg(long, value_name = "L", value_parser = positive, help_heading = "Mapping")]
-    pub resolution: Option<f64>,
-    /// Thickness L of the occupied band of the models ideal and thrun [default: auto]
-    #[arg(long, value_name = "L|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
-    pub buffer: Option<AutoOr>,
-    /// Significance k of the model andert [default: auto]
-    #[arg(long, value_name = "K|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
-    pub significance: Option<AutoOr>,
-    /// How measurements are combined [default: fused]
-    #[arg(long, value_enum, help_heading = "Mapping")]
-    pub integration: Option<IntegrationArg>,
-    /// Ignore measurements farther away than this
-    #[arg(long, value_name = "L", value_parser = positive, help_heading = "Mapping")]
-    pub max_range: Option<f64>,
-}
-
-/// Options of `run` that say what to read.
-#[derive(Debug, Clone, Default, Args)]
-pub struct SourceArgs {
-    /// Camera calibration [default: calibration.toml or calibration.txt in the source]
-    #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub calibration: Option<PathBuf>,
-    /// First frame to use
-    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]
-    pub start: usize,
-    /// Use at most this many frames
-    #[arg(long, value_name = "N", help_heading = "Input")]
-    pub max_frames: Option<usize>,
-    /// Frame rate of a folder of images without timestamps [default: 30]
-    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Input")]
-    pub fps: Option<f64>,
-    /// Working size of the images [default: about as many pixels as 640x480]
-    #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Input")]
-    pub size: Option<(usize, usize)>,
-    /// Image of the size of the input, black where pixels must be ignored
-    #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub mask: Option<PathBuf>,
-}
-
-/// `monogrid run`.
-#[derive(Debug, Args)]
-pub struct RunArgs {
-    /// Folder in TUM RGB-D or EuRoC layout, or any folder of images
-    pub source: PathBuf,
-    #[command(flatten)]
-    pub input: SourceArgs,
-    /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result holds both
-    #[arg(
-        long = "continue",
-        value_name = "DIR",
-        conflicts_with = "seed_depth",
-        help_heading = "Input"
-    )]
-    pub continue_from: Option<PathBuf>,
-    /// Only track in the map of --continue, which stays as it is; writes the trajectory and no map
-    #[arg(long, requires = "continue_from", help_heading = "Input")]
-    pub localise_only: bool,
-    /// Output folder [default: runs/NAME]
-    #[arg(long, value_name = "DIR", help_heading = "Output")]
-    pub out: Option<PathBuf>,
-    /// Replace the output folder even if monogrid did not write it
-    #[arg(long, help_heading = "Output")]
-    pub force: bool,
-    #[command(flatten)]
-    pub json: JsonArg,
-    /// Start from the depth image of the first frame: the dataset's own, or a file; makes the scale metric
-    #[arg(long, value_name = "FILE|dataset", help_heading = "Input")]
-    pub seed_depth: Option<String>,
-    /// Intrinsics and scale of depth images [default: calibration_depth.txt in the source]
-    #[arg(long, value_name = "FILE", help_heading = "Input")]
-    pub depth_calibration: Option<PathBuf>,
-    /// Settings, TOML (as config.toml of an earlier run)
-    #[arg(long, value_name = "FILE", help_heading = "Settings")]
-    pub config: Option<PathBuf>,
-    /// Change one setting, e.g. --set mapping.resolution=0.02
-    #[arg(long, value_name = "KEY=VALUE", help_heading = "Settings")]
-    pub set: Vec<String>,
-    /// Complete set of settings to start from [default: default]
-    #[arg(long, value_enum, help_heading = "Settings")]
-    pub profile: Option<ProfileArg>,
-    /// Seed of everything random
-    #[arg(long, value_name = "N", help_heading = "Settings")]
-    pub seed: Option<u64>,
-    #[command(flatten)]
-    pub mapping: MappingArgs,
-    /// Radius of the local map around the camera
-    #[arg(long, value_name = "L", value_parser = positive, help_heading = "Mapping")]
-    pub local_radius: Option<f64>,
-    /// Build the final maps in the frame of a reference: a trajectory, or a Sim(3) file
-    #[arg(long, value_name = "gt:FILE|sim3:FILE", help_heading = "Mapping")]
-    pub align: Option<String>,
-    /// Play frames at their own pace and drop those that come too early
-    #[arg(long, help_heading = "Input")]
-    pub realtime: bool,
-    /// Threads of computation [default: all cores]; the results do not depend on it
-    #[arg(long, value_name = "N", help_heading = "Settings")]
-    pub threads: Option<usize>,
-}
-
-/// `monogrid demo`.
-#[derive(Debug, Args)]
-pub struct DemoArgs {
-    /// Output folder
-    #[arg(long, value_name = "DIR", default_value = "runs/demo")]
-    pub out: PathBuf,
-    /// Replace the output folder even if monogrid did not write it
-    #[arg(long)]
-    pub force: bool,
-    /// Render at most this many frames
-    #[arg(long, value_name = "N")]
-    pub max_frames: Option<usize>,
-    /// Complete set of settings to start from [default: default]
-    #[arg(long, value_enum)]
-    pub profile: Option<ProfileArg>,
-    /// Seed of everything random
-    #[arg(long, value_name = "N")]
-    pub seed: Option<u64>,
-    /// Threads of computation [default: all cores]; the results do not depend on it
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// `monogrid check`.
-#[derive(Debug, Args)]
-pub struct CheckArgs {
-    /// Folder in TUM RGB-D or EuRoC layout, or any folder of images
-    pub source: PathBuf,
-    #[command(flatten)]
-    pub input: SourceArgs,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// `monogrid map`.
-#[derive(Debug, Args)]
-pub struct MapArgs {
-    /// Recording (.mgk), scans (.scans) or a folder in TUM layout with depth images
-    pub recording: PathBuf,
-    /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
-    #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
-    pub out: PathBuf,
-    #[command(flatten)]
-    pub mapping: MappingArgs,
-    /// Poses for the depth images of a folder [default: groundtruth.txt in it]
-    #[arg(long, value_name = "FILE")]
-    pub trajectory: Option<PathBuf>,
-    /// Intrinsics and scale of depth images [default: calibration_depth.txt in the folder]
-    #[arg(long, value_name = "FILE")]
-    pub depth_calibration: Option<PathBuf>,
-    /// Build the map in the frame of a reference: a trajectory, or a Sim(3) file
-    #[arg(long, value_name = "gt:FILE|sim3:FILE")]
-    pub align: Option<String>,
-    /// Settings, TOML (as config.toml of a run; its section [mapping] is used)
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Change one setting, e.g. --set mapping.update_limits=[-0.6,1.2]
-    #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
-    /// Complete set of settings to start from [default: default]
-    #[arg(long, value_enum)]
-    pub profile: Option<ProfileArg>,
-    /// Threads of computation [default: all cores]; the result does not depend on it
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// `monogrid info`.
-#[derive(Debug, Args)]
-pub struct InfoArgs {
-    /// Map (.ot, .bt or .mgo)
-    pub map: PathBuf,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// `monogrid convert`.
-#[derive(Debug, Args)]
-pub struct ConvertArgs {
-    /// Map to read (.ot, .bt or .mgo)
-    pub input: PathBuf,
-    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied cells
-    pub output: PathBuf,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// How an estimated trajectory is aligned to the truth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum AlignMode {
-    /// Rotation, translation and scale
-    Sim3,
-    /// Rotation and translation
-    Se3,
-    /// As it is
-    None,
-}
-
-/// `monogrid evaluate trajectory`.
-#[derive(Debug, Args)]
-pub struct EvaluateTrajectoryArgs {
-    /// Estimated trajectory, TUM format
-    pub estimate: PathBuf,
-    /// True trajectory, TUM format (or EuRoC .csv)
-    pub truth: PathBuf,
-    /// How the estimate is aligned to the truth
-    #[arg(long, value_enum, default_value = "sim3")]
-    pub align: AlignMode,
-    /// Write the alignment (target_from_source): scale tx ty tz qx qy qz qw
-    #[arg(long, value_name = "FILE")]
-    pub write_sim3: Option<PathBuf>,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// `monogrid evaluate depth`.
-#[derive(Debug, Args)]
-pub struct EvaluateDepthArgs {
-    /// Recording of a run (.mgk)
-    pub recording: PathBuf,
-    /// Folder in TUM layout with true depth images
-    pub truth: PathBuf,
-    /// Intrinsics and scale of the depth images [default: calibration_depth.txt in the folder]
-    #[arg(long, value_name = "FILE")]
-    pub depth_calibration: Option<PathBuf>,
-    /// Compare the depth of the final map: made better by the keyframes around each, at the final poses
-    #[arg(long)]
-    pub refined: bool,
-    #[command(flatten)]
-    pub json: JsonArg,
-}
-
-/// A positive, finite number.
-pub fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("expected a positive number".into()),
-    }
-}
-
-fn auto_or_positive(text: &str) -> Result<AutoOr, String> {
-    if text == "auto" {
-        return Ok(AutoOr::Auto);
-    }
-    positive(text)
-        .map(AutoOr::Value)
-        .map_err(|_| "expected a positive number or `auto`".into())
-}
-
-/// Width and height of an image.
-pub fn size(text: &str) -> Result<(usize, usize), String> {
-    let expected = || "expected WIDTHxHEIGHT, both from 32 to 8192, e.g. 640x480".to_owned();
-    let (width, height) = text.split_once(['x', 'X']).ok_or_else(expected)?;
-    let side = |text: &str| text.parse().ok().filter(|n| (32..=8192).contains(n));
-    Ok((
-        side(width).ok_or_else(expected)?,
-        side(height).ok_or_else(expected)?,
-    ))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_consistent() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 
     #[test]
@@ -464,19 +172,17 @@ mod tests {
             }
             command.get_subcommands().for_each(check);
         }
-        check(&Cli::command());
+        check(&command());
     }
 
     #[test]
-    fn sizes_and_lengths_are_checked() {
-        assert_eq!(size("640x480"), Ok((640, 480)));
-        for bad in ["640", "x480", "0x480", "640x-1", "9999x480"] {
-            assert!(size(bad).is_err(), "{bad}");
-        }
-        for bad in ["0", "-1", "nan", "inf", "x"] {
-            assert!(positive(bad).is_err(), "{bad}");
-        }
-        assert_eq!(auto_or_positive("auto"), Ok(AutoOr::Auto));
-        assert_eq!(auto_or_positive("0.1"), Ok(AutoOr::Value(0.1)));
+    fn a_negative_number_gets_the_answer_of_its_option() {
+        let arguments = ["monogrid", "run", "images", "--resolution", "-1"];
+        let error = command().try_get_matches_from(arguments).unwrap_err();
+        let text = error.to_string();
+        assert!(
+            text.contains("--resolution") && text.contains("expected a positive number"),
+            "{text}"
+        );
     }
 }

@@ -1,43 +1,15 @@
 //! The configuration of a run: profile, then file, then `--set`, then options; written out as it was used.
 
-use crate::cli::{AutoOr, IntegrationArg, MappingArgs, ProfileArg, SensorModelArg};
+use crate::args::{AutoOr, IntegrationArg, MappingArgs, Profile, SensorModelArg};
 use crate::failure::Failure;
-use crate::output::CONFIG_MARKER;
 use monogrid_slam::SlamConfig;
 use monogrid_slam::mapping::{AutoLength, IntegrationKind, MappingConfig, SensorModelKind};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::{Table, Value};
 
-/// One of the two complete configurations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Profile {
-    /// The best we know.
-    #[default]
-    Default,
-    /// LSD-SLAM and the rules of the thesis.
-    Thesis,
-}
-
-impl Profile {
-    /// As it stands in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Default => "default",
-            Self::Thesis => "thesis",
-        }
-    }
-}
-
-impl From<ProfileArg> for Profile {
-    fn from(profile: ProfileArg) -> Self {
-        match profile {
-            ProfileArg::Default => Self::Default,
-            ProfileArg::Thesis => Self::Thesis,
-        }
-    }
-}
+/// First line of every `config.toml` that we write.
+const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
 
 /// Everything that decides the result of a run, besides its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,5 +1,6 @@
 //! How a command fails: exit code and message.
 
+use crate::say;
 use std::fmt::Display;
 use std::process::ExitCode;
 
@@ -19,6 +20,8 @@ pub enum Outcome {
     Done,
     /// Exit code 3: tracking never started or was lost for good.
     NotTracked,
+    /// Exit code 4: the user stopped it; what there was until then is saved.
+    Interrupted,
 }
 
 /// What every command returns.
@@ -36,13 +39,13 @@ impl Failure {
     }
 
     /// Writes the message to standard error and returns the exit code.
-    pub fn report(&self) -> ExitCode {
+    fn report(&self) -> u8 {
         let (code, error) = match self {
             Self::Running(error) => (1, error),
             Self::Input(error) => (2, error),
         };
         eprintln!("error: {}", render(error));
-        ExitCode::from(code)
+        code
     }
 }
 
@@ -61,11 +64,42 @@ fn render(error: &anyhow::Error) -> String {
     text
 }
 
-impl From<Outcome> for ExitCode {
-    fn from(outcome: Outcome) -> Self {
-        match outcome {
-            Outcome::Done => Self::SUCCESS,
-            Outcome::NotTracked => Self::from(3),
+impl Outcome {
+    fn code(self) -> u8 {
+        match self {
+            Self::Done => 0,
+            Self::NotTracked => 3,
+            Self::Interrupted => 4,
+        }
+    }
+}
+
+/// Says why a command failed; its exit code. A command whose result could not be printed has failed.
+pub fn exit_code(result: CommandResult) -> ExitCode {
+    let code = match (result, say::finish()) {
+        (Err(failure), _) => failure.report(),
+        (Ok(_), Err(error)) => {
+            Failure::running(format!("standard output cannot be written: {error}")).report()
+        }
+        (Ok(outcome), Ok(())) => outcome.code(),
+    };
+    ExitCode::from(code)
+}
+
+/// Help, version, or what is wrong with the command line; the exit code.
+pub fn usage(message: &clap::Error) -> ExitCode {
+    let printed = message.print();
+    match (
+        message.use_stderr(),
+        printed
+            .map_err(|error| error.to_string())
+            .and_then(|()| say::finish()),
+    ) {
+        (true, _) => ExitCode::from(2),
+        (false, Ok(())) => ExitCode::SUCCESS,
+        (false, Err(error)) => {
+            eprintln!("error: standard output cannot be written: {error}");
+            ExitCode::from(1)
         }
     }
 }

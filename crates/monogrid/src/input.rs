@@ -1,6 +1,6 @@
 //! Opening a source: frames, calibration, working images.
 
-use crate::cli::SourceArgs;
+use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::synth::SynthSequence;
 use monogrid_datasets::{

@@ -3,6 +3,7 @@
 #[macro_use]
 mod say;
 
+mod args;
 mod cli;
 mod commands;
 mod config;
@@ -20,14 +21,17 @@ mod run;
 mod sweep;
 mod usage;
 
-use clap::Parser;
 use cli::{Cli, Command, EvaluateCommand};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     // the clock of "frames per second, everything included"
     usage::process_start();
-    let result = match &Cli::parse().command {
+    let cli = match Cli::from_process() {
+        Ok(cli) => cli,
+        Err(error) => return failure::usage(&error),
+    };
+    let result = match &cli.command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),
         Command::Check(args) => commands::check::execute(args),
@@ -52,8 +56,5 @@ fn main() -> ExitCode {
         Command::Evaluate(EvaluateCommand::Map(args)) => commands::evaluate_map::map(args),
         Command::Evaluate(EvaluateCommand::Paths(args)) => commands::evaluate_map::paths(args),
     };
-    match result {
-        Ok(outcome) => outcome.into(),
-        Err(failure) => failure.report(),
-    }
+    failure::exit_code(result)
 }

@@ -1,12 +1,13 @@
 //! Reading and writing maps in the format that their name or content says.
 
-use crate::failure::{Classify, Failure};
+use crate::failure::Failure;
+use crate::output::OutputFile;
 use monogrid_occupancy::{
-    MGO_MAGIC, MapError, OccupancyMap, read_bt, read_mgo, read_ot, save_atomically, write_bt,
-    write_mgo, write_ot, write_pcd, write_ply,
+    MGO_MAGIC, MapError, OccupancyMap, read_bt, read_mgo, read_ot, write_bt, write_mgo, write_ot,
+    write_pcd, write_ply,
 };
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
 /// Most memory that a map read from a file may take.
@@ -80,16 +81,22 @@ impl MapFormat {
     }
 }
 
-/// Writes a map; the old file stays whole until the new one is.
-pub fn save(map: &OccupancyMap, path: &Path, format: MapFormat) -> Result<(), Failure> {
-    let result = save_atomically(path, |file| match format {
-        MapFormat::Ot => write_ot(map, file),
-        MapFormat::Bt => write_bt(map, file),
-        MapFormat::Mgo => write_mgo(map, file),
-        MapFormat::Ply => write_ply(map, file),
-        MapFormat::Pcd => write_pcd(map, file),
-    });
-    result.while_running("the map cannot be written")
+/// Writes a map; its size in bytes.
+pub fn save(map: &OccupancyMap, file: &OutputFile, format: MapFormat) -> Result<u64, Failure> {
+    file.write_with(|out| write(map, out, format))?;
+    Ok(std::fs::metadata(file.path()).map_or(0, |metadata| metadata.len()))
+}
+
+/// A map in a format.
+pub fn write(map: &OccupancyMap, mut out: &mut dyn Write, format: MapFormat) -> anyhow::Result<()> {
+    match format {
+        MapFormat::Ot => write_ot(map, &mut out),
+        MapFormat::Bt => write_bt(map, &mut out),
+        MapFormat::Mgo => write_mgo(map, &mut out),
+        MapFormat::Ply => write_ply(map, &mut out),
+        MapFormat::Pcd => write_pcd(map, &mut out),
+    }?;
+    Ok(())
 }
 
 /// Reads an `.ot`, `.bt` or `.mgo` by its first bytes, whatever its name.

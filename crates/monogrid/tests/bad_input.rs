@@ -273,5 +273,25 @@ fn a_reader_that_goes_away_does_no_harm() {
     // both ends are closed before anything is written
     drop(child.stdout.take());
     drop(child.stderr.take());
-    assert_eq!(child.wait().unwrap().code(), Some(0));
+    assert_eq!(child.wait().unwrap().code(), Some(1));
+    assert!(
+        curves.join("sensor-models.html").is_file(),
+        "what was complete stays"
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_output_is_said_and_is_a_failure() {
+    let folder = tempfile::tempdir().unwrap();
+    let curves = folder.path().join("curves").display().to_string();
+    for args in [
+        &["--help"][..],
+        &["sensor-model", "--plot", &curves, "--json"],
+    ] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let output = common::program().args(args).stdout(full).output().unwrap();
+        assert_fails(&output, 1, &["standard output cannot be written"]);
+    }
+    assert!(Path::new(&curves).join("sensor-models.html").is_file());
 }

@@ -82,16 +82,17 @@ fn the_truth_of_a_box_is_its_walls_and_its_inside() {
     assert_eq!(map.state([-0.15, 0.5, 0.5]), Occupancy::Unknown);
 
     // without a camera inside nobody knows where free is
+    let other = folder.path("other.ot");
     assert_fails(
-        &monogrid(["truth", &mesh, "--out", &out]),
+        &monogrid(["truth", &mesh, "--out", &other]),
         2,
         &["--trajectory"],
     );
     let outside = folder.write("outside.txt", "0 0.05 0.5 0.5 0 0 0 1\n");
-    let args = ["truth", &mesh, "--trajectory", &outside, "--out", &out];
+    let args = ["truth", &mesh, "--trajectory", &outside, "--out", &other];
     assert_fails(&monogrid(args), 2, &["camera", "free space"]);
     assert_fails(
-        &monogrid(["truth", "no-such-world", "--out", &out]),
+        &monogrid(["truth", "no-such-world", "--out", &other]),
         2,
         &["no-such-world", "living-room"],
     );
@@ -412,6 +413,10 @@ fn maps_are_cropped_merged_moved_compared_and_projected() {
             .unwrap()
             .contains("image: plan.pgm")
     );
-    let empty = ["project", &map, &pgm, "--min-height", "7"];
+    let high = folder.path("high.pgm");
+    let empty = ["project", &map, &high, "--min-height", "7"];
     assert_fails(&monogrid(empty), 2, &["no known cells"]);
+    let nothing = folder.path("nothing.ot");
+    let outside = ["crop", &map, &nothing, "--min", "5,5,5", "--max", "6,6,6"];
+    assert_fails(&monogrid(outside), 2, &["no known cells", "--min", "reach"]);
 }

@@ -289,7 +289,7 @@ fn wrong_arguments_and_broken_maps_are_explained() {
     );
     assert_fails(&output, 2, &["--seed-depth"]);
     let output = run(source, first_run(), &["--continue", map]);
-    assert_fails(&output, 2, &["--out"]);
+    assert_fails(&output, 2, &["the run to continue", "choose another"]);
     let output = run(source, &out, &["--continue", map, "--size", "160x120"]);
     assert_fails(&output, 2, &["320x240", "160x120"]);
     let more = [

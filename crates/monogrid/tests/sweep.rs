@@ -141,7 +141,7 @@ fn maps_beyond_the_memory_limit_are_marked() {
 fn a_folder_that_holds_something_else_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("precious"), "x").unwrap();
-    assert_fails(&sweep(folder.path(), &[]), 2, &["holds no sweep", "--out"]);
+    assert_fails(&sweep(folder.path(), &[]), 2, &["precious", "--force"]);
     assert!(folder.path().join("precious").is_file());
 }
 
@@ -246,7 +246,11 @@ fn slices_cover_the_height_of_a_map() {
     let report = json(&monogrid(args));
     let count = report["slices"].as_u64().unwrap() as usize;
     assert!(count > 5, "{report}");
-    assert_eq!(std::fs::read_dir(&out).unwrap().count(), count);
+    assert_eq!(
+        std::fs::read_dir(&out).unwrap().count(),
+        count + 1,
+        "and the manifest"
+    );
     let every_second = monogrid(args.into_iter().chain(["--step", "0.256"]));
     assert_eq!(json(&every_second)["slices"], count.div_ceil(2));
     let nothing = monogrid(args.into_iter().chain(["--min-height", "100"]));

@@ -1,12 +1,25 @@
 //! `monogrid check`: reads a source without running and says what would hurt tracking.
 
 use super::print_json;
-use crate::cli::CheckArgs;
+use crate::args::{JsonArg, SourceArgs};
 use crate::failure::{CommandResult, Failure, Outcome};
 use crate::input::{Images, Input};
+use clap::Args;
 use monogrid_datasets::{CheckConfig, FrameChecker, SequenceCheck};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::path::PathBuf;
+
+/// `monogrid check`.
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// Folder in TUM RGB-D or EuRoC layout, or any folder of images
+    pub source: PathBuf,
+    #[command(flatten)]
+    pub input: SourceArgs,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
 
 #[derive(Debug, Serialize)]
 struct CheckReport {

@@ -1,16 +1,33 @@
 //! `monogrid convert`.
 
-use super::print_json;
-use crate::cli::ConvertArgs;
+use super::{bytes, print_json};
+use crate::args::{ForceArg, JsonArg};
 use crate::failure::{CommandResult, Outcome};
 use crate::mapfile::{self, MapFormat};
+use crate::output::{Inputs, OutputFile};
+use clap::Args;
+use std::path::PathBuf;
+
+/// `monogrid convert`.
+#[derive(Debug, Args)]
+pub struct ConvertArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub input: PathBuf,
+    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied cells
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
 
 /// Reads a map and writes it in another format.
 pub fn execute(args: &ConvertArgs) -> CommandResult {
     let format = MapFormat::from_name(&args.output, &MapFormat::ALL)?;
+    let inputs = Inputs::of("the map", &args.input);
+    let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
     let (map, from) = mapfile::load(&args.input)?;
-    mapfile::save(&map, &args.output, format)?;
-    let file_bytes = std::fs::metadata(&args.output).map_or(0, |m| m.len());
+    let file_bytes = mapfile::save(&map, &output, format)?;
     if args.json.json {
         print_json(&serde_json::json!({
             "from": from.description(),
@@ -20,11 +37,11 @@ pub fn execute(args: &ConvertArgs) -> CommandResult {
         }))?;
     } else {
         println!(
-            "{} -> {}: {}, {:.2} MB",
+            "{} -> {}: {}, {}",
             args.input.display(),
             args.output.display(),
             format.description(),
-            file_bytes as f64 / 1e6
+            bytes(file_bytes)
         );
         if from == MapFormat::Bt && matches!(format, MapFormat::Ot | MapFormat::Mgo) {
             println!("a .bt holds no probabilities: free and occupied cells got OctoMap's limits");

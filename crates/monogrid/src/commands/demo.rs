@@ -3,17 +3,18 @@
 use super::depth::{Candidate, DepthComparison};
 use super::truth::triangles_of;
 use super::use_threads;
-use crate::cli::DemoArgs;
+use crate::args::{JsonArg, Profile};
 use crate::config::RunConfig;
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
-use crate::output::OutputFolder;
+use crate::output::{Inputs, OutputFolder};
 use crate::run::RunSettings;
 use crate::run::align::Align;
 use crate::run::conclusion::conclude;
 use crate::run::outputs::path_of;
 use crate::run::threads::Tracked;
 use crate::run::whole::{Extras, run_all};
+use clap::Args;
 use monogrid_datasets::TimedPose;
 use monogrid_datasets::synth::SynthSequence;
 use monogrid_evaluation::{
@@ -21,19 +22,45 @@ use monogrid_evaluation::{
 };
 use monogrid_slam::mapping::Maps;
 use std::io::IsTerminal;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// `monogrid demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Output folder [default: a new one, runs/demo or runs/demo-2 ...]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Write into the folder although it holds other files; those of the same names are replaced
+    #[arg(long)]
+    pub force: bool,
+    /// Render at most this many frames
+    #[arg(long, value_name = "N")]
+    pub max_frames: Option<usize>,
+    /// Complete set of settings to start from [default: default]
+    #[arg(long, value_enum)]
+    pub profile: Option<Profile>,
+    /// Seed of everything random
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Threads of computation [default: all cores]; the results do not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
 
 /// Runs the command.
 pub fn execute(args: &DemoArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
-    let mut config = RunConfig::resolve(args.profile.map(Into::into), None, &[])?;
+    let mut config = RunConfig::resolve(args.profile, None, &[])?;
     if let Some(seed) = args.seed {
         config.seed = seed;
     }
     if args.max_frames == Some(0) {
         return Err(Failure::input("--max-frames is 0, expected at least 1"));
     }
-    let folder = OutputFolder::prepare(&args.out, args.force)?;
+    let folder =
+        OutputFolder::named_or_new(args.out.as_deref(), "demo", args.force, &Inputs::default())?;
     eprintln!("building a furnished living room");
     let mut sequence = SynthSequence::demo().map_err(Failure::running)?;
     if let Some(frames) = args.max_frames {

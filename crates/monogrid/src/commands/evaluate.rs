@@ -3,36 +3,94 @@
 use super::depth::{Candidate, DepthComparison};
 use super::print_json;
 use super::use_threads;
-use crate::cli::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
+use crate::args::JsonArg;
 use crate::config::RunConfig;
 use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
+use crate::output::{Inputs, OutputFile};
 use crate::recorded::{keyframe_camera, posed_keyframes};
-use crate::run::align::{alignment_mode, stamped_all};
+use crate::run::align::stamped_all;
+use clap::{Args, ValueEnum};
 use monogrid_datasets::{
     Dataset, DepthRegistration, ReadOptions, Recording, SourceOptions, format_sim3, read_trajectory,
 };
-use monogrid_evaluation::{DepthReport, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
+use monogrid_evaluation::{
+    DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
+};
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{RefineConfig, refined_depths};
+use std::path::PathBuf;
+
+/// How an estimated trajectory is aligned to the truth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AlignMode {
+    /// Rotation, translation and scale
+    Sim3,
+    /// Rotation and translation
+    Se3,
+    /// As it is
+    None,
+}
+
+/// `monogrid evaluate trajectory`.
+#[derive(Debug, Args)]
+pub struct EvaluateTrajectoryArgs {
+    /// Estimated trajectory, TUM format
+    pub estimate: PathBuf,
+    /// True trajectory, TUM format (or EuRoC .csv)
+    pub truth: PathBuf,
+    /// How the estimate is aligned to the truth
+    #[arg(long, value_enum, default_value = "sim3")]
+    pub align: AlignMode,
+    /// Write the alignment (target_from_source): scale tx ty tz qx qy qz qw
+    #[arg(long, value_name = "FILE")]
+    pub write_sim3: Option<PathBuf>,
+    /// Replace the file of --write-sim3 if it exists; never one that is read
+    #[arg(long)]
+    pub force: bool,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `monogrid evaluate depth`.
+#[derive(Debug, Args)]
+pub struct EvaluateDepthArgs {
+    /// Recording of a run (.mgk)
+    pub recording: PathBuf,
+    /// Folder in TUM layout with true depth images
+    pub truth: PathBuf,
+    /// Intrinsics and scale of the depth images [default: calibration_depth.txt in the folder]
+    #[arg(long, value_name = "FILE")]
+    pub depth_calibration: Option<PathBuf>,
+    /// Compare the depth of the final map: made better by the keyframes around each, at the final poses
+    #[arg(long)]
+    pub refined: bool,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
 
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
+    let inputs = Inputs::of("the estimate", &args.estimate).and("the truth", &args.truth);
+    let sim3 = args.write_sim3.as_deref();
+    let sim3 = sim3.map(|path| OutputFile::new(path, args.force, &inputs));
+    let sim3 = sim3.transpose()?;
     let estimate = read_trajectory(&args.estimate).bad_input()?;
     let truth = read_trajectory(&args.truth).bad_input()?;
     let config = TrajectoryConfig {
-        alignment: alignment_mode(args.align),
+        alignment: match args.align {
+            AlignMode::Sim3 => TrajectoryAlignment::Sim3,
+            AlignMode::Se3 => TrajectoryAlignment::Se3,
+            AlignMode::None => TrajectoryAlignment::None,
+        },
         ..TrajectoryConfig::default()
     };
     let report =
         evaluate_trajectory(&stamped_all(&estimate), &stamped_all(&truth), &config).bad_input()?;
-    if let Some(path) = &args.write_sim3 {
-        crate::output::write_atomically(path, |out| {
-            use std::io::Write;
-            out.write_all(format_sim3(&report.gt_from_est).as_bytes())
-        })?;
+    if let Some(file) = &sim3 {
+        file.write(format_sim3(&report.gt_from_est).as_bytes())?;
     }
     if args.json.json {
         print_json(&report)?;
@@ -44,7 +102,7 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
 
 fn print_trajectory(report: &TrajectoryReport) {
     println!(
-        "{} poses compared over a path of {:.3}; the estimate covers {:.1} % of the true poses",
+        "{} poses compared over a path of {:.3}; the estimate covers {:.1} % of the true poses; lengths in the unit of the truth",
         report.matched,
         report.path_length,
         100.0 * report.coverage

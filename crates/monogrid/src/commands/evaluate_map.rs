@@ -1,8 +1,8 @@
 //! `monogrid evaluate map` and `monogrid evaluate paths`: a map against the true one.
 
 use super::{print_json, tools, use_threads};
-use crate::cli::{JsonArg, MappingArgs, positive};
-use crate::config::{Profile, RunConfig};
+use crate::args::{JsonArg, MappingArgs, Profile, positive};
+use crate::config::RunConfig;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile;
 use crate::recorded::Recorded;

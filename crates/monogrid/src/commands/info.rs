@@ -1,10 +1,21 @@
 //! `monogrid info`.
 
-use super::print_json;
-use crate::cli::InfoArgs;
+use super::{bytes, print_json};
+use crate::args::JsonArg;
 use crate::failure::{CommandResult, Outcome};
 use crate::mapfile;
+use clap::Args;
 use serde::Serialize;
+use std::path::PathBuf;
+
+/// `monogrid info`.
+#[derive(Debug, Args)]
+pub struct InfoArgs {
+    /// Map (.ot, .bt or .mgo)
+    pub map: PathBuf,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
 
 #[derive(Serialize)]
 struct Info {
@@ -40,7 +51,10 @@ pub fn execute(args: &InfoArgs) -> CommandResult {
         return Ok(Outcome::Done);
     }
     println!("{}: {}", args.map.display(), info.format);
-    println!("resolution  {}", info.resolution);
+    println!(
+        "resolution  {} (maps hold no unit: lengths are metres only where the scale was known)",
+        info.resolution
+    );
     println!("leaves      {}", info.leaves);
     println!(
         "cells       {} occupied, {} free",
@@ -60,9 +74,9 @@ pub fn execute(args: &InfoArgs) -> CommandResult {
         println!("extent      the map is empty");
     }
     println!(
-        "memory      {:.2} MB, file {:.2} MB",
-        info.bytes_in_memory as f64 / 1e6,
-        info.file_bytes as f64 / 1e6
+        "memory      {}, file {}",
+        bytes(info.bytes_in_memory as u64),
+        bytes(info.file_bytes)
     );
     Ok(Outcome::Done)
 }

@@ -1,21 +1,60 @@
 //! `monogrid map`: an occupancy map from a recording, from scans, or from posed depth images.
 
 use super::posed_depth::PosedDepthFolder;
-use super::{print_json, use_threads};
-use crate::cli::MapArgs;
-use crate::config::{Profile, RunConfig};
+use super::{bytes, print_json, use_threads};
+use crate::args::{ForceArg, JsonArg, MappingArgs, Profile};
+use crate::config::RunConfig;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
+use crate::output::{Inputs, OutputFile};
 use crate::recorded::Recorded;
 use crate::run::align::Align;
 use crate::usage::{peak_rss_bytes, process_cpu};
+use clap::Args;
 use monogrid_datasets::ScansReader;
 use monogrid_geometry::Sim3;
 use monogrid_occupancy::OccupancyMap;
 use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper};
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+/// `monogrid map`.
+#[derive(Debug, Args)]
+pub struct MapArgs {
+    /// Recording (.mgk), scans (.scans) or a folder in TUM layout with depth images
+    pub recording: PathBuf,
+    /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
+    #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub mapping: MappingArgs,
+    /// Poses for the depth images of a folder [default: groundtruth.txt in it]
+    #[arg(long, value_name = "FILE")]
+    pub trajectory: Option<PathBuf>,
+    /// Intrinsics and scale of depth images [default: calibration_depth.txt in the folder]
+    #[arg(long, value_name = "FILE")]
+    pub depth_calibration: Option<PathBuf>,
+    /// Build the map in the frame of a reference: a trajectory, or a Sim(3) file
+    #[arg(long, value_name = "gt:FILE|sim3:FILE")]
+    pub align: Option<String>,
+    /// Settings, TOML (as config.toml of a run; its section [mapping] is used)
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Change one setting, e.g. --set mapping.update_limits=[-0.6,1.2]
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Complete set of settings to start from [default: default]
+    #[arg(long, value_enum)]
+    pub profile: Option<Profile>,
+    /// Threads of computation [default: all cores]; the result does not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
 
 /// `map --json`.
 #[derive(Debug, Serialize)]
@@ -50,6 +89,7 @@ struct Built {
 pub fn execute(args: &MapArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
     let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
+    let output = OutputFile::new(&args.out, args.force.force, &inputs(args)?)?;
     let align = Align::parse(args.align.as_deref())?;
     let mut built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,
@@ -57,7 +97,7 @@ pub fn execute(args: &MapArgs) -> CommandResult {
         Kind::Folder => from_folder(args, &align, threads)?,
     };
     built.map.pack(threads);
-    mapfile::save(&built.map, &args.out, format)?;
+    let file_bytes = mapfile::save(&built.map, &output, format)?;
     for warning in &built.warnings {
         eprintln!("warning: {warning}");
     }
@@ -72,7 +112,7 @@ pub fn execute(args: &MapArgs) -> CommandResult {
         leaves: built.map.leaf_count(),
         bytes_in_memory: built.map.bytes_in_memory(),
         peak_rss_bytes: peak_rss_bytes(),
-        file_bytes: std::fs::metadata(&args.out).map_or(0, |m| m.len()),
+        file_bytes,
         frame: built.frame,
         threads,
         warnings: built.warnings,
@@ -85,16 +125,29 @@ pub fn execute(args: &MapArgs) -> CommandResult {
             report.points, report.scans, report.seconds, report.seconds_per_100k_points
         );
         println!(
-            "{}: cells of {}, {} leaves, {:.2} MB in memory, {:.2} MB on disk; {}",
+            "{}: cells of {}, {} leaves, {} in memory, {} on disk; {}",
             args.out.display(),
             report.resolution,
             report.leaves,
-            report.bytes_in_memory as f64 / 1e6,
-            report.file_bytes as f64 / 1e6,
+            bytes(report.bytes_in_memory as u64),
+            bytes(report.file_bytes),
             report.frame
         );
     }
     Ok(Outcome::Done)
+}
+
+/// What is read: the images of a folder too.
+fn inputs(args: &MapArgs) -> Result<Inputs, Failure> {
+    let inputs = Inputs::of("the recording", &args.recording)
+        .and_all("a trajectory", &args.trajectory)
+        .and_all("a calibration", &args.depth_calibration)
+        .and_all("the settings", &args.config)
+        .and_named("the reference", args.align.as_deref());
+    Ok(match Kind::of(&args.recording)? {
+        Kind::Folder => inputs.and_dataset(&args.recording)?,
+        Kind::Recording | Kind::Scans => inputs,
+    })
 }
 
 /// What there is to map.
@@ -128,7 +181,7 @@ fn settings(args: &MapArgs, recorded: Option<RunConfig>) -> Result<RunConfig, Fa
     let explicit = args.config.is_some() || args.profile.is_some();
     let config = match recorded {
         Some(recorded) if !explicit => recorded,
-        _ => RunConfig::resolve_mapping(args.profile.map(Into::into), args.config.as_deref())?,
+        _ => RunConfig::resolve_mapping(args.profile, args.config.as_deref())?,
     };
     finish_settings(config, args)
 }
@@ -190,7 +243,7 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
 /// Settings for measurements whose poses and sigmas are given: neither range limit nor uncertainty of
 /// the pose, unless asked for.
 fn settings_for_given_poses(args: &MapArgs) -> Result<RunConfig, Failure> {
-    let mut base = RunConfig::of(args.profile.map(Profile::from).unwrap_or_default());
+    let mut base = RunConfig::of(args.profile.unwrap_or_default());
     base.mapping.max_range = f64::INFINITY;
     base.mapping.pose_sigma = 0.0;
     base.mapping.pose_sigma_deg = 0.0;

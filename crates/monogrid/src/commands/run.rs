@@ -1,21 +1,82 @@
 //! `monogrid run`: what the command line asks for, put together and checked before anything is computed.
 
 use super::use_threads;
-use crate::cli::RunArgs;
+use crate::args::{JsonArg, MappingArgs, Profile, SourceArgs, positive};
 use crate::config::RunConfig;
 use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
-use crate::output::OutputFolder;
+use crate::output::{Inputs, OutputFolder};
 use crate::run::RunSettings;
 use crate::run::align::Align;
 use crate::run::conclusion::conclude;
 use crate::run::sessions::{Continued, Earlier};
 use crate::run::whole::{Extras, run_all};
+use clap::Args;
 use monogrid_image::GrayImage;
 use monogrid_slam::Purpose;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+
+/// `monogrid run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Folder in TUM RGB-D or EuRoC layout, or any folder of images
+    pub source: PathBuf,
+    #[command(flatten)]
+    pub input: SourceArgs,
+    /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result holds both
+    #[arg(
+        long = "continue",
+        value_name = "DIR",
+        conflicts_with = "seed_depth",
+        help_heading = "Input"
+    )]
+    pub continue_from: Option<PathBuf>,
+    /// Only track in the map of --continue, which stays as it is; writes the trajectory and no map
+    #[arg(long, requires = "continue_from", help_heading = "Input")]
+    pub localise_only: bool,
+    /// Output folder [default: a new one, runs/NAME or runs/NAME-2 ...]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Write into the folder although it holds other files; those of the same names are replaced
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
+    #[command(flatten)]
+    pub json: JsonArg,
+    /// Start from the depth image of the first frame: the dataset's own, or a file; makes the scale metric
+    #[arg(long, value_name = "FILE|dataset", help_heading = "Input")]
+    pub seed_depth: Option<String>,
+    /// Intrinsics and scale of depth images [default: calibration_depth.txt in the source]
+    #[arg(long, value_name = "FILE", help_heading = "Input")]
+    pub depth_calibration: Option<PathBuf>,
+    /// Settings, TOML (as config.toml of an earlier run)
+    #[arg(long, value_name = "FILE", help_heading = "Settings")]
+    pub config: Option<PathBuf>,
+    /// Change one setting, e.g. --set mapping.resolution=0.02
+    #[arg(long, value_name = "KEY=VALUE", help_heading = "Settings")]
+    pub set: Vec<String>,
+    /// Complete set of settings to start from [default: default]
+    #[arg(long, value_enum, help_heading = "Settings")]
+    pub profile: Option<Profile>,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", help_heading = "Settings")]
+    pub seed: Option<u64>,
+    #[command(flatten)]
+    pub mapping: MappingArgs,
+    /// Radius of the local map around the camera
+    #[arg(long, value_name = "L", value_parser = positive, help_heading = "Mapping")]
+    pub local_radius: Option<f64>,
+    /// Build the final maps in the frame of a reference: a trajectory, or a Sim(3) file
+    #[arg(long, value_name = "gt:FILE|sim3:FILE", help_heading = "Mapping")]
+    pub align: Option<String>,
+    /// Play frames at their own pace and drop those that come too early
+    #[arg(long, help_heading = "Input")]
+    pub realtime: bool,
+    /// Threads of computation [default: all cores]; the results do not depend on it
+    #[arg(long, value_name = "N", help_heading = "Settings")]
+    pub threads: Option<usize>,
+}
 
 /// Runs the command.
 pub fn execute(args: &RunArgs) -> CommandResult {
@@ -26,7 +87,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let align = alignment(args, earlier.as_ref())?;
     let input = open(args, earlier.as_ref())?;
     let seed_depth = seed_depth(&input, args)?;
-    let folder = output_folder(args, &input.name)?;
+    let folder = output_folder(args, &input, &config)?;
     let settings = RunSettings {
         seed_depth,
         continued: earlier.map(|earlier| continued(earlier, args)),
@@ -69,11 +130,7 @@ fn base_configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunCo
         })?;
         return recorded.with_settings(&args.set);
     }
-    RunConfig::resolve(
-        args.profile.map(Into::into),
-        args.config.as_deref(),
-        &args.set,
-    )
+    RunConfig::resolve(args.profile, args.config.as_deref(), &args.set)
 }
 
 /// What `--align` says, else the frame of the continued run.
@@ -125,31 +182,26 @@ fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)
     Ok(seed)
 }
 
-/// The output folder, empty; what the run reads is never emptied.
-fn output_folder(args: &RunArgs, source_name: &str) -> Result<OutputFolder, Failure> {
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("runs").join(source_name));
-    refuse_to_empty(&out, &args.source, "the source")?;
-    if let Some(continued) = &args.continue_from {
-        refuse_to_empty(&out, continued, "the run to continue")?;
+/// The output folder; nothing that the run reads may lie in it.
+fn output_folder(
+    args: &RunArgs,
+    input: &Input,
+    config: &RunConfig,
+) -> Result<OutputFolder, Failure> {
+    let seed_depth = args.seed_depth.iter().filter(|depth| *depth != "dataset");
+    let mut inputs = Inputs::of("the source", &args.source)
+        .and_all("the calibration", &args.input.calibration)
+        .and_all("the mask", &args.input.mask)
+        .and_all("the run to continue", &args.continue_from)
+        .and_all("the depth to start with", seed_depth)
+        .and_all("the calibration of depth images", &args.depth_calibration)
+        .and_all("the settings", &args.config)
+        .and("the vocabulary", &config.slam.graph.places.vocabulary)
+        .and_named("the reference", args.align.as_deref());
+    if let Images::Files(dataset) = &input.images {
+        inputs = inputs.and_files_of(dataset);
     }
-    OutputFolder::prepare(&out, args.force)
-}
-
-/// An output folder that holds what is read, or is it, must not be emptied.
-fn refuse_to_empty(out: &Path, read: &Path, what: &str) -> Result<(), Failure> {
-    let (Ok(out), Ok(read)) = (out.canonicalize(), read.canonicalize()) else {
-        return Ok(());
-    };
-    if read.starts_with(&out) {
-        return Err(Failure::input(format!(
-            "the output folder {} holds {what}; choose another with --out",
-            out.display()
-        )));
-    }
-    Ok(())
+    OutputFolder::named_or_new(args.out.as_deref(), &input.name, args.force, &inputs)
 }
 
 fn continued(earlier: Earlier, args: &RunArgs) -> Continued {

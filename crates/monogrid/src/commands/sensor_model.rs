@@ -1,15 +1,14 @@
 //! `monogrid sensor-model`: the curves of the thesis' chapter 5, and those of any model.
 
 use super::print_json;
-use crate::cli::{JsonArg, positive};
+use crate::args::{JsonArg, positive};
 use crate::curves::{Figure, curve, figure, plot, thesis_figures, thrun_forms};
 use crate::failure::{CommandResult, Failure, Outcome};
-use crate::output::write_atomically;
+use crate::output::{Inputs, OutputFolder};
 use crate::report::Page;
 use crate::report::svg::{COLOURS, number};
 use clap::{Args, ValueEnum};
 use monogrid_occupancy::{AndertForm, Buffer, SensorModel, Significance, ThrunForm};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Models with all their forms.
@@ -56,28 +55,25 @@ pub struct SensorModelArgs {
     /// Probability of free space of andert
     #[arg(long, value_name = "P", value_parser = positive, default_value_t = 0.3)]
     pub p_min: f64,
+    /// Write into the folder although it holds other files; those of the same names are replaced
+    #[arg(long)]
+    pub force: bool,
     #[command(flatten)]
     pub json: JsonArg,
 }
 
 /// Draws the curves.
 pub fn execute(args: &SensorModelArgs) -> CommandResult {
-    std::fs::create_dir_all(&args.plot).map_err(|error| {
-        Failure::input(format!(
-            "{} cannot be written: {error}",
-            args.plot.display()
-        ))
-    })?;
     let mut figures = thesis_figures();
     figures.push(thrun_forms());
     if let Some(model) = args.sensor_model {
         figures.push(chosen(args, model)?);
     }
+    let folder = OutputFolder::replace(&args.plot, args.force, &Inputs::default())?;
     let mut page = Page::default();
     for figure in &figures {
         let write = |extension: &str, text: String| {
-            let file = args.plot.join(format!("{}.{extension}", figure.name));
-            write_atomically(&file, |out| out.write_all(text.as_bytes()))
+            folder.write(&format!("{}.{extension}", figure.name), text)
         };
         write("svg", figure.plot.file())?;
         write("csv", figure.plot.csv())?;
@@ -89,8 +85,8 @@ pub fn execute(args: &SensorModelArgs) -> CommandResult {
         "How likely a cell at a range along the ray is occupied, given a measured range. The curves of \
          the thesis' chapter 5.",
     );
+    folder.write("sensor-models.html", html)?;
     let file = args.plot.join("sensor-models.html");
-    write_atomically(&file, |out| out.write_all(html.as_bytes()))?;
     if args.json.json {
         let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
         print_json(&serde_json::json!({ "figures": names, "page": file }))?;

@@ -1,33 +1,31 @@
 //! `monogrid slice`: a map as one grey picture per layer of cells.
 
 use super::print_json;
-use crate::cli::{JsonArg, positive};
+use crate::args::{JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile;
-use crate::output::write_atomically;
+use crate::output::{Inputs, OutputFolder};
 use crate::picture::slice::{Window, draw_borders, slice};
 use clap::Args;
 use monogrid_datasets::encode_png;
-use monogrid_occupancy::{Leaf, OccupancyMap};
 use serde::Serialize;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// `monogrid slice`.
 #[derive(Debug, Args)]
 pub struct SliceArgs {
     /// Map (.ot or .bt)
     pub map: PathBuf,
-    /// Folder for the pictures; files of the same names are replaced
+    /// Folder for the pictures; those of an earlier call are replaced
     pub out: PathBuf,
     /// Distance between slices [default: the edge of a cell]
     #[arg(long, value_name = "L", value_parser = positive)]
     pub step: Option<f64>,
     /// Slices whose cells' centres are lower are left out
-    #[arg(long, value_name = "Z", allow_negative_numbers = true, default_value_t = f64::NEG_INFINITY, hide_default_value = true)]
+    #[arg(long, value_name = "Z", default_value_t = f64::NEG_INFINITY, hide_default_value = true)]
     pub min_height: f64,
     /// Slices whose cells' centres are higher are left out
-    #[arg(long, value_name = "Z", allow_negative_numbers = true, default_value_t = f64::INFINITY, hide_default_value = true)]
+    #[arg(long, value_name = "Z", default_value_t = f64::INFINITY, hide_default_value = true)]
     pub max_height: f64,
     /// Draw the borders of the octree's leaves: equal cells are one large cell
     #[arg(long)]
@@ -35,6 +33,9 @@ pub struct SliceArgs {
     /// About the longer side of the pictures, px; a cell is at least one pixel
     #[arg(long, value_name = "N", default_value_t = 1024)]
     pub pixels: usize,
+    /// Write into the folder although it holds other files; those of the same names are replaced
+    #[arg(long)]
+    pub force: bool,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -70,9 +71,8 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
             f64::from(last.z + 1) * resolution
         )));
     }
-    std::fs::create_dir_all(&args.out).map_err(|error| {
-        Failure::input(format!("{} cannot be written: {error}", args.out.display()))
-    })?;
+    let inputs = Inputs::of("the map", &args.map);
+    let folder = OutputFolder::replace(&args.out, args.force, &inputs)?;
     let leaves = if args.leaves {
         map.octree_leaves()
             .while_running("the leaves cannot be found")?
@@ -80,8 +80,9 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
         Vec::new()
     };
     for (index, z) in layers.iter().enumerate() {
-        let file = args.out.join(format!("slice_{index:04}.png"));
-        write_slice(&map, &window, *z, &leaves, &file)?;
+        let mut picture = slice(&map, &window, *z);
+        draw_borders(&mut picture, &leaves, &window, *z);
+        folder.write(&format!("slice_{index:04}.png"), encode_png(&picture))?;
     }
     let report = SliceReport {
         slices: layers.len(),
@@ -95,7 +96,7 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
         print_json(&report)?;
     } else {
         println!(
-            "{}: {} slices from z = {:.3} to {:.3}, {} pixels per cell; black free, white occupied, grey unknown",
+            "{}: {} slices from z = {:.3} to {:.3}, {} pixels per cell; black occupied, white free, grey unknown",
             args.out.display(),
             report.slices,
             report.heights.first().copied().unwrap_or_default(),
@@ -120,17 +121,4 @@ fn layers(args: &SliceArgs, resolution: f64, first: i32, last: i32) -> Vec<i32> 
         .filter(|z| (args.min_height..=args.max_height).contains(&height(*z, resolution)))
         .step_by(step)
         .collect()
-}
-
-fn write_slice(
-    map: &OccupancyMap,
-    window: &Window,
-    z: i32,
-    leaves: &[Leaf],
-    file: &Path,
-) -> Result<(), Failure> {
-    let mut picture = slice(map, window, z);
-    draw_borders(&mut picture, leaves, window, z);
-    let png = encode_png(&picture);
-    write_atomically(file, |out| out.write_all(&png))
 }

@@ -2,15 +2,15 @@
 
 use super::evaluate_map::{in_view, load_truth};
 use super::{print_json, use_threads};
-use crate::cli::{JsonArg, SourceArgs, positive};
-use crate::config::Profile;
+use crate::args::{JsonArg, Profile, SourceArgs, positive};
+
 use crate::depth_images::dataset_seed_depth;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::Input;
-use crate::output::write_atomically;
+use crate::output::{Inputs, OutputFolder};
 use crate::run::align::Align;
 use crate::sweep::build::{Job, Scans};
-use crate::sweep::inputs::{Named, file_stamp, orders, prepare_folder, read_recordings};
+use crate::sweep::inputs::{Named, file_stamp, open_folder, orders, read_recordings};
 use crate::sweep::page::{self, Lead, truth_slice_file};
 use crate::sweep::pictures::{PictureOrders, truth_slice};
 use crate::sweep::plan::{self, Entry, RESOLUTIONS};
@@ -22,7 +22,7 @@ use clap::Args;
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid};
 use monogrid_slam::mapping::KeyframeScan;
 use serde::Serialize;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -38,6 +38,9 @@ pub struct SweepArgs {
     /// Output folder; a sweep that was interrupted goes on where it was
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Write into the folder although it holds other files; those of the same names are replaced
+    #[arg(long)]
+    pub force: bool,
     /// Bring the poses of the recordings to the frame of the truth
     #[arg(long, value_name = "gt:FILE|sim3:FILE")]
     pub align: Option<String>,
@@ -85,7 +88,7 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
     resolutions.dedup();
     let recordings = read_recordings(&args.recordings, &align)?;
     let finest_truth = args.truth.as_deref().map(load_truth).transpose()?;
-    prepare_folder(&args.out, &recordings)?;
+    let out = open_folder(&args.out, args.force, &inputs(args)?, &recordings)?;
     let orders = orders(&recordings, finest_truth.as_ref(), &resolutions);
     let resources = Resources {
         workers,
@@ -95,6 +98,7 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
     let progress = SweepProgress::new(num_maps, std::io::stderr().is_terminal());
     let sweep = Sweep {
         args,
+        out: &out,
         finest_truth: finest_truth.as_ref(),
         orders: &orders,
         resources,
@@ -107,15 +111,28 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
     progress.finish();
     if let Some(source) = &args.slam_source {
         for (result, recording) in results.iter_mut().zip(&recordings) {
-            result.rates = rates(args, source, recording, &resolutions, workers)?;
+            result.rates = rates(args, &out, source, recording, &resolutions, workers)?;
         }
     }
-    conclude(args, &results, &recordings, &orders, begin)
+    conclude(args, &out, &results, &recordings, &orders, begin)
+}
+
+/// What is read.
+fn inputs(args: &SweepArgs) -> Result<Inputs, Failure> {
+    let inputs = Inputs::default()
+        .and_all("a recording", &args.recordings)
+        .and_all("the truth", &args.truth)
+        .and_named("the reference", args.align.as_deref());
+    match &args.slam_source {
+        Some(source) => inputs.and_dataset(source),
+        None => Ok(inputs),
+    }
 }
 
 /// What all recordings of a sweep share.
 struct Sweep<'a> {
     args: &'a SweepArgs,
+    out: &'a OutputFolder,
     finest_truth: Option<&'a TruthGrid>,
     orders: &'a PictureOrders,
     resources: Resources,
@@ -162,13 +179,13 @@ impl Sweep<'_> {
         resolution: f64,
         evaluator: Option<&MapEvaluator>,
     ) -> Result<Vec<crate::sweep::record::MapRecord>, Failure> {
-        let folder = self.args.out.join(&named.name);
         let job = Job {
             recorded: &named.recorded,
             scans,
             evaluator,
             orders: self.orders,
-            folder: &folder,
+            out: self.out,
+            name: &named.name,
         };
         let entries: Vec<Entry> = plan::models()
             .into_iter()
@@ -207,7 +224,7 @@ impl Sweep<'_> {
         for (index, height) in self.orders.heights.iter().enumerate() {
             let name = truth_slice_file(truth.resolution(), index);
             let png = truth_slice(truth, self.orders, *height);
-            write_atomically(&self.args.out.join(name), |file| file.write_all(&png))?;
+            self.out.write(&name, &png)?;
         }
         Ok(())
     }
@@ -250,6 +267,7 @@ fn at_least_as_coarse(view: &TruthGrid, resolution: f64) -> Result<TruthGrid, Fa
 
 fn rates(
     args: &SweepArgs,
+    out: &OutputFolder,
     source: &Path,
     named: &Named,
     resolutions: &[f64],
@@ -264,14 +282,13 @@ fn rates(
         "thesis" => Profile::Thesis,
         _ => Profile::Default,
     };
-    let folder = args.out.join(&named.name);
     let job = RateJob {
         seed_depth: dataset_seed_depth(&input, None)?,
         input: &input,
         profile,
         threads,
-        scratch: &folder.join("slam-run"),
-        file: &folder.join("slam-rates.json"),
+        out,
+        file: format!("{}/slam-rates.json", named.name),
         fingerprint: format!(
             "{} {} frames, {threads} threads, {}",
             source.display(),
@@ -284,6 +301,7 @@ fn rates(
 
 fn conclude(
     args: &SweepArgs,
+    out: &OutputFolder,
     results: &[RecordingResult],
     recordings: &[Named],
     orders: &PictureOrders,
@@ -325,7 +343,7 @@ fn conclude(
         ],
         warnings: warnings.clone(),
     };
-    page::write(&args.out, &lead, results, orders)?;
+    page::write(out, &lead, results, orders)?;
     let report = SweepReport {
         maps: num_maps,
         beyond_memory: beyond,

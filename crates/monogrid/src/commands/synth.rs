@@ -2,10 +2,10 @@
 
 use super::truth::{of_world, positions_along};
 use super::{print_json, use_threads};
-use crate::cli::{JsonArg, positive, size};
+use crate::args::{JsonArg, positive, size};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
-use crate::output::OutputFolder;
+use crate::output::{Inputs, OutputFolder};
 use clap::{Args, ValueEnum};
 use monogrid_datasets::read_trajectory;
 use monogrid_datasets::synth::{
@@ -38,7 +38,7 @@ pub struct SynthArgs {
     /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Replace the output folder even if monogrid did not write it
+    /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long)]
     pub force: bool,
     /// Built-in motion: hand, drone, hand-back, drone-back [default: hand]
@@ -103,7 +103,8 @@ pub fn execute(args: &SynthArgs) -> CommandResult {
     let motion = motion(args)?;
     let recorded = recorded_path(args)?;
     check_world(args)?;
-    let folder = OutputFolder::prepare(&args.out, args.force)?;
+    let inputs = Inputs::of("the mesh", &args.world).and_all("the motion", &args.trajectory);
+    let folder = OutputFolder::replace(&args.out, args.force, &inputs)?;
     let world = world(args)?;
     let config = SynthConfig {
         camera: camera(args.size),
@@ -129,18 +130,19 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
         eprintln!("warning: the world is open: the outside counts as free in truth.ot");
     }
     let map = truth.grid.to_map().while_running("the truth map")?;
-    mapfile::save(&map, &folder.file("truth.ot"), MapFormat::Ot)?;
+    folder.write_with("truth.ot", |out| mapfile::write(&map, out, MapFormat::Ot))?;
     let bar = indicatif::ProgressBar::new(sequence.len() as u64);
     let config = WriteConfig {
         depth_every: args.depth_every,
         with_mesh: true,
     };
-    write_tum_layout(sequence, folder.path(), &config, |done| {
+    let written = write_tum_layout(sequence, folder.path(), &config, |done| {
         bar.set_position(done as u64);
-    })
-    .while_running("the dataset cannot be written")?;
+    });
     bar.finish_and_clear();
-    // The mark of an unfinished run stays on purpose: nothing else says that the folder is ours.
+    // what there is of it is ours, whole or not
+    folder.list_new()?;
+    written.while_running("the dataset cannot be written")?;
     let counts = truth.grid.counts();
     let report = SynthReport {
         world: sequence.world().name().to_owned(),

@@ -1,16 +1,15 @@
 //! Tools on maps: `crop`, `merge`, `transform`, `diff`, `project`.
 
 use super::print_json;
-use crate::cli::{JsonArg, positive};
+use crate::args::{ForceArg, JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
-use crate::output::write_atomically;
+use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use monogrid_datasets::read_sim3;
 use monogrid_geometry::Sim3;
 use monogrid_occupancy::{MapDifference, OccupancyMap, Similarity};
 use serde::Serialize;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// `monogrid crop`.
@@ -27,6 +26,8 @@ pub struct CropArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     pub max: [f64; 3],
     #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
     pub json: JsonArg,
 }
 
@@ -40,6 +41,8 @@ pub struct MergeArgs {
     /// Map to write (.ot, .bt or .mgo)
     #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
     pub out: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArg,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -57,6 +60,8 @@ pub struct TransformArgs {
     /// Edge of the cells that are written [default: that of the input, scaled]
     #[arg(long, value_name = "L", value_parser = positive)]
     pub resolution: Option<f64>,
+    #[command(flatten)]
+    pub force: ForceArg,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -80,11 +85,13 @@ pub struct ProjectArgs {
     /// Image to write (.pgm); its description is written beside it (.yaml)
     pub output: PathBuf,
     /// Cells whose centres are lower are left out
-    #[arg(long, value_name = "Z", allow_negative_numbers = true, default_value_t = f64::NEG_INFINITY, hide_default_value = true)]
+    #[arg(long, value_name = "Z", default_value_t = f64::NEG_INFINITY, hide_default_value = true)]
     pub min_height: f64,
     /// Cells whose centres are higher are left out
-    #[arg(long, value_name = "Z", allow_negative_numbers = true, default_value_t = f64::INFINITY, hide_default_value = true)]
+    #[arg(long, value_name = "Z", default_value_t = f64::INFINITY, hide_default_value = true)]
     pub max_height: f64,
+    #[command(flatten)]
+    pub force: ForceArg,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -111,7 +118,7 @@ fn report_written(map: &OccupancyMap, path: &Path, json: JsonArg) -> CommandResu
         }))?;
     } else {
         println!(
-            "{}: {} occupied and {} free cells of {}",
+            "{}: {} occupied and {} free cells of {} (in the unit of the input)",
             path.display(),
             counts.occupied,
             counts.free,
@@ -130,23 +137,43 @@ pub fn crop(args: &CropArgs) -> CommandResult {
             args.min, args.max
         )));
     }
+    let inputs = Inputs::of("the map", &args.input);
+    let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
     let (map, _) = mapfile::load(&args.input)?;
     let kept = map
         .cropped(args.min, args.max)
         .while_running("the map cannot be cropped")?;
-    mapfile::save(&kept, &args.output, format)?;
+    if kept.leaf_count() == 0 {
+        return Err(nothing_kept(args, &map));
+    }
+    mapfile::save(&kept, &output, format)?;
     report_written(&kept, &args.output, args.json)
+}
+
+fn nothing_kept(args: &CropArgs, map: &OccupancyMap) -> Failure {
+    let reach = map.bounds().map_or_else(
+        || "it is empty".to_owned(),
+        |(low, high)| format!("its cells reach from {low:.3?} to {high:.3?}"),
+    );
+    Failure::input(format!(
+        "{} has no known cells from --min {:?} to --max {:?}: {reach}",
+        args.input.display(),
+        args.min,
+        args.max
+    ))
 }
 
 /// Adds the log-odds of two maps, as if both had been measured into one.
 pub fn merge(args: &MergeArgs) -> CommandResult {
     let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
+    let inputs = Inputs::of("a map", &args.first).and("a map", &args.second);
+    let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
     let (mut map, _) = mapfile::load(&args.first)?;
     let (other, _) = mapfile::load(&args.second)?;
     check_same_resolution(&map, &other, [&args.first, &args.second])?;
     map.merge(&other)
         .while_running("the maps cannot be merged")?;
-    mapfile::save(&map, &args.out, format)?;
+    mapfile::save(&map, &output, format)?;
     report_written(&map, &args.out, args.json)
 }
 
@@ -170,6 +197,8 @@ fn check_same_resolution(
 /// Moves a map; a map built with `--align` is better than one that was resampled.
 pub fn transform(args: &TransformArgs) -> CommandResult {
     let format = MapFormat::from_name(&args.output, &MapFormat::MAPS)?;
+    let inputs = Inputs::of("the map", &args.input).and("the transform", &args.sim3);
+    let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
     let (map, _) = mapfile::load(&args.input)?;
     let target_from_source = read_sim3(&args.sim3).bad_input()?;
     let resolution = args
@@ -178,7 +207,7 @@ pub fn transform(args: &TransformArgs) -> CommandResult {
     let moved = map
         .transformed(&similarity(&target_from_source), resolution)
         .while_running("the map cannot be transformed")?;
-    mapfile::save(&moved, &args.output, format)?;
+    mapfile::save(&moved, &output, format)?;
     report_written(&moved, &args.output, args.json)
 }
 
@@ -258,6 +287,11 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
             args.output.display()
         )));
     };
+    let inputs = Inputs::of("the map", &args.map);
+    let force = args.force.force;
+    let yaml = args.output.with_extension("yaml");
+    let pgm_file = OutputFile::new(&args.output, force, &inputs)?;
+    let yaml_file = OutputFile::new(&yaml, force, &inputs)?;
     let (map, _) = mapfile::load(&args.map)?;
     let heights = [args.min_height, args.max_height];
     let Some(grid) = map.projected(heights[0], heights[1]) else {
@@ -268,11 +302,9 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
             args.max_height
         )));
     };
-    let yaml = args.output.with_extension("yaml");
-    write_atomically(&args.output, |out| out.write_all(&grid.to_pgm()))?;
-    write_atomically(&yaml, |out| {
-        out.write_all(grid.to_yaml(&name.to_string_lossy()).as_bytes())
-    })?;
+    pgm_file.write(&grid.to_pgm())?;
+    let note = "# lengths in the unit of the map\n";
+    yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + note).as_bytes())?;
     if args.json.json {
         print_json(&serde_json::json!({
             "width": grid.width,

@@ -1,10 +1,11 @@
 //! `monogrid truth`: a ground-truth map of a mesh, a point cloud, a built-in world or posed depth.
 
 use super::posed_depth::PosedDepthFolder;
-use super::print_json;
-use crate::cli::{JsonArg, positive};
+use super::{bytes, print_json};
+use crate::args::{ForceArg, JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
+use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use monogrid_datasets::read_trajectory;
 use monogrid_datasets::synth::{
@@ -50,6 +51,8 @@ pub struct TruthArgs {
     #[arg(long, value_name = "FILE")]
     pub depth_calibration: Option<PathBuf>,
     #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
     pub json: JsonArg,
 }
 
@@ -87,7 +90,9 @@ const POSITIONS_PER_SEC: f64 = 5.0;
 /// Builds and writes the map.
 pub fn execute(args: &TruthArgs) -> CommandResult {
     let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
-    let made = match Kind::of(&args.source)? {
+    let kind = Kind::of(&args.source)?;
+    let output = OutputFile::new(&args.out, args.force.force, &inputs(args, &kind)?)?;
+    let made = match kind {
         Kind::Folder => from_folder(args)?,
         Kind::Mesh => from_mesh(args)?,
         Kind::World(name) => from_world(args, &name)?,
@@ -96,7 +101,7 @@ pub fn execute(args: &TruthArgs) -> CommandResult {
         .grid
         .to_map()
         .while_running("the map cannot be built")?;
-    mapfile::save(&map, &args.out, format)?;
+    let file_bytes = mapfile::save(&map, &output, format)?;
     for warning in &made.warnings {
         eprintln!("warning: {warning}");
     }
@@ -111,7 +116,7 @@ pub fn execute(args: &TruthArgs) -> CommandResult {
         cameras_in_free_space: made.cameras_in_free_space,
         reaches_border: made.reaches_border,
         leaves: map.leaf_count(),
-        file_bytes: std::fs::metadata(&args.out).map_or(0, |m| m.len()),
+        file_bytes,
         warnings: made.warnings,
     };
     if args.json.json {
@@ -124,14 +129,26 @@ pub fn execute(args: &TruthArgs) -> CommandResult {
             report.resolution
         );
         println!(
-            "{} occupied, {} free, {} unknown cells; {:.2} MB",
+            "{} occupied, {} free, {} unknown cells; {}",
             report.occupied,
             report.free,
             report.unknown,
-            report.file_bytes as f64 / 1e6
+            bytes(report.file_bytes)
         );
     }
     Ok(Outcome::Done)
+}
+
+/// What is read: the images of a folder too.
+fn inputs(args: &TruthArgs, kind: &Kind) -> Result<Inputs, Failure> {
+    let inputs = Inputs::default()
+        .and_all("a trajectory", &args.trajectory)
+        .and_all("a calibration", &args.depth_calibration);
+    match kind {
+        Kind::Folder => inputs.and_dataset(&args.source),
+        Kind::Mesh => Ok(inputs.and("the surface", &args.source)),
+        Kind::World(_) => Ok(inputs),
+    }
 }
 
 /// What the truth is made from.

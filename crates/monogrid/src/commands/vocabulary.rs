@@ -1,9 +1,9 @@
 //! `monogrid vocabulary`: what FAB-MAP knows of the appearance of the world.
 
 use super::{print_json, use_threads};
-use crate::cli::JsonArg;
+use crate::args::{ForceArg, JsonArg};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::output::write_atomically;
+use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use indicatif::ProgressBar;
 use monogrid_datasets::{Dataset, DatasetError, SourceOptions, read_gray};
@@ -14,7 +14,6 @@ use monogrid_features::{
 use monogrid_image::Pyramid;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -43,6 +42,8 @@ pub struct VocabularyArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
     pub json: JsonArg,
 }
 
@@ -63,6 +64,10 @@ const NUM_LEVELS: usize = 4;
 pub fn execute(args: &VocabularyArgs) -> CommandResult {
     use_threads(args.threads)?;
     let paths = image_paths(args)?;
+    let inputs = Inputs::default()
+        .and_all("an image", &paths)
+        .and_all("a list of images", &args.images);
+    let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
     let images = describe(&paths)?;
     let config = VocabularyConfig {
         max_words: args.words,
@@ -84,7 +89,7 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
     .map_err(Failure::input)?;
     bar.finish_and_clear();
     let bytes = vocabulary.to_bytes();
-    write_atomically(&args.out, |out| out.write_all(&bytes))?;
+    output.write(&bytes)?;
     let report = Report {
         out: &args.out,
         images: images.len(),

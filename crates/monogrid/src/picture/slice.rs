@@ -1,4 +1,4 @@
-//! Horizontal slices of a map as grey pictures: black free, white occupied, mid grey unknown.
+//! Horizontal slices of a map as grey pictures: black occupied, white free (as `map.pgm`), mid grey unknown.
 
 use monogrid_image::Image;
 use monogrid_occupancy::{Leaf, OccupancyMap, VoxelKey, probability_from_log_odds};
@@ -64,9 +64,9 @@ impl Window {
     }
 }
 
-/// Grey level of a probability.
+/// Grey level of a probability of occupancy.
 pub fn grey(probability: f64) -> u8 {
-    (probability * 255.0).round().clamp(0.0, 255.0) as u8
+    ((1.0 - probability) * 255.0).round().clamp(0.0, 255.0) as u8
 }
 
 /// Grey level of what a map knows about a cell.
@@ -122,15 +122,15 @@ mod tests {
     }
 
     #[test]
-    fn free_is_black_occupied_white_unknown_grey_and_y_points_up() {
+    fn occupied_is_black_free_white_unknown_grey_and_y_points_up() {
         let window = Window::new([0, -1], [5, 4], 12);
         assert_eq!((window.size, window.scale), ([6, 6], 2));
         let picture = slice(&map(), &window, 1);
         assert_eq!((picture.width(), picture.height()), (12, 12));
         // cell (5, 0): columns 10 and 11, second row from below
-        assert_eq!(picture.at(11, 9), 248);
+        assert_eq!(picture.at(11, 9), 7);
         assert_eq!(picture.at(11, 11), UNKNOWN_GREY);
-        assert_eq!(picture.at(0, 9), 30);
+        assert_eq!(picture.at(0, 9), 225);
         assert_eq!(picture.at(0, 0), UNKNOWN_GREY);
         let above = slice(&map(), &window, 4);
         assert!(above.as_slice().iter().all(|g| *g == UNKNOWN_GREY));

@@ -2,9 +2,7 @@
 
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
-use monogrid_evaluation::{
-    StampedPose, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
-};
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_slam::mapping::z_up_from_camera_world;
 use std::path::{Path, PathBuf};
@@ -160,14 +158,4 @@ pub fn stamped_all(poses: &[TimedPose]) -> Vec<StampedPose> {
         .iter()
         .map(|pose| stamped(pose.timestamp_ns, pose.world_from_camera))
         .collect()
-}
-
-/// The evaluation's alignment of an option of the command line.
-pub fn alignment_mode(mode: crate::cli::AlignMode) -> TrajectoryAlignment {
-    use crate::cli::AlignMode;
-    match mode {
-        AlignMode::Sim3 => TrajectoryAlignment::Sim3,
-        AlignMode::Se3 => TrajectoryAlignment::Se3,
-        AlignMode::None => TrajectoryAlignment::None,
-    }
 }

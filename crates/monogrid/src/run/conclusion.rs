@@ -58,6 +58,9 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
         Status::Unreadable => format!(
             "The images became unreadable; {share:.0} % of the frames until then have a pose."
         ),
+        Status::Interrupted if summary.keyframes == 0 => {
+            "Interrupted before tracking started; there is no map.".to_owned()
+        }
         Status::Interrupted => format!(
             "Interrupted; {share:.0} % of the frames until then have a pose, everything is saved."
         ),
@@ -71,11 +74,7 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
 
 /// Numbers for people.
 fn summary_lines(summary: &Summary, folder: &Path) -> String {
-    let unit = if summary.is_metric() {
-        "m"
-    } else {
-        "map units (scale unknown)"
-    };
+    let unit = summary.unit();
     let memory = summary
         .peak_rss_bytes
         .map(|bytes| format!(", {:.0} MB of memory", bytes as f64 / 1e6))

@@ -3,7 +3,7 @@
 use super::change::Change;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::to_recorded;
-use crate::output::OutputFolder;
+use crate::output::{Content, OutputFolder};
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::usage::thread_cpu;
 use monogrid_datasets::{
@@ -39,11 +39,10 @@ pub fn record(
 }
 
 fn start(folder: &OutputFolder, session: &SessionInfo) -> Result<Option<RecordingWriter>, Failure> {
-    std::fs::create_dir_all(folder.file(KEYFRAME_FOLDER))
-        .while_running("the folder of keyframes cannot be made")?;
-    RecordingWriter::create(&folder.file(RECORDING), session)
-        .while_running("the recording cannot be written")
-        .map(Some)
+    let writer = RecordingWriter::create(&folder.begin(RECORDING)?, session)
+        .while_running("the recording cannot be written")?;
+    folder.list(RECORDING, Content::Begins)?;
+    Ok(Some(writer))
 }
 
 fn save(
@@ -84,7 +83,10 @@ fn save(
             let continuation = Record::Continuation(Continuation::clone(continuation));
             open.append(&continuation).while_running(DOING)?;
             match writer.take() {
-                Some(open) => open.finish(end.clone()).while_running(DOING),
+                Some(open) => {
+                    open.finish(end.clone()).while_running(DOING)?;
+                    folder.list(RECORDING, Content::Whole)
+                }
                 None => Ok(()),
             }
         }

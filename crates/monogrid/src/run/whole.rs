@@ -5,7 +5,7 @@ use super::align::{Align, MapFrame};
 use super::conclusion::verdict;
 use super::outputs::{self, path_of};
 use super::report::{ReportInput, page};
-use super::summary::Summary;
+use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{GrownMaps, Tracked, track};
 use super::tracking::EarlyEnd;
 use crate::failure::{Failure, Outcome};
@@ -81,6 +81,7 @@ pub fn run_all(
             maps,
             &paths.path,
             paths.reported.as_deref(),
+            unit_name(is_metric(&tracked, &frame)),
         )?),
         None => None,
     };
@@ -103,7 +104,6 @@ pub fn run_all(
         config: &config,
     };
     folder.write("report.html", page(&tracked, &report))?;
-    folder.complete();
     summary.take_times();
     let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
     folder.write("summary.json", json + "\n")?;

@@ -4,6 +4,7 @@ use super::pictures::{self, PictureOrders};
 use super::plan::Entry;
 use super::record::{Built, Growth, MapResult, Scores};
 use crate::failure::{Classify, Failure};
+use crate::output::OutputFolder;
 use crate::recorded::Recorded;
 use crate::usage::thread_cpu;
 use monogrid_evaluation::MapEvaluator;
@@ -11,7 +12,6 @@ use monogrid_geometry::Sim3;
 use monogrid_occupancy::{MapError, OccupancyMap, write_bt, write_ot};
 use monogrid_slam::mapping::{KeyframeScan, Mapper, MappingConfig};
 use std::io::{self, Write};
-use std::path::Path;
 use std::time::Duration;
 
 /// Keyframes at which the maximum-likelihood form is measured: it visits every cell.
@@ -28,8 +28,10 @@ pub struct Job<'a> {
     pub evaluator: Option<&'a MapEvaluator<'a>>,
     /// Heights of slices and views to draw.
     pub orders: &'a PictureOrders,
-    /// Folder of the recording in the output.
-    pub folder: &'a Path,
+    /// Where the sweep writes.
+    pub out: &'a OutputFolder,
+    /// Subfolder of the recording.
+    pub name: &'a str,
 }
 
 /// Builds, measures and compares one map that may take `budget` bytes.

@@ -2,15 +2,11 @@
 
 use super::pictures::PictureOrders;
 use crate::failure::Failure;
-use crate::output::write_atomically;
+use crate::output::{Inputs, OutputFolder};
 use crate::recorded::Recorded;
 use crate::run::align::Align;
 use monogrid_evaluation::TruthGrid;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-
-/// File that marks a folder as ours.
-const MARKER: &str = "sweep.json";
 
 /// A recording and its name in the output.
 #[derive(Debug)]
@@ -50,24 +46,18 @@ pub fn read_recordings(paths: &[PathBuf], align: &Align) -> Result<Vec<Named>, F
     Ok(named)
 }
 
-/// Prepares the output folder, which may hold an earlier sweep.
-pub fn prepare_folder(out: &Path, recordings: &[Named]) -> Result<(), Failure> {
-    let is_used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-    if is_used && !out.join(MARKER).is_file() {
-        return Err(Failure::input(format!(
-            "output folder {} exists and holds no sweep; choose another with --out",
-            out.display()
-        )));
-    }
-    let folders = recordings.iter().map(|r| out.join(&r.name));
-    for folder in folders.chain([out.join("truth")]) {
-        std::fs::create_dir_all(&folder).map_err(|error| {
-            Failure::input(format!("{} cannot be written: {error}", folder.display()))
-        })?;
-    }
+/// The output folder, which may hold an earlier sweep.
+pub fn open_folder(
+    out: &Path,
+    force: bool,
+    inputs: &Inputs,
+    recordings: &[Named],
+) -> Result<OutputFolder, Failure> {
+    let folder = OutputFolder::resume(out, force, inputs)?;
     let names: Vec<&str> = recordings.iter().map(|r| r.name.as_str()).collect();
-    let marker = serde_json::json!({ "recordings": names }).to_string();
-    write_atomically(&out.join(MARKER), |file| file.write_all(marker.as_bytes()))
+    let names = serde_json::json!({ "recordings": names }).to_string();
+    folder.write("sweep.json", names)?;
+    Ok(folder)
 }
 
 /// The part of the world that pictures show: what is true to be free, or where the cameras were.

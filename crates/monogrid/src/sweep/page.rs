@@ -8,10 +8,8 @@ use super::record::{MapRecord, PictureKind};
 use super::result::{RecordingResult, andert_models, thrun_models};
 use super::tables::{self, Score, Table, mm};
 use crate::failure::Failure;
-use crate::output::write_atomically;
+use crate::output::OutputFolder;
 use crate::report::Page;
-use std::io::Write;
-use std::path::Path;
 
 /// What the page says at its top.
 #[derive(Debug)]
@@ -26,7 +24,7 @@ pub struct Lead {
 
 /// Writes `*.csv`, `*.svg`, `tables.md` and `sweep.html` into `out`.
 pub fn write(
-    out: &Path,
+    out: &OutputFolder,
     lead: &Lead,
     results: &[RecordingResult],
     orders: &PictureOrders,
@@ -52,14 +50,14 @@ pub fn write(
 }
 
 struct Writer<'a> {
-    out: &'a Path,
+    out: &'a OutputFolder,
     /// All tables, for pages such as a project's documentation.
     markdown: String,
 }
 
 impl Writer<'_> {
     fn file(&self, name: &str, content: &[u8]) -> Result<(), Failure> {
-        write_atomically(&self.out.join(name), |file| file.write_all(content))
+        self.out.write(name, content)
     }
 
     fn recording(
@@ -139,7 +137,7 @@ impl Writer<'_> {
             ];
             for (index, height) in orders.heights.iter().enumerate() {
                 let mut pictures = Vec::new();
-                let truth = self.out.join(truth_slice_file(resolution, index));
+                let truth = self.out.path().join(truth_slice_file(resolution, index));
                 if let Ok(png) = std::fs::read(truth) {
                     pictures.push((png, format!("truth, {}, z = {height:.2}", mm(resolution))));
                 }
@@ -147,7 +145,7 @@ impl Writer<'_> {
                     let record = result.record(model, resolution);
                     let wanted = PictureKind::Slice(*height);
                     if let Some(png) = record.and_then(|r| self.picture(result, r, wanted)) {
-                        pictures.push((png, format!("{} {}", model.family(), model.label())));
+                        pictures.push((png, model.caption()));
                     }
                 }
                 if pictures.len() > 1 {
@@ -156,7 +154,7 @@ impl Writer<'_> {
             }
         }
         page.note(
-            "Black free, white occupied, grey unknown. L and k: the best by AUC of known cells.",
+            "Black occupied, white free, grey unknown. L and k: the best by AUC of known cells.",
         );
     }
 
@@ -166,7 +164,7 @@ impl Writer<'_> {
         let picture = |model: Model| {
             let record = result.record(model, resolution)?;
             let png = self.picture(result, record, PictureKind::View)?;
-            Some((png, format!("{} {}", model.family(), model.label())))
+            Some((png, model.caption()))
         };
         let all: Vec<(Vec<u8>, String)> = PictureOrders::viewed()
             .into_iter()
@@ -198,7 +196,7 @@ impl Writer<'_> {
         kind: PictureKind,
     ) -> Option<Vec<u8>> {
         let file = record.built()?.pictures.iter().find(|p| p.kind == kind)?;
-        std::fs::read(self.out.join(&result.name).join(&file.file)).ok()
+        std::fs::read(self.out.path().join(&result.name).join(&file.file)).ok()
     }
 }
 

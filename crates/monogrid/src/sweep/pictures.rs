@@ -4,7 +4,6 @@ use super::build::Job;
 use super::plan::{Entry, Model};
 use super::record::{PictureFile, PictureKind};
 use crate::failure::{Classify, Failure};
-use crate::output::write_atomically;
 use crate::picture::slice::{Window, slice};
 use crate::picture::voxels::{Cube, View, render_coloured};
 use monogrid_datasets::{encode_png, encode_png_rgb};
@@ -12,7 +11,6 @@ use monogrid_evaluation::TruthGrid;
 use monogrid_image::Image;
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, VoxelKey, log_odds_from_probability};
 use monogrid_slam::mapping::{KeyframeScan, Mapper, MappingConfig};
-use std::io::Write;
 
 /// What is drawn of every map of a recording.
 #[derive(Clone, Debug)]
@@ -89,8 +87,8 @@ pub fn truth_slice(truth: &TruthGrid, orders: &PictureOrders, height: f64) -> Ve
     let window = orders.window(truth.resolution());
     let z = (height / truth.resolution()).floor() as i32;
     encode_png(&window.picture(|[x, y]| match truth.state([x, y, z]) {
-        Occupancy::Free => 0,
-        Occupancy::Occupied => 255,
+        Occupancy::Free => 255,
+        Occupancy::Occupied => 0,
         Occupancy::Unknown => crate::picture::slice::UNKNOWN_GREY,
     }))
 }
@@ -106,7 +104,7 @@ pub fn draw(
     let orders = job.orders;
     let mut files = Vec::new();
     let mut write = |file: String, kind: PictureKind, png: &[u8]| {
-        write_atomically(&job.folder.join(&file), |out| out.write_all(png))?;
+        job.out.write(&format!("{}/{file}", job.name), png)?;
         files.push(PictureFile { kind, file });
         Ok::<(), Failure>(())
     };

@@ -61,6 +61,14 @@ impl Model {
         }
     }
 
+    /// For people: the family, and L or k where the model has one.
+    pub fn caption(self) -> String {
+        match self.parameter() {
+            Some(_) => format!("{} {}", self.family(), self.label()),
+            None => self.label(),
+        }
+    }
+
     /// The settings of a map of this kind.
     pub fn mapping(self, resolution: f64) -> MappingConfig {
         let thesis = MappingConfig {

@@ -2,10 +2,9 @@
 
 use super::plan::Entry;
 use crate::failure::Failure;
-use crate::output::write_atomically;
+use crate::output::OutputFolder;
 use monogrid_evaluation::{MapReport, PolicyReport, RocPoint};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
 use std::path::Path;
 
 /// One map.
@@ -196,9 +195,9 @@ impl MapRecord {
     }
 
     /// Keeps the record in a file.
-    pub fn save(&self, path: &Path) -> Result<(), Failure> {
+    pub fn save(&self, out: &OutputFolder, name: &str) -> Result<(), Failure> {
         let text = serde_json::to_string(self).map_err(Failure::running)?;
-        write_atomically(path, |out| out.write_all(text.as_bytes()))
+        out.write(name, text)
     }
 
     /// The record of an earlier sweep, if it is whole and of the same work.

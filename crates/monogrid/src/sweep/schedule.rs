@@ -5,7 +5,6 @@ use super::plan::Entry;
 use super::record::{MapRecord, MapResult};
 use crate::failure::Failure;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -80,7 +79,8 @@ pub fn run(
     resources: Resources,
     progress: &SweepProgress,
 ) -> Result<Vec<MapRecord>, Failure> {
-    let file = |entry: &Entry| record_file(job.folder, entry);
+    let name = |entry: &Entry| format!("{}/{}.json", job.name, entry.name());
+    let file = |entry: &Entry| job.out.path().join(name(entry));
     let records: Vec<Mutex<Option<MapRecord>>> = entries
         .iter()
         .map(|entry| Mutex::new(MapRecord::load(&file(entry), &fingerprint(entry))))
@@ -100,7 +100,7 @@ pub fn run(
             entry: *entry,
             result,
         };
-        record.save(&file(entry))?;
+        record.save(job.out, &name(entry))?;
         *lock(&records[index]) = Some(record);
         Ok(())
     };
@@ -158,9 +158,4 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex
         .lock()
         .unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-/// Where the record of an entry is kept.
-fn record_file(folder: &Path, entry: &Entry) -> PathBuf {
-    folder.join(format!("{}.json", entry.name()))
 }

@@ -1,16 +1,15 @@
 //! How fast SLAM is with each way of mapping beside it (thesis 6.1.4, Table 6.5).
 
 use super::plan::{Entry, usual_models};
-use crate::config::{Profile, RunConfig};
+use crate::args::Profile;
+use crate::config::RunConfig;
 use crate::failure::Failure;
 use crate::input::Input;
-use crate::output::{OutputFolder, write_atomically};
+use crate::output::{Inputs, OutputFolder};
 use crate::run::RunSettings;
 use crate::run::threads::track;
 use monogrid_image::GrayImage;
 use serde::{Deserialize, Serialize};
-use std::io::Write;
-use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -36,10 +35,10 @@ pub struct RateJob<'a> {
     pub profile: Profile,
     /// Threads.
     pub threads: usize,
-    /// Where runs may write.
-    pub scratch: &'a Path,
-    /// Where the rates are kept for a resumed sweep.
-    pub file: &'a Path,
+    /// Where the sweep writes.
+    pub out: &'a OutputFolder,
+    /// File in it with the rates, for a resumed sweep.
+    pub file: String,
     /// Everything that the rates depend on.
     pub fingerprint: String,
 }
@@ -74,7 +73,9 @@ pub fn measure(job: &RateJob, resolutions: &[f64]) -> Result<Vec<Rate>, Failure>
 }
 
 fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
-    let folder = OutputFolder::prepare(job.scratch, true)?;
+    let scratch = format!("monogrid-sweep-{}", std::process::id());
+    let scratch = std::env::temp_dir().join(scratch);
+    let folder = OutputFolder::replace(&scratch, false, &Inputs::default())?;
     let config = RunConfig {
         mapping: entry.model.mapping(entry.resolution),
         ..RunConfig::of(job.profile)
@@ -87,7 +88,7 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
     let (tracked, _maps) = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
     let seconds = begin.elapsed().as_secs_f64();
     // the rates are all that is wanted of the run
-    let _ = std::fs::remove_dir_all(job.scratch);
+    folder.discard()?;
     Ok(Rate {
         entry,
         frames: tracked.rows.len(),
@@ -96,7 +97,7 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
 }
 
 fn kept(job: &RateJob) -> Vec<Rate> {
-    let text = std::fs::read_to_string(job.file).unwrap_or_default();
+    let text = std::fs::read_to_string(job.out.path().join(&job.file)).unwrap_or_default();
     match serde_json::from_str::<Kept>(&text) {
         Ok(kept) if kept.fingerprint == job.fingerprint => kept.rates,
         _ => Vec::new(),
@@ -109,5 +110,5 @@ fn keep(job: &RateJob, rates: &[Rate]) -> Result<(), Failure> {
         rates: rates.to_vec(),
     };
     let text = serde_json::to_string(&kept).map_err(Failure::running)?;
-    write_atomically(job.file, |out| out.write_all(text.as_bytes()))
+    job.out.write(&job.file, text)
 }

@@ -25,6 +25,7 @@ pub fn write_maps(
     maps: &Maps,
     path: &[[f64; 3]],
     reported_path: Option<&[[f64; 3]]>,
+    unit: &str,
 ) -> Result<MapPictures, Failure> {
     for (name, map, format) in [
         ("global.ot", &maps.global, MapFormat::Ot),
@@ -33,10 +34,10 @@ pub fn write_maps(
         ("large.ot", &maps.large, MapFormat::Ot),
         ("cloud.ply", &maps.global, MapFormat::Ply),
     ] {
-        mapfile::save(map, &folder.file(name), format)?;
+        folder.write_with(name, |out| mapfile::write(map, out, format))?;
     }
     let cubes = occupied_cubes(&maps.global).while_running("the map cannot be projected")?;
-    write_grid(folder, &maps.global, &cubes, path)?;
+    write_grid(folder, &maps.global, &cubes, path, unit)?;
     let preview = write_preview(folder, &cubes, path)?;
     let loops = match reported_path {
         Some(reported_path) => Some(write_loop_pictures(
@@ -116,11 +117,15 @@ fn write_grid(
     map: &OccupancyMap,
     cubes: &[Cube],
     path: &[[f64; 3]],
+    unit: &str,
 ) -> Result<(), Failure> {
     let band = navigation_band(cubes, path);
     if let Some(grid) = map.projected(band[0], band[1]) {
         folder.write("map.pgm", grid.to_pgm())?;
-        let note = format!("# cells from z = {:.3} to {:.3}\n", band[0], band[1]);
+        let note = format!(
+            "# cells from z = {:.3} to {:.3}; lengths in {unit}\n",
+            band[0], band[1]
+        );
         folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
     }
     Ok(())

@@ -91,7 +91,7 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
 
 fn facts(input: &ReportInput) -> Vec<(String, String)> {
     let summary = input.summary;
-    let unit = unit(summary);
+    let unit = summary.unit();
     let mut facts = vec![
         (
             "Frames",
@@ -157,15 +157,6 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
         .collect()
 }
 
-/// Name of the unit of length.
-fn unit(summary: &Summary) -> &'static str {
-    if summary.is_metric() {
-        "m"
-    } else {
-        "map units"
-    }
-}
-
 fn path_length(path: &[[f64; 3]]) -> f64 {
     path.windows(2)
         .map(|pair| {
@@ -202,7 +193,7 @@ fn path_plot(input: &ReportInput) -> Plot {
         points: from_above(input.path),
         ..Series::default()
     });
-    let unit = unit(input.summary);
+    let unit = input.summary.unit();
     Plot {
         title: String::new(),
         x_label: format!("x ({unit})"),

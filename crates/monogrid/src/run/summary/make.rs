@@ -23,7 +23,6 @@ impl Summary {
     ) -> Self {
         let slam = &tracked.slam;
         let graph = slam.graph_stats();
-        let is_metric = slam.scale() == Scale::Metric || frame.is_aligned;
         let points = maps.map_or(0, |maps| maps.stats.points);
         let (width, height) = input.size();
         let mut summary = Self {
@@ -58,7 +57,11 @@ impl Summary {
                 bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
             },
             peak_rss_bytes: None,
-            scale: if is_metric { METRIC } else { ARBITRARY },
+            scale: if is_metric(tracked, frame) {
+                METRIC
+            } else {
+                ARBITRARY
+            },
             frame: frame.description.clone(),
             profile: settings.config.profile.name(),
             seed: settings.config.seed,
@@ -72,6 +75,11 @@ impl Summary {
         summary.take_times();
         summary
     }
+}
+
+/// Whether lengths of the results are metres.
+pub fn is_metric(tracked: &Tracked, frame: &MapFrame) -> bool {
+    tracked.slam.scale() == Scale::Metric || frame.is_aligned
 }
 
 fn count(tracked: &Tracked, test: fn(&FrameFate) -> bool) -> usize {

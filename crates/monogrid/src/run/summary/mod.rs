@@ -3,6 +3,7 @@
 mod make;
 mod status;
 
+pub use make::is_metric;
 pub use status::Status;
 
 use crate::usage::{peak_rss_bytes, process_start};
@@ -162,6 +163,15 @@ pub struct Summary {
     pub map_error: Option<MapReport>,
 }
 
+/// Name of the unit of length, for people.
+pub fn unit_name(is_metric: bool) -> &'static str {
+    if is_metric {
+        "m"
+    } else {
+        "map units (scale unknown)"
+    }
+}
+
 /// Writes a report with its keys in the order of the alphabet.
 fn as_value<S: Serializer>(report: &impl Serialize, serializer: S) -> Result<S::Ok, S::Error> {
     serde_json::to_value(report)
@@ -170,9 +180,9 @@ fn as_value<S: Serializer>(report: &impl Serialize, serializer: S) -> Result<S::
 }
 
 impl Summary {
-    /// Whether lengths are metres.
-    pub fn is_metric(&self) -> bool {
-        self.scale == METRIC
+    /// Name of the unit of length.
+    pub fn unit(&self) -> &'static str {
+        unit_name(self.scale == METRIC)
     }
 
     /// Fragments that were not joined.

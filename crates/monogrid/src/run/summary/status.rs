@@ -14,7 +14,7 @@ use serde::Serialize;
 pub enum Status {
     /// All frames were processed, and the last ones have poses.
     Done,
-    /// The user stopped it.
+    /// The user stopped it, whatever the state of tracking was.
     Interrupted,
     /// Tracking never started.
     NotInitialised,
@@ -32,15 +32,15 @@ impl Status {
     /// How a run ended.
     pub fn of(tracked: &Tracked, settings: &RunSettings) -> Self {
         match &tracked.early_end {
+            Some(EarlyEnd::Interrupted) => Self::Interrupted,
             Some(EarlyEnd::Unreadable(_)) => Self::Unreadable,
             _ if tracked.slam.keyframes().is_empty() => Self::NotInitialised,
             _ if settings.continued.is_some() && tracked.trajectory.is_empty() => {
                 Self::NotRecognised
             }
-            early_end => match end_of(&tracked.rows) {
+            None => match end_of(&tracked.rows) {
                 End::Lost => Self::Lost,
                 End::Fragment if !has_last_frame(tracked) => Self::Fragment,
-                _ if early_end.is_some() => Self::Interrupted,
                 _ => Self::Done,
             },
         }
@@ -52,7 +52,9 @@ impl Status {
             Self::NotInitialised | Self::NotRecognised | Self::Lost | Self::Fragment => {
                 Outcome::NotTracked
             }
-            Self::Done | Self::Interrupted | Self::Unreadable => Outcome::Done,
+            Self::Interrupted => Outcome::Interrupted,
+            // said as a failure
+            Self::Done | Self::Unreadable => Outcome::Done,
         }
     }
 }

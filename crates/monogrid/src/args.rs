@@ -1,0 +1,165 @@
+//! Arguments that several commands share, and how their values are understood.
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Output for programs.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct JsonArg {
+    /// Print one JSON object to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Whether files that exist are replaced.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct ForceArg {
+    /// Replace the output file if it exists; never one that is read
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// One of the two complete configurations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Profile {
+    /// The best we know
+    #[default]
+    Default,
+    /// LSD-SLAM and the mapping rules of the thesis
+    Thesis,
+}
+
+impl Profile {
+    /// As it stands in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::Thesis => "thesis",
+        }
+    }
+}
+
+/// Inverse sensor models.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SensorModelArg {
+    /// Ideal sensor convolved with the Gaussian of the range
+    Thrun,
+    /// Andert's model for stereo cameras
+    Andert,
+    /// Free before, occupied at the measured range
+    Ideal,
+    /// End points only, no free space
+    None,
+}
+
+/// How measurements are combined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum IntegrationArg {
+    /// One update per cell and keyframe
+    Fused,
+    /// Every measurement updates every cell that it crosses
+    Rays,
+}
+
+/// A length or "chosen from the data".
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum AutoOr {
+    /// From the resolution and the uncertainty of each measurement
+    Auto,
+    /// A fixed value
+    Value(f64),
+}
+
+/// Sensor model and map options shared by `run` and `map`.
+#[derive(Debug, Clone, Default, Args)]
+pub struct MappingArgs {
+    /// Inverse sensor model [default: thrun]
+    #[arg(long, value_enum, help_heading = "Mapping")]
+    pub sensor_model: Option<SensorModelArg>,
+    /// Edge length of a cell, in metres or map units [default: 0.05]
+    #[arg(long, value_name = "L", value_parser = positive, help_heading = "Mapping")]
+    pub resolution: Option<f64>,
+    /// Thickness L of the occupied band of the models ideal and thrun [default: auto]
+    #[arg(long, value_name = "L|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
+    pub buffer: Option<AutoOr>,
+    /// Significance k of the model andert [default: auto]
+    #[arg(long, value_name = "K|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
+    pub significance: Option<AutoOr>,
+    /// How measurements are combined [default: fused]
+    #[arg(long, value_enum, help_heading = "Mapping")]
+    pub integration: Option<IntegrationArg>,
+    /// Ignore measurements farther away than this
+    #[arg(long, value_name = "L", value_parser = positive, help_heading = "Mapping")]
+    pub max_range: Option<f64>,
+}
+
+/// Options of `run` that say what to read.
+#[derive(Debug, Clone, Default, Args)]
+pub struct SourceArgs {
+    /// Camera calibration [default: calibration.toml or calibration.txt in the source]
+    #[arg(long, value_name = "FILE", help_heading = "Input")]
+    pub calibration: Option<PathBuf>,
+    /// First frame to use
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]
+    pub start: usize,
+    /// Use at most this many frames
+    #[arg(long, value_name = "N", help_heading = "Input")]
+    pub max_frames: Option<usize>,
+    /// Frame rate of a folder of images without timestamps [default: 30]
+    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Input")]
+    pub fps: Option<f64>,
+    /// Working size of the images [default: about as many pixels as 640x480]
+    #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Input")]
+    pub size: Option<(usize, usize)>,
+    /// Image of the size of the input, black where pixels must be ignored
+    #[arg(long, value_name = "FILE", help_heading = "Input")]
+    pub mask: Option<PathBuf>,
+}
+
+/// A positive, finite number.
+pub fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("expected a positive number".into()),
+    }
+}
+
+fn auto_or_positive(text: &str) -> Result<AutoOr, String> {
+    if text == "auto" {
+        return Ok(AutoOr::Auto);
+    }
+    positive(text)
+        .map(AutoOr::Value)
+        .map_err(|_| "expected a positive number or `auto`".into())
+}
+
+/// Width and height of an image.
+pub fn size(text: &str) -> Result<(usize, usize), String> {
+    let expected = || "expected WIDTHxHEIGHT, both from 32 to 8192, e.g. 640x480".to_owned();
+    let (width, height) = text.split_once(['x', 'X']).ok_or_else(expected)?;
+    let side = |text: &str| text.parse().ok().filter(|n| (32..=8192).contains(n));
+    Ok((
+        side(width).ok_or_else(expected)?,
+        side(height).ok_or_else(expected)?,
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_lengths_are_checked() {
+        assert_eq!(size("640x480"), Ok((640, 480)));
+        for bad in ["640", "x480", "0x480", "640x-1", "9999x480"] {
+            assert!(size(bad).is_err(), "{bad}");
+        }
+        for bad in ["0", "-1", "nan", "inf", "x"] {
+            assert!(positive(bad).is_err(), "{bad}");
+        }
+        assert_eq!(auto_or_positive("auto"), Ok(AutoOr::Auto));
+        assert_eq!(auto_or_positive("0.1"), Ok(AutoOr::Value(0.1)));
+    }
+}

@@ -1,0 +1,18 @@
+//! What the program writes, and what it never touches.
+//!
+//! An output *folder* carries a manifest of what was written into it. A folder is replaced only when everything that
+//! lies in it stands in the manifest and is as it was written; otherwise the call is refused, or, with `--force`, goes
+//! on beside what it did not write. A single output *file* that exists is replaced with `--force` only. Nothing
+//! that the call reads is ever written to or removed, with `--force` neither, whatever name or link leads to it.
+//! Every file appears whole or not at all.
+
+mod file;
+mod folder;
+mod inputs;
+mod manifest;
+mod numbered;
+
+pub use file::OutputFile;
+pub use folder::OutputFolder;
+pub use inputs::Inputs;
+pub use manifest::Content;
