@@ -115,6 +115,54 @@ fn recovers_five_pixels_and_three_degrees_with_changed_brightness() {
     }
 }
 
+/// An image in steps of 8 grey levels: errors of every pixel that are as good as independent.
+fn quantised(image: &GrayImage) -> GrayImage {
+    image.map(|v| (v / 8.0).round() * 8.0)
+}
+
+#[test]
+fn covariance_of_the_pose_is_that_of_its_errors() {
+    let (image, depth) = render(&Se3::identity(), 1.0, 0.0);
+    let pyramid = Pyramid::new(quantised(&image), 3);
+    let reference = Reference::new(&pyramid, &PINHOLE, &samples(&depth, 4, 20), 0, 2);
+    let config = |pixels_per_measurement| AlignmentConfig {
+        coarsest_level: 2,
+        finest_level: 0,
+        max_points: 0,
+        // steps of 8, of which interpolation averages a half away in the frame
+        sigma_intensity: (64.0_f32 / 12.0 * 1.5).sqrt(),
+        pixels_per_measurement,
+        ..AlignmentConfig::default()
+    };
+    let num_motions = 16;
+    let mut sum = 0.0;
+    for k in 0..num_motions {
+        let angle = f64::from(k) * 0.7;
+        let (s, c) = angle.sin_cos();
+        let twist = Vec6::new(
+            0.02 * c,
+            0.015 * s,
+            0.01 * c,
+            0.006 * s,
+            -0.008 * c,
+            0.01 * s,
+        );
+        let truth = Se3::exp(&twist);
+        let frame = Pyramid::new(quantised(&render(&truth, 1.0, 0.0).0), 3);
+        let target = Target::new(&frame, &PINHOLE, 0, 2);
+        let start = Motion::from_pose(truth);
+        let found = |n| align(&reference, &target, &start, Freedom::Rigid, &config(n));
+        let one = found(1.0);
+        let covariance = one.covariance.unwrap();
+        let error = (one.motion.frame_from_keyframe * truth.inverse()).log();
+        sum += error.dot(&(covariance.try_inverse().unwrap() * error)) / 6.0;
+        let eight = found(8.0).covariance.unwrap();
+        assert!((eight - covariance * 8.0).norm() < 1e-9 * eight.norm());
+    }
+    let normalised = sum / f64::from(num_motions);
+    assert!(normalised > 0.3 && normalised < 3.0, "{normalised}");
+}
+
 #[test]
 fn rotation_alone_is_found_from_points_at_infinity() {
     let (reference_image, _) = render(&Se3::identity(), 1.0, 0.0);

@@ -63,6 +63,20 @@ pub struct Fragment {
     pub joined: Option<Join>,
 }
 
+impl Fragment {
+    /// A fragment that begins with a keyframe.
+    pub(crate) fn begun(id: FragmentId, first_keyframe: KeyframeId, first_frame: usize) -> Self {
+        Self {
+            id,
+            first_keyframe,
+            first_frame,
+            keyframes: 0,
+            frames: 0,
+            joined: None,
+        }
+    }
+}
+
 /// A fragment became a part of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Join {

@@ -3,6 +3,7 @@
 use monogrid_alignment::Target;
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image, Pyramid};
+use std::sync::Arc;
 
 /// One working image.
 #[derive(Clone, Debug)]
@@ -22,7 +23,7 @@ pub struct FrameInput {
 pub(crate) struct Frame {
     pub index: usize,
     pub timestamp_ns: i64,
-    pub pyramid: Pyramid,
+    pub pyramid: Arc<Pyramid>,
     pub target: Target,
 }
 
@@ -38,7 +39,7 @@ impl Frame {
         Self {
             index: input.index,
             timestamp_ns: input.timestamp_ns,
-            pyramid,
+            pyramid: Arc::new(pyramid),
             target,
         }
     }

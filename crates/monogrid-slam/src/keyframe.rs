@@ -48,6 +48,9 @@ pub struct PoseSnapshot {
     /// tracked on when it was made (mostly the one before), in the units of that one, by identity;
     /// `None` or missing where it is not known (yet).
     pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
+    /// The keyframe that each was tracked on when it was made, by identity; none for the first of a
+    /// fragment.
+    pub parent: Vec<Option<KeyframeId>>,
     /// Fragment of each keyframe, by identity; the main map where it is missing.
     pub fragment: Vec<FragmentId>,
 }
@@ -59,6 +62,11 @@ impl PoseSnapshot {
         self.fragment.get(id as usize).copied().unwrap_or(MAIN_MAP)
     }
 
+    /// The keyframe on which another was tracked.
+    pub(crate) fn parent_of(&self, id: KeyframeId) -> Option<KeyframeId> {
+        self.parent.get(id as usize).copied().flatten()
+    }
+
     /// Pose and scale of a keyframe in the main map, if it belongs to it.
     #[must_use]
     pub fn in_main_map(&self, id: KeyframeId) -> Option<&Sim3> {
@@ -68,10 +76,11 @@ impl PoseSnapshot {
 }
 
 /// Whether lengths are metres.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
     /// World units are metres.
     Metric,
+    #[default]
     /// World units are arbitrary: the median depth of the first keyframe is 1.
     Arbitrary,
 }

@@ -17,8 +17,8 @@ mod fragments;
 mod frame;
 mod graph;
 mod keyframe;
+mod map;
 pub mod mapping;
-mod node;
 mod policy;
 mod report;
 mod sparse;
@@ -41,6 +41,7 @@ pub use graph::{
 pub use keyframe::{
     DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame, TrajectoryPose,
 };
+pub use map::Event;
 pub use report::{FrameReport, InFragment, LostReason, MapSize, StageTimes, TrackingState};
 pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};

@@ -85,9 +85,44 @@ pub struct StageTimes {
     pub graph: f64,
 }
 
-/// Wall time since an instant.
-pub(crate) fn milliseconds(begin: Instant) -> f64 {
-    begin.elapsed().as_secs_f64() * 1e3
+/// A stage of which the time is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stage {
+    Tracking,
+    Depth,
+    Graph,
+}
+
+/// Times the stages of a frame one after the other.
+#[derive(Debug)]
+pub(crate) struct Stopwatch {
+    times: StageTimes,
+    since: Instant,
+}
+
+impl Stopwatch {
+    pub(crate) fn start() -> Self {
+        Self {
+            times: StageTimes::default(),
+            since: Instant::now(),
+        }
+    }
+
+    /// The time since the last lap was spent on this stage.
+    pub(crate) fn lap(&mut self, stage: Stage) {
+        let now = Instant::now();
+        let milliseconds = (now - self.since).as_secs_f64() * 1e3;
+        self.since = now;
+        *match stage {
+            Stage::Tracking => &mut self.times.tracking,
+            Stage::Depth => &mut self.times.depth,
+            Stage::Graph => &mut self.times.graph,
+        } += milliseconds;
+    }
+
+    pub(crate) fn times(&self) -> StageTimes {
+        self.times
+    }
 }
 
 /// Size of what the system keeps about the places it has seen.

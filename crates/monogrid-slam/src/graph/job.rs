@@ -1,24 +1,11 @@
 //! What the graph is given, and what comes of it.
 
-use crate::node::Exposure;
+use crate::map::View;
+use crate::sparse::SharedPoints;
 use crate::stored::StoredEdge;
-use crate::{FragmentId, KeyframeId};
-use monogrid_alignment::DepthSample;
-use monogrid_geometry::{Mat6, Mat7, Se3, Sim3};
-use monogrid_image::Pyramid;
+use crate::{FragmentId, KeyframeId, PoseSnapshot};
+use monogrid_geometry::{Mat6, Se3, Sim3};
 use std::sync::Arc;
-
-/// A finished keyframe: what the alignment needs.
-#[derive(Clone, Debug)]
-pub(crate) struct GraphView {
-    pub id: KeyframeId,
-    pub pyramid: Arc<Pyramid>,
-    /// Depth in the keyframe's units.
-    pub samples: Vec<DepthSample>,
-    pub exposure: Exposure,
-    /// Whether its shape and scale can be relied on: not so the first keyframes of a random start.
-    pub is_settled: bool,
-}
 
 /// Motion between a keyframe and the one that it was tracked on, as tracking found it.
 #[derive(Clone, Copy, Debug)]
@@ -46,36 +33,24 @@ pub(crate) struct Handover {
 /// A keyframe that a frame shows, and where the frame is.
 #[derive(Clone, Debug)]
 pub(crate) struct Relocalised {
-    pub view: GraphView,
+    pub view: Arc<View>,
     /// Translation in the keyframe's units.
     pub frame_from_keyframe: Se3,
-}
-
-/// Two keyframes that share points of the sparse layer.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct SparseEdge {
-    pub i: KeyframeId,
-    pub j: KeyframeId,
-    pub shared_points: usize,
 }
 
 /// What the graph has to do for a finished keyframe.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GraphJob {
     /// The keyframe that was finished, if one was.
-    pub finished: Option<GraphView>,
-    /// Present poses of all keyframes, by identity.
-    pub world_from_keyframe: Vec<Sim3>,
-    /// The keyframe that each was tracked on when it was made, by identity.
-    pub parents: Vec<Option<KeyframeId>>,
-    /// Fragment of each, by identity; the main map where it is missing.
-    pub fragments: Vec<FragmentId>,
+    pub finished: Option<Arc<View>>,
+    /// The map of keyframes as it is.
+    pub poses: Arc<PoseSnapshot>,
     /// Motion of the newest keyframe.
     pub odometry: Option<OdometryEdge>,
     /// The change to a keyframe that existed already.
     pub handover: Option<Handover>,
     /// Pairs whose relative pose the sparse layer has just adjusted.
-    pub sparse_edges: Vec<SparseEdge>,
+    pub shared_points: Vec<SharedPoints>,
     /// Whether all keyframes look for constraints once more.
     pub is_final: bool,
 }
@@ -84,22 +59,16 @@ pub(crate) struct GraphJob {
 #[derive(Clone, Debug)]
 pub(crate) struct RestoredGraph {
     /// All keyframes, by identity.
-    pub views: Vec<GraphView>,
-    pub world_from_keyframe: Vec<Sim3>,
-    pub parents: Vec<Option<KeyframeId>>,
-    pub fragments: Vec<FragmentId>,
+    pub views: Vec<Arc<View>>,
+    pub poses: Arc<PoseSnapshot>,
     pub edges: Vec<StoredEdge>,
 }
 
 /// What came of a job.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GraphUpdate {
-    /// Poses of all keyframes of the job, by identity.
-    pub world_from_keyframe: Vec<Sim3>,
-    /// Covariance of each keyframe relative to its parent, in the units of that one.
-    pub previous_from_keyframe_covariance: Vec<Option<Mat7>>,
-    /// Fragment of each keyframe of the job, by identity.
-    pub fragments: Vec<FragmentId>,
+    /// The keyframes of the job as the graph has them.
+    pub poses: PoseSnapshot,
     /// Fragments that became a part of another.
     pub joined: Vec<Joined>,
     /// All edges.
@@ -128,6 +97,8 @@ pub struct GraphStats {
     pub loop_closures: usize,
     /// Constraints that the optimisation has switched off.
     pub switched_off: usize,
+    /// Optimisations that failed: the poses stayed as they were.
+    pub failed: usize,
     /// Longest time from a keyframe's finish to the use of its optimised poses, ms.
     pub max_wait_ms: f64,
     /// Time of the alignments, ms.

@@ -20,8 +20,7 @@ pub use config::{
 };
 pub use job::{EdgeKind, GraphStats};
 pub(crate) use job::{
-    GraphJob, GraphUpdate, GraphView, Handover, Joined, OdometryEdge, Relocalised, RestoredGraph,
-    SparseEdge,
+    GraphJob, GraphUpdate, Handover, Joined, OdometryEdge, Relocalised, RestoredGraph,
 };
 pub(crate) use keyframe_graph::KeyframeGraph;
 pub use places::PlacesError;

@@ -2,13 +2,14 @@
 
 use super::{GraphJob, GraphUpdate, KeyframeGraph, Relocalised};
 use monogrid_image::Pyramid;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 /// What the thread is asked.
 pub(crate) enum Request {
     Job(Box<GraphJob>),
-    Relocalise(Pyramid),
+    Relocalise(Arc<Pyramid>),
 }
 
 /// The graph and the thread on which it works. At most one job is under way.
@@ -105,13 +106,13 @@ impl GraphWorker {
     }
 
     /// Where a frame is among the keyframes of all jobs so far, waiting for the answer.
-    pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
+    pub(crate) fn relocalise(&self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
         match self {
             Self::Inline { graph, .. } => graph.relocalise(frame),
             Self::Threaded {
                 requests, places, ..
             } => {
-                let request = Request::Relocalise(frame.clone());
+                let request = Request::Relocalise(Arc::clone(frame));
                 let is_sent = requests.as_ref().is_some_and(|r| r.send(request).is_ok());
                 is_sent
                     .then(|| places.recv().ok())

@@ -1,61 +1,19 @@
 //! Bundle adjustment over the newest and the most covisible keyframes.
 
 use super::SparseConfig;
-use super::points::SparseLayer;
-use crate::node::Node;
-use crate::{FragmentId, KeyframeId};
-use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
+use crate::KeyframeId;
+use crate::Scale;
+use crate::map::{Adjustment, Map, MapKeyframe};
+use monogrid_geometry::Pinhole;
 use monogrid_graph::bundle::{
-    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, InverseDepthPrior, Observation,
-    PoseFreedom, adjust,
+    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, BundleSolution, InverseDepthPrior,
+    Observation, PoseFreedom, adjust,
 };
-use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose as refine_pose_only};
-use std::collections::BTreeMap;
-
-/// What an adjustment did.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Adjusted {
-    pub num_keyframes: usize,
-    pub num_points: usize,
-    pub removed_observations: usize,
-}
-
-/// A pose from found points, and which of them agree with it.
-pub(crate) struct RefinedPose {
-    pub camera_from_world: Se3,
-    pub inlier: Vec<bool>,
-}
-
-/// Refines a pose on points with known positions.
-pub(crate) fn refine_pose(
-    initial: &Se3,
-    matches: &[(Vec3, Vec2)],
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> RefinedPose {
-    let matches: Vec<MapMatch> = matches
-        .iter()
-        .map(|(point_in_world, pixel)| MapMatch {
-            point_in_world: *point_in_world,
-            pixel: *pixel,
-            inv_sigma_px: 1.0 / config.pose_sigma_px,
-        })
-        .collect();
-    match refine_pose_only(initial, pinhole, &matches, &PoseOnlyConfig::default()) {
-        Ok(solution) => RefinedPose {
-            camera_from_world: solution.camera_from_world,
-            inlier: solution.inliers,
-        },
-        Err(_) => RefinedPose {
-            camera_from_world: *initial,
-            inlier: vec![false; matches.len()],
-        },
-    }
-}
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What is known about the world of a fragment.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Gauge {
+struct Gauge {
     /// The keyframe that is the world.
     origin: KeyframeId,
     /// Whether the inverse depths of its points are metric measurements.
@@ -63,97 +21,55 @@ pub(crate) struct Gauge {
 }
 
 impl Gauge {
-    pub(crate) fn of(layer: &SparseLayer, nodes: &[Node], fragment: FragmentId) -> Self {
-        let first = nodes.iter().find(|node| node.fragment == fragment);
-        let origin = first.map_or(0, |node| node.id);
+    fn of_fragment(map: &Map, newest: &MapKeyframe) -> Self {
+        let first = map.in_fragment(newest.fragment).next();
+        let origin = first.map_or(0, |keyframe| keyframe.id);
         Self {
             origin,
-            is_metric: layer.has_seed && origin == 0,
+            is_metric: map.scale() == Scale::Metric && origin == 0,
         }
     }
 }
 
-/// Adjusts the window around the newest keyframe, the last of `recent`, and removes observations that do not
-/// fit.
-pub(crate) fn adjust_window(
-    layer: &mut SparseLayer,
-    recent: &[KeyframeId],
-    gauge: Gauge,
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Adjusted {
-    let mut free = window(layer, recent, config);
+/// Adjusts the window around the newest keyframe; says which observations do not fit.
+pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Adjustment {
+    let Some(newest) = map.newest() else {
+        return Adjustment::default();
+    };
+    let gauge = Gauge::of_fragment(map, newest);
+    let mut free = window(map, newest, config);
     // A keyframe that sees too little keeps the pose that tracking gave it.
-    let seen = count_observations(layer);
-    free.retain(|id| seen.get(id).copied().unwrap_or(0) >= config.min_shared_points);
-    let Some(problem) = Problem::build(layer, &free, gauge, pinhole, config) else {
-        return Adjusted::default();
+    free.retain(|id| num_shared_points(map, *id) >= config.min_shared_points);
+    let Some(problem) = Problem::build(map, &free, gauge, pinhole, config) else {
+        return Adjustment::default();
     };
     let settings = BundleConfig {
         max_iterations: config.max_iterations,
         inlier_chi2: config.max_chi_sq,
         ..BundleConfig::default()
     };
-    let Ok(solution) = adjust(&problem.bundle, &settings) else {
-        return Adjusted::default();
-    };
-    for (slot, &id) in problem.keyframes.iter().enumerate() {
-        layer.camera_from_world[id as usize] = solution.camera_from_world[slot];
-    }
-    for (slot, &index) in problem.points.iter().enumerate() {
-        layer.points[index].idepth = solution.inverse_depths[slot];
-    }
-    let mut removed = 0;
-    for (observation, outcome) in problem
-        .bundle
-        .observations
-        .iter()
-        .zip(&solution.observations)
-    {
-        if outcome.is_inlier() {
-            continue;
-        }
-        let keyframe = problem.keyframes[observation.keyframe];
-        let point = &mut layer.points[problem.points[observation.point]];
-        point.observations.retain(|o| o.keyframe != keyframe);
-        removed += 1;
-    }
-    Adjusted {
-        num_keyframes: free.len(),
-        num_points: problem.points.len(),
-        removed_observations: removed,
+    match adjust(&problem.bundle, &settings) {
+        Ok(solution) => problem.adjustment(free.len(), &solution),
+        Err(error) => Adjustment {
+            failure: Some(error),
+            ..Adjustment::default()
+        },
     }
 }
 
-/// How many points with at least two views each keyframe sees.
-fn count_observations(layer: &SparseLayer) -> BTreeMap<KeyframeId, usize> {
-    let mut seen = BTreeMap::new();
-    for point in layer
-        .points
-        .iter()
-        .filter(|p| p.alive && !p.observations.is_empty())
-    {
-        let others = point.observations.iter().map(|o| o.keyframe);
-        for id in others.chain([point.host]) {
-            *seen.entry(id).or_default() += 1;
-        }
-    }
-    seen
+/// How many points a keyframe shares with others.
+fn num_shared_points(map: &Map, id: KeyframeId) -> usize {
+    let points = map[id].points.all().map(|index| &map.points()[index]);
+    points.filter(|point| point.is_shared()).count()
 }
 
 /// The keyframes used last, and the others that share most points with the newest.
-fn window(layer: &SparseLayer, recent: &[KeyframeId], config: &SparseConfig) -> Vec<KeyframeId> {
+fn window(map: &Map, newest: &MapKeyframe, config: &SparseConfig) -> Vec<KeyframeId> {
+    let recent = map.recent_in(newest.fragment);
     let recent = &recent[recent.len().saturating_sub(config.window_newest)..];
-    let Some(&newest) = recent.last() else {
-        return Vec::new();
-    };
     let mut shared: BTreeMap<KeyframeId, usize> = BTreeMap::new();
-    for point in layer.points.iter().filter(|p| p.alive) {
-        let seen_by_newest =
-            point.host == newest || point.observations.iter().any(|o| o.keyframe == newest);
-        if !seen_by_newest {
-            continue;
-        }
+    let points = newest.points.all().map(|index| &map.points()[index]);
+    for point in points.filter(|p| p.alive) {
         let others = point.observations.iter().map(|o| o.keyframe);
         for id in others.chain([point.host]).filter(|id| !recent.contains(id)) {
             *shared.entry(id).or_default() += 1;
@@ -186,24 +102,21 @@ struct Problem {
 impl Problem {
     /// All points that a free keyframe sees; other keyframes that see them are held fixed.
     fn build(
-        layer: &SparseLayer,
+        map: &Map,
         free: &[KeyframeId],
         gauge: Gauge,
         pinhole: &Pinhole,
         config: &SparseConfig,
     ) -> Option<Self> {
         let is_free = |id: KeyframeId| free.binary_search(&id).is_ok();
-        let points: Vec<usize> = layer
-            .points
-            .iter()
-            .enumerate()
-            .filter(|(_, p)| p.alive && !p.observations.is_empty())
-            .filter(|(_, p)| is_free(p.host) || p.observations.iter().any(|o| is_free(o.keyframe)))
-            .map(|(i, _)| i)
+        let seen: BTreeSet<usize> = free.iter().flat_map(|id| map[*id].points.all()).collect();
+        let points: Vec<usize> = seen
+            .into_iter()
+            .filter(|index| map.points()[*index].is_shared())
             .collect();
         let mut slots: BTreeMap<KeyframeId, usize> = free.iter().map(|id| (*id, 0)).collect();
         for &i in &points {
-            let point = &layer.points[i];
+            let point = &map.points()[i];
             slots.insert(point.host, 0);
             slots.extend(point.observations.iter().map(|o| (o.keyframe, 0)));
         }
@@ -213,13 +126,13 @@ impl Problem {
         let keyframes: Vec<KeyframeId> = slots.keys().copied().collect();
         let mut bundle = BundleProblem {
             pinhole: *pinhole,
-            keyframes: freedoms(layer, &keyframes, &is_free, gauge),
+            keyframes: freedoms(map, &keyframes, &is_free, gauge),
             points: Vec::with_capacity(points.len()),
             observations: Vec::new(),
             pose_priors: Vec::new(),
         };
         for (slot, &i) in points.iter().enumerate() {
-            let point = &layer.points[i];
+            let point = &map.points()[i];
             bundle.points.push(AnchoredPoint {
                 host: slots[&point.host],
                 pixel: point.pixel,
@@ -246,12 +159,34 @@ impl Problem {
             points,
         })
     }
+
+    /// What a solution says about keyframes and points.
+    fn adjustment(&self, num_free: usize, solution: &BundleSolution) -> Adjustment {
+        let keyframes = self.keyframes.iter().copied();
+        let points = self.points.iter().copied();
+        let observations = self.bundle.observations.iter();
+        Adjustment {
+            num_free,
+            camera_from_world: keyframes
+                .zip(solution.camera_from_world.iter().copied())
+                .collect(),
+            idepths: points
+                .zip(solution.inverse_depths.iter().copied())
+                .collect(),
+            refuted: observations
+                .zip(&solution.observations)
+                .filter(|(_, outcome)| !outcome.is_inlier())
+                .map(|(o, _)| (self.points[o.point], self.keyframes[o.keyframe]))
+                .collect(),
+            failure: None,
+        }
+    }
 }
 
 /// What may change about each pose. The first keyframe of the fragment is its world; where nothing else is fixed and no
 /// depth was measured, the distance to the farthest keyframe holds the scale.
 fn freedoms(
-    layer: &SparseLayer,
+    map: &Map,
     keyframes: &[KeyframeId],
     is_free: &dyn Fn(KeyframeId) -> bool,
     gauge: Gauge,
@@ -259,7 +194,7 @@ fn freedoms(
     let mut out: Vec<BundleKeyframe> = keyframes
         .iter()
         .map(|&id| BundleKeyframe {
-            camera_from_world: layer.camera_from_world[id as usize],
+            camera_from_world: map[id].camera_from_world,
             freedom: if id == gauge.origin || !is_free(id) {
                 PoseFreedom::Fixed
             } else {

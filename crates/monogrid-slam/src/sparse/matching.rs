@@ -1,69 +1,60 @@
 //! Finding points in keyframes by their patches.
 
 use super::SparseConfig;
-use super::points::{Observation, SparseLayer, SparsePoint};
 use crate::KeyframeId;
-use crate::node::Node;
+use crate::map::{Map, MapKeyframe, Observation, SparsePoint};
 use monogrid_depth::{DepthMap, DepthState};
-use monogrid_features::{CornerConfig, PatchSearchConfig, detect_corners, find_patch, patch_warp};
+use monogrid_features::{PatchSearchConfig, find_patch, patch_warp};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
-use monogrid_image::Mask;
 use rayon::prelude::*;
 
 /// Points that were looked for in a new keyframe.
-pub(crate) struct Search {
+pub(super) struct Search {
     pub num_searched: usize,
     /// Index of the point and where it was found.
     pub found: Vec<(usize, Vec2)>,
 }
 
-/// A point about to be anchored.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct NewPoint {
-    pub pixel: Vec2,
-    /// 1 / world units.
-    pub idepth: f64,
-    pub sigma: f64,
-}
-
 /// No point closer to the border than this, px: room for a patch.
 const BORDER_PX: f64 = 10.0;
 
+/// Position of a point in the world.
+pub(super) fn position(map: &Map, point: &SparsePoint, pinhole: &Pinhole) -> Vec3 {
+    let direction = pinhole.unproject(&point.pixel);
+    map[point.host].camera_from_world.inverse() * (direction / point.idepth)
+}
+
+/// Width and height of the images, px.
+fn size_of(keyframe: &MapKeyframe) -> (f64, f64) {
+    let image = keyframe.pyramid.level(0);
+    (image.width() as f64, image.height() as f64)
+}
+
+fn is_inside(pixel: &Vec2, size: (f64, f64)) -> bool {
+    pixel.x >= BORDER_PX
+        && pixel.y >= BORDER_PX
+        && pixel.x < size.0 - BORDER_PX
+        && pixel.y < size.1 - BORDER_PX
+}
+
 /// Projects all points into the newest keyframe, spreads the visible ones over the image, and looks
 /// for their patches.
-pub(crate) fn find_in_new_keyframe(
-    layer: &SparseLayer,
-    nodes: &[Node],
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Search {
-    let Some((newest, _)) = nodes.split_last() else {
+pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Search {
+    let Some(newest) = map.newest() else {
         return Search {
             num_searched: 0,
             found: Vec::new(),
         };
     };
-    let camera_from_world = layer.camera_from_world[newest.id as usize];
-    let image = newest.pyramid.level(0);
-    let size = (image.width() as f64, image.height() as f64);
-    let visible: Vec<(usize, Vec2)> = layer
-        .points
-        .iter()
-        .enumerate()
-        .filter(|(_, point)| point.alive && nodes[point.host as usize].fragment == newest.fragment)
-        .filter_map(|(i, point)| {
-            predict(layer, point, &camera_from_world, size, pinhole, config).map(|pixel| (i, pixel))
-        })
-        .collect();
-    let chosen = spread(&visible, layer, size, config);
+    let visible = visible_in(map, newest, pinhole, config);
+    let chosen = spread(&visible, map.points(), size_of(newest), config);
     let search = search_config(config);
     let found: Vec<Option<(usize, Vec2)>> = chosen
         .par_iter()
-        .map(|&(i, predicted)| {
-            let point = &layer.points[i];
-            let host = &nodes[point.host as usize];
-            let newest_from_host =
-                camera_from_world * layer.camera_from_world[point.host as usize].inverse();
+        .map(|&(index, predicted)| {
+            let point = &map.points()[index];
+            let host = &map[point.host];
+            let newest_from_host = newest.camera_from_world * host.camera_from_world.inverse();
             let warp = patch_warp(pinhole, &point.pixel, point.idepth, &newest_from_host)?;
             // the search wants offsets in the reference from offsets in the current image
             let outcome = find_patch(
@@ -74,7 +65,7 @@ pub(crate) fn find_in_new_keyframe(
                 &predicted,
                 &search,
             );
-            outcome.pixel().map(|pixel| (i, pixel))
+            outcome.pixel().map(|pixel| (index, pixel))
         })
         .collect();
     Search {
@@ -90,33 +81,46 @@ fn search_config(config: &SparseConfig) -> PatchSearchConfig {
     }
 }
 
-/// Pixel of a point in a camera, if it lies inside and is seen from about where its anchor sees it.
+/// The points of its fragment that a keyframe should see, and where.
+fn visible_in(
+    map: &Map,
+    keyframe: &MapKeyframe,
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Vec<(usize, Vec2)> {
+    let hosts = map.in_fragment(keyframe.fragment);
+    hosts
+        .flat_map(|host| host.points.anchored.clone().map(move |index| (index, host)))
+        .map(|(index, host)| (index, &map.points()[index], host))
+        .filter(|(_, point, _)| point.alive)
+        .filter_map(|(index, point, host)| {
+            let host_from_world = &host.camera_from_world;
+            let pixel = predict(point, host_from_world, keyframe, pinhole, config)?;
+            Some((index, pixel))
+        })
+        .collect()
+}
+
+/// Pixel of a point in a keyframe, if it lies inside and is seen from about where its anchor sees it.
 fn predict(
-    layer: &SparseLayer,
     point: &SparsePoint,
-    camera_from_world: &Se3,
-    size: (f64, f64),
+    host_from_world: &Se3,
+    keyframe: &MapKeyframe,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Option<Vec2> {
-    let position = point.position(&layer.camera_from_world, pinhole);
-    let in_camera = *camera_from_world * position;
+    let world_from_host = host_from_world.inverse();
+    let position = world_from_host * (pinhole.unproject(&point.pixel) / point.idepth);
+    let in_camera = keyframe.camera_from_world * position;
     if in_camera.z <= 1e-6 {
         return None;
     }
     let pixel = pinhole.project(&in_camera);
-    let inside = pixel.x >= BORDER_PX
-        && pixel.y >= BORDER_PX
-        && pixel.x < size.0 - BORDER_PX
-        && pixel.y < size.1 - BORDER_PX;
-    if !inside {
+    if !is_inside(&pixel, size_of(keyframe)) {
         return None;
     }
-    let host_centre = layer.camera_from_world[point.host as usize]
-        .inverse()
-        .translation;
-    let centre = camera_from_world.inverse().translation;
-    let (a, b): (Vec3, Vec3) = (position - host_centre, position - centre);
+    let centre = keyframe.camera_from_world.inverse().translation;
+    let (a, b): (Vec3, Vec3) = (position - world_from_host.translation, position - centre);
     let ratio = a.norm() / b.norm();
     let limit = config.max_distance_ratio;
     let cosine = a.dot(&b) / (a.norm() * b.norm());
@@ -127,7 +131,7 @@ fn predict(
 /// At most `max_searched_points`, taken round robin from square cells, the best observed ones first.
 fn spread(
     visible: &[(usize, Vec2)],
-    layer: &SparseLayer,
+    points: &[SparsePoint],
     size: (f64, f64),
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
@@ -140,7 +144,7 @@ fn spread(
     }
     for list in &mut cells {
         list.sort_by_key(|(i, _)| {
-            let seen = layer.points[*i].observations.len();
+            let seen = points[*i].observations.len();
             (std::cmp::Reverse(seen), *i)
         });
     }
@@ -157,46 +161,11 @@ fn spread(
     chosen
 }
 
-/// New corners of the newest keyframe where it sees few points, with depth from the dense map.
-pub(crate) fn anchor_points(
-    node: &Node,
-    depth: &DepthMap,
-    seen: &[Vec2],
-    mask: &Mask,
-    config: &SparseConfig,
-) -> Vec<NewPoint> {
-    let missing = config.points_per_keyframe.saturating_sub(seen.len());
-    if missing == 0 {
-        return Vec::new();
-    }
-    let corners = detect_corners(
-        &node.pyramid,
-        Some(mask),
-        seen,
-        &CornerConfig {
-            max_corners: missing,
-            ..CornerConfig::default()
-        },
-    );
-    let unit = node.world_from_keyframe.scale;
-    corners
-        .iter()
-        .filter_map(|corner| {
-            let (idepth, sigma) = dense_idepth(depth, &corner.pixel)?;
-            Some(NewPoint {
-                pixel: corner.pixel,
-                idepth: idepth / unit,
-                sigma: sigma / unit,
-            })
-        })
-        .collect()
-}
-
 /// Half width of the neighbourhood in which the dense depth of a corner is looked up, px.
 const LOOKUP_RADIUS: i32 = 2;
 
 /// Median inverse depth around a pixel and its uncertainty, keyframe units.
-pub(crate) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)> {
+pub(super) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)> {
     let host = depth.host();
     let (cx, cy) = (pixel.x.round() as i32, pixel.y.round() as i32);
     let mut known: Vec<(f32, f32)> = Vec::new();
@@ -223,68 +192,61 @@ pub(crate) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)>
     (idepth > 0.0).then(|| (f64::from(idepth), f64::from((var + spread * spread).sqrt())))
 }
 
-/// For each new point of the newest keyframe, where the keyframes used last see it.
-pub(crate) fn find_in_older_keyframes(
-    layer: &SparseLayer,
-    nodes: &[Node],
-    recent: &[KeyframeId],
-    anchored: &[NewPoint],
+/// For each of the points about to be anchored in the newest keyframe, where the keyframes used last see it.
+pub(super) fn find_in_older(
+    map: &Map,
+    newest: &MapKeyframe,
+    points: &[SparsePoint],
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<Vec<Observation>> {
-    let Some((newest, _)) = nodes.split_last() else {
-        return Vec::new();
-    };
-    let older: Vec<&Node> = recent
-        .iter()
-        .rev()
-        .filter(|id| **id != newest.id)
+    let recent = map.recent_in(newest.fragment);
+    let is_other = |id: &&KeyframeId| **id != newest.id;
+    let others = recent.iter().rev().filter(is_other);
+    let mut older: Vec<&MapKeyframe> = others
         .take(config.back_search_keyframes)
-        .map(|id| &nodes[*id as usize])
+        .map(|id| &map[*id])
         .collect();
-    let world_from_newest = layer.camera_from_world[newest.id as usize].inverse();
-    let image = newest.pyramid.level(0);
-    let size = (image.width() as f64, image.height() as f64);
+    older.reverse();
     let search = search_config(config);
-    anchored
+    points
         .par_iter()
         .map(|point| {
-            let position = pinhole.unproject(&point.pixel) / point.idepth;
-            let mut observations = Vec::new();
-            for node in older.iter().rev() {
-                let node_from_newest =
-                    layer.camera_from_world[node.id as usize] * world_from_newest;
-                let in_node = node_from_newest * position;
-                if in_node.z <= 1e-6 {
-                    continue;
-                }
-                let predicted = pinhole.project(&in_node);
-                let inside = predicted.x >= BORDER_PX
-                    && predicted.y >= BORDER_PX
-                    && predicted.x < size.0 - BORDER_PX
-                    && predicted.y < size.1 - BORDER_PX;
-                if !inside {
-                    continue;
-                }
-                let warp = patch_warp(pinhole, &point.pixel, point.idepth, &node_from_newest);
-                let outcome = warp.map(|warp| {
-                    find_patch(
-                        &newest.pyramid,
-                        &point.pixel,
-                        &warp,
-                        &node.pyramid,
-                        &predicted,
-                        &search,
-                    )
-                });
-                if let Some(pixel) = outcome.and_then(|o| o.pixel()) {
-                    observations.push(Observation {
-                        keyframe: node.id,
-                        pixel,
-                    });
-                }
-            }
-            observations
+            let seen = older.iter().filter_map(|keyframe| {
+                let pixel = find_in_one(point, newest, keyframe, pinhole, &search)?;
+                let keyframe = keyframe.id;
+                Some(Observation { keyframe, pixel })
+            });
+            seen.collect()
         })
         .collect()
+}
+
+/// Where an older keyframe sees a point of the newest.
+fn find_in_one(
+    point: &SparsePoint,
+    newest: &MapKeyframe,
+    older: &MapKeyframe,
+    pinhole: &Pinhole,
+    search: &PatchSearchConfig,
+) -> Option<Vec2> {
+    let older_from_newest = older.camera_from_world * newest.camera_from_world.inverse();
+    let in_older = older_from_newest * (pinhole.unproject(&point.pixel) / point.idepth);
+    if in_older.z <= 1e-6 {
+        return None;
+    }
+    let predicted = pinhole.project(&in_older);
+    if !is_inside(&predicted, size_of(newest)) {
+        return None;
+    }
+    let warp = patch_warp(pinhole, &point.pixel, point.idepth, &older_from_newest)?;
+    let outcome = find_patch(
+        &newest.pyramid,
+        &point.pixel,
+        &warp,
+        &older.pyramid,
+        &predicted,
+        search,
+    );
+    outcome.pixel()
 }

@@ -1,20 +1,46 @@
 //! The sparse layer: points anchored in keyframes and found again in covisible ones, adjusted when a
 //! keyframe is made. It holds pose and scale; the dense depth follows it.
 //!
-//! Flow for a new keyframe: [`SparseLayer::add_keyframe`] projects the points of all keyframes →
-//! finds their patches → refines the pose → anchors new points and finds them in older keyframes →
-//! bundle adjustment over the newest and the most covisible keyframes → poses of the keyframes in
-//! world units. [`scale::keyframe_scale`] then pins the unit of each keyframe's dense depth.
+//! For a new keyframe, each step reads the map as the one before left it: [`register`] finds the points of
+//! all keyframes in it and refines its pose → [`anchor`] makes new points and finds them in older keyframes →
+//! [`adjust_window`] is bundle adjustment over the newest and the most covisible keyframes →
+//! [`unconfirmed`] names points that were not found again → [`dense_links`] and [`world_from_keyframes`] pin
+//! the unit of each keyframe's dense depth to the points.
 //!
 //! Lengths here are world units; every keyframe is a rigid pose.
 
 mod adjust;
+mod anchor;
 mod config;
 mod matching;
-mod points;
-pub(crate) mod scale;
+mod register;
+mod scale;
+mod shared;
 
+pub(crate) use adjust::adjust_window;
+pub(crate) use anchor::{anchor, unconfirmed};
 pub use config::SparseConfig;
-pub(crate) use points::SparseLayer;
-pub use points::SparseStats;
-pub(crate) use points::{Observation, SparsePoint};
+pub(crate) use register::register;
+pub(crate) use scale::{dense_links, world_from_keyframes};
+pub(crate) use shared::{SharedPoints, shared_points};
+
+/// What the sparse layer did for one keyframe.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SparseStats {
+    /// Old points that were looked for.
+    pub searched: usize,
+    /// Old points whose patch was found.
+    pub found: usize,
+    /// Found points that agree with the pose.
+    pub inliers: usize,
+    /// New points.
+    pub anchored: usize,
+    /// Keyframes whose poses were adjusted.
+    pub adjusted_keyframes: usize,
+    /// Points in the adjustment.
+    pub adjusted_points: usize,
+    /// Observations that the adjustment refuted.
+    pub removed_observations: usize,
+    /// Why the adjustment failed, if it did: poses and points are then as they were found.
+    pub failure: Option<monogrid_graph::bundle::BundleError>,
+}

@@ -1,51 +1,31 @@
 //! The unit of a keyframe's dense depth, from the adjusted points that the keyframe sees.
 
-use super::SparseLayer;
-use super::matching::dense_idepth;
-use crate::KeyframeId;
+use super::matching::{dense_idepth, position};
+use crate::map::{DenseLink, Map, MapKeyframe, SeenPoints, SparsePoint};
+use crate::{FragmentId, KeyframeId};
 use monogrid_depth::DepthMap;
-use monogrid_geometry::{Pinhole, Vec2};
-
-/// Dense inverse depth (keyframe units) where a keyframe sees a point.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct DenseLink {
-    pub point: usize,
-    pub idepth: f64,
-    /// Relative standard deviation.
-    pub relative_sigma: f64,
-}
+use monogrid_geometry::{Pinhole, Sim3};
 
 /// Fewest points that pin a unit.
 const MIN_LINKS: usize = 20;
 /// Links with a larger relative standard deviation are not used.
 const MAX_RELATIVE_SIGMA: f64 = 0.15;
 
-/// Looks up the dense depth at every point that the keyframe sees.
+/// Looks up the dense depth at every point that a keyframe sees.
 pub(crate) fn dense_links(
-    layer: &SparseLayer,
+    points: &[SparsePoint],
+    seen: &SeenPoints,
     keyframe: KeyframeId,
     depth: &DepthMap,
 ) -> Vec<DenseLink> {
-    let pixel_in_keyframe = |point: &super::points::SparsePoint| -> Option<Vec2> {
-        if point.host == keyframe {
-            return Some(point.pixel);
-        }
-        point
-            .observations
-            .iter()
-            .find(|o| o.keyframe == keyframe)
-            .map(|o| o.pixel)
-    };
-    layer
-        .points
-        .iter()
-        .enumerate()
+    seen.all()
+        .map(|index| (index, &points[index]))
         .filter(|(_, point)| point.alive)
-        .filter_map(|(i, point)| {
-            let (idepth, sigma) = dense_idepth(depth, &pixel_in_keyframe(point)?)?;
+        .filter_map(|(index, point)| {
+            let (idepth, sigma) = dense_idepth(depth, &point.pixel_in(keyframe)?)?;
             let relative_sigma = sigma / idepth;
             (relative_sigma < MAX_RELATIVE_SIGMA).then_some(DenseLink {
-                point: i,
+                point: index,
                 idepth,
                 relative_sigma,
             })
@@ -53,22 +33,32 @@ pub(crate) fn dense_links(
         .collect()
 }
 
+/// Poses and units of the keyframes of a fragment as the points have them. Where too few points pin a unit
+/// it stays.
+pub(crate) fn world_from_keyframes(
+    map: &Map,
+    fragment: FragmentId,
+    pinhole: &Pinhole,
+) -> Vec<(KeyframeId, Sim3)> {
+    map.in_fragment(fragment)
+        .map(|keyframe| {
+            let unit = keyframe_unit(map, keyframe, pinhole);
+            let unit = unit.unwrap_or(keyframe.world_from_keyframe.scale);
+            let world_from_camera = keyframe.camera_from_world.inverse();
+            (keyframe.id, world_from_camera.with_scale(unit))
+        })
+        .collect()
+}
+
 /// Length of the keyframe's unit in world units: the weighted median of dense over adjusted inverse
 /// depth; `None` with too few points.
-pub(crate) fn keyframe_scale(
-    layer: &SparseLayer,
-    keyframe: KeyframeId,
-    links: &[DenseLink],
-    pinhole: &Pinhole,
-) -> Option<f64> {
-    let camera_from_world = layer.camera_from_world.get(keyframe as usize)?;
+fn keyframe_unit(map: &Map, keyframe: &MapKeyframe, pinhole: &Pinhole) -> Option<f64> {
+    let links = keyframe.points.links.iter();
     let mut ratios: Vec<(f64, f64)> = links
-        .iter()
-        .filter(|link| layer.points[link.point].alive)
-        .filter(|link| !layer.points[link.point].observations.is_empty())
-        .filter_map(|link| {
-            let point = &layer.points[link.point];
-            let in_camera = *camera_from_world * point.position(&layer.camera_from_world, pinhole);
+        .map(|link| (link, &map.points()[link.point]))
+        .filter(|(_, point)| point.is_shared())
+        .filter_map(|(link, point)| {
+            let in_camera = keyframe.camera_from_world * position(map, point, pinhole);
             let ratio = link.idepth * in_camera.z;
             let sigma = link.relative_sigma.max(0.01);
             (ratio.is_finite() && ratio > 0.0).then_some((ratio, 1.0 / (sigma * sigma)))

@@ -1,16 +1,20 @@
 //! Depth of keyframes: refined with every frame, handed on to the next keyframe, and brought back.
 
-use super::Slam;
+use super::camera::Active;
+use super::setup::Setup;
+use super::tracking::reference;
+use crate::Keyframe;
 use crate::depth_step::{observe, regularize, tracking_samples};
 use crate::frame::Frame;
-use crate::{Keyframe, KeyframeId};
+use crate::map::{Map, MapKeyframe};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
-use monogrid_depth::{DepthMap, DepthState, HostFrame, StereoFrame};
+use monogrid_depth::{DepthMap, DepthState, HostFrame, PackedDepth, StereoFrame};
 use monogrid_geometry::Mat6;
 use monogrid_image::GrayImage;
 use std::sync::Arc;
 
 /// Depth that a new keyframe takes over.
+#[derive(Debug)]
 pub(super) struct Successor {
     /// In the new keyframe's units.
     pub depth: DepthMap,
@@ -18,153 +22,168 @@ pub(super) struct Successor {
     pub unit: f64,
 }
 
-impl Slam {
-    /// Observes the current keyframe's pixels in a tracked frame.
-    pub(super) fn refine_depth(&mut self, frame: &Frame, alignment: &Alignment) {
-        let Some(current) = self.current.as_mut() else {
-            return;
-        };
-        current.num_mapped += 1;
-        if self.is_frozen {
-            return;
-        }
-        let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
-        let stereo = StereoFrame {
-            image: frame.image(),
-            frame_from_keyframe: alignment.motion.frame_from_keyframe,
-            gain: alignment.gain(),
-            bias: alignment.bias(),
-            residual_rms: alignment.residual_rms,
-            pose_sigma_trans,
-            pose_sigma_rot,
-            id: frame.index as u32,
-        };
-        let config = &self.config.depth;
-        observe(&mut current.depth, &[stereo], config);
-        regularize(&mut current.depth, config);
-        self.refresh_reference();
+/// A keyframe as frames are tracked on it.
+pub(super) fn activate(setup: &Setup, keyframe: &MapKeyframe, depth: DepthMap) -> Active {
+    let samples = tracking_samples(&depth, &setup.config.tracking);
+    Active {
+        id: keyframe.id,
+        reference: reference(setup, &keyframe.pyramid, &samples),
+        depth,
+        num_mapped: 0,
     }
+}
 
-    /// Rebuilds the points that frames are tracked on from the newest depth.
-    pub(super) fn refresh_reference(&mut self) {
-        let Some(current) = self.current.as_ref() else {
-            return;
+/// Observes the pixels of the keyframe in use in a tracked frame.
+pub(super) fn observe_depth(
+    setup: &Setup,
+    keyframe: &MapKeyframe,
+    active: Active,
+    frame: &Frame,
+    alignment: &Alignment,
+) -> Active {
+    let num_mapped = active.num_mapped + 1;
+    if setup.is_frozen {
+        return Active {
+            num_mapped,
+            ..active
         };
-        let node = &self.nodes[current.id as usize];
-        let samples = tracking_samples(&current.depth, &self.config.tracking);
-        let reference = self.reference(&node.pyramid, &samples);
-        if let Some(current) = self.current.as_mut() {
-            current.reference = reference;
-        }
     }
-
-    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
-    pub(super) fn observe_old_keyframes(&self, depth: &mut DepthMap) {
-        let config = &self.config.keyframes;
-        let Some(node) = self.nodes.last() else {
-            return;
-        };
-        let recent = self.recent_in(node.fragment);
-        let others = recent.iter().rev().filter(|id| **id != node.id);
-        let frames: Vec<StereoFrame<'_>> = others
-            .map(|id| &self.nodes[*id as usize])
-            .map(|other| (other, node.other_from_self(other)))
-            .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
-            .take(config.old_keyframes_observed)
-            .map(|(other, pose)| {
-                let (gain, bias) = node.exposure.relative(&other.exposure);
-                StereoFrame {
-                    image: other.pyramid.level(0),
-                    frame_from_keyframe: pose,
-                    gain: gain as f32,
-                    bias: bias as f32,
-                    residual_rms: 5.0,
-                    pose_sigma_trans: 0.002,
-                    pose_sigma_rot: 0.001,
-                    id: other.frame_index as u32,
-                }
-            })
-            .collect();
-        if !frames.is_empty() {
-            observe(depth, &frames, &self.config.depth);
-        }
+    let mut depth = active.depth;
+    let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
+    let stereo = StereoFrame {
+        image: frame.image(),
+        frame_from_keyframe: alignment.motion.frame_from_keyframe,
+        gain: alignment.gain(),
+        bias: alignment.bias(),
+        residual_rms: alignment.residual_rms,
+        pose_sigma_trans,
+        pose_sigma_rot,
+        id: frame.index as u32,
+    };
+    observe(&mut depth, &[stereo], &setup.config.depth);
+    regularize(&mut depth, &setup.config.depth);
+    Active {
+        num_mapped,
+        ..activate(setup, keyframe, depth)
     }
+}
 
-    /// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
-    /// the keyframe's units; `None` when nothing arrives there.
-    pub(super) fn successor(
-        &self,
-        depth: &DepthMap,
-        frame: &Frame,
-        motion: &Motion,
-    ) -> Option<Successor> {
-        let host = self.host(frame.image().clone())?;
-        let (mut depth, _) = depth.propagate(host, &motion.frame_from_keyframe, &self.config.depth);
-        let median_idepth = depth
-            .median_idepth()
-            .filter(|m| m.is_finite() && *m > 0.0)?;
-        depth.rescale(1.0 / median_idepth);
-        Some(Successor {
-            depth,
-            unit: 1.0 / f64::from(median_idepth),
+/// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
+pub(super) fn observe_old_keyframes(
+    setup: &Setup,
+    map: &Map,
+    keyframe: &MapKeyframe,
+    mut depth: DepthMap,
+) -> DepthMap {
+    let config = &setup.config.keyframes;
+    let recent = map.recent_in(keyframe.fragment);
+    let others = recent.iter().rev().filter(|id| **id != keyframe.id);
+    let frames: Vec<StereoFrame<'_>> = others
+        .map(|id| &map[*id])
+        .map(|other| (other, keyframe.other_from_self(other)))
+        .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
+        .take(config.old_keyframes_observed)
+        .map(|(other, pose)| {
+            let (gain, bias) = keyframe.exposure.relative(&other.exposure);
+            StereoFrame {
+                image: other.pyramid.level(0),
+                frame_from_keyframe: pose,
+                gain: gain as f32,
+                bias: bias as f32,
+                residual_rms: 5.0,
+                pose_sigma_trans: 0.002,
+                pose_sigma_rot: 0.001,
+                id: other.frame_index as u32,
+            }
         })
+        .collect();
+    if !frames.is_empty() {
+        observe(&mut depth, &frames, &setup.config.depth);
     }
+    regularize(&mut depth, &setup.config.depth);
+    depth
+}
 
-    /// Depth of a keyframe as it was left, smoothed.
-    pub(super) fn stored_depth(&self, id: KeyframeId) -> Option<DepthMap> {
-        let node = self.nodes.get(id as usize)?;
-        let packed = node.depth.as_ref()?;
-        let host = self.host(node.pyramid.level(0).clone())?;
-        let mut depth = DepthMap::unpacked(host, packed, &self.config.depth);
-        regularize(&mut depth, &self.config.depth);
-        Some(depth)
-    }
+/// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
+/// the keyframe's units; `None` when nothing arrives there.
+pub(super) fn successor(
+    setup: &Setup,
+    depth: &DepthMap,
+    frame: &Frame,
+    motion: &Motion,
+) -> Option<Successor> {
+    let host = host(setup, frame.image().clone())?;
+    let (mut depth, _) = depth.propagate(host, &motion.frame_from_keyframe, &setup.config.depth);
+    let median_idepth = depth
+        .median_idepth()
+        .filter(|m| m.is_finite() && *m > 0.0)?;
+    depth.rescale(1.0 / median_idepth);
+    Some(Successor {
+        depth,
+        unit: 1.0 / f64::from(median_idepth),
+    })
+}
 
-    /// The depth filter of a keyframe from the points that frames are tracked on.
-    pub(super) fn sampled_depth(
-        &self,
-        image: GrayImage,
-        samples: &[DepthSample],
-    ) -> Option<DepthMap> {
-        let mut depth = DepthMap::empty(self.host(image)?, &self.config.depth);
-        for sample in samples {
-            let state = DepthState::Known {
-                idepth: sample.idepth,
-                idepth_var: sample.idepth_var,
-                validity: self.config.depth.mature_validity,
-            };
-            depth.seed_pixel(sample.x.into(), sample.y.into(), state);
-        }
-        Some(depth)
-    }
+/// Depth of a keyframe as it was left, smoothed.
+pub(super) fn stored_depth(setup: &Setup, keyframe: &MapKeyframe) -> Option<DepthMap> {
+    unpacked(setup, keyframe, keyframe.depth.as_ref()?)
+}
 
-    /// The depth filter of a keyframe as far as its published depth says.
-    pub(super) fn published_depth(&self, keyframe: &Keyframe) -> Option<DepthMap> {
-        let host = self.host(keyframe.image.map(f32::from))?;
-        let mut depth = DepthMap::empty(host, &self.config.depth);
-        let publication = &self.config.publication;
-        let validity = self.config.depth.mature_validity;
-        let validity = validity.max(publication.min_validity);
-        for pixel in &keyframe.pixels {
-            // publication has made the variance larger; errors that all pixels share stay in a part of it
-            let shared = (publication.relative_sigma * pixel.idepth).powi(2);
-            let own = (pixel.idepth_var - shared).max(0.1 * pixel.idepth_var);
-            let state = DepthState::Known {
-                idepth: pixel.idepth,
-                idepth_var: own / publication.sigma_factor.powi(2),
-                validity,
-            };
-            depth.seed_pixel(pixel.x.into(), pixel.y.into(), state);
-        }
-        regularize(&mut depth, &self.config.depth);
-        Some(depth)
-    }
+/// Depth of a keyframe from what is kept of it, smoothed.
+pub(super) fn unpacked(
+    setup: &Setup,
+    keyframe: &MapKeyframe,
+    packed: &PackedDepth,
+) -> Option<DepthMap> {
+    let host = host(setup, keyframe.pyramid.level(0).clone())?;
+    let mut depth = DepthMap::unpacked(host, packed, &setup.config.depth);
+    regularize(&mut depth, &setup.config.depth);
+    Some(depth)
+}
 
-    /// The image of a keyframe as its depth needs it; `None` when it is too small or of another size.
-    fn host(&self, image: GrayImage) -> Option<Arc<HostFrame>> {
-        let host = HostFrame::new(image, self.mask.clone(), self.pinhole);
-        host.ok().map(Arc::new)
+/// The depth filter of a keyframe from the points that frames are tracked on.
+pub(super) fn sampled_depth(
+    setup: &Setup,
+    image: GrayImage,
+    samples: &[DepthSample],
+) -> Option<DepthMap> {
+    let mut depth = DepthMap::empty(host(setup, image)?, &setup.config.depth);
+    for sample in samples {
+        let state = DepthState::Known {
+            idepth: sample.idepth,
+            idepth_var: sample.idepth_var,
+            validity: setup.config.depth.mature_validity,
+        };
+        depth.seed_pixel(sample.x.into(), sample.y.into(), state);
     }
+    Some(depth)
+}
+
+/// The depth filter of a keyframe as far as its published depth says.
+pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<DepthMap> {
+    let config = &setup.config.depth;
+    let mut depth = DepthMap::empty(host(setup, keyframe.image.map(f32::from))?, config);
+    let publication = &setup.config.publication;
+    let validity = config.mature_validity.max(publication.min_validity);
+    for pixel in &keyframe.pixels {
+        // publication has made the variance larger; errors that all pixels share stay in a part of it
+        let shared = (publication.relative_sigma * pixel.idepth).powi(2);
+        let own = (pixel.idepth_var - shared).max(0.1 * pixel.idepth_var);
+        let state = DepthState::Known {
+            idepth: pixel.idepth,
+            idepth_var: own / publication.sigma_factor.powi(2),
+            validity,
+        };
+        depth.seed_pixel(pixel.x.into(), pixel.y.into(), state);
+    }
+    regularize(&mut depth, config);
+    Some(depth)
+}
+
+/// The image of a keyframe as its depth needs it; `None` when it is too small or of another size.
+fn host(setup: &Setup, image: GrayImage) -> Option<Arc<HostFrame>> {
+    let host = HostFrame::new(image, setup.mask.clone(), setup.pinhole);
+    host.ok().map(Arc::new)
 }
 
 /// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.

@@ -1,240 +1,150 @@
-//! Change of the keyframe: publish, propagate, adjust.
+//! Change of the keyframe: when a frame takes over, what is published of the one that is left, and the new one.
 
-use super::depth::Successor;
-use super::graph::Links;
-use super::{Current, Slam};
-use crate::depth_step::regularize;
+use super::camera::Active;
+use super::outcome::Attempt;
+use super::setup::Setup;
+use crate::depth_step::tracking_samples;
 use crate::frame::Frame;
-use crate::graph::{GraphView, OdometryEdge};
-use crate::node::{Exposure, Node};
-use crate::report::milliseconds;
-use crate::sparse::scale::{dense_links, keyframe_scale};
-use crate::{DepthPixel, FragmentId, FrameReport, Keyframe, KeyframeId, MAIN_MAP, PoseSnapshot};
-use monogrid_alignment::{Motion, Reference};
+use crate::map::{Exposure, FinishedKeyframe, Map, MapKeyframe, NewKeyframe, View};
+use crate::policy::{KeyframeEvidence, is_new_keyframe};
+use crate::sparse::dense_links;
+use crate::{DepthPixel, FragmentId, Keyframe, TrackingState};
+use monogrid_alignment::Motion;
 use monogrid_depth::{DepthMap, PixelFilter};
-use monogrid_geometry::{Mat6, Se3};
+use monogrid_geometry::{Rotation, Sim3, Vec3};
 use std::sync::Arc;
-use std::time::Instant;
 
-impl Slam {
-    /// Publishes the current keyframe and goes on with another: one that shows the same, or `frame`.
-    pub(super) fn leave_keyframe(
-        &mut self,
-        frame: &Frame,
-        motion: &Motion,
-        report: &mut FrameReport,
-    ) {
-        self.take_graph_update();
-        if self.reactivate(frame, motion, report) {
-            return;
-        }
-        if !self.is_frozen {
-            self.change_keyframe(frame, motion, report);
-        } else if let Some(current) = self.current.as_mut() {
-            // there is no better keyframe; it is looked for again after a while
-            current.num_mapped = 0;
-        }
+/// What a tracked frame is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Use {
+    /// It shows so much else that another keyframe is needed.
+    ChangeKeyframe,
+    /// It refines the depth of the keyframe in use.
+    RefineDepth,
+    /// It is not good enough for that.
+    None,
+}
+
+/// Decides what a tracked frame is for.
+pub(super) fn decide_use(setup: &Setup, map: &Map, active: &Active, attempt: &Attempt) -> Use {
+    let alignment = &attempt.tracked.alignment;
+    let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
+    let evidence = KeyframeEvidence {
+        relative_distance: keyframe_from_frame.translation.norm(),
+        usage: f64::from(alignment.usage),
+        num_mapped: active.num_mapped,
+        num_keyframes: map.num_keyframes_in(map[active.id].fragment),
+    };
+    if is_new_keyframe(&evidence, &setup.config.keyframes) {
+        Use::ChangeKeyframe
+    } else if attempt.tracked.state == TrackingState::Good {
+        Use::RefineDepth
+    } else {
+        Use::None
     }
+}
 
-    /// Publishes the current keyframe and lets `frame` take over; nothing happens when no depth can be
-    /// handed on.
-    fn change_keyframe(
-        &mut self,
-        frame: &Frame,
-        motion: &Motion,
-        report: &mut FrameReport,
-    ) -> Option<()> {
-        let successor = self.successor(&self.current.as_ref()?.depth, frame, motion)?;
-        let unit = successor.unit;
-        let (finished, view) = self.finish_current()?;
-        report.finished_keyframe = Some(finished);
-        report.created_keyframe = true;
-        let newest = self.nodes.len() as KeyframeId;
-        self.hand_over(frame.timestamp_ns, motion, newest, Se3::identity());
-        self.begin_keyframe(frame, finished, motion, successor, view, report);
-        if let Some(last) = self.last.as_mut() {
-            last.motion = Motion::from_pose(Se3::identity());
-            last.frame_from_previous.translation /= unit;
-        }
-        Some(())
+/// The keyframe in use as others need it when it is left.
+pub(super) fn finish_keyframe(setup: &Setup, map: &Map, active: &Active) -> FinishedKeyframe {
+    let config = &setup.config;
+    let keyframe = &map[active.id];
+    let depth = &active.depth;
+    let is_kept = config.keyframes.reactivation.enabled || keyframe.depth.is_some();
+    FinishedKeyframe {
+        id: keyframe.id,
+        published: publish(setup, keyframe, depth),
+        depth: is_kept.then(|| depth.packed()),
+        links: if config.sparse.enabled {
+            dense_links(map.points(), &keyframe.points, keyframe.id, depth)
+        } else {
+            Vec::new()
+        },
+        view: config
+            .graph
+            .enabled
+            .then(|| Arc::new(view(setup, keyframe, depth))),
     }
+}
 
-    /// Publishes the current keyframe; its identity and what the graph needs of it.
-    pub(super) fn finish_current(&mut self) -> Option<(KeyframeId, Option<GraphView>)> {
-        if self.is_frozen {
-            let current = self.current.take()?;
-            return Some((current.id, None));
-        }
-        let id = self.publish_current()?;
-        let current = self.current.take()?;
-        self.link_dense_depth(&current.depth, id as usize);
-        if self.config.keyframes.reactivation.enabled || self.nodes[id as usize].depth.is_some() {
-            self.nodes[id as usize].depth = Some(Arc::new(current.depth.packed()));
-        }
-        Some((id, self.graph_view(id, &current.depth)))
+/// What the graph needs of a keyframe.
+fn view(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> View {
+    View {
+        id: keyframe.id,
+        pyramid: Arc::clone(&keyframe.pyramid),
+        samples: tracking_samples(depth, &setup.config.tracking),
+        exposure: keyframe.exposure,
+        is_settled: keyframe.rank as usize >= setup.config.keyframes.ramp_keyframes,
     }
+}
 
-    /// Makes `frame` the newest keyframe, on top of a parent that it was tracked on; `view` is the keyframe
-    /// that was finished for it.
-    pub(super) fn begin_keyframe(
-        &mut self,
-        frame: &Frame,
-        parent: KeyframeId,
-        motion: &Motion,
-        successor: Successor,
-        view: Option<GraphView>,
-        report: &mut FrameReport,
-    ) {
-        let Successor { mut depth, unit } = successor;
-        let keyframe_from_frame = motion.frame_from_keyframe.inverse();
-        let parent_from_keyframe = keyframe_from_frame.with_scale(unit);
-        let node = &self.nodes[parent as usize];
-        let (world_from_keyframe, fragment) = (
-            node.world_from_keyframe * parent_from_keyframe,
-            node.fragment,
-        );
-        let exposure = node.exposure.then(motion.log_gain.exp(), motion.bias);
-        self.push_node(frame, fragment, Some(parent), world_from_keyframe, exposure);
-        let before_graph = Instant::now();
-        self.adjust(&depth);
-        let odometry = report.covariance.map(|covariance| OdometryEdge {
-            parent,
-            keyframe: self.nodes.len() as KeyframeId - 1,
-            parent_from_keyframe,
-            covariance: in_keyframe(&covariance, &keyframe_from_frame),
-        });
-        let links = Links {
-            odometry,
-            handover: None,
-        };
-        self.submit_graph_job(view, links, false);
-        report.milliseconds.graph += milliseconds(before_graph);
-        self.observe_old_keyframes(&mut depth);
-        regularize(&mut depth, &self.config.depth);
-        self.set_current(self.nodes.len() as KeyframeId - 1, depth);
-    }
-
-    /// Brings the newest keyframe into the sparse layer and takes over the adjusted poses and scales.
-    pub(super) fn adjust(&mut self, depth: &DepthMap) {
-        if !self.config.sparse.enabled {
-            return;
-        }
-        let fragment = self.nodes.last().map_or(MAIN_MAP, |node| node.fragment);
-        self.sparse_stats = self.sparse.add_keyframe(
-            &self.nodes,
-            &self.recent_in(fragment),
-            depth,
-            &self.pinhole,
-            &self.mask,
-            &self.config.sparse,
-        );
-        self.link_dense_depth(depth, self.nodes.len() - 1);
-        let nodes = self.nodes.iter_mut().zip(&self.links);
-        for (node, links) in nodes.filter(|(node, _)| node.fragment == fragment) {
-            let world_from_camera = self.sparse.camera_from_world[node.id as usize].inverse();
-            let scale = keyframe_scale(&self.sparse, node.id, links, &self.pinhole)
-                .unwrap_or(node.world_from_keyframe.scale);
-            node.world_from_keyframe = world_from_camera.with_scale(scale);
-        }
-        self.update_snapshot();
-    }
-
-    /// Notes the dense depth at the points that a keyframe sees.
-    pub(super) fn link_dense_depth(&mut self, depth: &DepthMap, keyframe: usize) {
-        if !self.config.sparse.enabled {
-            return;
-        }
-        self.links.resize(self.nodes.len(), Vec::new());
-        self.links[keyframe] = dense_links(&self.sparse, keyframe as KeyframeId, depth);
-    }
-
-    /// Adds a keyframe and its pose in the world of its fragment.
-    pub(super) fn push_node(
-        &mut self,
-        frame: &Frame,
-        fragment: FragmentId,
-        parent: Option<KeyframeId>,
-        world_from_keyframe: monogrid_geometry::Sim3,
-        exposure: Exposure,
-    ) {
-        let id = self.nodes.len() as KeyframeId;
-        let rank = self.num_keyframes_in(fragment) as u32;
-        self.recent.push(id);
-        self.nodes.push(Node {
-            id,
-            fragment,
-            rank,
-            parent,
-            frame_index: frame.index,
-            timestamp_ns: frame.timestamp_ns,
-            pyramid: Arc::new(frame.pyramid.clone()),
-            world_from_keyframe,
-            exposure,
-            depth: None,
-        });
-        self.update_snapshot();
-    }
-
-    pub(super) fn update_snapshot(&mut self) {
-        self.snapshot = Arc::new(PoseSnapshot {
-            revision: self.snapshot.revision + 1,
-            world_from_keyframe: self.nodes.iter().map(|n| n.world_from_keyframe).collect(),
-            previous_from_keyframe_covariance: self.relative_covariance.clone(),
-            fragment: self.nodes.iter().map(|n| n.fragment).collect(),
-        });
-    }
-
-    pub(super) fn set_current(&mut self, id: KeyframeId, depth: DepthMap) {
-        self.current = Some(Current {
-            id,
-            depth,
-            reference: Reference::default(),
-            num_mapped: 0,
-        });
-        self.refresh_reference();
-    }
-
-    /// Publishes depth and image of the current keyframe.
-    pub(super) fn publish_current(&mut self) -> Option<KeyframeId> {
-        let current = self.current.as_ref()?;
-        let node = &self.nodes[current.id as usize];
-        let publication = &self.config.publication;
-        let filter = PixelFilter {
-            min_validity: publication.min_validity,
-            smoothed: publication.smoothed,
-            ..PixelFilter::default()
-        };
-        let pixels: Vec<DepthPixel> = current
-            .depth
-            .pixels(filter)
-            .map(|p| DepthPixel {
-                x: p.x,
-                y: p.y,
-                idepth: p.idepth,
-                idepth_var: p.idepth_var * publication.sigma_factor.powi(2)
-                    + (publication.relative_sigma * p.idepth).powi(2),
-            })
-            .collect();
-        let id = node.id;
-        if let Some(known) = self.finished.get_mut(id as usize) {
-            if is_worth_a_revision(&known.pixels, &pixels) {
-                known.pixels = pixels;
-                known.revision += 1;
-            }
-            return Some(id);
-        }
-        self.finished.push(Keyframe {
-            id: node.id,
-            frame_index: node.frame_index,
-            timestamp_ns: node.timestamp_ns,
-            revision: 0,
-            image: node
-                .pyramid
-                .level(0)
-                .map(|v| v.round().clamp(0.0, 255.0) as u8),
+/// Depth and image of a keyframe as everybody should have them; `None` where what they have is as good.
+fn publish(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> Option<Keyframe> {
+    let publication = &setup.config.publication;
+    let filter = PixelFilter {
+        min_validity: publication.min_validity,
+        smoothed: publication.smoothed,
+        ..PixelFilter::default()
+    };
+    let pixels: Vec<DepthPixel> = depth
+        .pixels(filter)
+        .map(|p| DepthPixel {
+            x: p.x,
+            y: p.y,
+            idepth: p.idepth,
+            idepth_var: p.idepth_var * publication.sigma_factor.powi(2)
+                + (publication.relative_sigma * p.idepth).powi(2),
+        })
+        .collect();
+    if let Some(known) = &keyframe.published {
+        return is_worth_a_revision(&known.pixels, &pixels).then(|| Keyframe {
             pixels,
+            revision: known.revision + 1,
+            ..Keyframe::clone(known)
         });
-        Some(id)
+    }
+    Some(Keyframe {
+        id: keyframe.id,
+        frame_index: keyframe.frame_index,
+        timestamp_ns: keyframe.timestamp_ns,
+        revision: 0,
+        image: keyframe
+            .pyramid
+            .level(0)
+            .map(|v| v.round().clamp(0.0, 255.0) as u8),
+        pixels,
+    })
+}
+
+/// A frame as the newest keyframe, on top of a parent that it was tracked on; `unit` is its unit in those of
+/// the parent.
+pub(super) fn new_keyframe(
+    frame: &Frame,
+    parent: &MapKeyframe,
+    motion: &Motion,
+    unit: f64,
+) -> NewKeyframe {
+    let keyframe_from_frame = motion.frame_from_keyframe.inverse();
+    NewKeyframe {
+        fragment: parent.fragment,
+        parent: Some(parent.id),
+        frame_index: frame.index,
+        timestamp_ns: frame.timestamp_ns,
+        pyramid: Arc::clone(&frame.pyramid),
+        exposure: parent.exposure.then(motion.log_gain.exp(), motion.bias),
+        world_from_keyframe: parent.world_from_keyframe * keyframe_from_frame.with_scale(unit),
+    }
+}
+
+/// A frame as the first keyframe of a fragment, which is its world; `unit` is its unit in those of the world.
+pub(super) fn first_keyframe(fragment: FragmentId, frame: &Frame, unit: f64) -> NewKeyframe {
+    NewKeyframe {
+        fragment,
+        parent: None,
+        frame_index: frame.index,
+        timestamp_ns: frame.timestamp_ns,
+        pyramid: Arc::clone(&frame.pyramid),
+        exposure: Exposure::NEUTRAL,
+        world_from_keyframe: Sim3::new(unit, Rotation::identity(), Vec3::zeros()),
     }
 }
 
@@ -256,11 +166,4 @@ fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
     };
     better.len() as f64 > known.len() as f64 * MORE_PIXELS
         || relative_variance(better) < relative_variance(known) * LESS_VARIANCE
-}
-
-/// Covariance of `frame_from_keyframe` (left, in the frame) as that of its inverse (left, in the
-/// keyframe).
-pub(super) fn in_keyframe(covariance: &Mat6, keyframe_from_frame: &Se3) -> Mat6 {
-    let adjoint = keyframe_from_frame.adjoint();
-    adjoint * covariance * adjoint.transpose()
 }

@@ -9,7 +9,7 @@ use super::sessions::continuation;
 use crate::input::MAX_UNREADABLE_IN_A_ROW;
 use monogrid_datasets::EndRecord;
 use monogrid_image::GrayImage;
-use monogrid_slam::{FrameInput, PoseSnapshot, Slam, TrajectoryPose};
+use monogrid_slam::{Event, FrameInput, PoseSnapshot, Slam, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
@@ -28,10 +28,8 @@ pub struct Tracking<'a> {
     slam: Slam,
     settings: &'a RunSettings,
     rows: Vec<FrameRow>,
-    /// Revision of the depth of each keyframe that the listeners know.
-    published: Vec<u32>,
-    /// Revision of the poses that the listeners know.
-    published_poses: u64,
+    /// Keyframes that the listeners know.
+    num_keyframes: usize,
     /// Recorder and mapper; none when the map stays as it is.
     listeners: Vec<SyncSender<Change>>,
     progress: Progress,
@@ -61,8 +59,7 @@ impl<'a> Tracking<'a> {
             slam,
             settings,
             rows: Vec::with_capacity(num_frames),
-            published: Vec::new(),
-            published_poses: 0,
+            num_keyframes: 0,
             listeners,
             progress: Progress::new(num_frames, settings.show_progress),
         };
@@ -95,7 +92,7 @@ impl<'a> Tracking<'a> {
                     None
                 }
             };
-            self.progress.frame(&row, self.published.len());
+            self.progress.frame(&row, self.num_keyframes);
             self.rows.push(row);
             if early_end.is_some() {
                 return early_end;
@@ -145,29 +142,18 @@ impl<'a> Tracking<'a> {
 
     /// Tells the listeners about new keyframes, and new depth and poses of old ones.
     fn publish(&mut self) {
-        let mut changes = Vec::new();
-        for (position, keyframe) in self.slam.keyframes().iter().enumerate() {
-            match self.published.get_mut(position) {
-                Some(known) if *known == keyframe.revision => {}
-                Some(known) => {
-                    *known = keyframe.revision;
-                    changes.push(Change::Revised(Arc::new(keyframe.clone())));
+        for event in self.slam.events() {
+            let change = match event {
+                Event::Finished(keyframe, poses) => {
+                    self.num_keyframes += 1;
+                    Change::Finished(Arc::clone(keyframe), Arc::clone(poses))
                 }
-                None => {
-                    self.published.push(keyframe.revision);
-                    let keyframe = Arc::new(keyframe.clone());
-                    changes.push(Change::Finished(keyframe, self.slam.snapshot()));
+                Event::Revised(keyframe) => Change::Revised(Arc::clone(keyframe)),
+                Event::Moved(poses) => Change::Moved(Arc::clone(poses)),
+                Event::Lost { .. } | Event::Found { .. } | Event::Started(_) | Event::Joined(_) => {
+                    continue;
                 }
-            }
-        }
-        let snapshot = self.slam.snapshot();
-        if snapshot.revision != self.published_poses && !self.published.is_empty() {
-            self.published_poses = snapshot.revision;
-            if !changes.iter().any(|c| matches!(c, Change::Finished(..))) {
-                changes.push(Change::Moved(snapshot));
-            }
-        }
-        for change in changes {
+            };
             self.send(&change);
         }
     }

@@ -180,9 +180,8 @@ fn final_maps(
 
 /// The depth of all keyframes of the main map as it is mapped in the end.
 fn final_scans_of(tracked: &Tracked, mapper: &Mapper, threads: usize) -> Vec<KeyframeScan> {
-    let keyframes: Vec<PosedKeyframe> = tracked
-        .slam
-        .keyframes()
+    let finished = tracked.slam.keyframes();
+    let keyframes: Vec<PosedKeyframe> = finished
         .iter()
         .map(|keyframe| PosedKeyframe {
             id: keyframe.id,

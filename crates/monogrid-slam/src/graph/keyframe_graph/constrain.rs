@@ -1,25 +1,21 @@
-//! Which keyframes are aligned to each other, and how.
+//! Which keyframes are constrained to each other.
 
-use super::{CERTAIN, KeyframeGraph};
+use super::state::{CERTAIN, KeyframeGraph};
 use crate::KeyframeId;
-use crate::graph::job::{EdgeKind, GraphView, Relocalised};
+use crate::graph::job::{EdgeKind, Handover, Relocalised};
 use crate::graph::search::{Candidate, choose};
-use monogrid_alignment::{KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally};
-use monogrid_features::{DepthLookup, InverseDepth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Pyramid;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Keyframes that are prepared for alignment at the same time at most.
-const MAX_PREPARED: usize = 24;
 /// A pair that was refused is tried again when the start differs by this much (norm of the tangent).
 const NEW_START: f64 = 0.1;
 
 impl KeyframeGraph {
     /// Tries to constrain a keyframe to its parent, the nearest and the overlapping ones.
     pub(super) fn search(&mut self, id: KeyframeId) {
-        let parent = self.parent_of(id);
+        let parent = self.poses.parent_of(id);
         let mut chosen = self.choose(id);
         if let Some(parent) = parent
             && !chosen.contains(&parent)
@@ -27,7 +23,7 @@ impl KeyframeGraph {
             chosen.insert(0, parent);
         }
         for other in chosen {
-            if self.edges.contains_key(&(other, id, EdgeKind::Direct)) {
+            if self.is_aligned(other, id) {
                 continue;
             }
             let key = (other, id);
@@ -56,22 +52,30 @@ impl KeyframeGraph {
         }
     }
 
-    /// Remembers a keyframe by its appearance.
-    pub(super) fn remember(&mut self, view: &GraphView) {
-        if !self.config.places.enabled {
-            return;
+    /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
+    /// fails, by what tracking found; whether they were not constrained before.
+    pub(super) fn link(&mut self, handover: &Handover) -> bool {
+        let (i, j) = (handover.i, handover.j);
+        let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
+        if kinds.iter().any(|k| self.edges.contains_key(&(i, j, *k))) {
+            return false;
         }
-        let depths = view.samples.iter().map(|sample| {
-            let depth = InverseDepth {
-                idepth: sample.idepth,
-                idepth_var: sample.idepth_var,
-            };
-            (sample.x, sample.y, depth)
-        });
-        let lookup = DepthLookup::new(self.mask.width(), self.mask.height(), depths);
-        let id = u64::from(view.id);
-        self.places
-            .insert(id, &view.pyramid, Some(&self.mask), &lookup);
+        if let Some(constraint) = self.align(j, i, handover.i_from_j) {
+            self.set_direct_edge(i, j, &constraint, self.doubted());
+            return true;
+        }
+        let covariance = self.with_unknown_scale(&handover.covariance);
+        let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
+            return false;
+        };
+        let kernel = self.doubted();
+        self.set_edge(
+            (i, j, EdgeKind::Odometry),
+            handover.i_from_j,
+            information,
+            kernel,
+        );
+        true
     }
 
     /// Looks for old keyframes of the same place by appearance, and constrains a keyframe to them by direct
@@ -81,7 +85,7 @@ impl KeyframeGraph {
         let between = self.config.places.min_keyframes_between;
         let newest_old = id.checked_sub(between + 1);
         let own_fragment = self.fragment_of(id);
-        let is_alone = self.fragments.iter().all(|f| *f == own_fragment);
+        let is_alone = self.poses.fragment.iter().all(|f| *f == own_fragment);
         if !self.config.places.enabled || (newest_old.is_none() && is_alone) {
             return false;
         }
@@ -124,7 +128,7 @@ impl KeyframeGraph {
             .filter_map(|found| {
                 let view = &self.entries.get(&(found.keyframe as KeyframeId))?.view;
                 Some(Relocalised {
-                    view: view.clone(),
+                    view: Arc::clone(view),
                     frame_from_keyframe: found.frame_from_keyframe,
                 })
             })
@@ -141,58 +145,15 @@ impl KeyframeGraph {
             .filter(|(other, _)| self.fragment_of(**other) == self.fragment_of(id))
             .map(|(id, entry)| Candidate {
                 id: *id,
-                world_from_keyframe: self.world_from_keyframe[*id as usize],
+                world_from_keyframe: self.pose(*id),
                 probes: &entry.probes,
             })
             .collect();
         let own = Candidate {
             id,
-            world_from_keyframe: self.world_from_keyframe[id as usize],
+            world_from_keyframe: self.pose(id),
             probes: &own.probes,
         };
         choose(&own, &others, &self.image, &self.config)
-    }
-
-    /// Direct alignment of keyframe `id` to `other`, in both directions.
-    pub(super) fn align(
-        &mut self,
-        id: KeyframeId,
-        other: KeyframeId,
-        other_from_own: Sim3,
-    ) -> Option<SimilarityConstraint> {
-        let (own_view, other_view) = (self.prepare(id)?, self.prepare(other)?);
-        let exposure = |id: KeyframeId| self.entries.get(&id).map(|e| e.view.exposure);
-        let (gain, bias) = exposure(id)?.relative(&exposure(other)?);
-        let initial = SimilarityState {
-            b_from_a: other_from_own,
-            log_gain: gain.ln(),
-            bias,
-        };
-        align_reciprocally(&own_view, &other_view, &initial, &self.config.similarity).ok()
-    }
-
-    /// Points, image and depth of a keyframe on the levels of the alignment.
-    pub(super) fn prepare(&mut self, id: KeyframeId) -> Option<Arc<KeyframeView>> {
-        if let Some(at) = self.prepared.iter().position(|(other, _)| *other == id) {
-            let found = self.prepared.remove(at);
-            let view = Arc::clone(&found.1);
-            self.prepared.push(found);
-            return Some(view);
-        }
-        let view = &self.entries.get(&id)?.view;
-        let config = &self.config.similarity;
-        let (finest, coarsest) = (config.finest_level, config.coarsest_level);
-        let prepared = Arc::new(KeyframeView::new(
-            &view.pyramid,
-            &self.image.pinhole,
-            &view.samples,
-            finest,
-            coarsest,
-        ));
-        if self.prepared.len() >= MAX_PREPARED {
-            self.prepared.remove(0);
-        }
-        self.prepared.push((id, Arc::clone(&prepared)));
-        Some(prepared)
     }
 }

@@ -1,10 +1,10 @@
 //! What drift can do between keyframes: the one rule by which loops, and what is said about fragments, are
 //! told from errors.
 
-use super::KeyframeGraph;
+use super::state::KeyframeGraph;
 use crate::KeyframeId;
 use crate::graph::DriftConfig;
-use crate::node::path_between;
+use crate::map::path_between;
 use monogrid_geometry::{Sim3, Vec7};
 use std::ops::Add;
 
@@ -77,15 +77,15 @@ impl KeyframeGraph {
 
     /// The way along which tracking came from one keyframe to another.
     pub(super) fn way(&self, i: KeyframeId, j: KeyframeId) -> Way {
-        let path = path_between(|id| self.parent_of(id), i, j);
-        let position = |id: KeyframeId| self.world_from_keyframe[id as usize].translation;
+        let path = path_between(|id| self.poses.parent_of(id), i, j);
+        let position = |id: KeyframeId| self.pose(id).translation;
         let in_world: f64 = path
             .windows(2)
             .map(|pair| (position(pair[1]) - position(pair[0])).norm())
             .sum();
         Way {
             steps: path.len().saturating_sub(1) as f64,
-            length: in_world / self.world_from_keyframe[j as usize].scale,
+            length: in_world / self.pose(j).scale,
         }
     }
 }

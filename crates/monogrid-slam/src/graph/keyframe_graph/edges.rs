@@ -1,8 +1,9 @@
 //! What the edges of the graph say, and how much they are believed.
 
-use super::{CERTAIN, KeyframeGraph};
+use super::state::{CERTAIN, KeyframeGraph};
 use crate::KeyframeId;
-use crate::graph::job::{EdgeKind, Handover, OdometryEdge, SparseEdge};
+use crate::graph::job::{EdgeKind, OdometryEdge};
+use crate::sparse::SharedPoints;
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::{Mat6, Mat7, Sim3};
 use monogrid_graph::RobustKernel;
@@ -32,45 +33,19 @@ impl KeyframeGraph {
     }
 
     /// Covariance of a motion `[v, w]` as one of a similarity `[v, w, s]`: tracking does not measure scale.
-    fn with_unknown_scale(&self, motion: &Mat6) -> Mat7 {
+    pub(super) fn with_unknown_scale(&self, motion: &Mat6) -> Mat7 {
         let mut covariance = Mat7::zeros();
         covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(motion);
         covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
         covariance
     }
 
-    /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
-    /// fails, by what tracking found; whether they were not constrained before.
-    pub(super) fn link(&mut self, handover: &Handover) -> bool {
-        let (i, j) = (handover.i, handover.j);
-        let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
-        if kinds.iter().any(|k| self.edges.contains_key(&(i, j, *k))) {
-            return false;
-        }
-        if let Some(constraint) = self.align(j, i, handover.i_from_j) {
-            self.set_direct_edge(i, j, &constraint, self.doubted());
-            return true;
-        }
-        let covariance = self.with_unknown_scale(&handover.covariance);
-        let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
-            return false;
-        };
-        let kernel = self.doubted();
-        self.set_edge(
-            (i, j, EdgeKind::Odometry),
-            handover.i_from_j,
-            information,
-            kernel,
-        );
-        true
-    }
-
     /// The relative pose of two keyframes as the sparse layer has it now.
-    pub(super) fn set_sparse_edge(&mut self, found: &SparseEdge) {
+    pub(super) fn set_sparse_edge(&mut self, found: &SharedPoints) {
         let config = &self.config.sparse_edges;
         let (i, j) = (found.i, found.j);
         let i_from_j = self.relative(i, j);
-        let factor = (config.reference_points as f64 / found.shared_points.max(1) as f64).max(1.0);
+        let factor = (config.reference_points as f64 / found.count.max(1) as f64).max(1.0);
         let mut information = Mat7::zeros();
         for k in 0..7 {
             let sigma = match k {

@@ -5,9 +5,9 @@
 //! alike): fragments are joined when several keyframes agree, one of them aligned directly, and more of them
 //! than contradict.
 
-use super::KeyframeGraph;
-use crate::graph::job::{EdgeKind, Joined};
-use crate::{FragmentId, KeyframeId, MAIN_MAP};
+use super::state::KeyframeGraph;
+use crate::graph::job::Joined;
+use crate::{FragmentConfig, FragmentId, KeyframeId};
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::Sim3;
 use std::collections::BTreeSet;
@@ -17,7 +17,7 @@ const MAX_SIGHTINGS: usize = 64;
 
 /// A keyframe that was recognised in another fragment.
 #[derive(Clone, Debug)]
-pub(super) struct Sighting {
+struct Sighting {
     /// The keyframe of the other fragment, older.
     other: KeyframeId,
     own: KeyframeId,
@@ -26,17 +26,31 @@ pub(super) struct Sighting {
     constraint: Option<SimilarityConstraint>,
 }
 
+/// What is known about the places of fragments in each other.
+#[derive(Clone, Debug)]
+pub(super) struct Joining {
+    config: FragmentConfig,
+    sightings: Vec<Sighting>,
+    /// Fragments that were joined in the job under way.
+    joined: Vec<Joined>,
+}
+
+impl Joining {
+    pub(super) fn new(config: FragmentConfig) -> Self {
+        Self {
+            config,
+            sightings: Vec::new(),
+            joined: Vec::new(),
+        }
+    }
+
+    /// The fragments that were joined since the last call.
+    pub(super) fn take_joined(&mut self) -> Vec<Joined> {
+        std::mem::take(&mut self.joined)
+    }
+}
+
 impl KeyframeGraph {
-    /// The fragment of a keyframe.
-    pub(super) fn fragment_of(&self, id: KeyframeId) -> FragmentId {
-        self.fragments.get(id as usize).copied().unwrap_or(MAIN_MAP)
-    }
-
-    /// Fragments with keyframes.
-    pub(super) fn all_fragments(&self) -> BTreeSet<FragmentId> {
-        self.fragments.iter().copied().collect()
-    }
-
     /// Whether a keyframe may say where its fragment is in that of another.
     pub(super) fn may_join(&self, own: KeyframeId, other: KeyframeId) -> bool {
         let is_settled = |id| self.entries.get(&id).is_some_and(|e| e.view.is_settled);
@@ -52,10 +66,10 @@ impl KeyframeGraph {
         other_from_own: Sim3,
         constraint: Option<SimilarityConstraint>,
     ) {
-        if self.sightings.len() >= MAX_SIGHTINGS {
-            self.sightings.remove(0);
+        if self.joining.sightings.len() >= MAX_SIGHTINGS {
+            self.joining.sightings.remove(0);
         }
-        self.sightings.push(Sighting {
+        self.joining.sightings.push(Sighting {
             other,
             own,
             other_from_own: constraint.as_ref().map_or(other_from_own, |c| c.b_from_a),
@@ -76,10 +90,14 @@ impl KeyframeGraph {
 
     /// The sightings that agree with one of keyframe `own`, one that was aligned first, if they are enough.
     fn confirmed(&self, own: KeyframeId) -> Option<Vec<Sighting>> {
-        let candidates = self.sightings.iter().filter(|s| s.own == own);
+        let candidates = self.joining.sightings.iter().filter(|s| s.own == own);
         candidates.into_iter().find_map(|sighting| {
             let pair = self.pair_of(sighting);
-            let comparable = self.sightings.iter().filter(|s| self.pair_of(s) == pair);
+            let comparable = self
+                .joining
+                .sightings
+                .iter()
+                .filter(|s| self.pair_of(s) == pair);
             let (agreeing, contradicting): (Vec<&Sighting>, Vec<&Sighting>) =
                 comparable.partition(|s| self.agree(sighting, s));
             let keyframes = |sightings: &[&Sighting]| {
@@ -87,7 +105,8 @@ impl KeyframeGraph {
                 own.len()
             };
             let count = keyframes(&agreeing);
-            let is_enough = count >= self.joining.min_agreeing && count > keyframes(&contradicting);
+            let is_enough =
+                count >= self.joining.config.min_agreeing && count > keyframes(&contradicting);
             let (aligned, others): (Vec<&Sighting>, Vec<&Sighting>) =
                 agreeing.iter().partition(|s| s.constraint.is_some());
             (is_enough && !aligned.is_empty())
@@ -106,7 +125,7 @@ impl KeyframeGraph {
 
     /// What a sighting says: the pose of the other of its two fragments in `fragment`.
     fn fragment_from_other(&self, fragment: FragmentId, sighting: &Sighting) -> Sim3 {
-        let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
+        let world_from = |id: KeyframeId| self.pose(id);
         let others_from_owns = world_from(sighting.other)
             * sighting.other_from_own
             * world_from(sighting.own).inverse();
@@ -121,7 +140,7 @@ impl KeyframeGraph {
     /// their keyframes in both fragments, and for the errors of recognition.
     fn agree(&self, a: &Sighting, b: &Sighting) -> bool {
         let others_from_owns = self.fragment_from_other(self.fragment_of(b.other), a);
-        let world_from = |id: KeyframeId| self.world_from_keyframe[id as usize];
+        let world_from = |id: KeyframeId| self.pose(id);
         let predicted = world_from(b.other).inverse() * others_from_owns * world_from(b.own);
         let error = (b.other_from_own.inverse() * predicted).log();
         // keyframes of one fragment are on either side of each sighting
@@ -134,7 +153,7 @@ impl KeyframeGraph {
         let way = self.way(own_of_a, b.own) + self.way(other_of_a, b.other);
         let drift = &self.config.places.drift;
         drift
-            .starting_at(self.joining.max_disagreement)
+            .starting_at(self.joining.config.max_disagreement)
             .explains(&error, way)
     }
 
@@ -146,11 +165,16 @@ impl KeyframeGraph {
         };
         let (into, from) = self.pair_of(first);
         let into_from_fragment = self.fragment_from_other(into, first);
-        self.sightings = std::mem::take(&mut self.sightings)
+        self.joining.sightings = std::mem::take(&mut self.joining.sightings)
             .into_iter()
             .filter(|s| self.pair_of(s) != (into, from))
             .collect();
-        for (pose, fragment) in self.world_from_keyframe.iter_mut().zip(&mut self.fragments) {
+        let poses = &mut self.poses;
+        for (pose, fragment) in poses
+            .world_from_keyframe
+            .iter_mut()
+            .zip(&mut poses.fragment)
+        {
             if *fragment == from {
                 *pose = into_from_fragment * *pose;
                 *fragment = into;
@@ -163,11 +187,6 @@ impl KeyframeGraph {
         }
         self.active.remove(&from);
         self.active.insert(into);
-        self.joined.push(Joined { from, into });
-    }
-
-    /// Whether two keyframes have a direct edge.
-    pub(super) fn is_aligned(&self, i: KeyframeId, j: KeyframeId) -> bool {
-        self.edges.contains_key(&(i, j, EdgeKind::Direct))
+        self.joining.joined.push(Joined { from, into });
     }
 }

@@ -1,6 +1,6 @@
 //! Moving the poses to the optimum, and their covariances.
 
-use super::{EdgeKey, KeyframeGraph};
+use super::state::{EdgeKey, KeyframeGraph};
 use crate::{FragmentId, KeyframeId};
 use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig};
 use std::time::Instant;
@@ -46,10 +46,11 @@ impl KeyframeGraph {
             ..default
         };
         let Ok(report) = graph.optimise(&settings) else {
+            self.stats.failed += 1;
             return;
         };
         for node in graph.nodes() {
-            self.world_from_keyframe[node.id as usize] = node.world_from_keyframe;
+            self.poses.world_from_keyframe[node.id as usize] = node.world_from_keyframe;
         }
         let is_inside = |key: &&EdgeKey| self.fragment_of(key.0) == fragment;
         let judged: Vec<EdgeKey> = self.edges.keys().filter(is_inside).copied().collect();
@@ -65,8 +66,9 @@ impl KeyframeGraph {
     /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph says
     /// about two neighbours hardly changes when others join.
     pub(super) fn update_covariances(&mut self, all: bool) {
-        let num = self.world_from_keyframe.len();
-        self.covariances.resize(num, None);
+        let num = self.poses.world_from_keyframe.len();
+        let mut covariances = std::mem::take(&mut self.poses.previous_from_keyframe_covariance);
+        covariances.resize(num, None);
         let first = if all {
             1
         } else {
@@ -77,18 +79,23 @@ impl KeyframeGraph {
             let Some(uncertainty) = graph.and_then(|g| g.uncertainty().ok()) else {
                 continue;
             };
-            for id in (first..num).filter(|id| self.fragments[*id] == *fragment) {
-                let parent = self.parent_of(id as KeyframeId);
-                self.covariances[id] =
+            for id in (first..num).filter(|id| self.poses.fragment[*id] == *fragment) {
+                let parent = self.poses.parent_of(id as KeyframeId);
+                covariances[id] =
                     parent.and_then(|p| uncertainty.relative(u64::from(p), id as u64).ok());
             }
         }
+        self.poses.previous_from_keyframe_covariance = covariances;
     }
 
     /// The graph of a fragment, whose first keyframe holds its world.
     pub(super) fn pose_graph(&self, fragment: FragmentId) -> Option<PoseGraph> {
         let mut graph = PoseGraph::new();
-        let poses = self.world_from_keyframe.iter().zip(&self.fragments);
+        let poses = self
+            .poses
+            .world_from_keyframe
+            .iter()
+            .zip(&self.poses.fragment);
         for (id, (pose, _)) in poses.enumerate().filter(|(_, (_, f))| **f == fragment) {
             let node = GraphNode {
                 id: id as u64,

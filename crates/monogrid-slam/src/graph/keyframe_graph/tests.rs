@@ -1,17 +1,20 @@
 //! The graph on rendered keyframes.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
+use super::state::CERTAIN;
 use super::*;
-use crate::graph::job::OdometryEdge;
-use crate::node::Exposure;
-use monogrid_alignment::DepthSample;
+use crate::FragmentConfig;
+use crate::graph::GraphConfig;
+use crate::graph::job::{GraphStats, Joined, OdometryEdge};
+use crate::map::Exposure;
+use monogrid_alignment::{DepthSample, SimilarityConstraint};
 use monogrid_datasets::synth::SynthSequence;
-use monogrid_geometry::{Mat6, Vec7};
-use monogrid_image::Pyramid;
+use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
+use monogrid_image::{Mask, Pyramid};
 
 /// Keyframes of a rendered room with exact depth, and their true poses; the unit of keyframe k is
 /// `1 + 0.1 k` metres.
-fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<GraphView>, Vec<Sim3>) {
+fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<Arc<View>>, Vec<Sim3>) {
     let mut views = Vec::new();
     let mut poses = Vec::new();
     for k in 0..count {
@@ -39,13 +42,13 @@ fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<GraphV
             }
         }
         poses.push(frame.world_from_camera.with_scale(f64::from(unit)));
-        views.push(GraphView {
+        views.push(Arc::new(View {
             id: k as KeyframeId,
             pyramid: Arc::new(Pyramid::new(image.clone(), 5)),
             samples,
             exposure: Exposure::NEUTRAL,
             is_settled: true,
-        });
+        }));
     }
     // relative to the first, which holds the world
     let first_from_world = poses[0].inverse();
@@ -57,6 +60,15 @@ fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<GraphV
 
 fn chain_of(len: usize) -> Vec<Option<KeyframeId>> {
     (0..len as KeyframeId).map(|id| id.checked_sub(1)).collect()
+}
+
+/// A map of one fragment, each keyframe tracked on the one before.
+fn map_of(world_from_keyframe: &[Sim3]) -> Arc<PoseSnapshot> {
+    Arc::new(PoseSnapshot {
+        world_from_keyframe: world_from_keyframe.to_vec(),
+        parent: chain_of(world_from_keyframe.len()),
+        ..PoseSnapshot::default()
+    })
 }
 
 fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
@@ -77,15 +89,15 @@ fn constraints_take_out_the_drift_of_position_and_scale() {
     ]));
     let config = GraphConfig::default();
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let mut graph = KeyframeGraph::new(config, camera.pinhole, mask).unwrap();
+    let mut graph =
+        KeyframeGraph::new(config, FragmentConfig::default(), camera.pinhole, mask).unwrap();
     let mut poses = vec![truth[0]];
     let mut chain = vec![truth[0]];
     let mut stats = GraphStats::default();
     for (k, view) in views.iter().enumerate() {
         let job = |world_from_keyframe: &[Sim3], odometry| GraphJob {
-            finished: Some(view.clone()),
-            world_from_keyframe: world_from_keyframe.to_vec(),
-            parents: chain_of(world_from_keyframe.len()),
+            finished: Some(Arc::clone(view)),
+            poses: map_of(world_from_keyframe),
             odometry,
             ..GraphJob::default()
         };
@@ -101,10 +113,11 @@ fn constraints_take_out_the_drift_of_position_and_scale() {
             }
         });
         let update = graph.run(job(&poses, odometry));
-        poses = update.world_from_keyframe;
+        poses = update.poses.world_from_keyframe.clone();
         stats = update.stats;
         assert!(
             update
+                .poses
                 .previous_from_keyframe_covariance
                 .iter()
                 .skip(1)
@@ -128,20 +141,27 @@ fn a_keyframe_of_another_room_is_not_constrained() {
     let turned = monogrid_image::GrayImage::from_fn(width, height, |x, y| {
         image.at(width - 1 - x, height - 1 - y)
     });
-    views[1].pyramid = Arc::new(Pyramid::new(turned, 5));
+    views[1] = Arc::new(View {
+        pyramid: Arc::new(Pyramid::new(turned, 5)),
+        ..View::clone(&views[1])
+    });
     let mask = Mask::filled(width, height, 255);
-    let mut graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask).unwrap();
+    let joining = FragmentConfig::default();
+    let mut graph =
+        KeyframeGraph::new(GraphConfig::default(), joining, camera.pinhole, mask).unwrap();
     let mut last = GraphUpdate::default();
     for view in views {
         last = graph.run(GraphJob {
             finished: Some(view),
-            world_from_keyframe: poses.clone(),
-            parents: chain_of(poses.len()),
+            poses: map_of(&poses),
             ..GraphJob::default()
         });
     }
     assert_eq!((last.stats.pairs_tried, last.stats.constraints), (1, 0));
-    assert_eq!(last.world_from_keyframe, poses, "nothing to move them");
+    assert_eq!(
+        last.poses.world_from_keyframe, poses,
+        "nothing to move them"
+    );
 }
 
 /// Keyframes of one room as two fragments, the second in a world of its own; what comes of the last job.
@@ -150,8 +170,8 @@ fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
     let camera = sequence.camera();
     let (views, truth) = keyframes(&sequence, 8, 8);
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let graph = KeyframeGraph::new(GraphConfig::default(), camera.pinhole, mask).unwrap();
-    let mut graph = graph.with_fragments(config);
+    let mut graph =
+        KeyframeGraph::new(GraphConfig::default(), config, camera.pinhole, mask).unwrap();
     let fragment_from_world = Sim3::exp(&Vec7::from_column_slice(&[
         1.3, -0.4, 0.8, 0.3, 0.9, -0.2, 0.7,
     ]));
@@ -181,22 +201,25 @@ fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
         let id = view.id as usize;
         last = graph.run(GraphJob {
             finished: Some(view),
-            world_from_keyframe: poses[..=id].to_vec(),
-            parents: parents[..=id].to_vec(),
-            fragments: fragments[..=id].to_vec(),
+            poses: Arc::new(PoseSnapshot {
+                world_from_keyframe: poses[..=id].to_vec(),
+                parent: parents[..=id].to_vec(),
+                fragment: fragments[..=id].to_vec(),
+                ..PoseSnapshot::default()
+            }),
             ..GraphJob::default()
         });
         // later keyframes of the fragment are where it is now
-        let moved = last.world_from_keyframe[id] * poses[id].inverse();
+        let moved = last.poses.world_from_keyframe[id] * poses[id].inverse();
         let own = fragments[id];
         for later in id + 1..poses.len() {
             if fragments[later] == own && !last.joined.is_empty() {
                 poses[later] = moved * poses[later];
-                fragments[later] = last.fragments[id];
+                fragments[later] = last.poses.fragment[id];
             }
         }
-        poses[..=id].clone_from_slice(&last.world_from_keyframe);
-        fragments[..=id].clone_from_slice(&last.fragments);
+        poses[..=id].clone_from_slice(&last.poses.world_from_keyframe);
+        fragments[..=id].clone_from_slice(&last.poses.fragment);
         joined.append(&mut last.joined);
     }
     last.joined = joined;
@@ -207,9 +230,9 @@ fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
 fn a_fragment_joins_where_several_keyframes_say_that_it_is() {
     let (update, truth, _) = two_fragments(FragmentConfig::default());
     assert_eq!(update.joined, [Joined { from: 1, into: 0 }]);
-    assert_eq!(update.fragments, [0; 8]);
+    assert_eq!(update.poses.fragment, [0; 8]);
     assert!(update.stats.loop_closures >= 2);
-    let after = error(&update.world_from_keyframe, &truth);
+    let after = error(&update.poses.world_from_keyframe, &truth);
     assert!(after.0 < 0.02 && after.1 < 0.02, "{after:?}");
 }
 
@@ -220,8 +243,8 @@ fn a_fragment_that_too_few_keyframes_recognise_stays_where_it_is() {
         ..FragmentConfig::default()
     });
     assert_eq!(update.joined, []);
-    assert_eq!(update.fragments, [0, 0, 0, 0, 1, 1, 1, 1]);
-    let (main, fragment) = update.world_from_keyframe.split_at(4);
+    assert_eq!(update.poses.fragment, [0, 0, 0, 0, 1, 1, 1, 1]);
+    let (main, fragment) = update.poses.world_from_keyframe.split_at(4);
     let expected: Vec<Sim3> = truth[4..]
         .iter()
         .map(|t| fragment_from_world * *t)
@@ -233,4 +256,113 @@ fn a_fragment_that_too_few_keyframes_recognise_stays_where_it_is() {
         in_fragment.0 < 0.02 && in_fragment.1 < 0.01,
         "{in_fragment:?}"
     );
+}
+
+/// A graph with two keyframes, the second one median depth beside the first.
+fn two_keyframes() -> KeyframeGraph {
+    let mask = Mask::filled(320, 240, 255);
+    let pinhole = monogrid_geometry::Pinhole::new(300.0, 300.0, 160.0, 120.0);
+    let joining = FragmentConfig::default();
+    let mut graph = KeyframeGraph::new(GraphConfig::default(), joining, pinhole, mask).unwrap();
+    let aside = Sim3::exp(&Vec7::from_column_slice(&[
+        1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    ]));
+    graph.poses = PoseSnapshot::clone(&map_of(&[Sim3::identity(), aside]));
+    graph
+}
+
+/// A measurement of the second keyframe in the first that is off by this much along the way, and very sure.
+fn measured(graph: &KeyframeGraph, off: f64) -> SimilarityConstraint {
+    let error = Vec7::from_column_slice(&[off, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    SimilarityConstraint {
+        b_from_a: graph.relative(0, 1) * Sim3::exp(&error),
+        information: Mat7::identity() * 1e12,
+        reciprocal_chi_sq: 0.0,
+        visible_share: 1.0,
+    }
+}
+
+#[test]
+fn a_loop_is_certain_only_as_far_as_drift_explains_it() {
+    let drift = GraphConfig::default().places.drift;
+    let limit = drift.translation_start + drift.translation_share;
+    for (off, is_certain) in [(0.9 * limit, true), (1.1 * limit, false), (1.0, false)] {
+        let mut graph = two_keyframes();
+        let constraint = measured(&graph, off);
+        graph.close_loop(0, 1, &constraint);
+        let kernel = graph.edges[&(0, 1, EdgeKind::Direct)].kernel;
+        let expected = if is_certain { CERTAIN } else { graph.doubted() };
+        assert_eq!(kernel, expected, "off by {off}");
+    }
+}
+
+#[test]
+fn no_edge_is_surer_than_the_errors_that_its_residuals_do_not_show() {
+    let mut graph = two_keyframes();
+    let constraint = measured(&graph, 0.0);
+    graph.set_direct_edge(0, 1, &constraint, CERTAIN);
+    let edge = graph.edges[&(0, 1, EdgeKind::Direct)];
+    let sigmas = edge
+        .information
+        .try_inverse()
+        .unwrap()
+        .diagonal()
+        .map(f64::sqrt);
+    let config = GraphConfig::default().direct_edges;
+    let translation = config.translation_sigma.hypot(config.translation_share);
+    for k in 0..7 {
+        let expected = match k {
+            0..3 => translation,
+            3..6 => config.rotation_sigma,
+            _ => config.scale_sigma,
+        };
+        let share = sigmas[k] / expected;
+        assert!((share - 1.0).abs() < 1e-3, "{k}: {sigmas} {expected}");
+    }
+    // what is held without a measurement is not surer either
+    graph.hold(0, 1);
+    let held = graph.edges[&(0, 1, EdgeKind::Odometry)];
+    assert!((held.information - edge.information).norm() < 1e-3 * edge.information.norm());
+}
+
+/// Keyframes that look for places alone; poses that are off by this much from the fifth on.
+fn with_places_only(off: f64) -> GraphStats {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let camera = sequence.camera();
+    let (views, truth) = keyframes(&sequence, 8, 8);
+    let mut config = GraphConfig {
+        nearest: 0,
+        max_overlapping: 0,
+        ..GraphConfig::default()
+    };
+    config.places.min_keyframes_between = 3;
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    let joining = FragmentConfig::default();
+    let mut graph = KeyframeGraph::new(config, joining, camera.pinhole, mask).unwrap();
+    let aside = Sim3::exp(&Vec7::from_column_slice(&[
+        off, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    ]));
+    let poses: Vec<Sim3> = (0..)
+        .zip(&truth)
+        .map(|(id, pose)| if id < 4 { *pose } else { aside * *pose })
+        .collect();
+    let mut stats = GraphStats::default();
+    for (view, id) in views.iter().zip(1..) {
+        let job = GraphJob {
+            finished: Some(Arc::clone(view)),
+            poses: map_of(&poses[..id]),
+            ..GraphJob::default()
+        };
+        stats = graph.run(job).stats;
+    }
+    stats
+}
+
+#[test]
+fn a_loop_that_only_confirms_the_poses_is_not_added() {
+    let confirmed = with_places_only(0.0);
+    assert!(confirmed.loops_proposed >= 2, "{confirmed:?}");
+    assert_eq!(confirmed.loop_closures, 0, "{confirmed:?}");
+    let drifted = with_places_only(0.2);
+    assert!(drifted.loop_closures >= 1, "{drifted:?}");
 }

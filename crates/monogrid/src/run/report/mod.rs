@@ -206,7 +206,8 @@ fn path_plot(input: &ReportInput) -> Plot {
 
 /// Some keyframes, evenly spread, with image, depth and uncertainty, at half their size.
 fn show_keyframes(page: &mut Page, tracked: &Tracked) {
-    let count = tracked.slam.keyframes().len();
+    let keyframes = tracked.slam.keyframes();
+    let count = keyframes.len();
     if count == 0 {
         return;
     }
@@ -221,7 +222,7 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
         } else {
             0
         };
-        let keyframe = &tracked.slam.keyframes()[position];
+        let keyframe = &keyframes[position];
         let image = Image::from_fn(
             keyframe.image.width() / 2,
             keyframe.image.height() / 2,

@@ -1,0 +1,85 @@
+//! Keyframes as alignment needs them, and the direct alignment of two of them.
+
+use super::state::{Entry, KeyframeGraph};
+use crate::KeyframeId;
+use crate::graph::search::Probes;
+use crate::map::View;
+use monogrid_alignment::{KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally};
+use monogrid_features::{DepthLookup, InverseDepth};
+use monogrid_geometry::Sim3;
+use std::sync::Arc;
+
+/// Keyframes that are prepared for alignment at the same time at most.
+const MAX_PREPARED: usize = 24;
+
+impl KeyframeGraph {
+    /// Keeps a finished keyframe; whether it is new.
+    pub(super) fn enter(&mut self, view: Arc<View>) -> bool {
+        let probes = Probes::new(&view.samples, &self.image.pinhole);
+        self.remember(&view);
+        self.entries
+            .insert(view.id, Entry { view, probes })
+            .is_none()
+    }
+
+    /// Remembers a keyframe by its appearance.
+    fn remember(&mut self, view: &View) {
+        if !self.config.places.enabled {
+            return;
+        }
+        let depths = view.samples.iter().map(|sample| {
+            let depth = InverseDepth {
+                idepth: sample.idepth,
+                idepth_var: sample.idepth_var,
+            };
+            (sample.x, sample.y, depth)
+        });
+        let lookup = DepthLookup::new(self.mask.width(), self.mask.height(), depths);
+        let id = u64::from(view.id);
+        self.places
+            .insert(id, &view.pyramid, Some(&self.mask), &lookup);
+    }
+
+    /// Direct alignment of keyframe `id` to `other`, in both directions.
+    pub(super) fn align(
+        &mut self,
+        id: KeyframeId,
+        other: KeyframeId,
+        other_from_own: Sim3,
+    ) -> Option<SimilarityConstraint> {
+        let (own_view, other_view) = (self.prepare(id)?, self.prepare(other)?);
+        let exposure = |id: KeyframeId| self.entries.get(&id).map(|e| e.view.exposure);
+        let (gain, bias) = exposure(id)?.relative(&exposure(other)?);
+        let initial = SimilarityState {
+            b_from_a: other_from_own,
+            log_gain: gain.ln(),
+            bias,
+        };
+        align_reciprocally(&own_view, &other_view, &initial, &self.config.similarity).ok()
+    }
+
+    /// Points, image and depth of a keyframe on the levels of the alignment.
+    fn prepare(&mut self, id: KeyframeId) -> Option<Arc<KeyframeView>> {
+        if let Some(at) = self.prepared.iter().position(|(other, _)| *other == id) {
+            let found = self.prepared.remove(at);
+            let view = Arc::clone(&found.1);
+            self.prepared.push(found);
+            return Some(view);
+        }
+        let view = &self.entries.get(&id)?.view;
+        let config = &self.config.similarity;
+        let (finest, coarsest) = (config.finest_level, config.coarsest_level);
+        let prepared = Arc::new(KeyframeView::new(
+            &view.pyramid,
+            &self.image.pinhole,
+            &view.samples,
+            finest,
+            coarsest,
+        ));
+        if self.prepared.len() >= MAX_PREPARED {
+            self.prepared.remove(0);
+        }
+        self.prepared.push((id, Arc::clone(&prepared)));
+        Some(prepared)
+    }
+}

@@ -1,0 +1,138 @@
+//! The graph with all that its jobs need.
+
+use super::join::Joining;
+use crate::graph::GraphConfig;
+use crate::graph::job::{EdgeKind, GraphStats};
+use crate::graph::places::{PlacesError, memory_of_places};
+use crate::graph::search::{ImageBounds, Probes};
+use crate::map::View;
+use crate::stored::StoredEdge;
+use crate::{FragmentConfig, FragmentId, KeyframeId, MAIN_MAP, PoseSnapshot};
+use monogrid_alignment::KeyframeView;
+use monogrid_features::PlaceMemory;
+use monogrid_geometry::{Mat7, Pinhole, Sim3};
+use monogrid_graph::RobustKernel;
+use monogrid_graph::pose_graph::GraphEdge;
+use monogrid_image::Mask;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// A finished keyframe as the graph keeps it.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub view: Arc<View>,
+    pub probes: Probes,
+}
+
+/// Kernel of edges that are right but for single large errors.
+pub(super) const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
+
+/// The older and the newer keyframe of an edge, and its kind.
+pub(super) type EdgeKey = (KeyframeId, KeyframeId, EdgeKind);
+
+/// Constraints between keyframes and the optimisation of their poses.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyframeGraph {
+    pub(super) config: GraphConfig,
+    pub(super) image: ImageBounds,
+    pub(super) mask: Mask,
+    pub(super) entries: BTreeMap<KeyframeId, Entry>,
+    /// The keyframes as the job under way moves them. Each fragment has its own world, held by its first
+    /// keyframe, and is optimised alone.
+    pub(super) poses: PoseSnapshot,
+    /// Fragments that the job under way has to do with.
+    pub(super) active: BTreeSet<FragmentId>,
+    pub(super) joining: Joining,
+    pub(super) edges: BTreeMap<EdgeKey, GraphEdge>,
+    /// Edges that an optimisation has seen: they decide from then on by how well they fit, and only what
+    /// is new makes it look far away.
+    pub(super) judged: BTreeSet<EdgeKey>,
+    pub(super) refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
+    /// Keyframes by their appearance.
+    pub(super) places: PlaceMemory,
+    /// Prepared keyframes, the most recently used last.
+    pub(super) prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
+    pub(super) stats: GraphStats,
+}
+
+impl KeyframeGraph {
+    /// A graph without keyframes, for images of which `mask` says what belongs to the picture.
+    ///
+    /// # Errors
+    /// A vocabulary that cannot be used.
+    pub(crate) fn new(
+        config: GraphConfig,
+        joining: FragmentConfig,
+        pinhole: Pinhole,
+        mask: Mask,
+    ) -> Result<Self, PlacesError> {
+        let places = memory_of_places(&config.places, pinhole)?;
+        Ok(Self {
+            config,
+            image: ImageBounds {
+                pinhole,
+                width: mask.width() as f64,
+                height: mask.height() as f64,
+            },
+            mask,
+            entries: BTreeMap::new(),
+            poses: PoseSnapshot::default(),
+            active: BTreeSet::from([MAIN_MAP]),
+            joining: Joining::new(joining),
+            edges: BTreeMap::new(),
+            judged: BTreeSet::new(),
+            refused: BTreeMap::new(),
+            places,
+            prepared: Vec::new(),
+            stats: GraphStats::default(),
+        })
+    }
+
+    /// Adds an edge or replaces one.
+    pub(super) fn set_edge(
+        &mut self,
+        (i, j, kind): EdgeKey,
+        i_from_j: Sim3,
+        information: Mat7,
+        kernel: RobustKernel,
+    ) {
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j,
+            information,
+            kernel,
+        };
+        self.judged.remove(&(i, j, kind));
+        self.edges.insert((i, j, kind), edge);
+    }
+
+    /// All edges with where they come from.
+    pub(crate) fn stored_edges(&self) -> Vec<StoredEdge> {
+        let edges = self.edges.iter();
+        edges
+            .map(|((_, _, kind), edge)| StoredEdge {
+                kind: *kind,
+                edge: *edge,
+            })
+            .collect()
+    }
+
+    /// Whether two keyframes have a direct edge.
+    pub(super) fn is_aligned(&self, i: KeyframeId, j: KeyframeId) -> bool {
+        self.edges.contains_key(&(i, j, EdgeKind::Direct))
+    }
+
+    /// The fragment of a keyframe.
+    pub(super) fn fragment_of(&self, id: KeyframeId) -> FragmentId {
+        self.poses.fragment_of(id)
+    }
+
+    pub(super) fn pose(&self, id: KeyframeId) -> Sim3 {
+        self.poses.world_from_keyframe[id as usize]
+    }
+
+    pub(super) fn relative(&self, i: KeyframeId, j: KeyframeId) -> Sim3 {
+        self.pose(i).inverse() * self.pose(j)
+    }
+}

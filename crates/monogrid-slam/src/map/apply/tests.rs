@@ -1,0 +1,241 @@
+//! Changes of a small map, without images.
+
+use super::*;
+use crate::map::Exposure;
+use crate::{FragmentId, Keyframe, MAIN_MAP, PoseSnapshot};
+use monogrid_geometry::{Se3, Vec2, Vec3, Vec7};
+
+/// Keyframes in this many fragments, one after the other, three points in each, which the next one sees.
+fn map_with(fragments: &[FragmentId]) -> Map {
+    let mut map = Map::default();
+    for (id, fragment) in (0..).zip(fragments) {
+        let parent = (id > 0 && fragments[id as usize - 1] == *fragment).then(|| id - 1);
+        map.apply(Change::Created(NewKeyframe {
+            fragment: *fragment,
+            parent,
+            frame_index: 10 * id as usize,
+            timestamp_ns: i64::from(id),
+            pyramid: Arc::default(),
+            exposure: Exposure::NEUTRAL,
+            world_from_keyframe: pose(f64::from(id), 1.0),
+        }));
+        let inliers = match parent {
+            Some(parent) => map[parent].points.anchored.clone(),
+            None => 0..0,
+        };
+        map.apply(Change::Registered(Registration {
+            inliers: inliers.map(|point| (point, Vec2::zeros())).collect(),
+            ..Registration::default()
+        }));
+        let points = (1..=3).map(|k| SparsePoint {
+            host: id,
+            pixel: Vec2::zeros(),
+            idepth: f64::from(k),
+            prior_idepth: f64::from(k),
+            prior_sigma: 0.1,
+            observations: Vec::new(),
+            alive: true,
+        });
+        map.apply(Change::Anchored(points.collect()));
+    }
+    map
+}
+
+fn pose(place: f64, unit: f64) -> Sim3 {
+    Sim3::exp(&Vec7::from_column_slice(&[
+        place,
+        0.1,
+        -0.2,
+        0.05 * place,
+        0.1,
+        0.0,
+        unit.ln(),
+    ]))
+}
+
+fn finish(map: &mut Map, id: KeyframeId, revision: u32) {
+    map.apply(Change::Finished(FinishedKeyframe {
+        id,
+        published: Some(Keyframe {
+            id,
+            frame_index: 0,
+            timestamp_ns: 0,
+            revision,
+            image: monogrid_image::Image::filled(1, 1, 0),
+            pixels: Vec::new(),
+        }),
+        depth: None,
+        links: Vec::new(),
+        view: None,
+    }));
+}
+
+fn optimised(map: &Map, moved: &[(KeyframeId, Sim3)], joined: Vec<Joined>) -> Change {
+    let mut poses = PoseSnapshot::clone(map.snapshot());
+    for (id, pose) in moved {
+        poses.world_from_keyframe[*id as usize] = *pose;
+    }
+    for joined in &joined {
+        for fragment in poses.fragment.iter_mut().filter(|f| **f == joined.from) {
+            *fragment = joined.into;
+        }
+    }
+    let update = GraphUpdate {
+        poses,
+        joined,
+        ..GraphUpdate::default()
+    };
+    Change::Optimised(Box::new(update), 77)
+}
+
+/// Position in the world of a point at the centre of its host's image.
+fn position(map: &Map, point: &SparsePoint) -> Vec3 {
+    let in_host = Vec3::new(0.0, 0.0, 1.0 / point.idepth);
+    map[point.host].camera_from_world.inverse() * in_host
+}
+
+#[test]
+fn points_keep_their_place_in_a_keyframe_that_is_moved_and_scaled() {
+    let mut map = map_with(&[0, 0, 0]);
+    let before: Vec<Vec3> = map.points().iter().map(|p| position(&map, p)).collect();
+    let sigma = map.points()[3].prior_sigma / map.points()[3].prior_idepth;
+    let (old, new) = (map[1].world_from_keyframe, pose(5.0, 2.5));
+    let change = optimised(&map, &[(1, new)], Vec::new());
+    map.apply(change);
+    for (index, point) in map.points().iter().enumerate() {
+        let expected = if point.host == 1 {
+            new * (old.inverse() * before[index])
+        } else {
+            before[index]
+        };
+        let error = (position(&map, point) - expected).norm();
+        assert!(error < 1e-9, "point {index}: {error}");
+        assert!((point.prior_idepth - point.idepth).abs() < 1e-12);
+    }
+    let moved = &map.points()[3];
+    assert!((moved.prior_sigma / moved.prior_idepth - sigma).abs() < 1e-12);
+}
+
+#[test]
+fn each_keyframe_knows_the_points_that_it_sees() {
+    let mut map = map_with(&[0, 0, 0]);
+    let seen = |map: &Map, id| map[id].points.all().collect::<Vec<_>>();
+    assert_eq!(seen(&map, 0), [0, 1, 2]);
+    assert_eq!(seen(&map, 1), [0, 1, 2, 3, 4, 5]);
+    assert_eq!(seen(&map, 2), [3, 4, 5, 6, 7, 8]);
+    map.apply(Change::Adjusted(Adjustment {
+        camera_from_world: vec![(2, Se3::identity())],
+        idepths: vec![(4, 0.25)],
+        refuted: vec![(4, 2)],
+        ..Adjustment::default()
+    }));
+    assert_eq!(seen(&map, 2), [3, 5, 6, 7, 8]);
+    assert!(!map.points()[4].is_shared() && map.points()[5].is_shared());
+    assert_eq!(map.points()[4].pixel_in(2), None);
+    assert!((map.points()[4].idepth - 0.25).abs() < 1e-12);
+    assert_eq!(map.counts().failed_adjustments, 0);
+}
+
+#[test]
+fn events_tell_what_a_listener_needs_and_no_more() {
+    let mut map = map_with(&[0, 0]);
+    assert!(map.take_events().is_empty(), "nobody knows these keyframes");
+    finish(&mut map, 0, 0);
+    let moved = map[1].world_from_keyframe;
+    map.apply(Change::Posed(vec![(1, moved)]));
+    let events = map.take_events();
+    assert!(
+        matches!(&events[..], [Event::Finished(k, poses)] if k.id == 0 && Arc::ptr_eq(poses, map.snapshot())),
+        "{events:?}"
+    );
+    assert!(map.take_events().is_empty());
+    map.apply(Change::Posed(vec![(1, moved)]));
+    finish(&mut map, 0, 1);
+    map.apply(Change::Lost(5));
+    let events = map.take_events();
+    assert!(
+        matches!(
+            &events[..],
+            [Event::Revised(k), Event::Moved(_), Event::Lost { frame_index: 5 }] if k.revision == 1
+        ),
+        "{events:?}"
+    );
+    map.apply(Change::Found(Found {
+        frame_index: 9,
+        keyframe: 1,
+        is_recognised: true,
+    }));
+    let events = map.take_events();
+    assert!(matches!(
+        &events[..],
+        [Event::Found {
+            frame_index: 9,
+            keyframe: 1
+        }]
+    ));
+    let counts = map.counts();
+    assert_eq!((counts.lost_episodes, counts.relocalisations), (1, 1));
+}
+
+#[test]
+fn a_fragment_that_is_joined_is_counted_as_it_was() {
+    let mut map = map_with(&[0, 0, 1, 1]);
+    map.apply(Change::Started(Fragment::begun(1, 2, 20)));
+    assert_eq!((map.num_apart(), map.next_fragment()), (1, 2));
+    map.take_events();
+    let joined = Joined {
+        from: 1,
+        into: MAIN_MAP,
+    };
+    let change = optimised(&map, &[(2, pose(2.5, 0.5))], vec![joined]);
+    map.apply(change);
+    assert!(map.keyframes().iter().all(|k| k.fragment == MAIN_MAP));
+    let events = map.take_events();
+    let [Event::Joined(fragment)] = &events[..] else {
+        panic!("{events:?}");
+    };
+    assert_eq!((fragment.id, fragment.keyframes), (1, 2));
+    assert_eq!(fragment.joined.map(|j| (j.into, j.frame)), Some((0, 77)));
+    assert_eq!(map.num_apart(), 0);
+    assert_eq!(map.fragments()[0].keyframes, 2, "not those of the main map");
+}
+
+#[test]
+fn the_cost_of_a_graph_update_follows_what_moved() {
+    // 1,000 keyframes with 150 points each, of which ten move
+    let mut map = Map::default();
+    for id in 0..1000 {
+        map.apply(Change::Created(NewKeyframe {
+            fragment: MAIN_MAP,
+            parent: (id > 0).then(|| id - 1),
+            frame_index: id as usize,
+            timestamp_ns: i64::from(id),
+            pyramid: Arc::default(),
+            exposure: Exposure::NEUTRAL,
+            world_from_keyframe: pose(f64::from(id), 1.0),
+        }));
+        let point = |k: u32| SparsePoint {
+            host: id,
+            pixel: Vec2::zeros(),
+            idepth: f64::from(k),
+            prior_idepth: f64::from(k),
+            prior_sigma: 0.1,
+            observations: Vec::new(),
+            alive: true,
+        };
+        map.apply(Change::Anchored((1..=150).map(point).collect()));
+    }
+    let mut fastest_ms = f64::INFINITY;
+    for round in 1..=20 {
+        let unit = 1.0 + 0.01 * f64::from(round);
+        let moved: Vec<(KeyframeId, Sim3)> = (100..110)
+            .map(|id| (id, pose(f64::from(id), unit)))
+            .collect();
+        let change = optimised(&map, &moved, Vec::new());
+        let begin = std::time::Instant::now();
+        map.apply(change);
+        fastest_ms = fastest_ms.min(begin.elapsed().as_secs_f64() * 1e3);
+    }
+    println!("an update that moves 10 of 1,000 keyframes costs tracking {fastest_ms:.2} ms");
+    assert!(fastest_ms < 5.0, "{fastest_ms} ms");
+}

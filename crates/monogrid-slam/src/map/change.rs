@@ -1,0 +1,96 @@
+//! What stages find, as changes of the map.
+
+use super::exposure::Exposure;
+use super::frames::{Record, VisitEnd};
+use super::points::{Adjustment, DenseLink, Registration, SparsePoint};
+use super::view::View;
+use crate::graph::GraphUpdate;
+use crate::stored::StoredEdge;
+use crate::{Fragment, FragmentId, Keyframe, KeyframeId, Scale};
+use monogrid_depth::PackedDepth;
+use monogrid_geometry::{Se3, Sim3};
+use monogrid_image::Pyramid;
+use std::sync::Arc;
+
+/// A change of the map; see [`super::Map::apply`].
+#[derive(Debug)]
+pub(crate) enum Change {
+    /// The world has a unit.
+    Scaled(Scale),
+    /// There is a new keyframe, the newest.
+    Created(NewKeyframe),
+    /// Tracking has left a keyframe.
+    Finished(FinishedKeyframe),
+    /// Tracking goes on with a keyframe that existed already.
+    Reactivated(KeyframeId),
+    /// The newest keyframe was found among the points.
+    Registered(Registration),
+    /// New points in the newest keyframe.
+    Anchored(Vec<SparsePoint>),
+    /// The points and the poses of their keyframes were adjusted.
+    Adjusted(Adjustment),
+    /// Points that are no longer used.
+    Unconfirmed(Vec<usize>),
+    /// Dense depth of a keyframe at the points that it sees.
+    Linked(KeyframeId, Vec<DenseLink>),
+    /// Poses and units follow the points.
+    Posed(Vec<(KeyframeId, Sim3)>),
+    /// The graph has moved keyframes, with what is anchored in them, after this frame.
+    Optimised(Box<GraphUpdate>, usize),
+    /// These are the constraints between keyframes.
+    Constrained(Vec<StoredEdge>),
+    /// A frame has a pose on the keyframe in use.
+    Tracked(Record),
+    /// Frames are tracked on this keyframe from this time on; how the change came about, where both
+    /// keyframes know a frame.
+    Visited(KeyframeId, i64, Option<VisitEnd>),
+    /// A fragment begins.
+    Started(Fragment),
+    /// The camera is lost from this frame on.
+    Lost(usize),
+    /// The camera has a pose again.
+    Found(Found),
+}
+
+/// A keyframe to be made.
+#[derive(Debug)]
+pub(crate) struct NewKeyframe {
+    pub fragment: FragmentId,
+    pub parent: Option<KeyframeId>,
+    pub frame_index: usize,
+    pub timestamp_ns: i64,
+    pub pyramid: Arc<Pyramid>,
+    pub exposure: Exposure,
+    /// In the world of its fragment.
+    pub world_from_keyframe: Sim3,
+}
+
+/// A keyframe as tracking has left it.
+#[derive(Debug)]
+pub(crate) struct FinishedKeyframe {
+    pub id: KeyframeId,
+    /// What everybody should use from now on, where that is worth it.
+    pub published: Option<Keyframe>,
+    /// Its depth, to be used again.
+    pub depth: Option<PackedDepth>,
+    /// Its dense depth at the points that it sees.
+    pub links: Vec<DenseLink>,
+    /// What the graph needs, where there is one.
+    pub view: Option<Arc<View>>,
+}
+
+/// The end of a loss.
+#[derive(Debug)]
+pub(crate) struct Found {
+    pub frame_index: usize,
+    pub keyframe: KeyframeId,
+    /// Whether the camera was recognised, or tracking alone found it again.
+    pub is_recognised: bool,
+}
+
+impl NewKeyframe {
+    /// Its rigid pose, translation in world units.
+    pub(super) fn camera_from_world(&self) -> Se3 {
+        self.world_from_keyframe.to_se3().inverse()
+    }
+}

@@ -1,0 +1,200 @@
+//! Frames with a believed pose, each relative to the keyframe that it was tracked on.
+
+use super::arena::Map;
+use crate::{FragmentId, KeyframeId, TrackedFrame, TrajectoryPose};
+use monogrid_geometry::{Se3, Vec6};
+
+/// A tracked frame, relative to its keyframe.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Record {
+    pub frame_index: usize,
+    pub timestamp_ns: i64,
+    pub frame_from_keyframe: Se3,
+    /// Position in the list of visits; given by the log.
+    pub visit: usize,
+}
+
+impl Record {
+    /// A frame that was tracked on the keyframe in use.
+    pub(crate) fn new(frame_index: usize, timestamp_ns: i64, frame_from_keyframe: Se3) -> Self {
+        Self {
+            frame_index,
+            timestamp_ns,
+            frame_from_keyframe,
+            visit: 0,
+        }
+    }
+}
+
+/// A stretch of time in which frames were tracked on one keyframe.
+#[derive(Clone, Copy, Debug)]
+struct Visit {
+    keyframe: KeyframeId,
+    begin_ns: i64,
+    end: Option<VisitEnd>,
+}
+
+/// The frame with which tracking went on with another keyframe, as both know it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct VisitEnd {
+    /// As it was tracked on the keyframe that was left.
+    pub frame_from_keyframe: Se3,
+    pub frame_from_next: Se3,
+}
+
+/// All frames with a believed pose.
+#[derive(Clone, Debug, Default)]
+pub(super) struct FrameLog {
+    visits: Vec<Visit>,
+    records: Vec<Record>,
+}
+
+impl FrameLog {
+    /// Frames are tracked on another keyframe from this time on.
+    pub(super) fn visit(&mut self, keyframe: KeyframeId, begin_ns: i64, end: Option<VisitEnd>) {
+        if let (Some(visit), Some(_)) = (self.visits.last_mut(), end) {
+            visit.end = end;
+        }
+        self.visits.push(Visit {
+            keyframe,
+            begin_ns,
+            end: None,
+        });
+    }
+
+    /// Adds a frame to the visit under way.
+    pub(super) fn add(&mut self, record: Record) {
+        if let Some(visit) = self.visits.len().checked_sub(1) {
+            self.records.push(Record { visit, ..record });
+        }
+    }
+}
+
+/// What is known now about the end of a visit: the pose of its last frame relative to the next keyframe
+/// differs from the tracked one.
+struct Correction {
+    begin_ns: i64,
+    end_ns: i64,
+    /// Logarithm of `tracked_from_adjusted` of the last frame's camera.
+    twist: Vec6,
+}
+
+impl Correction {
+    /// The share of the correction that has built up at a time, taken as growing evenly.
+    fn at(&self, timestamp_ns: i64) -> Se3 {
+        let length = (self.end_ns - self.begin_ns).max(1) as f64;
+        let share = (timestamp_ns - self.begin_ns) as f64 / length;
+        Se3::exp(&(self.twist * share.clamp(0.0, 1.0)))
+    }
+}
+
+impl Map {
+    /// The last frame with a pose.
+    pub(crate) fn last_record(&self) -> Option<&Record> {
+        self.frames.records.last()
+    }
+
+    /// `last_from_this` of two frames as both were tracked on one keyframe, in units of the world; `None` if
+    /// there is none that knows both.
+    pub(crate) fn tracked_step(&self, last: &Record, this: &Record) -> Option<Se3> {
+        let keyframe = self.keyframe_of(this)?;
+        let last_from_keyframe = if last.visit == this.visit {
+            last.frame_from_keyframe
+        } else {
+            let is_next = last.visit + 1 == this.visit;
+            let left = self.frames.visits.get(last.visit)?;
+            let next = self.frames.visits.get(last.visit + 1)?;
+            let end = left.end.as_ref()?;
+            (is_next && next.begin_ns == last.timestamp_ns).then_some(end.frame_from_next)?
+        };
+        let scale = self.get(keyframe)?.world_from_keyframe.scale;
+        let step = last_from_keyframe * this.frame_from_keyframe.inverse();
+        Some(Se3::new(step.rotation, step.translation * scale))
+    }
+
+    /// The frames of a fragment, in its world, in the order of time, with everything known now.
+    ///
+    /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
+    /// the last of them, the difference is spread over the frames of the visit.
+    pub(crate) fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
+        let mut poses: Vec<TrajectoryPose> = self
+            .corrected_poses()
+            .filter(|(_, keyframe, _)| self[*keyframe].fragment == fragment)
+            .map(|(record, _, world_from_camera)| TrajectoryPose {
+                frame_index: record.frame_index,
+                timestamp_ns: record.timestamp_ns,
+                world_from_camera,
+            })
+            .collect();
+        poses.sort_by_key(|pose| (pose.timestamp_ns, pose.frame_index));
+        poses
+    }
+
+    /// The frames of all fragments relative to their keyframes, in the order of time.
+    pub(crate) fn tracked_frames(&self) -> Vec<TrackedFrame> {
+        let mut frames: Vec<TrackedFrame> = self
+            .corrected_poses()
+            .map(|(record, keyframe, world_from_camera)| {
+                let keyframe_from_world = self[keyframe].world_from_keyframe.inverse();
+                let relative = keyframe_from_world * world_from_camera.with_scale(1.0);
+                TrackedFrame {
+                    frame_index: record.frame_index,
+                    timestamp_ns: record.timestamp_ns,
+                    keyframe,
+                    keyframe_from_frame: relative.to_se3(),
+                }
+            })
+            .collect();
+        frames.sort_by_key(|frame| (frame.timestamp_ns, frame.frame_index));
+        frames
+    }
+
+    /// Frames with a pose in a fragment.
+    pub(super) fn num_frames_in(&self, fragment: FragmentId) -> usize {
+        let keyframes = self
+            .frames
+            .records
+            .iter()
+            .filter_map(|r| self.keyframe_of(r));
+        keyframes
+            .filter(|id| self[*id].fragment == fragment)
+            .count()
+    }
+
+    fn keyframe_of(&self, record: &Record) -> Option<KeyframeId> {
+        self.frames.visits.get(record.visit).map(|v| v.keyframe)
+    }
+
+    /// All records with their keyframes and `world_from_camera`, each in the world of its fragment.
+    fn corrected_poses(&self) -> impl Iterator<Item = (&Record, KeyframeId, Se3)> {
+        let visits = &self.frames.visits;
+        let next = visits.iter().skip(1).map(Some).chain([None]);
+        let corrections: Vec<Option<Correction>> = visits
+            .iter()
+            .zip(next)
+            .map(|(visit, next)| self.correction(visit, next?))
+            .collect();
+        self.frames.records.iter().filter_map(move |record| {
+            let keyframe = self.keyframe_of(record)?;
+            let tracked = self[keyframe].world_from_camera(&record.frame_from_keyframe);
+            let correction = corrections.get(record.visit);
+            let pose = match correction.and_then(Option::as_ref) {
+                Some(correction) => tracked * correction.at(record.timestamp_ns),
+                None => tracked,
+            };
+            Some((record, keyframe, pose))
+        })
+    }
+
+    /// The correction over the time of a visit; none where tracking was lost at its end.
+    fn correction(&self, visit: &Visit, next: &Visit) -> Option<Correction> {
+        let end = visit.end.as_ref()?;
+        let tracked = self[visit.keyframe].world_from_camera(&end.frame_from_keyframe);
+        let adjusted = self[next.keyframe].world_from_camera(&end.frame_from_next);
+        Some(Correction {
+            begin_ns: visit.begin_ns,
+            end_ns: next.begin_ns,
+            twist: (tracked.inverse() * adjusted).log(),
+        })
+    }
+}

@@ -1,0 +1,114 @@
+//! Points of the sparse layer, and what a keyframe knows about them.
+
+use crate::KeyframeId;
+use monogrid_geometry::{Se3, Vec2};
+use monogrid_graph::bundle::BundleError;
+use std::ops::Range;
+
+/// Where a keyframe sees a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Observation {
+    pub keyframe: KeyframeId,
+    /// Level-0 px.
+    pub pixel: Vec2,
+}
+
+/// A point anchored in a keyframe.
+#[derive(Clone, Debug)]
+pub(crate) struct SparsePoint {
+    /// Keyframe in which it was detected.
+    pub host: KeyframeId,
+    /// Its pixel there, exact by definition.
+    pub pixel: Vec2,
+    /// Inverse depth along the host's optical axis, 1 / world units.
+    pub idepth: f64,
+    /// Inverse depth it was created with, and its standard deviation.
+    pub prior_idepth: f64,
+    /// See [`Self::prior_idepth`].
+    pub prior_sigma: f64,
+    /// Keyframes other than the host that see it.
+    pub observations: Vec<Observation>,
+    /// Whether it is still used.
+    pub alive: bool,
+}
+
+impl SparsePoint {
+    /// Where a keyframe sees it.
+    pub(crate) fn pixel_in(&self, keyframe: KeyframeId) -> Option<Vec2> {
+        if self.host == keyframe {
+            return Some(self.pixel);
+        }
+        let seen = self.observations.iter().find(|o| o.keyframe == keyframe);
+        seen.map(|o| o.pixel)
+    }
+
+    /// Lengths in its host grow by a factor.
+    pub(super) fn grow(&mut self, factor: f64) {
+        self.idepth /= factor;
+        self.prior_idepth /= factor;
+        self.prior_sigma /= factor;
+    }
+
+    /// Whether it is used and another keyframe sees it.
+    pub(crate) fn is_shared(&self) -> bool {
+        self.alive && !self.observations.is_empty()
+    }
+}
+
+/// Dense inverse depth (keyframe units) where a keyframe sees a point.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DenseLink {
+    pub point: usize,
+    pub idepth: f64,
+    /// Relative standard deviation.
+    pub relative_sigma: f64,
+}
+
+/// The points that a keyframe sees, as indices.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SeenPoints {
+    /// Those anchored in it.
+    pub anchored: Range<usize>,
+    /// Those anchored in others, ascending.
+    pub others: Vec<usize>,
+    /// Its dense depth at these points.
+    pub links: Vec<DenseLink>,
+}
+
+impl SeenPoints {
+    /// All of them, ascending.
+    pub(crate) fn all(&self) -> impl Iterator<Item = usize> {
+        let cut = self.others.partition_point(|p| *p < self.anchored.start);
+        let (older, newer) = self.others.split_at(cut);
+        let older = older.iter().copied();
+        older
+            .chain(self.anchored.clone())
+            .chain(newer.iter().copied())
+    }
+}
+
+/// The newest keyframe as the points place it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Registration {
+    /// Points that were looked for.
+    pub searched: usize,
+    /// Points whose patch was found.
+    pub found: usize,
+    /// Its pose, if enough of the found points agree.
+    pub camera_from_world: Option<Se3>,
+    /// The points that agree with it, and where they are.
+    pub inliers: Vec<(usize, Vec2)>,
+}
+
+/// What a bundle adjustment says.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Adjustment {
+    /// Keyframes whose poses were free.
+    pub num_free: usize,
+    pub camera_from_world: Vec<(KeyframeId, Se3)>,
+    pub idepths: Vec<(usize, f64)>,
+    /// Points, and keyframes that do not see them after all.
+    pub refuted: Vec<(usize, KeyframeId)>,
+    /// Why nothing was adjusted.
+    pub failure: Option<BundleError>,
+}

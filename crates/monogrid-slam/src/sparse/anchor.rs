@@ -1,0 +1,80 @@
+//! New points of a new keyframe, and those that were not found again.
+
+use super::SparseConfig;
+use super::matching::{dense_idepth, find_in_older};
+use crate::map::{Map, MapKeyframe, SparsePoint};
+use monogrid_depth::DepthMap;
+use monogrid_features::{CornerConfig, detect_corners};
+use monogrid_geometry::{Pinhole, Vec2};
+use monogrid_image::Mask;
+
+/// New corners of the newest keyframe where it sees few points, with depth from the dense map (its units), and
+/// where the keyframes used last see them. `seen` are the pixels of the points that it sees already.
+pub(crate) fn anchor(
+    map: &Map,
+    depth: &DepthMap,
+    seen: &[Vec2],
+    pinhole: &Pinhole,
+    mask: &Mask,
+    config: &SparseConfig,
+) -> Vec<SparsePoint> {
+    let Some(newest) = map.newest() else {
+        return Vec::new();
+    };
+    let mut points = corners(newest, depth, seen, mask, config);
+    let observations = find_in_older(map, newest, &points, pinhole, config);
+    for (point, observations) in points.iter_mut().zip(observations) {
+        point.observations = observations;
+    }
+    points
+}
+
+fn corners(
+    newest: &MapKeyframe,
+    depth: &DepthMap,
+    seen: &[Vec2],
+    mask: &Mask,
+    config: &SparseConfig,
+) -> Vec<SparsePoint> {
+    let missing = config.points_per_keyframe.saturating_sub(seen.len());
+    if missing == 0 {
+        return Vec::new();
+    }
+    let settings = CornerConfig {
+        max_corners: missing,
+        ..CornerConfig::default()
+    };
+    let corners = detect_corners(&newest.pyramid, Some(mask), seen, &settings);
+    let unit = newest.world_from_keyframe.scale;
+    corners
+        .iter()
+        .filter_map(|corner| {
+            let (idepth, sigma) = dense_idepth(depth, &corner.pixel)?;
+            Some(SparsePoint {
+                host: newest.id,
+                pixel: corner.pixel,
+                idepth: idepth / unit,
+                prior_idepth: idepth / unit,
+                prior_sigma: sigma / unit,
+                observations: Vec::new(),
+                alive: true,
+            })
+        })
+        .collect()
+}
+
+/// Points in use that were not found again soon after they were anchored, in the fragment of the newest
+/// keyframe.
+pub(crate) fn unconfirmed(map: &Map, config: &SparseConfig) -> Vec<usize> {
+    let Some(newest) = map.newest() else {
+        return Vec::new();
+    };
+    let is_old = |k: &&MapKeyframe| newest.id.saturating_sub(k.id) >= config.drop_after_keyframes;
+    let old = map.in_fragment(newest.fragment).filter(is_old);
+    old.flat_map(|keyframe| keyframe.points.anchored.clone())
+        .filter(|index| {
+            let point = &map.points()[*index];
+            point.alive && point.observations.len() < 2
+        })
+        .collect()
+}

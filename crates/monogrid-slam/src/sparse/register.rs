@@ -1,0 +1,51 @@
+//! The pose of a new keyframe from the points of the others.
+
+use super::SparseConfig;
+use super::matching::{find_in_newest, position};
+use crate::map::{Map, Registration};
+use monogrid_geometry::{Pinhole, Vec2};
+use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose};
+
+/// Finds the points that the newest keyframe should see, and refines its pose on them.
+pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Registration {
+    let search = find_in_newest(map, pinhole, config);
+    let mut registration = Registration {
+        searched: search.num_searched,
+        found: search.found.len(),
+        ..Registration::default()
+    };
+    if search.found.len() < config.min_pose_points {
+        return registration;
+    }
+    let (Some(newest), matches) = (map.newest(), matches(map, &search.found, pinhole, config))
+    else {
+        return registration;
+    };
+    let initial = &newest.camera_from_world;
+    let Ok(refined) = refine_pose(initial, pinhole, &matches, &PoseOnlyConfig::default()) else {
+        return registration;
+    };
+    let found = search.found.into_iter().zip(refined.inliers);
+    let inliers: Vec<(usize, Vec2)> = found.filter_map(|(f, ok)| ok.then_some(f)).collect();
+    if inliers.len() >= config.min_pose_points && inliers.len() * 3 >= registration.found {
+        registration.camera_from_world = Some(refined.camera_from_world);
+        registration.inliers = inliers;
+    }
+    registration
+}
+
+fn matches(
+    map: &Map,
+    found: &[(usize, Vec2)],
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Vec<MapMatch> {
+    found
+        .iter()
+        .map(|(point, pixel)| MapMatch {
+            point_in_world: position(map, &map.points()[*point], pinhole),
+            pixel: *pixel,
+            inv_sigma_px: 1.0 / config.pose_sigma_px,
+        })
+        .collect()
+}

@@ -1,0 +1,55 @@
+//! Which keyframes share points.
+
+use crate::KeyframeId;
+use crate::graph::SparseEdgeConfig;
+use crate::map::Map;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Two keyframes that share points of the sparse layer, the older one first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SharedPoints {
+    pub i: KeyframeId,
+    pub j: KeyframeId,
+    pub count: usize,
+}
+
+/// Pairs of keyframes with enough common points and not too far apart, of which one is among `window`,
+/// older keyframe first: of each keyframe the older ones with the most common points, those first.
+pub(crate) fn shared_points(
+    map: &Map,
+    window: &[KeyframeId],
+    config: &SparseEdgeConfig,
+) -> Vec<SharedPoints> {
+    let mut shared: BTreeMap<(KeyframeId, KeyframeId), usize> = BTreeMap::new();
+    let mut seen_by = Vec::new();
+    let seen: BTreeSet<usize> = window.iter().flat_map(|id| map[*id].points.all()).collect();
+    let points = seen.into_iter().map(|index| &map.points()[index]);
+    for point in points.filter(|p| p.alive) {
+        seen_by.clear();
+        seen_by.push(point.host);
+        seen_by.extend(point.observations.iter().map(|o| o.keyframe));
+        seen_by.sort_unstable();
+        for (at, &j) in seen_by.iter().enumerate() {
+            let is_recent = window.contains(&j);
+            for &i in &seen_by[..at] {
+                if is_recent || window.contains(&i) {
+                    *shared.entry((i, j)).or_default() += 1;
+                }
+            }
+        }
+    }
+    let mut pairs: Vec<SharedPoints> = shared
+        .into_iter()
+        .map(|((i, j), count)| SharedPoints { i, j, count })
+        .filter(|pair| pair.count >= config.min_shared_points)
+        .filter(|pair| map.steps_between(pair.i, pair.j) <= config.max_gap)
+        .collect();
+    // the strongest of each newer keyframe
+    pairs.sort_by_key(|pair| (pair.j, std::cmp::Reverse(pair.count), pair.i));
+    let mut taken = (KeyframeId::MAX, 0);
+    pairs.retain(|pair| {
+        taken = (pair.j, if taken.0 == pair.j { taken.1 + 1 } else { 1 });
+        taken.1 <= config.max_edges
+    });
+    pairs
+}

@@ -1,0 +1,89 @@
+//! Where the camera is, and what is done while that is not known.
+
+use super::loss::Loss;
+use crate::KeyframeId;
+use crate::frame::Frame;
+use monogrid_alignment::{Motion, Reference};
+use monogrid_depth::DepthMap;
+use monogrid_geometry::{Se3, Vec3};
+use monogrid_image::{GrayImage, Pyramid};
+use std::sync::Arc;
+
+/// The state of tracking.
+#[derive(Debug, Default)]
+pub(super) struct Camera {
+    /// The keyframe in use.
+    pub active: Option<Active>,
+    /// The last frame with a believed pose.
+    pub last: Option<Last>,
+    /// Frames without a pose since then.
+    pub lost_in_a_row: usize,
+    /// What is being done about a loss that lasts.
+    pub loss: Loss,
+}
+
+/// The keyframe that frames are tracked on.
+#[derive(Debug)]
+pub(super) struct Active {
+    pub id: KeyframeId,
+    pub depth: DepthMap,
+    pub reference: Reference,
+    /// Frames that refined its depth since it is in use.
+    pub num_mapped: usize,
+}
+
+/// The last frame with a believed pose.
+#[derive(Debug)]
+pub(super) struct Last {
+    pub timestamp_ns: i64,
+    pub pyramid: Arc<Pyramid>,
+    /// Relative to the keyframe in use.
+    pub motion: Motion,
+    /// Motion between the last two distinct frames, in the units of the keyframe in use, and its time.
+    pub frame_from_previous: Se3,
+    pub interval_ns: i64,
+}
+
+impl Last {
+    /// A frame after another, if that one's pose is known.
+    pub(super) fn after(previous: Option<&Self>, frame: &Frame, motion: Motion) -> Self {
+        let (frame_from_previous, interval_ns) = match previous {
+            Some(last) => (
+                motion.frame_from_keyframe * last.motion.frame_from_keyframe.inverse(),
+                (frame.timestamp_ns - last.timestamp_ns).abs(),
+            ),
+            None => (Se3::identity(), 0),
+        };
+        Self {
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: Arc::clone(&frame.pyramid),
+            motion,
+            frame_from_previous,
+            interval_ns,
+        }
+    }
+}
+
+impl Camera {
+    /// The last frame and the keyframe that it was tracked on, if an image is byte for byte the same.
+    pub(super) fn repeated(&self, image: &GrayImage) -> Option<(&Last, KeyframeId)> {
+        let (last, active) = (self.last.as_ref()?, self.active.as_ref()?);
+        let is_same = self.lost_in_a_row == 0 && last.pyramid.level(0) == image;
+        is_same.then_some((last, active.id))
+    }
+
+    /// The camera has a pose again.
+    pub(super) fn end_loss(&mut self) {
+        self.lost_in_a_row = 0;
+        self.loss = Loss::default();
+    }
+
+    /// Tracking goes on with another keyframe; `in_units` expresses lengths in its units.
+    pub(super) fn continue_on(&mut self, motion: Motion, in_units: impl Fn(Vec3) -> Vec3) {
+        if let Some(last) = self.last.as_mut() {
+            last.motion = motion;
+            let step = &mut last.frame_from_previous;
+            step.translation = in_units(step.translation);
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! What the graph of keyframes is given to work on beside tracking; its results are taken over at a fixed lag.
+
+use super::setup::Setup;
+use crate::graph::{
+    GraphJob, GraphStats, GraphUpdate, GraphWorker, Handover, KeyframeGraph, OdometryEdge,
+    Relocalised, RestoredGraph,
+};
+use crate::map::{Map, MapKeyframe, View};
+use crate::sparse::{SharedPoints, shared_points};
+use crate::stored::StoredEdge;
+use crate::{KeyframeId, SlamError};
+use monogrid_alignment::Motion;
+use monogrid_geometry::{Mat6, Se3};
+use monogrid_image::Pyramid;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The graph's worker, and the job that it does.
+#[derive(Debug)]
+pub(super) struct GraphLink {
+    worker: GraphWorker,
+    lag_frames: usize,
+    /// Frames until the job under way is taken over, and when it was given.
+    due: Option<(usize, Instant)>,
+    stats: GraphStats,
+}
+
+/// What tracking has found about two keyframes.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Link {
+    /// Nothing.
+    None,
+    /// A new keyframe was made.
+    Odometry(OdometryEdge),
+    /// Tracking went on with a keyframe that existed already.
+    Handover(Handover),
+}
+
+impl GraphLink {
+    /// A link, if the configuration asks for a graph; to that of an earlier session, if there is one. Also its
+    /// edges.
+    pub(super) fn new(
+        setup: &Setup,
+        restored: Option<RestoredGraph>,
+    ) -> Result<Option<(Self, Vec<StoredEdge>)>, SlamError> {
+        let config = &setup.config;
+        if !config.graph.enabled {
+            return Ok(None);
+        }
+        let mut graph = KeyframeGraph::new(
+            config.graph.clone(),
+            config.fragments.clone(),
+            setup.pinhole,
+            setup.mask.clone(),
+        )?;
+        if let Some(restored) = restored {
+            graph.restore(restored);
+        }
+        let edges = graph.stored_edges();
+        let link = Self {
+            worker: GraphWorker::new(graph, rayon::current_num_threads()),
+            lag_frames: config.graph.lag_frames,
+            due: None,
+            stats: GraphStats::default(),
+        };
+        Ok(Some((link, edges)))
+    }
+
+    pub(super) fn stats(&self) -> &GraphStats {
+        &self.stats
+    }
+
+    /// Gives the worker a job; the result of the one before must have been taken.
+    pub(super) fn submit(&mut self, job: GraphJob) {
+        self.worker.submit(job);
+        self.due = Some((self.lag_frames, Instant::now()));
+    }
+
+    /// Counts a frame; the result, if it is due.
+    pub(super) fn count_frame(&mut self) -> Option<GraphUpdate> {
+        let (left, _) = self.due.as_mut()?;
+        if *left > 0 {
+            *left -= 1;
+            return None;
+        }
+        self.wait()
+    }
+
+    /// The result of the job under way, waiting for it when it is not ready.
+    pub(super) fn wait(&mut self) -> Option<GraphUpdate> {
+        let (_, given) = self.due.take()?;
+        let update = self.worker.take()?;
+        let waited_ms = given.elapsed().as_secs_f64() * 1e3;
+        self.stats = GraphStats {
+            max_wait_ms: self.stats.max_wait_ms.max(waited_ms),
+            ..update.stats
+        };
+        Some(update)
+    }
+
+    /// Keyframes that a frame shows, by appearance, the most certain first. No job may be under way.
+    pub(super) fn recognise(&self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
+        self.worker.relocalise(frame)
+    }
+}
+
+/// What the graph is to do with a keyframe that was finished, with the poses as they are now.
+pub(super) fn graph_job(
+    setup: &Setup,
+    map: &Map,
+    finished: Option<Arc<View>>,
+    link: Link,
+    is_final: bool,
+) -> GraphJob {
+    let (odometry, handover) = match link {
+        Link::None => (None, None),
+        Link::Odometry(edge) => (Some(edge), None),
+        Link::Handover(handover) => (None, Some(handover)),
+    };
+    GraphJob {
+        finished,
+        poses: Arc::clone(map.snapshot()),
+        odometry,
+        // without a new keyframe nothing was adjusted
+        shared_points: if handover.is_none() {
+            newly_shared(setup, map)
+        } else {
+            Vec::new()
+        },
+        handover,
+        is_final,
+    }
+}
+
+/// Keyframes that share points with those used last.
+fn newly_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
+    let Some(newest) = map.newest().filter(|_| setup.config.sparse.enabled) else {
+        return Vec::new();
+    };
+    let recent = map.recent_in(newest.fragment);
+    let window = recent
+        .len()
+        .saturating_sub(setup.config.sparse.window_newest);
+    shared_points(map, &recent[window..], &setup.config.graph.sparse_edges)
+}
+
+/// The motion of a new keyframe as tracking found it, in the units of its parent.
+pub(super) fn odometry_edge(
+    parent: KeyframeId,
+    keyframe: KeyframeId,
+    motion: &Motion,
+    unit: f64,
+    covariance: &Mat6,
+) -> OdometryEdge {
+    let keyframe_from_frame = motion.frame_from_keyframe.inverse();
+    OdometryEdge {
+        parent,
+        keyframe,
+        parent_from_keyframe: keyframe_from_frame.with_scale(unit),
+        covariance: in_keyframe(covariance, &keyframe_from_frame),
+    }
+}
+
+/// A frame as it was tracked on a keyframe.
+#[derive(Clone, Copy)]
+pub(super) struct Tie<'a> {
+    pub keyframe: &'a MapKeyframe,
+    pub motion: &'a Motion,
+    pub covariance: &'a Mat6,
+}
+
+/// What a frame that was tracked on two keyframes says about them.
+pub(super) fn handover(left: Tie<'_>, found: Tie<'_>) -> Handover {
+    let (older, newer) = if left.keyframe.id < found.keyframe.id {
+        (left, found)
+    } else {
+        (found, left)
+    };
+    // both see the same frame; lengths in units of the older
+    let unit = newer.keyframe.world_from_keyframe.scale / older.keyframe.world_from_keyframe.scale;
+    let newer_from_frame = newer.motion.frame_from_keyframe.inverse();
+    let older_from_frame = older.motion.frame_from_keyframe.inverse();
+    let in_older = Se3::new(
+        newer_from_frame.rotation,
+        newer_from_frame.translation * unit,
+    );
+    let rigid = older_from_frame * in_older.inverse();
+    let of_newer = in_keyframe(newer.covariance, &newer_from_frame);
+    Handover {
+        i: older.keyframe.id,
+        j: newer.keyframe.id,
+        i_from_j: rigid.with_scale(unit),
+        covariance: in_keyframe(older.covariance, &older_from_frame)
+            + of_newer * (unit * unit).max(1.0),
+    }
+}
+
+/// Covariance of `frame_from_keyframe` (left, in the frame) as that of its inverse (left, in the
+/// keyframe).
+fn in_keyframe(covariance: &Mat6, keyframe_from_frame: &Se3) -> Mat6 {
+    let adjoint = keyframe_from_frame.adjoint();
+    adjoint * covariance * adjoint.transpose()
+}

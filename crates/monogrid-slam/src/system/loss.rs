@@ -1,0 +1,87 @@
+//! A camera that stays lost starts a new fragment of the map, which is joined when it is recognised.
+//!
+//! Each fragment has a world of its own: the camera of its first keyframe. Everything that compares poses
+//! (sparse layer, known views, graph) stays within one. What joins them is the recognition of places, in the
+//! graph; the frames of a fragment follow their keyframes, so that the camera goes on as if nothing happened.
+
+use super::setup::Setup;
+use crate::frame::Frame;
+use crate::map::Map;
+use crate::start::{Start, StartOutcome, Started};
+use monogrid_image::Pyramid;
+
+/// What is done about a loss that lasts.
+#[derive(Debug, Default)]
+pub(super) struct Loss {
+    /// Time of the last frame.
+    last_ns: Option<i64>,
+    /// Time of the loss in which the camera saw texture.
+    textured_ns: i64,
+    /// The fragment that is about to be started.
+    start: Option<Start>,
+}
+
+/// A pause in the video longer than this does not count as time in which the place was not recognised.
+const MAX_STEP_NS: i64 = 200_000_000;
+
+impl Loss {
+    /// Brings the start of a new fragment forward, where the loss has lasted long enough.
+    pub(super) fn await_fragment(
+        &mut self,
+        setup: &Setup,
+        map: &Map,
+        frame: Frame,
+    ) -> Option<Started> {
+        let config = &setup.config.fragments;
+        let graph = &setup.config.graph;
+        let can_be_joined = graph.enabled && graph.places.enabled;
+        if !config.enabled || !can_be_joined || setup.is_frozen {
+            return None;
+        }
+        self.count(&frame);
+        let lost_secs = self.textured_ns as f64 * 1e-9;
+        if lost_secs < config.min_lost_secs || map.num_apart() >= config.max_apart {
+            return None;
+        }
+        let seed = setup.seed.wrapping_add(u64::from(map.next_fragment()));
+        let start = self.start.take();
+        let mut start = start.unwrap_or_else(|| Start::new(&setup.config, seed));
+        match start.add_frame(frame, None, &setup.pinhole, &setup.mask, &setup.config) {
+            StartOutcome::Waiting(_) => {
+                self.start = Some(start);
+                None
+            }
+            StartOutcome::Started(started) => Some(*started),
+        }
+    }
+
+    fn count(&mut self, frame: &Frame) {
+        let step = self
+            .last_ns
+            .map_or(0, |last| (frame.timestamp_ns - last).abs());
+        self.last_ns = Some(frame.timestamp_ns);
+        if has_texture(&frame.pyramid) {
+            self.textured_ns += step.min(MAX_STEP_NS);
+        }
+    }
+}
+
+/// Whether enough of an image is not plain: in a covered or overexposed one no place can be recognised.
+fn has_texture(pyramid: &Pyramid) -> bool {
+    /// Level on which noise is averaged out.
+    const LEVEL: usize = 2;
+    /// Difference across two pixels, grey levels.
+    const MIN_GRADIENT: f32 = 8.0;
+    const MIN_SHARE: f64 = 0.01;
+    let image = pyramid.level(LEVEL.min(pyramid.num_levels() - 1));
+    let (width, height) = (image.width(), image.height());
+    let mut textured = 0;
+    for y in 1..height.saturating_sub(1) {
+        for x in 1..width.saturating_sub(1) {
+            let dx = image.at(x + 1, y) - image.at(x - 1, y);
+            let dy = image.at(x, y + 1) - image.at(x, y - 1);
+            textured += usize::from(dx.hypot(dy) >= MIN_GRADIENT);
+        }
+    }
+    textured as f64 >= MIN_SHARE * (width * height) as f64
+}

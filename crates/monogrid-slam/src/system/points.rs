@@ -1,0 +1,51 @@
+//! The newest keyframe in the sparse layer.
+
+use super::setup::Setup;
+use crate::map::{Change, Map};
+use crate::sparse::{
+    SparseStats, adjust_window, anchor, dense_links, register, unconfirmed, world_from_keyframes,
+};
+use monogrid_depth::DepthMap;
+use monogrid_geometry::Vec2;
+
+/// Brings the newest keyframe, of which `depth` is the dense depth, into the sparse layer; poses and units of
+/// the keyframes of its fragment follow. `None` without a sparse layer.
+pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) -> Option<SparseStats> {
+    let config = &setup.config.sparse;
+    let newest = map.newest().filter(|_| config.enabled)?;
+    let (id, fragment) = (newest.id, newest.fragment);
+
+    let registration = register(map, &setup.pinhole, config);
+    let seen: Vec<Vec2> = registration
+        .inliers
+        .iter()
+        .map(|(_, pixel)| *pixel)
+        .collect();
+    let (searched, found) = (registration.searched, registration.found);
+    map.apply(Change::Registered(registration));
+
+    let anchored = anchor(map, depth, &seen, &setup.pinhole, &setup.mask, config);
+    let num_anchored = anchored.len();
+    map.apply(Change::Anchored(anchored));
+
+    let adjustment = adjust_window(map, &setup.pinhole, config);
+    let stats = SparseStats {
+        searched,
+        found,
+        inliers: seen.len(),
+        anchored: num_anchored,
+        adjusted_keyframes: adjustment.num_free,
+        adjusted_points: adjustment.idepths.len(),
+        removed_observations: adjustment.refuted.len(),
+        failure: adjustment.failure.clone(),
+    };
+    map.apply(Change::Adjusted(adjustment));
+    let dropped = unconfirmed(map, config);
+    map.apply(Change::Unconfirmed(dropped));
+
+    let links = dense_links(map.points(), &map[id].points, id, depth);
+    map.apply(Change::Linked(id, links));
+    let poses = world_from_keyframes(map, fragment, &setup.pinhole);
+    map.apply(Change::Posed(poses));
+    Some(stats)
+}

@@ -1,0 +1,34 @@
+//! What does not change while a system runs.
+
+use crate::SlamConfig;
+use crate::frame::{BufferedFrame, Frame, FrameInput};
+use monogrid_geometry::Pinhole;
+use monogrid_image::Mask;
+
+/// Levels of all pyramids.
+pub(super) const NUM_LEVELS: usize = 5;
+
+/// Settings and camera, read by all stages.
+#[derive(Debug)]
+pub(super) struct Setup {
+    pub config: SlamConfig,
+    pub pinhole: Pinhole,
+    pub mask: Mask,
+    pub seed: u64,
+    /// Whether the map must stay as it is.
+    pub is_frozen: bool,
+}
+
+impl Setup {
+    /// A frame as tracking needs it.
+    pub(super) fn frame(&self, input: FrameInput) -> Frame {
+        let finest = self.config.tracking.alignment.finest_level;
+        Frame::new(input, &self.pinhole, finest, NUM_LEVELS)
+    }
+
+    /// A frame that waited for the first keyframe.
+    pub(super) fn restored(&self, buffered: &BufferedFrame) -> Frame {
+        let finest = self.config.tracking.alignment.finest_level;
+        buffered.restore(&self.pinhole, finest, NUM_LEVELS)
+    }
+}

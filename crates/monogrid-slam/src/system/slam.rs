@@ -1,0 +1,226 @@
+//! The system and what it tells about itself.
+
+use super::camera::Camera;
+use super::constrain::GraphLink;
+use super::odometry::Odometry;
+use super::setup::Setup;
+use crate::graph::GraphStats;
+use crate::map::{Change, Event, Map};
+use crate::report::Stopwatch;
+use crate::sparse::SparseStats;
+use crate::start::Start;
+use crate::{
+    Fragment, FragmentId, Keyframe, MAIN_MAP, MapSize, PoseSnapshot, Scale, SlamConfig, SlamError,
+    TrajectoryPose,
+};
+use monogrid_geometry::{Mat7, Pinhole};
+use monogrid_graph::RobustKernel;
+use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
+use monogrid_image::Mask;
+use std::sync::Arc;
+
+/// Direct semi-dense monocular SLAM.
+#[derive(Debug)]
+pub struct Slam {
+    pub(super) setup: Setup,
+    /// Until there is a first keyframe.
+    pub(super) start: Option<Start>,
+    pub(super) map: Map,
+    pub(super) camera: Camera,
+    /// Motion without corrections.
+    pub(super) odometry: Odometry,
+    /// Constraints and optimisation in the background.
+    pub(super) graph: Option<GraphLink>,
+    pub(super) sparse_stats: SparseStats,
+    /// Frame that is being processed.
+    pub(super) frame_index: usize,
+    pub(super) stopwatch: Stopwatch,
+    pub(super) events: Vec<Event>,
+}
+
+impl Slam {
+    /// A system for working images of the given camera. `mask` has their size.
+    ///
+    /// # Errors
+    /// When a setting is outside its range, or a vocabulary for places cannot be used.
+    pub fn new(
+        config: SlamConfig,
+        pinhole: Pinhole,
+        mask: Mask,
+        seed: u64,
+    ) -> Result<Self, SlamError> {
+        config.validate()?;
+        let start = Start::new(&config, seed);
+        let setup = Setup {
+            config,
+            pinhole,
+            mask,
+            seed,
+            is_frozen: false,
+        };
+        let graph = GraphLink::new(&setup, None)?.map(|(link, _)| link);
+        Ok(Self {
+            start: Some(start),
+            ..Self::with_map(setup, Map::default(), graph)
+        })
+    }
+
+    /// A system that looks for the camera in a map.
+    pub(super) fn with_map(setup: Setup, map: Map, graph: Option<GraphLink>) -> Self {
+        let mut slam = Self {
+            setup,
+            start: None,
+            map,
+            camera: Camera::default(),
+            odometry: Odometry::default(),
+            graph,
+            sparse_stats: SparseStats::default(),
+            frame_index: 0,
+            stopwatch: Stopwatch::start(),
+            events: Vec::new(),
+        };
+        slam.events = slam.map.take_events();
+        slam
+    }
+
+    /// What the last call has changed about the map: [`Slam::process_frame`], [`Slam::finish`], or
+    /// [`Slam::continue_from`], whose keyframes are all new to a listener.
+    #[must_use]
+    pub fn events(&self) -> &[Event] {
+        &self.events
+    }
+
+    /// Finished keyframes, by identity.
+    #[must_use]
+    pub fn keyframes(&self) -> Vec<Arc<Keyframe>> {
+        self.map.published().cloned().collect()
+    }
+
+    /// The newest poses of all keyframes.
+    #[must_use]
+    pub fn snapshot(&self) -> Arc<PoseSnapshot> {
+        Arc::clone(self.map.snapshot())
+    }
+
+    /// Whether lengths are metres.
+    #[must_use]
+    pub fn scale(&self) -> Scale {
+        self.map.scale()
+    }
+
+    /// The fragments other than the main map, by identity.
+    #[must_use]
+    pub fn fragments(&self) -> Vec<Fragment> {
+        self.map.fragments()
+    }
+
+    /// All frames with a believed pose in the main map, with everything known now, in the order of time.
+    ///
+    /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
+    /// the last of them, the difference is spread over the frames of the visit.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<TrajectoryPose> {
+        self.trajectory_in(MAIN_MAP)
+    }
+
+    /// The same of a fragment, in its own world; empty once it is joined to another.
+    #[must_use]
+    pub fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
+        self.map.trajectory_in(fragment)
+    }
+
+    /// What the sparse layer did for the newest keyframe.
+    #[must_use]
+    pub fn sparse_stats(&self) -> &SparseStats {
+        &self.sparse_stats
+    }
+
+    /// What the graph has done so far.
+    #[must_use]
+    pub fn graph_stats(&self) -> GraphStats {
+        let link = self.graph.as_ref();
+        link.map_or_else(GraphStats::default, |link| *link.stats())
+    }
+
+    /// Times that tracking was lost.
+    #[must_use]
+    pub fn lost_episodes(&self) -> usize {
+        self.map.counts().lost_episodes
+    }
+
+    /// Times that a lost camera was recognised at another keyframe.
+    #[must_use]
+    pub fn relocalisations(&self) -> usize {
+        self.map.counts().relocalisations
+    }
+
+    /// Times that tracking went on with a keyframe that existed already instead of a new one.
+    #[must_use]
+    pub fn reactivations(&self) -> usize {
+        self.map.counts().reactivations
+    }
+
+    /// Bundle adjustments of the sparse layer that failed; [`SparseStats::failure`] says why the last one did.
+    #[must_use]
+    pub fn failed_adjustments(&self) -> usize {
+        self.map.counts().failed_adjustments
+    }
+
+    /// What grows while the camera sees new places, and only then.
+    #[must_use]
+    pub fn map_size(&self) -> MapSize {
+        let size = self.map.size();
+        match &self.graph {
+            Some(_) => size,
+            // keyframes form a chain
+            None => MapSize {
+                edges: size.keyframes.saturating_sub(1),
+                ..size
+            },
+        }
+    }
+
+    /// Intrinsics of the working images.
+    #[must_use]
+    pub fn pinhole(&self) -> &Pinhole {
+        &self.setup.pinhole
+    }
+
+    /// The graph of the main map's keyframes with the newest poses; with chain edges alone when there is no
+    /// graph.
+    #[must_use]
+    pub fn pose_graph(&self) -> PoseGraph {
+        let mut graph = PoseGraph::new();
+        for keyframe in self.map.in_fragment(MAIN_MAP) {
+            // identities are unique and poses finite, so nothing is refused
+            let _ = graph.add_node(GraphNode {
+                id: u64::from(keyframe.id),
+                world_from_keyframe: keyframe.world_from_keyframe,
+                is_fixed: keyframe.id == 0,
+            });
+        }
+        for edge in self.map.edges() {
+            // those of other fragments have no nodes here
+            let _ = graph.add_edge(edge.edge);
+        }
+        let is_chain = self.map.edges().is_empty();
+        for pair in self.map.keyframes().windows(2).filter(|_| is_chain) {
+            let _ = graph.add_edge(GraphEdge {
+                i: u64::from(pair[0].id),
+                j: u64::from(pair[1].id),
+                i_from_j: pair[0].world_from_keyframe.inverse() * pair[1].world_from_keyframe,
+                information: Mat7::identity(),
+                kernel: RobustKernel::None,
+            });
+        }
+        graph
+    }
+
+    /// Takes over what the graph has found, if it has.
+    pub(super) fn follow_graph(&mut self, update: Option<crate::graph::GraphUpdate>) {
+        if let Some(update) = update {
+            let change = Change::Optimised(Box::new(update), self.frame_index);
+            self.map.apply(change);
+        }
+    }
+}
