@@ -37,7 +37,7 @@ mkdir -p "$results"
 if [ "$mode" = quick ]; then
   sequences=(tsukuba icl-office kitti-forward euroc-static)
   export RUNS=1 MAX_FRAMES=60
-  worlds=(office) world_frames=300 truth=0.032 cells=(0.064) demo_frames=300 corridor_frames=300 starts=1 cases=2 room_frames=600
+  worlds=(office) world_frames=300 truth=0.032 cells=(0.064) demo_frames=300 corridor_frames=300 corridor_options=(--quick-light) starts=1 cases=2 room_frames=600
   accuracy=(tsukuba kitti-forward) depth_sequences=(icl-office) thesis=(tsukuba) speed_runs=1 speed_sequence=tsukuba survey_size=160x120 survey_sequences=(office:hand:demo)
   export CELLS=0.064 THREAD_CELLS=0.064 QUALITY_CELLS=0.128 MEMORY_CELLS=0.064
   scans=8
@@ -45,7 +45,7 @@ else
   sequences=(red-kitchen tsukuba icl-office icl-office-kt3 kitti-forward kitti-07 fr1-desk euroc-static)
   export RUNS=${RUNS:-5}
   worlds=(office living-room machine-hall) world_frames=1500 truth=0.008 cells=(0.008 0.016 0.032 0.064 0.128)
-  corridor_frames=2000 starts=10 cases=20 room_frames=18000
+  corridor_frames=2000 corridor_options=() starts=10 cases=20 room_frames=18000
   depth_sequences=(red-kitchen fr1-desk icl-office-kt3)
   accuracy=(red-kitchen tsukuba icl-office icl-office-kt3 kitti-forward kitti-07 fr1-desk)
   thesis=(icl-office tsukuba red-kitchen kitti-forward) speed_runs=5 speed_sequence=red-kitchen survey_size=640x480 survey_sequences=()
@@ -168,7 +168,7 @@ map_row() {
     "| $(digits 3 "$(value "$report" observed mcc)") | $(digits 2 "$(value "$report" observed precision)")" \
     "| $(digits 2 "$(value "$report" observed recall)") | $(digits 2 "$(value "$report" coverage_free_in_view)")," \
     "$(digits 2 "$(value "$report" coverage_occupied_in_view)") | $(digits 2 "$(value "$run.json" ate_rmse)") m" \
-    "| $(value "$map.json" seconds) s, $(value "$map.json" peak_rss_bytes | awk '{ printf "%.2f GB", $1 / 1e9 }') |"
+    "| $(digits 2 "$(value "$map.json" seconds)") s, $(value "$map.json" peak_rss_bytes | awk '{ printf "%.2f GB", $1 / 1e9 }') |"
 }
 
 part_worlds() {
@@ -262,14 +262,14 @@ part_room() {
   example slam one_room "$source" size=320x240 frames="$room_frames"
 }
 
-corridor() { # FRAMES: $source
-  world corridor-loop "$1" --quick-light
+corridor() { # FRAMES OPTION...: $source
+  world corridor-loop "$@"
   source=$results/world-corridor-loop-$1
 }
 
 part_places() {
   if [ "$mode" = full ]; then
-    corridor 700
+    corridor 700 --quick-light
     example features revisits "$source" gap=60 step=5
     example features revisits "$data/red-kitchen" gap=100
   fi
@@ -280,7 +280,7 @@ part_places() {
 }
 
 part_loops() {
-  corridor "$corridor_frames"
+  corridor "$corridor_frames" ${corridor_options[0]:+"${corridor_options[@]}"}
   echo '| start | ATE | scale drift | closures by appearance |'
   echo '|---|---|---|---|'
   for i in $(seq 0 $((starts - 1))); do
@@ -351,7 +351,7 @@ part_fabmap() {
       room "$name"
       example features place_recognition "$source" step=15 gap=150
     done
-    corridor 700
+    corridor 700 --quick-light
     example features place_recognition "$source" step=5 gap=60
   fi
 }
