@@ -83,9 +83,9 @@ room_run() {
 room_map() {
   room_run "$1"
   map=$run-$2.ot
-  [ -f "$map.json" ] || "$bin" map "$run/recording.mgk" --align "gt:$source/groundtruth.txt" --profile default --resolution "$2" \
-    --out "$map" --json >"$map.part" 2>/dev/null
-  [ -f "$map.json" ] || mv "$map.part" "$map.json"
+  [ -f "$map.json" ] || rm -f "$map"
+  kept "$map.json" "$bin" map "$run/recording.mgk" --align "gt:$source/groundtruth.txt" --profile default --resolution "$2" \
+    --out "$map" --json
 }
 
 # One line of the table of sequences.
@@ -138,8 +138,8 @@ part_demo() {
 }
 
 depth_row() {
-  local report=$results/depth.json
-  "$bin" evaluate depth "$2/recording.mgk" "$3" "${@:4}" --json >"$report" 2>/dev/null
+  local report=$2.depth${4:-}.json
+  kept "$report" "$bin" evaluate depth "$2/recording.mgk" "$3" "${@:4}" --json
   echo "| $1${4:+, refined} | $(value "$report" keyframes) | $(digits 3 "$(value "$report" estimates_within_3_percent)") | $(digits 3 "$(value "$report" estimates_within_10_percent)")" \
     "| $(digits 2 "$(value "$report" normalised_error median)") | $(digits 2 "$(value "$report" normalised_error robust_deviation)")" \
     "| $(digits 3 "$(value "$report" normalised_error within_2_sigma)") |"
@@ -161,9 +161,8 @@ part_depth() {
 map_row() {
   room_map "$1" "$2"
   local report=$map.error
-  [ -f "$report" ] || "$bin" evaluate map "$map" "$source/truth.ot" --recording "$run/recording.mgk" \
-    --align "gt:$source/groundtruth.txt" --json >"$report.part" 2>/dev/null
-  [ -f "$report" ] || mv "$report.part" "$report"
+  kept "$report" "$bin" evaluate map "$map" "$source/truth.ot" --recording "$run/recording.mgk" \
+    --align "gt:$source/groundtruth.txt" --json
   echo "| $1 | $2 m | $(digits 3 "$(value "$report" observed auc)") | $(digits 3 "$(value "$report" known auc)")" \
     "| $(digits 3 "$(value "$report" observed mcc)") | $(digits 2 "$(value "$report" observed precision)")" \
     "| $(digits 2 "$(value "$report" observed recall)") | $(digits 2 "$(value "$report" coverage_free_in_view)")," \
@@ -186,7 +185,7 @@ part_worlds() {
 
 part_paths() {
   room_map office 0.064
-  "$bin" evaluate paths "$map" "$source/truth.ot" --json >"$results/paths.json" 2>/dev/null
+  kept "$results/paths.json" "$bin" evaluate paths "$map" "$source/truth.ot" --json
   echo '| office, 64 mm, unknown as blocked | pairs | blocked | planned | collide in truth |'
   echo '|---|---|---|---|---|'
   for pairs in all observed path_observed; do
@@ -338,7 +337,7 @@ part_odometry() {
   echo '|---|---|---|'
   for name in trajectory trajectory_live trajectory_odometry; do
     local report=$results/$name.json
-    "$bin" evaluate trajectory "$results/$speed_sequence-plain/$name.txt" "$data/$speed_sequence/groundtruth.txt" --json >"$report" 2>/dev/null
+    kept "$report" "$bin" evaluate trajectory "$results/$speed_sequence-plain/$name.txt" "$data/$speed_sequence/groundtruth.txt" --json
     echo "| $name.txt | $(digits 2 "$(value "$report" ate_rmse)") m | $(digits 2 "$(value "$report" rpe_trans_rmse)") m, $(digits 2 "$(value "$report" rpe_rot_rmse_deg)")° |"
   done
 }

@@ -49,8 +49,16 @@ kept_run() {
   echo "$code" >"$folder.exit"
 }
 
-# evaluated FOLDER SOURCE: the trajectory of a kept run against the truth, into FOLDER.ate; false where there is nothing to compare.
-evaluated() {
-  [ -f "$1.ate" ] || "$bin" evaluate trajectory "$1/trajectory.txt" "$2/groundtruth.txt" --json >"$1.ate.part" 2>/dev/null || return 1
-  [ -f "$1.ate" ] || mv "$1.ate.part" "$1.ate"
+# kept FILE COMMAND...: what the command prints, in FILE, once.
+kept() {
+  [ ! -f "$1" ] || return 0
+  if ! "${@:2}" >"$1.part" 2>"$1.log"; then
+    echo "failed: ${*:2}" >&2
+    tail -5 "$1.log" >&2
+    return 1
+  fi
+  mv "$1.part" "$1"
 }
+
+# evaluated FOLDER SOURCE: the trajectory of a kept run against the truth, in FOLDER.ate; false where there is nothing to compare.
+evaluated() { kept "$1.ate" "$bin" evaluate trajectory "$1/trajectory.txt" "$2/groundtruth.txt" --json 2>/dev/null; }
