@@ -55,11 +55,13 @@ fi
 
 # example CRATE NAME ARGUMENT...: an example of a crate, its output as it comes, as a block of code.
 example() {
+  echo
   echo "    \$ $2 ${*:3}"
   cargo run --quiet --release -p "monogrid-$1" --example "$2" -- "${@:3}" | sed 's/^/    /'
 }
 # The output of another script as a block of code.
 verbatim() {
+  echo
   echo "    \$ $*"
   "$@" | sed 's/^/    /'
 }
