@@ -163,7 +163,10 @@ impl Map {
     }
 
     fn adjust(&mut self, adjusted: Adjustment) {
-        self.counts.failed_adjustments += usize::from(adjusted.failure.is_some());
+        if let Some(failure) = adjusted.failure {
+            self.counts.failed_adjustments += 1;
+            self.changes.others.push(Event::NotAdjusted(failure));
+        }
         for (id, pose) in adjusted.camera_from_world {
             self.keyframes[id as usize].camera_from_world = pose;
         }

@@ -1,6 +1,7 @@
 //! What others hear of the map.
 
 use crate::{Fragment, FragmentId, Keyframe, KeyframeId, PoseSnapshot};
+use monogrid_graph::bundle::BundleError;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -13,6 +14,8 @@ pub enum Event {
     Revised(Arc<Keyframe>),
     /// Finished keyframes have other poses. Not said beside [`Event::Finished`], which has them.
     Moved(Arc<PoseSnapshot>),
+    /// The bundle adjustment for the newest keyframe failed: poses and points are as they were found.
+    NotAdjusted(BundleError),
     /// The camera is lost from this frame on.
     Lost {
         /// Index of the frame in its source.

@@ -1,6 +1,6 @@
 //! Change of the keyframe: when a frame takes over, what is published of the one that is left, and the new one.
 
-use super::camera::Active;
+use super::camera::{Active, Camera};
 use super::outcome::Attempt;
 use super::setup::Setup;
 use crate::depth_step::tracking_samples;
@@ -26,14 +26,14 @@ pub(super) enum Use {
 }
 
 /// Decides what a tracked frame is for.
-pub(super) fn decide_use(setup: &Setup, map: &Map, active: &Active, attempt: &Attempt) -> Use {
+pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &Attempt) -> Use {
     let alignment = &attempt.tracked.alignment;
     let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
     let evidence = KeyframeEvidence {
         relative_distance: keyframe_from_frame.translation.norm(),
         usage: f64::from(alignment.usage),
-        num_mapped: active.num_mapped,
-        num_keyframes: map.num_keyframes_in(map[active.id].fragment),
+        num_mapped: camera.active.as_ref().map_or(0, |a| a.num_mapped),
+        num_keyframes: map.num_keyframes_in(map[attempt.keyframe].fragment),
     };
     if is_new_keyframe(&evidence, &setup.config.keyframes) {
         Use::ChangeKeyframe

@@ -1,28 +1,32 @@
 //! The system: one frame after the other, in the order in which a reader would do it by hand.
 //!
 //! ```text
-//! process_frame                    (process.rs)
-//!   -> start        until there is a first keyframe
-//!   -> tracking     each frame on the keyframe in use
-//!        believed:   -> keyframes   decide what the frame is for
-//!                    -> depth       refine the keyframe
-//!                    -> reactivate  or change to another one, known
-//!                    -> points      or new, placed by the sparse layer
-//!        lost:       -> relocalise  find back
-//!                    -> loss        or begin a fragment of the map
-//!   -> odometry     motion without corrections
-//! constrain: what the graph is given when a keyframe is left
+//! process: one frame
+//!   -> begin            the first keyframe, once `start` has found one
+//!   -> tracking         each frame on the keyframe in use
+//!        believed:       -> keyframes    what the frame is for
+//!                        -> depth        refine the keyframe
+//!           -> change    or leave it     -> reactivate   for one that is known
+//!                                        -> points       for the frame, placed by the sparse layer
+//!                                        -> constrain    what the graph is told about it
+//!        lost: -> lost                   -> relocalise   find back
+//!                                        -> loss, begin  or begin a fragment of the map
+//!   -> outcome          the report on the frame
+//!   -> odometry         motion without corrections
 //! sessions: what is kept for a later run
 //! ```
 //!
 //! Stages are functions of settings, map and frame; what they find changes the map in
 //! [`Map::apply`](crate::map::Map::apply) alone.
 
+mod begin;
 mod camera;
+mod change;
 mod constrain;
 mod depth;
 mod keyframes;
 mod loss;
+mod lost;
 mod odometry;
 mod outcome;
 mod points;
@@ -32,6 +36,7 @@ mod relocalise;
 mod sessions;
 mod setup;
 mod slam;
+mod steps;
 mod tracking;
 
 pub use slam::Slam;

@@ -1,5 +1,6 @@
 //! What became of a frame, and the report that is made of it.
 
+use crate::frame::BufferedFrame;
 use crate::tracker::Tracked;
 use crate::{FragmentId, FrameReport, InFragment, KeyframeId, LostReason, MAIN_MAP, TrackingState};
 use monogrid_alignment::Alignment;
@@ -62,10 +63,19 @@ pub(super) enum NextKeyframe {
 }
 
 /// A map or fragment that began.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub(super) struct Begun {
     pub fragment: FragmentId,
     pub keyframe: KeyframeId,
+    /// Frames after the keyframe, which waited for it.
+    pub later: Vec<BufferedFrame>,
+}
+
+impl Attempt {
+    /// Whether the frame has a pose.
+    pub(super) fn is_believed(&self) -> bool {
+        self.tracked.state != TrackingState::Lost
+    }
 }
 
 impl FrameOutcome {
@@ -109,7 +119,7 @@ fn report_attempt(attempt: &Attempt, report: &mut FrameReport) {
     report.usage = alignment.usage;
     report.exposure_gain = alignment.gain();
     report.keyframe = Some(attempt.keyframe);
-    if attempt.tracked.state != TrackingState::Lost {
+    if attempt.is_believed() {
         report.covariance = alignment.covariance;
     }
 }

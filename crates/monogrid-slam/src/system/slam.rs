@@ -5,7 +5,7 @@ use super::constrain::GraphLink;
 use super::odometry::Odometry;
 use super::setup::Setup;
 use crate::graph::GraphStats;
-use crate::map::{Change, Event, Map};
+use crate::map::{Event, Map};
 use crate::report::Stopwatch;
 use crate::sparse::SparseStats;
 use crate::start::Start;
@@ -214,13 +214,5 @@ impl Slam {
             });
         }
         graph
-    }
-
-    /// Takes over what the graph has found, if it has.
-    pub(super) fn follow_graph(&mut self, update: Option<crate::graph::GraphUpdate>) {
-        if let Some(update) = update {
-            let change = Change::Optimised(Box::new(update), self.frame_index);
-            self.map.apply(change);
-        }
     }
 }

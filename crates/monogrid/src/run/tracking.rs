@@ -150,6 +150,11 @@ impl<'a> Tracking<'a> {
                 }
                 Event::Revised(keyframe) => Change::Revised(Arc::clone(keyframe)),
                 Event::Moved(poses) => Change::Moved(Arc::clone(poses)),
+                Event::NotAdjusted(error) => {
+                    self.progress
+                        .warn(&format!("a bundle adjustment failed: {error}"));
+                    continue;
+                }
                 Event::Lost { .. } | Event::Found { .. } | Event::Started(_) | Event::Joined(_) => {
                     continue;
                 }

@@ -4,6 +4,7 @@ use super::*;
 use crate::map::Exposure;
 use crate::{FragmentId, Keyframe, MAIN_MAP, PoseSnapshot};
 use monogrid_geometry::{Se3, Vec2, Vec3, Vec7};
+use monogrid_graph::bundle::BundleError;
 
 /// Keyframes in this many fragments, one after the other, three points in each, which the next one sees.
 fn map_with(fragments: &[FragmentId]) -> Map {
@@ -175,6 +176,23 @@ fn events_tell_what_a_listener_needs_and_no_more() {
     ));
     let counts = map.counts();
     assert_eq!((counts.lost_episodes, counts.relocalisations), (1, 1));
+}
+
+#[test]
+fn an_adjustment_that_fails_is_said_and_moves_nothing() {
+    let mut map = map_with(&[0, 0]);
+    let before: Vec<Vec3> = map.points().iter().map(|p| position(&map, p)).collect();
+    let failure = BundleError::Distance { keyframe: 1, to: 1 };
+    map.apply(Change::Adjusted(Adjustment {
+        failure: Some(failure.clone()),
+        ..Adjustment::default()
+    }));
+    let events = map.take_events();
+    assert!(matches!(&events[..], [Event::NotAdjusted(error)] if *error == failure));
+    assert_eq!(map.counts().failed_adjustments, 1);
+    for (point, before) in map.points().iter().zip(&before) {
+        assert!((position(&map, point) - before).norm() < 1e-12);
+    }
 }
 
 #[test]

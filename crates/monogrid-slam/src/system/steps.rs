@@ -1,0 +1,95 @@
+//! Steps that change the map or the state of tracking, used wherever a frame has led to them.
+
+use super::camera::Last;
+use super::constrain::{GraphLink, Link, graph_job};
+use super::depth::activate;
+use super::keyframes::finish_keyframe;
+use super::points::adjust_points;
+use super::slam::Slam;
+use crate::KeyframeId;
+use crate::frame::Frame;
+use crate::graph::GraphUpdate;
+use crate::map::{Change, Found, Record, View};
+use monogrid_alignment::Motion;
+use monogrid_depth::DepthMap;
+use std::sync::Arc;
+
+/// The keyframe that was in use.
+pub(super) struct Left {
+    pub id: KeyframeId,
+    /// What the graph needs of it.
+    pub view: Option<Arc<View>>,
+}
+
+impl Slam {
+    /// Stores a believed pose and makes it the prior of the next frame.
+    pub(super) fn believe(&mut self, frame: &Frame, motion: Motion) {
+        let pose = motion.frame_from_keyframe;
+        let record = Record::new(frame.index, frame.timestamp_ns, pose);
+        self.map.apply(Change::Tracked(record));
+        self.camera.last = Some(Last::after(self.camera.last.as_ref(), frame, motion));
+    }
+
+    /// The camera has a pose again, on a keyframe.
+    pub(super) fn end_loss(&mut self, keyframe: KeyframeId, is_recognised: bool) {
+        if self.camera.lost_in_a_row > 0 {
+            self.map.apply(Change::Found(Found {
+                frame_index: self.frame_index,
+                keyframe,
+                is_recognised,
+            }));
+        }
+        self.camera.end_loss();
+    }
+
+    /// Publishes the keyframe in use, which is in use no longer.
+    pub(super) fn leave(&mut self) -> Option<Left> {
+        let active = self.camera.active.take()?;
+        let id = active.id;
+        if self.setup.is_frozen {
+            return Some(Left { id, view: None });
+        }
+        let finished = finish_keyframe(&self.setup, &self.map, &active);
+        let view = finished.view.clone();
+        self.map.apply(Change::Finished(finished));
+        Some(Left { id, view })
+    }
+
+    /// Makes a keyframe that was left the one in use again.
+    pub(super) fn use_again(&mut self, id: KeyframeId, depth: DepthMap) {
+        self.map.apply(Change::Reactivated(id));
+        self.activate(id, depth);
+    }
+
+    pub(super) fn activate(&mut self, id: KeyframeId, depth: DepthMap) {
+        self.camera.active = Some(activate(&self.setup, &self.map[id], depth));
+    }
+
+    /// Brings the newest keyframe into the sparse layer.
+    pub(super) fn adjust(&mut self, depth: &DepthMap) {
+        if let Some(stats) = adjust_points(&self.setup, &mut self.map, depth) {
+            self.sparse_stats = stats;
+        }
+    }
+
+    /// Gives the graph a finished keyframe and the poses as they are now.
+    pub(super) fn constrain(&mut self, finished: Option<Arc<View>>, link: Link, is_final: bool) {
+        if let Some(graph) = self.graph.as_mut().filter(|_| !self.setup.is_frozen) {
+            graph.submit(graph_job(&self.setup, &self.map, finished, link, is_final));
+        }
+    }
+
+    /// Takes over the result of the graph's job under way, waiting for it when it is not ready.
+    pub(super) fn await_graph(&mut self) {
+        let update = self.graph.as_mut().and_then(GraphLink::wait);
+        self.follow_graph(update);
+    }
+
+    /// Takes over what the graph has found, if it has.
+    pub(super) fn follow_graph(&mut self, update: Option<GraphUpdate>) {
+        if let Some(update) = update {
+            let change = Change::Optimised(Box::new(update), self.frame_index);
+            self.map.apply(change);
+        }
+    }
+}
