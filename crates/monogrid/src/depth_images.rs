@@ -71,7 +71,7 @@ pub fn dataset_seed_depth(
     let Some((frame, entry)) = seeded else {
         return Ok(None);
     };
-    let calibration = depth_calibration(dataset, calibration, &input.camera)?;
+    let calibration = depth_calibration(dataset, calibration, input.camera())?;
     let depth = input.read_depth(&entry.path, &calibration)?;
     Ok(Some((frame.index, depth)))
 }

@@ -38,6 +38,13 @@ impl Failure {
         Self::Running(anyhow::anyhow!("{message}"))
     }
 
+    /// The error, for those who do not know of exit codes.
+    pub fn into_error(self) -> Box<dyn std::error::Error + Send + Sync> {
+        match self {
+            Self::Running(error) | Self::Input(error) => error.into(),
+        }
+    }
+
     /// Writes the message to standard error and returns the exit code.
     fn report(&self) -> u8 {
         let (code, error) = match self {

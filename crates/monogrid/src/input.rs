@@ -4,11 +4,12 @@ use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::synth::SynthSequence;
 use monogrid_datasets::{
-    Calibration, Dataset, DatasetError, FrameEntry, SourceOptions, read_gray, read_mask,
-    read_photometric,
+    Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole};
-use monogrid_image::{GrayImage, Mask, Photometric, Undistorter, WorkingSize};
+use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
+use monogrid_pipeline::{FrameSource, Preparation, SourceFrame, Unusable};
+use monogrid_slam::mapping::KeyframeCamera;
 use std::path::{Path, PathBuf};
 
 /// Images in a row that may be unreadable before a source is given up.
@@ -32,46 +33,12 @@ pub struct Input {
     pub images: Images,
     /// The frames to use, in order; those of a built-in world have no path.
     pub frames: Vec<FrameEntry>,
-    /// The camera of the images.
-    pub camera: Camera,
     /// How the calibration was understood, for people.
     pub interpretation: String,
-    /// From input to working images.
-    pub undistorter: Undistorter,
-    /// Correction of response and vignette.
-    pub photometric: Photometric,
+    /// From images of the camera to working images.
+    pub preparation: Preparation,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
-}
-
-/// Why a frame could not be used.
-#[derive(Debug)]
-pub enum Unusable {
-    /// It cannot be decoded.
-    Unreadable(DatasetError),
-    /// It has another size than the calibration.
-    Size {
-        /// Width and height found.
-        found: (usize, usize),
-        /// Width and height of the calibration.
-        expected: (usize, usize),
-    },
-    /// The sequence ends before it.
-    NotThere,
-}
-
-impl std::fmt::Display for Unusable {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::NotThere => f.write_str("the sequence ends before this frame"),
-            Self::Unreadable(error) => error.fmt(f),
-            Self::Size { found, expected } => write!(
-                f,
-                "image is {}x{} pixels, expected {}x{}",
-                found.0, found.1, expected.0, expected.1
-            ),
-        }
-    }
 }
 
 impl Input {
@@ -92,8 +59,13 @@ impl Input {
             None => WorkingSize::Automatic,
             Some((width, height)) => WorkingSize::Exact { width, height },
         };
-        let undistorter = Undistorter::new(&calibration.camera, size, mask.as_ref());
-        if undistorter
+        let photometric = read_photometric(
+            dataset.response_path.as_deref(),
+            dataset.vignette_path.as_deref(),
+        )
+        .bad_input()?;
+        let preparation = Preparation::new(&calibration.camera, size, mask.as_ref(), photometric);
+        if preparation
             .mask()
             .as_slice()
             .iter()
@@ -103,21 +75,14 @@ impl Input {
                 "no pixel of the image may be used: check --mask and the calibration",
             ));
         }
-        let photometric = read_photometric(
-            dataset.response_path.as_deref(),
-            dataset.vignette_path.as_deref(),
-        )
-        .bad_input()?;
         let mut warnings = dataset.warnings.clone();
         warnings.extend(calibration.notes.iter().cloned());
         Ok(Self {
             name: dataset.name.clone(),
             images: Images::Files(Box::new(dataset)),
             frames,
-            camera: calibration.camera,
             interpretation: calibration.interpretation(),
-            undistorter,
-            photometric,
+            preparation,
             warnings,
         })
     }
@@ -136,49 +101,75 @@ impl Input {
             name: "demo".to_owned(),
             images: Images::Rendered(Box::new(sequence)),
             frames,
-            camera,
             interpretation: String::new(),
-            undistorter: Undistorter::new(&camera, WorkingSize::Automatic, None),
-            photometric: Photometric::default(),
+            preparation: Preparation::new(
+                &camera,
+                WorkingSize::Automatic,
+                None,
+                Photometric::default(),
+            ),
             warnings: Vec::new(),
         }
     }
 
     /// Intrinsics of the working images.
     pub fn pinhole(&self) -> &Pinhole {
-        self.undistorter.pinhole()
+        self.preparation.pinhole()
     }
 
     /// Width and height of the working images.
     pub fn size(&self) -> (usize, usize) {
-        self.undistorter.size()
+        self.preparation.size()
     }
 
     /// Pixels of the working images that may be used.
     pub fn mask(&self) -> &Mask {
-        self.undistorter.mask()
+        self.preparation.mask()
+    }
+
+    /// The camera of the images.
+    pub fn camera(&self) -> &Camera {
+        self.preparation.camera()
+    }
+
+    /// The camera of the working images.
+    pub fn keyframe_camera(&self) -> KeyframeCamera {
+        let (width, height) = self.size();
+        KeyframeCamera {
+            pinhole: *self.pinhole(),
+            width,
+            height,
+        }
     }
 
     /// The working image of a frame.
     pub fn read(&self, frame: &FrameEntry) -> Result<GrayImage, Unusable> {
-        let mut image = match &self.images {
-            Images::Files(_) => read_gray(&frame.path).map_err(Unusable::Unreadable)?,
-            Images::Rendered(sequence) => {
-                sequence.frame(frame.index).ok_or(Unusable::NotThere)?.image
+        self.preparation.apply(&self.read_image(frame)?)
+    }
+
+    /// The image of a frame as it is.
+    fn read_image(&self, frame: &FrameEntry) -> Result<GrayImage, Unusable> {
+        match &self.images {
+            Images::Files(_) => {
+                read_gray(&frame.path).map_err(|error| Unusable::Unreadable(error.to_string()))
             }
-        };
-        let camera = &self.camera;
-        let size_error = Unusable::Size {
-            found: (image.width(), image.height()),
-            expected: (camera.width, camera.height),
-        };
-        if (image.width(), image.height()) != (camera.width, camera.height) {
-            return Err(size_error);
+            Images::Rendered(sequence) => match sequence.frame(frame.index) {
+                Some(frame) => Ok(frame.image),
+                None => {
+                    let reason = "the sequence ends before this frame".to_owned();
+                    Err(Unusable::Unreadable(reason))
+                }
+            },
         }
-        if !self.photometric.is_identity() && self.photometric.apply(&mut image).is_err() {
-            return Err(size_error);
-        }
-        self.undistorter.apply(&image).ok_or(size_error)
+    }
+
+    /// All frames one after the other.
+    pub fn source(&self) -> impl FrameSource {
+        self.frames.iter().map(|frame| SourceFrame {
+            index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            image: self.read_image(frame),
+        })
     }
 }
 

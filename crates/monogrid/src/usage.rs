@@ -1,43 +1,13 @@
 //! What the process has used: time and memory.
 
+pub use monogrid_pipeline::clock::{process_cpu, thread_cpu};
 use std::sync::OnceLock;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// When the process started, as nearly as it is known: when this was called first.
 pub fn process_start() -> Instant {
     static START: OnceLock<Instant> = OnceLock::new();
     *START.get_or_init(Instant::now)
-}
-
-/// CPU time of all threads of this process.
-pub fn process_cpu() -> Duration {
-    clock(Clock::Process)
-}
-
-/// CPU time of the calling thread.
-pub fn thread_cpu() -> Duration {
-    clock(Clock::Thread)
-}
-
-enum Clock {
-    Process,
-    Thread,
-}
-
-#[cfg(unix)]
-fn clock(clock: Clock) -> Duration {
-    use rustix::time::{ClockId, clock_gettime};
-    let time = clock_gettime(match clock {
-        Clock::Process => ClockId::ProcessCPUTime,
-        Clock::Thread => ClockId::ThreadCPUTime,
-    });
-    Duration::new(time.tv_sec.max(0) as u64, time.tv_nsec.max(0) as u32)
-}
-
-/// Without such a clock: wall time since the start, an upper bound for one thread.
-#[cfg(not(unix))]
-fn clock(_: Clock) -> Duration {
-    process_start().elapsed()
 }
 
 /// Largest resident memory so far, bytes; `None` where the system does not say.
@@ -48,30 +18,4 @@ pub fn peak_rss_bytes() -> Option<u64> {
         .find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
-}
-
-/// Lets other threads go first where there are not enough processors for all: for work that may wait.
-/// Has no effect where priorities belong to processes.
-pub fn give_way() {
-    /// The lowest priority: 10 let tracking beside map updates keep 68 % of its rate, this 80 %.
-    #[cfg(target_os = "linux")]
-    const NICENESS: i32 = 19;
-    // refused only where raising priorities is meant; the thread then stays as it is
-    #[cfg(target_os = "linux")]
-    let _ = rustix::process::nice(NICENESS);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn work_takes_cpu_time() {
-        let (process, thread) = (process_cpu(), thread_cpu());
-        let mut sum = 0u64;
-        while process_cpu() == process || thread_cpu() == thread {
-            sum = std::hint::black_box(sum.wrapping_mul(31).wrapping_add(7));
-        }
-        assert!(process_cpu() > process && thread_cpu() > thread);
-    }
 }

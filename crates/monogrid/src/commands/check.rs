@@ -94,10 +94,10 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
             0.0
         },
         largest_gap_seconds: gaps.fold(0.0, f64::max),
-        image_size: [input.camera.width, input.camera.height],
+        image_size: [input.camera().width, input.camera().height],
         working_size: [width, height],
         calibration: input.interpretation.clone(),
-        horizontal_fov_deg: input.camera.horizontal_fov_deg(),
+        horizontal_fov_deg: input.camera().horizontal_fov_deg(),
         usable_pixels: valid as f64 / (width * height) as f64,
         unreadable: unreadable.len(),
         repeated: in_source(&sequence.repeated),

@@ -23,6 +23,7 @@ use monogrid_evaluation::{
 use monogrid_slam::mapping::Maps;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// `monogrid demo`.
 #[derive(Debug, Args)]
@@ -59,8 +60,12 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
     if args.max_frames == Some(0) {
         return Err(Failure::input("--max-frames is 0, expected at least 1"));
     }
-    let folder =
-        OutputFolder::named_or_new(args.out.as_deref(), "demo", args.force, &Inputs::default())?;
+    let folder = Arc::new(OutputFolder::named_or_new(
+        args.out.as_deref(),
+        "demo",
+        args.force,
+        &Inputs::default(),
+    )?);
     eprintln!("building a furnished living room");
     let mut sequence = SynthSequence::demo().map_err(Failure::running)?;
     if let Some(frames) = args.max_frames {
@@ -126,8 +131,8 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<DepthReport>
         return Ok(None);
     };
     let mut comparison = DepthComparison::new();
-    for keyframe in tracked.slam.keyframes() {
-        let pose = tracked.snapshot.in_main_map(keyframe.id);
+    for keyframe in tracked.run.slam.keyframes() {
+        let pose = tracked.run.poses.in_main_map(keyframe.id);
         let (Some(pose), Some(true_depth)) = (pose, sequence.depth(keyframe.frame_index)) else {
             continue;
         };

@@ -17,6 +17,7 @@ use monogrid_image::GrayImage;
 use monogrid_slam::Purpose;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// `monogrid run`.
 #[derive(Debug, Args)]
@@ -87,7 +88,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let align = alignment(args, earlier.as_ref())?;
     let input = open(args, earlier.as_ref())?;
     let seed_depth = seed_depth(&input, args)?;
-    let folder = output_folder(args, &input, &config)?;
+    let folder = Arc::new(output_folder(args, &input, &config)?);
     let settings = RunSettings {
         seed_depth,
         continued: earlier.map(|earlier| continued(earlier, args)),
@@ -166,7 +167,7 @@ fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)
         return Ok(None);
     };
     let calibration_file = args.depth_calibration.as_deref();
-    let calibration = depth_calibration(dataset, calibration_file, &input.camera)?;
+    let calibration = depth_calibration(dataset, calibration_file, input.camera())?;
     if argument != "dataset" {
         let first = input.frames.first().map_or(0, |frame| frame.index);
         let depth = input.read_depth(Path::new(argument), &calibration)?;
@@ -219,8 +220,8 @@ fn describe_input(input: &Input) {
         "{}: {} frames of {}x{} pixels, working size {width}x{height}",
         input.name,
         input.frames.len(),
-        input.camera.width,
-        input.camera.height
+        input.camera().width,
+        input.camera().height
     );
     if !input.interpretation.is_empty() {
         eprintln!("calibration: {}", input.interpretation);

@@ -103,6 +103,12 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
             summary.fragments.len() - num_apart
         );
     }
+    if summary.repeated > 0 {
+        lines += &format!(
+            "  {} more frames repeat the one before and were left out\n",
+            summary.repeated
+        );
+    }
     lines += &format!(
         "  {:.1} s, {:.1} frames per second{memory}\n",
         summary.seconds.total, summary.frames_per_second,

@@ -9,6 +9,8 @@ pub enum FrameFate {
     Processed(Box<FrameReport>),
     /// It could not be used.
     Skipped(String),
+    /// It repeats the image before.
+    Repeated,
     /// It came while the program was behind.
     Dropped,
     /// It lies before the frame with the seed depth.

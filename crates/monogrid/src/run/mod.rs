@@ -5,27 +5,22 @@
 //! ```text
 //! commands::{run, demo}
 //!   -> whole::run_all
-//!        -> threads::track       reader -> tracking -> recorder (recording, pictures of keyframes)
-//!                                                   -> mapper   (maps that grow)
+//!        -> threads::track       monogrid_pipeline: reader -> tracking -> recorder (recording, pictures of keyframes)
+//!                                                                      -> mapper   (maps that grow)
 //!        -> align                the frame of the results
 //!        -> outputs              tables, final maps and their pictures
 //!        -> summary, report      summary.json, report.html
 //!   -> conclusion::conclude      what the user reads, the exit code
 //! ```
 //!
-//! Threads own their data and pass messages over bounded channels: the reader decodes ahead, the
-//! calling thread tracks (with the pool of threads for its inner loops), the recorder saves, the mapper
-//! integrates keyframes and follows the graph. Every channel is first in, first out and no result depends on a clock: they are
-//! the same for any number of threads (`--realtime`, which drops frames, excepted).
+//! The threads are those of the pipeline; the recorder is its listener. No result depends on a clock: they are the same for any
+//! number of threads (`--realtime`, which drops frames, excepted).
 
 pub mod align;
-mod change;
 pub mod conclusion;
 pub mod frames;
-mod mapper;
 pub mod outputs;
 mod progress;
-mod reader;
 mod recorder;
 pub mod report;
 pub mod sessions;

@@ -45,6 +45,7 @@ impl Progress {
                 None => report.state.name().to_owned(),
             },
             FrameFate::Skipped(_) => "frame unreadable".to_owned(),
+            FrameFate::Repeated => "image repeated".to_owned(),
             FrameFate::Dropped => "frame dropped".to_owned(),
             FrameFate::BeforeSeed => "waiting for the seed depth".to_owned(),
         };

@@ -1,95 +1,111 @@
 //! What is saved while a run goes on: the recording and the pictures of keyframes.
 
-use super::change::Change;
+use super::sessions::{Earlier, RECORDING, continuation};
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::to_recorded;
 use crate::output::{Content, OutputFolder};
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
-use crate::usage::thread_cpu;
 use monogrid_datasets::{
-    Continuation, DepthRevision, KeyframeRecord, PoseSnapshot, Record, RecordingWriter,
-    SessionInfo, encode_png, encode_png_rgb,
+    DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordingWriter, SessionInfo,
+    encode_png, encode_png_rgb,
 };
+use monogrid_pipeline::{Event, Listener, ListenerError, Run};
 use monogrid_slam::Keyframe;
-use std::sync::mpsc::Receiver;
-use std::time::Duration;
+use std::sync::Arc;
 
-/// Name of the recording.
-pub const RECORDING: &str = "recording.mgk";
 /// Folder with pictures of the keyframes.
 pub const KEYFRAME_FOLDER: &str = "keyframes";
 
-/// Writes every change until the channel closes; returns the CPU time used.
-///
-/// After an error the changes are still received, so that nobody waits for this thread.
-pub fn record(
-    changes: &Receiver<Change>,
-    folder: &OutputFolder,
-    session: &SessionInfo,
-) -> Result<Duration, Failure> {
-    let mut result = start(folder, session);
-    for change in changes {
-        if let Ok(writer) = &mut result
-            && let Err(failure) = save(writer, folder, &change)
-        {
-            result = Err(failure);
+/// Hears of keyframes and writes them.
+pub struct Recorder {
+    writer: Option<RecordingWriter>,
+    folder: Arc<OutputFolder>,
+    /// What a later run is told of this one.
+    source: String,
+    earlier: Option<Earlier>,
+}
+
+/// What is said of a recording that cannot be written.
+const DOING: &str = "the recording cannot be written";
+
+impl Recorder {
+    /// Begins the recording.
+    pub fn start(
+        folder: Arc<OutputFolder>,
+        session: &SessionInfo,
+        earlier: Option<Earlier>,
+    ) -> Result<Self, Failure> {
+        let writer =
+            RecordingWriter::create(&folder.begin(RECORDING)?, session).while_running(DOING)?;
+        folder.list(RECORDING, Content::Begins)?;
+        Ok(Self {
+            writer: Some(writer),
+            folder,
+            source: session.source.clone(),
+            earlier,
+        })
+    }
+
+    fn save(&mut self, event: &Event) -> Result<(), Failure> {
+        let Some(writer) = &mut self.writer else {
+            return Ok(());
+        };
+        match event {
+            Event::Finished(keyframe, snapshot) => {
+                writer
+                    .append_keyframe(KeyframeRecord {
+                        id: keyframe.id,
+                        frame_index: keyframe.frame_index as u64,
+                        timestamp_ns: keyframe.timestamp_ns,
+                        image: Some(keyframe.image.clone()),
+                        pixels: to_recorded(&keyframe.pixels),
+                    })
+                    .while_running(DOING)?;
+                writer.append_poses(poses(snapshot)).while_running(DOING)?;
+                save_pictures(&self.folder, keyframe)
+            }
+            Event::Revised(keyframe) => {
+                writer
+                    .append_depth(DepthRevision {
+                        keyframe_id: keyframe.id,
+                        revision: keyframe.revision,
+                        pixels: to_recorded(&keyframe.pixels),
+                    })
+                    .while_running(DOING)?;
+                save_pictures(&self.folder, keyframe)
+            }
+            // poses are recorded with the next keyframe, or at the end; the rest is in the tables
+            _ => Ok(()),
         }
     }
-    result.map(|_| thread_cpu())
+
+    /// The last poses, and what a later run needs to go on.
+    fn save_end(&mut self, run: Run) -> Result<(), Failure> {
+        let Some(mut writer) = self.writer.take() else {
+            return Ok(());
+        };
+        let snapshot = run.slam.snapshot();
+        writer.append_poses(poses(&snapshot)).while_running(DOING)?;
+        let continuation = continuation(run.slam, self.earlier.as_ref(), &self.source);
+        let continuation = Record::Continuation(continuation);
+        writer.append(&continuation).while_running(DOING)?;
+        let end = EndRecord {
+            num_frames: run.num_frames as u64,
+            num_tracked: run.slam.trajectory().len() as u64,
+            summary: String::new(),
+        };
+        writer.finish(end).while_running(DOING)?;
+        self.folder.list(RECORDING, Content::Whole)
+    }
 }
 
-fn start(folder: &OutputFolder, session: &SessionInfo) -> Result<Option<RecordingWriter>, Failure> {
-    let writer = RecordingWriter::create(&folder.begin(RECORDING)?, session)
-        .while_running("the recording cannot be written")?;
-    folder.list(RECORDING, Content::Begins)?;
-    Ok(Some(writer))
-}
+impl Listener for Recorder {
+    fn hear(&mut self, event: &Event) -> Result<(), ListenerError> {
+        self.save(event).map_err(Failure::into_error)
+    }
 
-fn save(
-    writer: &mut Option<RecordingWriter>,
-    folder: &OutputFolder,
-    change: &Change,
-) -> Result<(), Failure> {
-    const DOING: &str = "the recording cannot be written";
-    let Some(open) = writer else {
-        return Ok(());
-    };
-    match change {
-        Change::Finished(keyframe, snapshot) => {
-            open.append_keyframe(KeyframeRecord {
-                id: keyframe.id,
-                frame_index: keyframe.frame_index as u64,
-                timestamp_ns: keyframe.timestamp_ns,
-                image: Some(keyframe.image.clone()),
-                pixels: to_recorded(&keyframe.pixels),
-            })
-            .while_running(DOING)?;
-            open.append_poses(poses(snapshot)).while_running(DOING)?;
-            save_pictures(folder, keyframe)
-        }
-        Change::Revised(keyframe) => {
-            open.append_depth(DepthRevision {
-                keyframe_id: keyframe.id,
-                revision: keyframe.revision,
-                pixels: to_recorded(&keyframe.pixels),
-            })
-            .while_running(DOING)?;
-            save_pictures(folder, keyframe)
-        }
-        // poses are recorded with the next keyframe, or at the end
-        Change::Moved(_) => Ok(()),
-        Change::End(snapshot, continuation, end) => {
-            open.append_poses(poses(snapshot)).while_running(DOING)?;
-            let continuation = Record::Continuation(Continuation::clone(continuation));
-            open.append(&continuation).while_running(DOING)?;
-            match writer.take() {
-                Some(open) => {
-                    open.finish(end.clone()).while_running(DOING)?;
-                    folder.list(RECORDING, Content::Whole)
-                }
-                None => Ok(()),
-            }
-        }
+    fn end(&mut self, run: Run) -> Result<(), ListenerError> {
+        self.save_end(run).map_err(Failure::into_error)
     }
 }
 

@@ -1,18 +1,14 @@
-//! The thread that tracks: frames in, changes of the map of keyframes out.
+//! What becomes of each frame.
 
 use super::RunSettings;
-use super::change::Change;
 use super::frames::{FrameFate, FrameRow};
 use super::progress::Progress;
-use super::reader::{Content, Delivered};
-use super::sessions::continuation;
 use crate::input::MAX_UNREADABLE_IN_A_ROW;
-use monogrid_datasets::EndRecord;
 use monogrid_image::GrayImage;
-use monogrid_slam::{Event, FrameInput, PoseSnapshot, Slam, TrajectoryPose};
-use std::sync::Arc;
+use monogrid_pipeline::{Event, Pipeline, ReadFrame, Unusable};
+use monogrid_slam::FrameInput;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender};
 
 /// Why a run ended before its last frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,175 +19,138 @@ pub enum EarlyEnd {
     Unreadable(String),
 }
 
-/// The system, and who is told about its keyframes.
+/// The pipeline, and what its frames have come to.
 pub struct Tracking<'a> {
-    slam: Slam,
+    pipeline: Pipeline,
     settings: &'a RunSettings,
+    interrupted: &'a AtomicBool,
     rows: Vec<FrameRow>,
-    /// Keyframes that the listeners know.
+    /// Finished keyframes.
     num_keyframes: usize,
-    /// Recorder and mapper; none when the map stays as it is.
-    listeners: Vec<SyncSender<Change>>,
+    unreadable_in_a_row: usize,
+    early_end: Option<EarlyEnd>,
     progress: Progress,
 }
 
 /// What tracking leaves behind.
 pub struct Ended {
+    /// The pipeline, which is still to be finished.
+    pub pipeline: Pipeline,
     /// Every frame.
     pub rows: Vec<FrameRow>,
-    /// Frames with a believed pose, final.
-    pub trajectory: Vec<TrajectoryPose>,
-    /// The system, which holds the finished keyframes.
-    pub slam: Slam,
-    /// Final poses of the keyframes.
-    pub snapshot: Arc<PoseSnapshot>,
+    /// Why there are no more.
+    pub early_end: Option<EarlyEnd>,
 }
 
 impl<'a> Tracking<'a> {
-    /// Begins; listeners hear at once of the keyframes of an earlier session, which are new to them.
+    /// Before the first frame.
     pub fn begin(
-        slam: Slam,
+        pipeline: Pipeline,
         settings: &'a RunSettings,
         num_frames: usize,
-        listeners: Vec<SyncSender<Change>>,
+        interrupted: &'a AtomicBool,
     ) -> Self {
-        let mut this = Self {
-            slam,
+        Self {
+            num_keyframes: pipeline.slam().keyframes().len(),
+            pipeline,
             settings,
+            interrupted,
             rows: Vec::with_capacity(num_frames),
-            num_keyframes: 0,
-            listeners,
+            unreadable_in_a_row: 0,
+            early_end: None,
             progress: Progress::new(num_frames, settings.show_progress),
-        };
-        this.publish();
-        this
+        }
     }
 
-    /// Takes frames until there are no more, the user stops, or the source is unreadable.
-    pub fn process_all(
-        &mut self,
-        frames: &Receiver<Delivered>,
-        interrupted: &AtomicBool,
-    ) -> Option<EarlyEnd> {
-        let mut unreadable_in_a_row = 0;
-        for delivered in frames {
-            if interrupted.load(Ordering::Relaxed) {
-                return Some(EarlyEnd::Interrupted);
-            }
-            let row = self.take(delivered);
-            let early_end = match &row.fate {
-                FrameFate::Skipped(reason) => {
-                    unreadable_in_a_row += 1;
-                    (unreadable_in_a_row >= MAX_UNREADABLE_IN_A_ROW)
-                        .then(|| EarlyEnd::Unreadable(reason.clone()))
-                }
-                // it was not read
-                FrameFate::Dropped => None,
-                FrameFate::Processed(_) | FrameFate::BeforeSeed => {
-                    unreadable_in_a_row = 0;
-                    None
-                }
-            };
-            self.progress.frame(&row, self.num_keyframes);
-            self.rows.push(row);
-            if early_end.is_some() {
-                return early_end;
-            }
+    /// Takes a frame; breaks when the user stops, or the source is unreadable.
+    pub fn take(&mut self, frame: ReadFrame) -> ControlFlow<()> {
+        if self.interrupted.load(Ordering::Relaxed) {
+            self.early_end = Some(EarlyEnd::Interrupted);
+            return ControlFlow::Break(());
         }
-        None
+        let row = FrameRow {
+            index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            fate: self.fate(frame),
+        };
+        self.early_end = self.count_unreadable(&row.fate);
+        self.progress.frame(&row, self.num_keyframes);
+        self.rows.push(row);
+        match self.early_end {
+            Some(_) => ControlFlow::Break(()),
+            None => ControlFlow::Continue(()),
+        }
     }
 
     /// Does with a frame what can be done with it.
-    fn take(&mut self, delivered: Delivered) -> FrameRow {
-        let Delivered {
-            index,
-            timestamp_ns,
-            content,
-        } = delivered;
-        let fate = match content {
-            Content::Image(image) => self.process(index, timestamp_ns, image),
-            Content::Unusable(reason) => {
+    fn fate(&mut self, frame: ReadFrame) -> FrameFate {
+        let fate = match frame.image {
+            Some(Ok(image)) => return self.process(frame.index, frame.timestamp_ns, image),
+            Some(Err(Unusable::Repeats)) => FrameFate::Repeated,
+            Some(Err(reason)) => {
+                let index = frame.index;
                 self.progress
                     .warn(&format!("frame {index} skipped: {reason}"));
-                FrameFate::Skipped(reason)
+                FrameFate::Skipped(reason.to_string())
             }
-            Content::TooEarly => FrameFate::Dropped,
+            None => FrameFate::Dropped,
         };
-        FrameRow {
-            index,
-            timestamp_ns,
-            fate,
-        }
+        self.pipeline.pass_over();
+        fate
     }
 
     fn process(&mut self, index: usize, timestamp_ns: i64, image: GrayImage) -> FrameFate {
         let seed_depth = match &self.settings.seed_depth {
-            Some((seeded, _)) if index < *seeded => return FrameFate::BeforeSeed,
+            Some((seeded, _)) if index < *seeded => {
+                self.pipeline.pass_over();
+                return FrameFate::BeforeSeed;
+            }
             Some((seeded, depth)) if index == *seeded => Some(depth.clone()),
             _ => None,
         };
-        let report = self.slam.process_frame(FrameInput {
+        let report = self.pipeline.track(FrameInput {
             index,
             timestamp_ns,
             image,
             seed_depth,
         });
-        self.publish();
+        for event in self.pipeline.slam().events() {
+            match event {
+                Event::Finished(..) => self.num_keyframes += 1,
+                Event::NotAdjusted(error) => {
+                    let text = format!("a bundle adjustment failed: {error}");
+                    self.progress.warn(&text);
+                }
+                _ => {}
+            }
+        }
         FrameFate::Processed(Box::new(report))
     }
 
-    /// Tells the listeners about new keyframes, and new depth and poses of old ones.
-    fn publish(&mut self) {
-        for event in self.slam.events() {
-            let change = match event {
-                Event::Finished(keyframe, poses) => {
-                    self.num_keyframes += 1;
-                    Change::Finished(Arc::clone(keyframe), Arc::clone(poses))
-                }
-                Event::Revised(keyframe) => Change::Revised(Arc::clone(keyframe)),
-                Event::Moved(poses) => Change::Moved(Arc::clone(poses)),
-                Event::NotAdjusted(error) => {
-                    self.progress
-                        .warn(&format!("a bundle adjustment failed: {error}"));
-                    continue;
-                }
-                Event::Lost { .. } | Event::Found { .. } | Event::Started(_) | Event::Joined(_) => {
-                    continue;
-                }
-            };
-            self.send(&change);
+    /// Whether so many frames in a row are unreadable that the source is given up.
+    fn count_unreadable(&mut self, fate: &FrameFate) -> Option<EarlyEnd> {
+        match fate {
+            FrameFate::Skipped(reason) => {
+                self.unreadable_in_a_row += 1;
+                (self.unreadable_in_a_row >= MAX_UNREADABLE_IN_A_ROW)
+                    .then(|| EarlyEnd::Unreadable(reason.clone()))
+            }
+            // it was not read
+            FrameFate::Dropped => None,
+            FrameFate::Processed(_) | FrameFate::BeforeSeed | FrameFate::Repeated => {
+                self.unreadable_in_a_row = 0;
+                None
+            }
         }
     }
 
-    /// A listener that has failed says so when it is joined.
-    fn send(&self, change: &Change) {
-        for listener in &self.listeners {
-            let _ = listener.send(change.clone());
-        }
-    }
-
-    /// Finishes the last keyframe and closes the channels.
-    pub fn finish(mut self, source: &str) -> Ended {
-        self.slam.finish();
-        self.publish();
-        let snapshot = self.slam.snapshot();
-        let trajectory = self.slam.trajectory();
-        let end = EndRecord {
-            num_frames: self.rows.len() as u64,
-            num_tracked: trajectory.len() as u64,
-            summary: String::new(),
-        };
-        if !self.listeners.is_empty() {
-            let continuation = continuation(&self.slam, self.settings.earlier(), source);
-            let continuation = Arc::new(continuation);
-            self.send(&Change::End(Arc::clone(&snapshot), continuation, end));
-        }
+    /// After the last frame.
+    pub fn finish(self) -> Ended {
         self.progress.finish();
         Ended {
+            pipeline: self.pipeline,
             rows: self.rows,
-            trajectory,
-            slam: self.slam,
-            snapshot,
+            early_end: self.early_end,
         }
     }
 }

@@ -6,7 +6,7 @@ use super::conclusion::verdict;
 use super::outputs::{self, path_of};
 use super::report::{ReportInput, page};
 use super::summary::{Summary, is_metric, unit_name};
-use super::threads::{GrownMaps, Tracked, track};
+use super::threads::{Tracked, track};
 use super::tracking::EarlyEnd;
 use crate::failure::{Failure, Outcome};
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
@@ -15,7 +15,8 @@ use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::Vec3;
-use monogrid_slam::mapping::{KeyframeScan, Mapper, Maps, PosedKeyframe, final_scans};
+use monogrid_slam::mapping::Maps;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Set by Ctrl-C.
@@ -58,7 +59,7 @@ struct Paths {
 /// Tracks, maps and writes everything. `extras` may evaluate against a truth.
 pub fn run_all(
     input: &Input,
-    folder: &OutputFolder,
+    folder: &Arc<OutputFolder>,
     settings: &RunSettings,
     align: &Align,
     extras: impl FnOnce(&Tracked, Option<&Maps>) -> Result<Extras, Failure>,
@@ -66,12 +67,12 @@ pub fn run_all(
     save_when_interrupted();
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
-    let (mut tracked, grown) = track(input, folder, settings, &INTERRUPTED)?;
+    let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
     let (frame, align_warning) = frame_of_results(align, &tracked);
     let poses = outputs::final_poses(&tracked, &frame);
     outputs::write_tables(folder, &tracked, &frame, &poses, settings)?;
     let paths = Paths::new(&poses, &tracked, &frame);
-    let (maps, failure) = match final_maps(grown, &mut tracked, &frame, &paths.path, settings) {
+    let (maps, failure) = match final_maps(&mut tracked, &frame, &paths.path) {
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
@@ -87,7 +88,7 @@ pub fn run_all(
     };
     let extras = extras(&tracked, maps.as_ref())?;
     let mut summary = Summary::new(input, settings, &tracked, &frame, maps.as_ref());
-    summary.warnings = warnings(input, align_warning, extras.warnings, summary.skipped);
+    summary.warnings = warnings(input, align_warning, extras.warnings, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     let verdict = verdict(&summary, &tracked);
@@ -129,6 +130,7 @@ fn save_when_interrupted() {
 /// The frame of the results, and why it is not the one that was asked for.
 fn frame_of_results(align: &Align, tracked: &Tracked) -> (MapFrame, Option<String>) {
     let trajectory: Vec<_> = tracked
+        .run
         .trajectory
         .iter()
         .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
@@ -138,7 +140,7 @@ fn frame_of_results(align: &Align, tracked: &Tracked) -> (MapFrame, Option<Strin
 
 impl Paths {
     fn new(poses: &[TimedPose], tracked: &Tracked, frame: &MapFrame) -> Self {
-        let has_loops = tracked.slam.graph_stats().loop_closures > 0;
+        let has_loops = tracked.run.slam.graph_stats().loop_closures > 0;
         Self {
             path: path_of(poses),
             reported: has_loops.then(|| outputs::reported_path(tracked, frame)),
@@ -148,49 +150,15 @@ impl Paths {
 
 /// The final maps; `None` without keyframes.
 fn final_maps(
-    grown: GrownMaps,
     tracked: &mut Tracked,
     frame: &MapFrame,
     path: &[[f64; 3]],
-    settings: &RunSettings,
 ) -> Result<Option<Maps>, String> {
-    let mut live = grown.map_err(|error| error.to_string())?;
-    if tracked.slam.keyframes().is_empty() || settings.is_localise_only() {
-        return Ok(None);
-    }
     let before = process_cpu();
     let camera = path.last().map(|point| Vec3::from(*point));
-    for scan in final_scans_of(tracked, live.mapper(), settings.threads) {
-        live.revise(scan);
-    }
-    let mut maps = live
-        .finish(
-            &tracked.snapshot,
-            &frame.map_from_world,
-            camera,
-            settings.threads,
-        )
-        .map_err(|error| error.to_string())?;
-    for map in [&mut maps.global, &mut maps.large, &mut maps.local] {
-        map.pack(settings.threads);
-    }
+    let maps = tracked.run.maps_in(&frame.map_from_world, camera);
     tracked.cpu.mapping += process_cpu() - before;
-    Ok(Some(maps))
-}
-
-/// The depth of all keyframes of the main map as it is mapped in the end.
-fn final_scans_of(tracked: &Tracked, mapper: &Mapper, threads: usize) -> Vec<KeyframeScan> {
-    let finished = tracked.slam.keyframes();
-    let keyframes: Vec<PosedKeyframe> = finished
-        .iter()
-        .map(|keyframe| PosedKeyframe {
-            id: keyframe.id,
-            image: Some(&keyframe.image),
-            pixels: &keyframe.pixels,
-            world_from_keyframe: tracked.snapshot.in_main_map(keyframe.id).copied(),
-        })
-        .collect();
-    final_scans(&keyframes, mapper.camera(), mapper.config(), threads)
+    maps.map_err(|error| error.to_string())
 }
 
 fn early_failure(tracked: &Tracked) -> Option<String> {
@@ -207,10 +175,24 @@ fn warnings(
     input: &Input,
     align: Option<String>,
     extras: Vec<String>,
-    num_skipped: usize,
+    summary: &Summary,
 ) -> Vec<String> {
-    let skipped = (num_skipped > 0)
-        .then(|| format!("{num_skipped} frames could not be used and were skipped"));
-    let of_input = input.warnings.iter().cloned();
-    of_input.chain(align).chain(extras).chain(skipped).collect()
+    let skipped = (summary.skipped > 0).then(|| {
+        format!(
+            "{} frames could not be used and were skipped",
+            summary.skipped
+        )
+    });
+    let repeated = (summary.repeated > 0).then(|| {
+        format!(
+            "{} frames repeat the one before and were left out",
+            summary.repeated
+        )
+    });
+    let found = align
+        .into_iter()
+        .chain(extras)
+        .chain(skipped)
+        .chain(repeated);
+    input.warnings.iter().cloned().chain(found).collect()
 }

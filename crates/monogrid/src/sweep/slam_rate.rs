@@ -10,6 +10,7 @@ use crate::run::RunSettings;
 use crate::run::threads::track;
 use monogrid_image::GrayImage;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -75,7 +76,7 @@ pub fn measure(job: &RateJob, resolutions: &[f64]) -> Result<Vec<Rate>, Failure>
 fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
     let scratch = format!("monogrid-sweep-{}", std::process::id());
     let scratch = std::env::temp_dir().join(scratch);
-    let folder = OutputFolder::replace(&scratch, false, &Inputs::default())?;
+    let folder = Arc::new(OutputFolder::replace(&scratch, false, &Inputs::default())?);
     let config = RunConfig {
         mapping: entry.model.mapping(entry.resolution),
         ..RunConfig::of(job.profile)
@@ -85,10 +86,12 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
         ..RunSettings::new(config, job.threads)
     };
     let begin = Instant::now();
-    let (tracked, _maps) = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
+    let tracked = track(job.input, &folder, &settings, &AtomicBool::new(false))?;
     let seconds = begin.elapsed().as_secs_f64();
     // the rates are all that is wanted of the run
-    folder.discard()?;
+    if let Some(folder) = Arc::into_inner(folder) {
+        folder.discard()?;
+    }
     Ok(Rate {
         entry,
         frames: tracked.rows.len(),

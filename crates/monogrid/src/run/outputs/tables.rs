@@ -25,7 +25,7 @@ pub fn write_tables(
     settings: &RunSettings,
 ) -> Result<(), Failure> {
     folder.write("trajectory.txt", format_tum(final_poses))?;
-    for fragment in tracked.slam.fragments() {
+    for fragment in tracked.run.slam.fragments() {
         let poses = fragment_poses(tracked, fragment.id);
         if !poses.is_empty() {
             let name = format!("trajectory_fragment_{}.txt", fragment.id);
@@ -64,7 +64,7 @@ fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) ->
         let poses: Vec<TimedPose> = frames
             .filter_map(|recorded| {
                 let frame_then = tracked_frame(recorded);
-                let keyframe = tracked.snapshot.in_main_map(recorded.keyframe)?;
+                let keyframe = tracked.run.poses.in_main_map(recorded.keyframe)?;
                 let pose = frame_then.world_from_camera(keyframe);
                 Some(TimedPose {
                     timestamp_ns: recorded.timestamp_ns,
@@ -79,12 +79,15 @@ fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) ->
 
 /// Final poses of all tracked frames in the frame of the results.
 pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
-    all_in_map(&frame.map_from_world, &tracked.trajectory)
+    all_in_map(&frame.map_from_world, &tracked.run.trajectory)
 }
 
 /// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
 fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
-    all_in_map(&z_up_from_camera_world(), &tracked.slam.trajectory_in(id))
+    all_in_map(
+        &z_up_from_camera_world(),
+        &tracked.run.slam.trajectory_in(id),
+    )
 }
 
 fn all_in_map(map_from_world: &Sim3, trajectory: &[TrajectoryPose]) -> Vec<TimedPose> {
@@ -138,6 +141,7 @@ fn frames_csv(rows: &[FrameRow]) -> String {
                 report.reason.map(|r| r.to_string()).unwrap_or_default(),
             ),
             FrameFate::Skipped(reason) => ("skipped", reason.clone()),
+            FrameFate::Repeated => ("repeated", "the image before once more".to_owned()),
             FrameFate::Dropped => ("dropped", "behind the camera".to_owned()),
             FrameFate::BeforeSeed => ("initialising", "waiting for the seed depth".to_owned()),
         };
@@ -198,8 +202,8 @@ fn events(report: &FrameReport) -> String {
 
 fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
     let mut text = String::from("# id frame timestamp scale tx ty tz qx qy qz qw points\n");
-    for keyframe in tracked.slam.keyframes() {
-        let Some(pose) = tracked.snapshot.in_main_map(keyframe.id) else {
+    for keyframe in tracked.run.slam.keyframes() {
+        let Some(pose) = tracked.run.poses.in_main_map(keyframe.id) else {
             continue;
         };
         let pose = frame.map_from_world * *pose;
@@ -226,7 +230,7 @@ fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
 
 /// The keyframe graph in the frame of the results.
 fn keyframe_graph(tracked: &Tracked, frame: &MapFrame) -> PoseGraph {
-    let mut graph = tracked.slam.pose_graph();
+    let mut graph = tracked.run.slam.pose_graph();
     let nodes: Vec<_> = graph.nodes().to_vec();
     for node in nodes {
         // Only poses that are not finite are refused; they stay as they are.

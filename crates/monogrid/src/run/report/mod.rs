@@ -206,7 +206,7 @@ fn path_plot(input: &ReportInput) -> Plot {
 
 /// Some keyframes, evenly spread, with image, depth and uncertainty, at half their size.
 fn show_keyframes(page: &mut Page, tracked: &Tracked) {
-    let keyframes = tracked.slam.keyframes();
+    let keyframes = tracked.run.slam.keyframes();
     let count = keyframes.len();
     if count == 0 {
         return;

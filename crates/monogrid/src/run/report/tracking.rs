@@ -16,6 +16,7 @@ fn colour(row: &FrameRow) -> (&'static str, &'static str) {
         },
         FrameFate::BeforeSeed => ("#7fa8d8", "starting"),
         FrameFate::Skipped(_) => ("#999999", "unreadable"),
+        FrameFate::Repeated => ("#cccccc", "repeated"),
         FrameFate::Dropped => ("#999999", "dropped"),
     }
 }

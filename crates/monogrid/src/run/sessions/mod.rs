@@ -4,7 +4,6 @@ mod stored;
 
 pub use stored::tracked_frame;
 
-use super::recorder::RECORDING;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
 use monogrid_datasets::{
@@ -17,6 +16,8 @@ use monogrid_slam::{MAIN_MAP, Purpose, Scale, Slam, StoredMap};
 use std::path::{Path, PathBuf};
 use stored::{recorded_edge, recorded_point, stored_map};
 
+/// Name of the recording of a run.
+pub const RECORDING: &str = "recording.mgk";
 /// File with the transform from the world of a run to the frame of its results.
 pub const MAP_FROM_WORLD: &str = "map_from_world.txt";
 

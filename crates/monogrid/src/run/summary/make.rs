@@ -21,16 +21,18 @@ impl Summary {
         frame: &MapFrame,
         maps: Option<&Maps>,
     ) -> Self {
-        let slam = &tracked.slam;
+        let slam = &tracked.run.slam;
         let graph = slam.graph_stats();
         let points = maps.map_or(0, |maps| maps.stats.points);
         let (width, height) = input.size();
+        let repeated = count(tracked, |fate| matches!(fate, FrameFate::Repeated));
         let mut summary = Self {
             source: input.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             status: Status::of(tracked, settings),
-            frames: tracked.rows.len(),
-            tracked: tracked.trajectory.len(),
+            frames: tracked.rows.len() - repeated,
+            repeated,
+            tracked: tracked.run.trajectory.len(),
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
             lost_episodes: slam.lost_episodes(),
@@ -79,7 +81,7 @@ impl Summary {
 
 /// Whether lengths of the results are metres.
 pub fn is_metric(tracked: &Tracked, frame: &MapFrame) -> bool {
-    tracked.slam.scale() == Scale::Metric || frame.is_aligned
+    tracked.run.slam.scale() == Scale::Metric || frame.is_aligned
 }
 
 fn count(tracked: &Tracked, test: fn(&FrameFate) -> bool) -> usize {
@@ -91,7 +93,7 @@ fn session_summaries(
     settings: &RunSettings,
     tracked: &Tracked,
 ) -> Vec<SessionSummary> {
-    sessions(&tracked.slam, settings.earlier(), &input.name)
+    sessions(&tracked.run.slam, settings.earlier(), &input.name)
         .into_iter()
         .map(|session| SessionSummary {
             source: session.source,

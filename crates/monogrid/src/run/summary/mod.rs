@@ -98,10 +98,12 @@ pub struct Summary {
     pub version: &'static str,
     /// How it ended.
     pub status: Status,
-    /// Frames of the source that were used.
+    /// Frames of the source, without those that repeat the one before.
     pub frames: usize,
     /// Frames with a believed pose in the map.
     pub tracked: usize,
+    /// Frames of the source that repeat the one before and were left out.
+    pub repeated: usize,
     /// Unreadable frames.
     pub skipped: usize,
     /// Frames dropped because the program was behind (`--realtime`).

@@ -34,8 +34,8 @@ impl Status {
         match &tracked.early_end {
             Some(EarlyEnd::Interrupted) => Self::Interrupted,
             Some(EarlyEnd::Unreadable(_)) => Self::Unreadable,
-            _ if tracked.slam.keyframes().is_empty() => Self::NotInitialised,
-            _ if settings.continued.is_some() && tracked.trajectory.is_empty() => {
+            _ if tracked.run.slam.keyframes().is_empty() => Self::NotInitialised,
+            _ if settings.continued.is_some() && tracked.run.trajectory.is_empty() => {
                 Self::NotRecognised
             }
             None => match end_of(&tracked.rows) {
@@ -62,7 +62,7 @@ impl Status {
 /// Whether the last frame is in the map: a fragment may have been joined when the run was over.
 fn has_last_frame(tracked: &Tracked) -> bool {
     let last = tracked.rows.iter().rev().find_map(FrameRow::report);
-    let placed = tracked.trajectory.last();
+    let placed = tracked.run.trajectory.last();
     last.zip(placed)
         .is_some_and(|(last, placed)| placed.frame_index >= last.index)
 }

@@ -1,0 +1,118 @@
+//! The thread that maps: integrates keyframes as they are finished and lets the maps follow the graph.
+
+use crate::clock::{give_way, thread_cpu};
+use crate::listener::EVENTS_AHEAD;
+use monogrid_occupancy::MapError;
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, LiveMaps, MapReader};
+use monogrid_slam::{Event, Keyframe};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+/// What the mapper is told.
+enum Message {
+    /// Something has changed.
+    Event(Event),
+    /// Somebody wants to read the maps while they grow.
+    Reader(SyncSender<Result<MapReader, MapError>>),
+}
+
+type Mapped = (Result<LiveMaps, MapError>, Duration);
+
+/// The mapper and its thread.
+#[derive(Debug)]
+pub(crate) struct MapperThread {
+    messages: SyncSender<Message>,
+    thread: JoinHandle<Mapped>,
+}
+
+impl MapperThread {
+    pub(crate) fn start(maps: LiveMaps, camera: KeyframeCamera) -> std::io::Result<Self> {
+        let (messages, received) = sync_channel(EVENTS_AHEAD);
+        let thread = thread::Builder::new()
+            .name("mapper".into())
+            .spawn(move || grow_maps(&received, maps, &camera))?;
+        Ok(Self { messages, thread })
+    }
+
+    /// Tells the mapper; one that has failed says so when it is joined.
+    pub(crate) fn tell(&self, event: &Event) {
+        let _ = self.messages.send(Message::Event(event.clone()));
+    }
+
+    /// A reader of the maps; none when the mapper has failed.
+    pub(crate) fn reader(&self) -> Option<Result<MapReader, MapError>> {
+        let (sender, reader) = sync_channel(1);
+        self.messages.send(Message::Reader(sender)).ok()?;
+        reader.recv().ok()
+    }
+
+    /// Ends it; the maps as far as they have come, and the CPU time that they took. None if it panicked.
+    pub(crate) fn join(self) -> Option<Mapped> {
+        drop(self.messages);
+        self.thread.join().ok()
+    }
+}
+
+/// Integrates keyframes as they are finished, and lets the maps follow the graph while there is nothing else to do.
+fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &KeyframeCamera) -> Mapped {
+    give_way();
+    let mut result = Ok(());
+    let mut has_work = false;
+    loop {
+        let received = if has_work {
+            messages.try_recv()
+        } else {
+            messages.recv().map_err(|_| TryRecvError::Disconnected)
+        };
+        match received {
+            // what is left to be done is done for the final maps, on all threads
+            Err(TryRecvError::Disconnected) => break,
+            // after an error messages are still received, so that nobody waits for this thread
+            _ if result.is_err() => has_work = false,
+            Ok(Message::Event(event)) => {
+                result = take_event(&mut maps, &event, camera);
+                has_work = true;
+            }
+            Ok(Message::Reader(wanted)) => {
+                // one who has gone away does not need it
+                let _ = wanted.send(maps.reader());
+                has_work = true;
+            }
+            Err(TryRecvError::Empty) => match maps.step() {
+                Ok(has_worked) => has_work = has_worked,
+                Err(error) => result = Err(error),
+            },
+        }
+    }
+    (result.map(|()| maps), thread_cpu())
+}
+
+fn take_event(maps: &mut LiveMaps, event: &Event, camera: &KeyframeCamera) -> Result<(), MapError> {
+    match event {
+        Event::Finished(keyframe, poses) => {
+            let scan = scan_of(keyframe, maps, camera);
+            match poses.in_main_map(keyframe.id) {
+                Some(pose) => maps.add(scan, *pose)?,
+                None => maps.add_apart(scan),
+            }
+            maps.follow(Arc::clone(poses))
+        }
+        Event::Revised(keyframe) => {
+            maps.revise(scan_of(keyframe, maps, camera));
+            Ok(())
+        }
+        Event::Moved(poses) => maps.follow(Arc::clone(poses)),
+        // nothing that maps show
+        _ => Ok(()),
+    }
+}
+
+/// What of a keyframe is mapped now. Filling plain surfaces is left for the final maps, which have better
+/// depth, as long as nobody looks.
+fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {
+    let config = maps.mapper().config();
+    let image = maps.is_read().then_some(&keyframe.image);
+    KeyframeScan::new(keyframe.id, &keyframe.pixels, image, camera, config)
+}

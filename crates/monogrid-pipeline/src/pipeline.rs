@@ -1,0 +1,398 @@
+//! Tracking, mapping and listeners put together.
+
+use crate::listener::{Listener, ListenerError, Listening, Run};
+use crate::mapper::MapperThread;
+use crate::preparation::{Preparation, Preparer, Unusable};
+use crate::source::{FrameSource, ReadFrame, Reading, read_ahead};
+use monogrid_geometry::{Camera, Sim3, Vec3};
+use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
+use monogrid_occupancy::MapError;
+use monogrid_slam::mapping::{
+    KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, PosedKeyframe,
+    final_scans, z_up_from_camera_world,
+};
+use monogrid_slam::{
+    Event, FrameInput, FrameReport, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
+    TrajectoryPose,
+};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Everything that decides the result of a pipeline, besides its camera and its images.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Tracking, depth and keyframes.
+    pub slam: SlamConfig,
+    /// Occupancy maps.
+    pub mapping: MappingConfig,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Threads that build maps, at least 1; no result depends on it.
+    pub threads: usize,
+    /// Size of the images that are worked with.
+    pub working_size: WorkingSize,
+    /// Of the size of the images, 0 where pixels must be ignored.
+    pub mask: Option<Mask>,
+    /// Correction of response and vignette.
+    pub photometric: Photometric,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            slam: SlamConfig::default(),
+            mapping: MappingConfig::default(),
+            seed: 0,
+            threads: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            working_size: WorkingSize::Automatic,
+            mask: None,
+            photometric: Photometric::default(),
+        }
+    }
+}
+
+/// Why a pipeline cannot begin, or not end well.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PipelineError {
+    /// A setting, or a map to go on with, that cannot be.
+    #[error("{0}")]
+    Settings(String),
+    /// A map that cannot be built.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// The system has no more threads.
+    #[error("cannot start a thread: {0}")]
+    Thread(#[from] std::io::Error),
+    /// A thread of the pipeline has panicked.
+    #[error("the {0} failed")]
+    Failed(&'static str),
+    /// A listener gave up.
+    #[error("a listener failed: {0}")]
+    Listener(#[source] ListenerError),
+}
+
+/// A running system: frames in, events and a map that grows out. The calling thread tracks.
+#[derive(Debug)]
+pub struct Pipeline {
+    preparation: Preparation,
+    preparer: Preparer,
+    slam: Slam,
+    listeners: Vec<Listening>,
+    mapper: MapperThread,
+    threads: usize,
+    num_frames: usize,
+    /// Whether there is a map of an earlier session that must not change.
+    localise_only: bool,
+}
+
+impl Pipeline {
+    /// A pipeline that starts from nothing, for images of `camera`.
+    ///
+    /// # Errors
+    /// A setting outside its range.
+    pub fn new(camera: &Camera, settings: Settings) -> Result<Self, PipelineError> {
+        let preparation = Preparation::new(
+            camera,
+            settings.working_size,
+            settings.mask.as_ref(),
+            settings.photometric.clone(),
+        );
+        Self::with(preparation, settings, None)
+    }
+
+    /// A pipeline for images that are prepared by `preparation` (the settings' size, mask and correction are not
+    /// used), which goes on with a map if there is one.
+    ///
+    /// # Errors
+    /// A setting outside its range, or a map that is not of these settings.
+    pub fn with(
+        preparation: Preparation,
+        settings: Settings,
+        earlier: Option<(StoredMap, Purpose)>,
+    ) -> Result<Self, PipelineError> {
+        let pinhole = *preparation.pinhole();
+        let (width, height) = preparation.size();
+        let mask = preparation.mask().clone();
+        let localise_only = matches!(earlier, Some((_, Purpose::LocaliseOnly)));
+        let (slam, seed) = (settings.slam, settings.seed);
+        let slam = match earlier {
+            None => Slam::new(slam, pinhole, mask, seed)
+                .map_err(|error| PipelineError::Settings(error.to_string()))?,
+            Some((map, purpose)) => Slam::continue_from(slam, pinhole, mask, seed, map, purpose)
+                .map_err(|error| PipelineError::Settings(error.to_string()))?,
+        };
+        let camera = KeyframeCamera {
+            pinhole,
+            width,
+            height,
+        };
+        let mapper = Mapper::new(settings.mapping, camera, settings.threads);
+        let maps = LiveMaps::new(mapper, z_up_from_camera_world())?;
+        let pipeline = Self {
+            preparation,
+            preparer: Preparer::default(),
+            slam,
+            listeners: Vec::new(),
+            mapper: MapperThread::start(maps, camera)?,
+            threads: settings.threads,
+            num_frames: 0,
+            localise_only,
+        };
+        for event in pipeline.slam.events() {
+            pipeline.tell_mapper(event);
+        }
+        Ok(pipeline)
+    }
+
+    /// Adds a listener, which hears of everything from now on, in a thread of its own. The keyframes of an earlier
+    /// session are new to it when no frame was taken yet. Nothing is said of a map that must not change.
+    ///
+    /// # Errors
+    /// When the system has no more threads.
+    pub fn listen(&mut self, listener: impl Listener) -> Result<(), PipelineError> {
+        if self.localise_only {
+            return Ok(());
+        }
+        let listening = Listening::start(Box::new(listener))?;
+        if self.num_frames == 0 {
+            self.slam
+                .events()
+                .iter()
+                .for_each(|event| listening.tell(event));
+        }
+        self.listeners.push(listening);
+        Ok(())
+    }
+
+    /// For threads that read the maps while they grow, z up as the first camera was held. From now on the mapper
+    /// keeps them up to date.
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn live_map(&self) -> Result<MapReader, PipelineError> {
+        let reader = self.mapper.reader();
+        Ok(reader.ok_or(PipelineError::Failed("mapper"))??)
+    }
+
+    /// How images become working images.
+    #[must_use]
+    pub fn preparation(&self) -> &Preparation {
+        &self.preparation
+    }
+
+    /// The system: keyframes, poses, counts.
+    #[must_use]
+    pub fn slam(&self) -> &Slam {
+        &self.slam
+    }
+
+    /// Takes the next image of the camera (grey, 0 to 255); what became of it.
+    ///
+    /// # Errors
+    /// An image of another size than the camera's, or one that repeats the one before.
+    pub fn push(&mut self, image: GrayImage, timestamp_ns: i64) -> Result<FrameReport, Unusable> {
+        let index = self.num_frames;
+        match self.preparer.next(&self.preparation, image, false) {
+            Ok(image) => Ok(self.track(FrameInput {
+                index,
+                timestamp_ns,
+                image,
+                seed_depth: None,
+            })),
+            Err(unusable) => {
+                self.pass_over();
+                Err(unusable)
+            }
+        }
+    }
+
+    /// Takes a working image, with depth to start with if there is some.
+    pub fn track(&mut self, frame: FrameInput) -> FrameReport {
+        self.num_frames += 1;
+        let report = self.slam.process_frame(frame);
+        self.tell();
+        report
+    }
+
+    /// Counts a frame of the source that is not tracked.
+    pub fn pass_over(&mut self) {
+        self.num_frames += 1;
+    }
+
+    /// Takes all frames of a source, decoded and prepared ahead in a thread of its own, until there are no more or
+    /// `heard` breaks; it is told what became of each.
+    ///
+    /// # Errors
+    /// When the system has no more threads.
+    pub fn run(
+        &mut self,
+        source: impl FrameSource,
+        mut heard: impl FnMut(usize, Result<&FrameReport, &Unusable>) -> ControlFlow<()>,
+    ) -> Result<(), PipelineError> {
+        let preparation = self.preparation.clone();
+        read_ahead(source, &preparation, Reading::default(), |frame| {
+            let ReadFrame {
+                index,
+                timestamp_ns,
+                image,
+            } = frame;
+            match image {
+                Some(Ok(image)) => {
+                    let input = FrameInput {
+                        index,
+                        timestamp_ns,
+                        image,
+                        seed_depth: None,
+                    };
+                    heard(index, Ok(&self.track(input)))
+                }
+                Some(Err(unusable)) => {
+                    self.pass_over();
+                    heard(index, Err(&unusable))
+                }
+                None => ControlFlow::Continue(()),
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Finishes the last keyframe and ends all threads.
+    ///
+    /// # Errors
+    /// What a listener gave up for. Maps that could not grow are said by [`Finished::maps`].
+    pub fn finish(mut self) -> Result<Finished, PipelineError> {
+        self.slam.finish();
+        self.tell();
+        let Self {
+            slam,
+            listeners,
+            mapper,
+            num_frames,
+            ..
+        } = self;
+        let mut cpu = Cpu::default();
+        let mut failed = None;
+        for listener in listeners {
+            match listener.join(Run {
+                slam: &slam,
+                num_frames,
+            }) {
+                Ok(time) => cpu.listening += time,
+                Err(error) => failed = failed.or(Some(error)),
+            }
+        }
+        let mapped = mapper.join().ok_or(PipelineError::Failed("mapper"));
+        if let Some(error) = failed {
+            return Err(PipelineError::Listener(error));
+        }
+        let (maps, mapping) = mapped?;
+        cpu.mapping = mapping;
+        Ok(Finished {
+            trajectory: slam.trajectory(),
+            poses: slam.snapshot(),
+            slam,
+            maps: Some(maps),
+            cpu,
+            threads: self.threads,
+            localise_only: self.localise_only,
+        })
+    }
+
+    /// Tells everybody what the last call has changed.
+    fn tell(&self) {
+        for event in self.slam.events() {
+            self.listeners
+                .iter()
+                .for_each(|listener| listener.tell(event));
+            self.tell_mapper(event);
+        }
+    }
+
+    fn tell_mapper(&self, event: &Event) {
+        if !self.localise_only {
+            self.mapper.tell(event);
+        }
+    }
+}
+
+/// CPU time of the threads of a pipeline.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cpu {
+    /// The mapper's.
+    pub mapping: Duration,
+    /// That of all listeners.
+    pub listening: Duration,
+}
+
+/// A pipeline that has ended.
+#[derive(Debug)]
+pub struct Finished {
+    /// The system, which holds the finished keyframes.
+    pub slam: Slam,
+    /// Final poses of the keyframes.
+    pub poses: Arc<PoseSnapshot>,
+    /// Frames with a believed pose, final.
+    pub trajectory: Vec<TrajectoryPose>,
+    /// CPU time of the threads.
+    pub cpu: Cpu,
+    maps: Option<Result<LiveMaps, MapError>>,
+    threads: usize,
+    localise_only: bool,
+}
+
+impl Finished {
+    /// The final maps, z up as the first camera was held; `None` where there is nothing to map.
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn maps(&mut self) -> Result<Option<Maps>, PipelineError> {
+        let z_up = z_up_from_camera_world();
+        let last = self.trajectory.last();
+        let camera = last.map(|pose| (z_up * pose.world_from_camera.with_scale(1.0)).translation);
+        self.maps_in(&z_up, camera)
+    }
+
+    /// The final maps in the frame given by `map_from_world`; the local one is around `camera`, which is in that
+    /// frame. The second call has none.
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn maps_in(
+        &mut self,
+        map_from_world: &Sim3,
+        camera: Option<Vec3>,
+    ) -> Result<Option<Maps>, PipelineError> {
+        let Some(maps) = self.maps.take() else {
+            return Ok(None);
+        };
+        let mut live = maps?;
+        if self.slam.keyframes().is_empty() || self.localise_only {
+            return Ok(None);
+        }
+        for scan in self.final_scans(live.mapper()) {
+            live.revise(scan);
+        }
+        let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads)?;
+        for map in [&mut maps.global, &mut maps.large, &mut maps.local] {
+            map.pack(self.threads);
+        }
+        Ok(Some(maps))
+    }
+
+    /// The depth of all keyframes of the main map as it is mapped in the end.
+    fn final_scans(&self, mapper: &Mapper) -> Vec<KeyframeScan> {
+        let finished = self.slam.keyframes();
+        let keyframes: Vec<PosedKeyframe> = finished
+            .iter()
+            .map(|keyframe| PosedKeyframe {
+                id: keyframe.id,
+                image: Some(&keyframe.image),
+                pixels: &keyframe.pixels,
+                world_from_keyframe: self.poses.in_main_map(keyframe.id).copied(),
+            })
+            .collect();
+        final_scans(&keyframes, mapper.camera(), mapper.config(), self.threads)
+    }
+}

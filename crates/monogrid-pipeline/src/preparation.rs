@@ -1,0 +1,163 @@
+//! From images of the camera to working images.
+
+use monogrid_geometry::{Camera, Pinhole};
+use monogrid_image::{GrayImage, Mask, Photometric, Undistorter, WorkingSize};
+
+/// Undistortion, photometric correction and working size of one camera.
+#[derive(Clone, Debug)]
+pub struct Preparation {
+    camera: Camera,
+    undistorter: Undistorter,
+    photometric: Photometric,
+}
+
+/// Why a frame could not be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Unusable {
+    /// It cannot be decoded, and why.
+    #[error("{0}")]
+    Unreadable(String),
+    /// It has another size than the calibration.
+    #[error("image is {}x{} pixels, expected {}x{}", found.0, found.1, expected.0, expected.1)]
+    Size {
+        /// Width and height found.
+        found: (usize, usize),
+        /// Width and height of the calibration.
+        expected: (usize, usize),
+    },
+    /// It is the image before once more, pixel by pixel: it says nothing new.
+    #[error("it repeats the image before")]
+    Repeats,
+}
+
+impl Preparation {
+    /// For images of `camera`; `mask` is of their size, 0 where pixels must be ignored.
+    #[must_use]
+    pub fn new(
+        camera: &Camera,
+        size: WorkingSize,
+        mask: Option<&Mask>,
+        photometric: Photometric,
+    ) -> Self {
+        Self {
+            camera: *camera,
+            undistorter: Undistorter::new(camera, size, mask),
+            photometric,
+        }
+    }
+
+    /// The camera of the images.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Intrinsics of the working images, px.
+    #[must_use]
+    pub fn pinhole(&self) -> &Pinhole {
+        self.undistorter.pinhole()
+    }
+
+    /// Width and height of the working images, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        self.undistorter.size()
+    }
+
+    /// Pixels of the working images that may be used.
+    #[must_use]
+    pub fn mask(&self) -> &Mask {
+        self.undistorter.mask()
+    }
+
+    /// The working image of an image (grey, 0 to 255).
+    ///
+    /// # Errors
+    /// An image of another size than the camera's.
+    pub fn apply(&self, image: &GrayImage) -> Result<GrayImage, Unusable> {
+        let expected = (self.camera.width, self.camera.height);
+        let found = (image.width(), image.height());
+        let size_error = || Unusable::Size { found, expected };
+        if found != expected {
+            return Err(size_error());
+        }
+        let undistort = |image: &GrayImage| self.undistorter.apply(image).ok_or_else(size_error);
+        if self.photometric.is_identity() {
+            return undistort(image);
+        }
+        let mut corrected = image.clone();
+        let applied = self.photometric.apply(&mut corrected);
+        applied.map_err(|_| size_error())?;
+        undistort(&corrected)
+    }
+}
+
+/// Working images one after the other; what repeats the image before is found.
+#[derive(Debug, Default)]
+pub(crate) struct Preparer {
+    previous: Option<GrayImage>,
+}
+
+impl Preparer {
+    /// The working image of the next image; a repeated one too, where it `must_be_used`.
+    pub(crate) fn next(
+        &mut self,
+        preparation: &Preparation,
+        image: GrayImage,
+        must_be_used: bool,
+    ) -> Result<GrayImage, Unusable> {
+        let repeats = |previous: &GrayImage| {
+            previous.same_size(&image) && previous.as_slice() == image.as_slice()
+        };
+        if !must_be_used && self.previous.as_ref().is_some_and(repeats) {
+            return Err(Unusable::Repeats);
+        }
+        let prepared = preparation.apply(&image)?;
+        self.previous = Some(image);
+        Ok(prepared)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::Distortion;
+
+    #[test]
+    fn only_the_same_image_at_once_is_a_repeat() {
+        let camera = Camera {
+            width: 40,
+            height: 30,
+            pinhole: Pinhole::new(30.0, 30.0, 19.5, 14.5),
+            distortion: Distortion::None,
+        };
+        let preparation = Preparation::new(
+            &camera,
+            WorkingSize::Automatic,
+            None,
+            Photometric::default(),
+        );
+        let image = |k: usize| GrayImage::from_fn(40, 30, |x, y| ((x + y * k) % 200) as f32);
+        let mut preparer = Preparer::default();
+        let mut next = |k, must| preparer.next(&preparation, image(k), must);
+        assert!(next(1, false).is_ok());
+        assert_eq!(next(1, false).err(), Some(Unusable::Repeats));
+        assert!(next(1, true).is_ok(), "one that must be used");
+        assert!(next(2, false).is_ok() && next(1, false).is_ok());
+        let small = preparer.next(&preparation, GrayImage::filled(20, 30, 1.0), false);
+        assert!(small.is_err_and(|error| error.to_string().contains("20x30")));
+        let one_pixel = |x: usize, y: usize| {
+            if (x, y) == (7, 7) {
+                0.0
+            } else {
+                ((x + y) % 200) as f32
+            }
+        };
+        let image = GrayImage::from_fn(40, 30, one_pixel);
+        assert!(
+            preparer.next(&preparation, image, false).is_ok(),
+            "one pixel is enough"
+        );
+    }
+}

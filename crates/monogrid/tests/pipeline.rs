@@ -1,0 +1,192 @@
+//! The pipeline as a library: what a viewer, a live camera or a robot writes, and that it finds what the program finds.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+mod common;
+
+use common::{SMALL_FRAMES, code, json, monogrid, small_sequence, stderr};
+use monogrid_datasets::{Calibration, read_gray};
+use monogrid_geometry::Camera;
+use monogrid_image::GrayImage;
+use monogrid_occupancy::{OccupancyMap, write_ot};
+use monogrid_pipeline::{Event, Pipeline, Settings, SourceFrame};
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+fn camera() -> Camera {
+    let file = small_sequence().join("calibration.txt");
+    Calibration::read(&file, None).unwrap().camera
+}
+
+/// Time and image file of each frame.
+fn frames() -> Vec<(i64, PathBuf)> {
+    let options = monogrid_datasets::SourceOptions::default();
+    let dataset = monogrid_datasets::Dataset::open(small_sequence(), options).unwrap();
+    let frames = dataset.frames.into_iter();
+    frames
+        .map(|frame| (frame.timestamp_ns, frame.path))
+        .collect()
+}
+
+/// A camera that never stops: forth and back through the sequence, every picture twice.
+fn endless_frames() -> impl Iterator<Item = (GrayImage, i64)> + Send {
+    let frames = frames();
+    let last = frames.len() - 1;
+    (0..).flat_map(move |k: usize| {
+        let round = k % (2 * last);
+        let (_, path) = &frames[if round <= last {
+            round
+        } else {
+            2 * last - round
+        }];
+        let (image, time) = (
+            read_gray(path).unwrap(),
+            frames[0].0 + 33_333_333 * k as i64,
+        );
+        [(image.clone(), time), (image, time + 1_000_000)]
+    })
+}
+
+fn bytes(map: &OccupancyMap) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write_ot(map, &mut bytes).unwrap();
+    bytes
+}
+
+#[test]
+fn fifteen_lines_find_the_map_that_the_program_finds() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let arguments = [
+        "run",
+        small_sequence().to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+        "--json",
+    ];
+    let output = monogrid(arguments);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = json(&output);
+
+    let finished_keyframes = Arc::new(AtomicUsize::new(0));
+    let seen = Arc::clone(&finished_keyframes);
+    let mut pipeline = Pipeline::new(&camera(), Settings::default()).unwrap();
+    pipeline
+        .listen(move |event: &Event| {
+            if matches!(event, Event::Finished(..)) {
+                seen.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+        .unwrap();
+    for (timestamp_ns, path) in frames() {
+        pipeline
+            .push(read_gray(&path).unwrap(), timestamp_ns)
+            .unwrap();
+    }
+    let mut finished = pipeline.finish().unwrap();
+    let maps = finished.maps().unwrap().expect("a map");
+
+    let keyframes = finished_keyframes.load(Ordering::Relaxed);
+    assert!(keyframes >= 2);
+    assert_eq!(summary["keyframes"], keyframes);
+    assert_eq!(summary["tracked"], finished.trajectory.len());
+    for (map, name) in [
+        (&maps.global, "global.ot"),
+        (&maps.large, "large.ot"),
+        (&maps.local, "local.ot"),
+    ] {
+        assert!(
+            bytes(map) == fs::read(out.join(name)).unwrap(),
+            "{name} differs"
+        );
+    }
+    assert!(finished.maps().unwrap().is_none(), "they were taken");
+}
+
+#[test]
+fn an_endless_camera_is_followed_until_its_listener_has_seen_enough() {
+    let mut pipeline = Pipeline::new(&camera(), Settings::default()).unwrap();
+    // a viewer: looks at the map that grows whenever a keyframe is finished
+    let live = pipeline.live_map().unwrap();
+    let reader = live.clone();
+    let sizes = Arc::new(Mutex::new(Vec::new()));
+    let viewed = Arc::clone(&sizes);
+    pipeline
+        .listen(move |event: &Event| {
+            if let (Event::Finished(..), Some(view)) = (event, reader.latest()) {
+                viewed.lock().unwrap().push(view.global.leaf_count());
+            }
+        })
+        .unwrap();
+    let source = endless_frames()
+        .enumerate()
+        .map(|(index, (image, timestamp_ns))| SourceFrame {
+            index,
+            timestamp_ns,
+            image: Ok(image),
+        });
+    let (mut tracked, mut repeated) = (0_usize, 0_usize);
+    pipeline
+        .run(source, |_, outcome| {
+            match outcome {
+                Ok(_) => tracked += 1,
+                Err(_) => repeated += 1,
+            }
+            if tracked == SMALL_FRAMES + 20 {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        })
+        .unwrap();
+    assert!(
+        repeated.abs_diff(tracked) <= 1,
+        "every second frame repeats the one before: {repeated}"
+    );
+    let mut finished = pipeline.finish().unwrap();
+    let maps = finished.maps().unwrap().expect("a map");
+    let sizes = sizes.lock().unwrap();
+    assert!(
+        sizes.iter().any(|leaves| *leaves > 0),
+        "the viewer saw the map grow: {sizes:?}"
+    );
+    // the live map had every keyframe in the end, with the depth that it was finished with
+    let view = live.latest().expect("a view");
+    assert!(view.global.leaf_count() > 0 && maps.global.leaf_count() > 0);
+}
+
+#[test]
+fn what_goes_wrong_is_said_with_its_type() {
+    let settings = Settings {
+        mapping: monogrid_slam::mapping::MappingConfig {
+            resolution: -1.0,
+            ..Default::default()
+        },
+        ..Settings::default()
+    };
+    assert!(Pipeline::new(&camera(), settings).is_err());
+    let mut pipeline = Pipeline::new(&camera(), Settings::default()).unwrap();
+    struct Full;
+    impl monogrid_pipeline::Listener for Full {
+        fn hear(&mut self, _: &Event) -> Result<(), monogrid_pipeline::ListenerError> {
+            Ok(())
+        }
+        fn end(
+            &mut self,
+            run: monogrid_pipeline::Run,
+        ) -> Result<(), monogrid_pipeline::ListenerError> {
+            Err(format!("the disk is full after {} frames", run.num_frames).into())
+        }
+    }
+    pipeline.listen(Full).unwrap();
+    let small = GrayImage::filled(10, 10, 0.0);
+    let unusable = pipeline.push(small, 0).unwrap_err().to_string();
+    assert!(
+        unusable.contains("10x10") && unusable.contains("320x240"),
+        "{unusable}"
+    );
+    let error = pipeline.finish().unwrap_err().to_string();
+    assert!(error.contains("disk is full after 1 frames"), "{error}");
+}
