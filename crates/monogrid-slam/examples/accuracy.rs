@@ -85,6 +85,11 @@ fn main() {
         times[2] / frames as f64
     );
     println!("graph: {:?}", slam.graph_stats());
+    println!(
+        "in the map: {:.3} of the frames, fragments {:?}",
+        slam.trajectory().len() as f64 / frames as f64,
+        slam.fragments()
+    );
     let mut target_over_source = 1.0;
     if sequence.dataset.ground_truth.is_some() {
         let truth: Vec<StampedPose> = sequence.stamped_truth();

@@ -1,7 +1,6 @@
 //! Settings of the whole system; the two profiles are two values of the same structs.
 
-use crate::{FragmentConfig, GraphConfig, SparseConfig};
-use monogrid_alignment::AlignmentConfig;
+use crate::{FragmentConfig, GraphConfig, SparseConfig, TrackingConfig};
 use monogrid_depth::DepthConfig;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -85,6 +84,19 @@ impl SlamConfig {
                 "tracking.degraded_good_of_visible",
                 t.degraded_good_of_visible,
             ),
+            ("tracking.points.min_correlation", t.points.min_correlation),
+            (
+                "tracking.points.min_inlier_share",
+                t.points.min_inlier_share as f32,
+            ),
+            (
+                "keyframes.min_good_of_visible",
+                self.keyframes.min_good_of_visible,
+            ),
+            (
+                "keyframes.urgent_good_of_visible",
+                self.keyframes.urgent_good_of_visible,
+            ),
         ];
         for (name, value) in shares {
             if !(0.0..=1.0).contains(&value) {
@@ -101,6 +113,16 @@ impl SlamConfig {
             (
                 "tracking.alignment.sigma_intensity",
                 f64::from(t.alignment.sigma_intensity),
+            ),
+            ("tracking.points.near_radius_px", t.points.near_radius_px),
+            (
+                "tracking.points.search_radius_px",
+                t.points.search_radius_px,
+            ),
+            ("tracking.points.max_error_px", t.points.max_error_px),
+            (
+                "tracking.points.alignment_sigma_factor",
+                t.points.alignment_sigma_factor,
             ),
             ("fragments.min_lost_secs", self.fragments.min_lost_secs),
             (
@@ -187,107 +209,6 @@ impl InitializationConfig {
     }
 }
 
-/// Settings of tracking.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TrackingConfig {
-    /// Image alignment.
-    pub alignment: AlignmentConfig,
-    /// Largest relative standard deviation of the inverse depth of a point that is tracked on: noise
-    /// in the regressor shrinks the estimated translation.
-    pub max_relative_sigma: f32,
-    /// Smallest validity (confirmation by observations) of a point that is tracked on.
-    pub min_validity: u8,
-    /// Whether the smoothed depth is tracked on.
-    pub smoothed_depth: bool,
-    /// Points that must remain after that limit; below, the limit is doubled until there are.
-    pub min_reference_points: usize,
-    /// Start from the motion of the last frames, and try other motions when that fails; without, the
-    /// pose of the last frame is the only start.
-    pub motion_hypotheses: bool,
-    /// A hypothesis is taken without looking at the others when on the coarsest level this share of the
-    /// visible points is good,
-    pub accept_good_of_visible: f32,
-    /// and this share of all points is visible.
-    pub accept_visible_share: f32,
-    /// Fewest points on the finest level.
-    pub min_points: usize,
-    /// Lost below this share of keyframe points inside the frame.
-    pub min_visible_share: f32,
-    /// Lost below this share of good points of all.
-    pub min_good_share: f32,
-    /// Lost below this share of good points of the visible ones.
-    pub min_good_of_visible: f32,
-    /// Lost below this correlation of the grey values of keyframe and frame.
-    pub min_correlation: f64,
-    /// Degraded below this share of good points of the visible ones.
-    pub degraded_good_of_visible: f32,
-    /// Largest difference from where the motion of the last frames leads (norm of the twist, median depths and
-    /// rad) that is no surprise, and
-    pub surprising_motion: f64,
-    /// largest change of the logarithm of the gain from one frame to the next.
-    pub surprising_log_gain: f64,
-    /// After a loss or a surprise, or with degraded residuals, a pose is believed only with this correlation of
-    /// the grey values,
-    pub return_correlation: f64,
-    /// after a loss also with this share of good points of the visible ones,
-    pub return_good_of_visible: f32,
-    /// this usage,
-    pub return_usage: f32,
-    /// and at most this logarithm of the gain, up or down.
-    pub return_max_log_gain: f64,
-}
-
-impl Default for TrackingConfig {
-    fn default() -> Self {
-        Self {
-            alignment: AlignmentConfig::default(),
-            max_relative_sigma: 0.05,
-            min_validity: 5,
-            smoothed_depth: true,
-            min_reference_points: 1500,
-            motion_hypotheses: true,
-            accept_good_of_visible: 0.85,
-            accept_visible_share: 0.5,
-            min_points: 60,
-            min_visible_share: 0.15,
-            min_good_share: 0.08,
-            min_good_of_visible: 0.55,
-            min_correlation: 0.4,
-            degraded_good_of_visible: 0.7,
-            surprising_motion: 0.2,
-            surprising_log_gain: 0.2,
-            return_correlation: 0.8,
-            return_good_of_visible: 0.85,
-            return_usage: 0.5,
-            return_max_log_gain: 0.4,
-        }
-    }
-}
-
-impl TrackingConfig {
-    /// LSD-SLAM: no motion prior, every hypothesis is tracked on.
-    #[must_use]
-    pub fn thesis() -> Self {
-        Self {
-            alignment: AlignmentConfig::thesis(),
-            max_relative_sigma: 1e3,
-            min_validity: 0,
-            motion_hypotheses: false,
-            min_visible_share: 0.0,
-            min_good_share: 0.04,
-            min_good_of_visible: 0.5,
-            min_correlation: 0.0,
-            degraded_good_of_visible: 0.5,
-            return_correlation: 0.0,
-            return_good_of_visible: 0.0,
-            return_usage: 0.0,
-            return_max_log_gain: 1e3,
-            ..Self::default()
-        }
-    }
-}
-
 /// Settings of the keyframe choice.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -300,6 +221,10 @@ pub struct KeyframeConfig {
     pub min_mapped_frames: usize,
     /// Usage below which the next keyframe is made at once.
     pub urgent_usage: f64,
+    /// Share of good points of the visible ones below which the next keyframe is made,
+    pub min_good_of_visible: f32,
+    /// and below which it is made at once.
+    pub urgent_good_of_visible: f32,
     /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none.
     pub ramp_keyframes: usize,
     /// Before a new keyframe takes over, its depth is observed again in this many old ones.
@@ -382,6 +307,8 @@ impl Default for KeyframeConfig {
             usage_weight: 5.0,
             min_mapped_frames: 4,
             urgent_usage: 0.35,
+            min_good_of_visible: 0.8,
+            urgent_good_of_visible: 0.55,
             ramp_keyframes: 0,
             old_keyframes_observed: 3,
             min_relative_baseline: 0.03,
@@ -400,6 +327,8 @@ impl KeyframeConfig {
             min_mapped_frames: 5,
             ramp_keyframes: 5,
             old_keyframes_observed: 0,
+            min_good_of_visible: 0.0,
+            urgent_good_of_visible: 0.0,
             reactivation: ReactivationConfig::thesis(),
             ..Self::default()
         }

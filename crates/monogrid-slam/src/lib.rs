@@ -30,7 +30,7 @@ mod two_view_start;
 
 pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
-    ReactivationConfig, SlamConfig, SlamError, TrackingConfig,
+    ReactivationConfig, SlamConfig, SlamError,
 };
 pub use fragments::{Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP};
 pub use frame::FrameInput;
@@ -46,3 +46,4 @@ pub use report::{FrameReport, InFragment, LostReason, MapSize, StageTimes, Track
 pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
 pub use system::Slam;
+pub use tracker::{PointTrackingConfig, TrackingConfig};

@@ -1,6 +1,56 @@
-//! When a frame becomes a keyframe.
+//! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
-use crate::KeyframeConfig;
+use crate::{KeyframeConfig, PointTrackingConfig, TrackingConfig};
+
+/// What makes a pose doubtful that passed the tests of alignment.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct DoubtEvidence {
+    /// Points that agree with the pose; 0 where they did not decide.
+    pub support: usize,
+    /// Lost frames before this one.
+    pub lost_in_a_row: usize,
+    /// Whether it is far from where the motion of the last frames leads.
+    pub is_surprising: bool,
+    /// Whether many points of the keyframe do not fit.
+    pub is_degraded: bool,
+}
+
+/// What a pose must show before it is believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Demand {
+    /// Nothing more.
+    None,
+    /// What a picture of another place could not show by chance.
+    Convincing,
+    /// The same, and almost all points fit: the camera may be anywhere.
+    ConvincingAfterLoss,
+}
+
+/// Points that agree leave no doubt. Right after a loss the camera is near where it was expected, and a pose
+/// there needs no more than that of any other frame; a camera that moves on has no second chance.
+pub(crate) fn demand(evidence: &DoubtEvidence, config: &TrackingConfig) -> Demand {
+    let is_near = evidence.lost_in_a_row <= config.return_near_frames && !evidence.is_surprising;
+    if evidence.support > 0 {
+        Demand::None
+    } else if evidence.lost_in_a_row > 0 && !is_near {
+        Demand::ConvincingAfterLoss
+    } else if evidence.is_surprising || evidence.is_degraded {
+        Demand::Convincing
+    } else {
+        Demand::None
+    }
+}
+
+/// Whether points decide where a frame is: enough of them agree with one pose, and they are the larger part of
+/// those that were found.
+pub(crate) fn do_points_decide(
+    num_inliers: usize,
+    num_found: usize,
+    config: &PointTrackingConfig,
+) -> bool {
+    num_inliers >= config.min_inliers
+        && num_inliers as f64 >= config.min_inlier_share * num_found as f64
+}
 
 /// What the decision looks at.
 #[derive(Clone, Copy, Debug, Default)]
@@ -9,6 +59,8 @@ pub(crate) struct KeyframeEvidence {
     pub relative_distance: f64,
     /// Share of the keyframe that the frame still resolves.
     pub usage: f64,
+    /// Share of good points of the visible ones.
+    pub good_of_visible: f32,
     /// Frames that updated the keyframe's depth.
     pub num_mapped: usize,
     /// Keyframes that exist already.
@@ -26,25 +78,93 @@ pub(crate) fn keyframe_score(evidence: &KeyframeEvidence, config: &KeyframeConfi
 /// The score against a threshold that grows over the first keyframes of a random start.
 pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConfig) -> bool {
     if evidence.num_mapped < config.min_mapped_frames {
-        // A frame that has lost most of the keyframe cannot wait.
-        return evidence.usage < config.urgent_usage;
+        // A frame that has lost most of the keyframe cannot wait, nor one that its depth does not explain.
+        return evidence.usage < config.urgent_usage
+            || evidence.good_of_visible < config.urgent_good_of_visible;
     }
     let ramp = if config.ramp_keyframes > 0 && evidence.num_keyframes < config.ramp_keyframes {
         0.7 * (0.2 + 0.16 * evidence.num_keyframes as f64)
     } else {
         1.0
     };
-    keyframe_score(evidence, config) > ramp
+    evidence.good_of_visible < config.min_good_of_visible || keyframe_score(evidence, config) > ramp
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    #[test]
+    fn points_decide_when_enough_agree_and_most_of_those_found() {
+        let config = PointTrackingConfig::default();
+        assert!(do_points_decide(30, 60, &config));
+        assert!(!do_points_decide(29, 29, &config));
+        assert!(!do_points_decide(30, 61, &config));
+        assert!(!do_points_decide(149, 300, &config));
+    }
+
+    #[test]
+    fn a_pose_that_points_support_is_not_doubted() {
+        let config = TrackingConfig::default();
+        let worst = DoubtEvidence {
+            support: 0,
+            lost_in_a_row: 100,
+            is_surprising: true,
+            is_degraded: true,
+        };
+        assert_eq!(demand(&worst, &config), Demand::ConvincingAfterLoss);
+        let supported = DoubtEvidence {
+            support: 1,
+            ..worst
+        };
+        assert_eq!(demand(&supported, &config), Demand::None);
+    }
+
+    #[test]
+    fn near_the_prediction_a_loss_is_forgiven_for_some_frames() {
+        let config = TrackingConfig::default();
+        let after = |lost_in_a_row: usize, is_surprising: bool, is_degraded: bool| {
+            let evidence = DoubtEvidence {
+                support: 0,
+                lost_in_a_row,
+                is_surprising,
+                is_degraded,
+            };
+            demand(&evidence, &config)
+        };
+        let near = config.return_near_frames;
+        assert_eq!(after(0, false, false), Demand::None);
+        assert_eq!(after(near, false, false), Demand::None);
+        assert_eq!(after(near + 1, false, false), Demand::ConvincingAfterLoss);
+        assert_eq!(after(1, true, false), Demand::ConvincingAfterLoss);
+        assert_eq!(after(0, true, false), Demand::Convincing);
+        assert_eq!(after(near, false, true), Demand::Convincing);
+    }
+
+    #[test]
+    fn falling_agreement_makes_a_keyframe_in_time() {
+        let config = KeyframeConfig::default();
+        let agreeing = |good_of_visible: f32, num_mapped: usize| {
+            let evidence = KeyframeEvidence {
+                good_of_visible,
+                num_mapped,
+                ..evidence(0.0, 1.0)
+            };
+            is_new_keyframe(&evidence, &config)
+        };
+        let mapped = config.min_mapped_frames;
+        assert!(!agreeing(config.min_good_of_visible + 0.01, mapped));
+        assert!(agreeing(config.min_good_of_visible - 0.01, mapped));
+        assert!(!agreeing(config.min_good_of_visible - 0.01, mapped - 1));
+        assert!(!agreeing(config.urgent_good_of_visible + 0.01, 0));
+        assert!(agreeing(config.urgent_good_of_visible - 0.01, 0));
+    }
+
     fn evidence(relative_distance: f64, usage: f64) -> KeyframeEvidence {
         KeyframeEvidence {
             relative_distance,
             usage,
+            good_of_visible: 1.0,
             num_mapped: 10,
             num_keyframes: 20,
         }

@@ -1,15 +1,16 @@
 //! Finding points in keyframes by their patches.
 
 use super::SparseConfig;
-use crate::KeyframeId;
 use crate::map::{Map, MapKeyframe, Observation, SparsePoint};
+use crate::{FragmentId, KeyframeId};
 use monogrid_depth::{DepthMap, DepthState};
 use monogrid_features::{PatchSearchConfig, find_patch, patch_warp};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
+use monogrid_image::Pyramid;
 use rayon::prelude::*;
 
 /// Points that were looked for in a new keyframe.
-pub(super) struct Search {
+pub(crate) struct Search {
     pub num_searched: usize,
     /// Index of the point and where it was found.
     pub found: Vec<(usize, Vec2)>,
@@ -19,14 +20,14 @@ pub(super) struct Search {
 const BORDER_PX: f64 = 10.0;
 
 /// Position of a point in the world.
-pub(super) fn position(map: &Map, point: &SparsePoint, pinhole: &Pinhole) -> Vec3 {
+pub(crate) fn position(map: &Map, point: &SparsePoint, pinhole: &Pinhole) -> Vec3 {
     let direction = pinhole.unproject(&point.pixel);
     map[point.host].camera_from_world.inverse() * (direction / point.idepth)
 }
 
 /// Width and height of the images, px.
-fn size_of(keyframe: &MapKeyframe) -> (f64, f64) {
-    let image = keyframe.pyramid.level(0);
+fn size_of(pyramid: &Pyramid) -> (f64, f64) {
+    let image = pyramid.level(0);
     (image.width() as f64, image.height() as f64)
 }
 
@@ -37,8 +38,28 @@ fn is_inside(pixel: &Vec2, size: (f64, f64)) -> bool {
         && pixel.y < size.1 - BORDER_PX
 }
 
-/// Projects all points into the newest keyframe, spreads the visible ones over the image, and looks
-/// for their patches.
+/// An image in which points are looked for, and about where it was taken.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SearchImage<'a> {
+    pub pyramid: &'a Pyramid,
+    /// Only points of this fragment are looked for.
+    pub fragment: FragmentId,
+    /// Translation in world units.
+    pub camera_from_world: Se3,
+}
+
+/// How points are looked for.
+#[derive(Clone, Debug)]
+pub(crate) struct PointSearch {
+    pub patch: PatchSearchConfig,
+    /// Points that are looked for at most.
+    pub max_points: usize,
+    /// Whether a point is compared with how it was seen last, which looks most like the image, instead of with
+    /// its anchor, whose patches do not wander.
+    pub from_newest: bool,
+}
+
+/// Looks for the points of its fragment in the newest keyframe.
 pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Search {
     let Some(newest) = map.newest() else {
         return Search {
@@ -46,24 +67,46 @@ pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig
             found: Vec::new(),
         };
     };
-    let visible = visible_in(map, newest, pinhole, config);
-    let chosen = spread(&visible, map.points(), size_of(newest), config);
-    let search = search_config(config);
+    let image = SearchImage {
+        pyramid: &newest.pyramid,
+        fragment: newest.fragment,
+        camera_from_world: newest.camera_from_world,
+    };
+    let search = PointSearch {
+        patch: search_config(config),
+        max_points: config.max_searched_points,
+        from_newest: false,
+    };
+    find_in_image(map, &image, &search, pinhole, config)
+}
+
+/// Projects all points of a fragment into an image, spreads the visible ones over it, and looks for their
+/// patches.
+pub(crate) fn find_in_image(
+    map: &Map,
+    image: &SearchImage<'_>,
+    search: &PointSearch,
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Search {
+    let visible = visible_in(map, image, pinhole, config);
+    let size = size_of(image.pyramid);
+    let chosen = spread(&visible, map.points(), size, search.max_points, config);
     let found: Vec<Option<(usize, Vec2)>> = chosen
         .par_iter()
         .map(|&(index, predicted)| {
-            let point = &map.points()[index];
-            let host = &map[point.host];
-            let newest_from_host = newest.camera_from_world * host.camera_from_world.inverse();
-            let warp = patch_warp(pinhole, &point.pixel, point.idepth, &newest_from_host)?;
+            let source = patch_source(map, &map.points()[index], search.from_newest, pinhole)?;
+            let keyframe = source.keyframe;
+            let image_from_source = image.camera_from_world * keyframe.camera_from_world.inverse();
+            let warp = patch_warp(pinhole, &source.pixel, source.idepth, &image_from_source)?;
             // the search wants offsets in the reference from offsets in the current image
             let outcome = find_patch(
-                &host.pyramid,
-                &point.pixel,
+                &keyframe.pyramid,
+                &source.pixel,
                 &warp,
-                &newest.pyramid,
+                image.pyramid,
                 &predicted,
-                &search,
+                &search.patch,
             );
             outcome.pixel().map(|pixel| (index, pixel))
         })
@@ -74,6 +117,40 @@ pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig
     }
 }
 
+/// Where the patch of a point is taken from.
+struct PatchSource<'a> {
+    keyframe: &'a MapKeyframe,
+    pixel: Vec2,
+    /// 1 / world units, in that keyframe.
+    idepth: f64,
+}
+
+/// The anchor of a point, or the newest keyframe that sees it.
+fn patch_source<'a>(
+    map: &'a Map,
+    point: &SparsePoint,
+    from_newest: bool,
+    pinhole: &Pinhole,
+) -> Option<PatchSource<'a>> {
+    let newest = point.observations.iter().max_by_key(|o| o.keyframe);
+    match newest.filter(|o| from_newest && o.keyframe > point.host) {
+        Some(seen) => {
+            let keyframe = &map[seen.keyframe];
+            let in_camera = keyframe.camera_from_world * position(map, point, pinhole);
+            (in_camera.z > 1e-6).then(|| PatchSource {
+                keyframe,
+                pixel: seen.pixel,
+                idepth: 1.0 / in_camera.z,
+            })
+        }
+        None => Some(PatchSource {
+            keyframe: &map[point.host],
+            pixel: point.pixel,
+            idepth: point.idepth,
+        }),
+    }
+}
+
 fn search_config(config: &SparseConfig) -> PatchSearchConfig {
     PatchSearchConfig {
         radius_px: config.search_radius_px,
@@ -81,45 +158,45 @@ fn search_config(config: &SparseConfig) -> PatchSearchConfig {
     }
 }
 
-/// The points of its fragment that a keyframe should see, and where.
+/// The points of its fragment that an image should show, and where.
 fn visible_in(
     map: &Map,
-    keyframe: &MapKeyframe,
+    image: &SearchImage<'_>,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
-    let hosts = map.in_fragment(keyframe.fragment);
+    let hosts = map.in_fragment(image.fragment);
     hosts
         .flat_map(|host| host.points.anchored.clone().map(move |index| (index, host)))
         .map(|(index, host)| (index, &map.points()[index], host))
         .filter(|(_, point, _)| point.alive)
         .filter_map(|(index, point, host)| {
             let host_from_world = &host.camera_from_world;
-            let pixel = predict(point, host_from_world, keyframe, pinhole, config)?;
+            let pixel = predict(point, host_from_world, image, pinhole, config)?;
             Some((index, pixel))
         })
         .collect()
 }
 
-/// Pixel of a point in a keyframe, if it lies inside and is seen from about where its anchor sees it.
+/// Pixel of a point in an image, if it lies inside and is seen from about where its anchor sees it.
 fn predict(
     point: &SparsePoint,
     host_from_world: &Se3,
-    keyframe: &MapKeyframe,
+    image: &SearchImage<'_>,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Option<Vec2> {
     let world_from_host = host_from_world.inverse();
     let position = world_from_host * (pinhole.unproject(&point.pixel) / point.idepth);
-    let in_camera = keyframe.camera_from_world * position;
+    let in_camera = image.camera_from_world * position;
     if in_camera.z <= 1e-6 {
         return None;
     }
     let pixel = pinhole.project(&in_camera);
-    if !is_inside(&pixel, size_of(keyframe)) {
+    if !is_inside(&pixel, size_of(image.pyramid)) {
         return None;
     }
-    let centre = keyframe.camera_from_world.inverse().translation;
+    let centre = image.camera_from_world.inverse().translation;
     let (a, b): (Vec3, Vec3) = (position - world_from_host.translation, position - centre);
     let ratio = a.norm() / b.norm();
     let limit = config.max_distance_ratio;
@@ -128,11 +205,12 @@ fn predict(
         .then_some(pixel)
 }
 
-/// At most `max_searched_points`, taken round robin from square cells, the best observed ones first.
+/// At most `max_points`, taken round robin from square cells, the best observed ones first.
 fn spread(
     visible: &[(usize, Vec2)],
     points: &[SparsePoint],
     size: (f64, f64),
+    max_points: usize,
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
     let cell = config.cell_px as f64;
@@ -152,7 +230,7 @@ fn spread(
     let mut chosen = Vec::new();
     for depth in 0..deepest {
         for list in &cells {
-            if chosen.len() >= config.max_searched_points {
+            if chosen.len() >= max_points {
                 return chosen;
             }
             chosen.extend(list.get(depth));
@@ -236,7 +314,7 @@ fn find_in_one(
         return None;
     }
     let predicted = pinhole.project(&in_older);
-    if !is_inside(&predicted, size_of(newest)) {
+    if !is_inside(&predicted, size_of(&newest.pyramid)) {
         return None;
     }
     let warp = patch_warp(pinhole, &point.pixel, point.idepth, &older_from_newest)?;

@@ -20,6 +20,7 @@ mod shared;
 pub(crate) use adjust::adjust_window;
 pub(crate) use anchor::{anchor, unconfirmed};
 pub use config::SparseConfig;
+pub(crate) use matching::{PointSearch, SearchImage, find_in_image, position};
 pub(crate) use register::register;
 pub(crate) use scale::{dense_links, world_from_keyframes};
 pub(crate) use shared::{SharedPoints, shared_points};

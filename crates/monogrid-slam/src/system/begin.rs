@@ -68,7 +68,7 @@ impl Slam {
             let (Some(active), Some(last)) = (&self.camera.active, &self.camera.last) else {
                 return;
             };
-            let tracked = track_on_active(&self.setup, active, last, &frame);
+            let tracked = track_on_active(&self.setup, &self.map, active, last, &frame);
             if tracked.state != TrackingState::Good {
                 return;
             }

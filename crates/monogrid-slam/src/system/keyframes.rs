@@ -32,6 +32,7 @@ pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &At
     let evidence = KeyframeEvidence {
         relative_distance: keyframe_from_frame.translation.norm(),
         usage: f64::from(alignment.usage),
+        good_of_visible: alignment.good_of_visible,
         num_mapped: camera.active.as_ref().map_or(0, |a| a.num_mapped),
         num_keyframes: map.num_keyframes_in(map[attempt.keyframe].fragment),
     };

@@ -110,7 +110,7 @@ impl Slam {
         self.follow_graph(update);
         self.stopwatch.lap(Stage::Graph);
 
-        let attempt = track_frame(&self.setup, &self.camera, &frame);
+        let attempt = track_frame(&self.setup, &self.map, &self.camera, &frame);
         self.stopwatch.lap(Stage::Tracking);
         let attempt = match attempt {
             Some(attempt) if attempt.is_believed() => attempt,

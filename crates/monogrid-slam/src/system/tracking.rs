@@ -4,25 +4,36 @@ use super::camera::{Active, Camera, Last};
 use super::outcome::Attempt;
 use super::setup::Setup;
 use crate::frame::Frame;
-use crate::tracker::{MotionPrior, Tracked, extrapolate, is_convincing, track};
+use crate::map::Map;
+use crate::policy::{Demand, DoubtEvidence, demand};
+use crate::tracker::{
+    MotionPrior, PointMap, Tracked, extrapolate, is_convincing, track, track_with_points,
+};
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{DepthSample, Motion, Reference};
 use monogrid_geometry::Se3;
 use monogrid_image::Pyramid;
 
 /// Tracks a frame on the keyframe in use, and doubts what it finds; `None` without a keyframe.
-pub(super) fn track_frame(setup: &Setup, camera: &Camera, frame: &Frame) -> Option<Attempt> {
+pub(super) fn track_frame(
+    setup: &Setup,
+    map: &Map,
+    camera: &Camera,
+    frame: &Frame,
+) -> Option<Attempt> {
     let (active, last) = (camera.active.as_ref()?, camera.last.as_ref()?);
-    let tracked = track_on_active(setup, active, last, frame);
+    let tracked = track_on_active(setup, map, active, last, frame);
     Some(Attempt {
         keyframe: active.id,
-        tracked: doubt(setup, tracked, camera.lost_in_a_row > 0),
+        tracked: doubt(setup, tracked, camera.lost_in_a_row),
     })
 }
 
-/// Tracks a frame on the keyframe in use from where the motion of the last frames leads.
+/// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion of the last frames
+/// leads.
 pub(super) fn track_on_active(
     setup: &Setup,
+    map: &Map,
     active: &Active,
     last: &Last,
     frame: &Frame,
@@ -38,14 +49,19 @@ pub(super) fn track_on_active(
         last_from_keyframe: last.motion,
         frame_from_last,
     };
-    let previous = Some(&*last.pyramid);
-    track(
+    let points = setup.config.sparse.enabled.then(|| PointMap {
+        map,
+        keyframe: &map[active.id],
+        pinhole: &setup.pinhole,
+        sparse: &setup.config.sparse,
+    });
+    track_with_points(
         &active.reference,
         frame,
         &prior,
-        previous,
-        &setup.pinhole,
-        config,
+        &last.pyramid,
+        points.as_ref(),
+        (&setup.pinhole, config),
     )
 }
 
@@ -78,14 +94,21 @@ pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthSampl
     )
 }
 
-/// After a loss, far from where the camera should be, or with degraded residuals, a pose must be
-/// convincing to count.
-fn doubt(setup: &Setup, tracked: Tracked, was_lost: bool) -> Tracked {
-    let is_doubtful = was_lost || tracked.is_surprising || tracked.state == TrackingState::Degraded;
-    if tracked.state == TrackingState::Lost
-        || !is_doubtful
-        || is_convincing(&tracked.alignment, was_lost, &setup.config.tracking)
-    {
+/// A pose that is doubtful for other reasons than its residuals must be convincing to count.
+fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
+    let config = &setup.config.tracking;
+    let evidence = DoubtEvidence {
+        support: tracked.support,
+        lost_in_a_row,
+        is_surprising: tracked.is_surprising,
+        is_degraded: tracked.state == TrackingState::Degraded,
+    };
+    let is_believed = match demand(&evidence, config) {
+        Demand::None => true,
+        Demand::Convincing => is_convincing(&tracked.alignment, false, config),
+        Demand::ConvincingAfterLoss => is_convincing(&tracked.alignment, true, config),
+    };
+    if tracked.state == TrackingState::Lost || is_believed {
         return tracked;
     }
     Tracked {

@@ -1,7 +1,15 @@
 //! From a prior to the pose of a frame relative to the keyframe, with a verdict.
 
+mod combine;
+mod config;
+mod points;
+
+pub(crate) use self::combine::track_with_points;
+pub use self::config::{PointTrackingConfig, TrackingConfig};
+pub(crate) use self::points::PointMap;
+
 use crate::frame::Frame;
-use crate::{LostReason, TrackingConfig, TrackingState};
+use crate::{LostReason, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
 use monogrid_geometry::{Pinhole, Se3, Vec3, Vec6, rotation_exp};
 use monogrid_image::Pyramid;
@@ -22,6 +30,8 @@ pub(crate) struct Tracked {
     /// Whether the pose is far from where the motion of the last frames leads: then another picture may have
     /// been "explained".
     pub is_surprising: bool,
+    /// Points of the sparse layer that agree; 0 where they did not decide.
+    pub support: usize,
     pub state: TrackingState,
     pub reason: Option<LostReason>,
 }
@@ -80,6 +90,7 @@ pub(crate) fn track(
     Tracked {
         is_surprising: is_surprising(&alignment, prior, config),
         alignment,
+        support: 0,
         state,
         reason,
     }

@@ -1,0 +1,108 @@
+//! The pose that explains pixels and points.
+//!
+//! A pose by direct alignment agrees with the dense depth of one keyframe, whose depth is refined with that
+//! very pose: both drift together (by degrees within ten frames of a turning camera) while the residuals stay
+//! small. Points of several keyframes, adjusted with their poses, do not take part in this; where enough of
+//! them are found they have the last word, and alignment says where to look for them.
+
+use super::points::{PointMap, PointPose};
+use super::{MotionPrior, Tracked, judge, track};
+use crate::frame::Frame;
+use crate::{TrackingConfig, TrackingState};
+use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
+use monogrid_geometry::Pinhole;
+use monogrid_image::Pyramid;
+
+/// Tracks `frame` on `reference` by its pixels, then by the points of the map, if there is one.
+pub(crate) fn track_with_points(
+    reference: &Reference,
+    frame: &Frame,
+    prior: &MotionPrior,
+    previous: &Pyramid,
+    map: Option<&PointMap<'_>>,
+    (pinhole, config): (&Pinhole, &TrackingConfig),
+) -> Tracked {
+    let aligned = track(reference, frame, prior, Some(previous), pinhole, config);
+    let Some(map) = map.filter(|_| config.points.enabled) else {
+        return aligned;
+    };
+    let by_alignment = aligned.alignment.motion;
+    let near = (aligned.state != TrackingState::Lost)
+        .then(|| {
+            let pose = &by_alignment.frame_from_keyframe;
+            let covariance = aligned.alignment.covariance.as_ref();
+            map.pose_near(&frame.pyramid, pose, covariance, &config.points)
+        })
+        .flatten();
+    if let Some(points) = near {
+        return at_points(reference, frame, aligned, &points, by_alignment, config);
+    }
+    let predicted = prior.frame_from_last * prior.last_from_keyframe.frame_from_keyframe;
+    let around = [predicted, by_alignment.frame_from_keyframe]
+        .iter()
+        .filter(|start| start.is_finite())
+        .find_map(|start| map.pose_around(&frame.pyramid, start, &config.points));
+    let Some(points) = around else {
+        return aligned;
+    };
+    // the brightness of an alignment that failed means nothing
+    let start = Motion {
+        frame_from_keyframe: points.frame_from_keyframe,
+        ..prior.last_from_keyframe
+    };
+    let polished = polish(reference, frame, &start, &config.alignment);
+    at_points(reference, frame, aligned, &points, polished.motion, config)
+}
+
+/// The pose that the points gave, with what the pixels say about it. Where they disagree altogether the pose is
+/// believed, but the frame says nothing about the depth of the keyframe.
+fn at_points(
+    reference: &Reference,
+    frame: &Frame,
+    aligned: Tracked,
+    points: &PointPose,
+    brightness: Motion,
+    config: &TrackingConfig,
+) -> Tracked {
+    let motion = Motion {
+        frame_from_keyframe: points.frame_from_keyframe,
+        ..brightness
+    };
+    let alignment = look(reference, frame, &motion, &config.alignment);
+    let (state, reason) = match judge(&alignment, config) {
+        (TrackingState::Lost, reason) => (TrackingState::Degraded, reason),
+        (TrackingState::Degraded | TrackingState::Good, _) => (TrackingState::Good, None),
+        verdict => verdict,
+    };
+    Tracked {
+        alignment,
+        support: points.num_inliers,
+        state,
+        reason,
+        ..aligned
+    }
+}
+
+/// Alignment on the two finest levels.
+fn polish(
+    reference: &Reference,
+    frame: &Frame,
+    start: &Motion,
+    config: &AlignmentConfig,
+) -> Alignment {
+    let settings = AlignmentConfig {
+        coarsest_level: (config.finest_level + 1).min(config.coarsest_level),
+        ..config.clone()
+    };
+    align(reference, &frame.target, start, Freedom::Rigid, &settings)
+}
+
+/// What the pixels say about a pose, which stays as it is.
+fn look(reference: &Reference, frame: &Frame, at: &Motion, config: &AlignmentConfig) -> Alignment {
+    let settings = AlignmentConfig {
+        coarsest_level: config.finest_level,
+        max_iterations: vec![0; config.finest_level + 1],
+        ..config.clone()
+    };
+    align(reference, &frame.target, at, Freedom::Rigid, &settings)
+}
