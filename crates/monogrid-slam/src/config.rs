@@ -192,7 +192,7 @@ impl Default for InitializationConfig {
             min_displacement: 0.025,
             max_buffered_frames: 150,
             sigma_px: 0.5,
-            max_relative_sigma: 0.05,
+            max_relative_sigma: 0.03,
             seed_relative_sigma: 0.02,
         }
     }

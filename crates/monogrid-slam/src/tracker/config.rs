@@ -94,7 +94,7 @@ impl Default for PointTrackingConfig {
             max_error_px: 3.0,
             min_inliers: 30,
             min_inlier_share: 0.5,
-            alignment_sigma_factor: 4.0,
+            alignment_sigma_factor: 2.0,
         }
     }
 }
