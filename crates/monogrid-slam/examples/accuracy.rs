@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p monogrid-slam --example accuracy -- FOLDER [key=value …]`
 //!
-//! Keys: `seed=I`, `start=N`, `max=N` (frames), `profile=thesis`, `init=depth` (metric start from the
+//! Keys: `seed=I`, `start=N`, `every=N` (a slower camera), `max=N` (frames), `profile=thesis`, `init=depth` (metric start from the
 //! sequence's depth image), `truth_every=N` (evaluate the depth of every n-th keyframe), `verbose=1`.
 #![allow(
     clippy::print_stdout,
@@ -35,15 +35,20 @@ fn main() {
     let mut slam = sequence.system(config, options.number("seed", 0));
     let frames = &sequence.dataset.frames;
     let first = options.number("start", 0);
-    let last = (first + options.number("max", usize::MAX / 2)).min(frames.len());
+    let every: usize = options.number("every", 1);
+    let used: Vec<usize> = (first..frames.len())
+        .step_by(every)
+        .take(options.number("max", usize::MAX))
+        .collect();
     let true_depth = |timestamp_ns: i64| sequence.true_depth(timestamp_ns);
     let begin = std::time::Instant::now();
     let mut live = Vec::new();
     let mut counts = [0usize; 5];
     let mut times = [0.0f64; 3];
-    for (i, entry) in frames[first..last].iter().enumerate() {
-        let image = sequence.image(first + i);
-        let seed_depth = (i == 0 && options.is("init", "depth"))
+    for &at in &used {
+        let entry = &frames[at];
+        let image = sequence.image(at);
+        let seed_depth = (at == first && options.is("init", "depth"))
             .then(|| true_depth(entry.timestamp_ns))
             .flatten();
         let report = slam.process_frame(FrameInput {
@@ -75,7 +80,7 @@ fn main() {
         }
     }
     slam.finish();
-    let frames = last - first;
+    let frames = used.len();
     println!(
         "{frames} frames, {} keyframes, states {counts:?} [init good degraded fragment lost], {:.1} fps, ms/frame tracking {:.1} depth {:.1} graph {:.1}",
         slam.keyframes().len(),

@@ -2,6 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 /// Output for programs.
@@ -104,6 +105,9 @@ pub struct SourceArgs {
     /// First frame to use
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]
     pub start: usize,
+    /// Use only every N-th frame, as if the camera were slower [default: 1]
+    #[arg(long, value_name = "N", help_heading = "Input")]
+    pub every: Option<NonZeroUsize>,
     /// Use at most this many frames
     #[arg(long, value_name = "N", help_heading = "Input")]
     pub max_frames: Option<usize>,

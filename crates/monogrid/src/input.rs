@@ -10,6 +10,7 @@ use monogrid_geometry::{Camera, Pinhole};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{FrameSource, Preparation, SourceFrame, Unusable};
 use monogrid_slam::mapping::KeyframeCamera;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 /// Images in a row that may be unreadable before a source is given up.
@@ -185,10 +186,15 @@ fn selected(dataset: &Dataset, args: &SourceArgs) -> Result<Vec<FrameEntry>, Fai
     if args.max_frames == Some(0) {
         return Err(Failure::input("--max-frames is 0, expected at least 1"));
     }
-    let end = args
-        .max_frames
-        .map_or(count, |n| args.start.saturating_add(n).min(count));
-    Ok(dataset.frames[args.start..end].to_vec())
+    Ok(chosen(&dataset.frames, args))
+}
+
+/// Every n-th frame from the first on, up to as many as are wanted.
+fn chosen<T: Clone>(frames: &[T], args: &SourceArgs) -> Vec<T> {
+    let every = args.every.map_or(1, NonZeroUsize::get);
+    let frames_from_start = frames.iter().skip(args.start).step_by(every);
+    let at_most = args.max_frames.unwrap_or(frames.len());
+    frames_from_start.take(at_most).cloned().collect()
 }
 
 /// The first image that can be decoded, for the size.
@@ -262,4 +268,23 @@ fn user_mask(file: Option<&Path>, image_size: (usize, usize)) -> Result<Option<M
         )));
     }
     Ok(Some(mask))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_counted_after_those_left_out() {
+        let frames: Vec<usize> = (0..10).collect();
+        let args = |every: usize, max_frames: Option<usize>| SourceArgs {
+            start: 1,
+            every: NonZeroUsize::new(every),
+            max_frames,
+            ..SourceArgs::default()
+        };
+        assert_eq!(chosen(&frames, &args(0, None)), frames[1..]);
+        assert_eq!(chosen(&frames, &args(3, None)), [1, 4, 7]);
+        assert_eq!(chosen(&frames, &args(4, Some(2))), [1, 5]);
+    }
 }
