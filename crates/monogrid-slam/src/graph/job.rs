@@ -5,6 +5,7 @@ use crate::sparse::SharedPoints;
 use crate::stored::StoredEdge;
 use crate::{FragmentId, KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Mat6, Se3, Sim3};
+use monogrid_graph::pose_graph::PoseGraphError;
 use std::sync::Arc;
 
 /// Motion between a keyframe and the one that it was tracked on, as tracking found it.
@@ -73,6 +74,8 @@ pub(crate) struct GraphUpdate {
     pub joined: Vec<Joined>,
     /// All edges.
     pub edges: Vec<StoredEdge>,
+    /// Why poses stayed as they were, if an optimisation failed.
+    pub failure: Option<PoseGraphError>,
     /// What was done.
     pub stats: GraphStats,
 }
@@ -97,8 +100,6 @@ pub struct GraphStats {
     pub loop_closures: usize,
     /// Constraints that the optimisation has switched off.
     pub switched_off: usize,
-    /// Optimisations that failed: the poses stayed as they were.
-    pub failed: usize,
     /// Longest time from a keyframe's finish to the use of its optimised poses, ms.
     pub max_wait_ms: f64,
     /// Time of the alignments, ms.

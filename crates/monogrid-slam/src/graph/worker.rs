@@ -17,7 +17,7 @@ pub(crate) enum GraphWorker {
     /// With a single thread a job is done when it is given.
     Inline {
         graph: Box<KeyframeGraph>,
-        done: Option<GraphUpdate>,
+        done: Option<Box<GraphUpdate>>,
     },
     Threaded {
         requests: Option<Sender<Request>>,
@@ -81,7 +81,7 @@ impl GraphWorker {
     /// Starts a job; the result of the one before must have been taken.
     pub(crate) fn submit(&mut self, job: GraphJob) {
         match self {
-            Self::Inline { graph, done } => *done = Some(graph.run(job)),
+            Self::Inline { graph, done } => *done = Some(Box::new(graph.run(job))),
             Self::Threaded {
                 requests,
                 under_way,
@@ -96,7 +96,7 @@ impl GraphWorker {
     /// The result of the job under way, waiting for it; `None` without one.
     pub(crate) fn take(&mut self) -> Option<GraphUpdate> {
         match self {
-            Self::Inline { done, .. } => done.take(),
+            Self::Inline { done, .. } => done.take().map(|update| *update),
             Self::Threaded {
                 updates, under_way, ..
             } => std::mem::take(under_way)

@@ -213,6 +213,8 @@ impl Map {
             keyframe.covariance = covariance;
         }
         self.edges = update.edges;
+        let failure = update.failure.map(Event::NotOptimised);
+        self.changes.others.extend(failure);
         self.note_poses();
     }
 

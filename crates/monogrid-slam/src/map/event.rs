@@ -2,6 +2,7 @@
 
 use crate::{Fragment, FragmentId, Keyframe, KeyframeId, PoseSnapshot};
 use monogrid_graph::bundle::BundleError;
+use monogrid_graph::pose_graph::PoseGraphError;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -16,6 +17,8 @@ pub enum Event {
     Moved(Arc<PoseSnapshot>),
     /// The bundle adjustment for the newest keyframe failed: poses and points are as they were found.
     NotAdjusted(BundleError),
+    /// An optimisation of the graph of keyframes failed: their poses stayed as they were.
+    NotOptimised(PoseGraphError),
     /// The camera is lost from this frame on.
     Lost {
         /// Index of the frame in its source.

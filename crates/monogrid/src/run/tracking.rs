@@ -121,6 +121,10 @@ impl<'a> Tracking<'a> {
                     let text = format!("a bundle adjustment failed: {error}");
                     self.progress.warn(&text);
                 }
+                Event::NotOptimised(error) => {
+                    let text = format!("the graph of keyframes was not optimised: {error}");
+                    self.progress.warn(&text);
+                }
                 _ => {}
             }
         }

@@ -88,6 +88,7 @@ impl KeyframeGraph {
             poses: self.poses.clone(),
             joined: self.joining.take_joined(),
             edges: self.stored_edges(),
+            failure: self.failure.take(),
             stats: self.stats,
         }
     }

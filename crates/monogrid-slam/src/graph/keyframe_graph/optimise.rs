@@ -2,7 +2,7 @@
 
 use super::state::{EdgeKey, KeyframeGraph};
 use crate::{FragmentId, KeyframeId};
-use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig};
+use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig, PoseGraphError};
 use std::time::Instant;
 
 /// Newest keyframes whose covariances follow the graph while it grows.
@@ -27,15 +27,19 @@ impl KeyframeGraph {
         }
         self.stats.switched_off = 0;
         for fragment in self.active.clone() {
-            self.optimise_fragment(fragment, search);
+            if let Err(error) = self.optimise_fragment(fragment, search) {
+                self.failure = Some(error);
+            }
         }
     }
 
-    fn optimise_fragment(&mut self, fragment: FragmentId, search: Search) {
+    fn optimise_fragment(
+        &mut self,
+        fragment: FragmentId,
+        search: Search,
+    ) -> Result<(), PoseGraphError> {
         let begin = Instant::now();
-        let Some(mut graph) = self.pose_graph(fragment) else {
-            return;
-        };
+        let mut graph = self.pose_graph(fragment)?;
         let default = PoseGraphConfig::default();
         let settings = PoseGraphConfig {
             max_iterations: self.config.max_iterations,
@@ -45,10 +49,7 @@ impl KeyframeGraph {
             },
             ..default
         };
-        let Ok(report) = graph.optimise(&settings) else {
-            self.stats.failed += 1;
-            return;
-        };
+        let report = graph.optimise(&settings)?;
         for node in graph.nodes() {
             self.poses.world_from_keyframe[node.id as usize] = node.world_from_keyframe;
         }
@@ -56,11 +57,11 @@ impl KeyframeGraph {
         let judged: Vec<EdgeKey> = self.edges.keys().filter(is_inside).copied().collect();
         self.judged.extend(judged);
         self.stats.switched_off += report.edges.iter().filter(|fit| fit.weight < 0.1).count();
-        if search == Search::Final {
-            return;
+        if search != Search::Final {
+            let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
+            self.stats.max_optimisation_ms = self.stats.max_optimisation_ms.max(milliseconds);
         }
-        let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
-        self.stats.max_optimisation_ms = self.stats.max_optimisation_ms.max(milliseconds);
+        Ok(())
     }
 
     /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph says
@@ -76,7 +77,7 @@ impl KeyframeGraph {
         };
         for fragment in &self.active {
             let graph = self.pose_graph(*fragment);
-            let Some(uncertainty) = graph.and_then(|g| g.uncertainty().ok()) else {
+            let Ok(uncertainty) = graph.and_then(|g| g.uncertainty()) else {
                 continue;
             };
             for id in (first..num).filter(|id| self.poses.fragment[*id] == *fragment) {
@@ -89,7 +90,10 @@ impl KeyframeGraph {
     }
 
     /// The graph of a fragment, whose first keyframe holds its world.
-    pub(super) fn pose_graph(&self, fragment: FragmentId) -> Option<PoseGraph> {
+    ///
+    /// # Errors
+    /// A pose that is not finite.
+    pub(super) fn pose_graph(&self, fragment: FragmentId) -> Result<PoseGraph, PoseGraphError> {
         let mut graph = PoseGraph::new();
         let poses = self
             .poses
@@ -102,7 +106,7 @@ impl KeyframeGraph {
                 world_from_keyframe: *pose,
                 is_fixed: graph.nodes().is_empty(),
             };
-            graph.add_node(node).ok()?;
+            graph.add_node(node)?;
         }
         let is_inside = |key: &EdgeKey| self.fragment_of(key.0) == fragment;
         for (key, edge) in self.edges.iter().filter(|(key, _)| is_inside(key)) {
@@ -113,6 +117,6 @@ impl KeyframeGraph {
                 graph.add_edge(*edge)
             };
         }
-        Some(graph)
+        Ok(graph)
     }
 }

@@ -12,7 +12,7 @@ use monogrid_alignment::KeyframeView;
 use monogrid_features::PlaceMemory;
 use monogrid_geometry::{Mat7, Pinhole, Sim3};
 use monogrid_graph::RobustKernel;
-use monogrid_graph::pose_graph::GraphEdge;
+use monogrid_graph::pose_graph::{GraphEdge, PoseGraphError};
 use monogrid_image::Mask;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -52,6 +52,8 @@ pub(crate) struct KeyframeGraph {
     pub(super) places: PlaceMemory,
     /// Prepared keyframes, the most recently used last.
     pub(super) prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
+    /// Why an optimisation of the job under way failed, if one did.
+    pub(super) failure: Option<PoseGraphError>,
     pub(super) stats: GraphStats,
 }
 
@@ -84,6 +86,7 @@ impl KeyframeGraph {
             refused: BTreeMap::new(),
             places,
             prepared: Vec::new(),
+            failure: None,
             stats: GraphStats::default(),
         })
     }

@@ -7,6 +7,7 @@ use crate::FragmentConfig;
 use crate::graph::GraphConfig;
 use crate::graph::job::{GraphStats, Joined, OdometryEdge};
 use crate::map::Exposure;
+use crate::sparse::SharedPoints;
 use monogrid_alignment::{DepthSample, SimilarityConstraint};
 use monogrid_datasets::synth::SynthSequence;
 use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
@@ -365,4 +366,25 @@ fn a_loop_that_only_confirms_the_poses_is_not_added() {
     assert_eq!(confirmed.loop_closures, 0, "{confirmed:?}");
     let drifted = with_places_only(0.2);
     assert!(drifted.loop_closures >= 1, "{drifted:?}");
+}
+
+#[test]
+fn an_optimisation_that_fails_is_said_and_moves_nothing() {
+    let mut graph = two_keyframes();
+    let mut poses = graph.poses.world_from_keyframe.clone();
+    poses[1].translation.x = f64::NAN;
+    let job = |poses: &[Sim3]| GraphJob {
+        poses: map_of(poses),
+        shared_points: vec![SharedPoints {
+            i: 0,
+            j: 1,
+            count: 50,
+        }],
+        ..GraphJob::default()
+    };
+    let update = graph.run(job(&poses));
+    assert!(update.failure.is_some());
+    assert_eq!(update.poses.world_from_keyframe[0], poses[0]);
+    let poses = two_keyframes().poses.world_from_keyframe;
+    assert_eq!(graph.run(job(&poses)).failure, None, "said once");
 }
