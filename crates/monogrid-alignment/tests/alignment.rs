@@ -3,7 +3,8 @@
 mod plane;
 
 use monogrid_alignment::{
-    AlignmentConfig, Freedom, Motion, Reference, Robust, Target, Weighting, align, linearize,
+    AlignmentConfig, Freedom, Motion, Reference, ReferenceLevel, Robust, Target, Weighting, align,
+    linearize,
 };
 use monogrid_geometry::{Se3, Vec6};
 use monogrid_image::{GrayImage, Pyramid};
@@ -206,4 +207,79 @@ fn an_empty_reference_or_a_blank_image_is_no_panic() {
     let some = Reference::new(&blank, &PINHOLE, &samples(&flat, 4, 0), 1, 3);
     let result = align(&some, &target, &start, Freedom::Rigid, &config);
     assert!(result.motion.frame_from_keyframe.is_finite());
+}
+
+/// One point with an uncertain depth, before an image that rises steadily to the right and downwards.
+struct OnePoint {
+    point: ReferenceLevel,
+    target: Target,
+    motion: Motion,
+}
+
+impl OnePoint {
+    fn new(idepth_var: f32) -> Self {
+        let image = GrayImage::from_fn(320, 240, |u, v| 20.0 + 0.4 * u as f32 + 0.2 * v as f32);
+        Self {
+            point: ReferenceLevel {
+                x: vec![0.2],
+                y: vec![-0.15],
+                idepth: vec![0.5],
+                idepth_var: vec![idepth_var],
+                intensity: vec![90.0],
+            },
+            target: Target::new(&Pyramid::new(image, 1), &PINHOLE, 0, 0),
+            motion: Motion::from_pose(Se3::exp(&Vec6::new(0.2, 0.1, 0.3, 0.01, 0.02, -0.01))),
+        }
+    }
+
+    /// Residual, weight and cost: the bias moves the residual by minus one.
+    fn evaluate(&self, robust: Robust) -> (f64, f64, f64) {
+        let level = &self.target.levels[0];
+        let linear = linearize(&self.point, level, &self.motion, &weighting(robust), 1);
+        assert_eq!(linear.num_visible, 1);
+        let weight = linear.hessian[(7, 7)];
+        (-linear.gradient[7] / weight, weight, linear.cost)
+    }
+}
+
+#[test]
+fn an_uncertain_depth_adds_what_it_moves_the_residual_to_its_variance() {
+    let plain = Robust::Huber { k: 1e9 };
+    let (idepth_var, step) = (0.04, 0.01);
+    let mut moved = OnePoint::new(idepth_var);
+    moved.point.idepth[0] += step;
+    let ahead = moved.evaluate(plain).0;
+    moved.point.idepth[0] -= 2.0 * step;
+    let by_idepth = (ahead - moved.evaluate(plain).0) / f64::from(2.0 * step);
+    let expected = 16.0 + by_idepth * by_idepth * f64::from(idepth_var);
+    // the depth matters here, so a variance that left it out or took it away would be seen
+    assert!(expected > 20.0, "{expected}");
+    let (residual, weight, cost) = OnePoint::new(idepth_var).evaluate(plain);
+    assert!(
+        (weight * expected - 1.0).abs() < 0.01,
+        "{weight} {expected}"
+    );
+    assert!((cost * expected / (residual * residual) - 1.0).abs() < 0.01);
+    let (_, certain, _) = OnePoint::new(0.0).evaluate(plain);
+    assert!((certain * 16.0 - 1.0).abs() < 1e-6);
+}
+
+#[test]
+fn hubers_weight_falls_with_the_residual_beyond_its_threshold() {
+    let point = OnePoint::new(0.0);
+    let (residual, plain, _) = point.evaluate(Robust::Huber { k: 1e9 });
+    let sigmas = residual.abs() / 4.0;
+    assert!(sigmas > 2.0, "{sigmas}");
+    for k in [0.5, 1.0, 0.9 * sigmas] {
+        let (_, weight, cost) = point.evaluate(Robust::Huber { k: k as f32 });
+        assert!(
+            (weight / plain - k / sigmas).abs() < 1e-5,
+            "k = {k}: {weight}"
+        );
+        assert!((cost - k * (2.0 * sigmas - k)).abs() < 1e-4 * cost);
+    }
+    let (_, weight, _) = point.evaluate(Robust::Huber {
+        k: 1.1 * sigmas as f32,
+    });
+    assert!((weight - plain).abs() < 1e-9);
 }

@@ -96,3 +96,28 @@ fn a_map_that_reaches_its_budget_packs_itself_and_goes_on() {
         assert!(matches!(error, MapError::MemoryBudget { .. }), "{error}");
     }
 }
+
+#[test]
+fn writing_single_cells_stops_at_the_memory_budget() {
+    let memory_budget_bytes = 4_000_000;
+    let mut map = OccupancyMap::new(MapConfig {
+        memory_budget_bytes,
+        ..MapConfig::with_resolution(0.1)
+    })
+    .unwrap();
+    // one cell per brick
+    let refused = (0..100_000).find_map(|brick| {
+        let key = VoxelKey::new(8 * brick, 0, 0);
+        let result = match brick % 2 {
+            0 => map.set_log_odds(key, Some(1.0)),
+            _ => map.add_log_odds(key, 1.0),
+        };
+        result.err().map(|error| (key, error))
+    });
+    let (key, error) = refused.unwrap();
+    assert!(matches!(error, MapError::MemoryBudget { .. }), "{error}");
+    assert!(map.bytes_in_memory() <= memory_budget_bytes);
+    assert!(key.x > 8 * 1000 && map.log_odds_of(key).is_none());
+    assert!(map.add_log_odds(key, 1.0).is_err());
+    assert!(map.set_log_odds(key, Some(1.0)).is_err());
+}
