@@ -170,6 +170,17 @@ struct Sums {
     moments: [f32; 5],
 }
 
+impl Sums {
+    #[inline]
+    fn add_moments(&mut self, keyframe: f32, frame: f32) {
+        self.moments[0] += keyframe;
+        self.moments[1] += frame;
+        self.moments[2] += keyframe * keyframe;
+        self.moments[3] += frame * frame;
+        self.moments[4] += keyframe * frame;
+    }
+}
+
 impl Linearization {
     fn add_block(&mut self, block: &Block) {
         let Block {
@@ -258,6 +269,28 @@ fn accumulate(
     }
 }
 
+/// Derivative of `I_frame - gain * I_keyframe - bias` by the left twist of the pose, the logarithm of the
+/// gain, and the bias; at the normalised image position `[x, y]` with the gradient `[gx, gy]` there, for a
+/// point at the inverse depth `inv_z` in the frame.
+#[inline]
+pub(crate) fn residual_row(
+    [x, y]: [f32; 2],
+    [gx, gy]: [f32; 2],
+    inv_z: f32,
+    scaled_reference: f32,
+) -> [f32; UNKNOWNS] {
+    [
+        gx * inv_z,
+        gy * inv_z,
+        -(x * gx + y * gy) * inv_z,
+        -(gx * x * y + gy * (1.0 + y * y)),
+        gx * (1.0 + x * x) + gy * x * y,
+        gy * x - gx * y,
+        -scaled_reference,
+        -1.0,
+    ]
+}
+
 /// The state in single precision, ready for the points.
 struct Projection {
     r: [[f32; 3]; 3],
@@ -320,28 +353,13 @@ impl Projection {
                 weighting.intensity_var + by_idepth * by_idepth * reference.idepth_var[i];
             let normalised_sq = residual * residual / variance;
             let (robust_weight, cost) = weighting.robust_weight(normalised_sq);
-            let inv_z = d * inv_qz;
-            let jacobian = [
-                gx * inv_z,
-                gy * inv_z,
-                -(x * gx + y * gy) * inv_z,
-                -(gx * x * y + gy * (1.0 + y * y)),
-                gx * (1.0 + x * x) + gy * x * y,
-                gy * x - gx * y,
-                -scaled_reference,
-                -1.0,
-            ];
+            let jacobian = residual_row([x, y], [gx, gy], d * inv_qz, scaled_reference);
             for (row, value) in lanes.jacobian.iter_mut().zip(jacobian) {
                 row[l] = value;
             }
             lanes.residual[l] = residual;
             lanes.weight[l] = robust_weight / variance;
-            let raw = reference.intensity[i];
-            sums.moments[0] += raw;
-            sums.moments[1] += intensity;
-            sums.moments[2] += raw * raw;
-            sums.moments[3] += intensity * intensity;
-            sums.moments[4] += raw * intensity;
+            sums.add_moments(reference.intensity[i], intensity);
             weighting.add_cost(&mut chunk_cost, cost);
             sums.num_visible += 1;
             // depth ratio keyframe / frame is 1 / qz

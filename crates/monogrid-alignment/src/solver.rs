@@ -157,15 +157,34 @@ fn align_level(
     let evaluate = |motion: &Motion, weighting: &Weighting| {
         linearize(points, image, motion, weighting, stride)
     };
-    let mut motion = *initial;
-    let mut linear = evaluate(&motion, &weighting);
+    let mut linear = evaluate(initial, &weighting);
     let scale_steps = if initial_scale.is_some() { 1 } else { 3 };
     for _ in 0..scale_steps {
         if update_scale(&mut weighting, &linear) {
-            linear = evaluate(&motion, &weighting);
+            linear = evaluate(initial, &weighting);
         }
     }
     let max_iterations = config.max_iterations.get(level).copied().unwrap_or(20);
+    let evaluate = |motion: &Motion| evaluate(motion, &weighting);
+    let start = (*initial, linear);
+    let (motion, linear, iterations) = descend(start, evaluate, max_iterations, freedom, config);
+    LevelResult {
+        motion,
+        num_points: points.len().div_ceil(stride),
+        linear,
+        iterations,
+        scale: weighting.scale,
+    }
+}
+
+/// The last accepted state with its sums, and the number of steps that were tried.
+fn descend(
+    (mut motion, mut linear): (Motion, Linearization),
+    evaluate: impl Fn(&Motion) -> Linearization,
+    max_iterations: usize,
+    freedom: Freedom,
+    config: &AlignmentConfig,
+) -> (Motion, Linearization, usize) {
     let mut iterations = 0;
     let mut lambda = 0.0;
     let prior = GainPrior::new(&linear, config);
@@ -179,7 +198,7 @@ fn align_level(
             continue;
         };
         let candidate = apply(&motion, &step);
-        let trial = evaluate(&candidate, &weighting);
+        let trial = evaluate(&candidate);
         let step_sq = step.fixed_rows::<6>(0).norm_squared();
         let cost = prior.mean_cost(&linear, &motion);
         let trial_cost = prior.mean_cost(&trial, &candidate);
@@ -201,13 +220,7 @@ fn align_level(
             }
         }
     }
-    LevelResult {
-        motion,
-        num_points: points.len().div_ceil(stride),
-        linear,
-        iterations,
-        scale: weighting.scale,
-    }
+    (motion, linear, iterations)
 }
 
 /// One fixed-point step of the scale of the t distribution; true when it changed noticeably.

@@ -58,6 +58,20 @@ pub fn align_similarity(
             found: source.len(),
         });
     }
+    let target_from_source =
+        umeyama(source, target, with_scale).ok_or(AlignmentError::Degenerate)?;
+    let squared = source.iter().zip(target);
+    let sum_sq: f64 = squared
+        .map(|(s, t)| (target_from_source * *s - t).norm_squared())
+        .sum();
+    Ok(SimilarityFit {
+        target_from_source,
+        rmse: (sum_sq / source.len() as f64).sqrt(),
+    })
+}
+
+/// The closed form; `None` when the points do not determine a rotation.
+fn umeyama(source: &[Vec3], target: &[Vec3], with_scale: bool) -> Option<Sim3> {
     let n = source.len() as f64;
     let mean_source = source.iter().sum::<Vec3>() / n;
     let mean_target = target.iter().sum::<Vec3>() / n;
@@ -69,15 +83,13 @@ pub fn align_similarity(
         var_source += ds.norm_squared() / n;
     }
     if !covariance.iter().all(|x| x.is_finite()) || var_source <= 0.0 {
-        return Err(AlignmentError::Degenerate);
+        return None;
     }
     let svd = covariance.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Err(AlignmentError::Degenerate);
-    };
+    let (u, v_t) = (svd.u?, svd.v_t?);
     // nalgebra sorts singular values in descending order.
     if svd.singular_values[1] <= 1e-12 * svd.singular_values[0] {
-        return Err(AlignmentError::Degenerate);
+        return None;
     }
     let sign = if u.determinant() * v_t.determinant() < 0.0 {
         -1.0
@@ -93,19 +105,6 @@ pub fn align_similarity(
     };
     let rotation =
         Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rotation));
-    let target_from_source = Sim3::new(
-        scale,
-        rotation,
-        mean_target - rotation * mean_source * scale,
-    );
-    let mean_sq = source
-        .iter()
-        .zip(target)
-        .map(|(s, t)| (target_from_source * *s - t).norm_squared())
-        .sum::<f64>()
-        / n;
-    Ok(SimilarityFit {
-        target_from_source,
-        rmse: mean_sq.sqrt(),
-    })
+    let translation = mean_target - rotation * mean_source * scale;
+    Some(Sim3::new(scale, rotation, translation))
 }

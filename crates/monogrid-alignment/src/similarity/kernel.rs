@@ -1,6 +1,7 @@
 //! The normal equations of one level over similarity, gain and bias.
 
 use super::DepthLevel;
+use crate::kernel::residual_row;
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 use nalgebra::{SMatrix, SVector};
@@ -383,17 +384,8 @@ impl Projection {
         Some(PointResiduals {
             photometric: intensity - scaled - self.bias,
             photometric_var: weighting.intensity_var + by_idepth * by_idepth * var_a,
-            photometric_row: [
-                gx * inv_z,
-                gy * inv_z,
-                -(x * gx + y * gy) * inv_z,
-                -(gx * x * y + gy * (1.0 + y * y)),
-                gx * (1.0 + x * x) + gy * x * y,
-                gy * x - gx * y,
-                // no scale: its change moves the point along its viewing ray
-                -scaled,
-                -1.0,
-            ],
+            // no scale: its change moves the point along its viewing ray
+            photometric_row: residual_row([x, y], [gx, gy], inv_z, scaled),
             depth: depth.nearest(u, v).map(|(idepth_b, var_b)| {
                 let transfer = (q[2] - d * t[2]) * inv_qz * inv_qz;
                 let shared = weighting.shared_depth_var * inv_z * inv_z;

@@ -140,25 +140,7 @@ fn read_times(
     warnings: &mut Vec<String>,
 ) -> Result<(Layout, Vec<(i64, PathBuf)>), DatasetError> {
     let text = read_text(times)?;
-    let lines: Vec<(usize, Vec<&str>)> = data_lines(&text)
-        .map(|(number, line)| (number, line.split_whitespace().collect()))
-        .collect();
-    let with_ids = lines.first().is_some_and(|(_, words)| words.len() >= 2);
-    let column = usize::from(with_ids);
-    let mut parsed = Vec::with_capacity(lines.len());
-    for (number, words) in &lines {
-        match words.get(column).copied().and_then(parse_seconds) {
-            Some(time) => parsed.push((words[0], time)),
-            None => {
-                return Err(DatasetError::line(
-                    times,
-                    *number,
-                    &words.join(" "),
-                    "a time in seconds, or id, time and exposure",
-                ));
-            }
-        }
-    }
+    let (with_ids, parsed) = parse_times(&text, times)?;
     if parsed.len() != images.len() {
         warnings.push(format!(
             "{} has {} times for {} images; only those with both are used",
@@ -182,18 +164,7 @@ fn read_times(
         let entries = parsed.iter().map(|p| p.1).zip(images).collect();
         return Ok((layout, entries));
     }
-    let mut by_stem: Vec<(String, PathBuf)> = images
-        .into_iter()
-        .filter_map(|p| Some((p.file_stem()?.to_string_lossy().into_owned(), p)))
-        .collect();
-    by_stem.sort();
-    let entries: Vec<(i64, PathBuf)> = parsed
-        .iter()
-        .filter_map(|(id, time)| {
-            let found = by_stem.binary_search_by(|(stem, _)| stem.as_str().cmp(id));
-            found.ok().map(|i| (*time, by_stem[i].1.clone()))
-        })
-        .collect();
+    let entries = pair_by_name(&parsed, images);
     if entries.is_empty() {
         return Err(DatasetError::NoFrames {
             path: times.to_path_buf(),
@@ -205,4 +176,40 @@ fn read_times(
         });
     }
     Ok((Layout::TumMonoVo, entries))
+}
+
+/// First word and time of each line.
+type Times<'a> = Vec<(&'a str, i64)>;
+
+/// Whether the lines begin with ids, and per line its first word and its time.
+fn parse_times<'a>(text: &'a str, times: &Path) -> Result<(bool, Times<'a>), DatasetError> {
+    let mut lines = data_lines(text).peekable();
+    let first = lines.peek();
+    let with_ids = first.is_some_and(|(_, line)| line.split_whitespace().nth(1).is_some());
+    let column = usize::from(with_ids);
+    let parse = |(number, line): (usize, &'a str)| {
+        let id = line.split_whitespace().next().unwrap_or_default();
+        let time = line.split_whitespace().nth(column).and_then(parse_seconds);
+        time.map(|time| (id, time)).ok_or_else(|| {
+            let expected = "a time in seconds, or id, time and exposure";
+            DatasetError::line(times, number, line, expected)
+        })
+    };
+    Ok((with_ids, lines.map(parse).collect::<Result<_, _>>()?))
+}
+
+/// Times with the images that are called as their ids.
+fn pair_by_name(parsed: &[(&str, i64)], images: Vec<PathBuf>) -> Vec<(i64, PathBuf)> {
+    let mut by_stem: Vec<(String, PathBuf)> = images
+        .into_iter()
+        .filter_map(|p| Some((p.file_stem()?.to_string_lossy().into_owned(), p)))
+        .collect();
+    by_stem.sort();
+    parsed
+        .iter()
+        .filter_map(|(id, time)| {
+            let found = by_stem.binary_search_by(|(stem, _)| stem.as_str().cmp(id));
+            found.ok().map(|i| (*time, by_stem[i].1.clone()))
+        })
+        .collect()
 }

@@ -5,8 +5,9 @@ use super::figures::{self, Figure};
 use super::pictures::{AFTER_ONE, AFTER_SEVERAL, LIKELY, PictureOrders};
 use super::plan::Model;
 use super::record::{MapRecord, PictureKind};
-use super::result::{RecordingResult, andert_models, thrun_models};
+use super::result::RecordingResult;
 use super::tables::{self, Score, Table, mm};
+use super::thesis::{ANDERT, THRUN};
 use crate::failure::Failure;
 use crate::output::OutputFolder;
 use crate::report::Page;
@@ -80,8 +81,8 @@ impl Writer<'_> {
         let is_compared = result.records.iter().any(|r| r.scores().is_some());
         if is_compared {
             for score in [Score::AucKnown, Score::AucObserved, Score::MccObserved] {
-                for is_thrun in [true, false] {
-                    let table = tables::over_parameter(result, is_thrun, score);
+                for family in [&THRUN, &ANDERT] {
+                    let table = tables::over_parameter(result, family, score);
                     self.table(page, &folder, &table)?;
                 }
             }
@@ -131,8 +132,8 @@ impl Writer<'_> {
         for &resolution in &result.resolutions {
             let models = [
                 Some(Model::Ideal),
-                result.best(&thrun_models(), resolution, known),
-                result.best(&andert_models(), resolution, known),
+                result.best(&THRUN.models(), resolution, known),
+                result.best(&ANDERT.models(), resolution, known),
                 Some(Model::Automatic),
             ];
             for (index, height) in orders.heights.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! Everything that a sweep found out, ready to be shown.
 
-use super::plan::{BUFFERS, Entry, Model, SIGNIFICANCES};
+use super::plan::{Entry, Model};
 use super::record::{MapRecord, Scores};
 use super::slam_rate::Rate;
 
@@ -65,14 +65,4 @@ impl RecordingResult {
             })
             .copied()
     }
-}
-
-/// Thrun's model with the thesis' ten values.
-pub fn thrun_models() -> Vec<Model> {
-    BUFFERS.map(Model::Thrun).to_vec()
-}
-
-/// Andert's model with the thesis' ten values.
-pub fn andert_models() -> Vec<Model> {
-    SIGNIFICANCES.map(Model::Andert).to_vec()
 }

@@ -1,5 +1,58 @@
 //! The thesis' own numbers (Hull 2017, chapter 6), to stand beside ours. `None`: beyond 10 GB.
 
+use super::plan::{BUFFERS, Model, SIGNIFICANCES};
+
+/// A model with one parameter, the thesis' ten values of it, and where the thesis shows its results.
+#[derive(Debug)]
+pub struct Family {
+    /// Name of the model.
+    pub name: &'static str,
+    /// Its name in names of files.
+    pub file: &'static str,
+    /// Symbol of the parameter, a length in metres.
+    pub symbol: &'static str,
+    /// Its values.
+    pub values: [f64; 10],
+    model: fn(f64) -> Model,
+    /// Areas under the ROC curves: rows as the values, columns 8 to 128 mm.
+    pub auc: [[f64; 5]; 10],
+    /// Number of the table of these areas.
+    pub table: &'static str,
+    /// Number of the figure of the ROC curves.
+    pub figure: &'static str,
+}
+
+/// Thrun's model with its buffer L.
+pub const THRUN: Family = Family {
+    name: "Thrun",
+    file: "thrun",
+    symbol: "L",
+    values: BUFFERS,
+    model: Model::Thrun,
+    auc: AUC_THRUN,
+    table: "6.8",
+    figure: "6.13",
+};
+
+/// Andert's model with its significance k.
+pub const ANDERT: Family = Family {
+    name: "Andert",
+    file: "andert",
+    symbol: "k",
+    values: SIGNIFICANCES,
+    model: Model::Andert,
+    auc: AUC_ANDERT,
+    table: "6.9",
+    figure: "6.14",
+};
+
+impl Family {
+    /// The model with each value.
+    pub fn models(&self) -> [Model; 10] {
+        self.values.map(self.model)
+    }
+}
+
 /// A row of Table 6.4, MB: memory in maximum-likelihood and full form, size of `.bt` and of `.ot`.
 pub type MemoryRow = [Option<f64>; 4];
 
@@ -60,7 +113,7 @@ pub const MACHINE_100K_POINTS: f64 = 163.5;
 pub const OFFICE_100K_POINTS: f64 = 34.4;
 
 /// Table 6.8, AUC of Thrun's model: rows as the values of L in the plan, columns 8 to 128 mm.
-pub const AUC_THRUN: [[f64; 5]; 10] = [
+const AUC_THRUN: [[f64; 5]; 10] = [
     [0.63, 0.61, 0.66, 0.69, 0.60],
     [0.70, 0.67, 0.71, 0.74, 0.66],
     [0.77, 0.73, 0.77, 0.79, 0.74],
@@ -73,7 +126,7 @@ pub const AUC_THRUN: [[f64; 5]; 10] = [
     [0.85, 0.56, 0.61, 0.72, 0.76],
 ];
 /// Table 6.9, AUC of Andert's model: rows as the values of k in the plan.
-pub const AUC_ANDERT: [[f64; 5]; 10] = [
+const AUC_ANDERT: [[f64; 5]; 10] = [
     [0.62, 0.72, 0.78, 0.82, 0.77],
     [0.65, 0.74, 0.79, 0.84, 0.77],
     [0.69, 0.76, 0.80, 0.85, 0.79],

@@ -2,11 +2,11 @@
 
 use super::Figure;
 use crate::report::svg::{Plot, Series};
-use crate::sweep::plan::{BUFFERS, SIGNIFICANCES, usual_models};
-use crate::sweep::record::{Growth, MapRecord, Scores};
-use crate::sweep::result::{RecordingResult, andert_models, thrun_models};
+use crate::sweep::plan::usual_models;
+use crate::sweep::record::{Growth, MapRecord};
+use crate::sweep::result::RecordingResult;
 use crate::sweep::tables::{Score, mm};
-use crate::sweep::thesis;
+use crate::sweep::thesis::{self, Family};
 
 /// Share of cells per bin of probability, as log10, with unobserved cells at 0.5 as in the thesis.
 fn distribution(records: &[&MapRecord]) -> Option<Vec<[f64; 2]>> {
@@ -78,7 +78,7 @@ pub fn distributions(result: &RecordingResult) -> Vec<Figure> {
                 Thrun has peaks at both limits (0.12 and 0.97) and at 0.5, Andert one more at its \
                 free value 0.3.";
     let mut figures = vec![Figure {
-        file: "figure-6.8-distribution",
+        file: "figure-6.8-distribution".to_owned(),
         title: format!(
             "Distribution of probabilities, mean of all maps (Figure 6.8): {}",
             result.name
@@ -88,7 +88,7 @@ pub fn distributions(result: &RecordingResult) -> Vec<Figure> {
     }];
     if let Some(&finest) = result.resolutions.first() {
         figures.push(Figure {
-            file: "figure-6.15-distribution-finest",
+            file: "figure-6.15-distribution-finest".to_owned(),
             title: format!(
                 "Distribution at {} (Figure 6.15): {}",
                 mm(finest),
@@ -151,7 +151,7 @@ pub fn growth(result: &RecordingResult) -> Figure {
         })
         .collect();
     Figure {
-        file: "figure-memory-growth",
+        file: "figure-memory-growth".to_owned(),
         title: format!(
             "Memory per keyframe as the map grows (thesis 6.1.3): {}",
             result.name
@@ -162,63 +162,53 @@ pub fn growth(result: &RecordingResult) -> Figure {
 }
 
 /// The scores over L or k, with the thesis' AUC dashed: the shape of Tables 6.8 and 6.9.
-pub fn score_over_parameter(result: &RecordingResult, is_thrun: bool) -> Figure {
-    let (models, of_thesis, values) = if is_thrun {
-        (thrun_models(), thesis::AUC_THRUN, BUFFERS)
-    } else {
-        (andert_models(), thesis::AUC_ANDERT, SIGNIFICANCES)
+pub fn score_over_parameter(result: &RecordingResult, family: &Family) -> Figure {
+    let curve = |resolution: f64, name: &str, colour, score: Score| Series {
+        name: name.to_owned(),
+        colour,
+        points: family
+            .models()
+            .into_iter()
+            .zip(family.values)
+            .filter_map(|(m, value)| Some([value, score.of(result.scores(m, resolution)?)]))
+            .collect(),
+        is_dashed: false,
     };
-    let plots = result
-        .resolutions
-        .iter()
-        .map(|&resolution| {
-            let curve = |name: &str, colour, score: &dyn Fn(&Scores) -> f64| Series {
-                name: name.to_owned(),
-                colour,
-                points: models
-                    .iter()
-                    .zip(values)
-                    .filter_map(|(m, value)| Some([value, score(result.scores(*m, resolution)?)]))
-                    .collect(),
-                is_dashed: false,
-            };
-            let mut series = vec![
-                curve("AUC known", "#2a6fbb", &|s| Score::AucKnown.of(s)),
-                curve("AUC observed", "#1f9e77", &|s| Score::AucObserved.of(s)),
-                curve("MCC observed", "#c7372f", &|s| Score::MccObserved.of(s)),
-            ];
-            if let Some(column) = thesis::column(resolution) {
-                series.push(Series {
-                    name: "thesis: AUC".into(),
-                    colour: "#888888",
-                    points: values
-                        .iter()
-                        .zip(of_thesis)
-                        .map(|(value, row)| [*value, row[column]])
-                        .collect(),
-                    is_dashed: true,
-                });
-            }
-            Plot {
-                title: mm(resolution),
-                x_label: if is_thrun { "L, m" } else { "k, m" }.into(),
-                y_label: "score".into(),
-                series,
-                ranges: Some([[0.0, values[9]], [0.0, 1.0]]),
-                is_panel: true,
-                ..Plot::default()
-            }
-        })
-        .collect();
-    let (file, what) = if is_thrun {
-        ("figure-table-6.8", "L (Table 6.8)")
-    } else {
-        ("figure-table-6.9", "k (Table 6.9)")
+    let of_thesis = |column: usize| Series {
+        name: "thesis: AUC".into(),
+        colour: "#888888",
+        points: family
+            .values
+            .iter()
+            .zip(family.auc)
+            .map(|(value, row)| [*value, row[column]])
+            .collect(),
+        is_dashed: true,
+    };
+    let plot = |&resolution: &f64| {
+        let mut series = vec![
+            curve(resolution, "AUC known", "#2a6fbb", Score::AucKnown),
+            curve(resolution, "AUC observed", "#1f9e77", Score::AucObserved),
+            curve(resolution, "MCC observed", "#c7372f", Score::MccObserved),
+        ];
+        series.extend(thesis::column(resolution).map(of_thesis));
+        Plot {
+            title: mm(resolution),
+            x_label: format!("{}, m", family.symbol),
+            y_label: "score".into(),
+            series,
+            ranges: Some([[0.0, family.values[9]], [0.0, 1.0]]),
+            is_panel: true,
+            ..Plot::default()
+        }
     };
     Figure {
-        file,
-        title: format!("Scores over {what}: {}", result.name),
+        file: format!("figure-table-{}", family.table),
+        title: format!(
+            "Scores over {} (Table {}): {}",
+            family.symbol, family.table, result.name
+        ),
         note: "Dashed: the thesis, another room and another SLAM.".to_owned(),
-        plots,
+        plots: result.resolutions.iter().map(plot).collect(),
     }
 }

@@ -4,8 +4,9 @@ use super::Figure;
 use crate::report::svg::{COLOURS, Plot, Series};
 use crate::sweep::plan::Model;
 use crate::sweep::record::{PolicyScores, Scores};
-use crate::sweep::result::{RecordingResult, andert_models, thrun_models};
+use crate::sweep::result::RecordingResult;
 use crate::sweep::tables::{Score, mm};
+use crate::sweep::thesis::{ANDERT, Family, THRUN};
 
 /// Which cells a ROC curve counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +22,14 @@ impl RocPolicy {
         match self {
             Self::Known => &scores.known,
             Self::Observed => &scores.observed,
+        }
+    }
+
+    /// Part of the names of files.
+    fn file(self) -> &'static str {
+        match self {
+            Self::Known => "roc",
+            Self::Observed => "roc-observed",
         }
     }
 
@@ -63,12 +72,8 @@ fn roc_panel(title: String, curves: Vec<(String, &'static str, bool, &PolicyScor
 }
 
 /// Figures 6.13 and 6.14: one panel per resolution, one curve per value.
-pub fn roc_over_parameter(result: &RecordingResult, is_thrun: bool, policy: RocPolicy) -> Figure {
-    let (models, number, family) = if is_thrun {
-        (thrun_models(), "6.13", "Thrun")
-    } else {
-        (andert_models(), "6.14", "Andert")
-    };
+pub fn roc_over_parameter(result: &RecordingResult, family: &Family, policy: RocPolicy) -> Figure {
+    let (models, number) = (family.models(), family.figure);
     let plots = result
         .resolutions
         .iter()
@@ -85,13 +90,11 @@ pub fn roc_over_parameter(result: &RecordingResult, is_thrun: bool, policy: RocP
         })
         .collect();
     Figure {
-        file: match (is_thrun, policy) {
-            (true, RocPolicy::Known) => "figure-6.13-roc-thrun",
-            (true, RocPolicy::Observed) => "figure-6.13-roc-observed-thrun",
-            (false, RocPolicy::Known) => "figure-6.14-roc-andert",
-            (false, RocPolicy::Observed) => "figure-6.14-roc-observed-andert",
-        },
-        title: format!("ROC curves, {family} (Figure {number}): {}", result.name),
+        file: format!("figure-{number}-{}-{}", policy.file(), family.file),
+        title: format!(
+            "ROC curves, {} (Figure {number}): {}",
+            family.name, result.name
+        ),
         note: format!(
             "Counted: {}. The area under each curve stands beside its value.",
             policy.words()
@@ -103,7 +106,8 @@ pub fn roc_over_parameter(result: &RecordingResult, is_thrun: bool, policy: RocP
 /// Figure 6.16: two values of L with the same area and different curves, at the finest resolution.
 pub fn roc_of_equal_area(result: &RecordingResult) -> Option<Figure> {
     let resolution = *result.resolutions.first()?;
-    let curves: Vec<(Model, &PolicyScores)> = thrun_models()
+    let curves: Vec<(Model, &PolicyScores)> = THRUN
+        .models()
         .into_iter()
         .filter_map(|model| Some((model, &result.scores(model, resolution)?.known)))
         .collect();
@@ -119,7 +123,7 @@ pub fn roc_of_equal_area(result: &RecordingResult) -> Option<Figure> {
         (model.label(), colour, false, scores)
     };
     Some(Figure {
-        file: "figure-6.16-roc-equal-area",
+        file: "figure-6.16-roc-equal-area".to_owned(),
         title: format!(
             "Two values of L with nearly the same area (Figure 6.16): {}",
             result.name
@@ -148,12 +152,12 @@ pub fn roc_of_best(result: &RecordingResult, policy: RocPolicy) -> Figure {
                 (
                     "Thrun",
                     "#2a6fbb",
-                    result.best(&thrun_models(), resolution, score),
+                    result.best(&THRUN.models(), resolution, score),
                 ),
                 (
                     "Andert",
                     "#c7372f",
-                    result.best(&andert_models(), resolution, score),
+                    result.best(&ANDERT.models(), resolution, score),
                 ),
                 ("", "#888888", Some(Model::Ideal)),
                 ("", "#1f9e77", Some(Model::Automatic)),
@@ -171,10 +175,7 @@ pub fn roc_of_best(result: &RecordingResult, policy: RocPolicy) -> Figure {
         })
         .collect();
     Figure {
-        file: match policy {
-            RocPolicy::Known => "figure-6.17-roc-best",
-            RocPolicy::Observed => "figure-6.17-roc-observed-best",
-        },
+        file: format!("figure-6.17-{}-best", policy.file()),
         title: format!("The best of each model (Figure 6.17): {}", result.name),
         note: format!("Counted: {}.", policy.words()),
         plots,

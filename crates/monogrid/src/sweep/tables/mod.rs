@@ -15,7 +15,7 @@ use std::fmt::Write;
 #[derive(Clone, Debug)]
 pub struct Table {
     /// Name of its file.
-    pub file: &'static str,
+    pub file: String,
     /// Title.
     pub title: String,
     /// What the reader must know.
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn a_table_is_written_as_csv_and_as_markdown() {
         let table = Table {
-            file: "t",
+            file: "t".into(),
             title: "Title".into(),
             note: "Note.".into(),
             header: headings("a", &["b"]),

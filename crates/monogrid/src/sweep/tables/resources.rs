@@ -51,7 +51,7 @@ pub fn data_sets(results: &[RecordingResult]) -> Table {
     ];
     rows.extend(of_thesis.map(|row| row.map(str::to_owned).to_vec()));
     Table {
-        file: "table-6.3-6.5-data-sets",
+        file: "table-6.3-6.5-data-sets".to_owned(),
         title: "Data sets (Tables 6.3 and 6.5)".to_owned(),
         note: "Seconds from the first to the last keyframe. Rate: SLAM with the least demanding \
                mapping beside it."
@@ -96,7 +96,7 @@ pub fn memory(result: &RecordingResult) -> Table {
         }
     }
     Table {
-        file: "table-6.4-memory",
+        file: "table-6.4-memory".to_owned(),
         title: format!("Memory and files (Table 6.4): {}", result.name),
         note:
             "Megabytes, as likely / full: the map in maximum-likelihood form (every cell free or \
@@ -200,7 +200,7 @@ pub fn speed(result: &RecordingResult) -> Table {
         }
     }
     Table {
-        file: "table-6.6-6.7-speed",
+        file: "table-6.6-6.7-speed".to_owned(),
         title: format!("Time (Tables 6.6 and 6.7): {}", result.name),
         note: "CPU seconds of one core per 100 000 points, and for the whole recording. The thesis \
                used a core of an i7-4700MQ; its seconds for the whole data set (in brackets) are its \

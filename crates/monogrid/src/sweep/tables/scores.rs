@@ -3,8 +3,8 @@
 use super::{Table, headings, mm, model_name};
 use crate::sweep::plan::Model;
 use crate::sweep::record::{PolicyScores, Scores};
-use crate::sweep::result::{RecordingResult, andert_models, thrun_models};
-use crate::sweep::thesis;
+use crate::sweep::result::RecordingResult;
+use crate::sweep::thesis::{self, ANDERT, Family, THRUN};
 
 /// A score of a map, for a table over parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,85 +26,75 @@ impl Score {
             Self::MccObserved => scores.observed.mcc,
         }
     }
+
+    /// Part of the name of its files, name for people, and what is counted.
+    fn words(self) -> (&'static str, &'static str, &'static str) {
+        match self {
+            Self::AucKnown => (
+                "auc",
+                "AUC",
+                "Cells whose truth is known, unobserved ones count as 0.5; 26 thresholds, trapezoid. \
+                 Probably the thesis' way; its numbers are of another room.",
+            ),
+            Self::AucObserved => (
+                "auc-observed",
+                "AUC of observed cells",
+                "Only cells that the map observed; exact.",
+            ),
+            Self::MccObserved => (
+                "mcc",
+                "MCC of observed cells",
+                "Only cells that the map observed, occupied above 0.5. AUC rewards thick walls, MCC \
+                 does not.",
+            ),
+        }
+    }
 }
 
 /// Tables 6.8 and 6.9: a score over the values of L or k.
-pub fn over_parameter(result: &RecordingResult, is_thrun: bool, score: Score) -> Table {
-    let (models, of_thesis, number) = if is_thrun {
-        (thrun_models(), thesis::AUC_THRUN, "6.8")
-    } else {
-        (andert_models(), thesis::AUC_ANDERT, "6.9")
-    };
-    let shows_thesis = score == Score::AucKnown;
-    let value = |model: Model, resolution: f64| {
-        result
-            .scores(model, resolution)
-            .map(|scores| score.of(scores))
-    };
+pub fn over_parameter(result: &RecordingResult, family: &Family, score: Score) -> Table {
+    let value = |model: Model, resolution: f64| Some(score.of(result.scores(model, resolution)?));
+    let cell = |v: Option<f64>| v.map_or_else(|| "x".to_owned(), |v| format!("{v:.3}"));
     let best = |resolution: f64| {
-        let values = models.iter().filter_map(|m| value(*m, resolution));
+        let values = family.models().into_iter();
+        let values = values.filter_map(|m| value(m, resolution));
         values.fold(f64::NEG_INFINITY, f64::max)
     };
-    let mut rows: Vec<Vec<String>> = Vec::new();
-    for (index, model) in models.iter().enumerate() {
-        let mut row = vec![model.label()];
+    // a column per resolution, and one of the thesis' own beside it where it has the same score
+    let row = |first: String, column: &dyn Fn(f64) -> (String, String)| {
+        let mut row = vec![first];
         for &resolution in &result.resolutions {
-            let ours = value(*model, resolution).map_or_else(
-                || "x".to_owned(),
-                |v| {
-                    let mark = if v >= best(resolution) { "*" } else { "" };
-                    format!("{mark}{v:.3}")
-                },
-            );
+            let (ours, theirs) = column(resolution);
             row.push(ours);
-            if shows_thesis {
-                let theirs = thesis::column(resolution).map(|c| of_thesis[index][c]);
-                row.push(theirs.map_or_else(String::new, |v| format!("{v:.2}")));
-            }
+            row.extend((score == Score::AucKnown).then_some(theirs));
         }
-        rows.push(row);
+        row
+    };
+    let mut rows = Vec::new();
+    for (model, of_thesis) in family.models().into_iter().zip(family.auc) {
+        rows.push(row(model.label(), &|resolution| {
+            let ours = value(model, resolution);
+            let is_best = ours.is_some_and(|v| v >= best(resolution));
+            let mark = if is_best { "*" } else { "" };
+            let theirs = thesis::column(resolution).map(|c| format!("{:.2}", of_thesis[c]));
+            (format!("{mark}{}", cell(ours)), theirs.unwrap_or_default())
+        }));
     }
     for model in [Model::Ideal, Model::Automatic] {
-        let mut row = vec![model_name(model)];
-        for &resolution in &result.resolutions {
-            let text = value(model, resolution);
-            row.push(text.map_or_else(|| "x".to_owned(), |v| format!("{v:.3}")));
-            if shows_thesis {
-                row.push(String::new());
-            }
-        }
-        rows.push(row);
+        let ours = |resolution: f64| (cell(value(model, resolution)), String::new());
+        rows.push(row(model_name(model), &ours));
     }
-    let mut header = vec![if is_thrun { "L, m" } else { "k, m" }.to_owned()];
-    for &resolution in &result.resolutions {
-        header.push(mm(resolution));
-        if shows_thesis {
-            header.push("thesis".to_owned());
-        }
-    }
-    let (file, what) = match (score, is_thrun) {
-        (Score::AucKnown, true) => ("table-6.8-auc-thrun", "AUC"),
-        (Score::AucKnown, false) => ("table-6.9-auc-andert", "AUC"),
-        (Score::AucObserved, true) => ("table-6.8-auc-observed-thrun", "AUC of observed cells"),
-        (Score::AucObserved, false) => ("table-6.9-auc-observed-andert", "AUC of observed cells"),
-        (Score::MccObserved, true) => ("table-6.8-mcc-thrun", "MCC of observed cells"),
-        (Score::MccObserved, false) => ("table-6.9-mcc-andert", "MCC of observed cells"),
-    };
-    let family = if is_thrun { "Thrun" } else { "Andert" };
+    let (file, what, note) = score.words();
     Table {
-        file,
-        title: format!("{what}, {family} (Table {number}): {}", result.name),
-        note: match score {
-            Score::AucKnown => "Cells whose truth is known, unobserved ones count as 0.5; 26 \
-                                thresholds, trapezoid. Probably the thesis' way; its numbers are of \
-                                another room."
-                .to_owned(),
-            Score::AucObserved => "Only cells that the map observed; exact.".to_owned(),
-            Score::MccObserved => "Only cells that the map observed, occupied above 0.5. AUC rewards \
-                                   thick walls, MCC does not."
-                .to_owned(),
-        },
-        header,
+        file: format!("table-{}-{file}-{}", family.table, family.file),
+        title: format!(
+            "{what}, {} (Table {}): {}",
+            family.name, family.table, result.name
+        ),
+        note: note.to_owned(),
+        header: row(format!("{}, m", family.symbol), &|resolution| {
+            (mm(resolution), "thesis".to_owned())
+        }),
         rows,
     }
 }
@@ -115,8 +105,8 @@ pub fn best_of(result: &RecordingResult) -> Table {
     let mut rows = Vec::new();
     for &resolution in &result.resolutions {
         let candidates = [
-            result.best(&thrun_models(), resolution, known),
-            result.best(&andert_models(), resolution, known),
+            result.best(&THRUN.models(), resolution, known),
+            result.best(&ANDERT.models(), resolution, known),
             Some(Model::Ideal),
             Some(Model::Automatic),
         ];
@@ -148,7 +138,7 @@ pub fn best_of(result: &RecordingResult) -> Table {
         }
     }
     Table {
-        file: "best",
+        file: "best".to_owned(),
         title: format!("The best values against each other: {}", result.name),
         note: "Best L and k by AUC of known cells, ties by recall (the thesis' rule). Coverage: of the \
                cells that a keyframe looks at. Thickness: predicted occupied cells per true one."
