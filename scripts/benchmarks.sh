@@ -14,8 +14,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
 data=$shared/data
-parts=(sequences accuracy thesis floor solver demo depth worlds paths sweep engine queries octomap live speed room places loops
-  kidnap fragments sessions odometry fabmap survey)
+parts=(sequences accuracy thesis solver demo depth worlds paths sweep engine queries octomap live speed room loops
+  kidnap fragments sessions odometry survey)
 
 mode=full
 case ${1:-full} in
@@ -113,8 +113,6 @@ part_sequences() {
 part_accuracy() { scripts/accuracy.sh default "${accuracy[@]}"; }
 
 part_thesis() { scripts/accuracy.sh thesis "${thesis[@]}"; }
-
-part_floor() { example slam true_depth "$data/red-kitchen" 5; }
 
 part_solver() {
   plain_run tsukuba
@@ -268,18 +266,6 @@ corridor() { # FRAMES OPTION...: $source
   source=$results/world-corridor-loop-$1
 }
 
-part_places() {
-  if [ "$mode" = full ]; then
-    corridor 700 --quick-light
-    example features revisits "$source" gap=60 step=5
-    example features revisits "$data/red-kitchen" gap=100
-  fi
-  for name in living-room office; do
-    room "$name"
-    example features revisits "$source" gap=150 step=15 skip=30
-  done
-}
-
 part_loops() {
   corridor "$corridor_frames" ${corridor_options[0]:+"${corridor_options[@]}"}
   echo '| start | ATE | scale drift | closures by appearance |'
@@ -342,19 +328,6 @@ part_odometry() {
     kept "$report" "$bin" evaluate trajectory "$results/$speed_sequence-plain/$name.txt" "$data/$speed_sequence/groundtruth.txt" --json
     echo "| $name.txt | $(digits 2 "$(value "$report" ate_rmse)") m | $(digits 2 "$(value "$report" rpe_trans_rmse)") m, $(digits 2 "$(value "$report" rpe_rot_rmse_deg)")° |"
   done
-}
-
-part_fabmap() {
-  example features place_recognition "$data/tsukuba" step=10 gap=100
-  if [ "$mode" = full ]; then
-    example features place_recognition "$data/red-kitchen" step=10 gap=100
-    for name in "${worlds[@]}"; do
-      room "$name"
-      example features place_recognition "$source" step=15 gap=150
-    done
-    corridor 700 --quick-light
-    example features place_recognition "$source" step=5 gap=60
-  fi
 }
 
 part_survey() {

@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use monogrid_datasets::synth::MeshModel;
+use monogrid_worlds::MeshModel;
 
 fuzz_target!(|bytes: &[u8]| {
     for extension in ["ply", "obj"] {

@@ -35,7 +35,8 @@ impl AtomicFile {
         })
     }
 
-    /// Flushes and renames into place.
+    /// Flushes to the disk and renames into place: after a crash, even of the machine, there is the old file or
+    /// the new one, never half of one.
     ///
     /// # Errors
     /// When the disk is full or the destination cannot be replaced; the old file then stays.
@@ -44,8 +45,10 @@ impl AtomicFile {
         let Some(writer) = self.writer.take() else {
             return Ok(());
         };
+        let file = writer.into_inner().map_err(|e| error(e.into_error()))?;
+        file.sync_all().map_err(error)?;
         // closing before the rename: some systems do not rename open files
-        drop(writer.into_inner().map_err(|e| error(e.into_error()))?);
+        drop(file);
         std::fs::rename(&self.temporary, &self.destination).map_err(error)
     }
 }

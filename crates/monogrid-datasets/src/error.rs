@@ -106,7 +106,9 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
-    pub(crate) fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {
+    /// A failure of the system with a file.
+    #[must_use]
+    pub fn io(action: &'static str, path: &Path, source: std::io::Error) -> Self {
         Self::Io {
             action,
             path: path.to_path_buf(),
@@ -123,11 +125,9 @@ impl DatasetError {
         }
     }
 
-    pub(crate) fn content(
-        path: &Path,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-    ) -> Self {
+    /// A file with `found` in it instead of `expected`.
+    #[must_use]
+    pub fn content(path: &Path, found: impl Into<String>, expected: impl Into<String>) -> Self {
         Self::Content {
             path: path.to_path_buf(),
             found: found.into(),

@@ -1,4 +1,4 @@
-//! Image sources, calibration and trajectory files, recordings and synthetic worlds.
+//! Image sources, calibration and trajectory files, and recordings.
 //!
 //! * [`Dataset::open`] finds the frames of a sequence in any of the usual layouts; [`read_gray`] and
 //!   [`read_depth`] decode them.
@@ -21,7 +21,6 @@ mod images;
 mod recording;
 mod scans;
 mod source;
-pub mod synth;
 mod text;
 mod timestamp;
 mod trajectory;
@@ -33,7 +32,6 @@ pub use error::DatasetError;
 pub use images::{
     DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
     decode_jpeg_luma, encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask,
-    register_depth,
 };
 pub use recording::{
     Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe, KeyframeLink,
@@ -48,6 +46,6 @@ pub use source::{
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;
 pub use trajectory::{
-    TimedPose, format_kitti, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3,
-    read_trajectory, write_kitti, write_sim3, write_tum,
+    TimedPose, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3, read_trajectory,
+    write_sim3, write_tum,
 };

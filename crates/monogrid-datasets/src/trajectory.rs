@@ -178,35 +178,6 @@ pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<(), DatasetError> {
     write_atomically(path, format_tum(poses).as_bytes())
 }
 
-/// The trajectory in KITTI's format: the 3x4 matrix of each pose, row by row, without times.
-#[must_use]
-pub fn format_kitti(poses: &[TimedPose]) -> String {
-    let mut text = String::with_capacity(poses.len() * 200);
-    for pose in poses {
-        let rotation = pose.world_from_camera.rotation_matrix();
-        let translation = pose.world_from_camera.translation;
-        let row = |i: usize| {
-            format!(
-                "{:.9e} {:.9e} {:.9e} {:.9e}",
-                rotation[(i, 0)],
-                rotation[(i, 1)],
-                rotation[(i, 2)],
-                translation[i]
-            )
-        };
-        let _ = writeln!(text, "{} {} {}", row(0), row(1), row(2));
-    }
-    text
-}
-
-/// Writes a trajectory in KITTI's format, atomically.
-///
-/// # Errors
-/// When the file cannot be written.
-pub fn write_kitti(path: &Path, poses: &[TimedPose]) -> Result<(), DatasetError> {
-    write_atomically(path, format_kitti(poses).as_bytes())
-}
-
 /// `tx ty tz qx qy qz qw`, with `qw >= 0` so that equal rotations are equal text.
 fn pose_to_numbers(pose: &Se3) -> [f64; 7] {
     let q = pose.rotation.quaternion();

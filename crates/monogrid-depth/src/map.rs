@@ -247,19 +247,6 @@ impl DepthMap {
         }
     }
 
-    /// Mean inverse depth of all known pixels, 1/u.
-    #[must_use]
-    pub fn mean_idepth(&self) -> Option<f32> {
-        let (mut sum, mut num) = (0.0f64, 0usize);
-        for (idepth, var) in self.arrays.idepth.iter().zip(&self.arrays.var) {
-            if *var > 0.0 {
-                sum += f64::from(*idepth);
-                num += 1;
-            }
-        }
-        (num > 0).then(|| (sum / num as f64) as f32)
-    }
-
     /// Median inverse depth of all known pixels, 1/u.
     #[must_use]
     pub fn median_idepth(&self) -> Option<f32> {

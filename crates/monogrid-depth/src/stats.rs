@@ -64,22 +64,6 @@ impl ObserveStats {
         self.counts.iter().sum()
     }
 
-    /// Number of searches and refinements that were run.
-    #[must_use]
-    pub fn num_matched(&self) -> u32 {
-        use PixelOutcome as O;
-        let skipped = [
-            O::NoGain,
-            O::Waiting,
-            O::BaselineTooShort,
-            O::OutOfImage,
-            O::GradientAcrossLine,
-            O::ScaleChange,
-            O::SearchTooLong,
-        ];
-        self.num_candidates() - skipped.iter().map(|&o| self.count(o)).sum::<u32>()
-    }
-
     /// Counts one pixel.
     pub(crate) fn add(&mut self, outcome: PixelOutcome) {
         self.counts[outcome as usize] += 1;

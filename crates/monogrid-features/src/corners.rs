@@ -1,7 +1,7 @@
 //! Well-distributed corners: smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994),
 //! one maximum per small cell, then the best of every larger cell first.
 
-use crate::{finest_pixel, level_pixel};
+use crate::finest_pixel;
 use monogrid_geometry::Vec2;
 use monogrid_image::{GrayImage, Image, Mask, Pyramid};
 
@@ -285,14 +285,6 @@ impl Spacing {
         }
         self.insert(pixel);
         true
-    }
-}
-
-impl Corner {
-    /// Position on a pyramid level, px of that level.
-    #[must_use]
-    pub fn pixel_on_level(&self, level: usize) -> Vec2 {
-        level_pixel(&self.pixel, level)
     }
 }
 

@@ -20,14 +20,13 @@ mod rng;
 #[cfg(test)]
 mod test_images;
 mod track;
-mod triangulation;
 mod two_view;
 
-pub use absolute_pose::{AbsolutePose, AbsolutePoseConfig, PointPixel, absolute_pose};
+pub use absolute_pose::{AbsolutePoseConfig, PointPixel, absolute_pose};
 pub use corners::{Corner, CornerConfig, detect_corners};
 pub use describe::{
-    Descriptor, DescriptorMatch, Feature, FeatureConfig, FeatureExtractor, MatchConfig,
-    PlaceCandidate, PlaceConfig, PlaceIndex, match_descriptors,
+    Descriptor, DescriptorMatch, Feature, FeatureConfig, FeatureExtractor, PlaceCandidate,
+    PlaceConfig, PlaceIndex,
 };
 pub use place::{
     DepthLookup, FabMap, FabMapConfig, InverseDepth, LoopMatch, PlaceBelief, PlaceBeliefs,
@@ -36,8 +35,7 @@ pub use place::{
 };
 pub use rng::Rng;
 pub use track::{
-    PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, align_patch,
-    find_patch, finest_pixel, level_pixel, patch_warp, track_points,
+    PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, find_patch,
+    finest_pixel, level_pixel, patch_warp, track_points,
 };
-pub use triangulation::{Sighting, Triangulation, TriangulationError, triangulate};
 pub use two_view::{Match, TriangulatedPoint, TwoView, TwoViewConfig, TwoViewOutcome, two_view};

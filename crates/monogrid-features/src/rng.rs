@@ -1,25 +1,26 @@
 //! The seeded random numbers of every sampling step.
 
-/// SplitMix64 (Steele, Lea and Flood, 2014): tiny, fast, and the same on every platform.
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng as _, SeedableRng};
+
+/// What sampling asks of SplitMix64 (Steele, Lea and Flood, 2014), which gives the same on every platform.
 #[derive(Clone, Debug)]
 pub struct Rng {
-    state: u64,
+    words: SplitMix64,
 }
 
 impl Rng {
     /// A generator that always gives the same numbers for the same seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
-        Self { state: seed }
+        Self {
+            words: SplitMix64::seed_from_u64(seed),
+        }
     }
 
     /// The next 64 random bits.
     pub fn next_u64(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+        self.words.next_u64()
     }
 
     /// Uniform in [0, 1).

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! The information of `EDGE_SIM3:QUAT` is that of a **left** update `[v, w, s]` of `i_from_j` (see
-//! [`crate::pose_graph`]). Robust kernels and scale priors have no place in the format.
+//! [`crate::pose_graph`]). Robust kernels have no place in the format.
 //!
 //! `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT` are read as g2o defines them: the 6x6 information belongs to
 //! `[t, q_xyz]` of `M^-1 T_i^-1 T_j`, and is moved to the left side and to rotation vectors to first

@@ -7,9 +7,9 @@
 #![allow(clippy::print_stdout, reason = "an example program talks to its user")]
 
 use std::error::Error;
-use std::fs::File;
 use std::time::Instant;
 
+use monogrid_datasets::ScansReader;
 use monogrid_occupancy::*;
 
 struct Options {
@@ -76,17 +76,46 @@ fn cpu_seconds() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
+/// End points and standard deviations of the ranges of a scan, apart.
+fn ends(scan: &monogrid_datasets::Scan) -> (Vec<[f32; 3]>, Vec<f32>) {
+    let points = scan.points.iter();
+    points.map(|p| (p.point_in_sensor, p.range_sigma)).unzip()
+}
+
+fn pose(rows: &[f64; 12]) -> Similarity {
+    let row = |i: usize| {
+        [
+            rows[4 * i],
+            rows[4 * i + 1],
+            rows[4 * i + 2],
+            rows[4 * i + 3],
+        ]
+    };
+    Similarity::from_rigid_rows([row(0), row(1), row(2)])
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let options = parse()?;
     let mut map = OccupancyMap::new(MapConfig::with_resolution(options.resolution))?;
     let (mut points, mut wall, mut cpu) = (0, 0.0, 0.0);
-    let mut reader = ScansReader::new(File::open(&options.input)?)?.take(options.scans);
+    let mut reader = ScansReader::open(options.input.as_ref())?.take(options.scans);
+    let mut num_read = 0;
     loop {
-        let scans: Vec<_> = reader.by_ref().take(SCANS).collect::<Result<_, _>>()?;
-        if scans.is_empty() {
+        let read: Vec<_> = reader.by_ref().take(SCANS).collect::<Result<_, _>>()?;
+        if read.is_empty() {
             break;
         }
-        let scans: Vec<Scan> = scans.iter().map(StoredScan::as_scan).collect();
+        let ends: Vec<_> = read.iter().map(ends).collect();
+        let scans = read.iter().zip(&ends).zip(num_read..);
+        let scans: Vec<Scan> = scans
+            .map(|((scan, (points, sigmas)), id)| Scan {
+                id,
+                world_from_sensor: pose(&scan.world_from_sensor),
+                pose_sigma: PoseSigma::default(),
+                data: ScanData::Points(PointScan { points, sigmas }),
+            })
+            .collect();
+        num_read += scans.len() as u32;
         let (started, cpu_started) = (Instant::now(), cpu_seconds());
         let (config, threads) = (&options.config, options.threads);
         for scans in scans.chunks(if options.single { 1 } else { SCANS }) {

@@ -92,7 +92,6 @@ mod map;
 mod octree;
 mod query;
 mod scan;
-mod scans_file;
 mod sensor;
 mod storage;
 
@@ -119,5 +118,4 @@ pub use query::snapshot::Snapshot;
 pub use scan::{
     DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };
-pub use scans_file::{ScansReader, StoredScan};
 pub use sensor::{AndertForm, Buffer, SensorModel, Significance, ThrunForm, normal_cdf};

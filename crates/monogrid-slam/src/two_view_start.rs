@@ -348,7 +348,6 @@ impl Reference {
             keyframes,
             points: anchored.collect(),
             observations,
-            pose_priors: Vec::new(),
         };
         let bundle_config = BundleConfig {
             max_iterations: 20,

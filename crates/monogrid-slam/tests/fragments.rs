@@ -1,13 +1,13 @@
 //! A lost camera begins a fragment of the map, which is joined when it is recognised, and only then.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
-use monogrid_datasets::synth::SynthSequence;
 use monogrid_geometry::{Se3, Vec3};
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{
     Fragment, FrameInput, FrameReport, MAIN_MAP, PoseSnapshot, Purpose, Slam, SlamConfig,
     StoredMap, TrackingState, TrajectoryPose,
 };
+use monogrid_worlds::SynthSequence;
 use std::fmt::Write;
 use std::sync::OnceLock;
 

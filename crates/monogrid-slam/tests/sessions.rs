@@ -1,13 +1,13 @@
 //! A map is kept, and another session goes on with it.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
-use monogrid_datasets::synth::SynthSequence;
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{
     ContinueError, FrameInput, FrameReport, LostReason, Purpose, Slam, SlamConfig, SlamError,
     StoredMap, TrackedFrame, TrackingState,
 };
+use monogrid_worlds::SynthSequence;
 use std::fmt::Write;
 use std::sync::OnceLock;
 

@@ -1,13 +1,13 @@
 //! The whole system on a rendered room: accuracy, determinism, starts, and input that is not a video.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
-use monogrid_datasets::synth::SynthSequence;
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::Se3;
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{
     FrameInput, FrameReport, InitializationMode, LostReason, Scale, Slam, SlamConfig, TrackingState,
 };
+use monogrid_worlds::SynthSequence;
 use std::sync::OnceLock;
 
 const FRAMES: usize = 90;

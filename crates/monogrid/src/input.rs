@@ -2,7 +2,6 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
-use monogrid_datasets::synth::SynthSequence;
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
@@ -10,6 +9,7 @@ use monogrid_geometry::{Camera, Pinhole};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{FrameSource, Preparation, SourceFrame, Unusable};
 use monogrid_slam::mapping::KeyframeCamera;
+use monogrid_worlds::SynthSequence;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 

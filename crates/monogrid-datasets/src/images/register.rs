@@ -115,18 +115,6 @@ impl DepthRegistration {
     }
 }
 
-/// Warps one depth image; [`DepthRegistration`] serves whole sequences.
-#[must_use]
-pub fn register_depth(
-    depth: &Image<f32>,
-    calibration: &DepthCalibration,
-    target: &Pinhole,
-    width: usize,
-    height: usize,
-) -> Option<Image<f32>> {
-    DepthRegistration::new(calibration, target, width, height).register(depth)
-}
-
 /// Whether three depth pixels are known and lie on one surface.
 fn on_one_surface(depth: &[f32], corners: [usize; 3]) -> bool {
     let z = corners.map(|c| f64::from(depth[c]));

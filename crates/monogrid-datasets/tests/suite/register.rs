@@ -1,6 +1,6 @@
 //! Registered depth against ray casting of planes.
 
-use monogrid_datasets::{DepthCalibration, register_depth};
+use monogrid_datasets::{DepthCalibration, DepthRegistration};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Se3, Vec2, Vec3, Vec6};
 use monogrid_image::Image;
 
@@ -62,8 +62,9 @@ fn a_slanted_plane_is_exact_and_dense_at_any_resolution() {
         for factor in [0.5, 1.0, 4.0] {
             let target = Pinhole::new(150.0, 150.0, 79.5, 59.5).scaled(factor, factor);
             let size = ((160.0 * factor) as usize, (120.0 * factor) as usize);
-            let registered =
-                register_depth(&depth, &calibration, &target, size.0, size.1).expect("size");
+            let registered = DepthRegistration::new(&calibration, &target, size.0, size.1)
+                .register(&depth)
+                .expect("size");
             let depth_from_colour = colour_from_depth.inverse();
             let (mut inside, mut known) = (0, 0);
             for y in 0..size.1 {
@@ -102,14 +103,10 @@ fn the_nearer_surface_hides_the_farther_and_nothing_spans_the_gap() {
     // the colour camera sits 10 cm to the left: the board's edge moves to the right
     let colour_from_depth = Se3::new(Default::default(), Vec3::new(0.1, 0.0, 0.0));
     let target = camera.pinhole;
-    let registered = register_depth(
-        &depth,
-        &calibration(camera, colour_from_depth),
-        &target,
-        160,
-        120,
-    )
-    .expect("size");
+    let registered =
+        DepthRegistration::new(&calibration(camera, colour_from_depth), &target, 160, 120)
+            .register(&depth)
+            .expect("size");
     for value in registered.as_slice().iter().filter(|v| v.is_finite()) {
         assert!(
             (value - 1.0).abs() < 1e-5 || (value - 3.0).abs() < 1e-5,
@@ -140,12 +137,18 @@ fn unknown_depth_stays_unknown() {
         }
     });
     let identity = calibration(camera, Se3::identity());
-    let registered = register_depth(&depth, &identity, &camera.pinhole, 160, 120).expect("size");
+    let registered = DepthRegistration::new(&identity, &camera.pinhole, 160, 120)
+        .register(&depth)
+        .expect("size");
     for (a, b) in registered.as_slice().iter().zip(depth.as_slice()) {
         assert_eq!(a.is_nan(), b.is_nan());
     }
     let other = Image::filled(10, 10, 1.0f32);
-    assert!(register_depth(&other, &identity, &camera.pinhole, 160, 120).is_none());
+    assert!(
+        DepthRegistration::new(&identity, &camera.pinhole, 160, 120)
+            .register(&other)
+            .is_none()
+    );
 }
 
 #[test]
@@ -153,13 +156,8 @@ fn what_lies_behind_the_colour_camera_is_not_drawn() {
     let camera = depth_camera(Distortion::None);
     let depth = Image::filled(160, 120, 0.5f32);
     let ahead = Se3::new(Default::default(), Vec3::new(0.0, 0.0, -1.0));
-    let registered = register_depth(
-        &depth,
-        &calibration(camera, ahead),
-        &camera.pinhole,
-        160,
-        120,
-    )
-    .expect("size");
+    let registered = DepthRegistration::new(&calibration(camera, ahead), &camera.pinhole, 160, 120)
+        .register(&depth)
+        .expect("size");
     assert!(registered.as_slice().iter().all(|v| v.is_nan()));
 }

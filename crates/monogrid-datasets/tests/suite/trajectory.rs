@@ -1,8 +1,7 @@
 //! Trajectory and Sim(3) files.
 
 use monogrid_datasets::{
-    TimedPose, format_kitti, format_sim3, format_tum, parse_trajectory, read_sim3, write_sim3,
-    write_tum,
+    TimedPose, format_sim3, format_tum, parse_trajectory, read_sim3, write_sim3, write_tum,
 };
 use monogrid_geometry::{Se3, Sim3, Vec3, Vec6, Vec7};
 use proptest::prelude::*;
@@ -58,27 +57,6 @@ fn broken_lines_are_named() {
             error.contains("poses.txt") && error.contains(part),
             "{error}"
         );
-    }
-}
-
-#[test]
-fn kitti_rows_are_the_matrix() {
-    let pose = Se3::exp(&Vec6::new(1.0, 2.0, 3.0, 0.3, -0.2, 0.1));
-    let text = format_kitti(&[TimedPose {
-        timestamp_ns: 0,
-        world_from_camera: pose,
-    }]);
-    let values: Vec<f64> = text
-        .split_whitespace()
-        .map(|v| v.parse().expect("a number"))
-        .collect();
-    assert_eq!(values.len(), 12);
-    let point = Vec3::new(0.3, -0.7, 2.0);
-    let expected = pose * point;
-    for row in 0..3 {
-        let r = &values[4 * row..4 * row + 4];
-        let value = r[0] * point.x + r[1] * point.y + r[2] * point.z + r[3];
-        assert!((value - expected[row]).abs() < 1e-8);
     }
 }
 

@@ -13,6 +13,8 @@ use crate::truth::{TruthError, TruthGrid};
 use astar::{Path, Planner};
 use grid::DistanceGrid;
 use monogrid_occupancy::{Occupancy, OccupancyMap};
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 
 /// Settings of [`evaluate_paths`].
@@ -325,15 +327,15 @@ fn sample_pairs(
         .filter(|i| planner.component(*i) != 0)
         .collect();
     let min_distance_sq = (config.min_distance / cell).powi(2);
-    let mut random = SplitMix(config.seed);
+    let mut words = SplitMix64::seed_from_u64(config.seed);
+    let mut draw = || free[((u128::from(words.next_u64()) * free.len() as u128) >> 64) as usize];
     let mut pairs = Vec::with_capacity(config.pairs);
     // A cramped truth may hold few such pairs; do not look for them forever.
     for _ in 0..config.pairs.saturating_mul(200) {
         if free.is_empty() || pairs.len() == config.pairs {
             break;
         }
-        let start = free[random.below(free.len())];
-        let goal = free[random.below(free.len())];
+        let (start, goal) = (draw(), draw());
         let (a, b) = (grid.cell(start), grid.cell(goal));
         let distance_sq: usize = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
         let is_connected = planner.component(start) == planner.component(goal);
@@ -349,20 +351,6 @@ fn sample_pairs(
         });
     }
     Ok(pairs)
-}
-
-/// Vigna's SplitMix64: a seed gives the same pairs on every machine.
-struct SplitMix(u64);
-
-impl SplitMix {
-    fn below(&mut self, limit: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^= z >> 31;
-        ((u128::from(z) * limit as u128) >> 64) as usize
-    }
 }
 
 fn compare(

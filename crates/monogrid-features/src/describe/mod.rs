@@ -1,12 +1,10 @@
 //! Binary descriptors of oriented corners, their matching, and the recognition of places by them.
 
 mod descriptor;
-mod matching;
 mod places;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use descriptor::PATTERN_SEED;
 pub use descriptor::{Descriptor, Feature, FeatureConfig, FeatureExtractor};
-pub use matching::{DescriptorMatch, MatchConfig, match_descriptors};
-pub use places::{PlaceCandidate, PlaceConfig, PlaceIndex};
+pub use places::{DescriptorMatch, PlaceCandidate, PlaceConfig, PlaceIndex};

@@ -5,7 +5,7 @@
 //! 0.9). Whatever shares a part is compared in full, so a query returns real correspondences with
 //! every place, which the geometric check needs next.
 
-use super::{Descriptor, DescriptorMatch};
+use super::Descriptor;
 use std::collections::BTreeMap;
 
 /// Settings of a query.
@@ -30,6 +30,17 @@ impl Default for PlaceConfig {
             max_candidates: 5,
         }
     }
+}
+
+/// Two descriptors that belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DescriptorMatch {
+    /// Index in the first list.
+    pub a_idx: usize,
+    /// Index in the second list.
+    pub b_idx: usize,
+    /// Bits that differ.
+    pub distance: u32,
 }
 
 /// A place that looks like the query.

@@ -51,7 +51,7 @@ pub(super) fn locate(
             })
         })
         .collect();
-    let rigid = absolute_pose(&sightings, pinhole, &config.pose)?.camera_from_world;
+    let rigid = absolute_pose(&sightings, pinhole, &config.pose)?;
     let pairs = matches.iter().map(|m| (m.b_idx, m.a_idx)).collect();
     let rough = correspondences(a, b, pairs, freedom, config);
     let mut pose = with_scale(&rough, &Sim3::from(rigid), pinhole, freedom, config)?;

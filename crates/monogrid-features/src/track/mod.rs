@@ -6,7 +6,7 @@ mod template;
 #[cfg(test)]
 mod tests;
 
-pub use patch::{PatchSearchConfig, ReferencePatch, align_patch, find_patch, patch_warp};
+pub use patch::{PatchSearchConfig, ReferencePatch, find_patch, patch_warp};
 pub use points::{TrackConfig, TrackOutcome, track_points};
 pub use template::PatchFit;
 

@@ -89,21 +89,6 @@ impl ReferencePatch {
     }
 }
 
-/// Aligns a patch with level `patch level` of a current image (`current` is that level's image)
-/// from `initial`; everything in level-0 px.
-#[must_use]
-pub fn align_patch(
-    patch: &ReferencePatch,
-    current: &GrayImage,
-    initial: &Vec2,
-    config: &PatchSearchConfig,
-) -> TrackOutcome {
-    match align_level(patch, current, initial, config) {
-        Err(failure) => failure.into(),
-        Ok(fit) => accept(finest_fit(&fit, patch.level), config),
-    }
-}
-
 /// Finds the patch around `pixel` of `reference` in `current`, near `predicted`.
 ///
 /// Coarse search by correlation on `config.search_level`, then the best few places are refined on

@@ -6,7 +6,6 @@ use crate::RobustKernel;
 use crate::reprojection::{
     BEHIND_CHI2, adjoint_transpose, pose_jacobian, project, projection_jacobian,
 };
-use crate::tangent::se3_left_jacobian_inverse;
 use monogrid_geometry::{Mat3, Mat6, Se3, Vec2, Vec3, Vec6, hat};
 use nalgebra::{DMatrix, DVector};
 
@@ -107,7 +106,7 @@ impl<'a> Window<'a> {
             .map(|r| r.norm_squared() * weight * weight)
     }
 
-    /// Robust cost of the observations for which `includes` is true, and of all priors.
+    /// Robust cost of the observations for which `includes` is true, and of the priors of all points.
     pub(super) fn cost(&self, state: &State, includes: &[bool]) -> f64 {
         let relatives = self.relatives(state);
         let mut sum = 0.0;
@@ -121,10 +120,6 @@ impl<'a> Window<'a> {
             if let Some(prior) = point.prior {
                 sum += ((d - prior.mean) / prior.sigma).powi(2);
             }
-        }
-        for prior in &self.problem.pose_priors {
-            let r = prior_residual(prior, state);
-            sum += r.dot(&(prior.information * r));
         }
         0.5 * sum
     }
@@ -157,7 +152,6 @@ impl<'a> Window<'a> {
                 normal.b_points[i] -= weight * (state.inverse_depths[i] - prior.mean);
             }
         }
-        self.add_pose_priors(state, &mut normal);
         normal
     }
 
@@ -223,28 +217,12 @@ impl<'a> Window<'a> {
         }
     }
 
-    fn add_pose_priors(&self, state: &State, normal: &mut Normal) {
-        for prior in &self.problem.pose_priors {
-            if let Some(k) = self.layout.slot_of_keyframe[prior.keyframe] {
-                let r = prior_residual(prior, state);
-                let j = se3_left_jacobian_inverse(&r);
-                let weighted = j.tr_mul(&prior.information);
-                add_block(&mut normal.h_poses, k, k, &(weighted * j));
-                add_segment(&mut normal.b_poses, k, &-(weighted * r));
-            }
-        }
-    }
-
     /// Mixed derivative of observation `i` by its host's pose and the inverse depth.
     #[inline]
     pub(super) fn host_cross(&self, i: usize, normal: &Normal) -> Vec6 {
         let relative = &normal.relatives[self.layout.pair_of_observation[i]];
         -adjoint_transpose(&relative.rotation, &relative.translation, &normal.cross[i])
     }
-}
-
-fn prior_residual(prior: &super::PosePrior, state: &State) -> Vec6 {
-    (state.camera_from_world[prior.keyframe] * prior.camera_from_world.inverse()).log()
 }
 
 fn adjoint(relative: &Relative) -> Mat6 {

@@ -84,17 +84,6 @@ pub struct Observation {
     pub inv_sigma_px: f64,
 }
 
-/// Independent knowledge about a pose, such as that of direct alignment.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PosePrior {
-    /// Index of the keyframe.
-    pub keyframe: usize,
-    /// Expected pose.
-    pub camera_from_world: Se3,
-    /// Inverse covariance of `log(pose * expected^-1)`, tangent order `[v, w]`.
-    pub information: Mat6,
-}
-
 /// A window to adjust.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BundleProblem {
@@ -106,8 +95,6 @@ pub struct BundleProblem {
     pub points: Vec<AnchoredPoint>,
     /// Who sees what, in any order.
     pub observations: Vec<Observation>,
-    /// Knowledge about poses from elsewhere.
-    pub pose_priors: Vec<PosePrior>,
 }
 
 /// Settings of [`adjust`].

@@ -60,27 +60,7 @@ pub(super) fn validate(problem: &BundleProblem, config: &BundleConfig) -> Result
     )?;
     validate_keyframes(problem)?;
     validate_points(problem)?;
-    validate_observations(problem)?;
-    for (i, prior) in problem.pose_priors.iter().enumerate() {
-        let keyframes = problem.keyframes.len();
-        index(
-            || format!("pose prior {i}"),
-            "keyframe",
-            prior.keyframe,
-            keyframes,
-        )?;
-        let is_finite =
-            prior.camera_from_world.is_finite() && prior.information.iter().all(|x| x.is_finite());
-        let trace = prior.information.trace();
-        let name = || format!("trace of pose prior {i}");
-        value(
-            name,
-            trace,
-            is_finite && trace >= 0.0,
-            "finite and not negative",
-        )?;
-    }
-    Ok(())
+    validate_observations(problem)
 }
 
 fn validate_points(problem: &BundleProblem) -> Result<(), BundleError> {

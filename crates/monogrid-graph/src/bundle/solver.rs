@@ -28,8 +28,7 @@ pub(super) fn solve(problem: &BundleProblem, config: &BundleConfig) -> BundleSol
     let initial_cost = window.cost(&state, &everything);
     let mut iterations = 0;
     let mut outcome = BundleOutcome::NothingToDo;
-    let has_work = everything.iter().any(|&a| a) || !problem.pose_priors.is_empty();
-    if has_work {
+    if everything.iter().any(|&a| a) {
         for round in 0..=config.rejection_rounds {
             let mut changed = true;
             if round > 0 {

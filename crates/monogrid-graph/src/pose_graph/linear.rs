@@ -22,8 +22,6 @@ pub(super) struct Terms<'a> {
     pub ends: Vec<(usize, usize)>,
     /// Per edge the inverse of its measurement.
     j_from_i: Vec<Sim3>,
-    /// Nodes, expected log ratio and weight of every scale prior.
-    pub scale_priors: Vec<(usize, usize, f64, f64)>,
 }
 
 impl<'a> Terms<'a> {
@@ -31,16 +29,11 @@ impl<'a> Terms<'a> {
         // Every identity was checked on entry.
         let index = |id: u64| graph.index_of_id.get(&id).copied().unwrap_or(0);
         let ends = |e: &GraphEdge| (index(e.i), index(e.j));
-        let prior = |p: &super::ScalePrior| {
-            let weight = 1.0 / (p.sigma * p.sigma);
-            (index(p.i), index(p.j), p.log_ratio, weight)
-        };
         Self {
             edges: &graph.edges,
             is_judged: &graph.is_judged,
             ends: graph.edges.iter().map(ends).collect(),
             j_from_i: graph.edges.iter().map(|e| e.i_from_j.inverse()).collect(),
-            scale_priors: graph.scale_priors.iter().map(prior).collect(),
         }
     }
 
@@ -77,10 +70,6 @@ impl<'a> Terms<'a> {
         let mut sum = 0.0;
         for (edge, residual) in residuals.iter().enumerate() {
             sum += self.kernel(edge, width).cost(residual.chi2);
-        }
-        for &(i, j, log_ratio, weight) in &self.scale_priors {
-            let r = poses[j].scale.ln() - poses[i].scale.ln() - log_ratio;
-            sum += weight * r * r;
         }
         0.5 * sum
     }
@@ -174,44 +163,16 @@ impl<'a> Terms<'a> {
                 pattern.add_symmetric(h, a, c, &-block);
             }
         }
-        self.add_scale_priors(poses, slot, pattern, h, &mut b);
         b
-    }
-
-    /// Scale priors are linear in the last component of the updates.
-    fn add_scale_priors(
-        &self,
-        poses: &[Sim3],
-        slot: &[Option<usize>],
-        pattern: &BlockPattern,
-        h: &mut BlockMatrix,
-        b: &mut [Vec7],
-    ) {
-        for &(i, j, log_ratio, weight) in &self.scale_priors {
-            let r = poses[j].scale.ln() - poses[i].scale.ln() - log_ratio;
-            let mut block = Mat7::zeros();
-            block[(6, 6)] = weight;
-            if let Some(a) = slot[j] {
-                pattern.add_diagonal(h, a, &block);
-                b[a][6] -= weight * r;
-            }
-            if let Some(a) = slot[i] {
-                pattern.add_diagonal(h, a, &block);
-                b[a][6] += weight * r;
-            }
-            if let (Some(a), Some(c)) = (slot[i], slot[j]) {
-                pattern.add_symmetric(h, a, c, &-block);
-            }
-        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{GraphNode, ScalePrior};
+    use super::super::GraphNode;
     use super::*;
 
-    /// Two free nodes with an edge and a scale prior: the gradient and, for a plain kernel near zero
+    /// Two free nodes with an edge: the gradient and, for a plain kernel near zero
     /// residual, the Hessian are the derivatives of the cost.
     #[test]
     fn normal_equations_are_the_derivatives_of_the_cost() {
@@ -257,13 +218,6 @@ mod tests {
         };
         graph.edges.push(edge);
         graph.is_judged.push(false);
-        let prior = ScalePrior {
-            i: 0,
-            j: 1,
-            log_ratio: 0.1,
-            sigma: 0.2,
-        };
-        assert!(graph.add_scale_prior(prior).is_ok());
         let terms = Terms::new(&graph);
         let slot = [Some(0), Some(1)];
         let pattern = BlockPattern::new(2, &terms.ends);

@@ -1,11 +1,10 @@
 //! Keyframe pose graph on Sim(3).
 //!
 //! Nodes are keyframes (`world_from_keyframe`), edges are measured similarities `i_from_j` with an
-//! information matrix and a robust kernel, scale priors tie the scales of successive keyframes.
-//! [`PoseGraph::optimise`] descends on
+//! information matrix and a robust kernel. [`PoseGraph::optimise`] descends on
 //!
 //! ```text
-//! 1/2 sum rho(r' W r) + 1/2 sum ((ln s_j - ln s_i - m) / sigma)^2,   r = log(T_i^-1 T_j M_ij^-1)
+//! 1/2 sum rho(r' W r),   r = log(T_i^-1 T_j M_ij^-1)
 //! ```
 //!
 //! * Tangents are `[v, w, s]`, updates on the left; `W` is the inverse covariance of a left update of
@@ -57,19 +56,6 @@ pub struct GraphEdge {
     pub information: Mat7,
     /// Robust kernel on `r' W r`.
     pub kernel: RobustKernel,
-}
-
-/// Expectation that the ratio of two keyframes' scales is near a known one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ScalePrior {
-    /// Identity of keyframe `i`.
-    pub i: u64,
-    /// Identity of keyframe `j`.
-    pub j: u64,
-    /// Expected `ln(scale_j / scale_i)`.
-    pub log_ratio: f64,
-    /// Its standard deviation; 0.05 is usual between successive keyframes.
-    pub sigma: f64,
 }
 
 /// Settings of [`PoseGraph::optimise`].
@@ -147,7 +133,7 @@ pub struct PoseGraphReport {
     pub moved: Vec<bool>,
 }
 
-/// What is wrong with a node, an edge, a prior or a request.
+/// What is wrong with a node, an edge or a request.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum PoseGraphError {
@@ -219,7 +205,6 @@ pub struct PoseGraph {
     edges: Vec<GraphEdge>,
     /// Per edge whether an optimisation has judged it.
     is_judged: Vec<bool>,
-    scale_priors: Vec<ScalePrior>,
     index_of_id: BTreeMap<u64, usize>,
 }
 
@@ -291,31 +276,6 @@ impl PoseGraph {
         Ok(())
     }
 
-    /// Adds an expectation about a scale ratio.
-    ///
-    /// # Errors
-    /// When a keyframe is unknown or a number invalid.
-    pub fn add_scale_prior(&mut self, prior: ScalePrior) -> Result<(), PoseGraphError> {
-        self.check_pair(prior.i, prior.j)?;
-        let value = |what, value, expected| PoseGraphError::Value {
-            what,
-            value,
-            expected,
-        };
-        if !prior.log_ratio.is_finite() {
-            return Err(value(
-                "log ratio of a scale prior",
-                prior.log_ratio,
-                "finite",
-            ));
-        }
-        if !prior.sigma.is_finite() || prior.sigma <= 0.0 {
-            return Err(value("sigma of a scale prior", prior.sigma, "positive"));
-        }
-        self.scale_priors.push(prior);
-        Ok(())
-    }
-
     fn check_pair(&self, i: u64, j: u64) -> Result<(), PoseGraphError> {
         self.index(i)?;
         self.index(j)?;
@@ -335,27 +295,6 @@ impl PoseGraph {
     #[must_use]
     pub fn edges(&self) -> &[GraphEdge] {
         &self.edges
-    }
-
-    /// Scale priors, in the order of insertion.
-    #[must_use]
-    pub fn scale_priors(&self) -> &[ScalePrior] {
-        &self.scale_priors
-    }
-
-    /// Keeps only the edges for which `keep` is true, such as those that were not switched off.
-    pub fn retain_edges(&mut self, mut keep: impl FnMut(&GraphEdge) -> bool) {
-        let kept: Vec<bool> = self.edges.iter().map(&mut keep).collect();
-        let mut flags = kept.iter();
-        self.edges.retain(|_| flags.next().is_some_and(|k| *k));
-        let mut flags = kept.iter();
-        self.is_judged.retain(|_| flags.next().is_some_and(|k| *k));
-    }
-
-    /// Makes the next optimisation graduate the kernels of all edges anew, not only of those added since
-    /// the last one: slower, and able to revive what was switched off.
-    pub fn reconsider_edges(&mut self) {
-        self.is_judged.fill(false);
     }
 
     /// Pose of a keyframe.

@@ -107,12 +107,10 @@ fn root(part: &mut [usize], mut k: usize) -> usize {
 
 /// Pattern of the normal equations of the free nodes.
 pub(super) fn pattern(terms: &Terms, slot: &[Option<usize>]) -> Option<BlockPattern> {
-    let scale_ends = terms.scale_priors.iter().map(|&(i, j, _, _)| (i, j));
     let pairs: Vec<_> = terms
         .ends
         .iter()
         .copied()
-        .chain(scale_ends)
         .filter_map(|(i, j)| Some((slot[i]?, slot[j]?)))
         .collect();
     BlockPattern::new(slot.iter().flatten().count(), &pairs)

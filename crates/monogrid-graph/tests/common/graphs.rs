@@ -3,7 +3,7 @@
 use super::Random;
 use monogrid_geometry::{Mat7, Rotation, Sim3, Vec3, Vec7, rotation_exp};
 use monogrid_graph::RobustKernel;
-use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph, ScalePrior};
+use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
 
 /// Where wrong measurements may be.
 #[derive(Clone, Copy, PartialEq)]
@@ -93,15 +93,6 @@ pub fn random_graph(options: &GraphOptions) -> RandomGraph {
     }
     for edge in edges {
         graph.add_edge(edge).unwrap();
-    }
-    for j in 1..options.nodes {
-        let prior = ScalePrior {
-            i: j as u64 - 1,
-            j: j as u64,
-            log_ratio: (truth[j].scale / truth[j - 1].scale).ln(),
-            sigma: 0.05,
-        };
-        graph.add_scale_prior(prior).unwrap();
     }
     let mean = truth.iter().map(|t| t.translation).sum::<Vec3>() / truth.len() as f64;
     let distance = |t: &Sim3| (t.translation - mean).norm();

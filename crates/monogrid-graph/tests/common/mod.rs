@@ -138,7 +138,6 @@ pub fn scene(options: &SceneOptions) -> Scene {
             keyframes: poses.iter().map(keyframe).collect(),
             points,
             observations,
-            pose_priors: vec![],
         },
         true_poses: poses,
         true_inverse_depths: inverse_depths,

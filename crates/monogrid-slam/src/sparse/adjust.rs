@@ -129,7 +129,6 @@ impl Problem {
             keyframes: freedoms(map, &keyframes, &is_free, gauge),
             points: Vec::with_capacity(points.len()),
             observations: Vec::new(),
-            pose_priors: Vec::new(),
         };
         for (slot, &i) in points.iter().enumerate() {
             let point = &map.points()[i];

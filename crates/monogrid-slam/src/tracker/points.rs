@@ -73,7 +73,7 @@ impl PointMap<'_> {
             ..AbsolutePoseConfig::default()
         };
         let sampled = absolute_pose(&matches, self.pinhole, &settings)?;
-        let found = self.frame_from_keyframe(&sampled.camera_from_world);
+        let found = self.frame_from_keyframe(&sampled);
         self.pose_near(frame, &found, None, config)
     }
 

@@ -16,11 +16,11 @@ use crate::run::threads::Tracked;
 use crate::run::whole::{Extras, run_all};
 use clap::Args;
 use monogrid_datasets::TimedPose;
-use monogrid_datasets::synth::SynthSequence;
 use monogrid_evaluation::{
     DepthReport, MapEvaluationConfig, MapReport, TruthConfig, evaluate_map, truth_from_triangles,
 };
 use monogrid_slam::mapping::Maps;
+use monogrid_worlds::SynthSequence;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -59,14 +59,15 @@ impl PosedDepthFolder {
         let calibration =
             depth_calibration(&dataset, depth_calibration_file, &colour.unwrap_or(unused))?;
         let camera = colour.unwrap_or(calibration.camera);
-        let path = trajectory.or(dataset.ground_truth.as_deref());
-        let Some(path) = path else {
-            return Err(Failure::input(format!(
-                "no poses for the depth images of {}: expected groundtruth.txt, or --trajectory FILE",
-                folder.display()
-            )));
+        let poses = match trajectory {
+            Some(path) => read_trajectory(path).bad_input()?,
+            None => dataset.reference_trajectory().bad_input()?.ok_or_else(|| {
+                Failure::input(format!(
+                    "no poses for the depth images of {}: expected groundtruth.txt, or --trajectory FILE",
+                    folder.display()
+                ))
+            })?,
         };
-        let poses = read_trajectory(path).bad_input()?;
         let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
         let (width, height) = undistorter.size();
         let pinhole = *undistorter.pinhole();

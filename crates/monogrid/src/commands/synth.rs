@@ -8,12 +8,12 @@ use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFolder};
 use clap::{Args, ValueEnum};
 use monogrid_datasets::read_trajectory;
-use monogrid_datasets::synth::{
+use monogrid_evaluation::TruthConfig;
+use monogrid_geometry::{Camera, Pinhole};
+use monogrid_worlds::{
     CameraPath, EffectsConfig, LightingConfig, MOTION_NAMES, MeshLighting, Motion, SynthConfig,
     SynthSequence, WORLD_NAMES, World, WriteConfig, usual_frames, write_tum_layout,
 };
-use monogrid_evaluation::TruthConfig;
-use monogrid_geometry::{Camera, Pinhole};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -8,13 +8,13 @@ use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use monogrid_datasets::read_trajectory;
-use monogrid_datasets::synth::{
-    CameraPath, Carrier, LightingConfig, MeshModel, SynthConfig, SynthSequence, TriangleMesh,
-    WORLD_NAMES, World, usual_frames,
-};
 use monogrid_evaluation::{
     CarveConfig, PosedDepth, Triangle, Truth, TruthConfig, TruthGrid, truth_from_depth_images,
     truth_from_points, truth_from_triangles,
+};
+use monogrid_worlds::{
+    CameraPath, Carrier, LightingConfig, MeshModel, SynthConfig, SynthSequence, TriangleMesh,
+    WORLD_NAMES, World, usual_frames,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};

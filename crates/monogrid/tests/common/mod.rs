@@ -1,7 +1,7 @@
 //! Helpers of the tests that run the program.
 #![allow(dead_code, reason = "every test file uses a part")]
 
-use monogrid_datasets::synth::{SynthSequence, WriteConfig, write_tum_layout};
+use monogrid_worlds::{SynthSequence, WriteConfig, write_tum_layout};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;

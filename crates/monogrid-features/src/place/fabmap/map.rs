@@ -124,17 +124,6 @@ impl FabMap {
         self.posterior(&self.vocabulary.words_of(descriptors), is_allowed)
     }
 
-    /// The same from the words of a remembered place; `None` when it is not known.
-    #[must_use]
-    pub fn query_place(
-        &self,
-        place: u64,
-        is_allowed: impl Fn(u64) -> bool,
-    ) -> Option<PlaceBeliefs> {
-        let words = self.places.get(&place)?;
-        Some(self.posterior(words, is_allowed))
-    }
-
     /// `p(L | Z) = p(Z | L) p(L) / p(Z)`, in logarithms: hundreds of words make tiny likelihoods.
     fn posterior(&self, words: &[u16], is_allowed: impl Fn(u64) -> bool) -> PlaceBeliefs {
         let query = self.likelihoods.query(words);

@@ -9,9 +9,9 @@ use crate::graph::job::{GraphStats, Joined, OdometryEdge};
 use crate::map::Exposure;
 use crate::sparse::SharedPoints;
 use monogrid_alignment::{DepthSample, SimilarityConstraint};
-use monogrid_datasets::synth::SynthSequence;
 use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
 use monogrid_image::{Mask, Pyramid};
+use monogrid_worlds::SynthSequence;
 
 /// Keyframes of a rendered room with exact depth, and their true poses; the unit of keyframe k is
 /// `1 + 0.1 k` metres.

@@ -3,6 +3,8 @@
 use super::FillConfig;
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, Vector3};
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// Points that a candidate is judged by, at most.
 const MAX_JUDGES: usize = 300;
@@ -169,10 +171,10 @@ fn best_plane(
 ) -> Option<Plane> {
     let stride = points.len().div_ceil(MAX_JUDGES);
     let judges: Vec<BorderPoint> = points.iter().step_by(stride).copied().collect();
-    let mut state = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut words = SplitMix64::seed_from_u64(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
     let mut best: Option<(i64, Plane)> = None;
     for _ in 0..samples {
-        let triple = [(); 3].map(|()| points[random_below(&mut state, points.len())]);
+        let triple = [(); 3].map(|()| points[(words.next_u64() % points.len() as u64) as usize]);
         let Some(plane) = through(&triple) else {
             continue;
         };
@@ -190,15 +192,6 @@ fn best_plane(
         plane = fitted(&inliers, config)?;
     }
     Some(plane)
-}
-
-/// A number below `count` (splitmix64).
-fn random_below(state: &mut u64, count: usize) -> usize {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mut word = *state;
-    word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((word ^ (word >> 31)) % count as u64) as usize
 }
 
 /// The plane through three points that are not almost on one line.

@@ -1,10 +1,10 @@
 //! Pieces of furniture, each around its own origin on the floor with its front towards -y.
 
-use crate::synth::bvh::P3;
-use crate::synth::patterns;
-use crate::synth::random::Random;
-use crate::synth::scene::{Material, MaterialId, Scene, place, place_tilted};
-use crate::synth::shapes::BoxFaces;
+use crate::bvh::P3;
+use crate::patterns;
+use crate::random::Random;
+use crate::scene::{MaterialId, Scene, place, place_tilted};
+use crate::shapes::BoxFaces;
 use std::f32::consts::TAU;
 
 fn p(x: f32, y: f32, z: f32) -> P3 {
@@ -178,7 +178,7 @@ fn book_covers(s: &mut Scene, seed: u64) -> Vec<MaterialId> {
             if k % 3 == 0 {
                 s.plain(tone)
             } else {
-                s.material(Material::fitted(patterns::spine(tone, seed + k)))
+                s.fitted(patterns::spine(tone, seed + k))
             }
         })
         .collect()

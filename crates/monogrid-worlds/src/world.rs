@@ -36,7 +36,6 @@ pub(super) struct Shading {
     pub normal: P3,
     /// Reflectance at the vertices where there is no texture, relative to the material's.
     pub tint: [f32; 3],
-    pub object: u32,
 }
 
 /// Reflectance and emission of a material as the inner loop wants them.
@@ -238,15 +237,6 @@ impl World {
         }
     }
 
-    /// Name of the object that a triangle of the hierarchy belongs to.
-    #[must_use]
-    pub fn object_of(&self, triangle: u32) -> Option<&str> {
-        let shading = self.shading.get(triangle as usize)?;
-        self.objects
-            .get(shading.object as usize)
-            .map(String::as_str)
-    }
-
     /// Light that falls on a hit point, from the baked maps.
     #[inline]
     pub(super) fn irradiance(&self, shading: &Shading, hit: &Hit) -> f32 {
@@ -310,7 +300,6 @@ fn mesh_shading(
         texels_per_m: 0.0,
         normal: scaled_normal / area2,
         tint: at(&model.mesh.albedo),
-        object: 0,
     };
     let texture = surfaces
         .get(material as usize)
@@ -381,7 +370,6 @@ fn add_cell(
             texels_per_m: (texel_area2 / area2).sqrt(),
             normal,
             tint: [1.0; 3],
-            object: patch.object as u32,
         });
         triangles.push(triangle);
     }

@@ -12,11 +12,7 @@ const RAYS: usize = 8;
 const REACH: f32 = 0.05;
 
 /// Light at every vertex, about 1 where nothing is near.
-pub(in crate::synth) fn vertex_light(
-    mesh: &TriangleMesh,
-    bvh: &Bvh,
-    lighting: MeshLighting,
-) -> Vec<f32> {
+pub(crate) fn vertex_light(mesh: &TriangleMesh, bvh: &Bvh, lighting: MeshLighting) -> Vec<f32> {
     if lighting == MeshLighting::AsColoured {
         return vec![1.0; mesh.vertices.len()];
     }

@@ -2,9 +2,9 @@
 
 use super::furniture as f;
 use super::workplace::{self as w, Office};
-use crate::synth::bvh::P3;
-use crate::synth::patterns;
-use crate::synth::scene::{Material, Scene, place};
+use crate::bvh::P3;
+use crate::patterns;
+use crate::scene::{Material, Scene, place};
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Inner size, m.
@@ -18,6 +18,7 @@ pub(super) fn scene() -> Scene {
     let m = Office::new(s, 200);
     places(s, &m);
     walls(s, &m);
+    windows_and_pictures(s, &m);
     lamps(s);
     scene
 }
@@ -25,20 +26,12 @@ pub(super) fn scene() -> Scene {
 fn shell(s: &mut Scene) {
     s.object("room");
     let [x, y, z] = SIZE_M;
-    let carpet = s.material(Material::tiled(
-        patterns::tiles(0.20, 0.5, 6, 201),
-        3.0,
-        3.0,
-    ));
+    let carpet = s.tiled(patterns::tiles(0.20, 0.5, 6, 201), 3.0, 3.0);
     let plaster = s.plain(0.66);
-    let ceiling = s.material(Material::tiled(
-        patterns::tiles(0.72, 0.06, 4, 202),
-        2.5,
-        2.5,
-    ));
+    let ceiling = s.tiled(patterns::tiles(0.72, 0.06, 4, 202), 2.5, 2.5);
     let p = P3::new;
     let (dx, dy, dz) = (p(x, 0.0, 0.0), p(0.0, y, 0.0), p(0.0, 0.0, z));
-    let brick = s.material(Material::tiled(patterns::bricks(0.42, 12, 203), 2.1, 1.6));
+    let brick = s.tiled(patterns::bricks(0.42, 12, 203), 2.1, 1.6);
     s.quad(P3::zeros(), dx, dy, carpet);
     s.quad(p(0.0, 0.0, z), dy, dx, ceiling);
     s.quad(P3::zeros(), dy, dz, plaster);
@@ -153,6 +146,9 @@ fn walls(s: &mut Scene, m: &Office) {
     s.object_at("clock", place(4.2, 0.0, 2.55, PI), |s| {
         f::clock(s, 0.2, m.white, m.dark);
     });
+}
+
+fn windows_and_pictures(s: &mut Scene, m: &Office) {
     let view = s.material(Material::fitted(patterns::outdoors(245)).glowing(0.95));
     for (k, y) in [2.0, 4.6].into_iter().enumerate() {
         s.object_at(
@@ -184,7 +180,7 @@ fn walls(s: &mut Scene, m: &Office) {
         (0.0, 6.7, 1.40, FRAC_PI_2, patterns::poster(251), [0.7, 1.0]),
     ];
     for (k, (x, y, z, heading, image, size)) in pictures.into_iter().enumerate() {
-        let image = s.material(Material::fitted(image));
+        let image = s.fitted(image);
         s.object_at(
             &format!("picture {}", k + 1),
             place(x, y, z, heading),

@@ -1,9 +1,9 @@
 //! A machine hall of 30 x 30 x 12 m.
 
 use super::workplace as w;
-use crate::synth::bvh::P3;
-use crate::synth::patterns;
-use crate::synth::scene::{Material, MaterialId, Scene, place};
+use crate::bvh::P3;
+use crate::patterns;
+use crate::scene::{Material, MaterialId, Scene, place};
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Inner size, m.
@@ -25,25 +25,14 @@ pub(super) fn scene() -> Scene {
     shell(s);
     let m = Palette {
         steel: s.plain(0.42),
-        paint: s.material(Material::tiled(
-            patterns::rough(0.24, 0.55, 4, 0.6, 301),
-            1.5,
-            1.5,
-        )),
-        rust: s.material(Material::tiled(
-            patterns::rough(0.16, 1.0, 3, 0.65, 302),
-            2.0,
-            2.0,
-        )),
-        wood: s.material(Material::tiled(
-            patterns::planks(0.40, 0.8, 6, 303),
-            1.6,
-            1.2,
-        )),
-        dials: s.material(Material::fitted(patterns::poster(304))),
+        paint: s.tiled(patterns::rough(0.24, 0.55, 4, 0.6, 301), 1.5, 1.5),
+        rust: s.tiled(patterns::rough(0.16, 1.0, 3, 0.65, 302), 2.0, 2.0),
+        wood: s.tiled(patterns::planks(0.40, 0.8, 6, 303), 1.6, 1.2),
+        dials: s.fitted(patterns::poster(304)),
         dark: s.plain(0.08),
     };
     machines(s, &m);
+    stock(s, &m);
     roof(s, &m);
     galleries(s, &m);
     scene
@@ -52,8 +41,8 @@ pub(super) fn scene() -> Scene {
 fn shell(s: &mut Scene) {
     s.object("hall");
     let [x, y, z] = SIZE_M;
-    let concrete = s.material(Material::tiled(patterns::marble(0.34, 305), 5.0, 5.0));
-    let bricks = s.material(Material::tiled(patterns::bricks(0.34, 24, 306), 4.2, 3.2));
+    let concrete = s.tiled(patterns::marble(0.34, 305), 5.0, 5.0);
+    let bricks = s.tiled(patterns::bricks(0.34, 24, 306), 4.2, 3.2);
     let plaster = s.plain(0.58);
     let ceiling = s.plain(0.45);
     let p = P3::new;
@@ -117,6 +106,10 @@ fn machines(s: &mut Scene, m: &Palette) {
             |s| w::tank(s, r, h, skin, m.dark),
         );
     }
+}
+
+/// Racks along the walls, crates on the floor.
+fn stock(s: &mut Scene, m: &Palette) {
     for (k, (x, y, heading)) in [
         (10.0, 0.8, PI),
         (18.0, 0.8, PI),

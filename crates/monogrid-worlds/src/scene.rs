@@ -86,8 +86,6 @@ pub struct Patch {
     pub texels: Vec<[f32; 2]>,
     /// What it is made of.
     pub material: MaterialId,
-    /// The object that it belongs to.
-    pub object: usize,
 }
 
 impl Patch {
@@ -181,6 +179,16 @@ impl Scene {
         self.material(Material::plain(albedo))
     }
 
+    /// Adds a material that is covered with tiles of `width` times `height` metres.
+    pub fn tiled(&mut self, texture: Texture, width: f32, height: f32) -> MaterialId {
+        self.material(Material::tiled(texture, width, height))
+    }
+
+    /// Adds a material that is covered with one picture.
+    pub fn fitted(&mut self, texture: Texture) -> MaterialId {
+        self.material(Material::fitted(texture))
+    }
+
     /// Begins an object: what is added from now on belongs to it.
     pub fn object(&mut self, name: &str) {
         self.objects.push(name.to_owned());
@@ -248,7 +256,6 @@ impl Scene {
             normals,
             texels,
             material,
-            object: self.objects.len().saturating_sub(1),
         });
     }
 

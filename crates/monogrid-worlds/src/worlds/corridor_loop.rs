@@ -2,10 +2,10 @@
 
 use super::furniture as f;
 use super::workplace::{self as w, Office};
-use crate::synth::bvh::P3;
-use crate::synth::patterns;
-use crate::synth::random::Random;
-use crate::synth::scene::{Material, MaterialId, Scene, place};
+use crate::bvh::P3;
+use crate::patterns;
+use crate::random::Random;
+use crate::scene::{Material, MaterialId, Scene, place};
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Outer size of the corridor; its middle line is 18 x 14 m.
@@ -23,20 +23,12 @@ pub(super) fn scene() -> Scene {
     let mut scene = Scene::default();
     let s = &mut scene;
     let plaster = s.plain(0.64);
-    let floor = s.material(Material::tiled(patterns::marble(0.36, 401), 2.4, 2.4));
-    let ceiling = s.material(Material::tiled(
-        patterns::tiles(0.70, 0.08, 4, 402),
-        2.5,
-        2.5,
-    ));
+    let floor = s.tiled(patterns::marble(0.36, 401), 2.4, 2.4);
+    let ceiling = s.tiled(patterns::tiles(0.70, 0.08, 4, 402), 2.5, 2.5);
     let m = Office::new(s, 410);
     shell(s, [plaster, floor, ceiling]);
     // the same room twice, turned by half a circle
-    let carpet = s.material(Material::tiled(
-        patterns::tiles(0.22, 0.5, 6, 403),
-        3.0,
-        3.0,
-    ));
+    let carpet = s.tiled(patterns::tiles(0.22, 0.5, 6, 403), 3.0, 3.0);
     for (x, y, heading, name) in [
         (ROOMS_X[0], 0.0, 0.0, "south room"),
         (ROOMS_X[1], OUTER_M[1], PI, "north room"),
@@ -170,7 +162,7 @@ fn decoration(s: &mut Scene, m: &Office) {
             1 => patterns::landscape(440 + k),
             _ => patterns::poster(440 + k),
         };
-        images.push(s.material(Material::fitted(image)));
+        images.push(s.fitted(image));
     }
     for (k, (start, along, length, heading)) in walls.into_iter().enumerate() {
         let mut at = random.range(0.7, 1.2);
@@ -194,7 +186,7 @@ fn wall_piece(
     s: &mut Scene,
     m: &Office,
     images: &[MaterialId],
-    pose: crate::synth::scene::Pose,
+    pose: crate::scene::Pose,
     random: &mut Random,
 ) {
     let kind = random.unit();

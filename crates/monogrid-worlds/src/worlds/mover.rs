@@ -1,22 +1,18 @@
 //! Somebody who walks through a world.
 
-use crate::synth::bvh::P3;
-use crate::synth::lighting::LightingConfig;
-use crate::synth::patterns;
-use crate::synth::scene::{Material, Scene, place};
-use crate::synth::world::World;
+use crate::bvh::P3;
+use crate::lighting::LightingConfig;
+use crate::patterns;
+use crate::scene::{Scene, place};
+use crate::world::World;
 use monogrid_geometry::{Rotation, Se3, Vec3};
 
 /// A figure of about a person's size around its own origin on the floor.
-pub(in crate::synth) fn mover_world() -> World {
+pub(crate) fn mover_world() -> World {
     let mut scene = Scene::default();
     let s = &mut scene;
     s.object("walker");
-    let coat = s.material(Material::tiled(
-        patterns::fabric(0.28, 0.9, 30, 91),
-        0.5,
-        0.5,
-    ));
+    let coat = s.tiled(patterns::fabric(0.28, 0.9, 30, 91), 0.5, 0.5);
     let skin = s.plain(0.45);
     let dark = s.plain(0.08);
     for x in [-0.10, 0.10] {
@@ -53,7 +49,7 @@ pub(in crate::synth) fn mover_world() -> World {
 }
 
 /// Pose of the walker: up and down a line through the middle of the world, 0.6 m/s.
-pub(in crate::synth) fn mover_pose(world: &World, secs: f64) -> Se3 {
+pub(crate) fn mover_pose(world: &World, secs: f64) -> Se3 {
     let bounds = world.bounds();
     let middle = |axis: usize| 0.5 * f64::from(bounds.min[axis] + bounds.max[axis]);
     let reach = 0.25 * f64::from(bounds.max[0] - bounds.min[0]).min(8.0);

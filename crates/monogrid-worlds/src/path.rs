@@ -1,7 +1,7 @@
 //! Where the camera is at any time: built-in motions, recorded trajectories, smoothly interpolated.
 
 use super::jitter::{DRONE_JITTER, HAND_JITTER, Jitter};
-use crate::TimedPose;
+use monogrid_datasets::TimedPose;
 use monogrid_geometry::nalgebra::Rotation3;
 use monogrid_geometry::{Mat3, Rotation, Se3, Vec3, Vec6};
 

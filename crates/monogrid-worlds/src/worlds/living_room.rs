@@ -1,10 +1,10 @@
 //! A furnished living room of 6 x 5 x 2.6 m.
 
 use super::furniture as f;
-use crate::synth::bvh::P3;
-use crate::synth::patterns;
-use crate::synth::scene::{Material, MaterialId, Scene, place, place_tilted};
-use crate::synth::shapes::BoxFaces;
+use crate::bvh::P3;
+use crate::patterns;
+use crate::scene::{Material, MaterialId, Scene, place, place_tilted};
+use crate::shapes::BoxFaces;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Inner size, m.
@@ -27,20 +27,12 @@ impl Palette {
     fn new(s: &mut Scene) -> Self {
         Self {
             white: s.plain(0.74),
-            oak: s.material(Material::tiled(patterns::wood(0.40, 0.55, 21), 1.4, 0.7)),
-            walnut: s.material(Material::tiled(patterns::wood(0.17, 0.75, 22), 1.2, 0.6)),
-            linen: s.material(Material::tiled(
-                patterns::fabric(0.42, 0.55, 60, 23),
-                0.6,
-                0.6,
-            )),
+            oak: s.tiled(patterns::wood(0.40, 0.55, 21), 1.4, 0.7),
+            walnut: s.tiled(patterns::wood(0.17, 0.75, 22), 1.2, 0.6),
+            linen: s.tiled(patterns::fabric(0.42, 0.55, 60, 23), 0.6, 0.6),
             dark: s.plain(0.05),
             metal: s.plain(0.33),
-            leaf: s.material(Material::tiled(
-                patterns::rough(0.17, 0.9, 5, 0.6, 24),
-                0.15,
-                0.15,
-            )),
+            leaf: s.tiled(patterns::rough(0.17, 0.9, 5, 0.6, 24), 0.15, 0.15),
             clay: s.plain(0.30),
             shade: s.material(Material::plain(0.75).glowing(0.85)),
         }
@@ -63,11 +55,13 @@ pub(super) fn scene(covering: Covering) -> Scene {
     shell(s);
     let palette = Palette::new(s);
     north_side(s, &palette);
+    cupboard(s, &palette);
     west_side(s, &palette);
     south_side(s, &palette);
     east_side(s, &palette);
     middle(s, &palette);
     pictures(s, &palette);
+    leaning_picture(s, &palette);
     if covering == Covering::Blank {
         blank_large_surfaces(s);
     }
@@ -101,14 +95,10 @@ fn blank_large_surfaces(s: &mut Scene) {
 fn shell(s: &mut Scene) {
     s.object("room");
     let [x, y, z] = SIZE_M;
-    let floor = s.material(Material::tiled(
-        patterns::planks(0.33, 0.6, 12, 1),
-        2.4,
-        1.8,
-    ));
+    let floor = s.tiled(patterns::planks(0.33, 0.6, 12, 1), 2.4, 1.8);
     let plaster = s.plain(0.68);
     let ceiling = s.plain(0.80);
-    let paper = s.material(Material::tiled(patterns::foliage(0.46, 0.36, 2), 0.9, 0.9));
+    let paper = s.tiled(patterns::foliage(0.46, 0.36, 2), 0.9, 0.9);
     let p = P3::new;
     let (dx, dy, dz) = (p(x, 0.0, 0.0), p(0.0, y, 0.0), p(0.0, 0.0, z));
     s.quad(P3::zeros(), dx, dy, floor);
@@ -124,13 +114,13 @@ fn shell(s: &mut Scene) {
     s.cuboid([x - 0.018, 0.018, 0.0], [x, y - 0.018, 0.08], trim);
 }
 
-/// Sofa, side table, lamps.
+/// Sofa, side table, floor lamp.
 fn north_side(s: &mut Scene, m: &Palette) {
     s.object_at("sofa", place(2.3, 4.50, 0.0, 0.0), |s| {
         f::sofa(s, 2.1, 3, m.linen, m.dark);
     });
-    let print = s.material(Material::fitted(patterns::foliage(0.62, 0.12, 31)));
-    let stripes = s.material(Material::fitted(patterns::painting(32)));
+    let print = s.fitted(patterns::foliage(0.62, 0.12, 31));
+    let stripes = s.fitted(patterns::painting(32));
     let plain = s.plain(0.16);
     for (k, (x, cover, turn)) in [
         (1.60, print, 0.3),
@@ -155,7 +145,11 @@ fn north_side(s: &mut Scene, m: &Palette) {
     s.object_at("vase", place(3.70, 4.58, 0.55, 0.0), |s| {
         f::vase(s, 0.30, m.clay);
     });
-    let glaze = s.material(Material::tiled(patterns::marble(0.5, 33), 0.4, 0.4));
+}
+
+/// Cupboard and what stands on it.
+fn cupboard(s: &mut Scene, m: &Palette) {
+    let glaze = s.tiled(patterns::marble(0.5, 33), 0.4, 0.4);
     s.object_at("cupboard", place(5.0, 4.74, 0.0, 0.0), |s| {
         let body = BoxFaces {
             sides: m.oak,
@@ -201,7 +195,7 @@ fn west_side(s: &mut Scene, m: &Palette) {
     s.object_at("window", place(0.0, 2.3, 0.95, FRAC_PI_2), |s| {
         f::window(s, 1.7, 1.3, view, m.white, 9.0);
     });
-    let cloth = s.material(Material::tiled(patterns::foliage(0.55, 0.28, 42), 0.7, 0.7));
+    let cloth = s.tiled(patterns::foliage(0.55, 0.28, 42), 0.7, 0.7);
     for y in [1.10, 3.50] {
         s.object_at("curtain", place(0.14, y, 2.42, FRAC_PI_2), |s| {
             s.curtain(0.62, 2.36, 5.0, 0.045, cloth);
@@ -217,11 +211,7 @@ fn west_side(s: &mut Scene, m: &Palette) {
     s.object_at("radiator", place(0.02, 2.3, 0.0, FRAC_PI_2), |s| {
         f::radiator(s, 1.3, 0.58, m.white);
     });
-    let tweed = s.material(Material::tiled(
-        patterns::fabric(0.20, 0.8, 40, 43),
-        0.5,
-        0.5,
-    ));
+    let tweed = s.tiled(patterns::fabric(0.20, 0.8, 40, 43), 0.5, 0.5);
     s.object_at("armchair", place(0.85, 3.55, 0.0, FRAC_PI_2 - 0.45), |s| {
         f::sofa(s, 0.95, 1, tweed, m.dark);
     });
@@ -283,15 +273,11 @@ fn east_side(s: &mut Scene, m: &Palette) {
             |s| f::chair(s, m.oak, m.clay),
         );
     }
-    let runner = s.material(Material::fitted(patterns::rug(61)));
+    let runner = s.fitted(patterns::rug(61));
     s.object_at("table runner", place(4.95, 2.35, 0.751, 0.1), |s| {
         s.cuboid([-0.2, -0.7, 0.0], [0.2, 0.7, 0.004], runner);
     });
-    let pottery = s.material(Material::tiled(
-        patterns::rough(0.35, 0.7, 4, 0.55, 62),
-        0.3,
-        0.3,
-    ));
+    let pottery = s.tiled(patterns::rough(0.35, 0.7, 4, 0.55, 62), 0.3, 0.3);
     s.object_at("jug", place(4.9, 2.6, 0.755, 0.0), |s| {
         f::vase(s, 0.26, pottery);
     });
@@ -314,7 +300,7 @@ fn east_side(s: &mut Scene, m: &Palette) {
         f::bookshelf(s, 1.1, 1.45, 4, m.walnut, 63);
     });
     s.object_at("globe", place(5.80, 3.75, 1.44, 0.0), |s| {
-        let land = s.material(Material::fitted(patterns::landscape(64)));
+        let land = s.fitted(patterns::landscape(64));
         s.cylinder(0.07, 0.02, m.dark);
         s.at(place(0.0, 0.0, 0.16, 0.4), |s| s.sphere(0.13, land));
     });
@@ -328,16 +314,14 @@ fn east_side(s: &mut Scene, m: &Palette) {
 
 /// Rug, coffee table and what lies around.
 fn middle(s: &mut Scene, m: &Palette) {
-    let rug = s.material(Material::fitted(patterns::rug(71)));
+    let rug = s.fitted(patterns::rug(71));
     s.object_at("rug", place(2.3, 3.05, 0.0, 0.04), |s| {
         s.cuboid([-1.25, -0.85, 0.0], [1.25, 0.85, 0.012], rug);
     });
     s.object_at("coffee table", place(2.35, 3.20, 0.0, 0.08), |s| {
         f::table(s, [1.10, 0.60, 0.42], m.oak, m.dark);
     });
-    let covers: Vec<MaterialId> = (0..3)
-        .map(|k| s.material(Material::fitted(patterns::poster(72 + k))))
-        .collect();
+    let covers: Vec<MaterialId> = (0..3).map(|k| s.fitted(patterns::poster(72 + k))).collect();
     s.object_at("magazines", place(2.15, 3.17, 0.42, 0.3), |s| {
         f::magazines(s, &covers, 75);
     });
@@ -345,32 +329,20 @@ fn middle(s: &mut Scene, m: &Palette) {
     s.object_at("candle", place(2.55, 3.08, 0.42, 0.0), |s| {
         s.cylinder(0.035, 0.14, m.white);
     });
-    let knit = s.material(Material::tiled(
-        patterns::fabric(0.30, 0.9, 24, 76),
-        0.35,
-        0.35,
-    ));
+    let knit = s.tiled(patterns::fabric(0.30, 0.9, 24, 76), 0.35, 0.35);
     s.object_at("pouf", place(3.55, 2.95, 0.21, 0.0), |s| {
         s.cushion([0.27, 0.27, 0.21], 0.6, knit);
     });
-    let weave = s.material(Material::tiled(
-        patterns::fabric(0.36, 1.0, 16, 77),
-        0.3,
-        0.3,
-    ));
+    let weave = s.tiled(patterns::fabric(0.36, 1.0, 16, 77), 0.3, 0.3);
     s.object_at("basket", place(1.05, 2.45, 0.0, 0.0), |s| {
         f::basket(s, 0.2, 0.30, weave);
     });
-    let ball = s.material(Material::fitted(patterns::tiles(0.6, 1.2, 6, 78)));
+    let ball = s.fitted(patterns::tiles(0.6, 1.2, 6, 78));
     s.object_at("ball", place(3.55, 3.85, 0.11, 0.0), |s| {
         s.sphere(0.11, ball);
     });
     s.object_at("toy box", place(1.1, 1.35, 0.0, 0.5), |s| {
-        let crate_wood = s.material(Material::tiled(
-            patterns::planks(0.45, 0.7, 5, 79),
-            0.6,
-            0.4,
-        ));
+        let crate_wood = s.tiled(patterns::planks(0.45, 0.7, 5, 79), 0.6, 0.4);
         s.cuboid([-0.22, -0.16, 0.0], [0.22, 0.16, 0.26], crate_wood);
     });
     s.object_at("ceiling lamp", place(3.0, 2.5, 2.6, 0.0), |s| {
@@ -449,11 +421,14 @@ fn pictures(s: &mut Scene, m: &Palette) {
         Material::fitted(patterns::painting(86)),
         m.walnut,
     );
+}
+
+fn leaning_picture(s: &mut Scene, m: &Palette) {
     s.object_at(
         "leaning picture",
         place_tilted(5.75, 4.93, 0.855, [-0.12, 0.0, 0.0]),
         |s| {
-            let image = s.material(Material::fitted(patterns::landscape(87)));
+            let image = s.fitted(patterns::landscape(87));
             f::picture(s, 0.25, 0.35, image, m.white);
         },
     );

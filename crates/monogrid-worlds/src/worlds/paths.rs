@@ -1,6 +1,6 @@
 //! The built-in camera motions of each world.
 
-use crate::synth::path::{CameraPath, Carrier, PathError, Waypoint};
+use crate::path::{CameraPath, Carrier, PathError, Waypoint};
 
 const fn way(eye: [f64; 3], target: [f64; 3]) -> Waypoint {
     (eye, target)
@@ -209,7 +209,7 @@ pub fn usual_frames(world: &str) -> usize {
 }
 
 /// The motion of a built-in world, stretched to a duration.
-pub(in crate::synth) fn path_of(
+pub(crate) fn path_of(
     world: &str,
     motion: Motion,
     duration_secs: f64,

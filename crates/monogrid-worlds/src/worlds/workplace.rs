@@ -1,11 +1,11 @@
 //! Pieces of offices and halls, each around its own origin on the floor with its front towards -y.
 
 use super::furniture as f;
-use crate::synth::bvh::P3;
-use crate::synth::patterns;
-use crate::synth::random::Random;
-use crate::synth::scene::{Material, MaterialId, Scene, place, place_tilted};
-use crate::synth::shapes::BoxFaces;
+use crate::bvh::P3;
+use crate::patterns;
+use crate::random::Random;
+use crate::scene::{Material, MaterialId, Scene, place, place_tilted};
+use crate::shapes::BoxFaces;
 use std::f32::consts::{FRAC_PI_2, TAU};
 
 fn p(x: f32, y: f32, z: f32) -> P3 {
@@ -31,16 +31,8 @@ impl Office {
             white: s.plain(0.72),
             grey: s.plain(0.36),
             dark: s.plain(0.06),
-            beech: s.material(Material::tiled(
-                patterns::wood(0.44, 0.5, seed + 1),
-                1.6,
-                0.8,
-            )),
-            cloth: s.material(Material::tiled(
-                patterns::fabric(0.17, 0.7, 48, seed + 2),
-                0.4,
-                0.4,
-            )),
+            beech: s.tiled(patterns::wood(0.44, 0.5, seed + 1), 1.6, 0.8),
+            cloth: s.tiled(patterns::fabric(0.17, 0.7, 48, seed + 2), 0.4, 0.4),
             screens: (0..3)
                 .map(|k| {
                     let shown = if k == 0 {
@@ -52,13 +44,9 @@ impl Office {
                 })
                 .collect(),
             papers: (0..4)
-                .map(|k| s.material(Material::fitted(patterns::poster(seed + 10 + k))))
+                .map(|k| s.fitted(patterns::poster(seed + 10 + k)))
                 .collect(),
-            leaf: s.material(Material::tiled(
-                patterns::rough(0.16, 0.9, 5, 0.6, seed + 20),
-                0.15,
-                0.15,
-            )),
+            leaf: s.tiled(patterns::rough(0.16, 0.9, 5, 0.6, seed + 20), 0.15, 0.15),
         }
     }
 }

@@ -1,16 +1,16 @@
 //! Synthetic worlds against analytic geometry, measured statistics and themselves.
 #![allow(clippy::unwrap_used, reason = "a test may fail by panic")]
 
-use monogrid_datasets::synth::scene::{Material, Scene};
-use monogrid_datasets::synth::{
-    Bounds, CameraPath, Carrier, EffectsConfig, LightingConfig, MOTION_NAMES, Motion, P3, Renderer,
-    Shutter, SynthConfig, SynthSequence, WORLD_NAMES, World, WriteConfig, look_at,
-    write_tum_layout,
-};
 use monogrid_datasets::{
     Calibration, Dataset, DepthCalibration, SourceOptions, read_depth, read_trajectory,
 };
 use monogrid_geometry::{Camera, Distortion, Pinhole, Se3, Vec2, Vec3};
+use monogrid_worlds::scene::{Material, Scene};
+use monogrid_worlds::{
+    Bounds, CameraPath, Carrier, EffectsConfig, LightingConfig, MOTION_NAMES, Motion, P3, Renderer,
+    Shutter, SynthConfig, SynthSequence, WORLD_NAMES, World, WriteConfig, look_at,
+    write_tum_layout,
+};
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 

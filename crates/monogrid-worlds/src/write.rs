@@ -3,7 +3,7 @@
 use super::render::Renderer;
 use super::sequence::SynthSequence;
 use super::world::TriangleMesh;
-use crate::{
+use monogrid_datasets::{
     Calibration, DatasetError, TimedPose, encode_png, encode_png_16, format_seconds,
     write_atomically, write_atomically_with, write_tum,
 };

@@ -7,7 +7,7 @@ mod ply;
 use super::scene::{Laying, Material};
 use super::texture::Texture;
 use super::world::{TriangleMesh, World};
-use crate::DatasetError;
+use monogrid_datasets::DatasetError;
 use monogrid_image::{GrayImage, Resize, resize_area};
 use std::path::Path;
 use std::sync::Arc;
@@ -104,6 +104,11 @@ fn albedo_of_grey(grey: f32) -> f32 {
     (grey / 255.0).clamp(0.0, 1.0).powf(2.2)
 }
 
+/// ITU-601 luma.
+fn luma([r, g, b]: [f64; 3]) -> f64 {
+    0.299 * r + 0.587 * g + 0.114 * b
+}
+
 /// Sides of textures at most, texels.
 const MAX_TEXTURE_LOG2: u32 = 12;
 
@@ -143,14 +148,13 @@ fn textured(image: &GrayImage) -> Material {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synth::{LightingConfig, write_ply};
+    use crate::{LightingConfig, write_ply};
 
     #[test]
     fn a_written_world_is_read_back_as_the_same_mesh() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("room.ply");
-        let world =
-            crate::synth::World::by_name_with("living-room", &LightingConfig::quick()).unwrap();
+        let world = crate::World::by_name_with("living-room", &LightingConfig::quick()).unwrap();
         let mesh = world.mesh();
         write_ply(&path, &mesh).unwrap();
         let read = read_ply(&path).unwrap();
@@ -174,8 +178,18 @@ mod tests {
                     usemtl a\nf 1 2 3 4\nusemtl b\nf -4/1 -3/2 -2/3\nf 1/1/1 2/2/1 4/3/1\nf 1//1 3//1 4//1\n";
         std::fs::write(&path, text).unwrap();
         let model = MeshModel::read(&path).unwrap();
+        let square = [
+            [0.0, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [1.0, 1.0, 0.0],
+            [0.0, 1.0, 0.0],
+        ];
         let expected = [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3], [0, 2, 3]];
-        assert_eq!(model.mesh.triangles, expected);
+        for (found, expected) in model.mesh.triangles.iter().zip(expected) {
+            let corners = found.map(|corner| model.mesh.vertices[corner as usize]);
+            assert_eq!(corners, expected.map(|corner: usize| square[corner]));
+        }
+        assert_eq!(model.mesh.triangles.len(), expected.len());
         assert_eq!(model.material_of, [0, 0, 1, 1, 1]);
         assert!((model.materials[0].albedo - 0.5).abs() < 1e-6);
         assert!((model.materials[1].albedo - 0.299).abs() < 1e-6);

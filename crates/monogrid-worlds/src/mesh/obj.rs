@@ -1,0 +1,102 @@
+//! Wavefront `.obj` with `.mtl`: positions, texture coordinates, faces, diffuse colour and texture.
+
+use super::{MeshModel, UNKNOWN_ALBEDO, albedo_of_grey, luma, textured};
+use crate::scene::Material;
+use monogrid_datasets::{DatasetError, read_gray};
+use std::path::Path;
+use tobj::{LoadError, LoadOptions, load_mtl_buf, load_obj_buf};
+
+const EXPECTED: &str = "an .obj file with faces of finite vertices, and its materials";
+
+/// Reads the mesh and the materials that it names.
+pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let bad = |found: String| DatasetError::content(path, found, EXPECTED);
+    let file = std::fs::read(path).map_err(|e| DatasetError::io("read", path, e))?;
+    let options = LoadOptions {
+        triangulate: true,
+        ignore_points: true,
+        ignore_lines: true,
+        ..LoadOptions::default()
+    };
+    let library = |name: &Path| {
+        let file = std::fs::read(folder.join(name)).map_err(|_| LoadError::OpenFileFailed)?;
+        load_mtl_buf(&mut plain_text(&file).as_bytes())
+    };
+    let (parts, materials) = load_obj_buf(&mut plain_text(&file).as_bytes(), &options, library)
+        .map_err(|error| bad(error.to_string()))?;
+    let materials = materials.map_err(|error| bad(format!("a library of materials: {error}")))?;
+    let mut model = MeshModel::default();
+    for part in &parts {
+        add_part(&part.mesh, &mut model).map_err(|reason| bad(reason.to_owned()))?;
+    }
+    if model.mesh.triangles.is_empty() {
+        return Err(bad("no face".to_owned()));
+    }
+    if model.mesh.albedo.len() != model.mesh.vertices.len() {
+        model.mesh.albedo.clear();
+    }
+    let has_texture = parts.iter().any(|part| !part.mesh.texcoords.is_empty());
+    if !has_texture {
+        model.corner_uv.clear();
+    }
+    for material in &materials {
+        model.materials.push(read_material(material, folder)?);
+    }
+    if model.materials.is_empty() {
+        let has_colours = !model.mesh.albedo.is_empty();
+        let albedo = if has_colours { 1.0 } else { UNKNOWN_ALBEDO };
+        model.materials.push(Material::plain(albedo));
+    }
+    Ok(model)
+}
+
+/// Text of which only names and comments may be in another encoding, with `/` in its paths.
+fn plain_text(file: &[u8]) -> String {
+    let text = String::from_utf8_lossy(file).replace('\\', "/");
+    text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned()
+}
+
+/// Adds the triangles of one material.
+fn add_part(part: &tobj::Mesh, model: &mut MeshModel) -> Result<(), &'static str> {
+    let values = || part.positions.iter().chain(&part.texcoords);
+    if !values().chain(&part.vertex_color).all(|v| v.is_finite()) {
+        return Err("a number that is not finite");
+    }
+    let mesh = &mut model.mesh;
+    let first = mesh.vertices.len() as u32;
+    mesh.vertices
+        .extend_from_slice(part.positions.as_chunks().0);
+    // colours at vertices are an extension: in [0, 1], as displayed
+    let colours = part.vertex_color.as_chunks::<3>().0.iter();
+    let albedo = colours.map(|c| albedo_of_grey(255.0 * luma(c.map(f64::from)) as f32));
+    mesh.albedo.extend(albedo);
+    for (k, corners) in part.indices.as_chunks::<3>().0.iter().enumerate() {
+        mesh.triangles.push(corners.map(|corner| first + corner));
+        let uv = std::array::from_fn(|corner| {
+            let index = part.texcoord_indices.get(3 * k + corner).copied();
+            let at = index.and_then(|i| part.texcoords.as_chunks::<2>().0.get(i as usize));
+            // v of OBJ runs up
+            at.map_or([0.0; 2], |[u, v]| [*u, 1.0 - v])
+        });
+        model.corner_uv.push(uv);
+        model.material_of.push(part.material_id.unwrap_or(0) as u32);
+    }
+    Ok(())
+}
+
+fn read_material(material: &tobj::Material, folder: &Path) -> Result<Material, DatasetError> {
+    if let Some(name) = &material.diffuse_texture {
+        // options come before the name, which may hold blanks
+        let name = if name.starts_with('-') {
+            name.rsplit(char::is_whitespace).next().unwrap_or(name)
+        } else {
+            name
+        };
+        return Ok(textured(&read_gray(&folder.join(name))?));
+    }
+    let albedo = material.diffuse.map_or(UNKNOWN_ALBEDO, |c| {
+        luma(c.map(f64::from)).clamp(0.0, 1.0) as f32
+    });
+    Ok(Material::plain(albedo))
+}

@@ -1,0 +1,107 @@
+//! Stanford `.ply` meshes, ascii and binary, with vertex colours.
+
+use super::{albedo_of_grey, luma};
+use crate::world::TriangleMesh;
+use monogrid_datasets::DatasetError;
+use serde::Deserialize;
+use serde_ply::{DeserializeError, PlyReader, PropertyType, ScalarType};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+#[derive(Deserialize)]
+struct Vertex {
+    x: f32,
+    y: f32,
+    z: f32,
+    #[serde(default)]
+    red: f32,
+    #[serde(default)]
+    green: f32,
+    #[serde(default)]
+    blue: f32,
+}
+
+#[derive(Deserialize)]
+struct Face {
+    #[serde(alias = "vertex_index")]
+    vertex_indices: Vec<u32>,
+}
+
+/// A row of which nothing is wanted.
+#[derive(Deserialize)]
+struct Other {}
+
+/// Reads the triangles (polygons become fans) and, where there are colours, the reflectance of the
+/// vertices. A file without faces gives a mesh without triangles (a point cloud).
+///
+/// # Errors
+/// When the file cannot be read, is not PLY, or ends early.
+pub fn read_ply(path: &Path) -> Result<TriangleMesh, DatasetError> {
+    let file = File::open(path).map_err(|e| DatasetError::io("read", path, e))?;
+    read(BufReader::new(file))
+        .map_err(|reason| DatasetError::content(path, reason, "a complete PLY file"))
+}
+
+fn read(file: impl BufRead) -> Result<TriangleMesh, String> {
+    let reason = |error: DeserializeError| error.0.to_string();
+    let mut reader = PlyReader::from_reader(file).map_err(reason)?;
+    let mut mesh = TriangleMesh::default();
+    while let Some(element) = reader.current_element() {
+        // such rows have no bytes: their number could be anything
+        if element.properties.is_empty() && element.count > 0 {
+            return Err(format!("element {:?} without properties", element.name));
+        }
+        match element.name.as_str() {
+            "vertex" => {
+                let colour_unit = match element.get_property("red").map(|p| &p.property_type) {
+                    None => None,
+                    // colours are bytes, or fractions when of a floating type
+                    Some(PropertyType::Scalar(ScalarType::F32 | ScalarType::F64)) => Some(255.0),
+                    Some(_) => Some(1.0),
+                };
+                let vertices: Vec<Vertex> = reader.next_element().map_err(reason)?;
+                add_vertices(&vertices, colour_unit, &mut mesh)?;
+            }
+            "face" => {
+                let faces: Vec<Face> = reader.next_element().map_err(reason)?;
+                add_faces(&faces, &mut mesh)?;
+            }
+            _ => drop(reader.next_element::<Vec<Other>>().map_err(reason)?),
+        }
+    }
+    Ok(mesh)
+}
+
+fn add_vertices(
+    vertices: &[Vertex],
+    colour_unit: Option<f64>,
+    mesh: &mut TriangleMesh,
+) -> Result<(), String> {
+    for (k, v) in vertices.iter().enumerate() {
+        let point = [v.x, v.y, v.z];
+        if !point.iter().all(|c| c.is_finite()) {
+            return Err(format!("a coordinate that is not finite at vertex {k}"));
+        }
+        mesh.vertices.push(point);
+        if let Some(unit) = colour_unit {
+            let grey = unit * luma([v.red, v.green, v.blue].map(f64::from));
+            mesh.albedo.push(albedo_of_grey(grey as f32));
+        }
+    }
+    Ok(())
+}
+
+fn add_faces(faces: &[Face], mesh: &mut TriangleMesh) -> Result<(), String> {
+    let count = mesh.vertices.len();
+    for (k, face) in faces.iter().enumerate() {
+        let corners = &face.vertex_indices;
+        if let Some(wrong) = corners.iter().find(|&&v| v as usize >= count) {
+            return Err(format!("vertex {wrong} of {count} at face {k}"));
+        }
+        for pair in corners.windows(2).skip(1) {
+            mesh.triangles.push([corners[0], pair[0], pair[1]]);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,76 @@
+//! Damaged meshes: an error, or no more than the file has bytes, never a panic.
+
+use monogrid_worlds::MeshModel;
+use proptest::prelude::*;
+
+const OBJ: &[u8] = b"v 0 0 0\nv 1 0 0\nv 0 1 0.5\nv 1 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\nf 1 2 3\n\
+    f 2/1/1 3/2/1 4/1/1\nusemtl a\nf -1 -2 -3 1\n";
+const PLY: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n\
+    property float z\nproperty uchar red\nelement face 2\nproperty list uchar int vertex_indices\n\
+    element other 1\nproperty int a\nend_header\n\
+    0 0 0 9\n1 0 0 9\n0 1 0 9\n1 1 0 9\n3 0 1 2\n3 1 2 3\n7\n";
+
+fn binary_ply() -> Vec<u8> {
+    let mut binary = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n\
+        property float y\nproperty float z\nelement face 1\n\
+        property list uchar int vertex_indices\nend_header\n"
+        .to_vec();
+    for value in [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0_f32] {
+        binary.extend(value.to_le_bytes());
+    }
+    binary.push(3);
+    binary.extend((0..3_i32).flat_map(i32::to_le_bytes));
+    binary
+}
+
+/// Something that replaces a stretch of a file.
+fn piece() -> impl Strategy<Value = Vec<u8>> {
+    let words: Vec<&[u8]> = vec![
+        b"nan",
+        b"1e999",
+        b"-1",
+        b"4294967295",
+        b"99999999999999999999",
+        b"\n",
+        b" ",
+        b"/",
+        b"\xff",
+    ];
+    prop_oneof![
+        prop::sample::select(words).prop_map(<[u8]>::to_vec),
+        prop::collection::vec(any::<u8>(), 0..3),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    fn damaged_meshes_hold_no_more_than_their_files(
+        kind in 0..3_usize,
+        damages in prop::collection::vec((any::<prop::sample::Index>(), 0..12_usize, piece()), 1..4),
+        cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
+    ) {
+        let (name, mut bytes) = match kind {
+            0 => ("m.obj", OBJ.to_vec()),
+            1 => ("m.ply", PLY.to_vec()),
+            _ => ("m.ply", binary_ply()),
+        };
+        for (at, length, piece) in damages {
+            let at = at.index(bytes.len());
+            let end = (at + length).min(bytes.len());
+            bytes.splice(at..end, piece);
+        }
+        if let Some(cut) = cut {
+            bytes.truncate(cut.index(bytes.len().max(1)));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes).unwrap();
+        if let Ok(MeshModel { mesh, .. }) = MeshModel::read(&path) {
+            let count = mesh.vertices.len();
+            prop_assert!(count <= bytes.len() && mesh.triangles.len() <= bytes.len());
+            prop_assert!(mesh.triangles.iter().flatten().all(|i| (*i as usize) < count));
+        }
+    }
+}
