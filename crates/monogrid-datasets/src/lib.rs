@@ -17,6 +17,7 @@ mod atomic;
 mod calibration;
 mod check;
 mod error;
+mod files;
 mod images;
 mod recording;
 mod scans;
@@ -29,6 +30,7 @@ pub use atomic::{AtomicFile, write_atomically, write_atomically_with};
 pub use calibration::{Calibration, read_photometric, read_response, read_vignette};
 pub use check::{CheckConfig, FrameCheck, FrameChecker, SequenceCheck, blur};
 pub use error::DatasetError;
+pub use files::{open_file, read_file};
 pub use images::{
     DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
     decode_jpeg_luma, encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask,

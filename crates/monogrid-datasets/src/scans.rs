@@ -1,6 +1,7 @@
 //! `.scans` files: posed point clouds with the standard deviation of each range.
 
 use crate::DatasetError;
+use crate::files::open_file;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -44,9 +45,7 @@ impl ScansReader {
     /// # Errors
     /// When it cannot be read or does not start like a scan file.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
-        let io = |e| DatasetError::io("read", path, e);
-        let file = File::open(path).map_err(io)?;
-        let length = file.metadata().map_err(io)?.len();
+        let (file, length) = open_file(path)?;
         Self::new(BufReader::with_capacity(1 << 18, file), length, path)
     }
 }

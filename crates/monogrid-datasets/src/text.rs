@@ -1,25 +1,14 @@
 //! Reading small text files line by line.
 
-use crate::DatasetError;
+use crate::{DatasetError, read_file};
 use std::path::Path;
 
 /// Largest text file that is read: far beyond any list of frames or poses.
-const MAX_TEXT_BYTES: u64 = 1 << 30;
+const MAX_TEXT_BYTES: u64 = 1 << 28;
 
 /// The whole file as text; invalid UTF-8 is replaced (comments may be in any encoding).
 pub(crate) fn read_text(path: &Path) -> Result<String, DatasetError> {
-    let metadata = std::fs::metadata(path).map_err(|e| DatasetError::io("read", path, e))?;
-    if !metadata.is_file() {
-        return Err(DatasetError::content(path, "a folder", "a text file"));
-    }
-    if metadata.len() > MAX_TEXT_BYTES {
-        return Err(DatasetError::content(
-            path,
-            format!("{} bytes", metadata.len()),
-            "a text file of less than 1 GiB",
-        ));
-    }
-    let bytes = std::fs::read(path).map_err(|e| DatasetError::io("read", path, e))?;
+    let bytes = read_file(path, MAX_TEXT_BYTES)?;
     let text = String::from_utf8_lossy(&bytes);
     Ok(text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned())
 }

@@ -286,7 +286,20 @@ impl DepthConfig {
             ("max_smoothing_gain", self.max_smoothing_gain, 1.0, 25.0),
             ("occlusion_support", self.occlusion_support, 0.0, 1.0),
         ];
-        let more: [(&'static str, f32, f32, f32); 7] = [
+        let more: [(&'static str, f32, f32, f32); 10] = [
+            ("verify_interval", self.verify_interval as f32, 0.0, 255.0),
+            (
+                "min_support_keep",
+                f32::from(self.min_support_keep),
+                0.0,
+                6375.0,
+            ),
+            (
+                "min_support_fill",
+                f32::from(self.min_support_fill),
+                0.0,
+                6375.0,
+            ),
             ("min_support_share", self.min_support_share, 0.0, 1.0),
             ("near_search_factor", self.near_search_factor, 1.0, 1000.0),
             (
@@ -310,46 +323,50 @@ impl DepthConfig {
             ),
             ("validity_max", f32::from(self.validity_max), 1.0, 255.0),
         ];
-        for (name, value, min, max) in checks.into_iter().chain(more) {
-            if !(value >= min && value <= max) {
-                return Err(ConfigError::OutOfRange {
-                    name,
-                    value,
-                    min,
-                    max,
-                });
-            }
-        }
-        Ok(())
+        first_outside(checks.into_iter().chain(more).map(Limit::from))
     }
 }
 
 /// A setting outside its documented range.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
-#[non_exhaustive]
-pub enum ConfigError {
-    /// See the field's documentation for its meaning.
-    #[error("depth.{name} is {value}, allowed {min} to {max}")]
-    OutOfRange {
-        /// The field.
-        name: &'static str,
-        /// The rejected value.
-        value: f32,
-        /// Smallest allowed.
-        min: f32,
-        /// Largest allowed.
-        max: f32,
-    },
-    /// A setting of [`crate::refine_depth`].
-    #[error("{name} of multi-view depth is {value}, allowed: {allowed}")]
-    MultiView {
-        /// The field.
-        name: &'static str,
-        /// The rejected value.
-        value: f64,
-        /// What is allowed.
-        allowed: &'static str,
-    },
+#[error("{name} is {value}, allowed {min} to {max}")]
+pub struct ConfigError {
+    /// The field.
+    pub name: &'static str,
+    /// The rejected value.
+    pub value: f64,
+    /// Smallest allowed.
+    pub min: f64,
+    /// Largest allowed.
+    pub max: f64,
+}
+
+/// A setting and its smallest and largest allowed value.
+pub(crate) struct Limit(pub &'static str, pub f64, pub f64, pub f64);
+
+impl From<(&'static str, f32, f32, f32)> for Limit {
+    fn from((name, value, min, max): (&'static str, f32, f32, f32)) -> Self {
+        // as they are written: 0.1 in single precision is 0.1
+        let [value, min, max] =
+            [value, min, max].map(|v| v.to_string().parse().unwrap_or(f64::NAN));
+        Self(name, value, min, max)
+    }
+}
+
+/// The first setting outside its range.
+pub(crate) fn first_outside(limits: impl IntoIterator<Item = Limit>) -> Result<(), ConfigError> {
+    for Limit(name, value, min, max) in limits {
+        // NaN is in no range
+        if !(min..=max).contains(&value) {
+            return Err(ConfigError {
+                name,
+                value,
+                min,
+                max,
+            });
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -371,10 +388,7 @@ mod tests {
         assert!(toml::from_str::<DepthConfig>("min_gradiant = 5.0").is_err());
         let config: DepthConfig = toml::from_str("search_sigmas = 9.0").expect("a known key");
         let error = config.validate().expect_err("beyond 5");
-        assert_eq!(
-            error.to_string(),
-            "depth.search_sigmas is 9, allowed 1 to 5"
-        );
+        assert_eq!(error.to_string(), "search_sigmas is 9, allowed 1 to 5");
         let nan = DepthConfig {
             max_var: f32::NAN,
             ..DepthConfig::default()

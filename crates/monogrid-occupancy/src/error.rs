@@ -54,6 +54,21 @@ pub enum MapError {
         /// The configured budget.
         budget_bytes: usize,
     },
+    /// The cells are so small that a single scan would fill the memory; nothing was done.
+    #[error(
+        "cells of {cell} are too fine: a single scan would need {needed_gb:.1} GB, the map may have {budget_gb:.1} GB; \
+         cells of {fitting_cell} would fit, or allow more memory, or shorten the range"
+    )]
+    TooFine {
+        /// Memory that the scan would need, 10^9 bytes.
+        needed_gb: f64,
+        /// The configured budget, 10^9 bytes.
+        budget_gb: f64,
+        /// Edge of a cell, map units.
+        cell: f64,
+        /// Edge with which maps of such scans are likely to fit.
+        fitting_cell: f64,
+    },
     /// Maps of different cell size cannot be combined cell by cell.
     #[error("the maps have cells of {left} and {right}: resample one of them first")]
     ResolutionMismatch {

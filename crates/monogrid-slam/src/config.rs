@@ -10,12 +10,12 @@ use thiserror::Error;
 #[error("{name} is {value}, allowed {allowed}")]
 #[non_exhaustive]
 pub struct ConfigError {
-    /// Dotted name of the setting.
-    pub name: &'static str,
+    /// Dotted name of the setting, as in a configuration file.
+    pub name: String,
     /// What was found.
     pub value: f64,
     /// What is allowed.
-    pub allowed: &'static str,
+    pub allowed: String,
 }
 
 /// Why a [`crate::Slam`] cannot be made as configured.
@@ -75,78 +75,7 @@ impl SlamConfig {
     /// # Errors
     /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let t = &self.tracking;
-        let shares = [
-            ("tracking.min_visible_share", t.min_visible_share),
-            ("tracking.min_good_share", t.min_good_share),
-            ("tracking.min_good_of_visible", t.min_good_of_visible),
-            (
-                "tracking.degraded_good_of_visible",
-                t.degraded_good_of_visible,
-            ),
-            ("tracking.points.min_correlation", t.points.min_correlation),
-            (
-                "tracking.points.min_inlier_share",
-                t.points.min_inlier_share as f32,
-            ),
-            (
-                "keyframes.min_good_of_visible",
-                self.keyframes.min_good_of_visible,
-            ),
-            (
-                "keyframes.urgent_good_of_visible",
-                self.keyframes.urgent_good_of_visible,
-            ),
-        ];
-        for (name, value) in shares {
-            if !(0.0..=1.0).contains(&value) {
-                return Err(ConfigError {
-                    name,
-                    value: f64::from(value),
-                    allowed: "[0, 1]",
-                });
-            }
-        }
-        let positive = [
-            ("keyframes.distance_weight", self.keyframes.distance_weight),
-            ("keyframes.usage_weight", self.keyframes.usage_weight),
-            (
-                "tracking.alignment.sigma_intensity",
-                f64::from(t.alignment.sigma_intensity),
-            ),
-            ("tracking.points.near_radius_px", t.points.near_radius_px),
-            (
-                "tracking.points.search_radius_px",
-                t.points.search_radius_px,
-            ),
-            ("tracking.points.max_error_px", t.points.max_error_px),
-            (
-                "tracking.points.alignment_sigma_factor",
-                t.points.alignment_sigma_factor,
-            ),
-            ("fragments.min_lost_secs", self.fragments.min_lost_secs),
-            (
-                "fragments.max_disagreement",
-                self.fragments.max_disagreement,
-            ),
-        ];
-        for (name, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(ConfigError {
-                    name,
-                    value,
-                    allowed: "positive",
-                });
-            }
-        }
-        if t.alignment.finest_level > t.alignment.coarsest_level || t.alignment.coarsest_level > 8 {
-            return Err(ConfigError {
-                name: "tracking.alignment.coarsest_level",
-                value: t.alignment.coarsest_level as f64,
-                allowed: "between finest_level and 8",
-            });
-        }
-        Ok(())
+        crate::limits::check_slam(self)
     }
 }
 
@@ -166,20 +95,20 @@ pub enum InitializationMode {
 pub struct InitializationConfig {
     /// Method, unless a seed depth is given.
     pub mode: InitializationMode,
-    /// Features followed from the first frame.
+    /// Features followed from the first frame. Range [10, 20000].
     pub num_features: usize,
-    /// Fewest features with which a two-view start is tried.
+    /// Fewest features with which a two-view start is tried. Range [8, 20000].
     pub min_features: usize,
-    /// Smallest median displacement of the features, as a share of the image width.
+    /// Smallest median displacement of the features, as a share of the image width. Range [0.001, 1].
     pub min_displacement: f64,
-    /// Frames kept while waiting for parallax; older ones stay without a pose.
+    /// Frames kept while waiting for parallax; older ones stay without a pose. Range [2, 3000].
     pub max_buffered_frames: usize,
-    /// Standard deviation of a followed feature, px.
+    /// Standard deviation of a followed feature, px. Range [0.01, 20].
     pub sigma_px: f64,
-    /// Largest median relative standard deviation of the features' inverse depths with which a
-    /// two-view start is accepted.
+    /// Largest median relative standard deviation of the features' inverse depths with which a two-view start
+    /// is accepted. Range [0.001, 10].
     pub max_relative_sigma: f64,
-    /// Relative standard deviation of a seed depth.
+    /// Relative standard deviation of a seed depth. Range [0.0001, 1].
     pub seed_relative_sigma: f32,
 }
 
@@ -213,23 +142,25 @@ impl InitializationConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct KeyframeConfig {
-    /// Weight of the distance in units of the mean depth.
+    /// Weight of the distance in units of the mean depth. Range [0.01, 1000].
     pub distance_weight: f64,
-    /// Weight of the lost overlap.
+    /// Weight of the lost overlap. Range [0.01, 1000].
     pub usage_weight: f64,
-    /// Frames that must have updated the depth before the next keyframe.
+    /// Frames that must have updated the depth before the next keyframe. Range [0, 1000].
     pub min_mapped_frames: usize,
-    /// Usage below which the next keyframe is made at once.
+    /// Usage below which the next keyframe is made at once. Range [0, 1].
     pub urgent_usage: f64,
-    /// Share of good points of the visible ones below which the next keyframe is made,
+    /// Share of good points of the visible ones below which the next keyframe is made (range [0, 1]),
     pub min_good_of_visible: f32,
-    /// and below which it is made at once.
+    /// and below which it is made at once. Range [0, 1].
     pub urgent_good_of_visible: f32,
-    /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none.
+    /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none. Range [0,
+    /// 1000].
     pub ramp_keyframes: usize,
-    /// Before a new keyframe takes over, its depth is observed again in this many old ones.
+    /// Before a new keyframe takes over, its depth is observed again in this many old ones. Range [0, 100].
     pub old_keyframes_observed: usize,
-    /// Only keyframes with at least this relative baseline (in median depths) are observed again.
+    /// Only keyframes with at least this relative baseline (in median depths) are observed again. Range [0,
+    /// 100].
     pub min_relative_baseline: f64,
     /// When an old keyframe is used again instead of a new one.
     pub reactivation: ReactivationConfig,
@@ -242,28 +173,28 @@ pub struct ReactivationConfig {
     /// Whether a known view is tracked on its old keyframe: where the camera stays in a place, the number of
     /// keyframes is bounded.
     pub enabled: bool,
-    /// Keyframes that were used last, beside the current one, that are left alone.
+    /// Keyframes that were used last, beside the current one, that are left alone. Range [0, 1000000].
     pub min_keyframes_between: usize,
-    /// First keyframe that may be used again.
+    /// First keyframe that may be used again. Range [0, 1000000].
     pub first_keyframe: u32,
-    /// Closest keyframes on which a frame is tracked to find out.
+    /// Closest keyframes on which a frame is tracked to find out. Range [0, 100].
     pub max_candidates: usize,
     /// Largest score (distance and lost overlap, 1 where a new keyframe is made) as predicted from the poses,
-    /// the angle standing for the overlap,
+    /// the angle standing for the overlap (range [0, 1000]),
     pub max_predicted_score: f64,
-    /// and as tracking finds it.
+    /// and as tracking finds it. Range [0, 1000].
     pub max_score: f64,
-    /// Smallest usage times share of good points.
+    /// Smallest usage times share of good points. Range [0, 1].
     pub min_good_usage: f32,
-    /// Largest difference between the tracked and the predicted pose: norm of the twist, median depths and
-    /// rad. A place at which the poses do not agree yet gets a new keyframe.
+    /// Largest difference between the tracked and the predicted pose: norm of the twist, median depths and rad.
+    /// A place at which the poses do not agree yet gets a new keyframe. Range [0, 1000].
     pub max_disagreement: f64,
     /// From this number of old keyframes that should show about the same there are enough of them: any on which
-    /// the frame can be tracked is used,
+    /// the frame can be tracked is used (range [0, 1000000]),
     pub crowd: usize,
-    /// up to this score,
+    /// up to this score (range [0, 1000]),
     pub crowded_max_score: f64,
-    /// and this difference of the poses. So the number of keyframes in a place is bounded.
+    /// and this difference of the poses. So the number of keyframes in a place is bounded. Range [0, 1000].
     pub crowded_max_disagreement: f64,
 }
 
@@ -339,15 +270,15 @@ impl KeyframeConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PublicationConfig {
-    /// Smallest validity (confirmation by observations).
+    /// Smallest validity (confirmation by observations). Range [0, 255].
     pub min_validity: u8,
     /// Whether depth and variance are the smoothed ones, as LSD-SLAM publishes; their variance counts
     /// neighbours as independent and is too small.
     pub smoothed: bool,
-    /// Factor on the filter's standard deviation, for the tails that wrong matches leave.
+    /// Factor on the filter's standard deviation, for the tails that wrong matches leave. Range [0.01, 100].
     pub sigma_factor: f32,
-    /// Relative standard deviation added for the errors that all pixels of a keyframe share: those of
-    /// the poses it was observed from, and of its scale.
+    /// Relative standard deviation added for the errors that all pixels of a keyframe share: those of the poses
+    /// it was observed from, and of its scale. Range [0, 1].
     pub relative_sigma: f32,
 }
 

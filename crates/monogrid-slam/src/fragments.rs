@@ -19,18 +19,18 @@ pub struct FragmentConfig {
     /// Whether there are fragments; without, a lost camera waits until it sees a known place. They need
     /// `graph.enabled` and `graph.places.enabled`, without which none would ever be joined.
     pub enabled: bool,
-    /// Seconds of video with texture that the camera must be lost before a fragment is started; a known
-    /// place is recognised in less.
+    /// Seconds of video with texture that the camera must be lost before a fragment is started; a known place
+    /// is recognised in less. Range [0.01, 1000000].
     pub min_lost_secs: f64,
-    /// Fragments that are not joined at most; while there are as many, a lost camera waits.
+    /// Fragments that are not joined at most; while there are as many, a lost camera waits. Range [0, 1000].
     pub max_apart: usize,
     /// Keyframes of a fragment that must be recognised in another one, verified by points in both directions,
-    /// and agree about where the fragment is; one of them must have been aligned directly. More for places
-    /// that look alike.
+    /// and agree about where the fragment is; one of them must have been aligned directly. More for places that
+    /// look alike. Range [1, 1000].
     pub min_agreeing: usize,
     /// Largest difference between two that agree where there is no way between them: median depths, rad, and
-    /// the logarithm of the scale. It grows with the way as drift does (`graph.places.drift`), but starts
-    /// here, because recognised points say less than direct alignment.
+    /// the logarithm of the scale. It grows with the way as drift does (`graph.places.drift`), but starts here,
+    /// because recognised points say less than direct alignment. Range [0.000001, 1000].
     pub max_disagreement: f64,
 }
 

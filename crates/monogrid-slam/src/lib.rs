@@ -17,6 +17,7 @@ mod fragments;
 mod frame;
 mod graph;
 mod keyframe;
+mod limits;
 mod map;
 pub mod mapping;
 mod policy;

@@ -61,6 +61,24 @@ pub struct StoredPoint {
     pub observations: Vec<(KeyframeId, [f64; 2])>,
 }
 
+impl StoredPoint {
+    /// Whether the keyframes that it names are among the first `num_keyframes`, its pixels inside images of `size`
+    /// (width, height), and its inverse depths those of a point.
+    pub(crate) fn is_usable(&self, num_keyframes: usize, size: (usize, usize)) -> bool {
+        let exists = |id: KeyframeId| (id as usize) < num_keyframes;
+        let is_inside = |[x, y]: [f64; 2]| {
+            (0.0..size.0 as f64).contains(&x) && (0.0..size.1 as f64).contains(&y)
+        };
+        let is_positive = |v: f64| v.is_finite() && v > 0.0;
+        let mut observations = self.observations.iter();
+        exists(self.host)
+            && is_inside(self.pixel)
+            && is_positive(self.idepth)
+            && is_positive(self.prior[1])
+            && observations.all(|(id, pixel)| exists(*id) && is_inside(*pixel))
+    }
+}
+
 /// What a later session does with a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {

@@ -242,6 +242,8 @@ fn damaged_maps_are_refused() {
     // what points at keyframes that are not there is left out
     let mut odd = map.clone();
     odd.points[0].host = 999;
+    odd.points[1].pixel = [1e300, 5.0];
+    odd.points[2].observations = vec![(0, [f64::NAN, 1.0])];
     odd.edges[0].edge.j = 999;
     assert!(continued(odd, Purpose::Extend).is_ok());
     // and without constraints and points the map still holds together

@@ -1,7 +1,8 @@
 //! The configuration of a run: profile, then file, then `--set`, then options; written out as it was used.
 
 use crate::args::{AutoOr, IntegrationArg, MappingArgs, Profile, SensorModelArg};
-use crate::failure::Failure;
+use crate::failure::{Classify, Failure};
+use monogrid_datasets::read_file;
 use monogrid_slam::SlamConfig;
 use monogrid_slam::mapping::{AutoLength, IntegrationKind, MappingConfig, SensorModelKind};
 use serde::{Deserialize, Serialize};
@@ -126,7 +127,7 @@ impl RunConfig {
             merge(&mut table, over);
             config.mapping = Value::Table(table)
                 .try_into()
-                .map_err(|error: toml::de::Error| error.message().to_owned())?;
+                .map_err(|error: toml::de::Error| in_one_line(&error))?;
         }
         Ok(config)
     }
@@ -134,7 +135,7 @@ impl RunConfig {
     fn from_table(table: &Table, describe: &dyn Fn(String) -> String) -> Result<Self, Failure> {
         Value::Table(table.clone())
             .try_into()
-            .map_err(|error: toml::de::Error| Failure::input(describe(error.message().to_owned())))
+            .map_err(|error: toml::de::Error| Failure::input(describe(in_one_line(&error))))
     }
 
     /// Applies the options of the command line.
@@ -185,13 +186,17 @@ impl RunConfig {
     }
 }
 
+/// What is wrong, and which setting it is.
+fn in_one_line(error: &toml::de::Error) -> String {
+    error.to_string().trim().replace('\n', " ")
+}
+
+/// Largest configuration that is read.
+const MAX_CONFIG_BYTES: u64 = 1 << 20;
+
 fn read_table(path: &Path) -> Result<Table, Failure> {
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        Failure::input(format!(
-            "configuration {} cannot be read: {error}",
-            path.display()
-        ))
-    })?;
+    let bytes = read_file(path, MAX_CONFIG_BYTES).bad_input()?;
+    let text = String::from_utf8_lossy(&bytes);
     text.parse().map_err(|error: toml::de::Error| {
         Failure::input(format!(
             "configuration {} is not TOML: {}",

@@ -1,17 +1,18 @@
 //! Reading and writing maps in the format that their name or content says.
 
-use crate::failure::Failure;
+use crate::failure::{Classify, Failure};
 use crate::output::OutputFile;
+use monogrid_datasets::open_file;
 use monogrid_occupancy::{
     MGO_MAGIC, MapError, OccupancyMap, read_bt, read_mgo, read_ot, write_bt, write_mgo, write_ot,
     write_pcd, write_ply,
 };
-use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
-/// Most memory that a map read from a file may take.
-const READ_BUDGET_BYTES: usize = 8 << 30;
+/// Memory that a map read from any file may take, and for each byte of the file.
+const READ_BUDGET_BYTES: usize = 1 << 30;
+const READ_BUDGET_PER_BYTE: usize = 64;
 
 /// Formats that maps are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,9 +102,9 @@ pub fn write(map: &OccupancyMap, mut out: &mut dyn Write, format: MapFormat) -> 
 
 /// Reads an `.ot`, `.bt` or `.mgo` by its first bytes, whatever its name.
 pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
-    let file = File::open(path).map_err(|error| {
-        Failure::input(format!("map {} cannot be read: {error}", path.display()))
-    })?;
+    let (file, bytes) = open_file(path).bad_input()?;
+    let budget =
+        READ_BUDGET_BYTES.saturating_add(READ_BUDGET_PER_BYTE.saturating_mul(bytes as usize));
     let mut input = BufReader::new(file);
     let start = input.fill_buf().map_err(|error| {
         Failure::input(format!("map {} cannot be read: {error}", path.display()))
@@ -121,9 +122,9 @@ pub fn load(path: &Path) -> Result<(OccupancyMap, MapFormat), Failure> {
         )));
     };
     let map = match format {
-        MapFormat::Bt => read_bt(input, READ_BUDGET_BYTES),
-        MapFormat::Mgo => read_mgo(input, READ_BUDGET_BYTES),
-        _ => read_ot(input, READ_BUDGET_BYTES),
+        MapFormat::Bt => read_bt(input, budget),
+        MapFormat::Mgo => read_mgo(input, budget),
+        _ => read_ot(input, budget),
     };
     map.map(|map| (map, format)).map_err(|error: MapError| {
         Failure::Input(anyhow::Error::from(error).context(format!("map {}", path.display())))

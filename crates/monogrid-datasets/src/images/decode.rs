@@ -1,7 +1,7 @@
 //! Images recognised by content: PNG, JPEG, PGM/PPM; 8 and 16 bits; grey or colour.
 
 use super::jpeg;
-use crate::DatasetError;
+use crate::{DatasetError, read_file};
 use image::{DynamicImage, ImageFormat};
 use monogrid_image::{GrayImage, Image, Mask};
 use std::io::Cursor;
@@ -10,8 +10,11 @@ use std::path::Path;
 /// Longest side that is decoded, px: a header that claims more is taken for corruption.
 pub(super) const MAX_SIDE: usize = 16384;
 
+/// Most pixels that are decoded: twice those of an 8K video.
+const MAX_PIXELS: usize = 1 << 26;
+
 /// Most memory that a decoder may ask for, bytes.
-const MAX_DECODE_BYTES: u64 = 1 << 30;
+const MAX_DECODE_BYTES: u64 = 4 * MAX_PIXELS as u64;
 
 /// Reads an image as ITU-601 luma in [0, 255].
 ///
@@ -19,7 +22,7 @@ const MAX_DECODE_BYTES: u64 = 1 << 30;
 /// When the file cannot be read, is not a PNG, JPEG, PGM or PPM, or is not complete and undamaged
 /// (a partly decoded image is never returned).
 pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
-    decode_gray(&read_file(path)?, path)
+    decode_gray(&read_image_file(path)?, path)
 }
 
 /// Decodes an image as ITU-601 luma in [0, 255]; `path` is only for messages.
@@ -28,7 +31,7 @@ pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
 /// As [`read_gray`].
 pub fn decode_gray(bytes: &[u8], path: &Path) -> Result<GrayImage, DatasetError> {
     if sniff(bytes, path)? == ImageFormat::Jpeg {
-        return Ok(decode_jpeg_luma(bytes, MAX_SIDE * MAX_SIDE, path)?.map(f32::from));
+        return Ok(decode_jpeg_luma(bytes, MAX_PIXELS, path)?.map(f32::from));
     }
     to_gray(&decode_dynamic(bytes, path)?, path)
 }
@@ -58,8 +61,11 @@ pub fn read_mask(path: &Path) -> Result<Mask, DatasetError> {
     Ok(read_gray(path)?.map(|v| if v < 128.0 { 0 } else { 255 }))
 }
 
-pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, DatasetError> {
-    std::fs::read(path).map_err(|e| DatasetError::io("read", path, e))
+/// Largest image file: no complete image has more bytes than its pixels would need without compression.
+const MAX_FILE_BYTES: u64 = 8 * MAX_PIXELS as u64;
+
+pub(super) fn read_image_file(path: &Path) -> Result<Vec<u8>, DatasetError> {
+    read_file(path, MAX_FILE_BYTES)
 }
 
 /// The format that the first bytes announce.
@@ -81,15 +87,37 @@ fn sniff(bytes: &[u8], path: &Path) -> Result<ImageFormat, DatasetError> {
 
 /// Decodes anything but JPEG without converting it.
 pub(super) fn decode_dynamic(bytes: &[u8], path: &Path) -> Result<DynamicImage, DatasetError> {
-    let mut reader = image::ImageReader::with_format(Cursor::new(bytes), sniff(bytes, path)?);
-    let mut limits = image::Limits::default();
-    limits.max_image_width = Some(MAX_SIDE as u32);
-    limits.max_image_height = Some(MAX_SIDE as u32);
-    limits.max_alloc = Some(MAX_DECODE_BYTES);
-    reader.limits(limits);
-    reader
-        .decode()
+    let format = sniff(bytes, path)?;
+    decode_within(bytes, format, [MAX_SIDE; 2], MAX_DECODE_BYTES)
         .map_err(|e| DatasetError::image(path, e.to_string()))
+}
+
+/// An 8-bit grey PNG of the given size; `None` for anything else, for which nothing is allocated.
+pub(crate) fn decode_png_luma8(bytes: &[u8], width: usize, height: usize) -> Option<Image<u8>> {
+    // the decoder wants some rows beside the image
+    let max_bytes = 2 * width.checked_mul(height)? as u64 + (1 << 20);
+    match decode_within(bytes, ImageFormat::Png, [width, height], max_bytes).ok()? {
+        DynamicImage::ImageLuma8(image) if image.height() as usize == height => {
+            Image::from_vec(width, height, image.into_raw())
+        }
+        _ => None,
+    }
+}
+
+/// Decodes unless an image claims to be larger, or the decoder would need more memory.
+fn decode_within(
+    bytes: &[u8],
+    format: ImageFormat,
+    [max_width, max_height]: [usize; 2],
+    max_bytes: u64,
+) -> image::ImageResult<DynamicImage> {
+    let mut reader = image::ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = image::Limits::default();
+    limits.max_image_width = u32::try_from(max_width).ok();
+    limits.max_image_height = u32::try_from(max_height).ok();
+    limits.max_alloc = Some(max_bytes);
+    reader.limits(limits);
+    reader.decode()
 }
 
 /// Luma of every pixel type; transparency is ignored.

@@ -1,6 +1,6 @@
 //! Depth images and the camera that took them.
 
-use super::decode::{decode_dynamic, read_file};
+use super::decode::{decode_dynamic, read_image_file};
 use crate::calibration::camera_from_numbers;
 use crate::text::{data_lines, numbers, read_text};
 use crate::{DatasetError, pose_from_numbers};
@@ -95,7 +95,7 @@ impl DepthCalibration {
 /// # Errors
 /// When the file cannot be read, is damaged, or does not have 16 bits per pixel.
 pub fn read_depth(path: &Path, units_per_metre: f64) -> Result<Image<f32>, DatasetError> {
-    decode_depth(&read_file(path)?, units_per_metre, path)
+    decode_depth(&read_image_file(path)?, units_per_metre, path)
 }
 
 /// Decodes a 16-bit depth image; `path` is only for messages.

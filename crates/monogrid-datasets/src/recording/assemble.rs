@@ -59,6 +59,9 @@ pub struct Recording {
     /// Depth pixels that were dropped because they lie outside the image or are not finite and
     /// positive.
     pub num_invalid_pixels: u64,
+    /// Parts of the continuation that were dropped because they name keyframes or pixels that do not exist, or
+    /// measure nothing.
+    pub num_invalid_links: usize,
 }
 
 impl Recording {
@@ -115,6 +118,14 @@ impl Recording {
             .filter(is_usable)
             .ok_or_else(|| DatasetError::binary(path, "recording", "it has no session record"))?;
         let pose_revision = newest_poses.as_ref().map(|p| p.revision);
+        // an image of another size belongs to no keyframe of this session
+        let size = (session.width, session.height);
+        for keyframe in keyframes.values_mut() {
+            keyframe.image = keyframe
+                .image
+                .take()
+                .filter(|i| (i.width(), i.height()) == size);
+        }
         for (id, pose) in newest_poses.map(|p| p.poses).unwrap_or_default() {
             if let Some(keyframe) = keyframes.get_mut(&id) {
                 keyframe.world_from_keyframe = Some(pose);
@@ -125,6 +136,10 @@ impl Recording {
             .iter_mut()
             .map(|k| drop_invalid(&mut k.pixels, &session))
             .sum();
+        let num_invalid_links = continuation.as_mut().map_or(0, |c: &mut Continuation| {
+            let exists = |id: u32| keyframes.binary_search_by_key(&id, |k| k.id).is_ok();
+            c.drop_invalid(exists, (session.width, session.height))
+        });
         Ok(Self {
             session,
             keyframes,
@@ -133,6 +148,7 @@ impl Recording {
             end,
             damage: reader.damage(),
             num_invalid_pixels,
+            num_invalid_links,
         })
     }
 }
@@ -149,15 +165,14 @@ fn recorded(keyframe: KeyframeRecord) -> RecordedKeyframe {
     }
 }
 
+/// Longest side of a keyframe, px: that of the largest working size.
+const MAX_SIDE: usize = 8192;
+
 /// Whether the camera of a session could be one.
 fn is_usable(session: &SessionInfo) -> bool {
-    Camera::try_new(
-        session.width,
-        session.height,
-        session.pinhole,
-        Distortion::None,
-    )
-    .is_ok()
+    let (width, height) = (session.width, session.height);
+    width.max(height) <= MAX_SIDE
+        && Camera::try_new(width, height, session.pinhole, Distortion::None).is_ok()
 }
 
 /// Removes pixels that no mapper could use; returns how many.

@@ -101,6 +101,46 @@ pub struct RecordedFrame {
     pub keyframe_from_frame: Se3,
 }
 
+impl Continuation {
+    /// Drops what names a keyframe that does not exist, a pixel outside the images of `size` (width, height), or
+    /// a measurement without content; returns how much.
+    pub(super) fn drop_invalid(
+        &mut self,
+        exists: impl Fn(u32) -> bool,
+        size: (usize, usize),
+    ) -> usize {
+        let (width, height) = (size.0 as f64, size.1 as f64);
+        let is_inside = |[x, y]: [f64; 2]| (0.0..width).contains(&x) && (0.0..height).contains(&y);
+        let count = |c: &Self| {
+            c.keyframes.len() + c.edges.len() + c.points.len() + c.frames.len() + c.fragments.len()
+        };
+        let before = count(self);
+        let num_sessions = self.sessions.len();
+        self.keyframes
+            .retain(|k| exists(k.id) && k.parent.is_none_or(|parent| parent < k.id));
+        self.edges.retain(|edge| {
+            exists(edge.i)
+                && exists(edge.j)
+                && edge.i != edge.j
+                && edge.i_from_j.is_finite()
+                && edge.kernel_parameter >= 0.0
+        });
+        self.points.retain(|point| {
+            let [idepth, _, sigma] = point.idepth;
+            let mut observations = point.observations.iter();
+            exists(point.host)
+                && is_inside(point.pixel)
+                && idepth > 0.0
+                && sigma > 0.0
+                && observations.all(|(id, pixel)| exists(*id) && is_inside(*pixel))
+        });
+        self.frames
+            .retain(|f| exists(f.keyframe) && (f.session as usize) < num_sessions);
+        self.fragments.retain(|member| exists(member.keyframe));
+        before - count(self)
+    }
+}
+
 const NO_PARENT: u32 = u32::MAX;
 
 pub(super) fn encode(record: &Continuation, out: &mut Bytes) -> Option<()> {

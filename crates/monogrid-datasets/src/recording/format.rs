@@ -4,10 +4,10 @@ use super::continuation;
 use super::{
     DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, Scale, SessionInfo,
 };
-use crate::{decode_gray, encode_png, pose_from_numbers};
+use crate::images::decode_png_luma8;
+use crate::{encode_png, pose_from_numbers};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
-use std::path::Path;
 
 /// Start of the file: name and version of the format.
 pub(super) const FILE_MAGIC: [u8; 8] = *b"monogrid";
@@ -126,11 +126,13 @@ fn encode_keyframe(keyframe: &KeyframeRecord, out: &mut Bytes) -> Option<u32> {
             out.u32(0);
         }
         Some(image) => {
-            let png = encode_png(image);
-            let (encoding, bytes) = if png.is_empty() || png.len() >= image.as_slice().len() {
-                (IMAGE_RAW, image.as_slice())
-            } else {
+            let (raw, png) = (image.as_slice(), encode_png(image));
+            let is_smaller =
+                (1..raw.len()).contains(&png.len()) && image_is_plausible(raw.len(), png.len());
+            let (encoding, bytes) = if is_smaller {
                 (IMAGE_PNG, png.as_slice())
+            } else {
+                (IMAGE_RAW, raw)
             };
             out.0.push(encoding);
             out.u32(image.width() as u32);
@@ -204,11 +206,7 @@ fn decode_keyframe(input: &mut Input, with_images: bool) -> Option<KeyframeRecor
         _ if !with_images => None,
         IMAGE_NONE => None,
         IMAGE_RAW => Some(raw_image(bytes, width, height)?),
-        IMAGE_PNG => {
-            let image = decode_gray(bytes, Path::new("keyframe image")).ok()?;
-            let fits = image.width() == width && image.height() == height;
-            Some(fits.then(|| image.map(|v| v as u8))?)
-        }
+        IMAGE_PNG => Some(png_image(bytes, width, height)?),
         _ => return None,
     };
     Some(KeyframeRecord {
@@ -218,6 +216,23 @@ fn decode_keyframe(input: &mut Input, with_images: bool) -> Option<KeyframeRecor
         image,
         pixels: input.pixels()?,
     })
+}
+
+/// Most pixels that a byte of a compressed image is believed to hold. Images that can be tracked have 1 to 20;
+/// a deflate stream can be made to hold a thousand, and a small file would fill the memory.
+const MAX_PIXELS_PER_BYTE: usize = 64;
+
+/// Whether a compressed image can be one of ours: simpler ones are written as they are.
+pub(super) fn image_is_plausible(pixels: usize, compressed_bytes: usize) -> bool {
+    pixels / MAX_PIXELS_PER_BYTE <= compressed_bytes
+}
+
+/// A grey PNG of the given size; nothing is allocated for any other.
+fn png_image(bytes: &[u8], width: usize, height: usize) -> Option<Image<u8>> {
+    let pixels = width.checked_mul(height)?;
+    image_is_plausible(pixels, bytes.len())
+        .then(|| decode_png_luma8(bytes, width, height))
+        .flatten()
 }
 
 fn raw_image(bytes: &[u8], width: usize, height: usize) -> Option<Image<u8>> {

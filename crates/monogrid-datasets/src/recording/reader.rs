@@ -6,8 +6,9 @@ use super::format::{
 };
 use super::{ReadOptions, Record};
 use crate::DatasetError;
+use crate::files::open_file;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// What was lost of a recording.
@@ -21,13 +22,25 @@ pub struct Damage {
     pub truncated: bool,
 }
 
-/// Iterates over the whole records of a file, in bounded memory.
+/// Bytes that are read ahead.
+const BUFFER_BYTES: usize = 1 << 16;
+
+/// Iterates over the whole records of a file.
+///
+/// Memory and time are bounded by the bytes of the file, whatever they are: no more is allocated than a record
+/// has bytes (an image: 64 times as much), and a file is read at most three times.
 #[derive(Debug)]
-pub struct RecordingReader<R = BufReader<File>> {
-    input: R,
+pub struct RecordingReader<R = File> {
+    input: BufReader<R>,
     path: PathBuf,
+    /// Where the next record is looked for.
     position: u64,
+    /// Where the next byte is read.
+    offset: u64,
     length: u64,
+    /// Bytes of records whose checksum was wrong. Records do not overlap, so that a file as we write it, however
+    /// damaged, has no more of them than bytes; one that was made to be read again and again has.
+    refuted_bytes: u64,
     with_images: bool,
     damage: Damage,
 }
@@ -38,8 +51,8 @@ impl RecordingReader {
     /// # Errors
     /// When it cannot be read, is not a recording, or is of a later version.
     pub fn open(path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
-        let file = File::open(path).map_err(|e| DatasetError::io("read", path, e))?;
-        Self::new(BufReader::with_capacity(1 << 16, file), path, options)
+        let (file, _) = open_file(path)?;
+        Self::new(file, path, options)
     }
 }
 
@@ -48,7 +61,8 @@ impl<R: Read + Seek> RecordingReader<R> {
     ///
     /// # Errors
     /// As [`RecordingReader::open`].
-    pub fn new(mut input: R, path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
+    pub fn new(input: R, path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
+        let mut input = BufReader::with_capacity(BUFFER_BYTES, input);
         let io = |e| DatasetError::io("read", path, e);
         let length = input.seek(SeekFrom::End(0)).map_err(io)?;
         input.seek(SeekFrom::Start(0)).map_err(io)?;
@@ -76,7 +90,9 @@ impl<R: Read + Seek> RecordingReader<R> {
             input,
             path: path.to_path_buf(),
             position: FILE_HEADER_BYTES as u64,
+            offset: FILE_HEADER_BYTES as u64,
             length,
+            refuted_bytes: 0,
             with_images: options.with_images,
             damage: Damage::default(),
         })
@@ -129,9 +145,8 @@ impl<R: Read + Seek> RecordingReader<R> {
         else {
             return Ok(None);
         };
-        self.input.seek(SeekFrom::Start(start))?;
         let mut bytes = [0; RECORD_HEADER_BYTES];
-        self.input.read_exact(&mut bytes)?;
+        self.read(start, &mut bytes)?;
         let Some(header) = parse_record_header(&bytes) else {
             return Ok(None);
         };
@@ -142,33 +157,54 @@ impl<R: Read + Seek> RecordingReader<R> {
         } = header;
         let end = body + u64::from(payload_bytes);
         // never allocates more than the file holds
-        if end > self.length {
+        if end > self.length || self.refuted_bytes > self.length {
             return Ok(None);
         }
         let mut payload = vec![0; payload_bytes as usize];
-        self.input.read_exact(&mut payload)?;
+        self.read(body, &mut payload)?;
         if crc32fast::hash(&payload) != payload_crc {
+            self.refuted_bytes += end - start;
             return Ok(None);
         }
         Ok(Some((end, decode_record(kind, &payload, self.with_images))))
     }
 
+    /// Moves to a position, within the buffer where that is possible.
+    fn seek(&mut self, position: u64) -> std::io::Result<()> {
+        let distance = position.wrapping_sub(self.offset) as i64;
+        self.input.seek_relative(distance)?;
+        self.offset = position;
+        Ok(())
+    }
+
+    fn read(&mut self, position: u64, bytes: &mut [u8]) -> std::io::Result<()> {
+        self.seek(position)?;
+        self.input.read_exact(bytes)?;
+        self.offset += bytes.len() as u64;
+        Ok(())
+    }
+
     /// First position at or after `from` where a record may start; the end of the file if none.
     fn find_sync(&mut self, from: u64) -> std::io::Result<u64> {
-        let mut chunk = vec![0; 1 << 16];
         let mut start = from;
         while start + SYNC.len() as u64 <= self.length {
-            let count = chunk.len().min((self.length - start) as usize);
-            self.input.seek(SeekFrom::Start(start))?;
-            self.input.read_exact(&mut chunk[..count])?;
-            let found = chunk[..count]
-                .windows(SYNC.len())
-                .position(|window| window == SYNC);
+            self.seek(start)?;
+            let chunk = self.input.fill_buf()?;
+            if chunk.len() < SYNC.len() {
+                // the mark may straddle two buffers
+                let mut mark = SYNC;
+                self.read(start, &mut mark)?;
+                if mark == SYNC {
+                    return Ok(start);
+                }
+                start += 1;
+                continue;
+            }
+            let found = chunk.windows(SYNC.len()).position(|window| window == SYNC);
             if let Some(offset) = found {
                 return Ok(start + offset as u64);
             }
-            // the mark may straddle two chunks
-            start += (count - (SYNC.len() - 1)) as u64;
+            start += (chunk.len() - (SYNC.len() - 1)) as u64;
         }
         Ok(self.length)
     }

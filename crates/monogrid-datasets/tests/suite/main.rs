@@ -2,6 +2,7 @@
 
 mod calibration;
 mod check;
+mod crafted_recordings;
 mod hostile;
 mod images;
 mod mutations;

@@ -98,6 +98,39 @@ pub fn recording_bytes() -> Vec<u8> {
     write(&run()).bytes
 }
 
+/// A record with right checksums, whatever its content.
+pub fn record_bytes(kind: u32, payload: &[u8]) -> Vec<u8> {
+    let mut record = b"RMGK".to_vec();
+    record.extend_from_slice(&kind.to_le_bytes());
+    record.extend_from_slice(&(payload.len() as u32).to_le_bytes());
+    record.extend_from_slice(&crc32fast::hash(payload).to_le_bytes());
+    record.extend_from_slice(&crc32fast::hash(&record).to_le_bytes());
+    record.extend_from_slice(payload);
+    record
+}
+
+/// The bytes of a file with the session of these tests at another size and some records more.
+pub fn file_of_size(width: usize, height: usize, records: &[Record]) -> Vec<u8> {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("recording.mgk");
+    let session = SessionInfo {
+        pinhole: Pinhole::new(
+            0.8 * width as f64,
+            0.8 * width as f64,
+            0.5 * width as f64,
+            0.5 * height as f64,
+        ),
+        width,
+        height,
+        ..session()
+    };
+    let mut writer = RecordingWriter::create(&path, &session).expect("writable");
+    for record in records {
+        writer.append(record).expect("writable");
+    }
+    std::fs::read(&path).expect("readable")
+}
+
 struct Written {
     _folder: tempfile::TempDir,
     path: PathBuf,
@@ -225,16 +258,10 @@ fn other_files_and_later_versions_are_refused() {
 fn a_record_of_a_later_kind_is_passed_over() {
     let written = write(&run());
     // a well-formed record of kind 77 in the place of nothing: appended after the session
-    let mut header = b"RMGK".to_vec();
-    header.extend_from_slice(&77u32.to_le_bytes());
-    header.extend_from_slice(&5u32.to_le_bytes());
-    header.extend_from_slice(&crc32fast::hash(b"hello").to_le_bytes());
-    let header_crc = crc32fast::hash(&header);
-    header.extend_from_slice(&header_crc.to_le_bytes());
-    header.extend_from_slice(b"hello");
+    let unknown = record_bytes(77, b"hello");
     let at = written.ends[0];
     let mut bytes = written.bytes.clone();
-    bytes.splice(at..at, header);
+    bytes.splice(at..at, unknown);
     assert_eq!(records(&bytes), records(&written.bytes));
     assert_eq!(
         Recording::collect(reader(&bytes), Path::new("t"))
@@ -338,14 +365,7 @@ proptest! {
         payload in prop::collection::vec(any::<u8>(), 0..120),
     ) {
         let mut bytes = write(&[]).bytes[..16].to_vec();
-        let mut header = b"RMGK".to_vec();
-        header.extend_from_slice(&kind.to_le_bytes());
-        header.extend_from_slice(&(payload.len() as u32).to_le_bytes());
-        header.extend_from_slice(&crc32fast::hash(&payload).to_le_bytes());
-        let crc = crc32fast::hash(&header);
-        header.extend_from_slice(&crc.to_le_bytes());
-        bytes.extend(header);
-        bytes.extend(payload);
+        bytes.extend(record_bytes(kind, &payload));
         let _ = records(&bytes);
         let _ = Recording::collect(reader(&bytes), Path::new("test.mgk"));
     }

@@ -17,7 +17,8 @@
 mod search;
 mod sight;
 
-use crate::{ConfigError, PixelDepth};
+use crate::PixelDepth;
+use crate::config::{ConfigError, Limit, first_outside};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
 use serde::{Deserialize, Serialize};
@@ -42,31 +43,33 @@ pub struct MultiViewConfig {
     /// Whether every second pixel, as on a chess board, takes the mean of the refined ones around it where these
     /// agree; half the work. Default true.
     pub interpolate: bool,
-    /// Sources per pixel, those of the largest disparity; at least 2. Default 5.
+    /// Sources per pixel, those of the largest disparity. Default 5. Range [2, 100].
     pub max_sources: usize,
-    /// Of these, so many of the smallest disparity search; at least 1. Default 2.
+    /// Of these, so many of the smallest disparity search. Default 2. Range [1, 100].
     pub search_sources: usize,
-    /// Smallest disparity of a source, px, above 0. Default 15.
+    /// Smallest disparity of a source, px. Default 15. Range [0.1, 1000].
     pub min_disparity_px: f64,
-    /// Largest disparity, px. Default 80: far more, and views differ too much.
+    /// Largest disparity, px, at least `min_disparity_px`. Default 80: far more, and views differ too much. Range
+    /// [15, 10000].
     pub max_disparity_px: f64,
-    /// The search reaches so many standard deviations, above 0, ... Default 3.
+    /// The search reaches so many standard deviations, ... Default 3. Range [0.01, 100].
     pub search_sigmas: f64,
-    /// ... but at least this share of the inverse depth, in (0, 0.5), ... Default 0.04.
+    /// ... but at least this share of the inverse depth, ... Default 0.04. Range [0.0001, 0.499].
     pub min_search: f64,
-    /// ... and at most this, in (0, 0.5). Default 0.15.
+    /// ... and at most this, at least `min_search`. Default 0.15. Range [0.04, 0.499].
     pub max_search: f64,
-    /// Step of the search, px, above 0. Default 1.
+    /// Step of the search, px. Default 1. Range [0.05, 100].
     pub step_px: f64,
-    /// Iterations after the search, at least 1. Default 2.
+    /// Iterations after the search. Default 2. Range [1, 100].
     pub iterations: usize,
-    /// Two sources must correlate by this at least, in (0, 1). Default 0.7.
+    /// Two sources must correlate by this at least. Default 0.7. Range [0.01, 0.999].
     pub min_correlation: f64,
-    /// Smallest deviation of the residuals of a source, grey levels, above 0. Default 2.
+    /// Smallest deviation of the residuals of a source, grey levels. Default 2. Range [0.01, 100].
     pub grey_sigma: f64,
-    /// Residuals of a patch that count as one, since neighbours share their errors; at least 1. Default 10.
+    /// Residuals of a patch that count as one, since neighbours share their errors. Default 10. Range [1,
+    /// 1000000].
     pub correlated_residuals: f64,
-    /// Relative standard deviation added for what all pixels share (poses), at least 0. Default 0.008.
+    /// Relative standard deviation added for what all pixels share (poses). Default 0.008. Range [0, 1].
     pub relative_sigma: f64,
 }
 
@@ -97,96 +100,26 @@ impl MultiViewConfig {
     /// # Errors
     /// The first value outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        let share = |v: f64| v > 0.0 && v < 0.5;
-        let checks = [
-            (
-                "mapping.refine.stereo.max_sources",
-                self.max_sources as f64,
-                self.max_sources >= 2,
-                "at least 2",
-            ),
-            (
-                "mapping.refine.stereo.search_sources",
-                self.search_sources as f64,
-                self.search_sources >= 1,
-                "at least 1",
-            ),
-            (
-                "mapping.refine.stereo.min_disparity_px",
-                self.min_disparity_px,
-                positive(self.min_disparity_px),
-                "above 0",
-            ),
-            (
-                "mapping.refine.stereo.max_disparity_px",
+        first_outside([
+            Limit("max_sources", self.max_sources as f64, 2.0, 100.0),
+            Limit("search_sources", self.search_sources as f64, 1.0, 100.0),
+            Limit("min_disparity_px", self.min_disparity_px, 0.1, 1000.0),
+            Limit(
+                "max_disparity_px",
                 self.max_disparity_px,
-                self.max_disparity_px > self.min_disparity_px,
-                "above min_disparity_px",
+                self.min_disparity_px,
+                10_000.0,
             ),
-            (
-                "mapping.refine.stereo.search_sigmas",
-                self.search_sigmas,
-                positive(self.search_sigmas),
-                "above 0",
-            ),
-            (
-                "mapping.refine.stereo.min_search",
-                self.min_search,
-                share(self.min_search),
-                "above 0, below 0.5",
-            ),
-            (
-                "mapping.refine.stereo.max_search",
-                self.max_search,
-                share(self.max_search) && self.max_search >= self.min_search,
-                "min_search to 0.5",
-            ),
-            (
-                "mapping.refine.stereo.step_px",
-                self.step_px,
-                positive(self.step_px),
-                "above 0",
-            ),
-            (
-                "mapping.refine.stereo.iterations",
-                self.iterations as f64,
-                self.iterations >= 1,
-                "at least 1",
-            ),
-            (
-                "mapping.refine.stereo.min_correlation",
-                self.min_correlation,
-                self.min_correlation > 0.0 && self.min_correlation < 1.0,
-                "above 0, below 1",
-            ),
-            (
-                "mapping.refine.stereo.grey_sigma",
-                self.grey_sigma,
-                positive(self.grey_sigma),
-                "above 0",
-            ),
-            (
-                "mapping.refine.stereo.correlated_residuals",
-                self.correlated_residuals,
-                self.correlated_residuals >= 1.0 && self.correlated_residuals.is_finite(),
-                "at least 1",
-            ),
-            (
-                "mapping.refine.stereo.relative_sigma",
-                self.relative_sigma,
-                self.relative_sigma >= 0.0 && self.relative_sigma.is_finite(),
-                "at least 0",
-            ),
-        ];
-        match checks.into_iter().find(|(_, _, is_allowed, _)| !is_allowed) {
-            None => Ok(()),
-            Some((name, value, _, allowed)) => Err(ConfigError::MultiView {
-                name,
-                value,
-                allowed,
-            }),
-        }
+            Limit("search_sigmas", self.search_sigmas, 0.01, 100.0),
+            Limit("min_search", self.min_search, 0.0001, 0.499),
+            Limit("max_search", self.max_search, self.min_search, 0.499),
+            Limit("step_px", self.step_px, 0.05, 100.0),
+            Limit("iterations", self.iterations as f64, 1.0, 100.0),
+            Limit("min_correlation", self.min_correlation, 0.01, 0.999),
+            Limit("grey_sigma", self.grey_sigma, 0.01, 100.0),
+            Limit("correlated_residuals", self.correlated_residuals, 1.0, 1e6),
+            Limit("relative_sigma", self.relative_sigma, 0.0, 1.0),
+        ])
     }
 }
 

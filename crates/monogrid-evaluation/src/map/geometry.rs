@@ -12,8 +12,12 @@ pub struct SurfaceDistances {
     pub accuracy_m: Option<f64>,
     /// Median of these distances.
     pub accuracy_median_m: Option<f64>,
+    /// 90 % of these distances are at most this.
+    pub accuracy_p90_m: Option<f64>,
     /// 95 % of these distances are at most this.
     pub accuracy_p95_m: Option<f64>,
+    /// Share of them beyond three cells: single cells far away make the mean say little.
+    pub accuracy_beyond_3_cells: f64,
     /// Share of predicted occupied cells within the tolerance of a truly occupied one.
     pub accuracy_within_tolerance: f64,
     /// Share of truly occupied cells (those in view, when the view is given) that have a predicted
@@ -68,9 +72,13 @@ impl TrueSurface {
         SurfaceDistances {
             accuracy_m: mean(&to_truth),
             accuracy_median_m: median(&to_truth),
+            accuracy_p90_m: quantile(&to_truth, 0.9),
             accuracy_p95_m: quantile(&to_truth, 0.95),
-            accuracy_within_tolerance: share_within(&to_truth, from_predicted.len(), reach),
-            completeness: share_within(&to_predicted, self.to_find.len(), reach),
+            accuracy_beyond_3_cells: share(&to_truth, from_predicted.len(), |d| {
+                d > 3.0 * self.resolution * (1.0 + 1e-9)
+            }),
+            accuracy_within_tolerance: share(&to_truth, from_predicted.len(), |d| d <= reach),
+            completeness: share(&to_predicted, self.to_find.len(), |d| d <= reach),
             completeness_m: mean(&to_predicted),
             occupied_ratio: None,
             tolerance_m: self.tolerance,
@@ -101,6 +109,6 @@ fn quantile(values: &[f64], share: f64) -> Option<f64> {
     sorted.get(rank.saturating_sub(1)).copied()
 }
 
-fn share_within(distances: &[f64], asked: usize, reach: f64) -> f64 {
-    distances.iter().filter(|d| **d <= reach).count() as f64 / asked.max(1) as f64
+fn share(distances: &[f64], asked: usize, counts: impl Fn(f64) -> bool) -> f64 {
+    distances.iter().filter(|d| counts(**d)).count() as f64 / asked.max(1) as f64
 }

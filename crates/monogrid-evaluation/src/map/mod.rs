@@ -93,6 +93,7 @@ struct Pass {
     predicted: Vec<[i32; 3]>,
     num_predicted: usize,
     outside: u64,
+    occupied_outside: u64,
     seen_in_view: CellCounts,
 }
 
@@ -224,6 +225,8 @@ impl<'a> MapEvaluator<'a> {
             truth: self.counts,
             observed: observed.total(),
             observed_outside: pass.outside,
+            predicted: pass.num_predicted as u64,
+            predicted_outside: pass.occupied_outside,
         })
     }
 
@@ -235,6 +238,7 @@ impl<'a> MapEvaluator<'a> {
             predicted: Vec::new(),
             num_predicted: 0,
             outside: 0,
+            occupied_outside: 0,
             seen_in_view: CellCounts::default(),
         };
         for cell in estimate.cells() {
@@ -247,6 +251,7 @@ impl<'a> MapEvaluator<'a> {
             }
             let Some(local) = truth.local(key) else {
                 pass.outside += 1;
+                pass.occupied_outside += u64::from(cell.log_odds > 0.0);
                 continue;
             };
             let state = truth.state_at(local);

@@ -93,4 +93,8 @@ pub struct MapReport {
     pub observed: u64,
     /// Observed cells outside the box, where nothing is known.
     pub observed_outside: u64,
+    /// Predicted occupied cells, wherever they are.
+    pub predicted: u64,
+    /// Those outside the box: they enter the distances and nothing else.
+    pub predicted_outside: u64,
 }

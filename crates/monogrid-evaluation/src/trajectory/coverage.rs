@@ -21,29 +21,66 @@ pub(crate) fn frame_interval_secs(sorted_estimate: &[StampedPose]) -> f64 {
     median(&intervals).unwrap_or(0.0)
 }
 
-/// Share of all true poses that have an estimated pose within half a frame interval.
+/// Times of the frames whose true pose is known: those with a true pose nearer than the next frame.
+pub(crate) fn with_truth(
+    frame_times_ns: &[i64],
+    sorted_truth: &[StampedPose],
+    frame_interval_secs: f64,
+) -> Vec<i64> {
+    let times: Vec<f64> = sorted_truth.iter().map(|p| seconds(p.0)).collect();
+    let reach_secs = frame_interval_secs + 1e-6;
+    let mut known: Vec<i64> = frame_times_ns
+        .iter()
+        .copied()
+        .filter(|time| nearest_within(&times, seconds(*time), reach_secs).is_some())
+        .collect();
+    known.sort_unstable();
+    known
+}
+
+/// Share of the given times that have an estimated pose within half a frame interval.
 pub(crate) fn coverage(
     sorted_estimate: &[StampedPose],
-    truth: &[StampedPose],
+    times_ns: &[i64],
     frame_interval_secs: f64,
 ) -> f64 {
-    if truth.is_empty() {
+    if times_ns.is_empty() {
         return 0.0;
     }
     let times: Vec<f64> = sorted_estimate.iter().map(|p| seconds(p.0)).collect();
     // A microsecond more, so that a true pose halfway between two frames belongs to both.
     let reach_secs = 0.5 * frame_interval_secs + 1e-6;
-    let covered = truth
+    let covered = times_ns
         .iter()
-        .filter(|p| nearest_within(&times, seconds(p.0), reach_secs).is_some())
+        .filter(|time| nearest_within(&times, seconds(**time), reach_secs).is_some())
         .count();
-    covered as f64 / truth.len() as f64
+    covered as f64 / times_ns.len() as f64
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use monogrid_geometry::Se3;
+
+    fn times(poses: &[StampedPose]) -> Vec<i64> {
+        poses.iter().map(|pose| pose.0).collect()
+    }
+
+    #[test]
+    fn time_without_images_does_not_count() {
+        // ten seconds of truth, images for the fifth and sixth of them, poses for the sixth
+        let truth = stamps((0..10_000).step_by(10));
+        let frames = times(&stamps((4_000..6_000).step_by(33)));
+        let estimate = stamps((4_000..6_000).step_by(33).filter(|ms| *ms >= 5_000));
+        let known = with_truth(&frames, &truth, 0.033);
+        assert_eq!(known.len(), frames.len());
+        let share = coverage(&estimate, &known, 0.033);
+        assert!((share - 0.5).abs() < 0.01, "{share}");
+        // and frames without truth cannot be judged
+        let truth = stamps((5_500..10_000).step_by(10));
+        let known = with_truth(&frames, &truth, 0.033);
+        assert!((15..=17).contains(&known.len()), "{}", known.len());
+    }
 
     fn stamps(milliseconds: impl Iterator<Item = i64>) -> Vec<StampedPose> {
         milliseconds
@@ -57,7 +94,7 @@ mod tests {
         let estimate = stamps((0..=1000).step_by(50));
         let interval = frame_interval_secs(&estimate);
         assert!((interval - 0.05).abs() < 1e-9);
-        assert_eq!(coverage(&estimate, &truth, interval), 1.0);
+        assert_eq!(coverage(&estimate, &times(&truth), interval), 1.0);
     }
 
     #[test]
@@ -67,6 +104,7 @@ mod tests {
         let estimate = stamps((0..1000).step_by(10).filter(|ms| (ms / 10) % 10 < 2));
         let interval = frame_interval_secs(&estimate);
         assert!((interval - 0.01).abs() < 1e-9);
+        let truth = times(&truth);
         assert!((coverage(&estimate, &truth, interval) - 0.2).abs() < 1e-12);
         assert_eq!(coverage(&[], &truth, 0.01), 0.0);
     }

@@ -4,6 +4,7 @@
 //! one frame (RPE); beside them the scale of short windows and the share of the truth that is covered.
 //! Poses are `world_from_camera`; lengths are those of the true trajectory.
 
+mod align;
 mod associate;
 mod coverage;
 mod scale_drift;
@@ -12,7 +13,8 @@ pub use associate::{PosePair, StampedPose};
 pub use scale_drift::{ScaleWindowConfig, WindowScale};
 
 use crate::statistics::ErrorSummary;
-use monogrid_geometry::{AlignmentError, Se3, Sim3, align_similarity};
+use align::align;
+use monogrid_geometry::{AlignmentError, Se3, Sim3};
 use serde::Serialize;
 
 /// What may be adjusted before the trajectories are compared.
@@ -30,7 +32,7 @@ pub enum TrajectoryAlignment {
 
 /// Settings of [`evaluate_trajectory`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrajectoryConfig {
+pub struct TrajectoryConfig<'a> {
     /// How the estimate is aligned. Default: with scale.
     pub alignment: TrajectoryAlignment,
     /// Poses farther apart in time are not compared, seconds, [0, inf). Default 0.01, as `evo`.
@@ -38,16 +40,20 @@ pub struct TrajectoryConfig {
     /// Time between two frames of the source, for the coverage, seconds. Default: taken from the
     /// estimate as the median of those of its intervals that are not gaps.
     pub frame_interval_secs: Option<f64>,
+    /// Times of the frames of the source, nanoseconds, in any order: the coverage is that of the frames. Default:
+    /// not known, and the coverage that of the true poses.
+    pub frame_times_ns: Option<&'a [i64]>,
     /// Windows of the scale drift.
     pub windows: ScaleWindowConfig,
 }
 
-impl Default for TrajectoryConfig {
+impl Default for TrajectoryConfig<'_> {
     fn default() -> Self {
         Self {
             alignment: TrajectoryAlignment::Sim3,
             max_difference_secs: 0.01,
             frame_interval_secs: None,
+            frame_times_ns: None,
             windows: ScaleWindowConfig::default(),
         }
     }
@@ -138,8 +144,11 @@ pub struct TrajectoryReport {
     pub estimated: usize,
     /// Poses in the truth.
     pub truth: usize,
-    /// Share of all true poses that have an estimated pose within half a frame interval, [0, 1].
+    /// Share with an estimated pose within half a frame interval, [0, 1]: of the frames whose true pose is known,
+    /// or of all true poses where the times of the frames are not.
     pub coverage: f64,
+    /// Frames that it is the share of; `None` where their times are not known.
+    pub frames: Option<usize>,
     /// The frame interval used for that, seconds.
     pub frame_interval_secs: f64,
     /// Length of the true path through the matched poses.
@@ -195,6 +204,9 @@ pub fn evaluate_trajectory(
     let frame_interval_secs = config
         .frame_interval_secs
         .unwrap_or_else(|| coverage::frame_interval_secs(&estimate));
+    let frames = config
+        .frame_times_ns
+        .map(|times| coverage::with_truth(times, &truth, frame_interval_secs));
     Ok(TrajectoryReport {
         ate_rmse: ate.rmse,
         ate_mean: ate.mean,
@@ -212,7 +224,14 @@ pub fn evaluate_trajectory(
         matched: pairs.len(),
         estimated: estimate.len(),
         truth: truth.len(),
-        coverage: coverage::coverage(&estimate, &truth, frame_interval_secs),
+        coverage: match &frames {
+            Some(frames) => coverage::coverage(&estimate, frames, frame_interval_secs),
+            None => {
+                let times: Vec<i64> = truth.iter().map(|pose| pose.0).collect();
+                coverage::coverage(&estimate, &times, frame_interval_secs)
+            }
+        },
+        frames: frames.as_ref().map(Vec::len),
         frame_interval_secs,
         path_length: path_length(&pairs),
         alignment: config.alignment,
@@ -265,20 +284,6 @@ fn checked_and_sorted(
     let mut sorted = poses.to_vec();
     sorted.sort_by_key(|p| p.0);
     Ok(sorted)
-}
-
-fn align(pairs: &[PosePair], alignment: TrajectoryAlignment) -> Result<Sim3, AlignmentError> {
-    let with_scale = match alignment {
-        TrajectoryAlignment::Sim3 => true,
-        TrajectoryAlignment::Se3 => false,
-        TrajectoryAlignment::None => return Ok(Sim3::identity()),
-    };
-    let source: Vec<_> = pairs
-        .iter()
-        .map(|p| p.est_from_camera.translation)
-        .collect();
-    let target: Vec<_> = pairs.iter().map(|p| p.gt_from_camera.translation).collect();
-    Ok(align_similarity(&source, &target, with_scale)?.target_from_source)
 }
 
 /// The pose of the camera in the true world: its scale acts on the position only.

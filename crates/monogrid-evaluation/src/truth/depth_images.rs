@@ -25,7 +25,8 @@ pub struct PosedDepth<'a> {
 pub struct CarveConfig {
     /// Edge of a cell, world units.
     pub resolution: f64,
-    /// Depth beyond this is ignored, world units. Default 4: a Kinect's noise passes 3 cm there.
+    /// Depth beyond this is ignored, world units. Default infinity: a truth that ends before the surfaces do makes
+    /// everything behind it unknown. (A Kinect's noise passes 3 cm at 4 m.)
     pub max_depth: f64,
     /// Every so many pixels along both axes a ray is cast. Default 1.
     pub pixel_stride: usize,
@@ -43,7 +44,7 @@ impl CarveConfig {
     pub fn with_resolution(resolution: f64) -> Self {
         Self {
             resolution,
-            max_depth: 4.0,
+            max_depth: f64::INFINITY,
             pixel_stride: 1,
             min_hits: 2,
             min_hit_ratio: 0.4,

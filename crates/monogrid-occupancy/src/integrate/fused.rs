@@ -116,16 +116,21 @@ pub(crate) fn integrate_fused(
     Ok(prepared.report)
 }
 
-/// Adds valid scans one after the other by the rule `fused`; on an error, those before it.
+/// Adds valid scans one after the other by the rule `fused`, each of which needs at most `bytes_per_scan` when it
+/// is prepared; on an error, those before it.
 pub(crate) fn integrate_scans(
     map: &mut OccupancyMap,
     scans: &[Scan],
     config: &IntegrationConfig,
     threads: usize,
+    bytes_per_scan: f64,
 ) -> Result<IntegrationReport, MapError> {
+    // A quarter of the memory for the scans that are prepared and those that are written meanwhile.
+    let room = map.config().memory_budget_bytes as f64 / 8.0;
+    let scans_at_once = ((room / bytes_per_scan) as usize).clamp(1, SCANS_PER_THREAD * threads);
     // All that could go wrong with a scan before the map is asked for memory.
     let far = scans.iter().position(|s| origin_in_cells(map, s).is_err());
-    let mut groups = scans[..far.unwrap_or(scans.len())].chunks(SCANS_PER_THREAD * threads);
+    let mut groups = scans[..far.unwrap_or(scans.len())].chunks(scans_at_once);
     let mut report = IntegrationReport::default();
     let mut present: Vec<Prepared> = Vec::new();
     let mut failed = None;

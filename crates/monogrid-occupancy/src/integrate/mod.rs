@@ -10,6 +10,7 @@
 
 mod batches;
 pub(crate) mod beam;
+mod cost;
 pub(crate) mod footprint;
 pub(crate) mod fused;
 pub(crate) mod image;
@@ -29,6 +30,7 @@ mod visits;
 pub(crate) mod windows;
 mod writer;
 
+use self::cost::affordable;
 use crate::error::MapError;
 use crate::map::OccupancyMap;
 use crate::scan::{Scan, SigmaMode};
@@ -190,10 +192,16 @@ pub fn integrate_scans(
     config.validate()?;
     let invalid = scans.iter().position(|scan| scan.validate().is_err());
     let valid = &scans[..invalid.unwrap_or(scans.len())];
+    let mut largest = 0.0_f64;
+    if config.model != SensorModel::None {
+        for scan in valid {
+            largest = largest.max(affordable(map, scan, config)?.prepared_bytes());
+        }
+    }
     let mut report = IntegrationReport::default();
     match config.rule {
         IntegrationRule::Fused if threads > 1 && config.model != SensorModel::None => {
-            report = fused::integrate_scans(map, valid, config, threads)?;
+            report = fused::integrate_scans(map, valid, config, threads, largest)?;
         }
         IntegrationRule::Rays if threads > 1 && config.model != SensorModel::None => {
             report = rays::integrate_scans(map, valid, config, threads)?;
@@ -217,6 +225,9 @@ pub(crate) fn bricks_seen(
     config: &IntegrationConfig,
     threads: usize,
 ) -> Result<Vec<u64>, MapError> {
+    if config.model != SensorModel::None {
+        affordable(map, scan, config)?;
+    }
     let mut keys = match config.rule {
         _ if config.model == SensorModel::None => rays::end_point_bricks(map, scan, config),
         IntegrationRule::Rays => rays::bricks_seen(map, scan, config)?,
@@ -235,6 +246,9 @@ pub(crate) fn integrate_where(
     threads: usize,
     only: rays::BrickFilter,
 ) -> Result<IntegrationReport, MapError> {
+    if config.model != SensorModel::None && only.is_none() {
+        affordable(map, scan, config)?;
+    }
     match config.rule {
         // End points are the same for both rules: no free space, nothing to fuse.
         _ if config.model == SensorModel::None => {

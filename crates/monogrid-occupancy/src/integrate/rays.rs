@@ -148,14 +148,18 @@ pub(crate) fn bricks_seen(
 
 fn bricks_crossed(beams: &Beams) -> Vec<u64> {
     let mut keys = Vec::new();
-    for batch in beams.measured.chunks(4096) {
-        for measured in batch {
-            let beam = beams.beam(measured);
-            beam.ray.for_each_brick(|key, _| keys.push(key));
+    let mut distinct = 0;
+    for measured in &beams.measured {
+        let beam = beams.beam(measured);
+        beam.ray.for_each_brick(|key, _| keys.push(key));
+        if keys.len() > 2 * distinct + (1 << 18) {
+            keys.sort_unstable();
+            keys.dedup();
+            distinct = keys.len();
         }
-        keys.sort_unstable();
-        keys.dedup();
     }
+    keys.sort_unstable();
+    keys.dedup();
     keys
 }
 

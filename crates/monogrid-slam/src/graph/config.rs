@@ -12,29 +12,29 @@ pub struct GraphConfig {
     pub enabled: bool,
     /// Alignment of two keyframes.
     pub similarity: SimilarityConfig,
-    /// The nearest keyframes that are tried beside the previous one.
+    /// The nearest keyframes that are tried beside the previous one. Range [0, 1000].
     pub nearest: usize,
-    /// Smallest predicted overlap of these.
+    /// Smallest predicted overlap of these. Range [0, 1].
     pub min_nearest_overlap: f64,
-    /// Largest distance of these in units of the median depth.
+    /// Largest distance of these in units of the median depth. Range [0, 1000].
     pub max_nearest_distance: f64,
-    /// Predicted overlap from which every other keyframe is tried too, however old.
+    /// Predicted overlap from which every other keyframe is tried too, however old. Range [0, 1].
     pub min_overlap: f64,
-    /// At most this many of those, the largest overlap first.
+    /// At most this many of those, the largest overlap first. Range [0, 1000].
     pub max_overlapping: usize,
-    /// Largest angle between the rays to the same surface, degrees.
+    /// Largest angle between the rays to the same surface, degrees. Range [0, 180].
     pub max_view_angle_deg: f64,
-    /// Largest ratio of the distances to the same surface.
+    /// Largest ratio of the distances to the same surface. Range [1, 1000].
     pub max_distance_ratio: f64,
-    /// Relative standard deviation of the scale between successive keyframes that tracking and
-    /// propagation leave.
+    /// Relative standard deviation of the scale between successive keyframes that tracking and propagation
+    /// leave. Range [0.000001, 10].
     pub odometry_scale_sigma: f64,
-    /// Squared normalised residual from which edges other than those between successive keyframes lose
-    /// weight.
+    /// Squared normalised residual from which edges other than those between successive keyframes lose weight.
+    /// Range [0.01, 1000000000].
     pub switch_chi_sq: f64,
-    /// Frames after which the result of an optimisation is taken over.
+    /// Frames after which the result of an optimisation is taken over. Range [0, 1000].
     pub lag_frames: usize,
-    /// Iterations of an optimisation.
+    /// Iterations of an optimisation. Range [1, 1000].
     pub max_iterations: usize,
     /// Whether at the end all keyframes look for constraints once more with the final poses.
     pub final_search: bool,
@@ -58,11 +58,11 @@ pub struct PlaceRecognitionConfig {
     /// File with the words of FAB-MAP, made by `monogrid vocabulary`; empty for the one that comes with
     /// the program.
     pub vocabulary: PathBuf,
-    /// Keyframes between the two of a loop at least.
+    /// Keyframes between the two of a loop at least. Range [0, 1000000].
     pub min_keyframes_between: u32,
-    /// Recognised keyframes that are aligned directly at most.
+    /// Recognised keyframes that are aligned directly at most. Range [0, 100].
     pub max_loops: usize,
-    /// Frames that must be lost in a row before the camera is looked for elsewhere.
+    /// Frames that must be lost in a row before the camera is looked for elsewhere. Range [0, 1000000].
     pub min_lost_frames: usize,
     /// What drift can do between the keyframes of a loop.
     pub drift: DriftConfig,
@@ -85,17 +85,17 @@ pub enum PlaceMethod {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DriftConfig {
-    /// Drift of the position at least, median depths.
+    /// Drift of the position at least, median depths. Range [0.000001, 1000].
     pub translation_start: f64,
-    /// Its growth as a share of the path.
+    /// Its growth as a share of the path. Range [0, 1000].
     pub translation_share: f64,
-    /// Drift of the rotation at least, rad.
+    /// Drift of the rotation at least, rad. Range [0.000001, 1000].
     pub rotation_start: f64,
-    /// Its growth per keyframe, rad.
+    /// Its growth per keyframe, rad. Range [0, 1000].
     pub rotation_step: f64,
-    /// Drift of the logarithm of the scale at least.
+    /// Drift of the logarithm of the scale at least. Range [0.000001, 1000].
     pub scale_start: f64,
-    /// Its growth per keyframe.
+    /// Its growth per keyframe. Range [0, 1000].
     pub scale_step: f64,
 }
 
@@ -131,13 +131,13 @@ impl Default for PlaceRecognitionConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DirectEdgeConfig {
-    /// Of the translation, as a share of it.
+    /// Of the translation, as a share of it. Range [0, 10].
     pub translation_share: f64,
-    /// Of the translation, median depths.
+    /// Of the translation, median depths. Range [0.000001, 10].
     pub translation_sigma: f64,
-    /// Of the rotation, rad.
+    /// Of the rotation, rad. Range [0.000001, 10].
     pub rotation_sigma: f64,
-    /// Of the logarithm of the scale.
+    /// Of the logarithm of the scale. Range [0.000001, 10].
     pub scale_sigma: f64,
 }
 
@@ -158,21 +158,22 @@ impl Default for DirectEdgeConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SparseEdgeConfig {
-    /// Shared points from which two keyframes have an edge.
+    /// Shared points from which two keyframes have an edge. Range [1, 1000000].
     pub min_shared_points: usize,
-    /// Edges of a keyframe to older ones at most, those with the most shared points.
+    /// Edges of a keyframe to older ones at most, those with the most shared points. Range [0, 1000].
     pub max_edges: usize,
     /// Largest difference of the numbers of two keyframes with an edge. Points found again after a long time
-    /// pull both ends of a loop together only half, because each end is held by points of its own: the
-    /// relative pose that is left is no measurement.
+    /// pull both ends of a loop together only half, because each end is held by points of its own: the relative
+    /// pose that is left is no measurement. Range [0, 1000000].
     pub max_gap: u32,
-    /// Shared points at which the standard deviations below hold; with fewer they grow with the root.
+    /// Shared points at which the standard deviations below hold; with fewer they grow with the root. Range [1,
+    /// 1000000].
     pub reference_points: usize,
-    /// Standard deviation of the translation, median depths.
+    /// Standard deviation of the translation, median depths. Range [0.000001, 10].
     pub translation_sigma: f64,
-    /// Standard deviation of the rotation, rad.
+    /// Standard deviation of the rotation, rad. Range [0.000001, 10].
     pub rotation_sigma: f64,
-    /// Standard deviation of the logarithm of the scale.
+    /// Standard deviation of the logarithm of the scale. Range [0.000001, 10].
     pub scale_sigma: f64,
 }
 

@@ -5,7 +5,8 @@ use monogrid_features::{
     FabMap, FabMapConfig, PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, VocabularyError,
 };
 use monogrid_geometry::Pinhole;
-use std::path::PathBuf;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use thiserror::Error;
 
@@ -48,12 +49,26 @@ pub(super) fn memory_of_places(
     })
 }
 
+/// Largest vocabulary that is read: a hundred times ours.
+const MAX_VOCABULARY_BYTES: u64 = 64 << 20;
+
+/// The bytes of a regular file; a pipe would wait for ever, a device may have no end.
+fn read_vocabulary(path: &Path) -> std::io::Result<Vec<u8>> {
+    if !std::fs::metadata(path)?.is_file() {
+        return Err(std::io::Error::other("it is no regular file"));
+    }
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path)?;
+    file.take(MAX_VOCABULARY_BYTES).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
 fn vocabulary(config: &PlaceRecognitionConfig) -> Result<PlaceVocabulary, PlacesError> {
     let path = &config.vocabulary;
     let vocabulary = if path.as_os_str().is_empty() {
         PlaceVocabulary::built_in()
     } else {
-        let bytes = std::fs::read(path).map_err(|source| PlacesError::Unreadable {
+        let bytes = read_vocabulary(path).map_err(|source| PlacesError::Unreadable {
             path: path.clone(),
             source,
         })?;

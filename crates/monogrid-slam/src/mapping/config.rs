@@ -99,15 +99,16 @@ impl<'de> Deserialize<'de> for AutoLength {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DepthFilterConfig {
-    /// Largest relative standard deviation of the inverse depth, above 0; `inf` keeps all. Default
-    /// 0.035: beyond, a measurement smears its surface along the ray (in the demo world 3.6 times the
-    /// true number of occupied cells at 0.1, 1.4 times at 0.035).
+    /// Largest relative standard deviation of the inverse depth; `inf` keeps all. Default 0.035: beyond, a
+    /// measurement smears its surface along the ray (in the demo world 3.6 times the true number of occupied
+    /// cells at 0.1, 1.4 times at 0.035). Range [0.000001, inf].
     pub max_relative_sigma: f64,
-    /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within
-    /// two standard deviations, 0 to 9; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71 to
-    /// 0.72 in the demo world.
+    /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within two
+    /// standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71 to 0.72 in the demo
+    /// world. Range [0, 9].
     pub min_support: usize,
-    /// First keyframes that are not mapped (a random start needs some to converge). Default 0.
+    /// First keyframes that are not mapped (a random start needs some to converge). Default 0. Range [0,
+    /// 1000000].
     pub skip_keyframes: usize,
 }
 
@@ -127,10 +128,10 @@ impl Default for DepthFilterConfig {
 pub struct RefineConfig {
     /// Whether the final map has it. Default true.
     pub enabled: bool,
-    /// Keyframes that one is compared with, the nearest, at least 1. Default 8.
+    /// Keyframes that one is compared with, the nearest. Default 8. Range [1, 1000].
     pub max_keyframes: usize,
-    /// How far these may be: distance over the median depth, plus the angle of rotation in radians; above 0.
-    /// Default 1.
+    /// How far these may be: distance over the median depth, plus the angle of rotation in radians. Default 1.
+    /// Range [0.000001, 1000000].
     pub max_separation: f64,
     /// How pixels are compared.
     pub stereo: MultiViewConfig,
@@ -147,77 +148,36 @@ impl Default for RefineConfig {
     }
 }
 
-impl RefineConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        let checks = [
-            (
-                "mapping.refine.max_keyframes",
-                self.max_keyframes as f64,
-                self.max_keyframes >= 1,
-                "at least 1",
-            ),
-            (
-                "mapping.refine.max_separation",
-                self.max_separation,
-                self.max_separation > 0.0,
-                "above 0",
-            ),
-        ];
-        let of_stereo = self.stereo.validate().err().and_then(|error| match error {
-            monogrid_depth::ConfigError::MultiView {
-                name,
-                value,
-                allowed,
-            } => Some((name, value, false, allowed)),
-            _ => None,
-        });
-        first_error(checks.into_iter().chain(of_stereo))
-    }
-}
-
-/// The first of (name, value, whether it is allowed, what is allowed) that is not.
-fn first_error(
-    checks: impl IntoIterator<Item = (&'static str, f64, bool, &'static str)>,
-) -> Result<(), ConfigError> {
-    let error = checks
-        .into_iter()
-        .find(|(_, _, is_allowed, _)| !is_allowed)
-        .map(|(name, value, _, allowed)| ConfigError {
-            name,
-            value,
-            allowed,
-        });
-    error.map_or(Ok(()), Err)
-}
-
 /// How plain surfaces get depth from the depth around them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FillConfig {
     /// Whether plain regions are filled. Default true.
     pub enabled: bool,
-    /// Regions are where the smoothed gradient is at most this, grey levels per pixel, above 0. Default 3.
+    /// Regions are where the smoothed gradient is at most this, grey levels per pixel. Default 3. Range [0.01,
+    /// 255].
     pub max_gradient: f64,
-    /// Smallest region, pixels, at least 1. Default 30.
+    /// Smallest region, pixels. Default 30. Range [1, 1000000000].
     pub min_area_px: usize,
-    /// Random triples per plane (sample consensus), at least 1. Default 60.
+    /// Random triples per plane (sample consensus). Default 60. Range [1, 5000].
     pub samples: usize,
-    /// Measurements of the outline that must lie on a plane, at least 3. Default 20.
+    /// Measurements of the outline that must lie on a plane. Default 20. Range [3, 1000000].
     pub min_inliers: usize,
-    /// The same for a plane that another region found. Default 8.
+    /// The same for a plane that another region found. Default 8. Range [3, 1000000].
     pub min_inliers_offered: usize,
-    /// Planes that regions without an own one may choose from. Default 12.
+    /// Planes that regions without an own one may choose from. Default 12. Range [0, 1000].
     pub max_offered: usize,
-    /// Share of the outline that must lie on the plane of a region, in (0, 1]. Default 0.5.
+    /// Share of the outline that must lie on the plane of a region, in (0, 1]. Default 0.5. Range [0.001, 1].
     pub min_inlier_share: f64,
-    /// The same for a plane that was found elsewhere. Default 0.5.
+    /// The same for a plane that was found elsewhere. Default 0.5. Range [0.001, 1].
     pub min_offered_share: f64,
-    /// Share of the outline that may lie behind the plane, in [0, 1). Default 0.05.
+    /// Share of the outline that may lie behind the plane. Default 0.05. Range [0, 0.999].
     pub max_behind_share: f64,
-    /// How flat surfaces are: standard deviation of the inverse depth around the plane over the inverse
-    /// depth, above 0. Default 0.01.
+    /// How flat surfaces are: standard deviation of the inverse depth around the plane over the inverse depth.
+    /// Default 0.01. Range [0.000001, 10].
     pub relative_sigma: f64,
-    /// Neighbouring depths whose errors count as one in the uncertainty of the fit, at least 1. Default 100.
+    /// Neighbouring depths whose errors count as one in the uncertainty of the fit. Default 100. Range [1,
+    /// 1000000].
     pub correlated_points: f64,
 }
 
@@ -240,126 +200,66 @@ impl Default for FillConfig {
     }
 }
 
-impl FillConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        let share = |value: f64| value > 0.0 && value <= 1.0;
-        let positive = |value: f64| value > 0.0 && value.is_finite();
-        let checks = [
-            (
-                "mapping.fill.max_gradient",
-                self.max_gradient,
-                positive(self.max_gradient),
-                "above 0",
-            ),
-            (
-                "mapping.fill.min_area_px",
-                self.min_area_px as f64,
-                self.min_area_px >= 1,
-                "at least 1",
-            ),
-            (
-                "mapping.fill.samples",
-                self.samples as f64,
-                self.samples >= 1,
-                "at least 1",
-            ),
-            (
-                "mapping.fill.min_inliers",
-                self.min_inliers as f64,
-                self.min_inliers >= 3,
-                "at least 3",
-            ),
-            (
-                "mapping.fill.min_inlier_share",
-                self.min_inlier_share,
-                share(self.min_inlier_share),
-                "0 to 1, above 0",
-            ),
-            (
-                "mapping.fill.min_offered_share",
-                self.min_offered_share,
-                share(self.min_offered_share),
-                "0 to 1, above 0",
-            ),
-            (
-                "mapping.fill.max_behind_share",
-                self.max_behind_share,
-                (0.0..1.0).contains(&self.max_behind_share),
-                "0 to 1, below 1",
-            ),
-            (
-                "mapping.fill.relative_sigma",
-                self.relative_sigma,
-                positive(self.relative_sigma),
-                "above 0",
-            ),
-            (
-                "mapping.fill.correlated_points",
-                self.correlated_points,
-                self.correlated_points >= 1.0 && self.correlated_points.is_finite(),
-                "at least 1",
-            ),
-        ];
-        first_error(checks)
-    }
-}
-
 /// Settings of [`crate::mapping`].
 ///
 /// Lengths are in map units: metres where the scale is known.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
-    /// Edge of a cell, above 0. Default 0.05.
+    /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
     /// Inverse sensor model. Default `thrun`.
     pub sensor_model: SensorModelKind,
-    /// Thickness L of the occupied band of `ideal` and `thrun`, above 0, or `"auto"`: the larger of a
-    /// cell's diagonal and `buffer_sigmas` standard deviations. Default `"auto"`.
+    /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of a cell's diagonal and
+    /// `buffer_sigmas` standard deviations. Default `"auto"`. Range [0.000001, 1000000].
     pub buffer: AutoLength,
-    /// Thickness in standard deviations where `buffer` is automatic, above 0.861 (below, a hit is
-    /// evidence against the obstacle). Default 2.25; docs/sensor-parameters.md derives it.
+    /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence against the
+    /// obstacle). Default 2.25; docs/sensor-parameters.md derives it. Range [0.862, 100].
     pub buffer_sigmas: f64,
     /// Form of the model `thrun`. Default `exact`.
     pub thrun_form: ThrunFormKind,
-    /// Significance k of the model `andert`, above 0, or `"auto"`: `significance_gain` cells. Default
-    /// `"auto"`.
+    /// Significance k of the model `andert`, or `"auto"`: `significance_gain` cells. Default `"auto"`.
+    /// Range [0.000001, 1000000].
     pub significance: AutoLength,
-    /// Cells where `significance` is automatic, above 0. Default 1.
+    /// Cells where `significance` is automatic. Default 1. Range [0.000001, 1000000].
     pub significance_gain: f64,
-    /// Probability of free space in the model `andert`, in (0, 0.5). Default 0.3, the thesis'.
+    /// Probability of free space in the model `andert`. Default 0.3, the thesis'. Range [0.001, 0.499].
     pub andert_p_min: f64,
     /// Form of the model `andert`. Default `monocular`.
     pub andert_form: AndertFormKind,
     /// How measurements are combined. Default `fused`.
     pub integration: IntegrationKind,
-    /// Limits of one update, log-odds, below and above 0: a single ray must not decide. Default
+    /// Limits of one update, log-odds, [-100, -0.000001] and [0.000001, 100]: a single ray must not decide. Default
     /// -0.2 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
     /// rest says little (docs/sensor-parameters.md).
     pub update_limits: [f64; 2],
-    /// Updates smaller than this (log-odds) behind the obstacle end the ray, 0 to 1. The models stay
-    /// above 1/2 far behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.6.
+    /// Updates smaller than this (log-odds) behind the obstacle end the ray. The models stay above 1/2 far
+    /// behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.6. Range [0, 1].
     pub tail_log_odds: f64,
-    /// Lowest and highest stored log-odds. Default -2 and 3.5, OctoMap's.
+    /// Lowest and highest stored log-odds, [-7.99, -0.001] and [0.001, 7.99]. Default -2 and 3.5, OctoMap's.
     pub clamp: [f32; 2],
-    /// Cells at least this likely are occupied, in (0, 1). Default 0.5.
+    /// Cells at least this likely are occupied. Default 0.5. Range [0.001, 0.999].
     pub occupancy_threshold: f64,
-    /// Measurements farther away are ignored, above 0. Default 10.
+    /// Measurements farther away are ignored. Default 10. Range [0.000001, inf].
     pub max_range: f64,
-    /// Radius of the local map around the camera, above 0. Default 3.
+    /// Radius of the local map around the camera. Default 3. Range [0.000001, 1000000].
     pub local_radius: f64,
-    /// While a run goes on, the global map follows keyframes of which some measurement moved by at
-    /// least this many cells, at least 0. The final maps have all poses exactly. Default 1.
+    /// While a run goes on, the global map follows keyframes of which some measurement moved by at least this
+    /// many cells. The final maps have all poses exactly. Default 1. Range [0, 1000000].
     pub follow_threshold: f64,
     /// What is taken as the standard deviation of a range. Default `range`.
     pub sigma_mode: SigmaMode,
-    /// Standard deviation of a keyframe's position relative to its neighbours, at least 0. Default 0.01.
+    /// Standard deviation of a keyframe's position relative to its neighbours. Default 0.01. Range [0,
+    /// 1000000].
     pub pose_sigma: f64,
-    /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees, at least 0.
-    /// Default 0.1.
+    /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees. Default 0.1. Range [0,
+    /// 180].
     pub pose_sigma_deg: f64,
-    /// Standard deviation of the depth in given depth images over the depth, above 0. Default 0.01.
+    /// Standard deviation of the depth in given depth images over the depth. Default 0.01. Range [0.000001,
+    /// 10].
     pub depth_image_sigma: f64,
+    /// Memory that a map and what prepares it may take, GB (10^9 bytes). Default 1.5. Range [0.01, 1024].
+    pub max_memory_gb: f64,
     /// Which measurements are mapped.
     pub filter: DepthFilterConfig,
     /// Better depth at the final poses.
@@ -392,6 +292,7 @@ impl Default for MappingConfig {
             pose_sigma: 0.01,
             pose_sigma_deg: 0.1,
             depth_image_sigma: 0.01,
+            max_memory_gb: 1.5,
             filter: DepthFilterConfig::default(),
             refine: RefineConfig::default(),
             fill: FillConfig::default(),
@@ -439,83 +340,7 @@ impl MappingConfig {
     /// # Errors
     /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let check = |name, value: f64, is_allowed: bool, allowed| {
-            if is_allowed {
-                Ok(())
-            } else {
-                Err(ConfigError {
-                    name,
-                    value,
-                    allowed,
-                })
-            }
-        };
-        let above_zero = |name, value: f64| check(name, value, value > 0.0, "above 0");
-        let length = |name, value: AutoLength| match value {
-            AutoLength::Auto => Ok(()),
-            AutoLength::Fixed(value) => check(
-                name,
-                value,
-                value > 0.0 && value.is_finite(),
-                "above 0, or \"auto\"",
-            ),
-        };
-        let finite = self.resolution.is_finite() && self.resolution > 0.0;
-        check("mapping.resolution", self.resolution, finite, "above 0")?;
-        length("mapping.buffer", self.buffer)?;
-        check(
-            "mapping.buffer_sigmas",
-            self.buffer_sigmas,
-            self.buffer_sigmas > 0.861 && self.buffer_sigmas.is_finite(),
-            "above 0.861",
-        )?;
-        length("mapping.significance", self.significance)?;
-        above_zero("mapping.significance_gain", self.significance_gain)?;
-        let p_min = self.andert_p_min;
-        check(
-            "mapping.andert_p_min",
-            p_min,
-            p_min > 0.0 && p_min < 0.5,
-            "between 0 and 0.5",
-        )?;
-        let [low, high] = self.update_limits;
-        check("mapping.update_limits", low, low < 0.0, "below and above 0")?;
-        check(
-            "mapping.update_limits",
-            high,
-            high > 0.0,
-            "below and above 0",
-        )?;
-        let tail = self.tail_log_odds;
-        check(
-            "mapping.tail_log_odds",
-            tail,
-            (0.0..=1.0).contains(&tail),
-            "0 to 1",
-        )?;
-        above_zero("mapping.max_range", self.max_range)?;
-        above_zero("mapping.local_radius", self.local_radius)?;
-        above_zero("mapping.depth_image_sigma", self.depth_image_sigma)?;
-        for (name, value) in [
-            ("mapping.pose_sigma", self.pose_sigma),
-            ("mapping.pose_sigma_deg", self.pose_sigma_deg),
-            ("mapping.follow_threshold", self.follow_threshold),
-        ] {
-            check(name, value, value >= 0.0 && value.is_finite(), "at least 0")?;
-        }
-        above_zero(
-            "mapping.filter.max_relative_sigma",
-            self.filter.max_relative_sigma,
-        )?;
-        self.refine.validate()?;
-        self.fill.validate()?;
-        let support = self.filter.min_support;
-        check(
-            "mapping.filter.min_support",
-            support as f64,
-            support <= 9,
-            "0 to 9",
-        )
+        crate::limits::check_mapping(self)
     }
 
     /// The settings of the map itself.
@@ -526,7 +351,7 @@ impl MappingConfig {
             clamp_min: self.clamp[0],
             clamp_max: self.clamp[1],
             occupancy_threshold: self.occupancy_threshold,
-            ..MapConfig::default()
+            memory_budget_bytes: (self.max_memory_gb * 1e9) as usize,
         }
     }
 

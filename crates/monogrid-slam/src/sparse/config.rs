@@ -8,37 +8,40 @@ use serde::{Deserialize, Serialize};
 pub struct SparseConfig {
     /// Whether there is a sparse layer; without, keyframes form a chain.
     pub enabled: bool,
-    /// Points that each keyframe should see; missing ones are anchored in it.
+    /// Points that each keyframe should see; missing ones are anchored in it. Range [0, 20000].
     pub points_per_keyframe: usize,
-    /// Most old points that are looked for in a new keyframe.
+    /// Most old points that are looked for in a new keyframe. Range [0, 100000].
     pub max_searched_points: usize,
-    /// Side of the square cells over which the searched points are spread, px.
+    /// Side of the square cells over which the searched points are spread, px. Range [4, 1000].
     pub cell_px: usize,
-    /// Half width of the search for a point around its prediction, px.
+    /// Half width of the search for a point around its prediction, px. Range [1, 100].
     pub search_radius_px: f64,
-    /// Largest angle between the rays from the anchor and from the new keyframe, degrees.
+    /// Largest angle between the rays from the anchor and from the new keyframe, degrees. Range [0, 180].
     pub max_view_angle_deg: f64,
-    /// Largest ratio of the distances to both.
+    /// Largest ratio of the distances to both. Range [1, 1000].
     pub max_distance_ratio: f64,
-    /// Older keyframes in which a new point is looked for.
+    /// Older keyframes in which a new point is looked for. Range [0, 1000].
     pub back_search_keyframes: usize,
-    /// Standard deviation of a found position, px.
+    /// Standard deviation of a found position, px. Range [0.01, 20].
     pub sigma_px: f64,
-    /// The same for the first pose of a new keyframe, when the points are not adjusted with it yet, px.
+    /// The same for the first pose of a new keyframe, when the points are not adjusted with it yet, px. Range
+    /// [0.01, 100].
     pub pose_sigma_px: f64,
-    /// Newest keyframes whose poses are adjusted.
+    /// Newest keyframes whose poses are adjusted. Range [2, 1000].
     pub window_newest: usize,
-    /// Most covisible older keyframes whose poses are adjusted with them.
+    /// Most covisible older keyframes whose poses are adjusted with them. Range [0, 1000].
     pub window_covisible: usize,
-    /// Shared points from which an older keyframe counts as covisible.
+    /// Shared points from which an older keyframe counts as covisible. Range [1, 1000000].
     pub min_shared_points: usize,
-    /// Iterations of the adjustment.
+    /// Iterations of the adjustment. Range [1, 1000].
     pub max_iterations: usize,
-    /// Squared normalised residual above which an observation is removed after the adjustment.
+    /// Squared normalised residual above which an observation is removed after the adjustment. Range [0.1,
+    /// 1000000].
     pub max_chi_sq: f64,
-    /// Fewest points that must agree before the pose of a new keyframe is taken from them.
+    /// Fewest points that must agree before the pose of a new keyframe is taken from them. Range [4, 1000000].
     pub min_pose_points: usize,
-    /// Points anchored per keyframe with fewer observations after this many keyframes are dropped.
+    /// Points anchored per keyframe with fewer observations after this many keyframes are dropped. Range [0,
+    /// 1000000].
     pub drop_after_keyframes: u32,
 }
 

@@ -122,14 +122,10 @@ fn stored_point(point: &SparsePoint, is_finished: impl Fn(KeyframeId) -> bool) -
 
 /// The points of a map that make sense, by their hosts.
 fn restored_points(map: &StoredMap) -> Vec<SparsePoint> {
-    let exists = |id: KeyframeId| (id as usize) < map.keyframes.len();
-    let positive = |v: f64| v.is_finite() && v > 0.0;
-    let usable = map.points.iter().filter(|point| {
-        exists(point.host)
-            && positive(point.idepth)
-            && positive(point.prior[1])
-            && point.observations.iter().all(|(id, _)| exists(*id))
-    });
+    let image = map.keyframes.first().map(|stored| &stored.keyframe.image);
+    let size = image.map_or((0, 0), |image| (image.width(), image.height()));
+    let is_usable = |point: &&StoredPoint| point.is_usable(map.keyframes.len(), size);
+    let usable = map.points.iter().filter(is_usable);
     let mut points: Vec<SparsePoint> = usable
         .map(|point| SparsePoint {
             host: point.host,

@@ -9,50 +9,52 @@ use serde::{Deserialize, Serialize};
 pub struct TrackingConfig {
     /// Image alignment.
     pub alignment: AlignmentConfig,
-    /// Largest relative standard deviation of the inverse depth of a point that is tracked on: noise
-    /// in the regressor shrinks the estimated translation.
+    /// Largest relative standard deviation of the inverse depth of a point that is tracked on: noise in the
+    /// regressor shrinks the estimated translation. Range [0.0001, 1000].
     pub max_relative_sigma: f32,
-    /// Smallest validity (confirmation by observations) of a point that is tracked on.
+    /// Smallest validity (confirmation by observations) of a point that is tracked on. Range [0, 255].
     pub min_validity: u8,
     /// Whether the smoothed depth is tracked on.
     pub smoothed_depth: bool,
-    /// Points that must remain after that limit; below, the limit is doubled until there are.
+    /// Points that must remain after that limit; below, the limit is doubled until there are. Range [0,
+    /// 1000000].
     pub min_reference_points: usize,
     /// Start from the motion of the last frames, and try other motions when that fails; without, the
     /// pose of the last frame is the only start.
     pub motion_hypotheses: bool,
-    /// A hypothesis is taken without looking at the others when on the coarsest level this share of the
-    /// visible points is good,
+    /// A hypothesis is taken without looking at the others when on the coarsest level this share of the visible
+    /// points is good (range [0, 1]),
     pub accept_good_of_visible: f32,
-    /// and this share of all points is visible.
+    /// and this share of all points is visible. Range [0, 1].
     pub accept_visible_share: f32,
-    /// Fewest points on the finest level.
+    /// Fewest points on the finest level. Range [6, 1000000].
     pub min_points: usize,
-    /// Lost below this share of keyframe points inside the frame.
+    /// Lost below this share of keyframe points inside the frame. Range [0, 1].
     pub min_visible_share: f32,
-    /// Lost below this share of good points of all.
+    /// Lost below this share of good points of all. Range [0, 1].
     pub min_good_share: f32,
-    /// Lost below this share of good points of the visible ones.
+    /// Lost below this share of good points of the visible ones. Range [0, 1].
     pub min_good_of_visible: f32,
-    /// Lost below this correlation of the grey values of keyframe and frame.
+    /// Lost below this correlation of the grey values of keyframe and frame. Range [-1, 1].
     pub min_correlation: f64,
-    /// Degraded below this share of good points of the visible ones.
+    /// Degraded below this share of good points of the visible ones. Range [0, 1].
     pub degraded_good_of_visible: f32,
     /// Largest difference from where the motion of the last frames leads (norm of the twist, median depths and
-    /// rad) that is no surprise, and
+    /// rad) that is no surprise (range [0, 1000]), and
     pub surprising_motion: f64,
-    /// largest change of the logarithm of the gain from one frame to the next.
+    /// largest change of the logarithm of the gain from one frame to the next. Range [0, 1000].
     pub surprising_log_gain: f64,
     /// After a loss or a surprise, or with degraded residuals, a pose is believed only with this correlation of
-    /// the grey values,
+    /// the grey values (range [-1, 1]),
     pub return_correlation: f64,
-    /// after a loss also with this share of good points of the visible ones,
+    /// after a loss also with this share of good points of the visible ones (range [0, 1]),
     pub return_good_of_visible: f32,
-    /// this usage,
+    /// this usage (range [0, 1]),
     pub return_usage: f32,
-    /// and at most this logarithm of the gain, up or down.
+    /// and at most this logarithm of the gain, up or down. Range [0, 1000].
     pub return_max_log_gain: f64,
     /// For this many frames after a loss a pose near the prediction needs only the evidence of any other frame.
+    /// Range [0, 1000].
     pub return_near_frames: usize,
     /// Poses from points.
     pub points: PointTrackingConfig,
@@ -64,22 +66,23 @@ pub struct TrackingConfig {
 pub struct PointTrackingConfig {
     /// Whether points are looked for in every frame; they need `sparse.enabled`.
     pub enabled: bool,
-    /// Points that are looked for at most.
+    /// Points that are looked for at most. Range [0, 100000].
     pub max_points: usize,
-    /// Half width of the search around where alignment predicts a point, px.
+    /// Half width of the search around where alignment predicts a point, px. Range [1, 100].
     pub near_radius_px: f64,
-    /// Half width of the search where alignment failed, or its pose does not agree with the points, px.
+    /// Half width of the search where alignment failed, or its pose does not agree with the points, px. Range
+    /// [1, 200].
     pub search_radius_px: f64,
-    /// Smallest correlation of a patch that was found.
+    /// Smallest correlation of a patch that was found. Range [0, 1].
     pub min_correlation: f32,
-    /// Largest error of a point that agrees with a pose, px.
+    /// Largest error of a point that agrees with a pose, px. Range [0.1, 100].
     pub max_error_px: f64,
-    /// Fewest points that decide where a frame is,
+    /// Fewest points that decide where a frame is (range [4, 1000000]),
     pub min_inliers: usize,
-    /// and their smallest share of those that were found.
+    /// and their smallest share of those that were found. Range [0, 1].
     pub min_inlier_share: f64,
     /// Factor on the standard deviations of a pose by alignment where it is fused with that of the points: its
-    /// residuals do not show the errors of the depth.
+    /// residuals do not show the errors of the depth. Range [0.01, 1000].
     pub alignment_sigma_factor: f64,
 }
 

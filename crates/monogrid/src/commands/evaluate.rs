@@ -13,7 +13,8 @@ use crate::recorded::{keyframe_camera, posed_keyframes};
 use crate::run::align::stamped_all;
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{
-    Dataset, DepthRegistration, ReadOptions, Recording, SourceOptions, format_sim3, read_trajectory,
+    Dataset, DepthRegistration, ReadOptions, Recording, Scale, SourceOptions, format_sim3,
+    parse_seconds, read_file, read_trajectory,
 };
 use monogrid_evaluation::{
     DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
@@ -21,7 +22,8 @@ use monogrid_evaluation::{
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{RefineConfig, refined_depths};
-use std::path::PathBuf;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 
 /// How an estimated trajectory is aligned to the truth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -71,6 +73,9 @@ pub struct EvaluateDepthArgs {
     pub json: JsonArg,
 }
 
+/// Largest table of frames that is read: days of video.
+const MAX_TABLE_BYTES: u64 = 1 << 30;
+
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let inputs = Inputs::of("the estimate", &args.estimate).and("the truth", &args.truth);
@@ -79,12 +84,17 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let sim3 = sim3.transpose()?;
     let estimate = read_trajectory(&args.estimate).bad_input()?;
     let truth = read_trajectory(&args.truth).bad_input()?;
+    let frame_times = args
+        .estimate
+        .parent()
+        .and_then(|folder| frame_times_ns(&folder.join("frames.csv")));
     let config = TrajectoryConfig {
         alignment: match args.align {
             AlignMode::Sim3 => TrajectoryAlignment::Sim3,
             AlignMode::Se3 => TrajectoryAlignment::Se3,
             AlignMode::None => TrajectoryAlignment::None,
         },
+        frame_times_ns: frame_times.as_deref(),
         ..TrajectoryConfig::default()
     };
     let report =
@@ -100,9 +110,24 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     Ok(Outcome::Done)
 }
 
+/// Times of the frames of the run whose results lie in the same folder; `None` where there are none.
+fn frame_times_ns(table: &Path) -> Option<Vec<i64>> {
+    let text = String::from_utf8(read_file(table, MAX_TABLE_BYTES).ok()?).ok()?;
+    let mut lines = text.lines();
+    let names = lines.next()?;
+    let column = names.split(',').position(|name| name == "timestamp")?;
+    lines
+        .map(|line| parse_seconds(line.split(',').nth(column)?))
+        .collect()
+}
+
 fn print_trajectory(report: &TrajectoryReport) {
+    let of = match report.frames {
+        Some(frames) => format!("{frames} frames with a true pose"),
+        None => "true poses".to_owned(),
+    };
     println!(
-        "{} poses compared over a path of {:.3}; the estimate covers {:.1} % of the true poses; lengths in the unit of the truth",
+        "{} poses compared over a path of {:.3}; the estimate covers {:.1} % of the {of}; lengths in the unit of the truth",
         report.matched,
         report.path_length,
         100.0 * report.coverage
@@ -121,6 +146,15 @@ fn print_trajectory(report: &TrajectoryReport) {
     );
 }
 
+/// `evaluate depth --json`.
+#[derive(Debug, Serialize)]
+struct Compared {
+    #[serde(flatten)]
+    report: DepthReport,
+    /// Keyframes that were given true depth and are therefore left out.
+    seeded_left_out: usize,
+}
+
 /// Compares the depth of a recording with true depth images.
 pub fn depth(args: &EvaluateDepthArgs) -> CommandResult {
     let recording =
@@ -136,7 +170,10 @@ pub fn depth(args: &EvaluateDepthArgs) -> CommandResult {
     if args.json.json {
         print_json(&report)?;
     } else {
-        print_depth(&report);
+        print_depth(&report.report);
+        if report.seeded_left_out > 0 {
+            println!("the keyframe that was given true depth is left out");
+        }
     }
     Ok(Outcome::Done)
 }
@@ -145,7 +182,7 @@ fn compare(
     recording: &Recording,
     dataset: &Dataset,
     args: &EvaluateDepthArgs,
-) -> Result<DepthReport, Failure> {
+) -> Result<Compared, Failure> {
     let session = &recording.session;
     let colour = Camera {
         width: session.width,
@@ -161,6 +198,7 @@ fn compare(
         session.height,
     );
     let mut comparison = DepthComparison::new();
+    let mut seeded_left_out = 0;
     for (keyframe, pixels) in recording.keyframes.iter().zip(depths(recording, args)?) {
         let (Some(image), Some(pose), Some(truth)) = (
             &keyframe.image,
@@ -169,6 +207,11 @@ fn compare(
         ) else {
             continue;
         };
+        // a run is metric because its first keyframe was given true depth: that would be compared with itself
+        if keyframe.id == 0 && session.scale == Scale::Metric {
+            seeded_left_out += 1;
+            continue;
+        }
         let true_depth = registered_depth(&truth.path, &calibration, &registration)?;
         let candidate = Candidate {
             id: keyframe.id,
@@ -180,13 +223,16 @@ fn compare(
     }
     if comparison.num_compared() == 0 {
         return Err(Failure::input(format!(
-            "none of the {} keyframes of {} has a depth image of its time in {}",
+            "none of the {} keyframes of {} that was not given true depth has a depth image of its time in {}",
             recording.keyframes.len(),
             args.recording.display(),
             args.truth.display()
         )));
     }
-    comparison.finish()
+    Ok(Compared {
+        report: comparison.finish()?,
+        seeded_left_out,
+    })
 }
 
 /// The depth of the keyframes as it was recorded, or as the final map has it.

@@ -269,12 +269,24 @@ fn print_map(report: &MapReport) {
             100.0 * occupied
         );
     }
+    let surface = &report.surface;
     println!(
-        "surface: accuracy {}, completeness {:.1} % within {}",
-        or_dash(report.surface.accuracy_m),
-        100.0 * report.surface.completeness,
-        report.surface.tolerance_m
+        "surface: accuracy median {}, 90 % {}, mean {}, {:.1} % beyond 3 cells; completeness {:.1} % within {}",
+        or_dash(surface.accuracy_median_m),
+        or_dash(surface.accuracy_p90_m),
+        or_dash(surface.accuracy_m),
+        100.0 * surface.accuracy_beyond_3_cells,
+        100.0 * surface.completeness,
+        surface.tolerance_m
     );
+    if report.predicted_outside > 0 {
+        println!(
+            "of {} occupied cells {} ({:.1} %) lie beyond the truth: they count in the accuracy and nowhere else",
+            report.predicted,
+            report.predicted_outside,
+            100.0 * report.predicted_outside as f64 / report.predicted as f64
+        );
+    }
     println!(
         "Brier score {}, squared differences {:.2} per slice",
         or_dash(report.calibration.brier),

@@ -36,13 +36,17 @@ pub fn bytes(count: u64) -> String {
         _ => format!("{:.2} MB", count as f64 / 1e6),
     }
 }
+/// Most threads of computation: each needs memory of its own.
+const MAX_THREADS: usize = 256;
 
 /// Makes the pool of `threads` threads (default: all cores); returns their number.
 ///
 /// Results never depend on it.
 pub fn use_threads(threads: Option<usize>) -> Result<usize, Failure> {
-    if threads == Some(0) {
-        return Err(Failure::input("--threads is 0, expected at least 1"));
+    if let Some(threads) = threads.filter(|threads| !(1..=MAX_THREADS).contains(threads)) {
+        return Err(Failure::input(format!(
+            "--threads is {threads}, expected 1 to {MAX_THREADS}"
+        )));
     }
     let available = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = threads.unwrap_or(available);

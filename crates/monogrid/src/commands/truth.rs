@@ -41,9 +41,9 @@ pub struct TruthArgs {
     /// Holes of the surface up to twice this many cells wide are closed
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub hole_cells: usize,
-    /// Depth images: ignore depth beyond this
-    #[arg(long, value_name = "L", value_parser = positive, default_value_t = 4.0)]
-    pub max_depth: f64,
+    /// Depth images: ignore depth beyond this [default: none is ignored]
+    #[arg(long, value_name = "L", value_parser = positive)]
+    pub max_depth: Option<f64>,
     /// Depth images: use every n-th [default: so that at most 300 are used]
     #[arg(long, value_name = "N")]
     pub every: Option<usize>,
@@ -341,7 +341,7 @@ fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
         })
         .collect();
     let config = CarveConfig {
-        max_depth: args.max_depth,
+        max_depth: args.max_depth.unwrap_or(f64::INFINITY),
         ..CarveConfig::with_resolution(args.resolution)
     };
     let grid = truth_from_depth_images(&images, &config).bad_input()?;

@@ -57,11 +57,15 @@ pub fn write_tables(
 
 /// The frames of earlier sessions where they are known to be now, session after session.
 fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) -> String {
+    let mut frames: Vec<_> = earlier.frames.iter().collect();
+    // stable: the frames of a session stay in their order
+    frames.sort_by_key(|recorded| recorded.session);
     let mut text = String::new();
     for (number, session) in (0..).zip(&earlier.sessions) {
         let _ = writeln!(text, "# session {number}: {}", session.source);
-        let frames = earlier.frames.iter().filter(|f| f.session == number);
-        let poses: Vec<TimedPose> = frames
+        let first = frames.partition_point(|f| f.session < number);
+        let of_session = frames[first..].iter().take_while(|f| f.session == number);
+        let poses: Vec<TimedPose> = of_session
             .filter_map(|recorded| {
                 let frame_then = tracked_frame(recorded);
                 let keyframe = tracked.run.poses.in_main_map(recorded.keyframe)?;

@@ -76,6 +76,13 @@ impl Earlier {
                 file.display()
             ));
         }
+        if recording.num_invalid_links > 0 {
+            warnings.push(format!(
+                "{} edges, points and frames of {} name what does not exist and were left out",
+                recording.num_invalid_links,
+                file.display()
+            ));
+        }
         let continuation = recording.continuation.clone().unwrap_or_else(|| {
             warnings.push(format!(
                 "{} was not finished, or by an earlier version: only keyframes and poses are taken over",

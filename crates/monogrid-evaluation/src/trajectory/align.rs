@@ -1,0 +1,136 @@
+//! The alignment of the estimate to the truth.
+
+use super::{PosePair, TrajectoryAlignment};
+use monogrid_geometry::{
+    AlignmentError, Mat3, Rotation, Sim3, Vec3, align_similarity, nalgebra::Rotation3,
+};
+
+/// A path whose spread across is a smaller share of that along does not tell how the camera was turned around it.
+const STRAIGHT: f64 = 0.01;
+/// Weight of the orientations beside the positions of a straight path: these fix two angles, those the third.
+const ORIENTATION_WEIGHT: f64 = 1e-3;
+
+/// The similarity or rigid transform that brings the estimated positions closest to the true ones; on a straight
+/// path the angle around it comes from the orientations.
+pub(super) fn align(
+    pairs: &[PosePair],
+    alignment: TrajectoryAlignment,
+) -> Result<Sim3, AlignmentError> {
+    let with_scale = match alignment {
+        TrajectoryAlignment::Sim3 => true,
+        TrajectoryAlignment::Se3 => false,
+        TrajectoryAlignment::None => return Ok(Sim3::identity()),
+    };
+    let positions = |of: fn(&PosePair) -> Vec3| -> Vec<Vec3> { pairs.iter().map(of).collect() };
+    let source = positions(|p| p.est_from_camera.translation);
+    let target = positions(|p| p.gt_from_camera.translation);
+    match along_a_line(pairs, &source, &target, with_scale) {
+        Some(aligned) => Ok(aligned),
+        None => Ok(align_similarity(&source, &target, with_scale)?.target_from_source),
+    }
+}
+
+/// The transform for a true path along a line; `None` where it is none, or where nobody moves.
+fn along_a_line(
+    pairs: &[PosePair],
+    source: &[Vec3],
+    target: &[Vec3],
+    with_scale: bool,
+) -> Option<Sim3> {
+    let n = pairs.len() as f64;
+    let (mean_source, mean_target) = (
+        source.iter().sum::<Vec3>() / n,
+        target.iter().sum::<Vec3>() / n,
+    );
+    let (mut scatter, mut covariance, mut turns) = (Mat3::zeros(), Mat3::zeros(), Mat3::zeros());
+    let mut var_source = 0.0;
+    for ((pair, s), t) in pairs.iter().zip(source).zip(target) {
+        let (ds, dt) = (s - mean_source, t - mean_target);
+        scatter += dt * dt.transpose() / n;
+        covariance += dt * ds.transpose() / n;
+        var_source += ds.norm_squared() / n;
+        turns += rotation(pair.gt_from_camera.rotation)
+            * rotation(pair.est_from_camera.rotation).transpose()
+            / n;
+    }
+    let spread = scatter.symmetric_eigenvalues().map(|v| v.max(0.0).sqrt());
+    let (longest, sum) = (spread.max(), spread.sum());
+    let across = sum - longest - spread.min();
+    let strength = covariance.norm();
+    if !(longest > 0.0 && across < STRAIGHT * longest && var_source > 0.0 && strength > 0.0) {
+        return None;
+    }
+    let svd = (covariance / strength + turns * ORIENTATION_WEIGHT).svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let sign = (u.determinant() * v_t.determinant()).signum();
+    let turn = u * Mat3::from_diagonal(&Vec3::new(1.0, 1.0, sign)) * v_t;
+    let scale = if with_scale {
+        (turn.transpose() * covariance).trace() / var_source
+    } else {
+        1.0
+    };
+    let turn = Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
+    let aligned = Sim3::new(scale, turn, mean_target - turn * mean_source * scale);
+    aligned.is_finite().then_some(aligned)
+}
+
+fn rotation(rotation: Rotation) -> Mat3 {
+    rotation.to_rotation_matrix().into_inner()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Se3, Vec6};
+
+    fn twist(v: [f64; 6]) -> Se3 {
+        Se3::exp(&Vec6::from_row_slice(&v))
+    }
+
+    /// A camera that turns a little while it drives `across` off a straight line, seen from another frame.
+    fn pairs(gt_from_est: &Sim3, across: f64) -> Vec<PosePair> {
+        (0..40)
+            .map(|i| {
+                let t = f64::from(i);
+                let est_from_camera = Se3::new(
+                    twist([0.0, 0.0, 0.0, 0.01 * t, -0.02 * (0.3 * t).sin(), 0.1]).rotation,
+                    Vec3::new(0.5 * t, across * (0.4 * t).sin(), across * (0.7 * t).cos()),
+                );
+                let moved = *gt_from_est * est_from_camera.with_scale(1.0);
+                PosePair {
+                    time_secs: t,
+                    est_from_camera,
+                    gt_from_camera: moved.to_se3(),
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn straight_paths_are_aligned_by_orientation_too() {
+        let truth = twist([3.0, -1.0, 2.0, 0.4, 1.2, -0.7]).with_scale(2.5);
+        for across in [0.0, 1e-9, 0.001, 0.05, 2.0] {
+            let found = align(&pairs(&truth, across), TrajectoryAlignment::Sim3).unwrap();
+            let angle = found.rotation.angle_to(&truth.rotation);
+            assert!(angle < 1e-6, "{across}: {angle}");
+            assert!((found.scale / truth.scale - 1.0).abs() < 1e-9, "{across}");
+            assert!(
+                (found.translation - truth.translation).norm() < 1e-6,
+                "{across}"
+            );
+        }
+        let rigid = truth.to_se3().with_scale(1.0);
+        let found = align(&pairs(&rigid, 0.0), TrajectoryAlignment::Se3).unwrap();
+        assert!(found.rotation.angle_to(&rigid.rotation) < 1e-6 && found.scale == 1.0);
+    }
+
+    #[test]
+    fn a_camera_that_stands_still_cannot_be_aligned() {
+        let mut still = pairs(&Sim3::identity(), 0.0);
+        for pair in &mut still {
+            pair.gt_from_camera.translation = Vec3::zeros();
+            pair.est_from_camera.translation = Vec3::zeros();
+        }
+        assert!(align(&still, TrajectoryAlignment::Sim3).is_err());
+    }
+}

@@ -1,0 +1,288 @@
+//! What a scan will cost, estimated from some of its measurements before anything is made for it.
+
+use super::beam::total_sigma;
+use super::{IntegrationConfig, IntegrationRule};
+use crate::error::MapError;
+use crate::key::{BRICK_CELLS, BRICK_EDGE};
+use crate::map::OccupancyMap;
+use crate::scan::{Scan, ScanData};
+use crate::sensor::table::TableSet;
+
+/// Measurements that are looked at: enough for a mean, few enough to cost nothing.
+const SAMPLES: usize = 2048;
+/// Bytes per brick while a scan is prepared: its task in a list that grows, and again by shard.
+const PREPARED_BYTES: f64 = 64.0;
+/// Bytes per brick in a directory, at least.
+const DIRECTORY_BYTES: f64 = 16.0;
+
+/// Bricks that a ray meets per edge of a brick, at most.
+const BRICKS_PER_EDGE: f64 = 1.733;
+
+/// Bricks that a scan is about to change.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Cost {
+    /// In front of the obstacles.
+    free: f64,
+    /// In the bands around them, where every cell gets its own value.
+    band: f64,
+}
+
+impl Cost {
+    /// The cost of a valid scan: the volume of the cones that its measurements stand for.
+    pub(super) fn of(
+        scan: &Scan,
+        config: &IntegrationConfig,
+        resolution: f64,
+    ) -> Result<Self, MapError> {
+        let mut tables = TableSet::new(
+            config.model.at_resolution(resolution),
+            config.update_limits(),
+        )?;
+        let scale = scan.world_from_sensor.scale;
+        let step = scan.len().div_ceil(SAMPLES).max(1);
+        let sampled = (0..scan.len()).step_by(step);
+        let samples: Vec<_> = sampled
+            .filter_map(|index| scan.measurement(index, config.sigma_mode))
+            .collect();
+        let solid_angle = match scan.data {
+            ScanData::Depth(_) => 0.0,
+            ScanData::Points(_) => {
+                angle_seen(samples.iter().map(|m| m.point)) / samples.len().max(1) as f64
+            }
+        };
+        let mut cost = Self::default();
+        for found in &samples {
+            let range = found.range * scale;
+            let sigma = total_sigma(found.sigma * scale, range, scan, resolution);
+            let index = tables.prepare(range as f32, sigma as f32);
+            let table = tables.table(index);
+            let solid_angle = match scan.data {
+                ScanData::Depth(camera) => {
+                    step as f64 * (found.point[2] / found.range).powi(3)
+                        / (camera.fx * camera.fy).abs()
+                }
+                ScanData::Points(_) => solid_angle,
+            };
+            let edge = resolution * f64::from(BRICK_EDGE);
+            let bricks_to = |range: f64| {
+                let bricks = range.clamp(0.0, config.max_range) / edge;
+                let cone = solid_angle * bricks.powi(3) / 3.0;
+                match config.rule {
+                    IntegrationRule::Fused => cone,
+                    IntegrationRule::Rays => cone.min(step as f64 * bricks * BRICKS_PER_EDGE),
+                }
+            };
+            let free = bricks_to(range + table.start);
+            // a band meets one layer of bricks more than its thickness has
+            let layer = solid_angle * (range.min(config.max_range) / edge).powi(2);
+            cost.free += free;
+            cost.band += bricks_to(range + table.end()) - free + layer.min(step as f64);
+        }
+        Ok(cost)
+    }
+
+    /// Bytes to prepare the scan.
+    pub(super) fn prepared_bytes(&self) -> f64 {
+        (self.free + self.band) * PREPARED_BYTES
+    }
+
+    /// Bytes of the scan, prepared and in the map.
+    fn bytes(&self) -> f64 {
+        let payloads = self.band * (BRICK_CELLS * size_of::<i16>()) as f64;
+        self.prepared_bytes() + (self.free + self.band) * DIRECTORY_BYTES + payloads
+    }
+}
+
+/// The cost of a valid scan.
+///
+/// # Errors
+/// The scan alone would need more memory than the map may have.
+pub(super) fn affordable(
+    map: &OccupancyMap,
+    scan: &Scan,
+    config: &IntegrationConfig,
+) -> Result<Cost, MapError> {
+    let cell = map.resolution();
+    let cost = Cost::of(scan, config, cell)?;
+    let budget_bytes = map.config().memory_budget_bytes as f64;
+    if cost.bytes() <= budget_bytes {
+        return Ok(cost);
+    }
+    // a map has many scans, so that one should need a tenth at most
+    let mut fitting_cell = cell;
+    while fitting_cell < 1e9 && 10.0 * Cost::of(scan, config, fitting_cell)?.bytes() > budget_bytes
+    {
+        fitting_cell *= 2.0;
+    }
+    Err(MapError::TooFine {
+        needed_gb: cost.bytes() / 1e9,
+        budget_gb: budget_bytes / 1e9,
+        cell,
+        fitting_cell: rounded_up(fitting_cell),
+    })
+}
+
+/// Solid angle of the directions of some points: that of a pyramid around them where all lie ahead, else all.
+fn angle_seen(points: impl Iterator<Item = [f64; 3]>) -> f64 {
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for [x, y, z] in points {
+        if z <= 0.2 * x.hypot(y) {
+            return 4.0 * std::f64::consts::PI;
+        }
+        for (axis, slope) in [x / z, y / z].into_iter().enumerate() {
+            low[axis] = low[axis].min(slope);
+            high[axis] = high[axis].max(slope);
+        }
+    }
+    // of a pyramid between these slopes around the axis
+    let corner = |x: f64, y: f64| (x * y / (1.0 + x * x + y * y).sqrt()).atan();
+    let angle = corner(high[0], high[1]) - corner(low[0], high[1]) - corner(high[0], low[1])
+        + corner(low[0], low[1]);
+    if angle.is_finite() { angle } else { 0.0 }
+}
+
+/// The next number with one digit that counts: 0.0123 becomes 0.02.
+fn rounded_up(value: f64) -> f64 {
+    let digit = 10_f64.powi(value.log10().floor() as i32);
+    (value / digit).ceil() * digit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::MapConfig;
+    use crate::scan::{DepthPixel, DepthScan, PointScan, PoseSigma, Similarity};
+
+    fn scan(data: ScanData) -> Scan {
+        Scan {
+            id: 0,
+            world_from_sensor: Similarity::IDENTITY,
+            pose_sigma: PoseSigma::default(),
+            data,
+        }
+    }
+
+    /// A wall two units away, as depth image and as points.
+    fn wall() -> (Vec<DepthPixel>, Vec<[f32; 3]>) {
+        let pixels: Vec<DepthPixel> = (0..160 * 120_u32)
+            .map(|i| DepthPixel {
+                x: (i % 160) as u16,
+                y: (i / 160) as u16,
+                idepth: 0.5,
+                sigma_idepth: 0.0025,
+            })
+            .collect();
+        let points = pixels
+            .iter()
+            .map(|p| [f32::from(p.x) - 79.5, f32::from(p.y) - 59.5, 140.0].map(|c| c / 70.0))
+            .collect();
+        (pixels, points)
+    }
+
+    fn camera(pixels: &[DepthPixel]) -> ScanData<'_> {
+        ScanData::Depth(DepthScan {
+            width: 160,
+            height: 120,
+            fx: 140.0,
+            fy: 140.0,
+            cx: 79.5,
+            cy: 59.5,
+            pixels,
+        })
+    }
+
+    #[test]
+    fn the_estimate_is_that_of_the_integration_at_fine_cells() {
+        let (pixels, points) = wall();
+        let config = IntegrationConfig::default();
+        let cells = 0.005;
+        for data in [
+            camera(&pixels),
+            ScanData::Points(PointScan {
+                points: &points,
+                sigmas: &[0.01],
+            }),
+        ] {
+            let scan = scan(data);
+            let cost = Cost::of(&scan, &config, cells).unwrap();
+            let mut map = OccupancyMap::new(MapConfig::with_resolution(cells)).unwrap();
+            let report = super::super::integrate(&mut map, &scan, &config, 2).unwrap();
+            let estimated = cost.free + cost.band;
+            let ratio = estimated / report.brick_visits as f64;
+            assert!(
+                (0.6..1.1).contains(&ratio),
+                "{cost:?} {}",
+                report.brick_visits
+            );
+            let payloads = map.brick_counts().0 as f64;
+            assert!(
+                (0.3..1.5).contains(&(cost.band / payloads)),
+                "{cost:?} {payloads}"
+            );
+        }
+    }
+
+    #[test]
+    fn too_fine_cells_are_refused_at_once_and_the_sentence_says_what_fits() {
+        let (pixels, _) = wall();
+        let scan = scan(camera(&pixels));
+        for rule in [
+            super::super::IntegrationRule::Fused,
+            super::super::IntegrationRule::Rays,
+        ] {
+            let config = IntegrationConfig {
+                rule,
+                ..IntegrationConfig::default()
+            };
+            let map_of = |cells: f64| {
+                OccupancyMap::new(MapConfig {
+                    memory_budget_bytes: 100 << 20,
+                    ..MapConfig::with_resolution(cells)
+                })
+                .unwrap()
+            };
+            for cells in [1e-5, 1e-4, 1e-3] {
+                let mut map = map_of(cells);
+                let refused = super::super::integrate(&mut map, &scan, &config, 2);
+                let Err(MapError::TooFine { fitting_cell, .. }) = refused else {
+                    panic!("{refused:?}");
+                };
+                let scans = [scan, scan];
+                assert!(super::super::integrate_scans(&mut map, &scans, &config, 2).is_err());
+                assert!(super::super::bricks_seen(&map, &scan, &config, 2).is_err());
+                assert_eq!(map.bytes_in_memory(), map_of(cells).bytes_in_memory());
+                let mut map = map_of(fitting_cell);
+                super::super::integrate(&mut map, &scan, &config, 2).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_band_that_never_ends_costs_what_it_covers() {
+        let (pixels, _) = wall();
+        let scan = scan(camera(&pixels));
+        let config = IntegrationConfig {
+            model: crate::SensorModel::Ideal {
+                buffer: crate::Buffer::Fixed(1e6),
+            },
+            max_range: f64::INFINITY,
+            ..IntegrationConfig::default()
+        };
+        let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
+        let refused = super::super::integrate(&mut map, &scan, &config, 2);
+        assert!(
+            matches!(refused, Err(MapError::TooFine { .. })),
+            "{refused:?}"
+        );
+    }
+
+    #[test]
+    fn solid_angles() {
+        let cube_face = [[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0]];
+        let sixth = 4.0 * std::f64::consts::PI / 6.0;
+        assert!((angle_seen(cube_face.into_iter()) - sixth).abs() < 1e-12);
+        let behind = [[0.0, 0.0, -1.0]];
+        assert!(angle_seen(behind.into_iter()) > 12.5);
+        assert!(rounded_up(0.0123) - 0.02 < 1e-12 && rounded_up(3.0) - 3.0 < 1e-12);
+    }
+}

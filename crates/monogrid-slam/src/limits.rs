@@ -1,0 +1,349 @@
+//! The ranges of all settings, one row per number, as they stand in the documentation of the fields.
+
+use crate::mapping::{AutoLength, MappingConfig};
+use crate::{ConfigError, SlamConfig};
+use monogrid_alignment::Robust;
+use monogrid_depth::ConfigError as DepthConfigError;
+
+/// A setting and the values that it may have.
+struct Limit {
+    name: String,
+    value: f64,
+    low: f64,
+    high: f64,
+}
+
+/// A number as it was written: 0.1 in single precision is 0.1.
+fn decimal(number: impl ToString) -> f64 {
+    number.to_string().parse().unwrap_or(f64::NAN)
+}
+
+fn limit(name: impl Into<String>, value: impl ToString, low: f64, high: f64) -> Limit {
+    Limit {
+        name: name.into(),
+        value: decimal(value),
+        low,
+        high,
+    }
+}
+
+/// Rows `field: smallest, largest;` of a section: the name of a row is that of the field, so that none can be
+/// confused.
+macro_rules! limits {
+    ($section:literal, $config:expr, { $($field:ident: $low:expr, $high:expr;)* }) => {
+        [$(limit(concat!($section, ".", stringify!($field)), $config.$field, $low, $high)),*]
+    };
+}
+
+/// The first setting outside its range.
+fn first_outside(limits: Vec<Limit>) -> Result<(), ConfigError> {
+    // NaN is in no range
+    let outside = limits
+        .into_iter()
+        .find(|limit| !(limit.low..=limit.high).contains(&limit.value));
+    match outside {
+        None => Ok(()),
+        Some(limit) => Err(ConfigError {
+            name: limit.name,
+            value: limit.value,
+            allowed: format!("{} to {}", limit.low, limit.high),
+        }),
+    }
+}
+
+/// Fails where of two settings one must not be larger than the other.
+fn ordered(
+    (low_name, low): (&str, f64),
+    (high_name, high): (&str, f64),
+) -> Result<(), ConfigError> {
+    if low <= high {
+        return Ok(());
+    }
+    Err(ConfigError {
+        name: high_name.to_owned(),
+        value: high,
+        allowed: format!("at least {low_name} ({low})"),
+    })
+}
+
+/// What the depth filter says of its own settings, which stand in this section.
+fn of_depth(section: &str, checked: Result<(), DepthConfigError>) -> Result<(), ConfigError> {
+    checked.map_err(|error| ConfigError {
+        name: format!("{section}.{}", error.name),
+        value: error.value,
+        allowed: format!("{} to {}", error.min, error.max),
+    })
+}
+
+/// Checks the ranges of all settings of tracking and depth.
+pub(crate) fn check_slam(slam: &SlamConfig) -> Result<(), ConfigError> {
+    first_outside(tracking_limits(slam))?;
+    first_outside(keyframe_limits(slam))?;
+    first_outside(graph_limits(slam))?;
+    of_depth("slam.depth", slam.depth.validate())?;
+    let (t, s) = (&slam.tracking.alignment, &slam.graph.similarity);
+    for (section, finest, coarsest) in [
+        ("slam.tracking.alignment", t.finest_level, t.coarsest_level),
+        ("slam.graph.similarity", s.finest_level, s.coarsest_level),
+    ] {
+        ordered(
+            ("finest_level", finest as f64),
+            (&format!("{section}.coarsest_level"), coarsest as f64),
+        )?;
+    }
+    Ok(())
+}
+
+/// The start and tracking.
+#[rustfmt::skip]
+fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
+    all.extend(limits!("slam.initialization", slam.initialization, {
+        num_features: 10.0, 20_000.0;
+        min_features: 8.0, 20_000.0;
+        min_displacement: 0.001, 1.0;
+        max_buffered_frames: 2.0, 3000.0;
+        sigma_px: 0.01, 20.0;
+        max_relative_sigma: 0.001, 10.0;
+        seed_relative_sigma: 0.0001, 1.0;
+    }));
+    all.extend(limits!("slam.tracking", slam.tracking, {
+        max_relative_sigma: 0.0001, 1000.0;
+        min_validity: 0.0, 255.0;
+        min_reference_points: 0.0, 1_000_000.0;
+        accept_good_of_visible: 0.0, 1.0;
+        accept_visible_share: 0.0, 1.0;
+        min_points: 6.0, 1_000_000.0;
+        min_visible_share: 0.0, 1.0;
+        min_good_share: 0.0, 1.0;
+        min_good_of_visible: 0.0, 1.0;
+        min_correlation: -1.0, 1.0;
+        degraded_good_of_visible: 0.0, 1.0;
+        surprising_motion: 0.0, 1000.0;
+        surprising_log_gain: 0.0, 1000.0;
+        return_correlation: -1.0, 1.0;
+        return_good_of_visible: 0.0, 1.0;
+        return_usage: 0.0, 1.0;
+        return_max_log_gain: 0.0, 1000.0;
+        return_near_frames: 0.0, 1000.0;
+    }));
+    all.extend(limits!("slam.tracking.points", slam.tracking.points, {
+        max_points: 0.0, 100_000.0;
+        near_radius_px: 1.0, 100.0;
+        search_radius_px: 1.0, 200.0;
+        min_correlation: 0.0, 1.0;
+        max_error_px: 0.1, 100.0;
+        min_inliers: 4.0, 1_000_000.0;
+        min_inlier_share: 0.0, 1.0;
+        alignment_sigma_factor: 0.01, 1000.0;
+    }));
+    all.extend(limits!("slam.tracking.alignment", slam.tracking.alignment, {
+        coarsest_level: 0.0, 8.0;
+        finest_level: 0.0, 8.0;
+        sigma_intensity: 0.1, 100.0;
+        contrast_weight: 0.0, 1_000_000.0;
+        min_cost_decrease: 0.0, 1.0;
+        min_step_sq: 0.0, 1.0;
+        max_residual: 1.0, 1000.0;
+        max_residual_per_gradient: 0.0, 100.0;
+        pixels_per_measurement: 1.0, 1_000_000.0;
+        max_points: 0.0, 10_000_000.0;
+    }));
+    let levels = &slam.tracking.alignment.max_iterations;
+    all.push(limit("slam.tracking.alignment.max_iterations", levels.len(), 1.0, 9.0));
+    for iterations in levels {
+        all.push(limit("slam.tracking.alignment.max_iterations", iterations, 0.0, 1000.0));
+    }
+    all.push(robust("slam.tracking.alignment.robust", &slam.tracking.alignment.robust));
+    all
+}
+
+/// Keyframes, sparse layer and fragments.
+#[rustfmt::skip]
+fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
+    all.extend(limits!("slam.keyframes", slam.keyframes, {
+        distance_weight: 0.01, 1000.0;
+        usage_weight: 0.01, 1000.0;
+        min_mapped_frames: 0.0, 1000.0;
+        urgent_usage: 0.0, 1.0;
+        min_good_of_visible: 0.0, 1.0;
+        urgent_good_of_visible: 0.0, 1.0;
+        ramp_keyframes: 0.0, 1000.0;
+        old_keyframes_observed: 0.0, 100.0;
+        min_relative_baseline: 0.0, 100.0;
+    }));
+    all.extend(limits!("slam.keyframes.reactivation", slam.keyframes.reactivation, {
+        min_keyframes_between: 0.0, 1_000_000.0;
+        first_keyframe: 0.0, 1_000_000.0;
+        max_candidates: 0.0, 100.0;
+        max_predicted_score: 0.0, 1000.0;
+        max_score: 0.0, 1000.0;
+        min_good_usage: 0.0, 1.0;
+        max_disagreement: 0.0, 1000.0;
+        crowd: 0.0, 1_000_000.0;
+        crowded_max_score: 0.0, 1000.0;
+        crowded_max_disagreement: 0.0, 1000.0;
+    }));
+    all.extend(limits!("slam.publication", slam.publication, {
+        min_validity: 0.0, 255.0;
+        sigma_factor: 0.01, 100.0;
+        relative_sigma: 0.0, 1.0;
+    }));
+    all.extend(limits!("slam.sparse", slam.sparse, {
+        points_per_keyframe: 0.0, 20_000.0;
+        max_searched_points: 0.0, 100_000.0;
+        cell_px: 4.0, 1000.0;
+        search_radius_px: 1.0, 100.0;
+        max_view_angle_deg: 0.0, 180.0;
+        max_distance_ratio: 1.0, 1000.0;
+        back_search_keyframes: 0.0, 1000.0;
+        sigma_px: 0.01, 20.0;
+        pose_sigma_px: 0.01, 100.0;
+        window_newest: 2.0, 1000.0;
+        window_covisible: 0.0, 1000.0;
+        min_shared_points: 1.0, 1_000_000.0;
+        max_iterations: 1.0, 1000.0;
+        max_chi_sq: 0.1, 1_000_000.0;
+        min_pose_points: 4.0, 1_000_000.0;
+        drop_after_keyframes: 0.0, 1_000_000.0;
+    }));
+    all.extend(limits!("slam.fragments", slam.fragments, {
+        min_lost_secs: 0.01, 1_000_000.0;
+        max_apart: 0.0, 1000.0;
+        min_agreeing: 1.0, 1000.0;
+        max_disagreement: 0.000001, 1000.0;
+    }));
+    all
+}
+
+/// The graph of keyframes.
+#[rustfmt::skip]
+fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
+    all.extend(limits!("slam.graph", slam.graph, {
+        nearest: 0.0, 1000.0;
+        min_nearest_overlap: 0.0, 1.0;
+        max_nearest_distance: 0.0, 1000.0;
+        min_overlap: 0.0, 1.0;
+        max_overlapping: 0.0, 1000.0;
+        max_view_angle_deg: 0.0, 180.0;
+        max_distance_ratio: 1.0, 1000.0;
+        odometry_scale_sigma: 0.000001, 10.0;
+        switch_chi_sq: 0.01, 1_000_000_000.0;
+        lag_frames: 0.0, 1000.0;
+        max_iterations: 1.0, 1000.0;
+    }));
+    all.extend(limits!("slam.graph.similarity", slam.graph.similarity, {
+        coarsest_level: 0.0, 8.0;
+        finest_level: 0.0, 8.0;
+        max_iterations: 1.0, 1000.0;
+        max_points: 0.0, 10_000_000.0;
+        sigma_intensity: 0.1, 100.0;
+        shared_depth_sigma: 0.0, 1.0;
+        min_cost_decrease: 0.0, 1.0;
+        pixels_per_measurement: 1.0, 1_000_000.0;
+        min_visible_share: 0.0, 1.0;
+        min_good_of_visible: 0.0, 1.0;
+        min_depth_share: 0.0, 1.0;
+        min_correlation: -1.0, 1.0;
+        max_scale_change: 1.0, 1000.0;
+        max_reciprocal_chi_sq: 0.0, 1_000_000_000.0;
+    }));
+    all.extend(limits!("slam.graph.places", slam.graph.places, {
+        min_keyframes_between: 0.0, 1_000_000.0;
+        max_loops: 0.0, 100.0;
+        min_lost_frames: 0.0, 1_000_000.0;
+    }));
+    all.extend(limits!("slam.graph.places.drift", slam.graph.places.drift, {
+        translation_start: 0.000001, 1000.0;
+        translation_share: 0.0, 1000.0;
+        rotation_start: 0.000001, 1000.0;
+        rotation_step: 0.0, 1000.0;
+        scale_start: 0.000001, 1000.0;
+        scale_step: 0.0, 1000.0;
+    }));
+    all.extend(limits!("slam.graph.direct_edges", slam.graph.direct_edges, {
+        translation_share: 0.0, 10.0;
+        translation_sigma: 0.000001, 10.0;
+        rotation_sigma: 0.000001, 10.0;
+        scale_sigma: 0.000001, 10.0;
+    }));
+    all.extend(limits!("slam.graph.sparse_edges", slam.graph.sparse_edges, {
+        min_shared_points: 1.0, 1_000_000.0;
+        max_edges: 0.0, 1000.0;
+        max_gap: 0.0, 1_000_000.0;
+        reference_points: 1.0, 1_000_000.0;
+        translation_sigma: 0.000001, 10.0;
+        rotation_sigma: 0.000001, 10.0;
+        scale_sigma: 0.000001, 10.0;
+    }));
+    all.push(robust("slam.graph.similarity.robust", &slam.graph.similarity.robust));
+    all
+}
+
+fn robust(name: &str, robust: &Robust) -> Limit {
+    match robust {
+        Robust::Huber { k } => limit(format!("{name}.huber.k"), k, 0.01, 1000.0),
+        Robust::StudentT { nu } => limit(format!("{name}.student-t.nu"), nu, 0.1, 1e6),
+    }
+}
+
+/// Checks the ranges of all settings of maps.
+pub(crate) fn check_mapping(mapping: &MappingConfig) -> Result<(), ConfigError> {
+    first_outside(mapping_limits(mapping))?;
+    of_depth("mapping.refine.stereo", mapping.refine.stereo.validate())
+}
+
+#[rustfmt::skip]
+fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
+    all.extend(limits!("mapping", mapping, {
+        resolution: 0.000001, 1_000_000.0;
+        buffer_sigmas: 0.862, 100.0;
+        significance_gain: 0.000001, 1_000_000.0;
+        andert_p_min: 0.001, 0.499;
+        tail_log_odds: 0.0, 1.0;
+        occupancy_threshold: 0.001, 0.999;
+        max_range: 0.000001, f64::INFINITY;
+        local_radius: 0.000001, 1_000_000.0;
+        follow_threshold: 0.0, 1_000_000.0;
+        pose_sigma: 0.0, 1_000_000.0;
+        pose_sigma_deg: 0.0, 180.0;
+        depth_image_sigma: 0.000001, 10.0;
+        max_memory_gb: 0.01, 1024.0;
+    }));
+    all.extend(limits!("mapping.filter", mapping.filter, {
+        max_relative_sigma: 0.000001, f64::INFINITY;
+        min_support: 0.0, 9.0;
+        skip_keyframes: 0.0, 1_000_000.0;
+    }));
+    all.extend(limits!("mapping.refine", mapping.refine, {
+        max_keyframes: 1.0, 1000.0;
+        max_separation: 0.000001, 1_000_000.0;
+    }));
+    all.extend(limits!("mapping.fill", mapping.fill, {
+        max_gradient: 0.01, 255.0;
+        min_area_px: 1.0, 1_000_000_000.0;
+        samples: 1.0, 5000.0;
+        min_inliers: 3.0, 1_000_000.0;
+        min_inliers_offered: 3.0, 1_000_000.0;
+        max_offered: 0.0, 1000.0;
+        min_inlier_share: 0.001, 1.0;
+        min_offered_share: 0.001, 1.0;
+        max_behind_share: 0.0, 0.999;
+        relative_sigma: 0.000001, 10.0;
+        correlated_points: 1.0, 1_000_000.0;
+    }));
+    for (name, length) in [("mapping.buffer", mapping.buffer), ("mapping.significance", mapping.significance)] {
+        if let AutoLength::Fixed(length) = length {
+            all.push(limit(name, length, 1e-6, 1e6));
+        }
+    }
+    let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
+    all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));
+    all.push(limit("mapping.update_limits", update_high, 1e-6, 100.0));
+    all.push(limit("mapping.clamp", clamp_low, -7.99, -0.001));
+    all.push(limit("mapping.clamp", clamp_high, 0.001, 7.99));
+    all
+}

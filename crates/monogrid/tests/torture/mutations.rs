@@ -1,0 +1,416 @@
+//! Mutated files for every reader, checksums put right again where there are any.
+
+use crate::limits::{limited, run};
+use crate::seeds::Seeds;
+use crate::{from_environment, row};
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// A kind of file: which seed it begins from, and what the program is to do with it.
+struct Kind {
+    name: &'static str,
+    seed: &'static str,
+    /// Name of the mutated file, in a folder of its own.
+    file: &'static str,
+    /// Arguments; `@` is the mutated file, `%` the folder of the seeds, `!` a folder for results.
+    args: &'static [&'static str],
+    repair: fn(&mut [u8]),
+}
+
+fn as_it_is(_: &mut [u8]) {}
+
+const KINDS: &[Kind] = &[
+    kind(
+        "recording, map",
+        "run/recording.mgk",
+        "r.mgk",
+        &["map", "@", "--out", "!/m.ot"],
+        repair_mgk,
+    ),
+    kind(
+        "recording, continue",
+        "run/recording.mgk",
+        "recording.mgk",
+        &[
+            "run",
+            "%/video/few.txt",
+            "--calibration",
+            "%/video/calibration.txt",
+            "--continue",
+            "@",
+            "--out",
+            "!/run",
+            "--threads",
+            "2",
+        ],
+        repair_mgk,
+    ),
+    kind(
+        "recording, evaluate",
+        "run/recording.mgk",
+        "r.mgk",
+        &["evaluate", "depth", "@", "%/video"],
+        repair_mgk,
+    ),
+    kind(
+        "map .ot",
+        "run/global.ot",
+        "m.ot",
+        &["convert", "@", "!/m.bt"],
+        as_it_is,
+    ),
+    kind(
+        "map .bt",
+        "map.bt",
+        "m.bt",
+        &["convert", "@", "!/m.ot"],
+        as_it_is,
+    ),
+    kind("map .mgo", "map.mgo", "m.mgo", &["info", "@"], as_it_is),
+    kind(
+        "scans",
+        "scans.scans",
+        "s.scans",
+        &["map", "@", "--out", "!/m.ot"],
+        as_it_is,
+    ),
+    kind(
+        "mesh .ply",
+        "mesh.ply",
+        "m.ply",
+        &[
+            "truth",
+            "@",
+            "--trajectory",
+            "%/video/groundtruth.txt",
+            "--out",
+            "!/m.ot",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "cloud .ply",
+        "cloud.ply",
+        "c.ply",
+        &[
+            "truth",
+            "@",
+            "--trajectory",
+            "%/video/groundtruth.txt",
+            "--out",
+            "!/m.ot",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "mesh .obj",
+        "mesh.obj",
+        "m.obj",
+        &[
+            "truth",
+            "@",
+            "--trajectory",
+            "%/video/groundtruth.txt",
+            "--out",
+            "!/m.ot",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "calibration",
+        "video/calibration.txt",
+        "c.txt",
+        &[
+            "run",
+            "%/video/few.txt",
+            "--calibration",
+            "@",
+            "--max-frames",
+            "3",
+            "--out",
+            "!/run",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "trajectory",
+        "video/groundtruth.txt",
+        "t.txt",
+        &["evaluate", "trajectory", "@", "%/video/groundtruth.txt"],
+        as_it_is,
+    ),
+    kind(
+        "truth",
+        "video/groundtruth.txt",
+        "t.txt",
+        &["evaluate", "trajectory", "%/run/trajectory.txt", "@"],
+        as_it_is,
+    ),
+    kind(
+        "list",
+        "video/few.txt",
+        "l.txt",
+        &["check", "@", "--calibration", "%/video/calibration.txt"],
+        as_it_is,
+    ),
+    kind(
+        "image .png",
+        "video/mask.png",
+        "i.png",
+        &[
+            "check",
+            "%/video/few.txt",
+            "--mask",
+            "@",
+            "--calibration",
+            "%/video/calibration.txt",
+        ],
+        repair_png,
+    ),
+    kind(
+        "image .pgm",
+        "gray.pgm",
+        "i.pgm",
+        &[
+            "check",
+            "%/video/few.txt",
+            "--mask",
+            "@",
+            "--calibration",
+            "%/video/calibration.txt",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "settings",
+        "run/config.toml",
+        "c.toml",
+        &[
+            "run",
+            "%/video/few.txt",
+            "--calibration",
+            "%/video/calibration.txt",
+            "--config",
+            "@",
+            "--max-frames",
+            "3",
+            "--out",
+            "!/run",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "vocabulary",
+        "places.vocabulary",
+        "p.vocabulary",
+        &[
+            "run",
+            "%/video/few.txt",
+            "--calibration",
+            "%/video/calibration.txt",
+            "--profile",
+            "thesis",
+            "--max-frames",
+            "3",
+            "--out",
+            "!/run",
+            "--set",
+            "slam.graph.places.vocabulary=@",
+        ],
+        as_it_is,
+    ),
+    kind(
+        "Sim(3)",
+        "run/map_from_world.txt",
+        "s.txt",
+        &[
+            "map",
+            "%/run/recording.mgk",
+            "--align",
+            "sim3:@",
+            "--out",
+            "!/m.ot",
+        ],
+        as_it_is,
+    ),
+];
+
+const fn kind(
+    name: &'static str,
+    seed: &'static str,
+    file: &'static str,
+    args: &'static [&'static str],
+    repair: fn(&mut [u8]),
+) -> Kind {
+    Kind {
+        name,
+        seed,
+        file,
+        args,
+        repair,
+    }
+}
+
+const WORDS: [&[u8]; 12] = [
+    b"nan",
+    b"-inf",
+    b"1e999",
+    b"1e-320",
+    b"4294967295",
+    b"-1",
+    b"0",
+    b"\n",
+    b" ",
+    b"99999999999999999999",
+    b"\xff\xfe",
+    b"[[",
+];
+const NUMBERS: [u64; 8] = [
+    0,
+    1,
+    0x7fff_ffff,
+    0x8000_0000,
+    0xffff_ffff,
+    60_000,
+    u64::MAX,
+    0x7ff8_0000_0000_0000,
+];
+
+/// A damaged copy: changed bits, bytes and numbers, cuts, repeated and removed stretches, words that are numbers and
+/// should not be.
+fn mutated(seed: &[u8], rng: &mut SmallRng) -> Vec<u8> {
+    let mut bytes = seed.to_vec();
+    for _ in 0..=rng.random_range(0..4) {
+        if bytes.is_empty() {
+            break;
+        }
+        // mostly near the beginning, where headers are
+        let reach = if rng.random_bool(0.5) {
+            bytes.len().min(200)
+        } else {
+            bytes.len()
+        };
+        let at = rng.random_range(0..reach);
+        let end = (at + rng.random_range(1..40)).min(bytes.len());
+        match rng.random_range(0..9) {
+            0 => bytes[at] ^= 1 << rng.random_range(0..8),
+            1 => bytes[at] = rng.random(),
+            2 | 3 => {
+                let number = NUMBERS[rng.random_range(0..NUMBERS.len())].to_le_bytes();
+                let width = [1, 2, 4, 8][rng.random_range(0..4)].min(bytes.len() - at);
+                bytes[at..at + width].copy_from_slice(&number[..width]);
+            }
+            4 => drop(bytes.drain(at..end)),
+            5 => bytes.truncate(at),
+            6 => drop(bytes.splice(
+                at..end,
+                WORDS[rng.random_range(0..WORDS.len())].iter().copied(),
+            )),
+            7 => {
+                let stretch = bytes[at..end].to_vec();
+                let stretch = stretch.repeat(rng.random_range(1..2000));
+                bytes.splice(at..at, stretch);
+            }
+            _ => {
+                let from = rng.random_range(0..bytes.len());
+                let stretch = bytes[from..(from + 200).min(bytes.len())].to_vec();
+                bytes.splice(at..at, stretch);
+            }
+        }
+    }
+    bytes
+}
+
+/// Puts the checksums of a recording right, record by record, as far as its lengths go.
+fn repair_mgk(bytes: &mut [u8]) {
+    let mut at = 16;
+    while let Some(header) = bytes.get(at..at + 20) {
+        let length = u32::from_le_bytes(header[8..12].try_into().unwrap()) as usize;
+        let end = (at + 20).saturating_add(length).min(bytes.len());
+        let payload_bytes = (end - at - 20) as u32;
+        let payload = crc32fast::hash(&bytes[at + 20..end]);
+        bytes[at..at + 4].copy_from_slice(b"RMGK");
+        bytes[at + 8..at + 12].copy_from_slice(&payload_bytes.to_le_bytes());
+        bytes[at + 12..at + 16].copy_from_slice(&payload.to_le_bytes());
+        let header = crc32fast::hash(&bytes[at..at + 16]);
+        bytes[at + 16..at + 20].copy_from_slice(&header.to_le_bytes());
+        at = end;
+    }
+}
+
+/// Puts the checksums of a PNG right, chunk by chunk, as far as its lengths go.
+fn repair_png(bytes: &mut [u8]) {
+    let mut at = 8;
+    while let Some(header) = bytes.get(at..at + 8) {
+        let length = u32::from_be_bytes(header[..4].try_into().unwrap()) as usize;
+        let end = (at + 8).saturating_add(length);
+        if end.saturating_add(4) > bytes.len() {
+            return;
+        }
+        let checksum = crc32fast::hash(&bytes[at + 4..end]);
+        bytes[end..end + 4].copy_from_slice(&checksum.to_be_bytes());
+        at = end + 4;
+    }
+}
+
+#[test]
+#[ignore = "takes minutes; see scripts/torture.sh"]
+fn mutated_files_of_every_kind() {
+    let seconds = from_environment("TORTURE_SECONDS", 10);
+    let only = std::env::var("TORTURE_ONLY").unwrap_or_default();
+    let seeds = Seeds::new();
+    let mask = fs::read(seeds.path("gray.pgm")).unwrap();
+    let mask = monogrid_datasets::decode_gray(&mask, Path::new("gray.pgm")).unwrap();
+    let png = monogrid_datasets::encode_png(&mask.map(|v| v as u8));
+    fs::write(seeds.path("video/mask.png"), png).unwrap();
+    println!("| mutated file | runs | accepted | slowest | harm |\n|---|---|---|---|---|");
+    let mut harmed = 0;
+    for kind in KINDS.iter().filter(|kind| kind.name.contains(&only)) {
+        harmed += torture(kind, &seeds, Duration::from_secs(seconds));
+    }
+    assert_eq!(harmed, 0, "see above");
+}
+
+/// Tries mutations for a time; the number of those that did harm.
+fn torture(kind: &Kind, seeds: &Seeds, time: Duration) -> usize {
+    let seed = fs::read(seeds.path(kind.seed)).unwrap();
+    let first = from_environment("TORTURE_SEED", 1);
+    let begin = Instant::now();
+    let (mut runs, mut accepted, mut harmed, mut slowest) = (0_usize, 0_usize, 0, Duration::ZERO);
+    while begin.elapsed() < time {
+        let number = first + runs as u64;
+        let mut rng = SmallRng::seed_from_u64(number);
+        let mut bytes = mutated(&seed, &mut rng);
+        (kind.repair)(&mut bytes);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join(kind.file);
+        fs::write(&file, &bytes).unwrap();
+        let results = folder.path().join("results");
+        fs::create_dir(&results).unwrap();
+        let args = kind.args.iter().map(|arg| {
+            arg.replace('@', &file.display().to_string())
+                .replace('%', &seeds.root().display().to_string())
+                .replace('!', &results.display().to_string())
+        });
+        let ended = run(limited("", args), folder.path());
+        runs += 1;
+        accepted += usize::from(ended.code == Some(0));
+        slowest = slowest.max(ended.took);
+        if let Some(harm) = ended.harm() {
+            harmed += 1;
+            println!("  {} number {number}: {harm}", kind.name);
+            if let Ok(keep) = std::env::var("TORTURE_KEEP") {
+                fs::copy(
+                    &file,
+                    Path::new(&keep).join(format!("{number}-{}", kind.file)),
+                )
+                .unwrap();
+            }
+        }
+    }
+    row(kind.name, runs, &accepted.to_string(), slowest, harmed);
+    harmed
+}

@@ -1,0 +1,21 @@
+#!/usr/bin/env bash
+# The campaign against the program: mutated files of every kind, kills, full disks, odd names, extreme settings, each with a
+# limit of memory (2 GB) and time (60 s) per run. Prints the tables of BENCHMARKS.md.
+#
+#   scripts/torture.sh [MINUTES]      MINUTES for each kind of mutated file (default 5; 19 kinds)
+#   scripts/torture.sh 1 soak         and the soaks of scripts/soak.sh, which take hours
+#
+# KILLS: runs that are killed (default 50). SEED: begins another sequence of mutations. KEEP: a folder for files that did harm
+# (each becomes a test of its reader). Mutations are made from seeds by number, so that what was found is found again.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+export TORTURE_SECONDS=$((60 * ${1:-5})) TORTURE_KILLS=${KILLS:-50} TORTURE_SEED=${SEED:-1}
+if [ -n "${KEEP:-}" ]; then mkdir -p "$KEEP" && TORTURE_KEEP=$(realpath "$KEEP") && export TORTURE_KEEP; fi
+failed=0
+cargo test --release -p monogrid --test torture -- --ignored --nocapture --test-threads 1 || failed=1
+if [ "${2:-}" = soak ]; then
+  cargo build --release -p monogrid
+  scripts/soak.sh known || failed=1
+  scripts/soak.sh new || failed=1
+fi
+exit "$failed"
