@@ -116,7 +116,12 @@ fn writing_single_cells_stops_at_the_memory_budget() {
     });
     let (key, error) = refused.unwrap();
     assert!(matches!(error, MapError::MemoryBudget { .. }), "{error}");
-    assert!(map.bytes_in_memory() <= memory_budget_bytes);
+    // the last write may have enlarged one of the 64 parts of the map more than one brick needs
+    let bytes = map.bytes_in_memory();
+    assert!(
+        bytes <= memory_budget_bytes + memory_budget_bytes / 16,
+        "{bytes}"
+    );
     assert!(key.x > 8 * 1000 && map.log_odds_of(key).is_none());
     assert!(map.add_log_odds(key, 1.0).is_err());
     assert!(map.set_log_odds(key, Some(1.0)).is_err());
