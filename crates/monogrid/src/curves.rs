@@ -133,12 +133,6 @@ fn gaussian_figures() -> Vec<Figure> {
     let one = |name: &str, colour, model: &SensorModel, sigma| {
         curve(name.to_owned(), colour, model, 2.0, sigma, 4.0)
     };
-    let density = Series {
-        name: String::new(),
-        colour: COLOURS[1],
-        points: gaussian(0.0, 0.5, -2.0, 2.0),
-        is_dashed: false,
-    };
     let convolved = vec![
         one("ideal", "#999999", &ideal, 0.3),
         Series {
@@ -159,18 +153,7 @@ fn gaussian_figures() -> Vec<Figure> {
                 4.0,
             ),
         ),
-        figure(
-            "figure-5.2-noise",
-            "Gaussian noise of the range, sigma = 0.5 m.",
-            Plot {
-                title: "5.2 Noise".into(),
-                x_label: "error of the range, m".into(),
-                y_label: "density".into(),
-                series: vec![density],
-                from_zero: true,
-                ..Plot::default()
-            },
-        ),
+        noise_figure(),
         figure(
             "figure-5.3-convolution",
             "The ideal model (z = 2 m, L = 1 m) convolved with noise of sigma = 0.3 m.",
@@ -189,6 +172,27 @@ fn gaussian_figures() -> Vec<Figure> {
             ),
         ),
     ]
+}
+
+fn noise_figure() -> Figure {
+    let density = Series {
+        name: String::new(),
+        colour: COLOURS[1],
+        points: gaussian(0.0, 0.5, -2.0, 2.0),
+        is_dashed: false,
+    };
+    figure(
+        "figure-5.2-noise",
+        "Gaussian noise of the range, sigma = 0.5 m.",
+        Plot {
+            title: "5.2 Noise".into(),
+            x_label: "error of the range, m".into(),
+            y_label: "density".into(),
+            series: vec![density],
+            from_zero: true,
+            ..Plot::default()
+        },
+    )
 }
 
 fn thrun_figures() -> Vec<Figure> {

@@ -327,20 +327,7 @@ fn conclude(
             args.resolutions.len(),
             args.memory
         ),
-        facts: vec![
-            ("CPU time of all maps".to_owned(), format!("{cpu:.0} s")),
-            (
-                "Truth".to_owned(),
-                args.truth
-                    .as_ref()
-                    .map_or_else(|| "none".to_owned(), |path| path.display().to_string()),
-            ),
-            (
-                "Alignment".to_owned(),
-                "the poses of the keyframes, before mapping; the thesis turned and scaled finished maps"
-                    .to_owned(),
-            ),
-        ],
+        facts: facts(args, cpu),
         warnings: warnings.clone(),
     };
     page::write(out, &lead, results, orders)?;
@@ -362,4 +349,20 @@ fn conclude(
         println!("{} {}", lead.text, report.page.display());
     }
     Ok(Outcome::Done)
+}
+
+/// What stands at the top of the page.
+fn facts(args: &SweepArgs, cpu_seconds: f64) -> Vec<(String, String)> {
+    let truth = args.truth.as_ref();
+    let truth = truth.map_or_else(|| "none".to_owned(), |path| path.display().to_string());
+    let alignment =
+        "the poses of the keyframes, before mapping; the thesis turned and scaled finished maps";
+    vec![
+        (
+            "CPU time of all maps".to_owned(),
+            format!("{cpu_seconds:.0} s"),
+        ),
+        ("Truth".to_owned(), truth),
+        ("Alignment".to_owned(), alignment.to_owned()),
+    ]
 }
