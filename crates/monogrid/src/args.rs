@@ -99,9 +99,13 @@ pub struct MappingArgs {
 /// Options of `run` that say what to read.
 #[derive(Debug, Clone, Default, Args)]
 pub struct SourceArgs {
-    /// Camera calibration [default: calibration.toml or calibration.txt in the source]
+    /// Camera calibration [default: calibration.toml or calibration.txt in the source, else estimated
+    /// from the images]
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub calibration: Option<PathBuf>,
+    /// Horizontal field of view of a camera without calibration, degrees [default: estimated]
+    #[arg(long, value_name = "DEG", value_parser = field_of_view, conflicts_with = "calibration", help_heading = "Input")]
+    pub fov: Option<f64>,
     /// First frame to use
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]
     pub start: usize,
@@ -120,6 +124,12 @@ pub struct SourceArgs {
     /// Image of the size of the input, black where pixels must be ignored
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub mask: Option<PathBuf>,
+}
+
+/// A field of view that a pinhole can have, degrees.
+fn field_of_view(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|fov| (5.0..=160.0).contains(fov));
+    value.ok_or_else(|| "expected a field of view from 5 to 160 degrees".into())
 }
 
 /// A positive, finite number.

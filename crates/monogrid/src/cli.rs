@@ -1,5 +1,6 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
+use crate::commands::cameras::CamerasArgs;
 use crate::commands::check::CheckArgs;
 use crate::commands::convert::ConvertArgs;
 use crate::commands::demo::DemoArgs;
@@ -52,7 +53,7 @@ Exit codes: 0 done, 1 failed while running, 2 wrong usage or bad input,
 4 interrupted (what was mapped until then is saved), 130 interrupted again: nothing more is saved.
 
 First steps:  monogrid demo
-              monogrid run my-images/ --calibration camera.toml";
+              monogrid run video.mp4";
 
 /// The commands.
 #[derive(Debug, Subcommand)]
@@ -60,11 +61,14 @@ pub enum Command {
     /// Render a built-in world, run the whole system on it, evaluate against the exact truth
     #[command(after_help = "Example: monogrid demo --out demo")]
     Demo(DemoArgs),
-    /// Turn an image sequence into a trajectory, keyframes with depth and an occupancy map
+    /// Turn a video or image sequence into a trajectory, keyframes with depth and an occupancy map
     #[command(
         after_help = "Example: monogrid run recordings/kitchen --out runs/kitchen --resolution 0.02"
     )]
     Run(Box<RunArgs>),
+    /// Cameras of this computer that can be a source
+    #[command(after_help = "Example: monogrid cameras")]
+    Cameras(CamerasArgs),
     /// Read a source without running: size, rate, calibration, what would hurt tracking
     #[command(after_help = "Example: monogrid check recordings/kitchen")]
     Check(CheckArgs),

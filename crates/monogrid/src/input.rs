@@ -1,13 +1,16 @@
 //! Opening a source: frames, calibration, working images.
 
 use crate::args::SourceArgs;
+use crate::doubts::doubts;
 use crate::failure::{Classify, Failure};
+use crate::self_calibration::OwnCalibration;
+use crate::video::{VideoItem, VideoSource, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
-use monogrid_pipeline::{FrameSource, Preparation, SourceFrame, Unusable};
+use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 use monogrid_slam::mapping::KeyframeCamera;
 use monogrid_worlds::SynthSequence;
 use std::num::NonZeroUsize;
@@ -21,6 +24,8 @@ pub const MAX_UNREADABLE_IN_A_ROW: usize = 10;
 pub enum Images {
     /// Files.
     Files(Box<Dataset>),
+    /// A video, camera or stream.
+    Video(Box<VideoSource>),
     /// A built-in world, rendered frame by frame.
     Rendered(Box<SynthSequence>),
 }
@@ -32,10 +37,12 @@ pub struct Input {
     pub name: String,
     /// Where images come from.
     pub images: Images,
-    /// The frames to use, in order; those of a built-in world have no path.
+    /// The frames to use, in order; those of a built-in world have no path, a video lists none.
     pub frames: Vec<FrameEntry>,
     /// How the calibration was understood, for people.
     pub interpretation: String,
+    /// Where the camera was not given.
+    pub own_calibration: Option<OwnCalibration>,
     /// From images of the camera to working images.
     pub preparation: Preparation,
     /// What looked odd, in sentences for people.
@@ -45,6 +52,9 @@ pub struct Input {
 impl Input {
     /// Opens a source.
     pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        if is_video(source) {
+            return Self::open_video(source, args);
+        }
         let options = SourceOptions {
             fps: args.fps,
             ..SourceOptions::default()
@@ -53,38 +63,77 @@ impl Input {
         let frames = selected(&dataset, args)?;
         let first = first_image(&frames)?;
         let image_size = (first.width(), first.height());
-        let calibration = calibration(&dataset, args.calibration.as_deref(), image_size)?;
-        check_size(&calibration, image_size)?;
-        let mask = user_mask(args.mask.as_deref(), image_size)?;
-        let size = match args.size {
-            None => WorkingSize::Automatic,
-            Some((width, height)) => WorkingSize::Exact { width, height },
+        let given = match args.fov {
+            Some(_) => None,
+            None => calibration(&dataset, args.calibration.as_deref(), image_size)?,
         };
+        let images = || {
+            let readable = |frame: &FrameEntry| read_gray(&frame.path).ok();
+            frames.iter().filter_map(readable)
+        };
+        let is_given = given.is_some();
+        let mut known = known_camera(given, args, image_size, || {
+            OwnCalibration::from_images(images(), image_size).ok_or_else(|| {
+                no_calibration(&format!(
+                    "no calibration in {}: expected calibration.toml or calibration.txt there (one \
+                     line `fx fy cx cy width height`, in pixels)",
+                    dataset.root.display()
+                ))
+            })
+        })?;
+        if is_given {
+            known.warnings.extend(doubts(&known.camera, images()));
+        }
         let photometric = read_photometric(
             dataset.response_path.as_deref(),
             dataset.vignette_path.as_deref(),
         )
         .bad_input()?;
-        let preparation = Preparation::new(&calibration.camera, size, mask.as_ref(), photometric);
-        if preparation
-            .mask()
-            .as_slice()
-            .iter()
-            .all(|&valid| valid == 0)
-        {
-            return Err(Failure::input(
-                "no pixel of the image may be used: check --mask and the calibration",
-            ));
-        }
+        let preparation = preparation(&known.camera, args, photometric)?;
         let mut warnings = dataset.warnings.clone();
-        warnings.extend(calibration.notes.iter().cloned());
+        warnings.extend(known.warnings);
         Ok(Self {
             name: dataset.name.clone(),
             images: Images::Files(Box::new(dataset)),
             frames,
-            interpretation: calibration.interpretation(),
+            interpretation: known.interpretation,
+            own_calibration: known.own,
             preparation,
             warnings,
+        })
+    }
+
+    /// Opens a video, camera or stream.
+    fn open_video(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        let video = VideoSource::open(source, args)?;
+        let size = video.size;
+        let given = args
+            .calibration
+            .as_deref()
+            .map(|path| Calibration::read(path, Some(size)).bad_input())
+            .transpose()?;
+        let is_given = given.is_some();
+        let images = || video.frames().filter_map(|(_, _, image)| image.ok());
+        let mut known = known_camera(given, args, size, || {
+            if !video.is_file() {
+                return Err(no_calibration(
+                    "no calibration: what is seen only once cannot show its camera first",
+                ));
+            }
+            OwnCalibration::from_images(images(), size)
+                .ok_or_else(|| no_calibration("no calibration, and the video does not show it"))
+        })?;
+        if is_given && video.is_file() {
+            known.warnings.extend(doubts(&known.camera, images()));
+        }
+        Ok(Self {
+            name: video.name(),
+            preparation: preparation(&known.camera, args, Photometric::default())?,
+            images: Images::Video(Box::new(video)),
+            frames: Vec::new(),
+            interpretation: known.interpretation,
+            own_calibration: known.own,
+            warnings: known.warnings,
         })
     }
 
@@ -103,6 +152,7 @@ impl Input {
             images: Images::Rendered(Box::new(sequence)),
             frames,
             interpretation: String::new(),
+            own_calibration: None,
             preparation: Preparation::new(
                 &camera,
                 WorkingSize::Automatic,
@@ -154,6 +204,7 @@ impl Input {
             Images::Files(_) => {
                 read_gray(&frame.path).map_err(|error| Unusable::Unreadable(error.to_string()))
             }
+            Images::Video(_) => Err(Unusable::Unreadable("a video lists no frames".to_owned())),
             Images::Rendered(sequence) => match sequence.frame(frame.index) {
                 Some(frame) => Ok(frame.image),
                 None => {
@@ -164,13 +215,38 @@ impl Input {
         }
     }
 
-    /// All frames one after the other.
-    pub fn source(&self) -> impl FrameSource {
-        self.frames.iter().map(|frame| SourceFrame {
-            index: frame.index,
-            timestamp_ns: frame.timestamp_ns,
-            image: self.read_image(frame),
-        })
+    /// How many frames there are to use, where that is known.
+    pub fn expected_frames(&self) -> Option<usize> {
+        match &self.images {
+            Images::Video(video) => video.expected_frames,
+            Images::Files(_) | Images::Rendered(_) => Some(self.frames.len()),
+        }
+    }
+
+    /// What kind of source it is, for people.
+    pub fn layout(&self) -> &str {
+        match &self.images {
+            Images::Files(dataset) => dataset.layout.name(),
+            Images::Video(video) => &video.description,
+            Images::Rendered(_) => "built-in world",
+        }
+    }
+
+    /// All frames one after the other; a stream has them only once.
+    pub fn source(&self) -> Box<dyn Iterator<Item = SourceFrame> + Send + '_> {
+        let Images::Video(video) = &self.images else {
+            return Box::new(self.frames.iter().map(|frame| SourceFrame {
+                index: frame.index,
+                timestamp_ns: frame.timestamp_ns,
+                image: self.read_image(frame),
+            }));
+        };
+        let frame = |(index, timestamp_ns, image): VideoItem| SourceFrame {
+            index,
+            timestamp_ns,
+            image: image.map_err(Unusable::Unreadable),
+        };
+        Box::new(video.frames().map(frame))
     }
 }
 
@@ -218,22 +294,85 @@ fn first_image(frames: &[FrameEntry]) -> Result<GrayImage, Failure> {
     })
 }
 
+/// The calibration that was named, or lies in the source.
 fn calibration(
     dataset: &Dataset,
     file: Option<&Path>,
     image_size: (usize, usize),
-) -> Result<Calibration, Failure> {
-    let found = match file {
-        Some(path) => Some(Calibration::read(path, Some(image_size)).bad_input()?),
-        None => dataset.calibration(Some(image_size)).bad_input()?,
+) -> Result<Option<Calibration>, Failure> {
+    match file {
+        Some(path) => Calibration::read(path, Some(image_size)).map(Some),
+        None => dataset.calibration(Some(image_size)),
+    }
+    .bad_input()
+}
+
+/// A camera and where it comes from.
+struct KnownCamera {
+    camera: Camera,
+    interpretation: String,
+    warnings: Vec<String>,
+    own: Option<OwnCalibration>,
+}
+
+/// The calibration that was given, else the field of view that was, else what the images show.
+fn known_camera(
+    given: Option<Calibration>,
+    args: &SourceArgs,
+    image_size: (usize, usize),
+    from_images: impl FnOnce() -> Result<OwnCalibration, Failure>,
+) -> Result<KnownCamera, Failure> {
+    if let Some(calibration) = given {
+        check_size(&calibration, image_size)?;
+        return Ok(KnownCamera {
+            camera: calibration.camera,
+            interpretation: calibration.interpretation(),
+            warnings: calibration.notes,
+            own: None,
+        });
+    }
+    let own = match args.fov {
+        Some(fov_deg) => OwnCalibration::from_fov(fov_deg, image_size)?,
+        None => from_images()?,
     };
-    found.ok_or_else(|| {
-        Failure::input(format!(
-            "no calibration in {}: expected calibration.toml or calibration.txt there (one line \
-             `fx fy cx cy width height`, in pixels), or another file with --calibration",
-            dataset.root.display()
-        ))
+    Ok(KnownCamera {
+        camera: own.camera,
+        interpretation: own.interpretation.clone(),
+        warnings: own.warnings.clone(),
+        own: Some(own),
     })
+}
+
+/// Nothing says what the camera is.
+fn no_calibration(reason: &str) -> Failure {
+    Failure::input(format!(
+        "{reason}; give one with --calibration FILE, or the horizontal field of view with --fov DEG"
+    ))
+}
+
+/// From images of this camera to working images.
+fn preparation(
+    camera: &Camera,
+    args: &SourceArgs,
+    photometric: Photometric,
+) -> Result<Preparation, Failure> {
+    let mask = user_mask(args.mask.as_deref(), (camera.width, camera.height))?;
+    let size = match args.size {
+        None => WorkingSize::Automatic,
+        Some((width, height)) => WorkingSize::Exact { width, height },
+    };
+    let preparation = Preparation::new(camera, size, mask.as_ref(), photometric);
+    if preparation
+        .mask()
+        .as_slice()
+        .iter()
+        .all(|&valid| valid == 0)
+    {
+        return Err(Failure::input(
+            "no pixel of the image may be used: check --mask and the calibration",
+        ));
+    }
+    Ok(preparation)
 }
 
 fn check_size(calibration: &Calibration, image_size: (usize, usize)) -> Result<(), Failure> {

@@ -9,6 +9,7 @@ mod commands;
 mod config;
 mod curves;
 mod depth_images;
+mod doubts;
 mod failure;
 mod input;
 mod keyframe_pixels;
@@ -18,8 +19,10 @@ mod picture;
 mod recorded;
 mod report;
 mod run;
+mod self_calibration;
 mod sweep;
 mod usage;
+mod video;
 
 use cli::{Cli, Command, EvaluateCommand};
 use std::process::ExitCode;
@@ -34,6 +37,7 @@ fn main() -> ExitCode {
     let result = match &cli.command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),
+        Command::Cameras(args) => commands::cameras::execute(args),
         Command::Check(args) => commands::check::execute(args),
         Command::Map(args) => commands::map::execute(args),
         Command::Truth(args) => commands::truth::execute(args),

@@ -333,7 +333,8 @@ fn commands_of(prefix: &[&str]) -> Vec<String> {
 }
 
 /// Commands that write nothing.
-const READERS: [&str; 6] = [
+const READERS: [&str; 7] = [
+    "cameras",
     "check",
     "info",
     "diff",

@@ -2,10 +2,12 @@
 
 use super::print_json;
 use crate::args::{JsonArg, SourceArgs};
-use crate::failure::{CommandResult, Failure, Outcome};
+use crate::failure::{CommandResult, Outcome};
 use crate::input::{Images, Input};
 use clap::Args;
-use monogrid_datasets::{CheckConfig, FrameChecker, SequenceCheck};
+use monogrid_datasets::{CheckConfig, FrameChecker, FrameEntry, SequenceCheck};
+use monogrid_image::GrayImage;
+use monogrid_pipeline::Unusable;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -24,7 +26,7 @@ pub struct CheckArgs {
 #[derive(Debug, Serialize)]
 struct CheckReport {
     source: String,
-    layout: &'static str,
+    layout: String,
     frames: usize,
     seconds: f64,
     frames_per_second: f64,
@@ -51,33 +53,47 @@ struct CheckReport {
 /// Images decoded at once.
 const CHUNK: usize = 32;
 
+/// Number and time of a frame, and the working image.
+type CheckedFrame = (usize, i64, Result<GrayImage, Unusable>);
+
+/// All frames in order; files are decoded by all threads.
+fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
+    let Images::Files(_) = &input.images else {
+        return Box::new(input.source().map(|frame| {
+            let image = frame
+                .image
+                .and_then(|image| input.preparation.apply(&image));
+            (frame.index, frame.timestamp_ns, image)
+        }));
+    };
+    Box::new(input.frames.chunks(CHUNK).flat_map(|chunk| {
+        let read = |frame: &FrameEntry| (frame.index, frame.timestamp_ns, input.read(frame));
+        chunk.par_iter().map(read).collect::<Vec<_>>()
+    }))
+}
+
 /// Reads all frames and reports.
 pub fn execute(args: &CheckArgs) -> CommandResult {
     let input = Input::open(&args.source, &args.input)?;
-    let Images::Files(dataset) = &input.images else {
-        return Err(Failure::input("expected a source of files"));
+    let dataset = match &input.images {
+        Images::Files(dataset) => Some(dataset),
+        Images::Video(_) | Images::Rendered(_) => None,
     };
     let mut checker = FrameChecker::new(CheckConfig::default());
     let (mut checks, mut numbers, mut unreadable) = (Vec::new(), Vec::new(), Vec::new());
-    for chunk in input.frames.chunks(CHUNK) {
-        let images: Vec<_> = chunk.par_iter().map(|frame| input.read(frame)).collect();
-        for (frame, image) in chunk.iter().zip(images) {
-            match image {
-                Ok(image) => {
-                    checks.push(checker.check(&image));
-                    numbers.push(frame.index);
-                }
-                Err(error) => unreadable.push(format!("frame {}: {error}", frame.index)),
+    let mut times = Vec::new();
+    for (index, timestamp_ns, image) in frames(&input) {
+        times.push(timestamp_ns as f64 * 1e-9);
+        match image {
+            Ok(image) => {
+                checks.push(checker.check(&image));
+                numbers.push(index);
             }
+            Err(error) => unreadable.push(format!("frame {index}: {error}")),
         }
     }
     let sequence = SequenceCheck::new(&checks, &CheckConfig::default());
     let in_source = |positions: &[usize]| positions.iter().map(|&i| numbers[i]).collect();
-    let times: Vec<f64> = input
-        .frames
-        .iter()
-        .map(|f| f.timestamp_ns as f64 * 1e-9)
-        .collect();
     let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
     let seconds = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
     let valid = input.mask().as_slice().iter().filter(|&&m| m > 0).count();
@@ -85,11 +101,11 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
     let (width, height) = input.size();
     let mut report = CheckReport {
         source: input.name.clone(),
-        layout: dataset.layout.name(),
-        frames: input.frames.len(),
+        layout: input.layout().to_owned(),
+        frames: times.len(),
         seconds,
         frames_per_second: if seconds > 0.0 {
-            (input.frames.len() - 1) as f64 / seconds
+            (times.len() - 1) as f64 / seconds
         } else {
             0.0
         },
@@ -107,8 +123,8 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
         overexposed: in_source(&sequence.overexposed),
         median_blur: sequence.median_blur,
         median_textured_share: sequence.median_textured_share,
-        depth_images: dataset.depths.len(),
-        has_ground_truth: dataset.ground_truth.is_some(),
+        depth_images: dataset.map_or(0, |dataset| dataset.depths.len()),
+        has_ground_truth: dataset.is_some_and(|dataset| dataset.ground_truth.is_some()),
         warnings: input.warnings.clone(),
     };
     if let Some(first) = unreadable.first() {

@@ -1,5 +1,6 @@
 //! The commands.
 
+pub mod cameras;
 pub mod check;
 pub mod convert;
 pub mod demo;

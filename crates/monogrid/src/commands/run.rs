@@ -22,7 +22,8 @@ use std::sync::Arc;
 /// `monogrid run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
-    /// Folder in TUM RGB-D or EuRoC layout, or any folder of images
+    /// Video, camera (/dev/video0), address of a stream, - (YUV4MPEG2 on standard input), folder in TUM
+    /// RGB-D or EuRoC layout, or any folder of images
     pub source: PathBuf,
     #[command(flatten)]
     pub input: SourceArgs,
@@ -97,6 +98,9 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         ..RunSettings::new(config, threads)
     };
     describe_input(&input);
+    if let Some(own) = &input.own_calibration {
+        folder.write("calibration.txt", own.file_content())?;
+    }
     let finished = run_all(&input, &folder, &settings, &align, |_, _| {
         Ok(Extras::default())
     })?;
@@ -217,9 +221,12 @@ fn continued(earlier: Earlier, args: &RunArgs) -> Continued {
 fn describe_input(input: &Input) {
     let (width, height) = input.size();
     eprintln!(
-        "{}: {} frames of {}x{} pixels, working size {width}x{height}",
+        "{}: {} of {}x{} pixels, working size {width}x{height}",
         input.name,
-        input.frames.len(),
+        match input.expected_frames() {
+            Some(frames) => format!("{frames} frames"),
+            None => "frames".to_owned(),
+        },
         input.camera().width,
         input.camera().height
     );

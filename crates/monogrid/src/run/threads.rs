@@ -65,7 +65,12 @@ pub fn track(
         },
         must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
     };
-    let mut tracking = Tracking::begin(pipeline, settings, input.frames.len(), interrupted);
+    let mut tracking = Tracking::begin(
+        pipeline,
+        settings,
+        input.expected_frames().unwrap_or(0),
+        interrupted,
+    );
     let reading = read_ahead(input.source(), &input.preparation, reading, |frame| {
         tracking.take(frame)
     })

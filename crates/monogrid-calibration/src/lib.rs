@@ -1,0 +1,31 @@
+//! Calibration from the video itself: focal length, distortion and principal point of a camera that
+//! moves through a still scene, with their uncertainty.
+//!
+//! 1. [`TrackCollector`] follows corners through the frames and cuts the video into [`Window`]s of some
+//!    twenty views each.
+//! 2. Each window is reconstructed under several guesses of the focal length (two views, then one view
+//!    at a time), and [`adjust`] refines poses, points and [`Intrinsics`] together; the guess with the
+//!    lowest cost wins.
+//! 3. [`estimate_intrinsics`] fuses what the windows say, weighted by their information, and lets their
+//!    disagreement widen the result.
+//!
+//! Motions that do not determine the focal length (straight ahead, no parallax) leave little
+//! information: the prior is kept and the outcome says so ([`Estimate::is_determined`]).
+//!
+//! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000; Pollefeys et al.,
+//! *Visual Modeling with a Hand-Held Camera*, 2004, on calibration from the scene.
+//!
+//! Conventions are those of [`monogrid_geometry`]. Everything is deterministic.
+#![deny(missing_docs)]
+
+mod adjust;
+mod estimate;
+mod intrinsics;
+mod reconstruct;
+mod tracks;
+mod triangulation;
+
+pub use adjust::{AdjustConfig, Adjusted, Scene, Sighting, adjust};
+pub use estimate::{Estimate, EstimateConfig, estimate_intrinsics};
+pub use intrinsics::{Intrinsics, NUM_PARAMETERS, Parameters, Prior};
+pub use tracks::{CollectorConfig, Track, TrackCollector, Window};

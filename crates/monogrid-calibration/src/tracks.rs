@@ -1,0 +1,239 @@
+//! Corners followed through a video, in windows of some twenty views.
+
+use monogrid_features::{CornerConfig, TrackConfig, detect_corners, track_points};
+use monogrid_geometry::Vec2;
+use monogrid_image::{GrayImage, Pyramid};
+
+/// A corner and where it was seen.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Track {
+    /// View and pixel, one per view that sees it, in the order of views.
+    pub pixels: Vec<(usize, Vec2)>,
+}
+
+impl Track {
+    /// Where a view saw it.
+    #[must_use]
+    pub fn pixel_in(&self, view: usize) -> Option<Vec2> {
+        let found = self
+            .pixels
+            .binary_search_by_key(&view, |seen| seen.0)
+            .ok()?;
+        self.pixels.get(found).map(|seen| seen.1)
+    }
+}
+
+/// A piece of a video: views that are some motion apart, and the corners that they share.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Window {
+    /// Width and height of the images, px.
+    pub size: (usize, usize),
+    /// Number of views.
+    pub num_views: usize,
+    /// Corners seen by at least three views.
+    pub tracks: Vec<Track>,
+}
+
+/// Settings of [`TrackCollector`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct CollectorConfig {
+    /// Corners followed at a time. Range 50..; default 350.
+    pub max_points: usize,
+    /// Median motion after which a frame becomes a view, as a share of the longer side of the image.
+    /// Range 0.005..0.2; default 0.03.
+    pub view_step: f64,
+    /// A frame becomes a view at the latest when less than this share of the corners is still
+    /// followed. Range 0..1; default 0.7.
+    pub min_survivors: f64,
+    /// Views of a window. Range 4..; default 20.
+    pub views_per_window: usize,
+    /// Windows of fewer views are dropped. Range 3..; default 8.
+    pub min_views: usize,
+    /// Fewer corners than this that are still followed end a window. Default 40.
+    pub min_followed: usize,
+}
+
+impl Default for CollectorConfig {
+    fn default() -> Self {
+        Self {
+            max_points: 350,
+            view_step: 0.03,
+            min_survivors: 0.7,
+            views_per_window: 20,
+            min_views: 8,
+            min_followed: 40,
+        }
+    }
+}
+
+/// A corner that is being followed.
+#[derive(Clone, Copy, Debug)]
+struct Followed {
+    track: usize,
+    /// In the newest view.
+    in_view: Vec2,
+    /// In the newest frame, and by how much it moved there.
+    now: Vec2,
+    step: Vec2,
+}
+
+/// Follows corners from frame to frame and collects [`Window`]s.
+#[derive(Debug)]
+pub struct TrackCollector {
+    config: CollectorConfig,
+    /// The newest view.
+    view: Option<Pyramid>,
+    followed: Vec<Followed>,
+    /// Corners that were followed when the newest view was made.
+    begun_with: usize,
+    open: Window,
+    windows: Vec<Window>,
+}
+
+/// Levels of the pyramids; the coarsest keeps some forty pixels.
+const NUM_LEVELS: usize = 4;
+
+impl TrackCollector {
+    /// An empty collector.
+    #[must_use]
+    pub fn new(config: CollectorConfig) -> Self {
+        Self {
+            config,
+            view: None,
+            followed: Vec::new(),
+            begun_with: 0,
+            open: Window::default(),
+            windows: Vec::new(),
+        }
+    }
+
+    /// Windows that are complete.
+    #[must_use]
+    pub fn num_windows(&self) -> usize {
+        self.windows.len()
+    }
+
+    /// Takes the next frame; all frames of a window have one size (another one begins a new window).
+    pub fn add(&mut self, image: &GrayImage) {
+        let frame = Pyramid::new(image.clone(), NUM_LEVELS);
+        if self.open.size != (image.width(), image.height()) {
+            self.close();
+        }
+        let Some(view) = self.view.take() else {
+            return self.begin(frame);
+        };
+        self.follow(&view, &frame);
+        let enough_followed = self.followed.len() >= self.config.min_followed;
+        if !enough_followed {
+            self.close();
+            return self.begin(frame);
+        }
+        if !self.has_moved() {
+            self.view = Some(view);
+            return;
+        }
+        self.add_view(&frame);
+        if self.open.num_views == self.config.views_per_window {
+            self.close();
+            return self.begin(frame);
+        }
+        self.view = Some(frame);
+    }
+
+    /// A gap in the video: the next frame begins a new window.
+    pub fn interrupt(&mut self) {
+        self.close();
+    }
+
+    /// All windows.
+    #[must_use]
+    pub fn finish(mut self) -> Vec<Window> {
+        self.close();
+        self.windows
+    }
+
+    /// Ends the open window and keeps it if it is long enough.
+    fn close(&mut self) {
+        let mut window = std::mem::take(&mut self.open);
+        self.view = None;
+        self.followed.clear();
+        window.tracks.retain(|track| track.pixels.len() >= 3);
+        if window.num_views >= self.config.min_views {
+            self.windows.push(window);
+        }
+    }
+
+    /// Begins a window with `frame` as its first view.
+    fn begin(&mut self, frame: Pyramid) {
+        let image = frame.level(0);
+        self.open.size = (image.width(), image.height());
+        self.add_view(&frame);
+        self.view = Some(frame);
+    }
+
+    /// Makes `frame` a view: notes where corners are and looks for new ones.
+    fn add_view(&mut self, frame: &Pyramid) {
+        let view = self.open.num_views;
+        self.open.num_views += 1;
+        let occupied: Vec<Vec2> = self.followed.iter().map(|f| f.now).collect();
+        let wanted = self.config.max_points.saturating_sub(occupied.len());
+        let corners = detect_corners(
+            frame,
+            None,
+            &occupied,
+            &CornerConfig {
+                max_corners: wanted.max(1),
+                ..CornerConfig::default()
+            },
+        );
+        for corner in corners.into_iter().take(wanted) {
+            self.followed.push(Followed {
+                track: self.open.tracks.len(),
+                in_view: corner.pixel,
+                now: corner.pixel,
+                step: Vec2::zeros(),
+            });
+            self.open.tracks.push(Track::default());
+        }
+        for followed in &mut self.followed {
+            followed.in_view = followed.now;
+            if let Some(track) = self.open.tracks.get_mut(followed.track) {
+                track.pixels.push((view, followed.now));
+            }
+        }
+        self.begun_with = self.followed.len();
+    }
+
+    /// Finds the corners of the view in `frame`; those that are lost are dropped.
+    fn follow(&mut self, view: &Pyramid, frame: &Pyramid) {
+        let points: Vec<Vec2> = self.followed.iter().map(|f| f.in_view).collect();
+        let expected: Vec<Vec2> = self.followed.iter().map(|f| f.now + f.step).collect();
+        let outcomes = track_points(view, frame, &points, &expected, &TrackConfig::default());
+        let found = std::mem::take(&mut self.followed)
+            .into_iter()
+            .zip(&outcomes);
+        self.followed = found
+            .filter_map(|(followed, outcome)| {
+                outcome.pixel().map(|now| Followed {
+                    now,
+                    step: now - followed.now,
+                    ..followed
+                })
+            })
+            .collect();
+    }
+
+    /// Whether the newest frame is far enough from the newest view to become one.
+    fn has_moved(&self) -> bool {
+        let mut moves: Vec<f64> = self
+            .followed
+            .iter()
+            .map(|followed| (followed.now - followed.in_view).norm())
+            .collect();
+        moves.sort_unstable_by(f64::total_cmp);
+        let median = moves.get(moves.len() / 2).copied().unwrap_or(0.0);
+        let longer = self.open.size.0.max(self.open.size.1) as f64;
+        let survivors = self.followed.len() as f64 / self.begun_with.max(1) as f64;
+        median >= self.config.view_step * longer || survivors < self.config.min_survivors
+    }
+}

@@ -1,0 +1,47 @@
+//! `monogrid cameras`: the cameras of this computer.
+
+use super::print_json;
+use crate::args::JsonArg;
+use crate::failure::{CommandResult, Outcome};
+use clap::Args;
+use serde::Serialize;
+
+/// `monogrid cameras`.
+#[derive(Debug, Args)]
+pub struct CamerasArgs {
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+#[derive(Serialize)]
+struct Entry {
+    path: String,
+    name: String,
+    modes: Vec<String>,
+}
+
+/// Lists them.
+pub fn execute(args: &CamerasArgs) -> CommandResult {
+    let cameras: Vec<Entry> = monogrid_video::list_cameras()
+        .into_iter()
+        .map(|camera| Entry {
+            path: camera.path.display().to_string(),
+            name: camera.name,
+            modes: camera.modes,
+        })
+        .collect();
+    if args.json.json {
+        print_json(&cameras)?;
+    } else if cameras.is_empty() {
+        println!("no camera that delivers YUYV, MJPEG or grey images (looked at /dev/video*)");
+    }
+    if !args.json.json {
+        for camera in &cameras {
+            println!("{}: {}", camera.path, camera.name);
+            for mode in &camera.modes {
+                println!("  {mode}");
+            }
+        }
+    }
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,173 @@
+//! The camera of a source that has no calibration: estimated from its images.
+
+use crate::failure::Failure;
+use monogrid_calibration::{
+    CollectorConfig, Estimate, EstimateConfig, Intrinsics, Prior, TrackCollector, Window,
+    estimate_intrinsics,
+};
+use monogrid_geometry::{Camera, Distortion, Pinhole};
+use monogrid_image::{GrayImage, Resize, WorkingSize, resize_area};
+
+/// Field of view that is assumed along the longer side where nothing is known, degrees: between the
+/// main cameras of phones while filming and those of laptops.
+const ASSUMED_FOV_DEG: f64 = 62.0;
+
+/// Windows of the video that are used.
+const MAX_WINDOWS: usize = 8;
+
+/// Frames that are looked at.
+const MAX_FRAMES: usize = 900;
+
+/// A camera that was not given.
+#[derive(Clone, Debug)]
+pub struct OwnCalibration {
+    /// The camera.
+    pub camera: Camera,
+    /// How it came about, for people.
+    pub interpretation: String,
+    /// What to know about it, in sentences.
+    pub warnings: Vec<String>,
+}
+
+impl OwnCalibration {
+    /// A pinhole with this horizontal field of view.
+    pub fn from_fov(fov_deg: f64, (width, height): (usize, usize)) -> Result<Self, Failure> {
+        let focal = width as f64 / 2.0 / (fov_deg.to_radians() / 2.0).tan();
+        let Intrinsics { focal, centre, .. } = Intrinsics::centred(focal, (width, height));
+        let pinhole = Pinhole::new(focal, focal, centre.x, centre.y);
+        let camera = Camera::try_new(width, height, pinhole, Distortion::None)
+            .map_err(|e| Failure::input(format!("--fov {fov_deg}: {e}")))?;
+        Ok(Self {
+            camera,
+            interpretation: format!(
+                "pinhole with the horizontal field of view that was given, {fov_deg} degrees"
+            ),
+            warnings: Vec::new(),
+        })
+    }
+
+    /// The camera that the beginning of a video shows; `None` where it shows none at all.
+    pub fn from_images(
+        images: impl Iterator<Item = GrayImage>,
+        size: (usize, usize),
+    ) -> Option<Self> {
+        let windows = windows_of(images.take(MAX_FRAMES), size, MAX_WINDOWS);
+        if windows.is_empty() {
+            return None;
+        }
+        Self::from_estimate(&estimate(&windows, size, 1.0), size)
+    }
+
+    fn from_estimate(estimate: &Estimate, size: (usize, usize)) -> Option<Self> {
+        let percent = 196.0 * estimate.sigma[0];
+        if !estimate.is_determined() {
+            let prior = Prior::ordinary(ASSUMED_FOV_DEG, size);
+            return Some(Self {
+                camera: Intrinsics::from_parameters(&prior.mean).camera(size)?,
+                interpretation: format!(
+                    "assumed: pinhole with a field of view of {ASSUMED_FOV_DEG} degrees along the \
+                     longer side"
+                ),
+                warnings: vec![format!(
+                    "the motion of the camera does not show its focal length (uncertain by {percent:.0} \
+                     %): {ASSUMED_FOV_DEG} degrees are assumed; turn the camera while moving it \
+                     sideways, or give --calibration FILE or --fov DEG"
+                )],
+            });
+        }
+        let (low, high) = estimate.focal_interval_px();
+        let Intrinsics {
+            focal,
+            centre,
+            radial: [k1, k2],
+        } = estimate.intrinsics;
+        Some(Self {
+            camera: estimate.intrinsics.camera(size)?,
+            interpretation: format!(
+                "estimated from the video: focal length {focal:.1} px (95 %: {low:.1} to {high:.1}), \
+                 distortion k1 = {k1:.4}, k2 = {k2:.4}, principal point ({:.1}, {:.1}); {} of {} \
+                 pieces of the video used",
+                centre.x, centre.y, estimate.num_windows, estimate.num_given
+            ),
+            warnings: Vec::new(),
+        })
+    }
+
+    /// The content of a `calibration.txt`.
+    pub fn file_content(&self) -> String {
+        let Camera {
+            width,
+            height,
+            pinhole: Pinhole { fx, fy, cx, cy },
+            distortion,
+        } = self.camera;
+        let terms = match distortion {
+            Distortion::RadialTangential { k1, k2, p1, p2, .. } => {
+                format!(" {k1:.6} {k2:.6} {p1:.6} {p2:.6}")
+            }
+            _ => String::new(),
+        };
+        format!(
+            "# {}\n# fx fy cx cy{} width height, in pixels\n{fx:.3} {fy:.3} {cx:.3} {cy:.3}{terms} \
+             {width} {height}\n",
+            self.interpretation,
+            if terms.is_empty() { "" } else { " k1 k2 p1 p2" }
+        )
+    }
+}
+
+/// The windows of a video at working size.
+pub fn windows_of(
+    images: impl Iterator<Item = GrayImage>,
+    size: (usize, usize),
+    max_windows: usize,
+) -> Vec<Window> {
+    let (width, height) = WorkingSize::Automatic.resolve(size.0, size.1);
+    let mut collector = TrackCollector::new(CollectorConfig::default());
+    for image in images {
+        if (image.width(), image.height()) != size {
+            continue;
+        }
+        collector.add(&resize_area(&image, Resize { width, height }));
+        if collector.num_windows() >= max_windows {
+            break;
+        }
+    }
+    collector.finish()
+}
+
+/// What windows at working size say about the camera of images of this size; the principal point has
+/// `centre_freedom` times its ordinary freedom.
+pub fn estimate(windows: &[Window], size: (usize, usize), centre_freedom: f64) -> Estimate {
+    let working = WorkingSize::Automatic.resolve(size.0, size.1);
+    let mut prior = Prior::ordinary(ASSUMED_FOV_DEG, working);
+    prior.sigma[3] *= centre_freedom;
+    prior.sigma[4] *= centre_freedom;
+    let estimate = estimate_intrinsics(windows, working, &prior, &EstimateConfig::default());
+    estimate.scaled(size.0 as f64 / working.0 as f64, size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{OwnCalibration, estimate};
+
+    #[test]
+    fn what_is_not_determined_is_assumed_and_said() {
+        let mut shown = estimate(&[], (640, 480), 1.0);
+        shown.intrinsics.focal = 500.0;
+        shown.num_windows = 3;
+        shown.sigma[0] = 0.02;
+        let certain = OwnCalibration::from_estimate(&shown, (640, 480)).unwrap();
+        assert!(certain.warnings.is_empty());
+        assert!((certain.camera.pinhole.fx - 500.0).abs() < 1e-9);
+        let text = certain.file_content();
+        assert!(
+            text.ends_with("\n500.000 500.000 319.500 239.500 640 480\n"),
+            "{text}"
+        );
+        shown.sigma[0] = 0.06;
+        let assumed = OwnCalibration::from_estimate(&shown, (640, 480)).unwrap();
+        assert!((assumed.camera.horizontal_fov_deg() - 62.0).abs() < 0.2);
+        assert!(assumed.warnings[0].contains("--fov DEG"), "{assumed:?}");
+    }
+}

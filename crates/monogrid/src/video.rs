@@ -1,0 +1,130 @@
+//! Videos, cameras and streams as a source.
+
+use crate::args::SourceArgs;
+use crate::failure::{Classify, Failure};
+use monogrid_image::GrayImage;
+use monogrid_video::{Video, VideoError};
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// A video that is read from its beginning, or a stream that is read once.
+#[derive(Debug)]
+pub struct VideoSource {
+    path: PathBuf,
+    /// For people.
+    pub description: String,
+    /// Width and height of the first frame, px.
+    pub size: (usize, usize),
+    /// Frames to use, where that is known.
+    pub expected_frames: Option<usize>,
+    /// First frame to use, every how many-th is, and how many at most.
+    start: usize,
+    every: usize,
+    max_frames: usize,
+    /// What was opened, until somebody reads it.
+    opened: Mutex<Option<Video>>,
+    is_file: bool,
+}
+
+/// A frame as it comes: number, time in nanoseconds, image or why there is none.
+pub type VideoItem = (usize, i64, Result<GrayImage, String>);
+
+/// Endings of files that are no videos: they have readers of their own, or none.
+const NO_VIDEOS: [&str; 13] = [
+    "txt", "zip", "tar", "gz", "mgk", "ot", "bt", "mgo", "ply", "toml", "yaml", "json", "csv",
+];
+
+/// Whether a source is a video, a camera or a stream; everything else is images.
+pub fn is_video(source: &Path) -> bool {
+    let name = source.to_string_lossy();
+    if name == "-" || name.contains("://") || name.starts_with("/dev/video") {
+        return true;
+    }
+    let ending = source
+        .extension()
+        .map(|e| e.to_string_lossy().to_lowercase());
+    source.is_file() && ending.is_some_and(|ending| !NO_VIDEOS.contains(&ending.as_str()))
+}
+
+impl VideoSource {
+    /// Opens a video and reads its first frame.
+    pub fn open(path: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        let (start, max_frames) = (args.start, args.max_frames);
+        let every = args.every.map_or(1, NonZeroUsize::get);
+        if max_frames == Some(0) {
+            return Err(Failure::input("--max-frames is 0, expected at least 1"));
+        }
+        let video = Video::open(path).bad_input()?;
+        let length = video.length();
+        if length.is_some_and(|length| start >= length) {
+            return Err(Failure::input(format!(
+                "--start {start} is beyond the last frame of {}, which has {} frames",
+                path.display(),
+                length.unwrap_or_default()
+            )));
+        }
+        let left = length.map(|length| (length - start).div_ceil(every));
+        Ok(Self {
+            path: path.to_path_buf(),
+            description: video.description().to_owned(),
+            size: video.size(),
+            expected_frames: left.map(|left| left.min(max_frames.unwrap_or(left))),
+            start,
+            every,
+            max_frames: max_frames.unwrap_or(usize::MAX),
+            is_file: path.is_file(),
+            opened: Mutex::new(Some(video)),
+        })
+    }
+
+    /// Whether it can be read again.
+    pub fn is_file(&self) -> bool {
+        self.is_file
+    }
+
+    /// A name for people and folders: that of the file, camera or host.
+    pub fn name(&self) -> String {
+        let path = self.path.to_string_lossy();
+        let name = match path.split_once("://") {
+            Some((_, address)) => address.split(['/', ':', '?']).next().map(str::to_owned),
+            None if path == "-" => Some("stdin".to_owned()),
+            None => self
+                .path
+                .file_stem()
+                .map(|n| n.to_string_lossy().into_owned()),
+        };
+        name.filter(|name| !name.is_empty())
+            .unwrap_or_else(|| "video".to_owned())
+    }
+
+    /// The frames to use, in order. A stream has them only once.
+    pub fn frames(&self) -> Box<dyn Iterator<Item = VideoItem> + Send + '_> {
+        let opened = self.opened.lock().ok().and_then(|mut opened| opened.take());
+        let video = match opened {
+            Some(video) => Ok(video),
+            None if self.is_file => Video::open(&self.path).map_err(|e| e.to_string()),
+            None => Err("the stream was read before".to_owned()),
+        };
+        let video = match video {
+            Ok(video) => video,
+            Err(reason) => return Box::new(std::iter::once((self.start, 0, Err(reason)))),
+        };
+        let mut last_ns = 0;
+        let items = video.enumerate().map(move |(index, item)| {
+            let image = item.map(|frame| {
+                last_ns = frame.timestamp_ns;
+                frame.image.map(f32::from)
+            });
+            // a frame without an image has no time either: right after the one before
+            last_ns += i64::from(image.is_err());
+            (index, last_ns, image.map_err(|e: VideoError| e.to_string()))
+        });
+        Box::new(
+            items
+                .skip(self.start)
+                .step_by(self.every)
+                .take(self.max_frames),
+        )
+    }
+}

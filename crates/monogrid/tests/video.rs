@@ -1,0 +1,152 @@
+//! Videos as sources, with and without a calibration.
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
+
+mod common;
+
+use common::{assert_fails, code, json, monogrid, program, stderr};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+fn shared(name: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data")
+        .join(name);
+    if !path.exists() {
+        eprintln!("SKIPPED: {} is absent", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+fn small(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../monogrid-video/tests/data")
+        .join(name)
+}
+
+#[test]
+fn a_phone_video_with_nothing_else() {
+    let Some(video) = shared("phone-desk/video.mp4") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("desk");
+    let output = program()
+        .args(["run", "--json", "--max-frames", "400", "--out"])
+        .args([&out, &video])
+        .output()
+        .unwrap();
+    let text = stderr(&output);
+    assert_eq!(code(&output), 0, "{text}");
+    assert!(text.contains("400 frames of 364x674 pixels"), "{text}");
+    assert!(
+        text.contains("estimated from the video: focal length"),
+        "{text}"
+    );
+    let summary = json(&output);
+    assert_eq!(summary["frames"], 400);
+    assert!(summary["tracked"].as_u64().unwrap() > 300, "{summary}");
+    // the next run takes what this one found
+    let calibration = fs::read_to_string(out.join("calibration.txt")).unwrap();
+    assert!(
+        calibration.contains("estimated from the video"),
+        "{calibration}"
+    );
+    let again = monogrid([
+        "check".as_ref(),
+        video.as_os_str(),
+        "--max-frames".as_ref(),
+        "30".as_ref(),
+        "--calibration".as_ref(),
+        out.join("calibration.txt").as_os_str(),
+    ]);
+    assert_eq!(code(&again), 0, "{}", stderr(&again));
+}
+
+#[test]
+fn what_check_says_of_a_video() {
+    let output = monogrid(
+        ["check", "--json", "--fov", "60", "--start", "5"]
+            .map(PathBuf::from)
+            .into_iter()
+            .chain([small("reordered.mp4")]),
+    );
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let report = json(&output);
+    assert_eq!(report["frames"], 25);
+    assert_eq!(report["layout"], "MP4, H.264");
+    let rate = report["frames_per_second"].as_f64().unwrap();
+    assert!((rate - 30.0).abs() < 0.01, "{rate}");
+    let fov = report["horizontal_fov_deg"].as_f64().unwrap();
+    assert!((fov - 60.0).abs() < 0.5, "{fov}");
+}
+
+#[test]
+fn a_stream_on_standard_input() {
+    let mut stream = b"YUV4MPEG2 W64 H48 F25:1 Cmono\n".to_vec();
+    for level in 0..3u8 {
+        stream.extend_from_slice(b"FRAME\n");
+        stream.extend_from_slice(&[100 + level; 64 * 48]);
+    }
+    let piped = |arguments: &[&str]| {
+        let mut child = program()
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        // a program that refuses at once closes its end
+        drop(std::io::Write::write_all(
+            &mut child.stdin.take().unwrap(),
+            &stream,
+        ));
+        child.wait_with_output().unwrap()
+    };
+    let output = piped(&["check", "-", "--fov", "60", "--json"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert_eq!(json(&output)["frames"], 3);
+    assert_fails(
+        &piped(&["check", "-"]),
+        2,
+        &["seen only once", "--fov", "--calibration"],
+    );
+}
+
+#[test]
+fn videos_that_cannot_be_used() {
+    let video = small("reordered.mp4").display().to_string();
+    let beyond = monogrid(["check", &video, "--fov", "60", "--start", "30"]);
+    assert_fails(&beyond, 2, &["--start 30", "30 frames"]);
+    // a test pattern is no still scene: whatever comes of it, no invented camera
+    let output = monogrid(["check", &video]);
+    let text = stderr(&output) + &String::from_utf8_lossy(&output.stdout);
+    let is_honest = text.contains("--fov DEG") && !text.contains("estimated from");
+    assert!(is_honest, "{text}");
+    let other = small("h265.mp4").display().to_string();
+    let without_ffmpeg = program()
+        .args(["check", &other, "--fov", "60"])
+        .env("PATH", "")
+        .output()
+        .unwrap();
+    assert_fails(&without_ffmpeg, 2, &["H.265", "ffmpeg", "type `"]);
+}
+
+#[test]
+fn a_field_of_view_is_that_of_a_pinhole() {
+    for wrong in ["0", "179", "wide"] {
+        assert_fails(
+            &monogrid(["check", "-", "--fov", wrong]),
+            2,
+            &["5 to 160 degrees"],
+        );
+    }
+}
+
+#[test]
+fn the_list_of_cameras_may_be_empty() {
+    let output = monogrid(["cameras", "--json"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(json(&output).is_array());
+}
