@@ -149,15 +149,27 @@ fn auto_or_positive(text: &str) -> Result<AutoOr, String> {
         .map_err(|_| "expected a positive number or `auto`".into())
 }
 
+/// Most pixels of a working image: tracking keeps some hundred bytes for each.
+const MAX_PIXELS: usize = 4_000_000;
+
 /// Width and height of an image.
 pub fn size(text: &str) -> Result<(usize, usize), String> {
-    let expected = || "expected WIDTHxHEIGHT, both from 32 to 8192, e.g. 640x480".to_owned();
+    let expected = || {
+        format!(
+            "expected WIDTHxHEIGHT, both from 32 to 8192 and at most {MAX_PIXELS} pixels, e.g. 640x480"
+        )
+    };
     let (width, height) = text.split_once(['x', 'X']).ok_or_else(expected)?;
-    let side = |text: &str| text.parse().ok().filter(|n| (32..=8192).contains(n));
-    Ok((
-        side(width).ok_or_else(expected)?,
-        side(height).ok_or_else(expected)?,
-    ))
+    let side = |text: &str| {
+        text.parse::<usize>()
+            .ok()
+            .filter(|n| (32..=8192).contains(n))
+    };
+    let (width, height) = side(width).zip(side(height)).ok_or_else(expected)?;
+    if width * height > MAX_PIXELS {
+        return Err(expected());
+    }
+    Ok((width, height))
 }
 
 #[cfg(test)]
@@ -167,7 +179,7 @@ mod tests {
     #[test]
     fn sizes_and_lengths_are_checked() {
         assert_eq!(size("640x480"), Ok((640, 480)));
-        for bad in ["640", "x480", "0x480", "640x-1", "9999x480"] {
+        for bad in ["8192x8192", "640", "x480", "0x480", "640x-1", "9999x480"] {
             assert!(size(bad).is_err(), "{bad}");
         }
         for bad in ["0", "-1", "nan", "inf", "x"] {

@@ -11,6 +11,12 @@ use monogrid_datasets::encode_png;
 use serde::Serialize;
 use std::path::PathBuf;
 
+/// Longer side of a picture, px.
+fn pixels(text: &str) -> Result<usize, String> {
+    let pixels = text.parse().ok().filter(|n| (1..=16_384).contains(n));
+    pixels.ok_or_else(|| "expected 1 to 16384".to_owned())
+}
+
 /// `monogrid slice`.
 #[derive(Debug, Args)]
 pub struct SliceArgs {
@@ -31,7 +37,7 @@ pub struct SliceArgs {
     #[arg(long)]
     pub leaves: bool,
     /// About the longer side of the pictures, px; a cell is at least one pixel
-    #[arg(long, value_name = "N", default_value_t = 1024)]
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = pixels)]
     pub pixels: usize,
     /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long)]

@@ -29,6 +29,12 @@ pub enum NoiseArg {
     Harsh,
 }
 
+/// Number of frames: at most four days of video.
+fn frame_count(text: &str) -> Result<usize, String> {
+    let frames = text.parse().ok().filter(|n| (1..=10_000_000).contains(n));
+    frames.ok_or_else(|| "expected 1 to 10000000".to_owned())
+}
+
 /// `monogrid synth`.
 #[derive(Debug, Args)]
 pub struct SynthArgs {
@@ -48,7 +54,7 @@ pub struct SynthArgs {
     #[arg(long, value_name = "FILE")]
     pub trajectory: Option<PathBuf>,
     /// Number of frames; the built-in motion takes as long as they do [default: at walking pace]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = frame_count)]
     pub frames: Option<usize>,
     /// Frames per second
     #[arg(long, value_name = "N", value_parser = positive, default_value_t = 30.0)]

@@ -9,8 +9,8 @@ use std::fs;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-/// Names of files that are not finished begin with a point.
-fn half_files(folder: &std::path::Path) -> Vec<String> {
+/// Names of the files of a folder, but for those that are not finished, which begin with a point.
+fn final_names(folder: &std::path::Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     names.filter(|name| !name.starts_with('.')).collect()
@@ -42,7 +42,11 @@ fn killed_runs_lose_only_the_keyframe_in_progress() {
         child.kill().unwrap();
         child.wait().unwrap();
         // keyframes whose picture is on the disk were recorded before it
-        let pictures = half_files(&out.join("keyframes")).len();
+        let pictures = final_names(&out.join("keyframes"));
+        let pictures = pictures
+            .iter()
+            .filter(|name| name.ends_with("image.png"))
+            .count();
         let recording = out.join("recording.mgk");
         let map = seeds.path("again.ot");
         let _ = fs::remove_file(&map);
@@ -70,7 +74,7 @@ fn killed_runs_lose_only_the_keyframe_in_progress() {
                 ended.said
             );
         }
-        for name in half_files(&out) {
+        for name in final_names(&out) {
             let text = fs::read(out.join(&name)).unwrap_or_default();
             let is_half = match name.rsplit_once('.').map(|parts| parts.1) {
                 Some("json") => serde_json::from_slice::<serde_json::Value>(&text).is_err(),

@@ -75,7 +75,12 @@ impl Seeds {
         write("gray.pgm", &pgm());
         // lists of few frames, beside the images that they name
         let text = fs::read_to_string(self.path("video/rgb.txt")).unwrap();
-        let few: Vec<&str> = text.lines().take(12).collect();
+        let folder = self.path("video").display().to_string();
+        let few: Vec<String> = text
+            .lines()
+            .take(12)
+            .map(|line| line.replace(" rgb/", &format!(" {folder}/rgb/")))
+            .collect();
         write("video/few.txt", few.join("\n").as_bytes());
     }
 }

@@ -7,6 +7,7 @@ use crate::seeds::Seeds;
 /// Runs the program; it must end within its limits, and say why where it refuses.
 fn attempt(tally: &mut Tally, seeds: &Seeds, args: &[&str]) {
     let _ = std::fs::remove_dir_all(seeds.path("x"));
+    let _ = std::fs::remove_file(seeds.path("x.ot"));
     let ended = run(limited("", args), seeds.root());
     let mut harms: Vec<String> = ended.harm().into_iter().collect();
     if ended.code != Some(0) && ended.said.trim().is_empty() {
