@@ -322,8 +322,8 @@ fn known_camera(
     image_size: (usize, usize),
     from_images: impl FnOnce() -> Result<OwnCalibration, Failure>,
 ) -> Result<KnownCamera, Failure> {
-    if let Some(calibration) = given {
-        check_size(&calibration, image_size)?;
+    if let Some(mut calibration) = given {
+        scale_to(&mut calibration, image_size)?;
         return Ok(KnownCamera {
             camera: calibration.camera,
             interpretation: calibration.interpretation(),
@@ -375,20 +375,35 @@ fn preparation(
     Ok(preparation)
 }
 
-fn check_size(calibration: &Calibration, image_size: (usize, usize)) -> Result<(), Failure> {
-    let camera = &calibration.camera;
-    if (camera.width, camera.height) == image_size {
+/// How much the two ratios of sizes may differ: a rounded row or column.
+const MAX_ASPECT_CHANGE: f64 = 0.005;
+
+/// Brings a calibration of another size, but the same picture, to the size of the images; a note says so.
+fn scale_to(calibration: &mut Calibration, (width, height): (usize, usize)) -> Result<(), Failure> {
+    let camera = &mut calibration.camera;
+    let found = (camera.width, camera.height);
+    if found == (width, height) {
         return Ok(());
     }
-    Err(Failure::input(format!(
-        "calibration {} is for images of {}x{} pixels, the images are {}x{}; \
-         calibrate at the size of the images",
+    let said = format!(
+        "calibration {} is for images of {}x{} pixels, the images are {width}x{height}",
         calibration.path.display(),
-        camera.width,
-        camera.height,
-        image_size.0,
-        image_size.1
-    )))
+        found.0,
+        found.1
+    );
+    let factor_x = width as f64 / found.0 as f64;
+    let factor_y = height as f64 / found.1 as f64;
+    if (factor_x / factor_y - 1.0).abs() > MAX_ASPECT_CHANGE {
+        return Err(Failure::input(format!(
+            "{said}, which is another picture and not only another size; calibrate at the size of the images"
+        )));
+    }
+    camera.pinhole = camera.pinhole.scaled(factor_x, factor_y);
+    (camera.width, camera.height) = (width, height);
+    calibration.notes.push(format!(
+        "{said}: it was scaled, which is right if the images were made smaller or larger and nothing was cut off"
+    ));
+    Ok(())
 }
 
 fn user_mask(file: Option<&Path>, image_size: (usize, usize)) -> Result<Option<Mask>, Failure> {

@@ -101,6 +101,17 @@ fn calibrations_that_cannot_be_right() {
         fs::write(&file, content).unwrap();
         assert_fails(&run(dir.path(), &out_in(&dir), &[]), 2, &[expected]);
     }
+    // twice the size, the same picture
+    fs::write(&file, "120 120 79.5 59.5 160 120").unwrap();
+    let output = monogrid([Path::new("check"), dir.path(), Path::new("--json")]);
+    let report = common::json(&output);
+    assert!(
+        report["warnings"].to_string().contains("it was scaled"),
+        "{report}"
+    );
+    let calibration = report["calibration"].as_str().unwrap();
+    let degrees = report["horizontal_fov_deg"].as_f64().unwrap();
+    assert!((degrees - 67.38).abs() < 0.01, "{calibration}: {degrees}");
     fs::remove_file(&file).unwrap();
     assert_fails(
         &run(dir.path(), &out_in(&dir), &[]),
@@ -294,4 +305,25 @@ fn a_full_standard_output_is_said_and_is_a_failure() {
         assert_fails(&output, 1, &["standard output cannot be written"]);
     }
     assert!(Path::new(&curves).join("sensor-models.html").is_file());
+}
+
+#[test]
+fn repeated_images_are_left_out_and_counted() {
+    let dir = image_folder(20);
+    for i in 0..20 {
+        let name = |k: usize| dir.path().join(format!("{i:03}{}.png", ["", "b"][k]));
+        fs::copy(name(0), name(1)).unwrap();
+    }
+    let out = out_in(&dir);
+    let output = run(dir.path(), &out, &["--json"]);
+    let summary = common::json(&output);
+    assert_eq!(
+        (&summary["frames"], &summary["repeated"]),
+        (&20.into(), &20.into())
+    );
+    let warnings = summary["warnings"].to_string();
+    assert!(warnings.contains("20 frames repeat"), "{warnings}");
+    assert!(stderr(&output).contains("20 more frames repeat"));
+    let frames = fs::read_to_string(out.join("frames.csv")).unwrap();
+    assert_eq!(frames.matches(",repeated,").count(), 20);
 }

@@ -87,6 +87,7 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         ..RunSettings::new(config, threads)
     };
     let finished = run_all(&input, &folder, &settings, &align, |tracked, maps| {
+        eprintln!("comparing depth and map with the truth");
         Ok(Extras {
             reference,
             depth: compare_depth(&input, tracked)?,

@@ -163,9 +163,14 @@ impl Page {
         self.body.push_str("</div>");
     }
 
-    /// Text in its own layout.
-    pub fn preformatted(&mut self, text: &str) {
-        let _ = write!(self.body, "<pre>{}</pre>", escape(text));
+    /// Text as it is, shown when it is asked for.
+    pub fn folded(&mut self, summary: &str, text: &str) {
+        let _ = write!(
+            self.body,
+            "<details><summary>{}</summary><pre>{}</pre></details>",
+            escape(summary),
+            escape(text)
+        );
     }
 
     /// Coloured stretches over the frames: (share of the width, colour, description).

@@ -2,16 +2,21 @@
 
 use super::frames::{FrameFate, FrameRow};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// A bar that is only drawn on a terminal; warnings are always written.
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
     begin: Instant,
+    /// When a line was last written, where there is no terminal for the bar.
+    last_line: Option<Instant>,
     num_done: usize,
     num_warnings: usize,
 }
+
+/// Time between lines where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(20);
 
 /// Warnings of the same kind that are written before the rest is only counted.
 const MAX_WARNINGS: usize = 20;
@@ -31,6 +36,7 @@ impl Progress {
         Self {
             bar,
             begin: Instant::now(),
+            last_line: (!show).then(Instant::now),
             num_done: 0,
             num_warnings: 0,
         }
@@ -50,9 +56,15 @@ impl Progress {
             FrameFate::BeforeSeed => "waiting for the seed depth".to_owned(),
         };
         let rate = self.num_done as f64 / self.begin.elapsed().as_secs_f64().max(1e-3);
-        self.bar.set_message(format!(
-            "{rate:.0} per second · {num_keyframes} keyframes · {state}"
-        ));
+        let text = format!("{rate:.0} per second · {num_keyframes} keyframes · {state}");
+        if let Some(last) = &mut self.last_line
+            && last.elapsed() >= LINE_EVERY
+        {
+            *last = Instant::now();
+            let of = self.bar.length().unwrap_or_default();
+            eprintln!("{} of {of} frames · {text}", self.num_done);
+        }
+        self.bar.set_message(text);
         self.bar.set_position(self.num_done as u64);
     }
 

@@ -155,6 +155,10 @@ fn final_maps(
     path: &[[f64; 3]],
 ) -> Result<Option<Maps>, String> {
     let before = process_cpu();
+    eprintln!(
+        "depth and maps of {} keyframes at their final poses",
+        tracked.run.slam.keyframes().len()
+    );
     let camera = path.last().map(|point| Vec3::from(*point));
     let maps = tracked.run.maps_in(&frame.map_from_world, camera);
     tracked.cpu.mapping += process_cpu() - before;

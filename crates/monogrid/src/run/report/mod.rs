@@ -85,7 +85,7 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
     }
     show_keyframes(&mut page, tracked);
     page.heading("Settings");
-    page.preformatted(input.config);
+    page.folded("all settings, as in config.toml", input.config);
     page.finish(input.title, input.verdict)
 }
 
@@ -193,6 +193,8 @@ fn path_plot(input: &ReportInput) -> Plot {
         points: from_above(input.path),
         ..Series::default()
     });
+    series.extend(mark("start", "#1f9e77", input.path.first(), input.path));
+    series.extend(mark("end", "#c7372f", input.path.last(), input.path));
     let unit = input.summary.unit();
     Plot {
         title: String::new(),
@@ -202,6 +204,34 @@ fn path_plot(input: &ReportInput) -> Plot {
         equal_axes: true,
         ..Plot::default()
     }
+}
+
+/// A small cross at a point of a path.
+fn mark(
+    name: &str,
+    colour: &'static str,
+    point: Option<&[f64; 3]>,
+    path: &[[f64; 3]],
+) -> Option<Series> {
+    let [x, y, _] = *point?;
+    let reach = |axis: usize| {
+        let along = || path.iter().map(|p| p[axis]);
+        along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min)
+    };
+    let arm = 0.02 * reach(0).max(reach(1));
+    let gap = [f64::NAN; 2];
+    Some(Series {
+        name: name.into(),
+        colour,
+        points: vec![
+            [x - arm, y - arm],
+            [x + arm, y + arm],
+            gap,
+            [x - arm, y + arm],
+            [x + arm, y - arm],
+        ],
+        ..Series::default()
+    })
 }
 
 /// Some keyframes, evenly spread, with image, depth and uncertainty, at half their size.
