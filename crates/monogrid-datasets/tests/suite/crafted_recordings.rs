@@ -70,7 +70,7 @@ fn the_next_record_is_found_in_linear_time() {
     for last in [0, 7] {
         let mut headers = whole.clone();
         let end = whole.len() + BYTES;
-        while headers.len() + 20 < end {
+        while headers.len() + 20 + last <= end {
             let payload_bytes = (end - headers.len() - 20 - last) as u32;
             let start = headers.len();
             headers.extend(b"RMGK");
