@@ -33,7 +33,8 @@ pub use error::DatasetError;
 pub use files::{open_file, read_file};
 pub use images::{
     DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
-    decode_jpeg_luma, encode_png, encode_png_16, encode_png_rgb, read_depth, read_gray, read_mask,
+    decode_jpeg_luma, encode_jpeg, encode_png, encode_png_16, encode_png_rgb, read_depth,
+    read_gray, read_mask,
 };
 pub use recording::{
     Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe, KeyframeLink,

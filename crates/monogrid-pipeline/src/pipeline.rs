@@ -9,7 +9,7 @@ use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_occupancy::MapError;
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, PosedKeyframe,
-    final_scans, z_up_from_camera_world,
+    final_scans_counted, z_up_from_camera_world,
 };
 use monogrid_slam::{
     Event, FrameInput, FrameReport, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
@@ -17,6 +17,7 @@ use monogrid_slam::{
 };
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 
 /// Everything that decides the result of a pipeline, besides its camera and its images.
@@ -364,25 +365,51 @@ impl Finished {
         map_from_world: &Sim3,
         camera: Option<Vec3>,
     ) -> Result<Option<Maps>, PipelineError> {
+        let done = AtomicUsize::new(0);
+        let scans = self.final_scans(&done);
+        self.maps_of(scans, map_from_world, camera, &done)
+    }
+
+    /// As [`Self::maps_in`], of measurements that are at hand: [`Self::final_scans`]. `done` grows with every keyframe that is
+    /// put in its place, for those who wait.
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn maps_of(
+        &mut self,
+        scans: Vec<KeyframeScan>,
+        map_from_world: &Sim3,
+        camera: Option<Vec3>,
+        done: &AtomicUsize,
+    ) -> Result<Option<Maps>, PipelineError> {
         let Some(maps) = self.maps.take() else {
             return Ok(None);
         };
         let mut live = maps?;
-        if self.slam.keyframes().is_empty() || self.localise_only {
+        if scans.is_empty() {
             return Ok(None);
         }
-        for scan in self.final_scans(live.mapper()) {
+        for scan in scans {
             live.revise(scan);
         }
-        let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads)?;
+        let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
         for map in [&mut maps.global, &mut maps.large, &mut maps.local] {
             map.pack(self.threads);
         }
         Ok(Some(maps))
     }
 
-    /// The depth of all keyframes of the main map as it is mapped in the end.
-    fn final_scans(&self, mapper: &Mapper) -> Vec<KeyframeScan> {
+    /// The depth of all keyframes as it is mapped in the end, made better at the final poses; empty where there is
+    /// nothing to map. `done` grows with every keyframe, for those who wait.
+    #[must_use]
+    pub fn final_scans(&self, done: &AtomicUsize) -> Vec<KeyframeScan> {
+        let Some(Ok(maps)) = &self.maps else {
+            return Vec::new();
+        };
+        if self.localise_only {
+            return Vec::new();
+        }
+        let mapper = maps.mapper();
         let finished = self.slam.keyframes();
         let keyframes: Vec<PosedKeyframe> = finished
             .iter()
@@ -393,6 +420,12 @@ impl Finished {
                 world_from_keyframe: self.poses.in_main_map(keyframe.id).copied(),
             })
             .collect();
-        final_scans(&keyframes, mapper.camera(), mapper.config(), self.threads)
+        final_scans_counted(
+            &keyframes,
+            mapper.camera(),
+            mapper.config(),
+            self.threads,
+            done,
+        )
     }
 }

@@ -15,6 +15,7 @@ use crate::commands::sweep::SweepArgs;
 use crate::commands::synth::SynthArgs;
 use crate::commands::tools::{CropArgs, DiffArgs, MergeArgs, ProjectArgs, TransformArgs};
 use crate::commands::truth::TruthArgs;
+use crate::commands::view::ViewArgs;
 use crate::commands::vocabulary::VocabularyArgs;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
@@ -72,6 +73,9 @@ pub enum Command {
     /// Read a source without running: size, rate, calibration, what would hurt tracking
     #[command(after_help = "Example: monogrid check recordings/kitchen")]
     Check(CheckArgs),
+    /// Look at a map, a cloud or a run: in the browser, as a page or as a picture
+    #[command(after_help = "Example: monogrid view runs/kitchen/global.ot")]
+    View(ViewArgs),
     /// Build an occupancy map from a recording, or from poses and depth from anywhere
     #[command(
         after_help = "Example: monogrid map runs/kitchen/recording.mgk --out kitchen.ot --resolution 0.02"

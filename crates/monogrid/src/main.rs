@@ -10,6 +10,7 @@ mod config;
 mod curves;
 mod depth_images;
 mod doubts;
+mod explorer;
 mod failure;
 mod input;
 mod keyframe_pixels;
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run::execute(args),
         Command::Cameras(args) => commands::cameras::execute(args),
         Command::Check(args) => commands::check::execute(args),
+        Command::View(args) => commands::view::execute(args),
         Command::Map(args) => commands::map::execute(args),
         Command::Truth(args) => commands::truth::execute(args),
         Command::Synth(args) => commands::synth::execute(args),

@@ -420,3 +420,72 @@ fn maps_are_cropped_merged_moved_compared_and_projected() {
     let outside = ["crop", &map, &nothing, "--min", "5,5,5", "--max", "6,6,6"];
     assert_fails(&monogrid(outside), 2, &["no known cells", "--min", "reach"]);
 }
+
+/// A wall with free space before it.
+fn wall() -> OccupancyMap {
+    let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
+    for y in 0..10 {
+        for z in 0..10 {
+            for x in 0..6 {
+                let log_odds = if x == 5 { 2.0 } else { -1.0 };
+                let key = VoxelKey::new(x, y, z);
+                map.set_log_odds(key, Some(log_odds)).unwrap();
+            }
+        }
+    }
+    map
+}
+
+#[test]
+fn maps_and_points_are_seen_as_a_page_a_picture_and_over_loopback() {
+    let folder = Folder::new();
+    let map = folder.write_map("wall.ot", &wall());
+    let (html, png) = (folder.path("wall.html"), folder.path("wall.png"));
+    let report = ok(&["view", &map, "--html", &html, "--png", &png]);
+    assert_eq!(report["cells"], 100);
+    let page = fs::read_to_string(&html).unwrap();
+    assert!(page.contains("\"count\":[100,"), "the wall is in the page");
+    let picture = monogrid_datasets::read_gray(Path::new(&png)).unwrap();
+    let mut levels = picture.as_slice().to_vec();
+    levels.sort_by(f32::total_cmp);
+    levels.dedup();
+    assert!(levels.len() > 20, "the wall is in the picture");
+
+    let points = folder.path("wall.ply");
+    ok(&["convert", &map, &points]);
+    let html = folder.path("points.html");
+    assert_eq!(ok(&["view", &points, "--html", &html])["points"], 100);
+    let failed = monogrid(["view", &folder.path("")]);
+    assert_fails(&failed, 2, &["global.ot", "recording.mgk"]);
+    served(&map, &page);
+}
+
+/// The page over a socket is that of the file.
+fn served(map: &str, page: &str) {
+    use std::io::{BufRead, BufReader, Read, Write};
+    let mut child = common::program()
+        .args(["view", map, "--json"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let url = lines.find_map(|line| {
+        let line = line.unwrap();
+        let url = line.split_once("\"url\": \"")?.1;
+        Some(url.split('"').next()?.to_owned())
+    });
+    let url = url.expect("an address");
+    let address = url.strip_prefix("http://").unwrap().trim_end_matches('/');
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    write!(
+        stream,
+        "GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"
+    )
+    .unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(answer.starts_with(b"HTTP/1.1 200"));
+    assert!(answer.len() >= page.len(), "{} bytes", answer.len());
+}

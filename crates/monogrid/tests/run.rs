@@ -58,6 +58,7 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
         "global.bt",
         "local.ot",
         "large.ot",
+        "cells.ply",
         "cloud.ply",
         "map.pgm",
         "map.yaml",
@@ -83,6 +84,77 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
     }
     the_map_command_reproduces_the_global_map(&first);
     the_results_can_be_evaluated(&first);
+    the_report_can_be_explored_without_a_network(&first);
+}
+
+/// Text between a mark and the next `</script>`.
+fn block<'a>(html: &'a str, mark: &str) -> &'a str {
+    let begin = html.find(mark).expect(mark) + mark.len();
+    html[begin..].split("</script>").next().unwrap()
+}
+
+/// Bytes of a block in base64, by the number of its characters.
+fn block_bytes(block: &serde_json::Value) -> usize {
+    let text = block.as_str().unwrap();
+    let is_base64 = |b: u8| b.is_ascii_alphanumeric() || b"+/=".contains(&b);
+    assert!(text.bytes().all(is_base64));
+    text.len() / 4 * 3 - text.bytes().filter(|b| *b == b'=').count()
+}
+
+fn the_report_can_be_explored_without_a_network(run: &Path) {
+    let html = fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(html.len() < 20_000_000, "{} bytes", html.len());
+    let licence = block(&html, "id=\"licence-of-three\">");
+    assert!(licence.contains("three.js authors"));
+    let others = html.replace(licence, "");
+    assert!(!others.contains("http://") && !others.contains("https://"));
+    assert!(
+        html.contains("content=\"default-src 'none';"),
+        "nothing may be loaded"
+    );
+    for attribute in html.split(" src=\"").skip(1) {
+        assert!(attribute.starts_with("data:"), "{}", &attribute[..40]);
+    }
+    let modules: serde_json::Value =
+        serde_json::from_str(block(&html, "<script type=\"importmap\">")).unwrap();
+    let modules = modules["imports"].as_object().unwrap().values();
+    assert!(modules.into_iter().all(|url| {
+        let url = url.as_str().unwrap();
+        url.starts_with("data:text/javascript;base64,")
+    }));
+    let scene: serde_json::Value = serde_json::from_str(block(&html, "id=\"scene\">")).unwrap();
+    let count = |value: &serde_json::Value| value.as_u64().unwrap() as usize;
+    for (name, cubes) in ["occupied", "free"]
+        .iter()
+        .zip(scene["cells"]["count"].as_array().unwrap())
+    {
+        assert!(count(cubes) > 100, "{name}");
+        assert_eq!(block_bytes(&scene["cells"][name]), 8 * count(cubes));
+    }
+    let points = count(&scene["cloud"]["count"][0]);
+    assert!(points > 1000 && points <= 500_000, "{points}");
+    assert_eq!(block_bytes(&scene["cloud"]["points"]), 8 * points);
+    let keyframes = scene["keyframes"].as_array().unwrap();
+    let of_keyframes = keyframes
+        .iter()
+        .map(|keyframe| count(&keyframe["points"][1]));
+    assert_eq!(of_keyframes.sum::<usize>(), points);
+    assert!(
+        keyframes
+            .iter()
+            .all(|keyframe| block_bytes(&keyframe["image"]) > 1000)
+    );
+    let frames = &scene["frames"];
+    for column in ["index", "time", "state", "good", "milliseconds", "keyframe"] {
+        assert_eq!(
+            frames[column].as_array().unwrap().len(),
+            common::SMALL_FRAMES,
+            "{column}"
+        );
+    }
+    let poses = fs::read_to_string(run.join("trajectory.txt")).unwrap();
+    let poses = poses.lines().filter(|line| !line.starts_with('#')).count();
+    assert_eq!(scene["path"].as_array().unwrap().len(), poses);
 }
 
 fn the_map_command_reproduces_the_global_map(run: &Path) {
@@ -118,7 +190,7 @@ fn the_map_command_reproduces_the_global_map(run: &Path) {
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     assert_eq!(
         fs::read(&ply).unwrap(),
-        fs::read(run.join("cloud.ply")).unwrap()
+        fs::read(run.join("cells.ply")).unwrap()
     );
     let info = json(&monogrid([Path::new("info"), &map, Path::new("--json")]));
     assert_eq!(info["leaves"], report["leaves"]);
@@ -264,4 +336,59 @@ fn an_interrupt_saves_everything() {
     assert_eq!(summary["status"], "interrupted");
     assert!(summary["frames"].as_u64().unwrap() < common::SMALL_FRAMES as u64);
     assert!(out.join("global.ot").exists());
+}
+
+/// Files of the book, in its order, as its first page lists them.
+fn chapters() -> Vec<std::path::PathBuf> {
+    let book = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/book");
+    let contents = fs::read_to_string(book.join("README.md")).unwrap();
+    let linked = contents.lines().filter_map(|line| {
+        let name = line.split_once("](")?.1.strip_suffix(')')?;
+        Some(book.join(name))
+    });
+    linked.collect()
+}
+
+/// The commands of a chapter.
+fn commands_of(chapter: &Path) -> Vec<String> {
+    let text = fs::read_to_string(chapter).unwrap();
+    let blocks = text.split("```sh\n").skip(1);
+    let lines = blocks.flat_map(|block| block.split("```").next().unwrap().lines());
+    lines.map(str::to_owned).collect()
+}
+
+#[test]
+fn every_command_of_the_book_works() {
+    let dir = tempfile::tempdir().unwrap();
+    copy_of_small_sequence(&dir.path().join("kitchen"));
+    fs::write(dir.path().join("identity.txt"), "1 0 0 0 0 0 0 1\n").unwrap();
+    fs::write(dir.path().join("twice.txt"), "2 0 0 0 0 0 0 1\n").unwrap();
+    let chapters = chapters();
+    assert!(chapters.len() >= 9 && chapters.iter().all(|chapter| chapter.is_file()));
+    // cameras and streams, which chapter 2 is about, are not here
+    let in_book = chapters
+        .iter()
+        .filter(|chapter| chapter.parent().unwrap().ends_with("book"));
+    let commands: Vec<String> = in_book.flat_map(|chapter| commands_of(chapter)).collect();
+    assert!(commands.len() > 15, "{commands:?}");
+    for (number, command) in commands.iter().enumerate() {
+        let mut words: Vec<String> = command.split_whitespace().map(str::to_owned).collect();
+        assert_eq!(words.remove(0), "monogrid", "{command}");
+        let has = |option: &str| words.iter().any(|word| word == option);
+        match words[0].as_str() {
+            // the whole of it takes minutes
+            "demo" => words.extend(["--max-frames".into(), "1".into()]),
+            // it would serve for ever
+            "view" if !has("--png") => words.extend(["--html".into(), format!("{number}.html")]),
+            _ => {}
+        }
+        let output = program()
+            .args(&words)
+            .current_dir(dir.path())
+            .output()
+            .unwrap();
+        let is_demo = words[0] == "demo";
+        let expected = if is_demo { 3 } else { 0 };
+        assert_eq!(code(&output), expected, "{command}: {}", stderr(&output));
+    }
 }

@@ -212,6 +212,7 @@ impl Sources {
                 "map.ot other.ot",
             ),
             self.call("project", "", "pgm", "@map.ot", "map.ot"),
+            self.call("view", "--html", "html", "@map.ot", "map.ot"),
             self.call(
                 "vocabulary",
                 "--out",

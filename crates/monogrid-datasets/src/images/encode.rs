@@ -1,5 +1,6 @@
-//! Encoding of images as PNG, in memory.
+//! Encoding of images as PNG and JPEG, in memory.
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use monogrid_image::Image;
@@ -13,6 +14,17 @@ pub fn encode_png(image: &Image<u8>) -> Vec<u8> {
         image.height(),
         ExtendedColorType::L8,
     )
+}
+
+/// An 8-bit grey JPEG; `quality` is 1 to 100. Sides up to 65,535 px.
+#[must_use]
+pub fn encode_jpeg(image: &Image<u8>, quality: u8) -> Vec<u8> {
+    let mut out = Vec::with_capacity(image.as_slice().len() / 4 + 1024);
+    let (width, height) = (image.width() as u32, image.height() as u32);
+    let encoder = JpegEncoder::new_with_quality(&mut out, quality);
+    let written = encoder.write_image(image.as_slice(), width, height, ExtendedColorType::L8);
+    debug_assert!(written.is_ok(), "writing into memory failed: {written:?}");
+    out
 }
 
 /// A 16-bit grey PNG, for depth.

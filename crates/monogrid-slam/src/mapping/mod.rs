@@ -29,5 +29,5 @@ pub use config::{
 };
 pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};
-pub use refine::{PosedKeyframe, final_scans, refined_depths};
+pub use refine::{PosedKeyframe, final_scans, final_scans_counted, refined_depths};
 pub use scan::{KeyframeCamera, KeyframeScan};

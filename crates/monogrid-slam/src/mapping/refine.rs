@@ -5,6 +5,7 @@ use crate::{DepthPixel, KeyframeId};
 use monogrid_depth::{PixelDepth, SourceView, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 /// A finished keyframe, with its final pose where it is known.
@@ -32,6 +33,18 @@ pub fn final_scans(
     config: &MappingConfig,
     threads: usize,
 ) -> Vec<KeyframeScan> {
+    final_scans_counted(keyframes, camera, config, threads, &AtomicUsize::new(0))
+}
+
+/// As [`final_scans`]; `done` grows with every keyframe, for those who wait.
+#[must_use]
+pub fn final_scans_counted(
+    keyframes: &[PosedKeyframe],
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+    done: &AtomicUsize,
+) -> Vec<KeyframeScan> {
     for_each_keyframe(keyframes.len(), threads, |index| {
         let keyframe = &keyframes[index];
         let refined;
@@ -41,7 +54,9 @@ pub fn final_scans(
         } else {
             keyframe.pixels
         };
-        KeyframeScan::new(keyframe.id, pixels, keyframe.image, camera, config)
+        let scan = KeyframeScan::new(keyframe.id, pixels, keyframe.image, camera, config);
+        done.fetch_add(1, Ordering::Relaxed);
+        scan
     })
 }
 

@@ -72,7 +72,6 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         sequence = sequence.shortened(frames);
     }
     let poses = true_poses(&sequence);
-    let reference = path_of(&poses);
     let align = Align::Trajectory {
         path: "the exact truth".into(),
         poses,
@@ -89,7 +88,6 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
     let finished = run_all(&input, &folder, &settings, &align, |tracked, maps| {
         eprintln!("comparing depth and map with the truth");
         Ok(Extras {
-            reference,
             depth: compare_depth(&input, tracked)?,
             map: compare_map(&input, maps)?,
             warnings: vec![

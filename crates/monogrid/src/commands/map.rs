@@ -7,11 +7,12 @@ use crate::config::RunConfig;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFile};
+use crate::picture::voxels::{View, occupied_cubes, render};
 use crate::recorded::Recorded;
 use crate::run::align::Align;
 use crate::usage::{peak_rss_bytes, process_cpu};
 use clap::Args;
-use monogrid_datasets::ScansReader;
+use monogrid_datasets::{ScansReader, encode_png_rgb};
 use monogrid_geometry::Sim3;
 use monogrid_occupancy::OccupancyMap;
 use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper};
@@ -27,6 +28,9 @@ pub struct MapArgs {
     /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
     #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
     pub out: PathBuf,
+    /// Write a picture of the map as well
+    #[arg(long, value_name = "OUT.png")]
+    pub png: Option<PathBuf>,
     #[command(flatten)]
     pub mapping: MappingArgs,
     /// Poses for the depth images of a folder [default: groundtruth.txt in it]
@@ -89,7 +93,11 @@ struct Built {
 pub fn execute(args: &MapArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
     let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
-    let output = OutputFile::new(&args.out, args.force.force, &inputs(args)?)?;
+    let inputs = inputs(args)?;
+    let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
+    let png = args.png.as_deref();
+    let png = png.map(|path| OutputFile::new(path, args.force.force, &inputs));
+    let png = png.transpose()?;
     let align = Align::parse(args.align.as_deref())?;
     let mut built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,
@@ -98,6 +106,15 @@ pub fn execute(args: &MapArgs) -> CommandResult {
     };
     built.map.pack(threads);
     let file_bytes = mapfile::save(&built.map, &output, format)?;
+    if let Some(png) = &png {
+        let cubes = occupied_cubes(&built.map).while_running("the map cannot be drawn")?;
+        png.write(&encode_png_rgb(&render(
+            &cubes,
+            &[],
+            None,
+            &View::default(),
+        )))?;
+    }
     for warning in &built.warnings {
         eprintln!("warning: {warning}");
     }

@@ -17,6 +17,7 @@ pub mod sweep;
 pub mod synth;
 pub mod tools;
 pub mod truth;
+pub mod view;
 pub mod vocabulary;
 
 use crate::failure::Failure;

@@ -75,6 +75,9 @@ pub struct RunArgs {
     /// Play frames at their own pace and drop those that come too early
     #[arg(long, help_heading = "Input")]
     pub realtime: bool,
+    /// Show the run in a browser of this computer while it goes on [port: any that is free]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", require_equals = true, help_heading = "Output")]
+    pub view: Option<u16>,
     /// Threads of computation [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Settings")]
     pub threads: Option<usize>,
@@ -95,6 +98,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         continued: earlier.map(|earlier| continued(earlier, args)),
         realtime: args.realtime,
         show_progress: std::io::stderr().is_terminal(),
+        view: args.view,
         ..RunSettings::new(config, threads)
     };
     describe_input(&input);

@@ -1,6 +1,7 @@
 //! A view of a map: occupied cells as shaded cubes, seen from above at an angle, with the camera's path.
 
 use super::{Picture, colour, shrink};
+use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
 
 /// One occupied cell, z up.
 #[derive(Debug, Clone, Copy)]
@@ -9,6 +10,20 @@ pub struct Cube {
     pub center: [f64; 3],
     /// Edge length.
     pub size: f64,
+}
+
+/// Occupied leaves as cubes.
+pub fn occupied_cubes(map: &OccupancyMap) -> Result<Vec<Cube>, MapError> {
+    let resolution = map.resolution();
+    Ok(map
+        .octree_leaves()?
+        .into_iter()
+        .filter(|leaf| map.state_of(leaf.first) == Occupancy::Occupied)
+        .map(|leaf| Cube {
+            center: leaf.center(resolution),
+            size: f64::from(leaf.edge_cells) * resolution,
+        })
+        .collect())
 }
 
 /// How the map is looked at.

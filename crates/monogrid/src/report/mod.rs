@@ -2,6 +2,7 @@
 
 pub mod svg;
 
+use crate::explorer::{self, POLICY};
 use crate::picture::data_url;
 use std::fmt::Write;
 use svg::{Plot, escape};
@@ -13,22 +14,33 @@ pub struct Page {
 }
 
 const STYLE: &str = "\
-body{font:15px/1.5 system-ui,sans-serif;color:#222;background:#fafaf8;max-width:1000px;margin:2em auto;padding:0 1em}
-h1{font-size:1.7em;margin-bottom:.2em}h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid #ddd}
-.lead{font-size:1.1em}.note{color:#666}.warn{background:#fff4d6;border-left:4px solid #e0a800;padding:.4em .8em;margin:.4em 0}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top}
-th{font-weight:600;color:#555}td.n{text-align:right;font-variant-numeric:tabular-nums}
-svg{width:100%;background:#fff;border:1px solid #e4e4e0;margin:.4em 0}
-.grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(380px,1fr));gap:8px}.scroll{overflow-x:auto}
-.row{display:grid;grid-auto-flow:column;grid-auto-columns:1fr;gap:6px;margin:.5em 0}.row figcaption{font-size:12px;color:#666}
-td b{color:#b3541e}h3{font-size:1.05em;margin-bottom:.2em}.dot{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .8em}
-img{max-width:100%;border:1px solid #e4e4e0}.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px;margin:.5em 0}
-.triple figcaption,.ribbon{font-size:12px;color:#666}figure{margin:0}pre{background:#f0f0ec;padding:.8em;overflow:auto;font-size:12px}";
+:root{color-scheme:light dark;--ink:#222;--faint:#666;--ground:#fafaf8;--paper:#fff;--edge:#e0e0dc;--warn:#fff4d6;--best:#b3541e}\
+@media(prefers-color-scheme:dark){:root{--ink:#e4e4e0;--faint:#a0a09a;--ground:#121416;--paper:#1d2024;--edge:#383b40;--warn:#3a3010;--best:#f0a070}\
+svg .title,svg .label,svg .tick{fill:#c8c8c4}svg .grid{stroke:#34373b}}\
+body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--ground);max-width:1000px;margin:2em auto;padding:0 1em}
+h1{font-size:1.7em;margin-bottom:.2em;overflow-wrap:anywhere}h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid var(--edge)}
+.lead{font-size:1.1em}.note{color:var(--faint)}.warn{background:var(--warn);border-left:4px solid #e0a800;padding:.4em .8em;margin:.4em 0}
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top;overflow-wrap:anywhere}
+th{font-weight:600;color:var(--faint)}td.n{text-align:right;font-variant-numeric:tabular-nums}
+svg{width:100%;background:var(--paper);border:1px solid var(--edge);margin:.4em 0;box-sizing:border-box}
+.grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(380px,100%),1fr));gap:8px}.scroll{overflow-x:auto}
+.row{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(280px,100%),1fr));gap:6px;margin:.5em 0}.row figcaption{font-size:12px;color:var(--faint)}
+td b{color:var(--best)}h3{font-size:1.05em;margin-bottom:.2em}.dot{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 .8em}
+img{max-width:100%;border:1px solid var(--edge);box-sizing:border-box}.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px;margin:.5em 0}
+.triple figcaption,.ribbon{font-size:12px;color:var(--faint)}figure{margin:0;min-width:0}
+@media(max-width:600px){svg .tick{font-size:20px}svg .label{font-size:20px}svg .title{font-size:24px}body{margin-top:1em}}
+pre{background:var(--paper);border:1px solid var(--edge);padding:.8em;overflow:auto;font-size:12px}
+";
 
 impl Page {
     /// A second-level heading.
     pub fn heading(&mut self, text: &str) {
         let _ = write!(self.body, "<h2>{}</h2>", escape(text));
+    }
+
+    /// A piece of HTML that was made elsewhere.
+    pub fn html(&mut self, html: &str) {
+        self.body.push_str(html);
     }
 
     /// A paragraph of explanation.
@@ -191,16 +203,23 @@ impl Page {
         self.body.push_str("</svg>");
     }
 
-    /// The complete page.
+    /// The complete page, which loads nothing.
     pub fn finish(self, title: &str, lead: &str) -> String {
+        self.finish_with(title, lead, POLICY)
+    }
+
+    /// The complete page; `policy` is its content security policy.
+    pub fn finish_with(self, title: &str, lead: &str, policy: &str) -> String {
         format!(
             "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title>\
-             <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}{3}</style></head>\
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\
+             <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><style>{3}{STYLE}{4}</style></head>\
              <body><h1>{0}</h1><p class=\"lead\">{1}</p>{2}</body></html>\n",
             escape(title),
             escape(lead),
             self.body,
-            svg::STYLE
+            svg::STYLE,
+            explorer::STYLE
         )
     }
 }

@@ -7,6 +7,7 @@
 //!   -> whole::run_all
 //!        -> threads::track       monogrid_pipeline: reader -> tracking -> recorder (recording, pictures of keyframes)
 //!                                                                      -> mapper   (maps that grow)
+//!                                                                      -> live     (`--view`)
 //!        -> align                the frame of the results
 //!        -> outputs              tables, final maps and their pictures
 //!        -> summary, report      summary.json, report.html
@@ -19,6 +20,7 @@
 pub mod align;
 pub mod conclusion;
 pub mod frames;
+mod live;
 pub mod outputs;
 mod progress;
 mod recorder;
@@ -49,6 +51,8 @@ pub struct RunSettings {
     pub threads: usize,
     /// Whether to show a progress bar.
     pub show_progress: bool,
+    /// Port on which to show the run while it goes on.
+    pub view: Option<u16>,
 }
 
 impl RunSettings {
@@ -61,6 +65,7 @@ impl RunSettings {
             realtime: false,
             threads,
             show_progress: false,
+            view: None,
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::RunSettings;
 use super::frames::FrameRow;
+use super::live::Viewer;
 use super::recorder::Recorder;
 use super::sessions::Continued;
 use super::tracking::{EarlyEnd, Tracking};
@@ -65,8 +66,9 @@ pub fn track(
         },
         must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
     };
+    let viewer = viewer(&mut pipeline, input, settings)?;
     let mut tracking = Tracking::begin(
-        pipeline,
+        (pipeline, viewer),
         settings,
         input.expected_frames().unwrap_or(0),
         interrupted,
@@ -92,6 +94,28 @@ pub fn track(
         run,
         early_end: ended.early_end,
     })
+}
+
+/// Shows the run while it goes on, if that is wanted.
+fn viewer(
+    pipeline: &mut Pipeline,
+    input: &Input,
+    settings: &RunSettings,
+) -> Result<Option<Viewer>, Failure> {
+    let Some(port) = settings.view else {
+        return Ok(None);
+    };
+    let KeyframeCamera {
+        pinhole,
+        width,
+        height,
+    } = input.keyframe_camera();
+    let map = pipeline.live_map().map_err(Failure::running)?;
+    let title = format!("monogrid: {}", input.name);
+    let total = input.expected_frames().unwrap_or(0);
+    let viewer = Viewer::start(port, &title, (&pinhole, [width, height]), map, total)?;
+    pipeline.listen(viewer.ear()).map_err(Failure::running)?;
+    Ok(Some(viewer))
 }
 
 /// A new pipeline, or one that goes on with the map of an earlier run.

@@ -2,6 +2,7 @@
 
 use super::RunSettings;
 use super::frames::{FrameFate, FrameRow};
+use super::live::Viewer;
 use super::progress::Progress;
 use crate::input::MAX_UNREADABLE_IN_A_ROW;
 use monogrid_image::GrayImage;
@@ -30,6 +31,7 @@ pub struct Tracking<'a> {
     unreadable_in_a_row: usize,
     early_end: Option<EarlyEnd>,
     progress: Progress,
+    viewer: Option<Viewer>,
 }
 
 /// What tracking leaves behind.
@@ -45,7 +47,7 @@ pub struct Ended {
 impl<'a> Tracking<'a> {
     /// Before the first frame.
     pub fn begin(
-        pipeline: Pipeline,
+        (pipeline, viewer): (Pipeline, Option<Viewer>),
         settings: &'a RunSettings,
         num_frames: usize,
         interrupted: &'a AtomicBool,
@@ -59,6 +61,7 @@ impl<'a> Tracking<'a> {
             unreadable_in_a_row: 0,
             early_end: None,
             progress: Progress::new(num_frames, settings.show_progress),
+            viewer,
         }
     }
 
@@ -68,11 +71,18 @@ impl<'a> Tracking<'a> {
             self.early_end = Some(EarlyEnd::Interrupted);
             return ControlFlow::Break(());
         }
+        let shown = match (&mut self.viewer, &frame.image) {
+            (Some(viewer), Some(Ok(image))) => viewer.wanted(image),
+            _ => None,
+        };
         let row = FrameRow {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             fate: self.fate(frame),
         };
+        if let Some(viewer) = &self.viewer {
+            viewer.show(&row, shown);
+        }
         self.early_end = self.count_unreadable(&row.fate);
         self.progress.frame(&row, self.num_keyframes);
         self.rows.push(row);

@@ -4,18 +4,22 @@ use super::RunSettings;
 use super::align::{Align, MapFrame};
 use super::conclusion::verdict;
 use super::outputs::{self, path_of};
+use super::progress::watched;
 use super::report::{ReportInput, page};
 use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{Tracked, track};
 use super::tracking::EarlyEnd;
+use crate::explorer::{PosedKeyframe, SemiDense};
 use crate::failure::{Failure, Outcome};
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
-use monogrid_geometry::Vec3;
-use monogrid_slam::mapping::Maps;
+use monogrid_geometry::{Pinhole, Vec3};
+use monogrid_slam::Keyframe;
+use monogrid_slam::mapping::{KeyframeScan, Maps};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -25,8 +29,6 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 /// What a caller adds to summary and report.
 #[derive(Debug, Default)]
 pub struct Extras {
-    /// Reference path in the frame of the results.
-    pub reference: Vec<[f64; 3]>,
     /// Error of the depth.
     pub depth: Option<DepthReport>,
     /// Error of the global map.
@@ -72,26 +74,24 @@ pub fn run_all(
     let poses = outputs::final_poses(&tracked, &frame);
     outputs::write_tables(folder, &tracked, &frame, &poses, settings)?;
     let paths = Paths::new(&poses, &tracked, &frame);
-    let (maps, failure) = match final_maps(&mut tracked, &frame, &paths.path) {
+    let scans = final_depth(&mut tracked, settings.show_progress);
+    let unit = unit_name(is_metric(&tracked, &frame));
+    let measured = Measured::new(&tracked, &frame, &scans);
+    measured.write(folder, tracked.run.slam.pinhole(), unit)?;
+    let (maps, failure) = match final_maps(&mut tracked, scans, &frame, &paths.path, settings) {
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
-    let pictures = match &maps {
-        Some(maps) => Some(outputs::write_maps(
-            folder,
-            maps,
-            &paths.path,
-            paths.reported.as_deref(),
-            unit_name(is_metric(&tracked, &frame)),
-        )?),
-        None => None,
-    };
+    let write =
+        |maps| outputs::write_maps(folder, maps, &paths.path, paths.reported.as_deref(), unit);
+    let pictures = maps.as_ref().map(write).transpose()?;
     let extras = extras(&tracked, maps.as_ref())?;
     let mut summary = Summary::new(input, settings, &tracked, &frame, maps.as_ref());
     summary.warnings = warnings(input, align_warning, extras.warnings, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     let verdict = verdict(&summary, &tracked);
+    let reference = Reference::new(align, &frame, &poses);
     let report = ReportInput {
         title: &format!("monogrid: {}", input.name),
         verdict: &verdict,
@@ -99,12 +99,17 @@ pub fn run_all(
         frame: &frame,
         path: &paths.path,
         reported_path: paths.reported.as_deref().unwrap_or_default(),
-        reference: &extras.reference,
+        reference: &reference.path,
+        errors: &reference.errors,
+        map: maps.as_ref().map(|maps| &maps.global),
+        keyframes: &measured.keyframes,
+        semi_dense: &measured.semi_dense,
+        cut: pictures.as_ref().and_then(|p| p.cut),
         preview: pictures.as_ref().map(|p| p.preview.as_slice()),
         loops: pictures.as_ref().and_then(|p| p.loops.as_ref()),
         config: &config,
     };
-    folder.write("report.html", page(&tracked, &report))?;
+    folder.write("report.html", page(&tracked, &report)?)?;
     summary.take_times();
     let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
     folder.write("summary.json", json + "\n")?;
@@ -148,19 +153,106 @@ impl Paths {
     }
 }
 
+/// Where the camera really was, in the frame of the results.
+#[derive(Default)]
+struct Reference {
+    path: Vec<[f64; 3]>,
+    /// Distance of each pose from it.
+    errors: Vec<Option<f64>>,
+}
+
+/// Poses of the reference belong to a frame of the same time, but for this.
+const SAME_TIME_NS: u64 = 20_000_000;
+
+impl Reference {
+    /// What `--align` names, where the results could be aligned to it.
+    fn new(align: &Align, frame: &MapFrame, poses: &[TimedPose]) -> Self {
+        let (Align::Trajectory { poses: known, .. }, true) = (align, frame.fit.is_some()) else {
+            return Self::default();
+        };
+        let by_time: BTreeMap<i64, [f64; 3]> = known
+            .iter()
+            .map(|pose| (pose.timestamp_ns, pose.world_from_camera.translation.into()))
+            .collect();
+        let error = |pose: &TimedPose| {
+            let time = pose.timestamp_ns;
+            let around = [
+                by_time.range(..=time).next_back(),
+                by_time.range(time..).next(),
+            ];
+            let nearest = around.into_iter().flatten();
+            let (then, place) = nearest.min_by_key(|(then, _)| time.abs_diff(**then))?;
+            let is_same = time.abs_diff(*then) <= SAME_TIME_NS;
+            is_same.then(|| (pose.world_from_camera.translation - Vec3::from(*place)).norm())
+        };
+        Self {
+            errors: poses.iter().map(error).collect(),
+            path: by_time.into_values().collect(),
+        }
+    }
+}
+
+/// The final depth of the keyframes.
+fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> {
+    let before = process_cpu();
+    let count = tracked.run.slam.keyframes().len();
+    eprintln!("depth and maps of {count} keyframes at their final poses");
+    let scans = watched("final depth", count, show_progress, |done| {
+        tracked.run.final_scans(done)
+    });
+    tracked.cpu.mapping += process_cpu() - before;
+    scans
+}
+
+/// What the keyframes of the main map measured.
+struct Measured {
+    keyframes: Vec<PosedKeyframe>,
+    semi_dense: Vec<SemiDense>,
+}
+
+impl Measured {
+    /// Of the final depth, at the final poses.
+    fn new(tracked: &Tracked, frame: &MapFrame, scans: &[KeyframeScan]) -> Self {
+        let posed = |keyframe: Arc<Keyframe>| {
+            let world_from_keyframe = tracked.run.poses.in_main_map(keyframe.id)?;
+            Some((keyframe, frame.map_from_world * *world_from_keyframe))
+        };
+        let keyframes = tracked.run.slam.keyframes().into_iter();
+        let keyframes: Vec<PosedKeyframe> = keyframes.filter_map(posed).collect();
+        let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
+        let semi_dense = |(keyframe, _): &PosedKeyframe| {
+            let scan = scans.get(&keyframe.id)?;
+            Some(SemiDense::new(keyframe, scan))
+        };
+        Self {
+            semi_dense: keyframes.iter().filter_map(semi_dense).collect(),
+            keyframes,
+        }
+    }
+
+    /// Writes the cloud, where there is one.
+    fn write(&self, folder: &OutputFolder, pinhole: &Pinhole, unit: &str) -> Result<(), Failure> {
+        if self.semi_dense.is_empty() {
+            return Ok(());
+        }
+        outputs::write_cloud(folder, &self.keyframes, &self.semi_dense, pinhole, unit)
+    }
+}
+
 /// The final maps; `None` without keyframes.
 fn final_maps(
     tracked: &mut Tracked,
+    scans: Vec<KeyframeScan>,
     frame: &MapFrame,
     path: &[[f64; 3]],
+    settings: &RunSettings,
 ) -> Result<Option<Maps>, String> {
     let before = process_cpu();
-    eprintln!(
-        "depth and maps of {} keyframes at their final poses",
-        tracked.run.slam.keyframes().len()
-    );
     let camera = path.last().map(|point| Vec3::from(*point));
-    let maps = tracked.run.maps_in(&frame.map_from_world, camera);
+    let run = &mut tracked.run;
+    let maps = watched("final maps", scans.len(), settings.show_progress, |done| {
+        run.maps_of(scans, &frame.map_from_world, camera, done)
+    });
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())
 }

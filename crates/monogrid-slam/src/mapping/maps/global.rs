@@ -7,6 +7,7 @@ use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{KeyframeChange, KeyframeMap, MapError, OccupancyMap};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A map that follows the poses of its keyframes, a bounded piece of work at a time.
 ///
@@ -176,13 +177,14 @@ impl GlobalMap {
     }
 
     /// Brings every keyframe to its exact pose, in the frame of `map_from_world`, and adds those that
-    /// are `waiting`, with the poses they had when they came.
+    /// are `waiting`, with the poses they had when they came; `done` grows with each of those.
     pub fn settle(
         &mut self,
         mapper: &Mapper,
         wanted: &Arc<PoseSnapshot>,
         map_from_world: &Sim3,
         mut waiting: Vec<(KeyframeScan, Sim3)>,
+        done: &AtomicUsize,
     ) -> Result<(), MapError> {
         self.map.set_threads(mapper.threads());
         if let Some(coming) = self.coming.take() {
@@ -198,6 +200,7 @@ impl GlobalMap {
         for (scan, first) in waiting {
             let pose = wanted.world_from_keyframe.get(scan.id as usize);
             self.add(mapper, &scan, pose.unwrap_or(&first))?;
+            done.fetch_add(1, Ordering::Relaxed);
         }
         Ok(())
     }

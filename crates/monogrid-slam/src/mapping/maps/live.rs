@@ -7,6 +7,7 @@ use crate::{KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{MapError, OccupancyMap};
 use std::collections::BTreeMap;
+use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The three maps at the end of a run.
@@ -230,7 +231,7 @@ impl LiveMaps {
     /// The final maps: *global* at the poses of `snapshot`, all in the frame of `map_from_world`,
     /// *local* around `camera_in_map`.
     ///
-    /// They are those that a build from scratch gives, whatever [`LiveMaps::step`] had done.
+    /// `done` grows with every keyframe that is put in its place. The maps are those that a build from scratch gives, whatever [`LiveMaps::step`] had done.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
@@ -240,6 +241,7 @@ impl LiveMaps {
         map_from_world: &Sim3,
         camera_in_map: Option<Vec3>,
         threads: usize,
+        done: &AtomicUsize,
     ) -> Result<Maps, MapError> {
         self.follow(Arc::clone(snapshot))?;
         let mapper = self.mapper.with_threads(threads);
@@ -251,10 +253,10 @@ impl LiveMaps {
                 self.waiting.iter().cloned().unzip();
             let poses: Vec<Option<Sim3>> = poses.into_iter().map(Some).collect();
             let large = mapper.build(&scans, &poses, map_from_world)?.0;
-            global.settle(&mapper, snapshot, map_from_world, self.waiting)?;
+            global.settle(&mapper, snapshot, map_from_world, self.waiting, done)?;
             large
         } else {
-            global.settle(&mapper, snapshot, map_from_world, self.waiting)?;
+            global.settle(&mapper, snapshot, map_from_world, self.waiting, done)?;
             global.elsewhere(first_poses.map(|(id, pose)| (*id, *map_from_world * *pose)))?
         };
         let stats = global.stats();

@@ -4,6 +4,7 @@ use crate::{DepthPixel, PoseSnapshot};
 use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 use monogrid_occupancy::{Occupancy, OccupancyMap, write_ot};
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 
 const CAMERA: KeyframeCamera = KeyframeCamera {
     pinhole: Pinhole {
@@ -59,8 +60,14 @@ fn finished(last: &[Sim3], threads: usize) -> Maps {
         world_from_keyframe: last.to_vec(),
         ..PoseSnapshot::default()
     };
-    live.finish(&Arc::new(snapshot), &z_up, Some(Vec3::zeros()), threads)
-        .unwrap()
+    live.finish(
+        &Arc::new(snapshot),
+        &z_up,
+        Some(Vec3::zeros()),
+        threads,
+        &AtomicUsize::new(0),
+    )
+    .unwrap()
 }
 
 #[test]
@@ -117,7 +124,13 @@ fn the_local_map_is_the_part_of_the_global_one_around_the_camera() {
         ..PoseSnapshot::default()
     };
     let maps = live
-        .finish(&Arc::new(snapshot), &z_up, Some(Vec3::zeros()), 1)
+        .finish(
+            &Arc::new(snapshot),
+            &z_up,
+            Some(Vec3::zeros()),
+            1,
+            &AtomicUsize::new(0),
+        )
         .unwrap();
     for point in [[1.0, 0.05, 0.05], [0.5, 0.05, 0.05]] {
         assert_eq!(maps.local.log_odds(point), maps.global.log_odds(point));
@@ -243,8 +256,14 @@ impl History {
                 look(&mut live, i);
             }
         }
-        live.finish(self.last(), frame, Some(Vec3::zeros()), threads)
-            .unwrap()
+        live.finish(
+            self.last(),
+            frame,
+            Some(Vec3::zeros()),
+            threads,
+            &AtomicUsize::new(0),
+        )
+        .unwrap()
     }
 }
 
@@ -387,7 +406,13 @@ fn keyframes_that_hardly_moved_wait_for_the_end() {
         ..PoseSnapshot::default()
     });
     let maps = live
-        .finish(&last, &z_up_from_camera_world(), None, 1)
+        .finish(
+            &last,
+            &z_up_from_camera_world(),
+            None,
+            1,
+            &AtomicUsize::new(0),
+        )
         .unwrap();
     let expected = from_scratch(&[wall(0)], &[pose(0.05)], &z_up_from_camera_world());
     assert!(bytes(&maps.global) == bytes(&expected));
@@ -429,7 +454,9 @@ fn keyframes_of_a_fragment_are_mapped_once_it_is_joined() {
             let keyframes = if is_joined { 3 } else { 2 };
             assert_eq!(reader.latest().unwrap().stats.keyframes, keyframes);
         }
-        let maps = live.finish(&last, &z_up, None, 1).unwrap();
+        let maps = live
+            .finish(&last, &z_up, None, 1, &AtomicUsize::new(0))
+            .unwrap();
         let poses: Vec<Option<Sim3>> = (0..3).map(|i| last.in_main_map(i).copied()).collect();
         let mapper = Mapper::new(config(), CAMERA, 1);
         let scans = [wall(0), wall(1), wall(2)];

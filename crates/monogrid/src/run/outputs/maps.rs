@@ -4,9 +4,9 @@ use crate::failure::{Classify, Failure};
 use crate::mapfile::{self, MapFormat};
 use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
-use crate::picture::voxels::{Cube, View, dollhouse_cut, render};
+use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use monogrid_datasets::encode_png_rgb;
-use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
+use monogrid_occupancy::OccupancyMap;
 use monogrid_slam::mapping::Maps;
 
 /// Pictures of the final maps, as PNG files.
@@ -16,6 +16,8 @@ pub struct MapPictures {
     pub preview: Vec<u8>,
     /// The map before and after loops were closed, where there were loops.
     pub loops: Option<[Vec<u8>; 2]>,
+    /// Height above which cells hide the room.
+    pub cut: Option<f64>,
 }
 
 /// Writes the maps in all formats, and pictures of them; those of what loops corrected where `reported_path`,
@@ -32,13 +34,14 @@ pub fn write_maps(
         ("global.bt", &maps.global, MapFormat::Bt),
         ("local.ot", &maps.local, MapFormat::Ot),
         ("large.ot", &maps.large, MapFormat::Ot),
-        ("cloud.ply", &maps.global, MapFormat::Ply),
+        ("cells.ply", &maps.global, MapFormat::Ply),
     ] {
         folder.write_with(name, |out| mapfile::write(map, out, format))?;
     }
     let cubes = occupied_cubes(&maps.global).while_running("the map cannot be projected")?;
     write_grid(folder, &maps.global, &cubes, path, unit)?;
-    let preview = write_preview(folder, &cubes, path)?;
+    let cut = dollhouse_cut(&cubes, path);
+    let preview = write_preview(folder, &cubes, path, cut)?;
     let loops = match reported_path {
         Some(reported_path) => Some(write_loop_pictures(
             folder,
@@ -50,15 +53,20 @@ pub fn write_maps(
         )?),
         None => None,
     };
-    Ok(MapPictures { preview, loops })
+    Ok(MapPictures {
+        preview,
+        loops,
+        cut,
+    })
 }
 
 fn write_preview(
     folder: &OutputFolder,
     cubes: &[Cube],
     path: &[[f64; 3]],
+    cut: Option<f64>,
 ) -> Result<Vec<u8>, Failure> {
-    let picture = render(cubes, path, dollhouse_cut(cubes, path), &View::default());
+    let picture = render(cubes, path, cut, &View::default());
     let preview = encode_png_rgb(&picture);
     folder.write("preview.png", &preview)?;
     Ok(preview)
@@ -129,18 +137,4 @@ fn write_grid(
         folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
     }
     Ok(())
-}
-
-/// Occupied leaves as cubes.
-fn occupied_cubes(map: &OccupancyMap) -> Result<Vec<Cube>, MapError> {
-    let resolution = map.resolution();
-    Ok(map
-        .octree_leaves()?
-        .into_iter()
-        .filter(|leaf| map.state_of(leaf.first) == Occupancy::Occupied)
-        .map(|leaf| Cube {
-            center: leaf.center(resolution),
-            size: f64::from(leaf.edge_cells) * resolution,
-        })
-        .collect())
 }

@@ -1,7 +1,9 @@
 //! The files of a run, besides the recording.
 
+mod cloud;
 mod maps;
 mod tables;
 
+pub use cloud::write_cloud;
 pub use maps::write_maps;
 pub use tables::{final_poses, path_of, reported_path, write_tables};

@@ -1,16 +1,20 @@
 //! `report.html` of a run.
 
+mod explore;
 mod tracking;
 
 use super::align::MapFrame;
 use super::recorder::measured;
 use super::summary::Summary;
 use super::threads::Tracked;
+use crate::explorer::{self, PosedKeyframe, SemiDense};
+use crate::failure::Failure;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_image::Image;
+use monogrid_occupancy::OccupancyMap;
 use tracking::{losses, ribbon, tracking_plots};
 
 /// Keyframes shown with their pictures.
@@ -33,6 +37,16 @@ pub struct ReportInput<'a> {
     pub reported_path: &'a [[f64; 3]],
     /// Reference path in the same frame; empty for none.
     pub reference: &'a [[f64; 3]],
+    /// Distance of each pose of the trajectory from the reference at its time; empty without a reference.
+    pub errors: &'a [Option<f64>],
+    /// The global map.
+    pub map: Option<&'a OccupancyMap>,
+    /// The keyframes of the main map.
+    pub keyframes: &'a [PosedKeyframe],
+    /// What was measured in the keyframes.
+    pub semi_dense: &'a [SemiDense],
+    /// Height above which cells hide the room.
+    pub cut: Option<f64>,
     /// View of the map, PNG.
     pub preview: Option<&'a [u8]>,
     /// The map before and after loops were closed, PNG.
@@ -42,11 +56,13 @@ pub struct ReportInput<'a> {
 }
 
 /// The complete page.
-pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
+pub fn page(tracked: &Tracked, input: &ReportInput) -> Result<String, Failure> {
     let mut page = Page::default();
     for warning in &input.summary.warnings {
         page.warning(warning);
     }
+    page.html(&explorer::section(&explore::scene(tracked, input)?)?);
+    page.heading("In numbers");
     page.facts(&facts(input));
     if let Some(preview) = input.preview {
         page.heading("Map");
@@ -86,7 +102,7 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> String {
     show_keyframes(&mut page, tracked);
     page.heading("Settings");
     page.folded("all settings, as in config.toml", input.config);
-    page.finish(input.title, input.verdict)
+    Ok(page.finish(input.title, input.verdict))
 }
 
 fn facts(input: &ReportInput) -> Vec<(String, String)> {

@@ -4,20 +4,39 @@ use crate::report::svg::{Plot, Series};
 use crate::run::frames::{FrameFate, FrameRow};
 use monogrid_slam::{FrameReport, TrackingState};
 
-/// Colour and name of what became of a frame.
-fn colour(row: &FrameRow) -> (&'static str, &'static str) {
+/// A state of a frame: its name and its colour.
+type State = (&'static str, &'static str);
+
+const STARTING: State = ("starting", "#7fa8d8");
+const GOOD: State = ("good", "#5fb36a");
+const DEGRADED: State = ("degraded", "#e8c547");
+const FRAGMENT: State = ("in a fragment", "#a06cc4");
+const LOST: State = ("lost", "#cc4b37");
+const UNREADABLE: State = ("unreadable", "#999999");
+const REPEATED: State = ("repeated", "#cccccc");
+const DROPPED: State = ("dropped", "#777777");
+
+/// All states, in the order of a legend.
+pub(super) fn states() -> Vec<State> {
+    vec![
+        GOOD, DEGRADED, LOST, FRAGMENT, STARTING, UNREADABLE, REPEATED, DROPPED,
+    ]
+}
+
+/// What became of a frame.
+pub(super) fn state(row: &FrameRow) -> State {
     match &row.fate {
         FrameFate::Processed(report) => match report.state {
-            TrackingState::Initialising => ("#7fa8d8", "starting"),
-            TrackingState::Good => ("#5fb36a", "good"),
-            TrackingState::Degraded => ("#e8c547", "degraded"),
-            TrackingState::Fragment => ("#a06cc4", "in a fragment"),
-            TrackingState::Lost => ("#cc4b37", "lost"),
+            TrackingState::Initialising => STARTING,
+            TrackingState::Good => GOOD,
+            TrackingState::Degraded => DEGRADED,
+            TrackingState::Fragment => FRAGMENT,
+            TrackingState::Lost => LOST,
         },
-        FrameFate::BeforeSeed => ("#7fa8d8", "starting"),
-        FrameFate::Skipped(_) => ("#999999", "unreadable"),
-        FrameFate::Repeated => ("#cccccc", "repeated"),
-        FrameFate::Dropped => ("#999999", "dropped"),
+        FrameFate::BeforeSeed => STARTING,
+        FrameFate::Skipped(_) => UNREADABLE,
+        FrameFate::Repeated => REPEATED,
+        FrameFate::Dropped => DROPPED,
     }
 }
 
@@ -26,7 +45,7 @@ fn stretches(rows: &[FrameRow]) -> Vec<(usize, usize)> {
     let mut out: Vec<(usize, usize)> = Vec::new();
     for i in 0..rows.len() {
         match out.last_mut() {
-            Some((first, end)) if colour(&rows[*first]) == colour(&rows[i]) => *end = i + 1,
+            Some((first, end)) if state(&rows[*first]) == state(&rows[i]) => *end = i + 1,
             _ => out.push((i, i + 1)),
         }
     }
@@ -38,7 +57,7 @@ pub(super) fn ribbon(rows: &[FrameRow]) -> Vec<(f64, &'static str, String)> {
     stretches(rows)
         .into_iter()
         .map(|(first, end)| {
-            let (colour, name) = colour(&rows[first]);
+            let (name, colour) = state(&rows[first]);
             let share = (end - first) as f64 / rows.len() as f64;
             let text = format!(
                 "{name}: frames {} to {}",

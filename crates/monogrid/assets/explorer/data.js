@@ -1,0 +1,103 @@
+// From the blocks of the page to typed arrays. The layout of a block is described where it is written: explorer/cells.rs, cloud.rs.
+
+function bytesOf(base64) {
+  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(base64);
+  const text = atob(base64);
+  const bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  return bytes;
+}
+
+// The numbers in the page are little-endian, as every computer with a browser is.
+function integersOf(base64) {
+  return new Uint16Array(bytesOf(base64).buffer);
+}
+
+// A deterministic shuffle: the first n of the order are an even sample of all, for any n.
+function evenOrder(count) {
+  const order = new Uint32Array(count);
+  for (let i = 0; i < count; i++) order[i] = i;
+  let state = 1;
+  for (let i = count - 1; i > 0; i--) {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    const j = Math.floor((state / 4294967296) * (i + 1));
+    const kept = order[i];
+    order[i] = order[j];
+    order[j] = kept;
+  }
+  return order;
+}
+
+// Cubes of one kind: four integers each; `centre` and `edge` give lengths.
+export class Cubes {
+  constructor(base64, cells) {
+    this.raw = integersOf(base64);
+    this.count = this.raw.length / 4;
+    this.unit = cells.edge;
+    this.first = cells.first;
+  }
+  edge(i) {
+    return this.unit * 2 ** (this.raw[4 * i + 3] >> 8);
+  }
+  probability(i) {
+    return (this.raw[4 * i + 3] & 255) / 255;
+  }
+  centre(i) {
+    const half = this.edge(i) / 2;
+    return [0, 1, 2].map((axis) => (this.raw[4 * i + axis] + this.first[axis]) * this.unit + half);
+  }
+}
+
+// Points: four integers each.
+export class Points {
+  constructor(cloud) {
+    this.raw = integersOf(cloud.points);
+    this.count = this.raw.length / 4;
+    this.low = cloud.low;
+    this.step = cloud.step;
+    this.measured = cloud.count[1];
+    this.order = evenOrder(this.count);
+  }
+  at(i) {
+    return [0, 1, 2].map((axis) => this.low[axis] + this.step * this.raw[4 * i + axis]);
+  }
+}
+
+// What the page holds, with its blocks unpacked.
+export function unpacked(scene) {
+  const { cells, cloud } = scene;
+  return {
+    ...scene,
+    occupied: cells ? new Cubes(cells.occupied, cells) : null,
+    free: cells ? new Cubes(cells.free, cells) : null,
+    points: cloud ? new Points(cloud) : null,
+  };
+}
+
+// The values at two shares of the sorted ones.
+export function quantiles(values, low, high) {
+  if (values.length === 0) return [0, 1];
+  const sorted = Float64Array.from(values).sort();
+  const at = (share) => sorted[Math.round(share * (sorted.length - 1))];
+  return [at(low), at(high)];
+}
+
+// Where there is something to see, but for a few things far away: lower and upper corner.
+export function extent({ occupied, points, path }) {
+  const axes = [0, 1, 2].map((axis) => {
+    const values = path.map((p) => p[axis + 1]);
+    const take = (source, at) => {
+      const every = Math.max(1, Math.floor(source.count / 20000));
+      for (let i = 0; i < source.count; i += every) values.push(at(i)[axis]);
+    };
+    if (occupied) take(occupied, (i) => occupied.centre(i));
+    else if (points) take(points, (i) => points.at(i));
+    return quantiles(values, 0.01, 0.99);
+  });
+  return [axes.map((a) => a[0]), axes.map((a) => a[1])];
+}
+
+export function length(value, unit) {
+  const digits = Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3;
+  return `${value.toFixed(digits)} ${unit === 'm' ? 'm' : 'map units'}`;
+}

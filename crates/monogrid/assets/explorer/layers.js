@@ -1,0 +1,276 @@
+// The layers of the view in three dimensions. Cubes and points are drawn from the integers of the page; heights are cut by
+// the graphics card, so that a slider costs nothing.
+import {
+  BufferGeometry,
+  Float32BufferAttribute,
+  Group,
+  InterleavedBuffer,
+  InterleavedBufferAttribute,
+  BufferAttribute,
+  Line,
+  LineBasicMaterial,
+  LineSegments,
+  Mesh,
+  Points as PointsObject,
+  ShaderMaterial,
+  Vector3,
+} from 'three';
+import { RAINBOW_SHADER } from 'explorer/colours';
+
+// What all layers share: heights that are shown, heights of the colour scale, size of the picture.
+export function sharedUniforms(heights) {
+  return {
+    shownHeights: { value: [-1e30, 1e30] },
+    heights: { value: heights },
+    pixelsPerUnit: { value: 1 },
+  };
+}
+
+const OUTSIDE = 'gl_Position = vec4(2.0, 2.0, 2.0, 1.0);';
+
+// Faces of cubes by the axis of their normal and its side; corners go around a face.
+const FACES = [0, 1, 2].flatMap((axis) => [0, 1].map((side) => ({ axis, side })));
+
+// Which faces of a cube can be seen: those with no cube of the same size beside them. Inside of walls nothing is drawn.
+function visibleFaces(cubes) {
+  const name = (x, y, z, level) => ((x * 65537 + y) * 65537 + z) * 17 + level;
+  const known = new Set();
+  const { raw, count } = cubes;
+  const nameOf = (i, offset) => {
+    const level = raw[4 * i + 3] >> 8;
+    const place = [0, 1, 2].map((k) => raw[4 * i + k] + offset[k] * 2 ** level);
+    return name(...place, level);
+  };
+  for (let i = 0; i < count; i++) known.add(nameOf(i, [0, 0, 0]));
+  const found = [];
+  for (let i = 0; i < count; i++) {
+    FACES.forEach(({ axis, side }, face) => {
+      const offset = [0, 0, 0];
+      offset[axis] = side ? 1 : -1;
+      if (!known.has(nameOf(i, offset))) found.push(i * 6 + face);
+    });
+  }
+  return found;
+}
+
+// Four corners for every visible face. Not instanced: computers without a graphics card draw instances one by one.
+function facesGeometry(cubes) {
+  const faces = visibleFaces(cubes);
+  const cell = new Uint16Array(faces.length * 16);
+  const corner = new Uint8Array(faces.length * 16);
+  const index = new Uint32Array(faces.length * 6);
+  faces.forEach((name, k) => {
+    const cube = Math.floor(name / 6);
+    const { axis, side } = FACES[name % 6];
+    [[0, 0], [1, 0], [1, 1], [0, 1]].forEach(([a, b], n) => {
+      const at = 16 * k + 4 * n;
+      cell.set(cubes.raw.subarray(4 * cube, 4 * cube + 4), at);
+      corner[at + axis] = side;
+      corner[at + ((axis + 1) % 3)] = a;
+      corner[at + ((axis + 2) % 3)] = b;
+      corner[at + 3] = 2 * axis + side;
+    });
+    // counter-clockwise as seen from outside
+    const order = side ? [0, 1, 2, 0, 2, 3] : [0, 2, 1, 0, 3, 2];
+    index.set(order.map((n) => 4 * k + n), 6 * k);
+  });
+  const geometry = new BufferGeometry();
+  const cells = new BufferAttribute(cell, 4);
+  geometry.setAttribute('cell', cells);
+  geometry.setAttribute('corner', new BufferAttribute(corner, 4));
+  geometry.setAttribute('position', cells);
+  geometry.setIndex(new BufferAttribute(index, 1));
+  return geometry;
+}
+
+const CUBE_PLACE = `
+  uniform vec3 first;
+  uniform float unit;
+  uniform vec2 shownHeights, heights;
+  uniform float byProbability;
+  attribute vec4 cell;
+  varying vec3 tint;
+  ${RAINBOW_SHADER}
+  float edgeOf() { return unit * exp2(floor(cell.w / 256.0)); }
+  vec3 centreOf(float edge) { return (cell.xyz + first) * unit + 0.5 * edge; }
+  vec3 colourOf(vec3 centre) {
+    float probability = mod(cell.w, 256.0) / 255.0;
+    float height = (centre.z - heights.x) / max(heights.y - heights.x, 1e-9);
+    return rainbow(mix(height, 2.0 * probability - 1.0, byProbability));
+  }
+  bool isShown(vec3 centre) { return centre.z >= shownHeights.x && centre.z <= shownHeights.y; }`;
+
+const PLAIN = `
+  varying vec3 tint;
+  void main() { gl_FragColor = vec4(tint, 1.0); }`;
+
+// Cubes as cubes, and the same as square dots for slow computers while the view moves.
+export function cubesLayer(cubes, shared) {
+  const uniforms = {
+    ...shared,
+    first: { value: new Vector3(...cubes.first) },
+    unit: { value: cubes.unit },
+    byProbability: { value: 0 },
+  };
+  const faces = new ShaderMaterial({
+    uniforms,
+    fragmentShader: PLAIN,
+    vertexShader: `${CUBE_PLACE}
+      attribute vec4 corner;
+      void main() {
+        float edge = edgeOf();
+        vec3 centre = centreOf(edge);
+        if (!isShown(centre)) { ${OUTSIDE} return; }
+        // lit from above and from one side
+        float light = corner.w < 1.5 ? 0.80 : corner.w < 3.5 ? 0.64 : corner.w < 4.5 ? 0.5 : 1.0;
+        tint = colourOf(centre) * light;
+        gl_Position = projectionMatrix * viewMatrix * vec4(centre + (corner.xyz - 0.5) * edge, 1.0);
+      }`,
+  });
+  const dots = new ShaderMaterial({
+    uniforms,
+    fragmentShader: PLAIN,
+    vertexShader: `${CUBE_PLACE}
+      uniform float pixelsPerUnit;
+      void main() {
+        float edge = edgeOf();
+        vec3 centre = centreOf(edge);
+        if (!isShown(centre)) { ${OUTSIDE} return; }
+        tint = colourOf(centre) * 0.85;
+        gl_Position = projectionMatrix * viewMatrix * vec4(centre, 1.0);
+        gl_PointSize = max(1.0, 1.2 * edge * pixelsPerUnit / gl_Position.w);
+      }`,
+  });
+  return { exact: meshOf(facesGeometry(cubes), faces), quick: dotsOf(cubes, dots), uniforms };
+}
+
+function meshOf(geometry, material) {
+  const mesh = new Mesh(geometry, material);
+  mesh.frustumCulled = false;
+  return mesh;
+}
+
+function dotsOf(cubes, material) {
+  const geometry = new BufferGeometry();
+  const cells = new InterleavedBufferAttribute(new InterleavedBuffer(cubes.raw, 4), 4, 0);
+  geometry.setAttribute('cell', cells);
+  // three.js asks for the number of points here
+  geometry.setAttribute('position', cells);
+  const dots = new PointsObject(geometry, material);
+  dots.frustumCulled = false;
+  return dots;
+}
+
+// Free cells: small translucent dots at their centres.
+export function freeLayer(cubes, shared) {
+  const material = new ShaderMaterial({
+    uniforms: {
+      ...shared,
+      first: { value: new Vector3(...cubes.first) },
+      unit: { value: cubes.unit },
+      byProbability: { value: 0 },
+    },
+    transparent: true,
+    depthWrite: false,
+    fragmentShader: 'void main() { gl_FragColor = vec4(0.35, 0.65, 0.95, 0.35); }',
+    vertexShader: `${CUBE_PLACE}
+      uniform float pixelsPerUnit;
+      void main() {
+        float edge = edgeOf();
+        vec3 centre = centreOf(edge);
+        if (!isShown(centre)) { ${OUTSIDE} return; }
+        gl_Position = projectionMatrix * viewMatrix * vec4(centre, 1.0);
+        gl_PointSize = clamp(0.35 * edge * pixelsPerUnit / gl_Position.w, 1.0, 12.0);
+      }`,
+  });
+  return dotsOf(cubes, material);
+}
+
+// Measured points; `mode` 0: grey level, 1: height, 2: confidence.
+export function pointsLayer(points, shared) {
+  const geometry = new BufferGeometry();
+  const place = new InterleavedBufferAttribute(new InterleavedBuffer(points.raw, 4), 4, 0);
+  geometry.setAttribute('place', place);
+  geometry.setAttribute('position', place);
+  geometry.setIndex(new BufferAttribute(points.order, 1));
+  const uniforms = {
+    ...shared,
+    low: { value: new Vector3(...points.low) },
+    stepLength: { value: points.step },
+    mode: { value: 0 },
+    size: { value: 2 },
+  };
+  const material = new ShaderMaterial({
+    uniforms,
+    fragmentShader: PLAIN,
+    vertexShader: `
+      uniform vec3 low;
+      uniform vec2 shownHeights, heights;
+      uniform float stepLength, mode, size;
+      attribute vec4 place;
+      varying vec3 tint;
+      ${RAINBOW_SHADER}
+      void main() {
+        vec3 point = (modelMatrix * vec4(low + stepLength * place.xyz, 1.0)).xyz;
+        if (point.z < shownHeights.x || point.z > shownHeights.y) { ${OUTSIDE} return; }
+        float height = (point.z - heights.x) / max(heights.y - heights.x, 1e-9);
+        float confidence = floor(place.w / 256.0) / 255.0;
+        tint = mode < 0.5 ? vec3(mod(place.w, 256.0) / 255.0)
+             : mode < 1.5 ? rainbow(height)
+             : mix(vec3(0.8, 0.2, 0.15), vec3(0.2, 0.65, 0.3), confidence);
+        gl_Position = projectionMatrix * viewMatrix * vec4(point, 1.0);
+        gl_PointSize = size;
+      }`,
+  });
+  const layer = new PointsObject(geometry, material);
+  layer.frustumCulled = false;
+  return { layer, uniforms };
+}
+
+export function lineLayer(points, colour) {
+  return new Line(positions(points), new LineBasicMaterial({ color: colour }));
+}
+
+function positions(points) {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute('position', new Float32BufferAttribute(points.flat(), 3));
+  return geometry;
+}
+
+// Corners of the pyramid between a keyframe's centre and its image at a depth.
+function pyramid({ pose }, camera, depth) {
+  const [fx, fy, cx, cy] = camera.intrinsics;
+  const [width, height] = camera.size;
+  const place = (x, y, z) => [0, 1, 2].map((r) => pose[4 * r] * x + pose[4 * r + 1] * y + pose[4 * r + 2] * z + pose[4 * r + 3]);
+  const corner = (u, v) => place(((u - cx) / fx) * depth, ((v - cy) / fy) * depth, depth);
+  return { apex: place(0, 0, 0), corners: [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)] };
+}
+
+function pyramidLines(keyframe, camera, depth) {
+  const { apex, corners } = pyramid(keyframe, camera, depth);
+  return corners.flatMap((corner, i) => [apex, corner, corner, corners[(i + 1) % 4]]);
+}
+
+export function frustaLayer(keyframes, camera, depth, colour) {
+  const lines = keyframes.flatMap((keyframe) => pyramidLines(keyframe, camera, depth));
+  return new LineSegments(positions(lines), new LineBasicMaterial({ color: colour }));
+}
+
+export function linksLayer(keyframes, links, colour) {
+  const centre = ({ pose }) => [pose[3], pose[7], pose[11]];
+  const lines = links.flatMap(([a, b]) => [centre(keyframes[a]), centre(keyframes[b])]);
+  return new LineSegments(positions(lines), new LineBasicMaterial({ color: colour }));
+}
+
+// A small cross with three arms.
+export function markAt(point, arm, colour) {
+  const lines = [0, 1, 2].flatMap((axis) =>
+    [-arm, arm].map((reach) => point.map((value, k) => (k === axis ? value + reach : value))),
+  );
+  const material = new LineBasicMaterial({ color: colour, depthTest: false });
+  const mark = new LineSegments(positions(lines), material);
+  mark.renderOrder = 1;
+  return mark;
+}
+
+export { Group };

@@ -1,0 +1,180 @@
+// A run that goes on: asks what has changed, and shows it. Keyframes keep their points; when the graph moves them only their
+// poses are sent.
+import { Group, Matrix4, Vector3 } from 'three';
+import { cubesLayer, lineLayer, markAt, pointsLayer, frustaLayer } from 'explorer/layers';
+import { Cubes, Points } from 'explorer/data';
+import { isDark } from 'explorer/colours';
+import { KeyframeView } from 'explorer/keyframe';
+import { View } from 'explorer/view';
+
+const ASK_EVERY_MS = 300;
+const byId = (id) => document.getElementById(id);
+
+const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0];
+const nothing = { unit: '', keyframes: [], links: [], path: [], reference: [] };
+
+// Rows of a pose and a unit as a matrix.
+function matrixOf(rows, unit) {
+  const r = (row, column) => rows[4 * row + column];
+  const line = (row) => [unit * r(row, 0), unit * r(row, 1), unit * r(row, 2), r(row, 3)];
+  return new Matrix4().set(...line(0), ...line(1), ...line(2), 0, 0, 0, 1);
+}
+
+class Live {
+  constructor() {
+    this.version = 0;
+    this.path = [];
+    this.keyframes = new Map();
+    this.points = new Map();
+    try {
+      this.view = new View(byId('view3d'), nothing, () => {});
+    } catch {
+      byId('stage').hidden = true;
+      byId('no-webgl').hidden = false;
+    }
+    this.build();
+  }
+
+  // Groups whose content is replaced, with their switches.
+  build() {
+    this.groups = { cells: new Group(), cloud: new Group(), path: new Group(), camera: new Group() };
+    this.view?.scene.add(...Object.values(this.groups));
+    this.groups.cells.visible = false;
+    for (const [name, group] of Object.entries(this.groups)) {
+      const box = document.createElement('input');
+      box.type = 'checkbox';
+      box.checked = group.visible;
+      box.addEventListener('change', () => {
+        group.visible = box.checked;
+        this.view?.draw();
+      });
+      const label = document.createElement('label');
+      label.append(box, ` ${name}`);
+      byId('switches').append(label);
+    }
+    // the view follows the map until somebody turns it
+    this.isFollowing = true;
+    this.view?.controls.addEventListener('start', () => (this.isFollowing = false));
+  }
+
+  async ask() {
+    let news;
+    try {
+      const answer = await fetch(`/live/${this.version}/${this.path.length}`);
+      news = await answer.json();
+    } catch {
+      byId('live-state').textContent = 'Tracking has ended: report.html shows the result as soon as the final maps are done.';
+      return;
+    }
+    this.take(news);
+    setTimeout(() => this.ask(), ASK_EVERY_MS);
+  }
+
+  take(news) {
+    this.version = news.version;
+    this.path.push(...news.path);
+    this.say(news);
+    for (const keyframe of news.keyframes) this.takeKeyframe(keyframe);
+    for (const [id, unit, pose] of news.poses) this.keyframes.set(id, { unit, pose });
+    if (this.view) this.draw(news);
+    this.showImages(news);
+  }
+
+  say({ frames: [done, total], rate, frame }) {
+    const of = total ? `frame ${done} of ${total}` : `frame ${done}`;
+    const state = frame ? `${frame.state}${frame.reason ? ` (${frame.reason})` : ''}` : 'waiting for the first frame';
+    byId('live-state').textContent = `${of} · ${rate.toFixed(0)} per second · ${this.keyframes.size} keyframes · ${state}`;
+  }
+
+  takeKeyframe(keyframe) {
+    const known = this.points.get(keyframe.id);
+    if (known) {
+      this.groups.cloud.remove(known.layer);
+      known.layer.geometry.dispose();
+    }
+    if (!this.view || keyframe.cloud.count[0] === 0) return;
+    const points = new Points(keyframe.cloud);
+    const { layer } = pointsLayer(points, this.view.shared);
+    layer.matrixAutoUpdate = false;
+    layer.visible = false;
+    this.points.set(keyframe.id, { layer, points });
+    this.groups.cloud.add(layer);
+  }
+
+  draw(news) {
+    for (const [id, { layer }] of this.points) {
+      const posed = this.keyframes.get(id);
+      layer.visible = Boolean(posed);
+      if (posed) layer.matrix.copy(matrixOf(posed.pose, posed.unit));
+    }
+    if (news.cells) this.replace('cells', news.cells.count[0] ? [cubesLayer(new Cubes(news.cells.occupied, news.cells), this.view.shared).exact] : []);
+    if (news.path.length && this.path.length > 1) this.replace('path', [lineLayer(this.path.map((p) => p.slice(1)), isDark() ? 0xf0f0f0 : 0x151515)]);
+    if (this.isFollowing) this.follow();
+    const size = this.view.radius;
+    if (news.frame?.pose) {
+      const here = { pose: news.frame.pose };
+      this.replace('camera', [frustaLayer([here], news.camera, 0.08 * size, 0xff00aa), markAt([3, 7, 11].map((i) => here.pose[i]), 0.02 * size, 0xff00aa)]);
+    }
+    this.view.draw();
+  }
+
+  replace(name, layers) {
+    for (const old of [...this.groups[name].children]) {
+      this.groups[name].remove(old);
+      old.geometry.dispose();
+      old.material.dispose();
+    }
+    this.groups[name].add(...layers);
+  }
+
+  // Brings the path and what the keyframes look at into view.
+  follow() {
+    const seen = this.path.map((p) => p.slice(1));
+    for (const { unit, pose } of this.keyframes.values()) {
+      for (const depth of [0, 2 * unit]) seen.push([0, 1, 2].map((r) => pose[4 * r + 3] + depth * pose[4 * r + 2]));
+    }
+    if (seen.length < 2) return;
+    const along = (axis) => seen.map((point) => point[axis]);
+    const low = [0, 1, 2].map((axis) => along(axis).reduce((a, b) => Math.min(a, b)));
+    const high = [0, 1, 2].map((axis) => along(axis).reduce((a, b) => Math.max(a, b)));
+    this.view.surround(low, high);
+    this.view.shared.heights.value = [low[2], high[2]];
+    this.view.lookFrom('corner');
+  }
+
+  showImages({ frame, keyframes, camera }) {
+    if (frame?.image) this.showFrame(frame, camera);
+    const last = keyframes[keyframes.length - 1];
+    if (!last) return;
+    const points = new Points(last.cloud);
+    const shown = { ...last, time: 0, pose: IDENTITY, points: [0, points.count] };
+    this.newest = { id: last.id, points };
+    new KeyframeView(byId('keyframe'), byId('keyframe-caption'), { keyframes: [shown], points, camera }).show(0);
+  }
+
+  // The newest image, with the points of the newest keyframe where its pose has them.
+  async showFrame({ image, pose }, camera) {
+    const picture = new Image();
+    picture.src = `data:image/jpeg;base64,${image}`;
+    await picture.decode();
+    const canvas = byId('live-image');
+    canvas.width = picture.width;
+    canvas.height = picture.height;
+    const context = canvas.getContext('2d');
+    context.drawImage(picture, 0, 0);
+    const posed = this.newest && this.keyframes.get(this.newest.id);
+    if (!pose || !posed) return;
+    const cameraFromKeyframe = matrixOf(pose, 1).invert().multiply(matrixOf(posed.pose, posed.unit));
+    const [fx, fy, cx, cy] = camera.intrinsics;
+    const scale = picture.width / camera.size[0];
+    context.fillStyle = '#30d060';
+    for (let i = 0; i < this.newest.points.count; i += 8) {
+      const { x, y, z } = new Vector3(...this.newest.points.at(i)).applyMatrix4(cameraFromKeyframe);
+      if (z > 0) context.fillRect(((fx * x) / z + cx) * scale - 1, ((fy * y) / z + cy) * scale - 1, 2, 2);
+    }
+  }
+}
+
+const live = new Live();
+live.ask();
+window.explorer = { view: live.view, live };

@@ -1,0 +1,306 @@
+//! `monogrid view`: a map, a cloud or a run in the browser, as a page or as a picture.
+
+use super::print_json;
+use crate::args::{ForceArg, JsonArg};
+use crate::explorer::{
+    Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Pictures, Scene, SemiDense, Server,
+    seconds_since, section,
+};
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::keyframe_pixels::from_recorded;
+use crate::mapfile;
+use crate::output::{Inputs, OutputFile};
+use crate::picture::colour::quantile;
+use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
+use crate::recorded::Recorded;
+use crate::report::Page;
+use crate::run::align::Align;
+use clap::Args;
+use monogrid_datasets::encode_png_rgb;
+use monogrid_worlds::MeshModel;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// `monogrid view`.
+#[derive(Debug, Args)]
+pub struct ViewArgs {
+    /// Map (.ot, .bt, .mgo), points (.ply), recording (.mgk), or the folder of a run
+    pub source: PathBuf,
+    /// Port on this computer; 0 is any that is free
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub port: u16,
+    /// Write the page into a file instead
+    #[arg(long, value_name = "OUT.html")]
+    pub html: Option<PathBuf>,
+    /// Write a picture into a file instead
+    #[arg(long, value_name = "OUT.png")]
+    pub png: Option<PathBuf>,
+    #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// `view --json`.
+#[derive(Debug, Serialize)]
+struct ViewReport {
+    /// Where the page is served.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    url: Option<String>,
+    cells: usize,
+    points: usize,
+    keyframes: usize,
+}
+
+/// Set by Ctrl-C.
+static STOP: AtomicBool = AtomicBool::new(false);
+
+/// Shows it.
+pub fn execute(args: &ViewArgs) -> CommandResult {
+    let inputs = Inputs::of("what is shown", &args.source);
+    let output = |path: &Option<PathBuf>| {
+        let path = path.as_deref();
+        path.map(|path| OutputFile::new(path, args.force.force, &inputs))
+            .transpose()
+    };
+    let (html, png) = (output(&args.html)?, output(&args.png)?);
+    let shown = Shown::read(&args.source)?;
+    if let Some(file) = &png {
+        file.write(&encode_png_rgb(&shown.picture()))?;
+    }
+    let is_served = html.is_none() && png.is_none();
+    let server = is_served.then(|| Server::listen(args.port)).transpose()?;
+    tell(args, &shown, server.as_ref().map(Server::url))?;
+    if html.is_none() && server.is_none() {
+        return Ok(Outcome::Done);
+    }
+    let page = shown.page(&args.source)?;
+    if let Some(file) = &html {
+        file.write(page.as_bytes())?;
+    }
+    if let Some(server) = server {
+        ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed)).map_err(Failure::running)?;
+        let page = Answer::page(page);
+        server.serve(&STOP, |path| (path == "/").then(|| page.clone()));
+    }
+    Ok(Outcome::Done)
+}
+
+fn tell(args: &ViewArgs, shown: &Shown, url: Option<String>) -> Result<(), Failure> {
+    let scene = &shown.scene;
+    let report = ViewReport {
+        cells: scene.cells.as_ref().map_or(0, |cells| cells.count[0]),
+        points: scene.cloud.as_ref().map_or(0, |cloud| cloud.count[1]),
+        keyframes: scene.keyframes.len(),
+        url,
+    };
+    if args.json.json {
+        return print_json(&report);
+    }
+    println!(
+        "{}: {} occupied cells, {} points, {} keyframes",
+        args.source.display(),
+        report.cells,
+        report.points,
+        report.keyframes
+    );
+    if let Some(url) = &report.url {
+        println!("{url} shows it in a browser of this computer; Ctrl-C ends");
+    }
+    Ok(())
+}
+
+/// What is shown.
+struct Shown {
+    scene: Scene,
+    /// What a picture shows.
+    cubes: Vec<Cube>,
+    /// The page that a run wrote.
+    report: Option<String>,
+}
+
+impl Shown {
+    fn read(source: &Path) -> Result<Self, Failure> {
+        if source.is_dir() {
+            return Self::of_run(source);
+        }
+        let extension = source
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase());
+        match extension.as_deref() {
+            Some("ply") => Self::of_points(source),
+            Some("mgk") => Self::of_recording(source),
+            _ => Self::of_map(source),
+        }
+    }
+
+    fn of_map(source: &Path) -> Result<Self, Failure> {
+        let (map, _) = mapfile::load(source)?;
+        let cubes = occupied_cubes(&map).while_running("the map cannot be drawn")?;
+        let cells = Cells::new(&map).while_running("the map cannot be drawn")?;
+        let scene = Scene {
+            cells: Some(cells),
+            ..Scene::default()
+        };
+        Ok(Self {
+            scene,
+            cubes,
+            report: None,
+        })
+    }
+
+    fn of_points(source: &Path) -> Result<Self, Failure> {
+        let mesh = MeshModel::read(source).bad_input()?.mesh;
+        let keep_every = Cloud::keep_every(mesh.vertices.len());
+        let points = mesh
+            .vertices
+            .iter()
+            .enumerate()
+            .map(|(i, point)| CloudPoint {
+                point: *point,
+                // points without a colour are of a middle grey
+                grey: mesh
+                    .albedo
+                    .get(i)
+                    .map_or(128, |a| (a.clamp(0.0, 1.0) * 255.0) as u8),
+                confidence: 1.0,
+            });
+        let shown: Vec<CloudPoint> = points.step_by(keep_every).collect();
+        let cubes = small_cubes(&shown);
+        let (cloud, _) = Cloud::new(&[shown], mesh.vertices.len());
+        let scene = Scene {
+            cloud: Some(cloud),
+            ..Scene::default()
+        };
+        Ok(Self {
+            scene,
+            cubes,
+            report: None,
+        })
+    }
+
+    /// The depth of the keyframes as it was recorded.
+    fn of_recording(source: &Path) -> Result<Self, Failure> {
+        let recorded = Recorded::read(source, &Align::parse(None)?)?;
+        let camera = recorded.camera;
+        let posed: Vec<_> = recorded
+            .keyframes
+            .iter()
+            .filter_map(|keyframe| {
+                let pose = recorded.frame.map_from_world * keyframe.world_from_keyframe?;
+                Some((keyframe, pose))
+            })
+            .collect();
+        let measured = posed
+            .iter()
+            .map(|(keyframe, _)| keyframe.pixels.len())
+            .sum();
+        let keep_every = Cloud::keep_every(measured);
+        let groups: Vec<Vec<CloudPoint>> = posed
+            .iter()
+            .map(|(keyframe, pose)| {
+                let semi_dense = SemiDense::recorded(keyframe.id, &from_recorded(&keyframe.pixels));
+                let image = keyframe.image.as_ref();
+                let points = semi_dense.points(image, &camera.pinhole, pose);
+                points.step_by(keep_every).collect()
+            })
+            .collect();
+        let cubes = small_cubes(&groups.concat());
+        let (cloud, shown) = Cloud::new(&groups, measured);
+        let begin = posed
+            .first()
+            .map_or(0, |(keyframe, _)| keyframe.timestamp_ns);
+        let pictures = Pictures::of(posed.len());
+        let keyframes = posed.iter().zip(shown).enumerate();
+        let keyframes = keyframes.map(|(position, ((keyframe, pose), points))| Keyframe {
+            id: keyframe.id,
+            frame: keyframe.frame_index,
+            time: seconds_since(begin, keyframe.timestamp_ns),
+            pose: Keyframe::rows(pose),
+            points,
+            image: pictures.of_keyframe(position, keyframe.image.as_ref()),
+        });
+        let scene = Scene {
+            cloud: Some(cloud),
+            camera: Some(Camera::new(&camera.pinhole, [camera.width, camera.height])),
+            keyframes: keyframes.collect(),
+            path: posed
+                .iter()
+                .map(|(keyframe, pose)| {
+                    let [x, y, z] = [0, 1, 2].map(|axis| pose.translation[axis] as f32);
+                    (keyframe.frame_index as usize, x, y, z)
+                })
+                .collect(),
+            ..Scene::default()
+        };
+        Ok(Self {
+            scene,
+            cubes,
+            report: None,
+        })
+    }
+
+    /// A run: the page that it wrote, else its map and its recording.
+    fn of_run(folder: &Path) -> Result<Self, Failure> {
+        let [map, recording, report] =
+            ["global.ot", "recording.mgk", "report.html"].map(|name| folder.join(name));
+        if !map.is_file() && !recording.is_file() {
+            return Err(Failure::input(format!(
+                "{} holds neither global.ot nor recording.mgk: it is not the folder of a run that came to a map",
+                folder.display()
+            )));
+        }
+        let mut shown = if recording.is_file() {
+            Self::of_recording(&recording)?
+        } else {
+            Self::of_map(&map)?
+        };
+        if map.is_file() && recording.is_file() {
+            let of_map = Self::of_map(&map)?;
+            shown.scene.cells = of_map.scene.cells;
+            shown.cubes = of_map.cubes;
+        }
+        shown.scene.cut = dollhouse_cut(&shown.cubes, &shown.path());
+        shown.report = std::fs::read_to_string(report).ok();
+        Ok(shown)
+    }
+
+    fn path(&self) -> Vec<[f64; 3]> {
+        let path = self.scene.path.iter();
+        path.map(|(_, x, y, z)| [*x, *y, *z].map(f64::from))
+            .collect()
+    }
+
+    fn picture(&self) -> crate::picture::Picture {
+        render(&self.cubes, &self.path(), self.scene.cut, &View::default())
+    }
+
+    fn page(&self, source: &Path) -> Result<String, Failure> {
+        if let Some(report) = &self.report {
+            return Ok(report.clone());
+        }
+        let mut page = Page::default();
+        page.html(&section(&self.scene)?);
+        let name = source.file_name().unwrap_or(source.as_os_str());
+        Ok(page.finish(
+            &format!("monogrid: {}", name.display()),
+            &source.display().to_string(),
+        ))
+    }
+}
+
+/// Points as cubes that can be seen in a picture.
+fn small_cubes(points: &[CloudPoint]) -> Vec<Cube> {
+    const PER_SIDE: f64 = 250.0;
+    let ranges = [0, 1, 2].map(|axis| {
+        let mut values: Vec<f64> = points.iter().map(|p| f64::from(p.point[axis])).collect();
+        quantile(&mut values, 0.98) - quantile(&mut values, 0.02)
+    });
+    let size = ranges.into_iter().fold(0.0, f64::max).max(1e-6) / PER_SIDE;
+    let cube = |point: &CloudPoint| Cube {
+        center: point.point.map(f64::from),
+        size,
+    };
+    points.iter().map(cube).collect()
+}

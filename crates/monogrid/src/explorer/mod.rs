@@ -1,0 +1,21 @@
+//! The part of a page that is explored: cells, cloud, path and keyframes in three dimensions, a map from above, a timeline and
+//! the pictures of keyframes, all linked.
+//!
+//! [`Scene`] holds what there is to see, [`section`] makes a piece of a page of it that needs no other file and no network:
+//! numbers as JSON, geometry as blocks of 16-bit integers in base64, and the scripts of `assets/` as an import map of data URLs.
+
+mod cells;
+mod cloud;
+mod page;
+mod pictures;
+mod scene;
+mod semi_dense;
+mod server;
+
+pub use cells::Cells;
+pub use cloud::{Cloud, CloudPoint};
+pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section};
+pub use pictures::{Pictures, small_jpeg};
+pub use scene::{Camera, Frames, Keyframe, PathPoint, Scene, seconds_since};
+pub use semi_dense::{PosedKeyframe, SemiDense, num_measured};
+pub use server::{Answer, Server};

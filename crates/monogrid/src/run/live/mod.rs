@@ -1,0 +1,226 @@
+//! `run --view`: the run in the browser while it goes on.
+//!
+//! The run puts what it knows into [`Live`], which only holds references to what exists anyway; everything that costs time, such as
+//! packing points or pictures, is done on the thread of the server, when a browser asks. So a slow or absent viewer costs nothing.
+
+mod answers;
+mod page;
+
+use crate::explorer::{Answer, PathPoint, Server};
+use crate::failure::{Classify, Failure};
+use crate::run::frames::FrameRow;
+use answers::Shown;
+use monogrid_geometry::{Pinhole, Se3, Sim3};
+use monogrid_image::GrayImage;
+use monogrid_pipeline::{Event, Listener, ListenerError};
+use monogrid_slam::mapping::{MapReader, z_up_from_camera_world};
+use monogrid_slam::{Keyframe, KeyframeId, PoseSnapshot};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Images are kept for a browser only while one asks, and so often at most.
+const IMAGE_EVERY: Duration = Duration::from_millis(150);
+const ASKED_WITHIN: Duration = Duration::from_secs(2);
+
+/// What is known of a run that goes on.
+#[derive(Clone, Debug, Default)]
+struct Known {
+    /// Grows with every change of keyframes and poses.
+    version: u64,
+    frame: Option<SeenFrame>,
+    num_frames: usize,
+    path: Vec<PathPoint>,
+    /// Keyframes, and the version in which their depth was changed last.
+    keyframes: BTreeMap<KeyframeId, (u64, Arc<Keyframe>)>,
+    poses: Arc<PoseSnapshot>,
+    /// Version in which poses changed last.
+    posed: u64,
+}
+
+/// The newest frame.
+#[derive(Clone, Debug)]
+struct SeenFrame {
+    index: usize,
+    state: &'static str,
+    reason: Option<String>,
+    map_from_camera: Option<Sim3>,
+    image: Option<Arc<GrayImage>>,
+}
+
+/// What a run and its viewers share.
+#[derive(Debug)]
+pub struct Live {
+    known: Mutex<Known>,
+    /// When a browser asked last.
+    asked: Mutex<Option<Instant>>,
+    begin: Instant,
+    total: usize,
+}
+
+impl Live {
+    /// Before the first frame; `total` is 0 where the number of frames is not known.
+    fn new(total: usize) -> Self {
+        Self {
+            known: Mutex::default(),
+            asked: Mutex::default(),
+            begin: Instant::now(),
+            total,
+        }
+    }
+
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_watched(&self) -> bool {
+        let asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        asked.is_some_and(|asked| asked.elapsed() < ASKED_WITHIN)
+    }
+
+    fn note_question(&self) {
+        *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    /// Takes what became of a frame.
+    fn take(&self, row: &FrameRow, image: Option<Arc<GrayImage>>) {
+        let z_up = z_up_from_camera_world();
+        let report = row.report();
+        let pose = report.and_then(|report| report.world_from_camera);
+        let map_from_camera = pose.map(|pose: Se3| z_up * pose.with_scale(1.0));
+        let mut known = self.known();
+        known.num_frames += 1;
+        if let Some(pose) = map_from_camera {
+            let [x, y, z] = [0, 1, 2].map(|axis| pose.translation[axis] as f32);
+            known.path.push((row.index, x, y, z));
+        }
+        let before = known.frame.take();
+        known.frame = Some(SeenFrame {
+            index: row.index,
+            state: report.map_or("no image", |report| report.state.name()),
+            reason: report.and_then(|report| Some(report.reason?.to_string())),
+            map_from_camera,
+            image: image.or_else(|| before?.image),
+        });
+    }
+
+    /// Takes a change of the map of keyframes.
+    fn hear(&self, event: &Event) {
+        let mut known = self.known();
+        match event {
+            Event::Finished(keyframe, poses) => {
+                known.change_depth(keyframe);
+                known.change_poses(poses);
+            }
+            Event::Revised(keyframe) => known.change_depth(keyframe),
+            Event::Moved(poses) => known.change_poses(poses),
+            _ => {}
+        }
+    }
+}
+
+impl Known {
+    fn change_depth(&mut self, keyframe: &Arc<Keyframe>) {
+        self.version += 1;
+        let changed = (self.version, Arc::clone(keyframe));
+        self.keyframes.insert(keyframe.id, changed);
+    }
+
+    fn change_poses(&mut self, poses: &Arc<PoseSnapshot>) {
+        self.version += 1;
+        self.posed = self.version;
+        self.poses = Arc::clone(poses);
+    }
+}
+
+/// The ear of a viewer among the listeners of the pipeline.
+pub struct Ear(Arc<Live>);
+
+impl Listener for Ear {
+    fn hear(&mut self, event: &Event) -> Result<(), ListenerError> {
+        self.0.hear(event);
+        Ok(())
+    }
+}
+
+/// The server of a run, which ends with this.
+pub struct Viewer {
+    live: Arc<Live>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    last_image: Option<Instant>,
+}
+
+impl Viewer {
+    /// Begins to listen, and says where.
+    pub fn start(
+        port: u16,
+        title: &str,
+        camera: (&Pinhole, [usize; 2]),
+        map: MapReader,
+        total: usize,
+    ) -> Result<Self, Failure> {
+        let server = Server::listen(port)?;
+        eprintln!(
+            "{} shows the run in a browser of this computer",
+            server.url()
+        );
+        let live = Arc::new(Live::new(total));
+        let stop = Arc::new(AtomicBool::new(false));
+        let page = Answer::page(page::page(title)?);
+        let shown = Shown::new(Arc::clone(&live), camera, map);
+        let thread = {
+            let stop = Arc::clone(&stop);
+            let serve = move || {
+                server.serve(&stop, |path| match path {
+                    "/" => Some(page.clone()),
+                    path => shown.answer(path),
+                });
+            };
+            let named = std::thread::Builder::new().name("viewer".to_owned());
+            named
+                .spawn(serve)
+                .while_running("the viewer cannot be started")?
+        };
+        Ok(Self {
+            live,
+            stop,
+            thread: Some(thread),
+            last_image: None,
+        })
+    }
+
+    /// What hears of keyframes for it.
+    pub fn ear(&self) -> Ear {
+        Ear(Arc::clone(&self.live))
+    }
+
+    /// A copy of an image, if a browser wants to see one now.
+    pub fn wanted(&mut self, image: &GrayImage) -> Option<Arc<GrayImage>> {
+        let is_due = self
+            .last_image
+            .is_none_or(|last| last.elapsed() >= IMAGE_EVERY);
+        if !is_due || !self.live.is_watched() {
+            return None;
+        }
+        self.last_image = Some(Instant::now());
+        Some(Arc::new(image.clone()))
+    }
+
+    /// Shows what became of a frame.
+    pub fn show(&self, row: &FrameRow, image: Option<Arc<GrayImage>>) {
+        self.live.take(row, image);
+    }
+}
+
+impl Drop for Viewer {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // one that failed has nothing left to say
+            let _ = thread.join();
+        }
+    }
+}

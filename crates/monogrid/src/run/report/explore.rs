@@ -1,0 +1,153 @@
+//! What of a run is explored.
+
+use super::ReportInput;
+use super::tracking::{state, states};
+use crate::explorer::{
+    Camera, Cells, Cloud, CloudPoint, Frames, Keyframe, PathPoint, Pictures, PosedKeyframe, Scene,
+    SemiDense, num_measured, seconds_since,
+};
+use crate::failure::{Classify, Failure};
+use crate::run::frames::FrameRow;
+use crate::run::threads::Tracked;
+use monogrid_geometry::Pinhole;
+use monogrid_slam::TrackingState;
+use std::collections::BTreeMap;
+
+/// Keyframes that are farther apart in number than this and that the graph holds together are a loop; nearer ones are
+/// neighbours anyway.
+const MIN_LOOP: u64 = 10;
+
+/// The scene of a run.
+pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Failure> {
+    let slam = &tracked.run.slam;
+    let keyframes = input.keyframes;
+    let (cloud, shown) = cloud(keyframes, input.semi_dense, slam.pinhole());
+    let begin = tracked.rows.first().map_or(0, |row| row.timestamp_ns);
+    let pictures = Pictures::of(keyframes.len());
+    let positions: BTreeMap<u64, usize> = (0..)
+        .zip(keyframes)
+        .map(|(position, (keyframe, _))| (u64::from(keyframe.id), position))
+        .collect();
+    let size = keyframes.first().map(|(keyframe, _)| {
+        let image = &keyframe.image;
+        [image.width(), image.height()]
+    });
+    Ok(Scene {
+        unit: input.summary.unit().to_owned(),
+        cells: match input.map {
+            Some(map) => Some(Cells::new(map).while_running("the map cannot be drawn")?),
+            None => None,
+        },
+        cloud: (cloud.count[0] > 0).then_some(cloud),
+        camera: size.map(|size| Camera::new(slam.pinhole(), size)),
+        keyframes: (0..)
+            .zip(keyframes.iter().zip(shown))
+            .map(|(position, ((keyframe, pose), points))| Keyframe {
+                id: keyframe.id,
+                frame: keyframe.frame_index as u64,
+                time: seconds_since(begin, keyframe.timestamp_ns),
+                pose: Keyframe::rows(pose),
+                points,
+                image: pictures.of_keyframe(position, Some(&keyframe.image)),
+            })
+            .collect(),
+        links: links(tracked, &positions),
+        path: path(tracked, input),
+        reference: input.reference.to_vec(),
+        frames: Some(Frames {
+            error: errors(tracked, input),
+            ..frames(&tracked.rows, begin)
+        }),
+        cut: input.cut,
+    })
+}
+
+/// Where the camera was.
+fn path(tracked: &Tracked, input: &ReportInput) -> Vec<PathPoint> {
+    let poses = tracked.run.trajectory.iter().zip(input.path);
+    poses
+        .map(|(pose, point)| {
+            let [x, y, z] = point.map(|value| value as f32);
+            (pose.frame_index, x, y, z)
+        })
+        .collect()
+}
+
+/// Distance from the reference of each frame; empty without a reference.
+fn errors(tracked: &Tracked, input: &ReportInput) -> Vec<f32> {
+    if input.errors.is_empty() {
+        return Vec::new();
+    }
+    let poses = tracked.run.trajectory.iter().zip(input.errors);
+    let by_frame: BTreeMap<usize, f64> = poses
+        .filter_map(|(pose, error)| Some((pose.frame_index, (*error)?)))
+        .collect();
+    let rows = tracked.rows.iter();
+    rows.map(|row| by_frame.get(&row.index).map_or(-1.0, |error| *error as f32))
+        .collect()
+}
+
+/// The measured points of all keyframes.
+fn cloud(
+    keyframes: &[PosedKeyframe],
+    semi_dense: &[SemiDense],
+    pinhole: &Pinhole,
+) -> (Cloud, Vec<[usize; 2]>) {
+    let measured = num_measured(semi_dense);
+    let keep_every = Cloud::keep_every(measured);
+    let by_id: BTreeMap<u32, &SemiDense> = semi_dense.iter().map(|s| (s.id, s)).collect();
+    let groups: Vec<Vec<CloudPoint>> = keyframes
+        .iter()
+        .map(|(keyframe, pose)| {
+            let of_keyframe = by_id.get(&keyframe.id);
+            let points = of_keyframe.map(|s| s.points(Some(&keyframe.image), pinhole, pose));
+            points.into_iter().flatten().step_by(keep_every).collect()
+        })
+        .collect();
+    Cloud::new(&groups, measured)
+}
+
+/// Loops of the graph, as positions of keyframes.
+fn links(tracked: &Tracked, positions: &BTreeMap<u64, usize>) -> Vec<[usize; 2]> {
+    let graph = tracked.run.slam.pose_graph();
+    let edges = graph.edges().iter();
+    edges
+        .filter(|edge| edge.i.abs_diff(edge.j) > MIN_LOOP)
+        .filter_map(|edge| Some([*positions.get(&edge.i)?, *positions.get(&edge.j)?]))
+        .collect()
+}
+
+/// What became of the frames, as columns.
+fn frames(rows: &[FrameRow], begin: i64) -> Frames {
+    let legend = states();
+    let mut frames = Frames::default();
+    for row in rows {
+        let state = state(row);
+        let position = legend.iter().position(|known| *known == state);
+        frames.state.push(position.unwrap_or_default());
+        frames.index.push(row.index);
+        frames.time.push(seconds_since(begin, row.timestamp_ns));
+        let report = row.report();
+        let reason = report.and_then(|report| report.reason);
+        let reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
+        if frames
+            .reasons
+            .last()
+            .map_or(!reason.is_empty(), |(_, last)| *last != reason)
+        {
+            frames.reasons.push((frames.index.len() - 1, reason));
+        }
+        let tracked = report.filter(|report| report.state != TrackingState::Initialising);
+        let good = tracked.map_or(-1, |report| (100.0 * report.good_share).round() as i16);
+        frames.good.push(good);
+        let milliseconds = report.map_or(-1.0, |report| {
+            let times = report.milliseconds;
+            ((times.tracking + times.depth + times.graph) * 10.0).round() as f32 / 10.0
+        });
+        frames.milliseconds.push(milliseconds);
+        let keyframe = report.and_then(|report| report.keyframe);
+        frames.keyframe.push(keyframe.map_or(-1, i64::from));
+    }
+    frames.legend = legend;
+    frames
+}
