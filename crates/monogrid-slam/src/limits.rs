@@ -128,6 +128,8 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         return_near_frames: 0.0, 1000.0;
     }));
     all.extend(limits!("slam.tracking.points", slam.tracking.points, {
+        probe_points: 0.0, 100_000.0;
+        probe_error_px: 0.01, 100.0;
         max_points: 0.0, 100_000.0;
         near_radius_px: 1.0, 100.0;
         search_radius_px: 1.0, 200.0;

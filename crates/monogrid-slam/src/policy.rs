@@ -1,6 +1,6 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
-use crate::{KeyframeConfig, PointTrackingConfig, TrackingConfig};
+use crate::{KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState};
 
 /// What makes a pose doubtful that passed the tests of alignment.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,6 +39,12 @@ pub(crate) fn demand(evidence: &DoubtEvidence, config: &TrackingConfig) -> Deman
     } else {
         Demand::None
     }
+}
+
+/// Whether a few points that agree are enough to let a pose by alignment stand; else all points are asked. What is weak
+/// or unexpected may be another place that looks alike there.
+pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) -> bool {
+    matches!(state, TrackingState::Good) && !is_surprising
 }
 
 /// Whether points decide where a frame is: enough of them agree with one pose, and they are the larger part of
@@ -101,6 +107,14 @@ mod tests {
         assert!(!do_points_decide(29, 29, &config));
         assert!(!do_points_decide(30, 61, &config));
         assert!(!do_points_decide(149, 300, &config));
+    }
+
+    #[test]
+    fn only_a_good_pose_where_it_was_expected_stands_on_a_few_points() {
+        assert!(may_be_confirmed(TrackingState::Good, false));
+        assert!(!may_be_confirmed(TrackingState::Good, true));
+        assert!(!may_be_confirmed(TrackingState::Degraded, false));
+        assert!(!may_be_confirmed(TrackingState::Lost, false));
     }
 
     #[test]

@@ -52,6 +52,8 @@ pub(crate) struct SearchImage<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct PointSearch {
     pub patch: PatchSearchConfig,
+    /// Only points that this keyframe sees are looked for; all of the fragment without.
+    pub seen_by: Option<KeyframeId>,
     /// Points that are looked for at most.
     pub max_points: usize,
     /// Whether a point is compared with how it was seen last, which looks most like the image, instead of with
@@ -74,13 +76,14 @@ pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig
     };
     let search = PointSearch {
         patch: search_config(config),
+        seen_by: None,
         max_points: config.max_searched_points,
         from_newest: false,
     };
     find_in_image(map, &image, &search, pinhole, config)
 }
 
-/// Projects all points of a fragment into an image, spreads the visible ones over it, and looks for their
+/// Projects the points of a fragment into an image, spreads the visible ones over it, and looks for their
 /// patches.
 pub(crate) fn find_in_image(
     map: &Map,
@@ -89,7 +92,7 @@ pub(crate) fn find_in_image(
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Search {
-    let visible = visible_in(map, image, pinhole, config);
+    let visible = visible_in(map, image, search.seen_by, pinhole, config);
     let size = size_of(image.pyramid);
     let chosen = spread(&visible, map.points(), size, search.max_points, config);
     let found: Vec<Option<(usize, Vec2)>> = chosen
@@ -162,47 +165,80 @@ fn search_config(config: &SparseConfig) -> PatchSearchConfig {
 fn visible_in(
     map: &Map,
     image: &SearchImage<'_>,
+    seen_by: Option<KeyframeId>,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
+    let view = PointView {
+        camera_from_world: image.camera_from_world,
+        centre: image.camera_from_world.inverse().translation,
+        size: size_of(image.pyramid),
+        pinhole,
+        max_ratio: config.max_distance_ratio,
+        min_cosine: config.max_view_angle_deg.to_radians().cos(),
+    };
+    let predicted = |index: usize, world_from_host: &Se3| {
+        let point = &map.points()[index];
+        let pixel = point
+            .alive
+            .then(|| view.predict(point, world_from_host))
+            .flatten();
+        pixel.map(|pixel| (index, pixel))
+    };
+    if let Some(keyframe) = seen_by {
+        let seen = map[keyframe].points.all();
+        let world_from_host =
+            |index: usize| map[map.points()[index].host].camera_from_world.inverse();
+        return seen
+            .filter_map(|index| predicted(index, &world_from_host(index)))
+            .collect();
+    }
     let hosts = map.in_fragment(image.fragment);
     hosts
-        .flat_map(|host| host.points.anchored.clone().map(move |index| (index, host)))
-        .map(|(index, host)| (index, &map.points()[index], host))
-        .filter(|(_, point, _)| point.alive)
-        .filter_map(|(index, point, host)| {
-            let host_from_world = &host.camera_from_world;
-            let pixel = predict(point, host_from_world, image, pinhole, config)?;
-            Some((index, pixel))
+        .flat_map(|host| {
+            let world_from_host = host.camera_from_world.inverse();
+            let anchored = host.points.anchored.clone();
+            anchored.filter_map(move |index| predicted(index, &world_from_host))
         })
         .collect()
 }
 
-/// Pixel of a point in an image, if it lies inside and is seen from about where its anchor sees it.
-fn predict(
-    point: &SparsePoint,
-    host_from_world: &Se3,
-    image: &SearchImage<'_>,
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Option<Vec2> {
-    let world_from_host = host_from_world.inverse();
-    let position = world_from_host * (pinhole.unproject(&point.pixel) / point.idepth);
-    let in_camera = image.camera_from_world * position;
-    if in_camera.z <= 1e-6 {
-        return None;
+/// A camera that may see points.
+#[derive(Clone, Copy)]
+struct PointView<'a> {
+    camera_from_world: Se3,
+    /// Its centre in the world.
+    centre: Vec3,
+    /// Width and height of the image, px.
+    size: (f64, f64),
+    pinhole: &'a Pinhole,
+    /// Largest ratio of the distances from here and from a point's anchor.
+    max_ratio: f64,
+    /// Smallest cosine of the angle between both rays.
+    min_cosine: f64,
+}
+
+impl PointView<'_> {
+    /// Pixel of a point, if it lies inside and is seen from about where its anchor sees it.
+    fn predict(&self, point: &SparsePoint, world_from_host: &Se3) -> Option<Vec2> {
+        let position = *world_from_host * (self.pinhole.unproject(&point.pixel) / point.idepth);
+        let in_camera = self.camera_from_world * position;
+        if in_camera.z <= 1e-6 {
+            return None;
+        }
+        let pixel = self.pinhole.project(&in_camera);
+        if !is_inside(&pixel, self.size) {
+            return None;
+        }
+        let (a, b): (Vec3, Vec3) = (
+            position - world_from_host.translation,
+            position - self.centre,
+        );
+        let ratio = a.norm() / b.norm();
+        let cosine = a.dot(&b) / (a.norm() * b.norm());
+        (ratio < self.max_ratio && ratio > 1.0 / self.max_ratio && cosine > self.min_cosine)
+            .then_some(pixel)
     }
-    let pixel = pinhole.project(&in_camera);
-    if !is_inside(&pixel, size_of(image.pyramid)) {
-        return None;
-    }
-    let centre = image.camera_from_world.inverse().translation;
-    let (a, b): (Vec3, Vec3) = (position - world_from_host.translation, position - centre);
-    let ratio = a.norm() / b.norm();
-    let limit = config.max_distance_ratio;
-    let cosine = a.dot(&b) / (a.norm() * b.norm());
-    (ratio < limit && ratio > 1.0 / limit && cosine > config.max_view_angle_deg.to_radians().cos())
-        .then_some(pixel)
 }
 
 /// At most `max_points`, taken round robin from square cells, the best observed ones first.

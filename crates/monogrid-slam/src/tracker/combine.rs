@@ -2,12 +2,14 @@
 //!
 //! A pose by direct alignment agrees with the dense depth of one keyframe, whose depth is refined with that
 //! very pose: both drift together (by degrees within ten frames of a turning camera) while the residuals stay
-//! small. Points of several keyframes, adjusted with their poses, do not take part in this; where enough of
-//! them are found they have the last word, and alignment says where to look for them.
+//! small. Points of several keyframes, adjusted with their poses, do not take part in this: a few of them confirm
+//! the pose of every frame. Where they do not, or alignment is weak or surprising, all are looked for, alignment
+//! says where, and they have the last word.
 
 use super::points::{PointMap, PointPose};
 use super::{MotionPrior, Tracked, judge, track};
 use crate::frame::Frame;
+use crate::policy::may_be_confirmed;
 use crate::{TrackingConfig, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
 use monogrid_geometry::Pinhole;
@@ -27,6 +29,13 @@ pub(crate) fn track_with_points(
         return aligned;
     };
     let by_alignment = aligned.alignment.motion;
+    let confirmed = may_be_confirmed(aligned.state, aligned.is_surprising).then(|| {
+        let pose = &by_alignment.frame_from_keyframe;
+        map.confirm(&frame.pyramid, pose, &config.points)
+    });
+    if let Some(support) = confirmed.flatten() {
+        return Tracked { support, ..aligned };
+    }
     let near = (aligned.state != TrackingState::Lost)
         .then(|| {
             let pose = &by_alignment.frame_from_keyframe;

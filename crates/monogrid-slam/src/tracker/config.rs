@@ -64,9 +64,14 @@ pub struct TrackingConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PointTrackingConfig {
-    /// Whether points are looked for in every frame; they need `sparse.enabled`.
+    /// Whether points are looked for; they need `sparse.enabled`.
     pub enabled: bool,
-    /// Points that are looked for at most. Range [0, 100000].
+    /// Points of the keyframe in use that are looked for in every frame, to confirm the pose by alignment. Range
+    /// [0, 100000].
+    pub probe_points: usize,
+    /// Largest error of a point that confirms a pose, px. Range [0.01, 100].
+    pub probe_error_px: f64,
+    /// Points that are looked for at most where a pose is not confirmed. Range [0, 100000].
     pub max_points: usize,
     /// Half width of the search around where alignment predicts a point, px. Range [1, 100].
     pub near_radius_px: f64,
@@ -90,6 +95,8 @@ impl Default for PointTrackingConfig {
     fn default() -> Self {
         Self {
             enabled: true,
+            probe_points: 60,
+            probe_error_px: 1.5,
             max_points: 300,
             near_radius_px: 8.0,
             search_radius_px: 32.0,

@@ -30,6 +30,26 @@ pub(crate) struct PointPose {
 }
 
 impl PointMap<'_> {
+    /// How many of a few points are where a pose predicts them, if they are enough to confirm it; `None` when
+    /// the pose may be wrong.
+    pub(crate) fn confirm(
+        &self,
+        frame: &Pyramid,
+        pose: &Se3,
+        config: &PointTrackingConfig,
+    ) -> Option<usize> {
+        let camera_from_world = self.camera_from_world(pose);
+        let probe = PointSearch {
+            seen_by: Some(self.keyframe.id),
+            max_points: config.probe_points,
+            // the basin of a patch is some pixels wide
+            ..settings(0.0, config)
+        };
+        let probed = self.search(frame, &camera_from_world, &probe);
+        let agreeing = self.num_agreeing(&camera_from_world, &probed.seen, config.probe_error_px);
+        do_points_decide(agreeing, probed.num_searched, config).then_some(agreeing)
+    }
+
     /// The pose of a frame that is within a few pixels of `near`; `None` when the points do not decide.
     /// `covariance` of `near` (left, keyframe units) says what it is worth beside them, if anything.
     pub(crate) fn pose_near(
@@ -40,7 +60,9 @@ impl PointMap<'_> {
         config: &PointTrackingConfig,
     ) -> Option<PointPose> {
         let start = self.camera_from_world(near);
-        let matches = self.search(frame, &start, config.near_radius_px, config);
+        let matches = self
+            .search(frame, &start, &settings(config.near_radius_px, config))
+            .seen;
         let (solution, num_inliers) = self.refined(&matches, &start, config)?;
         if !do_points_decide(num_inliers, matches.len(), config) {
             return None;
@@ -66,48 +88,46 @@ impl PointMap<'_> {
         config: &PointTrackingConfig,
     ) -> Option<PointPose> {
         let guess = self.camera_from_world(start);
-        let matches = self.search(frame, &guess, config.search_radius_px, config);
-        let settings = AbsolutePoseConfig {
+        let matches = self
+            .search(frame, &guess, &settings(config.search_radius_px, config))
+            .seen;
+        let sampling = AbsolutePoseConfig {
             max_error_px: config.max_error_px,
             min_inliers: config.min_inliers,
             ..AbsolutePoseConfig::default()
         };
-        let sampled = absolute_pose(&matches, self.pinhole, &settings)?;
+        let sampled = absolute_pose(&matches, self.pinhole, &sampling)?;
         let found = self.frame_from_keyframe(&sampled);
         self.pose_near(frame, &found, None, config)
     }
 
-    /// Points that are found within a radius of where a pose predicts them.
-    fn search(
-        &self,
-        frame: &Pyramid,
-        camera_from_world: &Se3,
-        radius_px: f64,
-        config: &PointTrackingConfig,
-    ) -> Vec<PointPixel> {
+    /// Points that are found around where a pose predicts them.
+    fn search(&self, frame: &Pyramid, camera_from_world: &Se3, how: &PointSearch) -> Probed {
         let image = SearchImage {
             pyramid: frame,
             fragment: self.keyframe.fragment,
             camera_from_world: *camera_from_world,
         };
-        let settings = PointSearch {
-            patch: PatchSearchConfig {
-                radius_px,
-                min_correlation: config.min_correlation,
-                ..PatchSearchConfig::default()
-            },
-            max_points: config.max_points,
-            from_newest: true,
-        };
         let (map, pinhole) = (self.map, self.pinhole);
-        let search = find_in_image(map, &image, &settings, pinhole, self.sparse);
+        let search = find_in_image(map, &image, how, pinhole, self.sparse);
         let found = search.found.iter();
-        found
-            .map(|&(point, pixel)| PointPixel {
-                point_in_world: position(map, &map.points()[point], pinhole),
-                pixel,
-            })
-            .collect()
+        let seen = found.map(|&(point, pixel)| PointPixel {
+            point_in_world: position(map, &map.points()[point], pinhole),
+            pixel,
+        });
+        Probed {
+            num_searched: search.num_searched,
+            seen: seen.collect(),
+        }
+    }
+
+    fn num_agreeing(&self, camera_from_world: &Se3, seen: &[PointPixel], max_px: f64) -> usize {
+        let agrees = |seen: &&PointPixel| {
+            let in_camera = *camera_from_world * seen.point_in_world;
+            let error = self.pinhole.project(&in_camera) - seen.pixel;
+            in_camera.z > 1e-6 && error.norm() <= max_px
+        };
+        seen.iter().filter(agrees).count()
     }
 
     /// The pose on all points that agree with it, and how many do.
@@ -125,18 +145,13 @@ impl PointMap<'_> {
                 inv_sigma_px: 1.0 / self.sparse.pose_sigma_px,
             })
             .collect();
-        let settings = PoseOnlyConfig {
+        let refinement = PoseOnlyConfig {
             min_inliers: config.min_inliers,
             ..PoseOnlyConfig::default()
         };
-        let solution = refine_pose(start, self.pinhole, &weighted, &settings).ok()?;
+        let solution = refine_pose(start, self.pinhole, &weighted, &refinement).ok()?;
         let pose = solution.camera_from_world;
-        let agrees = |seen: &&PointPixel| {
-            let in_camera = pose * seen.point_in_world;
-            let error = self.pinhole.project(&in_camera) - seen.pixel;
-            in_camera.z > 1e-6 && error.norm() <= config.max_error_px
-        };
-        let num_inliers = matches.iter().filter(agrees).count();
+        let num_inliers = self.num_agreeing(&pose, matches, config.max_error_px);
         (solution.outcome == PoseOutcome::Good).then_some((solution, num_inliers))
     }
 
@@ -160,6 +175,26 @@ impl PointMap<'_> {
     }
 }
 
+/// Points that were looked for in a frame.
+struct Probed {
+    num_searched: usize,
+    seen: Vec<PointPixel>,
+}
+
+/// All points are looked for within a radius of where they are predicted, as they were seen last.
+fn settings(radius_px: f64, config: &PointTrackingConfig) -> PointSearch {
+    PointSearch {
+        patch: PatchSearchConfig {
+            radius_px,
+            min_correlation: config.min_correlation,
+            ..PatchSearchConfig::default()
+        },
+        seen_by: None,
+        max_points: config.max_points,
+        from_newest: true,
+    }
+}
+
 /// The mean of two poses weighted by information; `None` where that is singular. Covariances are of left updates.
 fn fuse((a, a_covariance): (&Se3, &Mat6), (b, b_covariance): (&Se3, &Mat6)) -> Option<Se3> {
     let b_from_a = (*b * a.inverse()).log();
@@ -169,19 +204,4 @@ fn fuse((a, a_covariance): (&Se3, &Mat6), (b, b_covariance): (&Se3, &Mat6)) -> O
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fused_pose_lies_between_by_information() {
-        let a = Se3::exp(&Vec6::new(0.1, 0.2, -0.1, 0.02, -0.01, 0.03));
-        let step = Vec6::new(0.01, -0.02, 0.03, 0.004, 0.003, -0.002);
-        let b = Se3::exp(&step) * a;
-        let (certain, vague) = (Mat6::identity() * 1e-4, Mat6::identity() * 3e-4);
-        let fused = fuse((&a, &certain), (&b, &vague)).unwrap();
-        let expected = Se3::exp(&(step * 0.25)) * a;
-        assert!((fused * expected.inverse()).log().norm() < 1e-12);
-        let nearly_b = fuse((&a, &vague), (&b, &(certain * 1e-6))).unwrap();
-        assert!((nearly_b * b.inverse()).log().norm() < 1e-7);
-    }
-}
+mod tests;
