@@ -18,7 +18,26 @@ async function browser(width, height, colorScheme) {
     colorScheme,
     timeout: 120000,
   });
-  return { context, close: () => context.close().then(() => fs.rmSync(folder, { recursive: true, force: true })) };
+  return { context, folder, close: () => context.close().then(() => fs.rmSync(folder, { recursive: true, force: true })) };
+}
+
+// Seconds of processor time of a browser until now, by the folder of its profile; Linux only.
+function processorSeconds(folder) {
+  const parents = new Map();
+  const ticks = new Map();
+  const mine = new Set();
+  for (const pid of fs.readdirSync('/proc').filter((name) => /^\d+$/.test(name))) {
+    try {
+      const fields = fs.readFileSync(`/proc/${pid}/stat`, 'utf8').split(') ').pop().split(' ');
+      parents.set(pid, fields[1]);
+      ticks.set(pid, Number(fields[11]) + Number(fields[12]));
+      if (fs.readFileSync(`/proc/${pid}/cmdline`, 'utf8').includes(folder)) mine.add(pid);
+    } catch {
+      // it has ended meanwhile
+    }
+  }
+  const isMine = (pid) => pid !== undefined && (mine.has(pid) || isMine(parents.get(pid)));
+  return [...ticks].filter(([pid]) => isMine(pid)).reduce((sum, [, ticks]) => sum + ticks, 0) / 100;
 }
 
 // Opens a page; what it complains of and what it asks for beside itself.
@@ -42,14 +61,24 @@ async function open(context, url) {
 }
 
 // Pictures per second while the view turns by itself: with the detail that a user gets, and with everything.
-function turning(page, layers, isFull) {
+async function turning(page, folder, layers, isFull) {
+  await turn(page, layers, isFull, [20, isFull ? 2000 : 12000]);
+  const before = processorSeconds(folder);
+  const { done, seconds, share } = await turn(page, layers, isFull, [60, 5000]);
+  const cost = (processorSeconds(folder) - before) / done;
+  return `${(done / seconds).toFixed(1)}/s with ${(100 * share).toFixed(0)} %, ${cost.toFixed(3)} s of processor time each`;
+}
+
+// Turns the view by so many pictures, or so long.
+function turn(page, layers, isFull, limits) {
   return page.evaluate(
-    async ([layers, isFull]) => {
+    async ([layers, isFull, limits]) => {
       const { view } = window.explorer;
       if (!view) return null;
       for (const [name, layer] of Object.entries(view.layers)) layer.object.visible = layers.includes(name);
       const adapt = view.adapt;
       if (isFull) view.adapt = () => view.setDetail(1, false);
+      clearTimeout(view.rest);
       view.isMoving = true;
       const gl = view.renderer.getContext();
       const pixel = new Uint8Array(4);
@@ -64,24 +93,20 @@ function turning(page, layers, isFull) {
         // waits until it is drawn
         gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
       };
-      // so many pictures, or so long
-      const turns = async (count, milliseconds) => {
-        const begun = performance.now();
-        let done = 0;
-        for (; done < count && performance.now() - begun < milliseconds; done++) {
-          turn();
-          await new Promise(requestAnimationFrame);
-        }
-        return (1000 * done) / (performance.now() - begun);
-      };
-      await turns(20, 1500);
-      const rate = await turns(60, 3000);
+      const [count, milliseconds] = limits;
+      const begun = performance.now();
+      let done = 0;
+      for (; done < count && performance.now() - begun < milliseconds; done++) {
+        turn();
+        await new Promise(requestAnimationFrame);
+      }
+      const seconds = (performance.now() - begun) / 1000;
       view.adapt = adapt;
       view.restSoon();
       for (const layer of Object.values(view.layers)) layer.object.visible = layer.on;
-      return { rate, share: view.mustHurry ? view.movingShare : 1 };
+      return { done, seconds, share: view.mustHurry && !isFull ? view.movingShare : 1 };
     },
-    [layers, isFull],
+    [layers, isFull, limits],
   );
 }
 
@@ -96,9 +121,9 @@ async function look(out, file) {
   const rates = {};
   for (const layers of [['cloud', 'path'], ['cells', 'path'], ['cells', 'cloud', 'path']]) {
     if (!layers.every((layer) => has.includes(layer))) continue;
-    const full = await turning(page, layers, true);
-    const felt = await turning(page, layers, false);
-    rates[layers.join('+')] = `${felt.rate.toFixed(1)}/s (everything: ${full.rate.toFixed(1)}/s)`;
+    const name = layers.join(' + ');
+    rates[name] = await turning(page, wide.folder, layers, false);
+    rates[`${name}, everything`] = await turning(page, wide.folder, layers, true);
   }
   await page.evaluate(() => {
     const { view } = window.explorer;
@@ -112,14 +137,15 @@ async function look(out, file) {
   await shot('below');
   await page.evaluate(() => window.scrollTo(0, 0));
   await shot('all', { fullPage: true });
-  await wide.close();
   const narrow = await browser(380, 780, 'dark');
   const phone = await open(narrow.context, url);
   const width = await phone.page.evaluate(() => document.documentElement.scrollWidth);
   await phone.page.screenshot({ path: path.join(out, `${name}-phone.png`), fullPage: true });
   await narrow.close();
   const all = [...errors, ...phone.errors];
-  console.log(JSON.stringify({ page: name, seconds, rates, phone_width: width, errors: all, asked: [...asked, ...phone.asked] }, null, 1));
+  const script_seconds = (await page.evaluate(() => window.explorer.milliseconds)) / 1000;
+  console.log(JSON.stringify({ page: name, megabytes: file.startsWith('http') ? null : fs.statSync(file).size / 1e6, seconds, script_seconds, rates, phone_width: width, errors: all, asked: [...asked, ...phone.asked] }, null, 1));
+  await wide.close();
   return all.length === 0 && width <= 380 && (file.startsWith('http') || asked.length + phone.asked.length === 0);
 }
 

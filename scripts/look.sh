@@ -6,9 +6,8 @@
 #
 # Needs chromium (apt-get install chromium) and node with npm, which fetches playwright-core once into OUT. CHROMIUM: another browser.
 set -euo pipefail
-cd "$(dirname "$0")"
-out=$1
+out=$(realpath -m "$1")
 shift
 mkdir -p "$out"
 [ -d "$out/node_modules/playwright-core" ] || npm install --silent --no-audit --no-fund --prefix "$out" playwright-core@1 >/dev/null
-NODE_PATH=$out/node_modules CHROMIUM=${CHROMIUM:-$(command -v chromium || command -v chromium-browser)} node look.cjs "$out" "$@"
+NODE_PATH=$out/node_modules CHROMIUM=${CHROMIUM:-$(command -v chromium || command -v chromium-browser)} node "$(dirname "$0")/look.cjs" "$out" "$@"

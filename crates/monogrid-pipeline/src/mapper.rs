@@ -41,11 +41,12 @@ impl MapperThread {
         let _ = self.messages.send(Message::Event(event.clone()));
     }
 
-    /// A reader of the maps; none when the mapper has failed.
-    pub(crate) fn reader(&self) -> Option<Result<MapReader, MapError>> {
+    /// Where a reader of the maps will arrive; nothing arrives when the mapper has failed.
+    pub(crate) fn ask_for_reader(&self) -> Receiver<Result<MapReader, MapError>> {
         let (sender, reader) = sync_channel(1);
-        self.messages.send(Message::Reader(sender)).ok()?;
-        reader.recv().ok()
+        // one that has failed drops the sender, which the receiver hears of
+        let _ = self.messages.send(Message::Reader(sender));
+        reader
     }
 
     /// Ends it; the maps as far as they have come, and the CPU time that they took. None if it panicked.

@@ -18,6 +18,7 @@ use monogrid_slam::{
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 /// Everything that decides the result of a pipeline, besides its camera and its images.
@@ -173,8 +174,14 @@ impl Pipeline {
     /// # Errors
     /// A map that would exceed its memory.
     pub fn live_map(&self) -> Result<MapReader, PipelineError> {
-        let reader = self.mapper.reader();
-        Ok(reader.ok_or(PipelineError::Failed("mapper"))??)
+        let reader = self.live_map_later().recv();
+        Ok(reader.map_err(|_| PipelineError::Failed("mapper"))??)
+    }
+
+    /// As [`Self::live_map`] without waiting until the keyframes of now are in the maps: where the reader will arrive.
+    #[must_use]
+    pub fn live_map_later(&self) -> Receiver<Result<MapReader, MapError>> {
+        self.mapper.ask_for_reader()
     }
 
     /// How images become working images.

@@ -376,8 +376,13 @@ fn every_command_of_the_book_works() {
         assert_eq!(words.remove(0), "monogrid", "{command}");
         let has = |option: &str| words.iter().any(|word| word == option);
         match words[0].as_str() {
-            // the whole of it takes minutes
-            "demo" => words.extend(["--max-frames".into(), "1".into()]),
+            // the whole of it takes minutes; another test runs its first frame
+            "demo" => words.push("--help".into()),
+            "run" => {
+                let is_first = words.contains(&"runs/kitchen".to_owned()) && !has("--continue");
+                let frames = if is_first { "90" } else { "60" };
+                words.extend(["--max-frames".into(), frames.into()]);
+            }
             // it would serve for ever
             "view" if !has("--png") => words.extend(["--html".into(), format!("{number}.html")]),
             _ => {}
@@ -387,8 +392,6 @@ fn every_command_of_the_book_works() {
             .current_dir(dir.path())
             .output()
             .unwrap();
-        let is_demo = words[0] == "demo";
-        let expected = if is_demo { 3 } else { 0 };
-        assert_eq!(code(&output), expected, "{command}: {}", stderr(&output));
+        assert_eq!(code(&output), 0, "{command}: {}", stderr(&output));
     }
 }

@@ -14,7 +14,7 @@ function integersOf(base64) {
 }
 
 // A deterministic shuffle: the first n of the order are an even sample of all, for any n.
-function evenOrder(count) {
+export function evenOrder(count) {
   const order = new Uint32Array(count);
   for (let i = 0; i < count; i++) order[i] = i;
   let state = 1;

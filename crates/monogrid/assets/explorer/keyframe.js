@@ -37,7 +37,8 @@ export class KeyframeView {
     if (this.withDepth) this.drawDepths(context, depths, image);
     const near = depths.length ? `, depths from ${quantiles(depths.map((d) => d[2]), 0.02, 0.98).map((z) => z.toPrecision(2)).join(' to ')}` : '';
     const instead = keyframe === this.data.keyframes[position] ? '' : ' (the nearest one with a picture)';
-    this.caption.textContent = `keyframe ${keyframe.id}, frame ${keyframe.frame}, ${keyframe.time.toFixed(1)} s${instead}${near}`;
+    const time = keyframe.time === undefined ? '' : `, ${keyframe.time.toFixed(1)} s`;
+    this.caption.textContent = `keyframe ${keyframe.id}, frame ${keyframe.frame}${time}${instead}${near}`;
   }
 
   setDepth(on) {

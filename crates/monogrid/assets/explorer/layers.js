@@ -16,6 +16,7 @@ import {
   Vector3,
 } from 'three';
 import { RAINBOW_SHADER } from 'explorer/colours';
+import { evenOrder } from 'explorer/data';
 
 // What all layers share: heights that are shown, heights of the colour scale, size of the picture.
 export function sharedUniforms(heights) {
@@ -111,6 +112,8 @@ export function cubesLayer(cubes, shared) {
     first: { value: new Vector3(...cubes.first) },
     unit: { value: cubes.unit },
     byProbability: { value: 0 },
+    // dots become larger when only some of them are drawn
+    growth: { value: 1 },
   };
   const faces = new ShaderMaterial({
     uniforms,
@@ -131,14 +134,14 @@ export function cubesLayer(cubes, shared) {
     uniforms,
     fragmentShader: PLAIN,
     vertexShader: `${CUBE_PLACE}
-      uniform float pixelsPerUnit;
+      uniform float pixelsPerUnit, growth;
       void main() {
         float edge = edgeOf();
         vec3 centre = centreOf(edge);
         if (!isShown(centre)) { ${OUTSIDE} return; }
         tint = colourOf(centre) * 0.85;
         gl_Position = projectionMatrix * viewMatrix * vec4(centre, 1.0);
-        gl_PointSize = max(1.0, 1.2 * edge * pixelsPerUnit / gl_Position.w);
+        gl_PointSize = max(1.0, 1.2 * growth * edge * pixelsPerUnit / gl_Position.w);
       }`,
   });
   return { exact: meshOf(facesGeometry(cubes), faces), quick: dotsOf(cubes, dots), uniforms };
@@ -153,6 +156,7 @@ function meshOf(geometry, material) {
 function dotsOf(cubes, material) {
   const geometry = new BufferGeometry();
   const cells = new InterleavedBufferAttribute(new InterleavedBuffer(cubes.raw, 4), 4, 0);
+  geometry.setIndex(new BufferAttribute(evenOrder(cubes.count), 1));
   geometry.setAttribute('cell', cells);
   // three.js asks for the number of points here
   geometry.setAttribute('position', cells);

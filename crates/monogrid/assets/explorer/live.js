@@ -60,7 +60,7 @@ class Live {
   async ask() {
     let news;
     try {
-      const answer = await fetch(`/live/${this.version}/${this.path.length}`);
+      const answer = await fetch(`/live/${this.version}/${this.path.length}/${this.groups.cells.visible ? 1 : 0}`);
       news = await answer.json();
     } catch {
       byId('live-state').textContent = 'Tracking has ended: report.html shows the result as soon as the final maps are done.';
@@ -147,7 +147,7 @@ class Live {
     const last = keyframes[keyframes.length - 1];
     if (!last) return;
     const points = new Points(last.cloud);
-    const shown = { ...last, time: 0, pose: IDENTITY, points: [0, points.count] };
+    const shown = { ...last, pose: IDENTITY, points: [0, points.count] };
     this.newest = { id: last.id, points };
     new KeyframeView(byId('keyframe'), byId('keyframe-caption'), { keyframes: [shown], points, camera }).show(0);
   }

@@ -6,8 +6,12 @@ import { isDark } from 'explorer/colours';
 
 // A frame that takes longer than this while the view moves is drawn with less.
 const SLOW_MS = 45;
-// Share of the points that is always drawn.
+// Share of points and cubes that is always drawn.
 const LEAST_SHARE = 0.04;
+// Points and cubes that a computer without a graphics card draws twenty times a second.
+const AFFORDABLE = 60000;
+// With fewer cells than this the cloud says more, and is shown at once.
+const FEW_CELLS = 5000;
 // Milliseconds after which a view that no longer moves is drawn in full.
 const REST_MS = 180;
 
@@ -42,8 +46,8 @@ export class View {
     this.place = new Group();
     this.scene.add(this.marks, this.place, ...Object.values(this.layers).map((layer) => layer.object));
     this.picked = [];
-    this.movingShare = 1;
-    this.mustHurry = false;
+    this.mustHurry = this.hasNoGraphicsCard();
+    this.movingShare = this.mustHurry ? Math.min(1, AFFORDABLE / this.amount()) : 1;
     this.isMoving = false;
     this.wasMoving = false;
     this.listen();
@@ -87,7 +91,7 @@ export class View {
     }
     if (points?.count) {
       this.points = pointsLayer(points, this.shared);
-      layers.cloud = { name: `cloud (${points.count.toLocaleString('en')} points)`, object: this.points.layer, on: !occupied?.count };
+      layers.cloud = { name: `cloud (${points.count.toLocaleString('en')} points)`, object: this.points.layer, on: !(occupied?.count > FEW_CELLS) };
     }
     if (free?.count) layers.free = { name: 'free space', object: freeLayer(free, this.shared), on: false };
     if (path.length > 1) {
@@ -131,7 +135,7 @@ export class View {
 
   lookFrom(where) {
     const direction = { corner: [-0.62, -0.72, 0.75], above: [0, -0.001, 1.25], front: [-1.2, 0, 0.1] }[where];
-    const distance = this.radius * (this.camera.aspect < 1 ? 2.2 : 1.4);
+    const distance = this.radius * (this.camera.aspect < 1 ? 2.3 : 1.6);
     const centre = new Vector3(...this.centre);
     this.camera.position.copy(centre).addScaledVector(new Vector3(...direction), distance);
     this.controls.target.copy(centre);
@@ -201,6 +205,18 @@ export class View {
     });
   }
 
+  // Points and cubes together.
+  amount() {
+    return Math.max(1, (this.data.points?.count ?? 0) + (this.data.occupied?.count ?? 0));
+  }
+
+  hasNoGraphicsCard() {
+    const context = this.renderer.getContext();
+    const known = context.getExtension('WEBGL_debug_renderer_info');
+    const name = context.getParameter(known ? known.UNMASKED_RENDERER_WEBGL : context.RENDERER);
+    return /swiftshader|llvmpipe|software/i.test(String(name));
+  }
+
   // A computer that is too slow gets dots for cubes and a share of the points while the view moves, and everything when it rests.
   adapt(now) {
     const took = now - this.lastDrawn;
@@ -223,8 +239,11 @@ export class View {
 
   setDetail(share, isQuick) {
     if (this.cubes) {
-      this.cubes.exact.visible = !isQuick;
-      this.cubes.quick.visible = isQuick;
+      const { exact, quick, uniforms } = this.cubes;
+      exact.visible = !isQuick;
+      quick.visible = isQuick;
+      quick.geometry.setDrawRange(0, Math.ceil(share * this.data.occupied.count));
+      uniforms.growth.value = Math.min(3, 1 / Math.sqrt(share));
     }
     if (this.points) this.points.layer.geometry.setDrawRange(0, Math.ceil(share * this.data.points.count));
   }

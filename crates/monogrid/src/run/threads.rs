@@ -110,10 +110,9 @@ fn viewer(
         width,
         height,
     } = input.keyframe_camera();
-    let map = pipeline.live_map().map_err(Failure::running)?;
     let title = format!("monogrid: {}", input.name);
     let total = input.expected_frames().unwrap_or(0);
-    let viewer = Viewer::start(port, &title, (&pinhole, [width, height]), map, total)?;
+    let viewer = Viewer::start(port, &title, (&pinhole, [width, height]), total)?;
     pipeline.listen(viewer.ear()).map_err(Failure::running)?;
     Ok(Some(viewer))
 }

@@ -81,7 +81,7 @@ impl<'a> Tracking<'a> {
             fate: self.fate(frame),
         };
         if let Some(viewer) = &self.viewer {
-            viewer.show(&row, shown);
+            viewer.show(&row, shown, &self.pipeline);
         }
         self.early_end = self.count_unreadable(&row.fate);
         self.progress.frame(&row, self.num_keyframes);

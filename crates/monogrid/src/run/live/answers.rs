@@ -1,15 +1,15 @@
 //! What the browser is told when it asks.
 
-use super::{Known, Live, SeenFrame};
+use super::{Known, Live, SeenFrame, lock};
 use crate::explorer::{
     Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, PathPoint, SemiDense, small_jpeg,
 };
 use crate::picture::base64;
 use monogrid_geometry::{Pinhole, Sim3};
-use monogrid_slam::mapping::{MapReader, z_up_from_camera_world};
+use monogrid_slam::mapping::z_up_from_camera_world;
 use monogrid_slam::{DepthPixel, Keyframe as SlamKeyframe};
 use serde::Serialize;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Points of a keyframe at most.
@@ -65,30 +65,36 @@ pub struct Shown {
     live: Arc<Live>,
     pinhole: Pinhole,
     camera: Camera,
-    map: MapReader,
     cells_sent: Mutex<Option<Instant>>,
 }
 
 impl Shown {
-    /// Of a run with this camera (pinhole, width and height) and map.
-    pub fn new(live: Arc<Live>, camera: (&Pinhole, [usize; 2]), map: MapReader) -> Self {
+    /// Of a run with this camera (pinhole, width and height).
+    pub fn new(live: Arc<Live>, camera: (&Pinhole, [usize; 2])) -> Self {
         Self {
             live,
             pinhole: *camera.0,
             camera: Camera::new(camera.0, camera.1),
-            map,
             cells_sent: Mutex::default(),
         }
     }
 
-    /// The answer to `/live/VERSION/PATH`: what has changed since a version, and the path from a position on.
+    /// The answer to `/live/VERSION/PATH/CELLS`: what has changed since a version, the path from a position on, and, where CELLS is
+    /// 1, the cells.
     pub fn answer(&self, path: &str) -> Option<Answer> {
-        let (since, from) = path.strip_prefix("/live/")?.split_once('/')?;
+        let (since, rest) = path.strip_prefix("/live/")?.split_once('/')?;
+        let (from, cells) = rest.split_once('/')?;
         let (since, from): (u64, usize) = (since.parse().ok()?, from.parse().ok()?);
-        self.live.note_question();
+        let wants_cells = cells == "1";
+        self.live.note_question(wants_cells);
         // references are taken while it is locked, work is done afterwards
-        let known = self.live.known().clone();
-        let json = serde_json::to_vec(&self.news(&known, since, from)).ok()?;
+        let known = lock(&self.live.known).clone();
+        let news = self.news(&known, since, from);
+        let news = News {
+            cells: if wants_cells { self.cells() } else { None },
+            ..news
+        };
+        let json = serde_json::to_vec(&news).ok()?;
         Some(Answer {
             kind: "application/json",
             content: json.into(),
@@ -121,7 +127,7 @@ impl Shown {
             } else {
                 Vec::new()
             },
-            cells: self.cells(),
+            cells: None,
         }
     }
 
@@ -143,14 +149,11 @@ impl Shown {
 
     /// The cells of the global map, now and then.
     fn cells(&self) -> Option<Cells> {
-        let mut sent = self
-            .cells_sent
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut sent = lock(&self.cells_sent);
         if sent.is_some_and(|sent| sent.elapsed() < CELLS_EVERY) {
             return None;
         }
-        let cells = Cells::new(&self.map.latest()?.global).ok();
+        let cells = Cells::new(&self.live.latest_map()?.global).ok();
         *sent = Some(Instant::now());
         cells
     }
@@ -181,11 +184,14 @@ fn poses(known: &Known) -> Vec<(u32, f64, [f64; 12])> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Map, is_recent};
     use super::*;
     use monogrid_image::Image;
     use monogrid_pipeline::Event;
     use monogrid_slam::PoseSnapshot;
+    use monogrid_slam::mapping::MapReader;
     use serde_json::Value;
+    use std::sync::mpsc::sync_channel;
 
     fn keyframe(id: u32) -> Arc<SlamKeyframe> {
         let pixel = |x| DepthPixel {
@@ -214,7 +220,7 @@ mod tests {
     fn shown() -> Shown {
         let pinhole = Pinhole::new(4.0, 4.0, 3.5, 1.5);
         let live = Arc::new(Live::new(9));
-        Shown::new(live, (&pinhole, [8, 4]), MapReader::default())
+        Shown::new(live, (&pinhole, [8, 4]))
     }
 
     fn ask(shown: &Shown, path: &str) -> Value {
@@ -224,19 +230,19 @@ mod tests {
     #[test]
     fn only_what_has_changed_is_told() {
         let shown = shown();
-        assert!(!shown.live.is_watched());
+        assert!(!is_recent(lock(&shown.live.asked).news));
         for id in 0..2 {
             let poses = poses_of(id as usize + 1);
             shown.live.hear(&Event::Finished(keyframe(id), poses));
         }
-        let first = ask(&shown, "/live/0/0");
-        assert!(shown.live.is_watched());
+        let first = ask(&shown, "/live/0/0/0");
+        assert!(is_recent(lock(&shown.live.asked).news));
         assert_eq!(first["keyframes"].as_array().unwrap().len(), 2);
         assert_eq!(first["poses"].as_array().unwrap().len(), 2);
         // the pixel of which nothing is known is left out
         assert_eq!(first["keyframes"][0]["cloud"]["count"][0], 4);
         let version = first["version"].as_u64().unwrap();
-        let next = |version: u64| ask(&shown, &format!("/live/{version}/0"));
+        let next = |version: u64| ask(&shown, &format!("/live/{version}/0/0"));
         assert_eq!(next(version)["keyframes"].as_array().unwrap().len(), 0);
         assert_eq!(next(version)["poses"].as_array().unwrap().len(), 0);
         shown.live.hear(&Event::Revised(keyframe(1)));
@@ -257,7 +263,7 @@ mod tests {
         }
         let (mut version, mut seen) = (0, Vec::new());
         for _ in 0..5 {
-            let news = ask(&shown, &format!("/live/{version}/0"));
+            let news = ask(&shown, &format!("/live/{version}/0/0"));
             version = news["version"].as_u64().unwrap();
             let keyframes = news["keyframes"].as_array().unwrap();
             seen.extend(keyframes.iter().map(|k| k["id"].as_u64().unwrap()));
@@ -266,13 +272,42 @@ mod tests {
     }
 
     #[test]
+    fn the_map_grows_only_while_somebody_looks_at_cells() {
+        let shown = shown();
+        let is_open = || matches!(*lock(&shown.live.map), Map::Open(_));
+        let (sender, receiver) = sync_channel(1);
+        ask(&shown, "/live/0/0/0");
+        shown.live.follow_map(|| panic!("nobody asked for cells"));
+        ask(&shown, "/live/0/0/1");
+        shown.live.follow_map(|| receiver);
+        // it is not there yet, and nobody waits for it
+        shown.live.follow_map(|| panic!("it was asked for already"));
+        assert!(!is_open());
+        sender.send(Ok(MapReader::default())).unwrap();
+        shown.live.follow_map(|| panic!("it was asked for already"));
+        assert!(is_open());
+        lock(&shown.live.asked).cells = None;
+        shown.live.follow_map(|| panic!("nobody looks any more"));
+        assert!(!is_open());
+    }
+
+    #[test]
     fn other_questions_have_no_answer() {
         let shown = shown();
-        for path in ["/live", "/live/1", "/live/a/0", "/live/-1/0", "/etc/passwd"] {
+        for path in [
+            "/live",
+            "/live/1/0",
+            "/live/a/0/0",
+            "/live/-1/0/0",
+            "/etc/passwd",
+        ] {
             assert!(shown.answer(path).is_none(), "{path}");
         }
         assert_eq!(
-            ask(&shown, "/live/7/99")["path"].as_array().unwrap().len(),
+            ask(&shown, "/live/7/99/0")["path"]
+                .as_array()
+                .unwrap()
+                .len(),
             0
         );
     }

@@ -1,7 +1,8 @@
 //! `run --view`: the run in the browser while it goes on.
 //!
 //! The run puts what it knows into [`Live`], which only holds references to what exists anyway; everything that costs time, such as
-//! packing points or pictures, is done on the thread of the server, when a browser asks. So a slow or absent viewer costs nothing.
+//! packing points or pictures, is done on the thread of the server, when a browser asks; the map grows only while a browser looks at
+//! its cells. So a slow or absent viewer costs nothing.
 
 mod answers;
 mod page;
@@ -12,11 +13,13 @@ use crate::run::frames::FrameRow;
 use answers::Shown;
 use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_image::GrayImage;
-use monogrid_pipeline::{Event, Listener, ListenerError};
-use monogrid_slam::mapping::{MapReader, z_up_from_camera_world};
+use monogrid_occupancy::MapError;
+use monogrid_pipeline::{Event, Listener, ListenerError, Pipeline};
+use monogrid_slam::mapping::{LiveView, MapReader, z_up_from_camera_world};
 use monogrid_slam::{Keyframe, KeyframeId, PoseSnapshot};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -50,14 +53,42 @@ struct SeenFrame {
     image: Option<Arc<GrayImage>>,
 }
 
+/// When a browser asked last.
+#[derive(Clone, Copy, Debug, Default)]
+struct Asked {
+    /// For anything.
+    news: Option<Instant>,
+    /// For cells.
+    cells: Option<Instant>,
+}
+
+/// The map that grows, which costs time as long as somebody holds it.
+#[derive(Debug, Default)]
+enum Map {
+    /// Nobody looks at cells.
+    #[default]
+    Closed,
+    /// It was asked for.
+    Coming(Receiver<Result<MapReader, MapError>>),
+    Open(MapReader),
+}
+
 /// What a run and its viewers share.
 #[derive(Debug)]
 pub struct Live {
     known: Mutex<Known>,
-    /// When a browser asked last.
-    asked: Mutex<Option<Instant>>,
+    asked: Mutex<Asked>,
+    map: Mutex<Map>,
     begin: Instant,
     total: usize,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn is_recent(asked: Option<Instant>) -> bool {
+    asked.is_some_and(|asked| asked.elapsed() < ASKED_WITHIN)
 }
 
 impl Live {
@@ -66,22 +97,45 @@ impl Live {
         Self {
             known: Mutex::default(),
             asked: Mutex::default(),
+            map: Mutex::default(),
             begin: Instant::now(),
             total,
         }
     }
 
-    fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Notes that a browser asks, and whether for cells.
+    fn note_question(&self, wants_cells: bool) {
+        let now = Some(Instant::now());
+        let mut asked = lock(&self.asked);
+        asked.news = now;
+        if wants_cells {
+            asked.cells = now;
+        }
     }
 
-    fn is_watched(&self) -> bool {
-        let asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
-        asked.is_some_and(|asked| asked.elapsed() < ASKED_WITHIN)
+    /// The map, where it is open.
+    fn latest_map(&self) -> Option<Arc<LiveView>> {
+        match &*lock(&self.map) {
+            Map::Open(reader) => reader.latest(),
+            _ => None,
+        }
     }
 
-    fn note_question(&self) {
-        *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    /// Has the map grow as long as a browser looks at cells; never waits for it.
+    fn follow_map(&self, open: impl FnOnce() -> Receiver<Result<MapReader, MapError>>) {
+        let is_wanted = is_recent(lock(&self.asked).cells);
+        let mut map = lock(&self.map);
+        let next = match &*map {
+            Map::Closed if is_wanted => Map::Coming(open()),
+            Map::Coming(reader) => match reader.try_recv() {
+                Ok(Ok(reader)) => Map::Open(reader),
+                // a map that cannot grow is said at the end of the run
+                Ok(Err(_)) | Err(_) => return,
+            },
+            Map::Open(_) if !is_wanted => Map::Closed,
+            _ => return,
+        };
+        *map = next;
     }
 
     /// Takes what became of a frame.
@@ -90,7 +144,7 @@ impl Live {
         let report = row.report();
         let pose = report.and_then(|report| report.world_from_camera);
         let map_from_camera = pose.map(|pose: Se3| z_up * pose.with_scale(1.0));
-        let mut known = self.known();
+        let mut known = lock(&self.known);
         known.num_frames += 1;
         if let Some(pose) = map_from_camera {
             let [x, y, z] = [0, 1, 2].map(|axis| pose.translation[axis] as f32);
@@ -108,7 +162,7 @@ impl Live {
 
     /// Takes a change of the map of keyframes.
     fn hear(&self, event: &Event) {
-        let mut known = self.known();
+        let mut known = lock(&self.known);
         match event {
             Event::Finished(keyframe, poses) => {
                 known.change_depth(keyframe);
@@ -159,7 +213,6 @@ impl Viewer {
         port: u16,
         title: &str,
         camera: (&Pinhole, [usize; 2]),
-        map: MapReader,
         total: usize,
     ) -> Result<Self, Failure> {
         let server = Server::listen(port)?;
@@ -170,7 +223,7 @@ impl Viewer {
         let live = Arc::new(Live::new(total));
         let stop = Arc::new(AtomicBool::new(false));
         let page = Answer::page(page::page(title)?);
-        let shown = Shown::new(Arc::clone(&live), camera, map);
+        let shown = Shown::new(Arc::clone(&live), camera);
         let thread = {
             let stop = Arc::clone(&stop);
             let serve = move || {
@@ -202,7 +255,7 @@ impl Viewer {
         let is_due = self
             .last_image
             .is_none_or(|last| last.elapsed() >= IMAGE_EVERY);
-        if !is_due || !self.live.is_watched() {
+        if !is_due || !is_recent(lock(&self.live.asked).news) {
             return None;
         }
         self.last_image = Some(Instant::now());
@@ -210,8 +263,9 @@ impl Viewer {
     }
 
     /// Shows what became of a frame.
-    pub fn show(&self, row: &FrameRow, image: Option<Arc<GrayImage>>) {
+    pub fn show(&self, row: &FrameRow, image: Option<Arc<GrayImage>>, pipeline: &Pipeline) {
         self.live.take(row, image);
+        self.live.follow_map(|| pipeline.live_map_later());
     }
 }
 
