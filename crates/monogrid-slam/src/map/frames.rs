@@ -26,7 +26,7 @@ impl Record {
     }
 }
 
-/// A stretch of time in which frames were tracked on one keyframe.
+/// A stretch of time, forwards or backwards, in which frames were tracked on one keyframe.
 #[derive(Clone, Copy, Debug)]
 struct Visit {
     keyframe: KeyframeId,
@@ -82,9 +82,14 @@ struct Correction {
 impl Correction {
     /// The share of the correction that has built up at a time, taken as growing evenly.
     fn at(&self, timestamp_ns: i64) -> Se3 {
-        let length = (self.end_ns - self.begin_ns).max(1) as f64;
+        // backwards in time both are negative
+        let length = (self.end_ns - self.begin_ns) as f64;
         let share = (timestamp_ns - self.begin_ns) as f64 / length;
-        Se3::exp(&(self.twist * share.clamp(0.0, 1.0)))
+        if share.is_finite() {
+            Se3::exp(&(self.twist * share.clamp(0.0, 1.0)))
+        } else {
+            Se3::identity()
+        }
     }
 }
 
@@ -196,5 +201,43 @@ impl Map {
             end_ns: next.begin_ns,
             twist: (tracked.inverse() * adjusted).log(),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corrections_build_up_evenly_in_either_direction_of_time() {
+        let twist = Vec6::new(0.1, -0.2, 0.3, 0.02, 0.01, -0.03);
+        for (begin_ns, end_ns) in [(100, 300), (300, 100)] {
+            let correction = Correction {
+                begin_ns,
+                end_ns,
+                twist,
+            };
+            let is_at = |time_ns: i64, share: f64| {
+                let difference = correction.at(time_ns).log() - twist * share;
+                assert!(
+                    difference.norm() < 1e-12,
+                    "{begin_ns} to {end_ns}, {time_ns}"
+                );
+            };
+            is_at(begin_ns, 0.0);
+            is_at((3 * begin_ns + end_ns) / 4, 0.25);
+            is_at(end_ns, 1.0);
+            is_at(end_ns + (end_ns - begin_ns), 1.0);
+        }
+    }
+
+    #[test]
+    fn a_visit_without_length_has_no_correction() {
+        let correction = Correction {
+            begin_ns: 100,
+            end_ns: 100,
+            twist: Vec6::new(0.1, 0.0, 0.0, 0.0, 0.0, 0.0),
+        };
+        assert_eq!(correction.at(100), Se3::identity());
     }
 }

@@ -2,14 +2,15 @@
 
 use super::camera::Last;
 use super::constrain::Link;
-use super::keyframes::first_keyframe;
-use super::outcome::{Begun, FrameOutcome, Localised};
+use super::depth::stored_depth;
+use super::keyframes::{Use, decide_use, first_keyframe};
+use super::outcome::{Attempt, Begun, FrameOutcome, Localised};
 use super::slam::Slam;
 use super::tracking::track_on_active;
-use crate::frame::BufferedFrame;
+use crate::frame::{BufferedFrame, Frame};
 use crate::map::{Change, Record};
 use crate::start::Started;
-use crate::{FragmentId, TrackingState};
+use crate::{FragmentId, KeyframeId, TrackingState};
 use monogrid_alignment::Motion;
 use monogrid_geometry::Se3;
 
@@ -48,7 +49,8 @@ impl Slam {
             ..Last::after(None, &keyframe, Motion::from_pose(Se3::identity()))
         };
         self.camera.last = Some(moving(first_step.inverse()));
-        self.track_backwards(&earlier);
+        self.track_backwards(id, &earlier);
+        self.return_to(id, keyframe.timestamp_ns);
         self.camera.last = Some(moving(first_step));
         let place = self.map.locate(id, &Se3::identity());
         let mut outcome = FrameOutcome::new(None, Localised::Begun(place));
@@ -61,18 +63,66 @@ impl Slam {
         outcome
     }
 
-    /// Tracks the frames before the first keyframe, the last of them first, as long as they can be believed.
-    fn track_backwards(&mut self, earlier: &[BufferedFrame]) {
+    /// Tracks the frames before the first keyframe, the last of them first, as long as they can be believed; where
+    /// it shows too little of them, they get keyframes of their own.
+    fn track_backwards(&mut self, first: KeyframeId, earlier: &[BufferedFrame]) {
+        if let Some(active) = self.camera.active.as_mut() {
+            // all views of the start have refined its depth
+            active.num_mapped = self.setup.config.keyframes.min_mapped_frames;
+        }
         for buffered in earlier.iter().rev() {
             let frame = self.setup.restored(buffered);
-            let (Some(active), Some(last)) = (&self.camera.active, &self.camera.last) else {
-                return;
-            };
-            let tracked = track_on_active(&self.setup, &self.map, active, last, &frame);
-            if tracked.state != TrackingState::Good {
+            if !self.track_back(first, &frame) {
                 return;
             }
-            self.believe(&frame, tracked.alignment.motion);
         }
     }
+
+    /// Tracks one of these frames; false where it cannot be believed.
+    fn track_back(&mut self, first: KeyframeId, frame: &Frame) -> bool {
+        let (Some(active), Some(last)) = (&self.camera.active, &self.camera.last) else {
+            return false;
+        };
+        let attempt = Attempt {
+            keyframe: active.id,
+            tracked: track_on_active(&self.setup, &self.map, active, last, frame),
+        };
+        if attempt.tracked.state != TrackingState::Good {
+            return false;
+        }
+        let alignment = &attempt.tracked.alignment;
+        self.believe(frame, alignment.motion);
+        // without, the depth of the first keyframe would not be kept for the way forward
+        let may_change = self.setup.config.keyframes.reactivation.enabled;
+        match decide_use(&self.setup, &self.map, &self.camera, &attempt) {
+            Use::ChangeKeyframe if may_change => {
+                self.change_keyframe(frame, alignment);
+            }
+            Use::RefineDepth if attempt.keyframe != first => {
+                self.observe(frame, &attempt);
+            }
+            _ => {}
+        }
+        true
+    }
+
+    /// Makes the first keyframe, taken at a time, the one in use again.
+    fn return_to(&mut self, first: KeyframeId, timestamp_ns: i64) {
+        if let Some(active) = self.camera.active.as_mut().filter(|a| a.id == first) {
+            active.num_mapped = 0;
+            return;
+        }
+        let Some(depth) = stored_depth(&self.setup, &self.map[first]) else {
+            return;
+        };
+        self.await_graph();
+        if let Some(left) = self.leave() {
+            self.constrain(left.view, Link::None, false);
+        }
+        self.map.apply(Change::Visited(first, timestamp_ns, None));
+        self.use_again(first, depth);
+    }
 }
+
+#[cfg(test)]
+mod tests;

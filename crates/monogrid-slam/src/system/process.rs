@@ -151,7 +151,7 @@ impl Slam {
     }
 
     /// The frame refines the depth of the keyframe in use.
-    fn observe(&mut self, frame: &Frame, attempt: &Attempt) -> KeyframeChange {
+    pub(super) fn observe(&mut self, frame: &Frame, attempt: &Attempt) -> KeyframeChange {
         let alignment = &attempt.tracked.alignment;
         self.camera.active = self.camera.active.take().map(|active| {
             let keyframe = &self.map[active.id];

@@ -1,0 +1,81 @@
+use super::*;
+use crate::start::StartOutcome;
+use crate::system::setup::Setup;
+use crate::{FrameInput, MAIN_MAP, SlamConfig};
+use monogrid_image::Mask;
+use monogrid_worlds::SynthSequence;
+
+/// Frames of the clip: the camera moves by about a third of the depth of the scene.
+const FRAMES: usize = 90;
+
+/// A system that starts at the last frame of a clip, from its true depth, with all others before it.
+fn started_at_the_end(sequence: &SynthSequence, config: SlamConfig) -> Slam {
+    let camera = sequence.camera();
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    let mut slam = Slam::new(config, camera.pinhole, mask, 0).unwrap();
+    let frame = |slam: &Slam, k: usize| {
+        let rendered = sequence.frame(k).unwrap();
+        slam.setup.frame(FrameInput {
+            index: k,
+            timestamp_ns: rendered.timestamp_ns,
+            image: rendered.image,
+            seed_depth: None,
+        })
+    };
+    let last = sequence.len() - 1;
+    let earlier = (0..last).map(|k| BufferedFrame::new(&frame(&slam, k)));
+    let earlier = earlier.collect();
+    let (start, depth) = (slam.start.take(), sequence.depth(last));
+    let Setup {
+        pinhole,
+        mask,
+        config,
+        ..
+    } = &slam.setup;
+    let outcome =
+        start
+            .unwrap()
+            .add_frame(frame(&slam, last), depth.as_ref(), pinhole, mask, config);
+    let StartOutcome::Started(started) = outcome else {
+        panic!("true depth decides at once");
+    };
+    slam.begin_map(
+        MAIN_MAP,
+        Started {
+            earlier,
+            ..*started
+        },
+    );
+    slam
+}
+
+#[test]
+fn frames_before_the_start_get_keyframes_of_their_own_and_tracking_goes_on_at_the_first() {
+    let sequence = SynthSequence::small_demo().unwrap().shortened(FRAMES);
+    let slam = started_at_the_end(&sequence, SlamConfig::default());
+    let keyframes = slam.map.keyframes();
+    assert!(keyframes.len() > 1, "{}", keyframes.len());
+    assert!(keyframes.iter().skip(1).all(|k| k.frame_index < FRAMES - 1));
+    assert!(keyframes.iter().all(|k| k.published.is_some()));
+    assert_eq!(slam.camera.active.as_ref().map(|active| active.id), Some(0));
+    assert_eq!(slam.camera.active.as_ref().map(|a| a.num_mapped), Some(0));
+
+    let trajectory = slam.trajectory();
+    assert_eq!(trajectory.len(), FRAMES);
+    let true_pose = |k: usize| sequence.frame(k).unwrap().world_from_camera;
+    let (first, end) = (true_pose(0), true_pose(FRAMES - 1));
+    let expected = end.inverse() * first;
+    let error = expected.inverse() * trajectory[0].world_from_camera;
+    let (error_m, length_m) = (error.translation.norm(), expected.translation.norm());
+    assert!(error_m < 0.02 * length_m, "{error_m} of {length_m} m");
+}
+
+#[test]
+fn without_kept_depth_the_first_keyframe_stays_the_only_one() {
+    let sequence = SynthSequence::small_demo().unwrap().shortened(FRAMES);
+    let mut config = SlamConfig::default();
+    config.keyframes.reactivation.enabled = false;
+    let slam = started_at_the_end(&sequence, config);
+    assert_eq!(slam.map.keyframes().len(), 1);
+    assert_eq!(slam.camera.active.as_ref().map(|active| active.id), Some(0));
+}
