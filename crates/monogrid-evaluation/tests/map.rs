@@ -137,9 +137,33 @@ fn surfaces_outside_the_box_count_as_inaccurate() {
     let report = evaluate(&map, &truth);
     assert_eq!(report.observed_outside, 1);
     let occupied = report.truth.occupied as f64;
+    assert_eq!(report.predicted_beyond, 1);
+    assert!(report.mcc_with_beyond < 1.0 && report.mcc_with_beyond > 0.99);
     let expected = 100.0 * 0.05 / (occupied + 1.0);
     assert!((report.surface.accuracy_m.expect("surfaces") - expected).abs() < 1e-9);
     assert_eq!(report.policies.observed.auc, 1.0);
+}
+
+#[test]
+fn what_is_close_to_a_surface_or_free_is_no_false_wall_outside_the_room() {
+    let truth = room();
+    // walls three cells thicker than they are: the third is 15 cm behind
+    for (cells, expected) in [(1, 0), (2, 0), (3, 1)] {
+        let mut map = moved(&truth, 0, 1.0);
+        map.set_log_odds(VoxelKey::new(19 + cells, 5, 5), Some(3.5))
+            .expect("fits");
+        // beyond the box, but free
+        map.set_log_odds(VoxelKey::new(119, 5, 5), Some(-2.0))
+            .expect("fits");
+        assert_eq!(evaluate(&map, &truth).predicted_beyond, expected, "{cells}");
+    }
+    // a false wall within the room is counted by the policies
+    let mut map = moved(&truth, 0, 1.0);
+    map.set_log_odds(VoxelKey::new(4, 4, 5), Some(3.5))
+        .expect("fits");
+    let report = evaluate(&map, &truth);
+    assert_eq!(report.predicted_beyond, 0);
+    assert!((report.mcc_with_beyond - report.policies.observed.mcc).abs() < 1e-12);
 }
 
 #[test]

@@ -79,6 +79,7 @@
 //! Conventions: cell boundaries lie on multiples of the resolution, as in OctoMap; all lengths
 //! are in map units (metres, if the poses and measurements are); sensors look along +z.
 
+mod body;
 mod combine;
 mod decay;
 mod error;

@@ -9,11 +9,11 @@ use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_occupancy::MapError;
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, PosedKeyframe,
-    final_scans_counted, z_up_from_camera_world,
+    camera_paths, final_scans_counted, z_up_from_camera_world,
 };
 use monogrid_slam::{
     Event, FrameInput, FrameReport, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
-    TrajectoryPose,
+    TrackedFrame, TrajectoryPose,
 };
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -363,7 +363,7 @@ impl Finished {
     }
 
     /// The final maps in the frame given by `map_from_world`; the local one is around `camera`, which is in that
-    /// frame. The second call has none.
+    /// frame. Where the camera was is free in both. The second call has none.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -374,11 +374,12 @@ impl Finished {
     ) -> Result<Option<Maps>, PipelineError> {
         let done = AtomicUsize::new(0);
         let scans = self.final_scans(&done);
-        self.maps_of(scans, map_from_world, camera, &done)
+        self.maps_of(scans, map_from_world, camera, (&[], None), &done)
     }
 
-    /// As [`Self::maps_in`], of measurements that are at hand: [`Self::final_scans`]. `done` grows with every keyframe that is
-    /// put in its place, for those who wait.
+    /// As [`Self::maps_in`], of measurements that are at hand: [`Self::final_scans`]. Where the camera was in the frames of
+    /// `earlier` sessions is free too; cells have the edge of the settings, or `edge`. `done` grows with every keyframe
+    /// that is put in its place, for those who wait.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -387,6 +388,7 @@ impl Finished {
         scans: Vec<KeyframeScan>,
         map_from_world: &Sim3,
         camera: Option<Vec3>,
+        (earlier, edge): (&[TrackedFrame], Option<f64>),
         done: &AtomicUsize,
     ) -> Result<Option<Maps>, PipelineError> {
         let Some(maps) = self.maps.take() else {
@@ -396,10 +398,23 @@ impl Finished {
         if scans.is_empty() {
             return Ok(None);
         }
-        for scan in scans {
-            live.revise(scan);
+        let mapper = match edge {
+            Some(edge) => live.mapper().with_resolution(edge),
+            None => live.mapper().clone(),
+        };
+        match edge {
+            Some(_) => live = live.remade(mapper.clone(), scans)?,
+            None => scans.into_iter().for_each(|scan| live.revise(scan)),
         }
         let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
+        let mut frames = earlier.to_vec();
+        frames.extend(self.slam.tracked_frames());
+        let paths = camera_paths(&frames, |id| self.poses.in_main_map(id), map_from_world);
+        mapper.free_body(&mut maps.global, &paths)?;
+        if let Some(centre) = camera {
+            let radius = mapper.config().local_radius;
+            maps.local = maps.global.within(centre.into(), radius)?;
+        }
         for map in [&mut maps.global, &mut maps.large, &mut maps.local] {
             map.pack(self.threads);
         }

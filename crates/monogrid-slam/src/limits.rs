@@ -336,11 +336,25 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         max_behind_share: 0.0, 0.999;
         relative_sigma: 0.000001, 10.0;
         correlated_points: 1.0, 1_000_000.0;
+        max_witnesses: 0.0, 1000.0;
+        tolerance: 0.0001, 1.0;
+        max_against: 0.0, 1000.0;
+    }));
+    all.extend(limits!("mapping.upright", mapping.upright, {
+        roll_sigma_deg: 1.0, 180.0;
+        pitch_deg: -90.0, 90.0;
+        pitch_sigma_deg: 1.0, 180.0;
+        min_edge: 0.01, 1.0;
+        min_confidence: 0.0, 1.0;
+        min_floor_share: 0.001, 1.0;
     }));
     for (name, length) in [("mapping.buffer", mapping.buffer), ("mapping.significance", mapping.significance)] {
         if let AutoLength::Fixed(length) = length {
             all.push(limit(name, length, 1e-6, 1e6));
         }
+    }
+    if let AutoLength::Fixed(radius) = mapping.body_radius {
+        all.push(limit("mapping.body_radius", radius, 0.0, 1e6));
     }
     let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
     all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));

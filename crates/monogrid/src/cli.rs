@@ -8,6 +8,7 @@ use crate::commands::evaluate::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
 use crate::commands::info::InfoArgs;
 use crate::commands::map::MapArgs;
+use crate::commands::rescale::RescaleArgs;
 use crate::commands::run::RunArgs;
 use crate::commands::sensor_model::SensorModelArgs;
 use crate::commands::slice::SliceArgs;
@@ -81,6 +82,11 @@ pub enum Command {
         after_help = "Example: monogrid map runs/kitchen/recording.mgk --out kitchen.ot --resolution 0.02"
     )]
     Map(MapArgs),
+    /// A run of unknown scale in metres: trajectory, recording, maps and cloud in a new folder
+    #[command(
+        after_help = "Example: monogrid rescale runs/kitchen --scale-from camera-height=1.5m --out runs/kitchen-metric"
+    )]
+    Rescale(RescaleArgs),
     /// Ground-truth map of a mesh, a point cloud, a built-in world, or posed depth images
     #[command(
         after_help = "Example: monogrid truth room.ply --trajectory groundtruth.txt --resolution 0.02 --out truth.ot"

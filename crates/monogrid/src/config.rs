@@ -100,12 +100,12 @@ impl RunConfig {
 
     /// The mapping settings of a recorded configuration; `None` when they cannot be understood.
     pub fn recorded_mapping(text: &str) -> Option<Self> {
-        Self::of_mapping_table(None, text.parse().ok()?).ok()
+        Self::of_mapping_table(None, with_explicit_resolution(text.parse().ok()?)).ok()
     }
 
     /// All settings of a recorded configuration; `None` when they cannot be understood.
     pub fn recorded(text: &str) -> Option<Self> {
-        let content: Table = text.parse().ok()?;
+        let content = with_explicit_resolution(text.parse().ok()?);
         let named = content.get("profile").cloned();
         let profile = named
             .map(Value::try_into)
@@ -155,6 +155,7 @@ impl RunConfig {
         }
         if let Some(resolution) = args.resolution {
             mapping.resolution = resolution;
+            mapping.auto_resolution = false;
         }
         if let Some(buffer) = args.buffer {
             mapping.buffer = length(buffer);
@@ -194,10 +195,22 @@ fn in_one_line(error: &toml::de::Error) -> String {
 /// Largest configuration that is read.
 const MAX_CONFIG_BYTES: u64 = 1 << 20;
 
+/// A file that names the edge of a cell does not ask for that of the scene.
+fn with_explicit_resolution(mut content: Table) -> Table {
+    if let Some(Value::Table(mapping)) = content.get_mut("mapping")
+        && mapping.contains_key("resolution")
+        && !mapping.contains_key("auto_resolution")
+    {
+        mapping.insert("auto_resolution".to_owned(), Value::Boolean(false));
+    }
+    content
+}
+
 fn read_table(path: &Path) -> Result<Table, Failure> {
     let bytes = read_file(path, MAX_CONFIG_BYTES).bad_input()?;
     let text = String::from_utf8_lossy(&bytes);
-    text.parse().map_err(|error: toml::de::Error| {
+    let content = text.parse().map(with_explicit_resolution);
+    content.map_err(|error: toml::de::Error| {
         Failure::input(format!(
             "configuration {} is not TOML: {}",
             path.display(),
@@ -250,6 +263,9 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
         (_, value) => value,
     };
     inner.insert(last.to_owned(), value);
+    if key.trim() == "mapping.resolution" {
+        inner.insert("auto_resolution".to_owned(), Value::Boolean(false));
+    }
     Ok(())
 }
 
@@ -298,9 +314,34 @@ mod tests {
         let mapping = &config.mapping;
         assert_eq!(config.seed, 7);
         assert!((mapping.resolution - 0.2).abs() < 1e-12);
+        assert!(!mapping.auto_resolution);
         assert!((mapping.max_range - 4.0).abs() < 1e-12);
         assert_eq!(mapping.sensor_model, SensorModelKind::Andert);
         assert_eq!(mapping.buffer, AutoLength::Fixed(0.3));
+    }
+
+    #[test]
+    fn whoever_names_the_edge_of_a_cell_gets_it() {
+        let of = |settings: &[&str]| {
+            let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
+            RunConfig::resolve(None, None, &settings).unwrap().mapping
+        };
+        assert!(of(&[]).auto_resolution);
+        assert!(of(&["mapping.max_range=4.0"]).auto_resolution);
+        assert!(!of(&["mapping.resolution=0.1"]).auto_resolution);
+        let both = ["mapping.resolution=0.1", "mapping.auto_resolution=true"];
+        assert!(of(&both).auto_resolution);
+        let mut config = RunConfig::of(Profile::Default);
+        config.apply(&MappingArgs {
+            resolution: Some(0.02),
+            ..MappingArgs::default()
+        });
+        assert!(!config.mapping.auto_resolution);
+        // what an effective configuration says, and what one of before this setting says
+        let text = RunConfig::of(Profile::Default).to_toml().unwrap();
+        assert!(RunConfig::recorded(&text).unwrap().mapping.auto_resolution);
+        let earlier = RunConfig::recorded("[mapping]\nresolution = 0.05\n").unwrap();
+        assert!(!earlier.mapping.auto_resolution);
     }
 
     #[test]

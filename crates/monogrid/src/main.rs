@@ -42,6 +42,7 @@ fn main() -> ExitCode {
         Command::Check(args) => commands::check::execute(args),
         Command::View(args) => commands::view::execute(args),
         Command::Map(args) => commands::map::execute(args),
+        Command::Rescale(args) => commands::rescale::execute(args),
         Command::Truth(args) => commands::truth::execute(args),
         Command::Synth(args) => commands::synth::execute(args),
         Command::Info(args) => commands::info::execute(args),

@@ -1,16 +1,21 @@
 //! A recording ready to be mapped: keyframes, the camera, and the frame their poses are brought to.
 
+use crate::args::Profile;
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::from_recorded;
-use crate::run::align::{Align, MapFrame};
-use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, SessionInfo};
+use crate::run::align::{Align, MapFrame, Scene};
+use crate::run::sessions::{frame_beside, tracked_frame};
+use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, Scale, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
-use monogrid_slam::DepthPixel;
+use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
-    KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, final_scans,
+    KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe, SceneCell,
+    UprightView, camera_paths, final_scans, scene_cell,
 };
+use monogrid_slam::{DepthPixel, TrackedFrame};
+use std::cell::OnceCell;
 use std::path::Path;
 
 /// A recording in memory.
@@ -24,6 +29,8 @@ pub struct Recorded {
     pub camera: KeyframeCamera,
     /// Keyframes in the order of their ids.
     pub keyframes: Vec<RecordedKeyframe>,
+    /// The frames of all sessions relative to their keyframes, where the run ended by itself.
+    pub frames: Vec<TrackedFrame>,
     /// Frames of the source that were used, where the run ended by itself.
     pub num_frames: Option<u64>,
     /// The frame of maps.
@@ -49,31 +56,74 @@ impl Recorded {
                 path.display()
             )));
         }
-        let (frame, align_failure) = align.frame(&trajectory);
+        let align = match frame_beside(path)? {
+            Some(known) => align.clone().in_known_frame(known),
+            None => align.clone(),
+        };
+        let session = recording.session;
+        let camera = keyframe_camera(&session);
+        let mapping = config
+            .clone()
+            .unwrap_or_else(|| RunConfig::of(Profile::Default))
+            .mapping;
+        let scans = OnceCell::new();
+        let (frame, align_failure) = align.frame(&trajectory, &mut || Scene {
+            views: views_of(
+                &recording.keyframes,
+                scans.get_or_init(|| scans_of(&recording.keyframes, &camera, &mapping, 1)),
+            ),
+            camera,
+            config: &mapping.upright,
+        });
         if let Some(reason) = align_failure {
             return Err(Failure::input(reason));
         }
-        let session = recording.session;
         Ok(Self {
-            camera: keyframe_camera(&session),
+            camera,
             session,
             config,
             keyframes: recording.keyframes,
+            frames: recording
+                .continuation
+                .iter()
+                .flat_map(|continuation| continuation.frames.iter().map(tracked_frame))
+                .collect(),
             num_frames: recording.end.map(|end| end.num_frames),
             frame,
             warnings,
         })
     }
 
+    /// The map by these settings, as the run that ended with these poses makes it, and the cell where it follows from the scene.
+    pub fn map(
+        &self,
+        config: &MappingConfig,
+        threads: usize,
+    ) -> Result<(OccupancyMap, MapStats, Option<SceneCell>), MapError> {
+        let scans = self.scans(config, threads);
+        let is_metric = self.frame.is_aligned || self.session.scale == Scale::Metric;
+        let cell = (config.auto_resolution && !is_metric)
+            .then(|| scene_cell(&views_of(&self.keyframes, &scans), &self.camera, config))
+            .flatten();
+        let mut mapper = Mapper::new(config.clone(), self.camera, threads);
+        if let Some(cell) = &cell {
+            mapper = mapper.with_resolution(cell.edge);
+        }
+        let poses = self.world_from_keyframes();
+        let map_from_world = &self.frame.map_from_world;
+        let (mut map, stats) = mapper.build(&scans, &poses, map_from_world)?;
+        let of_keyframe = |id: u32| {
+            let found = self.keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
+            self.keyframes[found].world_from_keyframe.as_ref()
+        };
+        let paths = camera_paths(&self.frames, of_keyframe, map_from_world);
+        mapper.free_body(&mut map, &paths)?;
+        Ok((map, stats, cell))
+    }
+
     /// What of each keyframe is mapped.
     pub fn scans(&self, config: &MappingConfig, threads: usize) -> Vec<KeyframeScan> {
-        let pixels: Vec<_> = self
-            .keyframes
-            .iter()
-            .map(|k| from_recorded(&k.pixels))
-            .collect();
-        let keyframes = posed_keyframes(&self.keyframes, &pixels);
-        final_scans(&keyframes, &self.camera, config, threads)
+        scans_of(&self.keyframes, &self.camera, config, threads)
     }
 
     /// Poses of the keyframes in the world of the run.
@@ -99,6 +149,33 @@ impl Recorded {
             })
             .collect()
     }
+}
+
+/// What of each keyframe is mapped.
+fn scans_of(
+    keyframes: &[RecordedKeyframe],
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+) -> Vec<KeyframeScan> {
+    let pixels: Vec<_> = keyframes.iter().map(|k| from_recorded(&k.pixels)).collect();
+    let keyframes = posed_keyframes(keyframes, &pixels);
+    final_scans(&keyframes, camera, config, threads)
+}
+
+/// Keyframes as the search for up needs them.
+fn views_of<'a>(
+    keyframes: &'a [RecordedKeyframe],
+    scans: &'a [KeyframeScan],
+) -> Vec<UprightView<'a>> {
+    let posed = keyframes.iter().zip(scans).filter_map(|(keyframe, scan)| {
+        Some(UprightView {
+            scan,
+            image: keyframe.image.as_ref(),
+            world_from_keyframe: keyframe.world_from_keyframe?,
+        })
+    });
+    posed.collect()
 }
 
 /// The camera of the keyframes of a recording.

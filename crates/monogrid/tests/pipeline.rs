@@ -65,6 +65,11 @@ fn fifteen_lines_find_the_map_that_the_program_finds() {
         "--out",
         out.to_str().unwrap(),
         "--json",
+        // what the program asks the scene for
+        "--up",
+        "first-camera",
+        "--resolution",
+        "0.05",
     ];
     let output = monogrid(arguments);
     assert_eq!(code(&output), 0, "{}", stderr(&output));

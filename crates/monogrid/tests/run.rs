@@ -12,6 +12,9 @@ use common::{
     assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, small_sequence,
     stderr,
 };
+use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
+use monogrid_geometry::Vec3;
+use monogrid_occupancy::{Occupancy, read_ot};
 use std::fs;
 use std::path::Path;
 use std::process::{Output, Stdio};
@@ -83,6 +86,7 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
         assert!(holds_time(name) || left == right, "{name} differs");
     }
     the_map_command_reproduces_the_global_map(&first);
+    what_is_up_is_said_and_found_again(&first, &summary);
     the_results_can_be_evaluated(&first);
     the_report_can_be_explored_without_a_network(&first);
 }
@@ -155,6 +159,33 @@ fn the_report_can_be_explored_without_a_network(run: &Path) {
     let poses = fs::read_to_string(run.join("trajectory.txt")).unwrap();
     let poses = poses.lines().filter(|line| !line.starts_with('#')).count();
     assert_eq!(scene["path"].as_array().unwrap().len(), poses);
+}
+
+fn what_is_up_is_said_and_found_again(run: &Path, summary: &serde_json::Value) {
+    // the room is level in its own frame, which knows how the camera was held in it
+    assert_eq!(summary["up"]["from"], "scene", "{summary}");
+    assert!(summary["up"]["confidence"].as_f64().unwrap() > 0.2);
+    let frame = read_sim3(&run.join("map_from_world.txt")).unwrap();
+    let truth = read_trajectory(&small_sequence().join("groundtruth.txt")).unwrap();
+    let up_in_world = truth[0].world_from_camera.rotation.inverse() * Vec3::z();
+    let off_deg = (frame.rotation * up_in_world)
+        .angle(&Vec3::z())
+        .to_degrees();
+    assert!(off_deg < 2.0, "{off_deg} degrees");
+    // without the results beside it, the recording leads to the same frame and map
+    let elsewhere = tempfile::tempdir().unwrap();
+    let recording = elsewhere.path().join("recording.mgk");
+    fs::copy(run.join("recording.mgk"), &recording).unwrap();
+    let map = elsewhere.path().join("again.ot");
+    let output = monogrid([Path::new("map"), &recording, Path::new("--out"), &map]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(fs::read(map).unwrap() == fs::read(run.join("global.ot")).unwrap());
+    // where the camera was is free
+    let map = read_ot(&fs::read(run.join("global.ot")).unwrap()[..], 1 << 30).unwrap();
+    let poses = read_trajectory(&run.join("trajectory.txt")).unwrap();
+    let is_free =
+        |pose: &TimedPose| map.state(pose.world_from_camera.translation.into()) == Occupancy::Free;
+    assert!(poses.iter().all(is_free));
 }
 
 fn the_map_command_reproduces_the_global_map(run: &Path) {

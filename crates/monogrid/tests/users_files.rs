@@ -55,7 +55,7 @@ fn write_recording(path: &Path) {
         pinhole: Pinhole::new(60.0, 60.0, 39.5, 29.5),
         width,
         height,
-        scale: Scale::Metric,
+        scale: Scale::Arbitrary,
         seed: 0,
         profile: "default".to_owned(),
         source: "wall".to_owned(),
@@ -127,6 +127,12 @@ impl Sources {
         fs::write(this.path("mesh.obj"), BOX_OBJ).unwrap();
         fs::write(this.path("inside.txt"), INSIDE).unwrap();
         write_recording(&this.path("recording.mgk"));
+        // what a run leaves
+        fs::create_dir(this.path("run")).unwrap();
+        write_recording(&this.path("run/recording.mgk"));
+        fs::write(this.path("run/trajectory.txt"), POSES).unwrap();
+        fs::write(this.path("run/map_from_world.txt"), "1 0 0 0 0 0 0 1\n").unwrap();
+        fs::write(this.path("run/summary.json"), "{\"scale\": \"arbitrary\"}").unwrap();
         for name in ["map.ot", "other.ot"] {
             let mut map = OccupancyMap::new(MapConfig::with_resolution(0.1)).unwrap();
             for x in 0..20 {
@@ -179,6 +185,8 @@ impl Sources {
         let synth =
             "@mesh.obj --trajectory @inside.txt --frames 2 --size 64x48 --truth-resolution 0.1";
         let sweep = "@recording.mgk --truth @map.ot --resolutions 0.2";
+        let rescale = "@run --scale-from trajectory:@poses.txt";
+        let read_by_rescale = "run/recording.mgk run/summary.json poses.txt";
         vec![
             self.call("run", "--out", "", run, read_by_run),
             self.call("demo", "--out", "", "--max-frames 1", ""),
@@ -186,6 +194,7 @@ impl Sources {
             self.call("sensor-model", "--plot", "", "", ""),
             self.call("slice", "", "", "@map.ot", "map.ot"),
             self.call("sweep", "--out", "", sweep, "recording.mgk map.ot"),
+            self.call("rescale", "--out", "", rescale, read_by_rescale),
         ]
     }
 
@@ -280,6 +289,7 @@ impl Call {
             "synth" => &["truth.ot", "rgb.txt", "rgb/000000.png", "mesh.ply"],
             "sensor-model" => &["sensor-models.html"],
             "slice" => &["slice_0000.png"],
+            "rescale" => &["recording.mgk", "summary.json", "global.ot"],
             "sweep" => &["sweep.json", "sweep.html", "maps.csv"],
             other => panic!("what does {other} write?"),
         }

@@ -62,6 +62,14 @@ impl TrueSurface {
         }
     }
 
+    /// How many of the cells are farther than `distance` (map units) from this surface.
+    pub fn num_beyond(&self, cells: &[[i32; 3]], distance: f64) -> u64 {
+        // distances are multiples of the resolution but for rounding
+        let reach = distance * (1.0 + 1e-9);
+        let distances = distances(cells, &self.tree, self.resolution);
+        distances.iter().filter(|d| **d > reach).count() as u64
+    }
+
     /// Distances between `predicted` cells and this surface; the ratio of their numbers is left out.
     pub fn distances(&self, predicted: Vec<[i32; 3]>) -> SurfaceDistances {
         let from_predicted = sample(&predicted, self.max_queries);

@@ -24,6 +24,8 @@ use in_view::InView;
 use monogrid_occupancy::{Occupancy, OccupancyMap, probability_from_log_odds};
 use scores::{ScoreCounter, ScoreGroup};
 
+/// Predicted surfaces farther beyond the known truth than this are false, map units.
+const MAX_BEYOND: f64 = 0.1;
 /// Bins of the distribution of probabilities.
 const HISTOGRAM_BINS: usize = 100;
 
@@ -94,6 +96,8 @@ struct Pass {
     num_predicted: usize,
     outside: u64,
     occupied_outside: u64,
+    /// Predicted occupied cells where the truth knows nothing, outside its box or inside.
+    occupied_unknown: Vec<[i32; 3]>,
     seen_in_view: CellCounts,
 }
 
@@ -198,6 +202,11 @@ impl<'a> MapEvaluator<'a> {
         let ssd_total: f64 = ssd_per_slice.iter().sum();
         let scores = pass.scores.into_sorted();
         let groups = policy_groups(&scores, &self.counts, &observed);
+        let beyond = self.surface.as_ref().map_or(0, |surface| {
+            surface.num_beyond(&pass.occupied_unknown, MAX_BEYOND)
+        });
+        let mut with_beyond = Contingency::at(&groups.observed, 0.5);
+        with_beyond.fp += beyond;
         let seen = pass.seen_in_view;
         let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
         Ok(MapReport {
@@ -227,6 +236,8 @@ impl<'a> MapEvaluator<'a> {
             observed_outside: pass.outside,
             predicted: pass.num_predicted as u64,
             predicted_outside: pass.occupied_outside,
+            predicted_beyond: beyond,
+            mcc_with_beyond: with_beyond.mcc(),
         })
     }
 
@@ -239,6 +250,7 @@ impl<'a> MapEvaluator<'a> {
             num_predicted: 0,
             outside: 0,
             occupied_outside: 0,
+            occupied_unknown: Vec::new(),
             seen_in_view: CellCounts::default(),
         };
         for cell in estimate.cells() {
@@ -252,6 +264,9 @@ impl<'a> MapEvaluator<'a> {
             let Some(local) = truth.local(key) else {
                 pass.outside += 1;
                 pass.occupied_outside += u64::from(cell.log_odds > 0.0);
+                if cell.log_odds > 0.0 {
+                    pass.occupied_unknown.push(key);
+                }
                 continue;
             };
             let state = truth.state_at(local);
@@ -268,6 +283,9 @@ impl<'a> MapEvaluator<'a> {
                 }
                 Occupancy::Unknown => {
                     counts.unknown += 1;
+                    if cell.log_odds > 0.0 {
+                        pass.occupied_unknown.push(key);
+                    }
                     0.5
                 }
             };

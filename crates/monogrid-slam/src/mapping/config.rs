@@ -1,5 +1,6 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
+use super::UprightConfig;
 use crate::ConfigError;
 use monogrid_depth::MultiViewConfig;
 use monogrid_occupancy::{AndertForm, Buffer, MapConfig, SensorModel, Significance, ThrunForm};
@@ -179,6 +180,13 @@ pub struct FillConfig {
     /// Neighbouring depths whose errors count as one in the uncertainty of the fit. Default 100. Range [1,
     /// 1000000].
     pub correlated_points: f64,
+    /// Other keyframes that are asked whether filled depth can be; 0 asks none. Default 24. Range [0, 1000].
+    pub max_witnesses: usize,
+    /// Depths that differ by this share of them are of two surfaces. Default 0.03. Range [0.0001, 1].
+    pub tolerance: f64,
+    /// Votes against filled depth for each that agrees, at most; measured depth has one vote, filled half of one.
+    /// Default 0.25. Range [0, 1000].
+    pub max_against: f32,
 }
 
 impl Default for FillConfig {
@@ -196,6 +204,9 @@ impl Default for FillConfig {
             max_behind_share: 0.05,
             relative_sigma: 0.01,
             correlated_points: 100.0,
+            max_witnesses: 24,
+            tolerance: 0.03,
+            max_against: 0.25,
         }
     }
 }
@@ -208,6 +219,9 @@ impl Default for FillConfig {
 pub struct MappingConfig {
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
+    /// Whether the final maps of a run of arbitrary scale have cells that follow from the scene: a fiftieth of the median
+    /// depth, or as fine as the depth is precise, or as many as can be paid for. Default true, and false where `resolution` is given.
+    pub auto_resolution: bool,
     /// Inverse sensor model. Default `thrun`.
     pub sensor_model: SensorModelKind,
     /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of a cell's diagonal and
@@ -255,6 +269,9 @@ pub struct MappingConfig {
     /// Standard deviation of a keyframe's rotation relative to its neighbours, degrees. Default 0.1. Range [0,
     /// 180].
     pub pose_sigma_deg: f64,
+    /// What lies within this distance of the path of the camera is free in the final maps: it was there itself. 0: nothing
+    /// is; `"auto"`: one cell. Default `"auto"`. Range [0, 1000000].
+    pub body_radius: AutoLength,
     /// Standard deviation of the depth in given depth images over the depth. Default 0.01. Range [0.000001,
     /// 10].
     pub depth_image_sigma: f64,
@@ -266,12 +283,15 @@ pub struct MappingConfig {
     pub refine: RefineConfig,
     /// Depth of plain surfaces.
     pub fill: FillConfig,
+    /// Up and the floor.
+    pub upright: UprightConfig,
 }
 
 impl Default for MappingConfig {
     fn default() -> Self {
         Self {
             resolution: 0.05,
+            auto_resolution: true,
             sensor_model: SensorModelKind::Thrun,
             buffer: AutoLength::Auto,
             buffer_sigmas: 2.25,
@@ -291,11 +311,13 @@ impl Default for MappingConfig {
             sigma_mode: SigmaMode::Range,
             pose_sigma: 0.01,
             pose_sigma_deg: 0.1,
+            body_radius: AutoLength::Auto,
             depth_image_sigma: 0.01,
             max_memory_gb: 1.5,
             filter: DepthFilterConfig::default(),
             refine: RefineConfig::default(),
             fill: FillConfig::default(),
+            upright: UprightConfig::default(),
         }
     }
 }
@@ -307,6 +329,7 @@ impl MappingConfig {
     pub fn thesis() -> Self {
         let certain = (1e-6f64 / (1.0 - 1e-6)).ln();
         Self {
+            auto_resolution: false,
             buffer: AutoLength::Fixed(0.5),
             thrun_form: ThrunFormKind::Thesis,
             significance: AutoLength::Fixed(0.02),
@@ -318,6 +341,7 @@ impl MappingConfig {
             max_range: 20.0,
             pose_sigma: 0.0,
             pose_sigma_deg: 0.0,
+            body_radius: AutoLength::Fixed(0.0),
             filter: DepthFilterConfig {
                 max_relative_sigma: f64::INFINITY,
                 min_support: 0,

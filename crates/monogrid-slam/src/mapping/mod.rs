@@ -15,14 +15,21 @@
 //! is pending is done on all threads, with depth refined at the final poses ([`final_scans`]); the final maps do
 //! not depend on how far the live ones had come.
 //!
-//! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame.
+//! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
+//! level ([`upright()`]).
 
+mod agreement;
+mod body;
+mod cell;
 mod config;
 mod fill;
 mod maps;
 mod refine;
 mod scan;
+mod upright;
 
+pub use body::camera_paths;
+pub use cell::{CellReason, SceneCell, scene_cell};
 pub use config::{
     AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig,
     RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
@@ -31,3 +38,6 @@ pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};
 pub use refine::{PosedKeyframe, final_scans, final_scans_counted, refined_depths};
 pub use scan::{KeyframeCamera, KeyframeScan};
+pub use upright::{
+    Floor, Upright, UprightConfig, UprightView, floor_below, level_from_world, upright,
+};

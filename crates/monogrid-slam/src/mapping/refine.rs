@@ -1,10 +1,13 @@
 //! Better depth of all keyframes, when the poses are known in the end.
 
-use super::{KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
+use super::agreement::{Blocks, View, kept};
+use super::scan::Depths;
+use super::{FillConfig, KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
 use crate::{DepthPixel, KeyframeId};
 use monogrid_depth::{PixelDepth, SourceView, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
+use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
@@ -23,7 +26,7 @@ pub struct PosedKeyframe<'a> {
 
 /// What of each keyframe is mapped: its depth, made better by the images of the keyframes around it if
 /// the settings ask for it ([`monogrid_depth::refine_depth`]), filtered and filled as
-/// [`KeyframeScan::new`] does.
+/// [`KeyframeScan::new`] does, without filled depth that other keyframes contradict (module `agreement`).
 ///
 /// The result does not depend on the number of threads.
 #[must_use]
@@ -45,7 +48,7 @@ pub fn final_scans_counted(
     threads: usize,
     done: &AtomicUsize,
 ) -> Vec<KeyframeScan> {
-    for_each_keyframe(keyframes.len(), threads, |index| {
+    let depths = for_each_keyframe(keyframes.len(), threads, |index| {
         let keyframe = &keyframes[index];
         let refined;
         let pixels = if config.refine.enabled {
@@ -54,9 +57,37 @@ pub fn final_scans_counted(
         } else {
             keyframe.pixels
         };
-        let scan = KeyframeScan::new(keyframe.id, pixels, keyframe.image, camera, config);
+        let depths = Depths::new(keyframe.id, pixels, keyframe.image, camera, config);
         done.fetch_add(1, Ordering::Relaxed);
-        scan
+        depths
+    });
+    let kept = agreed(keyframes, &depths, camera, &config.fill, threads);
+    let ids = keyframes.iter().map(|keyframe| keyframe.id);
+    ids.zip(depths.into_iter().zip(kept))
+        .map(|(id, (depths, filled))| Depths { filled, ..depths }.joined(id))
+        .collect()
+}
+
+/// The filled depth of each keyframe that the others do not contradict.
+fn agreed(
+    keyframes: &[PosedKeyframe],
+    depths: &[Depths],
+    camera: &KeyframeCamera,
+    config: &FillConfig,
+    threads: usize,
+) -> Vec<Vec<Measurement>> {
+    if config.max_witnesses == 0 {
+        return depths.iter().map(|depths| depths.filled.clone()).collect();
+    }
+    let views: Vec<Option<View>> = for_each_keyframe(keyframes.len(), threads, |index| {
+        Some(View {
+            depths: &depths[index],
+            blocks: Blocks::new(&depths[index], camera),
+            world_from_keyframe: keyframes[index].world_from_keyframe?,
+        })
+    });
+    for_each_keyframe(keyframes.len(), threads, |index| {
+        kept(&views, index, camera, config).unwrap_or_else(|| depths[index].filled.clone())
     })
 }
 
@@ -188,7 +219,6 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::FillConfig;
     use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {

@@ -39,11 +39,7 @@ impl KeyframeScan {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let scan = Self::measured(id, pixels, camera, &config.filter);
-        match image {
-            Some(image) if config.fill.enabled => scan.filled(image, config),
-            _ => scan,
-        }
+        Depths::new(id, pixels, image, camera, config).joined(id)
     }
 
     /// The measurements that pass the filter.
@@ -77,15 +73,50 @@ impl KeyframeScan {
             num_filled: 0,
         }
     }
+}
 
-    /// The same with depth on plain surfaces.
-    fn filled(mut self, image: &Image<u8>, config: &MappingConfig) -> Self {
+/// The depth of a keyframe before measured and filled depth become one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Depths {
+    /// What passed the filter, row-major.
+    pub measured: Vec<Measurement>,
+    /// What was filled in between, row-major.
+    pub filled: Vec<Measurement>,
+}
+
+impl Depths {
+    /// The measurements that pass the filter, and depth on the plain surfaces between them.
+    pub fn new(
+        id: KeyframeId,
+        pixels: &[DepthPixel],
+        image: Option<&Image<u8>>,
+        camera: &KeyframeCamera,
+        config: &MappingConfig,
+    ) -> Self {
+        let measured = KeyframeScan::measured(id, pixels, camera, &config.filter).pixels;
         let limit = config.filter.max_relative_sigma;
-        let filled = fill_plain_regions(image, &self.pixels, limit, &config.fill);
-        self.num_filled = filled.len();
-        self.pixels.extend(filled);
-        self.pixels.sort_unstable_by_key(|p| (p.y, p.x));
-        self
+        let filled = match image {
+            Some(image) if config.fill.enabled => {
+                fill_plain_regions(image, &measured, limit, &config.fill)
+            }
+            _ => Vec::new(),
+        };
+        Self { measured, filled }
+    }
+
+    /// Both together.
+    pub fn joined(self, id: KeyframeId) -> KeyframeScan {
+        let num_filled = self.filled.len();
+        let mut pixels = self.measured;
+        pixels.extend(self.filled);
+        if num_filled > 0 {
+            pixels.sort_unstable_by_key(|p| (p.y, p.x));
+        }
+        KeyframeScan {
+            id,
+            pixels,
+            num_filled,
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFile};
 use crate::picture::voxels::{View, occupied_cubes, render};
 use crate::recorded::Recorded;
-use crate::run::align::Align;
+use crate::run::align::{Align, Up};
 use crate::usage::{peak_rss_bytes, process_cpu};
 use clap::Args;
 use monogrid_datasets::{ScansReader, encode_png_rgb};
@@ -42,6 +42,9 @@ pub struct MapArgs {
     /// Build the map in the frame of a reference: a trajectory, or a Sim(3) file
     #[arg(long, value_name = "gt:FILE|sim3:FILE")]
     pub align: Option<String>,
+    /// What z is in a map of a recording [default: as in the run beside the recording, else scene]
+    #[arg(long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// Settings, TOML (as config.toml of a run; its section [mapping] is used)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -98,7 +101,7 @@ pub fn execute(args: &MapArgs) -> CommandResult {
     let png = args.png.as_deref();
     let png = png.map(|path| OutputFile::new(path, args.force.force, &inputs));
     let png = png.transpose()?;
-    let align = Align::parse(args.align.as_deref())?;
+    let align = Align::parse(args.align.as_deref(), args.up.unwrap_or_default())?;
     let mut built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,
         Kind::Scans => from_scans(args, &align, threads)?,
@@ -237,15 +240,13 @@ impl Stopwatch {
 fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Failure> {
     let recorded = Recorded::read(&args.recording, align)?;
     let config = settings(args, recorded.config.clone())?;
-    let mapper = Mapper::new(config.mapping, recorded.camera, threads);
-    let poses = recorded.world_from_keyframes();
     let mut watch = Stopwatch::new();
-    let (map, stats) = watch
-        .time(|| {
-            let scans = recorded.scans(mapper.config(), threads);
-            mapper.build(&scans, &poses, &recorded.frame.map_from_world)
-        })
+    let (map, stats, cell) = watch
+        .time(|| recorded.map(&config.mapping, threads))
         .while_running("the map cannot be built")?;
+    if let Some(cell) = cell {
+        eprintln!("{}", cell.reason("map units"));
+    }
     Ok(Built {
         map,
         points: stats.points,
@@ -273,10 +274,11 @@ fn settings_for_given_poses(args: &MapArgs) -> Result<RunConfig, Failure> {
 /// The frame of data that has its own poses.
 fn given_frame(align: &Align) -> Result<(Sim3, String), Failure> {
     match align {
-        Align::FirstCamera => Ok((Sim3::identity(), "frame of the given poses".to_owned())),
+        Align::Level(_) => Ok((Sim3::identity(), "frame of the given poses".to_owned())),
         Align::Sim3 {
             path,
             target_from_results,
+            ..
         } => Ok((
             *target_from_results,
             format!("aligned by {}", path.display()),

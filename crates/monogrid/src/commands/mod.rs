@@ -10,6 +10,7 @@ pub mod evaluate_map;
 pub mod info;
 pub mod map;
 pub mod posed_depth;
+pub mod rescale;
 pub mod run;
 pub mod sensor_model;
 pub mod slice;

@@ -8,7 +8,7 @@ use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
 use crate::output::{Inputs, OutputFolder};
 use crate::run::RunSettings;
-use crate::run::align::Align;
+use crate::run::align::{Align, Up};
 use crate::run::conclusion::conclude;
 use crate::run::sessions::{Continued, Earlier};
 use crate::run::whole::{Extras, run_all};
@@ -72,6 +72,11 @@ pub struct RunArgs {
     /// Build the final maps in the frame of a reference: a trajectory, or a Sim(3) file
     #[arg(long, value_name = "gt:FILE|sim3:FILE", help_heading = "Mapping")]
     pub align: Option<String>,
+    /// What z is in the results: what the scene says, else as the first camera was held [default: scene]; or a direction in
+    /// the first camera (x right, y down, z ahead)
+    #[arg(long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse, allow_hyphen_values = true,
+          conflicts_with = "continue_from", help_heading = "Mapping")]
+    pub up: Option<Up>,
     /// Play frames at their own pace and drop those that come too early
     #[arg(long, help_heading = "Input")]
     pub realtime: bool,
@@ -142,17 +147,14 @@ fn base_configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunCo
     RunConfig::resolve(args.profile, args.config.as_deref(), &args.set)
 }
 
-/// What `--align` says, else the frame of the continued run.
+/// What `--align` and `--up` say, else the frame of the continued run.
 fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure> {
-    let align = Align::parse(args.align.as_deref())?;
-    Ok(match (align, earlier) {
-        (Align::FirstCamera, Some(earlier)) => Align::Map {
-            map_from_world: earlier.map_from_world,
-            description: earlier.frame_description.clone(),
-            is_metric: earlier.is_metric,
-        },
-        (align, _) => align,
-    })
+    let align = Align::parse(args.align.as_deref(), args.up.unwrap_or_default())?;
+    let Some(earlier) = earlier else {
+        return Ok(align);
+    };
+    let known = earlier.frame.clone();
+    Ok(align.in_known_frame(known.unwrap_or(Align::Level(Up::FirstCamera))))
 }
 
 /// The source, with images of the size of the continued run.

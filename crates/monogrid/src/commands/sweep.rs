@@ -8,7 +8,7 @@ use crate::depth_images::dataset_seed_depth;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::Input;
 use crate::output::{Inputs, OutputFolder};
-use crate::run::align::Align;
+use crate::run::align::{Align, Up};
 use crate::sweep::build::{Job, Scans};
 use crate::sweep::inputs::{Named, file_stamp, open_folder, orders, read_recordings};
 use crate::sweep::page::{self, Lead, truth_slice_file};
@@ -82,7 +82,7 @@ struct SweepReport {
 pub fn execute(args: &SweepArgs) -> CommandResult {
     let begin = Instant::now();
     let workers = use_threads(args.threads)?;
-    let align = Align::parse(args.align.as_deref())?;
+    let align = Align::parse(args.align.as_deref(), Up::default())?;
     let mut resolutions = args.resolutions.clone();
     resolutions.sort_by(f64::total_cmp);
     resolutions.dedup();

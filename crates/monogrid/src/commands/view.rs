@@ -14,7 +14,7 @@ use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use crate::recorded::Recorded;
 use crate::report::Page;
-use crate::run::align::Align;
+use crate::run::align::{Align, Up};
 use clap::Args;
 use monogrid_datasets::encode_png_rgb;
 use monogrid_worlds::MeshModel;
@@ -182,7 +182,7 @@ impl Shown {
 
     /// The depth of the keyframes as it was recorded.
     fn of_recording(source: &Path) -> Result<Self, Failure> {
-        let recorded = Recorded::read(source, &Align::parse(None)?)?;
+        let recorded = Recorded::read(source, &Align::Level(Up::Scene))?;
         let camera = recorded.camera;
         let posed: Vec<_> = recorded
             .keyframes

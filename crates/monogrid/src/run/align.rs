@@ -3,17 +3,35 @@
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
-use monogrid_geometry::{Se3, Sim3};
-use monogrid_slam::mapping::z_up_from_camera_world;
+use monogrid_geometry::{Se3, Sim3, Vec3};
+use monogrid_slam::mapping::{
+    Floor, KeyframeCamera, UprightConfig, UprightView, floor_below, level_from_world, upright,
+    z_up_from_camera_world,
+};
+use serde::Serialize;
 use std::path::{Path, PathBuf};
+
+/// What `--up` asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Up {
+    /// What the scene says, where it is sure enough, else as the first camera was held.
+    #[default]
+    Scene,
+    /// As the first camera was held, whatever the scene says.
+    FirstCamera,
+    /// A direction in the frame of the first camera (x right, y down, z ahead).
+    Given(Vec3),
+}
 
 /// What `--align` asks for.
 #[derive(Clone, Debug)]
 pub enum Align {
-    /// Nothing: z up as the first camera was held.
-    FirstCamera,
+    /// Nothing: z up.
+    Level(Up),
     /// A transform from the frame of unaligned results to the frame of a reference.
     Sim3 {
+        /// The frame of unaligned results.
+        base: Box<Align>,
         /// The file it came from.
         path: PathBuf,
         /// The transform.
@@ -48,13 +66,144 @@ pub struct MapFrame {
     pub is_aligned: bool,
     /// How well a trajectory fitted.
     pub fit: Option<TrajectoryReport>,
+    /// What z is.
+    pub up: UpSummary,
+    /// The floor at z = 0, where one was found.
+    pub floor: Option<FloorSummary>,
+}
+
+/// What was found out about up, as `summary.json` says it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct UpSummary {
+    /// `scene`, `first-camera`, `given` (`--up x,y,z`), `reference` (`--align`) or `earlier` (`--continue`).
+    pub from: &'static str,
+    /// How sure the scene is, from 0 to 1; `null` where it was not asked.
+    pub confidence: Option<f64>,
+}
+
+/// What was found out about the floor, as `summary.json` says it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FloorSummary {
+    /// Median height of the keyframes' cameras over it, in units of the results.
+    pub camera_height: f64,
+    /// Its share of all level planes that were seen from above.
+    pub share: f64,
+}
+
+/// The keyframes and what is needed to look at the scene that they show.
+#[derive(Debug)]
+pub struct Scene<'a> {
+    /// Keyframes of the map.
+    pub views: Vec<UprightView<'a>>,
+    /// Their camera.
+    pub camera: KeyframeCamera,
+    /// Settings.
+    pub config: &'a UprightConfig,
+}
+
+impl Up {
+    /// Reads the argument of `--up`.
+    pub fn parse(argument: &str) -> Result<Self, String> {
+        match argument {
+            "scene" => return Ok(Self::Scene),
+            "first-camera" => return Ok(Self::FirstCamera),
+            _ => {}
+        }
+        let numbers: Vec<f64> = argument
+            .split(',')
+            .filter_map(|number| number.trim().parse().ok())
+            .collect();
+        let direction = Vec3::from_row_slice(numbers.get(..3).unwrap_or(&[0.0; 3]));
+        let is_direction = numbers.len() == 3
+            && argument.split(',').count() == 3
+            && direction.norm().is_normal()
+            && direction.norm() < 1e6;
+        is_direction
+            .then(|| Self::Given(direction.normalize()))
+            .ok_or_else(|| {
+                "expected `scene`, `first-camera`, or a direction x,y,z in the first camera (x right, y down, z ahead)"
+                    .to_owned()
+            })
+    }
+
+    /// The frame with z up.
+    fn frame<'a>(self, scene: &mut dyn FnMut() -> Scene<'a>) -> MapFrame {
+        match self {
+            Self::FirstCamera => first_camera(None),
+            Self::Given(up) => {
+                let scene = scene();
+                let floor = floor_below(&scene.views, &scene.camera, &up, scene.config);
+                level(
+                    &up,
+                    floor.as_ref(),
+                    "as given",
+                    UpSummary {
+                        from: "given",
+                        confidence: None,
+                    },
+                )
+            }
+            Self::Scene => {
+                let scene = scene();
+                let found = upright(&scene.views, &scene.camera, scene.config);
+                match found {
+                    Some(found) if found.confidence >= scene.config.min_confidence => level(
+                        &found.up_in_world,
+                        found.floor.as_ref(),
+                        "as the scene says",
+                        UpSummary {
+                            from: "scene",
+                            confidence: Some(found.confidence),
+                        },
+                    ),
+                    found => first_camera(Some(found.map_or(0.0, |found| found.confidence))),
+                }
+            }
+        }
+    }
+}
+
+/// The frame of unaligned results where the scene has no say, or is not sure.
+fn first_camera(confidence: Option<f64>) -> MapFrame {
+    MapFrame {
+        map_from_world: z_up_from_camera_world(),
+        description: "z up as the first camera was held, x ahead, origin at the first keyframe"
+            .to_owned(),
+        is_aligned: false,
+        fit: None,
+        up: UpSummary {
+            from: "first-camera",
+            confidence,
+        },
+        floor: None,
+    }
+}
+
+/// The frame with the floor, where there is one, at z = 0.
+fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, up: UpSummary) -> MapFrame {
+    let origin = if floor.is_some() {
+        "z = 0 at the floor, below the first keyframe"
+    } else {
+        "origin at the first keyframe (no floor was seen)"
+    };
+    MapFrame {
+        map_from_world: level_from_world(up_in_world, floor),
+        description: format!("z up {said}, x ahead of the first camera, {origin}"),
+        is_aligned: false,
+        fit: None,
+        up,
+        floor: floor.map(|floor| FloorSummary {
+            camera_height: floor.camera_height,
+            share: floor.share,
+        }),
+    }
 }
 
 impl Align {
-    /// Reads what `gt:FILE` or `sim3:FILE` names.
-    pub fn parse(argument: Option<&str>) -> Result<Self, Failure> {
+    /// Reads what `gt:FILE` or `sim3:FILE` names, else what is up.
+    pub fn parse(argument: Option<&str>, up: Up) -> Result<Self, Failure> {
         let Some(argument) = argument else {
-            return Ok(Self::FirstCamera);
+            return Ok(Self::Level(up));
         };
         match argument.split_once(':') {
             Some(("gt", file)) => Ok(Self::Trajectory {
@@ -62,6 +211,7 @@ impl Align {
                 poses: read_trajectory(Path::new(file)).bad_input()?,
             }),
             Some(("sim3", file)) => Ok(Self::Sim3 {
+                base: Box::new(Self::Level(up)),
                 path: file.into(),
                 target_from_results: read_sim3(Path::new(file)).bad_input()?,
             }),
@@ -71,58 +221,77 @@ impl Align {
         }
     }
 
-    /// The frame of the results, given the estimated trajectory in the world of the run.
+    /// The same, where the unaligned frame is known unless something else was asked for.
+    #[must_use]
+    pub fn in_known_frame(self, known: Self) -> Self {
+        match self {
+            Self::Level(Up::Scene) => known,
+            Self::Sim3 {
+                base,
+                path,
+                target_from_results,
+            } => Self::Sim3 {
+                base: Box::new(base.in_known_frame(known)),
+                path,
+                target_from_results,
+            },
+            told => told,
+        }
+    }
+
+    /// The frame of the results, given the estimated trajectory in the world of the run. The scene is only looked at
+    /// where it has a say.
     ///
     /// An alignment that cannot be found is not fatal: the results are written unaligned and the
     /// reason is returned beside them.
-    pub fn frame(&self, trajectory: &[(i64, Se3)]) -> (MapFrame, Option<String>) {
-        let z_up = z_up_from_camera_world();
-        let first_camera = MapFrame {
-            map_from_world: z_up,
-            description: "z up as the first camera was held, x ahead, origin at the first keyframe"
-                .to_owned(),
-            is_aligned: false,
+    pub fn frame<'a>(
+        &self,
+        trajectory: &[(i64, Se3)],
+        scene: &mut dyn FnMut() -> Scene<'a>,
+    ) -> (MapFrame, Option<String>) {
+        let by_reference = |map_from_world, description, is_aligned, from| MapFrame {
+            map_from_world,
+            description,
+            is_aligned,
             fit: None,
+            up: UpSummary {
+                from,
+                confidence: None,
+            },
+            floor: None,
         };
         match self {
-            Self::FirstCamera => (first_camera, None),
+            Self::Level(up) => (up.frame(scene), None),
             Self::Map {
                 map_from_world,
                 description,
                 is_metric,
-            } => (
-                MapFrame {
-                    map_from_world: *map_from_world,
-                    description: description.clone(),
-                    is_aligned: *is_metric,
-                    fit: None,
-                },
-                None,
-            ),
+            } => {
+                let description = description.clone();
+                let frame = by_reference(*map_from_world, description, *is_metric, "earlier");
+                (frame, None)
+            }
             Self::Sim3 {
+                base,
                 path,
                 target_from_results,
-            } => (
-                MapFrame {
-                    map_from_world: *target_from_results * z_up,
-                    description: format!("aligned by {}", path.display()),
-                    is_aligned: true,
-                    fit: None,
-                },
-                None,
-            ),
+            } => {
+                let (base, _) = base.frame(trajectory, scene);
+                let map_from_world = *target_from_results * base.map_from_world;
+                let description = format!("aligned by {}", path.display());
+                let frame = by_reference(map_from_world, description, true, "reference");
+                (frame, None)
+            }
             Self::Trajectory { path, poses } => match fit(trajectory, poses) {
-                Ok(report) => (
-                    MapFrame {
-                        map_from_world: report.gt_from_est,
-                        description: format!("frame of {}", path.display()),
-                        is_aligned: true,
-                        fit: Some(report),
-                    },
-                    None,
-                ),
+                Ok(report) => {
+                    let description = format!("frame of {}", path.display());
+                    let mut frame =
+                        by_reference(report.gt_from_est, description, true, "reference");
+                    frame.fit = Some(report);
+                    (frame, None)
+                }
                 Err(reason) => (
-                    first_camera,
+                    Up::default().frame(scene),
                     Some(format!(
                         "results are not aligned to {}: {reason}",
                         path.display()
@@ -158,4 +327,44 @@ pub fn stamped_all(poses: &[TimedPose]) -> Vec<StampedPose> {
         .iter()
         .map(|pose| stamped(pose.timestamp_ns, pose.world_from_camera))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_and_words_say_what_is_up() {
+        assert_eq!(Up::parse("scene"), Ok(Up::Scene));
+        assert_eq!(Up::parse("first-camera"), Ok(Up::FirstCamera));
+        assert_eq!(Up::parse("0,-2,0"), Ok(Up::Given(-Vec3::y())));
+        for bad in [
+            "", "up", "0,0,0", "1,2", "1,2,3,4", "1,x,2,3", "nan,0,1", "inf,0,0",
+        ] {
+            assert!(Up::parse(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_scene_that_is_not_sure_leaves_up_to_the_first_camera() {
+        let config = UprightConfig::default();
+        let camera = KeyframeCamera {
+            pinhole: monogrid_geometry::Pinhole::new(1.0, 1.0, 0.0, 0.0),
+            width: 0,
+            height: 0,
+        };
+        let mut nothing = || Scene {
+            views: Vec::new(),
+            camera,
+            config: &config,
+        };
+        let (frame, warning) = Align::Level(Up::Scene).frame(&[], &mut nothing);
+        assert_eq!(frame.map_from_world, z_up_from_camera_world());
+        assert_eq!(frame.up.from, "first-camera");
+        assert_eq!(frame.up.confidence, Some(0.0));
+        assert_eq!((frame.floor, warning), (None, None));
+        let (frame, _) = Align::Level(Up::Given(-Vec3::z())).frame(&[], &mut nothing);
+        assert!((frame.map_from_world.rotation * -Vec3::z() - Vec3::z()).norm() < 1e-12);
+        assert_eq!(frame.up.from, "given");
+    }
 }

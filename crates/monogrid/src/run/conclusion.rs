@@ -95,6 +95,12 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
             summary.map.leaves,
         )
     };
+    if !summary.localise_only && summary.keyframes > 0 {
+        lines += &format!("  frame: {}\n", summary.frame);
+    }
+    if let Some(cell) = &summary.map.cell {
+        lines += &format!("  {}\n", cell.reason(unit));
+    }
     if !summary.fragments.is_empty() {
         let num_apart = summary.num_apart();
         lines += &format!(
@@ -122,10 +128,10 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
             100.0 * depth.shares.within_3_percent
         );
     }
-    if let Some(map) = summary.observed_map_error() {
+    if let (Some(map), Some(report)) = (summary.observed_map_error(), &summary.map_error) {
         lines += &format!(
-            "  map against the truth: AUC {:.3}, MCC {:.3}\n",
-            map.auc, map.mcc
+            "  map against the truth: AUC {:.3}, MCC {:.3}; {} cells over 10 cm outside the room, MCC {:.3} with these\n",
+            map.auc, map.mcc, report.predicted_beyond, report.mcc_with_beyond
         );
     }
     lines += &format!("  look at {}", folder.join("report.html").display());

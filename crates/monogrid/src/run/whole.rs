@@ -1,11 +1,12 @@
 //! A run from its first frame to its last file.
 
 use super::RunSettings;
-use super::align::{Align, MapFrame};
+use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
-use super::outputs::{self, path_of};
+use super::outputs::{self, Ground, path_of};
 use super::progress::watched;
 use super::report::{ReportInput, page};
+use super::sessions::tracked_frame;
 use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{Tracked, track};
 use super::tracking::EarlyEnd;
@@ -17,8 +18,8 @@ use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Vec3};
-use monogrid_slam::Keyframe;
-use monogrid_slam::mapping::{KeyframeScan, Maps};
+use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
+use monogrid_slam::{Keyframe, TrackedFrame};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -70,24 +71,31 @@ pub fn run_all(
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
     let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
-    let (frame, align_warning) = frame_of_results(align, &tracked);
+    let scans = final_depth(&mut tracked, settings.show_progress);
+    let looked = Looked::at(&tracked, &scans, align, input, settings);
+    let (frame, cell) = (looked.frame, looked.cell);
     let poses = outputs::final_poses(&tracked, &frame);
     outputs::write_tables(folder, &tracked, &frame, &poses, settings)?;
     let paths = Paths::new(&poses, &tracked, &frame);
-    let scans = final_depth(&mut tracked, settings.show_progress);
     let unit = unit_name(is_metric(&tracked, &frame));
     let measured = Measured::new(&tracked, &frame, &scans);
     measured.write(folder, tracked.run.slam.pinhole(), unit)?;
-    let (maps, failure) = match final_maps(&mut tracked, scans, &frame, &paths.path, settings) {
+    let ground = Ground {
+        has_floor: frame.floor.is_some(),
+        is_metric: is_metric(&tracked, &frame),
+    };
+    let built = final_maps(&mut tracked, scans, &frame, &paths.path, settings, cell);
+    let (maps, failure) = match built {
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
     let write =
-        |maps| outputs::write_maps(folder, maps, &paths.path, paths.reported.as_deref(), unit);
+        |maps| outputs::write_maps(folder, maps, &paths.path, paths.reported.as_deref(), ground);
     let pictures = maps.as_ref().map(write).transpose()?;
     let extras = extras(&tracked, maps.as_ref())?;
     let mut summary = Summary::new(input, settings, &tracked, &frame, maps.as_ref());
-    summary.warnings = warnings(input, align_warning, extras.warnings, &summary);
+    summary.map.cell = cell;
+    summary.warnings = warnings(input, looked.warning, extras.warnings, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     let verdict = verdict(&summary, &tracked);
@@ -132,15 +140,54 @@ fn save_when_interrupted() {
     });
 }
 
-/// The frame of the results, and why it is not the one that was asked for.
-fn frame_of_results(align: &Align, tracked: &Tracked) -> (MapFrame, Option<String>) {
-    let trajectory: Vec<_> = tracked
-        .run
-        .trajectory
-        .iter()
-        .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
-        .collect();
-    align.frame(&trajectory)
+/// What the keyframes together say about the results.
+struct Looked {
+    frame: MapFrame,
+    /// Why it is not the one that was asked for.
+    warning: Option<String>,
+    /// The cell that follows from the scene, where nothing else says how large cells are.
+    cell: Option<SceneCell>,
+}
+
+impl Looked {
+    fn at(
+        tracked: &Tracked,
+        scans: &[KeyframeScan],
+        align: &Align,
+        input: &Input,
+        settings: &RunSettings,
+    ) -> Self {
+        let trajectory: Vec<_> = tracked
+            .run
+            .trajectory
+            .iter()
+            .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
+            .collect();
+        let keyframes = tracked.run.slam.keyframes();
+        let posed = keyframes.iter().zip(scans);
+        let views: Vec<UprightView> = posed
+            .filter_map(|(keyframe, scan)| {
+                Some(UprightView {
+                    scan,
+                    image: Some(&keyframe.image),
+                    world_from_keyframe: *tracked.run.poses.in_main_map(keyframe.id)?,
+                })
+            })
+            .collect();
+        let (camera, mapping) = (input.keyframe_camera(), &settings.config.mapping);
+        let (frame, warning) = align.frame(&trajectory, &mut || Scene {
+            views: views.clone(),
+            camera,
+            config: &mapping.upright,
+        });
+        let is_free = mapping.auto_resolution && !is_metric(tracked, &frame);
+        let cell = is_free.then(|| scene_cell(&views, &camera, mapping));
+        Self {
+            frame,
+            warning,
+            cell: cell.flatten(),
+        }
+    }
 }
 
 impl Paths {
@@ -246,12 +293,17 @@ fn final_maps(
     frame: &MapFrame,
     path: &[[f64; 3]],
     settings: &RunSettings,
+    cell: Option<SceneCell>,
 ) -> Result<Option<Maps>, String> {
     let before = process_cpu();
     let camera = path.last().map(|point| Vec3::from(*point));
+    let frames = settings.earlier().into_iter().flat_map(|e| &e.frames);
+    let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
+    let edge = cell.map(|cell| cell.edge);
     let run = &mut tracked.run;
     let maps = watched("final maps", scans.len(), settings.show_progress, |done| {
-        run.maps_of(scans, &frame.map_from_world, camera, done)
+        let more = (frames.as_slice(), edge);
+        run.maps_of(scans, &frame.map_from_world, camera, more, done)
     });
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())

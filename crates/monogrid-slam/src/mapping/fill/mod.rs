@@ -25,7 +25,8 @@ mod regions;
 use super::FillConfig;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
-use plane::{Border, Plane, fit_plane};
+pub(super) use plane::Plane;
+use plane::{Border, fit_plane};
 use regions::{NO_REGION, Regions};
 
 /// Measurements of the whole image that planes are looked for in, at most.
@@ -130,7 +131,7 @@ fn share_planes(
 }
 
 /// Planes that much of the whole image lies on, one after the other.
-fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> Vec<Plane> {
+pub(super) fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> Vec<Plane> {
     let stride = measured.len().div_ceil(MAX_IMAGE_POINTS).max(1);
     let mut left = Border::default();
     for point in measured.iter().step_by(stride) {

@@ -11,7 +11,7 @@ const MAX_JUDGES: usize = 300;
 
 /// A measurement on an outline.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct BorderPoint {
+pub(in crate::mapping) struct BorderPoint {
     x: f64,
     y: f64,
     idepth: f64,
@@ -49,7 +49,7 @@ impl Count {
 
 /// The inverse depth of a plane over the image, with the uncertainty of the fit.
 #[derive(Clone, Debug)]
-pub(super) struct Plane {
+pub(in crate::mapping) struct Plane {
     /// Of (x, y, 1), x and y relative to `center`.
     coefficients: Vector3<f64>,
     center: [f64; 2],
@@ -70,6 +70,17 @@ impl Plane {
             idepth,
             (variance.max(0.0) + (self.shared_sigma * idepth).powi(2)).sqrt(),
         )
+    }
+
+    /// a, b and c of the inverse depth `a x + b y + c` at pixel (x, y).
+    pub fn affine(&self) -> [f64; 3] {
+        let [a, b, c] = self.coefficients.into();
+        [a, b, c - a * self.center[0] - b * self.center[1]]
+    }
+
+    /// The mean of the pixels that it was fitted to.
+    pub fn middle(&self) -> [f64; 2] {
+        self.center
     }
 
     fn row(&self, x: f64, y: f64) -> Vector3<f64> {

@@ -228,6 +228,24 @@ impl LiveMaps {
         }
     }
 
+    /// The same keyframes, with the depth of `scans` (all of them), in maps of other settings in which nothing is integrated yet.
+    ///
+    /// # Errors
+    /// A setting of the map outside its range.
+    pub fn remade(self, mapper: Mapper, scans: Vec<KeyframeScan>) -> Result<Self, MapError> {
+        let mut remade = Self::new(mapper, self.map_from_world)?;
+        let first_poses: BTreeMap<KeyframeId, Sim3> = self.first_poses.into_iter().collect();
+        for scan in scans {
+            if let Some(first) = first_poses.get(&scan.id) {
+                remade.first_poses.push((scan.id, *first));
+                remade.waiting.push((scan, *first));
+            } else if self.apart.contains_key(&scan.id) {
+                remade.apart.insert(scan.id, scan);
+            }
+        }
+        Ok(remade)
+    }
+
     /// The final maps: *global* at the poses of `snapshot`, all in the frame of `map_from_world`,
     /// *local* around `camera_in_map`.
     ///

@@ -1,6 +1,8 @@
 //! One scan into one map.
 
-use super::super::{IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, SigmaMode};
+use super::super::{
+    AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, SigmaMode,
+};
 use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3, nalgebra::Matrix3};
 use monogrid_occupancy::{
     DepthScan, IntegrationConfig, IntegrationRule, MapError, OccupancyMap, PointScan, PoseSigma,
@@ -111,6 +113,27 @@ impl Mapper {
             .map(|report| report.points.saturating_sub(scan.num_filled))
     }
 
+    /// Makes the space that the camera moved through free (`body_radius`): paths as [`super::super::camera_paths`] gives them.
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn free_body(
+        &self,
+        map: &mut OccupancyMap,
+        paths: &[Vec<[f64; 3]>],
+    ) -> Result<(), MapError> {
+        let radius = match self.config.body_radius {
+            AutoLength::Auto => self.config.resolution,
+            AutoLength::Fixed(radius) => radius,
+        };
+        if radius > 0.0 {
+            for path in paths {
+                map.free_along(path, radius)?;
+            }
+        }
+        Ok(())
+    }
+
     /// A scan at a pose as the occupancy map takes it.
     pub(super) fn scan<'a>(&self, scan: &'a KeyframeScan, map_from_keyframe: &Sim3) -> Scan<'a> {
         let pinhole = &self.camera.pinhole;
@@ -147,6 +170,16 @@ impl Mapper {
             threads,
             ..self.clone()
         }
+    }
+
+    /// The same with cells of another edge.
+    #[must_use]
+    pub fn with_resolution(&self, edge: f64) -> Self {
+        let config = MappingConfig {
+            resolution: edge,
+            ..self.config.clone()
+        };
+        Self::new(config, self.camera, self.threads)
     }
 
     /// Adds points measured from the origin of a sensor, with the standard deviation of each range.

@@ -27,21 +27,16 @@ pub fn write_maps(
     maps: &Maps,
     path: &[[f64; 3]],
     reported_path: Option<&[[f64; 3]]>,
-    unit: &str,
+    ground: Ground,
 ) -> Result<MapPictures, Failure> {
-    for (name, map, format) in [
-        ("global.ot", &maps.global, MapFormat::Ot),
-        ("global.bt", &maps.global, MapFormat::Bt),
-        ("local.ot", &maps.local, MapFormat::Ot),
-        ("large.ot", &maps.large, MapFormat::Ot),
-        ("cells.ply", &maps.global, MapFormat::Ply),
-    ] {
-        folder.write_with(name, |out| mapfile::write(map, out, format))?;
-    }
-    let cubes = occupied_cubes(&maps.global).while_running("the map cannot be projected")?;
-    write_grid(folder, &maps.global, &cubes, path, unit)?;
-    let cut = dollhouse_cut(&cubes, path);
-    let preview = write_preview(folder, &cubes, path, cut)?;
+    folder.write_with("large.ot", |out| {
+        mapfile::write(&maps.large, out, MapFormat::Ot)
+    })?;
+    let Written {
+        cubes,
+        preview,
+        cut,
+    } = write_global(folder, &maps.global, &maps.local, path, ground)?;
     let loops = match reported_path {
         Some(reported_path) => Some(write_loop_pictures(
             folder,
@@ -56,6 +51,44 @@ pub fn write_maps(
     Ok(MapPictures {
         preview,
         loops,
+        cut,
+    })
+}
+
+/// What was found while the global map was written.
+#[derive(Debug)]
+pub struct Written {
+    /// Its occupied cells.
+    cubes: Vec<Cube>,
+    /// A picture of it, PNG.
+    preview: Vec<u8>,
+    /// Height above which cells hide the room.
+    cut: Option<f64>,
+}
+
+/// Writes the global map and its part around the camera, its cells as points, it from above, and a picture.
+pub fn write_global(
+    folder: &OutputFolder,
+    global: &OccupancyMap,
+    local: &OccupancyMap,
+    path: &[[f64; 3]],
+    ground: Ground,
+) -> Result<Written, Failure> {
+    for (name, map, format) in [
+        ("global.ot", global, MapFormat::Ot),
+        ("global.bt", global, MapFormat::Bt),
+        ("local.ot", local, MapFormat::Ot),
+        ("cells.ply", global, MapFormat::Ply),
+    ] {
+        folder.write_with(name, |out| mapfile::write(map, out, format))?;
+    }
+    let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
+    write_grid(folder, global, &cubes, path, ground)?;
+    let cut = dollhouse_cut(&cubes, path);
+    let preview = write_preview(folder, &cubes, path, cut)?;
+    Ok(Written {
+        cubes,
+        preview,
         cut,
     })
 }
@@ -107,14 +140,27 @@ fn extent(cubes: &[Cube]) -> Option<[[f64; 3]; 2]> {
     Some([0, 1].map(|end| ranges.map(|range| range[end])))
 }
 
-/// Heights that matter to what moves where the camera moved: from somewhat above the floor (where
-/// there is one below the camera) to somewhat above the camera.
-fn navigation_band(cubes: &[Cube], path: &[[f64; 3]]) -> [f64; 2] {
+/// What is known of the ground that a robot would drive on.
+#[derive(Clone, Copy, Debug)]
+pub struct Ground {
+    /// Whether the floor was found: it is at z = 0 then.
+    pub has_floor: bool,
+    /// Whether lengths are metres.
+    pub is_metric: bool,
+}
+
+/// Heights that matter to what moves where the camera moved: from somewhat above the floor (where none was found, what is
+/// lowest below the camera) to somewhat above the camera.
+fn navigation_band(cubes: &[Cube], path: &[[f64; 3]], has_floor: bool) -> [f64; 2] {
     let heights = || path.iter().map(|p| p[2]);
     let highest = heights().fold(f64::NEG_INFINITY, f64::max);
     let lowest = heights().fold(f64::INFINITY, f64::min);
-    let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
-    let floor = quantile(&mut occupied, 0.02).min(lowest);
+    let floor = if has_floor && lowest > 0.0 {
+        0.0
+    } else {
+        let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
+        quantile(&mut occupied, 0.02).min(lowest)
+    };
     let height = highest - floor;
     [floor + 0.1 * height, highest + 0.1 * height]
 }
@@ -125,16 +171,75 @@ fn write_grid(
     map: &OccupancyMap,
     cubes: &[Cube],
     path: &[[f64; 3]],
-    unit: &str,
+    ground: Ground,
 ) -> Result<(), Failure> {
-    let band = navigation_band(cubes, path);
+    let band = navigation_band(cubes, path, ground.has_floor);
     if let Some(grid) = map.projected(band[0], band[1]) {
         folder.write("map.pgm", grid.to_pgm())?;
-        let note = format!(
-            "# cells from z = {:.3} to {:.3}; lengths in {unit}\n",
-            band[0], band[1]
-        );
+        let note = grid_note(band, ground);
         folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
     }
     Ok(())
+}
+
+/// What the description of the grid says to people, as comments.
+fn grid_note(band: [f64; 2], ground: Ground) -> String {
+    let over = if ground.has_floor {
+        "over the floor"
+    } else {
+        "(no floor was found)"
+    };
+    let unit = if ground.is_metric { "m" } else { "map units" };
+    let mut note = format!(
+        "# cells from z = {:.3} to {:.3} {unit} {over}\n",
+        band[0], band[1]
+    );
+    if !ground.is_metric {
+        note += "# WARNING: the scale is unknown: resolution and origin are map units, not metres as nav2 takes them\n";
+    }
+    note
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_band_of_a_robot_begins_over_the_floor_where_there_is_one() {
+        let cube = |z: f64| Cube {
+            center: [0.0, 0.0, z],
+            size: 0.1,
+        };
+        let cubes: Vec<Cube> = (-5..40).map(|k| cube(0.1 * f64::from(k))).collect();
+        let path = [[0.0, 0.0, 1.4], [1.0, 0.0, 1.5]];
+        let [low, high] = navigation_band(&cubes, &path, true);
+        assert!((low - 0.15).abs() < 1e-12 && (high - 1.65).abs() < 1e-12);
+        // the lowest of what was mapped, without
+        let [low, _] = navigation_band(&cubes, &path, false);
+        assert!(low < 0.0, "{low}");
+        // a camera below what was taken for the floor
+        let [low, high] = navigation_band(&cubes, &[[0.0, 0.0, -0.2]], true);
+        assert!(low < -0.2 && high > -0.2);
+    }
+
+    #[test]
+    fn a_grid_of_unknown_scale_warns_whoever_reads_it() {
+        let unknown = Ground {
+            has_floor: false,
+            is_metric: false,
+        };
+        assert!(grid_note([0.1, 1.0], unknown).contains("WARNING"));
+        let metric = Ground {
+            has_floor: true,
+            is_metric: true,
+        };
+        let note = grid_note([0.1, 1.0], metric);
+        assert!(!note.contains("WARNING") && note.contains("over the floor"));
+        // all of it is comments for a reader of YAML
+        assert!(
+            grid_note([0.1, 1.0], unknown)
+                .lines()
+                .all(|line| line.starts_with('#'))
+        );
+    }
 }

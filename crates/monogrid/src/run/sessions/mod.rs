@@ -6,13 +6,13 @@ pub use stored::tracked_frame;
 
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
+use crate::run::align::Align;
 use monogrid_datasets::{
     Continuation, FragmentKeyframe, KeyframeLink, ReadOptions, RecordedFrame, RecordedSession,
     Recording, SessionInfo, read_sim3,
 };
-use monogrid_geometry::{Pinhole, Sim3};
-use monogrid_slam::mapping::z_up_from_camera_world;
-use monogrid_slam::{MAIN_MAP, Purpose, Scale, Slam, StoredMap};
+use monogrid_geometry::Pinhole;
+use monogrid_slam::{MAIN_MAP, Purpose, Slam, StoredMap};
 use std::path::{Path, PathBuf};
 use stored::{recorded_edge, recorded_point, stored_map};
 
@@ -34,12 +34,8 @@ pub struct Earlier {
     pub sessions: Vec<RecordedSession>,
     /// Their frames.
     pub frames: Vec<RecordedFrame>,
-    /// The frame of its results.
-    pub map_from_world: Sim3,
-    /// What its summary says about that frame.
-    pub frame_description: String,
-    /// Whether lengths of its results are metres.
-    pub is_metric: bool,
+    /// The frame of its results, where they lie beside the recording.
+    pub frame: Option<Align>,
     /// What the user should know.
     pub warnings: Vec<String>,
 }
@@ -91,16 +87,6 @@ impl Earlier {
             Continuation::default()
         });
         let map = stored_map(&recording, &continuation, &file)?;
-        let folder = file.parent().unwrap_or(Path::new(""));
-        let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
-        let summary: serde_json::Value = serde_json::from_str(&summary).unwrap_or_default();
-        let said = |key: &str| summary.get(key)?.as_str().map(str::to_owned);
-        let frame_file = folder.join(MAP_FROM_WORLD);
-        let (map_from_world, description) = if frame_file.is_file() {
-            (read_sim3(&frame_file).bad_input()?, said("frame"))
-        } else {
-            (z_up_from_camera_world(), None)
-        };
         let sessions = if continuation.sessions.is_empty() {
             vec![RecordedSession {
                 source: recording.session.source.clone(),
@@ -111,15 +97,11 @@ impl Earlier {
         };
         Ok(Self {
             path: path.to_owned(),
-            is_metric: map.scale == Scale::Metric || said("scale").as_deref() == Some("metric"),
             session: recording.session,
             map,
             sessions,
             frames: continuation.frames,
-            map_from_world,
-            frame_description: description.unwrap_or_else(|| {
-                "z up as the first camera of the first session was held".to_owned()
-            }),
+            frame: frame_beside(&file)?,
             warnings,
         })
     }
@@ -150,6 +132,24 @@ impl Earlier {
             describe(found)
         )))
     }
+}
+
+/// The frame of the results that lie beside a recording: what a map of it, or a run that goes on with it, has in common with
+/// them. `None` where there are none.
+pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
+    let folder = recording.parent().unwrap_or(Path::new(""));
+    let frame_file = folder.join(MAP_FROM_WORLD);
+    if !frame_file.is_file() {
+        return Ok(None);
+    }
+    let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap_or_default();
+    let said = |key: &str| summary.get(key)?.as_str().map(str::to_owned);
+    Ok(Some(Align::Map {
+        map_from_world: read_sim3(&frame_file).bad_input()?,
+        description: said("frame").unwrap_or_else(|| "the frame of the run".to_owned()),
+        is_metric: said("scale").as_deref() == Some("metric"),
+    }))
 }
 
 fn describe(p: &Pinhole) -> String {

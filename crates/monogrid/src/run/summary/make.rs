@@ -54,7 +54,10 @@ impl Summary {
                 0.0
             },
             map: MapFacts {
-                resolution: settings.config.mapping.resolution,
+                resolution: maps.map_or(settings.config.mapping.resolution, |maps| {
+                    maps.global.resolution()
+                }),
+                cell: None,
                 leaves: maps.map_or(0, |maps| maps.global.leaf_count()),
                 bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
             },
@@ -65,6 +68,8 @@ impl Summary {
                 ARBITRARY
             },
             frame: frame.description.clone(),
+            up: frame.up,
+            floor: frame.floor,
             profile: settings.config.profile.name(),
             seed: settings.config.seed,
             working_size: [width, height],

@@ -6,9 +6,11 @@ mod status;
 pub use make::is_metric;
 pub use status::Status;
 
+use super::align::{FloorSummary, UpSummary};
 use crate::usage::{peak_rss_bytes, process_start};
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
 use monogrid_slam::Fragment;
+use monogrid_slam::mapping::SceneCell;
 use serde::{Serialize, Serializer};
 
 /// What `scale` says of metres.
@@ -40,6 +42,8 @@ pub struct Seconds {
 pub struct MapFacts {
     /// Edge of a cell.
     pub resolution: f64,
+    /// Why it is that, where it follows from the scene.
+    pub cell: Option<SceneCell>,
     /// Leaves of the pruned octree.
     pub leaves: usize,
     /// Memory of the map itself.
@@ -144,6 +148,10 @@ pub struct Summary {
     pub scale: &'static str,
     /// The frame of trajectory and maps.
     pub frame: String,
+    /// What z is in it.
+    pub up: UpSummary,
+    /// The floor at z = 0; `null` where none was found or looked for.
+    pub floor: Option<FloorSummary>,
     /// Profile.
     pub profile: &'static str,
     /// Seed.

@@ -1,0 +1,355 @@
+//! Filled depth that other keyframes contradict.
+//!
+//! A plane through the outline of a plain region may be the wrong one: the wall beside it, which then passes behind
+//! the true surface as a wing of the map. Whether a filled pixel is right, other keyframes know. Each of them either
+//!
+//! * **agrees**: it has that depth where it sees the point;
+//! * **sees through it**: it has a larger depth there, so its line of sight passes the point;
+//! * **is seen through**: the line of sight of the pixel passes a surface that the other keyframe has in front of the point;
+//! * or does not see it, or sees it covered by something else, and has no say.
+//!
+//! Depth that was measured has a full vote, depth that was filled a smaller one. Pixels with too many votes against them
+//! are taken out. Images are compared in blocks of a few pixels.
+
+use super::scan::Depths;
+use super::{FillConfig, KeyframeCamera};
+use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
+use monogrid_occupancy::DepthPixel as Measurement;
+
+/// Edge of a block, px.
+const BLOCK_PX: usize = 4;
+/// The vote of filled depth; that of measured depth is 1.
+const FILLED_VOTE: f32 = 0.5;
+/// Blocks by which is found whether two keyframes see the same: every so many in both directions.
+const PROBE_STRIDE: usize = 8;
+/// Share of these that must be seen by the other keyframe.
+const MIN_OVERLAP: f64 = 0.1;
+
+/// A block of an image that has depth.
+#[derive(Clone, Copy, Debug, Default)]
+struct Block {
+    /// Mean inverse depth in units of the keyframe; 0 where there is none.
+    idepth: f32,
+    /// 1 for measured depth, [`FILLED_VOTE`] for filled.
+    vote: f32,
+    /// Whether it was filled.
+    is_filled: bool,
+}
+
+/// The blocks of a keyframe.
+#[derive(Debug)]
+pub(super) struct Blocks {
+    columns: usize,
+    rows: usize,
+    blocks: Vec<Block>,
+}
+
+/// A keyframe with its pose.
+#[derive(Debug)]
+pub(super) struct View<'a> {
+    pub depths: &'a Depths,
+    pub blocks: Blocks,
+    pub world_from_keyframe: Sim3,
+}
+
+impl Blocks {
+    /// Means over blocks: of measured depth where there is some, else of filled.
+    pub fn new(depths: &Depths, camera: &KeyframeCamera) -> Self {
+        let columns = camera.width.div_ceil(BLOCK_PX);
+        let rows = camera.height.div_ceil(BLOCK_PX);
+        let mut this = Self {
+            columns,
+            rows,
+            blocks: vec![Block::default(); columns * rows],
+        };
+        for (pixels, is_filled) in [(&depths.measured, false), (&depths.filled, true)] {
+            let mut sums = vec![(0.0_f32, 0.0_f32); columns * rows];
+            for pixel in pixels {
+                let sum = &mut sums[this.index_of_pixel(pixel)];
+                *sum = (sum.0 + pixel.idepth, sum.1 + 1.0);
+            }
+            for (block, (sum, count)) in this.blocks.iter_mut().zip(sums) {
+                if block.vote <= 0.0 && count > 0.0 {
+                    *block = Block {
+                        idepth: sum / count,
+                        vote: if is_filled { FILLED_VOTE } else { 1.0 },
+                        is_filled,
+                    };
+                }
+            }
+        }
+        this
+    }
+
+    fn index_of_pixel(&self, pixel: &Measurement) -> usize {
+        let column = (usize::from(pixel.x) / BLOCK_PX).min(self.columns - 1);
+        let row = (usize::from(pixel.y) / BLOCK_PX).min(self.rows - 1);
+        row * self.columns + column
+    }
+
+    /// The block at a place in the image.
+    fn index_at(&self, pixel: &Vec2) -> Option<usize> {
+        let (x, y) = (
+            (pixel.x + 0.5) / BLOCK_PX as f64,
+            (pixel.y + 0.5) / BLOCK_PX as f64,
+        );
+        let inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
+        inside.then(|| y as usize * self.columns + x as usize)
+    }
+
+    /// Smallest and largest inverse depth and the best vote of a block and its neighbours.
+    fn around(&self, index: usize) -> Option<(f32, f32, f32)> {
+        let (column, row) = (index % self.columns, index / self.columns);
+        let mut found: Option<(f32, f32, f32)> = None;
+        for y in row.saturating_sub(1)..(row + 2).min(self.rows) {
+            for x in column.saturating_sub(1)..(column + 2).min(self.columns) {
+                let block = &self.blocks[y * self.columns + x];
+                if block.vote > 0.0 {
+                    let (low, high, vote) = found.unwrap_or((f32::INFINITY, 0.0, 0.0));
+                    found = Some((
+                        low.min(block.idepth),
+                        high.max(block.idepth),
+                        vote.max(block.vote),
+                    ));
+                }
+            }
+        }
+        found
+    }
+
+    /// The middle of a block.
+    fn ray(&self, index: usize, pinhole: &Pinhole) -> Vec3 {
+        let middle = |cell: usize| (cell * BLOCK_PX) as f64 + 0.5 * (BLOCK_PX as f64 - 1.0);
+        pinhole.unproject(&Vec2::new(
+            middle(index % self.columns),
+            middle(index / self.columns),
+        ))
+    }
+}
+
+/// Votes on the filled depth of the blocks of a keyframe.
+#[derive(Clone, Copy, Debug, Default)]
+struct Votes {
+    agree: f32,
+    against: f32,
+}
+
+/// The filled depth of keyframe `index` that the others leave; `None` for one without a pose.
+pub(super) fn kept(
+    views: &[Option<View>],
+    index: usize,
+    camera: &KeyframeCamera,
+    config: &FillConfig,
+) -> Option<Vec<Measurement>> {
+    let this = views[index].as_ref()?;
+    let mut votes = vec![Votes::default(); this.blocks.blocks.len()];
+    for other in witnesses(views, this, index, camera, config.max_witnesses) {
+        let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
+        hear_where_it_sees(&mut votes, this, other, &other_from_this, camera, config);
+        hear_where_it_is_seen(&mut votes, this, other, &other_from_this, camera, config);
+    }
+    let is_kept = |pixel: &&Measurement| {
+        let votes = votes[this.blocks.index_of_pixel(pixel)];
+        votes.against <= config.max_against * votes.agree.max(FILLED_VOTE)
+    };
+    Some(this.depths.filled.iter().filter(is_kept).copied().collect())
+}
+
+/// Keyframes that see some of the same, evenly spread over all of them.
+fn witnesses<'a, 'b>(
+    views: &'a [Option<View<'b>>],
+    this: &View,
+    index: usize,
+    camera: &KeyframeCamera,
+    max: usize,
+) -> Vec<&'a View<'b>> {
+    let seen: Vec<&View> = views
+        .iter()
+        .enumerate()
+        .filter(|(other, _)| *other != index)
+        .filter_map(|(_, other)| other.as_ref())
+        .filter(|other| overlap(this, other, camera) >= MIN_OVERLAP)
+        .collect();
+    let count = seen.len().min(max);
+    (0..count).map(|k| seen[k * seen.len() / count]).collect()
+}
+
+/// Share of the depth of a keyframe that lies in the image of another.
+fn overlap(this: &View, other: &View, camera: &KeyframeCamera) -> f64 {
+    let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
+    let (mut seen, mut all) = (0, 0);
+    for row in (0..this.blocks.rows).step_by(PROBE_STRIDE) {
+        for column in (0..this.blocks.columns).step_by(PROBE_STRIDE) {
+            let index = row * this.blocks.columns + column;
+            let block = &this.blocks.blocks[index];
+            if block.vote > 0.0 {
+                all += 1;
+                let point = this.blocks.ray(index, &camera.pinhole) / f64::from(block.idepth);
+                seen += usize::from(place(&(other_from_this * point), other, camera).is_some());
+            }
+        }
+    }
+    f64::from(seen as u32) / f64::from(all.max(1) as u32)
+}
+
+/// The block of a keyframe that a point in its frame falls into, with the inverse depth of the point there.
+fn place(point: &Vec3, view: &View, camera: &KeyframeCamera) -> Option<(usize, f32)> {
+    if point.z <= 1e-9 {
+        return None;
+    }
+    let index = view.blocks.index_at(&camera.pinhole.project(point))?;
+    Some((index, (1.0 / point.z) as f32))
+}
+
+/// The other keyframe agrees with a filled block, or sees through it.
+fn hear_where_it_sees(
+    votes: &mut [Votes],
+    this: &View,
+    other: &View,
+    other_from_this: &Sim3,
+    camera: &KeyframeCamera,
+    config: &FillConfig,
+) {
+    let tolerance = config.tolerance as f32;
+    for (index, block) in this.blocks.blocks.iter().enumerate() {
+        if !block.is_filled {
+            continue;
+        }
+        let point = this.blocks.ray(index, &camera.pinhole) / f64::from(block.idepth);
+        let Some((at, idepth)) = place(&(*other_from_this * point), other, camera) else {
+            continue;
+        };
+        let Some((low, high, vote)) = other.blocks.around(at) else {
+            continue;
+        };
+        if high < idepth * (1.0 - tolerance) {
+            votes[index].against += vote;
+        } else if low <= idepth * (1.0 + tolerance) {
+            votes[index].agree += vote;
+        }
+    }
+}
+
+/// A filled block is behind something that the other keyframe sees.
+fn hear_where_it_is_seen(
+    votes: &mut [Votes],
+    this: &View,
+    other: &View,
+    other_from_this: &Sim3,
+    camera: &KeyframeCamera,
+    config: &FillConfig,
+) {
+    let this_from_other = other_from_this.inverse();
+    let tolerance = config.tolerance as f32;
+    // the best vote of the other keyframe on each block: it has one
+    let mut heard = vec![0.0_f32; votes.len()];
+    for (index, block) in other.blocks.blocks.iter().enumerate() {
+        if block.vote <= 0.0 {
+            continue;
+        }
+        let point = other.blocks.ray(index, &camera.pinhole) / f64::from(block.idepth);
+        let Some((at, idepth)) = place(&(this_from_other * point), this, camera) else {
+            continue;
+        };
+        let seen = &this.blocks.blocks[at];
+        if seen.is_filled && idepth * (1.0 - tolerance) > seen.idepth {
+            heard[at] = heard[at].max(block.vote);
+        }
+    }
+    for (votes, heard) in votes.iter_mut().zip(heard) {
+        votes.against += heard;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::Rotation;
+
+    const CAMERA: KeyframeCamera = KeyframeCamera {
+        pinhole: Pinhole {
+            fx: 60.0,
+            fy: 60.0,
+            cx: 31.5,
+            cy: 23.5,
+        },
+        width: 64,
+        height: 48,
+    };
+
+    /// Depth of the same z everywhere.
+    fn plane(depth: f32) -> Vec<Measurement> {
+        let pixels = (0..48_u16).flat_map(|y| (0..64_u16).map(move |x| (x, y)));
+        let at = |(x, y)| Measurement {
+            x,
+            y,
+            idepth: 1.0 / depth,
+            sigma_idepth: 0.01 / depth,
+        };
+        pixels.map(at).collect()
+    }
+
+    fn measured(depth: f32) -> Depths {
+        Depths {
+            measured: plane(depth),
+            filled: Vec::new(),
+        }
+    }
+
+    fn filled(depth: f32) -> Depths {
+        Depths {
+            measured: Vec::new(),
+            filled: plane(depth),
+        }
+    }
+
+    /// Filled pixels of the first keyframe that are kept; the others stand beside it, a tenth of a unit each.
+    fn num_kept(all: &[Depths], config: &FillConfig) -> usize {
+        let views: Vec<Option<View>> = all
+            .iter()
+            .enumerate()
+            .map(|(k, depths)| {
+                let centre = Vec3::new(0.1 * k as f64, 0.0, 0.0);
+                Some(View {
+                    depths,
+                    blocks: Blocks::new(depths, &CAMERA),
+                    world_from_keyframe: Sim3::new(1.0, Rotation::identity(), centre),
+                })
+            })
+            .collect();
+        kept(&views, 0, &CAMERA, config).unwrap().len()
+    }
+
+    #[test]
+    fn a_plane_behind_a_measured_wall_or_before_it_is_taken_out() {
+        let config = FillConfig::default();
+        let all = filled(2.0).filled.len();
+        for (wrong, right) in [(2.5, 2.0), (1.5, 2.0)] {
+            let keyframes = [filled(wrong), measured(right), measured(right)];
+            let left = num_kept(&keyframes, &config);
+            assert!(10 * left < all, "{wrong}: {left} of {all}");
+        }
+        let keyframes = [filled(2.0), measured(2.0), measured(2.04)];
+        assert_eq!(num_kept(&keyframes, &config), all);
+        // nobody else saw it
+        assert_eq!(num_kept(&[filled(2.5)], &config), all);
+    }
+
+    #[test]
+    fn more_and_better_witnesses_win() {
+        let config = FillConfig::default();
+        let all = filled(2.0).filled.len();
+        // one filled plane against the measured depth of two
+        let keyframes = [filled(2.0), filled(1.5), measured(2.0), measured(2.0)];
+        // the last does not see the rim
+        assert!(10 * num_kept(&keyframes, &config) > 9 * all);
+        // two filled planes of two minds
+        let keyframes = [filled(2.5), filled(2.0), filled(2.0), filled(2.5)];
+        assert!(10 * num_kept(&keyframes, &config) < all);
+        let none = FillConfig {
+            max_against: 1000.0,
+            ..config
+        };
+        assert_eq!(num_kept(&keyframes, &none), all);
+    }
+}

@@ -1,0 +1,103 @@
+//! What keyframes say about directions: planes of their depth, straight edges of their images, how they were held.
+
+use super::UprightConfig;
+use super::segments::segments;
+use crate::mapping::fill::{Plane, planes_of_image};
+use crate::mapping::{FillConfig, KeyframeCamera, KeyframeScan};
+use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
+use monogrid_image::Image;
+
+/// A keyframe as the search for up needs it.
+#[derive(Clone, Copy, Debug)]
+pub struct UprightView<'a> {
+    /// Its depth as it is mapped.
+    pub scan: &'a KeyframeScan,
+    /// Its image; without one there are no edges.
+    pub image: Option<&'a Image<u8>>,
+    /// Its pose.
+    pub world_from_keyframe: Sim3,
+}
+
+/// A plane that a keyframe sees.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Patch {
+    /// Towards the camera.
+    pub normal_in_world: Vec3,
+    /// The middle of what was seen of it.
+    pub middle_in_world: Vec3,
+    /// Its share of all depth of the keyframe that lies on planes.
+    pub weight: f64,
+}
+
+/// A straight edge of an image: the plane through it and the camera.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Edge {
+    pub normal_in_world: Vec3,
+    /// Its share of the length of all edges in its image.
+    pub weight: f64,
+}
+
+/// Everything that votes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Evidence {
+    pub patches: Vec<Patch>,
+    pub edges: Vec<Edge>,
+    pub poses: Vec<Sim3>,
+}
+
+impl Evidence {
+    /// Collects it from all keyframes.
+    pub fn of(views: &[UprightView], camera: &KeyframeCamera, config: &UprightConfig) -> Self {
+        let min_length_px = config.min_edge * camera.width as f64;
+        let mut this = Self::default();
+        for view in views {
+            let pose = &view.world_from_keyframe;
+            this.poses.push(*pose);
+            let planes = planes_of_image(&view.scan.pixels, &FillConfig::default());
+            let points: usize = planes.iter().map(|plane| plane.inliers).sum();
+            let patches = planes.iter().map(|plane| Patch {
+                weight: plane.inliers as f64 / points as f64,
+                ..patch(plane, &camera.pinhole, pose)
+            });
+            // a plane through the camera has no place
+            let is_finite = |p: &Patch| (p.normal_in_world + p.middle_in_world).norm().is_finite();
+            this.patches.extend(patches.filter(is_finite));
+            let Some(image) = view.image else { continue };
+            let found = segments(image, min_length_px);
+            let length: f64 = found.iter().map(|segment| segment.length_px).sum();
+            this.edges.extend(found.iter().map(|segment| {
+                let ray = |side: f64| {
+                    let half = 0.5 * side * segment.length_px;
+                    camera.pinhole.unproject(&Vec2::new(
+                        segment.middle[0] + half * segment.direction[0],
+                        segment.middle[1] + half * segment.direction[1],
+                    ))
+                };
+                let normal = ray(-1.0).cross(&ray(1.0)).normalize();
+                Edge {
+                    normal_in_world: pose.rotation * normal,
+                    weight: segment.length_px / length,
+                }
+            }));
+        }
+        this
+    }
+}
+
+/// The plane in the world. With the inverse depth `a x + b y + c` of the pixel, `N X = 1` holds on the plane for
+/// `N = (a fx, b fy, a cx + b cy + c)`.
+fn patch(plane: &Plane, pinhole: &Pinhole, pose: &Sim3) -> Patch {
+    let [a, b, c] = plane.affine();
+    let normal = Vec3::new(
+        a * pinhole.fx,
+        b * pinhole.fy,
+        a * pinhole.cx + b * pinhole.cy + c,
+    );
+    let [x, y] = plane.middle();
+    let ray = pinhole.unproject(&Vec2::new(x, y));
+    Patch {
+        normal_in_world: pose.rotation * -normal.normalize(),
+        middle_in_world: *pose * (ray / ray.dot(&normal)),
+        weight: 0.0,
+    }
+}

@@ -1,0 +1,265 @@
+//! `monogrid rescale`: a run in metres, when its scale becomes known afterwards.
+
+mod scale;
+mod tables;
+
+use super::{print_json, use_threads};
+use crate::args::{ForceArg, JsonArg, positive};
+use crate::config::RunConfig;
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::output::{Content, Inputs, OutputFolder};
+use crate::recorded::Recorded;
+use crate::run::align::{Align, Up};
+use crate::run::outputs::{Ground, path_of, write_global};
+use crate::run::sessions::{MAP_FROM_WORLD, RECORDING};
+use clap::Args;
+use monogrid_datasets::{
+    DepthRevision, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedKeyframe, Recording,
+    RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3, read_trajectory,
+};
+use monogrid_geometry::Sim3;
+use monogrid_slam::mapping::MappingConfig;
+use scale::{Results, ScaleFrom};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// `monogrid rescale`.
+#[derive(Debug, Args)]
+pub struct RescaleArgs {
+    /// Folder of a run of unknown scale
+    pub run: PathBuf,
+    /// Where the scale comes from: camera-height=1.5m (over the floor, median), distance:A,B=1.2m (points X:Y:Z of the results
+    /// or pixels kID:X:Y of keyframes), trajectory:FILE in metres, or factor=F metres per map unit
+    #[arg(long, value_name = "SOURCE", value_parser = ScaleFrom::parse)]
+    pub scale_from: ScaleFrom,
+    /// Output folder
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Edge length of a cell, metres [default: the run's, where it was given, else 0.05]
+    #[arg(long, value_name = "L", value_parser = positive)]
+    pub resolution: Option<f64>,
+    /// Threads of computation [default: all cores]; the results do not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub force: ForceArg,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// Text files of a run and how they are scaled.
+type Scaler = fn(&str, f64) -> Option<String>;
+const TABLES: [(&str, Scaler); 6] = [
+    ("trajectory.txt", tables::trajectory),
+    ("trajectory_live.txt", tables::trajectory),
+    ("trajectory_odometry.txt", tables::trajectory),
+    ("trajectory_earlier.txt", tables::trajectory),
+    ("keyframes.txt", tables::keyframes),
+    ("graph.g2o", tables::graph),
+];
+/// What says of which scale a run is.
+const SUMMARY: &str = "summary.json";
+/// The semi-dense cloud.
+const CLOUD: &str = "cloud.ply";
+/// Files without lengths.
+const COPIED: [&str; 3] = ["frames.csv", "calibration.txt", "config.toml"];
+
+/// Writes everything that has lengths into a new folder, in metres.
+pub fn execute(args: &RescaleArgs) -> CommandResult {
+    let threads = use_threads(args.threads)?;
+    let names = TABLES.map(|(name, _)| name).into_iter().chain(COPIED);
+    let names = names.chain([RECORDING, MAP_FROM_WORLD, SUMMARY, CLOUD]);
+    let mut inputs =
+        Inputs::of("the run", &args.run).and_all("the run", names.map(|name| args.run.join(name)));
+    if let ScaleFrom::Trajectory(path) = &args.scale_from {
+        inputs = inputs.and("the trajectory", path);
+    }
+    let recording_file = args.run.join(RECORDING);
+    let recording = Recording::read(&recording_file, ReadOptions::default()).bad_input()?;
+    let summary = summary(&args.run)?;
+    if recording.session.scale == Scale::Metric || summary["scale"] == "metric" {
+        return Err(Failure::input(format!(
+            "{} is in metres already; expected a run of unknown scale",
+            args.run.display()
+        )));
+    }
+    let map_from_world = read_sim3(&args.run.join(MAP_FROM_WORLD)).bad_input()?;
+    let factor = args.scale_from.factor(&Results {
+        recording: &recording,
+        map_from_world,
+        camera_height: summary["floor"]["camera_height"].as_f64(),
+        trajectory: args.run.join("trajectory.txt"),
+    })?;
+    let folder = OutputFolder::replace(&args.out, args.force.force, &inputs)?;
+    write_tables(&args.run, &folder, factor)?;
+    let moved = Sim3 {
+        translation: map_from_world.translation * factor,
+        ..map_from_world
+    };
+    folder.write(MAP_FROM_WORLD, format_sim3(&moved))?;
+    write_recording(&folder, recording, factor)?;
+    let mut summary = rescaled_summary(summary, factor);
+    // the maps are built in the frame that stands beside the recording
+    folder.write(SUMMARY, summary.to_string())?;
+    let ground = Ground {
+        has_floor: !summary["floor"].is_null(),
+        is_metric: true,
+    };
+    summary["map"] = write_maps(&folder, args.resolution, ground, threads)?;
+    let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
+    folder.write(SUMMARY, text + "\n")?;
+    let report = json!({ "metres_per_map_unit": factor, "map": summary["map"] });
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        println!(
+            "{}: one map unit is {factor:.6} m; cells of {} m",
+            args.out.display(),
+            summary["map"]["resolution"]
+        );
+    }
+    Ok(Outcome::Done)
+}
+
+fn summary(run: &Path) -> Result<Value, Failure> {
+    let path = run.join(SUMMARY);
+    let text = std::fs::read_to_string(&path).map_err(|error| {
+        Failure::input(format!(
+            "{} cannot be read: {error}; expected the output folder of a finished run",
+            path.display()
+        ))
+    })?;
+    let summary: Option<Value> = serde_json::from_str(&text).ok().filter(Value::is_object);
+    summary.ok_or_else(|| Failure::input(format!("{} is damaged", path.display())))
+}
+
+/// Numbers with lengths, times `factor`; errors against a reference are of the old unit and left out.
+fn rescaled_summary(mut summary: Value, factor: f64) -> Value {
+    summary["scale"] = "metric".into();
+    summary["metres_per_map_unit"] = factor.into();
+    if let Some(height) = summary["floor"]["camera_height"].as_f64() {
+        summary["floor"]["camera_height"] = (height * factor).into();
+    }
+    if let Some(summary) = summary.as_object_mut() {
+        for key in ["trajectory", "depth", "map_error"] {
+            summary.remove(key);
+        }
+    }
+    summary
+}
+
+fn write_tables(run: &Path, folder: &OutputFolder, factor: f64) -> Result<(), Failure> {
+    let read = |name: &str| std::fs::read_to_string(run.join(name)).ok();
+    for (name, scaled) in TABLES {
+        if let Some(text) = read(name) {
+            let text = scaled(&text, factor).ok_or_else(|| {
+                Failure::input(format!("{} is damaged", run.join(name).display()))
+            })?;
+            folder.write(name, text)?;
+        }
+    }
+    if let Ok(ply) = std::fs::read(run.join(CLOUD)) {
+        let damaged = || Failure::input(format!("{} is damaged", run.join(CLOUD).display()));
+        folder.write(
+            "cloud.ply",
+            tables::cloud(&ply, factor).ok_or_else(damaged)?,
+        )?;
+    }
+    for name in COPIED {
+        if let Some(text) = read(name) {
+            folder.write(name, text)?;
+        }
+    }
+    Ok(())
+}
+
+/// The recording with its keyframes in a world of metres; edges, points and frames are in units of keyframes.
+fn write_recording(
+    folder: &OutputFolder,
+    recording: Recording,
+    factor: f64,
+) -> Result<(), Failure> {
+    let doing = "the recording cannot be written";
+    let session = SessionInfo {
+        scale: Scale::Metric,
+        ..recording.session
+    };
+    let mut writer =
+        RecordingWriter::create(&folder.begin(RECORDING)?, &session).while_running(doing)?;
+    let mut poses = PoseSnapshot {
+        revision: recording.pose_revision.unwrap_or(0),
+        poses: Vec::new(),
+    };
+    for keyframe in recording.keyframes {
+        if let Some(pose) = keyframe.world_from_keyframe {
+            let pose = Sim3::new(
+                pose.scale * factor,
+                pose.rotation,
+                pose.translation * factor,
+            );
+            poses.poses.push((keyframe.id, pose));
+        }
+        append(&mut writer, keyframe).while_running(doing)?;
+    }
+    writer.append_poses(poses).while_running(doing)?;
+    if let Some(continuation) = recording.continuation {
+        let record = Record::Continuation(continuation);
+        writer.append(&record).while_running(doing)?;
+    }
+    if let Some(end) = recording.end {
+        writer.finish(end).while_running(doing)?;
+    }
+    folder.list(RECORDING, Content::Whole)
+}
+
+fn append(
+    writer: &mut RecordingWriter,
+    keyframe: RecordedKeyframe,
+) -> Result<(), monogrid_datasets::DatasetError> {
+    let revision = (keyframe.depth_revision > 0).then(|| DepthRevision {
+        keyframe_id: keyframe.id,
+        revision: keyframe.depth_revision,
+        pixels: keyframe.pixels.clone(),
+    });
+    writer.append_keyframe(KeyframeRecord {
+        id: keyframe.id,
+        frame_index: keyframe.frame_index,
+        timestamp_ns: keyframe.timestamp_ns,
+        image: keyframe.image,
+        pixels: keyframe.pixels,
+    })?;
+    revision.map_or(Ok(()), |revision| writer.append_depth(revision))
+}
+
+/// Builds the maps of the new recording; facts about them.
+fn write_maps(
+    folder: &OutputFolder,
+    resolution: Option<f64>,
+    ground: Ground,
+    threads: usize,
+) -> Result<Value, Failure> {
+    let recorded = Recorded::read(&folder.path().join(RECORDING), &Align::Level(Up::Scene))?;
+    let recorded_config = recorded.config.clone();
+    let config: MappingConfig =
+        recorded_config.map_or_else(MappingConfig::default, |config: RunConfig| config.mapping);
+    let config = MappingConfig {
+        resolution: resolution.unwrap_or(config.resolution),
+        ..config
+    };
+    let doing = "the map cannot be built";
+    let (mut global, _, _) = recorded.map(&config, threads).while_running(doing)?;
+    global.pack(threads);
+    let poses = read_trajectory(&folder.path().join("trajectory.txt")).bad_input()?;
+    let path = path_of(&poses);
+    let centre = path.last().copied().unwrap_or_default();
+    let local = global
+        .within(centre, config.local_radius)
+        .while_running(doing)?;
+    write_global(folder, &global, &local, &path, ground)?;
+    Ok(json!({
+        "resolution": global.resolution(),
+        "leaves": global.leaf_count(),
+        "bytes_in_memory": global.bytes_in_memory(),
+        "cell": null,
+    }))
+}
