@@ -109,7 +109,8 @@ impl Intrinsics {
     }
 
     /// Pixel of a point in the camera's frame; `None` where it is not in front of the camera.
-    pub(crate) fn project(&self, point: &Vec3) -> Option<Vec2> {
+    #[must_use]
+    pub fn project(&self, point: &Vec3) -> Option<Vec2> {
         // NaN fails as well
         (point.z > MIN_FORWARD * point.norm()).then(|| {
             let ideal = point.xy() / point.z;

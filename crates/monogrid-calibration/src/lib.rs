@@ -8,6 +8,8 @@
 //!    lowest cost wins.
 //! 3. [`estimate_intrinsics`] fuses what the windows say, weighted by their information, and lets their
 //!    disagreement widen the result.
+//! 4. [`refine_intrinsics`] does the same with scenes that are known but for the camera: the [pieces](Scene::pieces) of
+//!    a map that was made with a camera about right.
 //!
 //! Motions that do not determine the focal length (straight ahead, no parallax) leave little
 //! information: the prior is kept and the outcome says so ([`Estimate::is_determined`]).
@@ -21,11 +23,12 @@
 mod adjust;
 mod estimate;
 mod intrinsics;
+mod pieces;
 mod reconstruct;
 mod tracks;
 mod triangulation;
 
 pub use adjust::{AdjustConfig, Adjusted, Scene, Sighting, adjust};
-pub use estimate::{Estimate, EstimateConfig, estimate_intrinsics};
+pub use estimate::{Estimate, EstimateConfig, estimate_intrinsics, refine_intrinsics};
 pub use intrinsics::{Intrinsics, NUM_PARAMETERS, Parameters, Prior};
 pub use tracks::{CollectorConfig, Track, TrackCollector, Window};

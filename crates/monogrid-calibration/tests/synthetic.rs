@@ -3,7 +3,7 @@
 
 use monogrid_calibration::{
     AdjustConfig, Estimate, EstimateConfig, Intrinsics, Prior, Scene, Sighting, Track, Window,
-    adjust, estimate_intrinsics,
+    adjust, estimate_intrinsics, refine_intrinsics,
 };
 use monogrid_features::Rng;
 use monogrid_geometry::{Distortion, Pinhole, Se3, Vec2, Vec3, Vec6};
@@ -187,4 +187,63 @@ fn the_camera_that_is_returned() {
     let ideal = lens(500.0, 0.0).camera(SIZE).unwrap();
     assert_eq!(ideal.distortion, Distortion::None);
     assert_eq!(lens(1e9, 0.0).camera(SIZE), None);
+}
+
+/// The window's points and poses as a map has them that was made with another focal length: bent by it.
+fn mapped(lens: &Intrinsics, guess: &Intrinsics, seed: u64) -> Scene {
+    let mut rng = Rng::new(seed);
+    let poses: Vec<Se3> = (0..20u8)
+        .map(|view| Se3::exp(&hand(1.0)(f64::from(view) / 19.0)))
+        .collect();
+    let mut scene = Scene {
+        intrinsics: *guess,
+        poses,
+        points: Vec::new(),
+        sightings: Vec::new(),
+    };
+    for _ in 0..700 {
+        let mut within = |low: f64, high: f64| low + (high - low) * rng.uniform();
+        let point = Vec3::new(within(-4.0, 4.0), within(-3.0, 3.0), within(2.0, 6.0));
+        let index = scene.points.len();
+        let mut seen = Vec::new();
+        for (view, pose) in scene.poses.iter().enumerate() {
+            if let Some(pixel) = pixel(lens, &(*pose * point)) {
+                let pixel = pixel + Vec2::new(rng.normal(), rng.normal()) * 0.3;
+                seen.push(Sighting {
+                    view,
+                    point: index,
+                    pixel,
+                });
+            }
+        }
+        if seen.len() >= 3 {
+            scene.sightings.extend(seen);
+            let stretch = guess.focal / lens.focal;
+            scene
+                .points
+                .push(Vec3::new(point.x, point.y, point.z * stretch));
+        }
+    }
+    scene
+}
+
+#[test]
+fn a_map_shows_the_camera_though_it_was_made_with_another() {
+    let prior = Prior::ordinary(62.0, SIZE);
+    let config = EstimateConfig::default();
+    for (guess_px, k1) in [(480.0, 0.0), (560.0, -0.1)] {
+        let lens = lens(520.0, k1);
+        let guess = Intrinsics::centred(guess_px, SIZE);
+        let pieces = mapped(&lens, &guess, 5).pieces(10);
+        assert_eq!(pieces.len(), 2);
+        let shown = refine_intrinsics(pieces, SIZE, &prior, &config);
+        let error = shown.intrinsics.focal / 520.0 - 1.0;
+        assert!(error.abs() < 0.02, "{guess_px}: {error}");
+        assert!(shown.is_determined() && shown.num_windows == 2, "{shown:?}");
+        assert!((shown.intrinsics.radial[0] - k1).abs() < 0.03, "{shown:?}");
+        let (low, high) = shown.focal_interval_px();
+        assert!((low..high).contains(&520.0));
+    }
+    let nothing = refine_intrinsics(Vec::new(), SIZE, &prior, &config);
+    assert!(!nothing.is_determined());
 }

@@ -7,6 +7,9 @@ use monogrid_image::{GrayImage, Mask, Photometric, Undistorter, WorkingSize};
 #[derive(Clone, Debug)]
 pub struct Preparation {
     camera: Camera,
+    size: WorkingSize,
+    /// The user's mask, of the size of the images.
+    mask: Option<Mask>,
     undistorter: Undistorter,
     photometric: Photometric,
 }
@@ -42,9 +45,18 @@ impl Preparation {
     ) -> Self {
         Self {
             camera: *camera,
+            size,
+            mask: mask.cloned(),
             undistorter: Undistorter::new(camera, size, mask),
             photometric,
         }
+    }
+
+    /// The same for another camera with images of the same size.
+    #[must_use]
+    pub fn with_camera(&self, camera: &Camera) -> Self {
+        let mask = self.mask.as_ref();
+        Self::new(camera, self.size, mask, self.photometric.clone())
     }
 
     /// The camera of the images.

@@ -1,7 +1,6 @@
 //! Opening a source: frames, calibration, working images.
 
 use crate::args::SourceArgs;
-use crate::doubts::doubts;
 use crate::failure::{Classify, Failure};
 use crate::self_calibration::OwnCalibration;
 use crate::video::{VideoItem, VideoSource, is_video};
@@ -71,8 +70,7 @@ impl Input {
             let readable = |frame: &FrameEntry| read_gray(&frame.path).ok();
             frames.iter().filter_map(readable)
         };
-        let is_given = given.is_some();
-        let mut known = known_camera(given, args, image_size, || {
+        let known = known_camera(given, args, image_size, || {
             OwnCalibration::from_images(images(), image_size).ok_or_else(|| {
                 no_calibration(&format!(
                     "no calibration in {}: expected calibration.toml or calibration.txt there (one \
@@ -81,9 +79,6 @@ impl Input {
                 ))
             })
         })?;
-        if is_given {
-            known.warnings.extend(doubts(&known.camera, images()));
-        }
         let photometric = read_photometric(
             dataset.response_path.as_deref(),
             dataset.vignette_path.as_deref(),
@@ -112,9 +107,8 @@ impl Input {
             .as_deref()
             .map(|path| Calibration::read(path, Some(size)).bad_input())
             .transpose()?;
-        let is_given = given.is_some();
         let images = || video.frames().filter_map(|(_, _, image)| image.ok());
-        let mut known = known_camera(given, args, size, || {
+        let known = known_camera(given, args, size, || {
             if !video.is_file() {
                 return Err(no_calibration(
                     "no calibration: what is seen only once cannot show its camera first",
@@ -123,9 +117,6 @@ impl Input {
             OwnCalibration::from_images(images(), size)
                 .ok_or_else(|| no_calibration("no calibration, and the video does not show it"))
         })?;
-        if is_given && video.is_file() {
-            known.warnings.extend(doubts(&known.camera, images()));
-        }
         Ok(Self {
             name: video.name(),
             preparation: preparation(&known.camera, args, Photometric::default())?,
@@ -161,6 +152,38 @@ impl Input {
             ),
             warnings: Vec::new(),
         }
+    }
+
+    /// The images that can be read, from the first one on; none of what can be read only once, or is rendered.
+    pub fn images_again(&self) -> Box<dyn Iterator<Item = GrayImage> + '_> {
+        match &self.images {
+            Images::Files(_) => {
+                let frames = self.frames.iter();
+                Box::new(frames.filter_map(|frame| read_gray(&frame.path).ok()))
+            }
+            Images::Video(video) if video.is_file() => {
+                Box::new(video.frames().filter_map(|(_, _, image)| image.ok()))
+            }
+            Images::Video(_) | Images::Rendered(_) => Box::new(std::iter::empty()),
+        }
+    }
+
+    /// Whether its images can be read more than once.
+    pub fn is_repeatable(&self) -> bool {
+        match &self.images {
+            Images::Files(_) | Images::Rendered(_) => true,
+            Images::Video(video) => video.is_file(),
+        }
+    }
+
+    /// Takes another camera for images of the same size.
+    pub fn take_camera(&mut self, own: OwnCalibration) {
+        if let Some(replaced) = self.own_calibration.take() {
+            self.warnings.retain(|w| !replaced.warnings.contains(w));
+        }
+        self.preparation = self.preparation.with_camera(&own.camera);
+        self.interpretation.clone_from(&own.interpretation);
+        self.own_calibration = Some(own);
     }
 
     /// Intrinsics of the working images.

@@ -5,12 +5,13 @@ use monogrid_calibration::{
     CollectorConfig, Estimate, EstimateConfig, Intrinsics, Prior, TrackCollector, Window,
     estimate_intrinsics,
 };
+use monogrid_datasets::Calibration;
 use monogrid_geometry::{Camera, Distortion, Pinhole};
 use monogrid_image::{GrayImage, Resize, WorkingSize, resize_area};
 
 /// Field of view that is assumed along the longer side where nothing is known, degrees: between the
 /// main cameras of phones while filming and those of laptops.
-const ASSUMED_FOV_DEG: f64 = 62.0;
+pub const ASSUMED_FOV_DEG: f64 = 62.0;
 
 /// Windows of the video that are used.
 const MAX_WINDOWS: usize = 8;
@@ -75,6 +76,18 @@ impl OwnCalibration {
                 )],
             });
         }
+        Self::from_determined(estimate, size, "estimated from the video")
+    }
+
+    /// What an estimate determines, and from what; `None` where the focal length is not.
+    pub fn from_determined(
+        estimate: &Estimate,
+        size: (usize, usize),
+        source: &str,
+    ) -> Option<Self> {
+        if !estimate.is_determined() {
+            return None;
+        }
         let (low, high) = estimate.focal_interval_px();
         let Intrinsics {
             focal,
@@ -84,17 +97,25 @@ impl OwnCalibration {
         Some(Self {
             camera: estimate.intrinsics.camera(size)?,
             interpretation: format!(
-                "estimated from the video: focal length {focal:.1} px (95 %: {low:.1} to {high:.1}), \
+                "{source}: focal length {focal:.1} px (95 %: {low:.1} to {high:.1}), \
                  distortion k1 = {k1:.4}, k2 = {k2:.4}, principal point ({:.1}, {:.1}); {} of {} \
-                 pieces of the video used",
+                 pieces of it used",
                 centre.x, centre.y, estimate.num_windows, estimate.num_given
             ),
             warnings: Vec::new(),
         })
     }
 
-    /// The content of a `calibration.txt`.
-    pub fn file_content(&self) -> String {
+    /// Name and content of the calibration file: one line of numbers, or TOML where these cannot say the distortion.
+    pub fn file(&self) -> (&'static str, String) {
+        match self.camera.distortion {
+            Distortion::None | Distortion::RadialTangential { k3: 0.0, .. } => {}
+            _ => return ("calibration.toml", Calibration::to_toml(&self.camera)),
+        }
+        ("calibration.txt", self.line())
+    }
+
+    fn line(&self) -> String {
         let Camera {
             width,
             height,
@@ -160,7 +181,8 @@ mod tests {
         let certain = OwnCalibration::from_estimate(&shown, (640, 480)).unwrap();
         assert!(certain.warnings.is_empty());
         assert!((certain.camera.pinhole.fx - 500.0).abs() < 1e-9);
-        let text = certain.file_content();
+        let (name, text) = certain.file();
+        assert_eq!(name, "calibration.txt");
         assert!(
             text.ends_with("\n500.000 500.000 319.500 239.500 640 480\n"),
             "{text}"

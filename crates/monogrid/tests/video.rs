@@ -40,14 +40,21 @@ fn a_phone_video_with_nothing_else() {
     let text = stderr(&output);
     assert_eq!(code(&output), 0, "{text}");
     assert!(text.contains("400 frames of 364x674 pixels"), "{text}");
-    // this motion says too little about the focal length, and the program says so
-    assert!(text.contains("does not show its focal length"), "{text}");
+    assert!(text.contains("a first pass over the video"), "{text}");
+    // this motion says little about the focal length: it is wide open, or assumed and said
+    let is_wide = text.contains("estimated from the map of the first 400 frames");
+    let is_assumed = text.contains("does not show its focal length");
+    assert!(is_wide != is_assumed, "{text}");
     let summary = json(&output);
     assert_eq!(summary["frames"], 400);
     assert!(summary["tracked"].as_u64().unwrap() > 100, "{summary}");
     // the next run takes what this one found
     let calibration = fs::read_to_string(out.join("calibration.txt")).unwrap();
-    assert!(calibration.contains("assumed: pinhole"), "{calibration}");
+    assert_eq!(
+        calibration.contains("assumed: pinhole"),
+        is_assumed,
+        "{calibration}"
+    );
     let again = monogrid([
         "check".as_ref(),
         video.as_os_str(),
@@ -57,6 +64,26 @@ fn a_phone_video_with_nothing_else() {
         out.join("calibration.txt").as_os_str(),
     ]);
     assert_eq!(code(&again), 0, "{}", stderr(&again));
+}
+
+#[test]
+fn a_wrong_calibration_is_noticed_while_the_map_grows() {
+    let Some(kitchen) = shared("red-kitchen") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let calibration = dir.path().join("calibration.txt");
+    fs::write(&calibration, "300 300 319.5 239.5 640 480\n").unwrap();
+    let output = program()
+        .args(["run", "--json", "--max-frames", "220", "--calibration"])
+        .args([&calibration, &kitchen])
+        .arg("--out")
+        .arg(dir.path().join("out"))
+        .output()
+        .unwrap();
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let warnings = json(&output)["warnings"].to_string();
+    assert!(warnings.contains("focal length is 300.0 px"), "{warnings}");
 }
 
 #[test]
@@ -106,6 +133,11 @@ fn a_stream_on_standard_input() {
         &piped(&["check", "-"]),
         2,
         &["seen only once", "--fov", "--calibration"],
+    );
+    assert_fails(
+        &piped(&["run", "-", "--fov", "60", "--refine-calibration"]),
+        2,
+        &["--refine-calibration", "seen only once", "expected a file"],
     );
 }
 

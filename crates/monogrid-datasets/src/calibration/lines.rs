@@ -1,6 +1,6 @@
 //! Calibration formats made of lines of numbers: one line, LSD-SLAM, DSO, KITTI.
 
-use super::{Draft, fov, pixel_count, radial_tangential, relative_or_pixels};
+use super::{Draft, colmap, fov, pixel_count, radial_tangential, relative_or_pixels};
 use crate::DatasetError;
 use crate::text::{data_lines, numbers};
 use monogrid_geometry::{Camera, Distortion, Pinhole};
@@ -23,6 +23,9 @@ pub(super) fn parse(
     let word = first.1.split_whitespace().next().unwrap_or("");
     if DSO_MODELS.iter().any(|m| m.eq_ignore_ascii_case(word)) {
         return parse_dso(word, &lines, path);
+    }
+    if colmap::is_camera(first.1) {
+        return colmap::parse(&lines, path);
     }
     if let Some(matrix) = kitti_matrix(&lines) {
         return kitti(&matrix, path, image_size);

@@ -7,11 +7,14 @@
 //! * LSD-SLAM's and PTAM's files of four lines (5 relative numbers with the FOV model's omega, or 8
 //!   numbers of OpenCV's model), and DSO's with a model name in front;
 //! * EuRoC's `sensor.yaml`, Kalibr's `camchain.yaml`, ROS' `camera_info` YAML;
+//! * ORB-SLAM's and stella's YAML (keys `Camera.fx` or `Camera1.fx`, or `fx` under `Camera`);
+//! * COLMAP's `cameras.txt`;
 //! * KITTI's `calib.txt` (first projection matrix; needs the size of the images).
 //!
 //! The centre of the top-left pixel is (0, 0) in the result. Formats with *relative* values count from
 //! the corner of that pixel, so half a pixel is subtracted for them and only for them.
 
+mod colmap;
 mod lines;
 mod photometric;
 mod toml_format;
@@ -65,8 +68,8 @@ impl Calibration {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         let draft = match extension.as_deref() {
             Some("toml") => toml_format::parse(text, path)?,
-            Some("yaml" | "yml") => yaml::parse(text, path)?,
-            _ if text.trim_start().starts_with("%YAML") => yaml::parse(text, path)?,
+            Some("yaml" | "yml") => yaml::parse(text, path, image_size)?,
+            _ if text.trim_start().starts_with("%YAML") => yaml::parse(text, path, image_size)?,
             _ => lines::parse(text, path, image_size)?,
         };
         draft.check(path)

@@ -1,4 +1,4 @@
-//! The few lines of YAML that EuRoC, Kalibr and ROS use for cameras.
+//! The few lines of YAML that EuRoC, Kalibr, ROS, ORB-SLAM and stella use for cameras.
 //!
 //! Not a YAML parser: keys with a scalar or a list of numbers (flow style over several lines, or one
 //! dash per line), whatever their nesting. The first occurrence of a key counts, so the first camera
@@ -10,8 +10,15 @@ use crate::trajectory::pose_from_matrix;
 use monogrid_geometry::{Distortion, Pinhole, Se3};
 use std::path::Path;
 
-pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
+pub(super) fn parse(
+    text: &str,
+    path: &Path,
+    size_of_images: Option<(usize, usize)>,
+) -> Result<Draft, DatasetError> {
     let yaml = Yaml { text };
+    if let Some(slam) = SlamKeys::find(&yaml) {
+        return slam.parse(path, size_of_images);
+    }
     let size = image_size(&yaml).ok_or_else(|| {
         DatasetError::content(
             path,
@@ -99,6 +106,84 @@ fn distortion(yaml: &Yaml, path: &Path) -> Result<Distortion, DatasetError> {
 /// EuRoC's `T_BS`: the sensor's pose in the body, 4x4 row-major.
 fn body_from_camera(yaml: &Yaml) -> Option<Se3> {
     pose_from_matrix(&yaml.list("T_BS").filter(|m| m.len() == 16)?)
+}
+
+/// The keys of ORB-SLAM (`Camera.fx`, version 3 `Camera1.fx`) or stella (`fx` below `Camera:`).
+struct SlamKeys<'a> {
+    yaml: &'a Yaml<'a>,
+    /// In front of the intrinsics, and in front of the rest.
+    prefixes: [&'static str; 2],
+}
+
+impl<'a> SlamKeys<'a> {
+    fn find(yaml: &'a Yaml<'a>) -> Option<Self> {
+        let candidates = [["Camera.", "Camera."], ["Camera1.", "Camera."], ["", ""]];
+        let found = candidates
+            .into_iter()
+            .find(|[prefix, _]| yaml.number(&format!("{prefix}fx")).is_some())?;
+        Some(Self {
+            yaml,
+            prefixes: found,
+        })
+    }
+
+    fn intrinsic(&self, key: &str) -> Option<f64> {
+        self.yaml.number(&format!("{}{key}", self.prefixes[0]))
+    }
+
+    fn size(&self) -> Option<(usize, usize)> {
+        let side = |keys: [&str; 2]| {
+            let number = |key| self.yaml.number(&format!("{}{key}", self.prefixes[1]));
+            keys.into_iter().find_map(number).and_then(pixel_count)
+        };
+        Some((side(["width", "cols"])?, side(["height", "rows"])?))
+    }
+
+    /// Pinhole with radial-tangential distortion, or the fisheye model of Kannala and Brandt.
+    fn parse(
+        &self,
+        path: &Path,
+        size_of_images: Option<(usize, usize)>,
+    ) -> Result<Draft, DatasetError> {
+        let incomplete = || {
+            DatasetError::content(
+                path,
+                "a camera of ORB-SLAM or stella without one of its numbers",
+                "fx, fy, cx, cy and the size (width and height, or cols and rows)",
+            )
+        };
+        let required = |key| self.intrinsic(key).ok_or_else(incomplete);
+        let pinhole = Pinhole::new(
+            required("fx")?,
+            required("fy")?,
+            required("cx")?,
+            required("cy")?,
+        );
+        let size = self.size().or(size_of_images).ok_or_else(incomplete)?;
+        let k = |key| self.intrinsic(key).unwrap_or(0.0);
+        let model = ["Camera.type", "model", "Camera.model"]
+            .iter()
+            .find_map(|key| self.yaml.scalar(key))
+            .unwrap_or("PinHole")
+            .to_ascii_lowercase();
+        let distortion = match model.as_str() {
+            "pinhole" | "perspective" | "rectified" => {
+                radial_tangential([k("k1"), k("k2"), k("p1"), k("p2"), k("k3")])
+            }
+            "kannalabrandt8" | "fisheye" => Distortion::Equidistant {
+                k: [k("k1"), k("k2"), k("k3"), k("k4")],
+            },
+            _ => {
+                return Err(DatasetError::content(
+                    path,
+                    format!("camera model {model}"),
+                    "PinHole or KannalaBrandt8 (ORB-SLAM), perspective or fisheye (stella)",
+                ));
+            }
+        };
+        let format = "camera YAML of ORB-SLAM or stella";
+        Ok(Draft::new(size, pinhole, distortion, format))
+    }
 }
 
 struct Yaml<'a> {

@@ -264,8 +264,9 @@ fn kitti_poses(root: &Path, layout: Layout) -> Option<PathBuf> {
 }
 
 /// Names under which other programs keep calibrations, besides ours.
-const CALIBRATION_NAMES: [&str; 6] = [
+const CALIBRATION_NAMES: [&str; 7] = [
     "camera.txt",
+    "cameras.txt",
     "cameraCalibration.cfg",
     "calib.txt",
     "sensor.yaml",

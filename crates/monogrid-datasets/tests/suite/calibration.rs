@@ -321,3 +321,80 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn cameras_of_colmap() {
+    let text = "# Camera list\n1 OPENCV 752 480 458 457 367.5 248.5 -0.28 0.07 0.0002 0.00002\n";
+    let opencv = camera("cameras.txt", text);
+    assert_pinhole(&opencv, [458.0, 457.0, 367.0, 248.0]);
+    assert_eq!((opencv.width, opencv.height), (752, 480));
+    assert_eq!(opencv.distortion, RADTAN);
+    let simple = camera("cameras.txt", "7 SIMPLE_RADIAL 640 480 500 320 240 0.1\n");
+    assert_pinhole(&simple, [500.0, 500.0, 319.5, 239.5]);
+    assert!(matches!(
+        simple.distortion,
+        Distortion::RadialTangential { k1: 0.1, .. }
+    ));
+    let two = "1 PINHOLE 640 480 500 501 320 240\n2 PINHOLE 640 480 1 1 1 1\n";
+    let notes = parse("cameras.txt", two).unwrap().notes;
+    assert!(
+        notes.iter().any(|note| note.contains("first of 2")),
+        "{notes:?}"
+    );
+    for wrong in [
+        "1 PINHOLE 640 480 500 501 320",
+        "1 THIN_PRISM_FISHEYE 640 480 1 1 1 1 1 1 1 1 1 1 1 1",
+        "1 PINHOLE 640.5 480 500 501 320 240",
+    ] {
+        assert!(parse("cameras.txt", wrong).is_err(), "{wrong}");
+    }
+}
+
+#[test]
+fn cameras_of_orb_slam_and_stella() {
+    let numbers = [458.0, 457.0, 367.0, 248.0];
+    let keys = |prefix: &str| {
+        [
+            "fx: 458",
+            "fy: 457",
+            "cx: 367",
+            "cy: 248",
+            "k1: -0.28",
+            "k2: 0.07",
+            "p1: 0.0002",
+            "p2: 0.00002",
+        ]
+        .map(|line| format!("{prefix}{line}\n"))
+        .concat()
+    };
+    let second = format!(
+        "%YAML:1.0\n{}Camera.width: 752\nCamera.height: 480\n",
+        keys("Camera.")
+    );
+    let third = format!(
+        "%YAML:1.0\nCamera.type: \"PinHole\"\n{}Camera.width: 752\nCamera.height: 480\n",
+        keys("Camera1.")
+    );
+    let stella = format!(
+        "Camera:\n  model: \"perspective\"\n{}  cols: 752\n  rows: 480\n",
+        keys("  ")
+    );
+    for text in [&second, &third, &stella] {
+        let camera = camera("camera.yaml", text);
+        assert_pinhole(&camera, numbers);
+        assert_eq!((camera.width, camera.height), (752, 480), "{text}");
+        assert_eq!(camera.distortion, RADTAN, "{text}");
+    }
+    let fisheye = third.replace("PinHole", "KannalaBrandt8");
+    let fisheye = camera("camera.yaml", &fisheye).distortion;
+    assert!(matches!(fisheye, Distortion::Equidistant { .. }));
+    let other = third.replace("PinHole", "Equirectangular");
+    assert!(parse("camera.yaml", &other).is_err());
+    let without_size = second.replace("Camera.width", "Camera.fps");
+    assert!(parse("camera.yaml", &without_size).is_err());
+    let path = Path::new("camera.yaml");
+    let of_images = Calibration::parse(&without_size, path, Some((752, 480))).unwrap();
+    assert_eq!(of_images.camera, camera("camera.yaml", &second));
+    let incomplete = second.replace("Camera.cy", "Camera.cz");
+    assert!(parse("camera.yaml", &incomplete).is_err());
+}

@@ -69,10 +69,8 @@ impl Slam {
     pub fn stored_map(&self) -> StoredMap {
         let map = &self.map;
         let count = map.published().count();
-        let is_finished = |id: KeyframeId| (id as usize) < count;
         let keyframes = map.keyframes().iter();
         let edges = map.edges().iter();
-        let points = map.points().iter().filter(|p| p.alive);
         StoredMap {
             scale: map.scale(),
             pose_revision: map.snapshot().revision,
@@ -81,11 +79,20 @@ impl Slam {
                 .filter(|e| e.edge.i.max(e.edge.j) < count as u64)
                 .copied()
                 .collect(),
-            points: points
-                .filter(|point| is_finished(point.host))
-                .map(|point| stored_point(point, is_finished))
-                .collect(),
+            points: self.points(),
         }
+    }
+
+    /// The points of the sparse layer, by their hosts, as finished keyframes see them.
+    #[must_use]
+    pub fn points(&self) -> Vec<StoredPoint> {
+        let count = self.map.published().count();
+        let is_finished = |id: KeyframeId| (id as usize) < count;
+        let points = self.map.points().iter();
+        points
+            .filter(|point| point.alive && is_finished(point.host))
+            .map(|point| stored_point(point, is_finished))
+            .collect()
     }
 
     /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of time.

@@ -2,6 +2,7 @@
 
 use super::print_json;
 use crate::args::{JsonArg, SourceArgs};
+use crate::doubts::doubts;
 use crate::failure::{CommandResult, Outcome};
 use crate::input::{Images, Input};
 use clap::Args;
@@ -134,6 +135,10 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
             .push(format!("{count} images cannot be used, first {first}"));
     }
     report.warnings.extend(sequence.findings());
+    if input.own_calibration.is_none() {
+        let found = doubts(input.camera(), input.images_again());
+        report.warnings.extend(found);
+    }
     report.warnings.extend(slow_or_narrow(&report));
     if args.json.json {
         print_json(&report)?;

@@ -7,6 +7,7 @@ use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
 use crate::output::{Inputs, OutputFolder};
+use crate::refine::refine;
 use crate::run::RunSettings;
 use crate::run::align::{Align, Up};
 use crate::run::conclusion::conclude;
@@ -27,6 +28,10 @@ pub struct RunArgs {
     pub source: PathBuf,
     #[command(flatten)]
     pub input: SourceArgs,
+    /// Refine the focal length and the principal point of the calibration by a first pass over the video (the camera
+    /// of a video without calibration always is)
+    #[arg(long, conflicts_with = "continue_from", help_heading = "Input")]
+    pub refine_calibration: bool,
     /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result holds both
     #[arg(
         long = "continue",
@@ -95,7 +100,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let earlier = continue_from.map(Earlier::read).transpose()?;
     let config = configuration(args, earlier.as_ref())?;
     let align = alignment(args, earlier.as_ref())?;
-    let input = open(args, earlier.as_ref())?;
+    let input = open(args, earlier.as_ref(), &config)?;
     let seed_depth = seed_depth(&input, args)?;
     let folder = Arc::new(output_folder(args, &input, &config)?);
     let settings = RunSettings {
@@ -108,7 +113,8 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     };
     describe_input(&input);
     if let Some(own) = &input.own_calibration {
-        folder.write("calibration.txt", own.file_content())?;
+        let (name, content) = own.file();
+        folder.write(name, content)?;
     }
     let finished = run_all(&input, &folder, &settings, &align, |_, _| {
         Ok(Extras::default())
@@ -157,10 +163,20 @@ fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure
     Ok(align.in_known_frame(known.unwrap_or(Align::Level(Up::FirstCamera))))
 }
 
-/// The source, with images of the size of the continued run.
-fn open(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Input, Failure> {
+/// The source, with images of the size of the continued run; a camera that nobody gave is refined.
+fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result<Input, Failure> {
     let Some(earlier) = earlier else {
-        return Input::open(&args.source, &args.input);
+        let mut input = Input::open(&args.source, &args.input)?;
+        let is_own = input.own_calibration.is_some() && args.input.fov.is_none();
+        if args.refine_calibration && !input.is_repeatable() {
+            return Err(Failure::input(
+                "--refine-calibration: found a stream, which is seen only once; expected a file, for a first pass",
+            ));
+        }
+        if args.refine_calibration || is_own {
+            refine(&mut input, config)?;
+        }
+        return Ok(input);
     };
     let mut source = args.input.clone();
     let size = (earlier.session.width, earlier.session.height);

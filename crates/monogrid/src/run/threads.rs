@@ -41,6 +41,8 @@ pub struct Tracked {
     pub cpu: CpuTimes,
     /// Why it ended early.
     pub early_end: Option<EarlyEnd>,
+    /// What was found against the calibration, in sentences.
+    pub doubts: Vec<String>,
 }
 
 /// Tracks all frames, records keyframes and grows the maps.
@@ -67,12 +69,7 @@ pub fn track(
         must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
     };
     let viewer = viewer(&mut pipeline, input, settings)?;
-    let mut tracking = Tracking::begin(
-        (pipeline, viewer),
-        settings,
-        input.expected_frames().unwrap_or(0),
-        interrupted,
-    );
+    let mut tracking = Tracking::begin((pipeline, viewer), settings, input, interrupted);
     let reading = read_ahead(input.source(), &input.preparation, reading, |frame| {
         tracking.take(frame)
     })
@@ -93,6 +90,7 @@ pub fn track(
         },
         run,
         early_end: ended.early_end,
+        doubts: ended.doubts,
     })
 }
 

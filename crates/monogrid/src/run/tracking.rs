@@ -4,7 +4,8 @@ use super::RunSettings;
 use super::frames::{FrameFate, FrameRow};
 use super::live::Viewer;
 use super::progress::Progress;
-use crate::input::MAX_UNREADABLE_IN_A_ROW;
+use crate::doubts::CalibrationCheck;
+use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{Event, Pipeline, ReadFrame, Unusable};
 use monogrid_slam::FrameInput;
@@ -30,6 +31,7 @@ pub struct Tracking<'a> {
     num_keyframes: usize,
     unreadable_in_a_row: usize,
     early_end: Option<EarlyEnd>,
+    calibration: CalibrationCheck<'a>,
     progress: Progress,
     viewer: Option<Viewer>,
 }
@@ -42,6 +44,8 @@ pub struct Ended {
     pub rows: Vec<FrameRow>,
     /// Why there are no more.
     pub early_end: Option<EarlyEnd>,
+    /// What was found against the calibration, in sentences.
+    pub doubts: Vec<String>,
 }
 
 impl<'a> Tracking<'a> {
@@ -49,9 +53,10 @@ impl<'a> Tracking<'a> {
     pub fn begin(
         (pipeline, viewer): (Pipeline, Option<Viewer>),
         settings: &'a RunSettings,
-        num_frames: usize,
+        input: &'a Input,
         interrupted: &'a AtomicBool,
     ) -> Self {
+        let num_frames = input.expected_frames().unwrap_or(0);
         Self {
             num_keyframes: pipeline.slam().keyframes().len(),
             pipeline,
@@ -60,6 +65,7 @@ impl<'a> Tracking<'a> {
             rows: Vec::with_capacity(num_frames),
             unreadable_in_a_row: 0,
             early_end: None,
+            calibration: CalibrationCheck::new(input, !settings.realtime),
             progress: Progress::new(num_frames, settings.show_progress),
             viewer,
         }
@@ -138,6 +144,10 @@ impl<'a> Tracking<'a> {
                 _ => {}
             }
         }
+        let slam = self.pipeline.slam();
+        for doubt in self.calibration.early(slam, self.num_keyframes) {
+            self.progress.warn(doubt);
+        }
         FrameFate::Processed(Box::new(report))
     }
 
@@ -161,7 +171,12 @@ impl<'a> Tracking<'a> {
     /// After the last frame.
     pub fn finish(self) -> Ended {
         self.progress.finish();
+        let has_pose =
+            |row: &&FrameRow| row.report().is_some_and(|r| r.world_from_camera.is_some());
+        let num_with_pose = self.rows.iter().filter(has_pose).count();
+        let share = num_with_pose as f64 / self.rows.len().max(1) as f64;
         Ended {
+            doubts: self.calibration.end(self.pipeline.slam(), share),
             pipeline: self.pipeline,
             rows: self.rows,
             early_end: self.early_end,

@@ -92,7 +92,8 @@ pub fn run_all(
     let write =
         |maps| outputs::write_maps(folder, maps, &paths.path, paths.reported.as_deref(), ground);
     let pictures = maps.as_ref().map(write).transpose()?;
-    let extras = extras(&tracked, maps.as_ref())?;
+    let mut extras = extras(&tracked, maps.as_ref())?;
+    extras.warnings.extend(tracked.doubts.iter().cloned());
     let mut summary = Summary::new(input, settings, &tracked, &frame, maps.as_ref());
     summary.map.cell = cell;
     summary.warnings = warnings(input, looked.warning, extras.warnings, &summary);
