@@ -302,6 +302,21 @@ impl Align {
     }
 }
 
+impl MapFrame {
+    /// Compares the results with a reference that has not decided their frame; returns the transform from the frame of
+    /// the reference to that of the results.
+    pub fn compare(
+        &mut self,
+        trajectory: &[(i64, Se3)],
+        reference: &[TimedPose],
+    ) -> Result<Sim3, String> {
+        let report = fit(trajectory, reference)?;
+        let results_from_reference = self.map_from_world * report.gt_from_est.inverse();
+        self.fit = Some(report);
+        Ok(results_from_reference)
+    }
+}
+
 /// `map_from_camera` of a pose in the world: the scale of the frame applies to the position only.
 pub fn in_map(map_from_world: &Sim3, world_from_camera: &Se3) -> Se3 {
     (*map_from_world * world_from_camera.with_scale(1.0)).to_se3()

@@ -12,12 +12,12 @@ use super::threads::{Tracked, track};
 use super::tracking::EarlyEnd;
 use crate::explorer::{PosedKeyframe, SemiDense};
 use crate::failure::{Failure, Outcome};
-use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::input::{Images, Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
-use monogrid_geometry::{Pinhole, Vec3};
+use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
 use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
 use monogrid_slam::{Keyframe, TrackedFrame};
 use std::collections::BTreeMap;
@@ -73,7 +73,8 @@ pub fn run_all(
     let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
     let scans = final_depth(&mut tracked, settings.show_progress);
     let looked = Looked::at(&tracked, &scans, align, input, settings);
-    let (frame, cell) = (looked.frame, looked.cell);
+    let (mut frame, cell) = (looked.frame, looked.cell);
+    let (known, not_compared) = known_path(input, align, &tracked, &mut frame);
     let poses = outputs::final_poses(&tracked, &frame);
     outputs::write_tables(folder, &tracked, &frame, &poses, settings)?;
     let paths = Paths::new(&poses, &tracked, &frame);
@@ -94,13 +95,14 @@ pub fn run_all(
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
     extras.warnings.extend(tracked.doubts.iter().cloned());
+    extras.warnings.extend(not_compared);
     let mut summary = Summary::new(input, settings, &tracked, &frame, maps.as_ref());
     summary.map.cell = cell;
     summary.warnings = warnings(input, looked.warning, extras.warnings, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     let verdict = verdict(&summary, &tracked);
-    let reference = Reference::new(align, &frame, &poses);
+    let reference = Reference::new(&known, &poses);
     let report = ReportInput {
         title: &format!("monogrid: {}", input.name),
         verdict: &verdict,
@@ -158,12 +160,6 @@ impl Looked {
         input: &Input,
         settings: &RunSettings,
     ) -> Self {
-        let trajectory: Vec<_> = tracked
-            .run
-            .trajectory
-            .iter()
-            .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
-            .collect();
         let keyframes = tracked.run.slam.keyframes();
         let posed = keyframes.iter().zip(scans);
         let views: Vec<UprightView> = posed
@@ -176,7 +172,7 @@ impl Looked {
             })
             .collect();
         let (camera, mapping) = (input.keyframe_camera(), &settings.config.mapping);
-        let (frame, warning) = align.frame(&trajectory, &mut || Scene {
+        let (frame, warning) = align.frame(&stamped_path(tracked), &mut || Scene {
             views: views.clone(),
             camera,
             config: &mapping.upright,
@@ -189,6 +185,66 @@ impl Looked {
             cell: cell.flatten(),
         }
     }
+}
+
+fn stamped_path(tracked: &Tracked) -> Vec<(i64, Se3)> {
+    let poses = tracked.run.trajectory.iter();
+    poses
+        .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
+        .collect()
+}
+
+/// Where the camera really was, by time and in the frame of the results: the trajectory that decided the frame, else the
+/// one that lies beside the images, with which the results are compared. With it why there is none, if there should be.
+fn known_path(
+    input: &Input,
+    align: &Align,
+    tracked: &Tracked,
+    frame: &mut MapFrame,
+) -> (KnownPath, Option<String>) {
+    if let (Align::Trajectory { poses, .. }, true) = (align, frame.fit.is_some()) {
+        return (path_by_time(poses, &Sim3::identity()), None);
+    }
+    let Images::Files(dataset) = &input.images else {
+        return Default::default();
+    };
+    let estimate = stamped_path(tracked);
+    let Some((first, last)) = estimate.first().zip(estimate.last()) else {
+        return Default::default();
+    };
+    let seen = |pose: &TimedPose| (first.0..=last.0).contains(&pose.timestamp_ns);
+    let compared = match dataset.reference_trajectory() {
+        Ok(None) => return Default::default(),
+        Ok(Some(mut reference)) => {
+            let fitted = frame.compare(&estimate, &reference);
+            reference.retain(seen);
+            fitted.map(|results_from_reference| path_by_time(&reference, &results_from_reference))
+        }
+        Err(error) => Err(error.to_string()),
+    };
+    match compared {
+        Ok(known) => (known, None),
+        Err(reason) => {
+            let path = dataset.ground_truth.as_deref().unwrap_or(&dataset.root);
+            let said = format!(
+                "the path was not compared with {}: {reason}",
+                path.display()
+            );
+            (KnownPath::new(), Some(said))
+        }
+    }
+}
+
+/// Positions by time, nanoseconds.
+type KnownPath = BTreeMap<i64, [f64; 3]>;
+
+fn path_by_time(poses: &[TimedPose], results_from_reference: &Sim3) -> KnownPath {
+    let place =
+        |pose: &TimedPose| (*results_from_reference * pose.world_from_camera.translation).into();
+    poses
+        .iter()
+        .map(|pose| (pose.timestamp_ns, place(pose)))
+        .collect()
 }
 
 impl Paths {
@@ -213,21 +269,14 @@ struct Reference {
 const SAME_TIME_NS: u64 = 20_000_000;
 
 impl Reference {
-    /// What `--align` names, where the results could be aligned to it.
-    fn new(align: &Align, frame: &MapFrame, poses: &[TimedPose]) -> Self {
-        let (Align::Trajectory { poses: known, .. }, true) = (align, frame.fit.is_some()) else {
+    /// The known path and the distances of the poses from it.
+    fn new(known: &KnownPath, poses: &[TimedPose]) -> Self {
+        if known.is_empty() {
             return Self::default();
-        };
-        let by_time: BTreeMap<i64, [f64; 3]> = known
-            .iter()
-            .map(|pose| (pose.timestamp_ns, pose.world_from_camera.translation.into()))
-            .collect();
+        }
         let error = |pose: &TimedPose| {
             let time = pose.timestamp_ns;
-            let around = [
-                by_time.range(..=time).next_back(),
-                by_time.range(time..).next(),
-            ];
+            let around = [known.range(..=time).next_back(), known.range(time..).next()];
             let nearest = around.into_iter().flatten();
             let (then, place) = nearest.min_by_key(|(then, _)| time.abs_diff(**then))?;
             let is_same = time.abs_diff(*then) <= SAME_TIME_NS;
@@ -235,7 +284,7 @@ impl Reference {
         };
         Self {
             errors: poses.iter().map(error).collect(),
-            path: by_time.into_values().collect(),
+            path: known.values().copied().collect(),
         }
     }
 }
