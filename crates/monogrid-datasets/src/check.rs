@@ -1,7 +1,7 @@
 //! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack of
-//! texture.
+//! texture, a camera that stands still.
 
-use monogrid_image::{GradientImage, GrayImage};
+use monogrid_image::{GradientImage, GrayImage, Resize, resize_area};
 
 /// Limits above which a frame or a sequence is remarked on.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +19,9 @@ pub struct CheckConfig {
     pub blur_above_median: f32,
     /// Share of pixels at the upper end of the range from which a frame is called overexposed.
     pub max_saturated_share: f32,
+    /// Mean absolute change of the coarse picture within 30 frames below which the camera stands still, grey levels.
+    /// A drone on the floor has 1.3, the slowest carried cameras 3.
+    pub still_change: f32,
 }
 
 impl Default for CheckConfig {
@@ -30,6 +33,7 @@ impl Default for CheckConfig {
             repeat_difference: 0.2,
             blur_above_median: 0.1,
             max_saturated_share: 0.2,
+            still_change: 2.0,
         }
     }
 }
@@ -49,6 +53,9 @@ pub struct FrameCheck {
     pub gain: Option<f32>,
     /// Whether it shows the same picture as the frame before.
     pub is_repeated: bool,
+    /// Mean absolute difference of the coarse picture (64 px wide) to that of an earlier frame, at most 29 before, grey
+    /// levels; 0 for the frames that others are compared with.
+    pub change: f32,
 }
 
 /// Checks frames one after the other.
@@ -56,7 +63,15 @@ pub struct FrameCheck {
 pub struct FrameChecker {
     config: CheckConfig,
     previous: Option<GrayImage>,
+    /// The coarse picture that others are compared with, and how many were.
+    anchor: Option<(GrayImage, usize)>,
 }
+
+/// Width of coarse pictures, px: what moves by less than a tenth of their pixels hardly shows.
+const COARSE_WIDTH: usize = 64;
+
+/// Frames that are compared with the same one, with it.
+const FRAMES_PER_ANCHOR: usize = 30;
 
 impl FrameChecker {
     /// A checker before the first frame.
@@ -65,6 +80,7 @@ impl FrameChecker {
         Self {
             config,
             previous: None,
+            anchor: None,
         }
     }
 
@@ -80,9 +96,32 @@ impl FrameChecker {
             gain: before.and_then(|p| brightness_gain(p, image)),
             is_repeated: before
                 .is_some_and(|p| mean_difference(p, image) < self.config.repeat_difference),
+            change: self.change(image),
         };
         self.previous = Some(image.clone());
         check
+    }
+}
+
+impl FrameChecker {
+    /// How much the coarse picture differs from the anchor.
+    fn change(&mut self, image: &GrayImage) -> f32 {
+        let height = (COARSE_WIDTH * image.height()).div_ceil(image.width().max(1));
+        let size = Resize {
+            width: COARSE_WIDTH,
+            height,
+        };
+        let coarse = resize_area(image, size);
+        match &mut self.anchor {
+            Some((anchor, count)) if *count < FRAMES_PER_ANCHOR && anchor.same_size(&coarse) => {
+                *count += 1;
+                mean_difference(anchor, &coarse)
+            }
+            anchor => {
+                *anchor = Some((coarse, 1));
+                0.0
+            }
+        }
     }
 }
 
@@ -178,7 +217,12 @@ pub struct SequenceCheck {
     pub median_blur: f32,
     /// Median share of textured pixels.
     pub median_textured_share: f32,
+    /// Whether the camera stands still from the first frame to the last.
+    pub is_still: bool,
 }
+
+/// Fewest frames after which a camera can be said to stand still.
+const MIN_STILL_FRAMES: usize = 15;
 
 impl SequenceCheck {
     /// Gathers the checks of the frames of a sequence in their order.
@@ -202,6 +246,8 @@ impl SequenceCheck {
             overexposed: positions(&|f| f.saturated_share > config.max_saturated_share),
             median_blur,
             median_textured_share: median(frames.iter().map(|f| f.textured_share)),
+            is_still: frames.len() >= MIN_STILL_FRAMES
+                && frames.iter().all(|f| f.change < config.still_change),
         }
     }
 
@@ -239,6 +285,9 @@ impl SequenceCheck {
                 "have hardly any texture (tracking needs edges)",
             ),
             list(&self.overexposed, "are overexposed"),
+            self.is_still.then(|| {
+                "the picture hardly changes: the camera stands still, and depth needs one that moves sideways".to_owned()
+            }),
         ]
         .into_iter()
         .flatten()
