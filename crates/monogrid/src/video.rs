@@ -31,8 +31,9 @@ pub struct VideoSource {
 pub type VideoItem = (usize, i64, Result<GrayImage, String>);
 
 /// Endings of files that are no videos: they have readers of their own, or none.
-const NO_VIDEOS: [&str; 13] = [
-    "txt", "zip", "tar", "gz", "mgk", "ot", "bt", "mgo", "ply", "toml", "yaml", "json", "csv",
+const NO_VIDEOS: [&str; 14] = [
+    "txt", "zip", "tar", "gz", "tgz", "mgk", "ot", "bt", "mgo", "ply", "toml", "yaml", "json",
+    "csv",
 ];
 
 /// Whether a source is a video, a camera or a stream; everything else is images.

@@ -57,6 +57,7 @@ pub(super) fn open(
             ground_truth: existing(mav0.join("state_groundtruth_estimate0/data.csv")),
             calibration_path: existing(camera.join("sensor.yaml")),
             warnings: Vec::new(),
+            unpacked: None,
         },
         options,
     )

@@ -1,10 +1,12 @@
 //! Folders of images without a list: plain, TUM monoVO and KITTI.
 
+use super::archive::Unpacked;
 use super::{DEFAULT_FPS, Dataset, Layout, Parts, SourceOptions, natural_order};
 use crate::DatasetError;
 use crate::text::{data_lines, read_text};
 use crate::timestamp::parse_seconds;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Subfolders in which images may lie, in the order of preference.
 const IMAGE_FOLDERS: [&str; 8] = [
@@ -19,11 +21,15 @@ const NOT_FRAMES: [&str; 3] = ["vignette.png", "vignettesmoothed.png", "mask.png
 
 /// Opens a folder of images, with the times of `times.txt` if there is one.
 pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, DatasetError> {
-    let (folder, images) = find_images(root)?;
+    let Images {
+        folder,
+        images,
+        unpacked,
+    } = find_images(root)?;
     let times_file = [root.join("times.txt"), folder.join("../times.txt")]
         .into_iter()
         .find(|p| p.is_file());
-    let mut warnings = Vec::new();
+    let mut warnings: Vec<String> = unpacked.iter().map(|u| u.note()).collect();
     let (layout, entries) = match times_file {
         Some(times) => read_times(&times, images, &mut warnings)?,
         None => {
@@ -42,31 +48,50 @@ pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, Datas
             ground_truth: None,
             calibration_path: None,
             warnings,
+            unpacked,
         },
         options,
     )
 }
 
 /// The folder with images and its images in natural order.
-fn find_images(root: &Path) -> Result<(PathBuf, Vec<PathBuf>), DatasetError> {
+struct Images {
+    folder: PathBuf,
+    images: Vec<PathBuf>,
+    /// What the folder belongs to, where it was an archive.
+    unpacked: Option<Arc<Unpacked>>,
+}
+
+/// The images of a sequence, those in its `images.zip` (TUM monoVO) if there are no others.
+fn find_images(root: &Path) -> Result<Images, DatasetError> {
     let candidates =
         std::iter::once(root.to_path_buf()).chain(IMAGE_FOLDERS.iter().map(|name| root.join(name)));
     for folder in candidates.filter(|f| f.is_dir()) {
         let images = images_in(&folder)?;
         if !images.is_empty() {
-            return Ok((folder, images));
+            return Ok(Images {
+                folder,
+                images,
+                unpacked: None,
+            });
         }
+    }
+    let zipped = root.join("images.zip");
+    if zipped.is_file() {
+        let unpacked = Arc::new(Unpacked::new(&zipped)?);
+        return Ok(Images {
+            unpacked: Some(Arc::clone(&unpacked)),
+            ..find_images(&unpacked.root())?
+        });
     }
     let entries = std::fs::read_dir(root)
         .map_err(|e| DatasetError::io("read", root, e))?
         .count();
-    let zipped = root.join("images.zip").is_file();
     Err(DatasetError::NoFrames {
         path: root.to_path_buf(),
-        found: match (entries, zipped) {
-            (_, true) => "images.zip (unpack it into images/ first)".to_owned(),
-            (0, _) => "an empty folder".to_owned(),
-            (n, _) => format!("{n} files and folders, none of them an image or a list of images"),
+        found: match entries {
+            0 => "an empty folder".to_owned(),
+            n => format!("{n} files and folders, none of them an image or a list of images"),
         },
         expected: "PNG, JPEG, PGM or PPM images, rgb.txt, times.txt with images/, or mav0/",
     })

@@ -51,6 +51,7 @@ pub(super) fn open_list(list: &Path, options: SourceOptions) -> Result<Dataset, 
             ground_truth: None,
             calibration_path: None,
             warnings,
+            unpacked: None,
         },
         options,
     )

@@ -1,8 +1,9 @@
-//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, plain folders.
+//! Image sequences on disk: TUM layout, TUM monoVO, EuRoC, KITTI, plain folders; each also as a zip or tar file.
 //!
 //! [`Dataset::open`] looks at what is there and returns a time-ordered list of frames with
 //! whatever belongs to them. Nothing is decoded here; see [`crate::read_gray`].
 
+mod archive;
 mod euroc;
 mod folder;
 mod list;
@@ -13,7 +14,9 @@ mod tum;
 pub use natural::natural_order;
 
 use crate::{Calibration, DatasetError, DepthCalibration};
+use archive::Unpacked;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// One image of a sequence.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -111,10 +114,12 @@ pub struct Dataset {
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
     options: SourceOptions,
+    /// What frames come from, where that was an archive.
+    unpacked: Option<Arc<Unpacked>>,
 }
 
 impl Dataset {
-    /// Finds out what `path` (a folder, or a text file with a list of images) holds.
+    /// Finds out what `path` (a folder, an archive of one, or a text file with a list of images) holds.
     ///
     /// # Errors
     /// When nothing is there, when it is no image sequence or an empty one, when a list cannot be
@@ -126,6 +131,9 @@ impl Dataset {
             },
             _ => DatasetError::io("read", path, e),
         })?;
+        if metadata.is_file() && archive::is_archive(path) {
+            return Self::open_archive(path, options);
+        }
         if metadata.is_file() {
             return list::open_list(path, options);
         }
@@ -145,6 +153,16 @@ impl Dataset {
             }
             outcome => outcome,
         }
+    }
+
+    /// Opens what an archive holds; calibration and reference may lie beside its images as in a folder.
+    fn open_archive(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
+        let unpacked = Arc::new(Unpacked::new(path)?);
+        let mut dataset = Self::open(&unpacked.root(), options)?;
+        dataset.name = archive::stem(path);
+        dataset.warnings.push(unpacked.note());
+        dataset.unpacked = Some(unpacked);
+        Ok(dataset)
     }
 
     /// The calibration that lies in the source; `None` when there is none.
@@ -216,6 +234,7 @@ impl Dataset {
             ground_truth,
             calibration_path,
             mut warnings,
+            unpacked,
         } = parts;
         if entries.is_empty() && depths.is_empty() {
             return Err(DatasetError::NoFrames {
@@ -251,6 +270,7 @@ impl Dataset {
             vignette_path: named(&["vignette.png"]),
             warnings,
             options,
+            unpacked,
             root,
         })
     }
@@ -285,6 +305,7 @@ struct Parts {
     ground_truth: Option<PathBuf>,
     calibration_path: Option<PathBuf>,
     warnings: Vec<String>,
+    unpacked: Option<Arc<Unpacked>>,
 }
 
 /// Frames sorted by time without duplicates.

@@ -53,6 +53,7 @@ fn assemble(
             ground_truth: None,
             calibration_path: None,
             warnings: Vec::new(),
+            unpacked: None,
         },
         options,
     )

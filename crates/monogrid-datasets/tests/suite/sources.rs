@@ -5,6 +5,7 @@ use monogrid_datasets::{
     DEFAULT_FPS, Dataset, DatasetError, Layout, SourceOptions, encode_png, read_gray,
 };
 use std::fs;
+use std::io::Read as _;
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -344,4 +345,141 @@ fn depth_without_images_opens() {
     let times: Vec<i64> = dataset.depths.iter().map(|d| d.timestamp_ns).collect();
     assert_eq!(times, [100_000_000, 500_000_000]);
     assert_eq!(dataset.frame_interval_secs(), None);
+}
+
+/// The files of a folder as a zip file (with an entry that leads out of it) and as a gzipped tar file.
+fn archives(folder: &Path) -> TempDir {
+    let out = self::folder();
+    let create = |name: &str| fs::File::create(out.path().join(name)).expect("writable");
+    let mut zip = zip::ZipWriter::new(create("Kitchen.zip"));
+    let options = zip::write::SimpleFileOptions::default();
+    let gz = flate2::write::GzEncoder::new(create("Kitchen.tar.gz"), flate2::Compression::fast());
+    let mut tar = tar::Builder::new(gz);
+    let mut add = |name: &str, bytes: &[u8]| {
+        zip.start_file(name, options).expect("an entry");
+        std::io::Write::write_all(&mut zip, bytes).expect("writable");
+    };
+    for name in ["rgb.txt", "rgb/1.png", "rgb/2.png", "calibration.txt"] {
+        let bytes = fs::read(folder.join(name)).expect("readable");
+        add(&format!("set/{name}"), &bytes);
+        tar.append_path_with_name(folder.join(name), format!("set/{name}"))
+            .expect("an entry");
+    }
+    add("../escaped.txt", b"x");
+    add("set/program.exe", b"x");
+    zip.finish().expect("writable");
+    tar.into_inner()
+        .and_then(flate2::write::GzEncoder::finish)
+        .expect("writable");
+    out
+}
+
+#[test]
+fn sequences_in_archives() {
+    let root = folder();
+    image(&root.path().join("rgb/1.png"));
+    image(&root.path().join("rgb/2.png"));
+    fs::write(
+        root.path().join("rgb.txt"),
+        "0.1 rgb/1.png\n0.2 rgb/2.png\n",
+    )
+    .expect("writable");
+    fs::write(root.path().join("calibration.txt"), "5 5 4 3 8 6\n").expect("writable");
+    let packed = archives(root.path());
+    for name in ["Kitchen.zip", "Kitchen.tar.gz"] {
+        let dataset = open(&packed.path().join(name)).expect(name);
+        assert_eq!(
+            (dataset.name.as_str(), dataset.layout),
+            ("Kitchen", Layout::Tum)
+        );
+        assert_eq!(times(&dataset), [100_000_000, 200_000_000]);
+        let copy = dataset.clone();
+        drop(dataset);
+        assert!(
+            read_gray(&copy.frames[1].path).is_ok(),
+            "files live as long as the data set"
+        );
+        assert!(copy.calibration(None).expect("readable").is_some());
+        assert!(
+            copy.warnings.iter().any(|w| w.contains("4 files")),
+            "{:?}",
+            copy.warnings
+        );
+        let folder = copy.root.clone();
+        drop(copy);
+        assert!(!folder.exists(), "and are deleted with it");
+    }
+    assert!(!packed.path().join("escaped.txt").exists());
+}
+
+#[test]
+fn images_of_tum_monovo_in_their_zip() {
+    let root = folder();
+    let mut zip =
+        zip::ZipWriter::new(fs::File::create(root.path().join("images.zip")).expect("writable"));
+    for name in ["00000.png", "00001.png"] {
+        zip.start_file(name, zip::write::SimpleFileOptions::default())
+            .expect("an entry");
+        std::io::Write::write_all(&mut zip, &encode_png(&gray(8, 6))).expect("writable");
+    }
+    zip.finish().expect("writable");
+    fs::write(
+        root.path().join("times.txt"),
+        "00000 1.5 0.01\n00001 1.6 0.01\n",
+    )
+    .expect("writable");
+    fs::write(
+        root.path().join("camera.txt"),
+        "Pinhole 0.5 0.6 0.5 0.5 0\n8 6\n",
+    )
+    .expect("writable");
+    let dataset = open(root.path()).expect("opens");
+    assert_eq!(dataset.layout, Layout::TumMonoVo);
+    assert_eq!(times(&dataset), [1_500_000_000, 1_600_000_000]);
+    assert!(dataset.calibration(None).expect("readable").is_some());
+    assert!(read_gray(&dataset.frames[0].path).is_ok());
+}
+
+#[test]
+fn archives_that_are_no_sequences() {
+    let root = folder();
+    let bomb = root.path().join("bomb.zip");
+    let mut zip = zip::ZipWriter::new(fs::File::create(&bomb).expect("writable"));
+    zip.start_file("1.png", zip::write::SimpleFileOptions::default())
+        .expect("an entry");
+    std::io::Write::write_all(&mut zip, &vec![0; 10_000_000]).expect("writable");
+    zip.finish().expect("writable");
+    let error = open(&bomb).expect_err("a bomb").to_string();
+    assert!(error.contains("100 times the size"), "{error}");
+    let gz = fs::File::create(root.path().join("bomb.tgz")).expect("writable");
+    let mut tar = tar::Builder::new(flate2::write::GzEncoder::new(
+        gz,
+        flate2::Compression::best(),
+    ));
+    let mut header = tar::Header::new_gnu();
+    header.set_size(10_000_000);
+    header.set_mode(0o644);
+    // one that is not even unpacked
+    tar.append_data(&mut header, "1.bin", std::io::repeat(0).take(10_000_000))
+        .expect("an entry");
+    tar.into_inner()
+        .and_then(flate2::write::GzEncoder::finish)
+        .expect("writable");
+    let error = open(&root.path().join("bomb.tgz"))
+        .expect_err("a bomb")
+        .to_string();
+    assert!(error.contains("cannot be read"), "{error}");
+    let whole = fs::read(&bomb).expect("readable");
+    for (name, bytes) in [
+        ("cut.zip", &whole[..whole.len() / 2]),
+        ("empty.tar", &[][..]),
+        ("text.tgz", b"text"),
+    ] {
+        fs::write(root.path().join(name), bytes).expect("writable");
+        let error = open(&root.path().join(name)).expect_err(name).to_string();
+        assert!(
+            error.contains("an archive that cannot be read") || error.contains("no images"),
+            "{error}"
+        );
+    }
 }

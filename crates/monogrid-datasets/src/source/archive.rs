@@ -1,0 +1,208 @@
+//! Sequences in an archive: what they need is unpacked to a temporary folder, which goes with the data set.
+
+use crate::{DatasetError, open_file};
+use flate2::read::GzDecoder;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Component, Path, PathBuf};
+use tempfile::TempDir;
+use zip::ZipArchive;
+
+/// Endings of the files of a sequence; nothing else is unpacked.
+const USEFUL: [&str; 14] = [
+    "png", "jpg", "jpeg", "pgm", "ppm", "pnm", "txt", "csv", "toml", "yaml", "yml", "cfg", "xml",
+    "md",
+];
+
+/// Bytes that may come out of one byte of an archive: images hardly shrink, lists by ten. What grows more is no video.
+const MAX_GROWTH: u64 = 100;
+
+/// Files of an archive at most: nine hours at 30 frames per second.
+const MAX_FILES: usize = 1_000_000;
+
+/// An archive whose files were unpacked; they are deleted with it.
+#[derive(Debug)]
+pub(super) struct Unpacked {
+    folder: TempDir,
+    num_files: usize,
+    num_bytes: u64,
+}
+
+/// Whether a file is called like an archive that can be unpacked.
+pub(super) fn is_archive(path: &Path) -> bool {
+    kind_of(path).is_some()
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Zip,
+    Tar,
+    TarGz,
+}
+
+fn kind_of(path: &Path) -> Option<Kind> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
+    if ends(&[".zip"]) {
+        Some(Kind::Zip)
+    } else if ends(&[".tar"]) {
+        Some(Kind::Tar)
+    } else {
+        ends(&[".tar.gz", ".tgz"]).then_some(Kind::TarGz)
+    }
+}
+
+/// Name of an archive without its ending.
+pub(super) fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let lower = name.to_ascii_lowercase();
+    let endings = [".zip", ".tar", ".tar.gz", ".tgz"];
+    let length = endings
+        .iter()
+        .find_map(|e| lower.strip_suffix(e))
+        .map_or(name.len(), str::len);
+    name.get(..length).unwrap_or(&name).to_owned()
+}
+
+impl Unpacked {
+    /// Unpacks the files of a sequence.
+    ///
+    /// # Errors
+    /// When the archive cannot be read or is damaged, the disk is full, or much more comes out than images would be.
+    pub(super) fn new(path: &Path) -> Result<Self, DatasetError> {
+        let (file, length) = open_file(path)?;
+        let folder = tempfile::tempdir().map_err(|e| DatasetError::io("write", path, e))?;
+        let mut unpacking = Unpacking {
+            archive: path,
+            folder: folder.path(),
+            num_files: 0,
+            num_bytes: 0,
+            max_bytes: length.saturating_mul(MAX_GROWTH),
+        };
+        match kind_of(path) {
+            Some(Kind::Zip) => unpacking.zip(file)?,
+            Some(Kind::TarGz) => unpacking.tar(GzDecoder::new(io::BufReader::new(file)))?,
+            Some(Kind::Tar) | None => unpacking.tar(file)?,
+        }
+        let (num_files, num_bytes) = (unpacking.num_files, unpacking.num_bytes);
+        if num_files == 0 {
+            return Err(DatasetError::content(
+                path,
+                "no images",
+                "an archive of images",
+            ));
+        }
+        Ok(Self {
+            folder,
+            num_files,
+            num_bytes,
+        })
+    }
+
+    /// The folder of the sequence: the outermost one that holds more than another folder.
+    pub(super) fn root(&self) -> PathBuf {
+        let mut root = self.folder.path().to_path_buf();
+        loop {
+            let mut entries = fs::read_dir(&root).into_iter().flatten().flatten();
+            match (entries.next(), entries.next()) {
+                (Some(only), None) if only.path().is_dir() => root = only.path(),
+                _ => return root,
+            }
+        }
+    }
+
+    /// What was done, in a sentence for people.
+    pub(super) fn note(&self) -> String {
+        format!(
+            "{} files ({:.0} MB) were unpacked to a temporary folder; unpacked by hand they start faster",
+            self.num_files,
+            self.num_bytes as f64 / 1e6
+        )
+    }
+}
+
+struct Unpacking<'a> {
+    archive: &'a Path,
+    folder: &'a Path,
+    num_files: usize,
+    num_bytes: u64,
+    max_bytes: u64,
+}
+
+impl Unpacking<'_> {
+    fn zip(&mut self, file: File) -> Result<(), DatasetError> {
+        let archive = self.archive;
+        let damaged = |e: zip::result::ZipError| damaged(archive, &e);
+        let mut zip = ZipArchive::new(io::BufReader::new(file)).map_err(damaged)?;
+        for index in 0..zip.len() {
+            let mut entry = zip.by_index(index).map_err(damaged)?;
+            let name = PathBuf::from(entry.name().map_err(damaged)?.as_ref());
+            if entry.is_file() {
+                self.file(&name, &mut entry)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn tar(&mut self, bytes: impl Read) -> Result<(), DatasetError> {
+        let archive = self.archive;
+        let damaged = |e: io::Error| damaged(archive, &e);
+        // what is left out is read as well
+        let bounded = bytes.take(self.max_bytes.saturating_add(1));
+        let mut tar = tar::Archive::new(bounded);
+        for entry in tar.entries().map_err(damaged)? {
+            let mut entry = entry.map_err(damaged)?;
+            let name = entry.path().map_err(damaged)?.into_owned();
+            if entry.header().entry_type().is_file() {
+                self.file(&name, &mut entry)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Unpacks one file, if a sequence needs it; a name that leads elsewhere is left out, the first of two counts.
+    fn file(&mut self, name: &Path, content: &mut impl Read) -> Result<(), DatasetError> {
+        let ending = name
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase());
+        let is_useful = ending.is_some_and(|ending| USEFUL.contains(&ending.as_str()));
+        let stays_inside = name
+            .components()
+            .all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+        let path = self.folder.join(name);
+        if !is_useful || !stays_inside || path.exists() {
+            return Ok(());
+        }
+        self.num_files += 1;
+        let left = self.max_bytes - self.num_bytes;
+        if self.num_files > MAX_FILES {
+            return Err(DatasetError::content(
+                self.archive,
+                format!("more than {MAX_FILES} files"),
+                "the images of one sequence",
+            ));
+        }
+        let write = |e| DatasetError::io("write", &path, e);
+        fs::create_dir_all(path.parent().unwrap_or(self.folder)).map_err(write)?;
+        let mut file = File::create_new(&path).map_err(write)?;
+        let num_bytes = io::copy(&mut content.take(left + 1), &mut file)
+            .map_err(|e| DatasetError::io("unpack", self.archive, e))?;
+        if num_bytes > left {
+            return Err(DatasetError::content(
+                self.archive,
+                format!("files of more than {} bytes", self.max_bytes),
+                format!("at most {MAX_GROWTH} times the size of the archive"),
+            ));
+        }
+        self.num_bytes += num_bytes;
+        Ok(())
+    }
+}
+
+fn damaged(archive: &Path, error: &dyn std::fmt::Display) -> DatasetError {
+    DatasetError::content(
+        archive,
+        format!("an archive that cannot be read ({error})"),
+        "a whole zip, tar or tar.gz file",
+    )
+}
