@@ -21,7 +21,7 @@ pub use alignment::{AlignmentError, SimilarityFit, align_similarity};
 pub use camera::{Camera, CameraError, Pinhole};
 pub use distortion::Distortion;
 pub use nalgebra;
-pub use se3::Se3;
+pub use se3::{NotARotation, Se3};
 pub use sim3::Sim3;
 pub use so3::{hat, left_jacobian, left_jacobian_inverse, rotation_exp, rotation_log};
 

@@ -2,15 +2,50 @@
 
 use crate::{Mat3, Mat6, Rotation, Sim3, Vec3, Vec6, hat, left_jacobian, left_jacobian_inverse};
 use crate::{rotation_exp, rotation_log};
+use serde::{Deserialize, Serialize};
 use std::ops::Mul;
 
 /// A rigid transform `a_from_b`: `point_in_a = rotation * point_in_b + translation`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+///
+/// Written (`serde`) as `tx ty tz qx qy qz qw` and read again without a changed bit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(into = "[f64; 7]", try_from = "[f64; 7]")]
 pub struct Se3 {
     /// Rotation from `b` to `a`.
     pub rotation: Rotation,
     /// Origin of `b` in `a`.
     pub translation: Vec3,
+}
+
+impl From<Se3> for [f64; 7] {
+    fn from(transform: Se3) -> Self {
+        let (t, q) = (transform.translation, transform.rotation.coords);
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+    }
+}
+
+/// Seven numbers whose last four are no rotation.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("a quaternion of length {length}, expected 1")]
+pub struct NotARotation {
+    /// Its length.
+    pub length: f64,
+}
+
+impl TryFrom<[f64; 7]> for Se3 {
+    type Error = NotARotation;
+
+    fn try_from([tx, ty, tz, qx, qy, qz, qw]: [f64; 7]) -> Result<Self, NotARotation> {
+        let quaternion = nalgebra::Quaternion::new(qw, qx, qy, qz);
+        let length = quaternion.norm();
+        if (length - 1.0).abs() < 1e-6 {
+            // as it is: to normalise would change its last bits
+            let rotation = Rotation::new_unchecked(quaternion);
+            Ok(Self::new(rotation, Vec3::new(tx, ty, tz)))
+        } else {
+            Err(NotARotation { length })
+        }
+    }
 }
 
 impl Default for Se3 {

@@ -182,6 +182,36 @@ impl OccupancyMap {
         self.modify(key, |_| value)
     }
 
+    /// As [`OccupancyMap::set_log_odds`], for the 512 cells of a brick at once: what `log_odds` says of each.
+    ///
+    /// # Errors
+    /// The memory budget is exhausted.
+    pub fn set_brick_log_odds(
+        &mut self,
+        brick: BrickKey,
+        log_odds: impl Fn(VoxelKey) -> Option<f32>,
+    ) -> Result<(), MapError> {
+        if !brick.is_addressable() {
+            return Ok(());
+        }
+        let mut values = [UNKNOWN; BRICK_CELLS];
+        for (index, value) in values.iter_mut().enumerate() {
+            if let Some(log_odds) = log_odds(brick.cell(index)) {
+                *value = evidence_from_log_odds(f64::from(log_odds));
+            }
+        }
+        let is_unknown = values.iter().all(|value| *value == UNKNOWN);
+        if is_unknown && self.brick(brick) == BrickRef::Uniform(UNKNOWN) {
+            return Ok(());
+        }
+        if !self.has_payload(brick) {
+            self.check_budget(1, 1)?;
+        }
+        self.revision += 1;
+        self.set_brick(brick, &values);
+        Ok(())
+    }
+
     /// Adds log-odds to a cell and clamps, as OctoMap's `updateNode`.
     ///
     /// # Errors
@@ -206,7 +236,10 @@ impl OccupancyMap {
         if new == old {
             return Ok(());
         }
-        self.check_budget(1, 1)?;
+        // adding up the shards is dear: only where the map can grow
+        if !self.has_payload(key.brick()) {
+            self.check_budget(1, 1)?;
+        }
         self.revision += 1;
         let shard = &mut self.shards[shard_of(hash)];
         let slot = shard.find_or_insert(packed, hash);
@@ -281,7 +314,6 @@ impl OccupancyMap {
         let growth = new_bricks
             .saturating_mul(per_brick)
             .saturating_add(new_payloads.saturating_mul(BRICK_CELLS * size_of::<i16>()));
-        // Cheap way out of adding up the shards for single cells.
         let needed_bytes = self.bytes_in_memory().saturating_add(growth);
         if needed_bytes > self.config.memory_budget_bytes {
             return Err(MapError::MemoryBudget {

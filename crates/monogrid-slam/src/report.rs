@@ -2,11 +2,12 @@
 
 use crate::{FragmentId, KeyframeId};
 use monogrid_geometry::{Mat6, Se3};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Instant;
 
 /// How far the pose of a frame is to be believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TrackingState {
     /// There is no map yet.
     Initialising,
@@ -35,7 +36,7 @@ impl TrackingState {
 }
 
 /// Why a frame is degraded, lost, or not yet tracked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum LostReason {
     /// Too little parallax to start.
@@ -75,7 +76,7 @@ impl fmt::Display for LostReason {
 }
 
 /// Milliseconds of wall time per stage; for reports only, never for decisions.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageTimes {
     /// Pyramid and tracking.
     pub tracking: f64,
@@ -139,7 +140,9 @@ pub struct MapSize {
 }
 
 /// Outcome of one frame.
-#[derive(Clone, Debug)]
+///
+/// Written and read again (`serde`), it is the same but for its covariance, which is left out.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FrameReport {
     /// Index of the frame in its source.
     pub index: usize,
@@ -157,6 +160,7 @@ pub struct FrameReport {
     pub odom_from_camera: Option<Se3>,
     /// Covariance of the pose relative to the keyframe: twist `[v, w]`, left, in the frame, keyframe
     /// units.
+    #[serde(skip)]
     pub covariance: Option<Mat6>,
     /// Root mean square residual of good points, grey levels.
     pub residual: f32,
@@ -187,7 +191,7 @@ pub struct FrameReport {
 }
 
 /// A pose in the world of a fragment.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InFragment {
     /// The fragment.
     pub id: FragmentId,

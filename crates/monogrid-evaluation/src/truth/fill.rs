@@ -45,23 +45,33 @@ pub(crate) fn fill_free(
 }
 
 fn thicken_surfaces(grid: &mut TruthGrid, radius: usize) {
-    let surface: Vec<[usize; 3]> = grid.cells().filter(|c| grid.code(*c) == OCCUPIED).collect();
-    for cell in surface {
-        for neighbour in cube(cell, radius, grid.size()) {
-            if grid.code(neighbour) == UNKNOWN {
-                grid.set_code(neighbour, CLOSED);
+    let size = grid.size();
+    // layer by layer: what is closed meanwhile is no surface, so that it makes no difference when it is looked at
+    for z in 0..size[2] {
+        let surface: Vec<[usize; 3]> = grid.layer_with(z, OCCUPIED).collect();
+        for cell in surface {
+            for neighbour in cube(cell, radius, size) {
+                if grid.code(neighbour) == UNKNOWN {
+                    grid.set_code(neighbour, CLOSED);
+                }
             }
         }
     }
 }
 
 fn thicken_free_space(grid: &mut TruthGrid, radius: usize) {
-    let closed: Vec<[usize; 3]> = grid.cells().filter(|c| grid.code(*c) == CLOSED).collect();
-    let is_near_free =
-        |cell: &[usize; 3]| cube(*cell, radius, grid.size()).any(|n| grid.code(n) == FREE);
-    let freed: Vec<bool> = closed.iter().map(is_near_free).collect();
-    for (cell, is_free) in closed.into_iter().zip(freed) {
-        grid.set_code(cell, if is_free { FREE } else { UNKNOWN });
+    let size = grid.size();
+    // of each closed cell in their order, before any is changed: one that becomes free must not free the next
+    let freed: Vec<bool> = grid
+        .cells_with(CLOSED)
+        .map(|cell| cube(cell, radius, size).any(|n| grid.code(n) == FREE))
+        .collect();
+    let mut freed = freed.into_iter();
+    for z in 0..size[2] {
+        let closed: Vec<[usize; 3]> = grid.layer_with(z, CLOSED).collect();
+        for (cell, is_free) in closed.into_iter().zip(&mut freed) {
+            grid.set_code(cell, if is_free { FREE } else { UNKNOWN });
+        }
     }
 }
 

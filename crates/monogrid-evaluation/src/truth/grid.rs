@@ -1,7 +1,7 @@
 //! A dense box of cells that are occupied, free or unknown, two bits each.
 
 use super::TruthError;
-use monogrid_occupancy::{MapConfig, MapError, Occupancy, OccupancyMap, VoxelKey};
+use monogrid_occupancy::{BrickKey, MapConfig, MapError, Occupancy, OccupancyMap, VoxelKey};
 
 /// Two-bit codes. `CLOSED` exists only while holes are closed.
 pub(crate) const UNKNOWN: u8 = 0;
@@ -173,9 +173,7 @@ impl TruthGrid {
     /// Keys of all cells in `state`, z slowest, x fastest.
     pub fn keys_in(&self, state: Occupancy) -> impl Iterator<Item = [i32; 3]> + '_ {
         let wanted = code_of(state);
-        self.cells()
-            .filter(move |cell| self.code(*cell) == wanted)
-            .map(|cell| self.global(cell))
+        self.cells_with(wanted).map(|cell| self.global(cell))
     }
 
     /// The grid of cells `factor` times as large, aligned to multiples of their edge: occupied where
@@ -194,11 +192,9 @@ impl TruthGrid {
             last.map(|k| k.div_euclid(divisor)),
             u64::MAX,
         )?;
-        for cell in self.cells() {
-            let code = self.code(cell);
-            if code == UNKNOWN {
-                continue;
-            }
+        let known =
+            [FREE, OCCUPIED].map(|code| self.cells_with(code).map(move |cell| (cell, code)));
+        for (cell, code) in known.into_iter().flatten() {
             let key = self.global(cell).map(|k| k.div_euclid(divisor));
             let target = [0, 1, 2].map(|a| (key[a] - coarse.first[a]) as usize);
             if coarse.code(target) < code {
@@ -216,15 +212,27 @@ impl TruthGrid {
         let config = MapConfig::with_resolution(self.resolution);
         let (free, occupied) = (config.clamp_min, config.clamp_max);
         let mut map = OccupancyMap::new(config)?;
-        for cell in self.cells() {
-            let log_odds = match self.code(cell) {
-                FREE => free,
-                OCCUPIED => occupied,
-                _ => continue,
-            };
-            map.set_log_odds(VoxelKey::from_array(self.global(cell)), Some(log_odds))?;
+        let log_odds = |key: VoxelKey| match self.local(key.to_array()).map(|cell| self.code(cell))
+        {
+            Some(FREE) => Some(free),
+            Some(OCCUPIED) => Some(occupied),
+            _ => None,
+        };
+        for brick in self.bricks() {
+            map.set_brick_log_odds(brick, log_odds)?;
         }
         Ok(map)
+    }
+
+    /// The bricks that the box meets.
+    fn bricks(&self) -> impl Iterator<Item = BrickKey> + use<> {
+        let last = self.global(self.size.map(|edge| edge - 1));
+        let first = VoxelKey::from_array(self.first).brick();
+        let last = VoxelKey::from_array(last).brick();
+        (first.z..=last.z).flat_map(move |z| {
+            (first.y..=last.y)
+                .flat_map(move |y| (first.x..=last.x).map(move |x| BrickKey::new(x, y, z)))
+        })
     }
 
     /// The known cells of a map, by its own threshold.
@@ -267,6 +275,29 @@ impl TruthGrid {
     pub(crate) fn cells(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
         let [nx, ny, nz] = self.size;
         (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
+    }
+
+    /// Cells with a code, in the order of [`TruthGrid::cells`].
+    pub(crate) fn cells_with(&self, code: u8) -> impl Iterator<Item = [usize; 3]> + '_ {
+        (0..self.size[2]).flat_map(move |z| self.layer_with(z, code))
+    }
+
+    /// Those of them in one layer of constant z; four cells without the code are passed at once.
+    pub(crate) fn layer_with(&self, z: usize, code: u8) -> impl Iterator<Item = [usize; 3]> + '_ {
+        let begin = z * self.size[1] * self.row_bytes;
+        let layer = &self.bytes[begin..begin + self.size[1] * self.row_bytes];
+        let bytes = layer.iter().enumerate().filter(move |(_, byte)| {
+            let differs = **byte ^ (code * 0x55);
+            !(differs | (differs >> 1)) & 0x55 != 0
+        });
+        bytes.flat_map(move |(i, byte)| {
+            let (first_x, y) = (4 * (i % self.row_bytes), i / self.row_bytes);
+            (0..4)
+                .filter(move |lane| (byte >> (2 * lane)) & 3 == code)
+                .map(move |lane| [first_x + lane, y, z])
+                // the padding of a row is no cell
+                .filter(|cell| cell[0] < self.size[0])
+        })
     }
 
     #[inline]

@@ -1,9 +1,10 @@
 //! What became of each frame of the source.
 
 use monogrid_slam::{FrameReport, TrackingState};
+use serde::{Deserialize, Serialize};
 
 /// What became of a frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum FrameFate {
     /// It was given to tracking.
     Processed(Box<FrameReport>),
@@ -18,7 +19,7 @@ pub enum FrameFate {
 }
 
 /// One frame of the source and what became of it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FrameRow {
     /// Index in the source.
     pub index: usize,

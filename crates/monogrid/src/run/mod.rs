@@ -19,6 +19,7 @@
 
 pub mod align;
 pub mod conclusion;
+mod frame_log;
 pub mod frames;
 mod live;
 pub mod outputs;

@@ -69,12 +69,13 @@ pub fn track(
         must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
     };
     let viewer = viewer(&mut pipeline, input, settings)?;
-    let mut tracking = Tracking::begin((pipeline, viewer), settings, input, interrupted);
+    let places = (input, folder.path());
+    let mut tracking = Tracking::begin((pipeline, viewer), settings, places, interrupted);
     let reading = read_ahead(input.source(), &input.preparation, reading, |frame| {
         tracking.take(frame)
     })
     .while_running("frames cannot be read")?;
-    let ended = tracking.finish();
+    let ended = tracking.finish()?;
     let run = ended.pipeline.finish().map_err(|error| match error {
         PipelineError::Listener(error) => Failure::Running(anyhow::Error::from_boxed(error)),
         error => Failure::running(error),

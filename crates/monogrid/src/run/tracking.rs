@@ -1,15 +1,18 @@
 //! What becomes of each frame.
 
 use super::RunSettings;
+use super::frame_log::FrameLog;
 use super::frames::{FrameFate, FrameRow};
 use super::live::Viewer;
 use super::progress::Progress;
 use crate::doubts::CalibrationCheck;
+use crate::failure::Failure;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{Event, Pipeline, ReadFrame, Unusable};
 use monogrid_slam::FrameInput;
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Why a run ended before its last frame.
@@ -26,7 +29,7 @@ pub struct Tracking<'a> {
     pipeline: Pipeline,
     settings: &'a RunSettings,
     interrupted: &'a AtomicBool,
-    rows: Vec<FrameRow>,
+    rows: FrameLog,
     /// Finished keyframes.
     num_keyframes: usize,
     unreadable_in_a_row: usize,
@@ -49,11 +52,11 @@ pub struct Ended {
 }
 
 impl<'a> Tracking<'a> {
-    /// Before the first frame.
+    /// Before the first frame; what becomes of the frames is kept on the disk of `folder`.
     pub fn begin(
         (pipeline, viewer): (Pipeline, Option<Viewer>),
         settings: &'a RunSettings,
-        input: &'a Input,
+        (input, folder): (&'a Input, &Path),
         interrupted: &'a AtomicBool,
     ) -> Self {
         let num_frames = input.expected_frames().unwrap_or(0);
@@ -62,7 +65,7 @@ impl<'a> Tracking<'a> {
             pipeline,
             settings,
             interrupted,
-            rows: Vec::with_capacity(num_frames),
+            rows: FrameLog::begin(folder),
             unreadable_in_a_row: 0,
             early_end: None,
             calibration: CalibrationCheck::new(input, !settings.realtime),
@@ -169,17 +172,18 @@ impl<'a> Tracking<'a> {
     }
 
     /// After the last frame.
-    pub fn finish(self) -> Ended {
+    pub fn finish(self) -> Result<Ended, Failure> {
         self.progress.finish();
+        let rows = self.rows.finish()?;
         let has_pose =
             |row: &&FrameRow| row.report().is_some_and(|r| r.world_from_camera.is_some());
-        let num_with_pose = self.rows.iter().filter(has_pose).count();
-        let share = num_with_pose as f64 / self.rows.len().max(1) as f64;
-        Ended {
+        let num_with_pose = rows.iter().filter(has_pose).count();
+        let share = num_with_pose as f64 / rows.len().max(1) as f64;
+        Ok(Ended {
             doubts: self.calibration.end(self.pipeline.slam(), share),
             pipeline: self.pipeline,
-            rows: self.rows,
+            rows,
             early_end: self.early_end,
-        }
+        })
     }
 }
