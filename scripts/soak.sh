@@ -2,9 +2,10 @@
 # Memory and time per frame of a very long run: prints a table by frame, and a plot of the memory.
 #
 #   scripts/soak.sh known [FRAMES]    the images of SEQUENCE, forth and back: known places (default 30000 frames)
-#   scripts/soak.sh new [FRAMES]      drives along a corridor that never ends: new places
+#   scripts/soak.sh new [FRAMES]      one round through the corridors of a world: new places (default 1500 frames), and what
+#                                     a keyframe takes in memory by owner
 #
-# SEQUENCE: a folder in TUM layout (default ../shared/data/red-kitchen). SIZE: working size (default 320x240; new: 160x120).
+# SEQUENCE: a folder in TUM layout (default ../shared/data/red-kitchen). SIZE: working size (default 320x240; new: 640x480).
 # BIN: another binary. KEEP: a folder for the run, kept afterwards.
 # Exit code 1 when, in known places, memory grows by 2 % or more between frame 5,000 and the last one, or the CPU time
 # per frame of the last quarter exceeds that of the quarter after frame 5,000 by 10 % or more.
@@ -12,7 +13,6 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 bin=${BIN:-target/release/monogrid}
 kind=${1:?known or new}
-frames=${2:-30000}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 out=${KEEP:-$work/run}
@@ -30,12 +30,12 @@ walk() {
 
 case $kind in
   known)
-    size=${SIZE:-320x240}
+    size=${SIZE:-320x240} frames=${2:-30000}
     walk "${SEQUENCE:-../shared/data/red-kitchen}"
     source=$work/list.txt
     ;;
   new)
-    size=${SIZE:-160x120}
+    size=${SIZE:-640x480} frames=${2:-1500}
     "$bin" synth corridor-loop --frames "$frames" --size "$size" --out "$work/corridor" > /dev/null
     source=$work/corridor
     ;;
@@ -56,6 +56,13 @@ code=0
 wait "$pid" || code=$?
 tail -5 "$work/log"
 [ "$code" -eq 0 ] || { echo "the run ended with exit code $code" >&2; exit 1; }
+
+if [ "$kind" = new ]; then
+  awk -F'[:,]' '/"keyframes":/ && !n { n = $2 }
+    /"memory_bytes"/ { inside = 1; print "| owner | bytes per keyframe |\n|---|---|"; next }
+    inside && /}/ { exit }
+    inside { gsub(/[ "]/, "", $1); printf "| %s | %d |\n", $1, $2 / n }' "$out/summary.json"
+fi
 
 # the frame of a sample is where the images that were read end
 if [ "$kind" = known ]; then cut -d' ' -f2- "$work/list.txt"; else

@@ -11,6 +11,13 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
+    /// Memory of the images, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let bytes = |level: &GrayImage| size_of_val(level.as_slice());
+        self.levels.iter().map(bytes).sum()
+    }
+
     /// Builds at most `num_levels` levels, stopping before a side falls below 16 pixels.
     #[must_use]
     pub fn new(image: GrayImage, num_levels: usize) -> Self {

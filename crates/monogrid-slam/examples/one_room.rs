@@ -85,7 +85,7 @@ fn main() {
                 size.keyframes,
                 size.edges,
                 size.points,
-                size.depth_bytes as f64 * 1e-6,
+                size.bytes.depth as f64 * 1e-6,
                 rss_bytes() * 1e-6,
                 millis / f64::from(frames),
             );

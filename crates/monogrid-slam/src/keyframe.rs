@@ -37,6 +37,13 @@ pub struct Keyframe {
     pub pixels: Vec<DepthPixel>,
 }
 
+impl Keyframe {
+    /// Memory, bytes.
+    pub(crate) fn bytes(&self) -> usize {
+        self.image.as_slice().len() + self.pixels.capacity() * size_of::<DepthPixel>()
+    }
+}
+
 /// Poses of all keyframes at one revision.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoseSnapshot {

@@ -43,7 +43,9 @@ pub use keyframe::{
     DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame, TrajectoryPose,
 };
 pub use map::Event;
-pub use report::{FrameReport, InFragment, LostReason, MapSize, StageTimes, TrackingState};
+pub use report::{
+    FrameReport, InFragment, LostReason, MapBytes, MapSize, StageTimes, TrackingState,
+};
 pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
 pub use system::Slam;

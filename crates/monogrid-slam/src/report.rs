@@ -135,8 +135,26 @@ pub struct MapSize {
     pub edges: usize,
     /// Points of the sparse layer.
     pub points: usize,
-    /// Depth of keyframes that are out of use, bytes.
-    pub depth_bytes: usize,
+    /// What they take in memory.
+    pub bytes: MapBytes,
+}
+
+/// Bytes of the map by what they hold. The memory of places and the poses of the graph, which its thread owns, are not
+/// counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MapBytes {
+    /// Images of keyframes and their pyramids.
+    pub pyramids: usize,
+    /// Depth of keyframes that are out of use.
+    pub depth: usize,
+    /// Images and depth of keyframes as they are published.
+    pub published: usize,
+    /// Points of keyframes that they are aligned with.
+    pub alignment: usize,
+    /// Points of the sparse layer, their observations, and what keyframes know of them.
+    pub points: usize,
+    /// Frames with a pose.
+    pub frames: usize,
 }
 
 /// Outcome of one frame.

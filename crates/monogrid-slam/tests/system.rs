@@ -474,7 +474,7 @@ fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
     assert_eq!(last.keyframes, early.keyframes, "{sizes:?}");
     assert_eq!(last.points, early.points, "{sizes:?}");
     assert!(last.edges <= early.edges * 11 / 10, "{sizes:?}");
-    assert!(last.depth_bytes <= early.depth_bytes * 11 / 10, "{sizes:?}");
+    assert!(last.bytes.depth <= early.bytes.depth * 11 / 10, "{sizes:?}");
     // revisions stop when depth no longer improves
     let revisions: u32 = slam.keyframes().iter().map(|k| k.revision).sum();
     assert!(revisions > 0 && (revisions as usize) < again, "{revisions}");

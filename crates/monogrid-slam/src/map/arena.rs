@@ -7,7 +7,8 @@ use super::points::SparsePoint;
 use super::tree::path_between;
 use crate::stored::StoredEdge;
 use crate::{
-    Fragment, FragmentId, InFragment, Keyframe, KeyframeId, MAIN_MAP, MapSize, PoseSnapshot, Scale,
+    Fragment, FragmentId, InFragment, Keyframe, KeyframeId, MAIN_MAP, MapBytes, MapSize,
+    PoseSnapshot, Scale,
 };
 use monogrid_geometry::Se3;
 use std::ops::Index;
@@ -188,13 +189,32 @@ impl Map {
     }
 
     pub(crate) fn size(&self) -> MapSize {
-        let packed = self.keyframes.iter().filter_map(|k| k.depth.as_ref());
         MapSize {
             keyframes: self.keyframes.len(),
             edges: self.edges.len(),
             points: self.points.len(),
-            depth_bytes: packed.map(|depth| depth.bytes_in_memory()).sum(),
+            bytes: self.bytes(),
         }
+    }
+
+    /// What the parts that grow take in memory.
+    fn bytes(&self) -> MapBytes {
+        let mut bytes = MapBytes {
+            points: self.points.iter().map(SparsePoint::bytes).sum(),
+            frames: self.frames.bytes(),
+            ..MapBytes::default()
+        };
+        for keyframe in &self.keyframes {
+            bytes.pyramids += keyframe.pyramid.bytes();
+            let depth = keyframe.depth.as_ref();
+            bytes.depth += depth.map_or(0, |depth| depth.bytes_in_memory());
+            let published = keyframe.published.as_ref();
+            bytes.published += published.map_or(0, |published| published.bytes());
+            let view = keyframe.view.as_ref();
+            bytes.alignment += view.map_or(0, |view| view.bytes());
+            bytes.points += keyframe.points.bytes();
+        }
+        bytes
     }
 
     /// Makes the poses known as they are now.

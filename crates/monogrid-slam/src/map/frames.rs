@@ -50,6 +50,11 @@ pub(super) struct FrameLog {
 }
 
 impl FrameLog {
+    /// Memory, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self.records.as_slice()) + size_of_val(self.visits.as_slice())
+    }
+
     /// Frames are tracked on another keyframe from this time on.
     pub(super) fn visit(&mut self, keyframe: KeyframeId, begin_ns: i64, end: Option<VisitEnd>) {
         if let (Some(visit), Some(_)) = (self.visits.last_mut(), end) {

@@ -33,6 +33,11 @@ pub(crate) struct SparsePoint {
 }
 
 impl SparsePoint {
+    /// Memory, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self) + self.observations.capacity() * size_of::<Observation>()
+    }
+
     /// Where a keyframe sees it.
     pub(crate) fn pixel_in(&self, keyframe: KeyframeId) -> Option<Vec2> {
         if self.host == keyframe {
@@ -76,6 +81,11 @@ pub(crate) struct SeenPoints {
 }
 
 impl SeenPoints {
+    /// Memory beyond the keyframe's own, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        self.others.capacity() * size_of::<usize>() + self.links.capacity() * size_of::<DenseLink>()
+    }
+
     /// All of them, ascending.
     pub(crate) fn all(&self) -> impl Iterator<Item = usize> {
         let cut = self.others.partition_point(|p| *p < self.anchored.start);

@@ -17,3 +17,10 @@ pub(crate) struct View {
     /// Whether its shape and scale can be relied on: not so the first keyframes of a random start.
     pub is_settled: bool,
 }
+
+impl View {
+    /// Memory of its own, bytes: the image is the keyframe's.
+    pub(super) fn bytes(&self) -> usize {
+        self.samples.capacity() * size_of::<DepthSample>()
+    }
+}

@@ -6,7 +6,7 @@ use crate::{from_environment, row};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use std::fs;
-use std::process::Stdio;
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 /// Names of the files of a folder, but for those that are not finished, which begin with a point.
@@ -14,6 +14,19 @@ fn final_names(folder: &std::path::Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     names.filter(|name| !name.starts_with('.')).collect()
+}
+
+/// Pictures of keyframes in the folder of a run.
+fn num_pictures(out: &std::path::Path) -> usize {
+    let names = final_names(&out.join("keyframes"));
+    names.iter().filter(|n| n.ends_with("image.png")).count()
+}
+
+/// Until the first keyframe is recorded, or the run ends: most of a short run is over before.
+fn wait_for_keyframe(run: &mut Child, out: &std::path::Path) {
+    while num_pictures(out) == 0 && run.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 #[test]
@@ -30,6 +43,7 @@ fn killed_runs_lose_only_the_keyframe_in_progress() {
     for number in 0..kills {
         let mut rng = SmallRng::seed_from_u64(number);
         let moment = duration.mul_f64(rng.random_range(0.0..1.1));
+        let after_a_keyframe = number % 5 != 0;
         let out = seeds.path("killed");
         let _ = fs::remove_dir_all(&out);
         let mut command = limited_run(&seeds, &video, "killed");
@@ -38,15 +52,14 @@ fn killed_runs_lose_only_the_keyframe_in_progress() {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
+        if after_a_keyframe {
+            wait_for_keyframe(&mut child, &out);
+        }
         std::thread::sleep(moment);
         child.kill().unwrap();
         child.wait().unwrap();
         // keyframes whose picture is on the disk were recorded before it
-        let pictures = final_names(&out.join("keyframes"));
-        let pictures = pictures
-            .iter()
-            .filter(|name| name.ends_with("image.png"))
-            .count();
+        let pictures = num_pictures(&out);
         let recording = out.join("recording.mgk");
         let map = seeds.path("again.ot");
         let _ = fs::remove_file(&map);
@@ -70,7 +83,7 @@ fn killed_runs_lose_only_the_keyframe_in_progress() {
         if lost {
             harmed += 1;
             println!(
-                "  kill {number} at {moment:?}: {keyframes} keyframes, {pictures} pictures, {}",
+                "  kill {number} after {moment:?}: {keyframes} keyframes, {pictures} pictures, {}",
                 ended.said
             );
         }

@@ -62,6 +62,7 @@ impl Summary {
                 bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
             },
             peak_rss_bytes: None,
+            memory_bytes: slam.map_size().bytes,
             scale: if is_metric(tracked, frame) {
                 METRIC
             } else {

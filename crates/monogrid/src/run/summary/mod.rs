@@ -9,8 +9,8 @@ pub use status::Status;
 use super::align::{FloorSummary, UpSummary};
 use crate::usage::{peak_rss_bytes, process_start};
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
-use monogrid_slam::Fragment;
 use monogrid_slam::mapping::SceneCell;
+use monogrid_slam::{Fragment, MapBytes};
 use serde::{Serialize, Serializer};
 
 /// What `scale` says of metres.
@@ -144,6 +144,8 @@ pub struct Summary {
     pub map: MapFacts,
     /// Largest resident memory; `null` where the system does not say.
     pub peak_rss_bytes: Option<u64>,
+    /// What the keyframes, their points and the frames take in memory at the end, by owner.
+    pub memory_bytes: MapBytes,
     /// `metric` or `arbitrary`.
     pub scale: &'static str,
     /// The frame of trajectory and maps.
