@@ -42,6 +42,34 @@ fn piece() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
+/// Arithmetic with such indices overflows.
+#[test]
+fn indices_that_lead_nowhere_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.obj");
+    for face in [
+        "f 1 2 -11",
+        "f 1/1/-9 2/1/1 3/1/1",
+        "f 1/-9/1 2/1/1 3/1/1",
+        "f 0 1 2",
+        "f /1 2 3",
+        "f 1 2 6148914691236517206",
+        "f 1/1/6148914691236517206 2/1/1 3/1/1",
+        "f -9223372036854775808 1 2",
+        "l 1 -11",
+    ] {
+        let text = format!("{}{face}\n", String::from_utf8_lossy(OBJ));
+        std::fs::write(&path, text).unwrap();
+        let error = MeshModel::read(&path).expect_err(face).to_string();
+        assert!(
+            error.contains("an index that leads nowhere, in line 12"),
+            "{face}: {error}"
+        );
+    }
+    std::fs::write(&path, OBJ).unwrap();
+    assert_eq!(MeshModel::read(&path).unwrap().mesh.triangles.len(), 4);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..Default::default() })]
 

@@ -23,7 +23,14 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
         let file = std::fs::read(folder.join(name)).map_err(|_| LoadError::OpenFileFailed)?;
         load_mtl_buf(&mut plain_text(&file).as_bytes())
     };
-    let (parts, materials) = load_obj_buf(&mut plain_text(&file).as_bytes(), &options, library)
+    let text = plain_text(&file);
+    if let Some(line) = text.lines().position(has_wild_index(&text)) {
+        return Err(bad(format!(
+            "an index that leads nowhere, in line {}",
+            line + 1
+        )));
+    }
+    let (parts, materials) = load_obj_buf(&mut text.as_bytes(), &options, library)
         .map_err(|error| bad(error.to_string()))?;
     let materials = materials.map_err(|error| bad(format!("a library of materials: {error}")))?;
     let mut model = MeshModel::default();
@@ -55,6 +62,37 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
 fn plain_text(file: &[u8]) -> String {
     let text = String::from_utf8_lossy(file).replace('\\', "/");
     text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned()
+}
+
+/// Says of one line after the other whether it has an index of nothing: beyond any file of this length, before the first
+/// element, or none of a position. `tobj` does arithmetic with indices before it checks them.
+fn has_wild_index(text: &str) -> impl FnMut(&str) -> bool {
+    let most = text.len() as i64;
+    // positions, texture coordinates, normals so far
+    let mut counts = [0_i64; 3];
+    move |line| {
+        let mut words = line.split_whitespace();
+        match words.next() {
+            Some("v") => counts[0] += 1,
+            Some("vt") => counts[1] += 1,
+            Some("vn") => counts[2] += 1,
+            Some("f" | "l" | "p") => {
+                return words.any(|corner| {
+                    let indices = corner.split('/').zip(counts).enumerate();
+                    indices.into_iter().any(|(kind, (index, count))| {
+                        match index.parse::<i64>() {
+                            Ok(0) => kind == 0,
+                            Ok(index) => !(-count..=most).contains(&index),
+                            // refused by the parser, but for one that is left out
+                            Err(_) => index.is_empty() && kind == 0,
+                        }
+                    })
+                });
+            }
+            _ => {}
+        }
+        false
+    }
 }
 
 /// Adds the triangles of one material.
