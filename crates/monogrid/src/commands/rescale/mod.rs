@@ -159,11 +159,10 @@ fn write_tables(run: &Path, folder: &OutputFolder, factor: f64) -> Result<(), Fa
         }
     }
     if let Ok(ply) = std::fs::read(run.join(CLOUD)) {
-        let damaged = || Failure::input(format!("{} is damaged", run.join(CLOUD).display()));
-        folder.write(
-            "cloud.ply",
-            tables::cloud(&ply, factor).ok_or_else(damaged)?,
-        )?;
+        match tables::cloud(&ply, factor) {
+            Some(scaled) => folder.write(CLOUD, scaled)?,
+            None => eprintln!("warning: {CLOUD} is not of this version and is left out"),
+        }
     }
     for name in COPIED {
         if let Some(text) = read(name) {
