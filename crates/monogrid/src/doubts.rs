@@ -1,9 +1,9 @@
 //! Whether a calibration that was given fits the images.
 
 use crate::input::{Images, Input};
-use crate::map_camera::shown_by_map;
-use crate::self_calibration::{ASSUMED_FOV_DEG, estimate, windows_of};
-use monogrid_calibration::{Estimate, Intrinsics, Prior};
+use crate::map_camera::{as_calibrated, prior, shown_by_map};
+use crate::self_calibration::{estimate, windows_of};
+use monogrid_calibration::Estimate;
 use monogrid_geometry::{Camera, Pinhole, Vec2, Vec3};
 use monogrid_image::GrayImage;
 use monogrid_slam::Slam;
@@ -101,20 +101,12 @@ impl<'a> CalibrationCheck<'a> {
 
 /// The camera of the working images as the map shows it, with the calibration as the guess.
 fn by_map(slam: &Slam) -> Estimate {
-    let Pinhole { fx, fy, cx, cy } = *slam.pinhole();
     let keyframes = slam.keyframes();
     let size = (keyframes.first()).map_or((0, 0), |k| (k.image.width(), k.image.height()));
-    let guess = Intrinsics {
-        focal: (fx * fy).sqrt(),
-        centre: Vec2::new(cx, cy),
-        radial: [0.0; 2],
-    };
-    let mut prior = Prior::ordinary(ASSUMED_FOV_DEG, size);
+    let guess = as_calibrated(slam);
+    let mut prior = prior(size, CENTRE_FREEDOM);
     prior.mean = guess.parameters();
-    prior.sigma[3] *= CENTRE_FREEDOM;
-    prior.sigma[4] *= CENTRE_FREEDOM;
-    let pixel_of = |ray: &Vec3| guess.project(ray);
-    shown_by_map(slam, VIEWS_PER_PIECE, (&guess, pixel_of), size, &prior)
+    shown_by_map(slam, VIEWS_PER_PIECE, &guess, size, &prior)
 }
 
 /// What there is to say where a map disagrees with the calibration.

@@ -3,33 +3,52 @@
 //! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free, they show it better than
 //! corners followed over the first seconds, at the cost of some twenty milliseconds per ten keyframes.
 
+use crate::self_calibration::ASSUMED_FOV_DEG;
 use monogrid_calibration::{
     Estimate, EstimateConfig, Intrinsics, Prior, Scene, Sighting, refine_intrinsics,
 };
-use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
+use monogrid_geometry::{Pinhole, Se3, Vec2};
 use monogrid_slam::Slam;
 use std::collections::BTreeMap;
 
 /// Pieces that are looked at, evenly over the map: an upper limit for what it costs.
 const MAX_PIECES: usize = 40;
 
+/// The camera of the working images, which have no distortion, as the calibration has it.
+pub fn as_calibrated(slam: &Slam) -> Intrinsics {
+    let Pinhole { fx, fy, cx, cy } = *slam.pinhole();
+    Intrinsics {
+        focal: (fx * fy).sqrt(),
+        centre: Vec2::new(cx, cy),
+        radial: [0.0; 2],
+    }
+}
+
+/// What is known before the map, with a principal point that is held so many times less than by the images.
+pub fn prior(size: (usize, usize), centre_freedom: f64) -> Prior {
+    let mut prior = Prior::ordinary(ASSUMED_FOV_DEG, size);
+    prior.sigma[3] *= centre_freedom;
+    prior.sigma[4] *= centre_freedom;
+    prior
+}
+
 /// The camera of the images in working pixels that the main map shows in pieces of `num_views` keyframes, when `guess`
-/// is about right; `pixel_of` is where a camera as the guess sees a ray.
+/// is about right.
 pub fn shown_by_map(
     slam: &Slam,
     num_views: usize,
-    (guess, pixel_of): (&Intrinsics, impl Fn(&Vec3) -> Option<Vec2>),
+    guess: &Intrinsics,
     size: (usize, usize),
     prior: &Prior,
 ) -> Estimate {
-    let pieces = scene(slam, guess, pixel_of).pieces(num_views);
+    let pieces = scene(slam, guess).pieces(num_views);
     let step = pieces.len().div_ceil(MAX_PIECES).max(1);
     let pieces = pieces.into_iter().step_by(step).collect();
     refine_intrinsics(pieces, size, prior, &EstimateConfig::default())
 }
 
 /// The main map as a scene: its finished keyframes are the views.
-fn scene(slam: &Slam, guess: &Intrinsics, pixel_of: impl Fn(&Vec3) -> Option<Vec2>) -> Scene {
+fn scene(slam: &Slam, guess: &Intrinsics) -> Scene {
     let snapshot = slam.snapshot();
     let pinhole: &Pinhole = slam.pinhole();
     let ray_of = |[x, y]: [f64; 2]| pinhole.unproject(&Vec2::new(x, y));
@@ -60,7 +79,7 @@ fn scene(slam: &Slam, guess: &Intrinsics, pixel_of: impl Fn(&Vec3) -> Option<Vec
                 Some(Sighting {
                     view: views.get(&id)?.0,
                     point: index,
-                    pixel: pixel_of(&ray_of(pixel))?,
+                    pixel: guess.project(&ray_of(pixel))?,
                 })
             })
             .collect();

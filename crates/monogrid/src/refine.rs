@@ -3,10 +3,10 @@
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
-use crate::map_camera::shown_by_map;
-use crate::self_calibration::{ASSUMED_FOV_DEG, OwnCalibration};
-use monogrid_calibration::{Estimate, Intrinsics, Parameters, Prior};
-use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2, Vec3};
+use crate::map_camera::{as_calibrated, prior, shown_by_map};
+use crate::self_calibration::OwnCalibration;
+use monogrid_calibration::{Estimate, Intrinsics, Parameters};
+use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 use monogrid_pipeline::{Reading, read_ahead};
 use monogrid_slam::{FrameInput, Slam};
 use std::ops::ControlFlow;
@@ -69,9 +69,8 @@ fn refined_own(
     let size = (camera.width, camera.height);
     let factor = working.0 as f64 / size.0 as f64;
     let guess = own_intrinsics(camera).scaled(factor);
-    let prior = prior(working);
-    let pixel_of = |ray: &Vec3| guess.project(ray);
-    let shown = shown_by_map(slam, VIEWS_PER_PIECE, (&guess, pixel_of), working, &prior);
+    let prior = prior(working, CENTRE_FREEDOM);
+    let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, working, &prior);
     let shown = shown.scaled(1.0 / factor, size);
     let source = format!("estimated from the map of the first {num_frames} frames");
     OwnCalibration::from_determined(&shown, size, &source)
@@ -79,28 +78,14 @@ fn refined_own(
 
 /// Focal length and principal point of a camera whose distortion is believed.
 fn refined_given(slam: &Slam, input: &Input) -> Option<OwnCalibration> {
-    let Pinhole { fx, fy, cx, cy } = *slam.pinhole();
-    let guess = Intrinsics {
-        focal: (fx * fy).sqrt(),
-        centre: Vec2::new(cx, cy),
-        radial: [0.0; 2],
-    };
-    let mut prior = prior(input.size());
+    let guess = as_calibrated(slam);
+    let size = input.size();
+    let mut prior = prior(size, CENTRE_FREEDOM);
     let [log_focal, _, _, at_x, at_y] = prior.sigma.into();
     prior.mean = guess.parameters();
     prior.sigma = Parameters::from([log_focal, HELD, HELD, at_x, at_y]);
-    let pixel_of = |ray: &Vec3| guess.project(ray);
-    let size = input.size();
-    let shown = shown_by_map(slam, VIEWS_PER_PIECE, (&guess, pixel_of), size, &prior);
+    let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, size, &prior);
     given_as_shown(input.camera(), &guess, &shown, &input.interpretation)
-}
-
-/// What is known before the map.
-fn prior(size: (usize, usize)) -> Prior {
-    let mut prior = Prior::ordinary(ASSUMED_FOV_DEG, size);
-    prior.sigma[3] *= CENTRE_FREEDOM;
-    prior.sigma[4] *= CENTRE_FREEDOM;
-    prior
 }
 
 /// Standard deviation of a term of distortion that is not refined.

@@ -117,13 +117,14 @@ impl Blocks {
         found
     }
 
-    /// The middle of a block.
-    fn ray(&self, index: usize, pinhole: &Pinhole) -> Vec3 {
+    /// The point that the middle of a block with depth sees, in the frame of the keyframe.
+    fn point(&self, index: usize, pinhole: &Pinhole) -> Vec3 {
         let middle = |cell: usize| (cell * BLOCK_PX) as f64 + 0.5 * (BLOCK_PX as f64 - 1.0);
-        pinhole.unproject(&Vec2::new(
+        let ray = pinhole.unproject(&Vec2::new(
             middle(index % self.columns),
             middle(index / self.columns),
-        ))
+        ));
+        ray / f64::from(self.blocks[index].idepth)
     }
 }
 
@@ -184,7 +185,7 @@ fn overlap(this: &View, other: &View, camera: &KeyframeCamera) -> f64 {
             let block = &this.blocks.blocks[index];
             if block.vote > 0.0 {
                 all += 1;
-                let point = this.blocks.ray(index, &camera.pinhole) / f64::from(block.idepth);
+                let point = this.blocks.point(index, &camera.pinhole);
                 seen += usize::from(place(&(other_from_this * point), other, camera).is_some());
             }
         }
@@ -215,7 +216,7 @@ fn hear_where_it_sees(
         if !block.is_filled {
             continue;
         }
-        let point = this.blocks.ray(index, &camera.pinhole) / f64::from(block.idepth);
+        let point = this.blocks.point(index, &camera.pinhole);
         let Some((at, idepth)) = place(&(*other_from_this * point), other, camera) else {
             continue;
         };
@@ -247,7 +248,7 @@ fn hear_where_it_is_seen(
         if block.vote <= 0.0 {
             continue;
         }
-        let point = other.blocks.ray(index, &camera.pinhole) / f64::from(block.idepth);
+        let point = other.blocks.point(index, &camera.pinhole);
         let Some((at, idepth)) = place(&(this_from_other * point), this, camera) else {
             continue;
         };

@@ -1,7 +1,7 @@
 //! The semi-dense cloud: what was measured in keyframes, without what was filled in between.
 
 use super::CloudPoint;
-use monogrid_geometry::{Pinhole, Sim3, Vec3};
+use monogrid_geometry::{Pinhole, Sim3, Vec2};
 use monogrid_image::Image;
 use monogrid_slam::mapping::KeyframeScan;
 use monogrid_slam::{DepthPixel, Keyframe, KeyframeId};
@@ -79,11 +79,7 @@ impl SemiDense {
         self.pixels.iter().map(move |measured| {
             let [x, y] = measured.pixel.map(f64::from);
             let depth = 1.0 / f64::from(measured.idepth);
-            let ray = Vec3::new(
-                (x - pinhole.cx) / pinhole.fx,
-                (y - pinhole.cy) / pinhole.fy,
-                1.0,
-            );
+            let ray = pinhole.unproject(&Vec2::new(x, y));
             let point = *map_from_keyframe * (ray * depth);
             let [x, y] = measured.pixel.map(usize::from);
             CloudPoint {
@@ -103,6 +99,7 @@ pub fn num_measured(clouds: &[SemiDense]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_geometry::Vec3;
     use monogrid_occupancy::DepthPixel as Measurement;
 
     fn keyframe() -> Keyframe {

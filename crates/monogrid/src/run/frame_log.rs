@@ -18,7 +18,6 @@ pub struct FrameLog {
     file: Option<File>,
     /// Where what was written whole ends, bytes.
     written: u64,
-    num_written: usize,
     recent: Vec<FrameRow>,
 }
 
@@ -28,7 +27,6 @@ impl FrameLog {
         Self {
             file: tempfile::tempfile_in(folder).ok(),
             written: 0,
-            num_written: 0,
             recent: Vec::with_capacity(BLOCK),
         }
     }
@@ -42,7 +40,6 @@ impl FrameLog {
             match write_block(file, self.written, &self.recent) {
                 Ok(bytes) => {
                     self.written += bytes;
-                    self.num_written += self.recent.len();
                     self.recent.clear();
                 }
                 // a full disk
@@ -57,14 +54,13 @@ impl FrameLog {
         if let Ok(mut rows) = self.read_back() {
             rows.append(&mut self.recent);
             self.recent = rows;
-            (self.num_written, self.written) = (0, 0);
             self.file = None;
         }
     }
 
     /// The rows in the file.
     fn read_back(&mut self) -> anyhow::Result<Vec<FrameRow>> {
-        let mut rows = Vec::with_capacity(self.num_written + self.recent.len());
+        let mut rows = Vec::new();
         let Some(file) = &mut self.file else {
             return Ok(rows);
         };
