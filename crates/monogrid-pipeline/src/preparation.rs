@@ -1,7 +1,7 @@
 //! From images of the camera to working images.
 
 use monogrid_geometry::{Camera, Pinhole};
-use monogrid_image::{GrayImage, Mask, Photometric, Undistorter, WorkingSize};
+use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSize};
 
 /// Undistortion, photometric correction and working size of one camera.
 #[derive(Clone, Debug)]
@@ -88,20 +88,38 @@ impl Preparation {
     /// # Errors
     /// An image of another size than the camera's.
     pub fn apply(&self, image: &GrayImage) -> Result<GrayImage, Unusable> {
-        let expected = (self.camera.width, self.camera.height);
-        let found = (image.width(), image.height());
-        let size_error = || Unusable::Size { found, expected };
-        if found != expected {
-            return Err(size_error());
-        }
-        let undistort = |image: &GrayImage| self.undistorter.apply(image).ok_or_else(size_error);
         if self.photometric.is_identity() {
-            return undistort(image);
+            return self.undistort(image);
         }
         let mut corrected = image.clone();
         let applied = self.photometric.apply(&mut corrected);
-        applied.map_err(|_| size_error())?;
-        undistort(&corrected)
+        applied.map_err(|_| self.size_error(image))?;
+        self.undistort(&corrected)
+    }
+
+    /// The image in colour (red, green, blue) as it covers the working image, for people: without photometric correction.
+    ///
+    /// # Errors
+    /// An image of another size than the camera's.
+    pub fn apply_rgb(&self, image: &Image<[u8; 3]>) -> Result<Image<[u8; 3]>, Unusable> {
+        let channel = |c: usize| self.undistort(&image.map(|pixel| f32::from(pixel[c])));
+        let channels = [channel(0)?, channel(1)?, channel(2)?];
+        let (width, height) = self.size();
+        Ok(Image::from_fn(width, height, |x, y| {
+            [0, 1, 2].map(|c| channels[c].at(x, y).round().clamp(0.0, 255.0) as u8)
+        }))
+    }
+
+    fn undistort(&self, image: &GrayImage) -> Result<GrayImage, Unusable> {
+        let undistorted = self.undistorter.apply(image);
+        undistorted.ok_or_else(|| self.size_error(image))
+    }
+
+    fn size_error<T: Copy>(&self, image: &Image<T>) -> Unusable {
+        Unusable::Size {
+            found: (image.width(), image.height()),
+            expected: (self.camera.width, self.camera.height),
+        }
     }
 }
 

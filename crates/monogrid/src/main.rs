@@ -5,6 +5,7 @@ mod say;
 
 mod args;
 mod cli;
+mod colours;
 mod commands;
 mod config;
 mod curves;

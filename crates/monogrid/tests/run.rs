@@ -12,7 +12,10 @@ use common::{
     assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, small_sequence,
     stderr,
 };
-use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
+use monogrid_datasets::{
+    ReadOptions, Recording, TimedPose, decode_jpeg_rgb, encode_png_rgb, read_gray, read_sim3,
+    read_trajectory,
+};
 use monogrid_geometry::Vec3;
 use monogrid_occupancy::{Occupancy, read_ot};
 use std::fs;
@@ -300,6 +303,97 @@ fn damaged_frames_in_the_middle_are_survived() {
     let summary = json(&output);
     assert_eq!(summary["skipped"], 2);
     assert!(summary["tracked"].as_u64().unwrap() as usize > common::SMALL_FRAMES * 8 / 10);
+}
+
+/// A few images of the small sequence, tinted.
+fn colour_sequence(to: &Path) {
+    copy_of_small_sequence(to);
+    for entry in fs::read_dir(to.join("rgb")).unwrap() {
+        let path = entry.unwrap().path();
+        let tinted = read_gray(&path).unwrap().map(|grey| {
+            let grey = grey as u8;
+            [grey.saturating_add(30), grey, grey.saturating_sub(60)]
+        });
+        fs::write(&path, encode_png_rgb(&tinted)).unwrap();
+    }
+}
+
+#[test]
+fn colour_of_the_source_is_kept_and_shown() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = dir.path().join("source");
+    colour_sequence(&source);
+    let out = dir.path().join("out");
+    let run = |out: &Path, more: &[&str]| {
+        let args = [
+            "run".as_ref(),
+            source.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ];
+        let output = monogrid(args.into_iter().chain(more.iter().map(AsRef::as_ref)));
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+    };
+    // depth and map are not looked at
+    let quick = [
+        "--resolution",
+        "0.2",
+        "--set",
+        "mapping.refine.enabled=false",
+        "--set",
+        "mapping.fill.enabled=false",
+    ];
+    run(&out, &[&["--max-frames", "70"], &quick[..]].concat());
+    let recording = out.join("recording.mgk");
+    let recorded = Recording::read(&recording, ReadOptions::default()).unwrap();
+    for keyframe in &recorded.keyframes {
+        let jpeg = keyframe.colour.as_ref().expect("every keyframe has colour");
+        let colour = decode_jpeg_rgb(jpeg, 1 << 20, &recording).unwrap().unwrap();
+        let grey = keyframe.image.as_ref().unwrap();
+        assert!((colour.width(), colour.height()) == (grey.width(), grey.height()));
+        let [red, _, blue] = colour.at(160, 120);
+        assert!(red > blue + 50, "{red} {blue}");
+    }
+    let cloud = fs::read(out.join("cloud.ply")).unwrap();
+    let begin = cloud
+        .windows(11)
+        .position(|w| w == b"end_header\n")
+        .unwrap()
+        + 11;
+    let rows = cloud[begin..].chunks_exact(19);
+    assert!(rows.len() > 1000);
+    let warm = rows
+        .clone()
+        .filter(|row| row[12] > row[14].saturating_add(30))
+        .count();
+    assert!(warm > rows.len() * 8 / 10, "{warm} of {}", rows.len());
+    let html = fs::read_to_string(out.join("report.html")).unwrap();
+    let scene: serde_json::Value = serde_json::from_str(block(&html, "id=\"scene\">")).unwrap();
+    let points = scene["cloud"]["count"][0].as_u64().unwrap() as usize;
+    assert_eq!(block_bytes(&scene["cloud"]["colours"]), 3 * points);
+    // a run that goes on, and the same run in metres, have the colours still
+    let (later, metric) = (dir.path().join("later"), dir.path().join("metric"));
+    let earlier = out.display().to_string();
+    let goes_on = ["--max-frames", "8", "--continue", &earlier];
+    run(&later, &[&goes_on, &quick[..]].concat());
+    let output = monogrid([
+        "rescale".as_ref(),
+        out.as_os_str(),
+        "--scale-from".as_ref(),
+        "factor=2".as_ref(),
+        "--out".as_ref(),
+        metric.as_os_str(),
+    ]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let colours = |folder: &Path| -> Vec<_> {
+        let recording = folder.join("recording.mgk");
+        let recorded = Recording::read(&recording, ReadOptions::default()).unwrap();
+        let keyframes = recorded.keyframes.into_iter();
+        keyframes.map(|k| k.colour.expect("colour")).collect()
+    };
+    let first = colours(&out);
+    assert_eq!(first, colours(&metric));
+    assert_eq!(first, colours(&later)[..first.len()]);
 }
 
 /// Starts a run and waits until its recording is a few keyframes long.

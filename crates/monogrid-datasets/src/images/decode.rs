@@ -53,6 +53,47 @@ pub fn decode_jpeg_luma(
         .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }
 
+/// Reads an image in colour; `None` where it has none: a grey file, or one whose pixels are all grey.
+///
+/// # Errors
+/// As [`read_gray`].
+pub fn read_rgb(path: &Path) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
+    let bytes = read_image_file(path)?;
+    let image = if sniff(&bytes, path)? == ImageFormat::Jpeg {
+        decode_jpeg_rgb(&bytes, MAX_PIXELS, path)?
+    } else {
+        match decode_dynamic(&bytes, path)? {
+            image if !image.color().has_color() => None,
+            image => {
+                let (width, height) = (image.width() as usize, image.height() as usize);
+                Image::from_vec(width, height, triples(&image.into_rgb8().into_raw()))
+            }
+        }
+    };
+    Ok(image.filter(has_colour))
+}
+
+/// Decodes a JPEG image in colour; `None` for a grey one. `path` is only for messages.
+///
+/// # Errors
+/// When it is no complete JPEG image, or has more than `max_pixels`.
+pub fn decode_jpeg_rgb(
+    bytes: &[u8],
+    max_pixels: usize,
+    path: &Path,
+) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
+    let decoded = jpeg::decode_rgb(bytes, max_pixels).map_err(|e| DatasetError::image(path, e))?;
+    Ok(decoded.and_then(|(width, height, rgb)| Image::from_vec(width, height, triples(&rgb))))
+}
+
+fn triples(rgb: &[u8]) -> Vec<[u8; 3]> {
+    rgb.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect()
+}
+
+fn has_colour(image: &Image<[u8; 3]>) -> bool {
+    image.as_slice().iter().any(|[r, g, b]| r != g || g != b)
+}
+
 /// Reads a mask: black (below 128) pixels are not used.
 ///
 /// # Errors

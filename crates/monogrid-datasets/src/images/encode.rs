@@ -19,10 +19,27 @@ pub fn encode_png(image: &Image<u8>) -> Vec<u8> {
 /// An 8-bit grey JPEG; `quality` is 1 to 100. Sides up to 65,535 px.
 #[must_use]
 pub fn encode_jpeg(image: &Image<u8>, quality: u8) -> Vec<u8> {
-    let mut out = Vec::with_capacity(image.as_slice().len() / 4 + 1024);
-    let (width, height) = (image.width() as u32, image.height() as u32);
+    let size = (image.width(), image.height());
+    encode_lossy(image.as_slice(), size, ExtendedColorType::L8, quality)
+}
+
+/// An 8-bit colour JPEG; `quality` is 1 to 100. Sides up to 65,535 px.
+#[must_use]
+pub fn encode_jpeg_rgb(image: &Image<[u8; 3]>, quality: u8) -> Vec<u8> {
+    let bytes = image.as_slice().as_flattened();
+    let size = (image.width(), image.height());
+    encode_lossy(bytes, size, ExtendedColorType::Rgb8, quality)
+}
+
+fn encode_lossy(
+    bytes: &[u8],
+    (width, height): (usize, usize),
+    color: ExtendedColorType,
+    quality: u8,
+) -> Vec<u8> {
+    let mut out = Vec::with_capacity(bytes.len() / 4 + 1024);
     let encoder = JpegEncoder::new_with_quality(&mut out, quality);
-    let written = encoder.write_image(image.as_slice(), width, height, ExtendedColorType::L8);
+    let written = encoder.write_image(bytes, width as u32, height as u32, color);
     debug_assert!(written.is_ok(), "writing into memory failed: {written:?}");
     out
 }

@@ -1,4 +1,4 @@
-//! JPEG to luma, refusing incomplete files.
+//! JPEG to luma or colour, refusing incomplete files.
 
 use super::decode::MAX_SIDE;
 use zune_core::bytestream::ZCursor;
@@ -6,42 +6,20 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-/// Pixels of a decoded JPEG: width, height, one byte per pixel.
-pub(super) type LumaPixels = (usize, usize, Vec<u8>);
+/// Pixels of a decoded JPEG: width, height, one byte per pixel and component.
+pub(super) type Decoded = (usize, usize, Vec<u8>);
 
 /// Decodes to luma. A YCbCr image already carries ITU-601 luma as its first component: colour is
 /// never computed. RGB and CMYK images are converted.
-pub(super) fn decode_luma(bytes: &[u8], max_pixels: usize) -> Result<LumaPixels, String> {
-    if !is_complete(bytes) {
-        return Err("the JPEG data end before its end marker (truncated file)".to_owned());
-    }
-    // Strict: otherwise corrupt or missing blocks are painted grey and reported as success.
-    let options = DecoderOptions::default()
-        .set_strict_mode(true)
-        .set_max_width(MAX_SIDE)
-        .set_max_height(MAX_SIDE);
-    let mut header = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    header.decode_headers().map_err(|e| e.to_string())?;
-    if let Some((width, height)) = header.dimensions()
-        && width * height > max_pixels
-    {
-        return Err(format!(
-            "{width}x{height} pixels, expected at most {max_pixels}"
-        ));
-    }
-    let has_luma = matches!(
-        header.input_colorspace(),
-        Some(ColorSpace::YCbCr | ColorSpace::Luma)
-    );
+pub(super) fn decode_luma(bytes: &[u8], max_pixels: usize) -> Result<Decoded, String> {
+    let components = components(bytes, max_pixels)?;
+    let has_luma = matches!(components, Some(ColorSpace::YCbCr | ColorSpace::Luma));
     let output = if has_luma {
         ColorSpace::Luma
     } else {
         ColorSpace::RGB
     };
-    let mut decoder =
-        JpegDecoder::new_with_options(ZCursor::new(bytes), options.jpeg_set_out_colorspace(output));
-    let pixels = decoder.decode().map_err(|e| e.to_string())?;
-    let (width, height) = decoder.dimensions().ok_or("no image in the file")?;
+    let (width, height, pixels) = decode_as(bytes, output)?;
     let luma = if has_luma {
         pixels
     } else {
@@ -54,6 +32,47 @@ pub(super) fn decode_luma(bytes: &[u8], max_pixels: usize) -> Result<LumaPixels,
         ));
     }
     Ok((width, height, luma))
+}
+
+/// Decodes to red, green and blue; `None` for an image that has only luma.
+pub(super) fn decode_rgb(bytes: &[u8], max_pixels: usize) -> Result<Option<Decoded>, String> {
+    match components(bytes, max_pixels)? {
+        Some(ColorSpace::Luma) => Ok(None),
+        _ => decode_as(bytes, ColorSpace::RGB).map(Some),
+    }
+}
+
+/// Strict: otherwise corrupt or missing blocks are painted grey and reported as success.
+fn options() -> DecoderOptions {
+    DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(MAX_SIDE)
+        .set_max_height(MAX_SIDE)
+}
+
+/// What the components of a complete image of at most so many pixels are.
+fn components(bytes: &[u8], max_pixels: usize) -> Result<Option<ColorSpace>, String> {
+    if !is_complete(bytes) {
+        return Err("the JPEG data end before its end marker (truncated file)".to_owned());
+    }
+    let mut header = JpegDecoder::new_with_options(ZCursor::new(bytes), options());
+    header.decode_headers().map_err(|e| e.to_string())?;
+    if let Some((width, height)) = header.dimensions()
+        && width * height > max_pixels
+    {
+        return Err(format!(
+            "{width}x{height} pixels, expected at most {max_pixels}"
+        ));
+    }
+    Ok(header.input_colorspace())
+}
+
+fn decode_as(bytes: &[u8], output: ColorSpace) -> Result<Decoded, String> {
+    let options = options().jpeg_set_out_colorspace(output);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    let pixels = decoder.decode().map_err(|e| e.to_string())?;
+    let (width, height) = decoder.dimensions().ok_or("no image in the file")?;
+    Ok((width, height, pixels))
 }
 
 /// ITU-601 luma rounded to 8 bits.

@@ -7,7 +7,7 @@ mod jpeg;
 mod register;
 
 pub(crate) use decode::decode_png_luma8;
-pub use decode::{decode_gray, decode_jpeg_luma, read_gray, read_mask};
+pub use decode::{decode_gray, decode_jpeg_luma, decode_jpeg_rgb, read_gray, read_mask, read_rgb};
 pub use depth::{DepthCalibration, TUM_UNITS_PER_METRE, decode_depth, read_depth};
-pub use encode::{encode_jpeg, encode_png, encode_png_16, encode_png_rgb};
+pub use encode::{encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16, encode_png_rgb};
 pub use register::DepthRegistration;

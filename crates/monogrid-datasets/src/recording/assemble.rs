@@ -33,6 +33,8 @@ pub struct RecordedKeyframe {
     pub timestamp_ns: i64,
     /// The undistorted image, if recorded and asked for.
     pub image: Option<Image<u8>>,
+    /// The same in colour, a JPEG file as it was recorded, where the source has colour.
+    pub colour: Option<Vec<u8>>,
     /// Newest depth; only valid pixels inside the image.
     pub pixels: Vec<DepthPixel>,
     /// Revision of that depth, 0 for the first.
@@ -102,6 +104,11 @@ impl Recording {
                         keyframe.depth_revision = d.revision;
                     }
                 }
+                Record::Colour(c) => {
+                    if let Some(keyframe) = keyframes.get_mut(&c.keyframe_id) {
+                        keyframe.colour = Some(c.jpeg);
+                    }
+                }
                 Record::Poses(p) => {
                     if newest_poses
                         .as_ref()
@@ -159,6 +166,7 @@ fn recorded(keyframe: KeyframeRecord) -> RecordedKeyframe {
         frame_index: keyframe.frame_index,
         timestamp_ns: keyframe.timestamp_ns,
         image: keyframe.image,
+        colour: None,
         pixels: keyframe.pixels,
         depth_revision: 0,
         world_from_keyframe: None,

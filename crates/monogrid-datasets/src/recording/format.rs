@@ -2,7 +2,8 @@
 
 use super::continuation;
 use super::{
-    DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, Scale, SessionInfo,
+    ColourRecord, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
+    Scale, SessionInfo,
 };
 use crate::images::decode_png_luma8;
 use crate::{encode_png, pose_from_numbers};
@@ -27,6 +28,7 @@ const KIND_DEPTH: u32 = 3;
 const KIND_POSES: u32 = 4;
 const KIND_END: u32 = 5;
 const KIND_CONTINUATION: u32 = 6;
+const KIND_COLOUR: u32 = 7;
 
 const IMAGE_NONE: u8 = 0;
 const IMAGE_RAW: u8 = 1;
@@ -69,6 +71,11 @@ pub(super) fn encode_record(record: &Record) -> Option<Vec<u8>> {
             out.u32(depth.revision);
             out.pixels(&depth.pixels)?;
             KIND_DEPTH
+        }
+        Record::Colour(colour) => {
+            out.u32(colour.keyframe_id);
+            out.blob(&colour.jpeg)?;
+            KIND_COLOUR
         }
         Record::Poses(snapshot) => encode_poses(snapshot, &mut out)?,
         Record::Continuation(continuation) => {
@@ -169,6 +176,8 @@ pub(super) fn decode_record(
         KIND_SESSION => decode_session(&mut input).map(Record::Session),
         KIND_KEYFRAME => decode_keyframe(&mut input, with_images).map(Record::Keyframe),
         KIND_DEPTH => decode_depth(&mut input).map(Record::Depth),
+        KIND_COLOUR if !with_images => return Ok(None),
+        KIND_COLOUR => decode_colour(&mut input).map(Record::Colour),
         KIND_POSES => decode_poses(&mut input).map(Record::Poses),
         KIND_CONTINUATION => continuation::decode(&mut input).map(Record::Continuation),
         KIND_END => decode_end(&mut input).map(Record::End),
@@ -245,6 +254,13 @@ fn decode_depth(input: &mut Input) -> Option<DepthRevision> {
         keyframe_id: input.u32()?,
         revision: input.u32()?,
         pixels: input.pixels()?,
+    })
+}
+
+fn decode_colour(input: &mut Input) -> Option<ColourRecord> {
+    Some(ColourRecord {
+        keyframe_id: input.u32()?,
+        jpeg: input.blob()?.to_vec(),
     })
 }
 

@@ -91,6 +91,15 @@ pub struct DepthRevision {
     pub pixels: Vec<DepthPixel>,
 }
 
+/// What a keyframe looks like in colour, for people: nothing is computed from it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColourRecord {
+    /// The keyframe.
+    pub keyframe_id: u32,
+    /// The undistorted image in colour, a JPEG file.
+    pub jpeg: Vec<u8>,
+}
+
 /// Poses of all keyframes at one moment; replaces all earlier poses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseSnapshot {
@@ -118,6 +127,8 @@ pub enum Record {
     Session(SessionInfo),
     /// A new keyframe.
     Keyframe(KeyframeRecord),
+    /// Colour of a keyframe that was recorded before.
+    Colour(ColourRecord),
     /// New depth for a keyframe.
     Depth(DepthRevision),
     /// New poses.

@@ -1,7 +1,10 @@
 //! Decoded pixels against the numbers that were encoded.
 
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
-use monogrid_datasets::{decode_depth, decode_gray, encode_png, encode_png_16, encode_png_rgb};
+use monogrid_datasets::{
+    decode_depth, decode_gray, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png,
+    encode_png_16, encode_png_rgb, read_rgb,
+};
 use monogrid_image::Image;
 use std::path::Path;
 
@@ -80,6 +83,36 @@ fn colour_becomes_itu_601_luma() {
             assert!((value - luma(*rgb)).abs() < 1e-3);
         }
     }
+}
+
+#[test]
+fn colour_is_read_where_there_is_any() {
+    let image = colour(31, 20);
+    let folder = tempfile::tempdir().expect("folder");
+    let read = |bytes: &[u8]| {
+        let file = folder.path().join(NAME);
+        std::fs::write(&file, bytes).expect("writable");
+        read_rgb(&file).expect("an image")
+    };
+    assert_eq!(read(&encode_png_rgb(&image)), Some(image.clone()));
+    let lossy = read(&encode_jpeg_rgb(&image, 95)).expect("has colour");
+    let differences = lossy
+        .as_slice()
+        .iter()
+        .zip(image.as_slice())
+        .map(|(a, b)| (luma(*a) - luma(*b)).abs());
+    assert!(differences.sum::<f32>() / 620.0 < 3.0);
+    let grey = gray(31, 20);
+    let as_colour = grey.map(|v| [v; 3]);
+    for bytes in [
+        encode_png(&grey),
+        encode_jpeg(&grey, 90),
+        encode_png_rgb(&as_colour),
+        encode_jpeg_rgb(&as_colour, 90),
+    ] {
+        assert_eq!(read(&bytes), None, "grey in any coding");
+    }
+    assert!(decode_jpeg_rgb(&encode_jpeg_rgb(&image, 90), 600, path()).is_err());
 }
 
 #[test]

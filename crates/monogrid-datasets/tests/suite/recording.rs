@@ -2,8 +2,8 @@
 
 use super::images::gray;
 use monogrid_datasets::{
-    DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, ReadOptions, Record,
-    Recording, RecordingReader, RecordingWriter, Scale, SessionInfo,
+    ColourRecord, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, ReadOptions,
+    Record, Recording, RecordingReader, RecordingWriter, Scale, SessionInfo,
 };
 use monogrid_geometry::{Pinhole, Sim3, Vec7};
 use monogrid_image::Image;
@@ -206,6 +206,28 @@ fn the_newest_state_is_read_back() {
         Recording::read(&written.path, ReadOptions { with_images: false }).expect("whole");
     assert!(without.keyframes.iter().all(|k| k.image.is_none()));
     assert_eq!(without.keyframes[2].pixels, third.pixels);
+}
+
+#[test]
+fn colour_belongs_to_its_keyframe() {
+    let colour = |keyframe_id, byte| {
+        let jpeg = vec![byte; 9];
+        Record::Colour(ColourRecord { keyframe_id, jpeg })
+    };
+    let mut records = run();
+    records.insert(1, colour(0, 1));
+    records.push(colour(2, 2));
+    records.push(colour(77, 3));
+    let written = write(&records);
+    let read = |with_images| {
+        let recording = Recording::read(&written.path, ReadOptions { with_images });
+        let recording = recording.expect("whole");
+        assert_eq!(recording.damage, Default::default());
+        let colours = recording.keyframes.into_iter().map(|k| k.colour);
+        colours.collect::<Vec<_>>()
+    };
+    assert_eq!(read(true), [Some(vec![1; 9]), None, Some(vec![2; 9])]);
+    assert_eq!(read(false), [None, None, None]);
 }
 
 #[test]

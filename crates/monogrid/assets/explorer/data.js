@@ -56,6 +56,8 @@ export class Points {
     this.low = cloud.low;
     this.step = cloud.step;
     this.measured = cloud.count[1];
+    // three bytes each; none where all are grey
+    this.colours = cloud.colours ? bytesOf(cloud.colours) : null;
     this.order = evenOrder(this.count);
   }
   at(i) {

@@ -190,12 +190,13 @@ export function freeLayer(cubes, shared) {
   return dotsOf(cubes, material);
 }
 
-// Measured points; `mode` 0: grey level, 1: height, 2: confidence.
+// Measured points; `mode` 0: colour or grey level, 1: height, 2: confidence.
 export function pointsLayer(points, shared) {
   const geometry = new BufferGeometry();
   const place = new InterleavedBufferAttribute(new InterleavedBuffer(points.raw, 4), 4, 0);
   geometry.setAttribute('place', place);
   geometry.setAttribute('position', place);
+  if (points.colours) geometry.setAttribute('colour', new BufferAttribute(points.colours, 3, true));
   geometry.setIndex(new BufferAttribute(points.order, 1));
   const uniforms = {
     ...shared,
@@ -212,6 +213,7 @@ export function pointsLayer(points, shared) {
       uniform vec2 shownHeights, heights;
       uniform float stepLength, mode, size;
       attribute vec4 place;
+      ${points.colours ? 'attribute vec3 colour;' : ''}
       varying vec3 tint;
       ${RAINBOW_SHADER}
       void main() {
@@ -219,7 +221,7 @@ export function pointsLayer(points, shared) {
         if (point.z < shownHeights.x || point.z > shownHeights.y) { ${OUTSIDE} return; }
         float height = (point.z - heights.x) / max(heights.y - heights.x, 1e-9);
         float confidence = floor(place.w / 256.0) / 255.0;
-        tint = mode < 0.5 ? vec3(mod(place.w, 256.0) / 255.0)
+        tint = mode < 0.5 ? ${points.colours ? 'colour' : 'vec3(mod(place.w, 256.0) / 255.0)'}
              : mode < 1.5 ? rainbow(height)
              : mix(vec3(0.8, 0.2, 0.15), vec3(0.2, 0.65, 0.3), confidence);
         gl_Position = projectionMatrix * viewMatrix * vec4(point, 1.0);

@@ -46,7 +46,7 @@ function controlView(view, data) {
   for (const [key, layer] of Object.entries(view.layers)) panel.append(toggle(layer.name, layer.on, (on) => view.show(key, on)));
   if (view.cubes) panel.append(choice('cells by', ['height', 'probability'], (mode) => view.colourCells(mode)));
   if (view.points) {
-    panel.append(choice('cloud by', ['grey', 'height', 'confidence'], (mode) => view.colourPoints(mode)));
+    panel.append(choice('cloud by', [data.points.colours ? 'colour' : 'grey', 'height', 'confidence'], (mode) => view.colourPoints(mode)));
     panel.append(choice('dots of', ['2', '1', '3', '5'], (size) => view.sizePoints(Number(size))));
   }
   for (const where of ['corner', 'above', 'front']) panel.append(button(where, () => view.lookFrom(where)));

@@ -125,7 +125,8 @@ export class View {
     this.draw();
   }
   colourPoints(mode) {
-    this.points.uniforms.mode.value = ['grey', 'height', 'confidence'].indexOf(mode);
+    // the first mode is what the points look like
+    this.points.uniforms.mode.value = 1 + ['height', 'confidence'].indexOf(mode);
     this.draw();
   }
   sizePoints(size) {

@@ -2,9 +2,10 @@
 
 use super::print_json;
 use crate::args::{ForceArg, JsonArg};
+use crate::colours::Colours;
 use crate::explorer::{
-    Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Pictures, Scene, SemiDense, Server,
-    seconds_since, section,
+    Answer, Camera, Cells, Cloud, CloudPoint, Scene, SemiDense, Server, ShownKeyframe,
+    cloud_and_keyframes, point_groups, section,
 };
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
@@ -159,11 +160,11 @@ impl Shown {
             .enumerate()
             .map(|(i, point)| CloudPoint {
                 point: *point,
-                // points without a colour are of a middle grey
-                grey: mesh
+                // points without a brightness are of a middle grey
+                colour: mesh
                     .albedo
                     .get(i)
-                    .map_or(128, |a| (a.clamp(0.0, 1.0) * 255.0) as u8),
+                    .map_or([128; 3], |a| [(a.clamp(0.0, 1.0) * 255.0) as u8; 3]),
                 confidence: 1.0,
             });
         let shown: Vec<CloudPoint> = points.step_by(keep_every).collect();
@@ -184,54 +185,35 @@ impl Shown {
     fn of_recording(source: &Path) -> Result<Self, Failure> {
         let recorded = Recorded::read(source, &Align::Level(Up::Scene))?;
         let camera = recorded.camera;
-        let posed: Vec<_> = recorded
+        let colours = Colours::of(&recorded.keyframes);
+        let posed: Vec<ShownKeyframe> = recorded
             .keyframes
             .iter()
             .filter_map(|keyframe| {
                 let pose = recorded.frame.map_from_world * keyframe.world_from_keyframe?;
-                Some((keyframe, pose))
+                Some(ShownKeyframe {
+                    frame_index: keyframe.frame_index,
+                    timestamp_ns: keyframe.timestamp_ns,
+                    map_from_keyframe: pose,
+                    image: keyframe.image.as_ref(),
+                    semi_dense: SemiDense::recorded(keyframe.id, &from_recorded(&keyframe.pixels)),
+                })
             })
             .collect();
-        let measured = posed
-            .iter()
-            .map(|(keyframe, _)| keyframe.pixels.len())
-            .sum();
-        let keep_every = Cloud::keep_every(measured);
-        let groups: Vec<Vec<CloudPoint>> = posed
-            .iter()
-            .map(|(keyframe, pose)| {
-                let semi_dense = SemiDense::recorded(keyframe.id, &from_recorded(&keyframe.pixels));
-                let image = keyframe.image.as_ref();
-                let points = semi_dense.points(image, &camera.pinhole, pose);
-                points.step_by(keep_every).collect()
-            })
-            .collect();
+        let groups = point_groups(&posed, &colours, &camera.pinhole);
+        let begin = posed.first().map_or(0, |keyframe| keyframe.timestamp_ns);
+        let (cloud, keyframes) = cloud_and_keyframes(&posed, &groups, &colours, begin);
         let cubes = small_cubes(&groups.concat());
-        let (cloud, shown) = Cloud::new(&groups, measured);
-        let begin = posed
-            .first()
-            .map_or(0, |(keyframe, _)| keyframe.timestamp_ns);
-        let pictures = Pictures::of(posed.len());
-        let keyframes = posed.iter().zip(shown).enumerate();
-        let keyframes = keyframes.map(|(position, ((keyframe, pose), points))| Keyframe {
-            id: keyframe.id,
-            frame: keyframe.frame_index,
-            time: seconds_since(begin, keyframe.timestamp_ns),
-            pose: Keyframe::rows(pose),
-            points,
-            image: pictures.of_keyframe(position, keyframe.image.as_ref()),
+        let path = posed.iter().map(|keyframe| {
+            let centre = keyframe.map_from_keyframe.translation;
+            let [x, y, z] = [0, 1, 2].map(|axis| centre[axis] as f32);
+            (keyframe.frame_index as usize, x, y, z)
         });
         let scene = Scene {
             cloud: Some(cloud),
             camera: Some(Camera::new(&camera.pinhole, [camera.width, camera.height])),
-            keyframes: keyframes.collect(),
-            path: posed
-                .iter()
-                .map(|(keyframe, pose)| {
-                    let [x, y, z] = [0, 1, 2].map(|axis| pose.translation[axis] as f32);
-                    (keyframe.frame_index as usize, x, y, z)
-                })
-                .collect(),
+            keyframes,
+            path: path.collect(),
             ..Scene::default()
         };
         Ok(Self {

@@ -16,8 +16,8 @@ const FAR: f64 = 20.0;
 pub struct CloudPoint {
     /// Where it is.
     pub point: [f32; 3],
-    /// Grey level of its pixel.
-    pub grey: u8,
+    /// Red, green and blue of its pixel.
+    pub colour: [u8; 3],
     /// 1 for certain, 0 where the depth is known to 5 % only.
     pub confidence: f32,
 }
@@ -26,6 +26,12 @@ impl CloudPoint {
     /// Confidence of a depth with a standard deviation relative to it.
     pub fn confidence(relative_sigma: f32) -> f32 {
         (1.0 - relative_sigma / WORST_RELATIVE_SIGMA).clamp(0.0, 1.0)
+    }
+
+    /// ITU-601 luma of its colour.
+    fn grey(&self) -> u8 {
+        let [r, g, b] = self.colour.map(u32::from);
+        ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
     }
 }
 
@@ -43,6 +49,9 @@ pub struct Cloud {
     pub count: [usize; 2],
     /// The points.
     pub points: String,
+    /// Red, green and blue of each point, bytes in base64; left out where all are grey.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub colours: Option<String>,
 }
 
 impl Cloud {
@@ -62,13 +71,15 @@ impl Cloud {
         let largest = ranges.map(|[low, high]| high - low);
         let step = largest.into_iter().fold(0.0, f64::max).max(1e-6) / f64::from(u16::MAX);
         let mut bytes = Vec::new();
+        let mut colours = Vec::new();
         let mut shown = Vec::with_capacity(groups.len());
         for group in groups {
             let first = bytes.len() / 8;
             for point in group {
                 if let Some(place) = steps(point, &low, step) {
                     bytes.extend(place.into_iter().flat_map(u16::to_le_bytes));
-                    bytes.extend([point.grey, (point.confidence * 255.0).round() as u8]);
+                    bytes.extend([point.grey(), (point.confidence * 255.0).round() as u8]);
+                    colours.push(point.colour);
                 }
             }
             shown.push([first, bytes.len() / 8 - first]);
@@ -78,6 +89,10 @@ impl Cloud {
             step,
             count: [bytes.len() / 8, measured],
             points: base64(&bytes),
+            colours: colours
+                .iter()
+                .any(|[r, g, b]| r != g || g != b)
+                .then(|| base64(colours.as_flattened())),
         };
         (cloud, shown)
     }
@@ -109,7 +124,7 @@ mod tests {
     fn point(x: f32) -> CloudPoint {
         CloudPoint {
             point: [x, 1.0, -2.0],
-            grey: 7,
+            colour: [7; 3],
             confidence: 0.5,
         }
     }
@@ -123,6 +138,13 @@ mod tests {
         assert!((cloud.step - 1e-4).abs() < 1e-9);
         let expected = [0, 0, 0, 0, 0, 0, 7, 128, 255, 255, 0, 0, 0, 0, 7, 128];
         assert_eq!(cloud.points, base64(&expected));
+        assert_eq!(cloud.colours, None, "all are grey");
+        let red = CloudPoint {
+            colour: [255, 0, 0],
+            ..point(1.0)
+        };
+        let (cloud, _) = Cloud::new(&[vec![point(0.0), red]], 2);
+        assert_eq!(cloud.colours, Some(base64(&[7, 7, 7, 255, 0, 0])));
     }
 
     #[test]

@@ -11,11 +11,13 @@ mod pictures;
 mod scene;
 mod semi_dense;
 mod server;
+mod shown;
 
 pub use cells::Cells;
 pub use cloud::{Cloud, CloudPoint};
 pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section};
 pub use pictures::{Pictures, small_jpeg};
 pub use scene::{Camera, Frames, Keyframe, PathPoint, Scene, seconds_since};
-pub use semi_dense::{PosedKeyframe, SemiDense, num_measured};
+pub use semi_dense::{SemiDense, num_measured};
 pub use server::{Answer, Server};
+pub use shown::{Look, ShownKeyframe, cloud_and_keyframes, measured_in, point_groups};

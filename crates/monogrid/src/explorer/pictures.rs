@@ -1,7 +1,9 @@
 //! Pictures of keyframes, small enough that all of them fit into a page.
 
+use super::Look;
+use crate::colours::ColourImage;
 use crate::picture::base64;
-use monogrid_datasets::encode_jpeg;
+use monogrid_datasets::{encode_jpeg, encode_jpeg_rgb};
 use monogrid_image::Image;
 
 /// Pictures of keyframes at most.
@@ -25,42 +27,69 @@ impl Pictures {
     }
 
     /// The picture of the keyframe at this position, JPEG in base64.
-    pub fn of_keyframe(self, position: usize, image: Option<&Image<u8>>) -> Option<String> {
-        let is_shown = position.is_multiple_of(self.every);
-        Some(base64(&small_jpeg(image.filter(|_| is_shown)?)))
+    pub fn of_keyframe<'a>(
+        self,
+        position: usize,
+        look: impl FnOnce() -> Look<'a>,
+    ) -> Option<String> {
+        if !position.is_multiple_of(self.every) {
+            return None;
+        }
+        match look() {
+            Look::Colour(image) => Some(base64(&small_colour_jpeg(&image))),
+            Look::Grey(image) => Some(base64(&small_jpeg(image))),
+            Look::Unknown => None,
+        }
     }
 }
 
-/// A smaller copy as JPEG: the mean of blocks of pixels.
+/// A smaller copy as JPEG.
 pub fn small_jpeg(image: &Image<u8>) -> Vec<u8> {
+    let small = smaller(image, |grey| [grey]);
+    encode_jpeg(&small.map(|[grey]| grey), QUALITY)
+}
+
+fn small_colour_jpeg(image: &ColourImage) -> Vec<u8> {
+    encode_jpeg_rgb(&smaller(image, |colour| colour), QUALITY)
+}
+
+/// The mean of blocks of pixels.
+fn smaller<T: Copy, const N: usize>(
+    image: &Image<T>,
+    channels: impl Fn(T) -> [u8; N],
+) -> Image<[u8; N]> {
     let longer = image.width().max(image.height());
     let factor = longer.div_ceil(SIDE).max(1);
     let count = (factor * factor) as u32;
     let size = [image.width(), image.height()].map(|side| side / factor);
-    let small = Image::from_fn(size[0], size[1], |x, y| {
-        let block =
-            (0..factor * factor).map(|i| (factor * x + i % factor, factor * y + i / factor));
-        let sum: u32 = block.map(|(x, y)| u32::from(image.at(x, y))).sum();
-        (sum / count) as u8
-    });
-    encode_jpeg(&small, QUALITY)
+    Image::from_fn(size[0], size[1], |x, y| {
+        let mut sums = [0u32; N];
+        for i in 0..factor * factor {
+            let pixel = image.at(factor * x + i % factor, factor * y + i / factor);
+            for (sum, value) in sums.iter_mut().zip(channels(pixel)) {
+                *sum += u32::from(value);
+            }
+        }
+        sums.map(|sum| (sum / count) as u8)
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_datasets::decode_jpeg_luma;
+    use monogrid_datasets::{decode_jpeg_luma, decode_jpeg_rgb};
     use std::path::Path;
 
     #[test]
     fn long_runs_have_some_of_the_pictures() {
         let image = Image::filled(8, 8, 9u8);
         let has = |count, position| {
-            let picture = Pictures::of(count).of_keyframe(position, Some(&image));
+            let picture = Pictures::of(count).of_keyframe(position, || Look::Grey(&image));
             picture.is_some()
         };
         assert!(has(240, 1) && !has(241, 1) && has(241, 2));
-        assert!(Pictures::of(1).of_keyframe(0, None).is_none());
+        let unknown = Pictures::of(1).of_keyframe(0, || Look::Unknown);
+        assert!(unknown.is_none());
     }
 
     #[test]
@@ -69,5 +98,11 @@ mod tests {
         let small = decode_jpeg_luma(&small_jpeg(&image), 1 << 20, Path::new("small.jpg")).unwrap();
         assert_eq!((small.width(), small.height()), (266, 133));
         assert!(small.at(20, 60).abs_diff(40) < 3 && small.at(250, 60).abs_diff(200) < 3);
+        let colour = image.map(|grey| [grey, 90, 255 - grey]);
+        let small = decode_jpeg_rgb(&small_colour_jpeg(&colour), 1 << 20, Path::new("small.jpg"));
+        let small = small.unwrap().unwrap();
+        let left = small.at(20, 60);
+        let differs = [40, 90, 215].iter().zip(left).map(|(a, b)| b.abs_diff(*a));
+        assert!(differs.max() < Some(6), "{left:?}");
     }
 }

@@ -1,14 +1,9 @@
 //! The semi-dense cloud: what was measured in keyframes, without what was filled in between.
 
-use super::CloudPoint;
+use super::{CloudPoint, Look};
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
-use monogrid_image::Image;
 use monogrid_slam::mapping::KeyframeScan;
 use monogrid_slam::{DepthPixel, Keyframe, KeyframeId};
-use std::sync::Arc;
-
-/// A keyframe of the main map and its pose in the frame of the results.
-pub type PosedKeyframe = (Arc<Keyframe>, Sim3);
 
 /// A measured pixel with its final depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,10 +64,10 @@ impl SemiDense {
         }
     }
 
-    /// Its points in the frame of the results, with the grey levels of its image; without one they are of a middle grey.
+    /// Its points in the frame of the results, in the colours of its image.
     pub fn points(
         &self,
-        image: Option<&Image<u8>>,
+        look: Look<'_>,
         pinhole: &Pinhole,
         map_from_keyframe: &Sim3,
     ) -> impl Iterator<Item = CloudPoint> {
@@ -84,7 +79,7 @@ impl SemiDense {
             let [x, y] = measured.pixel.map(usize::from);
             CloudPoint {
                 point: [point.x, point.y, point.z].map(|value| value as f32),
-                grey: image.map_or(128, |image| image.at(x, y)),
+                colour: look.at(x, y),
                 confidence: CloudPoint::confidence(measured.relative_sigma),
             }
         })
@@ -92,14 +87,15 @@ impl SemiDense {
 }
 
 /// Points of all keyframes together.
-pub fn num_measured(clouds: &[SemiDense]) -> usize {
-    clouds.iter().map(|cloud| cloud.pixels.len()).sum()
+pub fn num_measured<'a>(clouds: impl IntoIterator<Item = &'a SemiDense>) -> usize {
+    clouds.into_iter().map(|cloud| cloud.pixels.len()).sum()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use monogrid_geometry::Vec3;
+    use monogrid_image::Image;
     use monogrid_occupancy::DepthPixel as Measurement;
 
     fn keyframe() -> Keyframe {
@@ -140,9 +136,9 @@ mod tests {
         let pinhole = Pinhole::new(2.0, 2.0, 1.0, 1.0);
         let twice = Sim3::new(2.0, monogrid_geometry::Rotation::identity(), Vec3::zeros());
         let image = keyframe().image;
-        let points: Vec<_> = cloud.points(Some(&image), &pinhole, &twice).collect();
+        let points: Vec<_> = cloud.points(Look::Grey(&image), &pinhole, &twice).collect();
         assert_eq!(points[1].point, [2.0, 2.0, 4.0]);
-        assert_eq!([points[0].grey, points[1].grey], [1, 22]);
+        assert_eq!([points[0].colour, points[1].colour], [[1; 3], [22; 3]]);
         assert!((points[0].confidence - 0.6).abs() < 1e-6);
     }
 }

@@ -1,13 +1,14 @@
 //! What is saved while a run goes on: the recording and the pictures of keyframes.
 
 use super::sessions::{Earlier, RECORDING, continuation};
+use crate::colours::ColourSource;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::to_recorded;
 use crate::output::{Content, OutputFolder};
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use monogrid_datasets::{
-    DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordingWriter, SessionInfo,
-    encode_png, encode_png_rgb,
+    ColourRecord, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordingWriter,
+    SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_pipeline::{Event, Listener, ListenerError, Run};
 use monogrid_slam::Keyframe;
@@ -23,6 +24,8 @@ pub struct Recorder {
     /// What a later run is told of this one.
     source: String,
     earlier: Option<Earlier>,
+    /// Colour of the frames of this run.
+    source_colours: Option<ColourSource>,
 }
 
 /// What is said of a recording that cannot be written.
@@ -34,6 +37,7 @@ impl Recorder {
         folder: Arc<OutputFolder>,
         session: &SessionInfo,
         earlier: Option<Earlier>,
+        source_colours: Option<ColourSource>,
     ) -> Result<Self, Failure> {
         let writer =
             RecordingWriter::create(&folder.begin(RECORDING)?, session).while_running(DOING)?;
@@ -43,6 +47,7 @@ impl Recorder {
             folder,
             source: session.source.clone(),
             earlier,
+            source_colours,
         })
     }
 
@@ -61,6 +66,12 @@ impl Recorder {
                         pixels: to_recorded(&keyframe.pixels),
                     })
                     .while_running(DOING)?;
+                let sources = (self.earlier.as_ref(), self.source_colours.as_ref());
+                if let Some(jpeg) = colour(keyframe, sources) {
+                    let keyframe_id = keyframe.id;
+                    let record = Record::Colour(ColourRecord { keyframe_id, jpeg });
+                    writer.append(&record).while_running(DOING)?;
+                }
                 writer.append_poses(poses(snapshot)).while_running(DOING)?;
                 save_pictures(&self.folder, keyframe)
             }
@@ -106,6 +117,19 @@ impl Listener for Recorder {
 
     fn end(&mut self, run: Run) -> Result<(), ListenerError> {
         self.save_end(run).map_err(Failure::into_error)
+    }
+}
+
+/// The colour of a keyframe, as JPEG: of an earlier run, or of the source of this one.
+fn colour(
+    keyframe: &Keyframe,
+    (earlier, source): (Option<&Earlier>, Option<&ColourSource>),
+) -> Option<Vec<u8>> {
+    match earlier {
+        Some(earlier) if (keyframe.id as usize) < earlier.map.keyframes.len() => {
+            earlier.colours.jpeg(keyframe.id).map(<[u8]>::to_vec)
+        }
+        _ => source?.frame(keyframe.frame_index),
     }
 }
 

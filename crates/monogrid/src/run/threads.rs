@@ -6,6 +6,7 @@ use super::live::Viewer;
 use super::recorder::Recorder;
 use super::sessions::Continued;
 use super::tracking::{EarlyEnd, Tracking};
+use crate::colours::ColourSource;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
 use crate::output::OutputFolder;
@@ -57,7 +58,12 @@ pub fn track(
     let mut pipeline = pipeline(input, settings)?;
     if !settings.is_localise_only() {
         let earlier = settings.earlier().cloned();
-        let recorder = Recorder::start(Arc::clone(folder), &session, earlier)?;
+        let recorder = Recorder::start(
+            Arc::clone(folder),
+            &session,
+            earlier,
+            ColourSource::of(input),
+        )?;
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
     let reading = Reading {

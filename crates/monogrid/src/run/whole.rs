@@ -6,18 +6,19 @@ use super::conclusion::verdict;
 use super::outputs::{self, Ground, path_of};
 use super::progress::watched;
 use super::report::{ReportInput, page};
-use super::sessions::tracked_frame;
+use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{Tracked, track};
 use super::tracking::EarlyEnd;
-use crate::explorer::{PosedKeyframe, SemiDense};
+use crate::colours::Colours;
+use crate::explorer::{SemiDense, ShownKeyframe};
 use crate::failure::{Failure, Outcome};
 use crate::input::{Images, Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
-use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
+use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
 use monogrid_slam::{Keyframe, TrackedFrame};
 use std::collections::BTreeMap;
@@ -79,8 +80,12 @@ pub fn run_all(
     outputs::write_tables(folder, &tracked, &frame, &poses, settings)?;
     let paths = Paths::new(&poses, &tracked, &frame);
     let unit = unit_name(is_metric(&tracked, &frame));
-    let measured = Measured::new(&tracked, &frame, &scans);
-    measured.write(folder, tracked.run.slam.pinhole(), unit)?;
+    let posed = posed_keyframes(&tracked, &frame);
+    let shown = shown_keyframes(&posed, &scans);
+    let colours = Colours::read(&folder.path().join(RECORDING))?;
+    if !shown.is_empty() {
+        outputs::write_cloud(folder, &shown, &colours, tracked.run.slam.pinhole(), unit)?;
+    }
     let ground = Ground {
         has_floor: frame.floor.is_some(),
         is_metric: is_metric(&tracked, &frame),
@@ -113,8 +118,8 @@ pub fn run_all(
         reference: &reference.path,
         errors: &reference.errors,
         map: maps.as_ref().map(|maps| &maps.global),
-        keyframes: &measured.keyframes,
-        semi_dense: &measured.semi_dense,
+        keyframes: &shown,
+        colours: &colours,
         cut: pictures.as_ref().and_then(|p| p.cut),
         preview: pictures.as_ref().map(|p| p.preview.as_slice()),
         loops: pictures.as_ref().and_then(|p| p.loops.as_ref()),
@@ -301,39 +306,34 @@ fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> 
     scans
 }
 
-/// What the keyframes of the main map measured.
-struct Measured {
-    keyframes: Vec<PosedKeyframe>,
-    semi_dense: Vec<SemiDense>,
+/// The keyframes of the main map with their final poses.
+fn posed_keyframes(tracked: &Tracked, frame: &MapFrame) -> Vec<(Arc<Keyframe>, Sim3)> {
+    let posed = |keyframe: Arc<Keyframe>| {
+        let world_from_keyframe = tracked.run.poses.in_main_map(keyframe.id)?;
+        Some((keyframe, frame.map_from_world * *world_from_keyframe))
+    };
+    let keyframes = tracked.run.slam.keyframes().into_iter();
+    keyframes.filter_map(posed).collect()
 }
 
-impl Measured {
-    /// Of the final depth, at the final poses.
-    fn new(tracked: &Tracked, frame: &MapFrame, scans: &[KeyframeScan]) -> Self {
-        let posed = |keyframe: Arc<Keyframe>| {
-            let world_from_keyframe = tracked.run.poses.in_main_map(keyframe.id)?;
-            Some((keyframe, frame.map_from_world * *world_from_keyframe))
-        };
-        let keyframes = tracked.run.slam.keyframes().into_iter();
-        let keyframes: Vec<PosedKeyframe> = keyframes.filter_map(posed).collect();
-        let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
-        let semi_dense = |(keyframe, _): &PosedKeyframe| {
-            let scan = scans.get(&keyframe.id)?;
-            Some(SemiDense::new(keyframe, scan))
-        };
-        Self {
-            semi_dense: keyframes.iter().filter_map(semi_dense).collect(),
-            keyframes,
+/// What they measured, by the final depth.
+fn shown_keyframes<'a>(
+    posed: &'a [(Arc<Keyframe>, Sim3)],
+    scans: &[KeyframeScan],
+) -> Vec<ShownKeyframe<'a>> {
+    let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
+    let shown = posed.iter().map(|(keyframe, map_from_keyframe)| {
+        let scan = scans.get(&keyframe.id);
+        let semi_dense = scan.map(|scan| SemiDense::new(keyframe, scan));
+        ShownKeyframe {
+            frame_index: keyframe.frame_index as u64,
+            timestamp_ns: keyframe.timestamp_ns,
+            map_from_keyframe: *map_from_keyframe,
+            image: Some(&keyframe.image),
+            semi_dense: semi_dense.unwrap_or_else(|| SemiDense::recorded(keyframe.id, &[])),
         }
-    }
-
-    /// Writes the cloud, where there is one.
-    fn write(&self, folder: &OutputFolder, pinhole: &Pinhole, unit: &str) -> Result<(), Failure> {
-        if self.semi_dense.is_empty() {
-            return Ok(());
-        }
-        outputs::write_cloud(folder, &self.keyframes, &self.semi_dense, pinhole, unit)
-    }
+    });
+    shown.collect()
 }
 
 /// The final maps; `None` without keyframes.

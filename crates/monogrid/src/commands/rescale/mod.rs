@@ -14,8 +14,9 @@ use crate::run::outputs::{Ground, path_of, write_global};
 use crate::run::sessions::{MAP_FROM_WORLD, RECORDING};
 use clap::Args;
 use monogrid_datasets::{
-    DepthRevision, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedKeyframe, Recording,
-    RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3, read_trajectory,
+    ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, ReadOptions, Record,
+    RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3,
+    read_trajectory,
 };
 use monogrid_geometry::Sim3;
 use monogrid_slam::mapping::MappingConfig;
@@ -227,6 +228,10 @@ fn append(
         image: keyframe.image,
         pixels: keyframe.pixels,
     })?;
+    if let Some(jpeg) = keyframe.colour {
+        let keyframe_id = keyframe.id;
+        writer.append(&Record::Colour(ColourRecord { keyframe_id, jpeg }))?;
+    }
     revision.map_or(Ok(()), |revision| writer.append_depth(revision))
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Known, Live, SeenFrame, lock};
 use crate::explorer::{
-    Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, PathPoint, SemiDense, small_jpeg,
+    Answer, Camera, Cells, Cloud, CloudPoint, Keyframe, Look, PathPoint, SemiDense, small_jpeg,
 };
 use crate::picture::base64;
 use monogrid_geometry::{Pinhole, Sim3};
@@ -137,7 +137,7 @@ impl Shown {
         let every = certain.len().div_ceil(MAX_POINTS).max(1);
         let semi_dense = SemiDense::recorded(keyframe.id, &certain);
         let at_rest = Sim3::identity();
-        let points = semi_dense.points(Some(&keyframe.image), &self.pinhole, &at_rest);
+        let points = semi_dense.points(Look::Grey(&keyframe.image), &self.pinhole, &at_rest);
         let points: Vec<CloudPoint> = points.step_by(every).collect();
         KeyframeNews {
             id: keyframe.id,

@@ -3,13 +3,11 @@
 use super::ReportInput;
 use super::tracking::{state, states};
 use crate::explorer::{
-    Camera, Cells, Cloud, CloudPoint, Frames, Keyframe, PathPoint, Pictures, PosedKeyframe, Scene,
-    SemiDense, num_measured, seconds_since,
+    Camera, Cells, Frames, PathPoint, Scene, cloud_and_keyframes, point_groups, seconds_since,
 };
 use crate::failure::{Classify, Failure};
 use crate::run::frames::FrameRow;
 use crate::run::threads::Tracked;
-use monogrid_geometry::Pinhole;
 use monogrid_slam::TrackingState;
 use std::collections::BTreeMap;
 
@@ -21,17 +19,15 @@ const MIN_LOOP: u64 = 10;
 pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Failure> {
     let slam = &tracked.run.slam;
     let keyframes = input.keyframes;
-    let (cloud, shown) = cloud(keyframes, input.semi_dense, slam.pinhole());
     let begin = tracked.rows.first().map_or(0, |row| row.timestamp_ns);
-    let pictures = Pictures::of(keyframes.len());
+    let groups = point_groups(keyframes, input.colours, slam.pinhole());
+    let (cloud, shown) = cloud_and_keyframes(keyframes, &groups, input.colours, begin);
     let positions: BTreeMap<u64, usize> = (0..)
-        .zip(keyframes)
-        .map(|(position, (keyframe, _))| (u64::from(keyframe.id), position))
+        .zip(&shown)
+        .map(|(position, keyframe)| (u64::from(keyframe.id), position))
         .collect();
-    let size = keyframes.first().map(|(keyframe, _)| {
-        let image = &keyframe.image;
-        [image.width(), image.height()]
-    });
+    let image = keyframes.first().and_then(|keyframe| keyframe.image);
+    let size = image.map(|image| [image.width(), image.height()]);
     Ok(Scene {
         unit: input.summary.unit().to_owned(),
         cells: match input.map {
@@ -40,17 +36,7 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Fai
         },
         cloud: (cloud.count[0] > 0).then_some(cloud),
         camera: size.map(|size| Camera::new(slam.pinhole(), size)),
-        keyframes: (0..)
-            .zip(keyframes.iter().zip(shown))
-            .map(|(position, ((keyframe, pose), points))| Keyframe {
-                id: keyframe.id,
-                frame: keyframe.frame_index as u64,
-                time: seconds_since(begin, keyframe.timestamp_ns),
-                pose: Keyframe::rows(pose),
-                points,
-                image: pictures.of_keyframe(position, Some(&keyframe.image)),
-            })
-            .collect(),
+        keyframes: shown,
         links: links(tracked, &positions),
         path: path(tracked, input),
         reference: input.reference.to_vec(),
@@ -85,26 +71,6 @@ fn errors(tracked: &Tracked, input: &ReportInput) -> Vec<f32> {
     let rows = tracked.rows.iter();
     rows.map(|row| by_frame.get(&row.index).map_or(-1.0, |error| *error as f32))
         .collect()
-}
-
-/// The measured points of all keyframes.
-fn cloud(
-    keyframes: &[PosedKeyframe],
-    semi_dense: &[SemiDense],
-    pinhole: &Pinhole,
-) -> (Cloud, Vec<[usize; 2]>) {
-    let measured = num_measured(semi_dense);
-    let keep_every = Cloud::keep_every(measured);
-    let by_id: BTreeMap<u32, &SemiDense> = semi_dense.iter().map(|s| (s.id, s)).collect();
-    let groups: Vec<Vec<CloudPoint>> = keyframes
-        .iter()
-        .map(|(keyframe, pose)| {
-            let of_keyframe = by_id.get(&keyframe.id);
-            let points = of_keyframe.map(|s| s.points(Some(&keyframe.image), pinhole, pose));
-            points.into_iter().flatten().step_by(keep_every).collect()
-        })
-        .collect();
-    Cloud::new(&groups, measured)
 }
 
 /// Loops of the graph, as positions of keyframes.

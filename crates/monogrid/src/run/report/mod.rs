@@ -7,7 +7,8 @@ use super::align::MapFrame;
 use super::recorder::measured;
 use super::summary::Summary;
 use super::threads::Tracked;
-use crate::explorer::{self, PosedKeyframe, SemiDense};
+use crate::colours::Colours;
+use crate::explorer::{self, ShownKeyframe};
 use crate::failure::Failure;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
@@ -42,9 +43,9 @@ pub struct ReportInput<'a> {
     /// The global map.
     pub map: Option<&'a OccupancyMap>,
     /// The keyframes of the main map.
-    pub keyframes: &'a [PosedKeyframe],
-    /// What was measured in the keyframes.
-    pub semi_dense: &'a [SemiDense],
+    pub keyframes: &'a [ShownKeyframe<'a>],
+    /// What is known of their colours.
+    pub colours: &'a Colours,
     /// Height above which cells hide the room.
     pub cut: Option<f64>,
     /// View of the map, PNG.

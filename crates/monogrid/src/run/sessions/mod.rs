@@ -4,6 +4,7 @@ mod stored;
 
 pub use stored::tracked_frame;
 
+use crate::colours::Colours;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
 use crate::run::align::Align;
@@ -30,6 +31,8 @@ pub struct Earlier {
     pub session: SessionInfo,
     /// Its map.
     pub map: StoredMap,
+    /// Its keyframes in colour.
+    pub colours: Colours,
     /// Runs that made the map.
     pub sessions: Vec<RecordedSession>,
     /// Their frames.
@@ -97,6 +100,7 @@ impl Earlier {
         };
         Ok(Self {
             path: path.to_owned(),
+            colours: Colours::of(&recording.keyframes),
             session: recording.session,
             map,
             sessions,

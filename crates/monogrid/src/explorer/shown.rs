@@ -1,0 +1,105 @@
+//! Keyframes of a map as they are shown, of a run that has just ended or of a recording.
+
+use super::{Cloud, CloudPoint, Keyframe, Pictures, SemiDense, num_measured, seconds_since};
+use crate::colours::{ColourImage, Colours};
+use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_image::Image;
+
+/// A keyframe of the main map.
+#[derive(Clone, Debug)]
+pub struct ShownKeyframe<'a> {
+    /// Index of its frame in the source.
+    pub frame_index: u64,
+    /// Time of its frame.
+    pub timestamp_ns: i64,
+    /// Pose in the frame of the results.
+    pub map_from_keyframe: Sim3,
+    /// Its grey image.
+    pub image: Option<&'a Image<u8>>,
+    /// What was measured in it.
+    pub semi_dense: SemiDense,
+}
+
+/// What the pixels of a keyframe look like.
+#[derive(Clone, Debug)]
+pub enum Look<'a> {
+    /// In colour.
+    Colour(ColourImage),
+    /// In grey.
+    Grey(&'a Image<u8>),
+    /// Nobody knows: a middle grey.
+    Unknown,
+}
+
+impl Look<'_> {
+    /// Red, green and blue of a pixel.
+    pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
+        match self {
+            Self::Colour(image) => image.at(x, y),
+            Self::Grey(image) => [image.at(x, y); 3],
+            Self::Unknown => [128; 3],
+        }
+    }
+}
+
+impl ShownKeyframe<'_> {
+    /// What it looks like: in colour where that is known and of the size of the grey image.
+    pub fn look(&self, colours: &Colours) -> Look<'_> {
+        let size = self.image.map(|image| (image.width(), image.height()));
+        let colour = colours.of_keyframe(self.semi_dense.id);
+        match (colour, self.image) {
+            (Some(image), _) if size == Some((image.width(), image.height())) => {
+                Look::Colour(image)
+            }
+            (_, Some(image)) => Look::Grey(image),
+            (_, None) => Look::Unknown,
+        }
+    }
+
+    /// Its points in the frame of the results.
+    pub fn points(&self, colours: &Colours, pinhole: &Pinhole) -> impl Iterator<Item = CloudPoint> {
+        let look = self.look(colours);
+        self.semi_dense
+            .points(look, pinhole, &self.map_from_keyframe)
+    }
+}
+
+/// Points measured in all keyframes together.
+pub fn measured_in(keyframes: &[ShownKeyframe]) -> usize {
+    num_measured(keyframes.iter().map(|shown| &shown.semi_dense))
+}
+
+/// The points of each keyframe that a page has room for.
+pub fn point_groups(
+    keyframes: &[ShownKeyframe],
+    colours: &Colours,
+    pinhole: &Pinhole,
+) -> Vec<Vec<CloudPoint>> {
+    let keep_every = Cloud::keep_every(measured_in(keyframes));
+    let points = |shown: &ShownKeyframe| {
+        let points = shown.points(colours, pinhole);
+        points.step_by(keep_every).collect()
+    };
+    keyframes.iter().map(points).collect()
+}
+
+/// The cloud of these points and the keyframes that they belong to; times are counted from `begin_ns`.
+pub fn cloud_and_keyframes(
+    keyframes: &[ShownKeyframe],
+    groups: &[Vec<CloudPoint>],
+    colours: &Colours,
+    begin_ns: i64,
+) -> (Cloud, Vec<Keyframe>) {
+    let (cloud, ranges) = Cloud::new(groups, measured_in(keyframes));
+    let pictures = Pictures::of(keyframes.len());
+    let positions = (0..).zip(keyframes.iter().zip(ranges));
+    let keyframes = positions.map(|(position, (shown, points))| Keyframe {
+        id: shown.semi_dense.id,
+        frame: shown.frame_index,
+        time: seconds_since(begin_ns, shown.timestamp_ns),
+        pose: Keyframe::rows(&shown.map_from_keyframe),
+        points,
+        image: pictures.of_keyframe(position, || shown.look(colours)),
+    });
+    (cloud, keyframes.collect())
+}
