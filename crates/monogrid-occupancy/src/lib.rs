@@ -114,6 +114,7 @@ pub use octree::Leaf;
 pub use query::cast::{RayHit, UnknownCells};
 pub use query::cells::Cell;
 pub use query::distance::{DistanceConfig, DistanceField};
+pub use query::mesh::SurfaceMesh;
 pub use query::project::Projection;
 pub use query::snapshot::Snapshot;
 pub use scan::{

@@ -197,7 +197,11 @@ fn point_clouds_hold_every_occupied_cell() {
         .cells()
         .filter(|c| c.state == Occupancy::Occupied)
         .count();
-    let ply = write(&map, write_ply);
+    let ply = write(&map, |map, out| write_ply(map, None, out));
+    let coloured = write(&map, |map, out| {
+        write_ply(map, Some(&|key| [key.x as u8, 7, 9]), out)
+    });
+    assert_eq!(coloured[coloured.len() - 2..], [7, 9]);
     let pcd = write(&map, write_pcd);
     for (bytes, marker) in [(ply, &b"end_header\n"[..]), (pcd, &b"DATA binary\n"[..])] {
         let start = bytes

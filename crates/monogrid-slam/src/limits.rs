@@ -348,6 +348,9 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         min_confidence: 0.0, 1.0;
         min_floor_share: 0.001, 1.0;
     }));
+    all.extend(limits!("mapping.mesh", mapping.mesh, {
+        min_faces: 0.0, 1_000_000_000.0;
+    }));
     for (name, length) in [("mapping.buffer", mapping.buffer), ("mapping.significance", mapping.significance)] {
         if let AutoLength::Fixed(length) = length {
             all.push(limit(name, length, 1e-6, 1e6));

@@ -8,6 +8,7 @@ use crate::commands::evaluate::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
 use crate::commands::info::InfoArgs;
 use crate::commands::map::MapArgs;
+use crate::commands::mesh::MeshArgs;
 use crate::commands::rescale::RescaleArgs;
 use crate::commands::run::RunArgs;
 use crate::commands::sensor_model::SensorModelArgs;
@@ -126,6 +127,9 @@ pub enum Command {
     /// Count the cells whose state differs between two maps
     #[command(after_help = "Example: monogrid diff morning.ot evening.ot")]
     Diff(DiffArgs),
+    /// Surface of a map as a triangle mesh: .ply or .glb
+    #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
+    Mesh(MeshArgs),
     /// Map seen from above as .pgm and .yaml for nav2's map server
     #[command(
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"

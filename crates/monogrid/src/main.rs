@@ -24,6 +24,7 @@ mod refine;
 mod report;
 mod run;
 mod self_calibration;
+mod surface;
 mod sweep;
 mod usage;
 mod video;
@@ -54,6 +55,7 @@ fn main() -> ExitCode {
         Command::Crop(args) => commands::tools::crop(args),
         Command::Merge(args) => commands::tools::merge(args),
         Command::Diff(args) => commands::tools::diff(args),
+        Command::Mesh(args) => commands::mesh::execute(args),
         Command::Project(args) => commands::tools::project(args),
         Command::SensorModel(args) => commands::sensor_model::execute(args),
         Command::Slice(args) => commands::slice::execute(args),

@@ -94,7 +94,7 @@ pub fn write(map: &OccupancyMap, mut out: &mut dyn Write, format: MapFormat) -> 
         MapFormat::Ot => write_ot(map, &mut out),
         MapFormat::Bt => write_bt(map, &mut out),
         MapFormat::Mgo => write_mgo(map, &mut out),
-        MapFormat::Ply => write_ply(map, &mut out),
+        MapFormat::Ply => write_ply(map, None, &mut out),
         MapFormat::Pcd => write_pcd(map, &mut out),
     }?;
     Ok(())

@@ -1,11 +1,13 @@
 //! A recording ready to be mapped: keyframes, the camera, and the frame their poses are brought to.
 
 use crate::args::Profile;
+use crate::colours::Colours;
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::from_recorded;
 use crate::run::align::{Align, MapFrame, Scene};
 use crate::run::sessions::{frame_beside, tracked_frame};
+use crate::surface::{CellColours, ColouredScan};
 use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, Scale, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
@@ -94,16 +96,17 @@ impl Recorded {
         })
     }
 
-    /// The map by these settings, as the run that ended with these poses makes it, and the cell where it follows from the scene.
+    /// The map of its [scans](Self::scans) by these settings, as the run that ended with these poses makes it, and the cell where it
+    /// follows from the scene.
     pub fn map(
         &self,
+        scans: &[KeyframeScan],
         config: &MappingConfig,
         threads: usize,
     ) -> Result<(OccupancyMap, MapStats, Option<SceneCell>), MapError> {
-        let scans = self.scans(config, threads);
         let is_metric = self.frame.is_aligned || self.session.scale == Scale::Metric;
         let cell = (config.auto_resolution && !is_metric)
-            .then(|| scene_cell(&views_of(&self.keyframes, &scans), &self.camera, config))
+            .then(|| scene_cell(&views_of(&self.keyframes, scans), &self.camera, config))
             .flatten();
         let mut mapper = Mapper::new(config.clone(), self.camera, threads);
         if let Some(cell) = &cell {
@@ -111,7 +114,7 @@ impl Recorded {
         }
         let poses = self.world_from_keyframes();
         let map_from_world = &self.frame.map_from_world;
-        let (mut map, stats) = mapper.build(&scans, &poses, map_from_world)?;
+        let (mut map, stats) = mapper.build(scans, &poses, map_from_world)?;
         let of_keyframe = |id: u32| {
             let found = self.keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
             self.keyframes[found].world_from_keyframe.as_ref()
@@ -124,6 +127,22 @@ impl Recorded {
     /// What of each keyframe is mapped.
     pub fn scans(&self, config: &MappingConfig, threads: usize) -> Vec<KeyframeScan> {
         scans_of(&self.keyframes, &self.camera, config, threads)
+    }
+
+    /// Colours of the cells of a map with this edge, by its [scans](Self::scans).
+    pub fn cell_colours(&self, scans: &[KeyframeScan], resolution: f64) -> CellColours {
+        let keyframes = self.keyframes.iter().zip(scans);
+        let coloured: Vec<ColouredScan> = keyframes
+            .filter_map(|(keyframe, scan)| {
+                Some(ColouredScan {
+                    scan,
+                    image: keyframe.image.as_ref(),
+                    map_from_keyframe: self.frame.map_from_world * keyframe.world_from_keyframe?,
+                })
+            })
+            .collect();
+        let colours = Colours::of(&self.keyframes);
+        CellColours::new(&coloured, &colours, &self.camera.pinhole, resolution)
     }
 
     /// Poses of the keyframes in the world of the run.

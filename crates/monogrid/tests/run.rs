@@ -66,6 +66,8 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
         "large.ot",
         "cells.ply",
         "cloud.ply",
+        "mesh.ply",
+        "mesh.glb",
         "map.pgm",
         "map.yaml",
         "preview.png",
@@ -305,6 +307,30 @@ fn damaged_frames_in_the_middle_are_survived() {
     assert!(summary["tracked"].as_u64().unwrap() as usize > common::SMALL_FRAMES * 8 / 10);
 }
 
+/// Mesh and cells of a run are in colour, in files and on the page, and `map` makes the same mesh.
+fn the_surface_is_coloured(out: &Path, mesh: &serde_json::Value) {
+    let [vertices, triangles] = [0, 1].map(|k| mesh["count"][k].as_u64().unwrap() as usize);
+    assert!(triangles > 100, "{triangles}");
+    assert_eq!(block_bytes(&mesh["colours"]), 3 * vertices);
+    assert_eq!(block_bytes(&mesh["triangles"]), 12 * triangles);
+    let cells = fs::read(out.join("cells.ply")).unwrap();
+    assert!(String::from_utf8_lossy(&cells[..300]).contains("property uchar blue"));
+    let dir = tempfile::tempdir().unwrap();
+    let alone = dir.path().join("alone.ply");
+    let recording = out.join("recording.mgk");
+    let (map, file) = (dir.path().join("again.ot"), alone.as_os_str());
+    let output = monogrid([
+        "map".as_ref(),
+        recording.as_os_str(),
+        "--out".as_ref(),
+        map.as_os_str(),
+        "--mesh".as_ref(),
+        file,
+    ]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(fs::read(&alone).unwrap() == fs::read(out.join("mesh.ply")).unwrap());
+}
+
 /// A few images of the small sequence, tinted.
 fn colour_sequence(to: &Path) {
     copy_of_small_sequence(to);
@@ -337,7 +363,9 @@ fn colour_of_the_source_is_kept_and_shown() {
     // depth and map are not looked at
     let quick = [
         "--resolution",
-        "0.2",
+        "0.1",
+        "--set",
+        "mapping.mesh.min_faces=0",
         "--set",
         "mapping.refine.enabled=false",
         "--set",
@@ -371,6 +399,7 @@ fn colour_of_the_source_is_kept_and_shown() {
     let scene: serde_json::Value = serde_json::from_str(block(&html, "id=\"scene\">")).unwrap();
     let points = scene["cloud"]["count"][0].as_u64().unwrap() as usize;
     assert_eq!(block_bytes(&scene["cloud"]["colours"]), 3 * points);
+    the_surface_is_coloured(&out, &scene["mesh"]);
     // a run that goes on, and the same run in metres, have the colours still
     let (later, metric) = (dir.path().join("later"), dir.path().join("metric"));
     let earlier = out.display().to_string();

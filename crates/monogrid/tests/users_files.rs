@@ -221,6 +221,7 @@ impl Sources {
                 "map.ot other.ot",
             ),
             self.call("project", "", "pgm", "@map.ot", "map.ot"),
+            self.call("mesh", "", "glb", "@map.ot", "map.ot"),
             self.call("view", "--html", "html", "@map.ot", "map.ot"),
             self.call(
                 "vocabulary",

@@ -4,6 +4,7 @@ use std::io::{BufWriter, Write};
 
 use crate::error::MapError;
 use crate::evidence::{Occupancy, log_odds_from_evidence, probability_from_log_odds};
+use crate::key::VoxelKey;
 use crate::map::OccupancyMap;
 
 fn write_error(source: std::io::Error) -> MapError {
@@ -13,44 +14,65 @@ fn write_error(source: std::io::Error) -> MapError {
     }
 }
 
-fn occupied_points(map: &OccupancyMap) -> impl Iterator<Item = [f32; 4]> + '_ {
+fn occupied_points(map: &OccupancyMap) -> impl Iterator<Item = (VoxelKey, [f32; 4])> + '_ {
     map.bricks().into_iter().flat_map(move |brick| {
         let values = map.brick_values(brick);
         (0..values.len())
             .filter(move |&i| map.limits.occupancy(values[i]) == Occupancy::Occupied)
             .map(move |i| {
-                let [x, y, z] = brick.cell(i).center(map.resolution());
+                let key = brick.cell(i);
+                let [x, y, z] = key.center(map.resolution());
                 let log_odds = f64::from(log_odds_from_evidence(values[i]));
-                [x, y, z, probability_from_log_odds(log_odds)].map(|v| v as f32)
+                let point = [x, y, z, probability_from_log_odds(log_odds)];
+                (key, point.map(|v| v as f32))
             })
     })
 }
 
-fn write_points(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
-    for point in occupied_points(map) {
+/// Red, green and blue of a cell.
+type ColourOf<'a> = &'a dyn Fn(VoxelKey) -> [u8; 3];
+
+fn write_points(
+    map: &OccupancyMap,
+    colour: Option<ColourOf>,
+    out: &mut impl Write,
+) -> Result<(), MapError> {
+    for (key, point) in occupied_points(map) {
         for value in point {
             out.write_all(&value.to_le_bytes()).map_err(write_error)?;
+        }
+        if let Some(colour) = colour {
+            out.write_all(&colour(key)).map_err(write_error)?;
         }
     }
     out.flush().map_err(write_error)
 }
 
-/// Writes the centres of the occupied cells, with their probability, as binary PLY.
+/// Writes the centres of the occupied cells, with their probability and, where it is given, their colour (red, green, blue), as
+/// binary PLY.
 ///
 /// # Errors
 /// Writing fails.
-pub fn write_ply(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError> {
+pub fn write_ply(
+    map: &OccupancyMap,
+    colour: Option<ColourOf>,
+    out: &mut impl Write,
+) -> Result<(), MapError> {
+    let colours = match colour {
+        Some(_) => "property uchar red\nproperty uchar green\nproperty uchar blue\n",
+        None => "",
+    };
     let mut out = BufWriter::new(out);
     let count = occupied_points(map).count();
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment cell {}\nelement vertex {count}\n\
          property float x\nproperty float y\nproperty float z\nproperty float probability\n\
-         end_header\n",
+         {colours}end_header\n",
         map.resolution()
     )
     .map_err(write_error)?;
-    write_points(map, &mut out)
+    write_points(map, colour, &mut out)
 }
 
 /// Writes the centres of the occupied cells, with their probability, as binary PCD 0.7.
@@ -67,5 +89,5 @@ pub fn write_pcd(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapErro
          VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
     )
     .map_err(write_error)?;
-    write_points(map, &mut out)
+    write_points(map, None, &mut out)
 }

@@ -1,9 +1,10 @@
-//! Questions to a map: cells in a box, rays, collisions, distances, projections.
+//! Questions to a map: cells in a box, rays, collisions, distances, surfaces, projections.
 
 pub(crate) mod batch;
 pub(crate) mod cast;
 pub(crate) mod cells;
 pub(crate) mod collide;
 pub(crate) mod distance;
+pub(crate) mod mesh;
 pub(crate) mod project;
 pub(crate) mod snapshot;

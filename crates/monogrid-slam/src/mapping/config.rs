@@ -285,6 +285,27 @@ pub struct MappingConfig {
     pub fill: FillConfig,
     /// Up and the floor.
     pub upright: UprightConfig,
+    /// The surface as triangles.
+    pub mesh: MeshConfig,
+}
+
+/// The surface between occupied and free cells as a mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MeshConfig {
+    /// Whether a run writes it. Default true.
+    pub enabled: bool,
+    /// Pieces of the surface with fewer faces of cells are left out: most are false measurements. Default 60. Range [0, 1000000000].
+    pub min_faces: usize,
+}
+
+impl Default for MeshConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            min_faces: 60,
+        }
+    }
 }
 
 impl Default for MappingConfig {
@@ -318,6 +339,7 @@ impl Default for MappingConfig {
             refine: RefineConfig::default(),
             fill: FillConfig::default(),
             upright: UprightConfig::default(),
+            mesh: MeshConfig::default(),
         }
     }
 }

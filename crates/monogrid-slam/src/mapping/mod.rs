@@ -32,7 +32,7 @@ pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
 pub use config::{
     AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig,
-    RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
+    MeshConfig, RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};

@@ -1,4 +1,4 @@
-// From the blocks of the page to typed arrays. The layout of a block is described where it is written: explorer/cells.rs, cloud.rs.
+// From the blocks of the page to typed arrays. The layout of a block is described where it is written: explorer/cells.rs, cloud.rs, mesh.rs.
 
 function bytesOf(base64) {
   if (Uint8Array.fromBase64) return Uint8Array.fromBase64(base64);
@@ -65,14 +65,26 @@ export class Points {
   }
 }
 
+// A mesh: four integers per vertex, three bytes of colour, three indices per triangle.
+export class Surface {
+  constructor(mesh) {
+    this.raw = integersOf(mesh.vertices);
+    this.colours = bytesOf(mesh.colours);
+    this.triangles = new Uint32Array(bytesOf(mesh.triangles).buffer);
+    this.low = mesh.low;
+    this.step = mesh.step;
+  }
+}
+
 // What the page holds, with its blocks unpacked.
 export function unpacked(scene) {
-  const { cells, cloud } = scene;
+  const { cells, cloud, mesh } = scene;
   return {
     ...scene,
     occupied: cells ? new Cubes(cells.occupied, cells) : null,
     free: cells ? new Cubes(cells.free, cells) : null,
     points: cloud ? new Points(cloud) : null,
+    surface: mesh ? new Surface(mesh) : null,
   };
 }
 

@@ -233,6 +233,42 @@ export function pointsLayer(points, shared) {
   return { layer, uniforms };
 }
 
+// The surface in its colours, lit a little so that its shape is seen.
+export function surfaceLayer(surface, shared) {
+  const geometry = new BufferGeometry();
+  const place = new InterleavedBufferAttribute(new InterleavedBuffer(surface.raw, 4), 4, 0);
+  geometry.setAttribute('place', place);
+  geometry.setAttribute('position', place);
+  geometry.setAttribute('colour', new BufferAttribute(surface.colours, 3, true));
+  geometry.setIndex(new BufferAttribute(surface.triangles, 1));
+  const material = new ShaderMaterial({
+    uniforms: { ...shared, low: { value: new Vector3(...surface.low) }, stepLength: { value: surface.step } },
+    // both sides, as three.js numbers them
+    side: 2,
+    vertexShader: `
+      uniform vec3 low;
+      uniform vec2 shownHeights;
+      uniform float stepLength;
+      attribute vec4 place;
+      attribute vec3 colour;
+      varying vec3 tint, point;
+      void main() {
+        point = low + stepLength * place.xyz;
+        tint = colour;
+        if (point.z < shownHeights.x || point.z > shownHeights.y) { ${OUTSIDE} return; }
+        gl_Position = projectionMatrix * viewMatrix * vec4(point, 1.0);
+      }`,
+    fragmentShader: `
+      varying vec3 tint, point;
+      void main() {
+        vec3 normal = normalize(cross(dFdx(point), dFdy(point)));
+        float light = 0.8 + 0.2 * abs(dot(normal, normalize(vec3(0.3, 0.5, 0.8))));
+        gl_FragColor = vec4(tint * light, 1.0);
+      }`,
+  });
+  return meshOf(geometry, material);
+}
+
 export function lineLayer(points, colour) {
   return new Line(positions(points), new LineBasicMaterial({ color: colour }));
 }

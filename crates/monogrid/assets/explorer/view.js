@@ -1,6 +1,6 @@
 // The view in three dimensions: camera, layers, picking and measuring. Drawn when something changes, not all the time.
 import { OrbitControls, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from 'three';
-import { Group, cubesLayer, freeLayer, frustaLayer, lineLayer, linksLayer, markAt, pointsLayer, sharedUniforms } from 'explorer/layers';
+import { Group, cubesLayer, freeLayer, frustaLayer, lineLayer, linksLayer, markAt, pointsLayer, sharedUniforms, surfaceLayer } from 'explorer/layers';
 import { extent, length, quantiles } from 'explorer/data';
 import { isDark } from 'explorer/colours';
 
@@ -80,7 +80,7 @@ export class View {
 
   // Layers by name, with what a switch is called and whether it is on.
   build() {
-    const { occupied, free, points, keyframes, camera, links, path, reference } = this.data;
+    const { occupied, free, points, surface, keyframes, camera, links, path, reference } = this.data;
     const layers = {};
     if (occupied?.count) {
       this.cubes = cubesLayer(occupied, this.shared);
@@ -93,6 +93,7 @@ export class View {
       this.points = pointsLayer(points, this.shared);
       layers.cloud = { name: `cloud (${points.count.toLocaleString('en')} points)`, object: this.points.layer, on: !(occupied?.count > FEW_CELLS) };
     }
+    if (surface) layers.surface = { name: 'surface', object: surfaceLayer(surface, this.shared), on: false };
     if (free?.count) layers.free = { name: 'free space', object: freeLayer(free, this.shared), on: false };
     if (path.length > 1) {
       const line = lineLayer(path.map((p) => p.slice(1)), isDark() ? 0xf0f0f0 : 0x151515);

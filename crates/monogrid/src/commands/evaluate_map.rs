@@ -131,7 +131,8 @@ fn mapped(recorded: &Recorded, options: &MappingArgs) -> Result<OccupancyMap, Fa
     config.apply(options);
     config.validate()?;
     let threads = use_threads(None)?;
-    let built = recorded.map(&config.mapping, threads);
+    let scans = recorded.scans(&config.mapping, threads);
+    let built = recorded.map(&scans, &config.mapping, threads);
     Ok(built.while_running("the map cannot be built")?.0)
 }
 

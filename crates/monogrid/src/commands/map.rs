@@ -10,12 +10,14 @@ use crate::output::{Inputs, OutputFile};
 use crate::picture::voxels::{View, occupied_cubes, render};
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
+use crate::run::summary::unit_name;
+use crate::surface::{CellColours, MeshFormat};
 use crate::usage::{peak_rss_bytes, process_cpu};
 use clap::Args;
-use monogrid_datasets::{ScansReader, encode_png_rgb};
+use monogrid_datasets::{Scale, ScansReader, encode_png_rgb};
 use monogrid_geometry::Sim3;
 use monogrid_occupancy::OccupancyMap;
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper};
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper, MeshConfig};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -31,6 +33,9 @@ pub struct MapArgs {
     /// Write a picture of the map as well
     #[arg(long, value_name = "OUT.png")]
     pub png: Option<PathBuf>,
+    /// Write the surface of the map as well; in the colours of the keyframes where the map is made of a recording
+    #[arg(long, value_name = "OUT.{ply,glb}")]
+    pub mesh: Option<PathBuf>,
     #[command(flatten)]
     pub mapping: MappingArgs,
     /// Poses for the depth images of a folder [default: groundtruth.txt in it]
@@ -90,6 +95,10 @@ struct Built {
     wall: Duration,
     frame: String,
     warnings: Vec<String>,
+    /// Colours of its cells, and settings and unit of its surface.
+    colours: CellColours,
+    mesh: MeshConfig,
+    unit: String,
 }
 
 /// Builds and writes the map.
@@ -101,6 +110,11 @@ pub fn execute(args: &MapArgs) -> CommandResult {
     let png = args.png.as_deref();
     let png = png.map(|path| OutputFile::new(path, args.force.force, &inputs));
     let png = png.transpose()?;
+    let mesh_file = args.mesh.as_deref().map(|path| {
+        let format = MeshFormat::from_name(path)?;
+        OutputFile::new(path, args.force.force, &inputs).map(|file| (file, format))
+    });
+    let mesh_file = mesh_file.transpose()?;
     let align = Align::parse(args.align.as_deref(), args.up.unwrap_or_default())?;
     let mut built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,
@@ -117,6 +131,10 @@ pub fn execute(args: &MapArgs) -> CommandResult {
             None,
             &View::default(),
         )))?;
+    }
+    if let Some((file, format)) = &mesh_file {
+        let mesh = built.colours.mesh(&built.map, &built.mesh);
+        file.write_with(|out| format.write(&mesh, &built.unit, out))?;
     }
     for warning in &built.warnings {
         eprintln!("warning: {warning}");
@@ -241,13 +259,24 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
     let recorded = Recorded::read(&args.recording, align)?;
     let config = settings(args, recorded.config.clone())?;
     let mut watch = Stopwatch::new();
-    let (map, stats, cell) = watch
-        .time(|| recorded.map(&config.mapping, threads))
-        .while_running("the map cannot be built")?;
+    let (scans, built) = watch.time(|| {
+        let scans = recorded.scans(&config.mapping, threads);
+        let built = recorded.map(&scans, &config.mapping, threads);
+        (scans, built)
+    });
+    let (map, stats, cell) = built.while_running("the map cannot be built")?;
+    let colours = match args.mesh {
+        Some(_) => recorded.cell_colours(&scans, map.resolution()),
+        None => CellColours::unknown(),
+    };
     if let Some(cell) = cell {
         eprintln!("{}", cell.reason("map units"));
     }
+    let is_metric = recorded.frame.is_aligned || recorded.session.scale == Scale::Metric;
     Ok(Built {
+        colours,
+        mesh: config.mapping.mesh,
+        unit: unit_name(is_metric).to_owned(),
         map,
         points: stats.points,
         scans: stats.keyframes,
@@ -298,6 +327,7 @@ fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Fa
     let config = settings_for_given_poses(args)?;
     let (map_from_world, frame) = given_frame(align)?;
     let reader = ScansReader::open(&args.recording).bad_input()?;
+    let mesh = config.mapping.mesh;
     let mapper = Mapper::without_camera(config.mapping, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
@@ -315,6 +345,9 @@ fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Fa
         scans += 1;
     }
     Ok(Built {
+        colours: CellColours::unknown(),
+        mesh,
+        unit: "the unit of the poses".to_owned(),
         map,
         points,
         scans: scans as usize,
@@ -339,6 +372,7 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         width,
         height,
     };
+    let mesh = config.mapping.mesh;
     let mapper = Mapper::new(config.mapping, camera, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
@@ -362,6 +396,9 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         ));
     }
     Ok(Built {
+        colours: CellColours::unknown(),
+        mesh,
+        unit: "the unit of the poses".to_owned(),
         map,
         points,
         scans: scans as usize,

@@ -9,6 +9,7 @@ pub mod evaluate;
 pub mod evaluate_map;
 pub mod info;
 pub mod map;
+pub mod mesh;
 pub mod posed_depth;
 pub mod rescale;
 pub mod run;

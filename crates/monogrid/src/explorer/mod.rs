@@ -6,6 +6,7 @@
 
 mod cells;
 mod cloud;
+mod mesh;
 mod page;
 mod pictures;
 mod scene;
@@ -15,6 +16,7 @@ mod shown;
 
 pub use cells::Cells;
 pub use cloud::{Cloud, CloudPoint};
+pub use mesh::PageMesh;
 pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section};
 pub use pictures::{Pictures, small_jpeg};
 pub use scene::{Camera, Frames, Keyframe, PathPoint, Scene, seconds_since};

@@ -1,6 +1,6 @@
 //! What there is to explore.
 
-use super::{Cells, Cloud};
+use super::{Cells, Cloud, PageMesh};
 use monogrid_geometry::{Pinhole, Sim3};
 use serde::Serialize;
 
@@ -15,6 +15,9 @@ pub struct Scene {
     /// Measured points.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cloud: Option<Cloud>,
+    /// Surface of the map.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mesh: Option<PageMesh>,
     /// Camera of the keyframes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<Camera>,

@@ -31,7 +31,19 @@ pub enum Look<'a> {
     Unknown,
 }
 
-impl Look<'_> {
+impl<'a> Look<'a> {
+    /// What a keyframe looks like: in colour where that is known and of the size of its grey image.
+    pub fn of(id: u32, image: Option<&'a Image<u8>>, colours: &Colours) -> Self {
+        let size = image.map(|image| (image.width(), image.height()));
+        match (colours.of_keyframe(id), image) {
+            (Some(colour), _) if size == Some((colour.width(), colour.height())) => {
+                Self::Colour(colour)
+            }
+            (_, Some(image)) => Self::Grey(image),
+            (_, None) => Self::Unknown,
+        }
+    }
+
     /// Red, green and blue of a pixel.
     pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
         match self {
@@ -43,17 +55,8 @@ impl Look<'_> {
 }
 
 impl ShownKeyframe<'_> {
-    /// What it looks like: in colour where that is known and of the size of the grey image.
-    pub fn look(&self, colours: &Colours) -> Look<'_> {
-        let size = self.image.map(|image| (image.width(), image.height()));
-        let colour = colours.of_keyframe(self.semi_dense.id);
-        match (colour, self.image) {
-            (Some(image), _) if size == Some((image.width(), image.height())) => {
-                Look::Colour(image)
-            }
-            (_, Some(image)) => Look::Grey(image),
-            (_, None) => Look::Unknown,
-        }
+    fn look(&self, colours: &Colours) -> Look<'_> {
+        Look::of(self.semi_dense.id, self.image, colours)
     }
 
     /// Its points in the frame of the results.

@@ -3,7 +3,7 @@
 use super::RunSettings;
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
-use super::outputs::{self, Ground, path_of};
+use super::outputs::{self, Ground, Surface, path_of};
 use super::progress::watched;
 use super::report::{ReportInput, page};
 use super::sessions::{RECORDING, tracked_frame};
@@ -15,6 +15,7 @@ use crate::explorer::{SemiDense, ShownKeyframe};
 use crate::failure::{Failure, Outcome};
 use crate::input::{Images, Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::output::OutputFolder;
+use crate::surface::{CellColours, ColouredScan};
 use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
@@ -90,13 +91,23 @@ pub fn run_all(
         has_floor: frame.floor.is_some(),
         is_metric: is_metric(&tracked, &frame),
     };
+    let mapping = &settings.config.mapping;
+    let edge = cell.map_or(mapping.resolution, |cell| cell.edge);
+    let pinhole = tracked.run.slam.pinhole();
+    let cell_colours = CellColours::new(&coloured_scans(&posed, &scans), &colours, pinhole, edge);
     let built = final_maps(&mut tracked, scans, &frame, &paths.path, settings, cell);
     let (maps, failure) = match built {
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
-    let write =
-        |maps| outputs::write_maps(folder, maps, &paths.path, paths.reported.as_deref(), ground);
+    let surface = Surface {
+        colours: &cell_colours,
+        config: &mapping.mesh,
+    };
+    let write = |maps| {
+        let path = (paths.path.as_slice(), paths.reported.as_deref());
+        outputs::write_maps(folder, maps, path, ground, surface)
+    };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
     extras.warnings.extend(tracked.doubts.iter().cloned());
@@ -121,6 +132,7 @@ pub fn run_all(
         keyframes: &shown,
         colours: &colours,
         cut: pictures.as_ref().and_then(|p| p.cut),
+        mesh: pictures.as_ref().and_then(|p| p.mesh.as_ref()),
         preview: pictures.as_ref().map(|p| p.preview.as_slice()),
         loops: pictures.as_ref().and_then(|p| p.loops.as_ref()),
         config: &config,
@@ -334,6 +346,22 @@ fn shown_keyframes<'a>(
         }
     });
     shown.collect()
+}
+
+/// What of them is mapped.
+fn coloured_scans<'a>(
+    posed: &'a [(Arc<Keyframe>, Sim3)],
+    scans: &'a [KeyframeScan],
+) -> Vec<ColouredScan<'a>> {
+    let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
+    let coloured = posed.iter().filter_map(|(keyframe, map_from_keyframe)| {
+        Some(ColouredScan {
+            scan: scans.get(&keyframe.id)?,
+            image: Some(&keyframe.image),
+            map_from_keyframe: *map_from_keyframe,
+        })
+    });
+    coloured.collect()
 }
 
 /// The final maps; `None` without keyframes.

@@ -10,7 +10,7 @@ use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::output::{Content, Inputs, OutputFolder};
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
-use crate::run::outputs::{Ground, path_of, write_global};
+use crate::run::outputs::{Ground, Surface, path_of, write_global};
 use crate::run::sessions::{MAP_FROM_WORLD, RECORDING};
 use clap::Args;
 use monogrid_datasets::{
@@ -251,7 +251,10 @@ fn write_maps(
         ..config
     };
     let doing = "the map cannot be built";
-    let (mut global, _, _) = recorded.map(&config, threads).while_running(doing)?;
+    let scans = recorded.scans(&config, threads);
+    let (mut global, _, _) = recorded
+        .map(&scans, &config, threads)
+        .while_running(doing)?;
     global.pack(threads);
     let poses = read_trajectory(&folder.path().join("trajectory.txt")).bad_input()?;
     let path = path_of(&poses);
@@ -259,7 +262,11 @@ fn write_maps(
     let local = global
         .within(centre, config.local_radius)
         .while_running(doing)?;
-    write_global(folder, &global, &local, &path, ground)?;
+    let surface = Surface {
+        colours: &recorded.cell_colours(&scans, global.resolution()),
+        config: &config.mesh,
+    };
+    write_global(folder, [&global, &local], &path, ground, surface)?;
     Ok(json!({
         "resolution": global.resolution(),
         "leaves": global.leaf_count(),

@@ -5,9 +5,11 @@ use crate::mapfile::{self, MapFormat};
 use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
+use crate::run::summary::unit_name;
+use crate::surface::{CellColours, ColouredMesh, MeshFormat};
 use monogrid_datasets::encode_png_rgb;
-use monogrid_occupancy::OccupancyMap;
-use monogrid_slam::mapping::Maps;
+use monogrid_occupancy::{OccupancyMap, VoxelKey, write_ply};
+use monogrid_slam::mapping::{Maps, MeshConfig};
 
 /// Pictures of the final maps, as PNG files.
 #[derive(Debug)]
@@ -18,6 +20,8 @@ pub struct MapPictures {
     pub loops: Option<[Vec<u8>; 2]>,
     /// Height above which cells hide the room.
     pub cut: Option<f64>,
+    /// Surface of the global map, where it was asked for.
+    pub mesh: Option<ColouredMesh>,
 }
 
 /// Writes the maps in all formats, and pictures of them; those of what loops corrected where `reported_path`,
@@ -25,9 +29,9 @@ pub struct MapPictures {
 pub fn write_maps(
     folder: &OutputFolder,
     maps: &Maps,
-    path: &[[f64; 3]],
-    reported_path: Option<&[[f64; 3]]>,
+    (path, reported_path): (&[[f64; 3]], Option<&[[f64; 3]]>),
     ground: Ground,
+    surface: Surface,
 ) -> Result<MapPictures, Failure> {
     folder.write_with("large.ot", |out| {
         mapfile::write(&maps.large, out, MapFormat::Ot)
@@ -36,7 +40,8 @@ pub fn write_maps(
         cubes,
         preview,
         cut,
-    } = write_global(folder, &maps.global, &maps.local, path, ground)?;
+        mesh,
+    } = write_global(folder, [&maps.global, &maps.local], path, ground, surface)?;
     let loops = match reported_path {
         Some(reported_path) => Some(write_loop_pictures(
             folder,
@@ -52,6 +57,7 @@ pub fn write_maps(
         preview,
         loops,
         cut,
+        mesh,
     })
 }
 
@@ -64,24 +70,43 @@ pub struct Written {
     preview: Vec<u8>,
     /// Height above which cells hide the room.
     cut: Option<f64>,
+    /// Its surface.
+    mesh: Option<ColouredMesh>,
 }
 
-/// Writes the global map and its part around the camera, its cells as points, it from above, and a picture.
+/// How surfaces are written.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface<'a> {
+    /// Colours of the cells of the global map.
+    pub colours: &'a CellColours,
+    /// Settings.
+    pub config: &'a MeshConfig,
+}
+
+/// Writes the global map and its part around the camera, its cells as points, its surface, it from above, and a picture.
 pub fn write_global(
     folder: &OutputFolder,
-    global: &OccupancyMap,
-    local: &OccupancyMap,
+    [global, local]: [&OccupancyMap; 2],
     path: &[[f64; 3]],
     ground: Ground,
+    surface: Surface,
 ) -> Result<Written, Failure> {
     for (name, map, format) in [
         ("global.ot", global, MapFormat::Ot),
         ("global.bt", global, MapFormat::Bt),
         ("local.ot", local, MapFormat::Ot),
-        ("cells.ply", global, MapFormat::Ply),
     ] {
         folder.write_with(name, |out| mapfile::write(map, out, format))?;
     }
+    let colour = |key| surface.colours.of(key);
+    let colour: Option<&dyn Fn(VoxelKey) -> [u8; 3]> = match surface.colours.has_colour() {
+        true => Some(&colour),
+        false => None,
+    };
+    folder.write_with("cells.ply", |mut out| {
+        Ok(write_ply(global, colour, &mut out)?)
+    })?;
+    let mesh = write_mesh(folder, global, ground, surface)?;
     let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
     write_grid(folder, global, &cubes, path, ground)?;
     let cut = dollhouse_cut(&cubes, path);
@@ -90,7 +115,26 @@ pub fn write_global(
         cubes,
         preview,
         cut,
+        mesh,
     })
+}
+
+/// The surface of the map as PLY and glTF, where it is asked for.
+fn write_mesh(
+    folder: &OutputFolder,
+    map: &OccupancyMap,
+    ground: Ground,
+    surface: Surface,
+) -> Result<Option<ColouredMesh>, Failure> {
+    if !surface.config.enabled {
+        return Ok(None);
+    }
+    let mesh = surface.colours.mesh(map, surface.config);
+    let unit = unit_name(ground.is_metric);
+    for (name, format) in [("mesh.ply", MeshFormat::Ply), ("mesh.glb", MeshFormat::Glb)] {
+        folder.write_with(name, |out| format.write(&mesh, unit, out))?;
+    }
+    Ok(Some(mesh))
 }
 
 fn write_preview(

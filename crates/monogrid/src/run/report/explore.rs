@@ -3,7 +3,8 @@
 use super::ReportInput;
 use super::tracking::{state, states};
 use crate::explorer::{
-    Camera, Cells, Frames, PathPoint, Scene, cloud_and_keyframes, point_groups, seconds_since,
+    Camera, Cells, Frames, PageMesh, PathPoint, Scene, cloud_and_keyframes, point_groups,
+    seconds_since,
 };
 use crate::failure::{Classify, Failure};
 use crate::run::frames::FrameRow;
@@ -34,6 +35,10 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Fai
             Some(map) => Some(Cells::new(map).while_running("the map cannot be drawn")?),
             None => None,
         },
+        mesh: input
+            .map
+            .zip(input.mesh)
+            .and_then(|(map, mesh)| PageMesh::new(mesh, map.resolution())),
         cloud: (cloud.count[0] > 0).then_some(cloud),
         camera: size.map(|size| Camera::new(slam.pinhole(), size)),
         keyframes: shown,

@@ -13,6 +13,7 @@ use crate::failure::Failure;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
+use crate::surface::ColouredMesh;
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_image::Image;
 use monogrid_occupancy::OccupancyMap;
@@ -48,6 +49,8 @@ pub struct ReportInput<'a> {
     pub colours: &'a Colours,
     /// Height above which cells hide the room.
     pub cut: Option<f64>,
+    /// Surface of the map.
+    pub mesh: Option<&'a ColouredMesh>,
     /// View of the map, PNG.
     pub preview: Option<&'a [u8]>,
     /// The map before and after loops were closed, PNG.

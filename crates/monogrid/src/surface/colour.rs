@@ -1,0 +1,160 @@
+//! Which colour a cell has: the mean of what the keyframes saw in it.
+
+use crate::colours::Colours;
+use crate::explorer::Look;
+use monogrid_geometry::{Pinhole, Sim3, Vec2};
+use monogrid_image::Image;
+use monogrid_occupancy::{OccupancyMap, SurfaceMesh, VoxelKey};
+use monogrid_slam::mapping::{KeyframeScan, MeshConfig};
+use std::collections::HashMap;
+
+/// Measurements that are looked at, at most; of more, they are taken evenly.
+const MAX_POINTS: usize = 3_000_000;
+
+/// The colour of what nobody has seen.
+const UNKNOWN: [u8; 3] = [128; 3];
+
+/// A keyframe whose measurements have colours.
+#[derive(Clone, Copy, Debug)]
+pub struct ColouredScan<'a> {
+    /// What of it is mapped.
+    pub scan: &'a KeyframeScan,
+    /// Its grey image.
+    pub image: Option<&'a Image<u8>>,
+    /// Pose in the frame of the map.
+    pub map_from_keyframe: Sim3,
+}
+
+/// Mean colours of cells; only ever asked by key.
+#[derive(Clone, Debug)]
+pub struct CellColours {
+    /// Sums of red, green and blue, and the number of measurements.
+    sums: HashMap<VoxelKey, [u32; 4]>,
+    /// Whether any of them was seen in colour.
+    has_colour: bool,
+}
+
+/// The surface of a map with a colour for every vertex.
+#[derive(Clone, Debug)]
+pub struct ColouredMesh {
+    /// Vertices and triangles.
+    pub surface: SurfaceMesh,
+    /// Red, green and blue of each vertex.
+    pub colours: Vec<[u8; 3]>,
+}
+
+impl CellColours {
+    /// Nothing is known: all is of a middle grey.
+    pub fn unknown() -> Self {
+        Self {
+            sums: HashMap::new(),
+            has_colour: false,
+        }
+    }
+
+    /// What keyframes measured, in cells of a map with this edge.
+    pub fn new(
+        scans: &[ColouredScan],
+        colours: &Colours,
+        pinhole: &Pinhole,
+        resolution: f64,
+    ) -> Self {
+        let measured: usize = scans.iter().map(|shown| shown.scan.pixels.len()).sum();
+        let every = measured.div_ceil(MAX_POINTS).max(1);
+        let mut found = Self::unknown();
+        for shown in scans {
+            let look = Look::of(shown.scan.id, shown.image, colours);
+            found.has_colour |= matches!(look, Look::Colour(_));
+            for pixel in shown.scan.pixels.iter().step_by(every) {
+                let ray = pinhole.unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));
+                let point = shown.map_from_keyframe * (ray / f64::from(pixel.idepth));
+                if let Some(key) = VoxelKey::from_point(point.into(), 1.0 / resolution) {
+                    found.add(key, look.at(pixel.x.into(), pixel.y.into()));
+                }
+            }
+        }
+        found
+    }
+
+    fn add(&mut self, key: VoxelKey, colour: [u8; 3]) {
+        let sums = self.sums.entry(key).or_default();
+        for (sum, value) in sums.iter_mut().zip(colour.into_iter().chain([1])) {
+            *sum += u32::from(value);
+        }
+    }
+
+    /// Whether anything was seen in colour, not only in grey.
+    pub fn has_colour(&self) -> bool {
+        self.has_colour
+    }
+
+    /// The mean colour of a cell; where nothing was measured in it, of those beside it.
+    pub fn of(&self, cell: VoxelKey) -> [u8; 3] {
+        let own = self.mean_within(cell, 0..=0);
+        own.or_else(|| self.mean_within(cell, -1..=1))
+            .unwrap_or(UNKNOWN)
+    }
+
+    /// The mean colour of the eight cells that begin with this one; where nothing was measured in them, of those around.
+    fn around(&self, cube: VoxelKey) -> [u8; 3] {
+        let inside = self.mean_within(cube, 0..=1);
+        inside
+            .or_else(|| self.mean_within(cube, -1..=2))
+            .unwrap_or(UNKNOWN)
+    }
+
+    /// The mean of what was measured in the cells so far away along each axis.
+    fn mean_within(&self, cell: VoxelKey, reach: std::ops::RangeInclusive<i32>) -> Option<[u8; 3]> {
+        let mut sums = [0; 4];
+        for (x, y, z) in offsets(reach) {
+            let key = VoxelKey::new(cell.x + x, cell.y + y, cell.z + z);
+            for (sum, value) in sums.iter_mut().zip(self.sums.get(&key).unwrap_or(&[0; 4])) {
+                *sum += value;
+            }
+        }
+        let [red, green, blue, count] = sums;
+        (count > 0).then(|| [red, green, blue].map(|sum| ((sum + count / 2) / count) as u8))
+    }
+
+    /// The surface of a map in these colours.
+    pub fn mesh(&self, map: &OccupancyMap, config: &MeshConfig) -> ColouredMesh {
+        let surface = map.surface_mesh(config.min_faces);
+        let colours = surface.cubes.iter().map(|cube| self.around(*cube));
+        ColouredMesh {
+            colours: colours.collect(),
+            surface,
+        }
+    }
+}
+
+fn offsets(reach: std::ops::RangeInclusive<i32>) -> impl Iterator<Item = (i32, i32, i32)> {
+    let (low, high) = (*reach.start(), *reach.end());
+    reach.flat_map(move |x| (low..=high).flat_map(move |y| (low..=high).map(move |z| (x, y, z))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_vertex_has_the_mean_colour_of_the_cells_around() {
+        let mut colours = CellColours::unknown();
+        assert_eq!(colours.around(VoxelKey::new(0, 0, 0)), [128; 3]);
+        colours.add(VoxelKey::new(1, 1, 0), [10, 20, 30]);
+        colours.add(VoxelKey::new(1, 1, 0), [20, 20, 30]);
+        colours.add(VoxelKey::new(0, 0, 0), [30, 20, 255]);
+        assert_eq!(colours.around(VoxelKey::new(0, 0, 0)), [20, 20, 105]);
+        assert_eq!(
+            colours.around(VoxelKey::new(2, 1, 0)),
+            [15, 20, 30],
+            "beside it"
+        );
+        assert_eq!(colours.around(VoxelKey::new(9, 1, 0)), [128; 3]);
+        assert_eq!(colours.of(VoxelKey::new(1, 1, 0)), [15, 20, 30]);
+        assert_eq!(
+            colours.of(VoxelKey::new(2, 2, 0)),
+            [15, 20, 30],
+            "beside it"
+        );
+    }
+}
