@@ -1,6 +1,7 @@
 //! What a scan will cost, estimated from some of its measurements before anything is made for it.
 
 use super::beam::total_sigma;
+use super::image::NARROWEST_SLOPES;
 use super::{IntegrationConfig, IntegrationRule};
 use crate::error::MapError;
 use crate::key::{BRICK_CELLS, BRICK_EDGE};
@@ -122,23 +123,68 @@ pub(super) fn affordable(
     })
 }
 
-/// Solid angle of the directions of some points: that of a pyramid around them where all lie ahead, else all.
-fn angle_seen(points: impl Iterator<Item = [f64; 3]>) -> f64 {
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for [x, y, z] in points {
-        if z <= 0.2 * x.hypot(y) {
-            return 4.0 * std::f64::consts::PI;
-        }
-        for (axis, slope) in [x / z, y / z].into_iter().enumerate() {
-            low[axis] = low[axis].min(slope);
-            high[axis] = high[axis].max(slope);
+/// Solid angle of the directions of some points: that of a pyramid around them where all lie ahead,
+/// else of a pyramid in each face of a cube around the sensor that holds some.
+fn angle_seen(points: impl Iterator<Item = [f64; 3]> + Clone) -> f64 {
+    let mut ahead = Slopes::default();
+    if points.clone().all(|[x, y, z]| z > 0.2 * x.hypot(y)) {
+        points.for_each(|[x, y, z]| ahead.add([x / z, y / z]));
+        return ahead.solid_angle();
+    }
+    let mut faces = [Slopes::default(); 6];
+    for point in points {
+        let axis = (0..3).fold(0, |longest, axis| {
+            if point[axis].abs() > point[longest].abs() {
+                axis
+            } else {
+                longest
+            }
+        });
+        let along = point[axis];
+        let slopes = [1, 2].map(|next| point[(axis + next) % 3] / along.abs());
+        faces[2 * axis + usize::from(along < 0.0)].add(slopes);
+    }
+    faces.iter().map(Slopes::solid_angle).sum()
+}
+
+/// Bounds of the slopes of some directions against one axis.
+#[derive(Clone, Copy)]
+struct Slopes {
+    low: [f64; 2],
+    high: [f64; 2],
+}
+
+impl Default for Slopes {
+    fn default() -> Self {
+        Self {
+            low: [f64::INFINITY; 2],
+            high: [f64::NEG_INFINITY; 2],
         }
     }
-    // of a pyramid between these slopes around the axis
-    let corner = |x: f64, y: f64| (x * y / (1.0 + x * x + y * y).sqrt()).atan();
-    let angle = corner(high[0], high[1]) - corner(low[0], high[1]) - corner(high[0], low[1])
-        + corner(low[0], low[1]);
-    if angle.is_finite() { angle } else { 0.0 }
+}
+
+impl Slopes {
+    fn add(&mut self, slopes: [f64; 2]) {
+        for (axis, slope) in slopes.into_iter().enumerate() {
+            self.low[axis] = self.low[axis].min(slope);
+            self.high[axis] = self.high[axis].max(slope);
+        }
+    }
+
+    /// Of the pyramid between the bounds, at least as wide as the image that is made of the
+    /// measurements: a single one has a width too. Zero without directions.
+    fn solid_angle(&self) -> f64 {
+        let [width, height] = [0, 1].map(|axis| self.high[axis] - self.low[axis]);
+        if !(width >= 0.0 && height >= 0.0) {
+            return 0.0;
+        }
+        let [right, bottom] =
+            [0, 1].map(|axis| self.high[axis].max(self.low[axis] + NARROWEST_SLOPES));
+        // of a pyramid between the axis and these slopes
+        let corner = |x: f64, y: f64| (x * y / (1.0 + x * x + y * y).sqrt()).atan();
+        corner(right, bottom) - corner(self.low[0], bottom) - corner(right, self.low[1])
+            + corner(self.low[0], self.low[1])
+    }
 }
 
 /// The next number with one digit that counts: 0.0123 becomes 0.02.
@@ -277,12 +323,65 @@ mod tests {
     }
 
     #[test]
+    fn single_measurements_that_reach_far_are_counted() {
+        let config = IntegrationConfig {
+            max_range: f64::INFINITY,
+            ..IntegrationConfig::default()
+        };
+        for points in [
+            vec![[1.0, 0.5, 0.3]],
+            vec![[1.0, 0.5, 0.3], [-2.0, 0.0, -1.0]],
+        ] {
+            let uncertain = scan(ScanData::Points(PointScan {
+                points: &points,
+                sigmas: &[1e8],
+            }));
+            let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
+            let refused = super::super::integrate(&mut map, &uncertain, &config, 2);
+            assert!(
+                matches!(refused, Err(MapError::TooFine { .. })),
+                "{refused:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_sensor_that_sees_two_ways_costs_what_lies_in_these_directions() {
+        let points: Vec<[f32; 3]> = (-20..=20)
+            .flat_map(|i| [[20.0, 0.1 * i as f32, 0.2], [-20.0, 0.3, 0.1 * i as f32]])
+            .collect();
+        let scan = scan(ScanData::Points(PointScan {
+            points: &points,
+            sigmas: &[0.01],
+        }));
+        let config = IntegrationConfig::default();
+        let cost = Cost::of(&scan, &config, 0.05).unwrap();
+        let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
+        let report = super::super::integrate(&mut map, &scan, &config, 2).unwrap();
+        // a fan is as thin as a brick, a ball of this radius has half a million of them
+        assert!(report.brick_visits < 4000, "{}", report.brick_visits);
+        assert!(cost.free + cost.band < 4000.0, "{cost:?}");
+    }
+
+    #[test]
     fn solid_angles() {
         let cube_face = [[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0]];
         let sixth = 4.0 * std::f64::consts::PI / 6.0;
         assert!((angle_seen(cube_face.into_iter()) - sixth).abs() < 1e-12);
-        let behind = [[0.0, 0.0, -1.0]];
-        assert!(angle_seen(behind.into_iter()) > 12.5);
+        let single = NARROWEST_SLOPES * NARROWEST_SLOPES;
+        for one in [[0.0, 0.0, 3.0], [0.0, 0.0, -1.0]] {
+            let angle = angle_seen([one].into_iter());
+            assert!((angle / single - 1.0).abs() < 1e-3, "{angle}");
+        }
+        let corners = (0..8).map(|i| [1, 2, 4].map(|bit| if i & bit == 0 { -1.0 } else { 1.001 }));
+        let around = angle_seen(corners.flat_map(|[x, y, z]| {
+            [
+                [x, 0.999 * y, 0.999 * z],
+                [0.999 * x, y, 0.999 * z],
+                [0.999 * x, 0.999 * y, z],
+            ]
+        }));
+        assert!((around / (6.0 * sixth) - 1.0).abs() < 0.01, "{around}");
         assert!(rounded_up(0.0123) - 0.02 < 1e-12 && rounded_up(3.0) - 3.0 < 1e-12);
     }
 }

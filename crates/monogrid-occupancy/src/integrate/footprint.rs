@@ -165,9 +165,14 @@ impl Footprints {
 
     /// What the cells of the eight halves of a cube can get.
     pub(crate) fn judge(&self, cube: Cube) -> Octants {
-        let Some(index) = self.image_of_cube(cube) else {
-            return self.judge_by_range(cube);
-        };
+        match self.image_of_cube(cube) {
+            Some(index) => self.judge_in(index, cube),
+            None => self.judge_between_images(cube),
+        }
+    }
+
+    /// What they can get from one image.
+    fn judge_in(&self, index: usize, cube: Cube) -> Octants {
         let view = View {
             image: &self.images.images[index],
             windows: &self.windows[index],
@@ -181,18 +186,15 @@ impl Footprints {
         view.judge(cube)
     }
 
-    /// The octants that something can reach at all.
-    fn judge_by_range(&self, cube: Cube) -> Octants {
-        let half = 0.5 * cube.half;
-        let farthest = self.farthest_change();
+    /// The octants that something in those images can reach that they have points in.
+    fn judge_between_images(&self, cube: Cube) -> Octants {
         let mut octants = Octants::default();
-        for octant in 0..8 {
-            let nearest_sq = (0..3).fold(0.0, |sum, axis| {
-                let side = if octant >> axis & 1 == 0 { -half } else { half };
-                let near = ((cube.center[axis] + side).abs() - half).max(0.0);
-                sum + near * near
-            });
-            octants.touched |= u8::from(nearest_sq.sqrt() <= farthest * 1.00001) << octant;
+        for (index, image) in self.images.images.iter().enumerate() {
+            if !may_belong(image, cube) {
+                continue;
+            }
+            let touched = self.judge_in(index, cube).touched;
+            octants.touched |= bits_where(touched, |octant| may_belong(image, cube.octant(octant)));
         }
         octants
     }
@@ -268,6 +270,20 @@ fn in_image(image: &RangeImage, point: [f32; 3]) -> [f32; 3] {
     image.axes.map(|axis| {
         axis[0] as f32 * point[0] + axis[1] as f32 * point[1] + axis[2] as f32 * point[2]
     })
+}
+
+/// Whether some point of a cube can belong to one of several images: those of a sensor that looks
+/// everywhere share directions by their longest axis.
+fn may_belong(image: &RangeImage, cube: Cube) -> bool {
+    let (p, e) = extent_in_image(image, cube.center, 1.001 * cube.half);
+    p[2] + e[2] >= (p[0].abs() - e[0]).max(p[1].abs() - e[1])
+}
+
+/// Those bits that are set and satisfy a condition.
+fn bits_where(bits: u8, condition: impl Fn(usize) -> bool) -> u8 {
+    (0..8)
+        .filter(|&bit| bits >> bit & 1 != 0 && condition(bit))
+        .fold(0, |kept, bit| kept | 1 << bit)
 }
 
 /// Centre and half extents of a cube along an image's axes.

@@ -24,6 +24,8 @@ const ONE_SURFACE: f32 = 0.05;
 const WIDEST_SLOPE: f32 = 2.5;
 /// Slope of a cube's faces, with a margin for footprints that cross an edge.
 const CUBE_SLOPE: f32 = 1.02;
+/// Slopes that an image spans at least, along each of its axes.
+pub(crate) const NARROWEST_SLOPES: f64 = 1e-3;
 /// Most pixels of one image.
 const MAX_PIXELS: f64 = 4e6;
 
@@ -314,7 +316,7 @@ fn build_image(
             .fold(f32::MIN, |high, piece| high.max(piece.high[i]))
     });
     let count = pieces.iter().map(|piece| piece.list.len()).sum::<usize>();
-    let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(1e-3));
+    let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(NARROWEST_SLOPES));
     let sums = pieces
         .iter()
         .flat_map(|p| p.part_sums.iter().chain([&p.range_sum]));

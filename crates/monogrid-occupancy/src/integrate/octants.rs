@@ -27,6 +27,17 @@ pub(crate) struct Cube {
     pub half: f32,
 }
 
+impl Cube {
+    /// One of the eight halves.
+    pub(crate) fn octant(self, octant: usize) -> Self {
+        let half = 0.5 * self.half;
+        Self {
+            center: std::array::from_fn(|axis| self.center[axis] + side(octant, axis) * half),
+            half,
+        }
+    }
+}
+
 /// An image with its bounds, as the search needs it.
 pub(crate) struct View<'a> {
     pub image: &'a RangeImage,
