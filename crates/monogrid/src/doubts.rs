@@ -37,12 +37,12 @@ const VIEWS_PER_PIECE: usize = 10;
 
 /// What a map may say else than the calibration before the images are asked: changes of the focal length (share; of all
 /// together, and of each piece that is certain to 10 %) and of the principal point (share of the longer side). Maps made
-/// with right calibrations say up to 1.7 %, 4 % and 1.3 %; those made with wrong ones stay near them, and still some
-/// piece says 17 % or the centre 6 %.
+/// with right calibrations say up to 2.8 %, 5 % and 2.7 % (of twelve keyframes); those made with wrong ones stay near
+/// them, and still some piece says 17 % or the centre 6.8 %.
 const MAX_FOCAL_CHANGE: f64 = 0.05;
 const MAX_PIECE_FOCAL_CHANGE: f64 = 0.1;
 const MAX_PIECE_SIGMA: f64 = 0.1;
-const MAX_CENTRE_CHANGE: f64 = 0.025;
+const MAX_CENTRE_CHANGE: f64 = 0.043;
 
 /// Share of the frames with a pose below which a run with a small map has the images asked.
 const POOR_SHARE: f64 = 0.5;
@@ -254,7 +254,7 @@ mod tests {
             all.each_focal = each.to_vec();
             is_as_given(given, offset, &all)
         };
-        assert!(says(492.0, 0.012, &[(485.0, 0.04), (515.0, 0.02)]));
+        assert!(says(492.0, 0.027, &[(485.0, 0.04), (515.0, 0.02)]));
         assert!(says(511.0, 0.005, &[(300.0, 0.14)]), "an uncertain piece");
         assert!(!says(340.0, 0.016, &[]) && !says(610.0, 0.013, &[]));
         assert!(!says(500.0, 0.068, &[]));
