@@ -101,7 +101,7 @@ pub struct InitializationConfig {
     pub min_features: usize,
     /// Smallest median displacement of the features, as a share of the image width. Range [0.001, 1].
     pub min_displacement: f64,
-    /// Frames kept while waiting for parallax; older ones stay without a pose. Range [2, 3000].
+    /// Frames kept at most while waiting for parallax; older ones stay without a pose. Range [2, 3000].
     pub max_buffered_frames: usize,
     /// Standard deviation of a followed feature, px. Range [0.01, 20].
     pub sigma_px: f64,
@@ -119,7 +119,7 @@ impl Default for InitializationConfig {
             num_features: 900,
             min_features: 60,
             min_displacement: 0.025,
-            max_buffered_frames: 150,
+            max_buffered_frames: 300,
             sigma_px: 0.5,
             max_relative_sigma: 0.03,
             seed_relative_sigma: 0.02,
@@ -154,6 +154,9 @@ pub struct KeyframeConfig {
     pub min_good_of_visible: f32,
     /// and below which it is made at once. Range [0, 1].
     pub urgent_good_of_visible: f32,
+    /// Points of the sparse layer below which a pose that only they hold makes a new keyframe, with points of its
+    /// own. Range [0, 100000].
+    pub min_holding_points: usize,
     /// Keyframes over which the threshold grows to its final value, for a random start; 0 for none. Range [0,
     /// 1000].
     pub ramp_keyframes: usize,
@@ -240,6 +243,7 @@ impl Default for KeyframeConfig {
             urgent_usage: 0.35,
             min_good_of_visible: 0.8,
             urgent_good_of_visible: 0.55,
+            min_holding_points: 60,
             ramp_keyframes: 0,
             old_keyframes_observed: 3,
             min_relative_baseline: 0.03,
@@ -260,6 +264,7 @@ impl KeyframeConfig {
             old_keyframes_observed: 0,
             min_good_of_visible: 0.0,
             urgent_good_of_visible: 0.0,
+            min_holding_points: 0,
             reactivation: ReactivationConfig::thesis(),
             ..Self::default()
         }

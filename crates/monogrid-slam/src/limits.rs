@@ -171,6 +171,7 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
         urgent_usage: 0.0, 1.0;
         min_good_of_visible: 0.0, 1.0;
         urgent_good_of_visible: 0.0, 1.0;
+        min_holding_points: 0.0, 100_000.0;
         ramp_keyframes: 0.0, 1000.0;
         old_keyframes_observed: 0.0, 100.0;
         min_relative_baseline: 0.0, 100.0;
@@ -194,6 +195,7 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
     }));
     all.extend(limits!("slam.sparse", slam.sparse, {
         points_per_keyframe: 0.0, 20_000.0;
+        min_spacing: 1e-4, 1.0;
         max_searched_points: 0.0, 100_000.0;
         cell_px: 4.0, 1000.0;
         search_radius_px: 1.0, 100.0;

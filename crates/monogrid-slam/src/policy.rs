@@ -5,8 +5,8 @@ use crate::{KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState};
 /// What makes a pose doubtful that passed the tests of alignment.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct DoubtEvidence {
-    /// Points that agree with the pose; 0 where they did not decide.
-    pub support: usize,
+    /// Whether points of the sparse layer agree with the pose.
+    pub is_supported: bool,
     /// Lost frames before this one.
     pub lost_in_a_row: usize,
     /// Whether it is far from where the motion of the last frames leads.
@@ -30,7 +30,7 @@ pub(crate) enum Demand {
 /// there needs no more than that of any other frame; a camera that moves on has no second chance.
 pub(crate) fn demand(evidence: &DoubtEvidence, config: &TrackingConfig) -> Demand {
     let is_near = evidence.lost_in_a_row <= config.return_near_frames && !evidence.is_surprising;
-    if evidence.support > 0 {
+    if evidence.is_supported {
         Demand::None
     } else if evidence.lost_in_a_row > 0 && !is_near {
         Demand::ConvincingAfterLoss
@@ -67,6 +67,8 @@ pub(crate) struct KeyframeEvidence {
     pub usage: f64,
     /// Share of good points of the visible ones.
     pub good_of_visible: f32,
+    /// Points that gave the pose; `None` where alignment did.
+    pub num_holding: Option<usize>,
     /// Frames that updated the keyframe's depth.
     pub num_mapped: usize,
     /// Keyframes that exist already.
@@ -93,7 +95,10 @@ pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConf
     } else {
         1.0
     };
-    evidence.good_of_visible < config.min_good_of_visible || keyframe_score(evidence, config) > ramp
+    let is_slipping = |num_points: usize| num_points < config.min_holding_points;
+    evidence.good_of_visible < config.min_good_of_visible
+        || evidence.num_holding.is_some_and(is_slipping)
+        || keyframe_score(evidence, config) > ramp
 }
 
 #[cfg(test)]
@@ -121,14 +126,14 @@ mod tests {
     fn a_pose_that_points_support_is_not_doubted() {
         let config = TrackingConfig::default();
         let worst = DoubtEvidence {
-            support: 0,
+            is_supported: false,
             lost_in_a_row: 100,
             is_surprising: true,
             is_degraded: true,
         };
         assert_eq!(demand(&worst, &config), Demand::ConvincingAfterLoss);
         let supported = DoubtEvidence {
-            support: 1,
+            is_supported: true,
             ..worst
         };
         assert_eq!(demand(&supported, &config), Demand::None);
@@ -139,7 +144,7 @@ mod tests {
         let config = TrackingConfig::default();
         let after = |lost_in_a_row: usize, is_surprising: bool, is_degraded: bool| {
             let evidence = DoubtEvidence {
-                support: 0,
+                is_supported: false,
                 lost_in_a_row,
                 is_surprising,
                 is_degraded,
@@ -174,11 +179,31 @@ mod tests {
         assert!(agreeing(config.urgent_good_of_visible - 0.01, 0));
     }
 
+    #[test]
+    fn a_pose_that_few_points_hold_makes_a_keyframe_before_they_are_too_few() {
+        let config = KeyframeConfig::default();
+        let held_by = |num_holding: Option<usize>, num_mapped: usize| {
+            let evidence = KeyframeEvidence {
+                num_holding,
+                num_mapped,
+                ..evidence(0.0, 1.0)
+            };
+            is_new_keyframe(&evidence, &config)
+        };
+        let mapped = config.min_mapped_frames;
+        assert!(config.min_holding_points > PointTrackingConfig::default().min_inliers);
+        assert!(!held_by(None, mapped));
+        assert!(!held_by(Some(config.min_holding_points), mapped));
+        assert!(held_by(Some(config.min_holding_points - 1), mapped));
+        assert!(!held_by(Some(config.min_holding_points - 1), mapped - 1));
+    }
+
     fn evidence(relative_distance: f64, usage: f64) -> KeyframeEvidence {
         KeyframeEvidence {
             relative_distance,
             usage,
             good_of_visible: 1.0,
+            num_holding: None,
             num_mapped: 10,
             num_keyframes: 20,
         }

@@ -22,7 +22,7 @@ use monogrid_image::Mask;
 pub(crate) struct TwoViewStart {
     seed: u64,
     settings: InitializationConfig,
-    /// Every frame since the first, or the newest `max_buffered_frames` of them.
+    /// Every frame since the first, or the newest of them.
     buffered: Vec<BufferedFrame>,
     reference: Option<Reference>,
 }
@@ -90,26 +90,20 @@ impl TwoViewStart {
     /// Keeps the newest frames, in eight bits.
     fn buffer(&mut self, frame: &Frame) {
         self.buffered.push(BufferedFrame::new(frame));
-        let excess = self
-            .buffered
-            .len()
-            .saturating_sub(self.settings.max_buffered_frames);
-        let keep_from = match &mut self.reference {
-            // the reference itself is never dropped: it moves to the front instead
-            Some(reference) => {
-                let dropped = excess.min(reference.buffer_index);
-                reference.buffer_index -= dropped;
-                dropped
-            }
-            None => excess,
-        };
-        self.buffered.drain(..keep_from);
-        if self.buffered.len() > 2 * self.settings.max_buffered_frames {
-            // a camera that stands still: forget what lies between
-            self.reference = None;
-            self.buffered.clear();
-            self.buffered.push(BufferedFrame::new(frame));
+        if self.buffered.len() <= self.settings.max_buffered_frames {
+            return;
         }
+        match &mut self.reference {
+            Some(reference) if reference.buffer_index > 0 => reference.buffer_index -= 1,
+            // a camera that stands still: forget what lies between
+            Some(_) => {
+                self.reference = None;
+                self.buffered.drain(..self.buffered.len() - 1);
+                return;
+            }
+            None => {}
+        }
+        self.buffered.remove(0);
     }
 
     /// Makes `frame` the new reference.
@@ -416,4 +410,54 @@ fn median(values: &mut [f64]) -> Option<f64> {
         .get(values.len() / 2)
         .copied()
         .filter(|m| m.is_finite() && *m > 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FrameInput;
+    use monogrid_image::GrayImage;
+    use monogrid_worlds::SynthSequence;
+
+    /// Shows an image again and again; the buffered frames and the place of the reference among them after each.
+    fn shown_often(image: &GrayImage, times: usize) -> Vec<(Vec<i64>, Option<usize>)> {
+        let mut config = SlamConfig::default();
+        config.initialization.max_buffered_frames = 4;
+        let pinhole = Pinhole::new(200.0, 200.0, 80.0, 60.0);
+        let mask = Mask::filled(image.width(), image.height(), 255);
+        let mut start = TwoViewStart::new(&config.initialization, 0);
+        let mut states = Vec::new();
+        for index in 0..times {
+            let input = FrameInput {
+                index,
+                timestamp_ns: index as i64,
+                image: image.clone(),
+                seed_depth: None,
+            };
+            let frame = Frame::new(input, &pinhole, 0, 4);
+            let outcome = start.add_frame(frame, &pinhole, &mask, &config);
+            assert!(matches!(outcome, StartOutcome::Waiting(_)));
+            let times = start.buffered.iter().map(|frame| frame.timestamp_ns);
+            let reference = start.reference.as_ref().map(|r| r.buffer_index);
+            states.push((times.collect(), reference));
+        }
+        states
+    }
+
+    #[test]
+    fn the_newest_frames_are_kept_while_there_is_nothing_to_follow() {
+        let plain = GrayImage::filled(160, 120, 90.0);
+        let states = shown_often(&plain, 6);
+        assert_eq!(states[3], (vec![0, 1, 2, 3], None));
+        assert_eq!(states[5], (vec![2, 3, 4, 5], None));
+    }
+
+    #[test]
+    fn a_camera_that_stands_still_begins_anew_when_the_buffer_is_full() {
+        let image = SynthSequence::small_demo().unwrap().frame(0).unwrap().image;
+        let states = shown_often(&image, 6);
+        assert_eq!(states[3], (vec![0, 1, 2, 3], Some(0)));
+        assert_eq!(states[4], (vec![4], Some(0)));
+        assert_eq!(states[5], (vec![4, 5], Some(0)));
+    }
 }

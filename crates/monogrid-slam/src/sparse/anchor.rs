@@ -21,7 +21,7 @@ pub(crate) fn anchor(
     let Some(newest) = map.newest() else {
         return Vec::new();
     };
-    let mut points = corners(newest, depth, seen, mask, config);
+    let mut points = corners(newest, depth, seen, (pinhole, mask), config);
     let observations = find_in_older(map, newest, &points, pinhole, config);
     for (point, observations) in points.iter_mut().zip(observations) {
         point.observations = observations;
@@ -33,16 +33,19 @@ fn corners(
     newest: &MapKeyframe,
     depth: &DepthMap,
     seen: &[Vec2],
-    mask: &Mask,
+    (pinhole, mask): (&Pinhole, &Mask),
     config: &SparseConfig,
 ) -> Vec<SparsePoint> {
     let missing = config.points_per_keyframe.saturating_sub(seen.len());
     if missing == 0 {
         return Vec::new();
     }
+    let corner_config = CornerConfig::default();
     let settings = CornerConfig {
         max_corners: missing,
-        ..CornerConfig::default()
+        // in a small image things are small
+        min_distance_px: (config.min_spacing * pinhole.fx).min(corner_config.min_distance_px),
+        ..corner_config
     };
     let corners = detect_corners(&newest.pyramid, Some(mask), seen, &settings);
     let unit = newest.world_from_keyframe.scale;

@@ -10,6 +10,9 @@ pub struct SparseConfig {
     pub enabled: bool,
     /// Points that each keyframe should see; missing ones are anchored in it. Range [0, 20000].
     pub points_per_keyframe: usize,
+    /// Smallest angle between two points of a keyframe, rad; they are never asked to be more than 10 px apart. Range
+    /// [0.0001, 1].
+    pub min_spacing: f64,
     /// Most old points that are looked for in a new keyframe. Range [0, 100000].
     pub max_searched_points: usize,
     /// Side of the square cells over which the searched points are spread, px. Range [4, 1000].
@@ -50,6 +53,7 @@ impl Default for SparseConfig {
         Self {
             enabled: true,
             points_per_keyframe: 500,
+            min_spacing: 0.021,
             max_searched_points: 900,
             cell_px: 24,
             search_radius_px: 8.0,

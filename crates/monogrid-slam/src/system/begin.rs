@@ -63,12 +63,18 @@ impl Slam {
         outcome
     }
 
-    /// Tracks the frames before the first keyframe, the last of them first, as long as they can be believed; where
-    /// it shows too little of them, they get keyframes of their own.
+    /// Tracks the frames before the first keyframe, the last of them first: on it alone where it shows enough of all of
+    /// them, else with keyframes of their own, as long as they can be believed.
     fn track_backwards(&mut self, first: KeyframeId, earlier: &[BufferedFrame]) {
         if let Some(active) = self.camera.active.as_mut() {
             // all views of the start have refined its depth
             active.num_mapped = self.setup.config.keyframes.min_mapped_frames;
+        }
+        if let Some(motions) = self.motions_on_first(earlier) {
+            for (buffered, motion) in earlier.iter().rev().zip(motions) {
+                self.believe(&self.setup.restored(buffered), motion);
+            }
+            return;
         }
         for buffered in earlier.iter().rev() {
             let frame = self.setup.restored(buffered);
@@ -76,6 +82,25 @@ impl Slam {
                 return;
             }
         }
+    }
+
+    /// Where these frames are, the last of them first, as tracked on the first keyframe alone; `None` where one of
+    /// them cannot be believed.
+    fn motions_on_first(&self, earlier: &[BufferedFrame]) -> Option<Vec<Motion>> {
+        let active = self.camera.active.as_ref()?;
+        let mut motions = Vec::with_capacity(earlier.len());
+        let mut last = self.camera.last.clone()?;
+        for buffered in earlier.iter().rev() {
+            let frame = self.setup.restored(buffered);
+            let tracked = track_on_active(&self.setup, &self.map, active, &last, &frame);
+            if tracked.state != TrackingState::Good {
+                return None;
+            }
+            let motion = tracked.alignment.motion;
+            last = Last::after(Some(&last), &frame, motion);
+            motions.push(motion);
+        }
+        Some(motions)
     }
 
     /// Tracks one of these frames; false where it cannot be believed.

@@ -33,7 +33,7 @@ pub(super) struct Active {
 }
 
 /// The last frame with a believed pose.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Last {
     pub timestamp_ns: i64,
     pub pyramid: Arc<Pyramid>,

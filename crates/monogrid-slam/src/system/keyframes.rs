@@ -8,6 +8,7 @@ use crate::frame::Frame;
 use crate::map::{Exposure, FinishedKeyframe, Map, MapKeyframe, NewKeyframe, View};
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
 use crate::sparse::dense_links;
+use crate::tracker::Support;
 use crate::{DepthPixel, FragmentId, Keyframe, TrackingState};
 use monogrid_alignment::Motion;
 use monogrid_depth::{DepthMap, PixelFilter};
@@ -33,6 +34,10 @@ pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &At
         relative_distance: keyframe_from_frame.translation.norm(),
         usage: f64::from(alignment.usage),
         good_of_visible: alignment.good_of_visible,
+        num_holding: match attempt.tracked.support {
+            Support::Held { num_points } => Some(num_points),
+            Support::None | Support::Confirmed => None,
+        },
         num_mapped: camera.active.as_ref().map_or(0, |a| a.num_mapped),
         num_keyframes: map.num_keyframes_in(map[attempt.keyframe].fragment),
     };

@@ -7,7 +7,7 @@ use crate::frame::Frame;
 use crate::map::Map;
 use crate::policy::{Demand, DoubtEvidence, demand};
 use crate::tracker::{
-    MotionPrior, PointMap, Tracked, extrapolate, is_convincing, track, track_with_points,
+    MotionPrior, PointMap, Support, Tracked, extrapolate, is_convincing, track, track_with_points,
 };
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{DepthSample, Motion, Reference};
@@ -98,7 +98,7 @@ pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthSampl
 fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
     let config = &setup.config.tracking;
     let evidence = DoubtEvidence {
-        support: tracked.support,
+        is_supported: tracked.support != Support::None,
         lost_in_a_row,
         is_surprising: tracked.is_surprising,
         is_degraded: tracked.state == TrackingState::Degraded,

@@ -7,7 +7,7 @@
 //! says where, and they have the last word.
 
 use super::points::{PointMap, PointPose};
-use super::{MotionPrior, Tracked, judge, track};
+use super::{MotionPrior, Support, Tracked, judge, track};
 use crate::frame::Frame;
 use crate::policy::may_be_confirmed;
 use crate::{TrackingConfig, TrackingState};
@@ -29,16 +29,17 @@ pub(crate) fn track_with_points(
         return aligned;
     };
     let by_alignment = aligned.alignment.motion;
-    let confirmed = may_be_confirmed(aligned.state, aligned.is_surprising).then(|| {
-        let pose = &by_alignment.frame_from_keyframe;
-        map.confirm(&frame.pyramid, pose, &config.points)
-    });
-    if let Some(support) = confirmed.flatten() {
-        return Tracked { support, ..aligned };
+    let pose = &by_alignment.frame_from_keyframe;
+    if may_be_confirmed(aligned.state, aligned.is_surprising)
+        && map.confirms(&frame.pyramid, pose, &config.points)
+    {
+        return Tracked {
+            support: Support::Confirmed,
+            ..aligned
+        };
     }
     let near = (aligned.state != TrackingState::Lost)
         .then(|| {
-            let pose = &by_alignment.frame_from_keyframe;
             let covariance = aligned.alignment.covariance.as_ref();
             map.pose_near(&frame.pyramid, pose, covariance, &config.points)
         })
@@ -85,7 +86,9 @@ fn at_points(
     };
     Tracked {
         alignment,
-        support: points.num_inliers,
+        support: Support::Held {
+            num_points: points.num_inliers,
+        },
         state,
         reason,
         ..aligned

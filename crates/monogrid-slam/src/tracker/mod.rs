@@ -23,6 +23,20 @@ pub(crate) struct MotionPrior {
     pub frame_from_last: Se3,
 }
 
+/// What points of the sparse layer say about a pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Support {
+    /// They do not decide.
+    None,
+    /// A few of them are where the pose by alignment has them.
+    Confirmed,
+    /// They gave the pose.
+    Held {
+        /// Points that agree.
+        num_points: usize,
+    },
+}
+
 /// Pose of a frame and how far to believe it.
 #[derive(Clone, Debug)]
 pub(crate) struct Tracked {
@@ -30,8 +44,7 @@ pub(crate) struct Tracked {
     /// Whether the pose is far from where the motion of the last frames leads: then another picture may have
     /// been "explained".
     pub is_surprising: bool,
-    /// Points of the sparse layer that agree; 0 where they did not decide.
-    pub support: usize,
+    pub support: Support,
     pub state: TrackingState,
     pub reason: Option<LostReason>,
 }
@@ -90,7 +103,7 @@ pub(crate) fn track(
     Tracked {
         is_surprising: is_surprising(&alignment, prior, config),
         alignment,
-        support: 0,
+        support: Support::None,
         state,
         reason,
     }

@@ -30,14 +30,13 @@ pub(crate) struct PointPose {
 }
 
 impl PointMap<'_> {
-    /// How many of a few points are where a pose predicts them, if they are enough to confirm it; `None` when
-    /// the pose may be wrong.
-    pub(crate) fn confirm(
+    /// Whether a few points are where a pose predicts them; otherwise the pose may be wrong.
+    pub(crate) fn confirms(
         &self,
         frame: &Pyramid,
         pose: &Se3,
         config: &PointTrackingConfig,
-    ) -> Option<usize> {
+    ) -> bool {
         let camera_from_world = self.camera_from_world(pose);
         let probe = PointSearch {
             seen_by: Some(self.keyframe.id),
@@ -47,7 +46,7 @@ impl PointMap<'_> {
         };
         let probed = self.search(frame, &camera_from_world, &probe);
         let agreeing = self.num_agreeing(&camera_from_world, &probed.seen, config.probe_error_px);
-        do_points_decide(agreeing, probed.num_searched, config).then_some(agreeing)
+        do_points_decide(agreeing, probed.num_searched, config)
     }
 
     /// The pose of a frame that is within a few pixels of `near`; `None` when the points do not decide.
