@@ -23,7 +23,10 @@ pub use map::{
     Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapEvaluator, MapReport,
     Policies, PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, evaluate_map,
 };
-pub use paths::{PathConfig, PathError, PathReport, PathStats, PathsReport, evaluate_paths};
+pub use paths::{
+    PathConfig, PathError, PathReport, PathStats, PathsReport, PlanConfig, PlanError, PlannedPath,
+    evaluate_paths, plan_path,
+};
 pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use trajectory::{
     PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,

@@ -4,11 +4,13 @@ use crate::commands::cameras::CamerasArgs;
 use crate::commands::check::CheckArgs;
 use crate::commands::convert::ConvertArgs;
 use crate::commands::demo::DemoArgs;
+use crate::commands::distances::DistancesArgs;
 use crate::commands::evaluate::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
 use crate::commands::info::InfoArgs;
 use crate::commands::map::MapArgs;
 use crate::commands::mesh::MeshArgs;
+use crate::commands::plan::PlanArgs;
 use crate::commands::rescale::RescaleArgs;
 use crate::commands::run::RunArgs;
 use crate::commands::sensor_model::SensorModelArgs;
@@ -135,6 +137,14 @@ pub enum Command {
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"
     )]
     Project(ProjectArgs),
+    /// Distance to the nearest obstacle in every cell, as an array for numpy
+    #[command(
+        after_help = "Example: monogrid distances kitchen.ot kitchen.npy --max-distance 2 --height 0.3"
+    )]
+    Distances(DistancesArgs),
+    /// Path of a robot through a map
+    #[command(after_help = "Example: monogrid plan kitchen.ot 0,0,0.5 2,1,0.5 --robot-radius 0.2")]
+    Plan(PlanArgs),
     /// Train the words by which FAB-MAP knows places, on images of many places
     #[command(
         after_help = "Example: monogrid vocabulary recordings/kitchen recordings/office --every 10 --out places.vocabulary"

@@ -56,6 +56,8 @@ fn main() -> ExitCode {
         Command::Merge(args) => commands::tools::merge(args),
         Command::Diff(args) => commands::tools::diff(args),
         Command::Mesh(args) => commands::mesh::execute(args),
+        Command::Plan(args) => commands::plan::execute(args),
+        Command::Distances(args) => commands::distances::execute(args),
         Command::Project(args) => commands::tools::project(args),
         Command::SensorModel(args) => commands::sensor_model::execute(args),
         Command::Slice(args) => commands::slice::execute(args),

@@ -413,12 +413,95 @@ fn maps_are_cropped_merged_moved_compared_and_projected() {
             .unwrap()
             .contains("image: plan.pgm")
     );
+    let described = || fs::read_to_string(folder.path("plan.yaml")).unwrap();
+    assert!(described().contains("WARNING: nothing beside the map"));
+    // beside a run: the band over the floor, and what is known of the unit
+    folder.write(
+        "summary.json",
+        r#"{"scale": "arbitrary", "floor": {"camera_height": 0.8}}"#,
+    );
+    ok(&["project", &map, &pgm, "--force", "--min-height", "0"]);
+    assert!(described().contains("z = 0.000 to 0.880 map units\n# WARNING: the scale"));
+    folder.write(
+        "summary.json",
+        r#"{"scale": "metric", "floor": {"camera_height": 7}}"#,
+    );
+    assert_fails(
+        &monogrid(["project", &map, &pgm, "--force"]),
+        2,
+        &["between the heights 0.7"],
+    );
     let high = folder.path("high.pgm");
     let empty = ["project", &map, &high, "--min-height", "7"];
     assert_fails(&monogrid(empty), 2, &["no known cells"]);
     let nothing = folder.path("nothing.ot");
     let outside = ["crop", &map, &nothing, "--min", "5,5,5", "--max", "6,6,6"];
     assert_fails(&monogrid(outside), 2, &["no known cells", "--min", "reach"]);
+}
+
+/// The numbers of an array of floats.
+fn npy(path: &str) -> Vec<f32> {
+    let bytes = fs::read(path).unwrap();
+    let begin = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let numbers = bytes[begin..].chunks_exact(4);
+    numbers
+        .map(|four| f32::from_le_bytes(four.try_into().unwrap()))
+        .collect()
+}
+
+#[test]
+fn robots_get_distances_and_paths() {
+    let folder = Folder::new();
+    let mut map = wall();
+    map.set_log_odds(VoxelKey::new(0, 0, 0), None).unwrap();
+    let map = folder.write_map("wall.ot", &map);
+    let [all, layer] = ["all.npy", "layer.npy"].map(|name| folder.path(name));
+    let report = ok(&["distances", &map, &all, "--max-distance", "0.35"]);
+    assert_eq!(report["shape"], serde_json::json!([10, 10, 6]));
+    let distances = npy(&all);
+    assert_eq!(distances.len(), 600);
+    assert!(distances[0].is_nan(), "unknown");
+    // x is fastest; the wall is at x = 5
+    let row: Vec<i32> = distances[6..12]
+        .iter()
+        .map(|d| (d * 100.0).round() as i32)
+        .collect();
+    assert_eq!(row, [35, 35, 30, 20, 10, 0]);
+    ok(&[
+        "distances",
+        &map,
+        &layer,
+        "--max-distance",
+        "0.35",
+        "--height",
+        "0.55",
+    ]);
+    assert_eq!(npy(&layer), distances[300..360]);
+    assert!(
+        fs::read_to_string(folder.path("layer.yaml"))
+            .unwrap()
+            .contains("axes are y, x")
+    );
+    let outside = ["distances", &map, &folder.path("no.npy"), "--height", "7"];
+    assert_fails(&monogrid(outside), 2, &["--height 7", "from 0 to 1"]);
+
+    let plan = |to: &str, radius: &str| {
+        ["plan", &map, "0.25,0.25,0.5", to, "--robot-radius", radius].map(str::to_owned)
+    };
+    let path = ok(&plan("0.25,0.75,0.5", "0.1").each_ref().map(String::as_str));
+    assert!(
+        (path["length"].as_f64().unwrap() - 0.5).abs() < 1e-6,
+        "{path}"
+    );
+    assert_eq!(path["points"].as_array().unwrap().len(), 2);
+    let text = monogrid(plan("0.25,0.75,0.5", "0.1"));
+    assert!(String::from_utf8_lossy(&text.stdout).ends_with("\n0.2500 0.7500 0.5500\n"));
+    assert_fails(
+        &monogrid(plan("0.45,0.5,0.5", "0.1")),
+        2,
+        &["does not fit at the goal"],
+    );
+    assert_fails(&monogrid(plan("3,0.5,0.5", "0.1")), 2, &["outside the map"]);
 }
 
 /// A wall with free space before it.

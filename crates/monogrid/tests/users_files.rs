@@ -222,6 +222,7 @@ impl Sources {
             ),
             self.call("project", "", "pgm", "@map.ot", "map.ot"),
             self.call("mesh", "", "glb", "@map.ot", "map.ot"),
+            self.call("distances", "", "npy", "@map.ot", "map.ot"),
             self.call("view", "--html", "html", "@map.ot", "map.ot"),
             self.call(
                 "vocabulary",
@@ -345,10 +346,11 @@ fn commands_of(prefix: &[&str]) -> Vec<String> {
 }
 
 /// Commands that write nothing.
-const READERS: [&str; 7] = [
+const READERS: [&str; 8] = [
     "cameras",
     "check",
     "info",
+    "plan",
     "diff",
     "evaluate depth",
     "evaluate map",

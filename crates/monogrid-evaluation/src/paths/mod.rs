@@ -7,6 +7,9 @@
 
 mod astar;
 mod grid;
+mod plan;
+
+pub use plan::{PlanConfig, PlanError, PlannedPath, plan_path};
 
 use crate::statistics::median;
 use crate::truth::{TruthError, TruthGrid};
@@ -189,7 +192,12 @@ pub fn evaluate_paths(
     });
     let mut truth_planner = Planner::new(&in_truth, clearances.plan);
     let pairs = sample_pairs(&in_truth, &truth_planner, config, cell)?;
-    let states = coarse_states(estimate, &coarse_truth, factor);
+    let [nx, ny, _] = in_truth.size;
+    let index = |key| {
+        let [x, y, z] = coarse_truth.local(key)?;
+        Some((z * ny + y) * nx + x)
+    };
+    let states = coarse_states(estimate, index, in_truth.len(), factor);
     let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
     let routes: Vec<Route> = pairs
         .into_iter()
@@ -289,15 +297,19 @@ fn state_at(grid: &TruthGrid, index: usize) -> Occupancy {
     grid.state(grid.global([index % nx, index / nx % ny, index / nx / ny]))
 }
 
-/// States of the estimate on the cells of the coarse truth.
-fn coarse_states(estimate: &OccupancyMap, grid: &TruthGrid, factor: u32) -> Vec<Occupancy> {
-    let [nx, ny, nz] = grid.size();
-    let mut free = vec![0_u32; nx * ny * nz];
-    let mut is_occupied = vec![false; nx * ny * nz];
-    for cell in estimate.cells() {
+/// States of cubes of `factor` cells along each axis: occupied when any of them is, else free when at least half are; `index` says
+/// where a cube lies among `count`.
+fn coarse_states(
+    map: &OccupancyMap,
+    index: impl Fn([i32; 3]) -> Option<usize>,
+    count: usize,
+    factor: u32,
+) -> Vec<Occupancy> {
+    let mut free = vec![0_u32; count];
+    let mut is_occupied = vec![false; count];
+    for cell in map.cells() {
         let key = cell.key.to_array().map(|k| k.div_euclid(factor as i32));
-        if let Some([x, y, z]) = grid.local(key) {
-            let index = (z * ny + y) * nx + x;
+        if let Some(index) = index(key) {
             if cell.log_odds > 0.0 {
                 is_occupied[index] = true;
             } else {

@@ -5,6 +5,7 @@ use crate::args::{ForceArg, JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFile};
+use crate::run::outputs::UNKNOWN_SCALE_WARNING;
 use clap::Args;
 use monogrid_datasets::read_sim3;
 use monogrid_geometry::Sim3;
@@ -84,19 +85,19 @@ pub struct ProjectArgs {
     pub map: PathBuf,
     /// Image to write (.pgm); its description is written beside it (.yaml)
     pub output: PathBuf,
-    /// Cells whose centres are lower are left out
-    #[arg(long, value_name = "Z", default_value_t = f64::NEG_INFINITY, hide_default_value = true)]
-    pub min_height: f64,
-    /// Cells whose centres are higher are left out
-    #[arg(long, value_name = "Z", default_value_t = f64::INFINITY, hide_default_value = true)]
-    pub max_height: f64,
+    /// Cells whose centres are lower are left out [default: beside a run that found the floor a tenth of the camera's height over it]
+    #[arg(long, value_name = "Z")]
+    pub min_height: Option<f64>,
+    /// Cells whose centres are higher are left out [default: beside such a run somewhat over the camera]
+    #[arg(long, value_name = "Z")]
+    pub max_height: Option<f64>,
     #[command(flatten)]
     pub force: ForceArg,
     #[command(flatten)]
     pub json: JsonArg,
 }
 
-fn point(text: &str) -> Result<[f64; 3], String> {
+pub fn point(text: &str) -> Result<[f64; 3], String> {
     let numbers: Option<Vec<f64>> = text
         .split(',')
         .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
@@ -278,6 +279,38 @@ impl From<MapDifference> for DifferenceReport {
     }
 }
 
+/// What the summary beside a map says of its lengths.
+struct RunBeside {
+    /// Whether they are metres; `None` where there is no summary.
+    is_metric: Option<bool>,
+    /// Median height of the camera over the floor, which is at z = 0; `None` where none was found.
+    camera_height: Option<f64>,
+}
+
+impl RunBeside {
+    fn of(map: &Path) -> Self {
+        let path = map.with_file_name("summary.json");
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+        let height = summary["floor"]["camera_height"].as_f64();
+        Self {
+            is_metric: summary["scale"].as_str().map(|scale| scale == "metric"),
+            camera_height: height.filter(|height| height.is_finite() && *height > 0.0),
+        }
+    }
+
+    /// What the description of the grid says to people, as comments.
+    fn note(&self, [low, high]: [f64; 2]) -> String {
+        match self.is_metric {
+            Some(true) => format!("# cells from z = {low:.3} to {high:.3} m\n"),
+            Some(false) => format!(
+                "# cells from z = {low:.3} to {high:.3} map units\n{UNKNOWN_SCALE_WARNING}"
+            ),
+            None => "# WARNING: nothing beside the map says its unit; nav2 takes resolution and origin as metres\n".to_owned(),
+        }
+    }
+}
+
 /// Writes the map seen from above, for nav2's map server.
 pub fn project(args: &ProjectArgs) -> CommandResult {
     let is_pgm = args.output.extension().is_some_and(|e| e == "pgm");
@@ -293,18 +326,23 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
     let pgm_file = OutputFile::new(&args.output, force, &inputs)?;
     let yaml_file = OutputFile::new(&yaml, force, &inputs)?;
     let (map, _) = mapfile::load(&args.map)?;
-    let heights = [args.min_height, args.max_height];
-    let Some(grid) = map.projected(heights[0], heights[1]) else {
+    let beside = RunBeside::of(&args.map);
+    let band = beside
+        .camera_height
+        .map_or([f64::NEG_INFINITY, f64::INFINITY], |height| {
+            [0.1 * height, 1.1 * height]
+        });
+    let low = args.min_height.unwrap_or(band[0]);
+    let high = args.max_height.unwrap_or(band[1]);
+    let Some(grid) = map.projected(low, high) else {
         return Err(Failure::input(format!(
-            "{} has no known cells between the heights {} and {}",
+            "{} has no known cells between the heights {low} and {high}",
             args.map.display(),
-            args.min_height,
-            args.max_height
         )));
     };
     pgm_file.write(&grid.to_pgm())?;
-    let note = "# lengths in the unit of the map\n";
-    yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + note).as_bytes())?;
+    let note = beside.note([low, high]);
+    yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + &note).as_bytes())?;
     if args.json.json {
         print_json(&serde_json::json!({
             "width": grid.width,

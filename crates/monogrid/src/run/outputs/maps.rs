@@ -226,6 +226,9 @@ fn write_grid(
     Ok(())
 }
 
+/// Comment of a grid whose lengths are not metres.
+pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolution and origin are map units, not metres as nav2 takes them\n";
+
 /// What the description of the grid says to people, as comments.
 fn grid_note(band: [f64; 2], ground: Ground) -> String {
     let over = if ground.has_floor {
@@ -239,7 +242,7 @@ fn grid_note(band: [f64; 2], ground: Ground) -> String {
         band[0], band[1]
     );
     if !ground.is_metric {
-        note += "# WARNING: the scale is unknown: resolution and origin are map units, not metres as nav2 takes them\n";
+        note += UNKNOWN_SCALE_WARNING;
     }
     note
 }
