@@ -101,6 +101,9 @@ pub struct InitializationConfig {
     pub min_features: usize,
     /// Smallest median displacement of the features, as a share of the image width. Range [0.001, 1].
     pub min_displacement: f64,
+    /// Median displacement since the newest reference frame from which another one competes with it, as a share of
+    /// the image width. Range [0.001, 10].
+    pub reference_displacement: f64,
     /// Frames kept at most while waiting for parallax; older ones stay without a pose. Range [2, 3000].
     pub max_buffered_frames: usize,
     /// Standard deviation of a followed feature, px. Range [0.01, 20].
@@ -119,6 +122,7 @@ impl Default for InitializationConfig {
             num_features: 900,
             min_features: 60,
             min_displacement: 0.025,
+            reference_displacement: 0.1,
             max_buffered_frames: 300,
             sigma_px: 0.5,
             max_relative_sigma: 0.03,

@@ -102,6 +102,7 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         num_features: 10.0, 20_000.0;
         min_features: 8.0, 20_000.0;
         min_displacement: 0.001, 1.0;
+        reference_displacement: 0.001, 10.0;
         max_buffered_frames: 2.0, 3000.0;
         sigma_px: 0.01, 20.0;
         max_relative_sigma: 0.001, 10.0;

@@ -1,5 +1,5 @@
-//! Start from two views: features are followed from a reference frame until the camera has moved
-//! sideways enough for a relative pose; then the reference becomes the first keyframe.
+//! Start from two views: features are followed from reference frames until the camera has moved
+//! sideways enough since one of them for a relative pose; then that becomes the first keyframe.
 
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
@@ -24,7 +24,8 @@ pub(crate) struct TwoViewStart {
     settings: InitializationConfig,
     /// Every frame since the first, or the newest of them.
     buffered: Vec<BufferedFrame>,
-    reference: Option<Reference>,
+    /// Oldest first.
+    references: Vec<Reference>,
 }
 
 #[derive(Debug)]
@@ -54,7 +55,7 @@ impl TwoViewStart {
             seed,
             settings: settings.clone(),
             buffered: Vec::new(),
-            reference: None,
+            references: Vec::new(),
         }
     }
 
@@ -66,25 +67,45 @@ impl TwoViewStart {
         config: &SlamConfig,
     ) -> StartOutcome {
         self.buffer(&frame);
-        let Some(reference) = self.reference.as_mut() else {
-            return self.restart(frame, mask);
-        };
-        reference.follow(&frame);
-        let num_followed = reference.tracks.iter().flatten().count();
-        if num_followed < self.settings.min_features {
-            return self.restart(frame, mask);
+        let min_features = self.settings.min_features;
+        for reference in &mut self.references {
+            reference.follow(&frame);
         }
-        let displacement = reference.median_displacement();
-        if displacement < self.settings.min_displacement * frame.image().width() as f64 {
-            return StartOutcome::Waiting(LostReason::NotEnoughParallax);
+        self.references.retain(|r| r.num_followed() >= min_features);
+        let mut reason = None;
+        for at in 0..self.references.len() {
+            match self.start_from(at, pinhole, mask, config) {
+                Ok(started) => return StartOutcome::Started(Box::new(started)),
+                Err(refused) => reason = reason.or(Some(refused)),
+            }
         }
-        match reference.solve(pinhole, self.seed, &self.settings) {
-            Err(reason) => StartOutcome::Waiting(reason),
-            Ok(views) => match self.first_keyframe(&views, pinhole, mask, config) {
-                Some(started) => StartOutcome::Started(Box::new(started)),
-                None => StartOutcome::Waiting(LostReason::AmbiguousStart),
-            },
+        if self.needs_reference() {
+            self.refer_to(frame, mask);
         }
+        let is_blind = self.references.is_empty();
+        let reason = reason.filter(|_| !is_blind);
+        StartOutcome::Waiting(reason.unwrap_or(if is_blind {
+            LostReason::TooFewFeatures
+        } else {
+            LostReason::NotEnoughParallax
+        }))
+    }
+
+    /// A start from the views since one of the references.
+    fn start_from(
+        &mut self,
+        at: usize,
+        pinhole: &Pinhole,
+        mask: &Mask,
+        config: &SlamConfig,
+    ) -> Result<Started, LostReason> {
+        let reference = &self.references[at];
+        if reference.displacement() < self.settings.min_displacement {
+            return Err(LostReason::NotEnoughParallax);
+        }
+        let views = reference.solve(pinhole, self.seed, &self.settings)?;
+        let started = self.first_keyframe(at, &views, pinhole, mask, config);
+        started.ok_or(LostReason::AmbiguousStart)
     }
 
     /// Keeps the newest frames, in eight bits.
@@ -93,21 +114,21 @@ impl TwoViewStart {
         if self.buffered.len() <= self.settings.max_buffered_frames {
             return;
         }
-        match &mut self.reference {
-            Some(reference) if reference.buffer_index > 0 => reference.buffer_index -= 1,
-            // a camera that stands still: forget what lies between
-            Some(_) => {
-                self.reference = None;
-                self.buffered.drain(..self.buffered.len() - 1);
-                return;
-            }
-            None => {}
-        }
+        self.references.retain(|r| r.buffer_index > 0);
         self.buffered.remove(0);
+        for reference in &mut self.references {
+            reference.buffer_index -= 1;
+        }
     }
 
-    /// Makes `frame` the new reference.
-    fn restart(&mut self, frame: Frame, mask: &Mask) -> StartOutcome {
+    /// Whether another reference may do better: there is none, or the camera has moved on since the newest.
+    fn needs_reference(&self) -> bool {
+        let newest = self.references.last();
+        newest.is_none_or(|r| r.displacement() >= self.settings.reference_displacement)
+    }
+
+    /// Makes `frame` the newest reference if it shows enough features.
+    fn refer_to(&mut self, frame: Frame, mask: &Mask) {
         let corners = detect_corners(
             &frame.pyramid,
             Some(mask),
@@ -119,28 +140,30 @@ impl TwoViewStart {
         );
         let points: Vec<Vec2> = corners.iter().map(|corner| corner.pixel).collect();
         if points.len() < self.settings.min_features {
-            self.reference = None;
-            return StartOutcome::Waiting(LostReason::TooFewFeatures);
+            return;
         }
-        self.reference = Some(Reference {
+        if self.references.len() >= MAX_REFERENCES {
+            self.references.remove(0);
+        }
+        self.references.push(Reference {
             tracks: points.iter().map(|p| Some((*p, Vec2::zeros()))).collect(),
             points,
             frame,
             buffer_index: self.buffered.len() - 1,
             views: Vec::new(),
         });
-        StartOutcome::Waiting(LostReason::NotEnoughParallax)
     }
 
     /// Depth of the reference from the views; `None` when too few pixels get one.
     fn first_keyframe(
         &mut self,
+        at: usize,
         views: &[PosedView],
         pinhole: &Pinhole,
         mask: &Mask,
         config: &SlamConfig,
     ) -> Option<Started> {
-        let reference = self.reference.as_ref()?;
+        let reference = &self.references[at];
         let host = host_of(&reference.frame, pinhole, mask)?;
         let mut depth = DepthMap::empty(host, &config.depth);
         // The longest baselines last: short ones find the place, long ones make it exact.
@@ -167,7 +190,7 @@ impl TwoViewStart {
         let first_step = views.first().map_or_else(Se3::identity, |view| {
             Se3::exp(&(view.frame_from_reference.log() / view.offset as f64))
         });
-        let reference = self.reference.take()?;
+        let reference = self.references.swap_remove(at);
         let mut later = std::mem::take(&mut self.buffered);
         let mut earlier: Vec<BufferedFrame> = later
             .drain(..=reference.buffer_index.min(later.len() - 1))
@@ -194,6 +217,9 @@ struct PosedView {
 
 /// Views that are adjusted together at most.
 const MAX_VIEWS: usize = 10;
+
+/// References in competition at most; the oldest gives way.
+const MAX_REFERENCES: usize = 3;
 
 impl Reference {
     /// Follows every point from the reference into `frame`, from where it was seen last.
@@ -227,7 +253,12 @@ impl Reference {
         });
     }
 
-    fn median_displacement(&self) -> f64 {
+    fn num_followed(&self) -> usize {
+        self.tracks.iter().flatten().count()
+    }
+
+    /// Median way of the features that are still followed, as a share of the image width.
+    fn displacement(&self) -> f64 {
         let mut moves: Vec<f64> = self
             .points
             .iter()
@@ -235,7 +266,8 @@ impl Reference {
             .filter_map(|(point, track)| track.map(|(pixel, _)| (pixel - point).norm()))
             .collect();
         moves.sort_unstable_by(f64::total_cmp);
-        moves.get(moves.len() / 2).copied().unwrap_or(0.0)
+        let median = moves.get(moves.len() / 2).copied().unwrap_or(0.0);
+        median / self.frame.image().width() as f64
     }
 
     /// Poses of views since the reference: the last one from two views alone, then all of them and the
@@ -413,51 +445,4 @@ fn median(values: &mut [f64]) -> Option<f64> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::FrameInput;
-    use monogrid_image::GrayImage;
-    use monogrid_worlds::SynthSequence;
-
-    /// Shows an image again and again; the buffered frames and the place of the reference among them after each.
-    fn shown_often(image: &GrayImage, times: usize) -> Vec<(Vec<i64>, Option<usize>)> {
-        let mut config = SlamConfig::default();
-        config.initialization.max_buffered_frames = 4;
-        let pinhole = Pinhole::new(200.0, 200.0, 80.0, 60.0);
-        let mask = Mask::filled(image.width(), image.height(), 255);
-        let mut start = TwoViewStart::new(&config.initialization, 0);
-        let mut states = Vec::new();
-        for index in 0..times {
-            let input = FrameInput {
-                index,
-                timestamp_ns: index as i64,
-                image: image.clone(),
-                seed_depth: None,
-            };
-            let frame = Frame::new(input, &pinhole, 0, 4);
-            let outcome = start.add_frame(frame, &pinhole, &mask, &config);
-            assert!(matches!(outcome, StartOutcome::Waiting(_)));
-            let times = start.buffered.iter().map(|frame| frame.timestamp_ns);
-            let reference = start.reference.as_ref().map(|r| r.buffer_index);
-            states.push((times.collect(), reference));
-        }
-        states
-    }
-
-    #[test]
-    fn the_newest_frames_are_kept_while_there_is_nothing_to_follow() {
-        let plain = GrayImage::filled(160, 120, 90.0);
-        let states = shown_often(&plain, 6);
-        assert_eq!(states[3], (vec![0, 1, 2, 3], None));
-        assert_eq!(states[5], (vec![2, 3, 4, 5], None));
-    }
-
-    #[test]
-    fn a_camera_that_stands_still_begins_anew_when_the_buffer_is_full() {
-        let image = SynthSequence::small_demo().unwrap().frame(0).unwrap().image;
-        let states = shown_often(&image, 6);
-        assert_eq!(states[3], (vec![0, 1, 2, 3], Some(0)));
-        assert_eq!(states[4], (vec![4], Some(0)));
-        assert_eq!(states[5], (vec![4, 5], Some(0)));
-    }
-}
+mod tests;

@@ -151,6 +151,8 @@ fn a_fragment_is_joined_when_the_camera_comes_back() {
         assert_eq!(is_fragment, report.state == TrackingState::Fragment);
         assert!(k >= started || report.state == TrackingState::Lost, "{k}");
     }
+    let lost_secs = started as f64 * INTERVAL_NS as f64 * 1e-9;
+    assert!(lost_secs >= SlamConfig::default().fragments.min_lost_secs);
     assert!(in_state(after, TrackingState::Fragment) > 20);
     assert_eq!(in_state(&after[started..], TrackingState::Lost), 0);
     let fragments = &outcome.fragments;
@@ -167,9 +169,13 @@ fn a_fragment_is_joined_when_the_camera_comes_back() {
         .filter(|p| p.frame_index >= before.len())
         .map(|p| (shown(p.frame_index), p.world_from_camera))
         .collect();
-    assert!(of_fragment.len() > 60, "{}", of_fragment.len());
-    let error = largest_error(of_fragment.into_iter());
+    // from the first lost frame on, long before the fragment was started
+    assert_eq!(of_fragment.len(), after.len());
+    let error = largest_error(of_fragment[started..].iter().copied());
     assert!(error < 0.1, "final {error}");
+    // those before it lie farthest from where the fragment was joined
+    let error = largest_error(of_fragment.into_iter());
+    assert!(error < 0.15, "final, all {error}");
     let live = after.iter().filter_map(|report| {
         let pose = report.world_from_camera?;
         Some((shown(report.index), pose))
@@ -284,7 +290,7 @@ fn a_session_that_begins_elsewhere_finds_into_the_map() {
             .iter()
             .map(|p| (of_frame(p.frame_index), p.world_from_camera)),
     );
-    assert!(error < 0.1, "{error}");
+    assert!(error < 0.15, "{error}");
     // a map that must stay as it is gets no fragments
     let mut slam = continued(map, Purpose::LocaliseOnly);
     let reports = run(&mut slam, &inputs[..30]);

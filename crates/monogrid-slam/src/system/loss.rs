@@ -5,7 +5,7 @@
 //! graph; the frames of a fragment follow their keyframes, so that the camera goes on as if nothing happened.
 
 use super::setup::Setup;
-use crate::frame::Frame;
+use crate::frame::{BufferedFrame, Frame};
 use crate::map::Map;
 use crate::start::{Start, StartOutcome, Started};
 use monogrid_image::Pyramid;
@@ -17,8 +17,10 @@ pub(super) struct Loss {
     last_ns: Option<i64>,
     /// Time of the loss in which the camera saw texture.
     textured_ns: i64,
-    /// The fragment that is about to be started.
+    /// The start of a fragment, from the first lost frame on.
     start: Option<Start>,
+    /// What it has found.
+    started: Option<Box<Started>>,
 }
 
 /// A pause in the video longer than this does not count as time in which the place was not recognised.
@@ -38,20 +40,30 @@ impl Loss {
         if !config.enabled || !can_be_joined || setup.is_frozen {
             return None;
         }
-        self.count(&frame);
-        let lost_secs = self.textured_ns as f64 * 1e-9;
-        if lost_secs < config.min_lost_secs || map.num_apart() >= config.max_apart {
+        if map.num_apart() >= config.max_apart {
             return None;
+        }
+        self.count(&frame);
+        self.prepare(setup, map, frame);
+        let lost_secs = self.textured_ns as f64 * 1e-9;
+        if lost_secs < config.min_lost_secs {
+            return None;
+        }
+        self.started.take().map(|started| *started)
+    }
+
+    /// Brings the start forward by a frame; those after it wait to be tracked.
+    fn prepare(&mut self, setup: &Setup, map: &Map, frame: Frame) {
+        if let Some(started) = &mut self.started {
+            started.later.push(BufferedFrame::new(&frame));
+            return;
         }
         let seed = setup.seed.wrapping_add(u64::from(map.next_fragment()));
         let start = self.start.take();
         let mut start = start.unwrap_or_else(|| Start::new(&setup.config, seed));
         match start.add_frame(frame, None, &setup.pinhole, &setup.mask, &setup.config) {
-            StartOutcome::Waiting(_) => {
-                self.start = Some(start);
-                None
-            }
-            StartOutcome::Started(started) => Some(*started),
+            StartOutcome::Waiting(_) => self.start = Some(start),
+            StartOutcome::Started(started) => self.started = Some(started),
         }
     }
 

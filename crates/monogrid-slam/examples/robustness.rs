@@ -1,0 +1,194 @@
+//! What a disturbance does to a run: one row of the robustness matrix (`scripts/robustness.sh`).
+//!
+//! `cargo run --release -p monogrid-slam --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N]`
+//!
+//! A built-in world at 320x240, carried by hand, with the noise of the demonstration. Disturbances: `low-rate`, `blur`,
+//! `exposure-jumps`, `black-frames`, `person`, `rolling-shutter`, `noise`, `fast`; `none` for comparison. Prints coverage, ATE
+//! as a share of the path, the share of the frames with a pose that are off by more than 2 % of the path or 3 degrees, and
+//! how often the camera was lost.
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "a tool for development, read from top to bottom"
+)]
+
+mod options;
+
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
+use monogrid_geometry::Sim3;
+use monogrid_image::{GrayImage, Mask};
+use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
+use monogrid_worlds::{
+    Carrier, EffectsConfig, LightingConfig, NoiseConfig, SynthConfig, SynthSequence,
+};
+use options::Options;
+
+/// Frames in which a built-in motion goes its way at walking pace, 30 per second.
+const WALKING_FRAMES: usize = 1500;
+
+/// What is made worse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Disturbance {
+    None,
+    /// 10 frames per second.
+    LowRate,
+    /// The shutter is open for 20 ms.
+    Blur,
+    /// The exposure doubles or halves every 25 frames.
+    ExposureJumps,
+    /// Five frames of 60 are black.
+    BlackFrames,
+    /// Somebody walks through the picture.
+    Person,
+    /// 25 ms between the first and the last row.
+    RollingShutter,
+    /// A tenth of the light.
+    Noise,
+    /// Twice the walking pace.
+    Fast,
+}
+
+impl Disturbance {
+    fn by_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "none" => Self::None,
+            "low-rate" => Self::LowRate,
+            "blur" => Self::Blur,
+            "exposure-jumps" => Self::ExposureJumps,
+            "black-frames" => Self::BlackFrames,
+            "person" => Self::Person,
+            "rolling-shutter" => Self::RollingShutter,
+            "noise" => Self::Noise,
+            "fast" => Self::Fast,
+            _ => return None,
+        })
+    }
+
+    fn effects(self) -> EffectsConfig {
+        let mut effects = EffectsConfig::demo();
+        match self {
+            Self::Blur => effects.shutter_secs = 0.020,
+            Self::Person => effects.has_mover = true,
+            Self::RollingShutter => effects.readout_secs = 0.025,
+            Self::Noise => {
+                let usual = NoiseConfig::default();
+                effects.noise = Some(NoiseConfig {
+                    full_well_electrons: 0.1 * usual.full_well_electrons,
+                    ..usual
+                });
+            }
+            _ => {}
+        }
+        effects
+    }
+
+    /// The settings of a sequence whose first `frames` at walking pace and 30 per second are shown, and how many are.
+    fn sequence(self, frames: usize, seed: u64) -> (SynthConfig, usize) {
+        let usual = SynthConfig {
+            frames: WALKING_FRAMES,
+            effects: self.effects(),
+            seed,
+            ..SynthConfig::small()
+        };
+        match self {
+            Self::LowRate => {
+                let config = SynthConfig {
+                    fps: usual.fps / 3.0,
+                    frames: WALKING_FRAMES / 3,
+                    ..usual
+                };
+                (config, frames / 3)
+            }
+            Self::Fast => {
+                let config = SynthConfig {
+                    frames: WALKING_FRAMES / 2,
+                    ..usual
+                };
+                (config, frames / 2)
+            }
+            _ => (usual, frames),
+        }
+    }
+
+    /// What becomes of a picture.
+    fn applied(self, image: GrayImage, index: usize) -> GrayImage {
+        /// Twice the light at a gamma of 2.2.
+        const DOUBLED: f32 = 1.37;
+        match self {
+            Self::BlackFrames if index % 60 >= 55 => image.map(|_| 0.0),
+            Self::ExposureJumps => {
+                let factor = [1.0, DOUBLED, 1.0, 1.0 / DOUBLED][index / 25 % 4];
+                image.map(|grey| (grey * factor).round().min(255.0))
+            }
+            _ => image,
+        }
+    }
+}
+
+/// Shows the sequence to a system of its own; it, the true poses, and the frames without a pose at the time after
+/// the first with one.
+fn run(sequence: &SynthSequence, disturbance: Disturbance) -> (Slam, Vec<StampedPose>, usize) {
+    let camera = sequence.camera();
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+    let mut truth = Vec::new();
+    let mut num_lost = 0;
+    for k in 0..sequence.len() {
+        let frame = sequence.frame(k).unwrap();
+        truth.push((frame.timestamp_ns, frame.world_from_camera));
+        let report = slam.process_frame(FrameInput {
+            index: k,
+            timestamp_ns: frame.timestamp_ns,
+            image: disturbance.applied(frame.image, frame.index),
+            seed_depth: None,
+        });
+        num_lost += usize::from(report.state == TrackingState::Lost);
+    }
+    slam.finish();
+    (slam, truth, num_lost)
+}
+
+/// Share of the poses that are far from the truth after alignment.
+fn wrong_share(poses: &[StampedPose], truth: &[StampedPose], report: &TrajectoryReport) -> f64 {
+    let is_wrong = |(time, pose): &&StampedPose| {
+        let at = truth.iter().find(|(t, _)| t == time);
+        at.is_none_or(|(_, truth)| {
+            let aligned = (report.gt_from_est * Sim3::from(*pose)).to_se3();
+            let error = truth.inverse() * aligned;
+            error.translation.norm() > 0.02 * report.path_length
+                || error.rotation.angle().to_degrees() > 3.0
+        })
+    };
+    poses.iter().filter(is_wrong).count() as f64 / poses.len() as f64
+}
+
+fn main() {
+    let mut args = std::env::args().skip(1);
+    let (world, name) = (args.next().unwrap(), args.next().unwrap());
+    let options = Options::read(args);
+    let disturbance = Disturbance::by_name(&name).unwrap();
+    let seed = options.number("seed", 0);
+    let (config, frames) = disturbance.sequence(options.number("frames", 600), seed);
+    let quick = LightingConfig::quick();
+    let sequence = SynthSequence::built_in_with(&world, Carrier::Hand, config, &quick).unwrap();
+    let sequence = sequence.shortened(frames);
+    let (slam, truth, num_lost) = run(&sequence, disturbance);
+    let poses: Vec<StampedPose> = slam
+        .trajectory()
+        .iter()
+        .map(|p| (p.timestamp_ns, p.world_from_camera))
+        .collect();
+    let coverage = poses.len() as f64 / truth.len() as f64;
+    print!(
+        "| {world} | {name} | {seed} | {} | {coverage:.3} | ",
+        truth.len()
+    );
+    match evaluate_trajectory(&poses, &truth, &TrajectoryConfig::default()) {
+        Ok(report) => {
+            let ate = 100.0 * report.ate_rmse / report.path_length;
+            let wrong = wrong_share(&poses, &truth, &report);
+            println!("{ate:.2} | {wrong:.3} | {num_lost} |");
+        }
+        Err(_) => println!("– | 0.000 | {num_lost} |"),
+    }
+}

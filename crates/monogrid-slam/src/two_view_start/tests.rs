@@ -1,0 +1,76 @@
+use super::*;
+use crate::FrameInput;
+use monogrid_image::GrayImage;
+use monogrid_worlds::SynthSequence;
+
+/// The buffered frames, by their number, and the places of the references among them.
+type State = (Vec<i64>, Vec<usize>);
+
+/// Shows images to a start that buffers so many frames and is never satisfied; its state after each.
+fn states(images: &[GrayImage], max_buffered_frames: usize) -> Vec<State> {
+    let mut config = SlamConfig::default();
+    config.initialization.max_buffered_frames = max_buffered_frames;
+    config.initialization.sigma_px = 20.0;
+    config.initialization.max_relative_sigma = 0.001;
+    let pinhole = Pinhole::new(200.0, 200.0, 80.0, 60.0);
+    let mut start = TwoViewStart::new(&config.initialization, 0);
+    let mut states = Vec::new();
+    for (index, image) in images.iter().enumerate() {
+        let mask = Mask::filled(image.width(), image.height(), 255);
+        let input = FrameInput {
+            index,
+            timestamp_ns: index as i64,
+            image: image.clone(),
+            seed_depth: None,
+        };
+        let frame = Frame::new(input, &pinhole, 0, 4);
+        let outcome = start.add_frame(frame, &pinhole, &mask, &config);
+        assert!(matches!(outcome, StartOutcome::Waiting(_)));
+        let times = start.buffered.iter().map(|frame| frame.timestamp_ns);
+        let references = start.references.iter().map(|r| r.buffer_index);
+        states.push((times.collect(), references.collect()));
+    }
+    states
+}
+
+fn room() -> GrayImage {
+    SynthSequence::small_demo().unwrap().frame(0).unwrap().image
+}
+
+#[test]
+fn the_newest_frames_are_kept_while_there_is_nothing_to_follow() {
+    let plain = vec![GrayImage::filled(160, 120, 90.0); 6];
+    let states = states(&plain, 4);
+    assert_eq!(states[3], (vec![0, 1, 2, 3], vec![]));
+    assert_eq!(states[5], (vec![2, 3, 4, 5], vec![]));
+}
+
+#[test]
+fn a_camera_that_stands_still_gets_a_new_reference_when_the_first_leaves_the_buffer() {
+    let states = states(&vec![room(); 6], 4);
+    assert_eq!(states[3], (vec![0, 1, 2, 3], vec![0]));
+    assert_eq!(states[4], (vec![1, 2, 3, 4], vec![3]));
+    assert_eq!(states[5], (vec![2, 3, 4, 5], vec![2]));
+}
+
+#[test]
+fn a_camera_that_moves_on_without_a_start_gets_references_beside_the_first() {
+    const STEP_PX: usize = 5;
+    let room = room();
+    let (width, height) = (room.width(), room.height());
+    let images: Vec<GrayImage> = (0..25)
+        .map(|k| GrayImage::from_fn(width, height, |x, y| room.at((x + STEP_PX * k) % width, y)))
+        .collect();
+    let share = InitializationConfig::default().reference_displacement;
+    let frames_between = (share * width as f64 / STEP_PX as f64).ceil() as usize;
+    let states = states(&images, 100);
+    assert_eq!(states[frames_between - 1].1, [0]);
+    assert_eq!(states[frames_between + 1].1.len(), 2);
+    assert!(
+        states
+            .iter()
+            .all(|(_, references)| references.len() <= MAX_REFERENCES)
+    );
+    // the oldest has given way
+    assert!(states[24].1[0] > 0);
+}
