@@ -10,6 +10,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// A kind of file: which seed it begins from, and what the program is to do with it.
+#[derive(Clone, Copy)]
 struct Kind {
     name: &'static str,
     seed: &'static str,
@@ -238,6 +239,54 @@ const KINDS: &[Kind] = &[
     ),
 ];
 
+/// Kinds that hold images: each is decoded to the end, or to its eighth image.
+const MEDIA: &[(&str, &str, &str)] = &[
+    ("video .mp4", "reordered.mp4", "v.mp4"),
+    ("video .avi", "mjpeg.avi", "v.avi"),
+    ("video .y4m", "gray.y4m", "v.y4m"),
+    ("archive .zip", "images.zip", "a.zip"),
+    ("archive .tar", "images.tar", "a.tar"),
+];
+
+const MEDIA_ARGS: &[&str] = &[
+    "run",
+    "@",
+    "--fov",
+    "60",
+    "--max-frames",
+    "8",
+    "--threads",
+    "2",
+    "--out",
+    "!/run",
+];
+
+/// Calibrations as other programs write them.
+const CALIBRATIONS: &[(&str, &str, &str)] = &[
+    ("calibration of ROS", "ros.yaml", "c.yaml"),
+    ("calibration of Kalibr", "kalibr.yaml", "c.yaml"),
+    ("calibration of ORB-SLAM", "orb.yaml", "c.yaml"),
+    ("calibration of COLMAP", "colmap.txt", "cameras.txt"),
+    ("calibration .toml", "own.toml", "c.toml"),
+];
+
+const CALIBRATION_ARGS: &[&str] = &["check", "%/video/few.txt", "--calibration", "@"];
+
+/// All kinds; images and calibrations come from anywhere, so that they may not take more than 1 GB.
+fn kinds() -> Vec<(Kind, &'static str)> {
+    let of = |table: &[(&'static str, &'static str, &'static str)], args| -> Vec<Kind> {
+        let row = |&(name, seed, file)| kind(name, seed, file, args, as_it_is);
+        table.iter().map(row).collect()
+    };
+    let small = of(MEDIA, MEDIA_ARGS)
+        .into_iter()
+        .chain(of(CALIBRATIONS, CALIBRATION_ARGS));
+    let others = KINDS.iter().copied().map(|kind| (kind, ""));
+    others
+        .chain(small.map(|kind| (kind, "ulimit -v 1400000;")))
+        .collect()
+}
+
 const fn kind(
     name: &'static str,
     seed: &'static str,
@@ -368,14 +417,16 @@ fn mutated_files_of_every_kind() {
     fs::write(seeds.path("video/mask.png"), png).unwrap();
     println!("| mutated file | runs | accepted | slowest | harm |\n|---|---|---|---|---|");
     let mut harmed = 0;
-    for kind in KINDS.iter().filter(|kind| kind.name.contains(&only)) {
-        harmed += torture(kind, &seeds, Duration::from_secs(seconds));
+    for (kind, limit) in kinds() {
+        if kind.name.contains(&only) {
+            harmed += torture(&kind, limit, &seeds, Duration::from_secs(seconds));
+        }
     }
     assert_eq!(harmed, 0, "see above");
 }
 
-/// Tries mutations for a time; the number of those that did harm.
-fn torture(kind: &Kind, seeds: &Seeds, time: Duration) -> usize {
+/// Tries mutations for a time, with one more limit of the shell; the number of those that did harm.
+fn torture(kind: &Kind, limit: &str, seeds: &Seeds, time: Duration) -> usize {
     let seed = fs::read(seeds.path(kind.seed)).unwrap();
     let first = from_environment("TORTURE_SEED", 1);
     let begin = Instant::now();
@@ -395,7 +446,7 @@ fn torture(kind: &Kind, seeds: &Seeds, time: Duration) -> usize {
                 .replace('%', &seeds.root().display().to_string())
                 .replace('!', &results.display().to_string())
         });
-        let ended = run(limited("", args), folder.path());
+        let ended = run(limited(limit, args), folder.path());
         runs += 1;
         accepted += usize::from(matches!(ended.code, Some(0 | 3)));
         slowest = slowest.max(ended.took);

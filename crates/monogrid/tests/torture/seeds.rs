@@ -2,7 +2,8 @@
 
 use crate::common::copy_of_small_sequence;
 use crate::limits::{limited, run};
-use std::fs;
+use std::fs::{self, File};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Folder with `video/` (TUM layout), `run/` (its results) and a file of every other kind.
@@ -38,7 +39,7 @@ impl Seeds {
                 "sweep",
                 &recording,
                 "--resolutions",
-                "0.2,0.4",
+                "0.4",
                 "--out",
                 &at("sweep"),
             ],
@@ -59,6 +60,27 @@ impl Seeds {
         self.folder.path()
     }
 
+    /// Nine images of the video in a zip and a tar archive.
+    fn write_archives(&self) {
+        let mut images: Vec<PathBuf> = fs::read_dir(self.path("video/rgb"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
+        images.sort();
+        images.truncate(9);
+        let mut zip = zip::ZipWriter::new(File::create(self.path("images.zip")).unwrap());
+        let mut tar = tar::Builder::new(File::create(self.path("images.tar")).unwrap());
+        for (index, image) in images.iter().enumerate() {
+            let name = format!("{index}.png");
+            let how = zip::write::SimpleFileOptions::default();
+            zip.start_file(&name, how).unwrap();
+            zip.write_all(&fs::read(image).unwrap()).unwrap();
+            tar.append_path_with_name(image, &name).unwrap();
+        }
+        zip.finish().unwrap();
+        tar.finish().unwrap();
+    }
+
     fn write_others(&self) {
         let write = |name: &str, content: &[u8]| fs::write(self.path(name), content).unwrap();
         write("scans.scans", &scans());
@@ -73,6 +95,15 @@ impl Seeds {
               0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2\n3 1 2 3\n",
         );
         write("gray.pgm", &pgm());
+        write("gray.y4m", &y4m());
+        for name in ["reordered.mp4", "mjpeg.avi"] {
+            let video = Path::new(env!("CARGO_MANIFEST_DIR")).join("../monogrid-video/tests/data");
+            fs::copy(video.join(name), self.path(name)).unwrap();
+        }
+        for (name, text) in CALIBRATIONS {
+            write(name, text.as_bytes());
+        }
+        self.write_archives();
         // lists of few frames, beside the images that they name
         let text = fs::read_to_string(self.path("video/rgb.txt")).unwrap();
         let folder = self.path("video").display().to_string();
@@ -83,6 +114,46 @@ impl Seeds {
             .collect();
         write("video/few.txt", few.join("\n").as_bytes());
     }
+}
+
+/// A calibration for each of the readers.
+const CALIBRATIONS: [(&str, &str); 5] = [
+    (
+        "ros.yaml",
+        "image_width: 320\nimage_height: 240\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
+         data: [277.0, 0.0, 160.0, 0.0, 277.0, 120.0, 0.0, 0.0, 1.0]\ndistortion_model: plumb_bob\n\
+         distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.1, 0.02, 0.0, 0.0, 0.0]\n",
+    ),
+    (
+        "kalibr.yaml",
+        "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [-0.1, 0.02, 0.001, 0.0]\n  \
+         distortion_model: radtan\n  intrinsics: [277.0, 277.0, 160.0, 120.0]\n  resolution: [320, 240]\n",
+    ),
+    (
+        "orb.yaml",
+        "%YAML:1.0\nCamera.type: \"KannalaBrandt8\"\nCamera.fx: 277.0\nCamera.fy: 277.0\nCamera.cx: 160.0\n\
+         Camera.cy: 120.0\nCamera.k1: 0.01\nCamera.k2: 0.001\nCamera.k3: 0.0\nCamera.k4: 0.0\n\
+         Camera.width: 320\nCamera.height: 240\n",
+    ),
+    (
+        "colmap.txt",
+        "# Camera list with one line of data per camera:\n1 OPENCV 320 240 277 277 160 120 -0.1 0.02 0 0\n",
+    ),
+    (
+        "own.toml",
+        "width = 320\nheight = 240\nmodel = \"radial-tangential\"\nfx = 277.0\nfy = 277.0\ncx = 160.0\n\
+         cy = 120.0\ndistortion = [-0.1, 0.02, 0.0, 0.0]\n",
+    ),
+];
+
+/// Nine grey frames in which stripes move.
+fn y4m() -> Vec<u8> {
+    let mut file = b"YUV4MPEG2 W64 H48 F30:1 Ip A1:1 Cmono\n".to_vec();
+    for frame in 0..9 {
+        file.extend(b"FRAME\n");
+        file.extend((0..64 * 48).map(|i| ((i % 64 + frame) * 9 + (i / 64) * 5) as u8));
+    }
+    file
 }
 
 /// Two scans of three points.
