@@ -2,7 +2,7 @@
 
 use crate::input::{Images, Input};
 use crate::map_camera::{as_calibrated, prior, shown_by_map};
-use crate::self_calibration::{estimate, windows_of};
+use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
 use monogrid_geometry::{Camera, Pinhole, Vec2, Vec3};
 use monogrid_image::GrayImage;
@@ -156,7 +156,7 @@ pub fn doubts(given: &Camera, images: impl Iterator<Item = GrayImage>) -> Vec<St
         return Vec::new();
     }
     let mut doubts = Vec::new();
-    let shown = estimate(&windows, size, 1.0);
+    let shown = estimate(&windows, size, &Expected::ORDINARY, 1.0);
     if is_focal_doubted(focal, &shown) {
         let (low, high) = shown.focal_interval_px();
         doubts.push(format!(
@@ -168,7 +168,7 @@ pub fn doubts(given: &Camera, images: impl Iterator<Item = GrayImage>) -> Vec<St
     }
     let limit_px = MIN_CENTRE_DOUBT * size.0.max(size.1) as f64;
     if (centre - shown.intrinsics.centre).norm() > limit_px {
-        let free = estimate(&windows, size, CENTRE_FREEDOM);
+        let free = estimate(&windows, size, &Expected::ORDINARY, CENTRE_FREEDOM);
         if is_centre_doubted(&centre, &free, limit_px) {
             let better = free.intrinsics.centre;
             doubts.push(format!(
@@ -208,12 +208,14 @@ fn middle(camera: &Camera) -> Option<(f64, Vec2)> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Estimate, estimate, is_as_given, is_centre_doubted, is_focal_doubted, middle};
+    use super::{
+        Estimate, Expected, estimate, is_as_given, is_centre_doubted, is_focal_doubted, middle,
+    };
     use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 
     /// An estimate of 500 px as certain as this, with the principal point in the middle.
     fn shown(sigma: f64) -> Estimate {
-        let mut estimate = estimate(&[], (640, 480), 1.0);
+        let mut estimate = estimate(&[], (640, 480), &Expected::ORDINARY, 1.0);
         estimate.intrinsics.focal = 500.0;
         estimate.num_windows = 3;
         estimate.sigma[0] = sigma;

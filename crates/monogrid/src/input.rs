@@ -2,7 +2,7 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
-use crate::self_calibration::OwnCalibration;
+use crate::self_calibration::{Expected, OwnCalibration};
 use crate::video::{VideoItem, VideoSource, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
@@ -71,7 +71,11 @@ impl Input {
             frames.iter().filter_map(readable)
         };
         let known = known_camera(given, args, image_size, || {
-            OwnCalibration::from_images(images(), image_size).ok_or_else(|| {
+            let first = frames.first().map(|frame| frame.path.as_path());
+            let expected = first.map_or(Expected::ORDINARY, |path| {
+                Expected::of_image(path, image_size)
+            });
+            OwnCalibration::from_images(images(), image_size, &expected).ok_or_else(|| {
                 no_calibration(&format!(
                     "no calibration in {}: expected calibration.toml or calibration.txt there (one \
                      line `fx fy cx cy width height`, in pixels)",
@@ -114,7 +118,7 @@ impl Input {
                     "no calibration: what is seen only once cannot show its camera first",
                 ));
             }
-            OwnCalibration::from_images(images(), size)
+            OwnCalibration::from_images(images(), size, &Expected::ORDINARY)
                 .ok_or_else(|| no_calibration("no calibration, and the video does not show it"))
         })?;
         Ok(Self {

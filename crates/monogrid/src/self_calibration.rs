@@ -5,13 +5,57 @@ use monogrid_calibration::{
     CollectorConfig, Estimate, EstimateConfig, Intrinsics, Prior, TrackCollector, Window,
     estimate_intrinsics,
 };
-use monogrid_datasets::Calibration;
+use monogrid_datasets::{Calibration, exif_focal_px};
 use monogrid_geometry::{Camera, Distortion, Pinhole};
 use monogrid_image::{GrayImage, Resize, WorkingSize, resize_area};
+use std::path::Path;
 
 /// Field of view that is assumed along the longer side where nothing is known, degrees: between the
 /// main cameras of phones while filming and those of laptops.
 pub const ASSUMED_FOV_DEG: f64 = 62.0;
+
+/// How the focal length that a camera wrote into its images may differ from that of the images, relative: what was
+/// cropped or stabilised sees less.
+const EXIF_SIGMA: f64 = 0.12;
+
+/// What is expected of a camera before its images are looked at.
+#[derive(Clone, Debug)]
+pub struct Expected {
+    /// Field of view along the longer side, degrees.
+    fov_deg: f64,
+    /// Relative standard deviation of the focal length; `None` where nothing is known of it.
+    focal_sigma: Option<f64>,
+    /// Where it comes from, for people.
+    source: &'static str,
+}
+
+impl Expected {
+    /// An ordinary camera.
+    pub const ORDINARY: Self = Self {
+        fov_deg: ASSUMED_FOV_DEG,
+        focal_sigma: None,
+        source: "assumed",
+    };
+
+    /// What the camera wrote into an image, if it did.
+    pub fn of_image(path: &Path, size: (usize, usize)) -> Self {
+        let longer = size.0.max(size.1) as f64;
+        match exif_focal_px(path, size) {
+            Some(focal) => Self {
+                fov_deg: 2.0 * (longer / 2.0 / focal).atan().to_degrees(),
+                focal_sigma: Some(EXIF_SIGMA),
+                source: "as the images say (Exif)",
+            },
+            None => Self::ORDINARY,
+        }
+    }
+
+    fn prior(&self, size: (usize, usize)) -> Prior {
+        let mut prior = Prior::ordinary(self.fov_deg, size);
+        prior.sigma[0] = self.focal_sigma.unwrap_or(prior.sigma[0]);
+        prior
+    }
+}
 
 /// Windows of the video that are used.
 const MAX_WINDOWS: usize = 8;
@@ -51,27 +95,33 @@ impl OwnCalibration {
     pub fn from_images(
         images: impl Iterator<Item = GrayImage>,
         size: (usize, usize),
+        expected: &Expected,
     ) -> Option<Self> {
         let windows = windows_of(images.take(MAX_FRAMES), size, MAX_WINDOWS);
         if windows.is_empty() {
             return None;
         }
-        Self::from_estimate(&estimate(&windows, size, 1.0), size)
+        Self::from_estimate(&estimate(&windows, size, expected, 1.0), size, expected)
     }
 
-    fn from_estimate(estimate: &Estimate, size: (usize, usize)) -> Option<Self> {
+    fn from_estimate(
+        estimate: &Estimate,
+        size: (usize, usize),
+        expected: &Expected,
+    ) -> Option<Self> {
         let percent = 196.0 * estimate.sigma[0];
         if !estimate.is_determined() {
-            let prior = Prior::ordinary(ASSUMED_FOV_DEG, size);
+            let Expected {
+                fov_deg, source, ..
+            } = expected;
             return Some(Self {
-                camera: Intrinsics::from_parameters(&prior.mean).camera(size)?,
+                camera: Intrinsics::from_parameters(&expected.prior(size).mean).camera(size)?,
                 interpretation: format!(
-                    "assumed: pinhole with a field of view of {ASSUMED_FOV_DEG} degrees along the \
-                     longer side"
+                    "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
                 ),
                 warnings: vec![format!(
                     "the motion of the camera does not show its focal length (uncertain by {percent:.0} \
-                     %): {ASSUMED_FOV_DEG} degrees are assumed; turn the camera while moving it \
+                     %): {fov_deg:.0} degrees are taken, {source}; turn the camera while moving it \
                      sideways, or give --calibration FILE or --fov DEG"
                 )],
             });
@@ -159,26 +209,40 @@ pub fn windows_of(
 
 /// What windows at working size say about the camera of images of this size; the principal point has
 /// `centre_freedom` times its ordinary freedom.
-pub fn estimate(windows: &[Window], size: (usize, usize), centre_freedom: f64) -> Estimate {
+pub fn estimate(
+    windows: &[Window],
+    size: (usize, usize),
+    expected: &Expected,
+    centre_freedom: f64,
+) -> Estimate {
     let working = WorkingSize::Automatic.resolve(size.0, size.1);
-    let mut prior = Prior::ordinary(ASSUMED_FOV_DEG, working);
+    let mut prior = expected.prior(working);
     prior.sigma[3] *= centre_freedom;
     prior.sigma[4] *= centre_freedom;
-    let estimate = estimate_intrinsics(windows, working, &prior, &EstimateConfig::default());
+    let ordinary = EstimateConfig::default();
+    let config = EstimateConfig {
+        guesses_deg: match expected.focal_sigma {
+            Some(_) => vec![expected.fov_deg],
+            None => ordinary.guesses_deg,
+        },
+        ..ordinary
+    };
+    let estimate = estimate_intrinsics(windows, working, &prior, &config);
     estimate.scaled(size.0 as f64 / working.0 as f64, size)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{OwnCalibration, estimate};
+    use super::{Expected, OwnCalibration, estimate};
 
     #[test]
     fn what_is_not_determined_is_assumed_and_said() {
-        let mut shown = estimate(&[], (640, 480), 1.0);
+        let ordinary = Expected::ORDINARY;
+        let mut shown = estimate(&[], (640, 480), &ordinary, 1.0);
         shown.intrinsics.focal = 500.0;
         shown.num_windows = 3;
         shown.sigma[0] = 0.02;
-        let certain = OwnCalibration::from_estimate(&shown, (640, 480)).unwrap();
+        let certain = OwnCalibration::from_estimate(&shown, (640, 480), &ordinary).unwrap();
         assert!(certain.warnings.is_empty());
         assert!((certain.camera.pinhole.fx - 500.0).abs() < 1e-9);
         let (name, text) = certain.file();
@@ -188,8 +252,17 @@ mod tests {
             "{text}"
         );
         shown.sigma[0] = 0.06;
-        let assumed = OwnCalibration::from_estimate(&shown, (640, 480)).unwrap();
+        let assumed = OwnCalibration::from_estimate(&shown, (640, 480), &ordinary).unwrap();
         assert!((assumed.camera.horizontal_fov_deg() - 62.0).abs() < 0.2);
         assert!(assumed.warnings[0].contains("--fov DEG"), "{assumed:?}");
+        let wide = Expected {
+            fov_deg: 80.0,
+            focal_sigma: Some(0.1),
+            source: "as the images say",
+        };
+        let known = OwnCalibration::from_estimate(&shown, (640, 480), &wide).unwrap();
+        assert!((known.camera.horizontal_fov_deg() - 80.0).abs() < 0.2);
+        assert!(known.interpretation.contains("images say"), "{known:?}");
+        assert!(estimate(&[], (640, 480), &wide, 1.0).sigma[0] < 0.11);
     }
 }
