@@ -5,10 +5,16 @@ use monogrid_occupancy::*;
 use std::collections::BTreeMap;
 
 const RESOLUTION: f64 = 0.1;
+/// Enough for the balls, but not for a surface with a face for nearly every cell.
+const BUDGET: usize = 2_000_000;
 
 /// A map of these log-odds by distance from the origin; NaN: unknown.
 fn ball(log_odds: impl Fn(f64) -> f32) -> OccupancyMap {
-    let mut map = OccupancyMap::new(MapConfig::with_resolution(RESOLUTION)).unwrap();
+    let mut map = OccupancyMap::new(MapConfig {
+        memory_budget_bytes: BUDGET,
+        ..MapConfig::with_resolution(RESOLUTION)
+    })
+    .unwrap();
     let (low, high) = (VoxelKey::new(-16, -16, -16), VoxelKey::new(15, 15, 15));
     let keys: Vec<VoxelKey> = map
         .states_in_key_box(low, high)
@@ -29,7 +35,7 @@ fn norm(v: [f64; 3]) -> f64 {
 #[test]
 fn the_surface_of_a_ball_is_closed_where_it_should_be_and_looks_outwards() {
     let map = ball(|distance| (10.0 * (1.0 - distance)).clamp(-2.0, 2.0) as f32);
-    let mesh = map.surface_mesh(0);
+    let mesh = map.surface_mesh(0).unwrap();
     assert!(mesh.vertices.len() > 800, "{}", mesh.vertices.len());
     assert_eq!(mesh.vertices.len(), mesh.normals.len());
     for (vertex, normal) in mesh.vertices.iter().zip(&mesh.normals) {
@@ -61,14 +67,30 @@ fn what_is_unknown_bounds_nothing_and_small_pieces_go() {
         _ => -2.0,
     };
     let mut map = ball(seen);
-    let shell = map.surface_mesh(0);
+    let shell = map.surface_mesh(0).unwrap();
     let inside = |v: &&[f32; 3]| norm(v.map(f64::from)) < 0.9;
     assert_eq!(shell.vertices.iter().filter(inside).count(), 0);
     map.set_log_odds(VoxelKey::new(14, 14, 14), Some(1.0))
         .unwrap();
     assert_eq!(
-        map.surface_mesh(6).triangles.len(),
+        map.surface_mesh(6).unwrap().triangles.len(),
         shell.triangles.len() + 12
     );
-    assert_eq!(map.surface_mesh(7), shell);
+    assert_eq!(map.surface_mesh(7).unwrap(), shell);
+}
+
+#[test]
+fn a_surface_beyond_the_budget_is_refused() {
+    let mut map = ball(|_| -1.0);
+    let keys: Vec<VoxelKey> = map.cells().map(|cell| cell.key).collect();
+    for key in keys {
+        if (key.x + key.y + key.z) % 2 == 0 {
+            map.set_log_odds(key, Some(1.0)).unwrap();
+        }
+    }
+    let refused = map.surface_mesh(0);
+    assert!(
+        matches!(refused, Err(MapError::MemoryBudget { .. })),
+        "{refused:?}"
+    );
 }

@@ -7,6 +7,7 @@
 
 use std::collections::HashMap;
 
+use crate::error::MapError;
 use crate::evidence::{Occupancy, log_odds_from_probability};
 use crate::key::VoxelKey;
 use crate::map::OccupancyMap;
@@ -24,20 +25,34 @@ pub struct SurfaceMesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
+/// Memory of a face while a surface is made: its vertex (there are about as many) twice, with its place among them, and its corners.
+const BYTES_PER_FACE: usize = 200;
+
 impl OccupancyMap {
     /// The surface between occupied and free cells, without pieces that hang together by fewer than `min_faces` faces of cells:
     /// these are mostly false measurements in free space. 0 keeps all.
-    #[must_use]
-    pub fn surface_mesh(&self, min_faces: usize) -> SurfaceMesh {
+    ///
+    /// # Errors
+    /// Map and surface together need more than the memory budget of the map.
+    pub fn surface_mesh(&self, min_faces: usize) -> Result<SurfaceMesh, MapError> {
+        let budget_bytes = self.config().memory_budget_bytes;
+        let map_bytes = self.bytes_in_memory();
         let mut net = Net::new(self);
         let mut quads = Vec::new();
         for cell in self.cells() {
             if cell.state == Occupancy::Occupied {
                 net.faces_of(cell.key, &mut quads);
+                let needed_bytes = map_bytes + BYTES_PER_FACE * quads.len();
+                if needed_bytes > budget_bytes {
+                    return Err(MapError::MemoryBudget {
+                        needed_bytes,
+                        budget_bytes,
+                    });
+                }
             }
         }
         let kept = large_pieces(net.mesh.vertices.len(), &quads, min_faces);
-        net.mesh.with_faces(&kept)
+        Ok(net.mesh.with_faces(&kept))
     }
 }
 

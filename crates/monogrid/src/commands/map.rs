@@ -134,6 +134,7 @@ pub fn execute(args: &MapArgs) -> CommandResult {
     }
     if let Some((file, format)) = &mesh_file {
         let mesh = built.colours.mesh(&built.map, &built.mesh);
+        let mesh = mesh.while_running("the surface cannot be made")?;
         file.write_with(|out| format.write(&mesh, &built.unit, out))?;
     }
     for warning in &built.warnings {

@@ -2,7 +2,7 @@
 
 use super::print_json;
 use crate::args::{ForceArg, JsonArg};
-use crate::failure::{CommandResult, Outcome};
+use crate::failure::{Classify, CommandResult, Outcome};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use crate::surface::{CellColours, MeshFormat};
@@ -37,6 +37,7 @@ pub fn execute(args: &MeshArgs) -> CommandResult {
         ..MeshConfig::default()
     };
     let mesh = CellColours::unknown().mesh(&map, &config);
+    let mesh = mesh.while_running("the surface cannot be made")?;
     output.write_with(|out| format.write(&mesh, "the unit of the map", out))?;
     let (vertices, triangles) = (mesh.surface.vertices.len(), mesh.surface.triangles.len());
     if args.json.json {

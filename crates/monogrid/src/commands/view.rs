@@ -4,7 +4,7 @@ use super::print_json;
 use crate::args::{ForceArg, JsonArg};
 use crate::colours::Colours;
 use crate::explorer::{
-    Answer, Camera, Cells, Cloud, CloudPoint, Scene, SemiDense, Server, ShownKeyframe,
+    Answer, Camera, Cells, Cloud, CloudPoint, PageMesh, Scene, SemiDense, Server, ShownKeyframe,
     cloud_and_keyframes, point_groups, section,
 };
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
@@ -16,8 +16,10 @@ use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use crate::recorded::Recorded;
 use crate::report::Page;
 use crate::run::align::{Align, Up};
+use crate::surface::CellColours;
 use clap::Args;
 use monogrid_datasets::encode_png_rgb;
+use monogrid_slam::mapping::MeshConfig;
 use monogrid_worlds::MeshModel;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -140,8 +142,13 @@ impl Shown {
         let (map, _) = mapfile::load(source)?;
         let cubes = occupied_cubes(&map).while_running("the map cannot be drawn")?;
         let cells = Cells::new(&map).while_running("the map cannot be drawn")?;
+        let mesh = CellColours::unknown().mesh(&map, &MeshConfig::default());
         let scene = Scene {
             cells: Some(cells),
+            // one that is too large for the memory is left to `monogrid mesh`, which says so
+            mesh: mesh
+                .ok()
+                .and_then(|mesh| PageMesh::new(&mesh, map.resolution())),
             ..Scene::default()
         };
         Ok(Self {
@@ -241,6 +248,7 @@ impl Shown {
         if map.is_file() && recording.is_file() {
             let of_map = Self::of_map(&map)?;
             shown.scene.cells = of_map.scene.cells;
+            shown.scene.mesh = of_map.scene.mesh;
             shown.cubes = of_map.cubes;
         }
         shown.scene.cut = dollhouse_cut(&shown.cubes, &shown.path());

@@ -4,7 +4,7 @@ use crate::colours::Colours;
 use crate::explorer::Look;
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
 use monogrid_image::Image;
-use monogrid_occupancy::{OccupancyMap, SurfaceMesh, VoxelKey};
+use monogrid_occupancy::{MapError, OccupancyMap, SurfaceMesh, VoxelKey};
 use monogrid_slam::mapping::{KeyframeScan, MeshConfig};
 use std::collections::HashMap;
 
@@ -117,13 +117,13 @@ impl CellColours {
     }
 
     /// The surface of a map in these colours.
-    pub fn mesh(&self, map: &OccupancyMap, config: &MeshConfig) -> ColouredMesh {
-        let surface = map.surface_mesh(config.min_faces);
+    pub fn mesh(&self, map: &OccupancyMap, config: &MeshConfig) -> Result<ColouredMesh, MapError> {
+        let surface = map.surface_mesh(config.min_faces)?;
         let colours = surface.cubes.iter().map(|cube| self.around(*cube));
-        ColouredMesh {
+        Ok(ColouredMesh {
             colours: colours.collect(),
             surface,
-        }
+        })
     }
 }
 

@@ -119,7 +119,7 @@ pub fn write_global(
     })
 }
 
-/// The surface of the map as PLY and glTF, where it is asked for.
+/// The surface of the map as PLY and glTF, where it is asked for and there is memory for it.
 fn write_mesh(
     folder: &OutputFolder,
     map: &OccupancyMap,
@@ -129,7 +129,13 @@ fn write_mesh(
     if !surface.config.enabled {
         return Ok(None);
     }
-    let mesh = surface.colours.mesh(map, surface.config);
+    let mesh = match surface.colours.mesh(map, surface.config) {
+        Ok(mesh) => mesh,
+        Err(error) => {
+            eprintln!("warning: there is no mesh: {error}");
+            return Ok(None);
+        }
+    };
     let unit = unit_name(ground.is_metric);
     for (name, format) in [("mesh.ply", MeshFormat::Ply), ("mesh.glb", MeshFormat::Glb)] {
         folder.write_with(name, |out| format.write(&mesh, unit, out))?;
