@@ -1,14 +1,57 @@
 //! COLMAP's `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS...` in pixels, the corner of the
-//! top-left pixel at (0, 0).
+//! top-left pixel at (0, 0); and `cameras.bin`, which says the same in little-endian numbers.
 
 use super::{Draft, fov, pixel_count, radial_tangential};
-use crate::DatasetError;
+use crate::{DatasetError, read_file};
 use monogrid_geometry::{Distortion, Pinhole};
 use std::path::Path;
 
 /// The models of COLMAP that are understood, with their parameters.
 const MODELS: &str = "SIMPLE_PINHOLE (3 parameters), PINHOLE (4), SIMPLE_RADIAL (4), RADIAL (5), OPENCV (8), \
                       FULL_OPENCV (12, the last three 0), OPENCV_FISHEYE (8) or FOV (5)";
+
+/// Models by their numbers in binary files, with how many parameters they have.
+const NUMBERED: [(&str, usize); 8] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+];
+
+/// Largest binary file that is read: a camera takes some hundred bytes.
+const MAX_BINARY_BYTES: u64 = 1 << 24;
+
+/// The first camera of a `cameras.bin` as its line in `cameras.txt` would be.
+pub(super) fn read_binary(path: &Path) -> Result<String, DatasetError> {
+    let bytes = read_file(path, MAX_BINARY_BYTES)?;
+    first_camera(&bytes).ok_or_else(|| DatasetError::content(path, "no binary camera", MODELS))
+}
+
+/// Number of cameras (u64); of the first its number (u32), model (i32), width, height (u64) and parameters (f64).
+fn first_camera(bytes: &[u8]) -> Option<String> {
+    let mut rest = bytes;
+    let mut next = |length: usize| {
+        let (value, others) = rest.split_at_checked(length)?;
+        rest = others;
+        Some(value)
+    };
+    let _num_cameras = next(8)?;
+    let id = u32::from_le_bytes(next(4)?.try_into().ok()?);
+    let model = i32::from_le_bytes(next(4)?.try_into().ok()?);
+    let (model, num_parameters) = NUMBERED.get(usize::try_from(model).ok()?)?;
+    let width = u64::from_le_bytes(next(8)?.try_into().ok()?);
+    let height = u64::from_le_bytes(next(8)?.try_into().ok()?);
+    let mut line = format!("{id} {model} {width} {height}");
+    for _ in 0..*num_parameters {
+        let parameter = f64::from_le_bytes(next(8)?.try_into().ok()?);
+        line.push_str(&format!(" {parameter:?}"));
+    }
+    Some(line)
+}
 
 /// Whether a line looks like a camera of COLMAP.
 pub(super) fn is_camera(line: &str) -> bool {

@@ -8,7 +8,7 @@
 //!   numbers of OpenCV's model), and DSO's with a model name in front;
 //! * EuRoC's `sensor.yaml`, Kalibr's `camchain.yaml`, ROS' `camera_info` YAML;
 //! * ORB-SLAM's and stella's YAML (keys `Camera.fx` or `Camera1.fx`, or `fx` under `Camera`);
-//! * COLMAP's `cameras.txt`;
+//! * COLMAP's `cameras.txt` and `cameras.bin`;
 //! * KITTI's `calib.txt` (first projection matrix; needs the size of the images).
 //!
 //! The centre of the top-left pixel is (0, 0) in the result. Formats with *relative* values count from
@@ -52,7 +52,10 @@ impl Calibration {
     /// # Errors
     /// When the file cannot be read or understood, or its numbers are not those of a real camera.
     pub fn read(path: &Path, image_size: Option<(usize, usize)>) -> Result<Self, DatasetError> {
-        let text = read_text(path)?;
+        let text = match path.extension() {
+            Some(extension) if extension.eq_ignore_ascii_case("bin") => colmap::read_binary(path)?,
+            _ => read_text(path)?,
+        };
         Self::parse(&text, path, image_size)
     }
 

@@ -284,9 +284,10 @@ fn kitti_poses(root: &Path, layout: Layout) -> Option<PathBuf> {
 }
 
 /// Names under which other programs keep calibrations, besides ours.
-const CALIBRATION_NAMES: [&str; 7] = [
+const CALIBRATION_NAMES: [&str; 8] = [
     "camera.txt",
     "cameras.txt",
+    "cameras.bin",
     "cameraCalibration.cfg",
     "calib.txt",
     "sensor.yaml",

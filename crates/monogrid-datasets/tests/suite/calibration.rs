@@ -323,6 +323,31 @@ proptest! {
 }
 
 #[test]
+fn binary_cameras_of_colmap() {
+    let mut bytes = 1_u64.to_le_bytes().to_vec();
+    bytes.extend(7_u32.to_le_bytes());
+    bytes.extend(2_i32.to_le_bytes());
+    bytes.extend(640_u64.to_le_bytes());
+    bytes.extend(480_u64.to_le_bytes());
+    for parameter in [500.0, 320.0, 240.0, 0.1_f64] {
+        bytes.extend(parameter.to_le_bytes());
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cameras.bin");
+    std::fs::write(&path, &bytes).unwrap();
+    let read = Calibration::read(&path, None).unwrap();
+    let text = camera("cameras.txt", "7 SIMPLE_RADIAL 640 480 500 320 240 0.1\n");
+    assert_eq!(read.camera, text);
+    for length in 0..bytes.len() {
+        std::fs::write(&path, &bytes[..length]).unwrap();
+        assert!(Calibration::read(&path, None).is_err(), "{length} bytes");
+    }
+    bytes[12] = 99;
+    std::fs::write(&path, &bytes).unwrap();
+    assert!(Calibration::read(&path, None).is_err(), "an unknown model");
+}
+
+#[test]
 fn cameras_of_colmap() {
     let text = "# Camera list\n1 OPENCV 752 480 458 457 367.5 248.5 -0.28 0.07 0.0002 0.00002\n";
     let opencv = camera("cameras.txt", text);
