@@ -40,6 +40,7 @@
 //! | what is in this box? | [`OccupancyMap::cells_in_box`], [`OccupancyMap::keys_in_key_box`] | |
 //! | what changed? | [`OccupancyMap::bricks_changed_since`], [`OccupancyMap::difference`] | |
 //! | what does it look like from above? | [`OccupancyMap::projected`] | |
+//! | where are its surfaces? | [`OccupancyMap::surface_mesh`] | |
 //!
 //! A [`Snapshot`] and a [`DistanceField`] follow their map by reading the bricks that changed:
 //!
