@@ -52,7 +52,7 @@ impl Frame {
 /// A frame that waits for the first keyframe, in eight bits.
 #[derive(Clone, Debug)]
 pub(crate) struct BufferedFrame {
-    index: usize,
+    pub index: usize,
     pub timestamp_ns: i64,
     image: Image<u8>,
 }

@@ -45,7 +45,25 @@ pub(crate) struct Started {
     pub later: Vec<BufferedFrame>,
 }
 
+impl Started {
+    /// All frames, in the order of time.
+    pub(crate) fn into_frames(self) -> Vec<BufferedFrame> {
+        let mut frames = self.earlier;
+        frames.push(BufferedFrame::new(&self.keyframe));
+        frames.extend(self.later);
+        frames
+    }
+}
+
 impl Start {
+    /// The frames that were kept, in the order of time.
+    pub(crate) fn into_frames(self) -> Vec<BufferedFrame> {
+        match self {
+            Self::Random { .. } => Vec::new(),
+            Self::TwoView(start) => start.into_frames(),
+        }
+    }
+
     pub(crate) fn new(config: &SlamConfig, seed: u64) -> Self {
         match config.initialization.mode {
             InitializationMode::Random => Self::Random { seed },

@@ -59,6 +59,10 @@ impl TwoViewStart {
         }
     }
 
+    pub(crate) fn into_frames(self) -> Vec<BufferedFrame> {
+        self.buffered
+    }
+
     pub(crate) fn add_frame(
         &mut self,
         frame: Frame,

@@ -4,6 +4,7 @@ use super::camera::Last;
 use super::constrain::Link;
 use super::depth::stored_depth;
 use super::keyframes::{Use, decide_use, first_keyframe};
+use super::missed::track_back;
 use super::outcome::{Attempt, Begun, FrameOutcome, Localised};
 use super::slam::Slam;
 use super::tracking::track_on_active;
@@ -70,11 +71,11 @@ impl Slam {
             // all views of the start have refined its depth
             active.num_mapped = self.setup.config.keyframes.min_mapped_frames;
         }
-        if let Some(motions) = self.motions_on_first(earlier) {
-            for (buffered, motion) in earlier.iter().rev().zip(motions) {
-                self.believe(&self.setup.restored(buffered), motion);
+        if let (Some(active), Some(last)) = (&self.camera.active, &self.camera.last) {
+            let motions = track_back(&self.setup, &self.map, active, last.clone(), earlier);
+            if motions.len() == earlier.len() {
+                return self.store_backwards(earlier, &motions);
             }
-            return;
         }
         for buffered in earlier.iter().rev() {
             let frame = self.setup.restored(buffered);
@@ -82,25 +83,6 @@ impl Slam {
                 return;
             }
         }
-    }
-
-    /// Where these frames are, the last of them first, as tracked on the first keyframe alone; `None` where one of
-    /// them cannot be believed.
-    fn motions_on_first(&self, earlier: &[BufferedFrame]) -> Option<Vec<Motion>> {
-        let active = self.camera.active.as_ref()?;
-        let mut motions = Vec::with_capacity(earlier.len());
-        let mut last = self.camera.last.clone()?;
-        for buffered in earlier.iter().rev() {
-            let frame = self.setup.restored(buffered);
-            let tracked = track_on_active(&self.setup, &self.map, active, &last, &frame);
-            if tracked.state != TrackingState::Good {
-                return None;
-            }
-            let motion = tracked.alignment.motion;
-            last = Last::after(Some(&last), &frame, motion);
-            motions.push(motion);
-        }
-        Some(motions)
     }
 
     /// Tracks one of these frames; false where it cannot be believed.

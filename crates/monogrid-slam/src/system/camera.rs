@@ -62,6 +62,14 @@ impl Last {
             interval_ns,
         }
     }
+
+    /// The same frame for a camera that goes its way backwards.
+    pub(super) fn reversed(self) -> Self {
+        Self {
+            frame_from_previous: self.frame_from_previous.inverse(),
+            ..self
+        }
+    }
 }
 
 impl Camera {

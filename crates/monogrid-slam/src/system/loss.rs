@@ -67,6 +67,15 @@ impl Loss {
         }
     }
 
+    /// The frames of the loss, as far as they were kept.
+    pub(super) fn take_frames(&mut self) -> Vec<BufferedFrame> {
+        match (self.start.take(), self.started.take()) {
+            (_, Some(started)) => started.into_frames(),
+            (Some(start), None) => start.into_frames(),
+            (None, None) => Vec::new(),
+        }
+    }
+
     fn count(&mut self, frame: &Frame) {
         let step = self
             .last_ns

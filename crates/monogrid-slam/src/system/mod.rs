@@ -27,6 +27,7 @@ mod depth;
 mod keyframes;
 mod loss;
 mod lost;
+mod missed;
 mod odometry;
 mod outcome;
 mod points;

@@ -120,6 +120,7 @@ impl Slam {
         let place = self
             .map
             .locate(attempt.keyframe, &motion.frame_from_keyframe);
+        self.find_missed(&frame, motion);
         self.end_loss(attempt.keyframe, false);
         self.believe(&frame, motion);
 
