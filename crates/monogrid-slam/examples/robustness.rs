@@ -36,7 +36,7 @@ enum Disturbance {
     Blur,
     /// The exposure doubles or halves every 25 frames.
     ExposureJumps,
-    /// Five frames of 60 are black.
+    /// Five frames of 150 are black.
     BlackFrames,
     /// Somebody walks through the picture.
     Person,
@@ -115,7 +115,7 @@ impl Disturbance {
         /// Twice the light at a gamma of 2.2.
         const DOUBLED: f32 = 1.37;
         match self {
-            Self::BlackFrames if index % 60 >= 55 => image.map(|_| 0.0),
+            Self::BlackFrames if index % 150 >= 145 => image.map(|_| 0.0),
             Self::ExposureJumps => {
                 let factor = [1.0, DOUBLED, 1.0, 1.0 / DOUBLED][index / 25 % 4];
                 image.map(|grey| (grey * factor).round().min(255.0))
