@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
 /// Triangles on a page at most; of a mesh with more, vertices that lie close together become one.
-const MAX_TRIANGLES: usize = 300_000;
+const MAX_TRIANGLES: usize = 100_000;
 
 /// A mesh with a colour for every vertex.
 #[derive(Clone, Debug, Default, Serialize)]
