@@ -32,7 +32,7 @@ pub fn conclude(finished: &Finished, folder: &OutputFolder, json: bool) -> Comma
 
 /// One sentence for people.
 pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
-    let share = 100.0 * summary.tracked as f64 / summary.frames.max(1) as f64;
+    let share = percent(summary.tracked, summary.frames);
     let num_apart = summary.num_apart();
     match summary.status {
         Status::NotInitialised => {
@@ -50,25 +50,35 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
         ),
         Status::NotRecognised => "The camera was never recognised in the map: no frame shows a place that it holds. The map is as it was.".to_owned(),
         Status::Fragment => format!(
-            "Tracking was lost and went on in a fragment that was never recognised as part of the map; {share:.0} % of the frames have a pose in the map."
+            "Tracking was lost and went on in a fragment that was never recognised as part of the map; {share} % of the frames have a pose in the map."
         ),
         Status::Lost => format!(
-            "Tracking was lost for good; {share:.0} % of the frames have a pose, and what was mapped until then is saved."
+            "Tracking was lost for good; {share} % of the frames have a pose, and what was mapped until then is saved."
         ),
         Status::Unreadable => format!(
-            "The images became unreadable; {share:.0} % of the frames until then have a pose."
+            "The images became unreadable; {share} % of the frames until then have a pose."
         ),
         Status::Interrupted if summary.keyframes == 0 => {
             "Interrupted before tracking started; there is no map.".to_owned()
         }
         Status::Interrupted => format!(
-            "Interrupted; {share:.0} % of the frames until then have a pose, everything is saved."
+            "Interrupted; {share} % of the frames until then have a pose, everything is saved."
         ),
         Status::Done if summary.lost_episodes > 0 => format!(
-            "{share:.0} % of the frames have a pose; tracking was lost {} times and found again.",
+            "{share} % of the frames have a pose; tracking was lost {} times and found again.",
             summary.lost_episodes
         ),
-        Status::Done => format!("{share:.0} % of the frames have a pose; tracking was never lost."),
+        Status::Done => format!("{share} % of the frames have a pose; tracking was never lost."),
+    }
+}
+
+/// A share in percent, rounded down where only some are missing: 100 is all of them.
+fn percent(part: usize, whole: usize) -> String {
+    let share = 100.0 * part as f64 / whole.max(1) as f64;
+    if (99.0..100.0).contains(&share) {
+        format!("{:.1}", (10.0 * share).floor() / 10.0)
+    } else {
+        format!("{share:.0}")
     }
 }
 
@@ -136,4 +146,16 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     }
     lines += &format!("  look at {}", folder.join("report.html").display());
     lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::percent;
+
+    #[test]
+    fn a_hundred_percent_are_all() {
+        let said = [(613, 613), (610, 613), (9999, 10000), (605, 613), (0, 0)];
+        let said = said.map(|(part, whole)| percent(part, whole));
+        assert_eq!(said, ["100", "99.5", "99.9", "99", "0"]);
+    }
 }
