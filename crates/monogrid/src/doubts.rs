@@ -1,7 +1,7 @@
 //! Whether a calibration that was given fits the images.
 
 use crate::input::{Images, Input};
-use crate::map_camera::{as_calibrated, prior, shown_by_map};
+use crate::map_camera::{as_calibrated, shown_by_map};
 use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
 use monogrid_geometry::{Camera, Pinhole, Vec2, Vec3};
@@ -104,7 +104,7 @@ fn by_map(slam: &Slam) -> Estimate {
     let keyframes = slam.keyframes();
     let size = (keyframes.first()).map_or((0, 0), |k| (k.image.width(), k.image.height()));
     let guess = as_calibrated(slam);
-    let mut prior = prior(size, CENTRE_FREEDOM);
+    let mut prior = Expected::ORDINARY.prior(size, CENTRE_FREEDOM);
     prior.mean = guess.parameters();
     shown_by_map(slam, VIEWS_PER_PIECE, &guess, size, &prior)
 }

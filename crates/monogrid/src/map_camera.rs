@@ -3,7 +3,6 @@
 //! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free, they show it better than
 //! corners followed over the first seconds, at the cost of some twenty milliseconds per ten keyframes.
 
-use crate::self_calibration::ASSUMED_FOV_DEG;
 use monogrid_calibration::{
     Estimate, EstimateConfig, Intrinsics, Prior, Scene, Sighting, refine_intrinsics,
 };
@@ -22,14 +21,6 @@ pub fn as_calibrated(slam: &Slam) -> Intrinsics {
         centre: Vec2::new(cx, cy),
         radial: [0.0; 2],
     }
-}
-
-/// What is known before the map, with a principal point that is held so many times less than by the images.
-pub fn prior(size: (usize, usize), centre_freedom: f64) -> Prior {
-    let mut prior = Prior::ordinary(ASSUMED_FOV_DEG, size);
-    prior.sigma[3] *= centre_freedom;
-    prior.sigma[4] *= centre_freedom;
-    prior
 }
 
 /// The camera of the images in working pixels that the main map shows in pieces of `num_views` keyframes, when `guess`

@@ -3,8 +3,8 @@
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
-use crate::map_camera::{as_calibrated, prior, shown_by_map};
-use crate::self_calibration::OwnCalibration;
+use crate::map_camera::{as_calibrated, shown_by_map};
+use crate::self_calibration::{Expected, OwnCalibration};
 use monogrid_calibration::{Estimate, Intrinsics, Parameters};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 use monogrid_pipeline::{Reading, read_ahead};
@@ -69,7 +69,7 @@ fn refined_own(
     let size = (camera.width, camera.height);
     let factor = working.0 as f64 / size.0 as f64;
     let guess = own_intrinsics(camera).scaled(factor);
-    let prior = prior(working, CENTRE_FREEDOM);
+    let prior = Expected::ORDINARY.prior(working, CENTRE_FREEDOM);
     let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, working, &prior);
     let shown = shown.scaled(1.0 / factor, size);
     let source = format!("estimated from the map of the first {num_frames} frames");
@@ -80,7 +80,7 @@ fn refined_own(
 fn refined_given(slam: &Slam, input: &Input) -> Option<OwnCalibration> {
     let guess = as_calibrated(slam);
     let size = input.size();
-    let mut prior = prior(size, CENTRE_FREEDOM);
+    let mut prior = Expected::ORDINARY.prior(size, CENTRE_FREEDOM);
     let [log_focal, _, _, at_x, at_y] = prior.sigma.into();
     prior.mean = guess.parameters();
     prior.sigma = Parameters::from([log_focal, HELD, HELD, at_x, at_y]);

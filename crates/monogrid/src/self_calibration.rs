@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// Field of view that is assumed along the longer side where nothing is known, degrees: between the
 /// main cameras of phones while filming and those of laptops.
-pub const ASSUMED_FOV_DEG: f64 = 62.0;
+const ASSUMED_FOV_DEG: f64 = 62.0;
 
 /// How the focal length that a camera wrote into its images may differ from that of the images, relative: what was
 /// cropped or stabilised sees less.
@@ -50,9 +50,12 @@ impl Expected {
         }
     }
 
-    fn prior(&self, size: (usize, usize)) -> Prior {
+    /// What is known before anything was seen; the principal point has `centre_freedom` times its ordinary freedom.
+    pub fn prior(&self, size: (usize, usize), centre_freedom: f64) -> Prior {
         let mut prior = Prior::ordinary(self.fov_deg, size);
         prior.sigma[0] = self.focal_sigma.unwrap_or(prior.sigma[0]);
+        prior.sigma[3] *= centre_freedom;
+        prior.sigma[4] *= centre_freedom;
         prior
     }
 }
@@ -115,7 +118,8 @@ impl OwnCalibration {
                 fov_deg, source, ..
             } = expected;
             return Some(Self {
-                camera: Intrinsics::from_parameters(&expected.prior(size).mean).camera(size)?,
+                camera: Intrinsics::from_parameters(&expected.prior(size, 1.0).mean)
+                    .camera(size)?,
                 interpretation: format!(
                     "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
                 ),
@@ -216,9 +220,7 @@ pub fn estimate(
     centre_freedom: f64,
 ) -> Estimate {
     let working = WorkingSize::Automatic.resolve(size.0, size.1);
-    let mut prior = expected.prior(working);
-    prior.sigma[3] *= centre_freedom;
-    prior.sigma[4] *= centre_freedom;
+    let prior = expected.prior(working, centre_freedom);
     let ordinary = EstimateConfig::default();
     let config = EstimateConfig {
         guesses_deg: match expected.focal_sigma {

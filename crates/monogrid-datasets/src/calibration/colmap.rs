@@ -2,6 +2,7 @@
 //! top-left pixel at (0, 0); and `cameras.bin`, which says the same in little-endian numbers.
 
 use super::{Draft, fov, pixel_count, radial_tangential};
+use crate::bytes::Input;
 use crate::{DatasetError, read_file};
 use monogrid_geometry::{Distortion, Pinhole};
 use std::path::Path;
@@ -33,22 +34,14 @@ pub(super) fn read_binary(path: &Path) -> Result<String, DatasetError> {
 
 /// Number of cameras (u64); of the first its number (u32), model (i32), width, height (u64) and parameters (f64).
 fn first_camera(bytes: &[u8]) -> Option<String> {
-    let mut rest = bytes;
-    let mut next = |length: usize| {
-        let (value, others) = rest.split_at_checked(length)?;
-        rest = others;
-        Some(value)
-    };
-    let _num_cameras = next(8)?;
-    let id = u32::from_le_bytes(next(4)?.try_into().ok()?);
-    let model = i32::from_le_bytes(next(4)?.try_into().ok()?);
-    let (model, num_parameters) = NUMBERED.get(usize::try_from(model).ok()?)?;
-    let width = u64::from_le_bytes(next(8)?.try_into().ok()?);
-    let height = u64::from_le_bytes(next(8)?.try_into().ok()?);
+    let mut input = Input::new(bytes);
+    let _num_cameras = input.u64()?;
+    let (id, model) = (input.u32()?, input.u32()?);
+    let (model, num_parameters) = NUMBERED.get(model as usize)?;
+    let (width, height) = (input.u64()?, input.u64()?);
     let mut line = format!("{id} {model} {width} {height}");
     for _ in 0..*num_parameters {
-        let parameter = f64::from_le_bytes(next(8)?.try_into().ok()?);
-        line.push_str(&format!(" {parameter:?}"));
+        line.push_str(&format!(" {:?}", input.f64()?));
     }
     Some(line)
 }

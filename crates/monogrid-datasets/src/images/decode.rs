@@ -87,7 +87,7 @@ pub fn decode_jpeg_rgb(
 }
 
 fn triples(rgb: &[u8]) -> Vec<[u8; 3]> {
-    rgb.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect()
+    rgb.as_chunks().0.to_vec()
 }
 
 fn has_colour(image: &Image<[u8; 3]>) -> bool {

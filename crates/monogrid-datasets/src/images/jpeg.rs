@@ -23,7 +23,13 @@ pub(super) fn decode_luma(bytes: &[u8], max_pixels: usize) -> Result<Decoded, St
     let luma = if has_luma {
         pixels
     } else {
-        pixels.chunks_exact(3).map(luma_of_rgb).collect()
+        pixels
+            .as_chunks()
+            .0
+            .iter()
+            .copied()
+            .map(luma_of_rgb)
+            .collect()
     };
     if width * height == 0 || luma.len() != width * height {
         return Err(format!(
@@ -75,9 +81,10 @@ fn decode_as(bytes: &[u8], output: ColorSpace) -> Result<Decoded, String> {
     Ok((width, height, pixels))
 }
 
-/// ITU-601 luma rounded to 8 bits.
-fn luma_of_rgb(rgb: &[u8]) -> u8 {
-    let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(u32::from);
+/// ITU-601 luma of red, green and blue, rounded to 8 bits.
+#[must_use]
+pub fn luma_of_rgb(rgb: [u8; 3]) -> u8 {
+    let [r, g, b] = rgb.map(u32::from);
     ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 

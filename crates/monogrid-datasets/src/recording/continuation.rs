@@ -1,6 +1,7 @@
 //! What a later session needs to go on where a run ended, beside keyframes and poses.
 
-use super::format::{Bytes, Input};
+use super::format::Bytes;
+use crate::bytes::Input;
 use crate::pose_from_numbers;
 use monogrid_geometry::{Se3, Sim3};
 

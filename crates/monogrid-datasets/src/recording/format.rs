@@ -5,6 +5,7 @@ use super::{
     ColourRecord, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
     Scale, SessionInfo,
 };
+use crate::bytes::Input;
 use crate::images::decode_png_luma8;
 use crate::{encode_png, pose_from_numbers};
 use monogrid_geometry::{Pinhole, Sim3};
@@ -171,7 +172,7 @@ pub(super) fn decode_record(
     payload: &[u8],
     with_images: bool,
 ) -> Result<Option<Record>, ()> {
-    let mut input = Input(payload);
+    let mut input = Input::new(payload);
     let record = match kind {
         KIND_SESSION => decode_session(&mut input).map(Record::Session),
         KIND_KEYFRAME => decode_keyframe(&mut input, with_images).map(Record::Keyframe),
@@ -268,7 +269,7 @@ fn decode_poses(input: &mut Input) -> Option<PoseSnapshot> {
     let revision = input.u64()?;
     let count = input.u32()? as usize;
     // 68 bytes each: no room is reserved for more than can be there
-    let mut poses = Vec::with_capacity(count.min(input.0.len() / 68));
+    let mut poses = Vec::with_capacity(count.min(input.len() / 68));
     for _ in 0..count {
         let id = input.u32()?;
         let scale = input.f64()?;
@@ -328,50 +329,7 @@ impl Bytes {
 /// Bytes of a depth pixel.
 const PIXEL_BYTES: usize = 12;
 
-/// Little-endian input that never reads beyond its end.
-pub(super) struct Input<'a>(&'a [u8]);
-
-impl<'a> Input<'a> {
-    pub(super) fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
-        let (head, tail) = self.0.split_at_checked(count)?;
-        self.0 = tail;
-        Some(head)
-    }
-    pub(super) fn u8(&mut self) -> Option<u8> {
-        Some(self.take(1)?[0])
-    }
-    pub(super) fn u32(&mut self) -> Option<u32> {
-        Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
-    }
-    pub(super) fn u64(&mut self) -> Option<u64> {
-        Some(u64::from_le_bytes(self.take(8)?.try_into().ok()?))
-    }
-    fn f64(&mut self) -> Option<f64> {
-        Some(f64::from_le_bytes(self.take(8)?.try_into().ok()?))
-    }
-    pub(super) fn finite(&mut self) -> Option<f64> {
-        self.f64().filter(|v| v.is_finite())
-    }
-    /// A number of elements, then the elements.
-    pub(super) fn list<T>(
-        &mut self,
-        mut element: impl FnMut(&mut Self) -> Option<T>,
-    ) -> Option<Vec<T>> {
-        // no room is reserved for what may not be there
-        let count = self.u32()?;
-        (0..count).map(|_| element(self)).collect()
-    }
-    fn blob(&mut self) -> Option<&'a [u8]> {
-        let count = self.u32()? as usize;
-        self.take(count)
-    }
-    pub(super) fn text(&mut self) -> Option<String> {
-        String::from_utf8(self.blob()?.to_vec()).ok()
-    }
+impl Input<'_> {
     fn pixels(&mut self) -> Option<Vec<DepthPixel>> {
         let count = self.u32()? as usize;
         let bytes = self.take(count.checked_mul(PIXEL_BYTES)?)?;

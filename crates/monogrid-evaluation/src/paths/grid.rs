@@ -48,15 +48,19 @@ impl DistanceGrid {
         self.cells.len()
     }
 
-    #[cfg(test)]
-    pub fn index(&self, [x, y, z]: [usize; 3]) -> usize {
-        (z * self.size[1] + y) * self.size[0] + x
+    pub fn index(&self, cell: [usize; 3]) -> usize {
+        index_in(self.size, cell)
     }
 
     pub fn cell(&self, index: usize) -> [usize; 3] {
         let row = index / self.size[0];
         [index % self.size[0], row % self.size[1], row / self.size[1]]
     }
+}
+
+/// Where a cell lies in a grid of this size: x fastest, then y, then z.
+pub fn index_in(size: [usize; 3], [x, y, z]: [usize; 3]) -> usize {
+    (z * size[1] + y) * size[0] + x
 }
 
 /// Scratch space of the one-dimensional transform.

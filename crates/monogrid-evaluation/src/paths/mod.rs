@@ -192,11 +192,7 @@ pub fn evaluate_paths(
     });
     let mut truth_planner = Planner::new(&in_truth, clearances.plan);
     let pairs = sample_pairs(&in_truth, &truth_planner, config, cell)?;
-    let [nx, ny, _] = in_truth.size;
-    let index = |key| {
-        let [x, y, z] = coarse_truth.local(key)?;
-        Some((z * ny + y) * nx + x)
-    };
+    let index = |key| Some(in_truth.index(coarse_truth.local(key)?));
     let states = coarse_states(estimate, index, in_truth.len(), factor);
     let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
     let routes: Vec<Route> = pairs

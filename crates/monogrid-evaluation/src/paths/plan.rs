@@ -1,7 +1,7 @@
 //! One path through a map, as a robot would plan it.
 
 use super::astar::Planner;
-use super::grid::DistanceGrid;
+use super::grid::{DistanceGrid, index_in};
 use super::{MAX_CELLS, coarse_states};
 use monogrid_occupancy::{Occupancy, OccupancyMap};
 use serde::Serialize;
@@ -192,7 +192,7 @@ impl Area {
                 usize::try_from(i64::from(key[axis]) - i64::from(self.first[axis])).ok()?;
             at[axis] = (offset < self.size[axis]).then_some(offset)?;
         }
-        Some((at[2] * self.size[1] + at[1]) * self.size[0] + at[0])
+        Some(index_in(self.size, at))
     }
 
     fn index_of(&self, point: [f64; 3]) -> Option<usize> {

@@ -95,10 +95,26 @@ struct Built {
     wall: Duration,
     frame: String,
     warnings: Vec<String>,
-    /// Colours of its cells, and settings and unit of its surface.
+    look: MeshLook,
+}
+
+/// How the surface of a map is written.
+struct MeshLook {
+    /// Colours of its cells.
     colours: CellColours,
-    mesh: MeshConfig,
-    unit: String,
+    config: MeshConfig,
+    unit: &'static str,
+}
+
+impl MeshLook {
+    /// Of measurements without images, at poses that were given.
+    fn of_given_poses(config: MeshConfig) -> Self {
+        Self {
+            colours: CellColours::unknown(),
+            config,
+            unit: "the unit of the poses",
+        }
+    }
 }
 
 /// Builds and writes the map.
@@ -133,9 +149,14 @@ pub fn execute(args: &MapArgs) -> CommandResult {
         )))?;
     }
     if let Some((file, format)) = &mesh_file {
-        let mesh = built.colours.mesh(&built.map, &built.mesh);
+        let MeshLook {
+            colours,
+            config,
+            unit,
+        } = &built.look;
+        let mesh = colours.mesh(&built.map, config);
         let mesh = mesh.while_running("the surface cannot be made")?;
-        file.write_with(|out| format.write(&mesh, &built.unit, out))?;
+        file.write_with(|out| format.write(&mesh, unit, out))?;
     }
     for warning in &built.warnings {
         eprintln!("warning: {warning}");
@@ -275,9 +296,11 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
     }
     let is_metric = recorded.frame.is_aligned || recorded.session.scale == Scale::Metric;
     Ok(Built {
-        colours,
-        mesh: config.mapping.mesh,
-        unit: unit_name(is_metric).to_owned(),
+        look: MeshLook {
+            colours,
+            config: config.mapping.mesh,
+            unit: unit_name(is_metric),
+        },
         map,
         points: stats.points,
         scans: stats.keyframes,
@@ -328,7 +351,7 @@ fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Fa
     let config = settings_for_given_poses(args)?;
     let (map_from_world, frame) = given_frame(align)?;
     let reader = ScansReader::open(&args.recording).bad_input()?;
-    let mesh = config.mapping.mesh;
+    let look = MeshLook::of_given_poses(config.mapping.mesh);
     let mapper = Mapper::without_camera(config.mapping, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
@@ -346,9 +369,7 @@ fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Fa
         scans += 1;
     }
     Ok(Built {
-        colours: CellColours::unknown(),
-        mesh,
-        unit: "the unit of the poses".to_owned(),
+        look,
         map,
         points,
         scans: scans as usize,
@@ -373,7 +394,7 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         width,
         height,
     };
-    let mesh = config.mapping.mesh;
+    let look = MeshLook::of_given_poses(config.mapping.mesh);
     let mapper = Mapper::new(config.mapping, camera, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
@@ -397,9 +418,7 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         ));
     }
     Ok(Built {
-        colours: CellColours::unknown(),
-        mesh,
-        unit: "the unit of the poses".to_owned(),
+        look,
         map,
         points,
         scans: scans as usize,

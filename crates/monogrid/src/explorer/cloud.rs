@@ -2,6 +2,7 @@
 
 use crate::picture::base64;
 use crate::picture::colour::quantile;
+use monogrid_datasets::luma_of_rgb;
 use serde::Serialize;
 
 /// Points on a page at most.
@@ -26,12 +27,6 @@ impl CloudPoint {
     /// Confidence of a depth with a standard deviation relative to it.
     pub fn confidence(relative_sigma: f32) -> f32 {
         (1.0 - relative_sigma / WORST_RELATIVE_SIGMA).clamp(0.0, 1.0)
-    }
-
-    /// ITU-601 luma of its colour.
-    fn grey(&self) -> u8 {
-        let [r, g, b] = self.colour.map(u32::from);
-        ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
     }
 }
 
@@ -78,7 +73,10 @@ impl Cloud {
             for point in group {
                 if let Some(place) = steps(point, &low, step) {
                     bytes.extend(place.into_iter().flat_map(u16::to_le_bytes));
-                    bytes.extend([point.grey(), (point.confidence * 255.0).round() as u8]);
+                    bytes.extend([
+                        luma_of_rgb(point.colour),
+                        (point.confidence * 255.0).round() as u8,
+                    ]);
                     colours.push(point.colour);
                 }
             }

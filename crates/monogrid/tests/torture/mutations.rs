@@ -19,6 +19,8 @@ struct Kind {
     /// Arguments; `@` is the mutated file, `%` the folder of the seeds, `!` a folder for results.
     args: &'static [&'static str],
     repair: fn(&mut [u8]),
+    /// One more limit of the shell; empty for none.
+    limit: &'static str,
 }
 
 fn as_it_is(_: &mut [u8]) {}
@@ -273,18 +275,15 @@ const CALIBRATIONS: &[(&str, &str, &str)] = &[
 const CALIBRATION_ARGS: &[&str] = &["check", "%/video/few.txt", "--calibration", "@"];
 
 /// All kinds; images and calibrations come from anywhere, so that they may not take more than 1 GB.
-fn kinds() -> Vec<(Kind, &'static str)> {
-    let of = |table: &[(&'static str, &'static str, &'static str)], args| -> Vec<Kind> {
-        let row = |&(name, seed, file)| kind(name, seed, file, args, as_it_is);
-        table.iter().map(row).collect()
-    };
-    let small = of(MEDIA, MEDIA_ARGS)
-        .into_iter()
-        .chain(of(CALIBRATIONS, CALIBRATION_ARGS));
-    let others = KINDS.iter().copied().map(|kind| (kind, ""));
-    others
-        .chain(small.map(|kind| (kind, "ulimit -v 1400000;")))
-        .collect()
+fn kinds() -> Vec<Kind> {
+    let mut kinds = KINDS.to_vec();
+    for (table, args) in [(MEDIA, MEDIA_ARGS), (CALIBRATIONS, CALIBRATION_ARGS)] {
+        kinds.extend(table.iter().map(|&(name, seed, file)| Kind {
+            limit: "ulimit -v 1400000;",
+            ..kind(name, seed, file, args, as_it_is)
+        }));
+    }
+    kinds
 }
 
 const fn kind(
@@ -300,6 +299,7 @@ const fn kind(
         file,
         args,
         repair,
+        limit: "",
     }
 }
 
@@ -417,16 +417,14 @@ fn mutated_files_of_every_kind() {
     fs::write(seeds.path("video/mask.png"), png).unwrap();
     println!("| mutated file | runs | accepted | slowest | harm |\n|---|---|---|---|---|");
     let mut harmed = 0;
-    for (kind, limit) in kinds() {
-        if kind.name.contains(&only) {
-            harmed += torture(&kind, limit, &seeds, Duration::from_secs(seconds));
-        }
+    for kind in kinds().iter().filter(|kind| kind.name.contains(&only)) {
+        harmed += torture(kind, &seeds, Duration::from_secs(seconds));
     }
     assert_eq!(harmed, 0, "see above");
 }
 
-/// Tries mutations for a time, with one more limit of the shell; the number of those that did harm.
-fn torture(kind: &Kind, limit: &str, seeds: &Seeds, time: Duration) -> usize {
+/// Tries mutations for a time; the number of those that did harm.
+fn torture(kind: &Kind, seeds: &Seeds, time: Duration) -> usize {
     let seed = fs::read(seeds.path(kind.seed)).unwrap();
     let first = from_environment("TORTURE_SEED", 1);
     let begin = Instant::now();
@@ -446,7 +444,7 @@ fn torture(kind: &Kind, limit: &str, seeds: &Seeds, time: Duration) -> usize {
                 .replace('%', &seeds.root().display().to_string())
                 .replace('!', &results.display().to_string())
         });
-        let ended = run(limited(limit, args), folder.path());
+        let ended = run(limited(kind.limit, args), folder.path());
         runs += 1;
         accepted += usize::from(matches!(ended.code, Some(0 | 3)));
         slowest = slowest.max(ended.took);
