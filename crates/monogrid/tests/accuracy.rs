@@ -1,6 +1,6 @@
 //! The accuracy that we promise, on the built-in world and, where it exists, on recorded data.
 //!
-//! Slow: run with `cargo test --release -p monogrid --test accuracy -- --ignored --nocapture`.
+//! Slow: run with `cargo test --test accuracy -- --ignored --nocapture`.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,
