@@ -239,91 +239,45 @@ impl DepthConfig {
     ///
     /// # Errors
     /// The first field found outside its range.
+    #[rustfmt::skip]
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let checks: [(&'static str, f32, f32, f32); 24] = [
+        let limits: [(&'static str, f32, f32, f32); 34] = [
             ("min_gradient", self.min_gradient, 1.0, 100.0),
             ("min_line_gradient", self.min_line_gradient, 0.0, 100.0),
             ("min_line_cosine", self.min_line_cosine, 0.0, 0.999),
             ("max_gain_ratio", self.max_gain_ratio, 1e-3, 100.0),
             ("search_sigmas", self.search_sigmas, 1.0, 5.0),
-            (
-                "max_update_search_px",
-                self.max_update_search_px,
-                3.0,
-                240.0,
-            ),
-            (
-                "max_create_search_px",
-                self.max_create_search_px,
-                3.0,
-                240.0,
-            ),
+            ("max_update_search_px", self.max_update_search_px, 3.0, 240.0),
+            ("max_create_search_px", self.max_create_search_px, 3.0, 240.0),
             ("max_idepth", self.max_idepth, 1e-3, 1000.0),
             ("max_scale_change", self.max_scale_change, 1.01, 1.8),
             ("sensor_sigma", self.sensor_sigma, 0.1, 50.0),
             ("max_residual_sigmas", self.max_residual_sigmas, 1.0, 20.0),
-            (
-                "residual_gradient_share",
-                self.residual_gradient_share,
-                0.0,
-                1.0,
-            ),
+            ("residual_gradient_share", self.residual_gradient_share, 0.0, 1.0),
             ("ambiguity_ratio", self.ambiguity_ratio, 1.0, 10.0),
             ("photometric_factor", self.photometric_factor, 0.1, 10.0),
             ("floor_px", self.floor_px, 0.0, 1.0),
             ("line_sigma_px", self.line_sigma_px, 0.0, 5.0),
             ("slope_per_px", self.slope_per_px, 0.0, 0.2),
-            (
-                "max_disagreement_sigma",
-                self.max_disagreement_sigma,
-                1e-3,
-                10.0,
-            ),
+            ("max_disagreement_sigma", self.max_disagreement_sigma, 1e-3, 10.0),
             ("success_inflation", self.success_inflation, 1.0, 2.0),
             ("failure_inflation", self.failure_inflation, 1.0, 2.0),
             ("max_var", self.max_var, 1e-6, 10.0),
             ("smoothing_per_px", self.smoothing_per_px, 1e-6, 1.0),
             ("max_smoothing_gain", self.max_smoothing_gain, 1.0, 25.0),
             ("occlusion_support", self.occlusion_support, 0.0, 1.0),
-        ];
-        let more: [(&'static str, f32, f32, f32); 10] = [
             ("verify_interval", self.verify_interval as f32, 0.0, 255.0),
-            (
-                "min_support_keep",
-                f32::from(self.min_support_keep),
-                0.0,
-                6375.0,
-            ),
-            (
-                "min_support_fill",
-                f32::from(self.min_support_fill),
-                0.0,
-                6375.0,
-            ),
+            ("min_support_keep", f32::from(self.min_support_keep), 0.0, 6375.0),
+            ("min_support_fill", f32::from(self.min_support_fill), 0.0, 6375.0),
             ("min_support_share", self.min_support_share, 0.0, 1.0),
             ("near_search_factor", self.near_search_factor, 1.0, 1000.0),
-            (
-                "validity_per_gradient",
-                self.validity_per_gradient,
-                0.0,
-                10.0,
-            ),
+            ("validity_per_gradient", self.validity_per_gradient, 0.0, 10.0),
             ("fill_relative_var", self.fill_relative_var, 0.0, 10.0),
-            (
-                "propagation_inflation",
-                self.propagation_inflation,
-                1.0,
-                10.0,
-            ),
-            (
-                "propagation_relative_sigma",
-                self.propagation_relative_sigma,
-                0.0,
-                1.0,
-            ),
+            ("propagation_inflation", self.propagation_inflation, 1.0, 10.0),
+            ("propagation_relative_sigma", self.propagation_relative_sigma, 0.0, 1.0),
             ("validity_max", f32::from(self.validity_max), 1.0, 255.0),
         ];
-        first_outside(checks.into_iter().chain(more).map(Limit::from))
+        first_outside(limits.into_iter().map(Limit::from))
     }
 }
 

@@ -146,16 +146,21 @@ fn main() -> Result<(), Box<dyn Error>> {
         map.bytes_in_memory() as f64 / 1e6,
         unpacked as f64 / 1e6,
     );
-    if let Some(path) = options.out {
-        let started = Instant::now();
-        save_atomically(path.as_ref(), |file| {
-            if path.ends_with(".bt") {
-                write_bt(&map, file)
-            } else {
-                write_ot(&map, file)
-            }
-        })?;
-        println!("wrote {path} in {:.2} s", started.elapsed().as_secs_f64());
+    match options.out {
+        Some(path) => save(&map, &path),
+        None => Ok(()),
     }
+}
+
+fn save(map: &OccupancyMap, path: &str) -> Result<(), Box<dyn Error>> {
+    let started = Instant::now();
+    save_atomically(path.as_ref(), |file| {
+        if path.ends_with(".bt") {
+            write_bt(map, file)
+        } else {
+            write_ot(map, file)
+        }
+    })?;
+    println!("wrote {path} in {:.2} s", started.elapsed().as_secs_f64());
     Ok(())
 }

@@ -8,6 +8,7 @@
 //! no samples. Obstacles among several samples count three times. The update is the mean of the samples
 //! times the root of the number of measurements, one to four, that the footprint holds where the middle
 //! of the cell's brick lies.
+#![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
 mod common;

@@ -8,7 +8,6 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
-    clippy::too_many_lines,
     reason = "a tool for development, read from top to bottom"
 )]
 
@@ -17,7 +16,7 @@ mod sequence;
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::GrayImage;
-use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
+use monogrid_slam::{FrameInput, FrameReport, Keyframe, Slam, SlamConfig, TrackingState};
 use options::Options;
 use sequence::Sequence;
 
@@ -33,110 +32,116 @@ fn main() {
     };
     let config = options.applied_to(&profile);
     let mut slam = sequence.system(config, options.number("seed", 0));
+    let live = track(&mut slam, &sequence, &options);
+    let truth = match sequence.dataset.ground_truth {
+        Some(_) => sequence.stamped_truth(),
+        None => Vec::new(),
+    };
+    if options.number("edges", 0) > 0 {
+        edge_report(&slam, &truth, &sequence);
+    }
+    let path = slam.trajectory();
+    let path = path.iter().map(|p| (p.timestamp_ns, p.world_from_camera));
+    let scale = print_errors("final", &path.collect::<Vec<_>>(), &truth);
+    print_errors("live", &live, &truth);
+    depth_report(&slam, &sequence, scale.unwrap_or(1.0));
+}
+
+/// Plays the frames that are asked for; the poses as they were reported.
+fn track(slam: &mut Slam, sequence: &Sequence, options: &Options) -> Vec<StampedPose> {
     let frames = &sequence.dataset.frames;
     let first = options.number("start", 0);
-    let every: usize = options.number("every", 1);
     let used: Vec<usize> = (first..frames.len())
-        .step_by(every)
+        .step_by(options.number("every", 1))
         .take(options.number("max", usize::MAX))
         .collect();
-    let true_depth = |timestamp_ns: i64| sequence.true_depth(timestamp_ns);
     let begin = std::time::Instant::now();
     let mut live = Vec::new();
     let mut counts = [0usize; 5];
     let mut times = [0.0f64; 3];
     for &at in &used {
         let entry = &frames[at];
-        let image = sequence.image(at);
-        let seed_depth = (at == first && options.is("init", "depth"))
-            .then(|| true_depth(entry.timestamp_ns))
-            .flatten();
+        let is_seeded = at == first && options.is("init", "depth");
+        let seed_depth = is_seeded.then(|| sequence.true_depth(entry.timestamp_ns));
         let report = slam.process_frame(FrameInput {
             index: entry.index,
             timestamp_ns: entry.timestamp_ns,
-            image,
-            seed_depth,
+            image: sequence.image(at),
+            seed_depth: seed_depth.flatten(),
         });
         counts[report.state as usize] += 1;
-        times[0] += report.milliseconds.tracking;
-        times[1] += report.milliseconds.depth;
-        times[2] += report.milliseconds.graph;
+        let stages = report.milliseconds;
+        for (time, stage) in times
+            .iter_mut()
+            .zip([stages.tracking, stages.depth, stages.graph])
+        {
+            *time += stage;
+        }
         if options.number("verbose", 0) > 0 || report.state == TrackingState::Lost {
-            println!(
-                "{} {} {:?} kf {:?} res {:.1} good {:.2} usage {:.2} gain {:.2} {}",
-                report.index,
-                report.state.name(),
-                report.reason,
-                report.keyframe,
-                report.residual,
-                report.good_share,
-                report.usage,
-                report.exposure_gain,
-                if report.created_keyframe { "NEW" } else { "" }
-            );
+            print_frame(&report);
         }
-        if let Some(pose) = report.world_from_camera {
-            live.push((report.timestamp_ns, pose));
-        }
+        live.extend(
+            report
+                .world_from_camera
+                .map(|pose| (report.timestamp_ns, pose)),
+        );
     }
     slam.finish();
-    let frames = used.len();
+    let frames = used.len() as f64;
+    let [tracking, depth, graph] = times.map(|time| time / frames);
     println!(
-        "{frames} frames, {} keyframes, states {counts:?} [init good degraded fragment lost], {:.1} fps, ms/frame tracking {:.1} depth {:.1} graph {:.1}",
+        "{frames} frames, {} keyframes, states {counts:?} [init good degraded fragment lost], {:.1} fps, ms/frame tracking {tracking:.1} depth {depth:.1} graph {graph:.1}",
         slam.keyframes().len(),
-        frames as f64 / begin.elapsed().as_secs_f64(),
-        times[0] / frames as f64,
-        times[1] / frames as f64,
-        times[2] / frames as f64
+        frames / begin.elapsed().as_secs_f64(),
     );
     println!("graph: {:?}", slam.graph_stats());
     println!(
         "in the map: {:.3} of the frames, fragments {:?}",
-        slam.trajectory().len() as f64 / frames as f64,
+        slam.trajectory().len() as f64 / frames,
         slam.fragments()
     );
-    let mut target_over_source = 1.0;
-    if sequence.dataset.ground_truth.is_some() {
-        let truth: Vec<StampedPose> = sequence.stamped_truth();
-        let estimate: Vec<StampedPose> = slam
-            .trajectory()
-            .iter()
-            .map(|p| (p.timestamp_ns, p.world_from_camera))
-            .collect();
-        for (name, poses) in [("final", &estimate), ("live", &live)] {
-            if name == "final" && options.number("edges", 0) > 0 {
-                edge_report(&slam, &truth, &true_depth);
-            }
-            match evaluate_trajectory(poses, &truth, &TrajectoryConfig::default()) {
-                Ok(r) => {
-                    println!(
-                        "{name}: ATE {:.4} m, RPE {:.4} m {:.3} deg, scale {:.4}, drift {:?}, coverage {:.3}, matched {}",
-                        r.ate_rmse,
-                        r.rpe_trans_rmse,
-                        r.rpe_rot_rmse_deg,
-                        r.scale,
-                        r.scale_drift,
-                        r.coverage,
-                        r.matched
-                    );
-                    if name == "final" {
-                        target_over_source = r.scale;
-                        for w in &r.window_scales {
-                            print!("{w:.2?} ");
-                        }
-                        println!();
-                    }
-                }
-                Err(e) => println!("{name}: {e}"),
-            }
-        }
+    live
+}
+
+fn print_frame(report: &FrameReport) {
+    println!(
+        "{} {} {:?} kf {:?} res {:.1} good {:.2} usage {:.2} gain {:.2} {}",
+        report.index,
+        report.state.name(),
+        report.reason,
+        report.keyframe,
+        report.residual,
+        report.good_share,
+        report.usage,
+        report.exposure_gain,
+        if report.created_keyframe { "NEW" } else { "" }
+    );
+}
+
+/// Errors of a trajectory; its scale, true over estimated.
+fn print_errors(name: &str, poses: &[StampedPose], truth: &[StampedPose]) -> Option<f64> {
+    if truth.is_empty() {
+        return None;
     }
-    depth_report(&slam, &true_depth, target_over_source);
+    let errors = evaluate_trajectory(poses, truth, &TrajectoryConfig::default());
+    let errors = errors.inspect_err(|e| println!("{name}: {e}")).ok()?;
+    println!(
+        "{name}: ATE {:.4} m, RPE {:.4} m {:.3} deg, scale {:.4}, drift {:?}, coverage {:.3}, matched {}",
+        errors.ate_rmse,
+        errors.rpe_trans_rmse,
+        errors.rpe_rot_rmse_deg,
+        errors.scale,
+        errors.scale_drift,
+        errors.coverage,
+        errors.matched
+    );
+    println!("  scale of windows: {:.2?}", errors.window_scales);
+    Some(errors.scale)
 }
 
 /// Error of every edge of the graph: rotation (degrees), direction of the translation (degrees) and scale
 /// (where both keyframes have true depth); then those of the final poses; then the edge's own sigmas.
-fn edge_report(slam: &Slam, truth: &[StampedPose], true_depth: &dyn Fn(i64) -> Option<GrayImage>) {
+fn edge_report(slam: &Slam, truth: &[StampedPose], sequence: &Sequence) {
     let graph = slam.pose_graph();
     let keyframes = slam.keyframes();
     let true_pose = |id: u64| {
@@ -150,7 +155,7 @@ fn edge_report(slam: &Slam, truth: &[StampedPose], true_depth: &dyn Fn(i64) -> O
     let units: Vec<Option<f64>> = keyframes
         .iter()
         .map(|k| {
-            let truth = true_depth(k.timestamp_ns)?;
+            let truth = sequence.true_depth(k.timestamp_ns)?;
             let z = |p: &monogrid_slam::DepthPixel| f64::from(truth.at(p.x.into(), p.y.into()));
             let mut ratios: Vec<f64> = k
                 .pixels
@@ -190,94 +195,96 @@ fn edge_report(slam: &Slam, truth: &[StampedPose], true_depth: &dyn Fn(i64) -> O
     }
 }
 
+/// A depth of a keyframe and the true one in its unit.
+#[derive(Clone, Copy)]
+struct Compared {
+    idepth: f64,
+    var: f64,
+    true_idepth: f64,
+}
+
+impl Compared {
+    fn ratio(&self) -> f64 {
+        self.idepth / self.true_idepth
+    }
+
+    fn error(&self) -> f64 {
+        self.idepth - self.true_idepth
+    }
+}
+
 /// Depth of the keyframes that have a true depth image.
-fn depth_report(
-    slam: &Slam,
-    true_depth: &dyn Fn(i64) -> Option<GrayImage>,
-    target_over_source: f64,
-) {
+fn depth_report(slam: &Slam, sequence: &Sequence, true_over_estimated: f64) {
     let snapshot = slam.snapshot();
-    // (error, variance, inverse depth, unit-free truth) of all pixels after the keyframe's own scale
-    let mut pooled: Vec<[f64; 3]> = Vec::new();
+    let mut pooled: Vec<Compared> = Vec::new();
     for keyframe in slam.keyframes() {
-        let Some(truth) = true_depth(keyframe.timestamp_ns) else {
-            println!(
-                "kf {} frame {} points {}",
-                keyframe.id,
-                keyframe.frame_index,
-                keyframe.pixels.len()
-            );
-            continue;
-        };
-        let unit = snapshot.world_from_keyframe[keyframe.id as usize].scale * target_over_source;
-        let mut ratios = Vec::new();
-        let mut normalised = Vec::new();
-        for p in &keyframe.pixels {
-            let z = truth.at(usize::from(p.x), usize::from(p.y));
-            if z.is_finite() && z > 0.0 {
-                ratios.push(f64::from(z) * f64::from(p.idepth) / unit);
-                normalised.push((p, z));
-            }
-        }
-        if ratios.len() < 100 {
+        let unit = snapshot.world_from_keyframe[keyframe.id as usize].scale * true_over_estimated;
+        let truth = sequence.true_depth(keyframe.timestamp_ns);
+        let compared = truth.map_or(Vec::new(), |truth| compared(&keyframe, &truth, unit));
+        if compared.len() < 100 {
             continue;
         }
-        ratios.sort_by(f64::total_cmp);
-        let median = ratios[ratios.len() / 2];
-        let mut errors: Vec<f64> = normalised
-            .iter()
-            .map(|(p, z)| {
-                let true_idepth = median * unit / f64::from(*z);
-                (f64::from(p.idepth) - true_idepth) / f64::from(p.idepth_var).sqrt()
-            })
-            .collect();
-        pooled.extend(normalised.iter().map(|(p, z)| {
-            [
-                f64::from(p.idepth) - unit / f64::from(*z),
-                f64::from(p.idepth_var),
-                f64::from(p.idepth),
-            ]
-        }));
-        errors.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
-        let n = errors.len() as f64;
-        let within = |t: f64| {
-            ratios
-                .iter()
-                .filter(|r| (*r / median - 1.0).abs() < t)
-                .count() as f64
-                / n
-        };
-        println!(
-            "kf {} frame {} points {} scale {:.3} within 3% {:.2} 10% {:.2} | normalised: abs median {:.2}, within 2 sigma {:.2}",
-            keyframe.id,
-            keyframe.frame_index,
-            keyframe.pixels.len(),
-            median,
-            within(0.03),
-            within(0.10),
-            errors[errors.len() / 2].abs(),
-            errors.iter().filter(|e| e.abs() < 2.0).count() as f64 / n
-        );
+        print_keyframe(&keyframe, &compared);
+        pooled.extend(compared);
     }
-    if pooled.is_empty() {
-        return;
+    if !pooled.is_empty() {
+        print_sigmas(&pooled);
     }
+}
+
+/// The pixels of a keyframe that have a true depth, `unit` metres in its unit.
+fn compared(keyframe: &Keyframe, truth: &GrayImage, unit: f64) -> Vec<Compared> {
+    let pixels = keyframe.pixels.iter();
+    let compared = pixels.map(|p| Compared {
+        idepth: p.idepth.into(),
+        var: p.idepth_var.into(),
+        true_idepth: unit / f64::from(truth.at(p.x.into(), p.y.into())),
+    });
+    let is_known = |c: &Compared| c.true_idepth.is_finite() && c.true_idepth > 0.0;
+    compared.filter(is_known).collect()
+}
+
+/// What is left after the keyframe's own scale.
+fn print_keyframe(keyframe: &Keyframe, compared: &[Compared]) {
+    let mut ratios: Vec<f64> = compared.iter().map(Compared::ratio).collect();
+    let median = median(&mut ratios);
+    let normalised = |c: &Compared| (c.idepth - median * c.true_idepth).abs() / c.var.sqrt();
+    let mut errors: Vec<f64> = compared.iter().map(normalised).collect();
+    let within = |values: &[f64], test: &dyn Fn(f64) -> bool| {
+        values.iter().filter(|v| test(**v)).count() as f64 / values.len() as f64
+    };
+    println!(
+        "kf {} frame {} points {} scale {median:.3} within 3% {:.2} 10% {:.2} | normalised: within 2 sigma {:.2}, abs median {:.2}",
+        keyframe.id,
+        keyframe.frame_index,
+        keyframe.pixels.len(),
+        within(&ratios, &|r| (r / median - 1.0).abs() < 0.03),
+        within(&ratios, &|r| (r / median - 1.0).abs() < 0.10),
+        within(&errors, &|e| e < 2.0),
+        self::median(&mut errors),
+    );
+}
+
+/// How large the errors of all keyframes are beside sigmas that are `factor` times larger, with a relative part.
+fn print_sigmas(pooled: &[Compared]) {
     for factor in [1.0, 1.3, 1.6, 2.0] {
         for relative in [0.0, 0.01, 0.02] {
-            let mut errors: Vec<f64> = pooled
-                .iter()
-                .map(|[e, var, d]| e / (var * factor * factor + (relative * d).powi(2)).sqrt())
-                .collect();
-            errors.sort_by(f64::total_cmp);
-            let n = errors.len();
-            let median = errors[n / 2];
+            let sigma =
+                |c: &Compared| (c.var * factor * factor + (relative * c.idepth).powi(2)).sqrt();
+            let mut errors: Vec<f64> = pooled.iter().map(|c| c.error() / sigma(c)).collect();
+            let inside =
+                errors.iter().filter(|e| e.abs() < 2.0).count() as f64 / errors.len() as f64;
+            let median = median(&mut errors);
             let mut deviations: Vec<f64> = errors.iter().map(|e| (e - median).abs()).collect();
-            deviations.sort_by(f64::total_cmp);
-            let inside = errors.iter().filter(|e| e.abs() < 2.0).count() as f64 / n as f64;
             println!(
                 "sigma x {factor} + {relative} d: median {median:.2}, robust deviation {:.2}, within 2 sigma {inside:.3}",
-                1.4826 * deviations[n / 2]
+                1.4826 * self::median(&mut deviations)
             );
         }
     }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }

@@ -13,7 +13,6 @@
 #![allow(
     clippy::print_stdout,
     clippy::unwrap_used,
-    clippy::too_many_lines,
     reason = "a tool for development, read from top to bottom"
 )]
 
@@ -22,7 +21,7 @@ mod sequence;
 
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, align_similarity};
 use monogrid_image::GrayImage;
-use monogrid_slam::{FrameInput, SlamConfig, TrackingState};
+use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use options::Options;
 use sequence::Sequence;
 use std::path::Path;
@@ -83,21 +82,14 @@ impl Errors {
     }
 }
 
-fn main() {
-    let mut args = std::env::args().skip(1);
-    let folder = args.next().unwrap();
-    let options = Options::read(args);
-    let is_scene = |(name, folder): &(&String, &String)| {
-        name.chars().all(char::is_uppercase) && Path::new(folder).is_dir()
-    };
-    let others: Vec<(&String, &String)> = options.0.iter().filter(is_scene).collect();
-    let names: Vec<String> = others.iter().map(|(name, _)| (*name).clone()).collect();
-    let mut scenes = vec![Sequence::open(&folder)];
-    scenes.extend(others.iter().map(|(_, folder)| Sequence::open(folder)));
-    let (frames, begins) = video(&options, &names);
-    let config = options.applied_to(&SlamConfig::default());
+/// Tracks the video: the poses as they were reported, and how many frames had which state.
+fn play(
+    slam: &mut Slam,
+    scenes: &[Sequence],
+    frames: &[Shown],
+    print_states: bool,
+) -> (Vec<(usize, Se3)>, [usize; 5]) {
     let (width, height) = scenes[0].undistorter.size();
-    let mut slam = scenes[0].system(config, options.number("seed", 0));
     let mut reported: Vec<(usize, Se3)> = Vec::new();
     let mut counts = [0usize; 5];
     let mut last_state = None;
@@ -112,7 +104,7 @@ fn main() {
             seed_depth: None,
         });
         counts[report.state as usize] += 1;
-        if options.number("maps", 0) > 0 && last_state != Some(report.state) {
+        if print_states && last_state != Some(report.state) {
             println!(
                 "  {k} {shown:?}: {} {:?}",
                 report.state.name(),
@@ -131,6 +123,41 @@ fn main() {
         }
         reported.extend(report.world_from_camera.map(|pose| (k, pose)));
     }
+    (reported, counts)
+}
+
+/// What brings the estimated poses of the first part, beside the true ones, to these: positions by the similarity, and
+/// rotations by the mean of all differences.
+fn fitted(first_part: &[(Se3, Se3)]) -> (Sim3, Rotation) {
+    let positions = first_part.iter();
+    let (estimate, true_positions): (Vec<Vec3>, Vec<Vec3>) = positions
+        .map(|(e, t)| (e.translation, t.translation))
+        .unzip();
+    let fit = align_similarity(&estimate, &true_positions, true).unwrap();
+    let turns = first_part.iter();
+    let turns: Vec<Rotation> = turns
+        .map(|(e, t)| t.rotation * e.rotation.inverse())
+        .collect();
+    let from_first = |turn: &Rotation| (turns[0].inverse() * *turn).scaled_axis();
+    let mean = turns.iter().map(from_first).sum::<Vec3>() / turns.len() as f64;
+    (fit.target_from_source, turns[0] * Rotation::new(mean))
+}
+
+fn main() {
+    let mut args = std::env::args().skip(1);
+    let folder = args.next().unwrap();
+    let options = Options::read(args);
+    let is_scene = |(name, folder): &(&String, &String)| {
+        name.chars().all(char::is_uppercase) && Path::new(folder).is_dir()
+    };
+    let others: Vec<(&String, &String)> = options.0.iter().filter(is_scene).collect();
+    let names: Vec<String> = others.iter().map(|(name, _)| (*name).clone()).collect();
+    let mut scenes = vec![Sequence::open(&folder)];
+    scenes.extend(others.iter().map(|(_, folder)| Sequence::open(folder)));
+    let (frames, begins) = video(&options, &names);
+    let config = options.applied_to(&SlamConfig::default());
+    let mut slam = scenes[0].system(config, options.number("seed", 0));
+    let (reported, counts) = play(&mut slam, &scenes, &frames, options.number("maps", 0) > 0);
     slam.finish();
     for fragment in slam.fragments() {
         println!("{fragment:?}");
@@ -148,18 +175,7 @@ fn main() {
         .filter(|pose| pose.frame_index < second)
         .filter_map(|pose| Some((pose.world_from_camera, truth(pose.frame_index)?.1)))
         .collect();
-    let positions = first_part.iter();
-    let (estimate, true_positions): (Vec<Vec3>, Vec<Vec3>) = positions
-        .map(|(e, t)| (e.translation, t.translation))
-        .unzip();
-    let fit = align_similarity(&estimate, &true_positions, true).unwrap();
-    let turns = first_part.iter();
-    let turns: Vec<Rotation> = turns
-        .map(|(e, t)| t.rotation * e.rotation.inverse())
-        .collect();
-    let from_first = |turn: &Rotation| (turns[0].inverse() * *turn).scaled_axis();
-    let mean = turns.iter().map(from_first).sum::<Vec3>() / turns.len() as f64;
-    let true_from_world = (fit.target_from_source, turns[0] * Rotation::new(mean));
+    let true_from_world = fitted(&first_part);
     let errors = |poses: &mut dyn Iterator<Item = (usize, Se3)>| {
         let (mut errors, mut elsewhere) = (Errors::default(), 0);
         for (k, pose) in poses {

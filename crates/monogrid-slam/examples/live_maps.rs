@@ -20,7 +20,7 @@ mod sequence;
 use monogrid_datasets::{ReadOptions, Recording};
 use monogrid_geometry::{Sim3, Vec7};
 use monogrid_image::GrayImage;
-use monogrid_occupancy::write_ot;
+use monogrid_occupancy::{OccupancyMap, write_ot};
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, Mapper, MappingConfig, z_up_from_camera_world,
 };
@@ -71,36 +71,56 @@ fn main() {
     let mut snapshot = Arc::default();
     for closure in 1..=options.number("closures", 3) {
         snapshot = corrected(&poses, closure);
-        let (wall, cpu) = (Instant::now(), thread_seconds());
-        live.follow(Arc::clone(&snapshot)).unwrap();
-        let mut longest: f64 = 0.0;
-        loop {
-            let step = thread_seconds();
-            if !live.step().unwrap() {
-                break;
-            }
-            longest = longest.max(thread_seconds() - step);
-        }
+        follow(&mut live, &snapshot);
         assert_eq!(reader.latest().unwrap().revision, closure);
-        println!(
-            "closure {closure}: ready after {:.3} s of CPU, {:.3} s; longest step {:.3} s of CPU",
-            thread_seconds() - cpu,
-            wall.elapsed().as_secs_f64(),
-            longest
-        );
     }
     let view = reader.latest().unwrap();
-    let wanted: Vec<_> = snapshot
-        .world_from_keyframe
-        .iter()
-        .copied()
-        .map(Some)
-        .collect();
+    compare_with_scratch(
+        &view.global,
+        &Mapper::new(config, camera, 1),
+        &scans,
+        &snapshot,
+    );
+    beside_tracking(
+        Path::new(folder),
+        live,
+        &poses,
+        options.number("frames", 200),
+    );
+}
+
+/// Lets the maps follow a closure.
+fn follow(live: &mut LiveMaps, snapshot: &Arc<PoseSnapshot>) {
+    let (wall, cpu) = (Instant::now(), thread_seconds());
+    live.follow(Arc::clone(snapshot)).unwrap();
+    let mut longest: f64 = 0.0;
+    loop {
+        let step = thread_seconds();
+        if !live.step().unwrap() {
+            break;
+        }
+        longest = longest.max(thread_seconds() - step);
+    }
+    println!(
+        "closure {}: ready after {:.3} s of CPU, {:.3} s; longest step {longest:.3} s of CPU",
+        snapshot.revision,
+        thread_seconds() - cpu,
+        wall.elapsed().as_secs_f64(),
+    );
+}
+
+/// Builds the map anew at the last poses.
+fn compare_with_scratch(
+    global: &OccupancyMap,
+    mapper: &Mapper,
+    scans: &[KeyframeScan],
+    snapshot: &PoseSnapshot,
+) {
+    let wanted = snapshot.world_from_keyframe.iter().copied();
+    let wanted: Vec<_> = wanted.map(Some).collect();
     let before = thread_seconds();
-    let scratch = Mapper::new(config, camera, 1)
-        .build(&scans, &wanted, &z_up_from_camera_world())
-        .unwrap()
-        .0;
+    let built = mapper.build(scans, &wanted, &z_up_from_camera_world());
+    let scratch = built.unwrap().0;
     let bytes = |map| {
         let mut bytes = Vec::new();
         write_ot(map, &mut bytes).unwrap();
@@ -109,14 +129,8 @@ fn main() {
     println!(
         "from scratch: {:.3} s of CPU; identical bytes: {}; {:.0} MB",
         thread_seconds() - before,
-        bytes(&view.global) == bytes(&scratch),
+        bytes(global) == bytes(&scratch),
         scratch.bytes_in_memory() as f64 / 1e6
-    );
-    beside_tracking(
-        Path::new(folder),
-        live,
-        &poses,
-        options.number("frames", 200),
     );
 }
 

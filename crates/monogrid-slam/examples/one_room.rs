@@ -17,7 +17,7 @@ mod sequence;
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{Image, WorkingSize};
-use monogrid_slam::{FrameInput, SlamConfig};
+use monogrid_slam::{FrameInput, Slam, SlamConfig};
 use options::Options;
 use sequence::Sequence;
 
@@ -28,23 +28,10 @@ fn main() {
     let mut args = std::env::args().skip(1);
     let folder = args.next().unwrap();
     let options = Options::read(args);
-    let size = match options.0.get("size").and_then(|s| s.split_once('x')) {
-        Some((w, h)) => WorkingSize::Exact {
-            width: w.parse().unwrap(),
-            height: h.parse().unwrap(),
-        },
-        None => WorkingSize::Automatic,
-    };
-    let sequence = Sequence::open_with_size(&folder, size);
+    let sequence = Sequence::open_with_size(&folder, working_size(&options));
     let config = options.applied_to(&SlamConfig::default());
     let mut slam = sequence.system(config, 0);
-    let num_images = sequence.dataset.frames.len();
-    let images: Vec<Image<u8>> = (0..num_images.min(options.number("max", usize::MAX)))
-        .map(|frame| {
-            let image = sequence.image(frame);
-            image.map(|v| v.round().clamp(0.0, 255.0) as u8)
-        })
-        .collect();
+    let images = images(&sequence, options.number("max", usize::MAX));
     let order = forth_and_back(
         images.len(),
         options.number("shift", 0),
@@ -71,13 +58,7 @@ fn main() {
         lost += usize::from(index > 200 && report.world_from_camera.is_none());
         used_again += usize::from(report.reactivated_keyframe.is_some());
         if order.get(index + 1).is_none_or(|next| next.0 != way) {
-            let estimate: Vec<StampedPose> = slam
-                .trajectory()
-                .iter()
-                .map(|p| (p.timestamp_ns, p.world_from_camera))
-                .collect();
-            let error = evaluate_trajectory(&estimate, &played, &TrajectoryConfig::default())
-                .map_or(f64::NAN, |r| r.ate_rmse);
+            let error = error_m(&slam, &played);
             let size = slam.map_size();
             println!(
                 "{way}, {}, {}, {}, {}, {:.1}, {:.0}, {:.1}, {used_again}, {lost}, {error:.4}",
@@ -92,6 +73,35 @@ fn main() {
             (millis, frames, used_again) = (0.0, 0, 0);
         }
     }
+}
+
+fn working_size(options: &Options) -> WorkingSize {
+    match options.0.get("size").and_then(|s| s.split_once('x')) {
+        Some((w, h)) => WorkingSize::Exact {
+            width: w.parse().unwrap(),
+            height: h.parse().unwrap(),
+        },
+        None => WorkingSize::Automatic,
+    }
+}
+
+/// The first `count` images.
+fn images(sequence: &Sequence, count: usize) -> Vec<Image<u8>> {
+    let to_bytes = |frame| {
+        let image = sequence.image(frame);
+        image.map(|v| v.round().clamp(0.0, 255.0) as u8)
+    };
+    let count = sequence.dataset.frames.len().min(count);
+    (0..count).map(to_bytes).collect()
+}
+
+/// Error of the frames so far, metres.
+fn error_m(slam: &Slam, played: &[StampedPose]) -> f64 {
+    let path = slam.trajectory();
+    let estimate = path.iter().map(|p| (p.timestamp_ns, p.world_from_camera));
+    let estimate: Vec<StampedPose> = estimate.collect();
+    evaluate_trajectory(&estimate, played, &TrajectoryConfig::default())
+        .map_or(f64::NAN, |errors| errors.ate_rmse)
 }
 
 /// Which way and which image comes when.

@@ -140,6 +140,13 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_inlier_share: 0.0, 1.0;
         alignment_sigma_factor: 0.01, 1000.0;
     }));
+    all.extend(alignment_limits(slam));
+    all
+}
+
+#[rustfmt::skip]
+fn alignment_limits(slam: &SlamConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
     all.extend(limits!("slam.tracking.alignment", slam.tracking.alignment, {
         coarsest_level: 0.0, 8.0;
         finest_level: 0.0, 8.0;
@@ -239,22 +246,6 @@ fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
         lag_frames: 0.0, 1000.0;
         max_iterations: 1.0, 1000.0;
     }));
-    all.extend(limits!("slam.graph.similarity", slam.graph.similarity, {
-        coarsest_level: 0.0, 8.0;
-        finest_level: 0.0, 8.0;
-        max_iterations: 1.0, 1000.0;
-        max_points: 0.0, 10_000_000.0;
-        sigma_intensity: 0.1, 100.0;
-        shared_depth_sigma: 0.0, 1.0;
-        min_cost_decrease: 0.0, 1.0;
-        pixels_per_measurement: 1.0, 1_000_000.0;
-        min_visible_share: 0.0, 1.0;
-        min_good_of_visible: 0.0, 1.0;
-        min_depth_share: 0.0, 1.0;
-        min_correlation: -1.0, 1.0;
-        max_scale_change: 1.0, 1000.0;
-        max_reciprocal_chi_sq: 0.0, 1_000_000_000.0;
-    }));
     all.extend(limits!("slam.graph.places", slam.graph.places, {
         min_keyframes_between: 0.0, 1_000_000.0;
         max_loops: 0.0, 100.0;
@@ -282,6 +273,29 @@ fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
         translation_sigma: 0.000001, 10.0;
         rotation_sigma: 0.000001, 10.0;
         scale_sigma: 0.000001, 10.0;
+    }));
+    all.extend(similarity_limits(slam));
+    all
+}
+
+#[rustfmt::skip]
+fn similarity_limits(slam: &SlamConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
+    all.extend(limits!("slam.graph.similarity", slam.graph.similarity, {
+        coarsest_level: 0.0, 8.0;
+        finest_level: 0.0, 8.0;
+        max_iterations: 1.0, 1000.0;
+        max_points: 0.0, 10_000_000.0;
+        sigma_intensity: 0.1, 100.0;
+        shared_depth_sigma: 0.0, 1.0;
+        min_cost_decrease: 0.0, 1.0;
+        pixels_per_measurement: 1.0, 1_000_000.0;
+        min_visible_share: 0.0, 1.0;
+        min_good_of_visible: 0.0, 1.0;
+        min_depth_share: 0.0, 1.0;
+        min_correlation: -1.0, 1.0;
+        max_scale_change: 1.0, 1000.0;
+        max_reciprocal_chi_sq: 0.0, 1_000_000_000.0;
     }));
     all.push(robust("slam.graph.similarity.robust", &slam.graph.similarity.robust));
     all
@@ -343,6 +357,20 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         tolerance: 0.0001, 1.0;
         max_against: 0.0, 1000.0;
     }));
+    all.extend(scene_limits(mapping));
+    all.extend(auto_length_limits(mapping));
+    let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
+    all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));
+    all.push(limit("mapping.update_limits", update_high, 1e-6, 100.0));
+    all.push(limit("mapping.clamp", clamp_low, -7.99, -0.001));
+    all.push(limit("mapping.clamp", clamp_high, 0.001, 7.99));
+    all
+}
+
+/// What is up, and the surface.
+#[rustfmt::skip]
+fn scene_limits(mapping: &MappingConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
     all.extend(limits!("mapping.upright", mapping.upright, {
         roll_sigma_deg: 1.0, 180.0;
         pitch_deg: -90.0, 90.0;
@@ -354,6 +382,13 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
     all.extend(limits!("mapping.mesh", mapping.mesh, {
         min_faces: 0.0, 1_000_000_000.0;
     }));
+    all
+}
+
+/// Lengths that follow from the cell where they are not given, and pairs.
+#[rustfmt::skip]
+fn auto_length_limits(mapping: &MappingConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
     for (name, length) in [("mapping.buffer", mapping.buffer), ("mapping.significance", mapping.significance)] {
         if let AutoLength::Fixed(length) = length {
             all.push(limit(name, length, 1e-6, 1e6));
@@ -362,10 +397,5 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
     if let AutoLength::Fixed(radius) = mapping.body_radius {
         all.push(limit("mapping.body_radius", radius, 0.0, 1e6));
     }
-    let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
-    all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));
-    all.push(limit("mapping.update_limits", update_high, 1e-6, 100.0));
-    all.push(limit("mapping.clamp", clamp_low, -7.99, -0.001));
-    all.push(limit("mapping.clamp", clamp_high, 0.001, 7.99));
     all
 }

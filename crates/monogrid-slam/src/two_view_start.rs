@@ -342,43 +342,7 @@ impl Reference {
         pinhole: &Pinhole,
         settings: &InitializationConfig,
     ) -> Result<Vec<PosedView>, LostReason> {
-        let mut keyframes = vec![BundleKeyframe {
-            camera_from_world: Se3::identity(),
-            freedom: PoseFreedom::Fixed,
-        }];
-        keyframes.extend(poses.iter().enumerate().map(|(k, pose)| BundleKeyframe {
-            camera_from_world: *pose,
-            freedom: if k + 1 == poses.len() {
-                PoseFreedom::FixedDistance { to: 0 }
-            } else {
-                PoseFreedom::Free
-            },
-        }));
-        let anchored = points.iter().map(|&(i, idepth)| AnchoredPoint {
-            host: 0,
-            pixel: self.points[i],
-            inverse_depth: idepth,
-            prior: None,
-        });
-        let mut observations = Vec::new();
-        for (k, &view) in chosen.iter().enumerate() {
-            for (point, &(i, _)) in points.iter().enumerate() {
-                if let Some(pixel) = self.views[view].pixels[i] {
-                    observations.push(Observation {
-                        keyframe: k + 1,
-                        point,
-                        pixel,
-                        inv_sigma_px: 1.0 / settings.sigma_px,
-                    });
-                }
-            }
-        }
-        let problem = BundleProblem {
-            pinhole: *pinhole,
-            keyframes,
-            points: anchored.collect(),
-            observations,
-        };
+        let problem = self.bundle_problem(chosen, poses, points, pinhole, settings.sigma_px);
         let bundle_config = BundleConfig {
             max_iterations: 20,
             with_covariance: true,
@@ -409,6 +373,54 @@ impl Reference {
                 frame_from_reference: Se3::new(pose.rotation, pose.translation * scale),
             })
             .collect())
+    }
+
+    /// The reference fixed, the last view at a fixed distance from it.
+    fn bundle_problem(
+        &self,
+        chosen: &[usize],
+        poses: &[Se3],
+        points: &[(usize, f64)],
+        pinhole: &Pinhole,
+        sigma_px: f64,
+    ) -> BundleProblem {
+        let mut keyframes = vec![BundleKeyframe {
+            camera_from_world: Se3::identity(),
+            freedom: PoseFreedom::Fixed,
+        }];
+        keyframes.extend(poses.iter().enumerate().map(|(k, pose)| BundleKeyframe {
+            camera_from_world: *pose,
+            freedom: if k + 1 == poses.len() {
+                PoseFreedom::FixedDistance { to: 0 }
+            } else {
+                PoseFreedom::Free
+            },
+        }));
+        let anchored = points.iter().map(|&(i, idepth)| AnchoredPoint {
+            host: 0,
+            pixel: self.points[i],
+            inverse_depth: idepth,
+            prior: None,
+        });
+        let mut observations = Vec::new();
+        for (k, &view) in chosen.iter().enumerate() {
+            for (point, &(i, _)) in points.iter().enumerate() {
+                if let Some(pixel) = self.views[view].pixels[i] {
+                    observations.push(Observation {
+                        keyframe: k + 1,
+                        point,
+                        pixel,
+                        inv_sigma_px: 1.0 / sigma_px,
+                    });
+                }
+            }
+        }
+        BundleProblem {
+            pinhole: *pinhole,
+            keyframes,
+            points: anchored.collect(),
+            observations,
+        }
     }
 
     /// Pose of the last view with the points that were followed there, if two views determine it.

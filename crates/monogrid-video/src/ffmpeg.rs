@@ -7,7 +7,7 @@
 use crate::y4m::Y4mReader;
 use crate::{Opened, VideoError, VideoFrame};
 use std::io::{BufRead, BufReader};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 
@@ -29,52 +29,16 @@ const MAX_MESSAGE: usize = 300;
 
 /// Starts ffmpeg on a file or address; `found` says why it is not decoded here.
 pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
-    let mut command = Command::new("ffmpeg");
-    command.args(["-hide_banner", "-nostats", "-loglevel", "info", "-nostdin"]);
     let live = name.contains("://");
-    if name.starts_with("rtsp://") {
-        command.args(["-rtsp_transport", "tcp"]);
-    }
-    if live {
-        command.args(["-fflags", "nobuffer", "-flags", "low_delay"]);
-    }
-    // `file:` so that a name with a colon is not taken for an address
-    let input = if live {
-        name.to_owned()
-    } else {
-        format!("file:{name}")
-    };
-    command
-        .args(["-i", &input, "-map", "0:v:0", "-vsync", "passthrough"])
-        .args(["-vf", FILTER, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
-    let mut child = command.spawn().map_err(|e| match e.kind() {
+    let mut child = command(name, live).spawn().map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => VideoError::NeedsFfmpeg {
             video: name.to_owned(),
             found: found.to_owned(),
         },
         _ => VideoError::io("ffmpeg", e),
     })?;
-    let (sender, times) = channel();
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-    let messages = std::thread::Builder::new()
-        .name("ffmpeg messages".into())
-        .spawn(move || {
-            let mut last_words = String::new();
-            let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
-            for line in lines.map_while(Result::ok) {
-                match shown_ns(&line) {
-                    // nobody listens any more: the rest is still read, or ffmpeg would wait
-                    Some(time) => drop(sender.send(time)),
-                    None if !line.contains("showinfo") => last_words = line,
-                    None => {}
-                }
-            }
-            last_words.chars().take(MAX_MESSAGE).collect()
-        })
-        .map_err(|e| VideoError::io("ffmpeg", e))?;
+    let (messages, times) = listen(stderr)?;
     let mut process = Process {
         name: name.to_owned(),
         child,
@@ -93,6 +57,53 @@ pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
             process,
         }),
     })
+}
+
+fn command(name: &str, live: bool) -> Command {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-hide_banner", "-nostats", "-loglevel", "info", "-nostdin"]);
+    if name.starts_with("rtsp://") {
+        command.args(["-rtsp_transport", "tcp"]);
+    }
+    if live {
+        command.args(["-fflags", "nobuffer", "-flags", "low_delay"]);
+    }
+    // `file:` so that a name with a colon is not taken for an address
+    let input = if live {
+        name.to_owned()
+    } else {
+        format!("file:{name}")
+    };
+    command
+        .args(["-i", &input, "-map", "0:v:0", "-vsync", "passthrough"])
+        .args(["-vf", FILTER, "-f", "yuv4mpegpipe", "-strict", "-1", "-"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+/// Reads what ffmpeg says: the times of the frames as they come, its last words at the end.
+fn listen(stderr: Option<ChildStderr>) -> Result<(JoinHandle<String>, Receiver<i64>), VideoError> {
+    let (sender, times) = channel();
+    let read = move || {
+        let mut last_words = String::new();
+        let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
+        for line in lines.map_while(Result::ok) {
+            match shown_ns(&line) {
+                // nobody listens any more: the rest is still read, or ffmpeg would wait
+                Some(time) => drop(sender.send(time)),
+                None if !line.contains("showinfo") => last_words = line,
+                None => {}
+            }
+        }
+        last_words.chars().take(MAX_MESSAGE).collect()
+    };
+    let thread = std::thread::Builder::new().name("ffmpeg messages".into());
+    let messages = thread
+        .spawn(read)
+        .map_err(|e| VideoError::io("ffmpeg", e))?;
+    Ok((messages, times))
 }
 
 /// The time in a line of `showinfo`, nanoseconds: `... n:   3 pts:   1501 pts_time:0.0500333 ...`.

@@ -1,4 +1,5 @@
 //! Ground truth, its comparison with maps, and synthetic datasets, through the program.
+#![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,

@@ -1,4 +1,5 @@
 //! Whole runs on a short video of the built-in room: files, determinism, crashes.
+#![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,

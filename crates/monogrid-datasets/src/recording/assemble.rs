@@ -84,61 +84,17 @@ impl Recording {
         mut reader: RecordingReader<R>,
         path: &Path,
     ) -> Result<Self, DatasetError> {
-        let mut session = None;
-        let mut keyframes = BTreeMap::new();
-        // depth that came before its keyframe can only be that of a keyframe lost to damage
-        let mut newest_poses: Option<PoseSnapshot> = None;
-        let mut continuation = None;
-        let mut end = None;
+        let mut newest = Newest::default();
         for record in reader.by_ref() {
-            match record? {
-                Record::Session(s) => session = Some(s),
-                Record::Keyframe(k) => {
-                    keyframes.insert(k.id, recorded(k));
-                }
-                Record::Depth(d) => {
-                    if let Some(keyframe) = keyframes.get_mut(&d.keyframe_id)
-                        && d.revision >= keyframe.depth_revision
-                    {
-                        keyframe.pixels = d.pixels;
-                        keyframe.depth_revision = d.revision;
-                    }
-                }
-                Record::Colour(c) => {
-                    if let Some(keyframe) = keyframes.get_mut(&c.keyframe_id) {
-                        keyframe.colour = Some(c.jpeg);
-                    }
-                }
-                Record::Poses(p) => {
-                    if newest_poses
-                        .as_ref()
-                        .is_none_or(|n| p.revision >= n.revision)
-                    {
-                        newest_poses = Some(p);
-                    }
-                }
-                Record::Continuation(c) => continuation = Some(c),
-                Record::End(e) => end = Some(e),
-            }
+            newest.take(record?);
         }
+        let session = newest.session.take().filter(is_usable);
         let session = session
-            .filter(is_usable)
             .ok_or_else(|| DatasetError::binary(path, "recording", "it has no session record"))?;
-        let pose_revision = newest_poses.as_ref().map(|p| p.revision);
-        // an image of another size belongs to no keyframe of this session
-        let size = (session.width, session.height);
-        for keyframe in keyframes.values_mut() {
-            keyframe.image = keyframe
-                .image
-                .take()
-                .filter(|i| (i.width(), i.height()) == size);
-        }
-        for (id, pose) in newest_poses.map(|p| p.poses).unwrap_or_default() {
-            if let Some(keyframe) = keyframes.get_mut(&id) {
-                keyframe.world_from_keyframe = Some(pose);
-            }
-        }
-        let mut keyframes: Vec<RecordedKeyframe> = keyframes.into_values().collect();
+        let pose_revision = newest.poses.as_ref().map(|poses| poses.revision);
+        newest.place_keyframes((session.width, session.height));
+        let mut continuation = newest.continuation;
+        let mut keyframes: Vec<RecordedKeyframe> = newest.keyframes.into_values().collect();
         let num_invalid_pixels = keyframes
             .iter_mut()
             .map(|k| drop_invalid(&mut k.pixels, &session))
@@ -152,11 +108,67 @@ impl Recording {
             keyframes,
             pose_revision,
             continuation,
-            end,
+            end: newest.end,
             damage: reader.damage(),
             num_invalid_pixels,
             num_invalid_links,
         })
+    }
+}
+
+/// The newest record of each kind.
+#[derive(Default)]
+struct Newest {
+    session: Option<SessionInfo>,
+    keyframes: BTreeMap<u32, RecordedKeyframe>,
+    poses: Option<PoseSnapshot>,
+    continuation: Option<Continuation>,
+    end: Option<EndRecord>,
+}
+
+impl Newest {
+    /// Keeps a record where none is newer. What came before its keyframe can only be of a keyframe lost to damage.
+    fn take(&mut self, record: Record) {
+        match record {
+            Record::Session(session) => self.session = Some(session),
+            Record::Keyframe(keyframe) => {
+                self.keyframes.insert(keyframe.id, recorded(keyframe));
+            }
+            Record::Depth(depth) => {
+                if let Some(keyframe) = self.keyframes.get_mut(&depth.keyframe_id)
+                    && depth.revision >= keyframe.depth_revision
+                {
+                    keyframe.pixels = depth.pixels;
+                    keyframe.depth_revision = depth.revision;
+                }
+            }
+            Record::Colour(colour) => {
+                if let Some(keyframe) = self.keyframes.get_mut(&colour.keyframe_id) {
+                    keyframe.colour = Some(colour.jpeg);
+                }
+            }
+            Record::Poses(poses) => {
+                let is_newer = |newest: &PoseSnapshot| poses.revision >= newest.revision;
+                if self.poses.as_ref().is_none_or(is_newer) {
+                    self.poses = Some(poses);
+                }
+            }
+            Record::Continuation(continuation) => self.continuation = Some(continuation),
+            Record::End(end) => self.end = Some(end),
+        }
+    }
+
+    /// Gives the keyframes their poses and takes images of another size than the session's from them: they belong to none.
+    fn place_keyframes(&mut self, size: (usize, usize)) {
+        for keyframe in self.keyframes.values_mut() {
+            let image = keyframe.image.take();
+            keyframe.image = image.filter(|image| (image.width(), image.height()) == size);
+        }
+        for (id, pose) in self.poses.take().into_iter().flat_map(|poses| poses.poses) {
+            if let Some(keyframe) = self.keyframes.get_mut(&id) {
+                keyframe.world_from_keyframe = Some(pose);
+            }
+        }
     }
 }
 

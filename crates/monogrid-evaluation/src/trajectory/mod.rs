@@ -30,6 +30,16 @@ pub enum TrajectoryAlignment {
     None,
 }
 
+impl TrajectoryAlignment {
+    /// Poses that determine it, and something to compare.
+    fn fewest_poses(self) -> usize {
+        match self {
+            Self::None => 2,
+            Self::Sim3 | Self::Se3 => 3,
+        }
+    }
+}
+
 /// Settings of [`evaluate_trajectory`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrajectoryConfig<'a> {
@@ -177,10 +187,7 @@ pub fn evaluate_trajectory(
     let estimate = checked_and_sorted(estimate, "estimated")?;
     let truth = checked_and_sorted(truth, "true")?;
     let pairs = associate::associate(&estimate, &truth, config.max_difference_secs);
-    let expected = match config.alignment {
-        TrajectoryAlignment::None => 2,
-        TrajectoryAlignment::Sim3 | TrajectoryAlignment::Se3 => 3,
-    };
+    let expected = config.alignment.fewest_poses();
     let too_few = || TrajectoryError::TooFewMatches {
         found: pairs.len(),
         expected,
@@ -192,10 +199,10 @@ pub fn evaluate_trajectory(
         return Err(too_few());
     }
     let gt_from_est = align(&pairs, config.alignment)?;
-    let aligned: Vec<Se3> = pairs
+    let aligned = pairs
         .iter()
-        .map(|p| apply(&gt_from_est, &p.est_from_camera))
-        .collect();
+        .map(|p| apply(&gt_from_est, &p.est_from_camera));
+    let aligned: Vec<Se3> = aligned.collect();
     let ate = ErrorSummary::of(&position_errors(&pairs, &aligned)).ok_or_else(too_few)?;
     let (translations, rotations_deg) = relative_errors(&pairs, &aligned);
     let rpe_trans = ErrorSummary::of(&translations).ok_or_else(too_few)?;
@@ -207,6 +214,7 @@ pub fn evaluate_trajectory(
     let frames = config
         .frame_times_ns
         .map(|times| coverage::with_truth(times, &truth, frame_interval_secs));
+    let expected_times = (frames.clone()).unwrap_or_else(|| truth.iter().map(|p| p.0).collect());
     Ok(TrajectoryReport {
         ate_rmse: ate.rmse,
         ate_mean: ate.mean,
@@ -224,13 +232,7 @@ pub fn evaluate_trajectory(
         matched: pairs.len(),
         estimated: estimate.len(),
         truth: truth.len(),
-        coverage: match &frames {
-            Some(frames) => coverage::coverage(&estimate, frames, frame_interval_secs),
-            None => {
-                let times: Vec<i64> = truth.iter().map(|pose| pose.0).collect();
-                coverage::coverage(&estimate, &times, frame_interval_secs)
-            }
-        },
+        coverage: coverage::coverage(&estimate, &expected_times, frame_interval_secs),
         frames: frames.as_ref().map(Vec::len),
         frame_interval_secs,
         path_length: path_length(&pairs),

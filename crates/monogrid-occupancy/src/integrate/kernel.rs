@@ -217,6 +217,7 @@ pub(crate) mod tests {
     use super::*;
 
     /// A small image with holes and three tables, and blocks around it.
+    #[allow(clippy::too_many_lines, reason = "one random case, described once")]
     pub(crate) fn random_case(seed: u32) -> (KernelImage, FlatTables, Vec<(Block, Weights)>) {
         let mut state = seed;
         let mut unit = move || {

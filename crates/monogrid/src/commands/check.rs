@@ -6,7 +6,7 @@ use crate::doubts::doubts;
 use crate::failure::{CommandResult, Outcome};
 use crate::input::{Images, Input};
 use clap::Args;
-use monogrid_datasets::{CheckConfig, FrameChecker, FrameEntry, SequenceCheck};
+use monogrid_datasets::{CheckConfig, FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Unusable;
 use rayon::prelude::*;
@@ -76,76 +76,115 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
 /// Reads all frames and reports.
 pub fn execute(args: &CheckArgs) -> CommandResult {
     let input = Input::open(&args.source, &args.input)?;
-    let dataset = match &input.images {
-        Images::Files(dataset) => Some(dataset),
-        Images::Video(_) | Images::Rendered(_) => None,
-    };
-    let mut checker = FrameChecker::new(CheckConfig::default());
-    let (mut checks, mut numbers, mut unreadable) = (Vec::new(), Vec::new(), Vec::new());
-    let mut times = Vec::new();
-    for (index, timestamp_ns, image) in frames(&input) {
-        times.push(timestamp_ns as f64 * 1e-9);
-        match image {
-            Ok(image) => {
-                checks.push(checker.check(&image));
-                numbers.push(index);
-            }
-            Err(error) => unreadable.push(format!("frame {index}: {error}")),
-        }
-    }
-    let sequence = SequenceCheck::new(&checks, &CheckConfig::default());
-    let in_source = |positions: &[usize]| positions.iter().map(|&i| numbers[i]).collect();
-    let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
-    let seconds = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
-    let valid = input.mask().as_slice().iter().filter(|&&m| m > 0).count();
-    let jumps: Vec<usize> = sequence.exposure_jumps.iter().map(|jump| jump.0).collect();
-    let (width, height) = input.size();
-    let mut report = CheckReport {
-        source: input.name.clone(),
-        layout: input.layout().to_owned(),
-        frames: times.len(),
-        seconds,
-        frames_per_second: if seconds > 0.0 {
-            (times.len() - 1) as f64 / seconds
-        } else {
-            0.0
-        },
-        largest_gap_seconds: gaps.fold(0.0, f64::max),
-        image_size: [input.camera().width, input.camera().height],
-        working_size: [width, height],
-        calibration: input.interpretation.clone(),
-        horizontal_fov_deg: input.camera().horizontal_fov_deg(),
-        usable_pixels: valid as f64 / (width * height) as f64,
-        unreadable: unreadable.len(),
-        repeated: in_source(&sequence.repeated),
-        exposure_jumps: in_source(&jumps),
-        blurred: in_source(&sequence.blurred),
-        plain: in_source(&sequence.plain),
-        overexposed: in_source(&sequence.overexposed),
-        median_blur: sequence.median_blur,
-        median_textured_share: sequence.median_textured_share,
-        depth_images: dataset.map_or(0, |dataset| dataset.depths.len()),
-        has_ground_truth: dataset.is_some_and(|dataset| dataset.ground_truth.is_some()),
-        warnings: input.warnings.clone(),
-    };
-    if let Some(first) = unreadable.first() {
-        let count = unreadable.len();
-        report
-            .warnings
-            .push(format!("{count} images cannot be used, first {first}"));
-    }
-    report.warnings.extend(sequence.findings());
-    if input.own_calibration.is_none() {
-        let found = doubts(input.camera(), input.images_again());
-        report.warnings.extend(found);
-    }
-    report.warnings.extend(slow_or_narrow(&report));
+    let seen = Seen::all(&input);
+    let report = CheckReport::new(&input, &seen);
     if args.json.json {
         print_json(&report)?;
     } else {
         print_report(&report);
     }
     Ok(Outcome::Done)
+}
+
+/// What the frames of a source say.
+#[derive(Default)]
+struct Seen {
+    /// Of all frames, seconds.
+    times: Vec<f64>,
+    /// Of those that can be used.
+    checks: Vec<FrameCheck>,
+    numbers: Vec<usize>,
+    /// Why the others cannot.
+    unreadable: Vec<String>,
+}
+
+impl Seen {
+    fn all(input: &Input) -> Self {
+        let mut checker = FrameChecker::new(CheckConfig::default());
+        let mut seen = Self::default();
+        for (index, timestamp_ns, image) in frames(input) {
+            seen.times.push(timestamp_ns as f64 * 1e-9);
+            match image {
+                Ok(image) => {
+                    seen.checks.push(checker.check(&image));
+                    seen.numbers.push(index);
+                }
+                Err(error) => seen.unreadable.push(format!("frame {index}: {error}")),
+            }
+        }
+        seen
+    }
+
+    /// From the first to the last.
+    fn seconds(&self) -> f64 {
+        self.times.last().unwrap_or(&0.0) - self.times.first().unwrap_or(&0.0)
+    }
+
+    fn frames_per_second(&self) -> f64 {
+        let seconds = self.seconds();
+        if seconds > 0.0 {
+            (self.times.len() - 1) as f64 / seconds
+        } else {
+            0.0
+        }
+    }
+
+    fn largest_gap_seconds(&self) -> f64 {
+        let gaps = self.times.windows(2).map(|pair| pair[1] - pair[0]);
+        gaps.fold(0.0, f64::max)
+    }
+
+    fn unreadable_warning(&self) -> Option<String> {
+        let (first, count) = (self.unreadable.first()?, self.unreadable.len());
+        Some(format!("{count} images cannot be used, first {first}"))
+    }
+}
+
+impl CheckReport {
+    fn new(input: &Input, seen: &Seen) -> Self {
+        let dataset = match &input.images {
+            Images::Files(dataset) => Some(dataset),
+            Images::Video(_) | Images::Rendered(_) => None,
+        };
+        let sequence = SequenceCheck::new(&seen.checks, &CheckConfig::default());
+        let in_source = |positions: &[usize]| positions.iter().map(|&i| seen.numbers[i]).collect();
+        let jumps: Vec<usize> = sequence.exposure_jumps.iter().map(|jump| jump.0).collect();
+        let valid = input.mask().as_slice().iter().filter(|&&m| m > 0).count();
+        let (width, height) = input.size();
+        let mut report = Self {
+            source: input.name.clone(),
+            layout: input.layout().to_owned(),
+            frames: seen.times.len(),
+            seconds: seen.seconds(),
+            frames_per_second: seen.frames_per_second(),
+            largest_gap_seconds: seen.largest_gap_seconds(),
+            image_size: [input.camera().width, input.camera().height],
+            working_size: [width, height],
+            calibration: input.interpretation.clone(),
+            horizontal_fov_deg: input.camera().horizontal_fov_deg(),
+            usable_pixels: valid as f64 / (width * height) as f64,
+            unreadable: seen.unreadable.len(),
+            repeated: in_source(&sequence.repeated),
+            exposure_jumps: in_source(&jumps),
+            blurred: in_source(&sequence.blurred),
+            plain: in_source(&sequence.plain),
+            overexposed: in_source(&sequence.overexposed),
+            median_blur: sequence.median_blur,
+            median_textured_share: sequence.median_textured_share,
+            depth_images: dataset.map_or(0, |dataset| dataset.depths.len()),
+            has_ground_truth: dataset.is_some_and(|dataset| dataset.ground_truth.is_some()),
+            warnings: input.warnings.clone(),
+        };
+        report.warnings.extend(seen.unreadable_warning());
+        report.warnings.extend(sequence.findings());
+        if input.own_calibration.is_none() {
+            let found = doubts(input.camera(), input.images_again());
+            report.warnings.extend(found);
+        }
+        let found = slow_or_narrow(&report);
+        report.warnings.extend(found);
+        report
+    }
 }
 
 /// Frames per second below which the camera must move slowly.

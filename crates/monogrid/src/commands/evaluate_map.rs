@@ -253,6 +253,11 @@ fn print_map(report: &MapReport) {
         );
     }
     println!();
+    print_cells(report);
+}
+
+/// What is there, where it is, and how far the probabilities can be believed.
+fn print_cells(report: &MapReport) {
     println!(
         "observed: {:.1} % of the free and {:.1} % of the occupied cells; {} cells beyond the truth",
         100.0 * report.coverage_free,

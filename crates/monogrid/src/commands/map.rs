@@ -120,17 +120,7 @@ impl MeshLook {
 /// Builds and writes the map.
 pub fn execute(args: &MapArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
-    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
-    let inputs = inputs(args)?;
-    let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
-    let png = args.png.as_deref();
-    let png = png.map(|path| OutputFile::new(path, args.force.force, &inputs));
-    let png = png.transpose()?;
-    let mesh_file = args.mesh.as_deref().map(|path| {
-        let format = MeshFormat::from_name(path)?;
-        OutputFile::new(path, args.force.force, &inputs).map(|file| (file, format))
-    });
-    let mesh_file = mesh_file.transpose()?;
+    let files = Files::new(args)?;
     let align = Align::parse(args.align.as_deref(), args.up.unwrap_or_default())?;
     let mut built = match Kind::of(&args.recording)? {
         Kind::Recording => from_recording(args, &align, threads)?,
@@ -138,63 +128,94 @@ pub fn execute(args: &MapArgs) -> CommandResult {
         Kind::Folder => from_folder(args, &align, threads)?,
     };
     built.map.pack(threads);
-    let file_bytes = mapfile::save(&built.map, &output, format)?;
-    if let Some(png) = &png {
-        let cubes = occupied_cubes(&built.map).while_running("the map cannot be drawn")?;
-        png.write(&encode_png_rgb(&render(
-            &cubes,
-            &[],
-            None,
-            &View::default(),
-        )))?;
-    }
-    if let Some((file, format)) = &mesh_file {
-        let MeshLook {
-            colours,
-            config,
-            unit,
-        } = &built.look;
-        let mesh = colours.mesh(&built.map, config);
-        let mesh = mesh.while_running("the surface cannot be made")?;
-        file.write_with(|out| format.write(&mesh, unit, out))?;
-    }
+    let file_bytes = files.write(&built)?;
     for warning in &built.warnings {
         eprintln!("warning: {warning}");
     }
-    let seconds = built.cpu.as_secs_f64();
-    let report = MapReport {
-        points: built.points,
-        scans: built.scans,
-        seconds,
-        seconds_per_100k_points: seconds * 1e5 / built.points.max(1) as f64,
-        wall_seconds: built.wall.as_secs_f64(),
-        resolution: built.map.resolution(),
-        leaves: built.map.leaf_count(),
-        bytes_in_memory: built.map.bytes_in_memory(),
-        peak_rss_bytes: peak_rss_bytes(),
-        file_bytes,
-        frame: built.frame,
-        threads,
-        warnings: built.warnings,
-    };
+    let report = MapReport::new(built, file_bytes, threads);
     if args.json.json {
         print_json(&report)?;
     } else {
+        report.print(&args.out);
+    }
+    Ok(Outcome::Done)
+}
+
+/// The files that are asked for.
+struct Files {
+    map: (OutputFile, MapFormat),
+    png: Option<OutputFile>,
+    mesh: Option<(OutputFile, MeshFormat)>,
+}
+
+impl Files {
+    /// Refuses names that cannot be written before anything is built.
+    fn new(args: &MapArgs) -> Result<Self, Failure> {
+        let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
+        let inputs = inputs(args)?;
+        let file = |path: &Path| OutputFile::new(path, args.force.force, &inputs);
+        let mesh = |path: &Path| Ok((file(path)?, MeshFormat::from_name(path)?));
+        Ok(Self {
+            map: (file(&args.out)?, format),
+            png: args.png.as_deref().map(file).transpose()?,
+            mesh: args.mesh.as_deref().map(mesh).transpose()?,
+        })
+    }
+
+    /// Writes them; bytes of the map's file.
+    fn write(&self, built: &Built) -> Result<u64, Failure> {
+        let (file, format) = &self.map;
+        let file_bytes = mapfile::save(&built.map, file, *format)?;
+        if let Some(png) = &self.png {
+            let cubes = occupied_cubes(&built.map).while_running("the map cannot be drawn")?;
+            let picture = render(&cubes, &[], None, &View::default());
+            png.write(&encode_png_rgb(&picture))?;
+        }
+        if let Some((file, format)) = &self.mesh {
+            let look = &built.look;
+            let mesh = look.colours.mesh(&built.map, &look.config);
+            let mesh = mesh.while_running("the surface cannot be made")?;
+            file.write_with(|out| format.write(&mesh, look.unit, out))?;
+        }
+        Ok(file_bytes)
+    }
+}
+
+impl MapReport {
+    fn new(built: Built, file_bytes: u64, threads: usize) -> Self {
+        let seconds = built.cpu.as_secs_f64();
+        Self {
+            points: built.points,
+            scans: built.scans,
+            seconds,
+            seconds_per_100k_points: seconds * 1e5 / built.points.max(1) as f64,
+            wall_seconds: built.wall.as_secs_f64(),
+            resolution: built.map.resolution(),
+            leaves: built.map.leaf_count(),
+            bytes_in_memory: built.map.bytes_in_memory(),
+            peak_rss_bytes: peak_rss_bytes(),
+            file_bytes,
+            frame: built.frame,
+            threads,
+            warnings: built.warnings,
+        }
+    }
+
+    fn print(&self, map: &Path) {
         println!(
             "{} measurements of {} scans in {:.2} s of CPU ({:.4} s per 100 000)",
-            report.points, report.scans, report.seconds, report.seconds_per_100k_points
+            self.points, self.scans, self.seconds, self.seconds_per_100k_points
         );
         println!(
             "{}: cells of {}, {} leaves, {} in memory, {} on disk; {}",
-            args.out.display(),
-            report.resolution,
-            report.leaves,
-            bytes(report.bytes_in_memory as u64),
-            bytes(report.file_bytes),
-            report.frame
+            map.display(),
+            self.resolution,
+            self.leaves,
+            bytes(self.bytes_in_memory as u64),
+            bytes(self.file_bytes),
+            self.frame
         );
     }
-    Ok(Outcome::Done)
 }
 
 /// What is read: the images of a folder too.

@@ -129,6 +129,14 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
         "  {:.1} s, {:.1} frames per second{memory}\n",
         summary.seconds.total, summary.frames_per_second,
     );
+    lines += &error_lines(summary);
+    lines += &format!("  look at {}", folder.join("report.html").display());
+    lines
+}
+
+/// What is known from a truth.
+fn error_lines(summary: &Summary) -> String {
+    let mut lines = String::new();
     if let Some(fit) = &summary.trajectory {
         lines += &format!("  error against the reference: {:.4} m\n", fit.ate_rmse);
     }
@@ -144,7 +152,6 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
             map.auc, map.mcc, report.predicted_beyond, report.mcc_with_beyond
         );
     }
-    lines += &format!("  look at {}", folder.join("report.html").display());
     lines
 }
 

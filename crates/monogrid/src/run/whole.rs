@@ -3,7 +3,7 @@
 use super::RunSettings;
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
-use super::outputs::{self, Ground, Surface, path_of};
+use super::outputs::{self, Ground, MapPictures, Surface, path_of};
 use super::progress::watched;
 use super::report::{ReportInput, page};
 use super::sessions::{RECORDING, tracked_frame};
@@ -74,70 +74,51 @@ pub fn run_all(
     folder.write("config.toml", &config)?;
     let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
     let scans = final_depth(&mut tracked, settings.show_progress);
-    let looked = Looked::at(&tracked, &scans, align, input, settings);
-    let (mut frame, cell) = (looked.frame, looked.cell);
-    let (known, not_compared) = known_path(input, align, &tracked, &mut frame);
-    let poses = outputs::final_poses(&tracked, &frame);
-    outputs::write_tables(folder, &tracked, &frame, &poses, settings)?;
-    let paths = Paths::new(&poses, &tracked, &frame);
-    let unit = unit_name(is_metric(&tracked, &frame));
-    let posed = posed_keyframes(&tracked, &frame);
+    let mut looked = Looked::at(&tracked, &scans, align, input, settings);
+    let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
+    let poses = outputs::final_poses(&tracked, &looked.frame);
+    outputs::write_tables(folder, &tracked, &looked.frame, &poses, settings)?;
+    let paths = Paths::new(&poses, &tracked, &looked.frame);
+    let posed = posed_keyframes(&tracked, &looked.frame);
     let shown = shown_keyframes(&posed, &scans);
     let colours = Colours::read(&folder.path().join(RECORDING))?;
-    if !shown.is_empty() {
-        outputs::write_cloud(folder, &shown, &colours, tracked.run.slam.pinhole(), unit)?;
-    }
-    let ground = Ground {
-        has_floor: frame.floor.is_some(),
-        is_metric: is_metric(&tracked, &frame),
-    };
-    let mapping = &settings.config.mapping;
-    let edge = cell.map_or(mapping.resolution, |cell| cell.edge);
     let pinhole = tracked.run.slam.pinhole();
+    if !shown.is_empty() {
+        let unit = unit_name(is_metric(&tracked, &looked.frame));
+        outputs::write_cloud(folder, &shown, &colours, pinhole, unit)?;
+    }
+    let edge = looked.edge(settings);
     let cell_colours = CellColours::new(&coloured_scans(&posed, &scans), &colours, pinhole, edge);
-    let built = final_maps(&mut tracked, scans, &frame, &paths.path, settings, cell);
+    let built = final_maps(&mut tracked, scans, &looked, &paths.path, settings);
     let (maps, failure) = match built {
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
-    let surface = Surface {
-        colours: &cell_colours,
-        config: &mapping.mesh,
-    };
     let write = |maps| {
-        let path = (paths.path.as_slice(), paths.reported.as_deref());
-        outputs::write_maps(folder, maps, path, ground, surface)
+        let (colours, config) = (&cell_colours, &settings.config.mapping.mesh);
+        let surface = Surface { colours, config };
+        let ground = ground(&tracked, &looked.frame);
+        outputs::write_maps(folder, maps, paths.both(), ground, surface)
     };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
-    extras.warnings.extend(tracked.doubts.iter().cloned());
-    extras.warnings.extend(not_compared);
-    let mut summary = Summary::new(input, settings, &tracked, &frame, maps.as_ref());
-    summary.map.cell = cell;
-    summary.warnings = warnings(input, looked.warning, extras.warnings, &summary);
-    summary.depth = extras.depth;
-    summary.map_error = extras.map;
-    let verdict = verdict(&summary, &tracked);
-    let reference = Reference::new(&known, &poses);
-    let report = ReportInput {
-        title: &format!("monogrid: {}", input.name),
-        verdict: &verdict,
-        summary: &summary,
-        frame: &frame,
-        path: &paths.path,
-        reported_path: paths.reported.as_deref().unwrap_or_default(),
-        reference: &reference.path,
-        errors: &reference.errors,
-        map: maps.as_ref().map(|maps| &maps.global),
-        keyframes: &shown,
-        colours: &colours,
-        cut: pictures.as_ref().and_then(|p| p.cut),
-        mesh: pictures.as_ref().and_then(|p| p.mesh.as_ref()),
-        preview: pictures.as_ref().map(|p| p.preview.as_slice()),
-        loops: pictures.as_ref().and_then(|p| p.loops.as_ref()),
-        config: &config,
+    let doubts = tracked.doubts.iter().cloned();
+    extras.warnings.extend(doubts.chain(not_compared));
+    let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
+    let results = Results {
+        frame: &looked.frame,
+        reference: Reference::new(&known, &poses),
+        paths,
+        shown,
+        colours,
+        maps,
+        pictures,
+        config,
     };
-    folder.write("report.html", page(&tracked, &report)?)?;
+    let verdict = verdict(&summary, &tracked);
+    let title = format!("monogrid: {}", input.name);
+    let report = page(&tracked, &results.report(&title, &verdict, &summary))?;
+    folder.write("report.html", report)?;
     summary.take_times();
     let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
     folder.write("summary.json", json + "\n")?;
@@ -147,6 +128,72 @@ pub fn run_all(
         verdict,
         failure,
     })
+}
+
+/// What the report shows.
+struct Results<'a> {
+    frame: &'a MapFrame,
+    paths: Paths,
+    reference: Reference,
+    shown: Vec<ShownKeyframe<'a>>,
+    colours: Colours,
+    maps: Option<Maps>,
+    pictures: Option<MapPictures>,
+    config: String,
+}
+
+impl Results<'_> {
+    fn report<'a>(
+        &'a self,
+        title: &'a str,
+        verdict: &'a str,
+        summary: &'a Summary,
+    ) -> ReportInput<'a> {
+        let pictures = self.pictures.as_ref();
+        let (path, reported_path) = self.paths.both();
+        ReportInput {
+            title,
+            verdict,
+            summary,
+            frame: self.frame,
+            path,
+            reported_path: reported_path.unwrap_or_default(),
+            reference: &self.reference.path,
+            errors: &self.reference.errors,
+            map: self.maps.as_ref().map(|maps| &maps.global),
+            keyframes: &self.shown,
+            colours: &self.colours,
+            cut: pictures.and_then(|pictures| pictures.cut),
+            mesh: pictures.and_then(|pictures| pictures.mesh.as_ref()),
+            preview: pictures.map(|pictures| pictures.preview.as_slice()),
+            loops: pictures.and_then(|pictures| pictures.loops.as_ref()),
+            config: &self.config,
+        }
+    }
+}
+
+fn ground(tracked: &Tracked, frame: &MapFrame) -> Ground {
+    Ground {
+        has_floor: frame.floor.is_some(),
+        is_metric: is_metric(tracked, frame),
+    }
+}
+
+/// The numbers, with what a truth says of them.
+fn summary(
+    input: &Input,
+    settings: &RunSettings,
+    tracked: &Tracked,
+    looked: &Looked,
+    maps: Option<&Maps>,
+    extras: Extras,
+) -> Summary {
+    let mut summary = Summary::new(input, settings, tracked, &looked.frame, maps);
+    summary.map.cell = looked.cell;
+    summary.warnings = warnings(input, looked.warning.clone(), extras.warnings, &summary);
+    summary.depth = extras.depth;
+    summary.map_error = extras.map;
+    summary
 }
 
 /// The first Ctrl-C ends tracking, a second one the process.
@@ -201,6 +248,14 @@ impl Looked {
             warning,
             cell: cell.flatten(),
         }
+    }
+}
+
+impl Looked {
+    /// Edge of a cell of the maps.
+    fn edge(&self, settings: &RunSettings) -> f64 {
+        let asked = settings.config.mapping.resolution;
+        self.cell.map_or(asked, |cell| cell.edge)
     }
 }
 
@@ -271,6 +326,10 @@ impl Paths {
             path: path_of(poses),
             reported: has_loops.then(|| outputs::reported_path(tracked, frame)),
         }
+    }
+
+    fn both(&self) -> (&[[f64; 3]], Option<&[[f64; 3]]>) {
+        (&self.path, self.reported.as_deref())
     }
 }
 
@@ -368,20 +427,19 @@ fn coloured_scans<'a>(
 fn final_maps(
     tracked: &mut Tracked,
     scans: Vec<KeyframeScan>,
-    frame: &MapFrame,
+    looked: &Looked,
     path: &[[f64; 3]],
     settings: &RunSettings,
-    cell: Option<SceneCell>,
 ) -> Result<Option<Maps>, String> {
     let before = process_cpu();
     let camera = path.last().map(|point| Vec3::from(*point));
     let frames = settings.earlier().into_iter().flat_map(|e| &e.frames);
     let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
-    let edge = cell.map(|cell| cell.edge);
+    let edge = looked.cell.map(|cell| cell.edge);
     let run = &mut tracked.run;
     let maps = watched("final maps", scans.len(), settings.show_progress, |done| {
         let more = (frames.as_slice(), edge);
-        run.maps_of(scans, &frame.map_from_world, camera, more, done)
+        run.maps_of(scans, &looked.frame.map_from_world, camera, more, done)
     });
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())

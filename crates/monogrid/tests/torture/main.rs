@@ -5,6 +5,7 @@
 //! mutated file, `TORTURE_SEED` begins another sequence of mutations, `TORTURE_KEEP` is a folder that inputs which did
 //! harm are copied to.
 #![cfg(unix)]
+#![allow(clippy::too_many_lines, reason = "a test tells its story in one place")]
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,

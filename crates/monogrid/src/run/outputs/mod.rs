@@ -5,5 +5,5 @@ mod maps;
 mod tables;
 
 pub use cloud::write_cloud;
-pub use maps::{Ground, Surface, UNKNOWN_SCALE_WARNING, write_global, write_maps};
+pub use maps::{Ground, MapPictures, Surface, UNKNOWN_SCALE_WARNING, write_global, write_maps};
 pub use tables::{final_poses, path_of, reported_path, write_tables};

@@ -143,6 +143,16 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
             format!("{} {unit}", number(path_length(input.path))),
         ),
     ];
+    facts.extend(error_facts(input));
+    facts
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect()
+}
+
+/// What is known from a truth.
+fn error_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
+    let mut facts = Vec::new();
     if let Some(fit) = &input.frame.fit {
         facts.push((
             "Error against the reference",
@@ -152,7 +162,7 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
             ),
         ));
     }
-    if let Some(depth) = &summary.depth {
+    if let Some(depth) = &input.summary.depth {
         facts.push((
             "Depth against the truth",
             format!(
@@ -162,7 +172,7 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
             ),
         ));
     }
-    if let Some(map) = summary.observed_map_error() {
+    if let Some(map) = input.summary.observed_map_error() {
         facts.push((
             "Map against the truth",
             format!(
@@ -172,9 +182,6 @@ fn facts(input: &ReportInput) -> Vec<(String, String)> {
         ));
     }
     facts
-        .into_iter()
-        .map(|(name, value)| (name.to_owned(), value))
-        .collect()
 }
 
 fn path_length(path: &[[f64; 3]]) -> f64 {

@@ -53,21 +53,10 @@ impl Summary {
             } else {
                 0.0
             },
-            map: MapFacts {
-                resolution: maps.map_or(settings.config.mapping.resolution, |maps| {
-                    maps.global.resolution()
-                }),
-                cell: None,
-                leaves: maps.map_or(0, |maps| maps.global.leaf_count()),
-                bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
-            },
+            map: map_facts(maps, settings),
             peak_rss_bytes: None,
             memory_bytes: slam.map_size().bytes,
-            scale: if is_metric(tracked, frame) {
-                METRIC
-            } else {
-                ARBITRARY
-            },
+            scale: scale_name(is_metric(tracked, frame)),
             frame: frame.description.clone(),
             up: frame.up,
             floor: frame.floor,
@@ -83,6 +72,20 @@ impl Summary {
         summary.take_times();
         summary
     }
+}
+
+fn map_facts(maps: Option<&Maps>, settings: &RunSettings) -> MapFacts {
+    let asked = settings.config.mapping.resolution;
+    MapFacts {
+        resolution: maps.map_or(asked, |maps| maps.global.resolution()),
+        cell: None,
+        leaves: maps.map_or(0, |maps| maps.global.leaf_count()),
+        bytes_in_memory: maps.map_or(0, |maps| maps.global.bytes_in_memory()),
+    }
+}
+
+fn scale_name(is_metric: bool) -> &'static str {
+    if is_metric { METRIC } else { ARBITRARY }
 }
 
 /// Whether lengths of the results are metres.
