@@ -71,7 +71,10 @@ pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec
             .copied()
             .collect();
         if kept.len() >= config.min_reference_points.min(all.len()) || limit > 4.0 {
-            return if limit > 4.0 { all } else { kept };
+            let mut chosen = if limit > 4.0 { all } else { kept };
+            // kept as long as the keyframe
+            chosen.shrink_to_fit();
+            return chosen;
         }
         limit *= 2.0;
     }

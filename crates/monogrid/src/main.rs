@@ -17,6 +17,7 @@ mod input;
 mod keyframe_pixels;
 mod map_camera;
 mod mapfile;
+mod memory;
 mod output;
 mod picture;
 mod recorded;
@@ -35,6 +36,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     // the clock of "frames per second, everything included"
     usage::process_start();
+    memory::return_large_blocks();
     let cli = match Cli::from_process() {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),

@@ -91,7 +91,7 @@ fn publish(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> Option<Ke
         smoothed: publication.smoothed,
         ..PixelFilter::default()
     };
-    let pixels: Vec<DepthPixel> = depth
+    let mut pixels: Vec<DepthPixel> = depth
         .pixels(filter)
         .map(|p| DepthPixel {
             x: p.x,
@@ -101,6 +101,7 @@ fn publish(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> Option<Ke
                 + (publication.relative_sigma * p.idepth).powi(2),
         })
         .collect();
+    pixels.shrink_to_fit();
     if let Some(known) = &keyframe.published {
         return is_worth_a_revision(&known.pixels, &pixels).then(|| Keyframe {
             pixels,

@@ -77,6 +77,7 @@ impl KeyframeGraph {
         }
         if job.is_final {
             self.search_all();
+            self.prepared = Vec::new();
         }
         if is_changed {
             self.update_covariances(job.is_final);
