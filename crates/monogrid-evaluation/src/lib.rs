@@ -30,7 +30,7 @@ pub use paths::{
 pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use trajectory::{
     PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,
-    TrajectoryError, TrajectoryReport, WindowScale, evaluate_trajectory,
+    TrajectoryError, TrajectoryReport, WindowScale, WrongPoseConfig, evaluate_trajectory,
 };
 pub use truth::{
     CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid, View,

@@ -158,9 +158,11 @@ fn the_report_has_the_names_of_the_contract() {
         "scale_drift",
         "matched",
         "coverage",
+        "wrong_share",
     ] {
         assert!(json[key].is_number(), "{key} in {json}");
     }
     assert!(report.ate_rmse < 1e-12 && (report.scale - 1.0).abs() < 1e-12);
     assert_eq!(report.coverage, 1.0);
+    assert_eq!(report.wrong_share, 0.0);
 }

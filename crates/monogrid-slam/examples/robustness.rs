@@ -14,8 +14,7 @@
 
 mod options;
 
-use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
-use monogrid_geometry::Sim3;
+use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use monogrid_worlds::{
@@ -148,20 +147,6 @@ fn run(sequence: &SynthSequence, disturbance: Disturbance) -> (Slam, Vec<Stamped
     (slam, truth, num_lost)
 }
 
-/// Share of the poses that are far from the truth after alignment.
-fn wrong_share(poses: &[StampedPose], truth: &[StampedPose], report: &TrajectoryReport) -> f64 {
-    let is_wrong = |(time, pose): &&StampedPose| {
-        let at = truth.iter().find(|(t, _)| t == time);
-        at.is_none_or(|(_, truth)| {
-            let aligned = (report.gt_from_est * Sim3::from(*pose)).to_se3();
-            let error = truth.inverse() * aligned;
-            error.translation.norm() > 0.02 * report.path_length
-                || error.rotation.angle().to_degrees() > 3.0
-        })
-    };
-    poses.iter().filter(is_wrong).count() as f64 / poses.len() as f64
-}
-
 fn main() {
     let mut args = std::env::args().skip(1);
     let (world, name) = (args.next().unwrap(), args.next().unwrap());
@@ -186,8 +171,7 @@ fn main() {
     match evaluate_trajectory(&poses, &truth, &TrajectoryConfig::default()) {
         Ok(report) => {
             let ate = 100.0 * report.ate_rmse / report.path_length;
-            let wrong = wrong_share(&poses, &truth, &report);
-            println!("{ate:.2} | {wrong:.3} | {num_lost} |");
+            println!("{ate:.2} | {:.3} | {num_lost} |", report.wrong_share);
         }
         Err(_) => println!("– | 0.000 | {num_lost} |"),
     }

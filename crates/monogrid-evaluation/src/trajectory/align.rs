@@ -37,41 +37,100 @@ fn along_a_line(
     target: &[Vec3],
     with_scale: bool,
 ) -> Option<Sim3> {
-    let n = pairs.len() as f64;
-    let (mean_source, mean_target) = (
-        source.iter().sum::<Vec3>() / n,
-        target.iter().sum::<Vec3>() / n,
-    );
-    let (mut scatter, mut covariance, mut turns) = (Mat3::zeros(), Mat3::zeros(), Mat3::zeros());
-    let mut var_source = 0.0;
-    for ((pair, s), t) in pairs.iter().zip(source).zip(target) {
-        let (ds, dt) = (s - mean_source, t - mean_target);
-        scatter += dt * dt.transpose() / n;
-        covariance += dt * ds.transpose() / n;
-        var_source += ds.norm_squared() / n;
-        turns += rotation(pair.gt_from_camera.rotation)
-            * rotation(pair.est_from_camera.rotation).transpose()
-            / n;
-    }
-    let spread = scatter.symmetric_eigenvalues().map(|v| v.max(0.0).sqrt());
+    let moments = Moments::of(pairs, source, target);
+    let spread = (moments.scatter.symmetric_eigenvalues()).map(|v| v.max(0.0).sqrt());
     let (longest, sum) = (spread.max(), spread.sum());
     let across = sum - longest - spread.min();
-    let strength = covariance.norm();
-    if !(longest > 0.0 && across < STRAIGHT * longest && var_source > 0.0 && strength > 0.0) {
+    let strength = moments.covariance.norm();
+    if !(longest > 0.0 && across < STRAIGHT * longest && strength > 0.0) {
         return None;
     }
-    let svd = (covariance / strength + turns * ORIENTATION_WEIGHT).svd(true, true);
+    let turn =
+        nearest_rotation(&(moments.covariance / strength + moments.turns * ORIENTATION_WEIGHT))?;
+    moments.transform(&turn, with_scale)
+}
+
+/// The transform that brings positions and orientations together at once: an error of `radius` in a position counts as
+/// much as one radian. `None` where nobody moves.
+pub(super) fn align_poses(pairs: &[PosePair], radius: f64, with_scale: bool) -> Option<Sim3> {
+    /// The scale depends on the rotation, which depends on the scale.
+    const ROUNDS: usize = 5;
+    let source: Vec<Vec3> = pairs
+        .iter()
+        .map(|p| p.est_from_camera.translation)
+        .collect();
+    let target: Vec<Vec3> = pairs.iter().map(|p| p.gt_from_camera.translation).collect();
+    let moments = Moments::of(pairs, &source, &target);
+    let mut turn = nearest_rotation(&moments.turns)?;
+    for _ in 0..ROUNDS {
+        let scale = moments.scale(&turn, with_scale)?;
+        // 2 scale from the squared distances, radius² from the squared angles
+        let both = moments.covariance * (2.0 * scale) + moments.turns * (radius * radius);
+        turn = nearest_rotation(&both)?;
+    }
+    moments.transform(&turn, with_scale)
+}
+
+/// What an alignment needs to know about pairs of poses.
+struct Moments {
+    mean_source: Vec3,
+    mean_target: Vec3,
+    /// Of the target.
+    scatter: Mat3,
+    /// Of target and source.
+    covariance: Mat3,
+    var_source: f64,
+    /// Mean rotation, true world from estimated world.
+    turns: Mat3,
+}
+
+impl Moments {
+    fn of(pairs: &[PosePair], source: &[Vec3], target: &[Vec3]) -> Self {
+        let n = pairs.len() as f64;
+        let mut moments = Self {
+            mean_source: source.iter().sum::<Vec3>() / n,
+            mean_target: target.iter().sum::<Vec3>() / n,
+            scatter: Mat3::zeros(),
+            covariance: Mat3::zeros(),
+            var_source: 0.0,
+            turns: Mat3::zeros(),
+        };
+        for ((pair, s), t) in pairs.iter().zip(source).zip(target) {
+            let (ds, dt) = (s - moments.mean_source, t - moments.mean_target);
+            moments.scatter += dt * dt.transpose() / n;
+            moments.covariance += dt * ds.transpose() / n;
+            moments.var_source += ds.norm_squared() / n;
+            moments.turns += rotation(pair.gt_from_camera.rotation)
+                * rotation(pair.est_from_camera.rotation).transpose()
+                / n;
+        }
+        moments
+    }
+
+    /// The best scale for a rotation; `None` where the estimate does not move.
+    fn scale(&self, turn: &Mat3, with_scale: bool) -> Option<f64> {
+        if !with_scale {
+            return Some(1.0);
+        }
+        let scale = (turn.transpose() * self.covariance).trace() / self.var_source;
+        (scale > 0.0 && scale.is_finite()).then_some(scale)
+    }
+
+    fn transform(&self, turn: &Mat3, with_scale: bool) -> Option<Sim3> {
+        let scale = self.scale(turn, with_scale)?;
+        let turn = Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*turn));
+        let mean = self.mean_target - turn * self.mean_source * scale;
+        let aligned = Sim3::new(scale, turn, mean);
+        aligned.is_finite().then_some(aligned)
+    }
+}
+
+/// The rotation with the largest trace of its transpose times a matrix.
+fn nearest_rotation(matrix: &Mat3) -> Option<Mat3> {
+    let svd = matrix.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
     let sign = (u.determinant() * v_t.determinant()).signum();
-    let turn = u * Mat3::from_diagonal(&Vec3::new(1.0, 1.0, sign)) * v_t;
-    let scale = if with_scale {
-        (turn.transpose() * covariance).trace() / var_source
-    } else {
-        1.0
-    };
-    let turn = Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
-    let aligned = Sim3::new(scale, turn, mean_target - turn * mean_source * scale);
-    aligned.is_finite().then_some(aligned)
+    Some(u * Mat3::from_diagonal(&Vec3::new(1.0, 1.0, sign)) * v_t)
 }
 
 fn rotation(rotation: Rotation) -> Mat3 {
@@ -122,6 +181,17 @@ mod tests {
         let rigid = truth.to_se3().with_scale(1.0);
         let found = align(&pairs(&rigid, 0.0), TrajectoryAlignment::Se3).unwrap();
         assert!(found.rotation.angle_to(&rigid.rotation) < 1e-6 && found.scale == 1.0);
+    }
+
+    #[test]
+    fn positions_and_orientations_together_find_the_exact_transform() {
+        let truth = twist([3.0, -1.0, 2.0, 0.4, 1.2, -0.7]).with_scale(2.5);
+        for across in [0.0, 0.05, 2.0] {
+            let found = align_poses(&pairs(&truth, across), 1.0, true).unwrap();
+            assert!(found.rotation.angle_to(&truth.rotation) < 1e-6, "{across}");
+            assert!((found.scale / truth.scale - 1.0).abs() < 1e-9, "{across}");
+            assert!((found.translation - truth.translation).norm() < 1e-6);
+        }
     }
 
     #[test]

@@ -8,9 +8,11 @@ mod align;
 mod associate;
 mod coverage;
 mod scale_drift;
+mod wrong;
 
 pub use associate::{PosePair, StampedPose};
 pub use scale_drift::{ScaleWindowConfig, WindowScale};
+pub use wrong::WrongPoseConfig;
 
 use crate::statistics::ErrorSummary;
 use align::align;
@@ -55,6 +57,8 @@ pub struct TrajectoryConfig<'a> {
     pub frame_times_ns: Option<&'a [i64]>,
     /// Windows of the scale drift.
     pub windows: ScaleWindowConfig,
+    /// Poses that count as wrong.
+    pub wrong: WrongPoseConfig,
 }
 
 impl Default for TrajectoryConfig<'_> {
@@ -65,6 +69,7 @@ impl Default for TrajectoryConfig<'_> {
             frame_interval_secs: None,
             frame_times_ns: None,
             windows: ScaleWindowConfig::default(),
+            wrong: WrongPoseConfig::default(),
         }
     }
 }
@@ -146,6 +151,8 @@ pub struct TrajectoryReport {
     /// Largest over smallest of `window_scales`; 1 when fewer than two windows count, infinite
     /// (`null` in JSON) when the estimate stands still in one of them.
     pub scale_drift: f64,
+    /// Share of the compared poses that are wrong (see [`WrongPoseConfig`]), [0, 1].
+    pub wrong_share: f64,
     /// Scale of windows that are aligned alone.
     pub window_scales: Vec<WindowScale>,
     /// Pairs of poses compared.
@@ -228,6 +235,7 @@ pub fn evaluate_trajectory(
         rpe_rot_deg,
         scale: gt_from_est.scale,
         scale_drift: scale_drift::scale_drift(&window_scales),
+        wrong_share: wrong::wrong_share(&pairs, config.alignment, &config.wrong),
         window_scales,
         matched: pairs.len(),
         estimated: estimate.len(),
@@ -258,6 +266,18 @@ fn validate(config: &TrajectoryConfig) -> Result<(), TrajectoryError> {
             windows.length_secs,
             windows.length_secs > 0.0 && windows.length_secs.is_finite(),
             positive,
+        ),
+        (
+            "wrong.path_share",
+            config.wrong.path_share,
+            config.wrong.path_share > 0.0,
+            "a positive number",
+        ),
+        (
+            "wrong.degrees",
+            config.wrong.degrees,
+            config.wrong.degrees > 0.0 && config.wrong.degrees <= 180.0,
+            "more than 0 and at most 180",
         ),
         (
             "windows.stride_secs",

@@ -17,7 +17,8 @@ use monogrid_datasets::{
     parse_seconds, read_file, read_trajectory,
 };
 use monogrid_evaluation::{
-    DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
+    DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, WrongPoseConfig,
+    evaluate_trajectory,
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::DepthPixel;
@@ -143,6 +144,13 @@ fn print_trajectory(report: &TrajectoryReport) {
     println!(
         "scale {:.6}, drift {:.3} (largest over smallest of windows of 3 s)",
         report.scale, report.scale_drift
+    );
+    let wrong = WrongPoseConfig::default();
+    println!(
+        "{:.1} % of the poses are off by more than {:.0} % of the path or {} degrees",
+        100.0 * report.wrong_share,
+        100.0 * wrong.path_share,
+        wrong.degrees
     );
 }
 
