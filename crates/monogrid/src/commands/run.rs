@@ -28,8 +28,8 @@ pub struct RunArgs {
     pub source: PathBuf,
     #[command(flatten)]
     pub input: SourceArgs,
-    /// Refine the focal length and the principal point of the calibration by a first pass over the video (the camera
-    /// of a video without calibration always is)
+    /// Refine the focal length, the principal point and the radial distortion of the calibration by a first pass over
+    /// the video (the camera of a video without calibration always is)
     #[arg(long, conflicts_with = "continue_from", help_heading = "Input")]
     pub refine_calibration: bool,
     /// Go on with the map of an earlier run: recognise the camera in it, extend it; the result holds both
