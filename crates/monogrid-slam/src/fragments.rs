@@ -32,6 +32,15 @@ pub struct FragmentConfig {
     /// the logarithm of the scale. It grows with the way as drift does (`graph.places.drift`), but starts here,
     /// because recognised points say less than direct alignment. Range [0.000001, 1000].
     pub max_disagreement: f64,
+    /// Last frames with a pose that are kept, in case that the camera is lost after them: a start that shows them goes on
+    /// in their map. Range [0, 100].
+    pub bridge_frames: usize,
+    /// Of these, frames that must be tracked on a start. Range [3, 100].
+    pub min_bridge_frames: usize,
+    /// Largest standard deviation of the logarithm of the scale by which their positions agree. Range [0, 10].
+    pub max_bridge_scale_sigma: f64,
+    /// Largest root mean square of the angles between their orientations, degrees. Range [0, 180].
+    pub max_bridge_turn_deg: f64,
 }
 
 impl Default for FragmentConfig {
@@ -42,6 +51,10 @@ impl Default for FragmentConfig {
             max_apart: 8,
             min_agreeing: 2,
             max_disagreement: 0.1,
+            bridge_frames: 8,
+            min_bridge_frames: 4,
+            max_bridge_scale_sigma: 0.1,
+            max_bridge_turn_deg: 1.0,
         }
     }
 }
@@ -84,4 +97,22 @@ pub struct Join {
     pub into: FragmentId,
     /// The frame after which it was.
     pub frame: usize,
+}
+
+/// A loss after which the map went on: the start that ended it shows frames from before.
+///
+/// What lies behind is known less well relative to what lies before than keyframes that follow each other, until points
+/// or places are seen from both.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bridge {
+    /// The keyframe that was in use before the loss.
+    pub from_keyframe: KeyframeId,
+    /// The first one after it.
+    pub first_keyframe: KeyframeId,
+    /// Frame of that keyframe, as indexed by the source.
+    pub first_frame: usize,
+    /// Frames that were tracked on both sides.
+    pub common_frames: usize,
+    /// Standard deviation of the logarithm of the scale behind the loss relative to that before it.
+    pub scale_sigma: f64,
 }

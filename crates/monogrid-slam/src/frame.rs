@@ -34,12 +34,23 @@ impl Frame {
         finest_level: usize,
         num_levels: usize,
     ) -> Self {
-        let pyramid = Pyramid::new(input.image, num_levels);
-        let target = Target::new(&pyramid, pinhole, finest_level, num_levels);
+        let pyramid = Arc::new(Pyramid::new(input.image, num_levels));
+        let when = (input.index, input.timestamp_ns);
+        Self::of_pyramid(when, pyramid, pinhole, finest_level)
+    }
+
+    /// A frame whose pyramid was kept.
+    pub(crate) fn of_pyramid(
+        (index, timestamp_ns): (usize, i64),
+        pyramid: Arc<Pyramid>,
+        pinhole: &Pinhole,
+        finest_level: usize,
+    ) -> Self {
+        let target = Target::new(&pyramid, pinhole, finest_level, pyramid.num_levels());
         Self {
-            index: input.index,
-            timestamp_ns: input.timestamp_ns,
-            pyramid: Arc::new(pyramid),
+            index,
+            timestamp_ns,
+            pyramid,
             target,
         }
     }

@@ -33,7 +33,7 @@ pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
     ReactivationConfig, SlamConfig, SlamError,
 };
-pub use fragments::{Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP};
+pub use fragments::{Bridge, Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP};
 pub use frame::FrameInput;
 pub use graph::{
     DirectEdgeConfig, DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod,

@@ -79,6 +79,7 @@ fn of_depth(section: &str, checked: Result<(), DepthConfigError>) -> Result<(), 
 pub(crate) fn check_slam(slam: &SlamConfig) -> Result<(), ConfigError> {
     first_outside(tracking_limits(slam))?;
     first_outside(keyframe_limits(slam))?;
+    first_outside(point_limits(slam))?;
     first_outside(graph_limits(slam))?;
     of_depth("slam.depth", slam.depth.validate())?;
     let (t, s) = (&slam.tracking.alignment, &slam.graph.similarity);
@@ -168,7 +169,7 @@ fn alignment_limits(slam: &SlamConfig) -> Vec<Limit> {
     all
 }
 
-/// Keyframes, sparse layer and fragments.
+/// Keyframes and what is published of them.
 #[rustfmt::skip]
 fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
     let mut all = Vec::new();
@@ -201,6 +202,13 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
         sigma_factor: 0.01, 100.0;
         relative_sigma: 0.0, 1.0;
     }));
+    all
+}
+
+/// Sparse layer and fragments.
+#[rustfmt::skip]
+fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
     all.extend(limits!("slam.sparse", slam.sparse, {
         points_per_keyframe: 0.0, 20_000.0;
         min_spacing: 1e-4, 1.0;
@@ -219,12 +227,20 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_chi_sq: 0.1, 1_000_000.0;
         min_pose_points: 4.0, 1_000_000.0;
         drop_after_keyframes: 0.0, 1_000_000.0;
+        final_rounds: 0.0, 10.0;
+        final_iterations: 1.0, 1000.0;
+        final_radius_px: 1.0, 100.0;
+        final_max_keyframes: 0.0, 5000.0;
     }));
     all.extend(limits!("slam.fragments", slam.fragments, {
         min_lost_secs: 0.01, 1_000_000.0;
         max_apart: 0.0, 1000.0;
         min_agreeing: 1.0, 1000.0;
         max_disagreement: 0.000001, 1000.0;
+        bridge_frames: 0.0, 100.0;
+        min_bridge_frames: 3.0, 100.0;
+        max_bridge_scale_sigma: 0.0, 10.0;
+        max_bridge_turn_deg: 0.0, 180.0;
     }));
     all
 }

@@ -1,6 +1,6 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
-use crate::{KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState};
+use crate::{FragmentConfig, KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState};
 
 /// What makes a pose doubtful that passed the tests of alignment.
 #[derive(Clone, Copy, Debug, Default)]
@@ -58,6 +58,26 @@ pub(crate) fn do_points_decide(
         && num_inliers as f64 >= config.min_inlier_share * num_found as f64
 }
 
+/// How well a start after a loss is known by the frames that it shares with the map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BridgeEvidence {
+    /// These frames.
+    pub num_frames: usize,
+    /// Standard deviation of the logarithm of the scale, by how well their positions agree.
+    pub scale_sigma: f64,
+    /// Root mean square of the angles between their orientations, rad.
+    pub turn_rms: f64,
+}
+
+/// Whether the map goes on with a start after a loss: enough frames agree about where it is. Frames of another place agree
+/// with nothing.
+pub(crate) fn is_bridge(evidence: &BridgeEvidence, config: &FragmentConfig) -> bool {
+    // NaN is no bridge
+    evidence.num_frames >= config.min_bridge_frames
+        && evidence.scale_sigma <= config.max_bridge_scale_sigma
+        && evidence.turn_rms <= config.max_bridge_turn_deg.to_radians()
+}
+
 /// What the decision looks at.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct KeyframeEvidence {
@@ -112,6 +132,37 @@ mod tests {
         assert!(!do_points_decide(29, 29, &config));
         assert!(!do_points_decide(30, 61, &config));
         assert!(!do_points_decide(149, 300, &config));
+    }
+
+    #[test]
+    fn frames_bridge_a_loss_when_enough_of_them_agree() {
+        let config = FragmentConfig::default();
+        let limit = BridgeEvidence {
+            num_frames: config.min_bridge_frames,
+            scale_sigma: config.max_bridge_scale_sigma,
+            turn_rms: config.max_bridge_turn_deg.to_radians(),
+        };
+        assert!(is_bridge(&limit, &config));
+        for worse in [
+            BridgeEvidence {
+                num_frames: limit.num_frames - 1,
+                ..limit
+            },
+            BridgeEvidence {
+                scale_sigma: limit.scale_sigma * 1.01,
+                ..limit
+            },
+            BridgeEvidence {
+                turn_rms: limit.turn_rms * 1.01,
+                ..limit
+            },
+            BridgeEvidence {
+                scale_sigma: f64::NAN,
+                ..limit
+            },
+        ] {
+            assert!(!is_bridge(&worse, &config), "{worse:?}");
+        }
     }
 
     #[test]

@@ -46,6 +46,14 @@ pub(crate) struct Started {
 }
 
 impl Started {
+    /// Time to the frame after the keyframe, or from the one before it.
+    pub(crate) fn first_interval_ns(&self) -> i64 {
+        let next = self.later.first().or(self.earlier.last());
+        next.map_or(0, |next| {
+            (next.timestamp_ns - self.keyframe.timestamp_ns).abs()
+        })
+    }
+
     /// All frames, in the order of time.
     pub(crate) fn into_frames(self) -> Vec<BufferedFrame> {
         let mut frames = self.earlier;

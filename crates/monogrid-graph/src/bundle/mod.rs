@@ -7,7 +7,7 @@
 //! * A point has one unknown, its inverse depth; its direction in the host is taken as exact, so an
 //!   observation by the host itself says nothing and is ignored.
 //! * Points are eliminated (Schur complement), the reduced camera system is dense: meant for windows
-//!   of up to some 40 free keyframes, with any number of fixed ones around them.
+//!   and maps of up to some hundred free keyframes, with any number of fixed ones around them.
 //! * Levenberg-Marquardt that accepts a step only when the true robust cost falls.
 //! * Gauge: fix poses ([`PoseFreedom::Fixed`]); to hold the scale with a single fixed pose, keep
 //!   another one at its distance ([`PoseFreedom::FixedDistance`]). Without either, the damping holds

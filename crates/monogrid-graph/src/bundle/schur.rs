@@ -2,6 +2,8 @@
 
 use super::PoseFreedom;
 use super::linear::{Normal, State, Window};
+use faer::linalg::solvers::Solve;
+use faer::{MatRef, Side};
 use monogrid_geometry::Vec6;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
@@ -177,7 +179,7 @@ pub(super) fn solve_step(
     let poses = if b.is_empty() {
         b
     } else {
-        Cholesky::new(s)?.solve(&b)
+        solve_system(&s, b)?
     };
     if !poses.iter().all(|x| x.is_finite()) {
         return None;
@@ -207,6 +209,15 @@ pub(super) fn solve_step(
         inverse_depths,
         predicted,
     })
+}
+
+/// Solves a positive definite system of which the lower triangle is given; `None` where it is not.
+fn solve_system(s: &DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
+    let n = s.nrows();
+    let lower = MatRef::from_column_major_slice(s.as_slice(), n, n);
+    let mut x = MatRef::from_column_major_slice(b.as_slice(), n, 1).to_owned();
+    lower.llt(Side::Lower).ok()?.solve_in_place(&mut x);
+    Some(DVector::from_iterator(n, x.col(0).iter().copied()))
 }
 
 /// Inverse of the reduced system without damping: the covariance of all free poses.

@@ -16,6 +16,8 @@ pub(crate) struct OdometryEdge {
     pub parent_from_keyframe: Sim3,
     /// Covariance of a left update `[v, w]`, in the units of the parent.
     pub covariance: Mat6,
+    /// Standard deviation of the logarithm of the scale.
+    pub scale_sigma: f64,
 }
 
 /// A keyframe was left for another that existed already: tracking has seen both in one frame.

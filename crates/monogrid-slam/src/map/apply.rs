@@ -20,6 +20,7 @@ impl Map {
             Change::Reactivated(id) => self.reactivate(id),
             Change::Registered(found) => self.register(found),
             Change::Anchored(points) => self.anchor(points),
+            Change::Observed(seen) => self.observe(seen),
             Change::Adjusted(adjusted) => self.adjust(adjusted),
             Change::Unconfirmed(points) => {
                 for point in points {
@@ -32,6 +33,7 @@ impl Map {
             Change::Constrained(edges) => self.edges = edges,
             Change::Tracked(record) => self.frames.add(record),
             Change::Visited(keyframe, begin_ns, end) => self.frames.visit(keyframe, begin_ns, end),
+            Change::Bridged(bridge) => self.bridges.push(bridge),
             Change::Started(fragment) => {
                 self.changes.others.push(Event::Started(fragment.id));
                 self.fragments.push(fragment);
@@ -159,6 +161,16 @@ impl Map {
         self.points.extend(points);
         if let Some(keyframe) = self.keyframes.last_mut() {
             keyframe.points.anchored = first..self.points.len();
+        }
+    }
+
+    fn observe(&mut self, seen: Vec<(usize, Observation)>) {
+        for (point, observation) in seen {
+            let others = &mut self.keyframes[observation.keyframe as usize].points.others;
+            if let Err(at) = others.binary_search(&point) {
+                others.insert(at, point);
+                self.points[point].observations.push(observation);
+            }
         }
     }
 

@@ -7,10 +7,11 @@ use super::points::SparsePoint;
 use super::tree::path_between;
 use crate::stored::StoredEdge;
 use crate::{
-    Fragment, FragmentId, InFragment, Keyframe, KeyframeId, MAIN_MAP, MapBytes, MapSize,
+    Bridge, Fragment, FragmentId, InFragment, Keyframe, KeyframeId, MAIN_MAP, MapBytes, MapSize,
     PoseSnapshot, Scale,
 };
 use monogrid_geometry::Se3;
+use std::collections::BTreeSet;
 use std::ops::Index;
 use std::sync::Arc;
 
@@ -19,12 +20,16 @@ use std::sync::Arc;
 #[derive(Debug, Default)]
 pub(crate) struct Map {
     pub(super) keyframes: Vec<MapKeyframe>,
+    /// Of these, those of earlier sessions, which come first.
+    num_restored: usize,
     /// All keyframes in the order in which tracking last used them, the newest at the end.
     pub(super) recent: Vec<KeyframeId>,
     pub(super) points: Vec<SparsePoint>,
     pub(super) frames: FrameLog,
     /// All but the main map, by identity.
     pub(super) fragments: Vec<Fragment>,
+    /// Losses after which the map went on, in the order of time.
+    pub(super) bridges: Vec<Bridge>,
     /// Constraints between keyframes, as the graph has them.
     pub(super) edges: Vec<StoredEdge>,
     pub(super) scale: Scale,
@@ -68,6 +73,7 @@ impl Map {
                 finished: keyframes.iter().map(|keyframe| keyframe.id).collect(),
                 ..Changes::default()
             },
+            num_restored: keyframes.len(),
             keyframes,
             points,
             scale,
@@ -139,6 +145,12 @@ impl Map {
         self.in_fragment(fragment).count()
     }
 
+    /// The fragments in which this session has made keyframes.
+    pub(crate) fn grown_fragments(&self) -> BTreeSet<FragmentId> {
+        let made = self.keyframes.iter().skip(self.num_restored);
+        made.map(|keyframe| keyframe.fragment).collect()
+    }
+
     /// Keyframes of a fragment in the order in which they were used, the newest at the end.
     pub(crate) fn recent_in(&self, fragment: FragmentId) -> Vec<KeyframeId> {
         let is_inside = |id: &KeyframeId| self[*id].fragment == fragment;
@@ -160,6 +172,10 @@ impl Map {
     pub(crate) fn fragments(&self) -> Vec<Fragment> {
         let fragments = self.fragments.iter();
         fragments.map(|f| self.with_counts(f)).collect()
+    }
+
+    pub(crate) fn bridges(&self) -> &[Bridge] {
+        &self.bridges
     }
 
     pub(super) fn with_counts(&self, fragment: &Fragment) -> Fragment {

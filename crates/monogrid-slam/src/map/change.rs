@@ -2,11 +2,11 @@
 
 use super::exposure::Exposure;
 use super::frames::{Record, VisitEnd};
-use super::points::{Adjustment, DenseLink, Registration, SparsePoint};
+use super::points::{Adjustment, DenseLink, Observation, Registration, SparsePoint};
 use super::view::View;
 use crate::graph::GraphUpdate;
 use crate::stored::StoredEdge;
-use crate::{Fragment, FragmentId, Keyframe, KeyframeId, Scale};
+use crate::{Bridge, Fragment, FragmentId, Keyframe, KeyframeId, Scale};
 use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_image::Pyramid;
@@ -27,6 +27,8 @@ pub(crate) enum Change {
     Registered(Registration),
     /// New points in the newest keyframe.
     Anchored(Vec<SparsePoint>),
+    /// Keyframes see these points, by index, too.
+    Observed(Vec<(usize, Observation)>),
     /// The points and the poses of their keyframes were adjusted.
     Adjusted(Adjustment),
     /// Points that are no longer used.
@@ -44,6 +46,8 @@ pub(crate) enum Change {
     /// Frames are tracked on this keyframe from this time on; how the change came about, where both
     /// keyframes know a frame.
     Visited(KeyframeId, i64, Option<VisitEnd>),
+    /// The next keyframe goes on after a loss.
+    Bridged(Bridge),
     /// A fragment begins.
     Started(Fragment),
     /// The camera is lost from this frame on.

@@ -1,9 +1,8 @@
-//! Bundle adjustment over the newest and the most covisible keyframes.
+//! Bundle adjustment over the newest and the most covisible keyframes, and at the end over all.
 
 use super::SparseConfig;
-use crate::KeyframeId;
-use crate::Scale;
 use crate::map::{Adjustment, Map, MapKeyframe};
+use crate::{FragmentId, KeyframeId, Scale};
 use monogrid_geometry::Pinhole;
 use monogrid_graph::bundle::{
     AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, BundleSolution, InverseDepthPrior,
@@ -21,8 +20,8 @@ struct Gauge {
 }
 
 impl Gauge {
-    fn of_fragment(map: &Map, newest: &MapKeyframe) -> Self {
-        let first = map.in_fragment(newest.fragment).next();
+    fn of_fragment(map: &Map, fragment: FragmentId) -> Self {
+        let first = map.in_fragment(fragment).next();
         let origin = first.map_or(0, |keyframe| keyframe.id);
         Self {
             origin,
@@ -36,19 +35,51 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
     let Some(newest) = map.newest() else {
         return Adjustment::default();
     };
-    let gauge = Gauge::of_fragment(map, newest);
-    let mut free = window(map, newest, config);
-    // A keyframe that sees too little keeps the pose that tracking gave it.
-    free.retain(|id| num_shared_points(map, *id) >= config.min_shared_points);
-    let Some(problem) = Problem::build(map, &free, gauge, pinhole, config) else {
-        return Adjustment::default();
-    };
+    let free = window(map, newest, config);
     let settings = BundleConfig {
         max_iterations: config.max_iterations,
         inlier_chi2: config.max_chi_sq,
         ..BundleConfig::default()
     };
-    match adjust(&problem.bundle, &settings) {
+    adjust_these(map, newest.fragment, free, pinhole, config, &settings)
+}
+
+/// Adjusts all keyframes of a fragment and all points that they share; says which observations do not fit.
+pub(crate) fn adjust_all(
+    map: &Map,
+    fragment: FragmentId,
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Adjustment {
+    let free = map.in_fragment(fragment).map(|keyframe| keyframe.id);
+    let settings = BundleConfig {
+        max_iterations: config.final_iterations,
+        min_relative_decrease: FINAL_DECREASE,
+        inlier_chi2: config.max_chi_sq,
+        ..BundleConfig::default()
+    };
+    adjust_these(map, fragment, free.collect(), pinhole, config, &settings)
+}
+
+/// Share of the cost by which a step of the last adjustment must lower it: errors of large loops fall slowly.
+const FINAL_DECREASE: f64 = 1e-6;
+
+/// Adjusts some keyframes of a fragment, given ascending, with the points that they see.
+fn adjust_these(
+    map: &Map,
+    fragment: FragmentId,
+    mut free: Vec<KeyframeId>,
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+    settings: &BundleConfig,
+) -> Adjustment {
+    // A keyframe that sees too little keeps the pose that tracking gave it.
+    free.retain(|id| num_shared_points(map, *id) >= config.min_shared_points);
+    let gauge = Gauge::of_fragment(map, fragment);
+    let Some(problem) = Problem::build(map, &free, gauge, pinhole, config) else {
+        return Adjustment::default();
+    };
+    match adjust(&problem.bundle, settings) {
         Ok(solution) => problem.adjustment(free.len(), &solution),
         Err(error) => Adjustment {
             failure: Some(error),

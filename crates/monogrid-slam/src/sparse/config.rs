@@ -46,6 +46,15 @@ pub struct SparseConfig {
     /// Points anchored per keyframe with fewer observations after this many keyframes are dropped. Range [0,
     /// 1000000].
     pub drop_after_keyframes: u32,
+    /// How often after the last frame all points are looked for in all keyframes and everything is adjusted together; 0
+    /// leaves the poses to the graph. Range [0, 10].
+    pub final_rounds: usize,
+    /// Iterations of each of these adjustments. Range [1, 1000].
+    pub final_iterations: usize,
+    /// Half width of the search for a point in them, px. Range [1, 100].
+    pub final_radius_px: f64,
+    /// Keyframes of a map that is adjusted as a whole at most; the time grows with their third power. Range [0, 5000].
+    pub final_max_keyframes: usize,
 }
 
 impl Default for SparseConfig {
@@ -69,6 +78,10 @@ impl Default for SparseConfig {
             max_chi_sq: 9.0,
             min_pose_points: 25,
             drop_after_keyframes: 3,
+            final_rounds: 2,
+            final_iterations: 30,
+            final_radius_px: 4.0,
+            final_max_keyframes: 400,
         }
     }
 }

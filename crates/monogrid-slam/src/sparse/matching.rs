@@ -48,12 +48,22 @@ pub(crate) struct SearchImage<'a> {
     pub camera_from_world: Se3,
 }
 
+/// Points of a fragment that are looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Which {
+    All,
+    /// Those that this keyframe sees.
+    SeenBy(KeyframeId),
+    /// Those that it was not found to see.
+    NotSeenBy(KeyframeId),
+}
+
 /// How points are looked for.
 #[derive(Clone, Debug)]
 pub(crate) struct PointSearch {
     pub patch: PatchSearchConfig,
-    /// Only points that this keyframe sees are looked for; all of the fragment without.
-    pub seen_by: Option<KeyframeId>,
+    /// Which points of the fragment are looked for.
+    pub which: Which,
     /// Points that are looked for at most.
     pub max_points: usize,
     /// Whether a point is compared with how it was seen last, which looks most like the image, instead of with
@@ -76,7 +86,7 @@ pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig
     };
     let search = PointSearch {
         patch: search_config(config),
-        seen_by: None,
+        which: Which::All,
         max_points: config.max_searched_points,
         from_newest: false,
     };
@@ -92,7 +102,7 @@ pub(crate) fn find_in_image(
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Search {
-    let visible = visible_in(map, image, search.seen_by, pinhole, config);
+    let visible = visible_in(map, image, search.which, pinhole, config);
     let size = size_of(image.pyramid);
     let chosen = spread(&visible, map.points(), size, search.max_points, config);
     let found: Vec<Option<(usize, Vec2)>> = chosen
@@ -165,7 +175,7 @@ fn search_config(config: &SparseConfig) -> PatchSearchConfig {
 fn visible_in(
     map: &Map,
     image: &SearchImage<'_>,
-    seen_by: Option<KeyframeId>,
+    which: Which,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
@@ -177,15 +187,18 @@ fn visible_in(
         max_ratio: config.max_distance_ratio,
         min_cosine: config.max_view_angle_deg.to_radians().cos(),
     };
+    let is_wanted = |point: &SparsePoint| match which {
+        Which::NotSeenBy(keyframe) => point.pixel_in(keyframe).is_none(),
+        Which::All | Which::SeenBy(_) => true,
+    };
     let predicted = |index: usize, world_from_host: &Se3| {
         let point = &map.points()[index];
-        let pixel = point
-            .alive
+        let pixel = (point.alive && is_wanted(point))
             .then(|| view.predict(point, world_from_host))
             .flatten();
         pixel.map(|pixel| (index, pixel))
     };
-    if let Some(keyframe) = seen_by {
+    if let Which::SeenBy(keyframe) = which {
         let seen = map[keyframe].points.all();
         let world_from_host =
             |index: usize| map[map.points()[index].host].camera_from_world.inverse();

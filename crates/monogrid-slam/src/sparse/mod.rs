@@ -5,11 +5,13 @@
 //! all keyframes in it and refines its pose → [`anchor`] makes new points and finds them in older keyframes →
 //! [`adjust_window`] is bundle adjustment over the newest and the most covisible keyframes →
 //! [`unconfirmed`] names points that were not found again → [`dense_links`] and [`world_from_keyframes`] pin
-//! the unit of each keyframe's dense depth to the points.
+//! the unit of each keyframe's dense depth to the points. After the last frame [`find_again`] looks for all points
+//! in all keyframes, and [`adjust_all`] adjusts everything together.
 //!
 //! Lengths here are world units; every keyframe is a rigid pose.
 
 mod adjust;
+mod again;
 mod anchor;
 mod config;
 mod matching;
@@ -17,10 +19,11 @@ mod register;
 mod scale;
 mod shared;
 
-pub(crate) use adjust::adjust_window;
+pub(crate) use adjust::{adjust_all, adjust_window};
+pub(crate) use again::find_again;
 pub(crate) use anchor::{anchor, unconfirmed};
 pub use config::SparseConfig;
-pub(crate) use matching::{PointSearch, SearchImage, find_in_image, position};
+pub(crate) use matching::{PointSearch, SearchImage, Which, find_in_image, position};
 pub(crate) use register::register;
 pub(crate) use scale::{dense_links, world_from_keyframes};
 pub(crate) use shared::{SharedPoints, shared_points};

@@ -1,5 +1,6 @@
 //! The first keyframe of the main map, or of a fragment.
 
+use super::bridge::Landing;
 use super::camera::Last;
 use super::constrain::Link;
 use super::depth::stored_depth;
@@ -9,55 +10,73 @@ use super::outcome::{Attempt, Begun, FrameOutcome, Localised};
 use super::slam::Slam;
 use super::tracking::track_on_active;
 use crate::frame::{BufferedFrame, Frame};
-use crate::map::{Change, Record};
+use crate::map::{Change, NewKeyframe, Record};
 use crate::start::Started;
-use crate::{FragmentId, KeyframeId, TrackingState};
-use monogrid_alignment::Motion;
+use crate::{FragmentId, KeyframeId, MAIN_MAP, TrackingState};
 use monogrid_geometry::Se3;
 
 impl Slam {
     /// Makes the first keyframe of a fragment and tracks the frames that waited for it: those before it
     /// backwards. Those after it are left to be tracked.
     pub(super) fn begin_map(&mut self, fragment: FragmentId, started: Started) -> FrameOutcome {
+        let first = first_keyframe(fragment, &started.keyframe, started.world_scale);
+        let mut outcome = self.begin_with(first, Link::None, started);
+        if let Some(begun) = &mut outcome.begun {
+            begun.fragment = Some(fragment).filter(|id| *id != MAIN_MAP);
+        }
+        outcome
+    }
+
+    /// The same in a map that exists, at a place that is known there.
+    pub(super) fn begin_at(&mut self, landing: &Landing, started: Started) -> FrameOutcome {
+        let id = self.map.next_id();
+        let parent = &self.map[landing.parent];
+        let first = NewKeyframe {
+            parent: Some(parent.id),
+            world_from_keyframe: parent.world_from_keyframe * landing.parent_from_start,
+            ..first_keyframe(parent.fragment, &started.keyframe, started.world_scale)
+        };
+        let bridge = landing.bridge(id, started.keyframe.index);
+        self.map.apply(Change::Bridged(bridge));
+        self.begin_with(first, landing.link(id), started)
+    }
+
+    /// Makes the first keyframe of a start.
+    fn begin_with(&mut self, first: NewKeyframe, link: Link, started: Started) -> FrameOutcome {
+        let interval_ns = started.first_interval_ns();
         let Started {
             keyframe,
             depth,
-            world_scale,
-            scale: _,
             first_step,
             later,
             earlier,
+            ..
         } = started;
         let left = self.leave();
         let id = self.map.next_id();
-        let first = first_keyframe(fragment, &keyframe, world_scale);
         self.map.apply(Change::Created(first));
         self.map
             .apply(Change::Visited(id, keyframe.timestamp_ns, None));
         self.adjust(&depth);
-        if let Some(left) = &left {
-            self.constrain(left.view.clone(), Link::None, false);
+        if left.is_some() || !matches!(link, Link::None) {
+            let view = left.as_ref().and_then(|left| left.view.clone());
+            self.constrain(view, link, false);
         }
         self.activate(id, depth);
         let record = Record::new(keyframe.index, keyframe.timestamp_ns, Se3::identity());
         self.map.apply(Change::Tracked(record));
 
-        let next = later.first().or(earlier.last());
-        let interval_ns = next.map_or(0, |next| (next.timestamp_ns - keyframe.timestamp_ns).abs());
-        let moving = |frame_from_previous: Se3| Last {
-            frame_from_previous,
-            interval_ns,
-            ..Last::after(None, &keyframe, Motion::from_pose(Se3::identity()))
-        };
-        self.camera.last = Some(moving(first_step.inverse()));
+        self.camera.known.clear();
+        let moving = |step: Se3| Some(Last::moving(&keyframe, step, interval_ns));
+        self.camera.last = moving(first_step.inverse());
         self.track_backwards(id, &earlier);
         self.return_to(id, keyframe.timestamp_ns);
-        self.camera.last = Some(moving(first_step));
+        self.camera.last = moving(first_step);
         let place = self.map.locate(id, &Se3::identity());
         let mut outcome = FrameOutcome::new(None, Localised::Begun(place));
         outcome.change.finished = left.map(|left| left.id);
         outcome.begun = Some(Begun {
-            fragment,
+            fragment: None,
             keyframe: id,
             later,
         });

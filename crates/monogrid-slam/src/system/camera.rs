@@ -7,6 +7,7 @@ use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Se3, Vec3};
 use monogrid_image::{GrayImage, Pyramid};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// The state of tracking.
@@ -16,6 +17,8 @@ pub(super) struct Camera {
     pub active: Option<Active>,
     /// The last frame with a believed pose.
     pub last: Option<Last>,
+    /// The last frames with a pose, the newest at the end.
+    pub known: VecDeque<Known>,
     /// Frames without a pose since then.
     pub lost_in_a_row: usize,
     /// What is being done about a loss that lasts.
@@ -30,6 +33,17 @@ pub(super) struct Active {
     pub reference: Reference,
     /// Frames that refined its depth since it is in use.
     pub num_mapped: usize,
+}
+
+/// A frame with a pose.
+#[derive(Clone, Debug)]
+pub(super) struct Known {
+    pub frame_index: usize,
+    pub timestamp_ns: i64,
+    pub pyramid: Arc<Pyramid>,
+    /// The keyframe that it was tracked on.
+    pub keyframe: KeyframeId,
+    pub frame_from_keyframe: Se3,
 }
 
 /// The last frame with a believed pose.
@@ -63,6 +77,15 @@ impl Last {
         }
     }
 
+    /// A first keyframe, from where the camera moves by a step.
+    pub(super) fn moving(keyframe: &Frame, step: Se3, interval_ns: i64) -> Self {
+        Self {
+            frame_from_previous: step,
+            interval_ns,
+            ..Self::after(None, keyframe, Motion::from_pose(Se3::identity()))
+        }
+    }
+
     /// The same frame for a camera that goes its way backwards.
     pub(super) fn reversed(self) -> Self {
         Self {
@@ -78,6 +101,14 @@ impl Camera {
         let (last, active) = (self.last.as_ref()?, self.active.as_ref()?);
         let is_same = self.lost_in_a_row == 0 && last.pyramid.level(0) == image;
         is_same.then_some((last, active.id))
+    }
+
+    /// Keeps a frame with a pose, of which there are at most this many.
+    pub(super) fn remember(&mut self, frame: Known, at_most: usize) {
+        self.known.push_back(frame);
+        while self.known.len() > at_most {
+            self.known.pop_front();
+        }
     }
 
     /// The camera has a pose again.

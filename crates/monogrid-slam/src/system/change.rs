@@ -129,8 +129,11 @@ impl Slam {
         self.map.apply(Change::Created(keyframe));
         self.stopwatch.lap(Stage::Depth);
         self.adjust(&depth);
-        let odometry =
-            |covariance: &Mat6| Link::Odometry(odometry_edge(parent, id, motion, unit, covariance));
+        let scale_sigma = self.setup.config.graph.odometry_scale_sigma;
+        let odometry = |covariance: &Mat6| {
+            let edge = odometry_edge(parent, id, motion, unit, covariance, scale_sigma);
+            Link::Odometry(edge)
+        };
         let link = alignment.covariance.as_ref().map_or(Link::None, odometry);
         self.constrain(view, link, false);
         self.stopwatch.lap(Stage::Graph);

@@ -122,10 +122,10 @@ pub(super) fn graph_job(
         poses: Arc::clone(map.snapshot()),
         odometry,
         // without a new keyframe nothing was adjusted
-        shared_points: if handover.is_none() {
-            newly_shared(setup, map)
-        } else {
-            Vec::new()
+        shared_points: match &handover {
+            _ if is_final => all_shared(setup, map),
+            None => newly_shared(setup, map),
+            Some(_) => Vec::new(),
         },
         handover,
         is_final,
@@ -144,6 +144,20 @@ fn newly_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
     shared_points(map, &recent[window..], &setup.config.graph.sparse_edges)
 }
 
+/// Keyframes that share points, in the fragments of which all keyframes were adjusted.
+fn all_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
+    if !setup.config.sparse.enabled {
+        return Vec::new();
+    }
+    let adjusted = map.grown_fragments();
+    let keyframes = map.keyframes().iter();
+    let adjusted: Vec<KeyframeId> = keyframes
+        .filter(|keyframe| adjusted.contains(&keyframe.fragment))
+        .map(|keyframe| keyframe.id)
+        .collect();
+    shared_points(map, &adjusted, &setup.config.graph.sparse_edges)
+}
+
 /// The motion of a new keyframe as tracking found it, in the units of its parent.
 pub(super) fn odometry_edge(
     parent: KeyframeId,
@@ -151,6 +165,7 @@ pub(super) fn odometry_edge(
     motion: &Motion,
     unit: f64,
     covariance: &Mat6,
+    scale_sigma: f64,
 ) -> OdometryEdge {
     let keyframe_from_frame = motion.frame_from_keyframe.inverse();
     OdometryEdge {
@@ -158,6 +173,7 @@ pub(super) fn odometry_edge(
         keyframe,
         parent_from_keyframe: keyframe_from_frame.with_scale(unit),
         covariance: in_keyframe(covariance, &keyframe_from_frame),
+        scale_sigma,
     }
 }
 

@@ -27,36 +27,39 @@ pub(super) struct Loss {
 const MAX_STEP_NS: i64 = 200_000_000;
 
 impl Loss {
-    /// Brings the start of a new fragment forward, where the loss has lasted long enough.
-    pub(super) fn await_fragment(
-        &mut self,
-        setup: &Setup,
-        map: &Map,
-        frame: Frame,
-    ) -> Option<Started> {
+    /// Brings the start of a new fragment forward by a frame; whether it has just succeeded.
+    pub(super) fn advance(&mut self, setup: &Setup, map: &Map, frame: Frame) -> bool {
         let config = &setup.config.fragments;
         let graph = &setup.config.graph;
         let can_be_joined = graph.enabled && graph.places.enabled;
         if !config.enabled || !can_be_joined || setup.is_frozen {
-            return None;
+            return false;
         }
         if map.num_apart() >= config.max_apart {
-            return None;
+            return false;
         }
         self.count(&frame);
-        self.prepare(setup, map, frame);
-        let lost_secs = self.textured_ns as f64 * 1e-9;
-        if lost_secs < config.min_lost_secs {
-            return None;
-        }
-        self.started.take().map(|started| *started)
+        self.prepare(setup, map, frame)
     }
 
-    /// Brings the start forward by a frame; those after it wait to be tracked.
-    fn prepare(&mut self, setup: &Setup, map: &Map, frame: Frame) {
+    /// What the start has found, where it has.
+    pub(super) fn started(&self) -> Option<&Started> {
+        self.started.as_deref()
+    }
+
+    /// The same, to be used, where the loss has lasted long enough or need not.
+    pub(super) fn take_started(&mut self, setup: &Setup, need_not_last: bool) -> Option<Started> {
+        let lost_secs = self.textured_ns as f64 * 1e-9;
+        let is_due = need_not_last || lost_secs >= setup.config.fragments.min_lost_secs;
+        let started = if is_due { self.started.take() } else { None };
+        started.map(|started| *started)
+    }
+
+    /// Brings the start forward; frames after it wait to be tracked.
+    fn prepare(&mut self, setup: &Setup, map: &Map, frame: Frame) -> bool {
         if let Some(started) = &mut self.started {
             started.later.push(BufferedFrame::new(&frame));
-            return;
+            return false;
         }
         let seed = setup.seed.wrapping_add(u64::from(map.next_fragment()));
         let start = self.start.take();
@@ -65,6 +68,7 @@ impl Loss {
             StartOutcome::Waiting(_) => self.start = Some(start),
             StartOutcome::Started(started) => self.started = Some(started),
         }
+        self.started.is_some()
     }
 
     /// The frames of the loss, as far as they were kept.

@@ -1,5 +1,6 @@
 //! A lost camera: recognised, or the beginning of a fragment of the map.
 
+use super::bridge::land;
 use super::constrain::Link;
 use super::outcome::{Attempt, FrameOutcome, KeyframeChange, Localised, NextKeyframe};
 use super::relocalise::{Recognised, Resume, relocalise};
@@ -94,10 +95,14 @@ impl Slam {
         }
     }
 
-    /// A camera that stays lost begins a fragment of the map.
+    /// A camera that stays lost starts anew: in the map where the start shows the last frames before the loss, else as a
+    /// fragment.
     fn wait_for_fragment(&mut self, frame: Frame, attempt: Option<Attempt>) -> FrameOutcome {
-        let loss = &mut self.camera.loss;
-        let Some(started) = loss.await_fragment(&self.setup, &self.map, frame) else {
+        let has_started = self.camera.loss.advance(&self.setup, &self.map, frame);
+        let started = self.camera.loss.started().filter(|_| has_started);
+        let landing = started.and_then(|s| land(&self.setup, &self.map, &self.camera.known, s));
+        let started = (self.camera.loss).take_started(&self.setup, landing.is_some());
+        let Some(started) = started else {
             let reason = match &attempt {
                 Some(attempt) => attempt.tracked.reason,
                 None => Some(LostReason::NotRecognised),
@@ -107,10 +112,15 @@ impl Slam {
         self.await_graph();
         let first_keyframe = self.map.next_id();
         self.end_loss(first_keyframe, false);
-        let id = self.map.next_fragment();
-        let fragment = Fragment::begun(id, first_keyframe, started.keyframe.index);
-        self.map.apply(Change::Started(fragment));
-        let outcome = self.begin_map(id, started);
+        let outcome = match landing {
+            Some(landing) => self.begin_at(&landing, started),
+            None => {
+                let id = self.map.next_fragment();
+                let fragment = Fragment::begun(id, first_keyframe, started.keyframe.index);
+                self.map.apply(Change::Started(fragment));
+                self.begin_map(id, started)
+            }
+        };
         FrameOutcome {
             attempt: outcome.attempt.or(attempt),
             ..outcome

@@ -20,6 +20,7 @@
 //! [`Map::apply`](crate::map::Map::apply) alone.
 
 mod begin;
+mod bridge;
 mod camera;
 mod change;
 mod constrain;

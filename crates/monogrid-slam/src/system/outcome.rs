@@ -65,7 +65,8 @@ pub(super) enum NextKeyframe {
 /// A map or fragment that began.
 #[derive(Debug)]
 pub(super) struct Begun {
-    pub fragment: FragmentId,
+    /// The fragment, where one was begun.
+    pub fragment: Option<FragmentId>,
     pub keyframe: KeyframeId,
     /// Frames after the keyframe, which waited for it.
     pub later: Vec<BufferedFrame>,
@@ -104,7 +105,7 @@ impl FrameOutcome {
         if let Some(begun) = &self.begun {
             report.created_keyframe = true;
             report.keyframe = Some(begun.keyframe);
-            report.started_fragment = Some(begun.fragment).filter(|id| *id != MAIN_MAP);
+            report.started_fragment = begun.fragment;
         }
         report
     }

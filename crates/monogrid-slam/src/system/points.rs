@@ -1,9 +1,11 @@
-//! The newest keyframe in the sparse layer.
+//! The newest keyframe in the sparse layer, and at the end all of them.
 
 use super::setup::Setup;
+use crate::FragmentId;
 use crate::map::{Change, Map};
 use crate::sparse::{
-    SparseStats, adjust_window, anchor, dense_links, register, unconfirmed, world_from_keyframes,
+    SparseStats, adjust_all, adjust_window, anchor, dense_links, find_again, register, unconfirmed,
+    world_from_keyframes,
 };
 use monogrid_depth::DepthMap;
 use monogrid_geometry::Vec2;
@@ -49,3 +51,24 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) -> O
     map.apply(Change::Posed(poses));
     Some(stats)
 }
+
+/// After the last frame: what the keyframes of a fragment share is looked for once more at the poses that all of them
+/// have, and poses and points are adjusted together.
+pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
+    let config = &setup.config.sparse;
+    let num_keyframes = map.num_keyframes_in(fragment);
+    if !config.enabled || num_keyframes > config.final_max_keyframes {
+        return;
+    }
+    for _ in 0..config.final_rounds {
+        let seen = find_again(map, fragment, &setup.pinhole, config);
+        map.apply(Change::Observed(seen));
+        let adjustment = adjust_all(map, fragment, &setup.pinhole, config);
+        map.apply(Change::Adjusted(adjustment));
+    }
+    let poses = world_from_keyframes(map, fragment, &setup.pinhole);
+    map.apply(Change::Posed(poses));
+}
+
+#[cfg(test)]
+mod tests;

@@ -4,6 +4,7 @@ use super::constrain::{GraphLink, Link};
 use super::depth::observe_depth;
 use super::keyframes::{Use, decide_use};
 use super::outcome::{Attempt, FrameOutcome, KeyframeChange, Localised};
+use super::points::adjust_whole;
 use super::slam::Slam;
 use super::tracking::track_frame;
 use crate::frame::Frame;
@@ -41,6 +42,9 @@ impl Slam {
         }
         self.await_graph();
         let left = self.leave()?;
+        for fragment in self.map.grown_fragments() {
+            adjust_whole(&self.setup, &mut self.map, fragment);
+        }
         self.constrain(left.view, Link::None, true);
         self.await_graph();
         self.events = self.map.take_events();
@@ -120,6 +124,7 @@ impl Slam {
         let place = self
             .map
             .locate(attempt.keyframe, &motion.frame_from_keyframe);
+        self.remember(&frame, &attempt);
         self.find_missed(&frame, motion);
         self.end_loss(attempt.keyframe, false);
         self.believe(&frame, motion);

@@ -1,9 +1,11 @@
 //! What does not change while a system runs.
 
+use super::camera::Known;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
 use monogrid_geometry::Pinhole;
 use monogrid_image::Mask;
+use std::sync::Arc;
 
 /// Levels of all pyramids.
 pub(super) const NUM_LEVELS: usize = 5;
@@ -24,6 +26,13 @@ impl Setup {
     pub(super) fn frame(&self, input: FrameInput) -> Frame {
         let finest = self.config.tracking.alignment.finest_level;
         Frame::new(input, &self.pinhole, finest, NUM_LEVELS)
+    }
+
+    /// A frame of which the pyramid was kept.
+    pub(super) fn of_pyramid(&self, known: &Known) -> Frame {
+        let finest = self.config.tracking.alignment.finest_level;
+        let when = (known.frame_index, known.timestamp_ns);
+        Frame::of_pyramid(when, Arc::clone(&known.pyramid), &self.pinhole, finest)
     }
 
     /// A frame that waited for the first keyframe.

@@ -10,8 +10,8 @@ use crate::report::Stopwatch;
 use crate::sparse::SparseStats;
 use crate::start::Start;
 use crate::{
-    Fragment, FragmentId, Keyframe, MAIN_MAP, MapSize, PoseSnapshot, Scale, SlamConfig, SlamError,
-    TrajectoryPose,
+    Bridge, Fragment, FragmentId, Keyframe, MAIN_MAP, MapSize, PoseSnapshot, Scale, SlamConfig,
+    SlamError, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
@@ -112,6 +112,12 @@ impl Slam {
     #[must_use]
     pub fn fragments(&self) -> Vec<Fragment> {
         self.map.fragments()
+    }
+
+    /// Losses after which the map went on with frames that both sides know, in the order of time.
+    #[must_use]
+    pub fn bridges(&self) -> &[Bridge] {
+        self.map.bridges()
     }
 
     /// All frames with a believed pose in the main map, with everything known now, in the order of time.

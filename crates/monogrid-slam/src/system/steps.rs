@@ -1,9 +1,10 @@
 //! Steps that change the map or the state of tracking, used wherever a frame has led to them.
 
-use super::camera::Last;
+use super::camera::{Known, Last};
 use super::constrain::{GraphLink, Link, graph_job};
 use super::depth::activate;
 use super::keyframes::finish_keyframe;
+use super::outcome::Attempt;
 use super::points::adjust_points;
 use super::slam::Slam;
 use crate::KeyframeId;
@@ -28,6 +29,19 @@ impl Slam {
         let record = Record::new(frame.index, frame.timestamp_ns, pose);
         self.map.apply(Change::Tracked(record));
         self.camera.last = Some(Last::after(self.camera.last.as_ref(), frame, motion));
+    }
+
+    /// Keeps a frame with a pose in case that the camera is lost after it.
+    pub(super) fn remember(&mut self, frame: &Frame, attempt: &Attempt) {
+        let known = Known {
+            frame_index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            pyramid: Arc::clone(&frame.pyramid),
+            keyframe: attempt.keyframe,
+            frame_from_keyframe: attempt.tracked.alignment.motion.frame_from_keyframe,
+        };
+        let at_most = self.setup.config.fragments.bridge_frames;
+        self.camera.remember(known, at_most);
     }
 
     /// The camera has a pose again, on a keyframe.

@@ -39,16 +39,7 @@ pub(super) fn track_on_active(
     frame: &Frame,
 ) -> Tracked {
     let config = &setup.config.tracking;
-    let interval_ns = (frame.timestamp_ns - last.timestamp_ns).abs();
-    let frame_from_last = if config.motion_hypotheses {
-        extrapolate(&last.frame_from_previous, last.interval_ns, interval_ns)
-    } else {
-        Se3::identity()
-    };
-    let prior = MotionPrior {
-        last_from_keyframe: last.motion,
-        frame_from_last,
-    };
+    let prior = motion_prior(setup, last, frame.timestamp_ns);
     let points = setup.config.sparse.enabled.then(|| PointMap {
         map,
         keyframe: &map[active.id],
@@ -63,6 +54,20 @@ pub(super) fn track_on_active(
         points.as_ref(),
         (&setup.pinhole, config),
     )
+}
+
+/// Where a frame should be if the camera goes on as in the last frames.
+pub(super) fn motion_prior(setup: &Setup, last: &Last, timestamp_ns: i64) -> MotionPrior {
+    let interval_ns = (timestamp_ns - last.timestamp_ns).abs();
+    let frame_from_last = if setup.config.tracking.motion_hypotheses {
+        extrapolate(&last.frame_from_previous, last.interval_ns, interval_ns)
+    } else {
+        Se3::identity()
+    };
+    MotionPrior {
+        last_from_keyframe: last.motion,
+        frame_from_last,
+    }
 }
 
 /// Tracks a frame on a keyframe that is not in use, from a predicted pose.

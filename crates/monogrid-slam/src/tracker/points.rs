@@ -3,7 +3,7 @@
 
 use crate::map::{Map, MapKeyframe};
 use crate::policy::do_points_decide;
-use crate::sparse::{PointSearch, SearchImage, find_in_image, position};
+use crate::sparse::{PointSearch, SearchImage, Which, find_in_image, position};
 use crate::{PointTrackingConfig, SparseConfig};
 use monogrid_features::{AbsolutePoseConfig, PatchSearchConfig, PointPixel, absolute_pose};
 use monogrid_geometry::{Mat6, Pinhole, Se3, Vec6};
@@ -39,7 +39,7 @@ impl PointMap<'_> {
     ) -> bool {
         let camera_from_world = self.camera_from_world(pose);
         let probe = PointSearch {
-            seen_by: Some(self.keyframe.id),
+            which: Which::SeenBy(self.keyframe.id),
             max_points: config.probe_points,
             // the basin of a patch is some pixels wide
             ..settings(0.0, config)
@@ -188,7 +188,7 @@ fn settings(radius_px: f64, config: &PointTrackingConfig) -> PointSearch {
             min_correlation: config.min_correlation,
             ..PatchSearchConfig::default()
         },
-        seen_by: None,
+        which: Which::All,
         max_points: config.max_points,
         from_newest: true,
     }

@@ -119,6 +119,13 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
             summary.fragments.len() - num_apart
         );
     }
+    for bridge in &summary.bridges {
+        lines += &format!(
+            "  after a loss the map goes on at frame {} with a scale known to {:.0} % (95 %)\n",
+            bridge.first_frame,
+            196.0 * bridge.scale_sigma
+        );
+    }
     if summary.repeated > 0 {
         lines += &format!(
             "  {} more frames repeat the one before and were left out\n",

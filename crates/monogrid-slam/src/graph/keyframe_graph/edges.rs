@@ -19,7 +19,7 @@ impl KeyframeGraph {
 
     /// The motion that tracking found holds a keyframe until something better does.
     pub(super) fn add_odometry(&mut self, odometry: &OdometryEdge) {
-        let covariance = self.with_unknown_scale(&odometry.covariance);
+        let covariance = with_scale(&odometry.covariance, odometry.scale_sigma);
         let Some(information) = covariance.cholesky().map(|c| c.inverse()) else {
             return;
         };
@@ -34,10 +34,7 @@ impl KeyframeGraph {
 
     /// Covariance of a motion `[v, w]` as one of a similarity `[v, w, s]`: tracking does not measure scale.
     pub(super) fn with_unknown_scale(&self, motion: &Mat6) -> Mat7 {
-        let mut covariance = Mat7::zeros();
-        covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(motion);
-        covariance[(6, 6)] = self.config.odometry_scale_sigma.powi(2);
-        covariance
+        with_scale(motion, self.config.odometry_scale_sigma)
     }
 
     /// The relative pose of two keyframes as the sparse layer has it now.
@@ -121,4 +118,12 @@ impl KeyframeGraph {
             phi: self.config.switch_chi_sq,
         }
     }
+}
+
+/// Covariance of a motion `[v, w]` and of the logarithm of its scale as one of a similarity `[v, w, s]`.
+fn with_scale(motion: &Mat6, scale_sigma: f64) -> Mat7 {
+    let mut covariance = Mat7::zeros();
+    covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(motion);
+    covariance[(6, 6)] = scale_sigma * scale_sigma;
+    covariance
 }

@@ -111,6 +111,7 @@ fn constraints_take_out_the_drift_of_position_and_scale() {
                 keyframe: k as KeyframeId + 1,
                 parent_from_keyframe: previous_from_keyframe,
                 covariance: Mat6::identity() * 1e-4,
+                scale_sigma: 0.05,
             }
         });
         let update = graph.run(job(&poses, odometry));

@@ -257,3 +257,24 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
     println!("an update that moves 10 of 1,000 keyframes costs tracking {fastest_ms:.2} ms");
     assert!(fastest_ms < 5.0, "{fastest_ms} ms");
 }
+
+#[test]
+fn keyframes_see_points_once() {
+    let mut map = map_with(&[0, 0, 0]);
+    let seen = |point: usize, keyframe: KeyframeId| {
+        let pixel = Vec2::new(1.0, 2.0);
+        (point, Observation { keyframe, pixel })
+    };
+    // keyframe 1 sees points 0 to 2 already, keyframe 2 points 3 to 5
+    let change = vec![seen(7, 1), seen(1, 2), seen(1, 2), seen(4, 2)];
+    map.apply(Change::Observed(change));
+    assert_eq!(map[2].points.others, [1, 3, 4, 5]);
+    assert_eq!(map[1].points.others, [0, 1, 2, 7]);
+    let observers = |point: usize| -> Vec<KeyframeId> {
+        let observations = map.points()[point].observations.iter();
+        observations.map(|o| o.keyframe).collect()
+    };
+    assert_eq!(observers(1), [1, 2]);
+    assert_eq!(observers(4), [2]);
+    assert_eq!(observers(7), [1]);
+}

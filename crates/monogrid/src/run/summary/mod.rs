@@ -10,7 +10,7 @@ use super::align::{FloorSummary, UpSummary};
 use crate::usage::{peak_rss_bytes, process_start};
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
 use monogrid_slam::mapping::SceneCell;
-use monogrid_slam::{Fragment, MapBytes};
+use monogrid_slam::{Bridge, Fragment, MapBytes};
 use serde::{Serialize, Serializer};
 
 /// What `scale` says of metres.
@@ -126,6 +126,8 @@ pub struct Summary {
     pub graph_wait_ms: f64,
     /// Fragments that a lost camera began.
     pub fragments: Vec<FragmentSummary>,
+    /// Losses after which the map went on with frames that both sides know.
+    pub bridges: Vec<Bridge>,
     /// The runs that made the map, this one last.
     pub sessions: Vec<SessionSummary>,
     /// Whether the map of an earlier run was only used.

@@ -1,0 +1,83 @@
+use super::*;
+use crate::map::Adjustment;
+use crate::system::Slam;
+use crate::{FrameInput, KeyframeId, MAIN_MAP, SlamConfig};
+use monogrid_geometry::{Se3, Vec6};
+use monogrid_image::Mask;
+use monogrid_worlds::SynthSequence;
+
+/// Every fourth frame of the sequence is shown.
+const STEP: usize = 4;
+
+/// A system that has made some keyframes, in metres.
+fn with_keyframes(sequence: &SynthSequence) -> Slam {
+    let camera = sequence.camera();
+    let mask = Mask::filled(camera.width, camera.height, 255);
+    let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+    for index in 0..45 {
+        let k = STEP * index;
+        slam.process_frame(FrameInput {
+            index,
+            timestamp_ns: index as i64 * 100_000_000,
+            image: sequence.frame(k).unwrap().image,
+            seed_depth: (k == 0).then(|| sequence.depth(0)).flatten(),
+        });
+    }
+    slam.await_graph();
+    slam
+}
+
+/// Largest error of a keyframe's position, metres.
+fn largest_error_m(slam: &Slam, sequence: &SynthSequence) -> f64 {
+    let first = sequence.frame(0).unwrap().world_from_camera;
+    let errors = slam.map.keyframes().iter().map(|keyframe| {
+        let truth = first.inverse()
+            * sequence
+                .frame(STEP * keyframe.frame_index)
+                .unwrap()
+                .world_from_camera;
+        (keyframe.world_from_keyframe.translation - truth.translation).norm()
+    });
+    errors.fold(0.0, f64::max)
+}
+
+fn num_observations(slam: &Slam) -> usize {
+    let points = slam.map.points().iter().filter(|point| point.alive);
+    points.map(|point| point.observations.len()).sum()
+}
+
+#[test]
+fn the_whole_map_comes_back_to_where_its_points_have_it() {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let mut slam = with_keyframes(&sequence);
+    let (error_m, seen) = (largest_error_m(&slam, &sequence), num_observations(&slam));
+    let num_keyframes = slam.map.next_id();
+    assert!(
+        num_keyframes > 3 && error_m < 0.01,
+        "{num_keyframes}: {error_m}"
+    );
+
+    // all but the first are moved by a centimetre and half a degree
+    let moved = |id: KeyframeId| {
+        let side = if id % 2 == 0 { 1.0 } else { -1.0 };
+        let by = Se3::exp(&(Vec6::new(0.01, -0.005, 0.005, 0.005, 0.005, -0.005) * side));
+        (id, by * slam.map[id].camera_from_world)
+    };
+    let camera_from_world = (1..num_keyframes).map(moved).collect();
+    slam.map.apply(Change::Adjusted(Adjustment {
+        camera_from_world,
+        ..Adjustment::default()
+    }));
+    adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
+    assert_eq!(slam.failed_adjustments(), 0);
+    let after_m = largest_error_m(&slam, &sequence);
+    assert!(after_m < 0.008, "{after_m} from {error_m} m");
+    let found = num_observations(&slam);
+    assert!(found > seen, "{found} from {seen}");
+
+    // not where it would take too long
+    slam.setup.config.sparse.final_max_keyframes = num_keyframes as usize - 1;
+    let before = slam.snapshot();
+    adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
+    assert_eq!(slam.snapshot(), before);
+}
