@@ -59,7 +59,7 @@ fn the_whole_map_comes_back_to_where_its_points_have_it() {
 
     // all but the first are moved by a centimetre and half a degree
     let moved = |id: KeyframeId| {
-        let side = if id % 2 == 0 { 1.0 } else { -1.0 };
+        let side = [1.0, -1.0][id as usize % 2];
         let by = Se3::exp(&(Vec6::new(0.01, -0.005, 0.005, 0.005, 0.005, -0.005) * side));
         (id, by * slam.map[id].camera_from_world)
     };
