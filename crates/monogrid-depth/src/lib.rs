@@ -6,7 +6,7 @@
 //! Flow: [`HostFrame`] (image, gradients, mask) → [`DepthMap::propagate`] or an `initialize_…` →
 //! for each frame [`DepthMap::bands`] and [`DepthBand::observe`], [`DepthMap::finish_observation`],
 //! [`DepthMap::fill_holes`], [`DepthMap::regularize`] → [`DepthMap::pixels`]. When all poses are known:
-//! [`refine_depth`] from the images of the other keyframes.
+//! [`refine_depth`] from the images of the other keyframes, and [`dense_depth`] for the pixels that the filter does not have.
 //!
 //! # Conventions
 //!
@@ -24,6 +24,7 @@
 
 mod choose;
 mod config;
+mod dense;
 mod epipolar;
 mod host;
 mod initialize;
@@ -41,6 +42,7 @@ mod update;
 mod variance;
 
 pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, VarianceModel};
+pub use dense::{DenseConfig, DenseDepth, Witness, dense_depth};
 pub use host::{HostError, HostFrame};
 pub use map::{DepthMap, DepthState};
 pub use multi_view::{MultiViewConfig, SourceView, refine_depth};

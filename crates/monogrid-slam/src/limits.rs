@@ -327,7 +327,8 @@ fn robust(name: &str, robust: &Robust) -> Limit {
 /// Checks the ranges of all settings of maps.
 pub(crate) fn check_mapping(mapping: &MappingConfig) -> Result<(), ConfigError> {
     first_outside(mapping_limits(mapping))?;
-    of_depth("mapping.refine.stereo", mapping.refine.stereo.validate())
+    of_depth("mapping.refine.stereo", mapping.refine.stereo.validate())?;
+    of_depth("mapping.dense.stereo", mapping.dense.stereo.validate())
 }
 
 #[rustfmt::skip]
@@ -356,6 +357,11 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
     all.extend(limits!("mapping.refine", mapping.refine, {
         max_keyframes: 1.0, 1000.0;
         max_separation: 0.000001, 1_000_000.0;
+    }));
+    all.extend(limits!("mapping.dense", mapping.dense, {
+        max_sources: 1.0, 32.0;
+        best_angle_deg: 0.1, 45.0;
+        max_witnesses: 1.0, 100.0;
     }));
     all.extend(limits!("mapping.fill", mapping.fill, {
         max_gradient: 0.01, 255.0;

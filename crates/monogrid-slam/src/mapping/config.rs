@@ -2,7 +2,7 @@
 
 use super::UprightConfig;
 use crate::ConfigError;
-use monogrid_depth::MultiViewConfig;
+use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{AndertForm, Buffer, MapConfig, SensorModel, Significance, ThrunForm};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -50,6 +50,16 @@ pub enum IntegrationKind {
     Fused,
     /// Every measurement updates every cell that it crosses, as in the thesis.
     Rays,
+}
+
+/// How much is done for the depth of final maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MapQuality {
+    /// The depth of the filter, refined.
+    Fast,
+    /// And dense depth: more of the surfaces and of the free space, for five times the work.
+    Dense,
 }
 
 /// What is taken as the standard deviation of a range.
@@ -149,6 +159,31 @@ impl Default for RefineConfig {
     }
 }
 
+/// How all pixels of keyframes get depth when the poses are known in the end (quality `dense`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DenseMappingConfig {
+    /// Keyframes that a keyframe is matched with. Default 4. Range [1, 32].
+    pub max_sources: usize,
+    /// Angle between lines of sight under which these see the same points at best, degrees. Default 8. Range [0.1, 45].
+    pub best_angle_deg: f64,
+    /// Keyframes whose dense depth must confirm it. Default 8. Range [1, 100].
+    pub max_witnesses: usize,
+    /// How pixels are matched and confirmed.
+    pub stereo: DenseConfig,
+}
+
+impl Default for DenseMappingConfig {
+    fn default() -> Self {
+        Self {
+            max_sources: 4,
+            best_angle_deg: 8.0,
+            max_witnesses: 8,
+            stereo: DenseConfig::default(),
+        }
+    }
+}
+
 /// How plain surfaces get depth from the depth around them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -217,6 +252,8 @@ impl Default for FillConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
+    /// How much is done for the depth of final maps. Default `fast`.
+    pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
     /// Whether the final maps of a run of arbitrary scale have cells that follow from the scene: a fiftieth of the median
@@ -279,6 +316,8 @@ pub struct MappingConfig {
     pub max_memory_gb: f64,
     /// Which measurements are mapped.
     pub filter: DepthFilterConfig,
+    /// Dense depth.
+    pub dense: DenseMappingConfig,
     /// Better depth at the final poses.
     pub refine: RefineConfig,
     /// Depth of plain surfaces.
@@ -311,6 +350,7 @@ impl Default for MeshConfig {
 impl Default for MappingConfig {
     fn default() -> Self {
         Self {
+            quality: MapQuality::Fast,
             resolution: 0.05,
             auto_resolution: true,
             sensor_model: SensorModelKind::Thrun,
@@ -336,6 +376,7 @@ impl Default for MappingConfig {
             depth_image_sigma: 0.01,
             max_memory_gb: 1.5,
             filter: DepthFilterConfig::default(),
+            dense: DenseMappingConfig::default(),
             refine: RefineConfig::default(),
             fill: FillConfig::default(),
             upright: UprightConfig::default(),

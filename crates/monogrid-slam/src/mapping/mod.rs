@@ -12,7 +12,7 @@
 //! While a run goes on, *global* has the depth of the filter and follows the graph: keyframes of which some
 //! measurement moved by at least `follow_threshold` cells are moved in a second map, one per step, which takes the
 //! place of the first when all are done. As long as there are no readers nothing is integrated. At the end all that
-//! is pending is done on all threads, with depth refined at the final poses ([`final_scans`]); the final maps do
+//! is pending is done on all threads, with depth refined, or made dense, at the final poses ([`final_scans`]); the final maps do
 //! not depend on how far the live ones had come.
 //!
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
@@ -22,6 +22,7 @@ mod agreement;
 mod body;
 mod cell;
 mod config;
+mod dense;
 mod fill;
 mod maps;
 mod refine;
@@ -31,8 +32,8 @@ mod upright;
 pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
 pub use config::{
-    AndertFormKind, AutoLength, DepthFilterConfig, FillConfig, IntegrationKind, MappingConfig,
-    MeshConfig, RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
+    AndertFormKind, AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, IntegrationKind,
+    MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
 pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};

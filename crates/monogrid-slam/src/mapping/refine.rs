@@ -1,13 +1,15 @@
 //! Better depth of all keyframes, when the poses are known in the end.
 
 use super::agreement::{Blocks, View, kept};
+use super::dense::{dense_depths, merged};
 use super::scan::Depths;
-use super::{FillConfig, KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
+use super::{FillConfig, KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
 use crate::{DepthPixel, KeyframeId};
-use monogrid_depth::{PixelDepth, SourceView, refine_depth};
+use monogrid_depth::{DenseDepth, PixelDepth, SourceView, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
@@ -24,8 +26,8 @@ pub struct PosedKeyframe<'a> {
     pub world_from_keyframe: Option<Sim3>,
 }
 
-/// What of each keyframe is mapped: its depth, made better by the images of the keyframes around it if
-/// the settings ask for it ([`monogrid_depth::refine_depth`]), filtered and filled as
+/// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
+/// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
 /// [`KeyframeScan::new`] does, without filled depth that other keyframes contradict (module `agreement`).
 ///
 /// The result does not depend on the number of threads.
@@ -48,16 +50,14 @@ pub fn final_scans_counted(
     threads: usize,
     done: &AtomicUsize,
 ) -> Vec<KeyframeScan> {
+    let dense = match config.quality {
+        MapQuality::Dense => dense_depths(keyframes, camera, &config.dense, threads),
+        MapQuality::Fast => vec![None; keyframes.len()],
+    };
     let depths = for_each_keyframe(keyframes.len(), threads, |index| {
         let keyframe = &keyframes[index];
-        let refined;
-        let pixels = if config.refine.enabled {
-            refined = refined_pixels(keyframes, index, camera, &config.refine);
-            &refined
-        } else {
-            keyframe.pixels
-        };
-        let depths = Depths::new(keyframe.id, pixels, keyframe.image, camera, config);
+        let pixels = final_pixels(keyframes, index, dense[index].as_ref(), camera, config);
+        let depths = Depths::new(keyframe.id, &pixels, keyframe.image, camera, config);
         done.fetch_add(1, Ordering::Relaxed);
         depths
     });
@@ -91,6 +91,32 @@ fn agreed(
     })
 }
 
+/// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
+fn final_pixels<'a>(
+    keyframes: &[PosedKeyframe<'a>],
+    index: usize,
+    dense: Option<&DenseDepth>,
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+) -> Cow<'a, [DepthPixel]> {
+    let pixels = keyframes[index].pixels;
+    let pixels = dense.map_or(Cow::Borrowed(pixels), |dense| {
+        Cow::Owned(merged(pixels, dense, camera))
+    });
+    if config.refine.enabled {
+        let sources = sources(keyframes, index, &config.refine);
+        Cow::Owned(refined_pixels(
+            &keyframes[index],
+            &pixels,
+            &sources,
+            camera,
+            &config.refine,
+        ))
+    } else {
+        pixels
+    }
+}
+
 /// The depth of each keyframe, made better by the images of the keyframes around it, whether or not the
 /// settings are enabled; as it was where fewer than two of them agree.
 ///
@@ -103,13 +129,15 @@ pub fn refined_depths(
     threads: usize,
 ) -> Vec<Vec<DepthPixel>> {
     for_each_keyframe(keyframes.len(), threads, |index| {
-        refined_pixels(keyframes, index, camera, config)
+        let keyframe = &keyframes[index];
+        let sources = sources(keyframes, index, config);
+        refined_pixels(keyframe, keyframe.pixels, &sources, camera, config)
     })
 }
 
 /// Results of independent work in their order, on several threads: each takes every n-th, since neighbours
 /// cost about the same.
-fn for_each_keyframe<T: Send>(
+pub(super) fn for_each_keyframe<T: Send>(
     count: usize,
     threads: usize,
     work: impl Fn(usize) -> T + Sync,
@@ -137,30 +165,19 @@ fn for_each_keyframe<T: Send>(
         .collect()
 }
 
-/// The depth of one keyframe, refined by the others; as it was without pose or image.
+/// Depths of one keyframe, refined by the others; as they were without an image.
 fn refined_pixels(
-    keyframes: &[PosedKeyframe],
-    index: usize,
+    keyframe: &PosedKeyframe,
+    pixels: &[DepthPixel],
+    sources: &[SourceView],
     camera: &KeyframeCamera,
     config: &RefineConfig,
 ) -> Vec<DepthPixel> {
-    let keyframe = &keyframes[index];
     let Some(image) = keyframe.image else {
-        return keyframe.pixels.to_vec();
+        return pixels.to_vec();
     };
-    let sources = sources(keyframes, index, config);
-    let pixels: Vec<PixelDepth> = keyframe
-        .pixels
-        .iter()
-        .map(|pixel| PixelDepth {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.idepth_var,
-            validity: 0,
-        })
-        .collect();
-    let (refined, _) = refine_depth(image, &camera.pinhole, &pixels, &sources, &config.stereo);
+    let pixels: Vec<PixelDepth> = pixels.iter().map(PixelDepth::from).collect();
+    let (refined, _) = refine_depth(image, &camera.pinhole, &pixels, sources, &config.stereo);
     refined
         .into_iter()
         .map(|pixel| DepthPixel {
@@ -170,6 +187,18 @@ fn refined_pixels(
             idepth_var: pixel.idepth_var,
         })
         .collect()
+}
+
+impl From<&DepthPixel> for PixelDepth {
+    fn from(pixel: &DepthPixel) -> Self {
+        Self {
+            x: pixel.x,
+            y: pixel.y,
+            idepth: pixel.idepth,
+            idepth_var: pixel.idepth_var,
+            validity: 0,
+        }
+    }
 }
 
 /// The nearest keyframes with image and pose, nearest first.
@@ -321,5 +350,39 @@ mod tests {
                 KeyframeScan::new(keyframe.id, keyframe.pixels, keyframe.image, &CAMERA, &off);
             assert_eq!(scan, alone);
         }
+    }
+
+    #[test]
+    fn dense_depth_covers_what_the_filter_does_not_have_on_any_number_of_threads() {
+        let places = [0.0, 0.2, -0.2, 0.35, -0.35];
+        let images = places.map(wall);
+        // the filter knows every ninth pixel
+        let mut pixels = depths(1.0);
+        pixels.retain(|p| p.x % 3 == 0 && p.y % 3 == 0);
+        let keyframes: Vec<PosedKeyframe> = places
+            .iter()
+            .zip(&images)
+            .enumerate()
+            .map(|(i, (x, image))| PosedKeyframe {
+                id: i as KeyframeId,
+                image: Some(image),
+                pixels: &pixels,
+                world_from_keyframe: Some(Sim3::new(
+                    1.0,
+                    Rotation::identity(),
+                    Vec3::new(*x, 0.0, 0.0),
+                )),
+            })
+            .collect();
+        let dense = MappingConfig {
+            quality: MapQuality::Dense,
+            ..config()
+        };
+        let scans = final_scans(&keyframes, &CAMERA, &dense, 1);
+        assert_eq!(final_scans(&keyframes, &CAMERA, &dense, 3), scans);
+        let fast = final_scans(&keyframes, &CAMERA, &config(), 2);
+        let all = CAMERA.width * CAMERA.height;
+        assert!(fast[0].pixels.is_empty() && 2 * scans[0].pixels.len() > all);
+        assert!(share_right(&scans[0], 1.0) > 0.9);
     }
 }

@@ -15,14 +15,18 @@
 //! pixel of a region gets the depth of the plane whose outline is nearest inside the region.
 //!
 //! A plane is believed if most of the outline lies on it or before it. An outline *behind* the plane
-//! contradicts it: a plain surface cannot be seen through. The uncertainty of a filled pixel grows with
+//! contradicts it: a plain surface cannot be seen through. It holds inside of the hull of the points of the outline
+//! that lie on it ([`hull`]): beyond, nobody has seen that the surface goes on; a wall that is continued behind the next one
+//! was most of the false walls. The uncertainty of a filled pixel grows with
 //! its distance from the outline as the covariance of the fit says, so far extrapolation fails the same
 //! limit as any imprecise measurement.
 
+mod hull;
 mod plane;
 mod regions;
 
 use super::FillConfig;
+use hull::Hull;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 pub(super) use plane::Plane;
@@ -59,7 +63,16 @@ pub fn fill_plain_regions(
         .map(|(region, border)| fit_plane(border, region as u64, config))
         .collect();
     share_planes(measured, &borders, &mut planes, config);
-    fill(&regions, &planes, max_relative_sigma, config)
+    let held: Vec<Option<(Plane, Hull)>> = planes
+        .into_iter()
+        .zip(&borders)
+        .map(|(plane, border)| {
+            let plane = plane?;
+            let hull = Hull::new(border.points_on(&plane, config));
+            Some((plane, hull))
+        })
+        .collect();
+    fill(&regions, &held, max_relative_sigma, config)
 }
 
 /// The measurements along the outline of each region. One on the edge between two regions belongs to
@@ -150,28 +163,36 @@ pub(super) fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> 
     planes
 }
 
-/// The depth of all pixels of the regions that have a plane, where it is certain enough.
+/// The depth of all pixels of the regions that have a plane, where its outline holds it and it is certain enough.
 fn fill(
     regions: &Regions,
-    planes: &[Option<Plane>],
+    planes: &[Option<(Plane, Hull)>],
     max_relative_sigma: f64,
     config: &FillConfig,
 ) -> Vec<Measurement> {
     let mut filled = Vec::new();
-    for (index, label) in regions.labels.iter().enumerate() {
-        let Some(Some(plane)) = planes.get(*label as usize) else {
-            continue;
-        };
-        let (x, y) = (index % regions.width, index / regions.width);
-        let (idepth, fit_sigma) = plane.at(x as f64, y as f64);
-        let sigma = (fit_sigma.powi(2) + (config.relative_sigma * idepth).powi(2)).sqrt();
-        if idepth > 0.0 && sigma <= max_relative_sigma * idepth {
-            filled.push(Measurement {
-                x: x as u16,
-                y: y as u16,
-                idepth: idepth as f32,
-                sigma_idepth: sigma as f32,
-            });
+    for (y, labels) in regions.labels.chunks(regions.width).enumerate() {
+        let spans: Vec<Option<(f64, f64)>> = planes
+            .iter()
+            .map(|held| held.as_ref()?.1.columns(y as f64))
+            .collect();
+        for (x, label) in labels.iter().enumerate() {
+            let (Some(Some((plane, _))), Some(Some((first, last)))) =
+                (planes.get(*label as usize), spans.get(*label as usize))
+            else {
+                continue;
+            };
+            let (idepth, fit_sigma) = plane.at(x as f64, y as f64);
+            let sigma = (fit_sigma.powi(2) + (config.relative_sigma * idepth).powi(2)).sqrt();
+            let is_held = (*first..=*last).contains(&(x as f64));
+            if is_held && idepth > 0.0 && sigma <= max_relative_sigma * idepth {
+                filled.push(Measurement {
+                    x: x as u16,
+                    y: y as u16,
+                    idepth: idepth as f32,
+                    sigma_idepth: sigma as f32,
+                });
+            }
         }
     }
     filled

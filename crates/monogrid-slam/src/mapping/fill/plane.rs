@@ -135,6 +135,12 @@ impl Border {
         Some(plane)
     }
 
+    /// Where the points of the outline on a plane are, px.
+    pub fn points_on(&self, plane: &Plane, config: &FillConfig) -> Vec<[f64; 2]> {
+        let on_plane = self.points.iter().filter(|p| plane.explains(p, config));
+        on_plane.map(|p| [p.x, p.y]).collect()
+    }
+
     /// How the outline judges a plane.
     pub fn count(&self, plane: &Plane, config: &FillConfig) -> Count {
         count(&self.points, plane, config)

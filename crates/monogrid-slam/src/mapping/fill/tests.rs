@@ -111,6 +111,19 @@ fn far_from_a_small_outline_nothing_is_filled() {
 }
 
 #[test]
+fn a_plane_is_not_continued_beyond_its_outline() {
+    // what bounds the panel on the right was not measured: the wall may end anywhere
+    let is_left = |p: &Measurement| p.x < 60;
+    let measured: Vec<Measurement> = rim(|x, y| wall(x as f64, y as f64))
+        .into_iter()
+        .filter(is_left)
+        .collect();
+    let filled = filled(&measured);
+    let farthest = filled.iter().map(|p| p.x).max();
+    assert!((Some(58)..Some(70)).contains(&farthest), "{farthest:?}");
+}
+
+#[test]
 fn textured_pictures_and_empty_ones_stay_as_they_are() {
     let texture = Image::from_fn(WIDTH, HEIGHT, |x, y| ((x * 37 + y * 91) % 200) as u8);
     let measured = rim(|x, y| wall(x as f64, y as f64));

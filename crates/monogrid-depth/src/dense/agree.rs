@@ -1,0 +1,144 @@
+//! Geometric consistency: depth that the depth of other keyframes confirms.
+
+use super::{DenseConfig, DenseDepth};
+use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
+
+/// Pairs of depths that differ by less than this share tell how well two keyframes agree: beyond, one of them is
+/// wrong altogether.
+const COMPARABLE: f32 = 0.1;
+/// Least relative standard deviation that all pixels of a keyframe share.
+const MIN_SHARED_SIGMA: f32 = 0.003;
+/// Bins of differences, up to [`COMPARABLE`].
+const BINS: usize = 400;
+
+/// Another keyframe and its depth.
+#[derive(Clone, Copy, Debug)]
+pub struct Witness<'a> {
+    /// Its depth.
+    pub depth: &'a DenseDepth,
+    /// From the coordinates of the keyframe in question (in its units) to those of the other.
+    pub witness_from_keyframe: Sim3,
+}
+
+/// What the witnesses say about one pixel.
+#[derive(Default)]
+struct Opinions {
+    /// Those that agree, and sums of their differences and squares of them.
+    agreeing: usize,
+    sum: f32,
+    squares: f32,
+    /// Those that see through the point.
+    against: usize,
+}
+
+impl DenseDepth {
+    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within `config.tolerance`, and no more
+    /// of them see through: the mean of all of these, with the variance of the own costs, of the disagreement at
+    /// the pixel, and of the disagreement that all pixels share.
+    ///
+    /// `camera` is that of the full image.
+    #[must_use]
+    pub fn agreed(&self, witnesses: &[Witness], camera: &Pinhole, config: &DenseConfig) -> Self {
+        let camera = camera.half();
+        let (width, height) = (self.idepth.width(), self.idepth.height());
+        let mut agreed = Self::unknown(width, height);
+        let mut differences = Differences([0; BINS]);
+        for y in 0..height {
+            for x in 0..width {
+                let idepth = self.idepth.at(x, y);
+                if idepth <= 0.0 {
+                    continue;
+                }
+                let point = camera.unproject(&Vec2::new(x as f64, y as f64)) / f64::from(idepth);
+                let opinions = heard(&point, witnesses, &camera, config, &mut differences);
+                let is_held = opinions.agreeing >= config.min_agreeing
+                    && opinions.against <= opinions.agreeing;
+                if is_held {
+                    let (mean, spread) = opinions.mean_with_own();
+                    let own = self.sigma.at(x, y) / idepth;
+                    agreed.idepth.set(x, y, idepth * (1.0 + mean));
+                    agreed.sigma.set(x, y, (0.5 * own * own + spread).sqrt());
+                }
+            }
+        }
+        let shared = differences.sigma();
+        let sigmas = agreed.sigma.as_mut_slice().iter_mut();
+        for (sigma, idepth) in sigmas.zip(agreed.idepth.as_slice()) {
+            *sigma = (*sigma * *sigma + shared * shared).sqrt() * idepth;
+        }
+        agreed
+    }
+}
+
+impl Opinions {
+    /// Mean and variance of the differences, with the own one of 0.
+    fn mean_with_own(&self) -> (f32, f32) {
+        let count = self.agreeing as f32 + 1.0;
+        let mean = self.sum / count;
+        (mean, (self.squares / count - mean * mean).max(0.0))
+    }
+}
+
+/// What the witnesses have where they see a point.
+fn heard(
+    point: &Vec3,
+    witnesses: &[Witness],
+    camera: &Pinhole,
+    config: &DenseConfig,
+    differences: &mut Differences,
+) -> Opinions {
+    let mut opinions = Opinions::default();
+    for witness in witnesses {
+        let Some(difference) = difference(point, witness, camera) else {
+            continue;
+        };
+        differences.add(difference);
+        if difference.abs() <= config.tolerance as f32 {
+            opinions.agreeing += 1;
+            opinions.sum += difference;
+            opinions.squares += difference * difference;
+        } else if difference < 0.0 {
+            opinions.against += 1;
+        }
+    }
+    opinions
+}
+
+/// The inverse depth of a witness where it sees a point over that of the point, less 1; `None` where it has none.
+fn difference(point: &Vec3, witness: &Witness, camera: &Pinhole) -> Option<f32> {
+    let seen = witness.witness_from_keyframe * *point;
+    if seen.z <= 1e-9 {
+        return None;
+    }
+    let at = camera.project(&seen);
+    let idepths = &witness.depth.idepth;
+    let (x, y) = (at.x + 0.5, at.y + 0.5);
+    let is_inside =
+        x >= 0.0 && y >= 0.0 && x < idepths.width() as f64 && y < idepths.height() as f64;
+    let idepth = is_inside.then(|| idepths.at(x as usize, y as usize))?;
+    (idepth > 0.0).then_some(idepth * seen.z as f32 - 1.0)
+}
+
+/// How much the pixels of a keyframe and its witnesses differ.
+struct Differences([u32; BINS]);
+
+impl Differences {
+    fn add(&mut self, difference: f32) {
+        let bin = (difference.abs() / COMPARABLE * BINS as f32) as usize;
+        if let Some(count) = self.0.get_mut(bin) {
+            *count += 1;
+        }
+    }
+
+    /// Relative standard deviation of one keyframe: of the difference, which 68 % are below, each has half the variance.
+    fn sigma(&self) -> f32 {
+        let all: u32 = self.0.iter().sum();
+        let mut below = 0;
+        let bin = self.0.iter().position(|count| {
+            below += count;
+            f64::from(below) >= 0.683 * f64::from(all)
+        });
+        let at = COMPARABLE * (bin.unwrap_or(0) as f32 + 0.5) / BINS as f32;
+        (at / 2.0_f32.sqrt()).max(MIN_SHARED_SIGMA)
+    }
+}

@@ -1,0 +1,178 @@
+//! Depth of all pixels of a finished keyframe, textured or not, from the keyframes around it at the final poses.
+//!
+//! A plane parallel to the image is swept through the scene at half the resolution; where it touches a surface, the
+//! sources look alike when they are projected onto it ([`warp`], [`sweep`]). Surfaces are smooth, so that the costs of a
+//! pixel and those along eight directions are added ([`aggregate`]). The best plane of a pixel and the costs of its
+//! neighbours give the inverse depth, how sharp they are its variance ([`winner`]). What is left is believed where
+//! the depth of other keyframes confirms it ([`DenseDepth::agreed`]).
+
+mod aggregate;
+mod agree;
+mod sweep;
+mod warp;
+mod winner;
+
+use crate::PixelDepth;
+use crate::config::{ConfigError, Limit, first_outside};
+use crate::multi_view::SourceView;
+use aggregate::aggregate;
+pub use agree::Witness;
+use monogrid_geometry::Pinhole;
+use monogrid_image::{GrayImage, Image, half_size};
+use serde::{Deserialize, Serialize};
+use sweep::CostVolume;
+use warp::Source;
+
+/// Depths by which the range of the planes is found, at least.
+const MIN_SEEDS: usize = 100;
+/// The planes reach beyond the depths that are known, by these factors on the inverse depth.
+const BEYOND_SEEDS: [f64; 2] = [0.7, 1.4];
+/// Fewest planes.
+const MIN_PLANES: usize = 24;
+/// Smallest image that is swept, px of the half image.
+const MIN_EDGE_PX: usize = 16;
+
+/// Settings of [`dense_depth`] and [`DenseDepth::agreed`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DenseConfig {
+    /// Most planes. Default 96. Range [24, 512].
+    pub max_planes: usize,
+    /// From plane to plane a match moves by this in the middle of the source that it moves most in, px of the half image. Default
+    /// 1. Range [0.05, 100].
+    pub step_px: f64,
+    /// Noise of the images, grey levels: windows with less contrast correlate with nothing. Default 2. Range [0.01, 100].
+    pub grey_sigma: f64,
+    /// Cost of a step to the next plane between two pixels; windows that do not correlate at all cost 60. Default 6. Range
+    /// [0, 1000].
+    pub small_step_cost: u16,
+    /// Cost of any larger step, less where the image has an edge. Default 40. Range [0, 1000].
+    pub jump_cost: u16,
+    /// All other planes must cost more than the best one by this share. Default 0.03. Range [0, 10].
+    pub min_uniqueness: f64,
+    /// The mean of the costs of all planes must be higher than that of the best one by this: plain windows look the same in all of
+    /// them. Default 5. Range [0, 60].
+    pub min_contrast: f64,
+    /// Relative difference of two depths of one surface. Default 0.02. Range [0.0001, 0.1].
+    pub tolerance: f64,
+    /// Other keyframes that must have the same depth. Default 2. Range [1, 100].
+    pub min_agreeing: usize,
+}
+
+impl Default for DenseConfig {
+    fn default() -> Self {
+        Self {
+            max_planes: 96,
+            step_px: 1.0,
+            grey_sigma: 2.0,
+            small_step_cost: 6,
+            jump_cost: 40,
+            min_uniqueness: 0.03,
+            min_contrast: 5.0,
+            tolerance: 0.02,
+            min_agreeing: 2,
+        }
+    }
+}
+
+impl DenseConfig {
+    /// Checks all settings.
+    ///
+    /// # Errors
+    /// The first value outside its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        first_outside([
+            Limit("max_planes", self.max_planes as f64, 24.0, 512.0),
+            Limit("step_px", self.step_px, 0.05, 100.0),
+            Limit("grey_sigma", self.grey_sigma, 0.01, 100.0),
+            Limit("small_step_cost", self.small_step_cost.into(), 0.0, 1000.0),
+            Limit("jump_cost", self.jump_cost.into(), 0.0, 1000.0),
+            Limit("min_uniqueness", self.min_uniqueness, 0.0, 10.0),
+            Limit("min_contrast", self.min_contrast, 0.0, 60.0),
+            Limit("tolerance", self.tolerance, 0.0001, 0.1),
+            Limit("min_agreeing", self.min_agreeing as f64, 1.0, 100.0),
+        ])
+    }
+}
+
+/// Depth of an image at half its size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DenseDepth {
+    /// Inverse depths in units of the keyframe; 0 where unknown.
+    pub idepth: Image<f32>,
+    /// Standard deviations of the inverse depths; without meaning where these are unknown.
+    pub sigma: Image<f32>,
+}
+
+impl DenseDepth {
+    /// Nothing known.
+    fn unknown(width: usize, height: usize) -> Self {
+        Self {
+            idepth: Image::filled(width, height, 0.0),
+            sigma: Image::filled(width, height, 0.0),
+        }
+    }
+}
+
+/// Depth of all pixels where the sources say which; `None` without a source, or where fewer than a hundred depths
+/// are known that the planes are placed around.
+///
+/// `seeds` are known depths in units of the keyframe; they say where planes are, and nothing else.
+#[must_use]
+pub fn dense_depth(
+    image: &Image<u8>,
+    camera: &Pinhole,
+    seeds: &[PixelDepth],
+    sources: &[SourceView],
+    config: &DenseConfig,
+) -> Option<DenseDepth> {
+    let halved = |image: &Image<u8>| half_size(&image.map(f32::from));
+    let half = halved(image);
+    let sources: Vec<Source> = sources
+        .iter()
+        .filter(|s| s.image.same_size(image))
+        .map(|s| Source::new(halved(s.image), &s.source_from_keyframe, &camera.half()))
+        .collect();
+    if half.width().min(half.height()) < MIN_EDGE_PX {
+        return None;
+    }
+    let idepths = planes(&half, seeds, &sources, config)?;
+    let volume = CostVolume::new(&half, &sources, idepths, config);
+    let sums = aggregate(&volume, &half, config);
+    Some(winner::winners(&volume, &sums, &half, config))
+}
+
+/// The range of inverse depths that the seeds have, with room on both sides.
+fn range(seeds: &[PixelDepth]) -> Option<[f64; 2]> {
+    let is_known = |d: &f32| *d > 0.0 && d.is_finite();
+    let mut idepths: Vec<f32> = seeds.iter().map(|p| p.idepth).filter(is_known).collect();
+    if idepths.len() < MIN_SEEDS {
+        return None;
+    }
+    idepths.sort_unstable_by(f32::total_cmp);
+    let at = |share: f64| f64::from(idepths[(share * (idepths.len() - 1) as f64) as usize]);
+    Some([BEYOND_SEEDS[0] * at(0.01), BEYOND_SEEDS[1] * at(0.99)])
+}
+
+/// Inverse depths of the planes; `None` without a source that sees the middle of the image.
+fn planes(
+    image: &GrayImage,
+    seeds: &[PixelDepth],
+    sources: &[Source],
+    config: &DenseConfig,
+) -> Option<Vec<f32>> {
+    let [low, high] = range(seeds)?;
+    let middle = [image.width() as f64 / 2.0, image.height() as f64 / 2.0];
+    let lengths = sources.iter().filter_map(|source| {
+        let (near, far) = (source.project(middle, high)?, source.project(middle, low)?);
+        Some((near[0] - far[0]).hypot(near[1] - far[1]))
+    });
+    let longest = lengths.max_by(f64::total_cmp)?;
+    let count = (longest / config.step_px) as usize + 1;
+    let count = count.clamp(MIN_PLANES, config.max_planes);
+    let step = (high - low) / (count - 1) as f64;
+    Some((0..count).map(|k| (low + step * k as f64) as f32).collect())
+}
+
+#[cfg(test)]
+mod tests;

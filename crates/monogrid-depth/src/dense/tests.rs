@@ -1,0 +1,141 @@
+use super::*;
+use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
+
+const WIDTH: usize = 128;
+const HEIGHT: usize = 96;
+const CAMERA: Pinhole = Pinhole {
+    fx: 110.0,
+    fy: 110.0,
+    cx: 63.5,
+    cy: 47.5,
+};
+
+/// A textured slanted wall, z = 2 + 0.3 x, with a textured square at z = 1.2 before it.
+fn depth_of_ray(ray: &Vec3, eye_x: f64, has_square: bool) -> f64 {
+    // eye + z ray on z = 2 + 0.3 x
+    let wall = (2.0 + 0.3 * eye_x) / (1.0 - 0.3 * ray.x);
+    let [x, y] = [eye_x + 1.2 * ray.x, 1.2 * ray.y];
+    let is_square = has_square && x.abs() < 0.25 && y.abs() < 0.25;
+    if is_square { 1.2 } else { wall }
+}
+
+/// What a camera `eye_x` to the right sees.
+fn picture(eye_x: f64, has_square: bool) -> Image<u8> {
+    Image::from_fn(WIDTH, HEIGHT, |u, v| {
+        let ray = CAMERA.unproject(&Vec2::new(u as f64, v as f64));
+        let z = depth_of_ray(&ray, eye_x, has_square);
+        let (x, y) = (eye_x + z * ray.x, z * ray.y);
+        let grey = 128.0
+            + 45.0 * (21.0 * x + 7.0 * y + 9.0 * z).sin()
+            + 45.0 * (15.0 * x - 19.0 * y - 4.0 * z).cos();
+        grey as u8
+    })
+}
+
+/// Depths over the range of the scene.
+fn seeds() -> Vec<PixelDepth> {
+    (0..200)
+        .map(|i| PixelDepth {
+            x: 0,
+            y: 0,
+            idepth: 1.0 / (1.2 + 0.007 * i as f32),
+            idepth_var: 1e-4,
+            validity: 0,
+        })
+        .collect()
+}
+
+fn at(eye_x: f64) -> Sim3 {
+    Sim3::new(1.0, Rotation::identity(), Vec3::new(-eye_x, 0.0, 0.0))
+}
+
+const EYES: [f64; 4] = [-0.24, -0.12, 0.12, 0.24];
+
+fn depth_at(eye_x: f64, has_square: bool) -> DenseDepth {
+    let images = EYES.map(|other| picture(eye_x + other, has_square));
+    let sources: Vec<SourceView> = images
+        .iter()
+        .zip(EYES)
+        .map(|(image, other)| SourceView {
+            image,
+            source_from_keyframe: at(other),
+        })
+        .collect();
+    let image = picture(eye_x, has_square);
+    dense_depth(&image, &CAMERA, &seeds(), &sources, &DenseConfig::default()).unwrap()
+}
+
+/// Share of the pixels of the half image that have a depth, and of these that are within 2 % of the truth.
+fn shares(depth: &DenseDepth, has_square: bool) -> (f64, f64) {
+    let (mut known, mut right) = (0, 0);
+    for y in 0..HEIGHT / 2 {
+        for x in 0..WIDTH / 2 {
+            let ray = CAMERA.half().unproject(&Vec2::new(x as f64, y as f64));
+            let truth = depth_of_ray(&ray, 0.0, has_square);
+            let idepth = f64::from(depth.idepth.at(x, y));
+            known += i32::from(idepth > 0.0);
+            right += i32::from((idepth * truth - 1.0).abs() < 0.02);
+        }
+    }
+    let all = (WIDTH * HEIGHT / 4) as f64;
+    (f64::from(known) / all, f64::from(right) / f64::from(known))
+}
+
+#[test]
+fn a_slanted_wall_and_what_stands_before_it_are_found() {
+    // beside the square, one side of it covers the wall in each source, and windows hold both
+    for (has_square, min_right) in [(false, 0.93), (true, 0.85)] {
+        let (known, right) = shares(&depth_at(0.0, has_square), has_square);
+        // the windows at the edges of the image have no depth
+        let is_enough = known > 0.7 && right > min_right;
+        assert!(is_enough, "{has_square}: {known} {right}");
+    }
+}
+
+#[test]
+fn depth_that_others_contradict_goes_and_the_rest_becomes_better() {
+    let depth = depth_at(0.0, false);
+    let others = EYES.map(|eye| depth_at(eye, false));
+    let witnesses = |moved: f64| -> Vec<Witness<'_>> {
+        others
+            .iter()
+            .zip(EYES)
+            .map(|(depth, eye)| Witness {
+                depth,
+                witness_from_keyframe: Sim3::new(moved, Rotation::identity(), Vec3::zeros())
+                    * at(eye),
+            })
+            .collect()
+    };
+    let config = DenseConfig::default();
+    let agreed = depth.agreed(&witnesses(1.0), &CAMERA, &config);
+    let (known, right) = shares(&agreed, false);
+    assert!(known > 0.6 && right > 0.98, "{known} {right}");
+    let (mut inside, mut all) = (0, 0);
+    for (pixel, idepth) in agreed.idepth.as_slice().iter().enumerate() {
+        if *idepth > 0.0 {
+            let (x, y) = (pixel % (WIDTH / 2), pixel / (WIDTH / 2));
+            let ray = CAMERA.half().unproject(&Vec2::new(x as f64, y as f64));
+            let truth = 1.0 / depth_of_ray(&ray, 0.0, false) as f32;
+            all += 1;
+            inside += i32::from((idepth - truth).abs() < 2.0 * agreed.sigma.as_slice()[pixel]);
+        }
+    }
+    assert!(inside * 10 > all * 9, "{inside} of {all} within two sigma");
+    // the others have all depths 6 % larger
+    let moved = depth.agreed(&witnesses(1.0 / 1.06), &CAMERA, &config);
+    let (known, _) = shares(&moved, false);
+    assert!(known < 0.05, "{known}");
+}
+
+#[test]
+fn without_sources_or_depths_around_which_to_look_there_is_none() {
+    let image = picture(0.0, false);
+    let config = DenseConfig::default();
+    assert!(dense_depth(&image, &CAMERA, &seeds(), &[], &config).is_none());
+    let source = SourceView {
+        image: &image,
+        source_from_keyframe: at(0.1),
+    };
+    assert!(dense_depth(&image, &CAMERA, &seeds()[..50], &[source], &config).is_none());
+}
