@@ -26,6 +26,8 @@ mod sparse;
 mod start;
 mod stored;
 mod system;
+#[cfg(test)]
+mod test_world;
 mod tracker;
 mod two_view_start;
 

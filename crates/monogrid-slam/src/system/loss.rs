@@ -1,4 +1,5 @@
-//! A camera that stays lost starts a new fragment of the map, which is joined when it is recognised.
+//! A camera that stays lost starts a new fragment of the map, which is joined when it is recognised, unless its start lies in
+//! the map already (see `bridge`).
 //!
 //! Each fragment has a world of its own: the camera of its first keyframe. Everything that compares poses
 //! (sparse layer, known views, graph) stays within one. What joins them is the recognition of places, in the

@@ -11,6 +11,7 @@
 //!                                        -> constrain    what the graph is told about it
 //!        lost: -> lost                   -> relocalise   find back
 //!                                        -> loss, begin  or begin a fragment of the map
+//!                                        -> bridge        or go on in the map where the start shows it
 //!   -> outcome          the report on the frame
 //!   -> odometry         motion without corrections
 //! sessions: what is kept for a later run

@@ -1,7 +1,7 @@
 use super::*;
 use crate::FrameInput;
+use crate::test_world::small_demo;
 use monogrid_image::GrayImage;
-use monogrid_worlds::SynthSequence;
 
 /// The buffered frames, by their number, and the places of the references among them.
 type State = (Vec<i64>, Vec<usize>);
@@ -34,7 +34,7 @@ fn states(images: &[GrayImage], max_buffered_frames: usize) -> Vec<State> {
 }
 
 fn room() -> GrayImage {
-    SynthSequence::small_demo().unwrap().frame(0).unwrap().image
+    small_demo().frame(0).unwrap().image
 }
 
 #[test]

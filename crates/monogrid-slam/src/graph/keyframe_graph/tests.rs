@@ -8,6 +8,7 @@ use crate::graph::GraphConfig;
 use crate::graph::job::{GraphStats, Joined, OdometryEdge};
 use crate::map::Exposure;
 use crate::sparse::SharedPoints;
+use crate::test_world::small_demo;
 use monogrid_alignment::{DepthSample, SimilarityConstraint};
 use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
 use monogrid_image::{Mask, Pyramid};
@@ -82,9 +83,9 @@ fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
 
 #[test]
 fn constraints_take_out_the_drift_of_position_and_scale() {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = small_demo();
     let camera = sequence.camera();
-    let (views, truth) = keyframes(&sequence, 8, 8);
+    let (views, truth) = keyframes(sequence, 8, 8);
     let drift = Sim3::exp(&Vec7::from_column_slice(&[
         0.006, -0.004, 0.005, 0.002, 0.003, -0.002, 0.03,
     ]));
@@ -134,9 +135,9 @@ fn constraints_take_out_the_drift_of_position_and_scale() {
 
 #[test]
 fn a_keyframe_of_another_room_is_not_constrained() {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = small_demo();
     let camera = sequence.camera();
-    let (mut views, poses) = keyframes(&sequence, 8, 2);
+    let (mut views, poses) = keyframes(sequence, 8, 2);
     // the depth of the first, the image upside down
     let image = views[0].pyramid.level(0).clone();
     let (width, height) = (image.width(), image.height());
@@ -168,9 +169,9 @@ fn a_keyframe_of_another_room_is_not_constrained() {
 
 /// Keyframes of one room as two fragments, the second in a world of its own; what comes of the last job.
 fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = small_demo();
     let camera = sequence.camera();
-    let (views, truth) = keyframes(&sequence, 8, 8);
+    let (views, truth) = keyframes(sequence, 8, 8);
     let mask = Mask::filled(camera.width, camera.height, 255);
     let mut graph =
         KeyframeGraph::new(GraphConfig::default(), config, camera.pinhole, mask).unwrap();
@@ -329,9 +330,9 @@ fn no_edge_is_surer_than_the_errors_that_its_residuals_do_not_show() {
 
 /// Keyframes that look for places alone; poses that are off by this much from the fifth on.
 fn with_places_only(off: f64) -> GraphStats {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = small_demo();
     let camera = sequence.camera();
-    let (views, truth) = keyframes(&sequence, 8, 8);
+    let (views, truth) = keyframes(sequence, 8, 8);
     let mut config = GraphConfig {
         nearest: 0,
         max_overlapping: 0,

@@ -1,6 +1,7 @@
 use super::*;
 use crate::start::StartOutcome;
 use crate::system::setup::Setup;
+use crate::test_world::small_demo;
 use crate::{FrameInput, MAIN_MAP, SlamConfig};
 use monogrid_image::Mask;
 use monogrid_worlds::SynthSequence;
@@ -77,26 +78,26 @@ fn assert_known_from_the_first_frame_on(slam: &Slam, sequence: &SynthSequence) {
 
 #[test]
 fn frames_before_the_start_that_the_first_keyframe_shows_need_no_other() {
-    let sequence = SynthSequence::small_demo().unwrap();
-    let slam = started_at_the_end(&sequence, SlamConfig::default());
+    let sequence = small_demo();
+    let slam = started_at_the_end(sequence, SlamConfig::default());
     assert_eq!(slam.map.keyframes().len(), 1);
-    assert_known_from_the_first_frame_on(&slam, &sequence);
+    assert_known_from_the_first_frame_on(&slam, sequence);
 }
 
 #[test]
 fn other_frames_before_the_start_get_keyframes_and_tracking_goes_on_at_the_first() {
-    let sequence = SynthSequence::small_demo().unwrap();
-    let slam = started_at_the_end(&sequence, demanding());
+    let sequence = small_demo();
+    let slam = started_at_the_end(sequence, demanding());
     let keyframes = slam.map.keyframes();
     assert!(keyframes.len() > 1, "{}", keyframes.len());
     assert!(keyframes.iter().skip(1).all(|k| k.frame_index < FRAMES - 1));
     assert!(keyframes.iter().all(|k| k.published.is_some()));
     assert_eq!(slam.camera.active.as_ref().map(|active| active.id), Some(0));
     assert_eq!(slam.camera.active.as_ref().map(|a| a.num_mapped), Some(0));
-    assert_known_from_the_first_frame_on(&slam, &sequence);
+    assert_known_from_the_first_frame_on(&slam, sequence);
 
     let mut config = demanding();
     config.keyframes.reactivation.enabled = false;
-    let without_kept_depth = started_at_the_end(&sequence, config);
+    let without_kept_depth = started_at_the_end(sequence, config);
     assert_eq!(without_kept_depth.map.keyframes().len(), 1);
 }

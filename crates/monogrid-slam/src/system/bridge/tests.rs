@@ -1,6 +1,7 @@
 use super::*;
 use crate::start::{Start, StartOutcome};
 use crate::system::Slam;
+use crate::test_world::small_demo;
 use crate::{FragmentConfig, FrameInput, SlamConfig};
 use monogrid_geometry::Vec6;
 use monogrid_image::{GrayImage, Mask};
@@ -43,8 +44,8 @@ fn after_a_loss(sequence: &SynthSequence, change: fn(GrayImage) -> GrayImage) ->
 
 #[test]
 fn a_start_that_shows_the_frames_before_it_lies_in_the_map() {
-    let sequence = SynthSequence::small_demo().unwrap();
-    let (mut slam, started) = after_a_loss(&sequence, |image| image);
+    let sequence = small_demo();
+    let (mut slam, started) = after_a_loss(sequence, |image| image);
     assert_eq!(
         slam.camera.known.len(),
         FragmentConfig::default().bridge_frames
@@ -86,12 +87,12 @@ fn a_start_that_shows_the_frames_before_it_lies_in_the_map() {
 
 #[test]
 fn a_start_at_another_place_lies_nowhere() {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = small_demo();
     let mirrored = |image: GrayImage| {
         let width = image.width();
         GrayImage::from_fn(width, image.height(), |x, y| image.at(width - 1 - x, y))
     };
-    let (slam, started) = after_a_loss(&sequence, mirrored);
+    let (slam, started) = after_a_loss(sequence, mirrored);
     assert!(land(&slam.setup, &slam.map, &slam.camera.known, &started).is_none());
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::test_world::small_demo;
 use crate::{FrameInput, SlamConfig};
 use monogrid_geometry::Se3;
 use monogrid_image::{GrayImage, Mask};
@@ -40,8 +41,8 @@ fn run(sequence: &SynthSequence, shown: impl Fn(GrayImage) -> GrayImage) -> Slam
 
 #[test]
 fn frames_that_were_missed_get_their_poses_when_the_camera_is_found_again() {
-    let sequence = SynthSequence::small_demo().unwrap();
-    let slam = run(&sequence, |image| image);
+    let sequence = small_demo();
+    let slam = run(sequence, |image| image);
     let poses = slam.trajectory();
     assert_eq!(poses.len(), TRACKED + MISSED + 1);
     let truth = |k: usize| sequence.frame(k).unwrap().world_from_camera;
@@ -55,12 +56,12 @@ fn frames_that_were_missed_get_their_poses_when_the_camera_is_found_again() {
 
 #[test]
 fn pictures_of_another_place_get_none() {
-    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = small_demo();
     let mirrored = |image: GrayImage| {
         let width = image.width();
         GrayImage::from_fn(width, image.height(), |x, y| image.at(width - 1 - x, y))
     };
-    let slam = run(&sequence, mirrored);
+    let slam = run(sequence, mirrored);
     let frames = slam.trajectory().into_iter().map(|pose| pose.frame_index);
     let expected = (0..TRACKED).chain([TRACKED + MISSED]);
     assert!(frames.eq(expected));

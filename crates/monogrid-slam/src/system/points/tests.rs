@@ -1,6 +1,7 @@
 use super::*;
 use crate::map::Adjustment;
 use crate::system::Slam;
+use crate::test_world::small_demo;
 use crate::{FrameInput, KeyframeId, MAIN_MAP, SlamConfig};
 use monogrid_geometry::{Se3, Vec6};
 use monogrid_image::Mask;
@@ -48,9 +49,9 @@ fn num_observations(slam: &Slam) -> usize {
 
 #[test]
 fn the_whole_map_comes_back_to_where_its_points_have_it() {
-    let sequence = SynthSequence::small_demo().unwrap();
-    let mut slam = with_keyframes(&sequence);
-    let (error_m, seen) = (largest_error_m(&slam, &sequence), num_observations(&slam));
+    let sequence = small_demo();
+    let mut slam = with_keyframes(sequence);
+    let (error_m, seen) = (largest_error_m(&slam, sequence), num_observations(&slam));
     let num_keyframes = slam.map.next_id();
     assert!(
         num_keyframes > 3 && error_m < 0.01,
@@ -70,7 +71,7 @@ fn the_whole_map_comes_back_to_where_its_points_have_it() {
     }));
     adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
     assert_eq!(slam.failed_adjustments(), 0);
-    let after_m = largest_error_m(&slam, &sequence);
+    let after_m = largest_error_m(&slam, sequence);
     assert!(after_m < 0.008, "{after_m} from {error_m} m");
     let found = num_observations(&slam);
     assert!(found > seen, "{found} from {seen}");
