@@ -3,7 +3,7 @@
 //! Levenberg-Marquardt on a robust reprojection error; points are eliminated (Schur complement), the
 //! reduced system of poses and camera is dense. The first view is held; the scale is left to the damping.
 
-use crate::intrinsics::{Intrinsics, NUM_PARAMETERS, ParameterMatrix, Parameters, Prior};
+use crate::intrinsics::{Intrinsics, NUM_PARAMETERS, ParameterMatrix, Parameters, Prior, READOUT};
 use monogrid_geometry::{Se3, Vec2, Vec3, Vec6, hat};
 use monogrid_graph::RobustKernel;
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
@@ -17,6 +17,16 @@ pub struct Sighting {
     pub point: usize,
     /// Pixel as the camera has it, with distortion.
     pub pixel: Vec2,
+    /// How far a rolling shutter that takes the whole time from frame to frame moves it, px: the motion from frame to frame
+    /// times the part of the image between its row and the middle one.
+    pub bend: Vec2,
+}
+
+impl Sighting {
+    /// Where the middle row would have seen it.
+    fn unbent(&self, readout: f64) -> Vec2 {
+        self.pixel - self.bend * readout
+    }
 }
 
 /// What is adjusted.
@@ -80,7 +90,7 @@ const DAMPING: (f64, f64, f64) = (1e-3, 1e-9, 1e8);
 const GAUGE_DAMPING: f64 = 1e-9;
 
 /// Largest change of a parameter in one step.
-const MAX_STEP: [f64; NUM_PARAMETERS] = [0.2, 0.1, 0.1, 20.0, 20.0];
+const MAX_STEP: [f64; NUM_PARAMETERS] = [0.2, 0.1, 0.1, 20.0, 20.0, 0.5];
 
 /// Refines the scene. Linear in the sightings, cubic in the views.
 #[must_use]
@@ -164,7 +174,8 @@ impl Problem<'_> {
         let point = scene.points.get(sighting.point)?;
         let pixel = scene.intrinsics.project(&(*pose * *point))?;
         let sigma = self.config.sigma_px;
-        Some((pixel - sighting.pixel).norm_squared() / (sigma * sigma))
+        let seen = sighting.unbent(scene.intrinsics.readout);
+        Some((pixel - seen).norm_squared() / (sigma * sigma))
     }
 
     fn cost(&self, scene: &Scene) -> f64 {
@@ -185,8 +196,9 @@ impl Problem<'_> {
     fn linearise(&self, sighting: &Sighting) -> Option<Row> {
         let pose = self.scene.poses.get(sighting.view)?;
         let in_camera = *pose * *self.scene.points.get(sighting.point)?;
-        let projection = self.scene.intrinsics.linearise(&in_camera)?;
-        let error = projection.pixel - sighting.pixel;
+        let mut projection = self.scene.intrinsics.linearise(&in_camera)?;
+        projection.by_parameters.set_column(READOUT, &sighting.bend);
+        let error = projection.pixel - sighting.unbent(self.scene.intrinsics.readout);
         let sigma = self.config.sigma_px;
         let weight = self
             .config

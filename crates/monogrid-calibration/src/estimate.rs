@@ -1,7 +1,7 @@
 //! What all windows of a video say about its camera.
 
 use crate::adjust::{AdjustConfig, Adjusted, Scene, adjust};
-use crate::intrinsics::{Intrinsics, ParameterMatrix, Parameters, Prior};
+use crate::intrinsics::{Intrinsics, ParameterMatrix, Parameters, Prior, READOUT};
 use crate::reconstruct::reconstruct;
 use crate::tracks::Window;
 
@@ -45,7 +45,7 @@ pub struct Estimate {
     pub intrinsics: Intrinsics,
     /// Width and height of the images, px.
     pub size: (usize, usize),
-    /// Standard deviations of `[ln f, k1, k2, cx, cy]`: the first is relative, the last two in px.
+    /// Standard deviations of `[ln f, k1, k2, cx, cy, readout]`: the first is relative, those of `cx` and `cy` in px.
     pub sigma: Parameters,
     /// Windows of the video that could be used.
     pub num_windows: usize,
@@ -65,6 +65,15 @@ impl Estimate {
         self.num_windows > 0 && self.sigma[0] <= self.max_relative_sigma
     }
 
+    /// Time from the first row to the last in shares of the time from frame to frame, and its standard deviation; none where
+    /// the motion does not show that it takes any, or where it would be longer than a frame.
+    #[must_use]
+    pub fn readout(&self) -> Option<(f64, f64)> {
+        let (readout, sigma) = (self.intrinsics.readout, self.sigma[READOUT]);
+        let is_shown = readout.abs() > MIN_READOUT.max(READOUT_SIGMAS * sigma);
+        (self.num_windows > 0 && is_shown && readout.abs() < 1.1).then_some((readout, sigma))
+    }
+
     /// The interval that holds the focal length with 95 % probability, px.
     #[must_use]
     pub fn focal_interval_px(&self) -> (f64, f64) {
@@ -79,11 +88,11 @@ impl Estimate {
     #[must_use]
     pub fn scaled(&self, factor: f64, size: (usize, usize)) -> Self {
         let px = |sigma: f64| sigma * factor;
-        let [log_focal, k1, k2, cx, cy] = self.sigma.into();
+        let [log_focal, k1, k2, cx, cy, readout] = self.sigma.into();
         Self {
             intrinsics: self.intrinsics.scaled(factor),
             size,
-            sigma: Parameters::from([log_focal, k1, k2, px(cx), px(cy)]),
+            sigma: Parameters::from([log_focal, k1, k2, px(cx), px(cy), readout]),
             rms_px: self.rms_px * factor,
             each_focal: (self.each_focal.iter())
                 .map(|(focal, sigma)| (px(*focal), *sigma))
@@ -97,6 +106,11 @@ impl Estimate {
 /// distortion, and corners that keep their place while they are seen from elsewhere hold only about
 /// that well (maps of four sequences were 0.3, 0.8, 1.3 and 2.6 % off, with smaller statistical errors).
 const SIGMA_FLOOR: f64 = 0.013;
+
+/// Standard deviations by which a readout must differ from none, and the least that matters, in shares of the time from
+/// frame to frame.
+const READOUT_SIGMAS: f64 = 3.0;
+const MIN_READOUT: f64 = 0.1;
 
 /// What a window says.
 struct Opinion {
@@ -120,7 +134,12 @@ pub fn estimate_intrinsics(
         .iter()
         .filter_map(|window| opinion(window, prior, config))
         .collect();
-    conclude(&opinions, windows.len(), size, prior, config)
+    let rolling = conclude(&opinions, windows.len(), size, prior, config);
+    if rolling.readout().is_some() {
+        return rolling;
+    }
+    let global = prior.with_global_shutter();
+    conclude(&opinions, windows.len(), size, &global, config)
 }
 
 /// Estimates the camera of scenes that are known but for it, as a map holds them: each is adjusted once from where it

@@ -4,10 +4,14 @@ use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2, Vec3};
 use nalgebra::{SMatrix, SVector};
 
 /// Number of parameters of a camera.
-pub const NUM_PARAMETERS: usize = 5;
+pub const NUM_PARAMETERS: usize = 6;
 
-/// Parameters of a camera in the order `[ln f, k1, k2, cx, cy]`; `cx`, `cy` in px.
+/// Parameters of a camera in the order `[ln f, k1, k2, cx, cy, readout]`; `cx`, `cy` in px, the readout in shares of the
+/// time from frame to frame.
 pub type Parameters = SVector<f64, NUM_PARAMETERS>;
+
+/// Which of the parameters the readout is.
+pub(crate) const READOUT: usize = 5;
 
 /// Covariance or information of [`Parameters`].
 pub(crate) type ParameterMatrix = SMatrix<f64, NUM_PARAMETERS, NUM_PARAMETERS>;
@@ -21,12 +25,14 @@ pub struct Intrinsics {
     pub centre: Vec2,
     /// Radial distortion, factors of the squared and the fourth power of the radius.
     pub radial: [f64; 2],
+    /// Time from the first row to the last (rolling shutter), in shares of the time from frame to frame.
+    pub readout: f64,
 }
 
 /// How a pixel changes with the camera and with the point.
 pub(crate) struct Projection {
     pub pixel: Vec2,
-    /// By the parameters.
+    /// By the parameters; by the readout, what does not depend on the point, is left to the caller.
     pub by_parameters: SMatrix<f64, 2, NUM_PARAMETERS>,
     /// By the point in the camera's frame.
     pub by_point: SMatrix<f64, 2, 3>,
@@ -43,6 +49,7 @@ impl Intrinsics {
             focal,
             centre: Vec2::new((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0),
             radial: [0.0; 2],
+            readout: 0.0,
         }
     }
 
@@ -50,17 +57,25 @@ impl Intrinsics {
     #[must_use]
     pub fn parameters(&self) -> Parameters {
         let [k1, k2] = self.radial;
-        Parameters::from([self.focal.ln(), k1, k2, self.centre.x, self.centre.y])
+        Parameters::from([
+            self.focal.ln(),
+            k1,
+            k2,
+            self.centre.x,
+            self.centre.y,
+            self.readout,
+        ])
     }
 
     /// The camera with these parameters.
     #[must_use]
     pub fn from_parameters(parameters: &Parameters) -> Self {
-        let [log_focal, k1, k2, cx, cy] = (*parameters).into();
+        let [log_focal, k1, k2, cx, cy, readout] = (*parameters).into();
         Self {
             focal: log_focal.exp(),
             centre: Vec2::new(cx, cy),
             radial: [k1, k2],
+            readout,
         }
     }
 
@@ -91,7 +106,7 @@ impl Intrinsics {
         Self {
             focal: self.focal * factor,
             centre: (self.centre + half) * factor - half,
-            radial: self.radial,
+            ..*self
         }
     }
 
@@ -135,11 +150,13 @@ impl Intrinsics {
             f * r2 * r2 * x,
             1.0,
             0.0,
+            0.0,
             f * d * y,
             f * r2 * y,
             f * r2 * r2 * y,
             0.0,
             1.0,
+            0.0,
         );
         let mixed = 2.0 * f * slope * x * y;
         let by_ideal = SMatrix::<f64, 2, 2>::new(
@@ -171,8 +188,8 @@ impl Prior {
     /// principal point near the centre.
     ///
     /// The focal length is left within a factor of about 1.4, `k1` within 0.15, `k2` within 0.05, the
-    /// principal point within 0.4 % of the longer side (one standard deviation each). More freedom lets
-    /// a rolling shutter bend the camera: the principal point then moves by tens of pixels.
+    /// principal point within 0.4 % of the longer side, the readout within half of the time from frame to frame (one standard
+    /// deviation each).
     #[must_use]
     pub fn ordinary(fov_deg: f64, size: (usize, usize)) -> Self {
         let longer = size.0.max(size.1) as f64;
@@ -180,8 +197,16 @@ impl Prior {
         let centre_px = 0.004 * longer;
         Self {
             mean: Intrinsics::centred(focal, size).parameters(),
-            sigma: Parameters::from([0.35, 0.15, 0.05, centre_px, centre_px]),
+            sigma: Parameters::from([0.35, 0.15, 0.05, centre_px, centre_px, 0.5]),
         }
+    }
+
+    /// The same for a camera that reads all rows at once.
+    #[must_use]
+    pub fn with_global_shutter(mut self) -> Self {
+        self.mean[READOUT] = 0.0;
+        self.sigma[READOUT] = 1e-6;
+        self
     }
 
     /// Information of the prior.
@@ -200,6 +225,7 @@ mod tests {
             focal: 512.0,
             centre: Vec2::new(318.0, 251.0),
             radial: [0.21, -0.37],
+            readout: 0.0,
         }
     }
 

@@ -17,6 +17,8 @@
 //! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000; Pollefeys et al.,
 //! *Visual Modeling with a Hand-Held Camera*, 2004, on calibration from the scene.
 //!
+//! [`target`] does it with a chessboard instead.
+//!
 //! Conventions are those of [`monogrid_geometry`]. Everything is deterministic.
 #![deny(missing_docs)]
 
@@ -25,6 +27,7 @@ mod estimate;
 mod intrinsics;
 mod pieces;
 mod reconstruct;
+pub mod target;
 mod tracks;
 mod triangulation;
 

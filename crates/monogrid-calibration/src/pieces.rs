@@ -117,6 +117,7 @@ mod tests {
                     view,
                     point: k,
                     pixel: Vec2::zeros(),
+                    bend: Vec2::zeros(),
                 });
             }
         }

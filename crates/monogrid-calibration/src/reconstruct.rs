@@ -181,11 +181,15 @@ impl<'a> Growing<'a> {
         let (mut points, mut sightings) = (Vec::new(), Vec::new());
         for (track, point) in self.window.tracks.iter().zip(&self.points) {
             let Some(point) = point else { continue };
-            sightings.extend(track.pixels.iter().filter_map(|&(view, pixel)| {
+            let pixels = track.pixels.iter().enumerate();
+            sightings.extend(pixels.filter_map(|(k, &(view, pixel))| {
+                let step = track.steps.get(k).copied().unwrap_or_default();
+                let height = self.window.size.1 as f64;
                 index_of_view[view].map(|view| Sighting {
                     view,
                     point: points.len(),
                     pixel,
+                    bend: step * ((pixel.y - (height - 1.0) / 2.0) / height),
                 })
             }));
             points.push(*point);

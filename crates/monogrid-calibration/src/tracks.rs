@@ -3,12 +3,15 @@
 use monogrid_features::{CornerConfig, TrackConfig, detect_corners, track_points};
 use monogrid_geometry::Vec2;
 use monogrid_image::{GrayImage, Pyramid};
+use std::collections::BTreeSet;
 
 /// A corner and where it was seen.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Track {
     /// View and pixel, one per view that sees it, in the order of views.
     pub pixels: Vec<(usize, Vec2)>,
+    /// For each of them how far the corner moves from frame to frame there, px; empty where nobody knows.
+    pub steps: Vec<Vec2>,
 }
 
 impl Track {
@@ -72,9 +75,9 @@ struct Followed {
     track: usize,
     /// In the newest view.
     in_view: Vec2,
-    /// In the newest frame, and by how much it moved there.
+    /// In the newest frame, and by how much it moved there; `None` where it has only just been found.
     now: Vec2,
-    step: Vec2,
+    step: Option<Vec2>,
 }
 
 /// Follows corners from frame to frame and collects [`Window`]s.
@@ -86,6 +89,10 @@ pub struct TrackCollector {
     followed: Vec<Followed>,
     /// Corners that were followed when the newest view was made.
     begun_with: usize,
+    /// Those of them that had only just been found.
+    begun_without: BTreeSet<usize>,
+    /// Whether the newest view is the newest frame too.
+    view_is_newest: bool,
     open: Window,
     windows: Vec<Window>,
 }
@@ -102,6 +109,8 @@ impl TrackCollector {
             view: None,
             followed: Vec::new(),
             begun_with: 0,
+            begun_without: BTreeSet::new(),
+            view_is_newest: false,
             open: Window::default(),
             windows: Vec::new(),
         }
@@ -123,6 +132,7 @@ impl TrackCollector {
             return self.begin(frame);
         };
         self.follow(&view, &frame);
+        self.note_steps();
         let enough_followed = self.followed.len() >= self.config.min_followed;
         if !enough_followed {
             self.close();
@@ -191,7 +201,7 @@ impl TrackCollector {
                 track: self.open.tracks.len(),
                 in_view: corner.pixel,
                 now: corner.pixel,
-                step: Vec2::zeros(),
+                step: None,
             });
             self.open.tracks.push(Track::default());
         }
@@ -199,15 +209,22 @@ impl TrackCollector {
             followed.in_view = followed.now;
             if let Some(track) = self.open.tracks.get_mut(followed.track) {
                 track.pixels.push((view, followed.now));
+                track.steps.push(followed.step.unwrap_or_default());
             }
         }
         self.begun_with = self.followed.len();
+        let new = self.followed.iter().filter(|f| f.step.is_none());
+        self.begun_without = new.map(|f| f.track).collect();
+        self.view_is_newest = true;
     }
 
     /// Finds the corners of the view in `frame`; those that are lost are dropped.
     fn follow(&mut self, view: &Pyramid, frame: &Pyramid) {
         let points: Vec<Vec2> = self.followed.iter().map(|f| f.in_view).collect();
-        let expected: Vec<Vec2> = self.followed.iter().map(|f| f.now + f.step).collect();
+        let expected = self.followed.iter();
+        let expected: Vec<Vec2> = expected
+            .map(|f| f.now + f.step.unwrap_or_default())
+            .collect();
         let outcomes = track_points(view, frame, &points, &expected, &TrackConfig::default());
         let found = std::mem::take(&mut self.followed)
             .into_iter()
@@ -216,11 +233,28 @@ impl TrackCollector {
             .filter_map(|(followed, outcome)| {
                 outcome.pixel().map(|now| Followed {
                     now,
-                    step: now - followed.now,
+                    step: Some(now - followed.now),
                     ..followed
                 })
             })
             .collect();
+    }
+
+    /// The newest view knows how its corners came; here they go on from it.
+    fn note_steps(&mut self) {
+        for followed in &self.followed {
+            let Some(away) = followed.step.filter(|_| self.view_is_newest) else {
+                continue;
+            };
+            let track = self.open.tracks.get_mut(followed.track);
+            if let Some(step) = track.and_then(|track| track.steps.last_mut()) {
+                *step = match self.begun_without.contains(&followed.track) {
+                    true => away,
+                    false => (*step + away) / 2.0,
+                };
+            }
+        }
+        self.view_is_newest = false;
     }
 
     /// Whether the newest frame is far enough from the newest view to become one.

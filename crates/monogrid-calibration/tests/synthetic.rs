@@ -89,6 +89,71 @@ fn a_hand_held_camera_shows_its_focal_length_and_distortion() {
     }
 }
 
+/// The same window as a rolling shutter sees it that takes a share of the time from frame to frame; frames are
+/// a quarter of the way from view to view apart. The hand shakes by this angle, rad.
+fn rolling(lens: &Intrinsics, readout: f64, shake: f64, seed: u64, sign: f64) -> Window {
+    let mut window = Window {
+        size: SIZE,
+        num_views: 20,
+        tracks: Vec::new(),
+    };
+    let mut rng = Rng::new(seed);
+    for _ in 0..700 {
+        let mut within = |low: f64, high: f64| low + (high - low) * rng.uniform();
+        let point = Vec3::new(within(-4.0, 4.0), within(-3.0, 3.0), within(2.0, 6.0));
+        let mut track = Track::default();
+        for view in 0..20 {
+            let at = |frames: f64| {
+                let views = f64::from(view) + frames / 4.0;
+                let shaken = Vec3::new((1.3 * views).sin(), (1.7 * views).cos(), 0.0) * shake;
+                let turn = Se3::exp(&Vec6::new(0.0, 0.0, 0.0, shaken.x, shaken.y, 0.0));
+                let pose = turn * Se3::exp(&hand(sign)(views / 19.0));
+                pixel(lens, &(pose * point))
+            };
+            let (Some(back), Some(middle), Some(ahead)) = (at(-1.0), at(0.0), at(1.0)) else {
+                continue;
+            };
+            let row = (middle.y - 239.5) / 480.0;
+            let Some(seen) = at(readout * row) else {
+                continue;
+            };
+            let noise = Vec2::new(rng.normal(), rng.normal()) * 0.3;
+            track.pixels.push((view as usize, seen + noise));
+            track.steps.push((ahead - back) / 2.0);
+        }
+        if track.pixels.len() >= 3 {
+            window.tracks.push(track);
+        }
+    }
+    window
+}
+
+#[test]
+fn a_rolling_shutter_is_found_with_the_camera_and_none_where_there_is_none() {
+    let lens = lens(520.0, 0.0);
+    for (readout, seed) in [(0.75, 11), (-0.6, 12), (0.0, 13)] {
+        let found = estimate(&[rolling(&lens, readout, 0.02, seed, 1.0)]);
+        let error = found.intrinsics.focal / 520.0 - 1.0;
+        assert!(error.abs() < 0.02, "{readout}: {found:?}");
+        match found.readout() {
+            Some((share, sigma)) => {
+                assert!((share - readout).abs() < 0.1, "{readout}: {found:?}");
+                assert!(
+                    (share - readout).abs() < 4.0 * sigma,
+                    "{readout}: {found:?}"
+                );
+            }
+            None => assert!(
+                readout == 0.0 && found.intrinsics.readout.abs() < 1e-3,
+                "{readout}: {found:?}"
+            ),
+        }
+    }
+    // a hand that moves evenly bends all images alike, as another camera would
+    let even = estimate(&[rolling(&lens, 0.75, 0.0, 11, 1.0)]);
+    assert_eq!(even.readout(), None, "{even:?}");
+}
+
 #[test]
 fn straight_ahead_determines_nothing() {
     let lens = lens(420.0, 0.0);
@@ -143,7 +208,12 @@ fn exact_sightings_give_the_exact_camera() {
         for (view, pose) in poses.iter().enumerate() {
             if let Some(pixel) = pixel(&truth, &(*pose * place)) {
                 let point = points.len();
-                sightings.push(Sighting { view, point, pixel });
+                sightings.push(Sighting {
+                    view,
+                    point,
+                    pixel,
+                    bend: Vec2::zeros(),
+                });
             }
         }
         let noise = Vec3::new(rng.normal(), rng.normal(), rng.normal());
@@ -213,6 +283,7 @@ fn mapped(lens: &Intrinsics, guess: &Intrinsics, seed: u64) -> Scene {
                     view,
                     point: index,
                     pixel,
+                    bend: Vec2::zeros(),
                 });
             }
         }

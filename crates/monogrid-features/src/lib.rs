@@ -14,6 +14,7 @@
 mod absolute_pose;
 mod corners;
 mod describe;
+mod flow;
 mod place;
 mod polynomial;
 mod rng;
@@ -28,6 +29,7 @@ pub use describe::{
     Descriptor, DescriptorMatch, Feature, FeatureConfig, FeatureExtractor, PlaceCandidate,
     PlaceConfig, PlaceIndex,
 };
+pub use flow::{FlowConfig, FlowField, FlowSample};
 pub use place::{
     DepthLookup, FabMap, FabMapConfig, InverseDepth, LoopMatch, PlaceBelief, PlaceBeliefs,
     PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, Relocalisation, Support, TrainingError,

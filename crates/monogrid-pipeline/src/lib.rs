@@ -41,6 +41,7 @@ mod listener;
 mod mapper;
 mod pipeline;
 mod preparation;
+mod shutter;
 mod source;
 
 pub use listener::{Listener, ListenerError, Run};

@@ -1,5 +1,6 @@
 //! From images of the camera to working images.
 
+use crate::shutter::Shutter;
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSize};
 
@@ -12,6 +13,8 @@ pub struct Preparation {
     mask: Option<Mask>,
     undistorter: Undistorter,
     photometric: Photometric,
+    /// Time between the first and the last row of an image, ns; `None` where all are read at once.
+    readout_ns: Option<f64>,
 }
 
 /// Why a frame could not be used.
@@ -49,14 +52,46 @@ impl Preparation {
             mask: mask.cloned(),
             undistorter: Undistorter::new(camera, size, mask),
             photometric,
+            readout_ns: None,
         }
+    }
+
+    /// The same for a camera that takes this long from its first row to the last, ms; negative where it begins with the
+    /// last. Images are rectified as they are
+    /// read ahead ([`read_ahead`](crate::read_ahead), [`Pipeline::run`](crate::Pipeline::run)), which needs the next one.
+    #[must_use]
+    pub fn with_readout_ms(self, readout_ms: f64) -> Self {
+        Self {
+            readout_ns: (readout_ms != 0.0).then_some(readout_ms * 1e6),
+            ..self
+        }
+    }
+
+    /// Time between the first and the last row of an image, ms.
+    #[must_use]
+    pub fn readout_ms(&self) -> f64 {
+        self.readout_ns.unwrap_or(0.0) / 1e6
+    }
+
+    /// When the pixels of the working image are read; `None` where all are read at once.
+    pub(crate) fn shutter(&self) -> Option<Shutter> {
+        let readout_ns = self.readout_ns?;
+        Some(Shutter::new(
+            readout_ns,
+            &self.camera,
+            self.pinhole(),
+            self.size(),
+        ))
     }
 
     /// The same for another camera with images of the same size.
     #[must_use]
     pub fn with_camera(&self, camera: &Camera) -> Self {
         let mask = self.mask.as_ref();
-        Self::new(camera, self.size, mask, self.photometric.clone())
+        Self {
+            readout_ns: self.readout_ns,
+            ..Self::new(camera, self.size, mask, self.photometric.clone())
+        }
     }
 
     /// The camera of the images.

@@ -2,6 +2,7 @@
 
 use crate::clock::thread_cpu;
 use crate::preparation::{Preparation, Preparer, Unusable};
+use crate::shutter::Rectifier;
 use monogrid_image::GrayImage;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -75,7 +76,7 @@ pub struct Reading {
     pub must_be_used: Option<usize>,
 }
 
-/// Reads frames in a thread of its own and hands each over, prepared, in the order of the source, until there
+/// Reads frames in a thread of its own, rectifies those of a rolling shutter, and hands each over, prepared, in the order of the source, until there
 /// are no more or `take` breaks. Returns the CPU time of the reader.
 ///
 /// # Errors
@@ -97,6 +98,7 @@ pub fn read_ahead(
             source,
             preparation,
             preparer: Preparer::default(),
+            rectifier: preparation.shutter().map(Rectifier::new),
             must_be_used: reading.must_be_used,
             stop: &stop,
         };
@@ -125,12 +127,33 @@ struct Reader<'a, S> {
     source: S,
     preparation: &'a Preparation,
     preparer: Preparer,
+    rectifier: Option<Rectifier>,
     must_be_used: Option<usize>,
     stop: &'a AtomicBool,
 }
 
 impl<S: FrameSource> Reader<'_, S> {
+    /// The next frame; with a rolling shutter that is read one image ahead.
     fn next(&mut self) -> Option<ReadFrame> {
+        let Some(mut rectifier) = self.rectifier.take() else {
+            return self.prepared();
+        };
+        let ready = loop {
+            if let Some(frame) = rectifier.take() {
+                break Some(frame);
+            }
+            match self.prepared() {
+                Some(frame) => rectifier.add(frame),
+                None if self.is_stopped() || rectifier.is_empty() => break None,
+                None => rectifier.finish(),
+            }
+        };
+        self.rectifier = Some(rectifier);
+        ready
+    }
+
+    /// The next frame of the source as a working image.
+    fn prepared(&mut self) -> Option<ReadFrame> {
         if self.is_stopped() {
             return None;
         }

@@ -1,7 +1,7 @@
 //! Writes a sequence as a data set in TUM layout, and meshes as PLY.
 
 use super::render::Renderer;
-use super::sequence::SynthSequence;
+use super::sequence::{SynthConfig, SynthSequence};
 use super::world::TriangleMesh;
 use monogrid_datasets::{
     Calibration, DatasetError, TimedPose, encode_png, encode_png_16, format_seconds,
@@ -49,7 +49,7 @@ pub fn write_tum_layout(
         std::fs::create_dir_all(&path).map_err(|e| DatasetError::io("create", &path, e))?;
     }
     let units_per_m = depth_units(sequence);
-    let depth_camera = write_calibrations(sequence.camera(), units_per_m, folder)?;
+    let depth_camera = write_calibrations(sequence.config(), units_per_m, folder)?;
     let depth_coder = DepthCoder {
         renderer: Renderer::new(&depth_camera, 1.0),
         units_per_m,
@@ -177,17 +177,22 @@ fn calibration_line(camera: &Camera) -> Option<String> {
 /// Writes both calibrations and returns the camera of the depth images: the same one, or its pinhole
 /// without the lens where the file for depth cannot describe the lens.
 fn write_calibrations(
-    camera: &Camera,
+    config: &SynthConfig,
     units_per_m: u32,
     folder: &Path,
 ) -> Result<Camera, DatasetError> {
+    let camera = &config.camera;
+    let readout_ms = Some(config.effects.readout_secs * 1e3).filter(|ms| *ms > 0.0);
     let depth_camera = match calibration_line(camera) {
         Some(line) => {
-            write_text(folder, "calibration.txt", &line)?;
+            let shutter = readout_ms.map(|ms| format!("rolling_shutter_ms {ms}\n"));
+            let text = line + &shutter.unwrap_or_default();
+            write_text(folder, "calibration.txt", &text)?;
             *camera
         }
         None => {
-            write_text(folder, "calibration.toml", &Calibration::to_toml(camera))?;
+            let text = Calibration::to_toml(camera, readout_ms);
+            write_text(folder, "calibration.toml", &text)?;
             Camera {
                 distortion: Distortion::None,
                 ..*camera

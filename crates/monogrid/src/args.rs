@@ -106,6 +106,10 @@ pub struct SourceArgs {
     /// Horizontal field of view of a camera without calibration, degrees [default: estimated]
     #[arg(long, value_name = "DEG", value_parser = field_of_view, conflicts_with = "calibration", help_heading = "Input")]
     pub fov: Option<f64>,
+    /// Time in which the camera reads the rows of an image, from the first to the last, milliseconds [default: as the
+    /// calibration says, else as the images show where there is none, else 0]
+    #[arg(long, value_name = "MS", value_parser = readout_ms, help_heading = "Input")]
+    pub rolling_shutter: Option<f64>,
     /// First frame to use
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]
     pub start: usize,
@@ -130,6 +134,13 @@ pub struct SourceArgs {
 fn field_of_view(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|fov| (5.0..=160.0).contains(fov));
     value.ok_or_else(|| "expected a field of view from 5 to 160 degrees".into())
+}
+
+/// Time between the first and the last row of an image, ms, negative where it is upside down: real sensors take at most as long as a frame of a slow
+/// video lasts.
+pub fn readout_ms(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|ms| (-100.0..=100.0).contains(ms));
+    value.ok_or_else(|| "expected -100 to 100 milliseconds".into())
 }
 
 /// A positive, finite number.

@@ -1,5 +1,6 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
+use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::check::CheckArgs;
 use crate::commands::convert::ConvertArgs;
@@ -74,6 +75,9 @@ pub enum Command {
     /// Cameras of this computer that can be a source
     #[command(after_help = "Example: monogrid cameras")]
     Cameras(CamerasArgs),
+    /// Camera from a video of a chessboard that is shown to it from many sides
+    #[command(after_help = "Example: monogrid calibrate board.mp4 --out my-phone")]
+    Calibrate(CalibrateArgs),
     /// Read a source without running: size, rate, calibration, what would hurt tracking
     #[command(after_help = "Example: monogrid check recordings/kitchen")]
     Check(CheckArgs),

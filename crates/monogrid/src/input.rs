@@ -29,6 +29,68 @@ pub enum Images {
     Rendered(Box<SynthSequence>),
 }
 
+impl Images {
+    /// The images that can be read, as the camera took them, and their times, ns; none of what is rendered.
+    fn readable<'a>(
+        &'a self,
+        frames: &'a [FrameEntry],
+    ) -> Box<dyn Iterator<Item = (i64, GrayImage)> + 'a> {
+        match self {
+            Self::Files(_) => Box::new(frames.iter().filter_map(|frame| {
+                let image = read_gray(&frame.path).ok()?;
+                Some((frame.timestamp_ns, image))
+            })),
+            Self::Video(video) => {
+                let frames = video.frames();
+                Box::new(frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?))))
+            }
+            Self::Rendered(_) => Box::new(std::iter::empty()),
+        }
+    }
+}
+
+/// Images of a camera of which nothing is known.
+#[derive(Debug)]
+pub struct RawInput {
+    /// For people and for names of folders.
+    pub name: String,
+    images: Images,
+    frames: Vec<FrameEntry>,
+}
+
+impl RawInput {
+    /// Opens a source without asking for a calibration.
+    pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        if is_video(source) {
+            let video = VideoSource::open(source, args)?;
+            return Ok(Self {
+                name: video.name(),
+                images: Images::Video(Box::new(video)),
+                frames: Vec::new(),
+            });
+        }
+        let dataset = Dataset::open(source, SourceOptions::default()).bad_input()?;
+        Ok(Self {
+            name: dataset.name.clone(),
+            frames: selected(&dataset, args)?,
+            images: Images::Files(Box::new(dataset)),
+        })
+    }
+
+    /// The images that can be read (grey, 0 to 255), once.
+    pub fn images(&self) -> Box<dyn Iterator<Item = GrayImage> + '_> {
+        Box::new(self.images.readable(&self.frames).map(|(_, image)| image))
+    }
+
+    /// The files of a folder.
+    pub fn dataset(&self) -> Option<&Dataset> {
+        match &self.images {
+            Images::Files(dataset) => Some(dataset),
+            Images::Video(_) | Images::Rendered(_) => None,
+        }
+    }
+}
+
 /// A source that is ready to be read.
 #[derive(Debug)]
 pub struct Input {
@@ -67,7 +129,8 @@ impl Input {
             None => calibration(&dataset, args.calibration.as_deref(), image_size)?,
         };
         let images = || {
-            let readable = |frame: &FrameEntry| read_gray(&frame.path).ok();
+            let readable =
+                |frame: &FrameEntry| Some((frame.timestamp_ns, read_gray(&frame.path).ok()?));
             frames.iter().filter_map(readable)
         };
         let known = known_camera(given, args, image_size, || {
@@ -88,7 +151,7 @@ impl Input {
             dataset.vignette_path.as_deref(),
         )
         .bad_input()?;
-        let preparation = preparation(&known.camera, args, photometric)?;
+        let preparation = preparation(&known, args, photometric)?;
         let mut warnings = dataset.warnings.clone();
         warnings.extend(known.warnings);
         Ok(Self {
@@ -111,7 +174,10 @@ impl Input {
             .as_deref()
             .map(|path| Calibration::read(path, Some(size)).bad_input())
             .transpose()?;
-        let images = || video.frames().filter_map(|(_, _, image)| image.ok());
+        let images = || {
+            let frames = video.frames();
+            frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?)))
+        };
         let known = known_camera(given, args, size, || {
             if !video.is_file() {
                 return Err(no_calibration(
@@ -123,7 +189,7 @@ impl Input {
         })?;
         Ok(Self {
             name: video.name(),
-            preparation: preparation(&known.camera, args, Photometric::default())?,
+            preparation: preparation(&known, args, Photometric::default())?,
             images: Images::Video(Box::new(video)),
             frames: Vec::new(),
             interpretation: known.interpretation,
@@ -160,16 +226,20 @@ impl Input {
 
     /// The images that can be read, from the first one on; none of what can be read only once, or is rendered.
     pub fn images_again(&self) -> Box<dyn Iterator<Item = GrayImage> + '_> {
+        Box::new(self.timed_images_again().map(|(_, image)| image))
+    }
+
+    /// The same with their times, ns.
+    pub fn timed_images_again(&self) -> Box<dyn Iterator<Item = (i64, GrayImage)> + '_> {
         match &self.images {
-            Images::Files(_) => {
-                let frames = self.frames.iter();
-                Box::new(frames.filter_map(|frame| read_gray(&frame.path).ok()))
-            }
-            Images::Video(video) if video.is_file() => {
-                Box::new(video.frames().filter_map(|(_, _, image)| image.ok()))
-            }
-            Images::Video(_) | Images::Rendered(_) => Box::new(std::iter::empty()),
+            Images::Video(video) if !video.is_file() => Box::new(std::iter::empty()),
+            images => images.readable(&self.frames),
         }
+    }
+
+    /// Takes a rolling shutter: the time from the first row to the last, ms.
+    pub fn take_readout(&mut self, readout_ms: f64) {
+        self.preparation = self.preparation.clone().with_readout_ms(readout_ms);
     }
 
     /// Whether its images can be read more than once.
@@ -337,6 +407,8 @@ fn calibration(
 /// A camera and where it comes from.
 struct KnownCamera {
     camera: Camera,
+    /// Time from the first row to the last, where something says it.
+    readout_ms: Option<f64>,
     interpretation: String,
     warnings: Vec<String>,
     own: Option<OwnCalibration>,
@@ -353,6 +425,7 @@ fn known_camera(
         scale_to(&mut calibration, image_size)?;
         return Ok(KnownCamera {
             camera: calibration.camera,
+            readout_ms: args.rolling_shutter.or(calibration.readout_ms),
             interpretation: calibration.interpretation(),
             warnings: calibration.notes,
             own: None,
@@ -364,6 +437,7 @@ fn known_camera(
     };
     Ok(KnownCamera {
         camera: own.camera,
+        readout_ms: args.rolling_shutter.or(own.readout_ms),
         interpretation: own.interpretation.clone(),
         warnings: own.warnings.clone(),
         own: Some(own),
@@ -379,16 +453,18 @@ fn no_calibration(reason: &str) -> Failure {
 
 /// From images of this camera to working images.
 fn preparation(
-    camera: &Camera,
+    known: &KnownCamera,
     args: &SourceArgs,
     photometric: Photometric,
 ) -> Result<Preparation, Failure> {
+    let camera = &known.camera;
     let mask = user_mask(args.mask.as_deref(), (camera.width, camera.height))?;
     let size = match args.size {
         None => WorkingSize::Automatic,
         Some((width, height)) => WorkingSize::Exact { width, height },
     };
-    let preparation = Preparation::new(camera, size, mask.as_ref(), photometric);
+    let preparation = Preparation::new(camera, size, mask.as_ref(), photometric)
+        .with_readout_ms(known.readout_ms.unwrap_or(0.0));
     if preparation
         .mask()
         .as_slice()

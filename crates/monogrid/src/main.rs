@@ -44,6 +44,7 @@ fn main() -> ExitCode {
     let result = match &cli.command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),
+        Command::Calibrate(args) => commands::calibrate::execute(args),
         Command::Cameras(args) => commands::cameras::execute(args),
         Command::Check(args) => commands::check::execute(args),
         Command::View(args) => commands::view::execute(args),

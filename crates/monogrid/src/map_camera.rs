@@ -20,6 +20,7 @@ pub fn as_calibrated(slam: &Slam) -> Intrinsics {
         focal: (fx * fy).sqrt(),
         centre: Vec2::new(cx, cy),
         radial: [0.0; 2],
+        readout: 0.0,
     }
 }
 
@@ -71,6 +72,8 @@ fn scene(slam: &Slam, guess: &Intrinsics) -> Scene {
                     view: views.get(&id)?.0,
                     point: index,
                     pixel: guess.project(&ray_of(pixel))?,
+                    // its images are rectified
+                    bend: Vec2::zeros(),
                 })
             })
             .collect();

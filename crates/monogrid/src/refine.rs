@@ -24,15 +24,29 @@ const CENTRE_FREEDOM: f64 = 5.0;
 /// that is too little, the camera stays as it is.
 pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
     eprintln!("a first pass over the video refines the camera");
+    if input.own_calibration.is_none()
+        && input.preparation.readout_ms() == 0.0
+        && let Some(readout_ms) = shown_readout_ms(input)
+    {
+        input.take_readout(readout_ms);
+    }
     let (slam, num_frames) = first_pass(input, config)?;
     let refined = match &input.own_calibration {
         Some(own) => refined_own(&slam, &own.camera, input.size(), num_frames),
         None => refined_given(&slam, input),
     };
     if let Some(refined) = refined {
-        input.take_camera(refined);
+        input.take_camera(refined.reading_for(input.preparation.readout_ms()));
     }
     Ok(())
+}
+
+/// The rolling shutter that the images show, ms.
+fn shown_readout_ms(input: &Input) -> Option<f64> {
+    let camera = input.camera();
+    let size = (camera.width, camera.height);
+    let images = input.timed_images_again();
+    OwnCalibration::from_images(images, size, &Expected::ORDINARY)?.readout_ms
 }
 
 /// The system after the first frames, and their number.
@@ -81,13 +95,13 @@ fn refined_given(slam: &Slam, input: &Input) -> Option<OwnCalibration> {
     let guess = as_calibrated(slam);
     let size = input.size();
     let mut prior = Expected::ORDINARY.prior(size, CENTRE_FREEDOM);
-    let [log_focal, _, _, at_x, at_y] = prior.sigma.into();
+    let [log_focal, _, _, at_x, at_y, readout] = prior.sigma.into();
     let radial = match input.camera().distortion {
         Distortion::None | Distortion::RadialTangential { .. } => LEFT_RADIAL,
         Distortion::Fov { .. } | Distortion::Equidistant { .. } => HELD,
     };
     prior.mean = guess.parameters();
-    prior.sigma = Parameters::from([log_focal, radial, HELD, at_x, at_y]);
+    prior.sigma = Parameters::from([log_focal, radial, HELD, at_x, at_y, readout]);
     let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, size, &prior);
     given_as_shown(input.camera(), &guess, &shown, &input.interpretation)
 }
@@ -125,6 +139,7 @@ fn given_as_shown(
     let percent = |sigma: f64| 196.0 * sigma;
     Some(OwnCalibration {
         camera,
+        readout_ms: None,
         interpretation: format!(
             "{interpretation}; refined: focal length times {ratio:.4} (95 %: within {:.1} %), principal point ({:.1}, \
              {:.1}), radial distortion {left:+.4} (95 %: within {:.4})",
@@ -165,6 +180,7 @@ fn own_intrinsics(camera: &Camera) -> Intrinsics {
             Distortion::RadialTangential { k1, k2, .. } => [k1, k2],
             _ => [0.0; 2],
         },
+        readout: 0.0,
     }
 }
 

@@ -71,6 +71,8 @@ const MAX_FRAMES: usize = 900;
 pub struct OwnCalibration {
     /// The camera.
     pub camera: Camera,
+    /// Time from the first row to the last, where the images show it, ms.
+    pub readout_ms: Option<f64>,
     /// How it came about, for people.
     pub interpretation: String,
     /// What to know about it, in sentences.
@@ -87,6 +89,7 @@ impl OwnCalibration {
             .map_err(|e| Failure::input(format!("--fov {fov_deg}: {e}")))?;
         Ok(Self {
             camera,
+            readout_ms: None,
             interpretation: format!(
                 "pinhole with the horizontal field of view that was given, {fov_deg} degrees"
             ),
@@ -96,15 +99,37 @@ impl OwnCalibration {
 
     /// The camera that the beginning of a video shows; `None` where it shows none at all.
     pub fn from_images(
-        images: impl Iterator<Item = GrayImage>,
+        frames: impl Iterator<Item = (i64, GrayImage)>,
         size: (usize, usize),
         expected: &Expected,
     ) -> Option<Self> {
-        let windows = windows_of(images.take(MAX_FRAMES), size, MAX_WINDOWS);
+        let mut times_ns = Vec::new();
+        let images = frames.take(MAX_FRAMES).map(|(time_ns, image)| {
+            times_ns.push(time_ns);
+            image
+        });
+        let windows = windows_of(images, size, MAX_WINDOWS);
         if windows.is_empty() {
             return None;
         }
-        Self::from_estimate(&estimate(&windows, size, expected, 1.0), size, expected)
+        let estimate = estimate(&windows, size, expected, 1.0);
+        let own = Self::from_estimate(&estimate, size, expected)?;
+        Some(match estimate.readout() {
+            Some((share, sigma)) if estimate.is_determined() => {
+                own.with_readout(share, sigma, interval_ms(&times_ns))
+            }
+            _ => own,
+        })
+    }
+
+    /// The same with a rolling shutter, in shares of the time from frame to frame.
+    fn with_readout(mut self, share: f64, sigma: f64, interval_ms: f64) -> Self {
+        let (ms, uncertain_ms) = (share * interval_ms, 1.96 * sigma * interval_ms);
+        self.readout_ms = Some(ms);
+        self.interpretation.push_str(&format!(
+            "; rolling shutter of {ms:.1} ms (95 %: within {uncertain_ms:.1} ms)"
+        ));
+        self
     }
 
     fn from_estimate(
@@ -120,6 +145,7 @@ impl OwnCalibration {
             return Some(Self {
                 camera: Intrinsics::from_parameters(&expected.prior(size, 1.0).mean)
                     .camera(size)?,
+                readout_ms: None,
                 interpretation: format!(
                     "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
                 ),
@@ -131,6 +157,16 @@ impl OwnCalibration {
             });
         }
         Self::from_determined(estimate, size, "estimated from the video")
+    }
+
+    /// The same with a rolling shutter that is known, ms; none where it is 0.
+    pub fn reading_for(mut self, readout_ms: f64) -> Self {
+        self.readout_ms = Some(readout_ms).filter(|ms| *ms != 0.0);
+        if let Some(ms) = self.readout_ms {
+            self.interpretation
+                .push_str(&format!("; rolling shutter of {ms:.1} ms"));
+        }
+        self
     }
 
     /// What an estimate determines, and from what; `None` where the focal length is not.
@@ -147,9 +183,11 @@ impl OwnCalibration {
             focal,
             centre,
             radial: [k1, k2],
+            ..
         } = estimate.intrinsics;
         Some(Self {
             camera: estimate.intrinsics.camera(size)?,
+            readout_ms: None,
             interpretation: format!(
                 "{source}: focal length {focal:.1} px (95 %: {low:.1} to {high:.1}), \
                  distortion k1 = {k1:.4}, k2 = {k2:.4}, principal point ({:.1}, {:.1}); {} of {} \
@@ -164,7 +202,12 @@ impl OwnCalibration {
     pub fn file(&self) -> (&'static str, String) {
         match self.camera.distortion {
             Distortion::None | Distortion::RadialTangential { k3: 0.0, .. } => {}
-            _ => return ("calibration.toml", Calibration::to_toml(&self.camera)),
+            _ => {
+                return (
+                    "calibration.toml",
+                    Calibration::to_toml(&self.camera, self.readout_ms),
+                );
+            }
         }
         ("calibration.txt", self.line())
     }
@@ -182,13 +225,25 @@ impl OwnCalibration {
             }
             _ => String::new(),
         };
+        let shutter = self
+            .readout_ms
+            .map_or_else(String::new, |ms| format!("rolling_shutter_ms {ms:.2}\n"));
         format!(
             "# {}\n# fx fy cx cy{} width height, in pixels\n{fx:.3} {fy:.3} {cx:.3} {cy:.3}{terms} \
-             {width} {height}\n",
+             {width} {height}\n{shutter}",
             self.interpretation,
             if terms.is_empty() { "" } else { " k1 k2 p1 p2" }
         )
     }
+}
+
+/// Median time from frame to frame, ms.
+fn interval_ms(times_ns: &[i64]) -> f64 {
+    let mut intervals: Vec<i64> = times_ns.windows(2).map(|t| t[1] - t[0]).collect();
+    intervals.sort_unstable();
+    intervals
+        .get(intervals.len() / 2)
+        .map_or(0.0, |ns| *ns as f64 / 1e6)
 }
 
 /// The windows of a video at working size.

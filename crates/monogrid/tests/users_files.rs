@@ -93,6 +93,34 @@ fn write_recording(path: &Path) {
     writer.finish(end).unwrap();
 }
 
+/// A chessboard of 4 by 3 inner corners as a camera sees it that turned by these angles around x and y.
+fn chessboard(turn_x: f64, turn_y: f64) -> Image<u8> {
+    let (sin_x, cos_x, sin_y, cos_y) = (turn_x.sin(), turn_x.cos(), turn_y.sin(), turn_y.cos());
+    Image::from_fn(320, 240, |column, row| {
+        let mut sum = 0.0;
+        for sample in 0..16 {
+            let x = (column as f64 + 0.25 * f64::from(sample % 4) - 159.0) / 400.0;
+            let y = (row as f64 + 0.25 * f64::from(sample / 4) - 119.0) / 400.0;
+            // the board: through (0, 0, 8), along (cos y, 0, sin y) and its normal's other side
+            let normal = [-sin_y * cos_x, sin_x, cos_y * cos_x];
+            let far = 8.0 * normal[2] / (normal[0] * x + normal[1] * y + normal[2]);
+            let at = [x * far, y * far, far - 8.0];
+            let across = [cos_y, 0.0, sin_y];
+            let down = [
+                normal[1] * across[2] - normal[2] * across[1],
+                normal[2] * across[0] - normal[0] * across[2],
+                normal[0] * across[1] - normal[1] * across[0],
+            ];
+            let along = |axis: [f64; 3]| axis[0] * at[0] + axis[1] * at[1] + axis[2] * at[2];
+            let (u, v) = (along(across) + 2.5, along(down) + 2.0);
+            let is_on = (0.0..5.0).contains(&u) && (0.0..4.0).contains(&v);
+            let is_black = is_on && (u.floor() + v.floor()).rem_euclid(2.0) < 0.5;
+            sum += if is_black { 30.0 } else { 220.0 };
+        }
+        (sum / 16.0) as u8
+    })
+}
+
 const CALIBRATION: &str = "60 60 39.5 29.5 80 60\n";
 const POSES: &str =
     "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n2 1 1 0 0 0 0 1\n3 1 1 1 0 0 0 1\n4 0 1 1 0 0 0 1\n";
@@ -108,6 +136,16 @@ impl Sources {
             fs::write(images.join(format!("{i}.png")), encode_png(&image)).unwrap();
         }
         fs::write(images.join("calibration.txt"), CALIBRATION).unwrap();
+        let board = this.path("board");
+        fs::create_dir(&board).unwrap();
+        let turns = [(0.0, 0.5), (0.0, -0.5), (0.5, 0.0), (-0.5, 0.0), (0.4, 0.4)];
+        for (i, (turn_x, turn_y)) in turns.into_iter().enumerate() {
+            // an image without the board between two: it is shown anew each time
+            let blank = Image::from_fn(320, 240, |_, _| 200);
+            fs::write(board.join(format!("{}.png", 2 * i)), encode_png(&blank)).unwrap();
+            let shown = encode_png(&chessboard(turn_x, turn_y));
+            fs::write(board.join(format!("{}.png", 2 * i + 1)), shown).unwrap();
+        }
         for name in ["poses.txt", "estimate.txt"] {
             fs::write(this.path(name), POSES).unwrap();
         }
@@ -190,6 +228,7 @@ impl Sources {
         vec![
             self.call("run", "--out", "", run, read_by_run),
             self.call("demo", "--out", "", "--max-frames 1", ""),
+            self.call("calibrate", "--out", "", "@board", "board/1.png"),
             self.call("synth", "--out", "", synth, "mesh.obj inside.txt"),
             self.call("sensor-model", "--plot", "", "", ""),
             self.call("slice", "", "", "@map.ot", "map.ot"),
@@ -288,6 +327,7 @@ impl Call {
         match self.command {
             "run" => &["config.toml", "recording.mgk", "summary.json"],
             "demo" => &["config.toml"],
+            "calibrate" => &["calibration.txt", "residuals.svg"],
             "synth" => &["truth.ot", "rgb.txt", "rgb/000000.png", "mesh.ply"],
             "sensor-model" => &["sensor-models.html"],
             "slice" => &["slice_0000.png"],

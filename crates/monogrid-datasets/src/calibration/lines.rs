@@ -12,7 +12,31 @@ pub(super) fn parse(
     path: &Path,
     image_size: Option<(usize, usize)>,
 ) -> Result<Draft, DatasetError> {
-    let lines: Vec<(usize, &str)> = data_lines(text).collect();
+    let (shutter, lines): (Vec<_>, Vec<_>) =
+        data_lines(text).partition(|(_, line)| line.starts_with(ROLLING_SHUTTER));
+    let readout_ms = shutter.first().map(|line| readout_ms(path, *line));
+    Ok(Draft {
+        readout_ms: readout_ms.transpose()?,
+        ..parse_camera(&lines, path, image_size)?
+    })
+}
+
+/// Begins the line that says how long the camera reads an image.
+const ROLLING_SHUTTER: &str = "rolling_shutter_ms";
+
+fn readout_ms(path: &Path, (number, line): (usize, &str)) -> Result<f64, DatasetError> {
+    let value = line[ROLLING_SHUTTER.len()..].trim().parse().ok();
+    value.ok_or_else(|| {
+        let expected = "rolling_shutter_ms and the milliseconds from the first row to the last";
+        DatasetError::line(path, number, line, expected)
+    })
+}
+
+fn parse_camera(
+    lines: &[(usize, &str)],
+    path: &Path,
+    image_size: Option<(usize, usize)>,
+) -> Result<Draft, DatasetError> {
     let Some(&first) = lines.first() else {
         return Err(DatasetError::content(
             path,
@@ -22,17 +46,17 @@ pub(super) fn parse(
     };
     let word = first.1.split_whitespace().next().unwrap_or("");
     if DSO_MODELS.iter().any(|m| m.eq_ignore_ascii_case(word)) {
-        return parse_dso(word, &lines, path);
+        return parse_dso(word, lines, path);
     }
     if colmap::is_camera(first.1) {
-        return colmap::parse(&lines, path);
+        return colmap::parse(lines, path);
     }
-    if let Some(matrix) = kitti_matrix(&lines) {
+    if let Some(matrix) = kitti_matrix(lines) {
         return kitti(&matrix, path, image_size);
     }
     let values = numbers(first.1).ok_or_else(|| unknown(path, first))?;
     match (values.len(), lines.len()) {
-        (5 | 8, 2..) => parse_lsd(&values, &lines, path),
+        (5 | 8, 2..) => parse_lsd(&values, lines, path),
         (6 | 7 | 10 | 11, 1) => one_line(&values, path, first),
         _ => Err(unknown(path, first)),
     }

@@ -36,6 +36,8 @@ pub struct Calibration {
     pub camera: Camera,
     /// Pose of the camera in the body, where the file says it (EuRoC's `T_BS`).
     pub body_from_camera: Option<Se3>,
+    /// Time from the first row to the last, ms, where the file says it.
+    pub readout_ms: Option<f64>,
     /// Which format was recognised.
     pub format: &'static str,
     /// Remarks on how numbers were interpreted, in sentences for people.
@@ -105,6 +107,9 @@ impl Calibration {
             self.format,
             self.camera.horizontal_fov_deg()
         );
+        if let Some(ms) = self.readout_ms {
+            text.push_str(&format!("; rolling shutter of {ms} ms"));
+        }
         for note in &self.notes {
             text.push_str("; ");
             text.push_str(note);
@@ -112,10 +117,10 @@ impl Calibration {
         text
     }
 
-    /// The camera in our own format.
+    /// The camera in our own format, with the time from its first row to its last where it is known.
     #[must_use]
-    pub fn to_toml(camera: &Camera) -> String {
-        toml_format::format(camera)
+    pub fn to_toml(camera: &Camera, readout_ms: Option<f64>) -> String {
+        toml_format::format(camera, readout_ms)
     }
 }
 
@@ -129,6 +134,9 @@ fn model_name(distortion: &Distortion) -> &'static str {
     }
 }
 
+/// Times from the first row to the last that a sensor can take, ms; negative where the image is upside down.
+const READOUT_MS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
+
 /// A calibration before it is checked.
 struct Draft {
     width: usize,
@@ -136,6 +144,7 @@ struct Draft {
     pinhole: Pinhole,
     distortion: Distortion,
     body_from_camera: Option<Se3>,
+    readout_ms: Option<f64>,
     format: &'static str,
     notes: Vec<String>,
 }
@@ -153,6 +162,7 @@ impl Draft {
             pinhole,
             distortion,
             body_from_camera: None,
+            readout_ms: None,
             format,
             notes: Vec::new(),
         }
@@ -170,9 +180,18 @@ impl Draft {
         }
         let camera = Camera::try_new(self.width, self.height, self.pinhole, self.distortion)
             .map_err(|e| DatasetError::calibration(path, e.to_string()))?;
+        if let Some(ms) = self.readout_ms.filter(|ms| !READOUT_MS.contains(ms)) {
+            return Err(DatasetError::calibration(
+                path,
+                format!(
+                    "rolling_shutter_ms is {ms}, expected -100 to 100 milliseconds from the first row to the last"
+                ),
+            ));
+        }
         Ok(Calibration {
             camera,
             body_from_camera: self.body_from_camera,
+            readout_ms: self.readout_ms,
             format: self.format,
             notes: self.notes,
             path: path.to_path_buf(),

@@ -11,6 +11,7 @@
 //! cx = 367.215
 //! cy = 248.375
 //! distortion = [-0.28, 0.07, 0.0002, 0.00002, 0.0]  # k1 k2 p1 p2 [k3]; omega (rad); k1 k2 k3 k4
+//! rolling_shutter_ms = 24.5        # from the first row to the last; left out where all are read at once
 //! ```
 
 use super::{Draft, fov, model_name, radial_tangential};
@@ -37,6 +38,7 @@ struct File {
     cy: f64,
     #[serde(default)]
     distortion: Vec<f64>,
+    rolling_shutter_ms: Option<f64>,
 }
 
 #[derive(Deserialize, Default, Clone, Copy, PartialEq)]
@@ -108,6 +110,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
     };
     let size = (file.width, file.height);
     let mut draft = Draft::new(size, pinhole, distortion, "calibration.toml");
+    draft.readout_ms = file.rolling_shutter_ms;
     if file.units == Units::Relative {
         draft
             .notes
@@ -122,7 +125,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
 }
 
 /// The camera in this format, in pixels.
-pub(super) fn format(camera: &Camera) -> String {
+pub(super) fn format(camera: &Camera, readout_ms: Option<f64>) -> String {
     let Pinhole { fx, fy, cx, cy } = camera.pinhole;
     let mut text = format!(
         "width = {}\nheight = {}\nmodel = \"{}\"\nunits = \"pixels\"\npixel_center = \"integer\"\n\
@@ -140,6 +143,9 @@ pub(super) fn format(camera: &Camera) -> String {
     if !values.is_empty() {
         // writing into a string cannot fail
         let _ = writeln!(text, "distortion = [{}]", values.join(", "));
+    }
+    if let Some(ms) = readout_ms {
+        let _ = writeln!(text, "rolling_shutter_ms = {ms:?}");
     }
     text
 }

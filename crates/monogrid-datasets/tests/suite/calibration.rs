@@ -305,9 +305,10 @@ proptest! {
     #[test]
     fn toml_round_trips_exactly(camera in any_camera()) {
         prop_assume!(camera.validate().is_ok());
-        let text = Calibration::to_toml(&camera);
+        let text = Calibration::to_toml(&camera, Some(24.5));
         let read = Calibration::parse(&text, Path::new("calibration.toml"), None).expect("own format");
         prop_assert_eq!(read.camera, camera);
+        prop_assert_eq!(read.readout_ms, Some(24.5));
     }
 
     #[test]
@@ -320,6 +321,23 @@ proptest! {
             prop_assert!(calibration.camera.validate().is_ok());
         }
     }
+}
+
+#[test]
+fn a_rolling_shutter_stands_in_a_line_of_its_own() {
+    let numbers = "481.2 480 319.5 239.5 640 480\n";
+    let read = |text: &str| parse("calibration.txt", text);
+    assert_eq!(read(numbers).expect("plain").readout_ms, None);
+    let with = read(&format!("{numbers}rolling_shutter_ms 24.5\n")).expect("with");
+    assert_eq!(with.readout_ms, Some(24.5));
+    assert_pinhole(&with.camera, [481.2, 480.0, 319.5, 239.5]);
+    assert!(with.interpretation().contains("24.5 ms"));
+    for bad in ["fast", "", "-300", "2000", "nan"] {
+        let error = read(&format!("rolling_shutter_ms {bad}\n{numbers}")).expect_err(bad);
+        assert!(error.to_string().contains("milliseconds"), "{error}");
+    }
+    let lsd = "0.75 1.0 0.5 0.5 0\n640 480\ncrop\n640 480\nrolling_shutter_ms 12\n";
+    assert_eq!(read(lsd).expect("LSD-SLAM").readout_ms, Some(12.0));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Resampling and sampling against sums over areas.
 
-use monogrid_image::{GrayImage, Resize, bilinear, resize_area};
+use monogrid_image::{GrayImage, Resize, bicubic, bilinear, resize_area};
 
 fn picture(width: usize, height: usize) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
@@ -110,4 +110,28 @@ fn bilinear_is_exact_on_ramps_and_none_outside_the_centres() {
         }
     }
     assert_eq!(bilinear(&GrayImage::filled(0, 0, 0.0), 0.0, 0.0), None);
+}
+
+#[test]
+fn bicubic_is_exact_on_slopes_sharper_than_bilinear_and_does_not_ring() {
+    let ramp = GrayImage::from_fn(12, 9, |x, y| 3.0 * x as f32 + 10.0 * y as f32);
+    for (x, y) in [(4.0, 4.0), (4.3, 5.9), (7.5, 2.5)] {
+        assert!((bicubic(&ramp, x, y) - 3.0 * x - 10.0 * y).abs() < 1e-3);
+    }
+    let wave = |x: f32| 100.0 + 50.0 * (0.9 * x).sin();
+    let image = GrayImage::from_fn(40, 3, |x, _| wave(x as f32));
+    let errors = |value: &dyn Fn(f32) -> f32| {
+        let places = (20..300).map(|k| 2.0 + 0.1 * k as f32);
+        places.map(|x| (value(x) - wave(x)).abs()).sum::<f32>()
+    };
+    let cubic = errors(&|x| bicubic(&image, x, 1.0));
+    let linear = errors(&|x| bilinear(&image, x, 1.0).expect("inside"));
+    assert!(cubic < 0.4 * linear, "{cubic} {linear}");
+    let edge = GrayImage::from_fn(12, 9, |x, _| if x < 6 { 20.0 } else { 200.0 });
+    for k in -50..200 {
+        let value = bicubic(&edge, 0.1 * k as f32, 4.2);
+        assert!((20.0..=200.0).contains(&value), "{value}");
+    }
+    assert_eq!(bicubic(&GrayImage::filled(0, 0, 0.0), 1.0, 1.0), 0.0);
+    assert_eq!(bicubic(&GrayImage::filled(1, 1, 7.0), 1.0, -3.0), 7.0);
 }

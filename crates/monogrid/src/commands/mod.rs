@@ -1,5 +1,6 @@
 //! The commands.
 
+pub mod calibrate;
 pub mod cameras;
 pub mod check;
 pub mod convert;

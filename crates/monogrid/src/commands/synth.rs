@@ -2,12 +2,12 @@
 
 use super::truth::{of_world, positions_along};
 use super::{print_json, use_threads};
-use crate::args::{JsonArg, positive, size};
+use crate::args::{JsonArg, positive, readout_ms, size};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFolder};
 use clap::{Args, ValueEnum};
-use monogrid_datasets::read_trajectory;
+use monogrid_datasets::{Calibration, read_trajectory};
 use monogrid_evaluation::TruthConfig;
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_worlds::{
@@ -56,15 +56,24 @@ pub struct SynthArgs {
     /// Number of frames; the built-in motion takes as long as they do [default: at walking pace]
     #[arg(long, value_name = "N", value_parser = frame_count)]
     pub frames: Option<usize>,
+    /// Write only this many of them, the beginning of the motion
+    #[arg(long, value_name = "N", value_parser = frame_count)]
+    pub max_frames: Option<usize>,
     /// Frames per second
     #[arg(long, value_name = "N", value_parser = positive, default_value_t = 30.0)]
     pub fps: f64,
     /// Size of the images, 65 degrees wide
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x480")]
     pub size: (usize, usize),
+    /// The camera, with its size, field of view and distortion
+    #[arg(long, value_name = "FILE", conflicts_with = "size")]
+    pub calibration: Option<PathBuf>,
     /// Effects of a real camera
     #[arg(long, value_enum, default_value = "demo")]
     pub noise: NoiseArg,
+    /// Time from the first row to the last, milliseconds [default: 0, or 20 with --noise harsh]
+    #[arg(long, value_name = "MS", value_parser = readout_ms)]
+    pub rolling_shutter: Option<f64>,
     /// Seed of noise, exposure and unsteadiness
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
@@ -109,21 +118,26 @@ pub fn execute(args: &SynthArgs) -> CommandResult {
     let motion = motion(args)?;
     let recorded = recorded_path(args)?;
     check_world(args)?;
-    let inputs = Inputs::of("the mesh", &args.world).and_all("the motion", &args.trajectory);
+    let inputs = Inputs::of("the mesh", &args.world)
+        .and_all("the motion", &args.trajectory)
+        .and_all("the calibration", &args.calibration);
+    let camera = camera(args)?;
     let folder = OutputFolder::replace(&args.out, args.force, &inputs)?;
     let world = world(args)?;
     let config = SynthConfig {
-        camera: camera(args.size),
+        camera,
         fps: args.fps,
         frames: frames(args, recorded.as_ref()),
-        effects: effects(args.noise),
+        effects: effects(args),
         seed: args.seed,
     };
     let path = match recorded {
         Some(path) => path,
         None => SynthSequence::path_for(world.name(), motion, &config).bad_input()?,
     };
-    let sequence = SynthSequence::new(Arc::new(world), path, config).bad_input()?;
+    let sequence = SynthSequence::new(Arc::new(world), path, config)
+        .bad_input()?
+        .shortened(args.max_frames.unwrap_or(usize::MAX));
     write(args, &folder, &sequence)
 }
 
@@ -255,11 +269,15 @@ fn world(args: &SynthArgs) -> Result<World, Failure> {
     World::by_name_with(&args.world.to_string_lossy(), &lighting).bad_input()
 }
 
-/// The camera of the demonstration at another size: the same view across.
-fn camera((width, height): (usize, usize)) -> Camera {
+/// The camera that was given, else that of the demonstration at another size: the same view across.
+fn camera(args: &SynthArgs) -> Result<Camera, Failure> {
+    if let Some(path) = &args.calibration {
+        return Ok(Calibration::read(path, None).bad_input()?.camera);
+    }
+    let (width, height) = args.size;
     let demo = SynthConfig::demo().camera;
     let focal_px = demo.pinhole.fx * width as f64 / demo.width as f64;
-    Camera {
+    Ok(Camera {
         width,
         height,
         pinhole: Pinhole::new(
@@ -269,7 +287,7 @@ fn camera((width, height): (usize, usize)) -> Camera {
             0.5 * (height as f64 - 1.0),
         ),
         ..demo
-    }
+    })
 }
 
 fn frames(args: &SynthArgs, recorded: Option<&CameraPath>) -> usize {
@@ -282,10 +300,16 @@ fn frames(args: &SynthArgs, recorded: Option<&CameraPath>) -> usize {
     })
 }
 
-fn effects(noise: NoiseArg) -> EffectsConfig {
-    match noise {
+fn effects(args: &SynthArgs) -> EffectsConfig {
+    let effects = match args.noise {
         NoiseArg::Off => EffectsConfig::default(),
         NoiseArg::Demo => EffectsConfig::demo(),
         NoiseArg::Harsh => EffectsConfig::harsh(),
+    };
+    EffectsConfig {
+        readout_secs: args
+            .rolling_shutter
+            .map_or(effects.readout_secs, |ms| ms / 1e3),
+        ..effects
     }
 }

@@ -1,0 +1,368 @@
+//! Rolling shutter: images as a camera would have taken them that reads all rows at once.
+//!
+//! Rows are read one after the other, so each shows the scene a little later than the one above it. A pixel has moved on by its
+//! velocity times the time between its row and the middle one; it is put back there. The velocity is that of the picture
+//! around it, measured by corners that are followed to the image before and the image after: whatever the depth, and
+//! without a pose, so that everything that comes after sees an ordinary camera whose pose is that of the middle row.
+
+use crate::source::ReadFrame;
+use monogrid_features::{
+    CornerConfig, FlowConfig, FlowField, FlowSample, TrackConfig, detect_corners, track_points,
+};
+use monogrid_geometry::{Camera, Pinhole, Vec2};
+use monogrid_image::{GrayImage, Pyramid, bicubic};
+use std::collections::VecDeque;
+
+/// Corners that are followed from image to image.
+const MAX_CORNERS: usize = 300;
+
+/// Levels of the pyramids: moves of some 40 px between two images.
+const NUM_LEVELS: usize = 4;
+
+/// Images further apart say nothing about the velocity in between, ns.
+const MAX_GAP_NS: i64 = 150_000_000;
+
+/// Frames without an image (unreadable, or repeating the one before) that are waited for at most.
+const MAX_WAITING: usize = 8;
+
+/// When each pixel of the working image is read.
+#[derive(Clone, Debug)]
+pub(crate) struct Shutter {
+    /// Time between the first and the last row, ns.
+    readout_ns: f64,
+    /// Time of each pixel in shares of it, 0 in the middle.
+    phases: GrayImage,
+}
+
+impl Shutter {
+    /// For working images with these intrinsics and of this size, taken from images of `camera`.
+    pub(crate) fn new(
+        readout_ns: f64,
+        camera: &Camera,
+        working: &Pinhole,
+        (width, height): (usize, usize),
+    ) -> Self {
+        let middle = (camera.height as f64 - 1.0) / 2.0;
+        let phase = |x: usize, y: usize| {
+            let ray = working.unproject(&Vec2::new(x as f64, y as f64));
+            let row = camera.project(&ray).map_or(middle, |pixel| pixel.y);
+            ((row - middle) / camera.height as f64) as f32
+        };
+        Self {
+            readout_ns,
+            phases: GrayImage::from_fn(width, height, phase),
+        }
+    }
+
+    /// When the row at a pixel is read, ns after the middle one.
+    fn time_ns(&self, pixel: &Vec2) -> f64 {
+        let column = (pixel.x.max(0.0) as usize).min(self.phases.width() - 1);
+        let row = (pixel.y.max(0.0) as usize).min(self.phases.height() - 1);
+        self.readout_ns * f64::from(self.phases.at(column, row))
+    }
+
+    /// The image with every pixel where it is when the middle row is read; velocities in px per ns.
+    fn rectify(&self, image: &GrayImage, flow: &FlowField) -> GrayImage {
+        let readout_ns = self.readout_ns as f32;
+        let per_row = readout_ns / image.height() as f32;
+        GrayImage::from_fn(image.width(), image.height(), |x, y| {
+            let (left, top) = (x as f32, y as f32);
+            let [u, v] = flow.at(left, top);
+            // the row that shows it is read at another time: t = readout (phase + t v / height)
+            let time = readout_ns * self.phases.at(x, y) / (1.0 - per_row * v).max(0.5);
+            bicubic(image, left + time * u, top + time * v)
+        })
+    }
+}
+
+/// Takes images of a rolling shutter and gives each back rectified when the next one is known.
+#[derive(Debug)]
+pub(crate) struct Rectifier {
+    shutter: Shutter,
+    /// In the order in which they came; the newest with an image is not rectified yet.
+    frames: VecDeque<ReadFrame>,
+    newest: Option<Newest>,
+}
+
+/// The newest frame with an image.
+#[derive(Debug)]
+struct Newest {
+    pyramid: Pyramid,
+    timestamp_ns: i64,
+    /// Its place among the waiting frames, once it waits no longer `None`.
+    place: Option<usize>,
+    /// What moved towards it.
+    towards: Vec<FlowSample>,
+}
+
+impl Rectifier {
+    pub(crate) fn new(shutter: Shutter) -> Self {
+        Self {
+            shutter,
+            frames: VecDeque::new(),
+            newest: None,
+        }
+    }
+
+    /// Takes the next frame of the source.
+    pub(crate) fn add(&mut self, frame: ReadFrame) {
+        let Some(Ok(image)) = &frame.image else {
+            self.frames.push_back(frame);
+            return;
+        };
+        let pyramid = Pyramid::new(image.clone(), NUM_LEVELS);
+        let timestamp_ns = frame.timestamp_ns;
+        let (away, towards) = match &self.newest {
+            Some(newest) => self.moved(newest, &pyramid, timestamp_ns),
+            None => (Vec::new(), Vec::new()),
+        };
+        self.rectify_newest(&away);
+        self.newest = Some(Newest {
+            pyramid,
+            timestamp_ns,
+            place: Some(self.frames.len()),
+            towards,
+        });
+        self.frames.push_back(frame);
+    }
+
+    /// The next frame that is ready.
+    pub(crate) fn take(&mut self) -> Option<ReadFrame> {
+        if self.frames.len() > MAX_WAITING {
+            self.rectify_newest(&[]);
+        }
+        match self
+            .newest
+            .as_mut()
+            .and_then(|newest| newest.place.as_mut())
+        {
+            Some(0) => return None,
+            Some(place) => *place -= usize::from(!self.frames.is_empty()),
+            None => {}
+        }
+        self.frames.pop_front()
+    }
+
+    /// Whether all frames were given back.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// No more frames come: all are ready.
+    pub(crate) fn finish(&mut self) {
+        self.rectify_newest(&[]);
+    }
+
+    /// How corners moved between the newest image and the next: where they were, and where they are.
+    fn moved(
+        &self,
+        newest: &Newest,
+        next: &Pyramid,
+        next_ns: i64,
+    ) -> (Vec<FlowSample>, Vec<FlowSample>) {
+        let interval_ns = next_ns - newest.timestamp_ns;
+        if !(1..=MAX_GAP_NS).contains(&interval_ns) {
+            return (Vec::new(), Vec::new());
+        }
+        let config = CornerConfig {
+            max_corners: MAX_CORNERS,
+            ..CornerConfig::default()
+        };
+        let corners = detect_corners(&newest.pyramid, None, &[], &config);
+        let from: Vec<Vec2> = corners.iter().map(|corner| corner.pixel).collect();
+        let found = track_points(&newest.pyramid, next, &from, &from, &TrackConfig::default());
+        from.iter()
+            .zip(&found)
+            .filter_map(|(from, outcome)| {
+                let to = outcome.pixel()?;
+                // rows are read at their own times in both
+                let rows_ns = self.shutter.time_ns(&to) - self.shutter.time_ns(from);
+                let velocity = (to - from) / (interval_ns as f64 + rows_ns).max(1.0);
+                let sample = |pixel| FlowSample { pixel, velocity };
+                Some((sample(*from), sample(to)))
+            })
+            .unzip()
+    }
+
+    /// Rectifies the newest frame, if it waits, by what moved towards it and away from it; where that is too little, it
+    /// stays as it is.
+    fn rectify_newest(&mut self, away: &[FlowSample]) {
+        let Some(newest) = &mut self.newest else {
+            return;
+        };
+        let Some(frame) = newest.place.take().and_then(|k| self.frames.get_mut(k)) else {
+            return;
+        };
+        let Some(Ok(image)) = &mut frame.image else {
+            return;
+        };
+        let samples: Vec<FlowSample> = newest.towards.iter().chain(away).copied().collect();
+        let size = (image.width(), image.height());
+        if let Some(flow) = FlowField::fit(&samples, size, &FlowConfig::default()) {
+            *image = self.shutter.rectify(image, &flow);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Rectifier, Shutter};
+    use crate::preparation::Unusable;
+    use crate::source::ReadFrame;
+    use monogrid_geometry::{Camera, Distortion, Pinhole};
+    use monogrid_image::GrayImage;
+
+    const SIZE: (usize, usize) = (160, 120);
+    const INTERVAL_NS: i64 = 33_000_000;
+    const READOUT_NS: f64 = 25e6;
+
+    /// A picture with structure everywhere.
+    fn texture(x: f64, y: f64) -> f64 {
+        let wave = |fx: f64, fy: f64, phase: f64| (fx * x + fy * y + phase).sin();
+        128.0 + 40.0 * (wave(0.31, 0.11, 0.0) + wave(-0.13, 0.27, 1.0) + wave(0.07, -0.19, 2.0))
+    }
+
+    /// The picture after it moved for a time, px per interval, as a sensor sees it that takes `readout_ns`.
+    fn frame(index: usize, velocity: [f64; 2], readout_ns: f64) -> ReadFrame {
+        let (width, height) = SIZE;
+        let image = GrayImage::from_fn(width, height, |x, y| {
+            let row = (y as f64 - (height as f64 - 1.0) / 2.0) / height as f64;
+            let time = index as f64 + row * readout_ns / INTERVAL_NS as f64;
+            let [u, v] = velocity.map(|speed| speed * time);
+            texture(x as f64 - u, y as f64 - v) as f32
+        });
+        ReadFrame {
+            index,
+            timestamp_ns: index as i64 * INTERVAL_NS,
+            image: Some(Ok(image)),
+        }
+    }
+
+    fn rectifier() -> Rectifier {
+        let (width, height) = SIZE;
+        let pinhole = Pinhole::new(130.0, 130.0, 79.5, 59.5);
+        let camera = Camera {
+            width,
+            height,
+            pinhole,
+            distortion: Distortion::None,
+        };
+        Rectifier::new(Shutter::new(READOUT_NS, &camera, &pinhole, SIZE))
+    }
+
+    fn all_of(frames: impl IntoIterator<Item = ReadFrame>) -> Vec<ReadFrame> {
+        let mut rectifier = rectifier();
+        let mut out = Vec::new();
+        for frame in frames {
+            rectifier.add(frame);
+            while let Some(ready) = rectifier.take() {
+                out.push(ready);
+            }
+        }
+        rectifier.finish();
+        while let Some(ready) = rectifier.take() {
+            out.push(ready);
+        }
+        out
+    }
+
+    /// Mean difference of two images away from the border, grey levels.
+    fn difference(a: &ReadFrame, b: &ReadFrame) -> f32 {
+        let (Some(Ok(a)), Some(Ok(b))) = (&a.image, &b.image) else {
+            panic!("no image");
+        };
+        let inner = |x: usize, y: usize| (12..148).contains(&x) && (12..108).contains(&y);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for y in 0..a.height() {
+            for x in (0..a.width()).filter(|&x| inner(x, y)) {
+                sum += (a.at(x, y) - b.at(x, y)).abs();
+                count += 1.0;
+            }
+        }
+        sum / count
+    }
+
+    #[test]
+    fn a_moving_picture_is_put_back_where_the_middle_row_saw_it() {
+        for velocity in [[6.0, 0.0], [0.0, 5.0], [-4.0, 3.0], [3.0, -5.0]] {
+            let rolling = || (0..4).map(|k| frame(k, velocity, READOUT_NS));
+            let rectified = all_of(rolling());
+            assert_eq!(rectified.len(), 4);
+            for (k, (before, after)) in rolling().zip(&rectified).enumerate() {
+                let truth = frame(k, velocity, 0.0);
+                let (bent, left) = (difference(&before, &truth), difference(after, &truth));
+                assert!(
+                    bent > 6.0 && left < 0.05 * bent,
+                    "{velocity:?} {k}: {bent} {left}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_changing_velocity_is_that_at_the_middle() {
+        // the frames before and after moved by 2 and by 6 px: at the middle frame 4 px per interval
+        let [before, _, after] = [2.0, 4.0, 6.0];
+        let mut frames: Vec<ReadFrame> = (0..3).map(|k| frame(k, [4.0, 0.0], READOUT_NS)).collect();
+        let moved = |k: usize, by: f64| {
+            let mut frame = frame(k, [4.0, 0.0], READOUT_NS);
+            if let Some(Ok(image)) = &mut frame.image {
+                *image = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+                    let row = (y as f64 - 59.5) / 120.0 * READOUT_NS / INTERVAL_NS as f64;
+                    let at = x as f64 - 4.0 - by - (4.0 + by - by) * row;
+                    texture(at, y as f64) as f32
+                });
+            }
+            frame
+        };
+        frames[0] = moved(0, -before);
+        frames[2] = moved(2, after);
+        let truth = frame(1, [4.0, 0.0], 0.0);
+        let rectified = all_of(frames);
+        assert!(difference(&rectified[1], &truth) < 1.5);
+    }
+
+    #[test]
+    fn order_and_frames_without_an_image_are_kept() {
+        let frames = (0..20).map(|k| {
+            let mut frame = frame(k, [4.0, 0.0], READOUT_NS);
+            if k % 3 == 1 || (5..18).contains(&k) {
+                frame.image = Some(Err(Unusable::Repeats));
+            }
+            frame
+        });
+        let out = all_of(frames);
+        let indices: Vec<usize> = out.iter().map(|frame| frame.index).collect();
+        assert_eq!(indices, (0..20).collect::<Vec<_>>());
+        // nothing is known of the motion over a gap of 14 frames, which are not all waited for
+        let mut rectifier = rectifier();
+        rectifier.add(frame(0, [4.0, 0.0], READOUT_NS));
+        let mut waited = 0;
+        while rectifier.take().is_none() {
+            waited += 1;
+            rectifier.add(ReadFrame {
+                image: Some(Err(Unusable::Repeats)),
+                ..frame(waited, [4.0, 0.0], READOUT_NS)
+            });
+        }
+        assert!(waited <= super::MAX_WAITING, "{waited}");
+    }
+
+    #[test]
+    fn without_motion_that_can_be_measured_images_stay() {
+        let alone = all_of([frame(0, [4.0, 0.0], READOUT_NS)]);
+        assert_eq!(
+            difference(&alone[0], &frame(0, [4.0, 0.0], READOUT_NS)),
+            0.0
+        );
+        let far = ReadFrame {
+            timestamp_ns: 10 * INTERVAL_NS,
+            ..frame(1, [4.0, 0.0], READOUT_NS)
+        };
+        let apart = all_of([frame(0, [4.0, 0.0], READOUT_NS), far]);
+        assert_eq!(
+            difference(&apart[0], &frame(0, [4.0, 0.0], READOUT_NS)),
+            0.0
+        );
+    }
+}

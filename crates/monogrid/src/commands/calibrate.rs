@@ -1,0 +1,256 @@
+//! `monogrid calibrate`: a camera from a video of a chessboard.
+
+use super::print_json;
+use crate::args::{JsonArg, SourceArgs};
+use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::input::RawInput;
+use crate::output::{Inputs, OutputFolder};
+use crate::report::svg::{COLOURS, Plot, Series};
+use crate::self_calibration::OwnCalibration;
+use clap::{Args, ValueEnum};
+use monogrid_calibration::target::{
+    BoardCollector, BoardSize, CornerError, LensModel, TargetCalibration, TargetConfig, calibrate,
+};
+use serde::Serialize;
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+/// How the lens is described.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ModelArg {
+    /// OpenCV's k1 k2 p1 p2: ordinary lenses
+    RadialTangential,
+    /// Kannala and Brandt's k1 k2 k3 k4: wide lenses and fisheyes
+    Equidistant,
+}
+
+/// `monogrid calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
+    /// Video, or folder of images, that shows a chessboard from many sides
+    pub source: PathBuf,
+    /// Output folder [default: a new one under runs]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Write into the folder although it holds other files; those of the same names are replaced
+    #[arg(long)]
+    pub force: bool,
+    /// Inner corners of the board, where four squares meet [default: as most images show]
+    #[arg(long, value_name = "NxM", value_parser = board_size)]
+    pub board: Option<BoardSize>,
+    /// Lens model [default: the one with the smaller error]
+    #[arg(long, value_enum)]
+    pub model: Option<ModelArg>,
+    /// First frame to use
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub start: usize,
+    /// Use only every N-th frame [default: 1]
+    #[arg(long, value_name = "N")]
+    pub every: Option<NonZeroUsize>,
+    /// Use at most this many frames
+    #[arg(long, value_name = "N")]
+    pub max_frames: Option<usize>,
+    #[command(flatten)]
+    pub json: JsonArg,
+}
+
+/// Numbers of inner corners on both sides.
+fn board_size(text: &str) -> Result<BoardSize, String> {
+    let side = |text: &str| text.parse().ok().filter(|n| (3..=100).contains(n));
+    let sides = text.split_once(['x', 'X']);
+    let sides = sides.and_then(|(a, b)| side(a).zip(side(b)));
+    sides
+        .and_then(|(a, b)| BoardSize::new(a, b))
+        .ok_or_else(|| {
+            "expected the numbers of inner corners on both sides, from 3 to 100, such as 9x6"
+                .to_owned()
+        })
+}
+
+/// `calibrate --json`.
+#[derive(Debug, Serialize)]
+struct CalibrateReport {
+    images: usize,
+    board: String,
+    views_found: usize,
+    views_used: usize,
+    model: String,
+    size: [usize; 2],
+    /// `fx fy cx cy`, px, and 1.96 standard deviations of each.
+    intrinsics: [f64; 4],
+    within_95_percent: [f64; 4],
+    distortion: Vec<f64>,
+    rms_px: f64,
+    /// Of the other model, where it was tried.
+    other_rms_px: Option<f64>,
+    out: PathBuf,
+}
+
+/// Finds the board in all frames, calibrates, and writes `calibration.txt` (or `.toml`) and `residuals.svg`.
+pub fn execute(args: &CalibrateArgs) -> CommandResult {
+    let source = SourceArgs {
+        start: args.start,
+        every: args.every,
+        max_frames: args.max_frames,
+        ..SourceArgs::default()
+    };
+    let config = TargetConfig {
+        board: args.board,
+        model: args.model.map(|model| match model {
+            ModelArg::RadialTangential => LensModel::RadialTangential,
+            ModelArg::Equidistant => LensModel::Equidistant,
+        }),
+        ..TargetConfig::default()
+    };
+    let input = RawInput::open(&args.source, &source)?;
+    let inputs = Inputs::of("the source", &args.source);
+    let inputs = match input.dataset() {
+        Some(dataset) => inputs.and_files_of(dataset),
+        None => inputs,
+    };
+    let (mut collector, mut size, mut num_images) = (BoardCollector::new(config), None, 0);
+    for image in input.images() {
+        let found = (image.width(), image.height());
+        if *size.get_or_insert(found) == found {
+            collector.add(&image);
+            num_images += 1;
+        }
+    }
+    let size = size.ok_or_else(|| Failure::input("none of the images can be read"))?;
+    let views = collector.finish().bad_input()?;
+    let found = calibrate(&views, size, &config).bad_input()?;
+    let name = format!("{}-calibration", input.name);
+    let folder = OutputFolder::named_or_new(args.out.as_deref(), &name, args.force, &inputs)?;
+    let own = own_calibration(&found);
+    let (name, text) = own.file();
+    folder.write(name, text)?;
+    folder.write("residuals.svg", residuals(&found).file())?;
+    let report = report(&found, num_images, folder.path().to_owned());
+    if args.json.json {
+        print_json(&report)?;
+    } else {
+        print_report(&report, &own, name);
+    }
+    Ok(Outcome::Done)
+}
+
+fn model_name(model: LensModel) -> &'static str {
+    match model {
+        LensModel::RadialTangential => "radial-tangential",
+        LensModel::Equidistant => "equidistant",
+    }
+}
+
+fn own_calibration(found: &TargetCalibration) -> OwnCalibration {
+    let (used, _) = found.num_views;
+    OwnCalibration {
+        camera: found.camera,
+        readout_ms: None,
+        interpretation: format!(
+            "from {used} views of a chessboard of {} inner corners, {} lens, error {:.3} px",
+            found.board,
+            model_name(found.model),
+            found.rms_px
+        ),
+        warnings: Vec::new(),
+    }
+}
+
+fn report(found: &TargetCalibration, images: usize, out: PathBuf) -> CalibrateReport {
+    let (camera, (used, given)) = (found.camera, found.num_views);
+    let pinhole = camera.pinhole;
+    let distortion = camera.distortion.parameters();
+    CalibrateReport {
+        images,
+        board: found.board.to_string(),
+        views_found: given,
+        views_used: used,
+        model: model_name(found.model).to_owned(),
+        size: [camera.width, camera.height],
+        intrinsics: [pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy],
+        within_95_percent: found.sigma_px.map(|sigma| 1.96 * sigma),
+        distortion: distortion.iter().map(|(_, value)| *value).collect(),
+        rms_px: found.rms_px,
+        other_rms_px: found.other_rms_px,
+        out,
+    }
+}
+
+fn print_report(report: &CalibrateReport, own: &OwnCalibration, name: &str) {
+    println!(
+        "{}; {} images, {} views that differ",
+        own.interpretation, report.images, report.views_found
+    );
+    let names = ["fx", "fy", "cx", "cy"];
+    let values = report.intrinsics.iter().zip(report.within_95_percent);
+    for (name, (value, within)) in names.iter().zip(values) {
+        println!("{name} {value:.2} px, 95 %: within {within:.2} px");
+    }
+    for (name, value) in own.camera.distortion.parameters() {
+        println!("{name} {value:.5}");
+    }
+    if let Some(other) = report.other_rms_px {
+        println!("the other lens model leaves an error of {other:.3} px");
+    }
+    let out = report.out.display();
+    println!("{out}: {name}, residuals.svg (what is left at each corner, times {ENLARGED})");
+}
+
+/// How much longer errors are drawn than they are.
+const ENLARGED: f64 = 100.0;
+
+/// The corners of all views, and what is left between each and the camera found, enlarged.
+fn residuals(found: &TargetCalibration) -> Plot {
+    let (width, height) = (found.camera.width as f64, found.camera.height as f64);
+    // drawn as the image lies: rows downwards
+    let place = |x: f64, y: f64| [x, height - y];
+    let line = |corner: &CornerError| {
+        let (from, to) = (corner.pixel, corner.pixel + corner.error * ENLARGED);
+        [place(from.x, from.y), place(to.x, to.y), [f64::NAN; 2]]
+    };
+    let dot = |corner: &CornerError| {
+        let at = corner.pixel;
+        [
+            place(at.x - 0.8, at.y),
+            place(at.x + 0.8, at.y),
+            [f64::NAN; 2],
+        ]
+    };
+    let corners = &found.errors;
+    let dots: Vec<[f64; 2]> = corners.iter().flat_map(dot).collect();
+    let lines: Vec<[f64; 2]> = corners.iter().flat_map(line).collect();
+    Plot {
+        title: format!(
+            "What is left at {} corners, times {ENLARGED}: {:.3} px",
+            corners.len(),
+            found.rms_px
+        ),
+        x_label: "px".to_owned(),
+        y_label: "px from below".to_owned(),
+        series: [
+            whole_series("corners", 1, &dots),
+            whole_series("errors", 8, &lines),
+        ]
+        .concat(),
+        equal_axes: true,
+        ranges: Some([[0.0, width], [0.0, height]]),
+        ..Plot::default()
+    }
+}
+
+/// Lines of two points each as series so short that none of them is thinned; the first has the name.
+fn whole_series(name: &str, colour: usize, points: &[[f64; 2]]) -> Vec<Series> {
+    let chunks = points.chunks(900).enumerate();
+    chunks
+        .map(|(k, points)| Series {
+            name: if k == 0 {
+                name.to_owned()
+            } else {
+                String::new()
+            },
+            colour: COLOURS[colour],
+            points: points.to_vec(),
+            is_dashed: false,
+        })
+        .collect()
+}
