@@ -150,11 +150,6 @@ impl TrackCollector {
         self.view = Some(frame);
     }
 
-    /// A gap in the video: the next frame begins a new window.
-    pub fn interrupt(&mut self) {
-        self.close();
-    }
-
     /// All windows.
     #[must_use]
     pub fn finish(mut self) -> Vec<Window> {

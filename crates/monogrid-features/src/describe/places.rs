@@ -104,12 +104,6 @@ impl PlaceIndex {
         self.places.len()
     }
 
-    /// Memory of the descriptors of all places, bytes; the table of parts (4 MB) is not counted.
-    #[must_use]
-    pub fn bytes_of_places(&self) -> usize {
-        self.entries.len() * size_of::<Entry>()
-    }
-
     /// Adds a place with its descriptors; returns whether it was new (nothing is added otherwise).
     pub fn add(&mut self, place: u64, descriptors: &[Descriptor]) -> bool {
         let is_full = self.entries.len() + descriptors.len() >= END as usize;

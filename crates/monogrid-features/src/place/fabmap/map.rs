@@ -96,13 +96,6 @@ impl FabMap {
         self.places.len()
     }
 
-    /// Memory of the places, bytes.
-    #[must_use]
-    pub fn bytes_of_places(&self) -> usize {
-        let words: usize = self.places.values().map(Vec::len).sum();
-        2 * words + self.places.len() * (size_of::<u64>() + size_of::<Vec<u16>>())
-    }
-
     /// Adds a place with the descriptors of one image; returns whether it was new (a known one stays as
     /// it is).
     pub fn add(&mut self, place: u64, descriptors: &[Descriptor]) -> bool {
