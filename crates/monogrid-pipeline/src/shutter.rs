@@ -309,7 +309,7 @@ mod tests {
             if let Some(Ok(image)) = &mut frame.image {
                 *image = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
                     let row = (y as f64 - 59.5) / 120.0 * READOUT_NS / INTERVAL_NS as f64;
-                    let at = x as f64 - 4.0 - by - (4.0 + by - by) * row;
+                    let at = x as f64 - 4.0 - by - 4.0 * row;
                     texture(at, y as f64) as f32
                 });
             }
