@@ -252,7 +252,8 @@ impl Default for FillConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
-    /// How much is done for the depth of final maps. Default `fast`.
+    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `dense` makes depth of all pixels
+    /// beside it, for five times the work. Default `fast`.
     pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
