@@ -36,7 +36,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     // the clock of "frames per second, everything included"
     usage::process_start();
-    memory::return_large_blocks();
+    memory::share_heaps();
     let cli = match Cli::from_process() {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),

@@ -1,21 +1,33 @@
 //! What the allocator of the system does with memory that is free again.
+//!
+//! glibc gives every thread a heap of its own and keeps what was freed in it, between blocks that live long: with images that
+//! are made and dropped for every frame, twice as much memory as is in use.
 
-/// Blocks from this size on, bytes, go back to the system as soon as they are free.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const LARGE_BLOCK: libc::c_int = 256 << 10;
-
-/// Lets blocks as large as images go back to the system when they are free.
-///
-/// glibc raises its own limit to the largest block that was ever free, up to 32 MB; from then on images of all
-/// sizes lie between long-lived blocks, and as much again as is in use is held by the gaps.
-pub fn return_large_blocks() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    #[allow(
+#![cfg_attr(
+    all(target_os = "linux", target_env = "gnu"),
+    allow(
         unsafe_code,
-        reason = "a setting of the allocator, changed before any other thread exists; there is no safe call for it"
-    )]
+        reason = "calls of the allocator that take no pointers; there are no safe ones for them"
+    )
+)]
+
+/// Heaps of the allocator: the thread that tracks and the graph's seldom wait for each other.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const MAX_HEAPS: libc::c_int = 2;
+
+/// Lets the threads share few heaps. To be called before there are any.
+pub fn share_heaps() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
     unsafe {
-        // refused by other allocators in its place: then everything stays as it is
-        let _ = libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BLOCK);
+        // refused by another allocator in its place: then everything stays as it is
+        let _ = libc::mallopt(libc::M_ARENA_MAX, MAX_HEAPS);
+    }
+}
+
+/// Gives free memory back to the system. Costs a few milliseconds, and those pages that are needed again their zeros.
+pub fn give_back() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    unsafe {
+        let _ = libc::malloc_trim(0);
     }
 }

@@ -4,6 +4,7 @@ use super::sessions::{Earlier, RECORDING, continuation};
 use crate::colours::ColourSource;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::to_recorded;
+use crate::memory;
 use crate::output::{Content, OutputFolder};
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use monogrid_datasets::{
@@ -112,7 +113,12 @@ impl Recorder {
 
 impl Listener for Recorder {
     fn hear(&mut self, event: &Event) -> Result<(), ListenerError> {
-        self.save(event).map_err(Failure::into_error)
+        let saved = self.save(event).map_err(Failure::into_error);
+        if let Event::Finished(..) = event {
+            // what was made with it and dropped lies between what stays
+            memory::give_back();
+        }
+        saved
     }
 
     fn end(&mut self, run: Run) -> Result<(), ListenerError> {

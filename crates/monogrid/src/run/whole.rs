@@ -14,6 +14,7 @@ use crate::colours::Colours;
 use crate::explorer::{SemiDense, ShownKeyframe};
 use crate::failure::{Failure, Outcome};
 use crate::input::{Images, Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::memory;
 use crate::output::OutputFolder;
 use crate::surface::{CellColours, ColouredScan};
 use crate::usage::process_cpu;
@@ -374,6 +375,7 @@ fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> 
         tracked.run.final_scans(done)
     });
     tracked.cpu.mapping += process_cpu() - before;
+    memory::give_back();
     scans
 }
 
