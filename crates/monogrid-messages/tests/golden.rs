@@ -1,0 +1,215 @@
+//! The messages on the wire are those of another program: `golden/write.py` made the files with the package `rosbags`.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use byteorder::LittleEndian;
+use monogrid_messages::RosMessage;
+use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue, WARN};
+use monogrid_messages::geometry_msgs::{
+    Covariance, Point, Pose, PoseStamped, PoseWithCovariance, Quaternion, Transform,
+    TransformStamped, Twist, TwistWithCovariance, Vector3,
+};
+use monogrid_messages::map_msgs::OccupancyGridUpdate;
+use monogrid_messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry, Path};
+use monogrid_messages::octomap_msgs::Octomap;
+use monogrid_messages::sensor_msgs::{
+    CameraInfo, CompressedImage, FLOAT32, Image, PointCloud2, PointField, RegionOfInterest,
+};
+use monogrid_messages::std_msgs::Header;
+use monogrid_messages::tf2_msgs::TFMessage;
+use std::array::from_fn;
+use std::fmt::Debug;
+
+/// CDR, little endian.
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// The message is read from the file, and written as it is there.
+fn is_as_others_write_it<M: RosMessage + PartialEq + Debug>(message: &M) {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden");
+    let file = std::fs::read(format!("{folder}/{}.cdr", M::NAME)).unwrap();
+    let (encapsulation, body) = file.split_at(4);
+    assert_eq!(encapsulation, ENCAPSULATION, "{}", M::NAME);
+    let (read, length): (M, usize) = cdr_encoding::from_bytes::<M, LittleEndian>(body).unwrap();
+    assert_eq!((&read, length), (message, body.len()));
+    let written = cdr_encoding::to_vec::<M, LittleEndian>(message).unwrap();
+    assert_eq!(written, body, "{}", M::NAME);
+}
+
+const STAMP: Time = Time {
+    sec: 1_700_000_001,
+    nanosec: 250_000_000,
+};
+
+fn header(frame_id: &str) -> Header {
+    Header {
+        stamp: STAMP,
+        frame_id: frame_id.into(),
+    }
+}
+
+const QUATERNION: Quaternion = Quaternion {
+    x: 0.5,
+    y: -0.5,
+    z: 0.5,
+    w: 0.5,
+};
+
+const POSE: Pose = Pose {
+    position: Point {
+        x: 1.5,
+        y: -2.0,
+        z: 0.25,
+    },
+    orientation: QUATERNION,
+};
+
+fn vector(x: f64, y: f64, z: f64) -> Vector3 {
+    Vector3 { x, y, z }
+}
+
+fn covariance() -> Covariance {
+    from_fn(|row| from_fn(|column| (6 * row + column) as f64 / 4.0))
+}
+
+#[test]
+fn images() {
+    is_as_others_write_it(&Image {
+        header: header("camera"),
+        height: 2,
+        width: 3,
+        encoding: "mono8".into(),
+        is_bigendian: 0,
+        step: 3,
+        data: vec![1, 2, 3, 4, 5, 255],
+    });
+    is_as_others_write_it(&CompressedImage {
+        header: header("cam"),
+        format: "jpeg".into(),
+        data: vec![255, 216, 255],
+    });
+}
+
+#[test]
+fn cameras_and_clouds() {
+    is_as_others_write_it(&CameraInfo {
+        header: header("camera"),
+        height: 480,
+        width: 640,
+        distortion_model: "plumb_bob".into(),
+        d: vec![0.1, -0.2, 0.003, 0.004, 0.05],
+        k: from_fn(|i| i as f64),
+        r: from_fn(|i| i as f64 / 2.0),
+        p: from_fn(|i| i as f64 / 4.0),
+        binning_x: 0,
+        binning_y: 2,
+        roi: RegionOfInterest {
+            x_offset: 1,
+            y_offset: 2,
+            height: 3,
+            width: 4,
+            do_rectify: true,
+        },
+    });
+    is_as_others_write_it(&PointCloud2 {
+        header: header("map"),
+        height: 1,
+        width: 2,
+        fields: vec![PointField {
+            name: "x".into(),
+            offset: 0,
+            datatype: FLOAT32,
+            count: 1,
+        }],
+        is_bigendian: false,
+        point_step: 4,
+        row_step: 8,
+        data: vec![0, 0, 128, 63, 0, 0, 0, 64],
+        is_dense: true,
+    });
+}
+
+#[test]
+fn poses() {
+    is_as_others_write_it(&Odometry {
+        header: header("odom"),
+        child_frame_id: "base_link".into(),
+        pose: PoseWithCovariance {
+            pose: POSE,
+            covariance: covariance(),
+        },
+        twist: TwistWithCovariance {
+            twist: Twist {
+                linear: vector(0.1, 0.2, 0.3),
+                angular: vector(-0.1, 0.0, 1.0),
+            },
+            covariance: covariance(),
+        },
+    });
+    let pose = PoseStamped {
+        header: header("m"),
+        pose: POSE,
+    };
+    is_as_others_write_it(&Path {
+        header: header("map"),
+        poses: vec![pose.clone(), pose],
+    });
+    let transform = TransformStamped {
+        header: header("odom"),
+        child_frame_id: "base_link".into(),
+        transform: Transform {
+            translation: vector(1.0, 2.0, 3.0),
+            rotation: QUATERNION,
+        },
+    };
+    is_as_others_write_it(&TFMessage {
+        transforms: vec![transform.clone(), transform],
+    });
+}
+
+#[test]
+fn maps() {
+    is_as_others_write_it(&OccupancyGrid {
+        header: header("map"),
+        info: MapMetaData {
+            map_load_time: STAMP,
+            resolution: 0.25,
+            width: 3,
+            height: 2,
+            origin: POSE,
+        },
+        data: vec![0, 100, -1, 0, 0, 100],
+    });
+    is_as_others_write_it(&OccupancyGridUpdate {
+        header: header("map"),
+        x: -1,
+        y: 2,
+        width: 3,
+        height: 1,
+        data: vec![100, -1, 0],
+    });
+    is_as_others_write_it(&Octomap {
+        header: header("map"),
+        binary: true,
+        id: "OcTree".into(),
+        resolution: 0.05,
+        data: vec![1, 255, 127, 128],
+    });
+}
+
+#[test]
+fn diagnostics() {
+    let fact = |key: &str, value: &str| KeyValue {
+        key: key.into(),
+        value: value.into(),
+    };
+    is_as_others_write_it(&DiagnosticArray {
+        header: header(""),
+        status: vec![DiagnosticStatus {
+            level: WARN,
+            name: "monogrid".into(),
+            message: "lost".into(),
+            hardware_id: "camera".into(),
+            values: vec![fact("frames", "17"), fact("a", "")],
+        }],
+    });
+}
