@@ -43,6 +43,7 @@ mod pipeline;
 mod preparation;
 mod shutter;
 mod source;
+mod waiting;
 
 pub use listener::{Listener, ListenerError, Run};
 pub use monogrid_slam::Event;

@@ -3,10 +3,11 @@
 use crate::clock::thread_cpu;
 use crate::preparation::{Preparation, Preparer, Unusable};
 use crate::shutter::Rectifier;
+use crate::waiting::{Entrance, WaitingFrames};
 use monogrid_image::GrayImage;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -53,7 +54,7 @@ pub struct ReadFrame {
     pub index: usize,
     /// Time, nanoseconds.
     pub timestamp_ns: i64,
-    /// The working image; `None` for one that came too early for a reader at [`Pace::Real`].
+    /// The working image; `None` for one that was dropped at [`Pace::Real`].
     pub image: Option<Result<GrayImage, Unusable>>,
 }
 
@@ -63,8 +64,12 @@ pub enum Pace {
     /// As they are taken.
     #[default]
     Taken,
-    /// Each at its own time; one that finds its predecessor waiting is dropped.
-    Real,
+    /// Each at its own time. Frames wait where tracking takes longer for one; when the oldest would wait for longer than `max_wait`,
+    /// some are dropped, evenly.
+    Real {
+        /// By the times of the frames; 0.2 s covers the slowest frames, those that make a keyframe.
+        max_wait: Duration,
+    },
 }
 
 /// How frames are read.
@@ -85,41 +90,64 @@ pub fn read_ahead(
     source: impl FrameSource,
     preparation: &Preparation,
     reading: Reading,
-    mut take: impl FnMut(ReadFrame) -> ControlFlow<()>,
+    take: impl FnMut(ReadFrame) -> ControlFlow<()>,
 ) -> std::io::Result<Duration> {
     let stop = AtomicBool::new(false);
-    let ahead = match reading.pace {
-        Pace::Taken => FRAMES_AHEAD,
-        Pace::Real => 1,
+    let mut reader = Reader {
+        source,
+        preparation,
+        preparer: Preparer::default(),
+        rectifier: preparation.shutter().map(Rectifier::new),
+        must_be_used: reading.must_be_used,
+        stop: &stop,
     };
+    match reading.pace {
+        Pace::Taken => {
+            let (sender, frames) = sync_channel(FRAMES_AHEAD);
+            let read = move || reader.read_all(&sender);
+            side_by_side(read, frames.into_iter(), &stop, take)
+        }
+        Pace::Real { max_wait } => {
+            let waiting = WaitingFrames::new(max_wait);
+            let entrance = waiting.entrance();
+            let read = move || reader.read_at_pace(&entrance);
+            let frames = std::iter::from_fn(|| waiting.take());
+            side_by_side(read, frames, &stop, take)
+        }
+    }
+}
+
+/// Reads in a thread of its own and hands over here what comes of it. Returns the CPU time of the reader.
+fn side_by_side(
+    read: impl FnOnce() + Send,
+    frames: impl Iterator<Item = ReadFrame>,
+    stop: &AtomicBool,
+    mut take: impl FnMut(ReadFrame) -> ControlFlow<()>,
+) -> std::io::Result<Duration> {
     thread::scope(|scope| {
-        let (sender, frames) = sync_channel(ahead);
-        let mut reader = Reader {
-            source,
-            preparation,
-            preparer: Preparer::default(),
-            rectifier: preparation.shutter().map(Rectifier::new),
-            must_be_used: reading.must_be_used,
-            stop: &stop,
-        };
-        let read = move || {
-            match reading.pace {
-                Pace::Taken => reader.read_all(&sender),
-                Pace::Real => reader.read_at_pace(&sender),
-            }
-            thread_cpu()
-        };
         let builder = thread::Builder::new().name("reader".into());
-        let thread = builder.spawn_scoped(scope, read)?;
-        for frame in &frames {
+        let thread = builder.spawn_scoped(scope, || {
+            read();
+            thread_cpu()
+        })?;
+        let stopping = Stopping(stop);
+        for frame in frames {
             if take(frame).is_break() {
                 break;
             }
         }
-        stop.store(true, Ordering::Relaxed);
-        drop(frames);
+        drop(stopping);
         Ok(thread.join().unwrap_or_default())
     })
+}
+
+/// Stops the reader when it is dropped, also by a panic of the one who takes.
+struct Stopping<'a>(&'a AtomicBool);
+
+impl Drop for Stopping<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }
 
 /// The reader's side.
@@ -181,11 +209,10 @@ impl<S: FrameSource> Reader<'_, S> {
         }
     }
 
-    /// Each frame at its own time; one that finds the channel full is dropped and told of at the end.
-    fn read_at_pace(&mut self, sender: &SyncSender<ReadFrame>) {
+    /// Each frame at its own time.
+    fn read_at_pace(&mut self, waiting: &Entrance) {
         let begin = Instant::now();
         let mut first_ns = None;
-        let mut dropped: Vec<ReadFrame> = Vec::new();
         while let Some(frame) = self.next() {
             let first_ns = *first_ns.get_or_insert(frame.timestamp_ns);
             let offset_ns = frame.timestamp_ns.saturating_sub(first_ns).max(0) as u64;
@@ -193,19 +220,7 @@ impl<S: FrameSource> Reader<'_, S> {
             if self.is_stopped() {
                 return;
             }
-            match sender.try_send(frame) {
-                Ok(()) => {}
-                Err(TrySendError::Full(late)) => dropped.push(ReadFrame {
-                    image: None,
-                    ..late
-                }),
-                Err(TrySendError::Disconnected(_)) => return,
-            }
-        }
-        for frame in dropped {
-            if sender.send(frame).is_err() {
-                return;
-            }
+            waiting.add(frame);
         }
     }
 
@@ -213,5 +228,73 @@ impl<S: FrameSource> Reader<'_, S> {
         while begin.elapsed() < due && !self.is_stopped() {
             thread::sleep((due - begin.elapsed().min(due)).min(Duration::from_millis(50)));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Camera, Distortion, Pinhole};
+    use monogrid_image::{Photometric, WorkingSize};
+
+    fn preparation() -> Preparation {
+        let camera = Camera {
+            width: 40,
+            height: 30,
+            pinhole: Pinhole::new(30.0, 30.0, 19.5, 14.5),
+            distortion: Distortion::None,
+        };
+        let size = WorkingSize::Automatic;
+        Preparation::new(&camera, size, None, Photometric::default())
+    }
+
+    /// Frames without end, 1 ms apart.
+    fn endless() -> impl Iterator<Item = SourceFrame> + Send {
+        (0..).map(|index: usize| SourceFrame {
+            index,
+            timestamp_ns: 1_000_000 * index as i64,
+            image: Ok(GrayImage::filled(40, 30, (index % 200) as f32)),
+        })
+    }
+
+    fn at_pace(max_wait: Duration) -> Reading {
+        Reading {
+            pace: Pace::Real { max_wait },
+            ..Reading::default()
+        }
+    }
+
+    #[test]
+    fn a_slow_reader_of_a_stream_loses_nothing_within_the_time_to_wait() {
+        let mut next = 0;
+        let reading = at_pace(Duration::from_secs(100));
+        let read = read_ahead(endless().take(30), &preparation(), reading, |frame| {
+            thread::sleep(Duration::from_millis(3));
+            assert_eq!(frame.index, next);
+            assert!(frame.image.is_some());
+            next += 1;
+            ControlFlow::Continue(())
+        });
+        assert!(read.is_ok());
+        assert_eq!(next, 30);
+    }
+
+    #[test]
+    fn what_is_dropped_is_told_in_order_while_the_stream_goes_on() {
+        let (mut next, mut dropped) = (0, 0);
+        let reading = at_pace(Duration::ZERO);
+        let read = read_ahead(endless(), &preparation(), reading, |frame| {
+            assert_eq!(frame.index, next);
+            next += 1;
+            dropped += usize::from(frame.image.is_none());
+            if frame.image.is_some() {
+                thread::sleep(Duration::from_millis(10));
+            }
+            match dropped > 20 {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            }
+        });
+        assert!(read.is_ok());
     }
 }

@@ -15,10 +15,12 @@ use crate::run::sessions::{Continued, Earlier};
 use crate::run::whole::{Extras, run_all};
 use clap::Args;
 use monogrid_image::GrayImage;
+use monogrid_pipeline::Pace;
 use monogrid_slam::Purpose;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// `monogrid run`.
 #[derive(Debug, Args)]
@@ -82,9 +84,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "scene|first-camera|X,Y,Z", value_parser = Up::parse, allow_hyphen_values = true,
           conflicts_with = "continue_from", help_heading = "Mapping")]
     pub up: Option<Up>,
-    /// Play frames at their own pace and drop those that come too early
-    #[arg(long, help_heading = "Input")]
-    pub realtime: bool,
+    /// Play frames at their own pace; where tracking is slower, they wait for at most this long before some are dropped, evenly
+    /// [milliseconds, 0 to 60000: 200]
+    #[arg(long, value_name = "MS", num_args = 0..=1, default_missing_value = "200", require_equals = true,
+          value_parser = clap::value_parser!(u64).range(..=60_000), help_heading = "Input")]
+    pub realtime: Option<u64>,
     /// Show the run in a browser of this computer while it goes on [port: any that is free]
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", require_equals = true, help_heading = "Output")]
     pub view: Option<u16>,
@@ -106,7 +110,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let settings = RunSettings {
         seed_depth,
         continued: earlier.map(|earlier| continued(earlier, args)),
-        realtime: args.realtime,
+        pace: pace(args),
         show_progress: std::io::stderr().is_terminal(),
         view: args.view,
         ..RunSettings::new(config, threads)
@@ -120,6 +124,13 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         Ok(Extras::default())
     })?;
     conclude(&finished, &folder, args.json.json)
+}
+
+/// How fast frames are read.
+fn pace(args: &RunArgs) -> Pace {
+    args.realtime.map_or(Pace::Taken, |ms| Pace::Real {
+        max_wait: Duration::from_millis(ms),
+    })
 }
 
 /// All settings; options of the command line win.

@@ -34,6 +34,7 @@ pub mod whole;
 
 use crate::config::RunConfig;
 use monogrid_image::GrayImage;
+use monogrid_pipeline::Pace;
 use monogrid_slam::Purpose;
 use sessions::{Continued, Earlier};
 
@@ -46,8 +47,8 @@ pub struct RunSettings {
     pub seed_depth: Option<(usize, GrayImage)>,
     /// The map to go on with.
     pub continued: Option<Continued>,
-    /// Play at the frames' own pace.
-    pub realtime: bool,
+    /// How fast frames are read.
+    pub pace: Pace,
     /// Threads for the final maps.
     pub threads: usize,
     /// Whether to show a progress bar.
@@ -63,7 +64,7 @@ impl RunSettings {
             config,
             seed_depth: None,
             continued: None,
-            realtime: false,
+            pace: Pace::Taken,
             threads,
             show_progress: false,
             view: None,

@@ -12,7 +12,7 @@ use crate::input::Input;
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::SessionInfo;
-use monogrid_pipeline::{Finished, Pace, Pipeline, PipelineError, Reading, Settings, read_ahead};
+use monogrid_pipeline::{Finished, Pipeline, PipelineError, Reading, Settings, read_ahead};
 use monogrid_slam::mapping::KeyframeCamera;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -67,11 +67,7 @@ pub fn track(
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
     let reading = Reading {
-        pace: if settings.realtime {
-            Pace::Real
-        } else {
-            Pace::Taken
-        },
+        pace: settings.pace,
         must_be_used: settings.seed_depth.as_ref().map(|(seeded, _)| *seeded),
     };
     let viewer = viewer(&mut pipeline, input, settings)?;

@@ -9,7 +9,7 @@ use crate::doubts::CalibrationCheck;
 use crate::failure::Failure;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use monogrid_image::GrayImage;
-use monogrid_pipeline::{Event, Pipeline, ReadFrame, Unusable};
+use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, Unusable};
 use monogrid_slam::FrameInput;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -68,7 +68,7 @@ impl<'a> Tracking<'a> {
             rows: FrameLog::begin(folder),
             unreadable_in_a_row: 0,
             early_end: None,
-            calibration: CalibrationCheck::new(input, !settings.realtime),
+            calibration: CalibrationCheck::new(input, settings.pace == Pace::Taken),
             progress: Progress::new(num_frames, settings.show_progress),
             viewer,
         }
