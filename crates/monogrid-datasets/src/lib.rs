@@ -35,7 +35,7 @@ pub use files::{open_file, read_file};
 pub use images::{
     DepthCalibration, DepthRegistration, TUM_UNITS_PER_METRE, decode_depth, decode_gray,
     decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16,
-    encode_png_rgb, exif_focal_px, luma_of_rgb, read_depth, read_gray, read_mask, read_rgb,
+    encode_png_rgb, exif_focal_px, read_depth, read_gray, read_mask, read_rgb,
 };
 pub use recording::{
     ColourRecord, Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe,

@@ -117,6 +117,35 @@ impl<T: Copy> Image<T> {
     }
 }
 
+impl GrayImage {
+    /// A grey image from 8-bit grey values in row-major order; `None` unless there are `width * height` of them.
+    #[must_use]
+    pub fn from_gray8(width: usize, height: usize, values: &[u8]) -> Option<Self> {
+        Self::from_vec(
+            width,
+            height,
+            values.iter().map(|v| f32::from(*v)).collect(),
+        )
+    }
+
+    /// A grey image from 8-bit red, green and blue in row-major order; `None` unless there are
+    /// `3 * width * height` of them.
+    #[must_use]
+    pub fn from_rgb8(width: usize, height: usize, values: &[u8]) -> Option<Self> {
+        let (pixels, rest) = values.as_chunks::<3>();
+        let luma = pixels.iter().map(|rgb| f32::from(luma_of_rgb(*rgb)));
+        rest.is_empty()
+            .then(|| Self::from_vec(width, height, luma.collect()))?
+    }
+}
+
+/// ITU-601 luma of red, green and blue, rounded to 8 bits.
+#[must_use]
+pub fn luma_of_rgb(rgb: [u8; 3]) -> u8 {
+    let [r, g, b] = rgb.map(u32::from);
+    ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
+}
+
 /// Bilinear value at `(x, y)`; `None` outside the square of pixel centres.
 #[must_use]
 #[inline]
@@ -244,4 +273,21 @@ fn area_weights(input: usize, output: usize) -> Vec<(usize, Vec<f32>)> {
             (first, weights)
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_become_grey_values() {
+        let grey = GrayImage::from_gray8(2, 1, &[0, 255]).unwrap();
+        assert_eq!(grey.as_slice(), [0.0, 255.0]);
+        assert!(GrayImage::from_gray8(2, 2, &[0; 3]).is_none());
+        let colours = [255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255];
+        let rgb = GrayImage::from_rgb8(2, 2, &colours).unwrap();
+        assert_eq!(rgb.as_slice(), [76.0, 150.0, 29.0, 255.0]);
+        assert!(GrayImage::from_rgb8(2, 2, &colours[..11]).is_none());
+        assert!(GrayImage::from_rgb8(1, 2, &colours[..7]).is_none());
+    }
 }

@@ -10,7 +10,7 @@ mod photometric;
 mod pyramid;
 mod undistort;
 
-pub use buffer::{GrayImage, Image, Mask, Resize, bicubic, bilinear, resize_area};
+pub use buffer::{GrayImage, Image, Mask, Resize, bicubic, bilinear, luma_of_rgb, resize_area};
 pub use gradient::{GradientImage, max_gradient};
 pub use photometric::{Photometric, PhotometricError};
 pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};

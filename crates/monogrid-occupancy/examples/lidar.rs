@@ -32,18 +32,12 @@ fn main() -> Result<(), MapError> {
     let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05))?;
     for id in 0..10 {
         let x = f64::from(id) * 0.1;
-        let scan = Scan {
-            id,
-            world_from_sensor: Similarity {
-                translation: [x, 0.0, 0.0], // and its rotation, from your odometry
-                ..Similarity::IDENTITY
-            },
-            pose_sigma: PoseSigma::default(),
-            data: ScanData::Points(PointScan {
-                points: &measure(x),
-                sigmas: &[0.02], // one for all, or one per point
-            }),
+        let world_from_sensor = Similarity {
+            translation: [x, 0.0, 0.0], // and its rotation, from your odometry
+            ..Similarity::IDENTITY
         };
+        let points = measure(x);
+        let scan = Scan::of_points(id, world_from_sensor, &points, &[0.02]); // one sigma for all, or one per point
         integrate(&mut map, &scan, &IntegrationConfig::default(), 2)?;
     }
 

@@ -82,18 +82,6 @@ fn ends(scan: &monogrid_datasets::Scan) -> (Vec<[f32; 3]>, Vec<f32>) {
     points.map(|p| (p.point_in_sensor, p.range_sigma)).unzip()
 }
 
-fn pose(rows: &[f64; 12]) -> Similarity {
-    let row = |i: usize| {
-        [
-            rows[4 * i],
-            rows[4 * i + 1],
-            rows[4 * i + 2],
-            rows[4 * i + 3],
-        ]
-    };
-    Similarity::from_rigid_rows([row(0), row(1), row(2)])
-}
-
 fn main() -> Result<(), Box<dyn Error>> {
     let options = parse()?;
     let mut map = OccupancyMap::new(MapConfig::with_resolution(options.resolution))?;
@@ -110,7 +98,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let scans: Vec<Scan> = scans
             .map(|((scan, (points, sigmas)), id)| Scan {
                 id,
-                world_from_sensor: pose(&scan.world_from_sensor),
+                world_from_sensor: Similarity::from_rigid(&scan.world_from_sensor),
                 pose_sigma: PoseSigma::default(),
                 data: ScanData::Points(PointScan { points, sigmas }),
             })

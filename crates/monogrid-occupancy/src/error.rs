@@ -93,6 +93,17 @@ pub enum MapError {
         /// What was found instead.
         reason: String,
     },
+    /// A file that is no map at all.
+    #[error("not a map: it begins neither as an OctoMap .ot or .bt file nor as a .mgo file")]
+    NotAMap,
+    /// A file name that asks for no format of a map.
+    #[error("cannot tell the map format from {}: expected a name that ends in {expected}", path.display())]
+    Name {
+        /// The name.
+        path: PathBuf,
+        /// The endings that are understood.
+        expected: String,
+    },
     /// Reading or writing failed.
     #[error("{action} failed: {source}")]
     Io {

@@ -11,12 +11,8 @@
 //! let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05))?;
 //! let row = |y: i16| (-50_i16..=50).map(move |x| [0.01 * f32::from(x), 0.01 * f32::from(y), 2.0]);
 //! let points: Vec<[f32; 3]> = (-50..=50).flat_map(row).collect(); // in the sensor frame, metres
-//! let scan = Scan {
-//!     id: 0,
-//!     world_from_sensor: Similarity::IDENTITY, // from your odometry
-//!     pose_sigma: PoseSigma::default(),
-//!     data: ScanData::Points(PointScan { points: &points, sigmas: &[0.02] }),
-//! };
+//! let world_from_sensor = Similarity::IDENTITY; // from your odometry
+//! let scan = Scan::of_points(0, world_from_sensor, &points, &[0.02]);
 //! integrate(&mut map, &scan, &IntegrationConfig::default(), 2)?;
 //! assert_eq!(map.state([0.0, 0.0, 2.0]), Occupancy::Occupied);
 //! write_bt(&map, &mut std::io::sink())?; // or save_atomically(path, |file| write_ot(&map, file))
@@ -68,7 +64,7 @@
 //! [`OccupancyMap::merge`], [`OccupancyMap::cropped`], [`OccupancyMap::within`] and
 //! [`OccupancyMap::transformed`] make maps from maps. Files are OctoMap's `.ot` ([`read_ot`],
 //! [`write_ot`]) and `.bt` ([`read_bt`], [`write_bt`]), the exact and small `.mgo` ([`read_mgo`],
-//! [`write_mgo`]), and point clouds ([`write_ply`], [`write_pcd`]). Writers stream; readers are
+//! [`write_mgo`]; [`read_map`] tells them apart), and point clouds ([`write_ply`], [`write_pcd`]). Writers stream; readers are
 //! given a memory budget and take any bytes without a panic. [`save_atomically`] keeps the old
 //! file until the new one is on disk.
 //!
@@ -105,8 +101,8 @@ pub use integrate::{
     IntegrationConfig, IntegrationReport, IntegrationRule, integrate, integrate_scans,
 };
 pub use io::{
-    MGO_MAGIC, read_bt, read_mgo, read_ot, save_atomically, write_bt, write_mgo, write_ot,
-    write_pcd, write_ply,
+    MGO_MAGIC, MapFormat, read_bt, read_map, read_mgo, read_ot, save_atomically, write_bt,
+    write_mgo, write_ot, write_pcd, write_ply,
 };
 pub use key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 pub use keyframes::{KeyframeChange, KeyframeMap};

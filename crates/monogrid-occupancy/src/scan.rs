@@ -23,13 +23,14 @@ impl Similarity {
         translation: [0.0; 3],
     };
 
-    /// A transform from 3 x 4 rows `[R | t]` of scale 1, as scan files hold them.
+    /// A transform of scale 1 from the 3 x 4 matrix `[R | t]`, row by row, as scan files hold it.
     #[must_use]
-    pub fn from_rigid_rows(rows: [[f64; 4]; 3]) -> Self {
+    pub fn from_rigid(row_major: &[f64; 12]) -> Self {
+        let [a, b, c, x, d, e, f, y, g, h, i, z] = *row_major;
         Self {
             scale: 1.0,
-            rotation: rows.map(|[a, b, c, _]| [a, b, c]),
-            translation: rows.map(|row| row[3]),
+            rotation: [[a, b, c], [d, e, f], [g, h, i]],
+            translation: [x, y, z],
         }
     }
 
@@ -159,6 +160,24 @@ pub struct Scan<'a> {
     pub pose_sigma: PoseSigma,
     /// The measurements.
     pub data: ScanData<'a>,
+}
+
+impl<'a> Scan<'a> {
+    /// Points in the sensor frame with the standard deviation of each range (or one for all), from an exact pose.
+    #[must_use]
+    pub fn of_points(
+        id: u32,
+        world_from_sensor: Similarity,
+        points: &'a [[f32; 3]],
+        sigmas: &'a [f32],
+    ) -> Self {
+        Self {
+            id,
+            world_from_sensor,
+            pose_sigma: PoseSigma::default(),
+            data: ScanData::Points(PointScan { points, sigmas }),
+        }
+    }
 }
 
 /// What the standard deviation of an inverse depth is taken for.

@@ -3,10 +3,11 @@
 use crate::listener::{Listener, ListenerError, Listening, Run};
 use crate::mapper::MapperThread;
 use crate::preparation::{Preparation, Preparer, Unusable};
+use crate::shutter::Rectifier;
 use crate::source::{FrameSource, ReadFrame, Reading, read_ahead};
 use monogrid_geometry::{Camera, Sim3, Vec3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
-use monogrid_occupancy::MapError;
+use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, PosedKeyframe,
     camera_paths, final_scans_counted, z_up_from_camera_world,
@@ -38,6 +39,8 @@ pub struct Settings {
     pub mask: Option<Mask>,
     /// Correction of response and vignette.
     pub photometric: Photometric,
+    /// Time that the camera takes from its first row to the last, ms; 0 where it reads all at once.
+    pub readout_ms: f64,
 }
 
 impl Default for Settings {
@@ -50,6 +53,7 @@ impl Default for Settings {
             working_size: WorkingSize::Automatic,
             mask: None,
             photometric: Photometric::default(),
+            readout_ms: 0.0,
         }
     }
 }
@@ -80,6 +84,8 @@ pub enum PipelineError {
 pub struct Pipeline {
     preparation: Preparation,
     preparer: Preparer,
+    /// Of images that are pushed, where rows are read one after the other.
+    rectifier: Option<Rectifier>,
     slam: Slam,
     listeners: Vec<Listening>,
     mapper: MapperThread,
@@ -100,11 +106,12 @@ impl Pipeline {
             settings.working_size,
             settings.mask.as_ref(),
             settings.photometric.clone(),
-        );
+        )
+        .with_readout_ms(settings.readout_ms);
         Self::with(preparation, settings, None)
     }
 
-    /// A pipeline for images that are prepared by `preparation` (the settings' size, mask and correction are not
+    /// A pipeline for images that are prepared by `preparation` (the settings' size, mask, correction and shutter are not
     /// used), which goes on with a map if there is one.
     ///
     /// # Errors
@@ -115,7 +122,6 @@ impl Pipeline {
         earlier: Option<(StoredMap, Purpose)>,
     ) -> Result<Self, PipelineError> {
         let pinhole = *preparation.pinhole();
-        let (width, height) = preparation.size();
         let mask = preparation.mask().clone();
         let localise_only = matches!(earlier, Some((_, Purpose::LocaliseOnly)));
         let (slam, seed) = (settings.slam, settings.seed);
@@ -125,14 +131,11 @@ impl Pipeline {
             Some((map, purpose)) => Slam::continue_from(slam, pinhole, mask, seed, map, purpose)
                 .map_err(|error| PipelineError::Settings(error.to_string()))?,
         };
-        let camera = KeyframeCamera {
-            pinhole,
-            width,
-            height,
-        };
+        let camera = KeyframeCamera::new(pinhole, preparation.size());
         let mapper = Mapper::new(settings.mapping, camera, settings.threads);
         let maps = LiveMaps::new(mapper, z_up_from_camera_world())?;
         let pipeline = Self {
+            rectifier: preparation.shutter().map(Rectifier::new),
             preparation,
             preparer: Preparer::default(),
             slam,
@@ -196,16 +199,48 @@ impl Pipeline {
         &self.slam
     }
 
-    /// Takes the next image of the camera (grey, 0 to 255); what became of it.
+    /// The map as it is now: all keyframes that are finished, z up as the first camera was held; `None` before the first.
+    /// It stays as it is while the pipeline goes on. [`Self::live_map`] is for threads that look often.
     ///
     /// # Errors
-    /// An image of another size than the camera's, or one that repeats the one before.
+    /// A map that would exceed its memory.
+    pub fn map(&self) -> Result<Option<Arc<OccupancyMap>>, PipelineError> {
+        let view = self.live_map()?.latest();
+        Ok(view.map(|view| Arc::clone(&view.global)))
+    }
+
+    /// Takes the next image of the camera (grey, 0 to 255); what became of it. With a rolling shutter, what became of the
+    /// image before ([`FrameReport::index`]): its rows are put right by what moved until this one.
+    ///
+    /// # Errors
+    /// An image of another size than the camera's, or one that repeats the one before; [`Unusable::Waits`] for the first
+    /// image of a rolling shutter.
     pub fn push(&mut self, image: GrayImage, timestamp_ns: i64) -> Result<FrameReport, Unusable> {
-        let index = self.num_frames;
-        match self.preparer.next(&self.preparation, image, false) {
+        let index = self.num_frames + self.rectifier.as_ref().map_or(0, Rectifier::num_waiting);
+        let image = self.preparer.next(&self.preparation, image, false);
+        let image = image.inspect_err(|_| self.pass_over())?;
+        let frame = ReadFrame {
+            index,
+            timestamp_ns,
+            image: Some(Ok(image)),
+        };
+        let ready = match &mut self.rectifier {
+            None => Some(frame),
+            Some(rectifier) => {
+                rectifier.add(frame);
+                rectifier.take()
+            }
+        };
+        let tracked = ready.and_then(|frame| self.track_read(frame));
+        tracked.unwrap_or(Err(Unusable::Waits))
+    }
+
+    /// Tracks a frame that was read; one that cannot be used is counted, nothing is said of one that was dropped.
+    fn track_read(&mut self, frame: ReadFrame) -> Option<Result<FrameReport, Unusable>> {
+        Some(match frame.image? {
             Ok(image) => Ok(self.track(FrameInput {
-                index,
-                timestamp_ns,
+                index: frame.index,
+                timestamp_ns: frame.timestamp_ns,
                 image,
                 seed_depth: None,
             })),
@@ -213,7 +248,7 @@ impl Pipeline {
                 self.pass_over();
                 Err(unusable)
             }
-        }
+        })
     }
 
     /// Takes a working image, with depth to start with if there is some.
@@ -241,25 +276,9 @@ impl Pipeline {
     ) -> Result<(), PipelineError> {
         let preparation = self.preparation.clone();
         read_ahead(source, &preparation, Reading::default(), |frame| {
-            let ReadFrame {
-                index,
-                timestamp_ns,
-                image,
-            } = frame;
-            match image {
-                Some(Ok(image)) => {
-                    let input = FrameInput {
-                        index,
-                        timestamp_ns,
-                        image,
-                        seed_depth: None,
-                    };
-                    heard(index, Ok(&self.track(input)))
-                }
-                Some(Err(unusable)) => {
-                    self.pass_over();
-                    heard(index, Err(&unusable))
-                }
+            let index = frame.index;
+            match self.track_read(frame) {
+                Some(outcome) => heard(index, outcome.as_ref()),
                 None => ControlFlow::Continue(()),
             }
         })?;
@@ -271,6 +290,12 @@ impl Pipeline {
     /// # Errors
     /// What a listener gave up for. Maps that could not grow are said by [`Finished::maps`].
     pub fn finish(mut self) -> Result<Finished, PipelineError> {
+        if let Some(mut rectifier) = self.rectifier.take() {
+            rectifier.finish();
+            while let Some(frame) = rectifier.take() {
+                self.track_read(frame);
+            }
+        }
         self.slam.finish();
         self.tell();
         let Self {

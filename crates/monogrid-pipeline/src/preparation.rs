@@ -35,6 +35,9 @@ pub enum Unusable {
     /// It is the image before once more, pixel by pixel: it says nothing new.
     #[error("it repeats the image before")]
     Repeats,
+    /// Its rows are put right by what moves until the next one: it is used then.
+    #[error("it waits for the next image, which shows how its rows move")]
+    Waits,
 }
 
 impl Preparation {
@@ -57,8 +60,8 @@ impl Preparation {
     }
 
     /// The same for a camera that takes this long from its first row to the last, ms; negative where it begins with the
-    /// last. Images are rectified as they are
-    /// read ahead ([`read_ahead`](crate::read_ahead), [`Pipeline::run`](crate::Pipeline::run)), which needs the next one.
+    /// last. Images are rectified before they
+    /// are tracked, which needs the next one.
     #[must_use]
     pub fn with_readout_ms(self, readout_ms: f64) -> Self {
         Self {

@@ -143,9 +143,9 @@ impl Rectifier {
         self.frames.pop_front()
     }
 
-    /// Whether all frames were given back.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.frames.is_empty()
+    /// Frames that were not given back yet.
+    pub(crate) fn num_waiting(&self) -> usize {
+        self.frames.len()
     }
 
     /// No more frames come: all are ready.

@@ -172,7 +172,7 @@ impl<S: FrameSource> Reader<'_, S> {
             }
             match self.prepared() {
                 Some(frame) => rectifier.add(frame),
-                None if self.is_stopped() || rectifier.is_empty() => break None,
+                None if self.is_stopped() || rectifier.num_waiting() == 0 => break None,
                 None => rectifier.finish(),
             }
         };

@@ -23,6 +23,7 @@ use crate::commands::truth::TruthArgs;
 use crate::commands::view::ViewArgs;
 use crate::commands::vocabulary::VocabularyArgs;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::ffi::OsString;
 
 /// From the video of one camera to a 3D occupancy map.
 #[derive(Debug, Parser)]
@@ -34,9 +35,9 @@ pub struct Cli {
 }
 
 impl Cli {
-    /// What the process was called with.
-    pub fn from_process() -> Result<Self, clap::Error> {
-        Self::from_arg_matches(&command().try_get_matches()?)
+    /// What the program was called with.
+    pub fn parse(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        Self::from_arg_matches(&command().try_get_matches_from(arguments)?)
     }
 }
 

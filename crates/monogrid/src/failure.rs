@@ -2,7 +2,6 @@
 
 use crate::say;
 use std::fmt::Display;
-use std::process::ExitCode;
 
 /// Why a command did not do its job.
 #[derive(Debug)]
@@ -82,19 +81,18 @@ impl Outcome {
 }
 
 /// Says why a command failed; its exit code. A command whose result could not be printed has failed.
-pub fn exit_code(result: CommandResult) -> ExitCode {
-    let code = match (result, say::finish()) {
+pub fn exit_code(result: CommandResult) -> u8 {
+    match (result, say::finish()) {
         (Err(failure), _) => failure.report(),
         (Ok(_), Err(error)) => {
             Failure::running(format!("standard output cannot be written: {error}")).report()
         }
         (Ok(outcome), Ok(())) => outcome.code(),
-    };
-    ExitCode::from(code)
+    }
 }
 
 /// Help, version, or what is wrong with the command line; the exit code.
-pub fn usage(message: &clap::Error) -> ExitCode {
+pub fn usage(message: &clap::Error) -> u8 {
     let printed = message.print();
     match (
         message.use_stderr(),
@@ -102,11 +100,11 @@ pub fn usage(message: &clap::Error) -> ExitCode {
             .map_err(|error| error.to_string())
             .and_then(|()| say::finish()),
     ) {
-        (true, _) => ExitCode::from(2),
-        (false, Ok(())) => ExitCode::SUCCESS,
+        (true, _) => 2,
+        (false, Ok(())) => 0,
         (false, Err(error)) => {
             eprintln!("error: standard output cannot be written: {error}");
-            ExitCode::from(1)
+            1
         }
     }
 }

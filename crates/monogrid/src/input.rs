@@ -3,7 +3,7 @@
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use crate::self_calibration::{Expected, OwnCalibration};
-use crate::video::{VideoItem, VideoSource, is_video};
+use crate::video_source::{VideoItem, VideoSource, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
@@ -282,12 +282,7 @@ impl Input {
 
     /// The camera of the working images.
     pub fn keyframe_camera(&self) -> KeyframeCamera {
-        let (width, height) = self.size();
-        KeyframeCamera {
-            pinhole: *self.pinhole(),
-            width,
-            height,
-        }
+        KeyframeCamera::new(*self.pinhole(), self.size())
     }
 
     /// The working image of a frame.

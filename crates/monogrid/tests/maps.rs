@@ -8,31 +8,9 @@
 
 mod common;
 
-use common::{code, json, monogrid, small_sequence, stderr};
+use common::{code, json, monogrid, small_sequence, stderr, write_scans};
 use std::fs;
-use std::io::Write;
 use std::path::Path;
-
-/// A scan file with a wall of points two metres ahead of a sensor one metre above the origin.
-fn write_scans(path: &Path) {
-    let mut out = Vec::new();
-    out.extend(0x4f47_4d31_u32.to_le_bytes());
-    out.extend(1_u32.to_le_bytes());
-    // world_from_sensor: sensor z is world x, sensor x is world -y, sensor y is world -z
-    let pose: [f64; 12] = [0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0];
-    for value in pose {
-        out.extend(value.to_le_bytes());
-    }
-    let points: Vec<[f32; 4]> = (-40..=40)
-        .flat_map(|x| (-40..=40).map(move |y| (x, y)))
-        .map(|(x, y)| [x as f32 * 0.02, y as f32 * 0.02, 2.02, 0.02])
-        .collect();
-    out.extend((points.len() as u32).to_le_bytes());
-    for value in points.into_iter().flatten() {
-        out.extend(value.to_le_bytes());
-    }
-    fs::File::create(path).unwrap().write_all(&out).unwrap();
-}
 
 #[test]
 fn scans_become_a_map_that_is_independent_of_threads() {

@@ -8,7 +8,7 @@ use monogrid_datasets::{Calibration, read_gray};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
 use monogrid_occupancy::{OccupancyMap, write_ot};
-use monogrid_pipeline::{Event, Pipeline, Settings, SourceFrame};
+use monogrid_pipeline::{Event, Finished, Pipeline, Settings, SourceFrame, Unusable};
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -90,9 +90,12 @@ fn fifteen_lines_find_the_map_that_the_program_finds() {
             .push(read_gray(&path).unwrap(), timestamp_ns)
             .unwrap();
     }
+    let so_far = pipeline.map().unwrap();
     let mut finished = pipeline.finish().unwrap();
     let maps = finished.maps().unwrap().expect("a map");
 
+    let mapped = so_far.expect("keyframes were finished").cell_counts();
+    assert!(mapped.occupied > 0 && mapped.free > 0);
     let keyframes = finished_keyframes.load(Ordering::Relaxed);
     assert!(keyframes >= 2);
     assert_eq!(summary["keyframes"], keyframes);
@@ -108,6 +111,46 @@ fn fifteen_lines_find_the_map_that_the_program_finds() {
         );
     }
     assert!(finished.maps().unwrap().is_none(), "they were taken");
+}
+
+#[test]
+fn pushed_images_of_a_rolling_shutter_find_what_a_source_finds() {
+    let settings = || Settings {
+        readout_ms: 10.0,
+        ..Settings::default()
+    };
+    let few = || frames().into_iter().take(60);
+    let image = |path: &PathBuf| read_gray(path).unwrap();
+    let mut pushed = Pipeline::new(&camera(), settings()).unwrap();
+    for (k, (timestamp_ns, path)) in few().enumerate() {
+        let outcome = pushed.push(image(&path), timestamp_ns);
+        match k {
+            0 => assert_eq!(outcome.err(), Some(Unusable::Waits)),
+            _ => assert_eq!(outcome.unwrap().index, k - 1, "the image before"),
+        }
+    }
+    let (timestamp_ns, path) = few().next_back().unwrap();
+    let repeated = pushed.push(image(&path), timestamp_ns + 1);
+    assert_eq!(repeated.err(), Some(Unusable::Repeats));
+    let mut run = Pipeline::new(&camera(), settings()).unwrap();
+    let source = few().enumerate().map(|(index, (timestamp_ns, path))| {
+        let image = Ok(read_gray(&path).unwrap());
+        SourceFrame {
+            index,
+            timestamp_ns,
+            image,
+        }
+    });
+    run.run(source, |_, _| ControlFlow::Continue(())).unwrap();
+    let (pushed, run) = (pushed.finish().unwrap(), run.finish().unwrap());
+    let times = |finished: &Finished| -> Vec<_> {
+        let poses = finished.trajectory.iter();
+        poses
+            .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
+            .collect()
+    };
+    assert_eq!(times(&pushed).len(), 60, "the last image too");
+    assert_eq!(times(&pushed), times(&run));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! JPEG to luma or colour, refusing incomplete files.
 
 use super::decode::MAX_SIDE;
+use monogrid_image::luma_of_rgb;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
@@ -79,13 +80,6 @@ fn decode_as(bytes: &[u8], output: ColorSpace) -> Result<Decoded, String> {
     let pixels = decoder.decode().map_err(|e| e.to_string())?;
     let (width, height) = decoder.dimensions().ok_or("no image in the file")?;
     Ok((width, height, pixels))
-}
-
-/// ITU-601 luma of red, green and blue, rounded to 8 bits.
-#[must_use]
-pub fn luma_of_rgb(rgb: [u8; 3]) -> u8 {
-    let [r, g, b] = rgb.map(u32::from);
-    ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 
 /// Whether the end marker follows the (last) scan: walks over the segments, and inside scans from

@@ -12,5 +12,4 @@ pub use decode::{decode_gray, decode_jpeg_luma, decode_jpeg_rgb, read_gray, read
 pub use depth::{DepthCalibration, TUM_UNITS_PER_METRE, decode_depth, read_depth};
 pub use encode::{encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16, encode_png_rgb};
 pub use exif::exif_focal_px;
-pub use jpeg::luma_of_rgb;
 pub use register::DepthRegistration;

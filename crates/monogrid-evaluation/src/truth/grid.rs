@@ -204,6 +204,20 @@ impl TruthGrid {
         Ok(coarse)
     }
 
+    /// The truth with cells as large as those of `map`, where a whole number of its own makes one; else as it is.
+    ///
+    /// # Errors
+    /// A truth that is too large.
+    pub fn with_cells_of(self, map: &OccupancyMap) -> Result<Self, TruthError> {
+        let ratio = map.resolution() / self.resolution;
+        let factor = ratio.round();
+        let is_whole = (ratio - factor).abs() < 1e-6 * factor;
+        if factor >= 2.0 && is_whole && factor < f64::from(u32::MAX) {
+            return self.coarsened(factor as u32);
+        }
+        Ok(self)
+    }
+
     /// The same cells as an occupancy map: free and occupied at its clamps.
     ///
     /// # Errors

@@ -4,11 +4,13 @@ pub(crate) mod bt;
 pub(crate) mod cloud;
 pub(crate) mod compact;
 pub(crate) mod header;
+pub(crate) mod named;
 pub(crate) mod ot;
 pub(crate) mod save;
 
 pub use bt::{read_bt, write_bt};
 pub use cloud::{write_pcd, write_ply};
 pub use compact::{MGO_MAGIC, read_mgo, write_mgo};
+pub use named::{MapFormat, read_map};
 pub use ot::{read_ot, write_ot};
 pub use save::save_atomically;

@@ -17,6 +17,18 @@ pub struct KeyframeCamera {
     pub height: usize,
 }
 
+impl KeyframeCamera {
+    /// A camera without distortion, with images of this width and height.
+    #[must_use]
+    pub fn new(pinhole: Pinhole, (width, height): (usize, usize)) -> Self {
+        Self {
+            pinhole,
+            width,
+            height,
+        }
+    }
+}
+
 /// What of a keyframe is mapped; small enough to be kept for all of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KeyframeScan {

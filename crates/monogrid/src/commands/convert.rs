@@ -2,10 +2,11 @@
 
 use super::{bytes, print_json};
 use crate::args::{ForceArg, JsonArg};
-use crate::failure::{CommandResult, Outcome};
-use crate::mapfile::{self, MapFormat};
+use crate::failure::{Classify, CommandResult, Outcome};
+use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use clap::Args;
+use monogrid_occupancy::MapFormat;
 use std::path::PathBuf;
 
 /// `monogrid convert`.
@@ -23,7 +24,7 @@ pub struct ConvertArgs {
 
 /// Reads a map and writes it in another format.
 pub fn execute(args: &ConvertArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &MapFormat::ALL)?;
+    let format = MapFormat::from_name(&args.output, &MapFormat::ALL).bad_input()?;
     let inputs = Inputs::of("the map", &args.input);
     let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
     let (map, from) = mapfile::load(&args.input)?;

@@ -207,12 +207,8 @@ fn fitted(
     truth: TruthGrid,
     path: &Path,
 ) -> Result<(OccupancyMap, TruthGrid), Failure> {
-    let ratio = map.resolution() / truth.resolution();
-    let factor = ratio.round();
-    if factor >= 2.0 && (ratio - factor).abs() < 1e-6 * factor && factor < f64::from(u32::MAX) {
-        let coarse = truth.coarsened(factor as u32);
-        return Ok((map, coarse.map_err(|error| of_truth(error, path))?));
-    }
+    let truth = truth.with_cells_of(&map);
+    let truth = truth.map_err(|error| of_truth(error, path))?;
     Ok((map, truth))
 }
 

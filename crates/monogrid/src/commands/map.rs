@@ -5,7 +5,7 @@ use super::{bytes, print_json, use_threads};
 use crate::args::{ForceArg, JsonArg, MappingArgs, Profile};
 use crate::config::RunConfig;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::mapfile::{self, MapFormat};
+use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use crate::picture::voxels::{View, occupied_cubes, render};
 use crate::recorded::Recorded;
@@ -16,7 +16,7 @@ use crate::usage::{peak_rss_bytes, process_cpu};
 use clap::Args;
 use monogrid_datasets::{Scale, ScansReader, encode_png_rgb};
 use monogrid_geometry::Sim3;
-use monogrid_occupancy::OccupancyMap;
+use monogrid_occupancy::{MapFormat, OccupancyMap};
 use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper, MeshConfig};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -151,7 +151,7 @@ struct Files {
 impl Files {
     /// Refuses names that cannot be written before anything is built.
     fn new(args: &MapArgs) -> Result<Self, Failure> {
-        let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
+        let format = MapFormat::from_name(&args.out, &MapFormat::MAPS).bad_input()?;
         let inputs = inputs(args)?;
         let file = |path: &Path| OutputFile::new(path, args.force.force, &inputs);
         let mesh = |path: &Path| Ok((file(path)?, MeshFormat::from_name(path)?));
@@ -409,12 +409,7 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
     )?;
     let config = settings_for_given_poses(args)?;
     let (map_from_world, frame) = given_frame(align)?;
-    let (width, height) = folder.size();
-    let camera = KeyframeCamera {
-        pinhole: folder.pinhole(),
-        width,
-        height,
-    };
+    let camera = KeyframeCamera::new(folder.pinhole(), folder.size());
     let look = MeshLook::of_given_poses(config.mapping.mesh);
     let mapper = Mapper::new(config.mapping, camera, threads);
     let mut map = mapper.empty_map().bad_input()?;

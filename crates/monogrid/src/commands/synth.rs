@@ -4,12 +4,12 @@ use super::truth::{of_world, positions_along};
 use super::{print_json, use_threads};
 use crate::args::{JsonArg, positive, readout_ms, size};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::mapfile::{self, MapFormat};
 use crate::output::{Inputs, OutputFolder};
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{Calibration, read_trajectory};
 use monogrid_evaluation::TruthConfig;
 use monogrid_geometry::{Camera, Pinhole};
+use monogrid_occupancy::MapFormat;
 use monogrid_worlds::{
     CameraPath, EffectsConfig, LightingConfig, MOTION_NAMES, MeshLighting, Motion, SynthConfig,
     SynthSequence, WORLD_NAMES, World, WriteConfig, usual_frames, write_tum_layout,
@@ -150,7 +150,9 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
         eprintln!("warning: the world is open: the outside counts as free in truth.ot");
     }
     let map = truth.grid.to_map().while_running("the truth map")?;
-    folder.write_with("truth.ot", |out| mapfile::write(&map, out, MapFormat::Ot))?;
+    folder.write_with("truth.ot", |mut out| {
+        Ok(MapFormat::Ot.write(&map, &mut out)?)
+    })?;
     let bar = indicatif::ProgressBar::new(sequence.len() as u64);
     let config = WriteConfig {
         depth_every: args.depth_every,

@@ -3,13 +3,13 @@
 use super::print_json;
 use crate::args::{ForceArg, JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::mapfile::{self, MapFormat};
+use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use crate::run::outputs::UNKNOWN_SCALE_WARNING;
 use clap::Args;
 use monogrid_datasets::read_sim3;
 use monogrid_geometry::Sim3;
-use monogrid_occupancy::{MapDifference, OccupancyMap, Similarity};
+use monogrid_occupancy::{MapDifference, MapFormat, OccupancyMap, Similarity};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -131,7 +131,7 @@ fn report_written(map: &OccupancyMap, path: &Path, json: JsonArg) -> CommandResu
 
 /// Keeps the cells that touch a box.
 pub fn crop(args: &CropArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS)?;
+    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS).bad_input()?;
     if (0..3).any(|axis| args.min[axis] >= args.max[axis]) {
         return Err(Failure::input(format!(
             "--min {:?} is not below --max {:?} in every direction",
@@ -166,7 +166,7 @@ fn nothing_kept(args: &CropArgs, map: &OccupancyMap) -> Failure {
 
 /// Adds the log-odds of two maps, as if both had been measured into one.
 pub fn merge(args: &MergeArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
+    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS).bad_input()?;
     let inputs = Inputs::of("a map", &args.first).and("a map", &args.second);
     let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
     let (mut map, _) = mapfile::load(&args.first)?;
@@ -197,7 +197,7 @@ fn check_same_resolution(
 
 /// Moves a map; a map built with `--align` is better than one that was resampled.
 pub fn transform(args: &TransformArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS)?;
+    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS).bad_input()?;
     let inputs = Inputs::of("the map", &args.input).and("the transform", &args.sim3);
     let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
     let (map, _) = mapfile::load(&args.input)?;

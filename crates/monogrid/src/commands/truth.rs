@@ -4,7 +4,7 @@ use super::posed_depth::PosedDepthFolder;
 use super::{bytes, print_json};
 use crate::args::{ForceArg, JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::mapfile::{self, MapFormat};
+use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use monogrid_datasets::read_trajectory;
@@ -12,6 +12,7 @@ use monogrid_evaluation::{
     CarveConfig, PosedDepth, Triangle, Truth, TruthConfig, TruthGrid, truth_from_depth_images,
     truth_from_points, truth_from_triangles,
 };
+use monogrid_occupancy::MapFormat;
 use monogrid_worlds::{
     CameraPath, Carrier, LightingConfig, MeshModel, SynthConfig, SynthSequence, TriangleMesh,
     WORLD_NAMES, World, usual_frames,
@@ -89,7 +90,7 @@ const POSITIONS_PER_SEC: f64 = 5.0;
 
 /// Builds and writes the map.
 pub fn execute(args: &TruthArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS)?;
+    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS).bad_input()?;
     let kind = Kind::of(&args.source)?;
     let output = OutputFile::new(&args.out, args.force.force, &inputs(args, &kind)?)?;
     let made = match kind {

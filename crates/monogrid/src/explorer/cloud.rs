@@ -2,7 +2,7 @@
 
 use crate::picture::base64;
 use crate::picture::colour::quantile;
-use monogrid_datasets::luma_of_rgb;
+use monogrid_image::luma_of_rgb;
 use serde::Serialize;
 
 /// Points on a page at most.

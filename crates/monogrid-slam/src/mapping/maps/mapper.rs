@@ -196,8 +196,7 @@ impl Mapper {
         map_from_world: &Sim3,
         (points, sigmas): (&[[f32; 3]], &[f32]),
     ) -> Result<usize, MapError> {
-        let row = |i: usize| -> [f64; 4] { std::array::from_fn(|j| world_from_sensor[4 * i + j]) };
-        let rigid = Similarity::from_rigid_rows([row(0), row(1), row(2)]);
+        let rigid = Similarity::from_rigid(world_from_sensor);
         let outer = similarity(map_from_world);
         let scan = Scan {
             id,

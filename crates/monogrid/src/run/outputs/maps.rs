@@ -1,14 +1,13 @@
 //! Maps and pictures of them as files.
 
 use crate::failure::{Classify, Failure};
-use crate::mapfile::{self, MapFormat};
 use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use crate::run::summary::unit_name;
 use crate::surface::{CellColours, ColouredMesh, MeshFormat};
 use monogrid_datasets::encode_png_rgb;
-use monogrid_occupancy::{OccupancyMap, VoxelKey, write_ply};
+use monogrid_occupancy::{MapFormat, OccupancyMap, VoxelKey, write_ply};
 use monogrid_slam::mapping::{Maps, MeshConfig};
 
 /// Pictures of the final maps, as PNG files.
@@ -33,8 +32,8 @@ pub fn write_maps(
     ground: Ground,
     surface: Surface,
 ) -> Result<MapPictures, Failure> {
-    folder.write_with("large.ot", |out| {
-        mapfile::write(&maps.large, out, MapFormat::Ot)
+    folder.write_with("large.ot", |mut out| {
+        Ok(MapFormat::Ot.write(&maps.large, &mut out)?)
     })?;
     let Written {
         cubes,
@@ -96,7 +95,7 @@ pub fn write_global(
         ("global.bt", global, MapFormat::Bt),
         ("local.ot", local, MapFormat::Ot),
     ] {
-        folder.write_with(name, |out| mapfile::write(map, out, format))?;
+        folder.write_with(name, |mut out| Ok(format.write(map, &mut out)?))?;
     }
     let colour = |key| surface.colours.of(key);
     let colour: Option<&dyn Fn(VoxelKey) -> [u8; 3]> = match surface.colours.has_colour() {

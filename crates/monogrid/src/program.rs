@@ -1,0 +1,74 @@
+//! The command `monogrid` as a function, for those who bring it along: what runs it is the process's only.
+
+use crate::cli::{Cli, Command, EvaluateCommand};
+use crate::config::RunConfig;
+use crate::{commands, failure, memory, usage};
+use monogrid_pipeline::Settings;
+use std::error::Error;
+use std::ffi::OsString;
+use std::path::Path;
+
+/// Does what a command line asks for, the name of the program first, and prints what it has to say; the exit code.
+///
+/// It takes the whole process: its pool of threads, its signals, its standard output. It is meant to be called once.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    // the clock of "frames per second, everything included"
+    usage::process_start();
+    memory::share_heaps();
+    let cli = match Cli::parse(arguments) {
+        Ok(cli) => cli,
+        Err(error) => return failure::usage(&error),
+    };
+    let result = match &cli.command {
+        Command::Demo(args) => commands::demo::execute(args),
+        Command::Run(args) => commands::run::execute(args),
+        Command::Calibrate(args) => commands::calibrate::execute(args),
+        Command::Cameras(args) => commands::cameras::execute(args),
+        Command::Check(args) => commands::check::execute(args),
+        Command::View(args) => commands::view::execute(args),
+        Command::Map(args) => commands::map::execute(args),
+        Command::Rescale(args) => commands::rescale::execute(args),
+        Command::Truth(args) => commands::truth::execute(args),
+        Command::Synth(args) => commands::synth::execute(args),
+        Command::Info(args) => commands::info::execute(args),
+        Command::Convert(args) => commands::convert::execute(args),
+        Command::Transform(args) => commands::tools::transform(args),
+        Command::Crop(args) => commands::tools::crop(args),
+        Command::Merge(args) => commands::tools::merge(args),
+        Command::Diff(args) => commands::tools::diff(args),
+        Command::Mesh(args) => commands::mesh::execute(args),
+        Command::Plan(args) => commands::plan::execute(args),
+        Command::Distances(args) => commands::distances::execute(args),
+        Command::Project(args) => commands::tools::project(args),
+        Command::SensorModel(args) => commands::sensor_model::execute(args),
+        Command::Slice(args) => commands::slice::execute(args),
+        Command::Sweep(args) => commands::sweep::execute(args),
+        Command::Vocabulary(args) => commands::vocabulary::execute(args),
+        Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
+            commands::evaluate::trajectory(args)
+        }
+        Command::Evaluate(EvaluateCommand::Depth(args)) => commands::evaluate::depth(args),
+        Command::Evaluate(EvaluateCommand::Map(args)) => commands::evaluate_map::map(args),
+        Command::Evaluate(EvaluateCommand::Paths(args)) => commands::evaluate_map::paths(args),
+    };
+    failure::exit_code(result)
+}
+
+/// The settings of a `config.toml`, or the default ones, with changes as `--set` takes them (`mapping.resolution=0.02`).
+///
+/// # Errors
+/// A file or a setting that is not understood, or out of its range.
+pub fn settings(
+    config: Option<&Path>,
+    changes: &[String],
+) -> Result<Settings, Box<dyn Error + Send + Sync>> {
+    let resolved = RunConfig::resolve(None, config, changes);
+    let config = resolved.map_err(failure::Failure::into_error)?;
+    config.validate().map_err(failure::Failure::into_error)?;
+    Ok(Settings {
+        slam: config.slam,
+        mapping: config.mapping,
+        seed: config.seed,
+        ..Settings::default()
+    })
+}

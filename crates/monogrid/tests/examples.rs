@@ -1,0 +1,135 @@
+//! The example programs of the first page: short, and they make the maps that they promise.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+mod common;
+
+use common::{code, json, monogrid, small_sequence, stderr, write_scans};
+use monogrid_datasets::{Dataset, SourceOptions, read_gray};
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+/// Most lines of an example.
+const MAX_LINES: usize = 25;
+
+/// An example program, which `cargo test` builds beside the tests.
+fn example(name: &str) -> Command {
+    let test = std::env::current_exe().unwrap();
+    let folder = test.parent().and_then(Path::parent).unwrap();
+    let program = folder
+        .join("examples")
+        .join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    assert!(
+        program.exists(),
+        "{} is missing: cargo build -p monogrid --examples",
+        program.display()
+    );
+    Command::new(program)
+}
+
+fn assert_mapped(output: &Output, map: &Path) {
+    assert!(output.status.success(), "{}", stderr(output));
+    let info = monogrid([Path::new("info"), map, Path::new("--json")]);
+    assert_eq!(code(&info), 0, "{}", stderr(&info));
+    assert!(
+        json(&info)["cells_occupied"].as_u64().unwrap() > 1000,
+        "{}",
+        json(&info)
+    );
+}
+
+/// Images of the small sequence one after the other, as they are piped by others.
+fn raw_rgb() -> Vec<u8> {
+    let dataset = Dataset::open(small_sequence(), SourceOptions::default()).unwrap();
+    let images = dataset
+        .frames
+        .iter()
+        .map(|frame| read_gray(&frame.path).unwrap());
+    images
+        .flat_map(|image| {
+            image
+                .as_slice()
+                .iter()
+                .flat_map(|v| [*v as u8; 3])
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+#[test]
+fn examples_fit_on_a_page() {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("examples");
+    let mut names: Vec<_> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    names.sort();
+    assert_eq!(names.len(), 4);
+    for path in names {
+        let lines = fs::read_to_string(&path).unwrap().lines().count();
+        assert!(lines <= MAX_LINES, "{} has {lines} lines", path.display());
+    }
+}
+
+#[test]
+fn a_camera_and_own_images_become_maps() {
+    let dir = tempfile::tempdir().unwrap();
+    let calibration = small_sequence().join("calibration.txt");
+    let (video, map) = (dir.path().join("a.y4m"), dir.path().join("a.ot"));
+    let rgb = raw_rgb();
+    let mut file = fs::File::create(&video).unwrap();
+    file.write_all(b"YUV4MPEG2 W320 H240 F30:1 Cmono\n")
+        .unwrap();
+    for frame in rgb.chunks(3 * 320 * 240) {
+        file.write_all(b"FRAME\n").unwrap();
+        file.write_all(&frame.iter().copied().step_by(3).collect::<Vec<_>>())
+            .unwrap();
+    }
+    drop(file);
+    let output = example("camera")
+        .arg(&video)
+        .arg(&calibration)
+        .arg(&map)
+        .output()
+        .unwrap();
+    assert_mapped(&output, &map);
+    assert!(
+        String::from_utf8_lossy(&output.stdout).contains("Good Some("),
+        "poses"
+    );
+
+    let map = dir.path().join("b.bt");
+    let mut child = example("own_images");
+    child.arg(&calibration).arg("30").arg(&map);
+    let mut child = child
+        .stdin(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(&rgb).unwrap();
+    assert_mapped(&child.wait_with_output().unwrap(), &map);
+}
+
+#[test]
+fn scans_and_depth_images_become_maps() {
+    let dir = tempfile::tempdir().unwrap();
+    let (scans, map) = (dir.path().join("wall.scans"), dir.path().join("wall.ot"));
+    write_scans(&scans);
+    let output = example("lidar_scans")
+        .arg(&scans)
+        .arg(&map)
+        .output()
+        .unwrap();
+    assert_mapped(&output, &map);
+
+    let (folder, map) = (small_sequence(), dir.path().join("depth.ot"));
+    let mut command = example("depth_and_poses");
+    command.arg(folder).arg(folder.join("calibration.txt"));
+    let output = command
+        .arg(folder.join("groundtruth.txt"))
+        .arg(&map)
+        .output()
+        .unwrap();
+    assert_mapped(&output, &map);
+}
