@@ -18,7 +18,7 @@ pub struct Sighting {
     /// Pixel as the camera has it, with distortion.
     pub pixel: Vec2,
     /// How far a rolling shutter that takes the whole time from frame to frame moves it, px: the motion from frame to frame
-    /// times the part of the image between its row and the middle one.
+    /// times the [phase](monogrid_geometry::ReadoutDirection::phase) of the pixel.
     pub bend: Vec2,
 }
 

@@ -184,12 +184,14 @@ impl<'a> Growing<'a> {
             let pixels = track.pixels.iter().enumerate();
             sightings.extend(pixels.filter_map(|(k, &(view, pixel))| {
                 let step = track.steps.get(k).copied().unwrap_or_default();
-                let height = self.window.size.1 as f64;
+                let Window {
+                    size, direction, ..
+                } = self.window;
                 index_of_view[view].map(|view| Sighting {
                     view,
                     point: points.len(),
                     pixel,
-                    bend: step * ((pixel.y - (height - 1.0) / 2.0) / height),
+                    bend: step * direction.phase(&pixel, *size),
                 })
             }));
             points.push(*point);

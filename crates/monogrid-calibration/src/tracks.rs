@@ -1,7 +1,7 @@
 //! Corners followed through a video, in windows of some twenty views.
 
 use monogrid_features::{CornerConfig, TrackConfig, detect_corners, track_points};
-use monogrid_geometry::Vec2;
+use monogrid_geometry::{ReadoutDirection, Vec2};
 use monogrid_image::{GrayImage, Pyramid};
 use std::collections::BTreeSet;
 
@@ -31,6 +31,8 @@ impl Track {
 pub struct Window {
     /// Width and height of the images, px.
     pub size: (usize, usize),
+    /// Which way a rolling shutter runs over them.
+    pub direction: ReadoutDirection,
     /// Number of views.
     pub num_views: usize,
     /// Corners seen by at least three views.
@@ -54,6 +56,8 @@ pub struct CollectorConfig {
     pub min_views: usize,
     /// Fewer corners than this that are still followed end a window. Default 40.
     pub min_followed: usize,
+    /// Which way a rolling shutter runs over the images. Default down.
+    pub direction: ReadoutDirection,
 }
 
 impl Default for CollectorConfig {
@@ -65,6 +69,7 @@ impl Default for CollectorConfig {
             views_per_window: 20,
             min_views: 8,
             min_followed: 40,
+            direction: ReadoutDirection::Down,
         }
     }
 }
@@ -172,6 +177,7 @@ impl TrackCollector {
     fn begin(&mut self, frame: Pyramid) {
         let image = frame.level(0);
         self.open.size = (image.width(), image.height());
+        self.open.direction = self.config.direction;
         self.add_view(&frame);
         self.view = Some(frame);
     }

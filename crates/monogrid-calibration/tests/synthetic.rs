@@ -6,6 +6,7 @@ use monogrid_calibration::{
     adjust, estimate_intrinsics, refine_intrinsics,
 };
 use monogrid_features::Rng;
+use monogrid_geometry::ReadoutDirection::{self, Down, Left, Right};
 use monogrid_geometry::{Distortion, Pinhole, Se3, Vec2, Vec3, Vec6};
 
 const SIZE: (usize, usize) = (640, 480);
@@ -48,6 +49,7 @@ fn window(lens: &Intrinsics, seed: u64, motion: impl Fn(f64) -> Vec6) -> Window 
         size: SIZE,
         num_views: 20,
         tracks,
+        ..Window::default()
     }
 }
 
@@ -91,9 +93,16 @@ fn a_hand_held_camera_shows_its_focal_length_and_distortion() {
 
 /// The same window as a rolling shutter sees it that takes a share of the time from frame to frame; frames are
 /// a quarter of the way from view to view apart. The hand shakes by this angle, rad.
-fn rolling(lens: &Intrinsics, readout: f64, shake: f64, seed: u64, sign: f64) -> Window {
+fn rolling(
+    lens: &Intrinsics,
+    (readout, direction): (f64, ReadoutDirection),
+    shake: f64,
+    seed: u64,
+    sign: f64,
+) -> Window {
     let mut window = Window {
         size: SIZE,
+        direction,
         num_views: 20,
         tracks: Vec::new(),
     };
@@ -113,8 +122,13 @@ fn rolling(lens: &Intrinsics, readout: f64, shake: f64, seed: u64, sign: f64) ->
             let (Some(back), Some(middle), Some(ahead)) = (at(-1.0), at(0.0), at(1.0)) else {
                 continue;
             };
-            let row = (middle.y - 239.5) / 480.0;
-            let Some(seen) = at(readout * row) else {
+            let phase = match direction {
+                ReadoutDirection::Down => (middle.y - 239.5) / 480.0,
+                ReadoutDirection::Up => (239.5 - middle.y) / 480.0,
+                ReadoutDirection::Right => (middle.x - 319.5) / 640.0,
+                ReadoutDirection::Left => (319.5 - middle.x) / 640.0,
+            };
+            let Some(seen) = at(readout * phase) else {
                 continue;
             };
             let noise = Vec2::new(rng.normal(), rng.normal()) * 0.3;
@@ -131,8 +145,14 @@ fn rolling(lens: &Intrinsics, readout: f64, shake: f64, seed: u64, sign: f64) ->
 #[test]
 fn a_rolling_shutter_is_found_with_the_camera_and_none_where_there_is_none() {
     let lens = lens(520.0, 0.0);
-    for (readout, seed) in [(0.75, 11), (-0.6, 12), (0.0, 13)] {
-        let found = estimate(&[rolling(&lens, readout, 0.02, seed, 1.0)]);
+    for (readout, direction, seed) in [
+        (0.75, Down, 11),
+        (-0.6, Down, 12),
+        (0.0, Down, 13),
+        (0.75, Left, 14),
+        (0.6, Right, 15),
+    ] {
+        let found = estimate(&[rolling(&lens, (readout, direction), 0.02, seed, 1.0)]);
         let error = found.intrinsics.focal / 520.0 - 1.0;
         assert!(error.abs() < 0.02, "{readout}: {found:?}");
         match found.readout() {
@@ -150,7 +170,7 @@ fn a_rolling_shutter_is_found_with_the_camera_and_none_where_there_is_none() {
         }
     }
     // a hand that moves evenly bends all images alike, as another camera would
-    let even = estimate(&[rolling(&lens, 0.75, 0.0, 11, 1.0)]);
+    let even = estimate(&[rolling(&lens, (0.75, Down), 0.0, 11, 1.0)]);
     assert_eq!(even.readout(), None, "{even:?}");
 }
 

@@ -14,6 +14,7 @@ mod alignment;
 mod camera;
 mod distortion;
 mod se3;
+mod shutter;
 mod sim3;
 mod so3;
 
@@ -22,6 +23,7 @@ pub use camera::{Camera, CameraError, Pinhole};
 pub use distortion::Distortion;
 pub use nalgebra;
 pub use se3::{NotARotation, Se3};
+pub use shutter::ReadoutDirection;
 pub use sim3::Sim3;
 pub use so3::{hat, left_jacobian, left_jacobian_inverse, rotation_exp, rotation_log};
 

@@ -1,7 +1,7 @@
 //! From images of the camera to working images.
 
 use crate::shutter::Shutter;
-use monogrid_geometry::{Camera, Pinhole};
+use monogrid_geometry::{Camera, Pinhole, ReadoutDirection};
 use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSize};
 
 /// Undistortion, photometric correction and working size of one camera.
@@ -15,6 +15,7 @@ pub struct Preparation {
     photometric: Photometric,
     /// Time between the first and the last row of an image, ns; `None` where all are read at once.
     readout_ns: Option<f64>,
+    direction: ReadoutDirection,
 }
 
 /// Why a frame could not be used.
@@ -56,6 +57,7 @@ impl Preparation {
             undistorter: Undistorter::new(camera, size, mask),
             photometric,
             readout_ns: None,
+            direction: ReadoutDirection::of_size((camera.width, camera.height)),
         }
     }
 
@@ -70,6 +72,18 @@ impl Preparation {
         }
     }
 
+    /// The same where a rolling shutter runs another way than the [shape](ReadoutDirection::of_size) of the images says.
+    #[must_use]
+    pub fn with_readout_direction(self, direction: ReadoutDirection) -> Self {
+        Self { direction, ..self }
+    }
+
+    /// Which way a rolling shutter runs over the images.
+    #[must_use]
+    pub fn readout_direction(&self) -> ReadoutDirection {
+        self.direction
+    }
+
     /// Time between the first and the last row of an image, ms.
     #[must_use]
     pub fn readout_ms(&self) -> f64 {
@@ -80,7 +94,7 @@ impl Preparation {
     pub(crate) fn shutter(&self) -> Option<Shutter> {
         let readout_ns = self.readout_ns?;
         Some(Shutter::new(
-            readout_ns,
+            (readout_ns, self.direction),
             &self.camera,
             self.pinhole(),
             self.size(),
@@ -93,6 +107,7 @@ impl Preparation {
         let mask = self.mask.as_ref();
         Self {
             readout_ns: self.readout_ns,
+            direction: self.direction,
             ..Self::new(camera, self.size, mask, self.photometric.clone())
         }
     }

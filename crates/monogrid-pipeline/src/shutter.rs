@@ -1,6 +1,6 @@
 //! Rolling shutter: images as a camera would have taken them that reads all rows at once.
 //!
-//! Rows are read one after the other, so each shows the scene a little later than the one above it. A pixel has moved on by its
+//! Rows are read one after the other, so each shows the scene a little later than the one before it. A pixel has moved on by its
 //! velocity times the time between its row and the middle one; it is put back there. The velocity is that of the picture
 //! around it, measured by corners that are followed to the image before and the image after: whatever the depth, and
 //! without a pose, so that everything that comes after sees an ordinary camera whose pose is that of the middle row.
@@ -9,7 +9,7 @@ use crate::source::ReadFrame;
 use monogrid_features::{
     CornerConfig, FlowConfig, FlowField, FlowSample, TrackConfig, detect_corners, track_points,
 };
-use monogrid_geometry::{Camera, Pinhole, Vec2};
+use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2};
 use monogrid_image::{GrayImage, Pyramid, bicubic};
 use std::collections::VecDeque;
 
@@ -30,6 +30,7 @@ const MAX_WAITING: usize = 8;
 pub(crate) struct Shutter {
     /// Time between the first and the last row, ns.
     readout_ns: f64,
+    direction: ReadoutDirection,
     /// Time of each pixel in shares of it, 0 in the middle.
     phases: GrayImage,
 }
@@ -37,19 +38,20 @@ pub(crate) struct Shutter {
 impl Shutter {
     /// For working images with these intrinsics and of this size, taken from images of `camera`.
     pub(crate) fn new(
-        readout_ns: f64,
+        (readout_ns, direction): (f64, ReadoutDirection),
         camera: &Camera,
         working: &Pinhole,
         (width, height): (usize, usize),
     ) -> Self {
-        let middle = (camera.height as f64 - 1.0) / 2.0;
+        let size = (camera.width, camera.height);
         let phase = |x: usize, y: usize| {
             let ray = working.unproject(&Vec2::new(x as f64, y as f64));
-            let row = camera.project(&ray).map_or(middle, |pixel| pixel.y);
-            ((row - middle) / camera.height as f64) as f32
+            let phase = |pixel| direction.phase(&pixel, size);
+            camera.project(&ray).map_or(0.0, phase) as f32
         };
         Self {
             readout_ns,
+            direction,
             phases: GrayImage::from_fn(width, height, phase),
         }
     }
@@ -64,12 +66,14 @@ impl Shutter {
     /// The image with every pixel where it is when the middle row is read; velocities in px per ns.
     fn rectify(&self, image: &GrayImage, flow: &FlowField) -> GrayImage {
         let readout_ns = self.readout_ns as f32;
-        let per_row = readout_ns / image.height() as f32;
+        let per_pixel = self.direction.gradient((image.width(), image.height()));
+        let [per_x, per_y] = [per_pixel.x, per_pixel.y].map(|p| (self.readout_ns * p) as f32);
         GrayImage::from_fn(image.width(), image.height(), |x, y| {
             let (left, top) = (x as f32, y as f32);
             let [u, v] = flow.at(left, top);
-            // the row that shows it is read at another time: t = readout (phase + t v / height)
-            let time = readout_ns * self.phases.at(x, y) / (1.0 - per_row * v).max(0.5);
+            // the row that shows it is read at another time: t = readout (phase + t (u, v) . gradient of the phase)
+            let passed = per_x * u + per_y * v;
+            let time = readout_ns * self.phases.at(x, y) / (1.0 - passed).max(0.5);
             bicubic(image, left + time * u, top + time * v)
         })
     }
@@ -209,7 +213,8 @@ mod tests {
     use super::{Rectifier, Shutter};
     use crate::preparation::Unusable;
     use crate::source::ReadFrame;
-    use monogrid_geometry::{Camera, Distortion, Pinhole};
+    use monogrid_geometry::ReadoutDirection::{self, Down, Left, Right, Up};
+    use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
     use monogrid_image::GrayImage;
 
     const SIZE: (usize, usize) = (160, 120);
@@ -224,10 +229,20 @@ mod tests {
 
     /// The picture after it moved for a time, px per interval, as a sensor sees it that takes `readout_ns`.
     fn frame(index: usize, velocity: [f64; 2], readout_ns: f64) -> ReadFrame {
+        frame_read(index, velocity, readout_ns, Down)
+    }
+
+    /// The same with the rows of the sensor lying that way.
+    fn frame_read(
+        index: usize,
+        velocity: [f64; 2],
+        readout_ns: f64,
+        direction: ReadoutDirection,
+    ) -> ReadFrame {
         let (width, height) = SIZE;
         let image = GrayImage::from_fn(width, height, |x, y| {
-            let row = (y as f64 - (height as f64 - 1.0) / 2.0) / height as f64;
-            let time = index as f64 + row * readout_ns / INTERVAL_NS as f64;
+            let phase = direction.phase(&Vec2::new(x as f64, y as f64), SIZE);
+            let time = index as f64 + phase * readout_ns / INTERVAL_NS as f64;
             let [u, v] = velocity.map(|speed| speed * time);
             texture(x as f64 - u, y as f64 - v) as f32
         });
@@ -239,6 +254,10 @@ mod tests {
     }
 
     fn rectifier() -> Rectifier {
+        rectifier_of(Down)
+    }
+
+    fn rectifier_of(direction: ReadoutDirection) -> Rectifier {
         let (width, height) = SIZE;
         let pinhole = Pinhole::new(130.0, 130.0, 79.5, 59.5);
         let camera = Camera {
@@ -247,11 +266,18 @@ mod tests {
             pinhole,
             distortion: Distortion::None,
         };
-        Rectifier::new(Shutter::new(READOUT_NS, &camera, &pinhole, SIZE))
+        let shutter = Shutter::new((READOUT_NS, direction), &camera, &pinhole, SIZE);
+        Rectifier::new(shutter)
     }
 
     fn all_of(frames: impl IntoIterator<Item = ReadFrame>) -> Vec<ReadFrame> {
-        let mut rectifier = rectifier();
+        rectified(rectifier(), frames)
+    }
+
+    fn rectified(
+        mut rectifier: Rectifier,
+        frames: impl IntoIterator<Item = ReadFrame>,
+    ) -> Vec<ReadFrame> {
         let mut out = Vec::new();
         for frame in frames {
             rectifier.add(frame);
@@ -284,16 +310,26 @@ mod tests {
 
     #[test]
     fn a_moving_picture_is_put_back_where_the_middle_row_saw_it() {
-        for velocity in [[6.0, 0.0], [0.0, 5.0], [-4.0, 3.0], [3.0, -5.0]] {
-            let rolling = || (0..4).map(|k| frame(k, velocity, READOUT_NS));
-            let rectified = all_of(rolling());
+        for (velocity, direction) in [
+            ([6.0, 0.0], Down),
+            ([0.0, 5.0], Down),
+            ([-4.0, 3.0], Down),
+            ([3.0, -5.0], Down),
+            ([3.0, -5.0], Up),
+            ([6.0, 0.0], Right),
+            ([-4.0, 3.0], Right),
+            ([5.0, 2.0], Left),
+            ([0.0, 5.0], Left),
+        ] {
+            let rolling = || (0..4).map(|k| frame_read(k, velocity, READOUT_NS, direction));
+            let rectified = rectified(rectifier_of(direction), rolling());
             assert_eq!(rectified.len(), 4);
             for (k, (before, after)) in rolling().zip(&rectified).enumerate() {
                 let truth = frame(k, velocity, 0.0);
                 let (bent, left) = (difference(&before, &truth), difference(after, &truth));
                 assert!(
                     bent > 6.0 && left < 0.05 * bent,
-                    "{velocity:?} {k}: {bent} {left}"
+                    "{velocity:?} {direction:?} {k}: {bent} {left}"
                 );
             }
         }

@@ -4,7 +4,8 @@
 //! parts where the file is longer than 1 GiB), each a JPEG image. An empty chunk says that the frame
 //! before is shown again; it only counts for the time.
 
-use crate::{Here, MAX_PIXELS, Opened, VideoError, VideoFrame};
+use crate::turn::Turn;
+use crate::{Colour, Here, MAX_PIXELS, Opened, VideoError, VideoFrame};
 use monogrid_datasets::decode_jpeg_luma;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -51,6 +52,7 @@ pub(crate) fn open(name: &str, file: File) -> Result<Here, VideoError> {
         description: "AVI, MJPEG".to_owned(),
         length: Some(stream.frames as usize).filter(|&frames| frames > 0),
         live: false,
+        turn: Turn::None,
         frames: Box::new(AviFrames {
             name: name.to_owned(),
             reader,
@@ -165,17 +167,18 @@ impl AviFrames {
         kind[..2] == [b'0' + number / 10, b'0' + number % 10] && matches!(&kind[2..], b"dc" | b"db")
     }
 
-    fn decode(&mut self, content: &[u8]) -> Result<VideoFrame, VideoError> {
+    fn decode(&mut self, content: Vec<u8>) -> Result<VideoFrame, VideoError> {
         let number = self.frame;
         self.frame += 1;
         let failed = |reason: String| VideoError::frame(&self.name, number, reason);
-        let image = decode_jpeg_luma(content, MAX_PIXELS, Path::new(&self.name))
+        let image = decode_jpeg_luma(&content, MAX_PIXELS, Path::new(&self.name))
             .map_err(|e| failed(e.to_string()))?;
         let (numerator, denominator) = self.stream.rate;
         let nanoseconds =
             number as u128 * u128::from(denominator) * 1_000_000_000 / u128::from(numerator);
         Ok(VideoFrame {
             image,
+            colour: Colour::Jpeg(content),
             timestamp_ns: i64::try_from(nanoseconds).unwrap_or(i64::MAX),
         })
     }
@@ -186,7 +189,7 @@ impl Iterator for AviFrames {
 
     fn next(&mut self) -> Option<Self::Item> {
         match self.next_chunk() {
-            Ok(content) => content.map(|content| self.decode(&content)),
+            Ok(content) => content.map(|content| self.decode(content)),
             // a file that was cut short ends there
             Err(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => None,
             Err(e) => Some(Err(VideoError::io(&self.name, e))),

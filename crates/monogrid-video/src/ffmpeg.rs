@@ -4,6 +4,7 @@
 //! standard error when each frame is shown, which YUV4MPEG2 cannot carry. Both come in the order of
 //! frames, so the n-th time belongs to the n-th frame.
 
+use crate::turn::Turn;
 use crate::y4m::Y4mReader;
 use crate::{Opened, VideoError, VideoFrame};
 use std::io::{BufRead, BufReader};
@@ -20,9 +21,9 @@ pub(crate) const INSTALL_COMMAND: &str = if cfg!(target_os = "macos") {
     "sudo apt install ffmpeg"
 };
 
-/// Luma without stretching it, then the times.
-const FILTER: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p,\
-                      extractplanes=planes=y,showinfo=checksum=0";
+/// Planes of 8 bits without stretching them, and the times.
+const FILTER: &str =
+    "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p,showinfo=checksum=0";
 
 /// Longest message that is kept, characters.
 const MAX_MESSAGE: usize = 300;
@@ -38,7 +39,7 @@ pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
         _ => VideoError::io("ffmpeg", e),
     })?;
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-    let (messages, times) = listen(stderr)?;
+    let (messages, said) = listen(stderr)?;
     let mut process = Process {
         name: name.to_owned(),
         child,
@@ -47,13 +48,16 @@ pub(crate) fn open(name: &str, found: &str) -> Result<Opened, VideoError> {
     let stdout = stdout.ok_or_else(|| process.failure())?;
     let frames = Y4mReader::new(name, BufReader::with_capacity(1 << 20, stdout))
         .map_err(|_| process.failure())?;
+    let (turn, first_ns) = before_the_first_frame(&said);
     Ok(Opened {
         description: format!("{found}, decoded by ffmpeg"),
         length: None,
         live,
+        turn,
         frames: Box::new(FfmpegFrames {
             frames,
-            times,
+            first_ns,
+            said,
             process,
         }),
     })
@@ -83,16 +87,49 @@ fn command(name: &str, live: bool) -> Command {
     command
 }
 
-/// Reads what ffmpeg says: the times of the frames as they come, its last words at the end.
-fn listen(stderr: Option<ChildStderr>) -> Result<(JoinHandle<String>, Receiver<i64>), VideoError> {
-    let (sender, times) = channel();
+/// What ffmpeg says of a video.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Said {
+    /// How far it turns frames, degrees anticlockwise.
+    Turned(f64),
+    /// Time of a frame, ns.
+    Shown(i64),
+}
+
+impl Said {
+    fn of(line: &str) -> Option<Self> {
+        shown_ns(line)
+            .map(Self::Shown)
+            .or_else(|| turned_degrees(line).map(Self::Turned))
+    }
+}
+
+/// How frames are turned, and the time of the first one.
+fn before_the_first_frame(said: &Receiver<Said>) -> (Turn, Option<i64>) {
+    let mut turn = None;
+    for said in said {
+        match said {
+            // the first is the input's, the second what is left in the output
+            Said::Turned(degrees) => turn = turn.or(Some(degrees)),
+            Said::Shown(first_ns) => {
+                let turn = turn.and_then(Turn::from_degrees);
+                return (turn.unwrap_or_default(), Some(first_ns));
+            }
+        }
+    }
+    (Turn::None, None)
+}
+
+/// Reads what ffmpeg says: of the video and its frames as they come, its last words at the end.
+fn listen(stderr: Option<ChildStderr>) -> Result<(JoinHandle<String>, Receiver<Said>), VideoError> {
+    let (sender, said) = channel();
     let read = move || {
         let mut last_words = String::new();
         let lines = stderr.into_iter().flat_map(|e| BufReader::new(e).lines());
         for line in lines.map_while(Result::ok) {
-            match shown_ns(&line) {
+            match Said::of(&line) {
                 // nobody listens any more: the rest is still read, or ffmpeg would wait
-                Some(time) => drop(sender.send(time)),
+                Some(said) => drop(sender.send(said)),
                 None if !line.contains("showinfo") => last_words = line,
                 None => {}
             }
@@ -103,7 +140,7 @@ fn listen(stderr: Option<ChildStderr>) -> Result<(JoinHandle<String>, Receiver<i
     let messages = thread
         .spawn(read)
         .map_err(|e| VideoError::io("ffmpeg", e))?;
-    Ok((messages, times))
+    Ok((messages, said))
 }
 
 /// The time in a line of `showinfo`, nanoseconds: `... n:   3 pts:   1501 pts_time:0.0500333 ...`.
@@ -114,6 +151,12 @@ fn shown_ns(line: &str) -> Option<i64> {
     let word = line.split("pts_time:").nth(1)?.split_whitespace().next()?;
     let seconds: f64 = word.parse().ok()?;
     (seconds.abs() < 1e9).then(|| (seconds * 1e9).round() as i64)
+}
+
+/// How far frames are turned by a line of the description of the input: `displaymatrix: rotation of -90.00 degrees`.
+fn turned_degrees(line: &str) -> Option<f64> {
+    let word = line.split("displaymatrix: rotation of ").nth(1)?;
+    word.split_whitespace().next()?.parse().ok()
 }
 
 /// The running program; it is ended when this is dropped.
@@ -146,8 +189,23 @@ impl Drop for Process {
 
 struct FfmpegFrames {
     frames: Y4mReader<BufReader<ChildStdout>>,
-    times: Receiver<i64>,
+    /// Time of the first frame until it is read.
+    first_ns: Option<i64>,
+    said: Receiver<Said>,
     process: Process,
+}
+
+impl FfmpegFrames {
+    /// Time of the next frame; none where ffmpeg has ended.
+    fn next_time(&mut self) -> Option<i64> {
+        let shown = |said| match said {
+            Said::Shown(time_ns) => Some(time_ns),
+            Said::Turned(_) => None,
+        };
+        self.first_ns
+            .take()
+            .or_else(|| self.said.iter().find_map(shown))
+    }
 }
 
 impl Iterator for FfmpegFrames {
@@ -155,12 +213,12 @@ impl Iterator for FfmpegFrames {
 
     fn next(&mut self) -> Option<Self::Item> {
         match self.frames.next()? {
-            Ok(frame) => Some(match self.times.recv() {
-                Ok(timestamp_ns) => Ok(VideoFrame {
+            Ok(frame) => Some(match self.next_time() {
+                Some(timestamp_ns) => Ok(VideoFrame {
                     timestamp_ns,
                     ..frame
                 }),
-                Err(_) => Err(self.process.failure()),
+                None => Err(self.process.failure()),
             }),
             Err(_) => Some(Err(self.process.failure())),
         }
@@ -169,7 +227,29 @@ impl Iterator for FfmpegFrames {
 
 #[cfg(test)]
 mod tests {
-    use super::shown_ns;
+    use super::{Said, before_the_first_frame, shown_ns};
+    use crate::turn::Turn;
+    use std::sync::mpsc::channel;
+
+    #[test]
+    fn the_turn_of_the_input() {
+        let lines = [
+            "Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'video.mp4':",
+            "      displaymatrix: rotation of -90.00 degrees",
+            "      displaymatrix: rotation of -0.00 degrees",
+            "[Parsed_showinfo_1 @ 0x55] n:   0 pts:   1501 pts_time:0.5 duration: 500",
+            "[Parsed_showinfo_1 @ 0x55] n:   1 pts:   1501 pts_time:0.6 duration: 500",
+        ];
+        let (sender, said) = channel();
+        for said in lines.into_iter().filter_map(Said::of) {
+            sender.send(said).unwrap();
+        }
+        drop(sender);
+        let before = before_the_first_frame(&said);
+        assert_eq!(before, (Turn::Quarter, Some(500_000_000)));
+        assert_eq!(said.recv(), Ok(Said::Shown(600_000_000)));
+        assert_eq!(before_the_first_frame(&said), (Turn::None, None));
+    }
 
     #[test]
     fn times_of_showinfo() {

@@ -2,8 +2,9 @@
 
 use crate::mp4::{self, Content, Sample, Samples, Timing};
 use crate::turn::Turn;
-use crate::{Grey, Here, Opened, VideoError, VideoFrame};
-use rust_h264::decoder::{Frame, OrderedDecoder};
+use crate::y4m::in_bytes;
+use crate::{Chroma, Colour, ColourSpace, Grey, Here, Opened, VideoError, VideoFrame};
+use rust_h264::decoder::{ChromaFormat, Frame, OrderedDecoder};
 use rust_h264::nal::{NalUnit, NalUnitType, parse_avcc, parse_sps_info};
 use std::collections::VecDeque;
 use std::fs::File;
@@ -23,10 +24,12 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         Content::Other(found) => return Ok(Here::Unknown(found)),
     };
     let mut decoder = OrderedDecoder::new();
+    let mut space = ColourSpace::default();
     let parameter_sets = track.config.sps_list.iter().chain(&track.config.pps_list);
     for set in parameter_sets {
         let prefixed = [&(set.len() as u32).to_be_bytes(), set.as_slice()].concat();
         for unit in parse_avcc(&prefixed, 4) {
+            space = colour_space(&unit).unwrap_or(space);
             if let Err(reason) = decode_unit(&mut decoder, &unit, 0) {
                 return Ok(Here::Unknown(format!("H.264, {reason}")));
             }
@@ -38,6 +41,7 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         description: "MP4, H.264".to_owned(),
         length: Some(length),
         live: false,
+        turn: track.turn,
         frames: Box::new(H264Frames {
             name: name.to_owned(),
             file,
@@ -45,6 +49,7 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
             samples: track.samples,
             timing: track.timing,
             turn: track.turn,
+            space,
             decoder,
             ready: VecDeque::new(),
             sample: 0,
@@ -62,6 +67,7 @@ struct H264Frames {
     samples: Samples,
     timing: Timing,
     turn: Turn,
+    space: ColourSpace,
     /// Carries the time of each sample, units of the track, to its frame.
     decoder: OrderedDecoder<i64>,
     ready: VecDeque<(Frame, i64)>,
@@ -99,9 +105,11 @@ impl H264Frames {
                 continue;
             };
             let number = self.sample;
+            let colour = chroma(&frame, self.space, self.turn);
             return Some(match luma(frame) {
                 Some(image) => Ok(VideoFrame {
                     image: self.turn.apply(image),
+                    colour: colour.map_or(Colour::Grey, Colour::Chroma),
                     timestamp_ns,
                 }),
                 None => Err(VideoError::frame(
@@ -170,9 +178,41 @@ fn luma(frame: Frame) -> Option<Grey> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let data = match frame.bit_depth {
         8 => frame.y,
-        bits => (frame.y.chunks_exact(2))
-            .map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) >> (bits - 8)).min(255) as u8)
-            .collect(),
+        bits => in_bytes(&frame.y, bits.into()),
     };
     Grey::from_vec(width, height, data)
+}
+
+/// The colour differences of a frame; `None` where it has none.
+fn chroma(frame: &Frame, space: ColourSpace, turn: Turn) -> Option<Chroma> {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let size = match frame.chroma_format {
+        ChromaFormat::Yuv420 => (width.div_ceil(2), height.div_ceil(2)),
+        ChromaFormat::Yuv422 => (width.div_ceil(2), height),
+    };
+    match frame.bit_depth {
+        8 => Chroma::new([&frame.u, &frame.v], size, space, turn),
+        bits => {
+            let [u, v] = [&frame.u, &frame.v].map(|plane| in_bytes(plane, bits.into()));
+            Chroma::new([&u, &v], size, space, turn)
+        }
+    }
+}
+
+/// What a sequence parameter set says of colour; unknown where it is another unit.
+fn colour_space(unit: &NalUnit<'_>) -> Option<ColourSpace> {
+    if unit.nal_unit_type != NalUnitType::Sps {
+        return None;
+    }
+    let info = parse_sps_info(unit).ok()?;
+    // ITU-T H.264, table E-5
+    let is_bt709 = match info.matrix {
+        1 => true,
+        2 => ColourSpace::usual(info.height as usize, false).is_bt709,
+        _ => false,
+    };
+    Some(ColourSpace {
+        has_full_range: info.full_range,
+        is_bt709,
+    })
 }

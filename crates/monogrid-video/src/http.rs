@@ -1,6 +1,7 @@
 //! MJPEG over HTTP (`multipart/x-mixed-replace`): what apps that make a phone a camera serve.
 
-use crate::{MAX_PIXELS, Opened, VideoError, VideoFrame};
+use crate::turn::Turn;
+use crate::{Colour, MAX_PIXELS, Opened, VideoError, VideoFrame};
 use monogrid_datasets::decode_jpeg_luma;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -61,6 +62,7 @@ pub(crate) fn open(address: &str) -> Result<Option<Opened>, VideoError> {
         description: "MJPEG over HTTP".to_owned(),
         length: None,
         live: true,
+        turn: Turn::None,
         frames: Box::new(MjpegFrames {
             name: address.to_owned(),
             reader,
@@ -158,8 +160,8 @@ impl<R: BufRead> Iterator for MjpegFrames<R> {
     type Item = Result<VideoFrame, VideoError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let image = match self.next_image() {
-            Ok(image) => image,
+        let jpeg = match self.next_image() {
+            Ok(jpeg) => jpeg,
             // the server has closed the stream
             Err(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => return None,
             Err(e) => return Some(Err(VideoError::io(&self.name, e))),
@@ -167,10 +169,11 @@ impl<R: BufRead> Iterator for MjpegFrames<R> {
         let arrival = self.begin.elapsed();
         let number = self.frame;
         self.frame += 1;
-        let decoded = decode_jpeg_luma(&image, MAX_PIXELS, Path::new(&self.name));
+        let decoded = decode_jpeg_luma(&jpeg, MAX_PIXELS, Path::new(&self.name));
         Some(match decoded {
             Ok(image) => Ok(VideoFrame {
                 image,
+                colour: Colour::Jpeg(jpeg),
                 timestamp_ns: i64::try_from(arrival.as_nanos()).unwrap_or(i64::MAX),
             }),
             Err(e) => Err(VideoError::frame(&self.name, number, e.to_string())),

@@ -10,6 +10,7 @@
 //! | `http://...` that answers with MJPEG (a phone as camera) | this process |
 //! | every other file, `rtsp://...` and other addresses | the program `ffmpeg`, when it is installed |
 //!
+//! Images are luma; the colour of a frame comes beside it, as small as its source has it ([`Colour`]).
 //! Never more than a few frames are in memory. Times are those of the container or camera (variable
 //! rates, edit lists and reordered frames are understood), never number over rate, except where the
 //! format knows only a rate (AVI, YUV4MPEG2). Videos that were filmed upright come out upright.
@@ -30,6 +31,7 @@
 
 mod avi;
 mod camera;
+mod colour;
 mod error;
 mod ffmpeg;
 mod h264;
@@ -39,13 +41,16 @@ mod turn;
 mod y4m;
 
 pub use camera::{CameraInfo, list_cameras};
+pub use colour::{Chroma, Colour, ColourSpace};
 pub use error::VideoError;
 
+use monogrid_geometry::ReadoutDirection;
 use monogrid_image::Image;
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
+use turn::Turn;
 
 /// An 8-bit grey image.
 pub type Grey = Image<u8>;
@@ -61,6 +66,8 @@ const SNIFFED_BYTES: usize = 16;
 pub struct VideoFrame {
     /// Luma as the source has it (not stretched to the full range), upright.
     pub image: Grey,
+    /// What it shows beside luma.
+    pub colour: Colour,
     /// Time, nanoseconds: of the container for files, since the first frame for cameras and streams.
     pub timestamp_ns: i64,
 }
@@ -78,6 +85,7 @@ pub struct Video {
     length: Option<usize>,
     live: bool,
     size: (usize, usize),
+    turn: Turn,
     frames: Frames,
     /// What was read when it was opened.
     ahead: VecDeque<Result<VideoFrame, VideoError>>,
@@ -91,6 +99,8 @@ pub(crate) struct Opened {
     pub(crate) description: String,
     pub(crate) length: Option<usize>,
     pub(crate) live: bool,
+    /// How frames were turned to be upright.
+    pub(crate) turn: Turn,
     pub(crate) frames: Frames,
 }
 
@@ -144,6 +154,7 @@ impl Video {
             length: opened.length,
             live: opened.live,
             size: (0, 0),
+            turn: opened.turn,
             frames: opened.frames,
             ahead: VecDeque::new(),
             last_ns: None,
@@ -196,6 +207,12 @@ impl Video {
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
         self.size
+    }
+
+    /// Which way over its images a rolling shutter runs.
+    #[must_use]
+    pub fn readout_direction(&self) -> ReadoutDirection {
+        self.turn.readout_direction(self.size)
     }
 
     /// Frames so far whose time did not come after that of the frame before and was set right behind it.
@@ -295,6 +312,7 @@ fn open_y4m(name: &str, reader: impl Read + Send + 'static) -> Result<Opened, Vi
         description: "YUV4MPEG2".to_owned(),
         length: None,
         live: false,
+        turn: Turn::None,
         frames: Box::new(frames),
     })
 }

@@ -1,10 +1,12 @@
 //! Quarter turns: phones store frames as the sensor lies and say how to turn them.
 
-use crate::Grey;
+use monogrid_geometry::ReadoutDirection;
+use monogrid_image::Image;
 
 /// By how much a stored frame is turned clockwise to be upright.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Turn {
+    #[default]
     None,
     Quarter,
     Half,
@@ -24,15 +26,37 @@ impl Turn {
         }
     }
 
-    pub(crate) fn apply(self, image: Grey) -> Grey {
+    /// From the turn that ffmpeg tells, degrees anticlockwise. `None` where it is no quarter turn.
+    pub(crate) fn from_degrees(degrees: f64) -> Option<Self> {
+        match (degrees / 90.0).round() as i32 {
+            _ if (degrees / 90.0).fract().abs() > 0.01 => None,
+            0 => Some(Self::None),
+            -1 | 3 => Some(Self::Quarter),
+            2 | -2 => Some(Self::Half),
+            1 | -3 => Some(Self::ThreeQuarters),
+            _ => None,
+        }
+    }
+
+    /// Which way the rows of the sensor lie in the upright image, of this size.
+    pub(crate) fn readout_direction(self, size: (usize, usize)) -> ReadoutDirection {
+        match self {
+            Self::None => ReadoutDirection::of_size(size),
+            Self::Quarter => ReadoutDirection::Left,
+            Self::Half => ReadoutDirection::Up,
+            Self::ThreeQuarters => ReadoutDirection::Right,
+        }
+    }
+
+    pub(crate) fn apply<T: Copy>(self, image: Image<T>) -> Image<T> {
         let (width, height) = (image.width(), image.height());
         match self {
             Self::None => image,
-            Self::Quarter => Grey::from_fn(height, width, |x, y| image.at(y, height - 1 - x)),
-            Self::Half => Grey::from_fn(width, height, |x, y| {
+            Self::Quarter => Image::from_fn(height, width, |x, y| image.at(y, height - 1 - x)),
+            Self::Half => Image::from_fn(width, height, |x, y| {
                 image.at(width - 1 - x, height - 1 - y)
             }),
-            Self::ThreeQuarters => Grey::from_fn(height, width, |x, y| image.at(width - 1 - y, x)),
+            Self::ThreeQuarters => Image::from_fn(height, width, |x, y| image.at(width - 1 - y, x)),
         }
     }
 }
@@ -41,6 +65,8 @@ impl Turn {
 mod tests {
     use super::Turn;
     use crate::Grey;
+    use monogrid_geometry::Vec2;
+    use monogrid_image::Image;
 
     #[test]
     fn a_quarter_turn_brings_the_left_column_up() {
@@ -51,6 +77,26 @@ mod tests {
         assert_eq!(Turn::Half.apply(image.clone()).as_slice(), b"fedcba");
         let three = Turn::Quarter.apply(Turn::Half.apply(image.clone()));
         assert_eq!(Turn::ThreeQuarters.apply(image), three);
+    }
+
+    #[test]
+    fn the_first_row_of_the_sensor_is_read_first_wherever_it_lies() {
+        for turn in [Turn::None, Turn::Quarter, Turn::Half, Turn::ThreeQuarters] {
+            // numbers of rows of the sensor
+            let rows = turn.apply(Image::from_fn(4, 3, |_, y| y));
+            let size = (rows.width(), rows.height());
+            let direction = turn.readout_direction(size);
+            for (x, y) in (0..size.0).flat_map(|x| (0..size.1).map(move |y| (x, y))) {
+                let phase = direction.phase(&Vec2::new(x as f64, y as f64), size);
+                let row = rows.at(x, y) as f64;
+                assert!((phase - (row - 1.0) / 3.0).abs() < 1e-12, "{turn:?}");
+            }
+        }
+        assert_eq!(Turn::from_degrees(-90.0), Some(Turn::Quarter));
+        assert_eq!(Turn::from_degrees(90.0), Some(Turn::ThreeQuarters));
+        assert_eq!(Turn::from_degrees(-180.0), Some(Turn::Half));
+        assert_eq!(Turn::from_degrees(-0.0), Some(Turn::None));
+        assert_eq!(Turn::from_degrees(45.0), None);
     }
 
     #[test]

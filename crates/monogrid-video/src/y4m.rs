@@ -1,9 +1,10 @@
 //! YUV4MPEG2 (`.y4m`, or a pipe): uncompressed planes behind one line of text each.
 //!
-//! Only luma is kept. The reader is our own because a pipe may end within a frame, which must be told
+//! The reader is our own because a pipe may end within a frame, which must be told
 //! from the end, and because the size in the header comes from outside.
 
-use crate::{Grey, MAX_PIXELS, VideoError, VideoFrame};
+use crate::turn::Turn;
+use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS, VideoError, VideoFrame};
 use std::io::{BufRead, Read};
 
 /// First bytes of every such stream.
@@ -17,12 +18,21 @@ const MAX_LINE: u64 = 4096;
 struct Layout {
     width: usize,
     height: usize,
-    /// Bits of a sample; more than 8 take two bytes, little endian.
-    bits: u32,
-    /// Bytes of the planes that follow luma.
-    rest_bytes: u64,
+    planes: Planes,
+    has_full_range: bool,
     /// Frames per second: numerator and denominator.
     rate: (u64, u64),
+}
+
+/// What samples a frame has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Planes {
+    /// Bits of a sample; more than 8 take two bytes, little endian.
+    bits: u32,
+    /// Width and height of the two planes of colour differences, where there are any.
+    chroma: Option<(usize, usize)>,
+    /// Whether one more plane of the size of luma follows.
+    has_alpha: bool,
 }
 
 /// Frames of a YUV4MPEG2 stream.
@@ -58,47 +68,63 @@ impl<R: BufRead> Y4mReader<R> {
         if !line.starts_with(b"FRAME") {
             return Err(content(&self.name, "a frame without FRAME in front"));
         }
-        let luma = self.read_luma().map_err(|e| match e.kind() {
+        let planes = self.read_planes().map_err(|e| match e.kind() {
             std::io::ErrorKind::UnexpectedEof => {
                 content(&self.name, format!("an end within frame {}", self.frame))
             }
             _ => VideoError::io(&self.name, e),
-        })?;
+        });
+        let (image, colour) = planes?;
         let (numerator, denominator) = self.layout.rate;
         let nanoseconds =
             self.frame as u128 * u128::from(denominator) * 1_000_000_000 / u128::from(numerator);
         self.frame += 1;
         Ok(Some(VideoFrame {
-            image: luma,
+            image,
+            colour,
             timestamp_ns: i64::try_from(nanoseconds).unwrap_or(i64::MAX),
         }))
     }
 
-    fn read_luma(&mut self) -> std::io::Result<Grey> {
-        let Layout {
-            width,
-            height,
-            bits,
-            rest_bytes,
-            ..
-        } = self.layout;
+    fn read_planes(&mut self) -> std::io::Result<(Grey, Colour)> {
+        let Layout { width, height, .. } = self.layout;
+        let luma = self.read_plane((width, height))?;
+        let mut colour = Colour::Grey;
+        if let Some(size) = self.layout.planes.chroma {
+            let space = ColourSpace::usual(height, self.layout.has_full_range);
+            let planes = [self.read_plane(size)?, self.read_plane(size)?];
+            let chroma = Chroma::new(
+                planes.each_ref().map(Vec::as_slice),
+                size,
+                space,
+                Turn::None,
+            );
+            colour = chroma.map_or(Colour::Grey, Colour::Chroma);
+        }
+        if self.layout.planes.has_alpha {
+            self.read_plane((width, height))?;
+        }
+        let image = Grey::from_vec(width, height, luma);
+        Ok((image.ok_or(std::io::ErrorKind::InvalidData)?, colour))
+    }
+
+    /// A plane of this size in 8 bits.
+    fn read_plane(&mut self, (width, height): (usize, usize)) -> std::io::Result<Vec<u8>> {
+        let bits = self.layout.planes.bits;
         let mut data = vec![0; width * height * if bits > 8 { 2 } else { 1 }];
         self.reader.read_exact(&mut data)?;
-        let skipped = std::io::copy(
-            &mut (&mut self.reader).take(rest_bytes),
-            &mut std::io::sink(),
-        )?;
-        if skipped < rest_bytes {
-            return Err(std::io::ErrorKind::UnexpectedEof.into());
-        }
-        if bits > 8 {
-            data = data
-                .chunks_exact(2)
-                .map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) >> (bits - 8)).min(255) as u8)
-                .collect();
-        }
-        Grey::from_vec(width, height, data).ok_or_else(|| std::io::ErrorKind::InvalidData.into())
+        Ok(match bits {
+            8 => data,
+            bits => in_bytes(&data, bits),
+        })
     }
+}
+
+/// Samples of more than 8 bits, two bytes each (little endian), in 8 bits.
+pub(crate) fn in_bytes(samples: &[u8], bits: u32) -> Vec<u8> {
+    let sample = |pair: &[u8]| u16::from_le_bytes([pair[0], pair[1]]) >> (bits - 8);
+    let pairs = samples.chunks_exact(2);
+    pairs.map(|pair| sample(pair).min(255) as u8).collect()
 }
 
 impl<R: BufRead> Iterator for Y4mReader<R> {
@@ -146,6 +172,7 @@ fn parse_header(line: &[u8]) -> Result<Layout, String> {
         return Err("another beginning".to_owned());
     }
     let (mut width, mut height, mut rate, mut colour) = (0, 0, (25, 1), "420");
+    let mut has_full_range = false;
     for word in words {
         let Some(value) = word.get(1..) else { continue };
         match word.as_bytes()[0] {
@@ -153,6 +180,7 @@ fn parse_header(line: &[u8]) -> Result<Layout, String> {
             b'H' => height = value.parse().unwrap_or(0),
             b'F' => rate = parse_rate(value).ok_or_else(|| format!("frame rate {value}"))?,
             b'C' => colour = value,
+            b'X' if value == "COLORRANGE=FULL" => has_full_range = true,
             _ => {}
         }
     }
@@ -160,13 +188,13 @@ fn parse_header(line: &[u8]) -> Result<Layout, String> {
     if pixels == 0 || pixels > MAX_PIXELS {
         return Err(format!("frames of {width}x{height} pixels"));
     }
-    let (bits, rest_samples) =
-        planes(colour, width, height).ok_or_else(|| format!("colour space {colour}"))?;
+    let planes =
+        Planes::of(colour, width, height).ok_or_else(|| format!("colour space {colour}"))?;
     Ok(Layout {
         width,
         height,
-        bits,
-        rest_bytes: (rest_samples * if bits > 8 { 2 } else { 1 }) as u64,
+        planes,
+        has_full_range,
         rate,
     })
 }
@@ -178,40 +206,50 @@ fn parse_rate(text: &str) -> Option<(u64, u64)> {
     (rate.0 > 0 && rate.1 > 0).then_some(rate)
 }
 
-/// Bits of a sample, and the samples that follow luma, for a colour space as its name is written.
-fn planes(colour: &str, width: usize, height: usize) -> Option<(u32, usize)> {
-    let (half_width, half_height) = (width.div_ceil(2), height.div_ceil(2));
-    let subsampling = [
-        ("mono", 0),
-        ("420", 2 * half_width * half_height),
-        ("422", 2 * half_width * height),
-        ("444alpha", 3 * width * height),
-        ("444", 2 * width * height),
-        ("411", 2 * width.div_ceil(4) * height),
-    ];
-    let (name, rest) = subsampling
-        .into_iter()
-        .find(|(name, _)| colour.starts_with(name))?;
-    let suffix = &colour[name.len()..];
-    let bits = match suffix.strip_prefix('p').unwrap_or(suffix) {
-        "" | "jpeg" | "mpeg2" | "aldv" => 8,
-        depth => depth.parse().ok().filter(|bits| (9..=16).contains(bits))?,
-    };
-    Some((bits, rest))
+impl Planes {
+    /// Those of a colour space as its name is written.
+    fn of(colour: &str, width: usize, height: usize) -> Option<Self> {
+        let (half_width, half_height) = (width.div_ceil(2), height.div_ceil(2));
+        let subsampling = [
+            ("mono", None),
+            ("420", Some((half_width, half_height))),
+            ("422", Some((half_width, height))),
+            ("444alpha", Some((width, height))),
+            ("444", Some((width, height))),
+            ("411", Some((width.div_ceil(4), height))),
+        ];
+        let (name, chroma) = subsampling
+            .into_iter()
+            .find(|(name, _)| colour.starts_with(name))?;
+        let suffix = &colour[name.len()..];
+        let bits = match suffix.strip_prefix('p').unwrap_or(suffix) {
+            "" | "jpeg" | "mpeg2" | "aldv" => 8,
+            depth => depth.parse().ok().filter(|bits| (9..=16).contains(bits))?,
+        };
+        Some(Self {
+            bits,
+            chroma,
+            has_alpha: name == "444alpha",
+        })
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Y4mReader, parse_header, planes};
+    use super::{Planes, Y4mReader, parse_header};
 
     #[test]
     fn colour_spaces_as_ffmpeg_names_them() {
-        assert_eq!(planes("420jpeg", 5, 3), Some((8, 12)));
-        assert_eq!(planes("420paldv", 4, 4), Some((8, 8)));
-        assert_eq!(planes("422p10", 5, 3), Some((10, 18)));
-        assert_eq!(planes("mono", 5, 3), Some((8, 0)));
-        assert_eq!(planes("mono16", 5, 3), Some((16, 0)));
-        assert_eq!(planes("444alpha", 2, 2), Some((8, 12)));
+        let planes = |name, width, height| {
+            let planes = Planes::of(name, width, height)?;
+            Some((planes.bits, planes.chroma, planes.has_alpha))
+        };
+        assert_eq!(planes("420jpeg", 5, 3), Some((8, Some((3, 2)), false)));
+        assert_eq!(planes("420paldv", 4, 4), Some((8, Some((2, 2)), false)));
+        assert_eq!(planes("422p10", 5, 3), Some((10, Some((3, 3)), false)));
+        assert_eq!(planes("mono", 5, 3), Some((8, None, false)));
+        assert_eq!(planes("mono16", 5, 3), Some((16, None, false)));
+        assert_eq!(planes("444alpha", 2, 2), Some((8, Some((2, 2)), true)));
         assert_eq!(planes("rgb", 2, 2), None);
     }
 

@@ -7,7 +7,8 @@
 //! format=yuv420p,extractplanes=y -f rawvideo -`.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
-use monogrid_video::{Video, VideoError, VideoFrame};
+use monogrid_geometry::ReadoutDirection;
+use monogrid_video::{Colour, Video, VideoError, VideoFrame};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> PathBuf {
@@ -49,6 +50,52 @@ fn filmed_upright() {
         (48, 64)
     );
     assert_eq!((frames.len(), sum_of_luma(&frames)), (30, 0xebff_01fc));
+    let direction = |name| Video::open(data(name)).unwrap().readout_direction();
+    assert_eq!(direction("upright.mp4"), ReadoutDirection::Right);
+    assert_eq!(direction("reordered.mp4"), ReadoutDirection::Down);
+}
+
+/// What [`mean_colours`] is of the first frames.
+const H264_COLOURS: [[f64; 3]; 2] = [[77.2, 59.8, 57.1], [157.1, 0.2, 1.7]];
+const H265_COLOURS: [[f64; 3]; 2] = [[78.2, 60.2, 57.7], [158.5, 0.8, 2.0]];
+
+/// Mean red, green and blue of a frame, and of a part of it that is red.
+fn mean_colours(frame: &VideoFrame) -> [[f64; 3]; 2] {
+    let (width, height) = (frame.image.width(), frame.image.height());
+    let Colour::Chroma(chroma) = &frame.colour else {
+        panic!("no colour");
+    };
+    let chroma_at_size = chroma.at_size((width, height));
+    let mean = |from: (usize, usize), to: (usize, usize)| {
+        let mut sum = [0.0; 3];
+        for (x, y) in (from.0..to.0).flat_map(|x| (from.1..to.1).map(move |y| (x, y))) {
+            let rgb = chroma
+                .space()
+                .rgb(frame.image.at(x, y), chroma_at_size.at(x, y));
+            (0..3).for_each(|c| sum[c] += f64::from(rgb[c]));
+        }
+        sum.map(|sum| sum / ((to.0 - from.0) * (to.1 - from.1)) as f64)
+    };
+    [mean((0, 0), (width, height)), mean((2, 30), (12, 46))]
+}
+
+/// Colours as ffmpeg shows them (`-pix_fmt rgb24`).
+fn assert_colours(frame: &VideoFrame, expected: [[f64; 3]; 2]) {
+    let found = mean_colours(frame);
+    let differences = found.iter().flatten().zip(expected.iter().flatten());
+    for (found, expected) in differences {
+        assert!((found - expected).abs() < 4.0, "{found} {expected}");
+    }
+}
+
+#[test]
+fn colours_of_h264() {
+    assert_colours(&frames(&data("reordered.mp4"))[0], H264_COLOURS);
+    let upright = &frames(&data("upright.mp4"))[0];
+    let [whole, _] = mean_colours(upright);
+    for (found, expected) in whole.iter().zip(H264_COLOURS[0]) {
+        assert!((found - expected).abs() < 4.0, "{found} {expected}");
+    }
 }
 
 #[test]
@@ -67,6 +114,9 @@ fn mjpeg_in_avi() {
     let frames = frames(&data("mjpeg.avi"));
     let source = self::frames(&data("reordered.mp4"));
     assert_eq!(frames.len(), 6);
+    let is_jpeg =
+        |colour: &Colour| matches!(colour, Colour::Jpeg(b) if b.starts_with(&[0xff, 0xd8]));
+    assert!(frames.iter().all(|frame| is_jpeg(&frame.colour)));
     for (frame, source) in frames.iter().zip(&source) {
         let (a, b) = (frame.image.as_slice(), source.image.as_slice());
         // MJPEG has the full range, H.264 that of television
@@ -123,6 +173,22 @@ fn other_codecs_through_ffmpeg() {
     let frames: Vec<VideoFrame> = video.map(Result::unwrap).collect();
     assert_eq!((frames.len(), sum_of_luma(&frames)), (6, 0xcaac_5b40));
     assert!(frames[5].timestamp_ns.abs_diff(166_666_667) < 1000);
+    assert_colours(&frames[0], H265_COLOURS);
+    // the turn is in the container
+    let folder = tempfile::tempdir().unwrap();
+    let turned = folder.path().join("turned.mp4");
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-v", "error", "-i"])
+        .arg(data("h265.mp4"))
+        .args(["-c", "copy", "-metadata:s:v:0", "rotate=90"])
+        .arg(&turned)
+        .status();
+    assert!(made.unwrap().success());
+    let video = Video::open(&turned).unwrap();
+    // ffmpeg 6 and later ignore this way of saying it
+    if video.size() == (48, 64) {
+        assert_eq!(video.readout_direction(), ReadoutDirection::Right);
+    }
 }
 
 #[test]

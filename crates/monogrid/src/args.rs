@@ -106,9 +106,9 @@ pub struct SourceArgs {
     /// Horizontal field of view of a camera without calibration, degrees [default: estimated]
     #[arg(long, value_name = "DEG", value_parser = field_of_view, conflicts_with = "calibration", help_heading = "Input")]
     pub fov: Option<f64>,
-    /// Time in which the camera reads the rows of an image, from the first to the last, milliseconds [default: as the
-    /// calibration says, else as the images show where there is none, else 0]
-    #[arg(long, value_name = "MS", value_parser = readout_ms, help_heading = "Input")]
+    /// Time in which the camera reads the rows of its sensor, from the first to the last, milliseconds; negative where it
+    /// begins with the last [default: as the calibration says, else as the images show where there is none, else 0]
+    #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true, help_heading = "Input")]
     pub rolling_shutter: Option<f64>,
     /// First frame to use
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]

@@ -4,7 +4,7 @@ use crate::input::{Images, Input};
 use crate::map_camera::{as_calibrated, shown_by_map};
 use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
-use monogrid_geometry::{Camera, Pinhole, Vec2, Vec3};
+use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2, Vec3};
 use monogrid_image::GrayImage;
 use monogrid_slam::Slam;
 
@@ -90,7 +90,7 @@ impl<'a> CalibrationCheck<'a> {
             Some(input) if self.doubts.is_empty() => {
                 let shown = by_map(slam);
                 if shown.num_windows == 0 && share_with_pose < POOR_SHARE {
-                    return doubts(input.camera(), input.images_again());
+                    return doubts(input.lens(), input.images_again());
                 }
                 against(input, &shown)
             }
@@ -120,7 +120,7 @@ fn against(input: &Input, shown: &Estimate) -> Vec<String> {
     }
     let ratio = shown.intrinsics.focal / given;
     if input.is_repeatable() {
-        return doubts(input.camera(), input.images_again());
+        return doubts(input.lens(), input.images_again());
     }
     vec![format!(
         "the calibration does not fit what was seen: with another focal length (about {ratio:.2} times the given one) and \
@@ -146,12 +146,15 @@ fn is_comparable(given: &Camera) -> bool {
 }
 
 /// What the images say against a calibration that was given, in sentences with the better value.
-pub fn doubts(given: &Camera, images: impl Iterator<Item = GrayImage>) -> Vec<String> {
+pub fn doubts(
+    (given, direction): (&Camera, ReadoutDirection),
+    images: impl Iterator<Item = GrayImage>,
+) -> Vec<String> {
     let size = (given.width, given.height);
     let Some((focal, centre)) = middle(given).filter(|_| is_comparable(given)) else {
         return Vec::new();
     };
-    let windows = windows_of(images.take(MAX_FRAMES), size, MAX_WINDOWS);
+    let windows = windows_of(images.take(MAX_FRAMES), (size, direction), MAX_WINDOWS);
     if windows.is_empty() {
         return Vec::new();
     }

@@ -3,11 +3,12 @@
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use crate::self_calibration::{Expected, OwnCalibration};
+use crate::video_colours::VideoColours;
 use crate::video_source::{VideoItem, VideoSource, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
-use monogrid_geometry::{Camera, Pinhole};
+use monogrid_geometry::{Camera, Pinhole, ReadoutDirection};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 use monogrid_slam::mapping::KeyframeCamera;
@@ -41,7 +42,7 @@ impl Images {
                 Some((frame.timestamp_ns, image))
             })),
             Self::Video(video) => {
-                let frames = video.frames();
+                let frames = video.frames(None);
                 Box::new(frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?))))
             }
             Self::Rendered(_) => Box::new(std::iter::empty()),
@@ -138,7 +139,8 @@ impl Input {
             let expected = first.map_or(Expected::ORDINARY, |path| {
                 Expected::of_image(path, image_size)
             });
-            OwnCalibration::from_images(images(), image_size, &expected).ok_or_else(|| {
+            let size = (image_size, ReadoutDirection::of_size(image_size));
+            OwnCalibration::from_images(images(), size, &expected).ok_or_else(|| {
                 no_calibration(&format!(
                     "no calibration in {}: expected calibration.toml or calibration.txt there (one \
                      line `fx fy cx cy width height`, in pixels)",
@@ -175,7 +177,7 @@ impl Input {
             .map(|path| Calibration::read(path, Some(size)).bad_input())
             .transpose()?;
         let images = || {
-            let frames = video.frames();
+            let frames = video.frames(None);
             frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?)))
         };
         let known = known_camera(given, args, size, || {
@@ -184,12 +186,14 @@ impl Input {
                     "no calibration: what is seen only once cannot show its camera first",
                 ));
             }
+            let size = (size, video.direction);
             OwnCalibration::from_images(images(), size, &Expected::ORDINARY)
                 .ok_or_else(|| no_calibration("no calibration, and the video does not show it"))
         })?;
+        let preparation = preparation(&known, args, Photometric::default())?;
         Ok(Self {
             name: video.name(),
-            preparation: preparation(&known, args, Photometric::default())?,
+            preparation: preparation.with_readout_direction(video.direction),
             images: Images::Video(Box::new(video)),
             frames: Vec::new(),
             interpretation: known.interpretation,
@@ -280,6 +284,11 @@ impl Input {
         self.preparation.camera()
     }
 
+    /// The camera of the images, and which way a rolling shutter runs over them.
+    pub fn lens(&self) -> (&Camera, ReadoutDirection) {
+        (self.camera(), self.preparation.readout_direction())
+    }
+
     /// The camera of the working images.
     pub fn keyframe_camera(&self) -> KeyframeCamera {
         KeyframeCamera::new(*self.pinhole(), self.size())
@@ -326,6 +335,14 @@ impl Input {
 
     /// All frames one after the other; a stream has them only once.
     pub fn source(&self) -> Box<dyn Iterator<Item = SourceFrame> + Send + '_> {
+        self.source_with(None)
+    }
+
+    /// The same; the colours of a video's frames go to `colours`.
+    pub fn source_with<'a>(
+        &'a self,
+        colours: Option<&'a VideoColours>,
+    ) -> Box<dyn Iterator<Item = SourceFrame> + Send + 'a> {
         let Images::Video(video) = &self.images else {
             return Box::new(self.frames.iter().map(|frame| SourceFrame {
                 index: frame.index,
@@ -338,7 +355,7 @@ impl Input {
             timestamp_ns,
             image: image.map_err(Unusable::Unreadable),
         };
-        Box::new(video.frames().map(frame))
+        Box::new(video.frames(colours).map(frame))
     }
 }
 

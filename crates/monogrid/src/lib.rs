@@ -118,4 +118,6 @@ mod sweep;
 #[cfg(feature = "program")]
 mod usage;
 #[cfg(feature = "program")]
+mod video_colours;
+#[cfg(feature = "program")]
 mod video_source;

@@ -45,6 +45,7 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
 fn shown_readout_ms(input: &Input) -> Option<f64> {
     let camera = input.camera();
     let size = (camera.width, camera.height);
+    let size = (size, input.preparation.readout_direction());
     let images = input.timed_images_again();
     OwnCalibration::from_images(images, size, &Expected::ORDINARY)?.readout_ms
 }

@@ -6,7 +6,7 @@ use monogrid_calibration::{
     estimate_intrinsics,
 };
 use monogrid_datasets::{Calibration, exif_focal_px};
-use monogrid_geometry::{Camera, Distortion, Pinhole};
+use monogrid_geometry::{Camera, Distortion, Pinhole, ReadoutDirection};
 use monogrid_image::{GrayImage, Resize, WorkingSize, resize_area};
 use std::path::Path;
 
@@ -100,7 +100,7 @@ impl OwnCalibration {
     /// The camera that the beginning of a video shows; `None` where it shows none at all.
     pub fn from_images(
         frames: impl Iterator<Item = (i64, GrayImage)>,
-        size: (usize, usize),
+        (size, direction): ((usize, usize), ReadoutDirection),
         expected: &Expected,
     ) -> Option<Self> {
         let mut times_ns = Vec::new();
@@ -108,7 +108,7 @@ impl OwnCalibration {
             times_ns.push(time_ns);
             image
         });
-        let windows = windows_of(images, size, MAX_WINDOWS);
+        let windows = windows_of(images, (size, direction), MAX_WINDOWS);
         if windows.is_empty() {
             return None;
         }
@@ -246,14 +246,17 @@ fn interval_ms(times_ns: &[i64]) -> f64 {
         .map_or(0.0, |ns| *ns as f64 / 1e6)
 }
 
-/// The windows of a video at working size.
+/// The windows of a video at working size; the images are of this size, and a rolling shutter runs this way over them.
 pub fn windows_of(
     images: impl Iterator<Item = GrayImage>,
-    size: (usize, usize),
+    (size, direction): ((usize, usize), ReadoutDirection),
     max_windows: usize,
 ) -> Vec<Window> {
     let (width, height) = WorkingSize::Automatic.resolve(size.0, size.1);
-    let mut collector = TrackCollector::new(CollectorConfig::default());
+    let mut collector = TrackCollector::new(CollectorConfig {
+        direction,
+        ..CollectorConfig::default()
+    });
     for image in images {
         if (image.width(), image.height()) != size {
             continue;

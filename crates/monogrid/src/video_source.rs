@@ -2,6 +2,8 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
+use crate::video_colours::VideoColours;
+use monogrid_geometry::ReadoutDirection;
 use monogrid_image::GrayImage;
 use monogrid_video::{Video, VideoError};
 use std::num::NonZeroUsize;
@@ -16,6 +18,8 @@ pub struct VideoSource {
     pub description: String,
     /// Width and height of the first frame, px.
     pub size: (usize, usize),
+    /// Which way over its images a rolling shutter runs.
+    pub direction: ReadoutDirection,
     /// Frames to use, where that is known.
     pub expected_frames: Option<usize>,
     /// First frame to use, every how many-th is, and how many at most.
@@ -70,6 +74,7 @@ impl VideoSource {
             path: path.to_path_buf(),
             description: video.description().to_owned(),
             size: video.size(),
+            direction: video.readout_direction(),
             expected_frames: left.map(|left| left.min(max_frames.unwrap_or(left))),
             start,
             every,
@@ -99,8 +104,11 @@ impl VideoSource {
             .unwrap_or_else(|| "video".to_owned())
     }
 
-    /// The frames to use, in order. A stream has them only once.
-    pub fn frames(&self) -> Box<dyn Iterator<Item = VideoItem> + Send + '_> {
+    /// The frames to use, in order; their colours go to `colours`. A stream has them only once.
+    pub fn frames<'a>(
+        &'a self,
+        colours: Option<&'a VideoColours>,
+    ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
         let opened = self.opened.lock().ok().and_then(|mut opened| opened.take());
         let video = match opened {
             Some(video) => Ok(video),
@@ -112,20 +120,18 @@ impl VideoSource {
             Err(reason) => return Box::new(std::iter::once((self.start, 0, Err(reason)))),
         };
         let mut last_ns = 0;
-        let items = video.enumerate().map(move |(index, item)| {
+        let numbered = video.enumerate().skip(self.start).step_by(self.every);
+        Box::new(numbered.take(self.max_frames).map(move |(index, item)| {
             let image = item.map(|frame| {
                 last_ns = frame.timestamp_ns;
+                if let Some(colours) = colours {
+                    colours.arrive(index, frame.colour);
+                }
                 frame.image.map(f32::from)
             });
             // a frame without an image has no time either: right after the one before
             last_ns += i64::from(image.is_err());
             (index, last_ns, image.map_err(|e: VideoError| e.to_string()))
-        });
-        Box::new(
-            items
-                .skip(self.start)
-                .step_by(self.every)
-                .take(self.max_frames),
-        )
+        }))
     }
 }

@@ -4,6 +4,8 @@
 mod common;
 
 use common::{assert_fails, code, json, monogrid, program, stderr};
+use monogrid_datasets::{ReadOptions, Recording, decode_jpeg_rgb, encode_png, read_gray};
+use monogrid_image::Image;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -84,6 +86,84 @@ fn a_wrong_calibration_is_noticed_while_the_map_grows() {
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     let warnings = json(&output)["warnings"].to_string();
     assert!(warnings.contains("focal length is 300.0 px"), "{warnings}");
+}
+
+/// The way of a hand through a world, 320x240.
+fn render(folder: &Path, options: [&str; 4]) {
+    let made = program()
+        .args(["synth", "living-room", "--size", "320x240", "--quick-light"])
+        .args(["--depth-every", "0", "--truth-resolution", "0.5"])
+        .args(options)
+        .arg("--out")
+        .arg(folder)
+        .output()
+        .unwrap();
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+}
+
+/// A picture turned clockwise by a quarter.
+fn turned(image: &Image<u8>) -> Image<u8> {
+    let (width, height) = (image.width(), image.height());
+    Image::from_fn(height, width, |x, y| image.at(y, height - 1 - x))
+}
+
+#[test]
+fn the_rolling_shutter_of_a_camera_that_was_held_upright() {
+    let dir = tempfile::tempdir().unwrap();
+    let [level, upright] = ["level", "upright"].map(|name| dir.path().join(name));
+    render(&level, ["--rolling-shutter", "25", "--max-frames", "120"]);
+    fs::create_dir_all(upright.join("rgb")).unwrap();
+    fs::copy(level.join("rgb.txt"), upright.join("rgb.txt")).unwrap();
+    for entry in fs::read_dir(level.join("rgb")).unwrap() {
+        let path = entry.unwrap().path();
+        let image = read_gray(&path).unwrap().map(|v| v as u8);
+        let turned = encode_png(&turned(&image));
+        fs::write(upright.join("rgb").join(path.file_name().unwrap()), turned).unwrap();
+    }
+    let output = monogrid(["check".as_ref(), upright.as_os_str()]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    // the first row has come to lie on the right
+    let found = text.split("rolling shutter of ").nth(1).expect(&text);
+    let ms: f64 = found.split(' ').next().unwrap().parse().unwrap();
+    assert!((ms + 25.0).abs() < 6.0, "{text}");
+}
+
+#[test]
+fn the_keyframes_of_a_video_are_in_colour() {
+    let dir = tempfile::tempdir().unwrap();
+    let [world, video, out] = ["world", "red.y4m", "out"].map(|name| dir.path().join(name));
+    render(&world, ["--noise", "off", "--max-frames", "60"]);
+    let mut bytes = b"YUV4MPEG2 W320 H240 F30:1 C420jpeg XCOLORRANGE=FULL\n".to_vec();
+    let frames = fs::read_dir(world.join("rgb")).unwrap();
+    let mut paths: Vec<PathBuf> = frames.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    for path in &paths {
+        let image = read_gray(path).unwrap();
+        bytes.extend_from_slice(b"FRAME\n");
+        bytes.extend(image.as_slice().iter().map(|v| *v as u8));
+        bytes.extend([vec![100; 160 * 120], vec![190; 160 * 120]].concat());
+    }
+    fs::write(&video, bytes).unwrap();
+    let output = program()
+        .args(["run", "--json", "--fov", "65", "--out"])
+        .args([&out, &video])
+        .output()
+        .unwrap();
+    let keyframes = Recording::read(&out.join("recording.mgk"), ReadOptions::default()).unwrap();
+    let colours = keyframes.keyframes.iter().map(|k| k.colour.clone());
+    let colours: Vec<Vec<u8>> = colours.map(|colour| colour.expect("colour")).collect();
+    assert!(!colours.is_empty(), "{}", stderr(&output));
+    for jpeg in colours {
+        let image = decode_jpeg_rgb(&jpeg, 1 << 20, Path::new("keyframe")).unwrap();
+        let (mut sum, image) = ([0.0; 3], image.expect("colour"));
+        for pixel in image.as_slice() {
+            (0..3).for_each(|c| sum[c] += f64::from(pixel[c]) / image.as_slice().len() as f64);
+        }
+        // BT.601: red is luma + 1.402 (Cr - 128), blue is luma + 1.772 (Cb - 128)
+        let [red, _, blue] = sum;
+        assert!((red - blue - 136.5).abs() < 25.0, "{sum:?}");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
-//! From the bytes of a camera's buffer to a grey image.
+//! From the bytes of a camera's buffer to a grey image and its colour.
 
-use crate::{Grey, MAX_PIXELS};
+use crate::turn::Turn;
+use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS};
 use monogrid_datasets::decode_jpeg_luma;
 use std::path::Path;
 
@@ -61,9 +62,33 @@ pub(crate) fn grey_image(buffer: &[u8], layout: BufferLayout, name: &str) -> Res
     }))
 }
 
+/// The colour in a buffer of which the [`grey_image`] can be made.
+pub(crate) fn colour(buffer: &[u8], layout: BufferLayout) -> Colour {
+    match layout.format {
+        PixelFormat::Grey => Colour::Grey,
+        PixelFormat::Mjpeg => Colour::Jpeg(buffer.to_vec()),
+        PixelFormat::Yuyv => {
+            let (width, height) = (layout.width / 2, layout.height);
+            let rows = buffer.chunks(layout.stride.max(2 * layout.width));
+            // Y0 Cb Y1 Cr
+            let plane = |at: usize| -> Vec<u8> {
+                let row = |row: &'_ [u8]| {
+                    let pairs = row.as_chunks::<4>().0.iter().take(width);
+                    pairs.map(move |pair| pair[at]).collect::<Vec<u8>>()
+                };
+                rows.clone().take(height).flat_map(row).collect()
+            };
+            let space = ColourSpace::usual(height, false);
+            let chroma = Chroma::new([&plane(1), &plane(3)], (width, height), space, Turn::None);
+            chroma.map_or(Colour::Grey, Colour::Chroma)
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{BufferLayout, PixelFormat, grey_image};
+    use super::{BufferLayout, PixelFormat, colour, grey_image};
+    use crate::Colour;
 
     const fn layout(format: PixelFormat, stride: usize) -> BufferLayout {
         BufferLayout {
@@ -79,6 +104,13 @@ mod tests {
         let buffer = [10, 0, 20, 0, 99, 99, 30, 0, 40, 0, 99, 99];
         let image = grey_image(&buffer, layout(PixelFormat::Yuyv, 6), "camera").unwrap();
         assert_eq!(image.as_slice(), [10, 20, 30, 40]);
+        let grey = [10, 128, 20, 127, 99, 99, 30, 128, 40, 129, 99, 99];
+        assert_eq!(colour(&grey, layout(PixelFormat::Yuyv, 6)), Colour::Grey);
+        let blue = [10, 200, 20, 90, 99, 99, 30, 200, 40, 90, 99, 99];
+        let Colour::Chroma(chroma) = colour(&blue, layout(PixelFormat::Yuyv, 6)) else {
+            panic!("no colour");
+        };
+        assert_eq!(chroma.at_size((2, 2)).as_slice(), [[200, 90]; 4]);
         // the last row needs no padding
         assert!(grey_image(&buffer[..10], layout(PixelFormat::Yuyv, 6), "camera").is_ok());
         assert!(grey_image(&buffer[..9], layout(PixelFormat::Yuyv, 6), "camera").is_err());

@@ -1,7 +1,8 @@
 //! Capturing from a V4L2 camera.
 
 use super::CameraInfo;
-use super::convert::{BufferLayout, FORMATS, PixelFormat, grey_image};
+use super::convert::{BufferLayout, FORMATS, PixelFormat, colour, grey_image};
+use crate::turn::Turn;
 use crate::{Opened, VideoError, VideoFrame};
 use moq_v4l::buffer::Type;
 use moq_v4l::control::{Control, Value};
@@ -107,6 +108,7 @@ pub(super) fn open(path: &Path) -> Result<Opened, VideoError> {
         description: format!("V4L2 camera, {label}, locked: {locked}"),
         length: None,
         live: true,
+        turn: Turn::None,
         frames: Box::new(CameraFrames {
             name,
             stream,
@@ -169,6 +171,7 @@ impl Iterator for CameraFrames {
         Some(match image {
             Ok(image) => Ok(VideoFrame {
                 image,
+                colour: colour(filled, self.layout),
                 timestamp_ns: now_us.saturating_sub(begin_us).saturating_mul(1000),
             }),
             Err(reason) => Err(VideoError::frame(&self.name, number, reason)),

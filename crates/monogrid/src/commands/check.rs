@@ -178,7 +178,7 @@ impl CheckReport {
         report.warnings.extend(seen.unreadable_warning());
         report.warnings.extend(sequence.findings());
         if input.own_calibration.is_none() {
-            let found = doubts(input.camera(), input.images_again());
+            let found = doubts(input.lens(), input.images_again());
             report.warnings.extend(found);
         }
         let found = slow_or_narrow(&report);

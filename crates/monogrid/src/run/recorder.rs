@@ -135,7 +135,7 @@ fn colour(
         Some(earlier) if (keyframe.id as usize) < earlier.map.keyframes.len() => {
             earlier.colours.jpeg(keyframe.id).map(<[u8]>::to_vec)
         }
-        _ => source?.frame(keyframe.frame_index),
+        _ => source?.keyframe(keyframe),
     }
 }
 

@@ -56,14 +56,15 @@ pub fn track(
     let session = session_info(input, settings)?;
     let process_before = process_cpu();
     let mut pipeline = pipeline(input, settings)?;
+    let mut video_colours = None;
     if !settings.is_localise_only() {
+        let source_colours = ColourSource::of(input);
+        video_colours = source_colours
+            .as_ref()
+            .and_then(ColourSource::of_video)
+            .cloned();
         let earlier = settings.earlier().cloned();
-        let recorder = Recorder::start(
-            Arc::clone(folder),
-            &session,
-            earlier,
-            ColourSource::of(input),
-        )?;
+        let recorder = Recorder::start(Arc::clone(folder), &session, earlier, source_colours)?;
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
     let reading = Reading {
@@ -72,8 +73,10 @@ pub fn track(
     };
     let viewer = viewer(&mut pipeline, input, settings)?;
     let places = (input, folder.path());
-    let mut tracking = Tracking::begin((pipeline, viewer), settings, places, interrupted);
-    let reading = read_ahead(input.source(), &input.preparation, reading, |frame| {
+    let colours = video_colours.as_deref();
+    let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
+    let source = input.source_with(colours);
+    let reading = read_ahead(source, &input.preparation, reading, |frame| {
         tracking.take(frame)
     })
     .while_running("frames cannot be read")?;

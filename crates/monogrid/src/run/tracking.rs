@@ -8,6 +8,7 @@ use super::progress::Progress;
 use crate::doubts::CalibrationCheck;
 use crate::failure::Failure;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::video_colours::VideoColours;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, Unusable};
 use monogrid_slam::FrameInput;
@@ -37,6 +38,7 @@ pub struct Tracking<'a> {
     calibration: CalibrationCheck<'a>,
     progress: Progress,
     viewer: Option<Viewer>,
+    colours: Option<&'a VideoColours>,
 }
 
 /// What tracking leaves behind.
@@ -54,7 +56,7 @@ pub struct Ended {
 impl<'a> Tracking<'a> {
     /// Before the first frame; what becomes of the frames is kept on the disk of `folder`.
     pub fn begin(
-        (pipeline, viewer): (Pipeline, Option<Viewer>),
+        (pipeline, viewer, colours): (Pipeline, Option<Viewer>, Option<&'a VideoColours>),
         settings: &'a RunSettings,
         (input, folder): (&'a Input, &Path),
         interrupted: &'a AtomicBool,
@@ -71,6 +73,7 @@ impl<'a> Tracking<'a> {
             calibration: CalibrationCheck::new(input, settings.pace == Pace::Taken),
             progress: Progress::new(num_frames, settings.show_progress),
             viewer,
+            colours,
         }
     }
 
@@ -89,6 +92,9 @@ impl<'a> Tracking<'a> {
             timestamp_ns: frame.timestamp_ns,
             fate: self.fate(frame),
         };
+        if let Some(colours) = self.colours {
+            self.keep_colours(colours, &row);
+        }
         if let Some(viewer) = &self.viewer {
             viewer.show(&row, shown, &self.pipeline);
         }
@@ -98,6 +104,19 @@ impl<'a> Tracking<'a> {
         match self.early_end {
             Some(_) => ControlFlow::Break(()),
             None => ControlFlow::Continue(()),
+        }
+    }
+
+    /// Keeps the colours of keyframes.
+    fn keep_colours(&self, colours: &VideoColours, row: &FrameRow) {
+        let became_keyframe = row.report().is_some_and(|report| report.created_keyframe);
+        colours.pass(row.index, became_keyframe);
+        if row.report().is_some() {
+            for event in self.pipeline.slam().events() {
+                if let Event::Finished(keyframe, _) = event {
+                    colours.keep(keyframe.frame_index);
+                }
+            }
         }
     }
 
