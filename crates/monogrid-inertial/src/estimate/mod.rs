@@ -1,0 +1,252 @@
+//! What a path that a camera found, without scale, and the readings of an inertial sensor say together.
+//!
+//! Maximum a posteriori over orientation, velocity, position and biases of the sensor at every frame, the scale of the path
+//! and the direction of gravity: readings are preintegrated between frames (Forster et al. 2017), and every pose of the camera
+//! counts as a measurement. As in the initialisation of Campos, Montiel and Tardós 2020 poses are taken as given but for their scale; unlike
+//! there each has an error of its own, since an error of positions that explain accelerations makes the scale too small. How
+//! large these errors are is found from what is left of them.
+//!
+//! A path may have parts, each with its own place and unit, with nothing seen between them: the readings say where they lie.
+
+mod band;
+mod begin;
+mod measurements;
+mod noise;
+mod problem;
+
+use crate::{Bias, Imu, ImuNoise};
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
+use problem::{Problem, States};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the estimate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EstimateConfig {
+    /// Frames with a pose that are used at most, evenly chosen. Range [30, 100000].
+    pub max_frames: usize,
+    /// Standard deviation of the gyroscope's bias before anything is measured, rad/s. Range [0.00001, 1].
+    pub gyroscope_bias_sigma: f64,
+    /// The same of the accelerometer's, m/s². Range [0.0001, 10].
+    pub accelerometer_bias_sigma: f64,
+    /// Shortest path with inertial readings that is used, s. Range [0.5, 100000].
+    pub min_secs: f64,
+    /// Largest relative standard deviation of a scale that makes results metric. Range [0, 1].
+    pub max_scale_sigma: f64,
+    /// Largest standard deviation of the direction of gravity that makes results level, degrees. Range [0, 90].
+    pub max_gravity_sigma_deg: f64,
+    /// Largest relative standard deviation of the scale behind a loss, against that before it, with which a fragment of the map is
+    /// joined by the readings alone; 0 for never. Range [0, 1].
+    pub max_join_scale_sigma: f64,
+    /// The same of its position, as a share of the way during the loss. Range [0, 1].
+    pub max_join_position_share: f64,
+    /// Standard deviation of the position with which it is joined however short the way was, m. Range [0, 10].
+    pub join_position_sigma_m: f64,
+}
+
+impl Default for EstimateConfig {
+    fn default() -> Self {
+        Self {
+            max_frames: 2000,
+            gyroscope_bias_sigma: 0.03,
+            accelerometer_bias_sigma: 0.1,
+            min_secs: 2.0,
+            max_scale_sigma: 0.02,
+            max_gravity_sigma_deg: 1.0,
+            max_join_scale_sigma: 0.03,
+            max_join_position_share: 0.03,
+            join_position_sigma_m: 0.02,
+        }
+    }
+}
+
+/// A frame of the camera.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    /// Time, ns.
+    pub timestamp_ns: i64,
+    /// The part of the path that it belongs to, and `part_from_camera` in the unit of the part; `None` where nothing was seen.
+    pub seen: Option<(usize, Se3)>,
+}
+
+/// Where the sensor was at the time of a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Fix {
+    /// Time, ns.
+    pub timestamp_ns: i64,
+    /// Position in metres, orientation as in the first part.
+    pub world_from_camera: Se3,
+    /// Of the sensor, m/s.
+    pub velocity: Vec3,
+    /// Standard deviation of its position relative to the path around it, m, in the direction where it is largest.
+    pub position_sigma_m: f64,
+    /// Of its orientation, rad.
+    pub rotation_sigma_rad: f64,
+    /// What the sensor reads too much.
+    pub bias: Bias,
+}
+
+/// Where a part of the path lies.
+#[derive(Clone, Copy, Debug)]
+pub struct PartPlace {
+    /// From the part's coordinates to metres; the first part's has neither rotation nor translation.
+    pub metric_from_part: Sim3,
+    /// Standard deviation of the logarithm of the scale.
+    pub scale_sigma: f64,
+    /// Of the position of the part's origin in the first part, m, in the direction where it is largest; 0 for the first.
+    pub position_sigma_m: f64,
+    /// Of its orientation, rad.
+    pub rotation_sigma_rad: f64,
+}
+
+/// What the readings say about the path.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// Where each part lies; the scale of the first is metres per unit of the path.
+    pub parts: Vec<PartPlace>,
+    /// Direction in which gravity pulls, in the first part.
+    pub down: Vec3,
+    /// Standard deviation of its angle to the true one, rad.
+    pub gravity_sigma_rad: f64,
+    /// The sensor at every frame that was used.
+    pub fixes: Vec<Fix>,
+    /// Standard deviation of positions of the path, in its unit, as found.
+    pub position_noise: f64,
+    /// Of its orientations, rad.
+    pub rotation_noise_rad: f64,
+    /// Root mean square of the acceleration, m/s²: without any, there is no scale.
+    pub excitation: f64,
+    /// Longest way of the camera from the end of a part to the beginning of the next one, m.
+    pub way_between_parts_m: f64,
+    /// Whether the scale is as sure as was asked for.
+    pub is_scale_determined: bool,
+    /// Whether gravity is.
+    pub is_gravity_determined: bool,
+}
+
+/// Why nothing follows from the readings.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NotDetermined {
+    /// Too short a path.
+    #[error(
+        "{found:.1} s of the path have inertial readings, expected at least {needed:.1} s; see that both have the same clock"
+    )]
+    TooShort {
+        /// Found, s.
+        found: f64,
+        /// Needed, s.
+        needed: f64,
+    },
+    /// The readings do not explain the path.
+    #[error(
+        "accelerations do not agree with the path; see where the camera sits on the sensor, the signs of its axes and the clocks"
+    )]
+    Contradiction,
+    /// It could not be computed.
+    #[error("the readings say nothing certain about the path: the camera hardly moved")]
+    Singular,
+}
+
+/// The estimate; `observations` are in the order of time.
+///
+/// # Errors
+/// When the path is too short, or the readings do not explain it. A scale or a gravity that is less sure than was asked for is
+/// no error: see [`Estimate::is_scale_determined`].
+pub fn estimate(
+    imu: &Imu,
+    observations: &[Observation],
+    config: &EstimateConfig,
+) -> Result<Estimate, NotDetermined> {
+    let chosen = chosen(observations, config.max_frames);
+    let mut problem = Problem::new(imu, chosen, config)?;
+    let mut states = begin::begin(&mut problem, imu)?;
+    for _ in 0..ROUNDS_OF_NOISE {
+        problem.integrate(imu, &states);
+        problem.minimise(&mut states, STEPS_OF_ROUND)?;
+        noise::update(&mut problem, &states);
+    }
+    problem.integrate(imu, &states);
+    let solved = problem.minimise(&mut states, MAX_STEPS)?;
+    conclude(&problem, &states, &solved, config)
+}
+
+/// Times that the errors of the path are found from what is left of them.
+const ROUNDS_OF_NOISE: usize = 4;
+/// Steps of the minimisation in each of these rounds, and at the end.
+const STEPS_OF_ROUND: usize = 4;
+const MAX_STEPS: usize = 25;
+
+/// Every n-th frame with a pose, and those without one for a while after the last of these.
+fn chosen(observations: &[Observation], max_frames: usize) -> Vec<Observation> {
+    let num_seen = observations.iter().filter(|o| o.seen.is_some()).count();
+    let every = num_seen.div_ceil(max_frames.max(2)).max(1);
+    let (mut count, mut last_ns) = (0, None);
+    let is_chosen = |observation: &&Observation| {
+        if observation.seen.is_none() {
+            return last_ns.is_some_and(|last| observation.timestamp_ns - last <= BLIND_NS);
+        }
+        last_ns = Some(observation.timestamp_ns);
+        count += 1;
+        (count - 1) % every == 0
+    };
+    observations.iter().filter(is_chosen).copied().collect()
+}
+
+/// Time without a pose after which nothing is said of where the camera is, ns.
+const BLIND_NS: i64 = 5_000_000_000;
+
+fn conclude(
+    problem: &Problem,
+    states: &States,
+    solved: &band::Solved,
+    config: &EstimateConfig,
+) -> Result<Estimate, NotDetermined> {
+    let covariance = &solved.global_covariance;
+    let gravity_sigma_rad = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+    let parts: Vec<PartPlace> = states
+        .parts
+        .iter()
+        .enumerate()
+        .map(|(part, place)| {
+            let column = problem.scale_column(part);
+            // translation and rotation stand before the scale
+            let sigma = |before: usize| {
+                let block = covariance.fixed_view::<3, 3>(column - before, column - before);
+                block.symmetric_eigenvalues().max().max(0.0).sqrt()
+            };
+            PartPlace {
+                metric_from_part: *place,
+                scale_sigma: covariance[(column, column)].sqrt(),
+                position_sigma_m: if part > 0 { sigma(3) } else { 0.0 },
+                rotation_sigma_rad: if part > 0 { sigma(6) } else { 0.0 },
+            }
+        })
+        .collect();
+    let fixes = problem.fixes(states, solved);
+    let is_known = |sigma: f64| sigma.is_finite();
+    if !is_known(gravity_sigma_rad) || !parts.iter().all(|part| is_known(part.scale_sigma)) {
+        return Err(NotDetermined::Singular);
+    }
+    let way_between_parts_m = problem.way_between_parts(states);
+    Ok(Estimate {
+        way_between_parts_m,
+        is_scale_determined: parts[0].scale_sigma <= config.max_scale_sigma,
+        is_gravity_determined: gravity_sigma_rad.to_degrees() <= config.max_gravity_sigma_deg,
+        parts,
+        down: states.down,
+        gravity_sigma_rad,
+        fixes,
+        position_noise: problem.position_sigma,
+        rotation_noise_rad: problem.rotation_sigma,
+        excitation: problem.excitation(states),
+    })
+}
+
+/// The state of the sensor at a frame, as [`crate::Preintegrated::predict`] has it.
+type Motion = (Rotation, Vec3, Vec3);
+
+/// Variance of the change of both biases over some time.
+fn walk_variances(noise: &ImuNoise, secs: f64) -> [f64; 2] {
+    [noise.gyroscope_walk, noise.accelerometer_walk].map(|walk| walk * walk * secs)
+}
