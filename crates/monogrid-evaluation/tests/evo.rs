@@ -3,7 +3,7 @@
 use monogrid_evaluation::{
     StampedPose, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, evaluate_trajectory,
 };
-use monogrid_geometry::{Rotation, Se3, Vec3, nalgebra::Quaternion};
+use monogrid_geometry::{Rotation, Se3, Vec3, nalgebra::Quaternion, rotation_exp};
 
 const EVO: &str = include_str!("evo/evo.json");
 
@@ -154,6 +154,7 @@ fn the_report_has_the_names_of_the_contract() {
         "ate_max",
         "rpe_trans_rmse",
         "rpe_rot_rmse_deg",
+        "tilt_deg",
         "scale",
         "scale_drift",
         "matched",
@@ -165,4 +166,24 @@ fn the_report_has_the_names_of_the_contract() {
     assert!(report.ate_rmse < 1e-12 && (report.scale - 1.0).abs() < 1e-12);
     assert_eq!(report.coverage, 1.0);
     assert_eq!(report.wrong_share, 0.0);
+    assert!(report.tilt_deg < 1e-6);
+}
+
+#[test]
+fn the_tilt_is_that_of_the_vertical_whatever_is_aligned() {
+    let truth = parse(include_str!("evo/jitter-truth.txt"));
+    let turned = |turn: Vec3| -> Vec<StampedPose> {
+        let turn = Se3::new(rotation_exp(&turn), Vec3::new(1.0, 2.0, 3.0));
+        truth
+            .iter()
+            .map(|(time, pose)| (*time, turn * *pose))
+            .collect()
+    };
+    let tilt = |turn| {
+        let report = evaluate_trajectory(&turned(turn), &truth, &TrajectoryConfig::default());
+        report.expect("report").tilt_deg
+    };
+    // a heading is no tilt
+    assert!(tilt(Vec3::z() * 0.7) < 1e-6);
+    assert!((tilt(Vec3::y() * 0.01) - 0.01f64.to_degrees()).abs() < 1e-6);
 }

@@ -16,7 +16,7 @@ pub use wrong::WrongPoseConfig;
 
 use crate::statistics::ErrorSummary;
 use align::align;
-use monogrid_geometry::{AlignmentError, Se3, Sim3};
+use monogrid_geometry::{AlignmentError, Se3, Sim3, Vec3};
 use serde::Serialize;
 
 /// What may be adjusted before the trajectories are compared.
@@ -146,6 +146,9 @@ pub struct TrajectoryReport {
     pub rpe_trans: ErrorSummary,
     /// All of the rotation error over one frame, degrees.
     pub rpe_rot_deg: ErrorSummary,
+    /// Angle between z of the estimate and z of the truth as the camera sees them, median, degrees; nothing is aligned for it. What
+    /// it is worth depends on both worlds having z up.
+    pub tilt_deg: f64,
     /// Scale that was applied to the estimate (1 unless aligned with scale).
     pub scale: f64,
     /// Largest over smallest of `window_scales`; 1 when fewer than two windows count, infinite
@@ -233,6 +236,7 @@ pub fn evaluate_trajectory(
         rpe_rot_rmse_deg: rpe_rot_deg.rmse,
         rpe_trans,
         rpe_rot_deg,
+        tilt_deg: tilt_deg(&pairs),
         scale: gt_from_est.scale,
         scale_drift: scale_drift::scale_drift(&window_scales),
         wrong_share: wrong::wrong_share(&pairs, config.alignment, &config.wrong),
@@ -340,6 +344,18 @@ fn relative_errors(pairs: &[PosePair], aligned: &[Se3]) -> (Vec<f64>, Vec<f64>) 
             )
         })
         .unzip()
+}
+
+/// Median angle between the two vertical directions in the camera, degrees.
+fn tilt_deg(pairs: &[PosePair]) -> f64 {
+    let up_in_camera = |pose: &Se3| pose.rotation.inverse() * Vec3::z();
+    let tilt =
+        |p: &PosePair| up_in_camera(&p.est_from_camera).angle(&up_in_camera(&p.gt_from_camera));
+    let mut tilts: Vec<f64> = pairs.iter().map(tilt).collect();
+    tilts.sort_by(f64::total_cmp);
+    tilts
+        .get(tilts.len() / 2)
+        .map_or(0.0, |tilt| tilt.to_degrees())
 }
 
 fn path_length(pairs: &[PosePair]) -> f64 {
