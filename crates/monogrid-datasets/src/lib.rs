@@ -5,6 +5,7 @@
 //! * [`Calibration::read`] and [`DepthCalibration::read`] understand the usual calibration files.
 //! * [`DepthRegistration`] brings depth images into the colour camera.
 //! * [`read_trajectory`], [`write_tum`], [`read_sim3`] and their kin handle poses.
+//! * [`ImuFile`] reads the inertial measurements beside them.
 //! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads `.scans`.
 //! * [`FrameChecker`] and [`SequenceCheck`] say what in the images would hurt tracking.
 //! * [`write_atomically`] replaces files whole or not at all.
@@ -20,6 +21,7 @@ mod check;
 mod error;
 mod files;
 mod images;
+mod imu;
 mod recording;
 mod scans;
 mod source;
@@ -37,6 +39,7 @@ pub use images::{
     decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16,
     encode_png_rgb, exif_focal_px, read_depth, read_gray, read_mask, read_rgb,
 };
+pub use imu::{ImuFile, write_imu};
 pub use recording::{
     ColourRecord, Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe,
     KeyframeLink, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedEdge, RecordedFrame,
@@ -51,5 +54,5 @@ pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;
 pub use trajectory::{
     TimedPose, format_sim3, format_tum, parse_kitti, parse_trajectory, read_sim3, read_trajectory,
-    write_sim3, write_tum,
+    read_transform, write_sim3, write_tum,
 };

@@ -222,6 +222,28 @@ pub fn read_sim3(path: &Path) -> Result<Sim3, DatasetError> {
     })
 }
 
+/// Reads a file that holds one rigid transform (target_from_source): `tx ty tz qx qy qz qw`, or a 3x4 or 4x4 matrix row by row.
+///
+/// # Errors
+/// When the file cannot be read or is not of this form.
+pub fn read_transform(path: &Path) -> Result<Se3, DatasetError> {
+    let text = read_text(path)?;
+    let all: Option<Vec<Vec<f64>>> = data_lines(&text).map(|(_, line)| numbers(line)).collect();
+    let values = all.unwrap_or_default().concat();
+    let transform = match values.len() {
+        7 => pose_from_numbers(&values),
+        12 | 16 => pose_from_matrix(&values),
+        _ => None,
+    };
+    transform.ok_or_else(|| {
+        DatasetError::content(
+            path,
+            format!("{} numbers that are no rigid transform", values.len()),
+            "tx ty tz qx qy qz qw with a unit quaternion, or a 3x4 or 4x4 matrix with a rotation",
+        )
+    })
+}
+
 /// The content of a Sim(3) file.
 #[must_use]
 pub fn format_sim3(target_from_source: &Sim3) -> String {

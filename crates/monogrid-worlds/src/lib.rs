@@ -8,6 +8,7 @@
 
 mod bvh;
 mod effects;
+mod imu;
 mod jitter;
 mod lighting;
 mod mesh;
@@ -27,6 +28,7 @@ mod write;
 
 pub use bvh::{Bounds, Bvh, Hit, P3, Triangle};
 pub use effects::{EffectsConfig, ExposureConfig, NoiseConfig, Sensor};
+pub use imu::{ImuConfig, imu_samples};
 pub use jitter::{DRONE_JITTER, HAND_JITTER, Jitter, JitterBand};
 pub use lighting::LightingConfig;
 pub use mesh::{MeshLighting, MeshModel, read_ply};
@@ -38,4 +40,4 @@ pub use shapes::BoxFaces;
 pub use texture::Texture;
 pub use world::{SurfaceShares, TriangleMesh, World};
 pub use worlds::{MOTION_NAMES, Motion, WORLD_NAMES, WorldError, usual_frames};
-pub use write::{WriteConfig, write_ply, write_tum_layout};
+pub use write::{WriteConfig, write_ply, write_sequence_imu, write_tum_layout};

@@ -1,11 +1,12 @@
 //! Writes a sequence as a data set in TUM layout, and meshes as PLY.
 
+use super::imu::{ImuConfig, imu_samples};
 use super::render::Renderer;
 use super::sequence::{SynthConfig, SynthSequence};
 use super::world::TriangleMesh;
 use monogrid_datasets::{
     Calibration, DatasetError, TimedPose, encode_png, encode_png_16, format_seconds,
-    write_atomically, write_atomically_with, write_tum,
+    write_atomically, write_atomically_with, write_imu, write_tum,
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_image::GrayImage;
@@ -85,6 +86,36 @@ pub fn write_tum_layout(
     write_text(folder, "depth.txt", &depth_list)?;
     write_tum(&folder.join("groundtruth.txt"), &poses)
 }
+
+/// Writes what an inertial sensor beside the camera measures as `mav0/imu0`, EuRoC's layout, with the camera as the body.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_sequence_imu(
+    sequence: &SynthSequence,
+    folder: &Path,
+    config: &ImuConfig,
+) -> Result<usize, DatasetError> {
+    let folder = folder.join("mav0/imu0");
+    std::fs::create_dir_all(&folder).map_err(|e| DatasetError::io("create", &folder, e))?;
+    let last = sequence
+        .len()
+        .checked_sub(1)
+        .and_then(|last| sequence.timestamp_ns(last));
+    let until_secs = last.unwrap_or(0) as f64 * 1e-9 + AFTER_LAST_SECS;
+    let samples = imu_samples(sequence.path(), config, sequence.config().seed, until_secs);
+    write_imu(
+        &folder,
+        &samples,
+        &config.noise,
+        &config.camera_from_imu,
+        config.rate_hz,
+    )?;
+    Ok(samples.len())
+}
+
+/// Readings go on after the last image.
+const AFTER_LAST_SECS: f64 = 0.05;
 
 /// Frames that are rendered and compressed side by side.
 const CHUNK: usize = 8;

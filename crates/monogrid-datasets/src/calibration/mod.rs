@@ -28,6 +28,7 @@ use monogrid_geometry::{Camera, Distortion, Pinhole, Se3};
 use std::path::{Path, PathBuf};
 
 pub(crate) use lines::camera_from_numbers;
+pub(crate) use yaml::sensor_yaml;
 
 /// A camera as read from a file, and how the file was understood.
 #[derive(Clone, Debug, PartialEq)]

@@ -8,6 +8,7 @@ use super::{Draft, fov, pixel_count, radial_tangential};
 use crate::DatasetError;
 use crate::trajectory::pose_from_matrix;
 use monogrid_geometry::{Distortion, Pinhole, Se3};
+use monogrid_inertial::ImuNoise;
 use std::path::Path;
 
 pub(super) fn parse(
@@ -106,6 +107,21 @@ fn distortion(yaml: &Yaml, path: &Path) -> Result<Distortion, DatasetError> {
 /// EuRoC's `T_BS`: the sensor's pose in the body, 4x4 row-major.
 fn body_from_camera(yaml: &Yaml) -> Option<Se3> {
     pose_from_matrix(&yaml.list("T_BS").filter(|m| m.len() == 16)?)
+}
+
+/// What EuRoC's `sensor.yaml` says of an inertial sensor: its pose in the body and its noise, as far as they are there.
+pub(crate) fn sensor_yaml(text: &str) -> (Option<Se3>, Option<ImuNoise>) {
+    let yaml = Yaml { text };
+    let positive = |key| yaml.number(key).filter(|value| *value > 0.0);
+    let noise = || {
+        Some(ImuNoise {
+            gyroscope: positive("gyroscope_noise_density")?,
+            accelerometer: positive("accelerometer_noise_density")?,
+            gyroscope_walk: positive("gyroscope_random_walk")?,
+            accelerometer_walk: positive("accelerometer_random_walk")?,
+        })
+    };
+    (body_from_camera(&yaml), noise())
 }
 
 /// The keys of ORB-SLAM (`Camera.fx`, version 3 `Camera1.fx`) or stella (`fx` below `Camera:`).

@@ -111,6 +111,8 @@ pub struct Dataset {
     pub response_path: Option<PathBuf>,
     /// Vignette image.
     pub vignette_path: Option<PathBuf>,
+    /// Readings of an inertial sensor.
+    pub imu_path: Option<PathBuf>,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
     options: SourceOptions,
@@ -268,6 +270,7 @@ impl Dataset {
             depth_calibration_path: named(&["calibration_depth.txt"]),
             response_path: named(&["pcalib.txt"]),
             vignette_path: named(&["vignette.png"]),
+            imu_path: named(&IMU_NAMES),
             warnings,
             options,
             unpacked,
@@ -294,6 +297,9 @@ const CALIBRATION_NAMES: [&str; 8] = [
     "camera.yaml",
     "camchain.yaml",
 ];
+
+/// Where the readings of an inertial sensor are looked for.
+const IMU_NAMES: [&str; 4] = ["mav0/imu0/data.csv", "imu0/data.csv", "imu.csv", "imu.txt"];
 
 /// What each layout finds before the common part.
 struct Parts {

@@ -5,6 +5,7 @@ mod check;
 mod crafted_recordings;
 mod hostile;
 mod images;
+mod imu;
 mod mutations;
 mod recording;
 mod register;

@@ -1,0 +1,358 @@
+//! Inertial measurements: EuRoC's `imu0`, and the logs of phones.
+
+use crate::calibration::sensor_yaml;
+use crate::text::{numbers, read_text};
+use crate::{DatasetError, parse_seconds, write_atomically};
+use monogrid_geometry::{Se3, Vec3};
+use monogrid_inertial::{GRAVITY_M_S2, ImuNoise, ImuSample};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Readings as a file holds them, and how it was understood.
+#[derive(Clone, Debug)]
+pub struct ImuFile {
+    /// In the order of the file.
+    pub samples: Vec<ImuSample>,
+    /// What `sensor.yaml` beside it says of the noise.
+    pub noise: Option<ImuNoise>,
+    /// Where the sensor sits in the body, by the same file.
+    pub body_from_imu: Option<Se3>,
+    /// Units and columns, for people.
+    pub interpretation: String,
+    /// The file.
+    pub path: PathBuf,
+}
+
+impl ImuFile {
+    /// Reads a table of readings, one a line, separated by commas, semicolons or blanks.
+    ///
+    /// Columns are found by their names in the first line (`timestamp,gx,gy,gz,ax,ay,az`, EuRoC's, and most of what phones
+    /// write), else they are time, gyroscope x y z, accelerometer x y z. The unit of time follows from the time between readings,
+    /// which is taken to be 0.5 to 200 ms; that of the accelerometer from gravity, which must be in it; gyroscopes are in rad/s unless
+    /// a name says degrees.
+    ///
+    /// # Errors
+    /// When the file cannot be read, a line is not one of numbers, or the readings are not those of such a sensor.
+    pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        let text = read_text(path)?;
+        let columns = Columns::find(&text, path)?;
+        let rows = rows(&text, path, &columns)?;
+        let time = TimeUnit::of(&rows, path)?;
+        let force_in_g = is_force_in_g(&rows, path)?;
+        let (to_force, to_rate) = (
+            if force_in_g { GRAVITY_M_S2 } else { 1.0 },
+            if columns.in_degrees {
+                1f64.to_radians()
+            } else {
+                1.0
+            },
+        );
+        let sample = |row: &Row| {
+            Some(ImuSample {
+                timestamp_ns: time.nanoseconds(&row.time)?,
+                angular_velocity: row.rate * to_rate,
+                specific_force: row.force * to_force,
+            })
+        };
+        let samples: Option<Vec<_>> = rows.iter().map(sample).collect();
+        let samples = samples
+            .ok_or_else(|| DatasetError::content(path, "times that are no numbers", "numbers"))?;
+        let (body_from_imu, noise) = match path.parent().map(|folder| folder.join("sensor.yaml")) {
+            Some(yaml) if yaml.is_file() => sensor_yaml(&read_text(&yaml)?),
+            _ => (None, None),
+        };
+        Ok(Self {
+            interpretation: format!(
+                "{}, time in {}, gyroscope in {}, accelerometer in {}",
+                if columns.are_named {
+                    "columns by their names"
+                } else {
+                    "columns as time, gyroscope, accelerometer"
+                },
+                time.name(),
+                if columns.in_degrees {
+                    "degrees per second"
+                } else {
+                    "rad/s"
+                },
+                if force_in_g { "g" } else { "m/s²" },
+            ),
+            samples,
+            noise,
+            body_from_imu,
+            path: path.to_path_buf(),
+        })
+    }
+}
+
+/// A line of the table; the time as it is written, since a number would round it.
+struct Row<'a> {
+    time: &'a str,
+    rate: Vec3,
+    force: Vec3,
+}
+
+/// Which column holds what.
+#[derive(Debug, PartialEq)]
+struct Columns {
+    time: usize,
+    rate: [usize; 3],
+    force: [usize; 3],
+    in_degrees: bool,
+    are_named: bool,
+}
+
+fn fields(line: &str) -> impl Iterator<Item = &str> {
+    let separator = if line.contains([',', ';']) {
+        [',', ';']
+    } else {
+        [' ', '\t']
+    };
+    line.split(separator)
+        .map(str::trim)
+        .filter(|field| !field.is_empty())
+}
+
+impl Columns {
+    fn find(text: &str, path: &Path) -> Result<Self, DatasetError> {
+        let first = text
+            .lines()
+            .find(|line| !line.trim().is_empty())
+            .unwrap_or("");
+        let header = first.trim_start_matches('#').trim();
+        if numbers(header).is_some() || header.is_empty() {
+            return Ok(Self {
+                time: 0,
+                rate: [1, 2, 3],
+                force: [4, 5, 6],
+                in_degrees: false,
+                are_named: false,
+            });
+        }
+        let names: Vec<String> = fields(header).map(str::to_lowercase).collect();
+        Self::named(&names).ok_or_else(|| {
+            DatasetError::line(
+                path,
+                1,
+                first,
+                "names of columns for time, gyroscope x y z and accelerometer x y z, as `timestamp,gx,gy,gz,ax,ay,az`",
+            )
+        })
+    }
+
+    fn named(names: &[String]) -> Option<Self> {
+        // `w_rs_s_x [rad s^-1]` is about x whatever its unit
+        let bare = |name: &String| {
+            name.split(['[', '('])
+                .next()
+                .unwrap_or("")
+                .trim()
+                .to_owned()
+        };
+        let is_rate = |name: &str| {
+            ["gyr", "angular", "rotation", "omega"]
+                .iter()
+                .any(|part| name.contains(part))
+                || name.starts_with("w_")
+                || ["gx", "gy", "gz", "wx", "wy", "wz"].contains(&name)
+        };
+        let is_force = |name: &str| {
+            !is_rate(name)
+                && !["gravity", "user"].iter().any(|part| name.contains(part))
+                && name.starts_with('a')
+                || name.contains("linear_acceleration")
+        };
+        let find = |test: &dyn Fn(&str) -> bool| {
+            let axis = |axis: char| {
+                names
+                    .iter()
+                    .position(|name| test(&bare(name)) && bare(name).ends_with(axis))
+            };
+            Some([axis('x')?, axis('y')?, axis('z')?])
+        };
+        let rate = find(&is_rate)?;
+        let in_degrees = ["deg", "dps", "°"]
+            .iter()
+            .any(|unit| names[rate[0]].contains(unit));
+        Some(Self {
+            time: names.iter().position(|name| {
+                name.contains("time") || name.contains("seconds") || name == "t"
+            })?,
+            rate,
+            force: find(&is_force)?,
+            in_degrees,
+            are_named: true,
+        })
+    }
+}
+
+fn rows<'a>(text: &'a str, path: &Path, columns: &Columns) -> Result<Vec<Row<'a>>, DatasetError> {
+    let row = |line: &'a str| {
+        let values: Vec<&str> = fields(line).collect();
+        let vector = |at: [usize; 3]| {
+            let number = |at: usize| values.get(at)?.parse::<f64>().ok();
+            Some(Vec3::new(number(at[0])?, number(at[1])?, number(at[2])?))
+        };
+        Some(Row {
+            time: values.get(columns.time)?,
+            rate: vector(columns.rate)?,
+            force: vector(columns.force)?,
+        })
+    };
+    let lines = text
+        .lines()
+        .enumerate()
+        .skip(usize::from(columns.are_named));
+    let content =
+        lines.filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with('#'));
+    let rows: Result<Vec<Row>, DatasetError> = content
+        .map(|(number, line)| {
+            row(line).ok_or_else(|| {
+                let expected = "a time and six numbers: gyroscope x y z, accelerometer x y z";
+                DatasetError::line(path, number + 1, line, expected)
+            })
+        })
+        .collect();
+    let rows = rows?;
+    if rows.len() < 2 {
+        return Err(DatasetError::content(
+            path,
+            format!("{} readings", rows.len()),
+            "a reading of gyroscope and accelerometer in each line",
+        ));
+    }
+    Ok(rows)
+}
+
+/// Unit of a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum TimeUnit {
+    Seconds,
+    Milliseconds,
+    Microseconds,
+    Nanoseconds,
+}
+
+impl TimeUnit {
+    /// The one in which sensors give 5 to 2000 readings per second.
+    fn of(rows: &[Row], path: &Path) -> Result<Self, DatasetError> {
+        let times: Vec<f64> = rows
+            .iter()
+            .filter_map(|row| row.time.parse().ok())
+            .collect();
+        let mut intervals: Vec<f64> = times
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).abs())
+            .filter(|i| *i > 0.0)
+            .collect();
+        intervals.sort_by(f64::total_cmp);
+        let median = intervals.get(intervals.len() / 2).copied().unwrap_or(0.0);
+        let units = [
+            (Self::Seconds, 1.0),
+            (Self::Milliseconds, 1e3),
+            (Self::Microseconds, 1e6),
+            (Self::Nanoseconds, 1e9),
+        ];
+        let fits = |(_, per_second): &(Self, f64)| (0.0005..=0.2).contains(&(median / per_second));
+        units
+            .into_iter()
+            .find(fits)
+            .map(|(unit, _)| unit)
+            .ok_or_else(|| {
+                DatasetError::content(
+                    path,
+                    format!("a median of {median} between the times of readings"),
+                    "0.5 to 200 ms, in seconds, milliseconds, microseconds or nanoseconds",
+                )
+            })
+    }
+
+    fn nanoseconds(self, text: &str) -> Option<i64> {
+        let per_unit = match self {
+            Self::Seconds => return parse_seconds(text),
+            Self::Milliseconds => 1_000_000,
+            Self::Microseconds => 1_000,
+            Self::Nanoseconds => 1,
+        };
+        match text.parse::<i64>() {
+            Ok(whole) => whole.checked_mul(per_unit),
+            Err(_) => {
+                let ns = text.parse::<f64>().ok()? * per_unit as f64;
+                (ns.abs() < 9e18).then_some(ns.round() as i64)
+            }
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Seconds => "seconds",
+            Self::Milliseconds => "milliseconds",
+            Self::Microseconds => "microseconds",
+            Self::Nanoseconds => "nanoseconds",
+        }
+    }
+}
+
+/// Whether forces are in units of gravity; the sensor feels gravity most of the time.
+fn is_force_in_g(rows: &[Row], path: &Path) -> Result<bool, DatasetError> {
+    let mut norms: Vec<f64> = rows.iter().map(|row| row.force.norm()).collect();
+    norms.sort_by(f64::total_cmp);
+    let median = norms[norms.len() / 2];
+    match median {
+        0.7..=1.4 => Ok(true),
+        6.5..=14.0 => Ok(false),
+        _ => Err(DatasetError::content(
+            path,
+            format!("a median of {median:.3} of the accelerometer's readings"),
+            "about 9.81 (m/s²) or 1 (g): what the sensor measures with gravity in it",
+        )),
+    }
+}
+
+/// Writes readings in EuRoC's layout: `data.csv` and `sensor.yaml` in a folder that exists, atomically.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_imu(
+    folder: &Path,
+    samples: &[ImuSample],
+    noise: &ImuNoise,
+    body_from_imu: &Se3,
+    rate_hz: f64,
+) -> Result<(), DatasetError> {
+    let mut text = String::from(
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n",
+    );
+    for sample in samples {
+        let (w, a) = (sample.angular_velocity, sample.specific_force);
+        // writing into a string cannot fail
+        let _ = writeln!(
+            text,
+            "{},{:.9},{:.9},{:.9},{:.8},{:.8},{:.8}",
+            sample.timestamp_ns, w.x, w.y, w.z, a.x, a.y, a.z
+        );
+    }
+    write_atomically(&folder.join("data.csv"), text.as_bytes())?;
+    let matrix = body_from_imu.rotation_matrix();
+    let rows = (0..3).map(|row| {
+        let t = body_from_imu.translation[row];
+        format!(
+            "{:.12}, {:.12}, {:.12}, {t:.12},",
+            matrix[(row, 0)],
+            matrix[(row, 1)],
+            matrix[(row, 2)]
+        )
+    });
+    let rows: Vec<String> = rows.collect();
+    let yaml = format!(
+        "sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{}\n         0.0, 0.0, 0.0, 1.0]\nrate_hz: {rate_hz}\n\
+         gyroscope_noise_density: {:e}\ngyroscope_random_walk: {:e}\naccelerometer_noise_density: {:e}\n\
+         accelerometer_random_walk: {:e}\n",
+        rows.join("\n         "),
+        noise.gyroscope,
+        noise.gyroscope_walk,
+        noise.accelerometer,
+        noise.accelerometer_walk
+    );
+    write_atomically(&folder.join("sensor.yaml"), yaml.as_bytes())
+}
