@@ -7,6 +7,7 @@ use crate::shutter::Rectifier;
 use crate::source::{FrameSource, ReadFrame, Reading, read_ahead};
 use monogrid_geometry::{Camera, Sim3, Vec3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
+use monogrid_inertial::Imu;
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, PosedKeyframe,
@@ -41,6 +42,8 @@ pub struct Settings {
     pub photometric: Photometric,
     /// Time that the camera takes from its first row to the last, ms; 0 where it reads all at once.
     pub readout_ms: f64,
+    /// Readings of an inertial sensor beside the camera, on the clock of the images.
+    pub imu: Option<Arc<Imu>>,
 }
 
 impl Default for Settings {
@@ -54,6 +57,7 @@ impl Default for Settings {
             mask: None,
             photometric: Photometric::default(),
             readout_ms: 0.0,
+            imu: None,
         }
     }
 }
@@ -130,6 +134,10 @@ impl Pipeline {
                 .map_err(|error| PipelineError::Settings(error.to_string()))?,
             Some((map, purpose)) => Slam::continue_from(slam, pinhole, mask, seed, map, purpose)
                 .map_err(|error| PipelineError::Settings(error.to_string()))?,
+        };
+        let slam = match settings.imu {
+            Some(imu) => slam.with_imu(imu),
+            None => slam,
         };
         let camera = KeyframeCamera::new(pinhole, preparation.size());
         let mapper = Mapper::new(settings.mapping, camera, settings.threads);

@@ -1,6 +1,6 @@
 //! What a disturbance does to a run: one row of the robustness matrix (`scripts/robustness.sh`).
 //!
-//! `cargo run --release -p monogrid-slam --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N]`
+//! `cargo run --release -p monogrid-slam --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N] [imu=1]`
 //!
 //! A built-in world at 320x240, carried by hand, with the noise of the demonstration. Disturbances: `low-rate`, `blur`,
 //! `exposure-jumps`, `black-frames`, `person`, `rolling-shutter`, `noise`, `fast`; `none` for comparison. Prints coverage, ATE
@@ -16,11 +16,14 @@ mod options;
 
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::{GrayImage, Mask};
+use monogrid_inertial::Imu;
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use monogrid_worlds::{
-    Carrier, EffectsConfig, LightingConfig, NoiseConfig, SynthConfig, SynthSequence,
+    Carrier, EffectsConfig, ImuConfig, LightingConfig, NoiseConfig, SynthConfig, SynthSequence,
+    imu_samples,
 };
 use options::Options;
+use std::sync::Arc;
 
 /// Frames in which a built-in motion goes its way at walking pace, 30 per second.
 const WALKING_FRAMES: usize = 1500;
@@ -126,10 +129,17 @@ impl Disturbance {
 
 /// Shows the sequence to a system of its own; it, the true poses, and the frames without a pose at the time after
 /// the first with one.
-fn run(sequence: &SynthSequence, disturbance: Disturbance) -> (Slam, Vec<StampedPose>, usize) {
+fn run(
+    sequence: &SynthSequence,
+    disturbance: Disturbance,
+    imu: Option<Imu>,
+) -> (Slam, Vec<StampedPose>, usize) {
     let camera = sequence.camera();
     let mask = Mask::filled(camera.width, camera.height, 255);
     let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+    if let Some(imu) = imu {
+        slam = slam.with_imu(Arc::new(imu));
+    }
     let mut truth = Vec::new();
     let mut num_lost = 0;
     for k in 0..sequence.len() {
@@ -147,6 +157,18 @@ fn run(sequence: &SynthSequence, disturbance: Disturbance) -> (Slam, Vec<Stamped
     (slam, truth, num_lost)
 }
 
+/// The readings of a phone beside the camera.
+fn imu(sequence: &SynthSequence) -> Imu {
+    let sensor = ImuConfig::default();
+    let samples = imu_samples(
+        sequence.path(),
+        &sensor,
+        sequence.config().seed,
+        f64::INFINITY,
+    );
+    Imu::new(samples, sensor.noise, sensor.camera_from_imu.inverse())
+}
+
 fn main() {
     let mut args = std::env::args().skip(1);
     let (world, name) = (args.next().unwrap(), args.next().unwrap());
@@ -157,7 +179,11 @@ fn main() {
     let quick = LightingConfig::quick();
     let sequence = SynthSequence::built_in_with(&world, Carrier::Hand, config, &quick).unwrap();
     let sequence = sequence.shortened(frames);
-    let (slam, truth, num_lost) = run(&sequence, disturbance);
+    let (slam, truth, num_lost) = run(
+        &sequence,
+        disturbance,
+        options.is("imu", "1").then(|| imu(&sequence)),
+    );
     let poses: Vec<StampedPose> = slam
         .trajectory()
         .iter()

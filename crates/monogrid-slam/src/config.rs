@@ -2,6 +2,7 @@
 
 use crate::{FragmentConfig, GraphConfig, SparseConfig, TrackingConfig};
 use monogrid_depth::DepthConfig;
+use monogrid_inertial::EstimateConfig;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -52,6 +53,8 @@ pub struct SlamConfig {
     pub graph: GraphConfig,
     /// New fragments of the map after a loss.
     pub fragments: FragmentConfig,
+    /// What an inertial sensor beside the camera says of its path, where there is one.
+    pub inertial: EstimateConfig,
 }
 
 impl SlamConfig {
@@ -67,6 +70,7 @@ impl SlamConfig {
             sparse: SparseConfig::thesis(),
             graph: GraphConfig::thesis(),
             fragments: FragmentConfig::default(),
+            inertial: EstimateConfig::default(),
         }
     }
 

@@ -242,6 +242,17 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_bridge_scale_sigma: 0.0, 10.0;
         max_bridge_turn_deg: 0.0, 180.0;
     }));
+    all.extend(limits!("slam.inertial", slam.inertial, {
+        max_frames: 30.0, 100_000.0;
+        gyroscope_bias_sigma: 0.00001, 1.0;
+        accelerometer_bias_sigma: 0.0001, 10.0;
+        min_secs: 0.5, 100_000.0;
+        max_scale_sigma: 0.0, 1.0;
+        max_gravity_sigma_deg: 0.0, 90.0;
+        max_join_scale_sigma: 0.0, 1.0;
+        max_join_position_share: 0.0, 1.0;
+        join_position_sigma_m: 0.0, 10.0;
+    }));
     all
 }
 

@@ -1,6 +1,7 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
 use crate::{FragmentConfig, KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState};
+use monogrid_inertial::EstimateConfig;
 
 /// What makes a pose doubtful that passed the tests of alignment.
 #[derive(Clone, Copy, Debug, Default)]
@@ -76,6 +77,26 @@ pub(crate) fn is_bridge(evidence: &BridgeEvidence, config: &FragmentConfig) -> b
     evidence.num_frames >= config.min_bridge_frames
         && evidence.scale_sigma <= config.max_bridge_scale_sigma
         && evidence.turn_rms <= config.max_bridge_turn_deg.to_radians()
+}
+
+/// How well the readings of an inertial sensor say where a fragment lies in the map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlaceEvidence {
+    /// Standard deviation of the logarithm of its scale against that of the map.
+    pub scale_sigma: f64,
+    /// Standard deviation of its position, m.
+    pub position_sigma_m: f64,
+    /// Way of the camera between the map and the fragment, m.
+    pub loss_m: f64,
+}
+
+/// Whether a fragment is joined to the map by the readings alone.
+pub(crate) fn is_placed(evidence: &PlaceEvidence, config: &EstimateConfig) -> bool {
+    let share = config.max_join_position_share * evidence.loss_m;
+    // NaN is no place
+    config.max_join_scale_sigma > 0.0
+        && evidence.scale_sigma <= config.max_join_scale_sigma
+        && evidence.position_sigma_m <= share.max(config.join_position_sigma_m)
 }
 
 /// What the decision looks at.
@@ -163,6 +184,47 @@ mod tests {
         ] {
             assert!(!is_bridge(&worse, &config), "{worse:?}");
         }
+    }
+
+    #[test]
+    fn readings_place_a_fragment_when_scale_and_position_are_known() {
+        let config = EstimateConfig::default();
+        let limit = PlaceEvidence {
+            scale_sigma: config.max_join_scale_sigma,
+            position_sigma_m: 2.0 * config.max_join_position_share,
+            loss_m: 2.0,
+        };
+        assert!(is_placed(&limit, &config));
+        let worse = [
+            (limit.scale_sigma * 1.01, limit.position_sigma_m),
+            (limit.scale_sigma, limit.position_sigma_m * 1.01),
+            (f64::NAN, limit.position_sigma_m),
+            (limit.scale_sigma, f64::NAN),
+        ];
+        for (scale_sigma, position_sigma_m) in worse {
+            let worse = PlaceEvidence {
+                scale_sigma,
+                position_sigma_m,
+                ..limit
+            };
+            assert!(!is_placed(&worse, &config), "{worse:?}");
+        }
+        // a camera that hardly moved
+        let still = PlaceEvidence {
+            position_sigma_m: config.join_position_sigma_m,
+            loss_m: 0.0,
+            ..limit
+        };
+        assert!(is_placed(&still, &config));
+        let never = EstimateConfig {
+            max_join_scale_sigma: 0.0,
+            ..config
+        };
+        let certain = PlaceEvidence {
+            scale_sigma: 0.0,
+            ..still
+        };
+        assert!(!is_placed(&certain, &never));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The one way in which the map changes.
 
 use super::arena::Map;
-use super::change::{Change, FinishedKeyframe, Found, NewKeyframe};
+use super::change::{Change, FinishedKeyframe, Found, NewKeyframe, Placed};
 use super::event::{Changes, Event};
 use super::keyframe::MapKeyframe;
 use super::points::{Adjustment, Observation, Registration, SeenPoints, SparsePoint};
@@ -34,6 +34,7 @@ impl Map {
             Change::Tracked(record) => self.frames.add(record),
             Change::Visited(keyframe, begin_ns, end) => self.frames.visit(keyframe, begin_ns, end),
             Change::Bridged(bridge) => self.bridges.push(bridge),
+            Change::Placed(placed) => self.place(&placed),
             Change::Started(fragment) => {
                 self.changes.others.push(Event::Started(fragment.id));
                 self.fragments.push(fragment);
@@ -204,16 +205,8 @@ impl Map {
     /// Moves the keyframes, and with them what is anchored in them.
     fn follow_graph(&mut self, update: GraphUpdate, frame_index: usize) {
         let poses = update.poses;
-        let moved = self.keyframes.iter_mut().zip(&poses.world_from_keyframe);
-        for (keyframe, pose) in moved {
-            let growth = pose.scale / keyframe.world_from_keyframe.scale;
-            keyframe.camera_from_world = pose.to_se3().inverse();
-            keyframe.world_from_keyframe = *pose;
-            if growth != 1.0 {
-                for point in &mut self.points[keyframe.points.anchored.clone()] {
-                    point.grow(growth);
-                }
-            }
+        for (index, pose) in poses.world_from_keyframe.iter().enumerate() {
+            self.carry(index, pose);
         }
         for joined in &update.joined {
             self.join(joined, frame_index);
@@ -227,6 +220,38 @@ impl Map {
         self.edges = update.edges;
         let failure = update.failure.map(Event::NotOptimised);
         self.changes.others.extend(failure);
+        self.note_poses();
+    }
+
+    /// Moves a keyframe, and with it the points that are anchored in it.
+    fn carry(&mut self, index: usize, pose: &Sim3) {
+        let Some(keyframe) = self.keyframes.get_mut(index) else {
+            return;
+        };
+        let growth = pose.scale / keyframe.world_from_keyframe.scale;
+        keyframe.camera_from_world = pose.to_se3().inverse();
+        keyframe.world_from_keyframe = *pose;
+        if growth != 1.0 {
+            for point in &mut self.points[keyframe.points.anchored.clone()] {
+                point.grow(growth);
+            }
+        }
+    }
+
+    /// Moves the keyframes of a fragment to where it lies in another, of which they are a part from now on.
+    fn place(&mut self, placed: &Placed) {
+        let joined = Joined {
+            from: placed.fragment,
+            into: placed.into,
+        };
+        self.join(&joined, placed.frame_index);
+        for index in 0..self.keyframes.len() {
+            if self.keyframes[index].fragment == placed.fragment {
+                let pose = placed.into_from_fragment * self.keyframes[index].world_from_keyframe;
+                self.carry(index, &pose);
+                self.keyframes[index].fragment = placed.into;
+            }
+        }
         self.note_poses();
     }
 

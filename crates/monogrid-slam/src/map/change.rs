@@ -48,12 +48,24 @@ pub(crate) enum Change {
     Visited(KeyframeId, i64, Option<VisitEnd>),
     /// The next keyframe goes on after a loss.
     Bridged(Bridge),
+    /// It is known where a fragment lies in another.
+    Placed(Placed),
     /// A fragment begins.
     Started(Fragment),
     /// The camera is lost from this frame on.
     Lost(usize),
     /// The camera has a pose again.
     Found(Found),
+}
+
+/// A fragment that becomes a part of another.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placed {
+    pub fragment: FragmentId,
+    pub into: FragmentId,
+    pub into_from_fragment: Sim3,
+    /// The frame after which it does.
+    pub frame_index: usize,
 }
 
 /// A keyframe to be made.

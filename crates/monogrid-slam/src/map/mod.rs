@@ -17,7 +17,7 @@ mod tree;
 mod view;
 
 pub(crate) use arena::Map;
-pub(crate) use change::{Change, FinishedKeyframe, Found, NewKeyframe};
+pub(crate) use change::{Change, FinishedKeyframe, Found, NewKeyframe, Placed};
 pub use event::Event;
 pub(crate) use exposure::Exposure;
 pub(crate) use frames::{Record, VisitEnd};

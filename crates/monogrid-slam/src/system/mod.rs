@@ -12,6 +12,7 @@
 //!        lost: -> lost                   -> relocalise   find back
 //!                                        -> loss, begin  or begin a fragment of the map
 //!                                        -> bridge        or go on in the map where the start shows it
+//!                                        -> inertia       or where an inertial sensor has it, later
 //!   -> outcome          the report on the frame
 //!   -> odometry         motion without corrections
 //! sessions: what is kept for a later run
@@ -26,6 +27,7 @@ mod camera;
 mod change;
 mod constrain;
 mod depth;
+mod inertia;
 mod keyframes;
 mod loss;
 mod lost;

@@ -42,6 +42,8 @@ impl Slam {
         }
         self.await_graph();
         let left = self.leave()?;
+        self.join_all_by_inertia();
+        self.await_graph();
         for fragment in self.map.grown_fragments() {
             adjust_whole(&self.setup, &mut self.map, fragment);
         }
@@ -131,7 +133,11 @@ impl Slam {
 
         let change = match decide_use(&self.setup, &self.map, &self.camera, &attempt) {
             Use::RefineDepth => self.observe(&frame, &attempt),
-            Use::ChangeKeyframe => self.change_keyframe(&frame, &attempt.tracked.alignment),
+            Use::ChangeKeyframe => {
+                let change = self.change_keyframe(&frame, &attempt.tracked.alignment);
+                self.join_by_inertia();
+                change
+            }
             Use::None => KeyframeChange::default(),
         };
         self.stopwatch.lap(Stage::Depth);

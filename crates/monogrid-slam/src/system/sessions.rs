@@ -39,6 +39,7 @@ impl Slam {
             mask,
             seed,
             is_frozen: purpose == Purpose::LocaliseOnly,
+            imu: None,
         };
         let (scale, revision) = (map.scale, map.pose_revision);
         let points = restored_points(&map);

@@ -3,8 +3,9 @@
 use super::camera::Known;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
-use monogrid_geometry::Pinhole;
+use monogrid_geometry::{Pinhole, Rotation, Vec3};
 use monogrid_image::Mask;
+use monogrid_inertial::Imu;
 use std::sync::Arc;
 
 /// Levels of all pyramids.
@@ -19,6 +20,8 @@ pub(super) struct Setup {
     pub seed: u64,
     /// Whether the map must stay as it is.
     pub is_frozen: bool,
+    /// Readings of an inertial sensor beside the camera.
+    pub imu: Option<Arc<Imu>>,
 }
 
 impl Setup {
@@ -26,6 +29,14 @@ impl Setup {
     pub(super) fn frame(&self, input: FrameInput) -> Frame {
         let finest = self.config.tracking.alignment.finest_level;
         Frame::new(input, &self.pinhole, finest, NUM_LEVELS)
+    }
+
+    /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter over so short a time;
+    /// `other_from_frame`.
+    pub(super) fn turn(&self, frame_ns: i64, other_ns: i64) -> Option<Rotation> {
+        self.imu
+            .as_ref()?
+            .camera_turn(frame_ns, other_ns, &Vec3::zeros())
     }
 
     /// A frame of which the pyramid was kept.

@@ -17,6 +17,7 @@ use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
 use monogrid_image::Mask;
+use monogrid_inertial::Imu;
 use std::sync::Arc;
 
 /// Direct semi-dense monocular SLAM.
@@ -57,12 +58,21 @@ impl Slam {
             mask,
             seed,
             is_frozen: false,
+            imu: None,
         };
         let graph = GraphLink::new(&setup, None)?.map(|(link, _)| link);
         Ok(Self {
             start: Some(start),
             ..Self::with_map(setup, Map::default(), graph)
         })
+    }
+
+    /// The same with the readings of an inertial sensor beside the camera, on the clock of the frames: they say how the camera turns
+    /// from frame to frame.
+    #[must_use]
+    pub fn with_imu(mut self, imu: Arc<Imu>) -> Self {
+        self.setup.imu = Some(imu);
+        self
     }
 
     /// A system that looks for the camera in a map.

@@ -11,7 +11,7 @@ use crate::tracker::{
 };
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{DepthSample, Motion, Reference};
-use monogrid_geometry::Se3;
+use monogrid_geometry::{Rotation, Se3};
 use monogrid_image::Pyramid;
 
 /// Tracks a frame on the keyframe in use, and doubts what it finds; `None` without a keyframe.
@@ -56,7 +56,7 @@ pub(super) fn track_on_active(
     )
 }
 
-/// Where a frame should be if the camera goes on as in the last frames.
+/// Where a frame should be if the camera goes on as in the last frames, and turns as the gyroscope says where there is one.
 pub(super) fn motion_prior(setup: &Setup, last: &Last, timestamp_ns: i64) -> MotionPrior {
     let interval_ns = (timestamp_ns - last.timestamp_ns).abs();
     let frame_from_last = if setup.config.tracking.motion_hypotheses {
@@ -64,10 +64,17 @@ pub(super) fn motion_prior(setup: &Setup, last: &Last, timestamp_ns: i64) -> Mot
     } else {
         Se3::identity()
     };
+    let turn = setup.turn(last.timestamp_ns, timestamp_ns);
     MotionPrior {
         last_from_keyframe: last.motion,
-        frame_from_last,
+        frame_from_last: turn.map_or(frame_from_last, |turn| turned(&frame_from_last, turn)),
     }
+}
+
+/// The same way with another turn: the camera comes to the same place.
+fn turned(frame_from_last: &Se3, turn: Rotation) -> Se3 {
+    let place_in_last = frame_from_last.inverse().translation;
+    Se3::new(turn, -(turn * place_in_last))
 }
 
 /// Tracks a frame on a keyframe that is not in use, from a predicted pose.
@@ -120,5 +127,24 @@ fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
         state: TrackingState::Lost,
         reason: Some(LostReason::Residuals),
         ..tracked
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Vec3, rotation_exp};
+
+    #[test]
+    fn another_turn_leaves_the_camera_at_its_place() {
+        let step = Se3::new(
+            rotation_exp(&Vec3::new(0.0, 0.1, 0.0)),
+            Vec3::new(0.3, 0.0, -0.1),
+        );
+        let turn = rotation_exp(&Vec3::new(0.2, -0.4, 0.1));
+        let found = turned(&step, turn);
+        assert_eq!(found.rotation, turn);
+        let place = |step: &Se3| step.inverse().translation;
+        assert!((place(&found) - place(&step)).norm() < 1e-12);
     }
 }

@@ -219,6 +219,46 @@ fn a_fragment_that_is_joined_is_counted_as_it_was() {
 }
 
 #[test]
+fn a_fragment_that_is_placed_takes_its_points_along_and_nothing_else() {
+    let mut map = map_with(&[0, 0, 1, 1]);
+    for id in 0..4 {
+        finish(&mut map, id, 0);
+    }
+    map.apply(Change::Started(Fragment::begun(1, 2, 20)));
+    let before: Vec<Vec3> = map.points().iter().map(|p| position(&map, p)).collect();
+    let poses: Vec<Sim3> = map
+        .keyframes()
+        .iter()
+        .map(|k| k.world_from_keyframe)
+        .collect();
+    map.take_events();
+    let into_from_fragment = pose(-3.0, 0.4);
+    map.apply(Change::Placed(Placed {
+        fragment: 1,
+        into: MAIN_MAP,
+        into_from_fragment,
+        frame_index: 55,
+    }));
+    for (index, point) in map.points().iter().enumerate() {
+        let is_moved = point.host >= 2;
+        let expected = if is_moved {
+            into_from_fragment * before[index]
+        } else {
+            before[index]
+        };
+        assert!((position(&map, point) - expected).norm() < 1e-9, "{index}");
+    }
+    assert_eq!(map[1].world_from_keyframe, poses[1]);
+    assert!(map.keyframes().iter().all(|k| k.fragment == MAIN_MAP));
+    let joined = map.fragments()[0].joined.unwrap();
+    assert_eq!((joined.into, joined.frame), (MAIN_MAP, 55));
+    let events = map.take_events();
+    assert!(events.iter().any(|event| matches!(event, Event::Joined(fragment) if fragment.id == 1 && fragment.keyframes == 2)));
+    assert!(events.iter().any(|event| matches!(event, Event::Moved(_))));
+    assert_eq!(map.snapshot().fragment_of(3), MAIN_MAP);
+}
+
+#[test]
 fn the_cost_of_a_graph_update_follows_what_moved() {
     // 1,000 keyframes with 150 points each, of which ten move
     let mut map = Map::default();

@@ -1,0 +1,159 @@
+//! A fragment that a loss began, where an inertial sensor says where it lies: it becomes a part of the main map without a place
+//! that is seen again.
+//!
+//! The paths before and after the loss are two parts of one motion, each with a unit of its own; the readings go through both and
+//! the time between ([`monogrid_inertial::estimate`]).
+
+use super::constrain::Link;
+use super::setup::Setup;
+use super::slam::Slam;
+use crate::graph::OdometryEdge;
+use crate::map::{Change, Map, Placed};
+use crate::policy::{PlaceEvidence, is_placed};
+use crate::{FragmentId, KeyframeId, MAIN_MAP, TrajectoryPose};
+use monogrid_geometry::{Mat6, Sim3};
+use monogrid_inertial::{Estimate, Imu, Observation, estimate};
+
+/// Time of the path before a loss that is used, ns.
+const BEFORE_NS: i64 = 12_000_000_000;
+/// Time after it, ns: what comes later says nothing more about the loss.
+const AFTER_NS: i64 = 20_000_000_000;
+
+/// Where a fragment lies in the main map.
+struct Place {
+    main_from_fragment: Sim3,
+    evidence: PlaceEvidence,
+    /// Standard deviation of the fragment's first camera, in units of the main map.
+    position_sigma: f64,
+    turn_sigma_rad: f64,
+}
+
+impl Slam {
+    /// The fragment that the camera is in becomes a part of the main map, where the readings say well enough where it lies.
+    pub(super) fn join_by_inertia(&mut self) {
+        let active = self.camera.active.as_ref();
+        let fragment = active.map(|active| self.map[active.id].fragment);
+        if let Some(fragment) = fragment.filter(|id| *id != MAIN_MAP) {
+            self.join_fragment_by_inertia(fragment);
+        }
+    }
+
+    /// The same with all fragments that are apart, at the end.
+    pub(super) fn join_all_by_inertia(&mut self) {
+        let apart = self
+            .map
+            .fragments()
+            .into_iter()
+            .filter(|f| f.joined.is_none());
+        for fragment in apart.map(|fragment| fragment.id).collect::<Vec<_>>() {
+            self.join_fragment_by_inertia(fragment);
+        }
+    }
+
+    fn join_fragment_by_inertia(&mut self, fragment: FragmentId) {
+        let Some(imu) = self.setup.imu.clone().filter(|_| !self.setup.is_frozen) else {
+            return;
+        };
+        // the poses must be those that a job begins with
+        self.await_graph();
+        let place = place_of(&self.setup, &self.map, &imu, fragment);
+        let Some(place) =
+            place.filter(|place| is_placed(&place.evidence, &self.setup.config.inertial))
+        else {
+            return;
+        };
+        let Some((parent, first)) = ends_of_loss(&self.map, fragment) else {
+            return;
+        };
+        self.map.apply(Change::Placed(Placed {
+            fragment,
+            into: MAIN_MAP,
+            into_from_fragment: place.main_from_fragment,
+            frame_index: self.frame_index,
+        }));
+        let link = place.link(&self.map, parent, first);
+        self.constrain(None, Link::Odometry(link), false);
+    }
+}
+
+/// Where the readings have a fragment; `None` where they say nothing.
+fn place_of(setup: &Setup, map: &Map, imu: &Imu, fragment: FragmentId) -> Option<Place> {
+    let after = map.trajectory_in(fragment);
+    let begin_ns = after.first()?.timestamp_ns;
+    let before = map.trajectory_in(MAIN_MAP);
+    let before = before
+        .iter()
+        .filter(|pose| (begin_ns - BEFORE_NS..begin_ns).contains(&pose.timestamp_ns));
+    let after = after
+        .iter()
+        .filter(|pose| pose.timestamp_ns < begin_ns + AFTER_NS);
+    let seen = |part: usize| {
+        move |pose: &TrajectoryPose| Observation {
+            timestamp_ns: pose.timestamp_ns,
+            seen: Some((part, pose.world_from_camera)),
+        }
+    };
+    let observations: Vec<Observation> = before.map(seen(0)).chain(after.map(seen(1))).collect();
+    let found = estimate(imu, &observations, &setup.config.inertial).ok()?;
+    Place::of(&found)
+}
+
+impl Place {
+    fn of(found: &Estimate) -> Option<Self> {
+        let [main, fragment] = found.parts.as_slice() else {
+            return None;
+        };
+        // the first part has neither rotation nor translation
+        let unit = 1.0 / main.metric_from_part.scale;
+        let metric = &fragment.metric_from_part;
+        let main_from_fragment = Sim3::new(
+            metric.scale * unit,
+            metric.rotation,
+            metric.translation * unit,
+        );
+        Some(Self {
+            main_from_fragment,
+            evidence: PlaceEvidence {
+                scale_sigma: main.scale_sigma.hypot(fragment.scale_sigma),
+                position_sigma_m: fragment.position_sigma_m,
+                loss_m: found.way_between_parts_m,
+            },
+            position_sigma: fragment.position_sigma_m * unit,
+            turn_sigma_rad: fragment.rotation_sigma_rad,
+        })
+    }
+
+    /// What the graph is told about the keyframes on both sides of the loss.
+    fn link(&self, map: &Map, parent: KeyframeId, keyframe: KeyframeId) -> OdometryEdge {
+        let world_from_parent = &map[parent].world_from_keyframe;
+        let position = self.position_sigma / world_from_parent.scale;
+        let mut covariance = Mat6::zeros();
+        for k in 0..6 {
+            let sigma = if k < 3 {
+                position
+            } else {
+                self.turn_sigma_rad.max(MIN_TURN_SIGMA)
+            };
+            covariance[(k, k)] = sigma * sigma;
+        }
+        OdometryEdge {
+            parent,
+            keyframe,
+            parent_from_keyframe: world_from_parent.inverse() * map[keyframe].world_from_keyframe,
+            covariance,
+            scale_sigma: self.evidence.scale_sigma,
+        }
+    }
+}
+
+/// No turn over a loss is claimed to be known better than this, rad.
+const MIN_TURN_SIGMA: f64 = 0.002;
+
+/// The last keyframe of the main map before a fragment, and the fragment's first.
+fn ends_of_loss(map: &Map, fragment: FragmentId) -> Option<(KeyframeId, KeyframeId)> {
+    let first = map.in_fragment(fragment).next()?.id;
+    let main = map
+        .in_fragment(MAIN_MAP)
+        .filter(|keyframe| keyframe.id < first);
+    Some((main.map(|keyframe| keyframe.id).max()?, first))
+}
