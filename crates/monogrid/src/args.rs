@@ -128,6 +128,23 @@ pub struct SourceArgs {
     /// Image of the size of the input, black where pixels must be ignored
     #[arg(long, value_name = "FILE", help_heading = "Input")]
     pub mask: Option<PathBuf>,
+    /// Readings of an inertial sensor beside the camera, CSV [default: mav0/imu0/data.csv, imu0/data.csv, imu.csv or imu.txt in the
+    /// source; `none`: none]
+    #[arg(long, value_name = "FILE|none", help_heading = "Input")]
+    pub imu: Option<PathBuf>,
+    /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to sensor, metres [default: as the
+    /// sensor.yaml of both say]
+    #[arg(long, value_name = "FILE", help_heading = "Input")]
+    pub imu_from_camera: Option<PathBuf>,
+    /// Milliseconds to add to the times of readings to have those of the images [default: 0]
+    #[arg(long, value_name = "MS", value_parser = time_offset_ms, allow_hyphen_values = true, help_heading = "Input")]
+    pub imu_time_offset: Option<f64>,
+}
+
+/// A difference of two clocks, ms: at most some centuries.
+fn time_offset_ms(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|ms: &f64| ms.abs() <= 9e12);
+    value.ok_or_else(|| "expected a number of milliseconds".into())
 }
 
 /// A field of view that a pinhole can have, degrees.

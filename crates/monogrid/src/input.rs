@@ -2,13 +2,14 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
+use crate::readings::Inertial;
 use crate::self_calibration::{Expected, OwnCalibration};
 use crate::video_colours::VideoColours;
 use crate::video_source::{VideoItem, VideoSource, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
-use monogrid_geometry::{Camera, Pinhole, ReadoutDirection};
+use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
 use monogrid_slam::mapping::KeyframeCamera;
@@ -107,6 +108,8 @@ pub struct Input {
     pub own_calibration: Option<OwnCalibration>,
     /// From images of the camera to working images.
     pub preparation: Preparation,
+    /// The inertial sensor beside the camera, where there is one.
+    pub inertial: Option<Inertial>,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
 }
@@ -154,6 +157,7 @@ impl Input {
         )
         .bad_input()?;
         let preparation = preparation(&known, args, photometric)?;
+        let inertial = Inertial::open(args, Some(&dataset), known.body_from_camera)?;
         let mut warnings = dataset.warnings.clone();
         warnings.extend(known.warnings);
         Ok(Self {
@@ -163,6 +167,7 @@ impl Input {
             interpretation: known.interpretation,
             own_calibration: known.own,
             preparation,
+            inertial,
             warnings,
         })
     }
@@ -194,6 +199,7 @@ impl Input {
         Ok(Self {
             name: video.name(),
             preparation: preparation.with_readout_direction(video.direction),
+            inertial: Inertial::open(args, None, known.body_from_camera)?,
             images: Images::Video(Box::new(video)),
             frames: Vec::new(),
             interpretation: known.interpretation,
@@ -224,6 +230,7 @@ impl Input {
                 None,
                 Photometric::default(),
             ),
+            inertial: None,
             warnings: Vec::new(),
         }
     }
@@ -421,6 +428,8 @@ struct KnownCamera {
     camera: Camera,
     /// Time from the first row to the last, where something says it.
     readout_ms: Option<f64>,
+    /// Its pose in the body, where something says it.
+    body_from_camera: Option<Se3>,
     interpretation: String,
     warnings: Vec<String>,
     own: Option<OwnCalibration>,
@@ -438,6 +447,7 @@ fn known_camera(
         return Ok(KnownCamera {
             camera: calibration.camera,
             readout_ms: args.rolling_shutter.or(calibration.readout_ms),
+            body_from_camera: calibration.body_from_camera,
             interpretation: calibration.interpretation(),
             warnings: calibration.notes,
             own: None,
@@ -450,6 +460,7 @@ fn known_camera(
     Ok(KnownCamera {
         camera: own.camera,
         readout_ms: args.rolling_shutter.or(own.readout_ms),
+        body_from_camera: None,
         interpretation: own.interpretation.clone(),
         warnings: own.warnings.clone(),
         own: Some(own),

@@ -40,6 +40,7 @@
 //! | calibrations, trajectories, recordings and folders of images | [`datasets`] |
 //! | frames of videos and cameras | [`video`] |
 //! | trajectories and maps against the truth | [`evaluation`] |
+//! | readings of an inertial sensor ([`Settings::imu`]) | [`inertial`] |
 //! | transforms and camera models | [`geometry`] |
 //!
 //! Without the feature `program` (on by default), nothing is built but these libraries:
@@ -49,6 +50,7 @@
 pub use monogrid_datasets as datasets;
 pub use monogrid_evaluation as evaluation;
 pub use monogrid_geometry as geometry;
+pub use monogrid_inertial as inertial;
 pub use monogrid_occupancy as occupancy;
 pub use monogrid_pipeline as pipeline;
 pub use monogrid_slam as slam;
@@ -101,6 +103,8 @@ mod output;
 mod picture;
 #[cfg(feature = "program")]
 pub mod program;
+#[cfg(feature = "program")]
+mod readings;
 #[cfg(feature = "program")]
 mod recorded;
 #[cfg(feature = "program")]

@@ -6,6 +6,7 @@ use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::from_recorded;
 use crate::run::align::{Align, MapFrame, Scene};
+use crate::run::sensed::SensedFrame;
 use crate::run::sessions::{frame_beside, tracked_frame};
 use crate::surface::{CellColours, ColouredScan};
 use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, Scale, SessionInfo};
@@ -69,14 +70,15 @@ impl Recorded {
             .unwrap_or_else(|| RunConfig::of(Profile::Default))
             .mapping;
         let scans = OnceCell::new();
-        let (frame, align_failure) = align.frame(&trajectory, &mut || Scene {
-            views: views_of(
-                &recording.keyframes,
-                scans.get_or_init(|| scans_of(&recording.keyframes, &camera, &mapping, 1)),
-            ),
-            camera,
-            config: &mapping.upright,
-        });
+        let (frame, align_failure) =
+            align.frame(&trajectory, &SensedFrame::default(), &mut || Scene {
+                views: views_of(
+                    &recording.keyframes,
+                    scans.get_or_init(|| scans_of(&recording.keyframes, &camera, &mapping, 1)),
+                ),
+                camera,
+                config: &mapping.upright,
+            });
         if let Some(reason) = align_failure {
             return Err(Failure::input(reason));
         }

@@ -37,7 +37,12 @@ fn sources(folder: &Path, out: &mut Vec<PathBuf>) {
 /// Fields of every struct whose name ends in `Config`.
 fn structs() -> BTreeMap<String, Vec<Field>> {
     let mut files = Vec::new();
-    for name in ["monogrid-slam", "monogrid-depth", "monogrid-alignment"] {
+    for name in [
+        "monogrid-slam",
+        "monogrid-depth",
+        "monogrid-alignment",
+        "monogrid-inertial",
+    ] {
         sources(&crates().join(name).join("src"), &mut files);
     }
     let mut out = BTreeMap::new();

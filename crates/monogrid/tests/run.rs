@@ -19,6 +19,7 @@ use monogrid_datasets::{
 };
 use monogrid_geometry::Vec3;
 use monogrid_occupancy::{Occupancy, read_ot};
+use monogrid_worlds::{ImuConfig, SynthSequence, write_sequence_imu};
 use std::fs;
 use std::path::Path;
 use std::process::{Output, Stdio};
@@ -491,6 +492,67 @@ fn an_interrupt_saves_everything() {
     assert_eq!(summary["status"], "interrupted");
     assert!(summary["frames"].as_u64().unwrap() < common::SMALL_FRAMES as u64);
     assert!(out.join("global.ot").exists());
+}
+
+#[test]
+fn an_inertial_sensor_makes_results_metric_and_level() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = dir.path().join("source");
+    copy_of_small_sequence(&source);
+    let sequence = SynthSequence::small_demo().unwrap();
+    let sequence = sequence.shortened(common::SMALL_FRAMES);
+    write_sequence_imu(&sequence, &source, &ImuConfig::default()).unwrap();
+    let output = monogrid([Path::new("check"), &source, Path::new("--json")]);
+    let imu = &json(&output)["imu"];
+    assert!(
+        (imu["rate_hz"].as_f64().unwrap() - 200.0).abs() < 1.0,
+        "{imu}"
+    );
+
+    // from nothing: a depth image would say the scale
+    let started = |out: &Path, more: &[&str]| {
+        let places = [source.as_path(), Path::new("--out"), out];
+        program()
+            .arg("run")
+            .args(places)
+            .args(more)
+            .arg("--json")
+            .output()
+            .unwrap()
+    };
+    let out = dir.path().join("out");
+    let output = started(&out, &["--set", "slam.inertial.max_scale_sigma=0.1"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = json(&output);
+    assert_eq!(
+        (&summary["scale"], &summary["up"]["from"]),
+        (&"metric".into(), &"imu".into()),
+        "{summary}"
+    );
+    let inertial = &summary["inertial"];
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    // the reference beside the images says what a unit is
+    let error =
+        (number(&inertial["metres_per_unit"]) / number(&summary["trajectory"]["scale"])).ln();
+    assert!(
+        error.abs() < 4.0 * number(&inertial["scale_sigma"]) && error.abs() < 0.1,
+        "{error} {inertial}"
+    );
+    let compared = monogrid([
+        "evaluate",
+        "trajectory",
+        out.join("trajectory.txt").to_str().unwrap(),
+        source.join("groundtruth.txt").to_str().unwrap(),
+        "--json",
+    ]);
+    let tilt = number(&json(&compared)["tilt_deg"]);
+    assert!(tilt < 1.0, "{tilt}");
+
+    // what is asked for is done
+    let plain = dir.path().join("plain");
+    let output = started(&plain, &["--imu", "none", "--max-frames", "90"]);
+    assert_eq!(json(&output)["scale"], "arbitrary");
+    assert!(json(&output)["inertial"].is_null());
 }
 
 /// Files of the book, in its order, as its first page lists them.

@@ -5,6 +5,7 @@ use crate::args::{JsonArg, SourceArgs};
 use crate::doubts::doubts;
 use crate::failure::{CommandResult, Outcome};
 use crate::input::{Images, Input};
+use crate::readings::{ImuFacts, Inertial};
 use clap::Args;
 use monogrid_datasets::{CheckConfig, FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
 use monogrid_image::GrayImage;
@@ -48,6 +49,9 @@ struct CheckReport {
     median_textured_share: f32,
     depth_images: usize,
     has_ground_truth: bool,
+    /// The inertial sensor beside the camera.
+    imu: Option<ImuFacts>,
+    imu_interpretation: Option<String>,
     warnings: Vec<String>,
 }
 
@@ -173,8 +177,16 @@ impl CheckReport {
             median_textured_share: sequence.median_textured_share,
             depth_images: dataset.map_or(0, |dataset| dataset.depths.len()),
             has_ground_truth: dataset.is_some_and(|dataset| dataset.ground_truth.is_some()),
+            imu: input.inertial.as_ref().map(|inertial| inertial.facts),
+            imu_interpretation: input
+                .inertial
+                .as_ref()
+                .map(|inertial| inertial.interpretation.clone()),
             warnings: input.warnings.clone(),
         };
+        report
+            .warnings
+            .extend(input.inertial.iter().flat_map(Inertial::findings));
         report.warnings.extend(seen.unreadable_warning());
         report.warnings.extend(sequence.findings());
         if input.own_calibration.is_none() {
@@ -246,6 +258,13 @@ fn print_report(report: &CheckReport) {
         report.depth_images,
         if report.has_ground_truth { "yes" } else { "no" }
     );
+    if let (Some(imu), Some(interpretation)) = (&report.imu, &report.imu_interpretation) {
+        println!(
+            "inertial     {} readings in {:.1} s, {:.0} per second, largest gap {:.3} s, {} saturated",
+            imu.readings, imu.seconds, imu.rate_hz, imu.largest_gap_seconds, imu.saturated
+        );
+        println!("             {interpretation}");
+    }
     if report.warnings.is_empty() {
         println!("nothing that would hurt tracking was found");
     }

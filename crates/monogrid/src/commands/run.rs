@@ -7,6 +7,7 @@ use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
 use crate::output::{Inputs, OutputFolder};
+use crate::readings::Inertial;
 use crate::refine::refine;
 use crate::run::RunSettings;
 use crate::run::align::{Align, Up};
@@ -234,6 +235,11 @@ fn output_folder(
         .and_all("the depth to start with", seed_depth)
         .and_all("the calibration of depth images", &args.depth_calibration)
         .and_all("the settings", &args.config)
+        .and_all("the inertial readings", &args.input.imu)
+        .and_all(
+            "the mount of the inertial sensor",
+            &args.input.imu_from_camera,
+        )
         .and("the vocabulary", &config.slam.graph.places.vocabulary)
         .and_named("the reference", args.align.as_deref());
     if let Images::Files(dataset) = &input.images {
@@ -266,7 +272,12 @@ fn describe_input(input: &Input) {
     if !input.interpretation.is_empty() {
         eprintln!("calibration: {}", input.interpretation);
     }
-    for warning in &input.warnings {
+    if let Some(inertial) = &input.inertial {
+        let (path, said) = (inertial.path.display(), &inertial.interpretation);
+        eprintln!("inertial readings: {path}: {said}");
+    }
+    let findings = input.inertial.iter().flat_map(Inertial::findings);
+    for warning in input.warnings.iter().cloned().chain(findings) {
         eprintln!("warning: {warning}");
     }
 }

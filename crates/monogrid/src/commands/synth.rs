@@ -11,8 +11,9 @@ use monogrid_evaluation::TruthConfig;
 use monogrid_geometry::{Camera, Pinhole};
 use monogrid_occupancy::MapFormat;
 use monogrid_worlds::{
-    CameraPath, EffectsConfig, LightingConfig, MOTION_NAMES, MeshLighting, Motion, SynthConfig,
-    SynthSequence, WORLD_NAMES, World, WriteConfig, usual_frames, write_tum_layout,
+    CameraPath, EffectsConfig, ImuConfig, LightingConfig, MOTION_NAMES, MeshLighting, Motion,
+    SynthConfig, SynthSequence, WORLD_NAMES, World, WriteConfig, usual_frames, write_sequence_imu,
+    write_tum_layout,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -83,6 +84,9 @@ pub struct SynthArgs {
     /// Edge of the cells of the truth map truth.ot
     #[arg(long, value_name = "L", value_parser = positive, default_value_t = 0.05)]
     pub truth_resolution: f64,
+    /// Write the readings of an inertial sensor beside the camera too, as mav0/imu0 in EuRoC's layout, with the errors of a phone's
+    #[arg(long)]
+    pub imu: bool,
     /// Light the world coarsely, in a moment
     #[arg(long)]
     pub quick_light: bool,
@@ -100,6 +104,7 @@ struct SynthReport {
     frames: usize,
     depth_images: usize,
     seconds_of_video: f64,
+    inertial_readings: usize,
     path_length: f64,
     truth_occupied: u64,
     truth_free: u64,
@@ -162,9 +167,14 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
         bar.set_position(done as u64);
     });
     bar.finish_and_clear();
+    let readings = match args.imu {
+        true => write_sequence_imu(sequence, folder.path(), &ImuConfig::default()),
+        false => Ok(0),
+    };
     // what there is of it is ours, whole or not
     folder.list_new()?;
     written.while_running("the dataset cannot be written")?;
+    let inertial_readings = readings.while_running("the inertial readings cannot be written")?;
     let counts = truth.grid.counts();
     let report = SynthReport {
         world: sequence.world().name().to_owned(),
@@ -174,6 +184,7 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
             every => sequence.len().div_ceil(every),
         },
         seconds_of_video: sequence.config().frames as f64 / args.fps,
+        inertial_readings,
         path_length: sequence.path().length_m(args.fps),
         truth_occupied: counts.occupied,
         truth_free: counts.free,

@@ -87,6 +87,7 @@ impl Inputs {
             .and_all("the calibration", &dataset.depth_calibration_path)
             .and_all("the response", &dataset.response_path)
             .and_all("the vignette", &dataset.vignette_path)
+            .and_all("the inertial readings", &dataset.imu_path)
     }
 
     /// What an input that a path leads to is.

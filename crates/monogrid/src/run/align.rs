@@ -1,5 +1,6 @@
 //! The frame in which results are written.
 
+use super::sensed::SensedFrame;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
@@ -14,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// What `--up` asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Up {
-    /// What the scene says, where it is sure enough, else as the first camera was held.
+    /// Gravity as an inertial sensor has it, else what the scene says, where either is sure enough, else as the first camera was held.
     #[default]
     Scene,
     /// As the first camera was held, whatever the scene says.
@@ -75,7 +76,7 @@ pub struct MapFrame {
 /// What was found out about up, as `summary.json` says it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UpSummary {
-    /// `scene`, `first-camera`, `given` (`--up x,y,z`), `reference` (`--align`) or `earlier` (`--continue`).
+    /// `imu`, `scene`, `first-camera`, `given` (`--up x,y,z`), `reference` (`--align`) or `earlier` (`--continue`).
     pub from: &'static str,
     /// How sure the scene is, from 0 to 1; `null` where it was not asked.
     pub confidence: Option<f64>,
@@ -126,24 +127,34 @@ impl Up {
             })
     }
 
-    /// The frame with z up.
-    fn frame<'a>(self, scene: &mut dyn FnMut() -> Scene<'a>) -> MapFrame {
-        match self {
-            Self::FirstCamera => first_camera(None),
-            Self::Given(up) => {
-                let scene = scene();
-                let floor = floor_below(&scene.views, &scene.camera, &up, scene.config);
-                level(
-                    &up,
-                    floor.as_ref(),
-                    "as given",
-                    UpSummary {
-                        from: "given",
-                        confidence: None,
-                    },
-                )
-            }
-            Self::Scene => {
+    /// The frame with z up, in metres where they are known.
+    fn frame<'a>(self, sensed: &SensedFrame, scene: &mut dyn FnMut() -> Scene<'a>) -> MapFrame {
+        let frame = self.level_frame(sensed, scene);
+        match sensed.metres_per_unit {
+            Some(metres) => frame.in_metres(metres),
+            None => frame,
+        }
+    }
+
+    fn level_frame<'a>(
+        self,
+        sensed: &SensedFrame,
+        scene: &mut dyn FnMut() -> Scene<'a>,
+    ) -> MapFrame {
+        let mut known = |up: &Vec3, said, from| {
+            let scene = scene();
+            let floor = floor_below(&scene.views, &scene.camera, up, scene.config);
+            let summary = UpSummary {
+                from,
+                confidence: None,
+            };
+            level(up, floor.as_ref(), said, summary)
+        };
+        match (self, sensed.up_in_world) {
+            (Self::FirstCamera, _) => first_camera(None),
+            (Self::Given(up), _) => known(&up, "as given", "given"),
+            (Self::Scene, Some(up)) => known(&up, "as gravity says", "imu"),
+            (Self::Scene, None) => {
                 let scene = scene();
                 let found = upright(&scene.views, &scene.camera, scene.config);
                 match found {
@@ -240,13 +251,14 @@ impl Align {
     }
 
     /// The frame of the results, given the estimated trajectory in the world of the run. The scene is only looked at
-    /// where it has a say.
+    /// where it has a say, and so is what an inertial sensor found.
     ///
     /// An alignment that cannot be found is not fatal: the results are written unaligned and the
     /// reason is returned beside them.
     pub fn frame<'a>(
         &self,
         trajectory: &[(i64, Se3)],
+        sensed: &SensedFrame,
         scene: &mut dyn FnMut() -> Scene<'a>,
     ) -> (MapFrame, Option<String>) {
         let by_reference = |map_from_world, description, is_aligned, from| MapFrame {
@@ -261,7 +273,7 @@ impl Align {
             floor: None,
         };
         match self {
-            Self::Level(up) => (up.frame(scene), None),
+            Self::Level(up) => (up.frame(sensed, scene), None),
             Self::Map {
                 map_from_world,
                 description,
@@ -276,7 +288,7 @@ impl Align {
                 path,
                 target_from_results,
             } => {
-                let (base, _) = base.frame(trajectory, scene);
+                let (base, _) = base.frame(trajectory, sensed, scene);
                 let map_from_world = *target_from_results * base.map_from_world;
                 let description = format!("aligned by {}", path.display());
                 let frame = by_reference(map_from_world, description, true, "reference");
@@ -291,7 +303,7 @@ impl Align {
                     (frame, None)
                 }
                 Err(reason) => (
-                    Up::default().frame(scene),
+                    Up::default().frame(sensed, scene),
                     Some(format!(
                         "results are not aligned to {}: {reason}",
                         path.display()
@@ -303,6 +315,18 @@ impl Align {
 }
 
 impl MapFrame {
+    /// The same frame with lengths in metres, of which a unit of the world has so many.
+    fn in_metres(mut self, metres: f64) -> Self {
+        let scaled = Sim3::new(metres, Se3::identity().rotation, Vec3::zeros());
+        self.map_from_world = scaled * self.map_from_world;
+        self.description += ", in metres by the inertial sensor";
+        self.is_aligned = true;
+        if let Some(floor) = &mut self.floor {
+            floor.camera_height *= metres;
+        }
+        self
+    }
+
     /// Compares the results with a reference that has not decided their frame; returns the transform from the frame of
     /// the reference to that of the results.
     pub fn compare(
@@ -373,13 +397,25 @@ mod tests {
             camera,
             config: &config,
         };
-        let (frame, warning) = Align::Level(Up::Scene).frame(&[], &mut nothing);
+        let unsensed = SensedFrame::default();
+        let (frame, warning) = Align::Level(Up::Scene).frame(&[], &unsensed, &mut nothing);
         assert_eq!(frame.map_from_world, z_up_from_camera_world());
         assert_eq!(frame.up.from, "first-camera");
         assert_eq!(frame.up.confidence, Some(0.0));
         assert_eq!((frame.floor, warning), (None, None));
-        let (frame, _) = Align::Level(Up::Given(-Vec3::z())).frame(&[], &mut nothing);
+        let (frame, _) = Align::Level(Up::Given(-Vec3::z())).frame(&[], &unsensed, &mut nothing);
         assert!((frame.map_from_world.rotation * -Vec3::z() - Vec3::z()).norm() < 1e-12);
         assert_eq!(frame.up.from, "given");
+
+        let sensed = SensedFrame {
+            up_in_world: Some(-Vec3::x()),
+            metres_per_unit: Some(2.5),
+        };
+        let (frame, _) = Align::Level(Up::Scene).frame(&[], &sensed, &mut nothing);
+        assert_eq!((frame.up.from, frame.is_aligned), ("imu", true));
+        assert!((frame.map_from_world * -Vec3::x() - Vec3::z() * 2.5).norm() < 1e-12);
+        let (frame, _) = Align::Level(Up::FirstCamera).frame(&[], &sensed, &mut nothing);
+        assert_eq!(frame.up.from, "first-camera", "what is asked for is done");
+        assert!((frame.map_from_world.scale - 2.5).abs() < 1e-12);
     }
 }

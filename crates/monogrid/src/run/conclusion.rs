@@ -108,6 +108,9 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     if !summary.localise_only && summary.keyframes > 0 {
         lines += &format!("  frame: {}\n", summary.frame);
     }
+    if let Some(inertial) = &summary.inertial {
+        lines += &format!("  {}\n", inertial.line());
+    }
     if let Some(cell) = &summary.map.cell {
         lines += &format!("  {}\n", cell.reason(unit));
     }

@@ -8,7 +8,7 @@
 //!        -> threads::track       monogrid_pipeline: reader -> tracking -> recorder (recording, pictures of keyframes)
 //!                                                                      -> mapper   (maps that grow)
 //!                                                                      -> live     (`--view`)
-//!        -> align                the frame of the results
+//!        -> sensed, align        the frame of the results
 //!        -> outputs              tables, final maps and their pictures
 //!        -> summary, report      summary.json, report.html
 //!   -> conclusion::conclude      what the user reads, the exit code
@@ -26,6 +26,7 @@ pub mod outputs;
 mod progress;
 mod recorder;
 pub mod report;
+pub mod sensed;
 pub mod sessions;
 pub mod summary;
 pub mod threads;

@@ -131,6 +131,10 @@ fn pipeline(input: &Input, settings: &RunSettings) -> Result<Pipeline, Failure> 
         mapping: config.mapping.clone(),
         seed: config.seed,
         threads: settings.threads,
+        imu: input
+            .inertial
+            .as_ref()
+            .map(|inertial| Arc::clone(&inertial.imu)),
         ..Settings::default()
     };
     Pipeline::with(input.preparation.clone(), settings, earlier).map_err(Failure::input)

@@ -6,6 +6,7 @@ use super::conclusion::verdict;
 use super::outputs::{self, Ground, MapPictures, Surface, path_of};
 use super::progress::watched;
 use super::report::{ReportInput, page};
+use super::sensed::{Sensed, sense};
 use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{Tracked, track};
@@ -79,6 +80,7 @@ pub fn run_all(
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
     let poses = outputs::final_poses(&tracked, &looked.frame);
     outputs::write_tables(folder, &tracked, &looked.frame, &poses, settings)?;
+    outputs::write_bridged(folder, &looked.sensed.bridged, &looked.frame)?;
     let paths = Paths::new(&poses, &tracked, &looked.frame);
     let posed = posed_keyframes(&tracked, &looked.frame);
     let shown = shown_keyframes(&posed, &scans);
@@ -191,6 +193,7 @@ fn summary(
 ) -> Summary {
     let mut summary = Summary::new(input, settings, tracked, &looked.frame, maps);
     summary.map.cell = looked.cell;
+    summary.inertial.clone_from(&looked.sensed.summary);
     summary.warnings = warnings(input, looked.warning.clone(), extras.warnings, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
@@ -215,6 +218,8 @@ struct Looked {
     warning: Option<String>,
     /// The cell that follows from the scene, where nothing else says how large cells are.
     cell: Option<SceneCell>,
+    /// What the inertial sensor says.
+    sensed: Sensed,
 }
 
 impl Looked {
@@ -237,7 +242,10 @@ impl Looked {
             })
             .collect();
         let (camera, mapping) = (input.keyframe_camera(), &settings.config.mapping);
-        let (frame, warning) = align.frame(&stamped_path(tracked), &mut || Scene {
+        let inertial = input.inertial.as_ref();
+        let sensed = sense(inertial, tracked, &settings.config.slam.inertial);
+        let path = stamped_path(tracked);
+        let (frame, warning) = align.frame(&path, &sensed.frame, &mut || Scene {
             views: views.clone(),
             camera,
             config: &mapping.upright,
@@ -248,6 +256,7 @@ impl Looked {
             frame,
             warning,
             cell: cell.flatten(),
+            sensed,
         }
     }
 }

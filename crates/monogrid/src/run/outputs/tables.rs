@@ -55,6 +55,25 @@ pub fn write_tables(
     folder.write("graph_rigid.g2o", g2o::write_rigid(&graph))
 }
 
+/// Writes `trajectory_bridged.txt`: frames that no image has a pose for, as an inertial sensor has them.
+pub fn write_bridged(
+    folder: &OutputFolder,
+    poses: &[TimedPose],
+    frame: &MapFrame,
+) -> Result<(), Failure> {
+    if poses.is_empty() {
+        return Ok(());
+    }
+    let in_frame = poses.iter().map(|pose| TimedPose {
+        world_from_camera: in_map(&frame.map_from_world, &pose.world_from_camera),
+        ..*pose
+    });
+    folder.write(
+        "trajectory_bridged.txt",
+        format_tum(&in_frame.collect::<Vec<_>>()),
+    )
+}
+
 /// The frames of earlier sessions where they are known to be now, session after session.
 fn earlier_trajectory(earlier: &Earlier, tracked: &Tracked, frame: &MapFrame) -> String {
     let mut frames: Vec<_> = earlier.frames.iter().collect();

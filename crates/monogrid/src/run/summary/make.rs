@@ -61,6 +61,7 @@ impl Summary {
             frame: frame.description.clone(),
             up: frame.up,
             floor: frame.floor,
+            inertial: None,
             profile: settings.config.profile.name(),
             seed: settings.config.seed,
             working_size: [width, height],

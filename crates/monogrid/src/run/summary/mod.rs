@@ -7,6 +7,7 @@ pub use make::is_metric;
 pub use status::Status;
 
 use super::align::{FloorSummary, UpSummary};
+use super::sensed::InertialSummary;
 use crate::usage::{peak_rss_bytes, process_start};
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
 use monogrid_slam::mapping::SceneCell;
@@ -156,6 +157,9 @@ pub struct Summary {
     pub up: UpSummary,
     /// The floor at z = 0; `null` where none was found or looked for.
     pub floor: Option<FloorSummary>,
+    /// What the inertial sensor beside the camera says; not there without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inertial: Option<InertialSummary>,
     /// Profile.
     pub profile: &'static str,
     /// Seed.
