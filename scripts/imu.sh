@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # An inertial sensor beside the camera: scale, gravity and accuracy in the built-in worlds, with and without its readings, which have the
-# errors of a phone's. Prints a row per world and seed, then what holds.
+# errors of a phone's; then two seconds of black images, with and without the readings. Prints a row per world and seed, and what holds.
 #
-#   scripts/imu.sh [FOLDER]      FOLDER keeps videos and runs [default: a temporary one]
+#   scripts/imu.sh [FOLDER]      FOLDER keeps videos, runs and rows [default: a temporary one]
 #
-# WORLDS, SEEDS, FRAMES (30 per second): others than the five worlds, seeds 0 to 2, ten seconds; BIN: another program.
+# WORLDS, SEEDS, FRAMES (30 per second), SIZE: others than the five worlds, seeds 0 to 2, ten seconds, 640x480; BIN, BLACKOUT: other builds of
+# the program and of the example `blackout`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
@@ -14,6 +15,7 @@ esac
 worlds=${WORLDS:-living-room office machine-hall corridor-loop blank-walls}
 seeds=${SEEDS:-0 1 2}
 frames=${FRAMES:-300}
+size=${SIZE:-640x480}
 folder=${1:-}
 if [ -z "$folder" ]; then
   folder=$(mktemp -d)
@@ -35,7 +37,7 @@ for world in $worlds; do
   for seed in $seeds; do
     video=$folder/$world-$seed
     # the motion is as slow as in the whole video, of which this is the beginning
-    kept_run "$video" synth "$world" --imu --seed "$seed" --max-frames "$frames" --depth-every 0 --quick-light
+    kept_run "$video" synth "$world" --imu --seed "$seed" --size "$size" --max-frames "$frames" --depth-every 0 --quick-light
     for kind in with without; do
       run=$folder/run-$world-$seed-$kind
       imu=()
@@ -60,3 +62,27 @@ awk '{ n++; e = $3 < 0 ? -$3 : $3
   } END {
     printf "\nscale within 1 %% in %d of %d, gravity within 0.5° in %d; mean ATE %.1f mm with, %.1f mm without; no worse than without (by 5 %%) in %d\n", scale, n, gravity, 1000 * with / n, 1000 * without / n, better
   }' "$rows"
+
+if [ -z "${BLACKOUT:-}" ]; then
+  cargo build --quiet --release -p monogrid-slam --example blackout
+  BLACKOUT=${CARGO_TARGET_DIR:-target}/release/examples/blackout
+fi
+dark=$folder/dark
+touch "$dark"
+echo
+echo '| world | place | seed | readings | way in the dark | afterwards | frames with a pose | off by, of the way |'
+echo '|---|---|---|---|---|---|---|---|'
+for world in $worlds; do
+  for place in known unknown; do
+    for seed in $seeds; do
+      for imu in 1 0; do
+        key="| $world | $place | $seed | $([ "$imu" = 1 ] && echo yes || echo no) |"
+        grep -qF "$key" "$dark" || "$BLACKOUT" "$world" "$place" "seed=$seed" "imu=$imu" >>"$dark"
+        grep -F "$key" "$dark"
+      done
+    done
+  done
+done
+awk -F'|' '{ n[$5]++; if ($9 ~ /[0-9]/ && $9 + 0 <= 5) good[$5]++ } END {
+    printf "\nbridged within 5 %% of the way: %d of %d with readings, %d of %d without\n", good[" yes "], n[" yes "], good[" no "], n[" no "]
+  }' "$dark"

@@ -49,7 +49,7 @@ impl ImuFile {
         );
         let sample = |row: &Row| {
             Some(ImuSample {
-                timestamp_ns: time.nanoseconds(&row.time)?,
+                timestamp_ns: time.nanoseconds(row.time)?,
                 angular_velocity: row.rate * to_rate,
                 specific_force: row.force * to_force,
             })

@@ -13,10 +13,12 @@ mod begin;
 mod measurements;
 mod noise;
 mod problem;
+mod scatter;
 
 use crate::{Bias, Imu, ImuNoise};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use problem::{Problem, States};
+use scatter::Scatter;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the estimate.
@@ -168,7 +170,8 @@ pub fn estimate(
     }
     problem.integrate(imu, &states);
     let solved = problem.minimise(&mut states, MAX_STEPS)?;
-    conclude(&problem, &states, &solved, config)
+    let scatter = scatter::scatter(&mut problem, &states);
+    conclude(&problem, &states, (&solved, &scatter), config)
 }
 
 /// Times that the errors of the path are found from what is left of them.
@@ -199,11 +202,12 @@ const BLIND_NS: i64 = 5_000_000_000;
 fn conclude(
     problem: &Problem,
     states: &States,
-    solved: &band::Solved,
+    (solved, scatter): (&band::Solved, &Scatter),
     config: &EstimateConfig,
 ) -> Result<Estimate, NotDetermined> {
     let covariance = &solved.global_covariance;
-    let gravity_sigma_rad = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+    let gravity = covariance[(0, 0)] + covariance[(1, 1)];
+    let gravity_sigma_rad = gravity.max(scatter.gravity).sqrt();
     let parts: Vec<PartPlace> = states
         .parts
         .iter()
@@ -217,7 +221,9 @@ fn conclude(
             };
             PartPlace {
                 metric_from_part: *place,
-                scale_sigma: covariance[(column, column)].sqrt(),
+                scale_sigma: covariance[(column, column)]
+                    .max(scatter.scales[part])
+                    .sqrt(),
                 position_sigma_m: if part > 0 { sigma(3) } else { 0.0 },
                 rotation_sigma_rad: if part > 0 { sigma(6) } else { 0.0 },
             }
