@@ -49,4 +49,4 @@ pub use listener::{Listener, ListenerError, Run};
 pub use monogrid_slam::Event;
 pub use pipeline::{Cpu, Finished, Pipeline, PipelineError, Settings};
 pub use preparation::{Preparation, Unusable};
-pub use source::{FrameSource, Pace, ReadFrame, Reading, SourceFrame, read_ahead};
+pub use source::{FrameSource, Pace, ReadFrame, ReadOn, Reading, SourceFrame, read_ahead};

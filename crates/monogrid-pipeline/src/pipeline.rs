@@ -4,7 +4,7 @@ use crate::listener::{Listener, ListenerError, Listening, Run};
 use crate::mapper::MapperThread;
 use crate::preparation::{Preparation, Preparer, Unusable};
 use crate::shutter::Rectifier;
-use crate::source::{FrameSource, ReadFrame, Reading, read_ahead};
+use crate::source::{FrameSource, ReadFrame, ReadOn, Reading, read_ahead};
 use monogrid_geometry::{Camera, Sim3, Vec3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_inertial::Imu;
@@ -231,6 +231,7 @@ impl Pipeline {
             index,
             timestamp_ns,
             image: Some(Ok(image)),
+            readout_ms: self.preparation.readout_ms(),
         };
         let ready = match &mut self.rectifier {
             None => Some(frame),
@@ -285,10 +286,11 @@ impl Pipeline {
         let preparation = self.preparation.clone();
         read_ahead(source, &preparation, Reading::default(), |frame| {
             let index = frame.index;
-            match self.track_read(frame) {
+            let heard = match self.track_read(frame) {
                 Some(outcome) => heard(index, outcome.as_ref()),
                 None => ControlFlow::Continue(()),
-            }
+            };
+            heard.map_continue(|()| ReadOn::AsBefore)
         })?;
         Ok(())
     }

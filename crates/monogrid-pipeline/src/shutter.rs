@@ -23,7 +23,7 @@ const NUM_LEVELS: usize = 4;
 const MAX_GAP_NS: i64 = 150_000_000;
 
 /// Frames without an image (unreadable, or repeating the one before) that are waited for at most.
-const MAX_WAITING: usize = 8;
+pub(crate) const MAX_WAITING: usize = 8;
 
 /// When each pixel of the working image is read.
 #[derive(Clone, Debug)]
@@ -106,6 +106,12 @@ impl Rectifier {
             frames: VecDeque::new(),
             newest: None,
         }
+    }
+
+    /// From the next frame on, the camera takes another time from its first row to the last.
+    pub(crate) fn take_readout_ms(&mut self, readout_ms: f64) {
+        self.rectify_newest(&[]);
+        self.shutter.readout_ns = readout_ms * 1e6;
     }
 
     /// Takes the next frame of the source.
@@ -250,6 +256,7 @@ mod tests {
             index,
             timestamp_ns: index as i64 * INTERVAL_NS,
             image: Some(Ok(image)),
+            readout_ms: 0.0,
         }
     }
 

@@ -2,12 +2,13 @@
 
 use crate::clock::thread_cpu;
 use crate::preparation::{Preparation, Preparer, Unusable};
-use crate::shutter::Rectifier;
+use crate::shutter::{MAX_WAITING, Rectifier};
 use crate::waiting::{Entrance, WaitingFrames};
 use monogrid_image::GrayImage;
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -56,7 +57,27 @@ pub struct ReadFrame {
     pub timestamp_ns: i64,
     /// The working image; `None` for one that was dropped at [`Pace::Real`].
     pub image: Option<Result<GrayImage, Unusable>>,
+    /// The rolling shutter that was taken out of it: time from the first row to the last, ms.
+    pub readout_ms: f64,
 }
+
+/// How to read on after a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum ReadOn {
+    /// As before.
+    #[default]
+    AsBefore,
+    /// Some frames later (always as many), images are rectified for a camera that takes this long from its first row to the last,
+    /// ms.
+    Rectified {
+        /// 0 where all rows are read at once; negative where it begins with the last.
+        readout_ms: f64,
+    },
+}
+
+/// Frames after which what was found of the rolling shutter is used: more than can be read and not taken yet, so that it does not
+/// depend on how far ahead the reader is.
+const FRAMES_UNTIL_RECTIFIED: usize = 2 * (FRAMES_AHEAD + MAX_WAITING);
 
 /// How fast frames are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -90,14 +111,19 @@ pub fn read_ahead(
     source: impl FrameSource,
     preparation: &Preparation,
     reading: Reading,
-    take: impl FnMut(ReadFrame) -> ControlFlow<()>,
+    take: impl FnMut(ReadFrame) -> ControlFlow<(), ReadOn>,
 ) -> std::io::Result<Duration> {
     let stop = AtomicBool::new(false);
+    let (readouts, wanted) = channel();
     let mut reader = Reader {
         source,
         preparation,
         preparer: Preparer::default(),
+        readout_ms: preparation.readout_ms(),
         rectifier: preparation.shutter().map(Rectifier::new),
+        num_read: 0,
+        wanted,
+        pending: VecDeque::new(),
         must_be_used: reading.must_be_used,
         stop: &stop,
     };
@@ -105,14 +131,14 @@ pub fn read_ahead(
         Pace::Taken => {
             let (sender, frames) = sync_channel(FRAMES_AHEAD);
             let read = move || reader.read_all(&sender);
-            side_by_side(read, frames.into_iter(), &stop, take)
+            side_by_side(read, frames.into_iter(), (&stop, readouts), take)
         }
         Pace::Real { max_wait } => {
             let waiting = WaitingFrames::new(max_wait);
             let entrance = waiting.entrance();
             let read = move || reader.read_at_pace(&entrance);
             let frames = std::iter::from_fn(|| waiting.take());
-            side_by_side(read, frames, &stop, take)
+            side_by_side(read, frames, (&stop, readouts), take)
         }
     }
 }
@@ -121,8 +147,8 @@ pub fn read_ahead(
 fn side_by_side(
     read: impl FnOnce() + Send,
     frames: impl Iterator<Item = ReadFrame>,
-    stop: &AtomicBool,
-    mut take: impl FnMut(ReadFrame) -> ControlFlow<()>,
+    (stop, readouts): (&AtomicBool, Sender<WantedReadout>),
+    mut take: impl FnMut(ReadFrame) -> ControlFlow<(), ReadOn>,
 ) -> std::io::Result<Duration> {
     thread::scope(|scope| {
         let builder = thread::Builder::new().name("reader".into());
@@ -131,14 +157,27 @@ fn side_by_side(
             thread_cpu()
         })?;
         let stopping = Stopping(stop);
-        for frame in frames {
-            if take(frame).is_break() {
-                break;
+        for (before, frame) in frames.enumerate() {
+            match take(frame) {
+                ControlFlow::Break(()) => break,
+                ControlFlow::Continue(ReadOn::AsBefore) => {}
+                ControlFlow::Continue(ReadOn::Rectified { readout_ms }) => {
+                    let from = before + FRAMES_UNTIL_RECTIFIED;
+                    // a reader that is at its end needs it no more
+                    let _ = readouts.send(WantedReadout { from, readout_ms });
+                }
             }
         }
         drop(stopping);
         Ok(thread.join().unwrap_or_default())
     })
+}
+
+/// The rolling shutter to take out of images from this one on, counted as they are read.
+#[derive(Clone, Copy, Debug)]
+struct WantedReadout {
+    from: usize,
+    readout_ms: f64,
 }
 
 /// Stops the reader when it is dropped, also by a panic of the one who takes.
@@ -155,7 +194,12 @@ struct Reader<'a, S> {
     source: S,
     preparation: &'a Preparation,
     preparer: Preparer,
+    readout_ms: f64,
     rectifier: Option<Rectifier>,
+    num_read: usize,
+    wanted: Receiver<WantedReadout>,
+    /// What is wanted and not due yet.
+    pending: VecDeque<WantedReadout>,
     must_be_used: Option<usize>,
     stop: &'a AtomicBool,
 }
@@ -163,6 +207,7 @@ struct Reader<'a, S> {
 impl<S: FrameSource> Reader<'_, S> {
     /// The next frame; with a rolling shutter that is read one image ahead.
     fn next(&mut self) -> Option<ReadFrame> {
+        self.rectify_as_wanted();
         let Some(mut rectifier) = self.rectifier.take() else {
             return self.prepared();
         };
@@ -186,6 +231,7 @@ impl<S: FrameSource> Reader<'_, S> {
             return None;
         }
         let frame = self.source.next_frame()?;
+        self.num_read += 1;
         let must_be_used = self.must_be_used == Some(frame.index);
         let prepared = frame
             .image
@@ -194,7 +240,26 @@ impl<S: FrameSource> Reader<'_, S> {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             image: Some(prepared),
+            readout_ms: self.readout_ms,
         })
+    }
+
+    /// From here on with the rolling shutter that is due, if one is.
+    fn rectify_as_wanted(&mut self) {
+        self.pending.extend(self.wanted.try_iter());
+        let next = self.pending.front();
+        let Some(due) = next.copied().filter(|next| next.from <= self.num_read) else {
+            return;
+        };
+        self.pending.pop_front();
+        self.readout_ms = due.readout_ms;
+        match &mut self.rectifier {
+            Some(rectifier) => rectifier.take_readout_ms(due.readout_ms),
+            None => {
+                let preparation = self.preparation.clone().with_readout_ms(due.readout_ms);
+                self.rectifier = preparation.shutter().map(Rectifier::new);
+            }
+        }
     }
 
     fn is_stopped(&self) -> bool {
@@ -273,7 +338,7 @@ mod tests {
             assert_eq!(frame.index, next);
             assert!(frame.image.is_some());
             next += 1;
-            ControlFlow::Continue(())
+            ControlFlow::Continue(ReadOn::AsBefore)
         });
         assert!(read.is_ok());
         assert_eq!(next, 30);
@@ -292,9 +357,49 @@ mod tests {
             }
             match dropped > 20 {
                 true => ControlFlow::Break(()),
-                false => ControlFlow::Continue(()),
+                false => ControlFlow::Continue(ReadOn::AsBefore),
             }
         });
         assert!(read.is_ok());
+    }
+
+    #[test]
+    fn a_rolling_shutter_that_is_found_on_the_way_is_taken_out_from_always_the_same_frame_on() {
+        let readouts_of = |pause: Duration| {
+            let mut readouts = Vec::new();
+            let read = read_ahead(
+                endless().take(120),
+                &preparation(),
+                Reading::default(),
+                |frame| {
+                    thread::sleep(pause);
+                    readouts.push(frame.readout_ms);
+                    ControlFlow::Continue(match frame.index {
+                        10 => ReadOn::Rectified { readout_ms: 20.0 },
+                        // before the first is due
+                        12 => ReadOn::Rectified { readout_ms: 25.0 },
+                        60 => ReadOn::Rectified { readout_ms: 0.0 },
+                        _ => ReadOn::AsBefore,
+                    })
+                },
+            );
+            assert!(read.is_ok());
+            readouts
+        };
+        let readouts = readouts_of(Duration::ZERO);
+        assert_eq!(readouts.len(), 120);
+        let later = super::FRAMES_UNTIL_RECTIFIED;
+        let changes = [
+            (0, 0.0),
+            (10 + later, 20.0),
+            (12 + later, 25.0),
+            (60 + later, 0.0),
+        ];
+        for (k, pair) in readouts.windows(2).enumerate() {
+            let change = changes.iter().find(|(from, _)| *from == k + 1);
+            let expected = change.map_or(pair[0], |(_, readout_ms)| *readout_ms);
+            assert_eq!(pair[1], expected, "{k}");
+        }
+        assert_eq!(readouts_of(Duration::from_millis(1)), readouts);
     }
 }

@@ -125,6 +125,7 @@ mod tests {
         ReadFrame {
             index,
             timestamp_ns,
+            readout_ms: 0.0,
             image: Some(Ok(GrayImage::filled(1, 1, 0.0))),
         }
     }

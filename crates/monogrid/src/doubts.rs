@@ -1,7 +1,7 @@
 //! Whether a calibration that was given fits the images.
 
 use crate::input::{Images, Input};
-use crate::map_camera::{as_calibrated, shown_by_map};
+use crate::map_camera::{TakenOut, as_calibrated, shown_by_map};
 use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2, Vec3};
@@ -74,21 +74,25 @@ impl<'a> CalibrationCheck<'a> {
     }
 
     /// While the run goes on: what the map says against the calibration, once, as soon as it does.
-    pub fn early(&mut self, slam: &Slam, num_keyframes: usize) -> &[String] {
+    pub fn early(
+        &mut self,
+        (slam, taken_out): (&Slam, &TakenOut),
+        num_keyframes: usize,
+    ) -> &[String] {
         let is_due = self.may_wait && self.doubts.is_empty() && num_keyframes >= self.next_at;
         let Some(input) = self.input.filter(|_| is_due) else {
             return &[];
         };
         self.next_at = 2 * num_keyframes;
-        self.doubts = against(input, &by_map(slam));
+        self.doubts = against(input, &by_map(slam, taken_out));
         &self.doubts
     }
 
     /// After the run, of whose frames this share has a pose: all that is known against the calibration.
-    pub fn end(self, slam: &Slam, share_with_pose: f64) -> Vec<String> {
+    pub fn end(self, (slam, taken_out): (&Slam, &TakenOut), share_with_pose: f64) -> Vec<String> {
         match self.input {
             Some(input) if self.doubts.is_empty() => {
-                let shown = by_map(slam);
+                let shown = by_map(slam, taken_out);
                 if shown.num_windows == 0 && share_with_pose < POOR_SHARE {
                     return doubts(input.lens(), input.images_again());
                 }
@@ -100,13 +104,13 @@ impl<'a> CalibrationCheck<'a> {
 }
 
 /// The camera of the working images as the map shows it, with the calibration as the guess.
-fn by_map(slam: &Slam) -> Estimate {
+fn by_map(slam: &Slam, taken_out: &TakenOut) -> Estimate {
     let keyframes = slam.keyframes();
     let size = (keyframes.first()).map_or((0, 0), |k| (k.image.width(), k.image.height()));
     let guess = as_calibrated(slam);
     let mut prior = Expected::ORDINARY.prior(size, CENTRE_FREEDOM);
     prior.mean = guess.parameters();
-    shown_by_map(slam, VIEWS_PER_PIECE, &guess, size, &prior)
+    shown_by_map(slam, VIEWS_PER_PIECE, &guess, (size, &prior), taken_out)
 }
 
 /// What there is to say where a map disagrees with the calibration.

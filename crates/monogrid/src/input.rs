@@ -108,6 +108,8 @@ pub struct Input {
     pub own_calibration: Option<OwnCalibration>,
     /// From images of the camera to working images.
     pub preparation: Preparation,
+    /// Whether somebody said how long the camera takes from the first row to the last, or that it takes no time.
+    pub is_shutter_known: bool,
     /// The inertial sensor beside the camera, where there is one.
     pub inertial: Option<Inertial>,
     /// What looked odd, in sentences for people.
@@ -167,6 +169,7 @@ impl Input {
             interpretation: known.interpretation,
             own_calibration: known.own,
             preparation,
+            is_shutter_known: known.readout_ms.is_some(),
             inertial,
             warnings,
         })
@@ -199,6 +202,7 @@ impl Input {
         Ok(Self {
             name: video.name(),
             preparation: preparation.with_readout_direction(video.direction),
+            is_shutter_known: known.readout_ms.is_some(),
             inertial: Inertial::open(args, None, known.body_from_camera)?,
             images: Images::Video(Box::new(video)),
             frames: Vec::new(),
@@ -230,6 +234,7 @@ impl Input {
                 None,
                 Photometric::default(),
             ),
+            is_shutter_known: true,
             inertial: None,
             warnings: Vec::new(),
         }

@@ -111,6 +111,7 @@ mod recorded;
 mod refine;
 #[cfg(feature = "program")]
 mod report;
+mod rolling;
 #[cfg(feature = "program")]
 mod run;
 #[cfg(feature = "program")]

@@ -3,11 +3,12 @@
 //! The sparse layer sees hundreds of points from many keyframes: adjusted with the camera free, they show it better than
 //! corners followed over the first seconds, at the cost of some twenty milliseconds per ten keyframes.
 
+use crate::self_calibration::interval_ns;
 use monogrid_calibration::{
-    Estimate, EstimateConfig, Intrinsics, Prior, Scene, Sighting, refine_intrinsics,
+    Estimate, EstimateConfig, Intrinsics, Parameters, Prior, Scene, Sighting, refine_intrinsics,
 };
-use monogrid_geometry::{Pinhole, Se3, Vec2};
-use monogrid_slam::Slam;
+use monogrid_geometry::{Pinhole, ReadoutDirection, Se3, Vec2, Vec3};
+use monogrid_slam::{Slam, TrajectoryPose};
 use std::collections::BTreeMap;
 
 /// Pieces that are looked at, evenly over the map: an upper limit for what it costs.
@@ -30,20 +31,89 @@ pub fn shown_by_map(
     slam: &Slam,
     num_views: usize,
     guess: &Intrinsics,
-    size: (usize, usize),
-    prior: &Prior,
+    (size, prior): ((usize, usize), &Prior),
+    taken_out: &TakenOut,
 ) -> Estimate {
-    let pieces = scene(slam, guess).pieces(num_views);
+    let pieces = scene(slam, guess, taken_out).pieces(num_views);
     let step = pieces.len().div_ceil(MAX_PIECES).max(1);
     let pieces = pieces.into_iter().step_by(step).collect();
     refine_intrinsics(pieces, size, prior, &EstimateConfig::default())
 }
 
-/// The main map as a scene: its finished keyframes are the views.
-fn scene(slam: &Slam, guess: &Intrinsics) -> Scene {
+/// Keyframes of a piece of the map that is asked for the rolling shutter.
+const VIEWS_FOR_READOUT: usize = 20;
+
+/// Standard deviations of the logarithm of the focal length and of a radial term by which a calibration may be off where only
+/// the shutter is in question.
+const CALIBRATED: [f64; 2] = [0.02, 0.03];
+
+/// Time from the first row of an image to the last as the main map shows it, ms; `None` where it does not show that it takes
+/// any. `camera` is that of the working images.
+pub fn readout_ms_by_map(slam: &Slam, camera: &Intrinsics, taken_out: &TakenOut) -> Option<f64> {
+    let size = working_size(slam)?;
+    let held = 1e-6;
+    let prior = Prior {
+        mean: camera.parameters(),
+        sigma: Parameters::from([CALIBRATED[0], CALIBRATED[1], held, held, held, 0.5]),
+    };
+    let shown = shown_by_map(slam, VIEWS_FOR_READOUT, camera, (size, &prior), taken_out);
+    let (share, _) = shown.readout()?;
+    Some(share * Motion::of(slam).interval_ns / 1e6)
+}
+
+/// Width and height of the working images, once there is a keyframe.
+fn working_size(slam: &Slam) -> Option<(usize, usize)> {
+    let keyframes = slam.keyframes();
+    let keyframe = keyframes.first()?;
+    Some((keyframe.image.width(), keyframe.image.height()))
+}
+
+/// The rolling shutter that was taken out of the images of a run.
+#[derive(Clone, Debug)]
+pub struct TakenOut {
+    direction: ReadoutDirection,
+    /// First frames and ms, in their order; the first is that of all frames before the second.
+    changes: Vec<(usize, f64)>,
+}
+
+impl TakenOut {
+    /// The same out of all frames, ms.
+    pub fn always(readout_ms: f64, direction: ReadoutDirection) -> Self {
+        Self {
+            direction,
+            changes: vec![(0, readout_ms)],
+        }
+    }
+
+    /// What was taken out of a frame that comes after all others, ms.
+    pub fn note(&mut self, frame_index: usize, readout_ms: f64) {
+        if self.at(frame_index) != readout_ms {
+            self.changes.push((frame_index, readout_ms));
+        }
+    }
+
+    /// What was taken out of a frame, ms.
+    fn at(&self, frame_index: usize) -> f64 {
+        let until = self
+            .changes
+            .partition_point(|(first, _)| *first <= frame_index);
+        let change = until.checked_sub(1).and_then(|k| self.changes.get(k));
+        change.map_or(0.0, |(_, readout_ms)| *readout_ms)
+    }
+
+    /// The first frame that was read otherwise than the first of all.
+    pub fn first_changed(&self) -> Option<usize> {
+        self.changes.get(1).map(|(first, _)| *first)
+    }
+}
+
+/// The main map as a scene: its finished keyframes are the views. Pixels are those that the camera saw, before its rolling shutter
+/// was taken out.
+fn scene(slam: &Slam, guess: &Intrinsics, taken_out: &TakenOut) -> Scene {
     let snapshot = slam.snapshot();
     let pinhole: &Pinhole = slam.pinhole();
     let ray_of = |[x, y]: [f64; 2]| pinhole.unproject(&Vec2::new(x, y));
+    let motion = Motion::of(slam);
     let mut views = BTreeMap::new();
     let mut scene = Scene {
         intrinsics: *guess,
@@ -55,32 +125,127 @@ fn scene(slam: &Slam, guess: &Intrinsics) -> Scene {
         if let Some(pose) = snapshot.in_main_map(keyframe.id) {
             // units do not change what is seen
             let world_from_camera = Se3::new(pose.rotation, pose.translation);
-            views.insert(keyframe.id, (scene.poses.len(), world_from_camera));
+            let view = View {
+                index: scene.poses.len(),
+                world_from_camera,
+                around: motion.around(keyframe.frame_index),
+                taken_out: taken_out.at(keyframe.frame_index) * 1e6 / motion.interval_ns.max(1.0),
+            };
+            views.insert(keyframe.id, view);
             scene.poses.push(world_from_camera.inverse());
         }
     }
+    let size = working_size(slam).unwrap_or((1, 1));
     for point in slam.points() {
-        let Some((_, world_from_host)) = views.get(&point.host) else {
+        let Some(host) = views.get(&point.host) else {
             continue;
         };
         let index = scene.points.len();
+        let in_world = host.world_from_camera * (ray_of(point.pixel) / point.idepth);
         let own = std::iter::once((point.host, point.pixel));
         let mut seen: Vec<Sighting> = own
             .chain(point.observations)
             .filter_map(|(id, pixel)| {
+                let view = views.get(&id)?;
+                let pixel = guess.project(&ray_of(pixel))?;
+                let phase = taken_out.direction.phase(&pixel, size);
+                let bend = motion.step(view, guess, &in_world) * phase;
                 Some(Sighting {
-                    view: views.get(&id)?.0,
+                    view: view.index,
                     point: index,
-                    pixel: guess.project(&ray_of(pixel))?,
-                    // its images are rectified
-                    bend: Vec2::zeros(),
+                    pixel: pixel + bend * view.taken_out,
+                    bend,
                 })
             })
             .collect();
         seen.sort_unstable_by_key(|sighting| sighting.view);
         scene.sightings.extend(seen);
-        let in_host = ray_of(point.pixel) / point.idepth;
-        scene.points.push(*world_from_host * in_host);
+        scene.points.push(in_world);
     }
     scene
+}
+
+/// A keyframe of the map.
+struct View {
+    index: usize,
+    world_from_camera: Se3,
+    /// The poses of the frames before and after it.
+    around: Option<[TrajectoryPose; 2]>,
+    /// The rolling shutter that was taken out of its image, in shares of the time from frame to frame.
+    taken_out: f64,
+}
+
+/// How the camera moved from frame to frame.
+struct Motion {
+    poses: Vec<TrajectoryPose>,
+    /// Median time from frame to frame, ns.
+    interval_ns: f64,
+}
+
+impl Motion {
+    fn of(slam: &Slam) -> Self {
+        let poses = slam.trajectory();
+        let times: Vec<i64> = poses.iter().map(|pose| pose.timestamp_ns).collect();
+        Self {
+            poses,
+            interval_ns: interval_ns(&times),
+        }
+    }
+
+    /// The poses of the frames before and after one, where they follow it at once.
+    fn around(&self, frame_index: usize) -> Option<[TrajectoryPose; 2]> {
+        let at = self
+            .poses
+            .binary_search_by_key(&frame_index, |pose| pose.frame_index)
+            .ok()?;
+        let around = [
+            *self.poses.get(at.checked_sub(1)?)?,
+            *self.poses.get(at + 1)?,
+        ];
+        let [before, after] = around.map(|pose| pose.timestamp_ns as f64);
+        (after - before <= MAX_GAP * self.interval_ns).then_some(around)
+    }
+
+    /// How far a point moves in the image of a view from frame to frame, px; 0 where nobody knows.
+    fn step(&self, view: &View, camera: &Intrinsics, point: &Vec3) -> Vec2 {
+        let step = || {
+            let [before, after] = view.around?;
+            let seen = |pose: &TrajectoryPose| {
+                camera.project(&(pose.world_from_camera.inverse() * *point))
+            };
+            let time_ns = (after.timestamp_ns - before.timestamp_ns).max(1) as f64;
+            Some((seen(&after)? - seen(&before)?) * (self.interval_ns / time_ns))
+        };
+        step().unwrap_or_default()
+    }
+}
+
+/// Frames before and after another that are further apart than this many intervals do not show how it moved.
+const MAX_GAP: f64 = 3.0;
+
+#[cfg(test)]
+mod tests {
+    use super::{ReadoutDirection, TakenOut};
+
+    #[test]
+    fn what_was_taken_out_holds_until_it_changes() {
+        let mut taken_out = TakenOut::always(0.0, ReadoutDirection::Down);
+        for (frame, readout_ms) in [
+            (0, 0.0),
+            (3, 0.0),
+            (7, 20.0),
+            (9, 20.0),
+            (12, 25.0),
+            (13, 0.0),
+        ] {
+            taken_out.note(frame, readout_ms);
+        }
+        let at = [0, 6, 7, 11, 12, 13, 99].map(|frame| taken_out.at(frame));
+        assert_eq!(at, [0.0, 0.0, 20.0, 20.0, 25.0, 0.0, 0.0]);
+        assert_eq!(taken_out.first_changed(), Some(7));
+        assert_eq!(
+            TakenOut::always(8.0, ReadoutDirection::Down).first_changed(),
+            None
+        );
+    }
 }

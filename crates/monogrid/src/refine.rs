@@ -3,11 +3,11 @@
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
-use crate::map_camera::{as_calibrated, shown_by_map};
+use crate::map_camera::{TakenOut, as_calibrated, shown_by_map};
 use crate::self_calibration::{Expected, OwnCalibration};
 use monogrid_calibration::{Estimate, Intrinsics, Parameters};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
-use monogrid_pipeline::{Reading, read_ahead};
+use monogrid_pipeline::{ReadOn, Reading, read_ahead};
 use monogrid_slam::{FrameInput, Slam};
 use std::ops::ControlFlow;
 
@@ -31,9 +31,11 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
         input.take_readout(readout_ms);
     }
     let (slam, num_frames) = first_pass(input, config)?;
+    let preparation = &input.preparation;
+    let taken_out = TakenOut::always(preparation.readout_ms(), preparation.readout_direction());
     let refined = match &input.own_calibration {
-        Some(own) => refined_own(&slam, &own.camera, input.size(), num_frames),
-        None => refined_given(&slam, input),
+        Some(own) => refined_own((&slam, &taken_out), &own.camera, input.size(), num_frames),
+        None => refined_given((&slam, &taken_out), input),
     };
     if let Some(refined) = refined {
         input.take_camera(refined.reading_for(input.preparation.readout_ms()));
@@ -67,7 +69,7 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
                 seed_depth: None,
             });
         }
-        ControlFlow::Continue(())
+        ControlFlow::Continue(ReadOn::AsBefore)
     })
     .while_running("frames cannot be read")?;
     slam.finish();
@@ -76,7 +78,7 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
 
 /// All parameters of a camera that was estimated or assumed.
 fn refined_own(
-    slam: &Slam,
+    (slam, taken_out): (&Slam, &TakenOut),
     camera: &Camera,
     working: (usize, usize),
     num_frames: usize,
@@ -85,14 +87,14 @@ fn refined_own(
     let factor = working.0 as f64 / size.0 as f64;
     let guess = own_intrinsics(camera).scaled(factor);
     let prior = Expected::ORDINARY.prior(working, CENTRE_FREEDOM);
-    let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, working, &prior);
+    let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, (working, &prior), taken_out);
     let shown = shown.scaled(1.0 / factor, size);
     let source = format!("estimated from the map of the first {num_frames} frames");
     OwnCalibration::from_determined(&shown, size, &source)
 }
 
 /// Focal length, principal point and one term of distortion of a camera that was given.
-fn refined_given(slam: &Slam, input: &Input) -> Option<OwnCalibration> {
+fn refined_given((slam, taken_out): (&Slam, &TakenOut), input: &Input) -> Option<OwnCalibration> {
     let guess = as_calibrated(slam);
     let size = input.size();
     let mut prior = Expected::ORDINARY.prior(size, CENTRE_FREEDOM);
@@ -103,7 +105,7 @@ fn refined_given(slam: &Slam, input: &Input) -> Option<OwnCalibration> {
     };
     prior.mean = guess.parameters();
     prior.sigma = Parameters::from([log_focal, radial, HELD, at_x, at_y, readout]);
-    let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, size, &prior);
+    let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, (size, &prior), taken_out);
     given_as_shown(input.camera(), &guess, &shown, &input.interpretation)
 }
 

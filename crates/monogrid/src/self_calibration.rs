@@ -116,7 +116,7 @@ impl OwnCalibration {
         let own = Self::from_estimate(&estimate, size, expected)?;
         Some(match estimate.readout() {
             Some((share, sigma)) if estimate.is_determined() => {
-                own.with_readout(share, sigma, interval_ms(&times_ns))
+                own.with_readout(share, sigma, interval_ns(&times_ns) / 1e6)
             }
             _ => own,
         })
@@ -237,13 +237,13 @@ impl OwnCalibration {
     }
 }
 
-/// Median time from frame to frame, ms.
-fn interval_ms(times_ns: &[i64]) -> f64 {
+/// Median time from frame to frame, ns; 0 without two frames.
+pub fn interval_ns(times_ns: &[i64]) -> f64 {
     let mut intervals: Vec<i64> = times_ns.windows(2).map(|t| t[1] - t[0]).collect();
     intervals.sort_unstable();
     intervals
         .get(intervals.len() / 2)
-        .map_or(0.0, |ns| *ns as f64 / 1e6)
+        .map_or(0.0, |ns| *ns as f64)
 }
 
 /// The windows of a video at working size; the images are of this size, and a rolling shutter runs this way over them.

@@ -269,6 +269,43 @@ fn the_results_can_be_evaluated(run: &Path) {
 }
 
 #[test]
+fn a_rolling_shutter_that_nobody_told_of_is_found_and_taken_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let (world, out) = (dir.path().join("world"), dir.path().join("out"));
+    let synth = "synth living-room --size 320x240 --frames 300 --max-frames 150 --depth-every 0 --quick-light --force";
+    for (readout, expected_ms) in [("25", 25.0), ("0", 0.0)] {
+        let camera = ["--rolling-shutter", readout, "--out"];
+        let made = synth.split(' ').chain(camera).map(std::ffi::OsStr::new);
+        let made = monogrid(made.chain([world.as_os_str()]));
+        assert_eq!(code(&made), 0, "{}", stderr(&made));
+        let calibration = fs::read_to_string(world.join("calibration.txt")).unwrap();
+        let lines = calibration
+            .lines()
+            .filter(|line| !line.starts_with("rolling_shutter_ms"));
+        let untold = lines.collect::<Vec<_>>().join("\n");
+        fs::write(world.join("calibration.txt"), untold).unwrap();
+        let mut args = vec![
+            "run".into(),
+            world.clone(),
+            "--json".into(),
+            "--force".into(),
+        ];
+        args.extend(["--out".into(), out.clone()]);
+        let output = monogrid(args);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let summary = json(&output);
+        let found_ms = summary["rolling_shutter_ms"].as_f64().unwrap();
+        assert!((found_ms - expected_ms).abs() < 4.0, "{found_ms}");
+        let warnings = summary["warnings"].to_string();
+        assert_eq!(
+            warnings.contains("rolling shutter"),
+            expected_ms > 0.0,
+            "{warnings}"
+        );
+    }
+}
+
+#[test]
 fn an_aligned_run_is_in_the_frame_of_the_reference() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");

@@ -44,6 +44,8 @@ pub struct Tracked {
     pub early_end: Option<EarlyEnd>,
     /// What was found against the calibration, in sentences.
     pub doubts: Vec<String>,
+    /// Time from the first row of an image to the last, given or found, ms.
+    pub readout_ms: f64,
 }
 
 /// Tracks all frames, records keyframes and grows the maps.
@@ -97,6 +99,7 @@ pub fn track(
         run,
         early_end: ended.early_end,
         doubts: ended.doubts,
+        readout_ms: ended.readout_ms,
     })
 }
 

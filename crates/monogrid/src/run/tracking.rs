@@ -8,9 +8,10 @@ use super::progress::Progress;
 use crate::doubts::CalibrationCheck;
 use crate::failure::Failure;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::rolling::ShutterSearch;
 use crate::video_colours::VideoColours;
 use monogrid_image::GrayImage;
-use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, Unusable};
+use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, ReadOn, Unusable};
 use monogrid_slam::FrameInput;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -36,6 +37,7 @@ pub struct Tracking<'a> {
     unreadable_in_a_row: usize,
     early_end: Option<EarlyEnd>,
     calibration: CalibrationCheck<'a>,
+    shutter: ShutterSearch,
     progress: Progress,
     viewer: Option<Viewer>,
     colours: Option<&'a VideoColours>,
@@ -51,6 +53,8 @@ pub struct Ended {
     pub early_end: Option<EarlyEnd>,
     /// What was found against the calibration, in sentences.
     pub doubts: Vec<String>,
+    /// Time from the first row of an image to the last, given or found, ms.
+    pub readout_ms: f64,
 }
 
 impl<'a> Tracking<'a> {
@@ -71,6 +75,7 @@ impl<'a> Tracking<'a> {
             unreadable_in_a_row: 0,
             early_end: None,
             calibration: CalibrationCheck::new(input, settings.pace == Pace::Taken),
+            shutter: ShutterSearch::new(input),
             progress: Progress::new(num_frames, settings.show_progress),
             viewer,
             colours,
@@ -78,7 +83,7 @@ impl<'a> Tracking<'a> {
     }
 
     /// Takes a frame; breaks when the user stops, or the source is unreadable.
-    pub fn take(&mut self, frame: ReadFrame) -> ControlFlow<()> {
+    pub fn take(&mut self, frame: ReadFrame) -> ControlFlow<(), ReadOn> {
         if self.interrupted.load(Ordering::Relaxed) {
             self.early_end = Some(EarlyEnd::Interrupted);
             return ControlFlow::Break(());
@@ -87,6 +92,7 @@ impl<'a> Tracking<'a> {
             (Some(viewer), Some(Ok(image))) => viewer.wanted(image),
             _ => None,
         };
+        self.shutter.note(frame.index, frame.readout_ms);
         let row = FrameRow {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
@@ -103,7 +109,10 @@ impl<'a> Tracking<'a> {
         self.rows.push(row);
         match self.early_end {
             Some(_) => ControlFlow::Break(()),
-            None => ControlFlow::Continue(()),
+            None => {
+                let slam = self.pipeline.slam();
+                ControlFlow::Continue(self.shutter.after_frame(slam, self.num_keyframes))
+            }
         }
     }
 
@@ -166,8 +175,8 @@ impl<'a> Tracking<'a> {
                 _ => {}
             }
         }
-        let slam = self.pipeline.slam();
-        for doubt in self.calibration.early(slam, self.num_keyframes) {
+        let seen = (self.pipeline.slam(), self.shutter.taken_out());
+        for doubt in self.calibration.early(seen, self.num_keyframes) {
             self.progress.warn(doubt);
         }
         FrameFate::Processed(Box::new(report))
@@ -198,8 +207,12 @@ impl<'a> Tracking<'a> {
             |row: &&FrameRow| row.report().is_some_and(|r| r.world_from_camera.is_some());
         let num_with_pose = rows.iter().filter(has_pose).count();
         let share = num_with_pose as f64 / rows.len().max(1) as f64;
+        let seen = (self.pipeline.slam(), self.shutter.taken_out());
+        let mut doubts = self.calibration.end(seen, share);
+        doubts.extend(self.shutter.conclusion());
         Ok(Ended {
-            doubts: self.calibration.end(self.pipeline.slam(), share),
+            doubts,
+            readout_ms: self.shutter.readout_ms(),
             pipeline: self.pipeline,
             rows,
             early_end: self.early_end,

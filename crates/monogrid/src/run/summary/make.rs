@@ -35,6 +35,7 @@ impl Summary {
             tracked: tracked.run.trajectory.len(),
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
+            rolling_shutter_ms: tracked.readout_ms,
             lost_episodes: slam.lost_episodes(),
             keyframes: slam.keyframes().len(),
             reactivated_keyframes: slam.reactivations(),

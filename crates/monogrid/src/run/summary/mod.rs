@@ -113,6 +113,8 @@ pub struct Summary {
     pub skipped: usize,
     /// Frames dropped because the program was behind (`--realtime`).
     pub dropped: usize,
+    /// Rolling shutter, given or found: time from the first row of an image to the last, ms.
+    pub rolling_shutter_ms: f64,
     /// Times that tracking was lost.
     pub lost_episodes: usize,
     /// Finished keyframes.
