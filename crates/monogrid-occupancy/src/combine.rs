@@ -129,6 +129,20 @@ impl OccupancyMap {
         Ok(kept)
     }
 
+    /// The same cells with edges `factor` times as long: the map in another unit of length.
+    ///
+    /// # Errors
+    /// Edges that are no length.
+    pub fn rescaled(&self, factor: f64) -> Result<Self, MapError> {
+        let mut rescaled = Self::new(MapConfig {
+            resolution: factor * self.resolution(),
+            ..self.config().clone()
+        })?;
+        rescaled.shards.clone_from(&self.shards);
+        rescaled.revision = self.revision;
+        Ok(rescaled)
+    }
+
     /// Adds the log-odds of another map, as if both had been measured into this one: every known
     /// cell of `other` is one update here, clamped as all updates.
     ///

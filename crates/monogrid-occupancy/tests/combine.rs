@@ -170,3 +170,18 @@ fn differences_are_counted_as_cell_by_cell() {
     assert_eq!(counts.occupied, occupied as u64);
     assert_eq!(counts.free + counts.occupied, a.cells().count() as u64);
 }
+
+#[test]
+fn a_map_in_another_unit_has_the_same_cells() {
+    let map = map(5, 0.1);
+    let rescaled = map.rescaled(2.5).unwrap();
+    assert_eq!(rescaled.resolution(), 0.25);
+    let cells = |map: &OccupancyMap| map.cells().map(|c| (c.key, c.log_odds)).collect::<Vec<_>>();
+    assert_eq!(cells(&rescaled), cells(&map));
+    for state in [Occupancy::Free, Occupancy::Occupied] {
+        let cell = map.cells().find(|cell| cell.state == state).unwrap();
+        let moved = cell.key.center(0.1).map(|c| 2.5 * c);
+        assert_eq!(rescaled.state(moved), state);
+    }
+    assert!(map.rescaled(0.0).is_err() && map.rescaled(f64::NAN).is_err());
+}

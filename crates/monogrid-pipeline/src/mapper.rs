@@ -1,7 +1,6 @@
 //! The thread that maps: integrates keyframes as they are finished and lets the maps follow the graph.
 
 use crate::clock::{give_way, thread_cpu};
-use crate::listener::EVENTS_AHEAD;
 use monogrid_occupancy::MapError;
 use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, LiveMaps, MapReader};
 use monogrid_slam::{Event, Keyframe};
@@ -9,6 +8,10 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
+
+/// Events that may wait for the mapper, which gives way to everybody, before tracking waits for it: on a busy computer a map may be late,
+/// poses must not be. What waits is kept by the system as well.
+const EVENTS_AHEAD: usize = 64;
 
 /// What the mapper is told.
 enum Message {

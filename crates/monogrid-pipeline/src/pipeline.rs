@@ -44,6 +44,8 @@ pub struct Settings {
     pub readout_ms: f64,
     /// Readings of an inertial sensor beside the camera, on the clock of the images.
     pub imu: Option<Arc<Imu>>,
+    /// The frame of the maps. By default they are z up as the first camera was held.
+    pub map_from_world: Sim3,
 }
 
 impl Default for Settings {
@@ -58,6 +60,7 @@ impl Default for Settings {
             photometric: Photometric::default(),
             readout_ms: 0.0,
             imu: None,
+            map_from_world: z_up_from_camera_world(),
         }
     }
 }
@@ -94,6 +97,7 @@ pub struct Pipeline {
     listeners: Vec<Listening>,
     mapper: MapperThread,
     threads: usize,
+    map_from_world: Sim3,
     num_frames: usize,
     /// Whether there is a map of an earlier session that must not change.
     localise_only: bool,
@@ -141,7 +145,7 @@ impl Pipeline {
         };
         let camera = KeyframeCamera::new(pinhole, preparation.size());
         let mapper = Mapper::new(settings.mapping, camera, settings.threads);
-        let maps = LiveMaps::new(mapper, z_up_from_camera_world())?;
+        let maps = LiveMaps::new(mapper, settings.map_from_world)?;
         let pipeline = Self {
             rectifier: preparation.shutter().map(Rectifier::new),
             preparation,
@@ -150,6 +154,7 @@ impl Pipeline {
             listeners: Vec::new(),
             mapper: MapperThread::start(maps, camera)?,
             threads: settings.threads,
+            map_from_world: settings.map_from_world,
             num_frames: 0,
             localise_only,
         };
@@ -179,8 +184,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// For threads that read the maps while they grow, z up as the first camera was held. From now on the mapper
-    /// keeps them up to date.
+    /// For threads that read the maps while they grow, in the frame of the settings. From now on the mapper keeps them
+    /// up to date.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -207,7 +212,7 @@ impl Pipeline {
         &self.slam
     }
 
-    /// The map as it is now: all keyframes that are finished, z up as the first camera was held; `None` before the first.
+    /// The map as it is now: all keyframes that are finished, in the frame of the settings; `None` before the first.
     /// It stays as it is while the pipeline goes on. [`Self::live_map`] is for threads that look often.
     ///
     /// # Errors
@@ -339,6 +344,7 @@ impl Pipeline {
             maps: Some(maps),
             cpu,
             threads: self.threads,
+            map_from_world: self.map_from_world,
             localise_only: self.localise_only,
         })
     }
@@ -382,19 +388,20 @@ pub struct Finished {
     pub cpu: Cpu,
     maps: Option<Result<LiveMaps, MapError>>,
     threads: usize,
+    map_from_world: Sim3,
     localise_only: bool,
 }
 
 impl Finished {
-    /// The final maps, z up as the first camera was held; `None` where there is nothing to map.
+    /// The final maps in the frame of the settings; `None` where there is nothing to map.
     ///
     /// # Errors
     /// A map that would exceed its memory.
     pub fn maps(&mut self) -> Result<Option<Maps>, PipelineError> {
-        let z_up = z_up_from_camera_world();
-        let last = self.trajectory.last();
-        let camera = last.map(|pose| (z_up * pose.world_from_camera.with_scale(1.0)).translation);
-        self.maps_in(&z_up, camera)
+        let map_from_world = self.map_from_world;
+        let last = self.trajectory.last().map(|pose| pose.world_from_camera);
+        let camera = last.map(|pose| (map_from_world * pose.with_scale(1.0)).translation);
+        self.maps_in(&map_from_world, camera)
     }
 
     /// The final maps in the frame given by `map_from_world`; the local one is around `camera`, which is in that

@@ -105,6 +105,66 @@ impl OccupancyMap {
 }
 
 impl Projection {
+    /// The same columns in a grid whose sides lie at multiples of `cells`: a map that grows a little keeps its size and place.
+    #[must_use]
+    pub fn aligned(&self, cells: usize) -> Self {
+        let cells = (cells as i64).max(1);
+        let [x, y] = self.first_column();
+        let begin = [x, y].map(|first| first.div_euclid(cells) * cells);
+        let end = [x + self.width as i64, y + self.height as i64];
+        let [width, height] = [0, 1].map(|axis| {
+            let end = (end[axis] + cells - 1).div_euclid(cells) * cells;
+            (end - begin[axis]) as usize
+        });
+        self.window(begin, width, height)
+    }
+
+    /// The part around a point that has at most so many columns, as square as it can be; all of it where that is few enough.
+    #[must_use]
+    pub fn around(&self, center: [f64; 2], max_columns: usize) -> Self {
+        if self.columns.len() <= max_columns {
+            return self.clone();
+        }
+        // a narrow grid is cut along its long side only
+        let side = max_columns.isqrt().max(1);
+        let width = self.width.min(side.max(max_columns / self.height));
+        let height = self.height.min((max_columns / width).max(1));
+        let begin = |axis: usize, all: usize, part: usize| {
+            let first = self.first_column()[axis];
+            let wanted = (center[axis] / self.resolution).floor() as i64 - part as i64 / 2;
+            wanted.clamp(first, first + (all - part) as i64)
+        };
+        let begin = [begin(0, self.width, width), begin(1, self.height, height)];
+        self.window(begin, width, height)
+    }
+
+    /// Index of the first column along both axes, counted from the origin of the map.
+    fn first_column(&self) -> [i64; 2] {
+        self.origin.map(|at| (at / self.resolution).round() as i64)
+    }
+
+    /// The columns of another rectangle of the same grid; unknown where this one has none.
+    fn window(&self, begin: [i64; 2], width: usize, height: usize) -> Self {
+        let first = self.first_column();
+        let shift = [begin[0] - first[0], begin[1] - first[1]];
+        let column = |x: i64, y: i64| {
+            let inside =
+                (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
+            let index = inside.then(|| (y * self.width as i64 + x) as usize);
+            index.map_or(Occupancy::Unknown, |index| self.columns[index])
+        };
+        let rows = 0..height as i64;
+        let columns =
+            rows.flat_map(|y| (0..width as i64).map(move |x| column(x + shift[0], y + shift[1])));
+        Self {
+            width,
+            height,
+            resolution: self.resolution,
+            origin: begin.map(|index| index as f64 * self.resolution),
+            columns: columns.collect(),
+        }
+    }
+
     /// The image for nav2's map server, binary PGM, rows from above.
     #[must_use]
     pub fn to_pgm(&self) -> Vec<u8> {
@@ -160,6 +220,57 @@ mod tests {
         assert!(pgm.starts_with(b"P5\n3 2\n255\n"));
         assert_eq!(pgm[pgm.len() - 6..], [205, 205, 254, 0, 205, 205]);
         assert!(grid.to_yaml("map.pgm").contains("resolution: 0.5"));
+    }
+
+    /// Three columns to the right, two up, from (-2, 3) on.
+    fn small() -> Projection {
+        use Occupancy::{Free, Occupied, Unknown};
+        Projection {
+            width: 3,
+            height: 2,
+            resolution: 0.5,
+            origin: [-1.0, 1.5],
+            columns: vec![Occupied, Free, Unknown, Free, Occupied, Occupied],
+        }
+    }
+
+    /// The known columns by their index in the map.
+    fn known(grid: &Projection) -> Vec<(i64, i64, Occupancy)> {
+        let [x, y] = grid.first_column();
+        let columns = grid.columns.iter().enumerate();
+        let known = columns.filter(|(_, state)| **state != Occupancy::Unknown);
+        let (width, at) = (grid.width as i64, |k: usize| k as i64);
+        known
+            .map(|(k, state)| (x + at(k) % width, y + at(k) / width, *state))
+            .collect()
+    }
+
+    #[test]
+    fn an_aligned_grid_shows_the_same_columns() {
+        let aligned = small().aligned(4);
+        assert_eq!((aligned.width, aligned.height), (8, 8));
+        assert_eq!(aligned.origin, [-2.0, 0.0]);
+        assert_eq!(known(&aligned), known(&small()));
+        assert_eq!(aligned.aligned(4), aligned);
+    }
+
+    #[test]
+    fn the_part_around_a_point_is_as_large_as_it_may_be() {
+        assert_eq!(small().around([0.0, 0.0], 6), small());
+        let grid = small().aligned(8);
+        assert_eq!((grid.width, grid.height), (16, 8));
+        // the column (-1, 4) in the middle
+        let part = grid.around([-0.3, 2.2], 10);
+        assert_eq!((part.width, part.height), (3, 3));
+        assert_eq!(part.first_column(), [-2, 3]);
+        assert_eq!(known(&part).len(), 5);
+        // the border is not left
+        assert_eq!(grid.around([99.0, -99.0], 9).first_column(), [5, 0]);
+        let narrow = small().around([0.4, 0.0], 4);
+        assert_eq!((narrow.width, narrow.height), (2, 2));
+        let mut right = known(&small());
+        right.retain(|(x, _, _)| *x > -2);
+        assert_eq!(known(&narrow), right);
     }
 
     #[test]

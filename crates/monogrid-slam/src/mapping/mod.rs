@@ -19,6 +19,7 @@
 //! level ([`upright()`]).
 
 mod agreement;
+mod band;
 mod body;
 mod cell;
 mod config;
@@ -29,6 +30,7 @@ mod refine;
 mod scan;
 mod upright;
 
+pub use band::navigation_band;
 pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
 pub use config::{

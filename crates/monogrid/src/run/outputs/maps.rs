@@ -8,7 +8,7 @@ use crate::run::summary::unit_name;
 use crate::surface::{CellColours, ColouredMesh, MeshFormat};
 use monogrid_datasets::encode_png_rgb;
 use monogrid_occupancy::{MapFormat, OccupancyMap, VoxelKey, write_ply};
-use monogrid_slam::mapping::{Maps, MeshConfig};
+use monogrid_slam::mapping::{Maps, MeshConfig, navigation_band};
 
 /// Pictures of the final maps, as PNG files.
 #[derive(Debug)]
@@ -198,22 +198,6 @@ pub struct Ground {
     pub is_metric: bool,
 }
 
-/// Heights that matter to what moves where the camera moved: from somewhat above the floor (where none was found, what is
-/// lowest below the camera) to somewhat above the camera.
-fn navigation_band(cubes: &[Cube], path: &[[f64; 3]], has_floor: bool) -> [f64; 2] {
-    let heights = || path.iter().map(|p| p[2]);
-    let highest = heights().fold(f64::NEG_INFINITY, f64::max);
-    let lowest = heights().fold(f64::INFINITY, f64::min);
-    let floor = if has_floor && lowest > 0.0 {
-        0.0
-    } else {
-        let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
-        quantile(&mut occupied, 0.02).min(lowest)
-    };
-    let height = highest - floor;
-    [floor + 0.1 * height, highest + 0.1 * height]
-}
-
 /// The map seen from above, of the heights that matter.
 fn write_grid(
     folder: &OutputFolder,
@@ -222,7 +206,9 @@ fn write_grid(
     path: &[[f64; 3]],
     ground: Ground,
 ) -> Result<(), Failure> {
-    let band = navigation_band(cubes, path, ground.has_floor);
+    let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
+    let cameras: Vec<f64> = path.iter().map(|p| p[2]).collect();
+    let band = navigation_band(&mut occupied, &cameras, ground.has_floor);
     if let Some(grid) = map.projected(band[0], band[1]) {
         folder.write("map.pgm", grid.to_pgm())?;
         let note = grid_note(band, ground);
@@ -255,24 +241,6 @@ fn grid_note(band: [f64; 2], ground: Ground) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_band_of_a_robot_begins_over_the_floor_where_there_is_one() {
-        let cube = |z: f64| Cube {
-            center: [0.0, 0.0, z],
-            size: 0.1,
-        };
-        let cubes: Vec<Cube> = (-5..40).map(|k| cube(0.1 * f64::from(k))).collect();
-        let path = [[0.0, 0.0, 1.4], [1.0, 0.0, 1.5]];
-        let [low, high] = navigation_band(&cubes, &path, true);
-        assert!((low - 0.15).abs() < 1e-12 && (high - 1.65).abs() < 1e-12);
-        // the lowest of what was mapped, without
-        let [low, _] = navigation_band(&cubes, &path, false);
-        assert!(low < 0.0, "{low}");
-        // a camera below what was taken for the floor
-        let [low, high] = navigation_band(&cubes, &[[0.0, 0.0, -0.2]], true);
-        assert!(low < -0.2 && high > -0.2);
-    }
 
     #[test]
     fn a_grid_of_unknown_scale_warns_whoever_reads_it() {
