@@ -1,0 +1,189 @@
+//! The command line.
+
+use crate::frames::mount;
+use clap::Parser;
+use monogrid_geometry::Se3;
+use std::path::PathBuf;
+
+/// A ROS 2 node that makes an occupancy map of a camera's images
+#[derive(Clone, Debug, Parser)]
+#[command(version, max_term_width = 110)]
+pub struct Args {
+    /// Topic of the images (sensor_msgs/Image)
+    #[arg(long, value_name = "TOPIC", default_value = "/camera/image_raw")]
+    pub image: String,
+    /// The images are sensor_msgs/CompressedImage (JPEG or PNG)
+    #[arg(long)]
+    pub compressed: bool,
+    /// Topic of the calibration (sensor_msgs/CameraInfo)
+    #[arg(long, value_name = "TOPIC", default_value = "/camera/camera_info")]
+    pub info: String,
+    /// The images are rectified: the projection of the calibration is theirs, and nothing is distorted
+    #[arg(long)]
+    pub rectified: bool,
+    /// Calibration from a file instead of the topic (any that `monogrid run --calibration` reads)
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Settings of tracking and mapping (TOML with [slam] and [mapping], as `config.toml` of a run)
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Name of the node
+    #[arg(long, value_name = "NAME", default_value = "monogrid")]
+    pub name: String,
+    /// Namespace of the node and of its topics
+    #[arg(long, value_name = "NAMESPACE", default_value = "/")]
+    pub namespace: String,
+    #[allow(missing_docs, reason = "would become the description of the program")]
+    #[command(flatten)]
+    pub frames: FrameArgs,
+    /// Metres of a unit of the camera's world, where that is known; parameter `metres_per_unit` of the node
+    #[arg(long, value_name = "METRES", value_parser = scale)]
+    pub metres_per_unit: Option<f64>,
+    /// Heights over the origin of the base, m, whose cells are obstacles in the grid; without, from somewhat above
+    /// what is lowest in the map to somewhat above the camera
+    #[arg(long, value_name = "LOW,HIGH", value_parser = band, allow_hyphen_values = true)]
+    pub height_band: Option<[f64; 2]>,
+    /// Seconds between maps at least
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = period)]
+    pub map_period: f64,
+    /// Where the service `save` makes new folders
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub save_dir: PathBuf,
+    /// Threads that work on one image and one map, 0 for as many as there are processors
+    #[arg(long, default_value_t = 0)]
+    pub threads: usize,
+}
+
+// no documentation comment, which would become the description of the program
+#[allow(missing_docs, reason = "see above")]
+#[derive(Clone, Debug, clap::Args)]
+pub struct FrameArgs {
+    /// Frame of the map
+    #[arg(long, value_name = "FRAME", default_value = "map")]
+    pub map_frame: String,
+    /// Frame of the odometry
+    #[arg(long, value_name = "FRAME", default_value = "odom")]
+    pub odom_frame: String,
+    /// Frame of the robot
+    #[arg(long, value_name = "FRAME", default_value = "base_link")]
+    pub base_frame: String,
+    /// Where the camera sits on the base: place, m, and angles of its body (x ahead, y left, z up), rad
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = six_numbers, allow_hyphen_values = true)]
+    pub base_from_camera: Option<[f64; 6]>,
+    /// Where the camera sits is published by others (a robot's description): not here
+    #[arg(long)]
+    pub no_camera_tf: bool,
+    /// Nothing is published on /tf; poses are in the odometry and in the path
+    #[arg(long)]
+    pub no_tf: bool,
+}
+
+impl FrameArgs {
+    /// base_from_camera of the optical axes, m.
+    #[must_use]
+    pub fn mount(&self) -> Se3 {
+        let [x, y, z, roll, pitch, yaw] = self.base_from_camera.unwrap_or_default();
+        mount([x, y, z], [roll, pitch, yaw])
+    }
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let wrong = || format!("expected {N} numbers with commas between them");
+    let numbers = text.split(',').map(|part| part.trim().parse::<f64>());
+    let numbers: Vec<f64> = numbers.collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let numbers: [f64; N] = numbers.try_into().map_err(|_| wrong())?;
+    if numbers.iter().all(|number| number.is_finite()) {
+        Ok(numbers)
+    } else {
+        Err(wrong())
+    }
+}
+
+fn six_numbers(text: &str) -> Result<[f64; 6], String> {
+    numbers(text)
+}
+
+fn band(text: &str) -> Result<[f64; 2], String> {
+    let [low, high] = numbers(text)?;
+    if low < high {
+        Ok([low, high])
+    } else {
+        Err(format!(
+            "the lower height ({low}) is not below the upper one ({high})"
+        ))
+    }
+}
+
+/// Smallest and largest scale that is believed, m.
+const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+
+/// Checks a scale.
+///
+/// # Errors
+/// A scale that is none.
+pub fn checked_scale(metres_per_unit: f64) -> Result<f64, String> {
+    if SCALES.contains(&metres_per_unit) {
+        Ok(metres_per_unit)
+    } else {
+        Err(format!(
+            "metres_per_unit is {metres_per_unit}, expected {} to {}",
+            SCALES.start(),
+            SCALES.end()
+        ))
+    }
+}
+
+fn scale(text: &str) -> Result<f64, String> {
+    let [metres] = numbers(text)?;
+    checked_scale(metres)
+}
+
+fn period(text: &str) -> Result<f64, String> {
+    let [seconds] = numbers(text)?;
+    if (0.05..=3600.0).contains(&seconds) {
+        Ok(seconds)
+    } else {
+        Err(format!("{seconds} s is not between 0.05 and 3600 s"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::Vec3;
+
+    fn parse(arguments: &[&str]) -> Result<Args, clap::Error> {
+        Args::try_parse_from([&["monogrid-ros2"], arguments].concat())
+    }
+
+    #[test]
+    fn where_the_camera_sits() {
+        let args = parse(&["--base-from-camera", "0.1,-0.2,0.3,0,0,0"]).unwrap();
+        let base_from_camera = args.frames.mount();
+        // what is ahead of the camera by 1 m
+        let ahead = base_from_camera * Vec3::new(0.0, 0.0, 1.0);
+        assert!((ahead - Vec3::new(1.1, -0.2, 0.3)).norm() < 1e-12);
+        let down = parse(&["--base-from-camera", "0,0,0,0,1.5707963267948966,0"]).unwrap();
+        let ahead = down.frames.mount() * Vec3::new(0.0, 0.0, 1.0);
+        assert!((ahead - Vec3::new(0.0, 0.0, -1.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn numbers_outside_their_range_are_refused() {
+        for wrong in [
+            ["--base-from-camera", "0,0,0"],
+            ["--base-from-camera", "0,0,0,0,0,nan"],
+            ["--height-band", "1,0"],
+            ["--height-band", "0.1"],
+            ["--metres-per-unit", "0"],
+            ["--metres-per-unit", "-1"],
+            ["--map-period", "0"],
+            ["--map-period", "1e9"],
+        ] {
+            assert!(parse(&wrong).is_err(), "{wrong:?}");
+        }
+        let args = parse(&["--height-band", "-0.1,1.5", "--metres-per-unit", "0.3"]).unwrap();
+        assert_eq!(args.height_band, Some([-0.1, 1.5]));
+        assert_eq!(args.metres_per_unit, Some(0.3));
+    }
+}

@@ -1,0 +1,27 @@
+//! From messages and to messages: one function each, which knows nothing of a node.
+
+mod camera;
+mod cloud;
+mod diagnostics;
+mod grid;
+mod image;
+mod octomap;
+mod path;
+mod pose;
+mod window;
+
+pub use camera::{InfoError, camera_of};
+pub use cloud::{MAX_POINTS, cloud_of_cells, cloud_of_keyframe};
+pub use diagnostics::{Condition, diagnostics};
+pub use grid::{MAX_GRID_CELLS, changed_part, grid_of};
+pub use image::{ImageError, gray_image, gray_of_compressed};
+pub use octomap::{MAX_TREE_BYTES, octomap_of};
+pub use path::{MAX_PATH_POSES, path_of};
+pub use pose::{odometry_of, pose_of, transform_of};
+pub use window::part_that_fits;
+
+/// Largest message that is sent, bytes: what is larger can be lost on its way without an error on either side.
+pub const MAX_MESSAGE_BYTES: usize = 4_000_000;
+
+/// Left for everything in a message that does not grow: headers, names, sizes.
+const OVERHEAD_BYTES: usize = 10_000;

@@ -1,0 +1,154 @@
+//! Poses.
+
+use monogrid_geometry::{Se3, rotation_log};
+use monogrid_messages::geometry_msgs::{
+    Covariance, Point, Pose, PoseWithCovariance, Quaternion, Transform, TransformStamped, Twist,
+    TwistWithCovariance, Vector3,
+};
+use monogrid_messages::nav_msgs::Odometry;
+use monogrid_messages::std_msgs::Header;
+
+/// A pose, m.
+#[must_use]
+pub fn pose_of(parent_from_child: &Se3) -> Pose {
+    let at = parent_from_child.translation;
+    Pose {
+        position: Point {
+            x: at.x,
+            y: at.y,
+            z: at.z,
+        },
+        orientation: quaternion_of(parent_from_child),
+    }
+}
+
+/// A transform between the frame of the header and its child, m.
+#[must_use]
+pub fn transform_of(header: Header, child: &str, parent_from_child: &Se3) -> TransformStamped {
+    let at = parent_from_child.translation;
+    TransformStamped {
+        header,
+        child_frame_id: child.to_owned(),
+        transform: Transform {
+            translation: vector_of(at.x, at.y, at.z),
+            rotation: quaternion_of(parent_from_child),
+        },
+    }
+}
+
+/// Where odometry stands, and how fast it moved over the last `seconds`, in the child's frame; `step` is
+/// last_from_this of the child. The velocity of a first pose is not known: it is 0 with a large variance.
+#[must_use]
+pub fn odometry_of(
+    header: Header,
+    child: &str,
+    odom_from_base: &Se3,
+    step: Option<(Se3, f64)>,
+) -> Odometry {
+    let step = step.filter(|(_, seconds)| *seconds > 0.0);
+    let twist = step.map_or_else(Twist::default, |(last_from_this, seconds)| {
+        let moved = last_from_this.rotation.inverse() * last_from_this.translation / seconds;
+        let turned = rotation_log(&last_from_this.rotation) / seconds;
+        Twist {
+            linear: vector_of(moved.x, moved.y, moved.z),
+            angular: vector_of(turned.x, turned.y, turned.z),
+        }
+    });
+    let deviations = if step.is_some() {
+        VELOCITY_DEVIATIONS
+    } else {
+        [UNKNOWN_DEVIATION; 2]
+    };
+    Odometry {
+        header,
+        child_frame_id: child.to_owned(),
+        pose: PoseWithCovariance {
+            pose: pose_of(odom_from_base),
+            covariance: diagonal(POSE_DEVIATIONS),
+        },
+        twist: TwistWithCovariance {
+            twist,
+            covariance: diagonal(deviations),
+        },
+    }
+}
+
+/// What filters that fuse odometry are told of its error, as wheel odometry does: constants, since the drift of a single
+/// camera's scale is not known. m and rad.
+const POSE_DEVIATIONS: [f64; 2] = [0.1, 0.05];
+/// m/s and rad/s.
+const VELOCITY_DEVIATIONS: [f64; 2] = [0.1, 0.05];
+/// Nothing is known.
+const UNKNOWN_DEVIATION: f64 = 1e3;
+
+/// Covariance of what has one standard deviation along all axes and one around them.
+fn diagonal([along, around]: [f64; 2]) -> Covariance {
+    let mut covariance = Covariance::default();
+    for axis in 0..3 {
+        covariance[axis][axis] = along * along;
+        covariance[axis + 3][axis + 3] = around * around;
+    }
+    covariance
+}
+
+fn vector_of(x: f64, y: f64, z: f64) -> Vector3 {
+    Vector3 { x, y, z }
+}
+
+fn quaternion_of(pose: &Se3) -> Quaternion {
+    let [x, y, z, w] = pose.rotation.coords.into();
+    Quaternion { x, y, z, w }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Rotation, Vec3, rotation_exp};
+    use std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn a_quarter_turn_around_z() {
+        let turned = Se3::new(
+            rotation_exp(&Vec3::new(0.0, 0.0, FRAC_PI_2)),
+            Vec3::new(1.0, 2.0, 3.0),
+        );
+        let half = 0.5_f64.sqrt();
+        let pose = pose_of(&turned);
+        assert_eq!(
+            (pose.position.x, pose.position.y, pose.position.z),
+            (1.0, 2.0, 3.0)
+        );
+        let transform = transform_of(Header::default(), "child", &turned);
+        assert_eq!(transform.child_frame_id, "child");
+        for q in [pose.orientation, transform.transform.rotation] {
+            let wrong = [q.x, q.y, q.z - half, q.w - half];
+            assert!(wrong.iter().all(|v| v.abs() < 1e-12), "{q:?}");
+        }
+        assert_eq!(transform.transform.translation.y, 2.0);
+    }
+
+    #[test]
+    fn velocities_are_in_the_frame_of_the_child() {
+        // it turned by 0.2 rad in 0.1 s and moved by 1 m along its x as it is now
+        let turn = rotation_exp(&Vec3::new(0.0, 0.0, 0.2));
+        let step = Se3::new(turn, turn * Vec3::new(1.0, 0.0, 0.0));
+        let here = Se3::new(Rotation::identity(), Vec3::zeros());
+        let odometry = odometry_of(Header::default(), "base", &here, Some((step, 0.1)));
+        let twist = odometry.twist.twist;
+        assert!((twist.linear.x - 10.0).abs() < 1e-9 && twist.linear.y.abs() < 1e-9);
+        assert!((twist.angular.z - 2.0).abs() < 1e-9);
+        assert_eq!(odometry.twist.covariance[0][0], 0.1 * 0.1);
+        assert_eq!(odometry.pose.covariance[5][5], 0.05 * 0.05);
+        assert_eq!(odometry.pose.covariance[0][1], 0.0);
+    }
+
+    #[test]
+    fn without_a_step_the_velocity_is_not_known() {
+        let here = Se3::identity();
+        for step in [None, Some((here, 0.0))] {
+            let odometry = odometry_of(Header::default(), "base", &here, step);
+            assert_eq!(odometry.twist.twist, Twist::default());
+            assert_eq!(odometry.twist.covariance[0][0], 1e6);
+        }
+    }
+}

@@ -1,0 +1,356 @@
+//! The thread of the maps: publishes what the mapper has when it has something new, how the node is, and writes files.
+
+use crate::convert::{Condition, MAX_PATH_POSES, diagnostics};
+use crate::frames::map_from_camera;
+use crate::save::save;
+use crate::shown::{Seen, Shown};
+use crate::topics::MapTopics;
+use crate::trail::Trail;
+use crate::work::{Answer, Counts, News, Tracked, response};
+use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
+use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::std_msgs::Header;
+use monogrid_occupancy::MapError;
+use monogrid_slam::mapping::{LiveView, MapReader};
+use monogrid_slam::{Keyframe, PoseSnapshot, TrajectoryPose};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// How often the node says how it is.
+const DIAGNOSTICS_EVERY: Duration = Duration::from_secs(1);
+/// How often the mapper is asked for a new map while images come.
+const ASK_EVERY: Duration = Duration::from_millis(50);
+/// A camera that sends nothing for so long is silent.
+const SILENT_AFTER: Duration = Duration::from_secs(2);
+
+/// What decides how maps are published.
+#[derive(Clone, Debug)]
+pub struct MapOptions {
+    /// Name of the node, as diagnostics have it.
+    pub name: String,
+    /// Where the camera sits on the base, m.
+    pub base_from_camera: Se3,
+    /// Heights over the base that matter, m.
+    pub height_band: Option<[f64; 2]>,
+    /// Least time between maps.
+    pub period: Duration,
+    /// Metres of a unit of the world, where somebody has said it.
+    pub metres_per_unit: Option<f64>,
+    /// Where new folders are made.
+    pub save_dir: PathBuf,
+}
+
+/// A world that is mapped.
+struct World {
+    number: u32,
+    reader: MapReader,
+    pinhole: Pinhole,
+    trail: Trail,
+    poses: Arc<PoseSnapshot>,
+    /// The images with which keyframes were finished, one after the other.
+    finished: Vec<Time>,
+    /// What was published last.
+    published: Option<Arc<LiveView>>,
+}
+
+/// What was counted since the node began.
+#[derive(Default)]
+struct Totals {
+    processed: u64,
+    unusable: u64,
+    unusable_because: String,
+    unsent: u64,
+    tracking_ms: f64,
+}
+
+/// Publishes maps.
+pub struct Maps {
+    options: MapOptions,
+    topics: MapTopics,
+    counts: Arc<Counts>,
+    world: Option<World>,
+    condition: Condition,
+    totals: Totals,
+    last_image: Option<Instant>,
+    last_map: Option<Instant>,
+}
+
+impl Maps {
+    /// With nothing to publish yet.
+    #[must_use]
+    pub fn new(options: MapOptions, topics: MapTopics, counts: Arc<Counts>) -> Self {
+        Self {
+            options,
+            topics,
+            counts,
+            world: None,
+            condition: Condition::Waiting("no image has come yet".to_owned()),
+            totals: Totals::default(),
+            last_image: None,
+            last_map: None,
+        }
+    }
+
+    /// Publishes what there is, until no more news come.
+    pub fn run(mut self, news: &Receiver<News>) {
+        let mut last_said = Instant::now();
+        loop {
+            let said = DIAGNOSTICS_EVERY.saturating_sub(last_said.elapsed());
+            let is_awake = self
+                .last_image
+                .is_some_and(|at| at.elapsed() < SILENT_AFTER);
+            let wait = if is_awake { said.min(ASK_EVERY) } else { said };
+            match news.recv_timeout(wait) {
+                Ok(news) => self.take(news),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            if last_said.elapsed() >= DIAGNOSTICS_EVERY {
+                last_said = Instant::now();
+                self.say_condition();
+            }
+            let is_due = self
+                .last_map
+                .is_none_or(|at| at.elapsed() >= self.options.period);
+            if is_due && let Err(error) = self.publish_new_map() {
+                self.condition = Condition::Waiting(format!("the map cannot be shown: {error}"));
+            }
+        }
+    }
+
+    fn take(&mut self, news: News) {
+        match news {
+            News::Begun(number, reader, pinhole) => {
+                self.world = Some(World {
+                    number,
+                    reader,
+                    pinhole,
+                    trail: Trail::default(),
+                    poses: Arc::default(),
+                    finished: Vec::new(),
+                    published: None,
+                });
+            }
+            News::Tracked(tracked) => self.take_tracked(&tracked),
+            News::Unusable(why) => {
+                self.last_image = Some(Instant::now());
+                self.totals.unusable += 1;
+                self.totals.unusable_because = why;
+            }
+            News::Waiting(why) => self.condition = Condition::Waiting(why),
+            News::Keyframe(world, keyframe, poses) => self.publish_points(world, &keyframe, &poses),
+            News::Scale(metres) => {
+                self.options.metres_per_unit = Some(metres);
+                self.show_again();
+            }
+            News::Ended => {
+                self.world = None;
+                self.topics.forget_grid();
+                self.condition = Condition::Waiting("begun again".to_owned());
+            }
+            News::Save(answer, trajectory) => self.save(answer, &trajectory),
+        }
+    }
+
+    fn take_tracked(&mut self, tracked: &Tracked) {
+        let report = &tracked.report;
+        self.last_image = Some(Instant::now());
+        self.totals.processed += 1;
+        self.totals.unsent += tracked.unsent as u64;
+        let times = report.milliseconds;
+        self.totals.tracking_ms = times.tracking + times.depth + times.graph;
+        self.condition = Condition::Tracked(report.state, report.reason);
+        let Some(world) = &mut self.world else {
+            return;
+        };
+        world.poses = Arc::clone(&tracked.poses);
+        if report.finished_keyframe.is_some() {
+            world.finished.push(tracked.stamp);
+        }
+        if let (Some(pose), Some(keyframe)) = (report.world_from_camera, report.keyframe) {
+            let World { trail, poses, .. } = world;
+            trail.add(tracked.stamp, &pose, keyframe, poses, MAX_PATH_POSES);
+        }
+    }
+
+    fn metres_per_unit(&self) -> f64 {
+        self.options.metres_per_unit.unwrap_or(1.0)
+    }
+
+    /// A pose of the camera in the map, m.
+    fn in_map(&self, world_from_camera: &Se3) -> Se3 {
+        let mount = &self.options.base_from_camera;
+        map_from_camera(mount, self.metres_per_unit(), world_from_camera)
+    }
+
+    /// The newest map is published once more, since all lengths are others.
+    fn show_again(&mut self) {
+        self.topics.forget_grid();
+        if let Some(world) = &mut self.world {
+            world.published = None;
+        }
+    }
+
+    /// Where the camera was, in the map, m.
+    fn path(&self, world: &World) -> Vec<(Time, Se3)> {
+        let now = world.trail.now(&world.poses).into_iter();
+        now.map(|(stamp, pose)| (stamp, self.in_map(&pose)))
+            .collect()
+    }
+
+    /// Publishes the map if it is another than last time.
+    fn publish_new_map(&mut self) -> Result<(), MapError> {
+        match self.newest(false)? {
+            Some(shown) => self.publish(&shown),
+            None => Ok(()),
+        }
+    }
+
+    /// The newest map; `None` where there is none, or it was published already and is not wanted `again`.
+    fn newest(&mut self, again: bool) -> Result<Option<Shown>, MapError> {
+        let Some(world) = &self.world else {
+            return Ok(None);
+        };
+        let Some(view) = world.reader.latest() else {
+            return Ok(None);
+        };
+        let published = world.published.as_ref();
+        if !again && published.is_some_and(|published| Arc::ptr_eq(published, &view)) {
+            return Ok(None);
+        }
+        let path = self.path(world);
+        let seen = Seen {
+            stamp: newest_image(&world.finished, view.stats.keyframes),
+            metres_per_unit: self.metres_per_unit(),
+            band_over_base: self.options.height_band,
+            camera_over_base: self.options.base_from_camera.translation.z,
+            path: &path,
+        };
+        let shown = Shown::new(&view.global, &seen)?;
+        if let Some(world) = &mut self.world {
+            world.published = Some(view);
+        }
+        Ok(Some(shown))
+    }
+
+    fn publish(&mut self, shown: &Shown) -> Result<(), MapError> {
+        self.last_map = Some(Instant::now());
+        self.topics.publish(shown)
+    }
+
+    /// Publishes the points of a keyframe in the map.
+    fn publish_points(&mut self, number: u32, keyframe: &Keyframe, poses: &PoseSnapshot) {
+        let world = self.world.as_ref();
+        let Some(world) = world.filter(|world| world.number == number) else {
+            return;
+        };
+        let Some(world_from_keyframe) = poses.in_main_map(keyframe.id) else {
+            return;
+        };
+        let axes = self.options.base_from_camera.rotation;
+        let map_from_world = Sim3::new(self.metres_per_unit(), axes, Vec3::zeros());
+        let map_from_keyframe = map_from_world * *world_from_keyframe;
+        let pinhole = &world.pinhole;
+        self.topics
+            .publish_points(keyframe, pinhole, &map_from_keyframe);
+    }
+
+    /// Publishes the newest map as a whole and writes the same to files.
+    fn save(&mut self, answer: Answer, trajectory: &[TrajectoryPose]) {
+        let poses = trajectory.iter().map(|pose| {
+            let stamp = Time::from_nanoseconds(pose.timestamp_ns);
+            (stamp, self.in_map(&pose.world_from_camera))
+        });
+        let poses: Vec<(Time, Se3)> = poses.collect();
+        let saved = self.publish_and_save(&poses);
+        // whoever has gone away needs no answer
+        let _ = answer.send(response(saved.map_err(|error| format!("{error:#}"))));
+    }
+
+    fn publish_and_save(&mut self, trajectory: &[(Time, Se3)]) -> anyhow::Result<String> {
+        let Some(shown) = self.newest(true)? else {
+            anyhow::bail!("there is no map yet: no keyframe is finished");
+        };
+        self.topics.forget_grid();
+        self.publish(&shown)?;
+        let is_metric = self.options.metres_per_unit.is_some();
+        let folder = save(&self.options.save_dir, &shown, trajectory, is_metric)?;
+        let folder = folder.canonicalize().unwrap_or(folder);
+        Ok(folder.display().to_string())
+    }
+
+    fn say_condition(&mut self) {
+        let silent = self.last_image.map(|at| at.elapsed());
+        let silent = silent.filter(|silent| *silent >= SILENT_AFTER);
+        let condition = match silent {
+            Some(silent) => &Condition::Silent(silent.as_secs_f64()),
+            None => &self.condition,
+        };
+        let now = SystemTime::now().duration_since(UNIX_EPOCH);
+        let now = now.map_or(0, |now| now.as_nanos() as i64);
+        let header = Header {
+            stamp: Time::from_nanoseconds(now),
+            ..Header::default()
+        };
+        let message = diagnostics(header, &self.options.name, condition, self.facts());
+        self.topics.publish_diagnostics(message);
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        let (counts, totals) = (&self.counts, &self.totals);
+        let keyframes = self.world.as_ref().map_or(0, |world| world.finished.len());
+        let scale = match self.options.metres_per_unit {
+            Some(metres) => metres.to_string(),
+            None => "unknown: lengths are not metres".to_owned(),
+        };
+        let window = match self.topics.window() {
+            Some(radius) => format!("{radius:.1} m around the camera"),
+            None => "everything".to_owned(),
+        };
+        vec![
+            ("images received", counts.received.get().to_string()),
+            ("images processed", totals.processed.to_string()),
+            ("images dropped (busy)", counts.dropped.get().to_string()),
+            ("images lost on the way", counts.lost.get().to_string()),
+            ("images of no use", totals.unusable.to_string()),
+            ("last of no use because", totals.unusable_because.clone()),
+            (
+                "messages not sent",
+                (totals.unsent + self.topics.unsent()).to_string(),
+            ),
+            (
+                "tracking of the last image, ms",
+                format!("{:.1}", totals.tracking_ms),
+            ),
+            ("keyframes", keyframes.to_string()),
+            ("metres per unit", scale),
+            ("map sent", window),
+        ]
+    }
+}
+
+/// The image with which the last of so many keyframes was finished.
+fn newest_image(finished: &[Time], num_keyframes: usize) -> Time {
+    let known = num_keyframes.min(finished.len());
+    known
+        .checked_sub(1)
+        .map_or_else(Time::default, |last| finished[last])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_has_the_time_of_the_image_that_finished_its_newest_keyframe() {
+        let time = |sec| Time { sec, nanosec: 0 };
+        let finished = [time(1), time(4), time(9)];
+        assert_eq!(newest_image(&finished, 2), time(4));
+        // a keyframe of which the maps heard first
+        assert_eq!(newest_image(&finished, 4), time(9));
+        assert_eq!(newest_image(&finished, 0), Time::default());
+        assert_eq!(newest_image(&[], 3), Time::default());
+    }
+}

@@ -1,0 +1,64 @@
+//! Settings of tracking and mapping from a file.
+
+use anyhow::{Context, bail};
+use monogrid_pipeline::Settings;
+use monogrid_slam::SlamConfig;
+use monogrid_slam::mapping::MappingConfig;
+use serde::Deserialize;
+use std::path::Path;
+
+/// What a file may hold; what it does not name has its default.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct ConfigFile {
+    profile: Option<String>,
+    seed: u64,
+    slam: SlamConfig,
+    mapping: MappingConfig,
+}
+
+/// Reads settings.
+///
+/// # Errors
+/// A file that cannot be read, or settings that do not exist or are outside their range.
+pub fn read_settings(path: &Path) -> anyhow::Result<Settings> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("configuration {}", path.display()))?;
+    parse_settings(&text).with_context(|| format!("configuration {}", path.display()))
+}
+
+fn parse_settings(text: &str) -> anyhow::Result<Settings> {
+    let file: ConfigFile = toml::from_str(text)?;
+    if let Some(profile) = file.profile.filter(|profile| profile != "default") {
+        bail!(
+            "profile is {profile:?}, but settings that are left out would be those of \"default\""
+        );
+    }
+    file.slam.validate().map_err(anyhow::Error::msg)?;
+    file.mapping.validate().map_err(anyhow::Error::msg)?;
+    Ok(Settings {
+        slam: file.slam,
+        mapping: file.mapping,
+        seed: file.seed,
+        ..Settings::default()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parse_settings;
+
+    #[test]
+    fn settings_are_taken_or_refused_with_their_name() {
+        let settings = parse_settings("seed = 7\n[mapping]\nresolution = 0.1\n").unwrap();
+        assert_eq!((settings.seed, settings.mapping.resolution), (7, 0.1));
+        for (text, named) in [
+            ("[mapping]\nresolution = -1.0\n", "resolution"),
+            ("[mapping]\nresolutio = 0.1\n", "resolutio"),
+            ("profile = \"thesis\"\n", "thesis"),
+        ] {
+            let error = parse_settings(text).unwrap_err();
+            assert!(format!("{error:#}").contains(named), "{error:#}");
+        }
+    }
+}

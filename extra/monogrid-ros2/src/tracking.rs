@@ -1,0 +1,254 @@
+//! The thread that tracks: images in, poses out; what the maps need goes to their thread.
+
+use crate::convert::{gray_image, gray_of_compressed, odometry_of, transform_of};
+use crate::frames::{Frames, Poses};
+use crate::node::{Quality, RosNode};
+use crate::work::{Answer, News, Picture, Tracked, Work, response};
+use monogrid_geometry::{Camera, Se3};
+use monogrid_image::GrayImage;
+use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::nav_msgs::Odometry;
+use monogrid_messages::std_msgs::Header;
+use monogrid_messages::tf2_msgs::TFMessage;
+use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings};
+use monogrid_slam::FrameReport;
+use ros2_client::Publisher;
+use std::sync::mpsc::{Receiver, SyncSender};
+
+/// Names of the frames, and what is published of them.
+#[derive(Clone, Debug)]
+pub struct FrameNames {
+    /// Of the map.
+    pub map: String,
+    /// Of the odometry.
+    pub odom: String,
+    /// Of the robot.
+    pub base: String,
+    /// Whether transforms are published.
+    pub has_tf: bool,
+    /// Whether the place of the camera on the robot is published, in the frame that its images name.
+    pub has_camera_tf: bool,
+}
+
+/// Publishes where the camera is.
+pub struct PosePublisher {
+    names: FrameNames,
+    base_from_camera: Se3,
+    odometry: Publisher<Odometry>,
+    tf: Publisher<TFMessage>,
+    tf_static: Publisher<TFMessage>,
+    /// The optical frame that was published.
+    optical: Option<String>,
+    last_stamp: Option<Time>,
+}
+
+impl PosePublisher {
+    /// Begins to publish.
+    ///
+    /// # Errors
+    /// A network that cannot be used.
+    pub fn new(
+        node: &mut RosNode,
+        names: FrameNames,
+        base_from_camera: Se3,
+    ) -> anyhow::Result<Self> {
+        Ok(Self {
+            names,
+            base_from_camera,
+            odometry: node.publisher("odom", Quality::Stream)?,
+            tf: node.publisher("/tf", Quality::Stream)?,
+            tf_static: node.publisher("/tf_static", Quality::Latched)?,
+            optical: None,
+            last_stamp: None,
+        })
+    }
+
+    /// Says where the camera sits, in the frame that its images name, when that is new.
+    fn say_mount(&mut self, header: &Header) {
+        let is_new = self.optical.as_ref() != Some(&header.frame_id);
+        if !self.names.has_camera_tf || !is_new || header.frame_id.is_empty() {
+            return;
+        }
+        self.optical = Some(header.frame_id.clone());
+        let parent = Header {
+            stamp: header.stamp,
+            frame_id: self.names.base.clone(),
+        };
+        let transforms = vec![transform_of(
+            parent,
+            &header.frame_id,
+            &self.base_from_camera,
+        )];
+        // a network that fails now says so in the diagnostics, which then do not come
+        let _ = self.tf_static.publish(TFMessage { transforms });
+    }
+
+    /// Publishes poses at a time; returns how many messages could not be sent.
+    fn publish(&mut self, stamp: Time, poses: &Poses) -> usize {
+        let header = |frame: &str| Header {
+            stamp,
+            frame_id: frame.to_owned(),
+        };
+        let names = &self.names;
+        let last = self.last_stamp.replace(stamp);
+        let seconds = last.map(|last| (stamp.nanoseconds() - last.nanoseconds()) as f64 * 1e-9);
+        let step = poses.step.zip(seconds);
+        let odometry = odometry_of(
+            header(&names.odom),
+            &names.base,
+            &poses.odom_from_base,
+            step,
+        );
+        let mut unsent = usize::from(self.odometry.publish(odometry).is_err());
+        if names.has_tf {
+            let transforms = vec![
+                transform_of(header(&names.map), &names.odom, &poses.map_from_odom()),
+                transform_of(header(&names.odom), &names.base, &poses.odom_from_base),
+            ];
+            unsent += usize::from(self.tf.publish(TFMessage { transforms }).is_err());
+        }
+        unsent
+    }
+}
+
+/// Tracks.
+pub struct Tracking {
+    settings: Settings,
+    frames: Frames,
+    /// Or why it is not known.
+    camera: Result<Camera, String>,
+    pipeline: Option<Pipeline>,
+    /// Number of the world that comes next.
+    next_world: u32,
+    last_stamp: Option<Time>,
+    publisher: PosePublisher,
+    news: SyncSender<News>,
+}
+
+impl Tracking {
+    /// With nothing tracked yet.
+    #[must_use]
+    pub fn new(
+        settings: Settings,
+        frames: Frames,
+        camera: Result<Camera, String>,
+        publisher: PosePublisher,
+        news: SyncSender<News>,
+    ) -> Self {
+        Self {
+            settings,
+            frames,
+            camera,
+            pipeline: None,
+            next_world: 0,
+            last_stamp: None,
+            publisher,
+            news,
+        }
+    }
+
+    /// Does all that is asked for, until nobody asks any more.
+    pub fn run(mut self, work: &Receiver<Work>) {
+        for work in work {
+            match work {
+                Work::Camera(camera) => self.camera = camera,
+                Work::Picture(picture) => self.take(&picture),
+                Work::Scale(metres_per_unit) => {
+                    self.frames.set_scale(metres_per_unit);
+                    self.tell(News::Scale(metres_per_unit));
+                }
+                Work::Reset(answer) => self.reset(answer),
+                Work::Save(answer) => {
+                    let pipeline = self.pipeline.as_ref();
+                    let path = pipeline.map(|pipeline| pipeline.slam().trajectory());
+                    self.tell(News::Save(answer, path.unwrap_or_default()));
+                }
+            }
+        }
+    }
+
+    /// The thread of the maps ends after this one only.
+    fn tell(&self, news: News) {
+        let _ = self.news.send(news);
+    }
+
+    fn reset(&mut self, answer: Answer) {
+        // its threads end by themselves
+        self.pipeline = None;
+        self.last_stamp = None;
+        self.frames.begin_again();
+        self.tell(News::Ended);
+        let said = "the next image begins a new map; odometry goes on".to_owned();
+        // whoever has gone away needs no answer
+        let _ = answer.send(response(Ok(said)));
+    }
+
+    fn take(&mut self, picture: &Picture) {
+        let (header, image) = match picture {
+            Picture::Plain(image) => (&image.header, gray_image(image)),
+            Picture::Compressed(image) => (&image.header, gray_of_compressed(image)),
+        };
+        let tracked = image
+            .map_err(|error| error.to_string())
+            .and_then(|image| self.track(header, image));
+        match tracked {
+            Ok(news) => self.tell(News::Tracked(Box::new(news))),
+            Err(why) => self.tell(News::Unusable(why)),
+        }
+    }
+
+    fn track(&mut self, header: &Header, image: GrayImage) -> Result<Tracked, String> {
+        let stamp = header.stamp;
+        if let Some(last) = self.last_stamp.filter(|last| *last >= stamp) {
+            return Err(format!(
+                "an image of {} ns came after one of {} ns: time runs backwards; call reset where that is meant",
+                stamp.nanoseconds(),
+                last.nanoseconds()
+            ));
+        }
+        let report = self.push(image, stamp)?;
+        self.last_stamp = Some(stamp);
+        self.publisher.say_mount(header);
+        let poses = self.frames.advance(&report);
+        let unsent = poses.map_or(0, |poses| self.publisher.publish(stamp, &poses));
+        let pipeline = self.pipeline.as_ref();
+        Ok(Tracked {
+            stamp,
+            report,
+            poses: pipeline.map(|p| p.slam().snapshot()).unwrap_or_default(),
+            unsent,
+        })
+    }
+
+    /// Gives an image to the pipeline, which begins with the first one after the calibration.
+    fn push(&mut self, image: GrayImage, stamp: Time) -> Result<FrameReport, String> {
+        let mut pipeline = match self.pipeline.take() {
+            Some(pipeline) => pipeline,
+            None => self.begin()?,
+        };
+        let report = pipeline.push(image, stamp.nanoseconds());
+        self.pipeline = Some(pipeline);
+        report.map_err(|unusable| unusable.to_string())
+    }
+
+    fn begin(&mut self) -> Result<Pipeline, String> {
+        let camera = self.camera.clone();
+        let camera = camera.inspect_err(|why| self.tell(News::Waiting(why.clone())))?;
+        self.pipeline_of(&camera).map_err(|error| error.to_string())
+    }
+
+    fn pipeline_of(&mut self, camera: &Camera) -> Result<Pipeline, PipelineError> {
+        let mut pipeline = Pipeline::new(camera, self.settings.clone())?;
+        let (news, world) = (self.news.clone(), self.next_world);
+        self.next_world += 1;
+        pipeline.listen(move |event: &Event| {
+            if let Event::Finished(keyframe, poses) = event {
+                // the thread of the maps ends after this one only
+                let _ = news.send(News::Keyframe(world, keyframe.clone(), poses.clone()));
+            }
+        })?;
+        let pinhole = *pipeline.preparation().pinhole();
+        self.tell(News::Begun(world, pipeline.live_map()?, pinhole));
+        Ok(pipeline)
+    }
+}

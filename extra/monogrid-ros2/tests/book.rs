@@ -1,0 +1,50 @@
+//! The commands of the book are understood.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use clap::{CommandFactory, Parser};
+use monogrid_ros2::args::Args;
+use monogrid_ros2::convert::MAX_MESSAGE_BYTES;
+
+fn chapter() -> String {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/book/ros2.md");
+    std::fs::read_to_string(path).unwrap()
+}
+
+#[test]
+fn commands_of_the_chapter_are_understood() {
+    let chapter = chapter();
+    let commands: Vec<&str> = chapter
+        .lines()
+        .filter(|line| line.starts_with("monogrid-ros2 "))
+        .collect();
+    assert!(commands.len() >= 4, "{commands:?}");
+    for command in commands {
+        let parsed = Args::try_parse_from(command.split_whitespace());
+        assert!(parsed.is_ok(), "{command}: {}", parsed.unwrap_err());
+    }
+}
+
+#[test]
+fn options_that_the_chapter_names_exist() {
+    let chapter = chapter();
+    let command = Args::command();
+    let options: Vec<&str> = command
+        .get_arguments()
+        .filter_map(|a| a.get_long())
+        .collect();
+    let named = chapter.split("`--").skip(1);
+    let names = named.map(|rest| {
+        rest.split(|c: char| !(c.is_alphanumeric() || c == '-'))
+            .next()
+            .unwrap()
+    });
+    // those of cargo and of every program
+    let names: Vec<&str> = names
+        .filter(|name| !["no-default-features", "help"].contains(name))
+        .collect();
+    assert!(names.len() > 5, "{names:?}");
+    for name in names {
+        assert!(options.contains(&name), "--{name}");
+    }
+    assert_eq!(MAX_MESSAGE_BYTES, 4_000_000, "the chapter says 4 MB");
+}

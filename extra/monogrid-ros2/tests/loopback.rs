@@ -1,0 +1,387 @@
+//! The node in a process of its own, real messages between: images at 30 Hz, and all that comes back.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test may panic and talk"
+)]
+
+mod robot;
+
+use monogrid_datasets::{Dataset, SourceOptions, read_gray};
+use monogrid_geometry::Camera;
+use monogrid_image::{GrayImage, Image};
+use monogrid_messages::geometry_msgs::{Pose, Transform};
+use monogrid_messages::nav_msgs::OccupancyGrid;
+use monogrid_ros2::convert::MAX_MESSAGE_BYTES;
+use monogrid_worlds::SynthSequence;
+use robot::{Heard, Listening, Node, Robot, first_arrivals, latencies};
+use std::fs;
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// A domain that other tests of this computer hardly use at the same time.
+fn domain() -> u16 {
+    100 + (std::process::id() % 100) as u16
+}
+
+/// A camera and what it sees.
+struct Film {
+    camera: Camera,
+    images: Vec<Image<u8>>,
+}
+
+impl Film {
+    /// The beginning of a built-in world.
+    fn rendered(sequence: &SynthSequence, count: usize) -> Self {
+        let frames = (0..count).map_while(|k| sequence.frame(k));
+        Self {
+            camera: *sequence.camera(),
+            images: frames.map(|frame| bytes(&frame.image)).collect(),
+        }
+    }
+
+    /// A sequence on disk with its calibration.
+    fn read(folder: &Path) -> Self {
+        let dataset = Dataset::open(folder, SourceOptions::default()).unwrap();
+        let calibration = dataset.calibration(None).unwrap().unwrap();
+        let images = dataset.frames.iter();
+        Self {
+            camera: calibration.camera,
+            images: images
+                .map(|frame| bytes(&read_gray(&frame.path).unwrap()))
+                .collect(),
+        }
+    }
+
+    /// The images forth and back and so on.
+    fn forth_and_back(&self) -> impl Iterator<Item = &Image<u8>> {
+        let last = self.images.len() - 1;
+        let back = (1..last).rev();
+        (0..=last).chain(back).cycle().map(|k| &self.images[k])
+    }
+}
+
+fn bytes(image: &GrayImage) -> Image<u8> {
+    image.map(|grey| grey.round() as u8)
+}
+
+/// What happened while images were sent.
+struct Sent {
+    stamps: Vec<monogrid_messages::builtin_interfaces::Time>,
+    cpu_seconds: f64,
+}
+
+/// Sends images at 30 Hz, and the calibration before and in between.
+fn send(robot: &Robot, node: &Node, film: &Film, count: usize) -> Sent {
+    let interval = Duration::from_nanos(1_000_000_000 / 30);
+    for _ in 0..5 {
+        robot.send_info(&film.camera);
+        thread::sleep(Duration::from_millis(100));
+    }
+    let (begin, cpu) = (Instant::now(), node.cpu_seconds());
+    let mut stamps = Vec::with_capacity(count);
+    for (index, image) in film.forth_and_back().take(count).enumerate() {
+        let due = interval * index as u32;
+        thread::sleep(due.saturating_sub(begin.elapsed()));
+        if index % 30 == 0 {
+            robot.send_info(&film.camera);
+        }
+        stamps.push(robot.send_image(image));
+    }
+    Sent {
+        stamps,
+        cpu_seconds: node.cpu_seconds() - cpu,
+    }
+}
+
+/// CPU time of the node without images, in cores.
+fn idle_load(node: &Node, seconds: u64) -> f64 {
+    let before = node.cpu_seconds();
+    thread::sleep(Duration::from_secs(seconds));
+    (node.cpu_seconds() - before) / seconds as f64
+}
+
+/// A run of the node over some images.
+struct Loopback {
+    heard: Listening,
+    robot: Robot,
+    node: Node,
+    folder: tempfile::TempDir,
+}
+
+impl Loopback {
+    fn start() -> Self {
+        let domain = domain();
+        let folder = tempfile::tempdir().unwrap();
+        let parent = folder.path().display().to_string();
+        let arguments = [
+            "--save-dir",
+            &parent,
+            "--map-period",
+            "0.2",
+            "--threads",
+            "2",
+        ];
+        let node = Node::start(domain, &arguments);
+        let (heard, robot) = (Listening::start(domain), Robot::start(domain));
+        heard.wait_until("the node says that it waits", |heard| {
+            let array = heard.diagnostics.as_ref();
+            array.is_some_and(|array| array.status[0].message.contains("no image"))
+        });
+        // the other topics find each other at the same time
+        thread::sleep(Duration::from_secs(2));
+        Self {
+            heard,
+            robot,
+            node,
+            folder,
+        }
+    }
+
+    /// Sends all images, waits until it is known what became of each, and checks all that came back.
+    fn run(&mut self, film: &Film, count: usize) -> Sent {
+        let sent = send(&self.robot, &self.node, film, count);
+        self.heard
+            .wait_until("all images are accounted for", |heard| {
+                heard.accounted() == count as u64
+            });
+        assert!(self.node.is_running());
+        // the mapper gives way to everybody else on a busy computer
+        self.heard.wait_until("maps arrive", |heard| {
+            let trees = [&heard.binary, &heard.full];
+            let is_there = trees.iter().all(|tree| tree.is_some()) && heard.cells.is_some();
+            is_there && heard.grid.is_some() && heard.path.is_some() && heard.points > 0
+        });
+        self.heard.heard(|heard| {
+            poses_are_those_of_a_robot(heard);
+            messages_are_small(heard);
+            // a grid that comes often is sent as changes in between
+            assert!(heard.updates > 0 || heard.grid_times.len() < 10);
+        });
+        sent
+    }
+
+    /// The files of the service are what was published.
+    fn save(&self) {
+        let folder = self.robot.save().unwrap();
+        assert!(Path::new(&folder).starts_with(self.folder.path().canonicalize().unwrap()));
+        self.heard
+            .wait_until("the map is that of the files", |heard| {
+                is_saved(heard, Path::new(&folder))
+            });
+        self.heard.heard(|heard| {
+            let trajectory = fs::read_to_string(Path::new(&folder).join("trajectory.txt")).unwrap();
+            let saved = trajectory
+                .lines()
+                .filter(|line| !line.starts_with('#'))
+                .count();
+            assert!(saved >= heard.odometry.len() / 2, "{saved} poses");
+        });
+    }
+}
+
+/// Odometry never jumps; the transforms of an image are those of one tree.
+fn poses_are_those_of_a_robot(heard: &Heard) {
+    let position = |pose: &Pose| [pose.position.x, pose.position.y, pose.position.z];
+    let odometry = &heard.odometry;
+    // on a busy computer images are dropped
+    assert!(
+        odometry.len() > 30,
+        "{} poses: {:?}",
+        odometry.len(),
+        heard.diagnostics
+    );
+    let length: f64 = odometry
+        .windows(2)
+        .map(|pair| {
+            let [a, b] = [0, 1].map(|k| position(&pair[k].0.pose.pose));
+            let step = (0..3)
+                .map(|axis| (b[axis] - a[axis]).powi(2))
+                .sum::<f64>()
+                .sqrt();
+            let gap = pair[1].0.header.stamp.nanoseconds() - pair[0].0.header.stamp.nanoseconds();
+            assert!(gap > 0);
+            // a hand moves at most by a part of the depth of the scene, which is about 1, in a thirtieth of a second
+            assert!(
+                step < 0.15 * (gap as f64 / 33e6).max(1.0),
+                "a step of {step}"
+            );
+            step
+        })
+        .sum();
+    assert!(length > 0.3, "the camera moved by {length}");
+    assert_eq!(odometry[0].0.header.frame_id, "odom");
+    assert_eq!(odometry[0].0.child_frame_id, "base_link");
+    assert_eq!(heard.tf.len(), odometry.len());
+    for (tf, (odometry, _)) in heard.tf.iter().zip(odometry) {
+        let [map, odom] = &tf.transforms[..] else {
+            panic!("two transforms");
+        };
+        assert_eq!(
+            (map.header.frame_id.as_str(), map.child_frame_id.as_str()),
+            ("map", "odom")
+        );
+        assert_eq!(
+            (odom.header.frame_id.as_str(), odom.child_frame_id.as_str()),
+            ("odom", "base_link")
+        );
+        assert_eq!(odom.header.stamp, odometry.header.stamp);
+        assert!(is_same(&odom.transform, &odometry.pose.pose));
+    }
+    let mount = &heard.tf_static[0].transforms[0];
+    assert_eq!(
+        (
+            mount.header.frame_id.as_str(),
+            mount.child_frame_id.as_str()
+        ),
+        ("base_link", "camera_optical")
+    );
+}
+
+fn is_same(transform: &Transform, pose: &Pose) -> bool {
+    let (t, p) = (&transform.translation, &pose.position);
+    [t.x, t.y, t.z] == [p.x, p.y, p.z] && transform.rotation == pose.orientation
+}
+
+fn messages_are_small(heard: &Heard) {
+    let sizes = [
+        heard.grid.as_ref().map_or(0, |grid| grid.data.len()),
+        heard.binary.as_ref().map_or(0, |tree| tree.data.len()),
+        heard.full.as_ref().map_or(0, |tree| tree.data.len()),
+        heard.cells.as_ref().map_or(0, |cloud| cloud.data.len()),
+    ];
+    assert!(
+        sizes
+            .iter()
+            .all(|size| (1..MAX_MESSAGE_BYTES).contains(size)),
+        "{sizes:?}"
+    );
+    let path = heard.path.as_ref().unwrap();
+    assert!(path.poses.len() > 1 && path.header.frame_id == "map");
+}
+
+/// Whether what was heard last is what stands in the files.
+fn is_saved(heard: &Heard, folder: &Path) -> bool {
+    let file = |name: &str| fs::read(folder.join(name)).unwrap();
+    let Some((grid, _)) = &heard.whole_grid else {
+        return false;
+    };
+    let trees = [(&heard.binary, "global.bt"), (&heard.full, "global.ot")];
+    pgm_of(grid) == file("map.pgm")
+        && trees.into_iter().all(|(tree, name)| {
+            let file = file(name);
+            tree.as_ref()
+                .is_some_and(|tree| file.ends_with(&tree.data) && has_body(&file, tree.data.len()))
+        })
+}
+
+/// Whether the header of the file ends where a body of this length begins.
+fn has_body(file: &[u8], length: usize) -> bool {
+    file[..file.len() - length].ends_with(b"\ndata\n")
+}
+
+/// A grid as the map server's file.
+fn pgm_of(grid: &OccupancyGrid) -> Vec<u8> {
+    let mut pgm = format!("P5\n{} {}\n255\n", grid.info.width, grid.info.height).into_bytes();
+    for row in grid.data.chunks(grid.info.width as usize).rev() {
+        pgm.extend(row.iter().map(|cell| match cell {
+            0 => 254,
+            100 => 0,
+            -1 => 205,
+            other => panic!("a cell of {other}"),
+        }));
+    }
+    pgm
+}
+
+#[test]
+fn ten_seconds_of_a_small_camera() {
+    let film = Film::rendered(&SynthSequence::small_demo().unwrap(), 150);
+    let mut loopback = Loopback::start();
+    loopback.run(&film, 300);
+    let changed = loopback.heard.heard(|heard| heard.grid.clone()).unwrap();
+    loopback.save();
+    // the grid that came by changes is the one that came as a whole
+    loopback.heard.heard(|heard| {
+        let (whole, before) = heard.whole_grid.as_ref().unwrap();
+        let before = before.as_ref().unwrap_or(&changed);
+        if before.info == whole.info && before.header.stamp == whole.header.stamp {
+            assert_eq!(before.data, whole.data);
+        }
+    });
+    a_scale_makes_everything_longer(&loopback);
+    a_reset_begins_a_new_map(&loopback, &film.images[0]);
+    assert!(loopback.node.interrupt());
+}
+
+fn a_scale_makes_everything_longer(loopback: &Loopback) {
+    let refused = loopback.robot.set_scale(-1.0).unwrap_err();
+    assert!(refused.contains("metres_per_unit"), "{refused}");
+    let before = loopback
+        .heard
+        .heard(|heard| heard.grid.as_ref().unwrap().info.resolution);
+    loopback.robot.set_scale(2.5).unwrap();
+    loopback
+        .heard
+        .wait_until("the grid has longer cells", |heard| {
+            (heard.grid.as_ref().unwrap().info.resolution - 2.5 * before).abs() < 1e-6
+        });
+    loopback.save();
+}
+
+fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
+    loopback.robot.reset().unwrap();
+    loopback.heard.wait_until("the node begins again", |heard| {
+        heard.count("keyframes") == 0
+    });
+    let refused = loopback.robot.save().unwrap_err();
+    assert!(refused.contains("no map yet"), "{refused}");
+    // time may begin again too
+    loopback.robot.send_image(image);
+    loopback.heard.wait_until("it initialises", |heard| {
+        let array = heard.diagnostics.as_ref().unwrap();
+        array.status[0].message.starts_with("initialising")
+    });
+}
+
+/// The bar of a robot: 60 s of the sequence in the folder that `LOOPBACK_SEQUENCE` names. Prints what `BENCHMARKS.md` says.
+#[test]
+#[ignore = "takes minutes: scripts/ros2_loopback.sh"]
+fn a_minute_of_a_camera() {
+    let folder = std::env::var("LOOPBACK_SEQUENCE").unwrap();
+    let film = Film::read(Path::new(&folder));
+    let mut loopback = Loopback::start();
+    let idle = idle_load(&loopback.node, 10);
+    let sent = loopback.run(&film, 1800);
+    loopback.save();
+    loopback.heard.heard(|heard| {
+        println!("images sent {}", sent.stamps.len());
+        for status in &heard.diagnostics.as_ref().unwrap().status {
+            status
+                .values
+                .iter()
+                .for_each(|fact| println!("{} {}", fact.key, fact.value));
+        }
+        let odometry = heard
+            .odometry
+            .iter()
+            .map(|(o, arrived)| (o.header.stamp, *arrived));
+        print_latency("image to pose", &latencies(odometry));
+        let grids = first_arrivals(&heard.grid_times);
+        print_latency("image to grid", &latencies(grids.into_iter()));
+    });
+    println!("idle, share of a core {idle:.4}");
+    println!("busy, share of a core {:.2}", sent.cpu_seconds / 60.0);
+    assert!(idle < 0.02, "the node idles at {idle} of a core");
+}
+
+fn print_latency(what: &str, latencies: &[f64]) {
+    let at = |share: f64| latencies[((latencies.len() - 1) as f64 * share).round() as usize];
+    println!(
+        "{what}, ms: p50 {:.1}, p99 {:.1}, of {}",
+        at(0.5),
+        at(0.99),
+        latencies.len()
+    );
+}
