@@ -1,12 +1,20 @@
-//! Damaged files: no panic, no hang, no memory without bounds.
+//! Damaged files: no panic, no hang, no memory without bounds. `MUTATION_COPIES` and `MUTATION_SEED` make more and other ones.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
 use monogrid_video::Video;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Damaged copies of each file.
+/// Damaged copies of each file, unless the environment says another number.
 const COPIES: usize = 400;
+
+/// Seed of the damage, unless the environment says another one.
+const SEED: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// A number from the environment.
+fn from_environment<T: std::str::FromStr>(name: &str) -> Option<T> {
+    std::env::var(name).ok()?.parse().ok()
+}
 
 /// Longest time for one of them.
 const LIMIT: Duration = Duration::from_secs(10);
@@ -53,9 +61,11 @@ fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
 fn survive(name: &str, original: &[u8], marker: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
-    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let copies = from_environment("MUTATION_COPIES").unwrap_or(COPIES);
+    let seed = from_environment("MUTATION_SEED").unwrap_or(SEED);
+    let mut random = Random(seed.max(1));
     let mut opened = 0;
-    for copy in 0..COPIES {
+    for copy in 0..copies {
         let mut bytes = original.to_vec();
         damage(&mut bytes, &mut random);
         // what is no longer of the format would only test ffmpeg
@@ -72,7 +82,7 @@ fn survive(name: &str, original: &[u8], marker: &[u8]) {
         assert!(time < LIMIT, "{name}, copy {copy}: {time:?}");
     }
     assert!(
-        opened > COPIES / 10,
+        opened > copies / 10,
         "{name}: only {opened} could be opened"
     );
     if let Some(kilobytes) = peak_memory_kb() {
