@@ -1,9 +1,10 @@
-//! A camera is found from rendered pictures of a chessboard.
+//! A camera is found from rendered pictures of a chessboard, and of a grid of tags.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
+use calib_targets_aruco::builtins;
 use monogrid_calibration::target::{
-    BoardCollector, BoardSize, BoardView, LensModel, TargetCalibration, TargetConfig, TargetError,
-    calibrate, find_board,
+    BoardCollector, BoardSize, BoardView, LensModel, TagGrid, TargetCalibration, TargetConfig,
+    TargetError, calibrate, find_board, find_tags,
 };
 use monogrid_features::Rng;
 use monogrid_geometry::{Camera, Distortion, Pinhole, Se3, Vec2, Vec3, rotation_exp};
@@ -60,21 +61,32 @@ impl Studio {
 
     /// The board with a white border on grey, with noise of two grey levels.
     fn picture(&self, camera_from_board: &Se3, seed: u64) -> GrayImage {
+        let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
+        let is_black = |at: &Vec2| {
+            let is_within = |margin: f64| {
+                (-1.0 - margin..columns + margin).contains(&at.x)
+                    && (-1.0 - margin..rows + margin).contains(&at.y)
+            };
+            let is_odd = (at.x.floor() + at.y.floor()).rem_euclid(2.0) < 0.5;
+            is_within(0.8).then(|| is_within(0.0) && is_odd)
+        };
+        self.picture_of(&is_black, camera_from_board, seed)
+    }
+
+    /// A plane of which is known what is black, and what is nothing but grey.
+    fn picture_of(
+        &self,
+        is_black: &dyn Fn(&Vec2) -> Option<bool>,
+        camera_from_board: &Se3,
+        seed: u64,
+    ) -> GrayImage {
         let board_from_camera = camera_from_board.inverse();
         let centre = board_from_camera.translation;
         let grey = |ray: &Option<Vec3>| {
             let way = board_from_camera.rotation * ray.as_ref()?;
             let distance = -centre.z / way.z;
             let at = centre + way * distance;
-            let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
-            let is_within = |margin: f64| {
-                (-1.0 - margin..columns + margin).contains(&at.x)
-                    && (-1.0 - margin..rows + margin).contains(&at.y)
-            };
-            if distance <= 0.0 || !is_within(0.8) {
-                return None;
-            }
-            let is_black = is_within(0.0) && (at.x.floor() + at.y.floor()).rem_euclid(2.0) < 0.5;
+            let is_black = is_black(&at.xy()).filter(|_| distance > 0.0)?;
             Some(if is_black { 30.0 } else { 220.0 })
         };
         let mut rng = Rng::new(seed);
@@ -91,36 +103,40 @@ impl Studio {
 
     /// The board tilted each way, near and far, in the middle and in the corners.
     fn poses(&self, distance: f64) -> Vec<Se3> {
-        let middle = Vec3::new(self.board.columns as f64, self.board.rows as f64, 0.0) / 2.0;
-        let middle = middle - Vec3::new(0.5, 0.5, 0.0);
-        let tilts = [
-            [0.0, 0.0, 0.0],
-            [0.5, 0.1, 0.1],
-            [-0.5, 0.0, -0.2],
-            [0.1, 0.5, 0.0],
-            [0.0, -0.5, 0.3],
-            [0.35, 0.35, -0.1],
-            [-0.35, 0.4, 0.0],
-            [0.3, -0.3, 1.5],
-        ];
-        let offsets = [
-            [0.0, 0.0],
-            [-0.2, 0.1],
-            [0.2, 0.12],
-            [0.22, -0.12],
-            [-0.2, -0.1],
-            [0.0, 0.15],
-            [0.1, -0.1],
-            [0.0, 0.0],
-        ];
-        (tilts.iter().zip(offsets).enumerate())
-            .map(|(k, (tilt, [x, y]))| {
-                let far = distance * (1.0 + 0.08 * k as f64);
-                let turn = rotation_exp(&Vec3::from(*tilt));
-                Se3::new(turn, Vec3::new(x, y, 1.0) * far - turn * middle)
-            })
-            .collect()
+        let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
+        poses_around(Vec3::new(columns - 1.0, rows - 1.0, 0.0) / 2.0, distance)
     }
+}
+
+/// A board with this middle tilted each way, near and far, in the middle of the image and in its corners.
+fn poses_around(middle: Vec3, distance: f64) -> Vec<Se3> {
+    let tilts = [
+        [0.0, 0.0, 0.0],
+        [0.5, 0.1, 0.1],
+        [-0.5, 0.0, -0.2],
+        [0.1, 0.5, 0.0],
+        [0.0, -0.5, 0.3],
+        [0.35, 0.35, -0.1],
+        [-0.35, 0.4, 0.0],
+        [0.3, -0.3, 1.5],
+    ];
+    let offsets = [
+        [0.0, 0.0],
+        [-0.2, 0.1],
+        [0.2, 0.12],
+        [0.22, -0.12],
+        [-0.2, -0.1],
+        [0.0, 0.15],
+        [0.1, -0.1],
+        [0.0, 0.0],
+    ];
+    (tilts.iter().zip(offsets).enumerate())
+        .map(|(k, (tilt, [x, y]))| {
+            let far = distance * (1.0 + 0.08 * k as f64);
+            let turn = rotation_exp(&Vec3::from(*tilt));
+            Se3::new(turn, Vec3::new(x, y, 1.0) * far - turn * middle)
+        })
+        .collect()
 }
 
 fn views_of(camera: &Camera, distance: f64) -> Vec<BoardView> {
@@ -198,6 +214,94 @@ fn a_wide_lens_is_found() {
     assert_eq!(free.model == LensModel::Equidistant, is_clear);
 }
 
+/// A grid of tags as Kalibr prints it: numbered from below, borders of two bits, squares between the corners.
+fn tag_is_black(grid: &TagGrid, at: &Vec2) -> Option<bool> {
+    let BoardSize { columns, rows } = grid.size;
+    let pitch = 1.0 + grid.spacing;
+    let cell = (at / pitch).map(f64::floor);
+    let within = at - cell * pitch;
+    let is_on = |k: f64, count: usize| (0.0..count as f64).contains(&k);
+    let is_near = |k: f64, count: usize| (-1.0..=count as f64).contains(&k);
+    if !is_near(cell.x, columns) || !is_near(cell.y, rows) {
+        return None;
+    }
+    if within.x >= 1.0 && within.y >= 1.0 {
+        // squares around the outer tags too
+        let is_square = |k: f64, count: usize| (-1.0..count as f64).contains(&k);
+        return Some(is_square(cell.x, columns) && is_square(cell.y, rows));
+    }
+    if within.x >= 1.0 || within.y >= 1.0 || !is_on(cell.x, columns) || !is_on(cell.y, rows) {
+        return Some(false);
+    }
+    let number = (rows - 1 - cell.y as usize) * columns + cell.x as usize;
+    let family = builtins::builtin_dictionary("DICT_APRILTAG_36h11").unwrap();
+    let [x, y] = [within.x, within.y].map(|v| (v * 10.0) as usize);
+    let is_bit = (2..8).contains(&x) && (2..8).contains(&y);
+    Some(!is_bit || (family.codes()[number] >> ((y - 2) * 6 + x - 2)) & 1 == 1)
+}
+
+#[test]
+fn a_grid_of_tags_shows_an_ordinary_and_a_wide_lens() {
+    let grid = TagGrid {
+        size: BoardSize {
+            columns: 5,
+            rows: 4,
+        },
+        spacing: 0.3,
+    };
+    let mut num_parts = 0;
+    for (truth, model, distance) in [
+        (ordinary(), LensModel::RadialTangential, 5.6),
+        (wide(), LensModel::Equidistant, 3.6),
+    ] {
+        let config = TargetConfig {
+            tags: Some(grid),
+            model: Some(model),
+            ..TargetConfig::default()
+        };
+        let studio = Studio::new(&truth, grid.size);
+        let mut collector = BoardCollector::new(config);
+        let poses = poses_around(Vec3::new(3.1, 2.45, 0.0), distance);
+        for (k, pose) in poses.iter().enumerate() {
+            let picture = studio.picture_of(&|at| tag_is_black(&grid, at), pose, k as u64);
+            let view = find_tags(&picture, &grid).unwrap();
+            for (place, pixel) in view.places.iter().zip(&view.corners) {
+                let seen = truth.project(&(*pose * place.push(0.0))).unwrap();
+                assert!((seen - pixel).norm() < 1.0, "{k}: {place} {pixel} {seen}");
+            }
+            collector.add(&GrayImage::filled(SIZE.0, SIZE.1, 110.0));
+            collector.add(&picture);
+        }
+        let views = collector.finish().unwrap();
+        assert!(views.len() >= 7, "{} views", views.len());
+        num_parts += views.iter().filter(|v| v.corners.len() < 4 * 20).count();
+        assert_found(&calibrate(&views, SIZE, &config).unwrap(), &truth);
+    }
+    assert!(num_parts > 0, "a part of the grid is enough");
+}
+
+#[test]
+fn without_tags_there_is_no_grid() {
+    let grid = TagGrid {
+        size: BoardSize {
+            columns: 6,
+            rows: 6,
+        },
+        spacing: 0.3,
+    };
+    let (truth, board) = (ordinary(), BoardSize::new(8, 6).unwrap());
+    let studio = Studio::new(&truth, board);
+    let chessboard = studio.picture(&studio.poses(13.0)[0], 1);
+    assert_eq!(find_tags(&chessboard, &grid), None);
+    let mut collector = BoardCollector::new(TargetConfig {
+        tags: Some(grid),
+        ..TargetConfig::default()
+    });
+    collector.add(&chessboard);
+    let error = collector.finish().unwrap_err().to_string();
+    assert!(error.contains("four tags of a grid of 6x6"), "{error}");
+}
+
 /// Views as a perfect detector would have them.
 fn exact_views(camera: &Camera, board: BoardSize, poses: &[Se3]) -> Vec<BoardView> {
     let view = |pose: &Se3| {
@@ -206,10 +310,8 @@ fn exact_views(camera: &Camera, board: BoardSize, poses: &[Se3]) -> Vec<BoardVie
             camera.project(&(*pose * Vec3::new(column as f64, row as f64, 0.0)))
         };
         let corners = (0..board.columns * board.rows).map(corner);
-        Some(BoardView {
-            size: board,
-            corners: corners.collect::<Option<Vec<Vec2>>>()?,
-        })
+        let corners = corners.collect::<Option<Vec<Vec2>>>()?;
+        Some(BoardView::chessboard(board, corners))
     };
     poses.iter().filter_map(view).collect()
 }

@@ -30,28 +30,38 @@ impl std::fmt::Display for BoardSize {
     }
 }
 
-/// A chessboard that an image shows whole.
+/// What an image shows of a target: a whole chessboard, or some tags of a grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardView {
-    /// How many corners it has.
+    /// How many corners (of a chessboard) or tags it has.
     pub size: BoardSize,
-    /// Row by row, px; the centre of the top-left pixel of the image is (0, 0).
+    /// Those of a chessboard row by row, px; the centre of the top-left pixel of the image is (0, 0).
     pub corners: Vec<Vec2>,
+    /// Where each lies on the target, in squares or sides of a tag: x right, y down.
+    pub places: Vec<Vec2>,
+}
+
+impl BoardView {
+    /// A whole chessboard with its corners row by row, px.
+    #[must_use]
+    pub fn chessboard(size: BoardSize, corners: Vec<Vec2>) -> Self {
+        let place = |k: usize| Vec2::new((k % size.columns) as f64, (k / size.columns) as f64);
+        Self {
+            size,
+            places: (0..corners.len()).map(place).collect(),
+            corners,
+        }
+    }
 }
 
 /// The whole chessboard with the most corners in an image (grey, 0 to 255), of any size.
 #[must_use]
 pub fn find_board(image: &GrayImage) -> Option<BoardView> {
     let bytes: Vec<u8> = image.as_slice().iter().map(|v| *v as u8).collect();
-    let (width, height) = (u32::try_from(image.width()), u32::try_from(image.height()));
-    let config = DetectorConfig::chess_multiscale().with_refiner(ImageRefiner::saddle_point());
-    let found = Detector::new(config)
-        .ok()?
-        .detect_u8(&bytes, width.ok()?, height.ok()?)
-        .ok()?;
-    let corners: Vec<Crossing> = found.iter().filter_map(Crossing::new).collect();
+    let corners = crossings(&bytes, (image.width(), image.height()))?;
+    let next = |k, direction| next_crossings(&corners, k, direction, 1).first().copied();
     let links: Vec<[Option<usize>; 4]> = (0..corners.len())
-        .map(|k| Direction::ALL.map(|direction| neighbour(&corners, k, direction)))
+        .map(|k| Direction::ALL.map(|direction| next(k, direction)))
         .collect();
     let mut is_used = vec![false; corners.len()];
     let mut best: Option<BoardView> = None;
@@ -70,10 +80,19 @@ pub fn find_board(image: &GrayImage) -> Option<BoardView> {
     best
 }
 
+/// Places in an image of this size where black and white cross; `None` where the detector refuses it.
+pub(super) fn crossings(bytes: &[u8], (width, height): (usize, usize)) -> Option<Vec<Crossing>> {
+    let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
+    let config = DetectorConfig::chess_multiscale().with_refiner(ImageRefiner::saddle_point());
+    let mut detector = Detector::new(config).ok()?;
+    let found = detector.detect_u8(bytes, width, height).ok()?;
+    Some(found.iter().filter_map(Crossing::new).collect())
+}
+
 /// A place where four squares meet.
 #[derive(Clone, Copy, Debug)]
-struct Crossing {
-    pixel: Vec2,
+pub(super) struct Crossing {
+    pub pixel: Vec2,
     /// Directions of its two edges, rad, known up to half a turn.
     edges: [f64; 2],
 }
@@ -89,13 +108,13 @@ impl Crossing {
 
 /// One of the four ways along the edges of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Direction {
+pub(super) struct Direction {
     edge: usize,
     is_back: bool,
 }
 
 impl Direction {
-    const ALL: [Self; 4] = [
+    pub const ALL: [Self; 4] = [
         Self {
             edge: 0,
             is_back: false,
@@ -114,7 +133,7 @@ impl Direction {
         },
     ];
 
-    fn index(self) -> usize {
+    pub fn index(self) -> usize {
         2 * self.edge + usize::from(self.is_back)
     }
 
@@ -123,8 +142,16 @@ impl Direction {
         Vec2::new(cos, sin) * if self.is_back { -1.0 } else { 1.0 }
     }
 
+    /// The pairs of ways of a crossing of which the second is to the right of the first (clockwise in the image).
+    pub fn corners(from: &Crossing) -> impl Iterator<Item = (Self, Self)> {
+        let pairs = Self::ALL
+            .into_iter()
+            .flat_map(|a| Self::ALL.map(|b| (a, b)));
+        pairs.filter(move |(a, b)| a.edge != b.edge && a.vector(from).perp(&b.vector(from)) > 0.0)
+    }
+
     /// Which way of another crossing leads on in this direction of `from`.
-    fn continued(self, from: &Crossing, to: &Crossing) -> Self {
+    pub fn continued(self, from: &Crossing, to: &Crossing) -> Self {
         let ahead = self.vector(from);
         let along = |direction: &Self| direction.vector(to).dot(&ahead);
         let most = Self::ALL
@@ -137,21 +164,27 @@ impl Direction {
 /// Largest angle between an edge and the way to the next crossing: perspective and distortion bend little over one square.
 const MAX_ANGLE: f64 = 0.3;
 
-/// The next crossing in a direction.
-fn neighbour(corners: &[Crossing], k: usize, direction: Direction) -> Option<usize> {
+/// The next crossings in a direction, nearest first, at most so many.
+pub(super) fn next_crossings(
+    corners: &[Crossing],
+    k: usize,
+    direction: Direction,
+    at_most: usize,
+) -> Vec<usize> {
     let from = &corners[k];
     let ahead = direction.vector(from);
-    let mut nearest: Option<(f64, usize)> = None;
-    for (other, to) in corners.iter().enumerate() {
+    let distance = |(other, to): (usize, &Crossing)| {
         let way = to.pixel - from.pixel;
         let distance = way.norm();
         let is_ahead = distance > 1.0 && way.dot(&ahead) > distance * MAX_ANGLE.cos();
-        let is_nearer = nearest.is_none_or(|(least, _)| distance < least);
-        if is_ahead && is_nearer && has_edge_along(to, &way) {
-            nearest = Some((distance, other));
-        }
-    }
-    nearest.map(|(_, other)| other)
+        (is_ahead && has_edge_along(to, &way)).then_some((distance, other))
+    };
+    let mut next: Vec<(f64, usize)> = corners.iter().enumerate().filter_map(distance).collect();
+    next.sort_by(|a, b| a.0.total_cmp(&b.0));
+    next.into_iter()
+        .take(at_most)
+        .map(|(_, other)| other)
+        .collect()
 }
 
 /// Whether one of the edges of a crossing points along a way.
@@ -221,8 +254,6 @@ fn whole_board(corners: &[Crossing], lattice: &BTreeMap<(i32, i32), usize>) -> O
     };
     let ordered = (0..size.rows).flat_map(|row| (0..size.columns).map(move |column| (column, row)));
     let pixel = |(column, row)| Some(corners[*lattice.get(&place(column, row))?].pixel);
-    Some(BoardView {
-        size,
-        corners: ordered.map(pixel).collect::<Option<Vec<Vec2>>>()?,
-    })
+    let corners = ordered.map(pixel).collect::<Option<Vec<Vec2>>>()?;
+    Some(BoardView::chessboard(size, corners))
 }

@@ -1,4 +1,4 @@
-//! The camera that sees a chessboard as it is: Levenberg-Marquardt over camera and poses.
+//! The camera that sees a board as it is: Levenberg-Marquardt over camera and poses.
 //!
 //! Zhang, *A Flexible New Technique for Camera Calibration*, 2000. Instead of his closed form, which knows no distortion,
 //! several fields of view are tried: with one of them the board's pose follows from its homography.
@@ -113,19 +113,17 @@ fn fit_from(
 
 /// Place of a corner on the board, in squares.
 pub(super) fn on_board(view: &BoardView, corner: usize) -> Vec3 {
-    let (row, column) = (corner / view.size.columns, corner % view.size.columns);
-    Vec3::new(column as f64, row as f64, 0.0)
+    view.places[corner].push(0.0)
 }
 
-/// Where a board is that a camera sees: from the homography between it and the directions of its corners.
-fn board_pose(view: &BoardView, camera: &Camera) -> Option<Se3> {
+/// What maps places on a plane to points in an image plane with the least algebraic error.
+pub(super) fn homography(pairs: impl Iterator<Item = (Vec2, Vec2)>) -> Option<Matrix3<f64>> {
     let mut matrix = SMatrix::<f64, 9, 9>::zeros();
-    for (k, pixel) in view.corners.iter().enumerate() {
-        let (place, ray) = (on_board(view, k), camera.unproject(pixel)?);
+    for (place, seen) in pairs {
         let (x, y) = (place.x, place.y);
         let rows = [
-            [x, y, 1.0, 0.0, 0.0, 0.0, -ray.x * x, -ray.x * y, -ray.x],
-            [0.0, 0.0, 0.0, x, y, 1.0, -ray.y * x, -ray.y * y, -ray.y],
+            [x, y, 1.0, 0.0, 0.0, 0.0, -seen.x * x, -seen.x * y, -seen.x],
+            [0.0, 0.0, 0.0, x, y, 1.0, -seen.y * x, -seen.y * y, -seen.y],
         ];
         for row in rows.map(SVector::<f64, 9>::from) {
             matrix += row * row.transpose();
@@ -134,7 +132,15 @@ fn board_pose(view: &BoardView, camera: &Camera) -> Option<Se3> {
     let eigen = matrix.symmetric_eigen();
     let (least, _) = (eigen.eigenvalues.iter().enumerate()).min_by(|a, b| a.1.total_cmp(b.1))?;
     let h = eigen.eigenvectors.column(least);
-    let mut homography = Matrix3::from_row_slice(h.as_slice());
+    Some(Matrix3::from_row_slice(h.as_slice()))
+}
+
+/// Where a board is that a camera sees: from the homography between it and the directions of its corners.
+fn board_pose(view: &BoardView, camera: &Camera) -> Option<Se3> {
+    let rays = view.corners.iter().map(|pixel| camera.unproject(pixel));
+    let rays: Vec<Vec3> = rays.collect::<Option<_>>()?;
+    let directions = rays.iter().map(|ray| ray.xy());
+    let mut homography = homography(view.places.iter().copied().zip(directions))?;
     let scale = (homography.column(0).norm() * homography.column(1).norm()).sqrt();
     // the board lies in front of the camera
     let sign = if homography[(2, 2)] < 0.0 { -1.0 } else { 1.0 };

@@ -1,4 +1,4 @@
-//! Calibration with a target: a chessboard that is shown to the camera from many sides.
+//! Calibration with a target: a chessboard, or a grid of AprilTags, that is shown to the camera from many sides.
 //!
 //! [`BoardCollector`] finds the board in the images of a video and keeps views that differ; [`calibrate`] finds the camera
 //! that sees all of them with the least error, as a pinhole with radial and tangential distortion, or as an equidistant
@@ -6,9 +6,11 @@
 
 mod board;
 mod fit;
+mod tags;
 
 pub use board::{BoardSize, BoardView, find_board};
 pub use fit::LensModel;
+pub use tags::{TagGrid, find_tags};
 
 use fit::{Fit, fit, on_board};
 use monogrid_geometry::{Camera, Vec2};
@@ -18,8 +20,10 @@ use std::collections::BTreeMap;
 /// Settings of [`BoardCollector`] and [`calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetConfig {
-    /// Inner corners of the board; none takes the size that most images show.
+    /// Inner corners of the board; none takes the size that most images show. Of no meaning for tags.
     pub board: Option<BoardSize>,
+    /// The grid of tags, which may be seen in part; none looks for a chessboard.
+    pub tags: Option<TagGrid>,
     /// Lens model; none takes radial and tangential distortion, or the equidistant model where its error is clearly smaller.
     pub model: Option<LensModel>,
     /// Views that are used at most. Range 3..; default 40.
@@ -38,6 +42,7 @@ impl Default for TargetConfig {
     fn default() -> Self {
         Self {
             board: None,
+            tags: None,
             model: None,
             max_views: 40,
             min_change: 0.01,
@@ -68,6 +73,17 @@ pub enum TargetError {
     NoBoard {
         /// Images that were looked at.
         num_images: usize,
+    },
+    /// No image shows enough of a grid of tags.
+    #[error(
+        "none of {num_images} images shows four tags of a grid of {expected}; expected AprilTags of the family 36h11, numbered row \
+         by row from 0, with small black squares between their corners, sharp and evenly lit"
+    )]
+    NoTags {
+        /// Images that were looked at.
+        num_images: usize,
+        /// What was asked for.
+        expected: BoardSize,
     },
     /// The images show a board of another size.
     #[error(
@@ -132,7 +148,11 @@ impl BoardCollector {
         let longer = image.width().max(image.height()) as f64;
         self.num_images += 1;
         let before = self.before.take();
-        let Some(view) = find_board(image) else {
+        let found = match &self.config.tags {
+            Some(grid) => find_tags(image, grid),
+            None => find_board(image),
+        };
+        let Some(view) = found else {
             return;
         };
         *self.num_of_size.entry(view.size).or_default() += 1;
@@ -156,9 +176,16 @@ impl BoardCollector {
         let most = self.num_of_size.iter().max_by_key(|(_, count)| **count);
         let num_images = self.num_images;
         let Some((&found, &num_found)) = most else {
-            return Err(TargetError::NoBoard { num_images });
+            return Err(match self.config.tags {
+                Some(TagGrid { size: expected, .. }) => TargetError::NoTags {
+                    num_images,
+                    expected,
+                },
+                None => TargetError::NoBoard { num_images },
+            });
         };
-        let wanted = self.config.board.unwrap_or(found);
+        let asked = self.config.board.filter(|_| self.config.tags.is_none());
+        let wanted = asked.unwrap_or(found);
         if !self.num_of_size.contains_key(&wanted) {
             return Err(TargetError::OtherBoard {
                 found,
@@ -174,22 +201,35 @@ impl BoardCollector {
     }
 }
 
-/// Mean distance of the corners of two views, px; the board may have been turned by half a turn. Infinite where the sizes
-/// differ.
+/// Mean distance of the corners that two views share, px; infinite where they share none. A chessboard may have been turned by half a
+/// turn.
 fn mean_distance(a: &BoardView, b: &BoardView) -> f64 {
     if a.size != b.size {
         return f64::INFINITY;
     }
-    let mean = |others: &mut dyn Iterator<Item = &Vec2>| {
-        let sum: f64 = a
-            .corners
-            .iter()
-            .zip(others)
-            .map(|(p, q)| (p - q).norm())
-            .sum();
-        sum / a.corners.len() as f64
+    let far = Vec2::new(a.size.columns as f64 - 1.0, a.size.rows as f64 - 1.0);
+    let mean = |place_in_b: &dyn Fn(&Vec2) -> Vec2| {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (place, pixel) in a.places.iter().zip(&a.corners) {
+            let place = place_in_b(place);
+            if let Some(k) = b.places.iter().position(|p| (p - place).norm() < 1e-6) {
+                sum += (b.corners[k] - pixel).norm();
+                count += 1.0;
+            }
+        }
+        if count > 0.0 {
+            sum / count
+        } else {
+            f64::INFINITY
+        }
     };
-    mean(&mut b.corners.iter()).min(mean(&mut b.corners.iter().rev()))
+    let is_whole = a.corners.len() == a.size.columns * a.size.rows;
+    let turned = if is_whole {
+        mean(&|place| far - place)
+    } else {
+        f64::INFINITY
+    };
+    mean(&|place| *place).min(turned)
 }
 
 /// A corner of the board in a view.

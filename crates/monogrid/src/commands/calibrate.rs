@@ -1,4 +1,4 @@
-//! `monogrid calibrate`: a camera from a video of a chessboard.
+//! `monogrid calibrate`: a camera from a video of a chessboard or a grid of tags.
 
 use super::print_json;
 use crate::args::{JsonArg, SourceArgs};
@@ -9,7 +9,8 @@ use crate::report::svg::{COLOURS, Plot, Series};
 use crate::self_calibration::OwnCalibration;
 use clap::{Args, ValueEnum};
 use monogrid_calibration::target::{
-    BoardCollector, BoardSize, CornerError, LensModel, TargetCalibration, TargetConfig, calibrate,
+    BoardCollector, BoardSize, CornerError, LensModel, TagGrid, TargetCalibration, TargetConfig,
+    calibrate,
 };
 use serde::Serialize;
 use std::num::NonZeroUsize;
@@ -27,7 +28,7 @@ pub enum ModelArg {
 /// `monogrid calibrate`.
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
-    /// Video, or folder of images, that shows a chessboard from many sides
+    /// Video, or folder of images, that shows a chessboard or a grid of AprilTags from many sides
     pub source: PathBuf,
     /// Output folder [default: a new one under runs]
     #[arg(long, value_name = "DIR")]
@@ -38,6 +39,13 @@ pub struct CalibrateArgs {
     /// Inner corners of the board, where four squares meet [default: as most images show]
     #[arg(long, value_name = "NxM", value_parser = board_size)]
     pub board: Option<BoardSize>,
+    /// Look for a grid of AprilTags (36h11, small black squares between them) of so many columns and rows, of which a part
+    /// may be seen
+    #[arg(long, value_name = "NxM", value_parser = tag_columns_and_rows, conflicts_with = "board")]
+    pub aprilgrid: Option<BoardSize>,
+    /// Gap between two tags over the side of a tag
+    #[arg(long, value_name = "R", value_parser = tag_spacing, default_value_t = 0.3, requires = "aprilgrid")]
+    pub tag_spacing: f64,
     /// Lens model [default: the one with the smaller error]
     #[arg(long, value_enum)]
     pub model: Option<ModelArg>,
@@ -65,6 +73,22 @@ fn board_size(text: &str) -> Result<BoardSize, String> {
             "expected the numbers of inner corners on both sides, from 3 to 100, such as 9x6"
                 .to_owned()
         })
+}
+
+/// Numbers of tags: along a row, and of rows.
+fn tag_columns_and_rows(text: &str) -> Result<BoardSize, String> {
+    let side = |text: &str| text.parse().ok().filter(|n| (1..=24).contains(n));
+    let sides = text.split_once(['x', 'X']);
+    let sides = sides.and_then(|(a, b)| side(a).zip(side(b)));
+    let size = sides.map(|(columns, rows)| BoardSize { columns, rows });
+    // the family has 587 tags
+    size.filter(|size| (4..=587).contains(&(size.columns * size.rows)))
+        .ok_or_else(|| "expected columns and rows of 4 to 587 tags, such as 6x6".to_owned())
+}
+
+fn tag_spacing(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|r| (0.05..=1.0).contains(r));
+    value.ok_or_else(|| "expected 0.05 to 1".to_owned())
 }
 
 /// `calibrate --json`.
@@ -96,6 +120,10 @@ pub fn execute(args: &CalibrateArgs) -> CommandResult {
     };
     let config = TargetConfig {
         board: args.board,
+        tags: args.aprilgrid.map(|size| TagGrid {
+            size,
+            spacing: args.tag_spacing,
+        }),
         model: args.model.map(|model| match model {
             ModelArg::RadialTangential => LensModel::RadialTangential,
             ModelArg::Equidistant => LensModel::Equidistant,
@@ -121,7 +149,7 @@ pub fn execute(args: &CalibrateArgs) -> CommandResult {
     let found = calibrate(&views, size, &config).bad_input()?;
     let name = format!("{}-calibration", input.name);
     let folder = OutputFolder::named_or_new(args.out.as_deref(), &name, args.force, &inputs)?;
-    let own = own_calibration(&found);
+    let own = own_calibration(&found, args.aprilgrid.is_some());
     let (name, text) = own.file();
     folder.write(name, text)?;
     folder.write("residuals.svg", residuals(&found).file())?;
@@ -141,14 +169,17 @@ fn model_name(model: LensModel) -> &'static str {
     }
 }
 
-fn own_calibration(found: &TargetCalibration) -> OwnCalibration {
+fn own_calibration(found: &TargetCalibration, has_tags: bool) -> OwnCalibration {
     let (used, _) = found.num_views;
+    let target = match has_tags {
+        true => format!("a grid of {} tags", found.board),
+        false => format!("a chessboard of {} inner corners", found.board),
+    };
     OwnCalibration {
         camera: found.camera,
         readout_ms: None,
         interpretation: format!(
-            "from {used} views of a chessboard of {} inner corners, {} lens, error {:.3} px",
-            found.board,
+            "from {used} views of {target}, {} lens, error {:.3} px",
             model_name(found.model),
             found.rms_px
         ),
