@@ -59,6 +59,9 @@ pub enum VideoError {
         /// Why not.
         reason: String,
     },
+    /// A recording that cannot be read.
+    #[error(transparent)]
+    Recording(#[from] monogrid_bags::BagError),
     /// A camera that cannot be used.
     #[error("camera {camera:?}: {reason}")]
     Camera {

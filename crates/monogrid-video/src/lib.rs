@@ -8,6 +8,7 @@
 //! | AVI with MJPEG, YUV4MPEG2, `-` (YUV4MPEG2 on standard input) | this process |
 //! | `/dev/video0` | this process: YUYV, MJPEG or grey of a V4L2 camera (Linux) |
 //! | `http://...` that answers with MJPEG (a phone as camera) | this process |
+//! | rosbag2 (`.mcap`, `.db3`) and ROS 1 bags, by [`Video::open_recording`] | this process (`monogrid-bags`) |
 //! | every other file, `rtsp://...` and other addresses | the program `ffmpeg`, when it is installed |
 //!
 //! Images are luma; the colour of a frame comes beside it, as small as its source has it ([`Colour`]).
@@ -37,14 +38,16 @@ mod ffmpeg;
 mod h264;
 mod http;
 mod mp4;
+mod recording;
 mod turn;
 mod y4m;
 
 pub use camera::{CameraInfo, list_cameras};
 pub use colour::{Chroma, Colour, ColourSpace};
 pub use error::VideoError;
+pub use monogrid_bags::is_bag as is_recording;
 
-use monogrid_geometry::ReadoutDirection;
+use monogrid_geometry::{Camera, ReadoutDirection};
 use monogrid_image::Image;
 use std::collections::VecDeque;
 use std::fs::File;
@@ -130,6 +133,21 @@ impl Video {
             return Self::open_file(source, name);
         };
         Self::start(name, opened)
+    }
+
+    /// Opens a recording of a robot ([`is_recording`]): the images of a topic, or of the only one that has some, and the camera
+    /// by the calibration that was recorded with them.
+    ///
+    /// # Errors
+    /// When it cannot be read, or no topic or several could be meant.
+    pub fn open_recording(
+        source: impl AsRef<Path>,
+        topic: Option<&str>,
+    ) -> Result<(Self, Option<Camera>), VideoError> {
+        let source = source.as_ref();
+        let name = source.to_string_lossy().into_owned();
+        let (opened, camera) = recording::open(source, &name, topic)?;
+        Ok((Self::start(name, opened)?, camera))
     }
 
     /// A file that is decoded here if possible, otherwise by ffmpeg.

@@ -110,6 +110,9 @@ pub struct SourceArgs {
     /// begins with the last [default: as the calibration says, else as the images show where there is none, else 0]
     #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true, help_heading = "Input")]
     pub rolling_shutter: Option<f64>,
+    /// Topic of a recording whose images are used [default: the only one that has some]
+    #[arg(long, value_name = "NAME", help_heading = "Input")]
+    pub topic: Option<String>,
     /// First frame to use
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Input")]
     pub start: usize,

@@ -15,6 +15,7 @@ use crate::commands::plan::PlanArgs;
 use crate::commands::rescale::RescaleArgs;
 use crate::commands::run::RunArgs;
 use crate::commands::sensor_model::SensorModelArgs;
+use crate::commands::shell::{CompletionsArgs, ManArgs};
 use crate::commands::slice::SliceArgs;
 use crate::commands::sweep::SweepArgs;
 use crate::commands::synth::SynthArgs;
@@ -42,7 +43,7 @@ impl Cli {
 }
 
 /// All commands; `-1` after an option is its value, so that the option says what is wrong with it.
-fn command() -> clap::Command {
+pub fn command() -> clap::Command {
     fn with_numbers(command: clap::Command) -> clap::Command {
         let takes_values = |arg: &clap::Arg| arg.get_action().takes_values();
         let command = command.mut_args(|arg| match takes_values(&arg) {
@@ -158,6 +159,14 @@ pub enum Command {
     /// Compare a result with the truth
     #[command(subcommand)]
     Evaluate(EvaluateCommand),
+    /// Print a script that lets a shell complete commands and options
+    #[command(
+        after_help = "Example: monogrid completions bash > ~/.local/share/bash-completion/completions/monogrid"
+    )]
+    Completions(CompletionsArgs),
+    /// Pages of the manual, for `man`
+    #[command(after_help = "Example: monogrid man --out ~/.local/share/man/man1 --force")]
+    Man(ManArgs),
 }
 
 /// What to evaluate.

@@ -5,7 +5,7 @@ use crate::failure::{Classify, Failure};
 use crate::readings::Inertial;
 use crate::self_calibration::{Expected, OwnCalibration};
 use crate::video_colours::VideoColours;
-use crate::video_source::{VideoItem, VideoSource, is_video};
+use crate::video_source::{VideoItem, VideoSource, check_topic, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
 };
@@ -63,6 +63,7 @@ pub struct RawInput {
 impl RawInput {
     /// Opens a source without asking for a calibration.
     pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        check_topic(source, args)?;
         if is_video(source) {
             let video = VideoSource::open(source, args)?;
             return Ok(Self {
@@ -119,6 +120,7 @@ pub struct Input {
 impl Input {
     /// Opens a source.
     pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+        check_topic(source, args)?;
         if is_video(source) {
             return Self::open_video(source, args);
         }
@@ -183,7 +185,8 @@ impl Input {
             .calibration
             .as_deref()
             .map(|path| Calibration::read(path, Some(size)).bad_input())
-            .transpose()?;
+            .transpose()?
+            .or_else(|| recorded_calibration(&video, args));
         let images = || {
             let frames = video.frames(None);
             frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?)))
@@ -426,6 +429,19 @@ fn calibration(
         None => dataset.calibration(Some(image_size)),
     }
     .bad_input()
+}
+
+/// The calibration that was recorded with the images, unless the field of view was given.
+fn recorded_calibration(video: &VideoSource, args: &SourceArgs) -> Option<Calibration> {
+    let camera = video.camera.filter(|_| args.fov.is_none())?;
+    Some(Calibration {
+        camera,
+        body_from_camera: None,
+        readout_ms: None,
+        format: "CameraInfo of the recording",
+        notes: Vec::new(),
+        path: video.path().to_owned(),
+    })
 }
 
 /// A camera and where it comes from.

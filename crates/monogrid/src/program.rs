@@ -50,6 +50,8 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Evaluate(EvaluateCommand::Depth(args)) => commands::evaluate::depth(args),
         Command::Evaluate(EvaluateCommand::Map(args)) => commands::evaluate_map::map(args),
         Command::Evaluate(EvaluateCommand::Paths(args)) => commands::evaluate_map::paths(args),
+        Command::Completions(args) => commands::shell::completions(args),
+        Command::Man(args) => commands::shell::man(args),
     };
     failure::exit_code(result)
 }

@@ -3,9 +3,9 @@
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use crate::video_colours::VideoColours;
-use monogrid_geometry::ReadoutDirection;
+use monogrid_geometry::{Camera, ReadoutDirection};
 use monogrid_image::GrayImage;
-use monogrid_video::{Video, VideoError};
+use monogrid_video::{Video, VideoError, is_recording};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -14,6 +14,10 @@ use std::sync::Mutex;
 #[derive(Debug)]
 pub struct VideoSource {
     path: PathBuf,
+    /// The topic of a recording.
+    topic: Option<String>,
+    /// The camera, where a recording says it.
+    pub camera: Option<Camera>,
     /// For people.
     pub description: String,
     /// Width and height of the first frame, px.
@@ -49,7 +53,28 @@ pub fn is_video(source: &Path) -> bool {
     let ending = source
         .extension()
         .map(|e| e.to_string_lossy().to_lowercase());
-    source.is_file() && ending.is_some_and(|ending| !NO_VIDEOS.contains(&ending.as_str()))
+    let is_file =
+        source.is_file() && ending.is_some_and(|ending| !NO_VIDEOS.contains(&ending.as_str()));
+    is_file || source.is_dir() && is_recording(source)
+}
+
+/// Refuses a topic of what has none.
+pub fn check_topic(source: &Path, args: &SourceArgs) -> Result<(), Failure> {
+    if args.topic.is_none() || is_recording(source) {
+        return Ok(());
+    }
+    Err(Failure::input(format!(
+        "--topic: {} is no recording of a robot (.mcap, .db3 or .bag)",
+        source.display()
+    )))
+}
+
+/// Opens a video, or the topic of a recording; with the camera that a recording says.
+fn open_source(path: &Path, topic: Option<&str>) -> Result<(Video, Option<Camera>), VideoError> {
+    if is_recording(path) {
+        return Video::open_recording(path, topic);
+    }
+    Ok((Video::open(path)?, None))
 }
 
 impl VideoSource {
@@ -60,7 +85,8 @@ impl VideoSource {
         if max_frames == Some(0) {
             return Err(Failure::input("--max-frames is 0, expected at least 1"));
         }
-        let video = Video::open(path).bad_input()?;
+        let topic = args.topic.clone();
+        let (video, camera) = open_source(path, topic.as_deref()).bad_input()?;
         let length = video.length();
         if length.is_some_and(|length| start >= length) {
             return Err(Failure::input(format!(
@@ -72,6 +98,8 @@ impl VideoSource {
         let left = length.map(|length| (length - start).div_ceil(every));
         Ok(Self {
             path: path.to_path_buf(),
+            topic,
+            camera,
             description: video.description().to_owned(),
             size: video.size(),
             direction: video.readout_direction(),
@@ -79,9 +107,14 @@ impl VideoSource {
             start,
             every,
             max_frames: max_frames.unwrap_or(usize::MAX),
-            is_file: path.is_file(),
+            is_file: path.is_file() || is_recording(path),
             opened: Mutex::new(Some(video)),
         })
+    }
+
+    /// What was opened.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Whether it can be read again.
@@ -112,7 +145,9 @@ impl VideoSource {
         let opened = self.opened.lock().ok().and_then(|mut opened| opened.take());
         let video = match opened {
             Some(video) => Ok(video),
-            None if self.is_file => Video::open(&self.path).map_err(|e| e.to_string()),
+            None if self.is_file => open_source(&self.path, self.topic.as_deref())
+                .map(|(video, _)| video)
+                .map_err(|e| e.to_string()),
             None => Err("the stream was read before".to_owned()),
         };
         let video = match video {

@@ -231,6 +231,7 @@ impl Sources {
             self.call("calibrate", "--out", "", "@board", "board/1.png"),
             self.call("synth", "--out", "", synth, "mesh.obj inside.txt"),
             self.call("sensor-model", "--plot", "", "", ""),
+            self.call("man", "--out", "", "", ""),
             self.call("slice", "", "", "@map.ot", "map.ot"),
             self.call("sweep", "--out", "", sweep, "recording.mgk map.ot"),
             self.call("rescale", "--out", "", rescale, read_by_rescale),
@@ -330,6 +331,7 @@ impl Call {
             "calibrate" => &["calibration.txt", "residuals.svg"],
             "synth" => &["truth.ot", "rgb.txt", "rgb/000000.png", "mesh.ply"],
             "sensor-model" => &["sensor-models.html"],
+            "man" => &["monogrid.1", "monogrid-evaluate-map.1"],
             "slice" => &["slice_0000.png"],
             "rescale" => &["recording.mgk", "summary.json", "global.ot"],
             "sweep" => &["sweep.json", "sweep.html", "maps.csv"],
@@ -386,9 +388,10 @@ fn commands_of(prefix: &[&str]) -> Vec<String> {
 }
 
 /// Commands that write nothing.
-const READERS: [&str; 8] = [
+const READERS: [&str; 9] = [
     "cameras",
     "check",
+    "completions",
     "info",
     "plan",
     "diff",

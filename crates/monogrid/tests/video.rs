@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{assert_fails, code, json, monogrid, program, stderr};
+use common::{assert_fails, code, json, monogrid, program, small_sequence, stderr};
 use monogrid_datasets::{ReadOptions, Recording, decode_jpeg_rgb, encode_png, read_gray};
 use monogrid_image::Image;
 use std::fs;
@@ -256,4 +256,39 @@ fn the_list_of_cameras_may_be_empty() {
     let output = monogrid(["cameras", "--json"]);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     assert!(json(&output).is_array());
+}
+
+/// A recording of a robot that another program wrote.
+fn recording(name: &str) -> PathBuf {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../monogrid-bags/tests/data");
+    Path::new(folder).join(name)
+}
+
+#[test]
+fn recordings_of_robots_bring_their_calibration_along() {
+    for name in ["zstd.mcap", "plain.db3", "lz4.bag"] {
+        let output = monogrid([Path::new("check"), &recording(name), Path::new("--json")]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let report = json(&output);
+        assert_eq!(report["frames"], 8, "{report}");
+        assert!(
+            report.to_string().contains("CameraInfo of the recording"),
+            "{report}"
+        );
+    }
+    let bag = recording("plain.mcap");
+    let wrong = [
+        Path::new("run"),
+        &bag,
+        Path::new("--topic"),
+        Path::new("/left"),
+    ];
+    assert_fails(&monogrid(wrong), 2, &["/left", "/camera/image_raw"]);
+    let images = [
+        Path::new("run"),
+        small_sequence(),
+        Path::new("--topic"),
+        Path::new("/left"),
+    ];
+    assert_fails(&monogrid(images), 2, &["--topic", "no recording"]);
 }

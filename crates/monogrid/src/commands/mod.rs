@@ -17,6 +17,7 @@ pub mod posed_depth;
 pub mod rescale;
 pub mod run;
 pub mod sensor_model;
+pub mod shell;
 pub mod slice;
 pub mod sweep;
 pub mod synth;

@@ -1,20 +1,19 @@
 //! From messages and to messages: one function each, which knows nothing of a node.
 
-mod camera;
 mod cloud;
 mod diagnostics;
 mod grid;
-mod image;
 mod octomap;
 mod path;
 mod pose;
 mod window;
 
-pub use camera::{InfoError, camera_of};
 pub use cloud::{MAX_POINTS, cloud_of_cells, cloud_of_keyframe};
 pub use diagnostics::{Condition, diagnostics};
 pub use grid::{MAX_GRID_CELLS, changed_part, grid_of};
-pub use image::{ImageError, gray_image, gray_of_compressed};
+pub use monogrid_bags::convert::{
+    ImageError, InfoError, camera_of, gray_image, gray_of_compressed,
+};
 pub use octomap::{MAX_TREE_BYTES, octomap_of};
 pub use path::{MAX_PATH_POSES, path_of};
 pub use pose::{odometry_of, pose_of, transform_of};

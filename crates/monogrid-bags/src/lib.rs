@@ -1,0 +1,28 @@
+//! Images and calibrations in recordings of robots: rosbag2 (`.mcap`, `.db3`, or the folder of one) and ROS 1 bags (`.bag`).
+//!
+//! ```no_run
+//! let bag = monogrid_bags::Bag::open("drive.mcap".as_ref())?;
+//! let topic = bag.image_topic(None)?; // the only one, or the one that is named
+//! let camera = bag.camera_of(topic)?; // of the CameraInfo beside it
+//! for image in bag.images(topic)? {
+//!     let (time_ns, image) = image?;
+//!     println!("{time_ns} ns: {}x{}", image.width(), image.height());
+//! }
+//! # Ok::<(), monogrid_bags::BagError>(())
+//! ```
+//!
+//! Recordings are read from the beginning, a chunk at a time; what a chunk claims to hold is limited, and damage is an error
+//! that says where it was found, never a panic. Times are those of the messages' headers.
+#![deny(missing_docs)]
+
+mod bag;
+pub mod convert;
+mod db3;
+mod error;
+mod mcap_file;
+mod message;
+mod ros1;
+mod sqlite;
+
+pub use bag::{Bag, Images, Topic, TopicKind, is_bag};
+pub use error::BagError;

@@ -1,0 +1,178 @@
+//! Messages as they lie in a recording, and what is in them.
+
+use crate::bag::TopicKind;
+use byteorder::{BigEndian, LittleEndian};
+use monogrid_messages::RosMessage;
+use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, RegionOfInterest};
+use monogrid_messages::std_msgs::Header;
+use std::sync::Arc;
+
+/// How the fields of a message are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wire {
+    /// ROS 2: CDR with its four bytes in front, fields aligned.
+    Cdr,
+    /// ROS 1: little endian, one after the other.
+    Ros1,
+}
+
+/// A message.
+#[derive(Clone, Debug)]
+pub struct Raw {
+    pub topic: Arc<str>,
+    pub kind: TopicKind,
+    /// When it was recorded.
+    pub log_ns: i64,
+    pub wire: Wire,
+    pub data: Vec<u8>,
+}
+
+/// An image.
+pub fn image(message: &Raw) -> Result<Image, String> {
+    match message.wire {
+        Wire::Cdr => cdr(&message.data),
+        Wire::Ros1 => Fields(&message.data)
+            .image()
+            .ok_or_else(|| too_short(message)),
+    }
+}
+
+/// An image file.
+pub fn compressed_image(message: &Raw) -> Result<CompressedImage, String> {
+    match message.wire {
+        Wire::Cdr => cdr(&message.data),
+        Wire::Ros1 => Fields(&message.data)
+            .compressed_image()
+            .ok_or_else(|| too_short(message)),
+    }
+}
+
+/// A calibration.
+pub fn camera_info(message: &Raw) -> Result<CameraInfo, String> {
+    match message.wire {
+        Wire::Cdr => cdr(&message.data),
+        Wire::Ros1 => Fields(&message.data)
+            .camera_info()
+            .ok_or_else(|| too_short(message)),
+    }
+}
+
+fn too_short(message: &Raw) -> String {
+    format!(
+        "a message of {} bytes ends within its fields",
+        message.data.len()
+    )
+}
+
+fn cdr<M: RosMessage>(data: &[u8]) -> Result<M, String> {
+    let Some((&[_, order, _, _], body)) = data.split_first_chunk() else {
+        return Err(format!(
+            "a message of {} bytes has no encapsulation",
+            data.len()
+        ));
+    };
+    let read = match order {
+        1 => cdr_encoding::from_bytes::<M, LittleEndian>(body),
+        0 => cdr_encoding::from_bytes::<M, BigEndian>(body),
+        other => {
+            return Err(format!(
+                "encapsulation {other} is not supported, expected plain CDR (0 or 1)"
+            ));
+        }
+    };
+    read.map(|(message, _)| message)
+        .map_err(|error| error.to_string())
+}
+
+/// Fields of ROS 1, from the front; none when there are no more bytes.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (bytes, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*bytes)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn f64s<const N: usize>(&mut self) -> Option<[f64; N]> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = f64::from_le_bytes(self.take()?);
+        }
+        Some(values)
+    }
+
+    fn bytes(&mut self) -> Option<Vec<u8>> {
+        let length = self.u32()? as usize;
+        let (bytes, rest) = self.0.split_at_checked(length)?;
+        self.0 = rest;
+        Some(bytes.to_vec())
+    }
+
+    fn text(&mut self) -> Option<String> {
+        Some(String::from_utf8_lossy(&self.bytes()?).into_owned())
+    }
+
+    fn header(&mut self) -> Option<Header> {
+        let _number = self.u32()?;
+        let sec = i32::try_from(self.u32()?).ok()?;
+        let nanosec = self.u32()?;
+        let stamp = Time { sec, nanosec };
+        Some(Header {
+            stamp,
+            frame_id: self.text()?,
+        })
+    }
+
+    fn image(mut self) -> Option<Image> {
+        Some(Image {
+            header: self.header()?,
+            height: self.u32()?,
+            width: self.u32()?,
+            encoding: self.text()?,
+            is_bigendian: self.take::<1>()?[0],
+            step: self.u32()?,
+            data: self.bytes()?,
+        })
+    }
+
+    fn compressed_image(mut self) -> Option<CompressedImage> {
+        Some(CompressedImage {
+            header: self.header()?,
+            format: self.text()?,
+            data: self.bytes()?,
+        })
+    }
+
+    fn camera_info(mut self) -> Option<CameraInfo> {
+        Some(CameraInfo {
+            header: self.header()?,
+            height: self.u32()?,
+            width: self.u32()?,
+            distortion_model: self.text()?,
+            d: {
+                let count = self.u32()?;
+                (0..count)
+                    .map(|_| Some(self.f64s::<1>()?[0]))
+                    .collect::<Option<_>>()?
+            },
+            k: self.f64s()?,
+            r: self.f64s()?,
+            p: self.f64s()?,
+            binning_x: self.u32()?,
+            binning_y: self.u32()?,
+            roi: RegionOfInterest {
+                x_offset: self.u32()?,
+                y_offset: self.u32()?,
+                height: self.u32()?,
+                width: self.u32()?,
+                do_rectify: self.take::<1>()?[0] != 0,
+            },
+        })
+    }
+}

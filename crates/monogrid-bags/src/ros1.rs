@@ -1,0 +1,223 @@
+//! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
+
+use crate::bag::{Messages, TopicKind};
+use crate::error::BagError;
+use crate::message::{Raw, Wire};
+use std::collections::{HashMap, VecDeque};
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What a file begins with.
+pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+
+/// Most bytes of a record, and of what is in a chunk.
+const MAX_BYTES: usize = 1 << 30;
+
+const MESSAGE: u8 = 2;
+const CHUNK: u8 = 5;
+const CONNECTION: u8 = 7;
+
+/// The messages of a file.
+pub fn messages(path: &Path) -> Result<Messages, BagError> {
+    let mut file = BufReader::with_capacity(1 << 18, File::open(path).map_err(BagError::io(path))?);
+    file.read_exact(&mut [0; MAGIC.len()])
+        .map_err(BagError::io(path))?;
+    Ok(Box::new(Ros1Messages {
+        file,
+        path: path.to_owned(),
+        connections: HashMap::new(),
+        ready: VecDeque::new(),
+        ended: false,
+    }))
+}
+
+struct Ros1Messages {
+    file: BufReader<File>,
+    path: PathBuf,
+    /// Topic and kind; only ever asked by number.
+    connections: HashMap<u32, (Arc<str>, TopicKind)>,
+    /// Of the chunk that was read last.
+    ready: VecDeque<Raw>,
+    ended: bool,
+}
+
+impl Iterator for Ros1Messages {
+    type Item = Result<Raw, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(message) = self.ready.pop_front() {
+                return Some(Ok(message));
+            }
+            if self.ended {
+                return None;
+            }
+            if let Err(reason) = self.read_on() {
+                self.ended = true;
+                return Some(Err(BagError::damaged(&self.path, reason)));
+            }
+        }
+    }
+}
+
+impl Ros1Messages {
+    /// Reads a record of the file.
+    fn read_on(&mut self) -> Result<(), String> {
+        let Some(header) = block(&mut self.file)? else {
+            self.ended = true;
+            return Ok(());
+        };
+        let data = block(&mut self.file)?.ok_or("the file ends within a record")?;
+        let fields = Header(&header);
+        if fields.op() != Some(CHUNK) {
+            return self.take(fields, &data);
+        }
+        let compression = fields.text("compression").unwrap_or_default();
+        let size = fields.u32("size").ok_or("a chunk does not say its size")?;
+        let records = decompressed(&compression, &data, size as usize)?;
+        let mut rest = records.as_slice();
+        while !rest.is_empty() {
+            let cut = || "a chunk ends within a record".to_owned();
+            let header = block(&mut rest)?.ok_or_else(cut)?;
+            let data = block(&mut rest)?.ok_or_else(cut)?;
+            self.take(Header(&header), &data)?;
+        }
+        Ok(())
+    }
+
+    /// Takes what a record says.
+    fn take(&mut self, fields: Header, data: &[u8]) -> Result<(), String> {
+        match fields.op() {
+            Some(CONNECTION) => {
+                let number = fields.u32("conn").ok_or("a connection without a number")?;
+                let topic = fields.text("topic").ok_or("a connection without a topic")?;
+                let type_name = Header(data).text("type").unwrap_or_default();
+                let kind = TopicKind::of(&type_name);
+                self.connections.insert(number, (topic.into(), kind));
+            }
+            Some(MESSAGE) => {
+                let number = fields.u32("conn").ok_or("a message without a connection")?;
+                let connection = self.connections.get(&number);
+                let (topic, kind) = connection.ok_or_else(|| {
+                    format!("a message of connection {number}, which was not declared")
+                })?;
+                let time = fields
+                    .value("time")
+                    .and_then(|time| <[u8; 8]>::try_from(time).ok());
+                let [a, b, c, d, nanoseconds @ ..] = time.ok_or("a message without a time")?;
+                let seconds = u32::from_le_bytes([a, b, c, d]);
+                self.ready.push_back(Raw {
+                    topic: Arc::clone(topic),
+                    kind: *kind,
+                    log_ns: i64::from(seconds) * 1_000_000_000
+                        + i64::from(u32::from_le_bytes(nanoseconds)),
+                    wire: Wire::Ros1,
+                    data: if *kind == TopicKind::Other {
+                        Vec::new()
+                    } else {
+                        data.to_vec()
+                    },
+                });
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+/// Bytes behind their length; none at the end.
+fn block(input: &mut impl Read) -> Result<Option<Vec<u8>>, String> {
+    let mut length = [0; 4];
+    match input.read(&mut length[..1]) {
+        Ok(0) => return Ok(None),
+        Ok(_) => {}
+        Err(error) => return Err(error.to_string()),
+    }
+    let cut = |error: io::Error| format!("a record cannot be read: {error}");
+    input.read_exact(&mut length[1..]).map_err(cut)?;
+    let length = u32::from_le_bytes(length) as usize;
+    if length > MAX_BYTES {
+        return Err(format!(
+            "a record claims {length} bytes, expected at most {MAX_BYTES}"
+        ));
+    }
+    // grows with what is there, not with what is claimed
+    let mut bytes = Vec::new();
+    input
+        .take(length as u64)
+        .read_to_end(&mut bytes)
+        .map_err(cut)?;
+    if bytes.len() != length {
+        return Err("the file ends within a record".to_owned());
+    }
+    Ok(Some(bytes))
+}
+
+/// Fields `name=value`, each behind its length.
+#[derive(Clone, Copy)]
+struct Header<'a>(&'a [u8]);
+
+impl<'a> Header<'a> {
+    fn value(self, name: &str) -> Option<&'a [u8]> {
+        let mut rest = self.0;
+        while let Some((length, after)) = rest.split_first_chunk() {
+            let (field, behind) = after.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+            let equals = field.iter().position(|byte| *byte == b'=')?;
+            if &field[..equals] == name.as_bytes() {
+                return Some(&field[equals + 1..]);
+            }
+            rest = behind;
+        }
+        None
+    }
+
+    fn op(self) -> Option<u8> {
+        self.value("op")?.first().copied()
+    }
+
+    fn u32(self, name: &str) -> Option<u32> {
+        Some(u32::from_le_bytes(self.value(name)?.try_into().ok()?))
+    }
+
+    fn text(self, name: &str) -> Option<String> {
+        Some(String::from_utf8_lossy(self.value(name)?).into_owned())
+    }
+}
+
+/// What is in a chunk of so many bytes.
+fn decompressed(compression: &str, data: &[u8], size: usize) -> Result<Vec<u8>, String> {
+    if size > MAX_BYTES {
+        return Err(format!(
+            "a chunk claims {size} bytes, expected at most {MAX_BYTES}"
+        ));
+    }
+    let failed =
+        |error: io::Error| format!("a chunk cannot be decompressed ({compression}): {error}");
+    let mut out = Vec::new();
+    let limit = size as u64 + 1;
+    match compression {
+        "none" => out.extend_from_slice(data),
+        "bz2" => {
+            let decoder = bzip2::read::BzDecoder::new(data);
+            decoder.take(limit).read_to_end(&mut out).map_err(failed)?;
+        }
+        "lz4" => {
+            let decoder = lz4_flex::frame::FrameDecoder::new(data);
+            decoder.take(limit).read_to_end(&mut out).map_err(failed)?;
+        }
+        other => {
+            return Err(format!(
+                "compression {other:?} is not supported, expected none, bz2 or lz4"
+            ));
+        }
+    }
+    if out.len() != size {
+        return Err(format!(
+            "a chunk holds {} bytes, expected {size}",
+            out.len()
+        ));
+    }
+    Ok(out)
+}

@@ -1,0 +1,47 @@
+//! Recordings of robots: the images of one topic.
+
+use crate::turn::Turn;
+use crate::{Colour, Grey, Opened, VideoError, VideoFrame};
+use monogrid_bags::{Bag, BagError};
+use monogrid_geometry::Camera;
+use monogrid_image::GrayImage;
+use std::path::Path;
+
+/// Opens a topic of a recording, or the only one with images; with the camera that the recording says.
+pub(crate) fn open(
+    path: &Path,
+    name: &str,
+    topic: Option<&str>,
+) -> Result<(Opened, Option<Camera>), VideoError> {
+    let bag = Bag::open(path)?;
+    let topic = bag.image_topic(topic)?;
+    let camera = bag.camera_of(topic)?;
+    let images = bag.images(topic)?;
+    let name = name.to_owned();
+    let frame = move |(frame, image): (usize, Result<(i64, GrayImage), BagError>)| match image {
+        Ok((timestamp_ns, image)) => Ok(VideoFrame {
+            image: grey(&image),
+            colour: Colour::Grey,
+            timestamp_ns,
+        }),
+        Err(error) if error.is_single_frame() => Err(VideoError::Frame {
+            video: name.clone(),
+            frame,
+            reason: error.to_string(),
+        }),
+        Err(error) => Err(error.into()),
+    };
+    let opened = Opened {
+        description: format!("recording, topic {}", topic.name),
+        length: None,
+        live: false,
+        turn: Turn::None,
+        frames: Box::new(images.enumerate().map(frame)),
+    };
+    Ok((opened, camera))
+}
+
+/// 8 bits, as every video has them.
+fn grey(image: &GrayImage) -> Grey {
+    image.map(|value| value.round().clamp(0.0, 255.0) as u8)
+}

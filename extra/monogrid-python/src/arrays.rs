@@ -1,0 +1,117 @@
+//! Arrays of numpy as slices of Rust, without a copy where they are contiguous.
+
+use crate::errors::value;
+use monogrid::geometry::{Rotation, Se3, Vec3, nalgebra};
+use numpy::ndarray::Dimension;
+use numpy::{Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use numpy::{PyReadonlyArray, PyUntypedArrayMethods, dtype};
+use pyo3::prelude::*;
+use pyo3::types::{IntoPyDict, PyTuple};
+
+/// What Python calls an array-like: contiguous and of this type and dimension, copied only if it is not so yet.
+pub fn contiguous<'py, T: Element, D: Dimension>(
+    array_like: &Bound<'py, PyAny>,
+    expected: &str,
+) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    let py = array_like.py();
+    let keywords = [("dtype", dtype::<T>(py))].into_py_dict(py)?;
+    let array =
+        py.import("numpy")?
+            .call_method("ascontiguousarray", (array_like,), Some(&keywords))?;
+    let found = array.getattr("shape")?;
+    match array.cast_into::<PyArray<T, D>>() {
+        Ok(array) => Ok(array.try_readonly()?),
+        Err(_) => Err(value(format!(
+            "found an array of shape {found}, expected {expected}"
+        ))),
+    }
+}
+
+/// The rows of an array of shape (n, 3).
+pub fn rows<'a, T: Element>(
+    array: &'a PyReadonlyArray<T, numpy::Ix2>,
+    name: &str,
+) -> PyResult<&'a [[T; 3]]> {
+    let (n, columns) = (array.shape()[0], array.shape()[1]);
+    if columns != 3 {
+        return Err(value(format!(
+            "{name} has the shape ({n}, {columns}), expected (n, 3)"
+        )));
+    }
+    Ok(array.as_slice()?.as_chunks().0)
+}
+
+/// A 4x4 matrix `a_from_b`, or nothing for the identity.
+pub fn pose_of(matrix: Option<&Bound<PyAny>>) -> PyResult<[[f64; 4]; 4]> {
+    let Some(matrix) = matrix else {
+        return Ok(std::array::from_fn(|i| {
+            std::array::from_fn(|j| f64::from(u8::from(i == j)))
+        }));
+    };
+    let array = contiguous::<f64, numpy::Ix2>(matrix, "(4, 4)")?;
+    let rows: Option<&[[f64; 4]; 4]> = match array.shape() {
+        [4, 4] => array.as_slice()?.as_chunks().0.try_into().ok(),
+        _ => None,
+    };
+    let rows = *rows.ok_or_else(|| value("a pose is a matrix of shape (4, 4)"))?;
+    let is_rigid_row = rows[3] == [0.0, 0.0, 0.0, 1.0];
+    if !is_rigid_row {
+        return Err(value(format!(
+            "the last row of a pose is {:?}, expected [0, 0, 0, 1]",
+            rows[3]
+        )));
+    }
+    Ok(rows)
+}
+
+/// A rigid motion of a 4x4 matrix.
+pub fn rigid(rows: &[[f64; 4]; 4]) -> PyResult<Se3> {
+    let matrix = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
+    let off = (matrix * matrix.transpose() - nalgebra::Matrix3::identity()).norm();
+    // negated so that NaN is refused too
+    if !(off < 1e-3 && matrix.determinant() > 0.0) {
+        return Err(value("the left upper 3x3 of a pose is not a rotation"));
+    }
+    let translation = Vec3::new(rows[0][3], rows[1][3], rows[2][3]);
+    Ok(Se3::new(Rotation::from_matrix(&matrix), translation))
+}
+
+/// The 4x4 matrix of a rigid motion, row by row.
+pub fn matrix(motion: &Se3) -> [f64; 16] {
+    let (r, t) = (motion.rotation_matrix(), &motion.translation);
+    std::array::from_fn(|k| match (k / 4, k % 4) {
+        (3, j) => f64::from(u8::from(j == 3)),
+        (i, 3) => t[i],
+        (i, j) => r[(i, j)],
+    })
+}
+
+/// Numbers as an array of one dimension, which takes them over.
+pub fn vector<T: Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
+    values.into_pyarray(py)
+}
+
+/// Triples as an array of shape (n, 3), which takes them over.
+pub fn triples<T: Element + Copy>(
+    py: Python<'_>,
+    values: Vec<[T; 3]>,
+) -> PyResult<Bound<'_, PyArray2<T>>> {
+    let n = values.len();
+    values.into_flattened().into_pyarray(py).reshape([n, 3])
+}
+
+/// Matrices as an array of shape (n, 4, 4).
+pub fn matrices(py: Python<'_>, poses: Vec<[f64; 16]>) -> PyResult<Bound<'_, PyArray3<f64>>> {
+    let n = poses.len();
+    poses.into_flattened().into_pyarray(py).reshape([n, 4, 4])
+}
+
+/// A dictionary of what `serde` can write.
+pub fn dictionary<'py>(
+    py: Python<'py>,
+    report: &impl serde::Serialize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let text = serde_json::to_string(report).map_err(value)?;
+    py.import("json")?
+        .call_method1("loads", PyTuple::new(py, [text])?)
+}

@@ -1,0 +1,502 @@
+//! Occupancy maps.
+
+use crate::arrays::{contiguous, pose_of, rows, triples, vector};
+use crate::errors::{of_map, value};
+use monogrid::occupancy::{
+    self, DepthPixel, DepthScan, DistanceConfig, IntegrationConfig, IntegrationRule, MapConfig,
+    MapFormat, Occupancy, PoseSigma, RayHit, Scan, ScanData, Similarity, UnknownCells, VoxelKey,
+    integrate, read_map, save_atomically,
+};
+use numpy::{
+    IntoPyArray, Ix1, Ix2, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+type Array1<'py, T> = Bound<'py, PyArray1<T>>;
+type Array2<'py, T> = Bound<'py, PyArray2<T>>;
+
+/// Most cells of a dense array.
+const MAX_DENSE_CELLS: u64 = 1 << 30;
+
+/// Log-odds per cell; shared with whoever looks at it until one of them writes.
+#[pyclass(module = "monogrid")]
+#[derive(Clone)]
+pub struct OccupancyMap {
+    pub map: Arc<occupancy::OccupancyMap>,
+    next_scan: u32,
+}
+
+impl OccupancyMap {
+    pub fn of(map: Arc<occupancy::OccupancyMap>) -> Self {
+        Self { map, next_scan: 0 }
+    }
+
+    /// Adds a scan without Python's lock; how many measurements were used.
+    fn add(&mut self, py: Python, how: &How, data: ScanData, world: Similarity) -> PyResult<usize> {
+        let scan = Scan {
+            id: self.next_scan,
+            world_from_sensor: world,
+            pose_sigma: PoseSigma::default(),
+            data,
+        };
+        let map = Arc::make_mut(&mut self.map);
+        let report = py.detach(|| integrate(map, &scan, &how.config, how.threads));
+        self.next_scan = self.next_scan.wrapping_add(1);
+        report.map(|report| report.points).map_err(of_map)
+    }
+}
+
+/// How scans are integrated.
+struct How {
+    config: IntegrationConfig,
+    threads: usize,
+}
+
+impl How {
+    fn new(rule: &str, max_range: Option<f64>, threads: Option<usize>) -> PyResult<Self> {
+        let default = IntegrationConfig::default();
+        let rule = match rule {
+            "fused" => IntegrationRule::Fused,
+            "rays" => IntegrationRule::Rays,
+            other => {
+                return Err(value(format!(
+                    "rule is {other:?}, expected \"fused\" or \"rays\""
+                )));
+            }
+        };
+        Ok(Self {
+            config: IntegrationConfig {
+                rule,
+                max_range: max_range.unwrap_or(default.max_range),
+                ..default
+            },
+            threads: threads.unwrap_or_else(all_threads),
+        })
+    }
+}
+
+pub fn all_threads() -> usize {
+    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
+fn unknown_cells(unknown_blocks: bool) -> UnknownCells {
+    match unknown_blocks {
+        true => UnknownCells::Stop,
+        false => UnknownCells::PassThrough,
+    }
+}
+
+fn code(state: Occupancy) -> i8 {
+    match state {
+        Occupancy::Unknown => -1,
+        Occupancy::Free => 0,
+        Occupancy::Occupied => 1,
+    }
+}
+
+#[pymethods]
+impl OccupancyMap {
+    #[new]
+    #[pyo3(signature = (resolution = 0.05))]
+    fn new(resolution: f64) -> PyResult<Self> {
+        let map = occupancy::OccupancyMap::new(MapConfig::with_resolution(resolution));
+        Ok(Self::of(Arc::new(map.map_err(of_map)?)))
+    }
+
+    #[staticmethod]
+    fn read(py: Python, path: PathBuf) -> PyResult<Self> {
+        let file = File::open(&path)?;
+        let bytes = file.metadata()?.len();
+        let map = py.detach(|| read_map(BufReader::new(file), bytes));
+        let (map, _) = map.map_err(|error| value(format!("map {}: {error}", path.display())))?;
+        Ok(Self::of(Arc::new(map)))
+    }
+
+    fn write(&self, py: Python, path: PathBuf) -> PyResult<()> {
+        let format = MapFormat::from_name(&path, &MapFormat::ALL).map_err(of_map)?;
+        let save = || save_atomically(&path, |file| format.write(&self.map, file));
+        py.detach(save).map_err(of_map)
+    }
+
+    #[pyo3(signature = (points, pose = None, *, origin = None, sigma = None, rule = "fused", max_range = None, threads = None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn insert(
+        &mut self,
+        points: &Bound<PyAny>,
+        pose: Option<&Bound<PyAny>>,
+        origin: Option<[f64; 3]>,
+        sigma: Option<&Bound<PyAny>>,
+        rule: &str,
+        max_range: Option<f64>,
+        threads: Option<usize>,
+    ) -> PyResult<usize> {
+        let py = points.py();
+        let how = How::new(rule, max_range, threads)?;
+        if let Some(origin) = origin {
+            if pose.is_some() {
+                return Err(value(
+                    "give a pose for points in the sensor's frame, or the origin of points in the map's, not both",
+                ));
+            }
+            let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
+            let relative = |p: &[f64; 3]| std::array::from_fn(|i| (p[i] - origin[i]) as f32);
+            let points: Vec<[f32; 3]> = rows(&array, "points")?.iter().map(relative).collect();
+            let world = Similarity {
+                translation: origin,
+                ..Similarity::IDENTITY
+            };
+            return self.insert_points(py, &how, &points, sigma, world);
+        }
+        let array = contiguous::<f32, Ix2>(points, "(n, 3)")?;
+        let world = similarity(&pose_of(pose)?);
+        self.insert_points(py, &how, rows(&array, "points")?, sigma, world)
+    }
+
+    #[pyo3(signature = (depth, fx, fy, cx, cy, pose = None, *, relative_sigma = 0.01, rule = "fused", max_range = None, threads = None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn insert_depth(
+        &mut self,
+        depth: &Bound<PyAny>,
+        fx: f64,
+        fy: f64,
+        cx: f64,
+        cy: f64,
+        pose: Option<&Bound<PyAny>>,
+        relative_sigma: f32,
+        rule: &str,
+        max_range: Option<f64>,
+        threads: Option<usize>,
+    ) -> PyResult<usize> {
+        let py = depth.py();
+        let how = How::new(rule, max_range, threads)?;
+        let array = contiguous::<f32, Ix2>(depth, "(height, width)")?;
+        let (height, width) = (array.shape()[0], array.shape()[1]);
+        let (Ok(_), Ok(_)) = (u16::try_from(width), u16::try_from(height)) else {
+            return Err(value(format!(
+                "a depth image of {width}x{height} pixels, expected at most 65535"
+            )));
+        };
+        let world = similarity(&pose_of(pose)?);
+        let values = array.as_slice()?;
+        let pixels = py.detach(|| depth_pixels(values, width, relative_sigma));
+        let scan = DepthScan {
+            width: width as u32,
+            height: height as u32,
+            fx,
+            fy,
+            cx,
+            cy,
+            pixels: &pixels,
+        };
+        self.add(py, &how, ScanData::Depth(scan), world)
+    }
+
+    fn state<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<i8>>> {
+        self.each(points, |map, point| code(map.state(point)))
+    }
+
+    fn log_odds<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        self.each(points, |map, point| map.log_odds(point).unwrap_or(f32::NAN))
+    }
+
+    #[pyo3(signature = (points, radius, *, unknown_blocks = false))]
+    fn collides<'py>(
+        &self,
+        points: &Bound<'py, PyAny>,
+        radius: f64,
+        unknown_blocks: bool,
+    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        let unknown = unknown_cells(unknown_blocks);
+        self.each(points, |map, point| {
+            map.sphere_collides(point, radius, unknown)
+        })
+    }
+
+    #[pyo3(signature = (origins, directions, max_range = 100.0, *, unknown_blocks = false))]
+    fn cast_rays<'py>(
+        &self,
+        origins: &Bound<'py, PyAny>,
+        directions: &Bound<'py, PyAny>,
+        max_range: f64,
+        unknown_blocks: bool,
+    ) -> PyResult<(Array1<'py, f64>, Array1<'py, i8>)> {
+        let py = origins.py();
+        let origins = contiguous::<f64, Ix2>(origins, "(n, 3)")?;
+        let directions = contiguous::<f64, Ix2>(directions, "(n, 3)")?;
+        let (from, along) = (rows(&origins, "origins")?, rows(&directions, "directions")?);
+        if from.len() != along.len() && from.len() != 1 {
+            return Err(value(format!(
+                "{} origins for {} directions, expected as many, or one",
+                from.len(),
+                along.len()
+            )));
+        }
+        let unknown = unknown_cells(unknown_blocks);
+        let cast = |(k, direction): (usize, &[f64; 3])| {
+            let origin = from[if from.len() == 1 { 0 } else { k }];
+            match self.map.cast_ray(origin, *direction, max_range, unknown) {
+                RayHit::Occupied { range, .. } => (range, 1),
+                RayHit::Unknown { range, .. } => (range, -1),
+                RayHit::Nothing => (f64::INFINITY, 0),
+                RayHit::Invalid => (f64::NAN, 0),
+            }
+        };
+        let (ranges, states): (Vec<_>, Vec<_>) =
+            py.detach(|| along.iter().enumerate().map(cast).unzip());
+        Ok((vector(py, ranges), vector(py, states)))
+    }
+
+    #[pyo3(signature = (max_distance = 1.0, *, unknown_blocks = false))]
+    fn distance_field(
+        &self,
+        py: Python,
+        max_distance: f64,
+        unknown_blocks: bool,
+    ) -> PyResult<DistanceField> {
+        let config = DistanceConfig {
+            max_distance,
+            unknown: unknown_cells(unknown_blocks),
+        };
+        let field = py.detach(|| occupancy::DistanceField::new(&self.map, config, all_threads()));
+        Ok(DistanceField {
+            field: field.map_err(of_map)?,
+        })
+    }
+
+    #[pyo3(signature = (state = None))]
+    fn cells<'py>(
+        &self,
+        py: Python<'py>,
+        state: Option<i8>,
+    ) -> PyResult<(Array2<'py, f64>, Array1<'py, f32>)> {
+        let resolution = self.map.resolution();
+        let (centres, log_odds): (Vec<_>, Vec<_>) = py.detach(|| {
+            let cells = self.map.cells();
+            let wanted = cells.filter(|cell| state.is_none_or(|state| code(cell.state) == state));
+            wanted
+                .map(|cell| (cell.key.center(resolution), cell.log_odds))
+                .unzip()
+        });
+        Ok((triples(py, centres)?, vector(py, log_odds)))
+    }
+
+    #[pyo3(signature = (low = None, high = None))]
+    fn dense<'py>(
+        &self,
+        py: Python<'py>,
+        low: Option<[f64; 3]>,
+        high: Option<[f64; 3]>,
+    ) -> PyResult<(Bound<'py, PyArray3<f32>>, [f64; 3])> {
+        let resolution = self.map.resolution();
+        let Some((first, last)) = self.key_box(low, high)? else {
+            return Ok((
+                Vec::<f32>::new().into_pyarray(py).reshape([0, 0, 0])?,
+                [0.0; 3],
+            ));
+        };
+        let size = [last.x - first.x, last.y - first.y, last.z - first.z].map(|n| (n + 1) as usize);
+        let values = py.detach(|| {
+            let mut values = vec![f32::NAN; size.iter().product()];
+            for cell in self.map.cells_in_key_box(first, last) {
+                let offset = [
+                    cell.key.x - first.x,
+                    cell.key.y - first.y,
+                    cell.key.z - first.z,
+                ];
+                let [x, y, z] = offset.map(|n| n as usize);
+                values[(x * size[1] + y) * size[2] + z] = cell.log_odds;
+            }
+            values
+        });
+        let origin = [first.x, first.y, first.z].map(|n| f64::from(n) * resolution);
+        Ok((values.into_pyarray(py).reshape(size)?, origin))
+    }
+
+    fn project<'py>(
+        &self,
+        py: Python<'py>,
+        low: f64,
+        high: f64,
+    ) -> PyResult<(Bound<'py, PyArray2<i8>>, [f64; 2])> {
+        let Some(seen) = py.detach(|| self.map.projected(low, high)) else {
+            return Ok((Vec::<i8>::new().into_pyarray(py).reshape([0, 0])?, [0.0; 2]));
+        };
+        let states: Vec<i8> = seen.columns.iter().map(|state| code(*state)).collect();
+        Ok((
+            states.into_pyarray(py).reshape([seen.height, seen.width])?,
+            seen.origin,
+        ))
+    }
+
+    fn merge(&mut self, py: Python, other: PyRef<Self>) -> PyResult<()> {
+        let (map, other) = (Arc::make_mut(&mut self.map), Arc::clone(&other.map));
+        py.detach(|| map.merge(&other)).map_err(of_map)
+    }
+
+    fn crop(&self, py: Python, low: [f64; 3], high: [f64; 3]) -> PyResult<Self> {
+        let map = py.detach(|| self.map.cropped(low, high)).map_err(of_map)?;
+        Ok(Self::of(Arc::new(map)))
+    }
+
+    fn copy(&self) -> Self {
+        self.clone()
+    }
+
+    #[getter]
+    fn resolution(&self) -> f64 {
+        self.map.resolution()
+    }
+
+    #[getter]
+    fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
+        self.map.bounds()
+    }
+
+    #[getter]
+    fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let counts = py.detach(|| self.map.cell_counts());
+        let dictionary = PyDict::new(py);
+        dictionary.set_item("occupied", counts.occupied)?;
+        dictionary.set_item("free", counts.free)?;
+        Ok(dictionary)
+    }
+
+    fn __repr__(&self) -> String {
+        let counts = self.map.cell_counts();
+        format!(
+            "<monogrid.OccupancyMap: {} occupied and {} free cells of {}>",
+            counts.occupied,
+            counts.free,
+            self.map.resolution()
+        )
+    }
+}
+
+impl OccupancyMap {
+    fn insert_points(
+        &mut self,
+        py: Python,
+        how: &How,
+        points: &[[f32; 3]],
+        sigma: Option<&Bound<PyAny>>,
+        world: Similarity,
+    ) -> PyResult<usize> {
+        let sigmas = match sigma {
+            Some(sigma) => match sigma.extract::<f32>() {
+                Ok(one) => vec![one],
+                Err(_) => contiguous::<f32, Ix1>(sigma, "(n,), or one number")?
+                    .as_slice()?
+                    .to_vec(),
+            },
+            // half a cell: what the map tells apart
+            None => vec![0.5 * self.map.resolution() as f32],
+        };
+        let scan = Scan::of_points(0, world, points, &sigmas);
+        self.add(py, how, scan.data, world)
+    }
+
+    /// A value for every point.
+    fn each<'py, T: numpy::Element + Send>(
+        &self,
+        points: &Bound<'py, PyAny>,
+        of: impl Fn(&occupancy::OccupancyMap, [f64; 3]) -> T + Send + Sync,
+    ) -> PyResult<Bound<'py, PyArray1<T>>> {
+        let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
+        let points = (rows(&array, "points")?, array.py());
+        let map = &self.map;
+        let values = points
+            .1
+            .detach(|| points.0.iter().map(|point| of(map, *point)).collect());
+        Ok(vector(points.1, values))
+    }
+
+    /// The cells between two corners, by default all that are known; none of an empty map.
+    fn key_box(
+        &self,
+        low: Option<[f64; 3]>,
+        high: Option<[f64; 3]>,
+    ) -> PyResult<Option<(VoxelKey, VoxelKey)>> {
+        let known = self.map.key_bounds();
+        let key = |corner: [f64; 3]| {
+            let key = self.map.key(corner);
+            key.ok_or_else(|| value(format!("{corner:?} is not in reach of a map")))
+        };
+        let (Some(first), Some(last)) = (
+            low.map(key).transpose()?.or(known.map(|known| known.0)),
+            high.map(key).transpose()?.or(known.map(|known| known.1)),
+        ) else {
+            return Ok(None);
+        };
+        let sides = [(first.x, last.x), (first.y, last.y), (first.z, last.z)];
+        let sizes = sides.map(|(a, b)| u64::try_from(i64::from(b) - i64::from(a) + 1).unwrap_or(0));
+        let cells = sizes
+            .iter()
+            .fold(1_u64, |product, n| product.saturating_mul(*n));
+        if cells == 0 || cells > MAX_DENSE_CELLS {
+            return Err(value(format!(
+                "a box of {sizes:?} cells, expected 1 to {MAX_DENSE_CELLS}"
+            )));
+        }
+        Ok(Some((first, last)))
+    }
+}
+
+fn similarity(rows: &[[f64; 4]; 4]) -> Similarity {
+    let [a, b, c, _] = *rows;
+    let mut row_major = [0.0; 12];
+    row_major.copy_from_slice([a, b, c].as_flattened());
+    Similarity::from_rigid(&row_major)
+}
+
+/// The pixels of a depth image that have a depth.
+fn depth_pixels(depth: &[f32], width: usize, relative_sigma: f32) -> Vec<DepthPixel> {
+    let known = depth
+        .iter()
+        .enumerate()
+        .filter(|(_, z)| z.is_finite() && **z > 0.0);
+    let pixel = |(k, z): (usize, &f32)| DepthPixel {
+        x: (k % width) as u16,
+        y: (k / width) as u16,
+        idepth: 1.0 / z,
+        sigma_idepth: relative_sigma / z,
+    };
+    known.map(pixel).collect()
+}
+
+/// Distances to the nearest obstacle.
+#[pyclass(module = "monogrid")]
+pub struct DistanceField {
+    field: occupancy::DistanceField,
+}
+
+#[pymethods]
+impl DistanceField {
+    fn distance<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let py = points.py();
+        let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
+        let points = rows(&array, "points")?;
+        let distance = |point: &[f64; 3]| self.field.distance(*point).unwrap_or(f64::INFINITY);
+        Ok(vector(
+            py,
+            py.detach(|| points.iter().map(distance).collect()),
+        ))
+    }
+
+    fn gradient<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let py = points.py();
+        let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
+        let points = rows(&array, "points")?;
+        let gradient = |point: &[f64; 3]| self.field.gradient(*point).unwrap_or([f64::NAN; 3]);
+        triples(py, py.detach(|| points.iter().map(gradient).collect()))
+    }
+
+    fn update(&mut self, py: Python, map: PyRef<OccupancyMap>) -> usize {
+        let (field, map) = (&mut self.field, Arc::clone(&map.map));
+        py.detach(|| field.update(&map, all_threads()))
+    }
+}
