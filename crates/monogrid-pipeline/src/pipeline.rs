@@ -222,6 +222,11 @@ impl Pipeline {
         Ok(view.map(|view| Arc::clone(&view.global)))
     }
 
+    /// Adjusts the keyframes in the end by what the calibration has left of the radial distortion ([`Slam::take_left_radial`]).
+    pub fn take_left_radial(&mut self, radial: f64) {
+        self.slam.take_left_radial(radial);
+    }
+
     /// Takes the next image of the camera (grey, 0 to 255); what became of it. With a rolling shutter, what became of the
     /// image before ([`FrameReport::index`]): its rows are put right by what moved until this one.
     ///

@@ -1,7 +1,7 @@
 //! Whether a calibration that was given fits the images.
 
 use crate::input::{Images, Input};
-use crate::map_camera::{TakenOut, as_calibrated, shown_by_map};
+use crate::map_camera::{TakenOut, as_calibrated, left_radial_by_map, shown_by_map};
 use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2, Vec3};
@@ -86,6 +86,12 @@ impl<'a> CalibrationCheck<'a> {
         self.next_at = 2 * num_keyframes;
         self.doubts = against(input, &by_map(slam, taken_out));
         &self.doubts
+    }
+
+    /// The radial distortion that the calibration has left, as the map shows it.
+    pub fn left_radial(&self, (slam, taken_out): (&Slam, &TakenOut)) -> Option<f64> {
+        self.input?;
+        left_radial_by_map(slam, taken_out)
     }
 
     /// After the run, of whose frames this share has a pose: all that is known against the calibration.

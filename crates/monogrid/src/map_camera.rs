@@ -47,18 +47,60 @@ const VIEWS_FOR_READOUT: usize = 20;
 /// the shutter is in question.
 const CALIBRATED: [f64; 2] = [0.02, 0.03];
 
+/// Standard deviation of what is not in question.
+const HELD: f64 = 1e-6;
+
 /// Time from the first row of an image to the last as the main map shows it, ms; `None` where it does not show that it takes
 /// any. `camera` is that of the working images.
 pub fn readout_ms_by_map(slam: &Slam, camera: &Intrinsics, taken_out: &TakenOut) -> Option<f64> {
     let size = working_size(slam)?;
-    let held = 1e-6;
     let prior = Prior {
         mean: camera.parameters(),
-        sigma: Parameters::from([CALIBRATED[0], CALIBRATED[1], held, held, held, 0.5]),
+        sigma: Parameters::from([CALIBRATED[0], CALIBRATED[1], HELD, HELD, HELD, 0.5]),
     };
     let shown = shown_by_map(slam, VIEWS_FOR_READOUT, camera, (size, &prior), taken_out);
     let (share, _) = shown.readout()?;
     Some(share * Motion::of(slam).interval_ns / 1e6)
+}
+
+/// Standard deviations by which the radial distortion that is left must differ from none, and the least that matters where the image
+/// ends, px.
+const LEFT_SIGMAS: f64 = 2.0;
+const MIN_LEFT_PX: f64 = 0.5;
+
+/// Radial distortion that the calibration has left in the working images, as the main map shows it: a ray at `x` from the axis is seen
+/// at `x (1 + radial |x|^2)`. `None` where it does not show any that another focal length would not explain as well; what is found
+/// belongs to the focal length of the calibration.
+pub fn left_radial_by_map(slam: &Slam, taken_out: &TakenOut) -> Option<f64> {
+    let size = working_size(slam)?;
+    let camera = as_calibrated(slam);
+    let shown = |log_focal_sigma: f64| {
+        let prior = Prior {
+            mean: camera.parameters(),
+            sigma: Parameters::from([log_focal_sigma, CALIBRATED[1], HELD, HELD, HELD, 0.5]),
+        };
+        let shown = shown_by_map(slam, VIEWS_FOR_READOUT, &camera, (size, &prior), taken_out);
+        (shown.intrinsics.radial[0], shown.sigma[1])
+    };
+    let with_focal = shown(CALIBRATED[0]);
+    if !is_shown(with_focal) {
+        return None;
+    }
+    let (radial, _) = shown(HELD);
+    let corner = Vec2::new(size.0 as f64, size.1 as f64).norm() / 2.0 / camera.focal;
+    let at_corner_px = radial * corner.powi(3) * camera.focal;
+    is_left(with_focal, (radial, at_corner_px)).then_some(radial)
+}
+
+/// Whether distortion differs from none, given its standard deviation.
+fn is_shown((radial, sigma): (f64, f64)) -> bool {
+    radial.abs() >= LEFT_SIGMAS * sigma
+}
+
+/// Whether distortion is there, as it is with the focal length free (and its standard deviation) and with that of the calibration (and
+/// what it comes to where the image ends, px).
+fn is_left(with_focal: (f64, f64), (radial, at_corner_px): (f64, f64)) -> bool {
+    is_shown(with_focal) && radial * with_focal.0 > 0.0 && at_corner_px.abs() > MIN_LEFT_PX
 }
 
 /// Width and height of the working images, once there is a keyframe.
@@ -225,7 +267,21 @@ const MAX_GAP: f64 = 3.0;
 
 #[cfg(test)]
 mod tests {
-    use super::{ReadoutDirection, TakenOut};
+    use super::{ReadoutDirection, TakenOut, is_left};
+
+    #[test]
+    fn distortion_is_left_where_no_focal_length_explains_it_and_it_matters() {
+        assert!(is_left((0.0124, 0.0045), (0.018, 3.0)));
+        assert!(is_left((-0.0124, 0.0045), (-0.018, -3.0)));
+        // tsukuba: with its focal length it seems so, with a free one it is none
+        assert!(!is_left((-0.0007, 0.0048), (-0.0073, -1.2)));
+        assert!(!is_left((0.0088, 0.0045), (0.018, 3.0)), "not certain");
+        assert!(!is_left((0.0124, 0.0045), (-0.018, -3.0)), "they disagree");
+        assert!(
+            !is_left((0.0124, 0.0045), (0.018, 0.4)),
+            "too little to matter"
+        );
+    }
 
     #[test]
     fn what_was_taken_out_holds_until_it_changes() {

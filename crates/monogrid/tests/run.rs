@@ -269,39 +269,52 @@ fn the_results_can_be_evaluated(run: &Path) {
 }
 
 #[test]
-fn a_rolling_shutter_that_nobody_told_of_is_found_and_taken_out() {
+fn what_nobody_told_of_the_camera_is_found() {
     let dir = tempfile::tempdir().unwrap();
-    let (world, out) = (dir.path().join("world"), dir.path().join("out"));
-    let synth = "synth living-room --size 320x240 --frames 300 --max-frames 150 --depth-every 0 --quick-light --force";
-    for (readout, expected_ms) in [("25", 25.0), ("0", 0.0)] {
-        let camera = ["--rolling-shutter", readout, "--out"];
-        let made = synth.split(' ').chain(camera).map(std::ffi::OsStr::new);
-        let made = monogrid(made.chain([world.as_os_str()]));
+    let file = |name: &str| dir.path().join(name);
+    let pinhole = "251 251 159.5 119.5 320 240";
+    fs::write(file("pinhole.txt"), pinhole).unwrap();
+    fs::write(file("lens.txt"), "251 251 159.5 119.5 0.03 0 0 0 320 240").unwrap();
+    let synth =
+        "synth living-room --frames 300 --max-frames 150 --depth-every 0 --quick-light --force";
+    // the lens of the world, its rolling shutter, and what is found although the calibration says a pinhole
+    for (lens, readout, found) in [
+        ("pinhole.txt", "25", "rolling shutter"),
+        ("lens.txt", "0", "radial distortion"),
+    ] {
+        let mut args: Vec<_> = synth.split(' ').map(Into::into).collect();
+        args.extend([
+            "--rolling-shutter".into(),
+            readout.into(),
+            "--calibration".into(),
+            file(lens),
+        ]);
+        args.extend(["--out".into(), file("world")]);
+        let made = monogrid(args);
         assert_eq!(code(&made), 0, "{}", stderr(&made));
-        let calibration = fs::read_to_string(world.join("calibration.txt")).unwrap();
-        let lines = calibration
-            .lines()
-            .filter(|line| !line.starts_with("rolling_shutter_ms"));
-        let untold = lines.collect::<Vec<_>>().join("\n");
-        fs::write(world.join("calibration.txt"), untold).unwrap();
-        let mut args = vec![
+        fs::write(file("world").join("calibration.txt"), pinhole).unwrap();
+        let run = [
             "run".into(),
-            world.clone(),
+            file("world"),
             "--json".into(),
             "--force".into(),
+            "--out".into(),
+            file("out"),
         ];
-        args.extend(["--out".into(), out.clone()]);
-        let output = monogrid(args);
+        let output = monogrid(run);
         assert_eq!(code(&output), 0, "{}", stderr(&output));
         let summary = json(&output);
         let found_ms = summary["rolling_shutter_ms"].as_f64().unwrap();
-        assert!((found_ms - expected_ms).abs() < 4.0, "{found_ms}");
+        let difference_ms = found_ms - readout.parse::<f64>().unwrap();
+        assert!(difference_ms.abs() < 4.0, "{found_ms}");
         let warnings = summary["warnings"].to_string();
-        assert_eq!(
-            warnings.contains("rolling shutter"),
-            expected_ms > 0.0,
-            "{warnings}"
-        );
+        for word in ["rolling shutter", "radial distortion"] {
+            assert_eq!(warnings.contains(word), word == found, "{warnings}");
+        }
+        if let Some(radial) = warnings.split("radial distortion of +").nth(1) {
+            let radial: f64 = radial.split(' ').next().unwrap().parse().unwrap();
+            assert!((radial - 0.03).abs() < 0.006, "{radial}");
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Bundle adjustment over the newest and the most covisible keyframes, and at the end over all.
 
-use super::SparseConfig;
+use super::{LeftLens, SparseConfig};
 use crate::map::{Adjustment, Map, MapKeyframe};
 use crate::{FragmentId, KeyframeId, Scale};
 use monogrid_geometry::Pinhole;
@@ -32,6 +32,7 @@ impl Gauge {
 
 /// Adjusts the window around the newest keyframe; says which observations do not fit.
 pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Adjustment {
+    let lens = LeftLens::of_pinhole(pinhole);
     let Some(newest) = map.newest() else {
         return Adjustment::default();
     };
@@ -41,14 +42,14 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
         inlier_chi2: config.max_chi_sq,
         ..BundleConfig::default()
     };
-    adjust_these(map, newest.fragment, free, pinhole, config, &settings)
+    adjust_these(map, newest.fragment, free, &lens, config, &settings)
 }
 
 /// Adjusts all keyframes of a fragment and all points that they share; says which observations do not fit.
 pub(crate) fn adjust_all(
     map: &Map,
     fragment: FragmentId,
-    pinhole: &Pinhole,
+    lens: &LeftLens,
     config: &SparseConfig,
 ) -> Adjustment {
     let free = map.in_fragment(fragment).map(|keyframe| keyframe.id);
@@ -58,7 +59,7 @@ pub(crate) fn adjust_all(
         inlier_chi2: config.max_chi_sq,
         ..BundleConfig::default()
     };
-    adjust_these(map, fragment, free.collect(), pinhole, config, &settings)
+    adjust_these(map, fragment, free.collect(), lens, config, &settings)
 }
 
 /// Share of the cost by which a step of the last adjustment must lower it: errors of large loops fall slowly.
@@ -69,14 +70,14 @@ fn adjust_these(
     map: &Map,
     fragment: FragmentId,
     mut free: Vec<KeyframeId>,
-    pinhole: &Pinhole,
+    lens: &LeftLens,
     config: &SparseConfig,
     settings: &BundleConfig,
 ) -> Adjustment {
     // A keyframe that sees too little keeps the pose that tracking gave it.
     free.retain(|id| num_shared_points(map, *id) >= config.min_shared_points);
     let gauge = Gauge::of_fragment(map, fragment);
-    let Some(problem) = Problem::build(map, &free, gauge, pinhole, config) else {
+    let Some(problem) = Problem::build(map, &free, gauge, lens, config) else {
         return Adjustment::default();
     };
     match adjust(&problem.bundle, settings) {
@@ -136,7 +137,7 @@ impl Problem {
         map: &Map,
         free: &[KeyframeId],
         gauge: Gauge,
-        pinhole: &Pinhole,
+        lens: &LeftLens,
         config: &SparseConfig,
     ) -> Option<Self> {
         let is_free = |id: KeyframeId| free.binary_search(&id).is_ok();
@@ -156,7 +157,7 @@ impl Problem {
         }
         let keyframes: Vec<KeyframeId> = slots.keys().copied().collect();
         let mut bundle = BundleProblem {
-            pinhole: *pinhole,
+            pinhole: *lens.pinhole(),
             keyframes: freedoms(map, &keyframes, &is_free, gauge),
             points: Vec::with_capacity(points.len()),
             observations: Vec::new(),
@@ -165,7 +166,7 @@ impl Problem {
             let point = &map.points()[i];
             bundle.points.push(AnchoredPoint {
                 host: slots[&point.host],
-                pixel: point.pixel,
+                pixel: lens.ideal(point.pixel),
                 inverse_depth: point.idepth,
                 prior: (gauge.is_metric && point.host == gauge.origin).then_some(
                     InverseDepthPrior {
@@ -178,7 +179,7 @@ impl Problem {
                 bundle.observations.push(Observation {
                     keyframe: slots[&observation.keyframe],
                     point: slot,
-                    pixel: observation.pixel,
+                    pixel: lens.ideal(observation.pixel),
                     inv_sigma_px: 1.0 / config.sigma_px,
                 });
             }

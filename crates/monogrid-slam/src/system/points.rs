@@ -4,8 +4,8 @@ use super::setup::Setup;
 use crate::FragmentId;
 use crate::map::{Change, Map};
 use crate::sparse::{
-    SparseStats, adjust_all, adjust_window, anchor, dense_links, find_again, register, unconfirmed,
-    world_from_keyframes,
+    LeftLens, SparseStats, adjust_all, adjust_window, anchor, dense_links, find_again, register,
+    unconfirmed, world_from_keyframes,
 };
 use monogrid_depth::DepthMap;
 use monogrid_geometry::Vec2;
@@ -60,10 +60,17 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
     if !config.enabled || num_keyframes > config.final_max_keyframes {
         return;
     }
+    let pinhole = LeftLens::of_pinhole(&setup.pinhole);
     for _ in 0..config.final_rounds {
         let seen = find_again(map, fragment, &setup.pinhole, config);
         map.apply(Change::Observed(seen));
-        let adjustment = adjust_all(map, fragment, &setup.pinhole, config);
+        let adjustment = adjust_all(map, fragment, &pinhole, config);
+        map.apply(Change::Adjusted(adjustment));
+    }
+    if setup.left_radial != 0.0 {
+        // points are looked for in the images as they are, so this comes last
+        let lens = LeftLens::new(&setup.pinhole, setup.left_radial);
+        let adjustment = adjust_all(map, fragment, &lens, config);
         map.apply(Change::Adjusted(adjustment));
     }
     let poses = world_from_keyframes(map, fragment, &setup.pinhole);

@@ -40,6 +40,7 @@ impl Slam {
             seed,
             is_frozen: purpose == Purpose::LocaliseOnly,
             imu: None,
+            left_radial: 0.0,
         };
         let (scale, revision) = (map.scale, map.pose_revision);
         let points = restored_points(&map);

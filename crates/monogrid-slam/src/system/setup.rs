@@ -22,6 +22,8 @@ pub(super) struct Setup {
     pub is_frozen: bool,
     /// Readings of an inertial sensor beside the camera.
     pub imu: Option<Arc<Imu>>,
+    /// Radial distortion that the calibration has left, 0 for none.
+    pub left_radial: f64,
 }
 
 impl Setup {

@@ -59,6 +59,7 @@ impl Slam {
             seed,
             is_frozen: false,
             imu: None,
+            left_radial: 0.0,
         };
         let graph = GraphLink::new(&setup, None)?.map(|(link, _)| link);
         Ok(Self {
@@ -73,6 +74,12 @@ impl Slam {
     pub fn with_imu(mut self, imu: Arc<Imu>) -> Self {
         self.setup.imu = Some(imu);
         self
+    }
+
+    /// What the calibration has left of the radial distortion of the lens in the images: a ray at `x` from the axis, in focal lengths, is
+    /// seen at `x (1 + radial |x|^2)`. The keyframes are adjusted by it after the last frame.
+    pub fn take_left_radial(&mut self, radial: f64) {
+        self.setup.left_radial = radial;
     }
 
     /// A system that looks for the camera in a map.

@@ -200,7 +200,7 @@ impl<'a> Tracking<'a> {
     }
 
     /// After the last frame.
-    pub fn finish(self) -> Result<Ended, Failure> {
+    pub fn finish(mut self) -> Result<Ended, Failure> {
         self.progress.finish();
         let rows = self.rows.finish()?;
         let has_pose =
@@ -208,8 +208,16 @@ impl<'a> Tracking<'a> {
         let num_with_pose = rows.iter().filter(has_pose).count();
         let share = num_with_pose as f64 / rows.len().max(1) as f64;
         let seen = (self.pipeline.slam(), self.shutter.taken_out());
+        let left_radial = self.calibration.left_radial(seen);
         let mut doubts = self.calibration.end(seen, share);
         doubts.extend(self.shutter.conclusion());
+        if let Some(radial) = left_radial {
+            self.pipeline.take_left_radial(radial);
+            doubts.push(format!(
+                "the calibration leaves a radial distortion of {radial:+.4} in the images, by which the poses were adjusted in the end; \
+                 --refine-calibration takes it out of the images"
+            ));
+        }
         Ok(Ended {
             doubts,
             readout_ms: self.shutter.readout_ms(),
