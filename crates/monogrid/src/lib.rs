@@ -111,6 +111,7 @@ mod recorded;
 mod refine;
 #[cfg(feature = "program")]
 mod report;
+#[cfg(feature = "program")]
 mod rolling;
 #[cfg(feature = "program")]
 mod run;

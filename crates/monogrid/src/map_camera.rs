@@ -43,12 +43,15 @@ pub fn shown_by_map(
 /// Keyframes of a piece of the map that is asked for the rolling shutter.
 const VIEWS_FOR_READOUT: usize = 20;
 
-/// Standard deviations of the logarithm of the focal length and of a radial term by which a calibration may be off where only
-/// the shutter is in question.
-const CALIBRATED: [f64; 2] = [0.02, 0.03];
+/// Standard deviation of the logarithm of the focal length by which a calibration may be off where something else is in question.
+const FOCAL_SIGMA: f64 = 0.02;
+
+/// Standard deviation of the radial distortion that a calibration has left in undistorted images: rectified images of
+/// KITTI keep 0.025.
+pub const LEFT_RADIAL: f64 = 0.03;
 
 /// Standard deviation of what is not in question.
-const HELD: f64 = 1e-6;
+pub const HELD: f64 = 1e-6;
 
 /// Time from the first row of an image to the last as the main map shows it, ms; `None` where it does not show that it takes
 /// any. `camera` is that of the working images.
@@ -56,7 +59,7 @@ pub fn readout_ms_by_map(slam: &Slam, camera: &Intrinsics, taken_out: &TakenOut)
     let size = working_size(slam)?;
     let prior = Prior {
         mean: camera.parameters(),
-        sigma: Parameters::from([CALIBRATED[0], CALIBRATED[1], HELD, HELD, HELD, 0.5]),
+        sigma: Parameters::from([FOCAL_SIGMA, LEFT_RADIAL, HELD, HELD, HELD, 0.5]),
     };
     let shown = shown_by_map(slam, VIEWS_FOR_READOUT, camera, (size, &prior), taken_out);
     let (share, _) = shown.readout()?;
@@ -77,12 +80,12 @@ pub fn left_radial_by_map(slam: &Slam, taken_out: &TakenOut) -> Option<f64> {
     let shown = |log_focal_sigma: f64| {
         let prior = Prior {
             mean: camera.parameters(),
-            sigma: Parameters::from([log_focal_sigma, CALIBRATED[1], HELD, HELD, HELD, 0.5]),
+            sigma: Parameters::from([log_focal_sigma, LEFT_RADIAL, HELD, HELD, HELD, 0.5]),
         };
         let shown = shown_by_map(slam, VIEWS_FOR_READOUT, &camera, (size, &prior), taken_out);
         (shown.intrinsics.radial[0], shown.sigma[1])
     };
-    let with_focal = shown(CALIBRATED[0]);
+    let with_focal = shown(FOCAL_SIGMA);
     if !is_shown(with_focal) {
         return None;
     }

@@ -3,7 +3,7 @@
 use crate::config::RunConfig;
 use crate::failure::{Classify, Failure};
 use crate::input::Input;
-use crate::map_camera::{TakenOut, as_calibrated, shown_by_map};
+use crate::map_camera::{HELD, LEFT_RADIAL, TakenOut, as_calibrated, shown_by_map};
 use crate::self_calibration::{Expected, OwnCalibration};
 use monogrid_calibration::{Estimate, Intrinsics, Parameters};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
@@ -108,13 +108,6 @@ fn refined_given((slam, taken_out): (&Slam, &TakenOut), input: &Input) -> Option
     let shown = shown_by_map(slam, VIEWS_PER_PIECE, &guess, (size, &prior), taken_out);
     given_as_shown(input.camera(), &guess, &shown, &input.interpretation)
 }
-
-/// Standard deviation of a term of distortion that is not refined.
-const HELD: f64 = 1e-6;
-
-/// Standard deviation of the radial distortion that a calibration has left in undistorted images: rectified images of
-/// KITTI keep 0.025.
-const LEFT_RADIAL: f64 = 0.03;
 
 /// A given camera with the focal length, the principal point and the radial distortion changed as the map shows, if it
 /// does.
