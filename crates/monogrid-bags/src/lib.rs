@@ -16,6 +16,7 @@
 #![deny(missing_docs)]
 
 mod bag;
+mod chunks;
 pub mod convert;
 mod db3;
 mod error;

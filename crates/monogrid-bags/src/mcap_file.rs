@@ -1,6 +1,7 @@
 //! rosbag2 in MCAP files.
 
 use crate::bag::{Messages, TopicKind};
+use crate::chunks::{InChunks, Records};
 use crate::error::BagError;
 use crate::message::{Raw, Wire};
 use mcap::parse_record;
@@ -9,7 +10,8 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Most bytes of a record, and of what is in a chunk.
@@ -20,15 +22,13 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     let options = LinearReaderOptions::default()
         .with_emit_chunks(true)
         .with_record_length_limit(MAX_BYTES);
-    Ok(Box::new(McapMessages {
+    let records = McapMessages {
         file: File::open(path).map_err(BagError::io(path))?,
-        path: path.to_owned(),
         reader: LinearReader::new_with_options(options),
         schemas: HashMap::new(),
         channels: HashMap::new(),
-        ready: VecDeque::new(),
-        ended: false,
-    }))
+    };
+    Ok(Box::new(InChunks::new(records, path.to_owned())))
 }
 
 struct Channel {
@@ -39,54 +39,30 @@ struct Channel {
 
 struct McapMessages {
     file: File,
-    path: PathBuf,
     reader: LinearReader,
     /// Only ever asked by number.
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, Channel>,
-    /// Of the chunk that was read last.
-    ready: VecDeque<Raw>,
-    ended: bool,
 }
 
-impl Iterator for McapMessages {
-    type Item = Result<Raw, BagError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some(message) = self.ready.pop_front() {
-                return Some(Ok(message));
-            }
-            if self.ended {
-                return None;
-            }
-            if let Err(reason) = self.read_on() {
-                self.ended = true;
-                return Some(Err(BagError::damaged(&self.path, reason)));
-            }
-        }
-    }
-}
-
-impl McapMessages {
-    /// Reads a record, or some bytes of it.
-    fn read_on(&mut self) -> Result<(), String> {
+impl Records for McapMessages {
+    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<ControlFlow<()>, String> {
         let (opcode, data) = match self.reader.next_event() {
             None => {
-                self.ended = true;
-                return Ok(());
+                return Ok(ControlFlow::Break(()));
             }
             Some(Err(error)) => return Err(error.to_string()),
             Some(Ok(LinearReadEvent::ReadRequest(bytes))) => {
                 let read = self.file.read(self.reader.insert(bytes));
                 self.reader
                     .notify_read(read.map_err(|error| error.to_string())?);
-                return Ok(());
+                return Ok(ControlFlow::Continue(()));
             }
             Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data.to_vec()),
         };
         if opcode != op::CHUNK {
-            return self.take(opcode, &data);
+            self.take(opcode, &data, messages)?;
+            return Ok(ControlFlow::Continue(()));
         }
         let Record::Chunk { header, data } =
             parse_record(opcode, &data).map_err(|e| e.to_string())?
@@ -103,14 +79,21 @@ impl McapMessages {
             let (body, behind) = after
                 .split_at_checked(length)
                 .ok_or("a chunk ends within a record")?;
-            self.take(opcode, body)?;
+            self.take(opcode, body, messages)?;
             rest = behind;
         }
-        Ok(())
+        Ok(ControlFlow::Continue(()))
     }
+}
 
+impl McapMessages {
     /// Takes what a record says.
-    fn take(&mut self, opcode: u8, data: &[u8]) -> Result<(), String> {
+    fn take(
+        &mut self,
+        opcode: u8,
+        data: &[u8],
+        messages: &mut VecDeque<Raw>,
+    ) -> Result<(), String> {
         if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
             return Ok(());
         }
@@ -143,7 +126,7 @@ impl McapMessages {
                     )
                 })?;
                 if let Some(wire) = channel.wire {
-                    self.ready.push_back(Raw {
+                    messages.push_back(Raw {
                         topic: Arc::clone(&channel.topic),
                         kind: channel.kind,
                         log_ns: i64::try_from(header.log_time).unwrap_or(i64::MAX),

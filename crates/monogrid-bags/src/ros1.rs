@@ -1,12 +1,14 @@
 //! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
 
 use crate::bag::{Messages, TopicKind};
+use crate::chunks::{InChunks, Records};
 use crate::error::BagError;
 use crate::message::{Raw, Wire};
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{self, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::Arc;
 
 /// What a file begins with.
@@ -24,55 +26,29 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     let mut file = BufReader::with_capacity(1 << 18, File::open(path).map_err(BagError::io(path))?);
     file.read_exact(&mut [0; MAGIC.len()])
         .map_err(BagError::io(path))?;
-    Ok(Box::new(Ros1Messages {
+    let records = Ros1Messages {
         file,
-        path: path.to_owned(),
         connections: HashMap::new(),
-        ready: VecDeque::new(),
-        ended: false,
-    }))
+    };
+    Ok(Box::new(InChunks::new(records, path.to_owned())))
 }
 
 struct Ros1Messages {
     file: BufReader<File>,
-    path: PathBuf,
     /// Topic and kind; only ever asked by number.
     connections: HashMap<u32, (Arc<str>, TopicKind)>,
-    /// Of the chunk that was read last.
-    ready: VecDeque<Raw>,
-    ended: bool,
 }
 
-impl Iterator for Ros1Messages {
-    type Item = Result<Raw, BagError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some(message) = self.ready.pop_front() {
-                return Some(Ok(message));
-            }
-            if self.ended {
-                return None;
-            }
-            if let Err(reason) = self.read_on() {
-                self.ended = true;
-                return Some(Err(BagError::damaged(&self.path, reason)));
-            }
-        }
-    }
-}
-
-impl Ros1Messages {
-    /// Reads a record of the file.
-    fn read_on(&mut self) -> Result<(), String> {
+impl Records for Ros1Messages {
+    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<ControlFlow<()>, String> {
         let Some(header) = block(&mut self.file)? else {
-            self.ended = true;
-            return Ok(());
+            return Ok(ControlFlow::Break(()));
         };
         let data = block(&mut self.file)?.ok_or("the file ends within a record")?;
         let fields = Header(&header);
         if fields.op() != Some(CHUNK) {
-            return self.take(fields, &data);
+            self.take(fields, &data, messages)?;
+            return Ok(ControlFlow::Continue(()));
         }
         let compression = fields.text("compression").unwrap_or_default();
         let size = fields.u32("size").ok_or("a chunk does not say its size")?;
@@ -82,13 +58,20 @@ impl Ros1Messages {
             let cut = || "a chunk ends within a record".to_owned();
             let header = block(&mut rest)?.ok_or_else(cut)?;
             let data = block(&mut rest)?.ok_or_else(cut)?;
-            self.take(Header(&header), &data)?;
+            self.take(Header(&header), &data, messages)?;
         }
-        Ok(())
+        Ok(ControlFlow::Continue(()))
     }
+}
 
+impl Ros1Messages {
     /// Takes what a record says.
-    fn take(&mut self, fields: Header, data: &[u8]) -> Result<(), String> {
+    fn take(
+        &mut self,
+        fields: Header,
+        data: &[u8],
+        messages: &mut VecDeque<Raw>,
+    ) -> Result<(), String> {
         match fields.op() {
             Some(CONNECTION) => {
                 let number = fields.u32("conn").ok_or("a connection without a number")?;
@@ -108,7 +91,7 @@ impl Ros1Messages {
                     .and_then(|time| <[u8; 8]>::try_from(time).ok());
                 let [a, b, c, d, nanoseconds @ ..] = time.ok_or("a message without a time")?;
                 let seconds = u32::from_le_bytes([a, b, c, d]);
-                self.ready.push_back(Raw {
+                messages.push_back(Raw {
                     topic: Arc::clone(topic),
                     kind: *kind,
                     log_ns: i64::from(seconds) * 1_000_000_000
