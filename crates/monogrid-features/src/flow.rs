@@ -42,9 +42,14 @@ impl Default for FlowConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowField {
     spacing_px: f32,
+    /// Number of columns of nodes.
     columns: usize,
     /// Row by row, px per unit of time.
     nodes: Vec<[f32; 2]>,
+    /// Pixels of a row between two columns of nodes: the first between each two, and the end of the row.
+    starts: Vec<usize>,
+    /// How far each pixel of a row is from the column before it to the one behind it, [0, 1).
+    fractions: Vec<f32>,
 }
 
 impl FlowField {
@@ -80,32 +85,44 @@ impl FlowField {
             let velocity = plane.velocity(&pixel) + beside;
             [velocity.x as f32, velocity.y as f32]
         };
-        Some(Self {
-            spacing_px: spacing_px as f32,
-            columns,
-            nodes: (0..columns * rows).map(node).collect(),
-        })
+        let nodes = (0..columns * rows).map(node).collect();
+        Some(Self::of_nodes(nodes, columns, spacing_px as f32, width))
     }
 
-    /// Velocity at a pixel of the image, px per unit of time.
-    #[must_use]
-    #[inline]
-    pub fn at(&self, x: f32, y: f32) -> [f32; 2] {
-        let (u, v) = (x.max(0.0) / self.spacing_px, y.max(0.0) / self.spacing_px);
-        let column = (u as usize).min(self.columns - 2);
-        let row = (v as usize).min(self.nodes.len() / self.columns - 2);
-        let (fx, fy) = (u - column as f32, v - row as f32);
-        let first = row * self.columns + column;
-        let [a, b] = [self.nodes[first], self.nodes[first + 1]];
-        let [c, d] = [
-            self.nodes[first + self.columns],
-            self.nodes[first + self.columns + 1],
-        ];
-        [0, 1].map(|k| {
-            let top = a[k] + fx * (b[k] - a[k]);
-            let bottom = c[k] + fx * (d[k] - c[k]);
-            top + fy * (bottom - top)
-        })
+    /// For images of this width.
+    fn of_nodes(nodes: Vec<[f32; 2]>, columns: usize, spacing_px: f32, width: usize) -> Self {
+        let places: Vec<f32> = (0..width).map(|x| x as f32 / spacing_px).collect();
+        let before = |place: &f32| (*place as usize).min(columns - 2);
+        Self {
+            spacing_px,
+            columns,
+            nodes,
+            starts: (0..columns)
+                .map(|column| places.partition_point(|place| before(place) < column))
+                .collect(),
+            fractions: places.iter().map(|p| p - before(p) as f32).collect(),
+        }
+    }
+
+    /// Velocities at the pixels of a row of the image, px per unit of time: their horizontal and their vertical parts.
+    pub fn row(&self, y: usize, parts: &mut [&mut [f32]; 2]) {
+        let place = y as f32 / self.spacing_px;
+        let row = (place as usize).min(self.nodes.len() / self.columns - 2);
+        let fy = place - row as f32;
+        let (upper, lower) = self.nodes[row * self.columns..].split_at(self.columns);
+        for (part, velocities) in parts.iter_mut().enumerate() {
+            for (column, pixels) in self.starts.windows(2).enumerate() {
+                let pixels = pixels[0]..pixels[1];
+                let [a, b] = [upper[column][part], upper[column + 1][part]];
+                let [c, d] = [lower[column][part], lower[column + 1][part]];
+                let fractions = &self.fractions[pixels.clone()];
+                for (velocity, fx) in velocities[pixels].iter_mut().zip(fractions) {
+                    let top = a + fx * (b - a);
+                    let bottom = c + fx * (d - c);
+                    *velocity = top + fy * (bottom - top);
+                }
+            }
+        }
     }
 }
 
@@ -222,7 +239,7 @@ mod tests {
         let mut rng = Rng::new(3);
         (0..300)
             .map(|_| {
-                let pixel = Vec2::new(640.0 * rng.uniform(), 480.0 * rng.uniform());
+                let pixel = Vec2::new(640.0 * rng.uniform(), 480.0 * rng.uniform()).map(f64::floor);
                 let point = pinhole.unproject(&pixel) * depth(&pixel);
                 let half = (turn.cross(&point) + shift) / 2.0;
                 FlowSample {
@@ -235,8 +252,13 @@ mod tests {
 
     fn largest_error(field: &FlowField, samples: &[FlowSample]) -> f64 {
         let error = |sample: &FlowSample| {
-            let [u, v] = field.at(sample.pixel.x as f32, sample.pixel.y as f32);
-            (sample.velocity - Vec2::new(u.into(), v.into())).norm()
+            let mut row = [[0.0; SIZE.0]; 2];
+            field.row(
+                sample.pixel.y as usize,
+                &mut row.each_mut().map(|part| &mut part[..]),
+            );
+            let [u, v] = row.map(|part| f64::from(part[sample.pixel.x as usize]));
+            (sample.velocity - Vec2::new(u, v)).norm()
         };
         samples.iter().map(error).fold(0.0, f64::max)
     }

@@ -65,17 +65,34 @@ impl Shutter {
 
     /// The image with every pixel where it is when the middle row is read; velocities in px per ns.
     fn rectify(&self, image: &GrayImage, flow: &FlowField) -> GrayImage {
+        let (width, height) = (image.width(), image.height());
+        let mut rectified = GrayImage::filled(width, height, 0.0);
+        let [mut xs, mut ys] = [(); 2].map(|()| vec![0.0; width.next_multiple_of(4)]);
+        for row in 0..height {
+            let mut places = [&mut xs[..width], &mut ys[..width]];
+            flow.row(row, &mut places);
+            self.seen_at(row, (width, height), places);
+            let fours = xs.as_chunks().0.iter().zip(ys.as_chunks().0);
+            for (values, (xs, ys)) in rectified.row_mut(row).chunks_mut(4).zip(fours) {
+                values.copy_from_slice(&bicubic(image, *xs, *ys)[..values.len()]);
+            }
+        }
+        rectified
+    }
+
+    /// From the velocities of the pixels of a row, px per ns, to where the image shows them.
+    fn seen_at(&self, row: usize, size: (usize, usize), [xs, ys]: [&mut [f32]; 2]) {
         let readout_ns = self.readout_ns as f32;
-        let per_pixel = self.direction.gradient((image.width(), image.height()));
+        let per_pixel = self.direction.gradient(size);
         let [per_x, per_y] = [per_pixel.x, per_pixel.y].map(|p| (self.readout_ns * p) as f32);
-        GrayImage::from_fn(image.width(), image.height(), |x, y| {
-            let (left, top) = (x as f32, y as f32);
-            let [u, v] = flow.at(left, top);
+        let pixels = xs.iter_mut().zip(ys).zip(self.phases.row(row));
+        for (column, ((x, y), phase)) in (0u16..).zip(pixels) {
+            let (u, v) = (*x, *y);
             // the row that shows it is read at another time: t = readout (phase + t (u, v) . gradient of the phase)
             let passed = per_x * u + per_y * v;
-            let time = readout_ns * self.phases.at(x, y) / (1.0 - passed).max(0.5);
-            bicubic(image, left + time * u, top + time * v)
-        })
+            let time = readout_ns * phase / (1.0 - passed).max(0.5);
+            (*x, *y) = (f32::from(column) + time * u, row as f32 + time * v);
+        }
     }
 }
 
