@@ -42,9 +42,9 @@ pub use images::{
 pub use imu::{ImuFile, write_imu};
 pub use recording::{
     ColourRecord, Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe,
-    KeyframeLink, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedEdge, RecordedFrame,
-    RecordedKeyframe, RecordedPoint, RecordedSession, Recording, RecordingReader, RecordingWriter,
-    Scale, SessionInfo,
+    KeyframeLink, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedCamera, RecordedEdge,
+    RecordedFrame, RecordedKeyframe, RecordedPoint, RecordedSession, Recording, RecordingReader,
+    RecordingWriter, Scale, SessionInfo,
 };
 pub use scans::{Scan, ScanPoint, ScansReader};
 pub use source::{

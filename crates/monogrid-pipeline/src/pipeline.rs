@@ -144,7 +144,7 @@ impl Pipeline {
             None => slam,
         };
         let camera = KeyframeCamera::new(pinhole, preparation.size());
-        let mapper = Mapper::new(settings.mapping, camera, settings.threads);
+        let mapper = Mapper::new(settings.mapping, settings.threads);
         let maps = LiveMaps::new(mapper, settings.map_from_world)?;
         let pipeline = Self {
             rectifier: preparation.shutter().map(Rectifier::new),
@@ -489,12 +489,8 @@ impl Finished {
                 world_from_keyframe: self.poses.in_main_map(keyframe.id).copied(),
             })
             .collect();
-        final_scans_counted(
-            &keyframes,
-            mapper.camera(),
-            mapper.config(),
-            self.threads,
-            done,
-        )
+        let size = finished.first().map_or((0, 0), |keyframe| keyframe.size());
+        let camera = KeyframeCamera::new(*self.slam.pinhole(), size);
+        final_scans_counted(&keyframes, &camera, mapper.config(), self.threads, done)
     }
 }

@@ -46,7 +46,7 @@ fn main() {
         ..MappingConfig::default()
     };
     let keyframes = options.number("keyframes", 45);
-    let (camera, scans, poses) = keyframes_of(Path::new(recording), keyframes, &config);
+    let (scans, poses) = keyframes_of(Path::new(recording), keyframes, &config);
     let points: usize = scans.iter().map(|s| s.pixels.len()).sum();
     println!(
         "{} keyframes, {points} measurements, cells of {} m",
@@ -54,11 +54,7 @@ fn main() {
         config.resolution
     );
 
-    let mut live = LiveMaps::new(
-        Mapper::new(config.clone(), camera, 1),
-        z_up_from_camera_world(),
-    )
-    .unwrap();
+    let mut live = LiveMaps::new(Mapper::new(config.clone(), 1), z_up_from_camera_world()).unwrap();
     let before = thread_seconds();
     for (scan, pose) in scans.iter().zip(&poses) {
         live.add(scan.clone(), *pose).unwrap();
@@ -75,12 +71,7 @@ fn main() {
         assert_eq!(reader.latest().unwrap().revision, closure);
     }
     let view = reader.latest().unwrap();
-    compare_with_scratch(
-        &view.global,
-        &Mapper::new(config, camera, 1),
-        &scans,
-        &snapshot,
-    );
+    compare_with_scratch(&view.global, &Mapper::new(config, 1), &scans, &snapshot);
     beside_tracking(
         Path::new(folder),
         live,
@@ -198,7 +189,7 @@ fn keyframes_of(
     recording: &Path,
     count: usize,
     config: &MappingConfig,
-) -> (KeyframeCamera, Vec<KeyframeScan>, Vec<Sim3>) {
+) -> (Vec<KeyframeScan>, Vec<Sim3>) {
     let recording = Recording::read(recording, ReadOptions { with_images: true }).unwrap();
     let camera = KeyframeCamera {
         pinhole: recording.session.pinhole,
@@ -227,7 +218,7 @@ fn keyframes_of(
         let later = drift((id / recorded.len()) as f64 * 0.1);
         poses.push(keyframe.world_from_keyframe.unwrap() * later);
     }
-    (camera, scans, poses)
+    (scans, poses)
 }
 
 /// A part of the drift that is corrected.

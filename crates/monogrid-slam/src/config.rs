@@ -1,6 +1,6 @@
 //! Settings of the whole system; the two profiles are two values of the same structs.
 
-use crate::{FragmentConfig, GraphConfig, SparseConfig, TrackingConfig};
+use crate::{FragmentConfig, GraphConfig, MergeConfig, SparseConfig, TrackingConfig};
 use monogrid_depth::DepthConfig;
 use monogrid_inertial::EstimateConfig;
 use serde::{Deserialize, Serialize};
@@ -53,6 +53,8 @@ pub struct SlamConfig {
     pub graph: GraphConfig,
     /// New fragments of the map after a loss.
     pub fragments: FragmentConfig,
+    /// When maps that were made apart are joined.
+    pub merge: MergeConfig,
     /// What an inertial sensor beside the camera says of its path, where there is one.
     pub inertial: EstimateConfig,
 }
@@ -70,6 +72,7 @@ impl SlamConfig {
             sparse: SparseConfig::thesis(),
             graph: GraphConfig::thesis(),
             fragments: FragmentConfig::default(),
+            merge: MergeConfig::default(),
             inertial: EstimateConfig::default(),
         }
     }

@@ -59,6 +59,62 @@ impl Default for FragmentConfig {
     }
 }
 
+/// When maps that were made apart are joined.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MergeConfig {
+    /// Keyframes of each of two maps that must be recognised in the other, verified by points in both directions, and agree pair by pair
+    /// about where the one lies in the other, as `fragments.max_disagreement` and `graph.places.drift` allow. Range [1, 1000].
+    pub min_agreeing: usize,
+    /// Of these pairs of keyframes, those that direct alignment must have confirmed. Range [0, 1000].
+    pub min_aligned: usize,
+    /// How many times as many keyframes must agree as agree about anything else: places that look alike. Range [1, 1000].
+    pub min_majority: f64,
+}
+
+impl Default for MergeConfig {
+    fn default() -> Self {
+        Self {
+            min_agreeing: 2,
+            min_aligned: 1,
+            min_majority: 1.5,
+        }
+    }
+}
+
+/// How much a set of sightings that agree pair by pair says; more keyframes count first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Agreement {
+    /// Its keyframes in the map of which fewer are in it.
+    pub keyframes: usize,
+    /// Its pairs of keyframes that direct alignment confirmed.
+    pub aligned: usize,
+}
+
+/// What two fragments that were made apart have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Meeting {
+    /// The two, the older first.
+    pub fragments: (FragmentId, FragmentId),
+    /// Pairs of keyframes, one of each, that show the same by their points in both directions.
+    pub sightings: usize,
+    /// The largest set of them that agree.
+    pub agreeing: Agreement,
+    /// The largest set of the others that agree.
+    pub contradicting: Agreement,
+}
+
+impl Meeting {
+    /// Whether that is enough to join the two.
+    #[must_use]
+    pub fn is_enough(&self, config: &MergeConfig) -> bool {
+        let needed = config.min_majority * self.contradicting.keyframes as f64;
+        self.agreeing.keyframes >= config.min_agreeing
+            && self.agreeing.aligned >= config.min_aligned
+            && self.agreeing.keyframes as f64 >= needed
+    }
+}
+
 /// What is known of a fragment other than the main map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fragment {
@@ -115,4 +171,40 @@ pub struct Bridge {
     pub common_frames: usize,
     /// Standard deviation of the logarithm of the scale behind the loss relative to that before it.
     pub scale_sigma: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_are_joined_by_enough_keyframes_that_agree_are_aligned_and_outnumber_the_others() {
+        let config = MergeConfig {
+            min_agreeing: 4,
+            min_aligned: 2,
+            min_majority: 1.5,
+        };
+        let is_enough = |keyframes, aligned, contradicting| {
+            let agreeing = Agreement { keyframes, aligned };
+            let contradicting = Agreement {
+                keyframes: contradicting,
+                aligned: 0,
+            };
+            let meeting = Meeting {
+                fragments: (0, 1),
+                sightings: 10,
+                agreeing,
+                contradicting,
+            };
+            meeting.is_enough(&config)
+        };
+        assert!(is_enough(4, 2, 0));
+        assert!(!is_enough(3, 2, 0));
+        assert!(!is_enough(4, 1, 0));
+        assert!(is_enough(6, 2, 4));
+        assert!(!is_enough(6, 2, 5));
+        // a single keyframe never joins anything by default, nor do points without direct alignment
+        let default = MergeConfig::default();
+        assert!(default.min_agreeing >= 2 && default.min_aligned >= 1);
+    }
 }

@@ -38,6 +38,12 @@ pub struct Keyframe {
 }
 
 impl Keyframe {
+    /// Width and height of its image, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.image.width(), self.image.height())
+    }
+
     /// Memory, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.image.as_slice().len() + self.pixels.capacity() * size_of::<DepthPixel>()

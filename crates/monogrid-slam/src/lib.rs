@@ -35,7 +35,9 @@ pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
     ReactivationConfig, SlamConfig, SlamError,
 };
-pub use fragments::{Bridge, Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP};
+pub use fragments::{
+    Agreement, Bridge, Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP, Meeting, MergeConfig,
+};
 pub use frame::FrameInput;
 pub use graph::{
     DirectEdgeConfig, DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod,
@@ -50,5 +52,5 @@ pub use report::{
 };
 pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
-pub use system::Slam;
+pub use system::{MergedMaps, Slam, merge_maps};
 pub use tracker::{PointTrackingConfig, TrackingConfig};

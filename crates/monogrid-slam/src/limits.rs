@@ -242,6 +242,11 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_bridge_scale_sigma: 0.0, 10.0;
         max_bridge_turn_deg: 0.0, 180.0;
     }));
+    all.extend(limits!("slam.merge", slam.merge, {
+        min_agreeing: 1.0, 1000.0;
+        min_aligned: 0.0, 1000.0;
+        min_majority: 1.0, 1000.0;
+    }));
     all.extend(limits!("slam.inertial", slam.inertial, {
         max_frames: 30.0, 100_000.0;
         gyroscope_bias_sigma: 0.00001, 1.0;

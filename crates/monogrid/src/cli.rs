@@ -1,6 +1,5 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
-use crate::commands::batch::BatchArgs;
 use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::check::CheckArgs;
@@ -11,6 +10,7 @@ use crate::commands::evaluate::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
 use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
 use crate::commands::info::InfoArgs;
 use crate::commands::map::MapArgs;
+use crate::commands::merge_runs::MergeRunsArgs;
 use crate::commands::mesh::MeshArgs;
 use crate::commands::plan::PlanArgs;
 use crate::commands::rescale::RescaleArgs;
@@ -58,7 +58,7 @@ pub fn command() -> clap::Command {
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 failed while running, 2 wrong usage or bad input,
-3 finished, but tracking never started or was lost for good (what was mapped is saved),
+3 finished, but tracking never started or was lost for good (what was mapped is saved), or recordings stay apart,
 4 interrupted (what was mapped until then is saved), 130 interrupted again: nothing more is saved.
 
 First steps:  monogrid demo
@@ -75,13 +75,6 @@ pub enum Command {
         after_help = "Example: monogrid run recordings/kitchen --out runs/kitchen --resolution 0.02"
     )]
     Run(Box<RunArgs>),
-    /// Many recordings, each by a run of its own: resumable, a status for each, several at once
-    #[command(
-        after_help = "Example: monogrid batch recordings.tsv --out maps --jobs 8\n\n\
-A list has a recording per line, and behind tabs what is said of it alone: name=NAME and options of `monogrid run`\n\
-as KEY=VALUE."
-    )]
-    Batch(BatchArgs),
     /// Cameras of this computer that can be a source
     #[command(after_help = "Example: monogrid cameras")]
     Cameras(CamerasArgs),
@@ -104,6 +97,9 @@ as KEY=VALUE."
         after_help = "Example: monogrid rescale runs/kitchen --scale-from camera-height=1.5m --out runs/kitchen-metric"
     )]
     Rescale(RescaleArgs),
+    /// Runs of different days and cameras as one map, as far as they show the same places
+    #[command(after_help = "Example: monogrid merge-runs runs/monday runs/tuesday --out runs/both")]
+    MergeRuns(MergeRunsArgs),
     /// Ground-truth map of a mesh, a point cloud, a built-in world, or posed depth images
     #[command(
         after_help = "Example: monogrid truth room.ply --trajectory groundtruth.txt --resolution 0.02 --out truth.ot"

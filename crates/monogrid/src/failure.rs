@@ -19,6 +19,8 @@ pub enum Outcome {
     Done,
     /// Exit code 3: tracking never started or was lost for good.
     NotTracked,
+    /// Exit code 3: not all recordings that were to be merged show the same places.
+    Apart,
     /// Exit code 4: the user stopped it; what there was until then is saved.
     Interrupted,
 }
@@ -74,7 +76,7 @@ impl Outcome {
     fn code(self) -> u8 {
         match self {
             Self::Done => 0,
-            Self::NotTracked => 3,
+            Self::NotTracked | Self::Apart => 3,
             Self::Interrupted => 4,
         }
     }

@@ -70,8 +70,6 @@ mod say;
 #[cfg(feature = "program")]
 mod args;
 #[cfg(feature = "program")]
-mod batch;
-#[cfg(feature = "program")]
 mod cli;
 #[cfg(feature = "program")]
 mod colours;
@@ -123,8 +121,6 @@ mod self_calibration;
 mod surface;
 #[cfg(feature = "program")]
 mod sweep;
-#[cfg(feature = "program")]
-mod tally;
 #[cfg(feature = "program")]
 mod usage;
 #[cfg(feature = "program")]

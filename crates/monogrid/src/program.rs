@@ -2,7 +2,7 @@
 
 use crate::cli::{Cli, Command, EvaluateCommand};
 use crate::config::RunConfig;
-use crate::{batch, commands, failure, memory, usage};
+use crate::{commands, failure, memory, usage};
 use monogrid_pipeline::Settings;
 use std::error::Error;
 use std::ffi::OsString;
@@ -14,7 +14,6 @@ use std::path::Path;
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     // the clock of "frames per second, everything included"
     usage::process_start();
-    batch::child::end_with_parent();
     memory::share_heaps();
     let cli = match Cli::parse(arguments) {
         Ok(cli) => cli,
@@ -23,13 +22,13 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let result = match &cli.command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),
-        Command::Batch(args) => commands::batch::execute(args),
         Command::Calibrate(args) => commands::calibrate::execute(args),
         Command::Cameras(args) => commands::cameras::execute(args),
         Command::Check(args) => commands::check::execute(args),
         Command::View(args) => commands::view::execute(args),
         Command::Map(args) => commands::map::execute(args),
         Command::Rescale(args) => commands::rescale::execute(args),
+        Command::MergeRuns(args) => commands::merge_runs::execute(args),
         Command::Truth(args) => commands::truth::execute(args),
         Command::Synth(args) => commands::synth::execute(args),
         Command::Info(args) => commands::info::execute(args),

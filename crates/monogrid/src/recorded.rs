@@ -9,15 +9,17 @@ use crate::run::align::{Align, MapFrame, Scene};
 use crate::run::sensed::SensedFrame;
 use crate::run::sessions::{frame_beside, tracked_frame};
 use crate::surface::{CellColours, ColouredScan};
-use monogrid_datasets::{ReadOptions, RecordedKeyframe, Recording, Scale, SessionInfo};
+use monogrid_datasets::{
+    ReadOptions, RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo,
+};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_occupancy::{MapError, OccupancyMap};
+use monogrid_slam::TrackedFrame;
 use monogrid_slam::mapping::{
     KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe, SceneCell,
     UprightView, camera_paths, final_scans, scene_cell,
 };
-use monogrid_slam::{DepthPixel, TrackedFrame};
 use std::cell::OnceCell;
 use std::path::Path;
 
@@ -28,8 +30,6 @@ pub struct Recorded {
     pub session: SessionInfo,
     /// Its settings; `None` when they cannot be understood.
     pub config: Option<RunConfig>,
-    /// Camera of the keyframes.
-    pub camera: KeyframeCamera,
     /// Keyframes in the order of their ids.
     pub keyframes: Vec<RecordedKeyframe>,
     /// The frames of all sessions relative to their keyframes, where the run ended by itself.
@@ -64,7 +64,6 @@ impl Recorded {
             None => align.clone(),
         };
         let session = recording.session;
-        let camera = keyframe_camera(&session);
         let mapping = config
             .clone()
             .unwrap_or_else(|| RunConfig::of(Profile::Default))
@@ -74,16 +73,14 @@ impl Recorded {
             align.frame(&trajectory, &SensedFrame::default(), &mut || Scene {
                 views: views_of(
                     &recording.keyframes,
-                    scans.get_or_init(|| scans_of(&recording.keyframes, &camera, &mapping, 1)),
+                    scans.get_or_init(|| scans_of(&recording.keyframes, &mapping, 1)),
                 ),
-                camera,
                 config: &mapping.upright,
             });
         if let Some(reason) = align_failure {
             return Err(Failure::input(reason));
         }
         Ok(Self {
-            camera,
             session,
             config,
             keyframes: recording.keyframes,
@@ -108,9 +105,9 @@ impl Recorded {
     ) -> Result<(OccupancyMap, MapStats, Option<SceneCell>), MapError> {
         let is_metric = self.frame.is_aligned || self.session.scale == Scale::Metric;
         let cell = (config.auto_resolution && !is_metric)
-            .then(|| scene_cell(&views_of(&self.keyframes, scans), &self.camera, config))
+            .then(|| scene_cell(&views_of(&self.keyframes, scans), config))
             .flatten();
-        let mut mapper = Mapper::new(config.clone(), self.camera, threads);
+        let mut mapper = Mapper::new(config.clone(), threads);
         if let Some(cell) = &cell {
             mapper = mapper.with_resolution(cell.edge);
         }
@@ -128,7 +125,7 @@ impl Recorded {
 
     /// What of each keyframe is mapped.
     pub fn scans(&self, config: &MappingConfig, threads: usize) -> Vec<KeyframeScan> {
-        scans_of(&self.keyframes, &self.camera, config, threads)
+        scans_of(&self.keyframes, config, threads)
     }
 
     /// Colours of the cells of a map with this edge, by its [scans](Self::scans).
@@ -144,7 +141,7 @@ impl Recorded {
             })
             .collect();
         let colours = Colours::of(&self.keyframes);
-        CellColours::new(&coloured, &colours, &self.camera.pinhole, resolution)
+        CellColours::new(&coloured, &colours, resolution)
     }
 
     /// Poses of the keyframes in the world of the run.
@@ -163,9 +160,9 @@ impl Recorded {
                 let pose = self.frame.map_from_world * keyframe.world_from_keyframe?;
                 Some(View {
                     world_from_camera: pose.to_se3(),
-                    camera: self.camera.pinhole,
-                    width: self.camera.width,
-                    height: self.camera.height,
+                    camera: keyframe.camera.pinhole,
+                    width: keyframe.camera.width,
+                    height: keyframe.camera.height,
                 })
             })
             .collect()
@@ -175,13 +172,49 @@ impl Recorded {
 /// What of each keyframe is mapped.
 fn scans_of(
     keyframes: &[RecordedKeyframe],
-    camera: &KeyframeCamera,
     config: &MappingConfig,
     threads: usize,
 ) -> Vec<KeyframeScan> {
-    let pixels: Vec<_> = keyframes.iter().map(|k| from_recorded(&k.pixels)).collect();
-    let keyframes = posed_keyframes(keyframes, &pixels);
-    final_scans(&keyframes, camera, config, threads)
+    by_camera(keyframes, |posed, camera| {
+        final_scans(posed, camera, config, threads)
+    })
+}
+
+/// Something of each keyframe, made from those of the same camera: depth is made better by images of its own camera only.
+pub fn by_camera<T>(
+    keyframes: &[RecordedKeyframe],
+    of_camera: impl Fn(&[PosedKeyframe], &KeyframeCamera) -> Vec<T>,
+) -> Vec<T> {
+    let mut made: Vec<(u32, T)> = Vec::with_capacity(keyframes.len());
+    for camera in cameras_of(keyframes) {
+        let same = || keyframes.iter().filter(|k| k.camera == camera);
+        let pixels: Vec<_> = same().map(|k| from_recorded(&k.pixels)).collect();
+        let posed: Vec<PosedKeyframe> = same()
+            .zip(&pixels)
+            .map(|(keyframe, pixels)| PosedKeyframe {
+                id: keyframe.id,
+                image: keyframe.image.as_ref(),
+                pixels,
+                world_from_keyframe: keyframe.world_from_keyframe,
+            })
+            .collect();
+        let size = (camera.width, camera.height);
+        let of_camera = of_camera(&posed, &KeyframeCamera::new(camera.pinhole, size));
+        made.extend(posed.iter().map(|posed| posed.id).zip(of_camera));
+    }
+    made.sort_by_key(|(id, _)| *id);
+    made.into_iter().map(|(_, made)| made).collect()
+}
+
+/// The cameras of keyframes, in the order in which they come.
+pub fn cameras_of(keyframes: &[RecordedKeyframe]) -> Vec<RecordedCamera> {
+    let mut cameras: Vec<RecordedCamera> = Vec::new();
+    for keyframe in keyframes {
+        if !cameras.contains(&keyframe.camera) {
+            cameras.push(keyframe.camera);
+        }
+    }
+    cameras
 }
 
 /// Keyframes as the search for up needs them.
@@ -197,32 +230,6 @@ fn views_of<'a>(
         })
     });
     posed.collect()
-}
-
-/// The camera of the keyframes of a recording.
-pub fn keyframe_camera(session: &SessionInfo) -> KeyframeCamera {
-    KeyframeCamera {
-        pinhole: session.pinhole,
-        width: session.width,
-        height: session.height,
-    }
-}
-
-/// Keyframes with their final poses, and the depths given.
-pub fn posed_keyframes<'a>(
-    keyframes: &'a [RecordedKeyframe],
-    pixels: &'a [Vec<DepthPixel>],
-) -> Vec<PosedKeyframe<'a>> {
-    keyframes
-        .iter()
-        .zip(pixels)
-        .map(|(keyframe, pixels)| PosedKeyframe {
-            id: keyframe.id,
-            image: keyframe.image.as_ref(),
-            pixels,
-            world_from_keyframe: keyframe.world_from_keyframe,
-        })
-        .collect()
 }
 
 fn warnings(recording: &Recording, has_settings: bool) -> Vec<String> {

@@ -41,6 +41,121 @@ fn first_run() -> &'static Path {
     folder
 }
 
+/// Later frames of the same, mapped by themselves: of unknown scale, and by a camera that sees less.
+fn later_run() -> &'static Path {
+    static FOLDER: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
+    let (_, folder) = FOLDER.get_or_init(|| {
+        let dir = tempfile::tempdir().unwrap();
+        let source = dir.path().join("cut");
+        cropped_sequence(&source);
+        let folder = dir.path().join("later");
+        let output = run(&source, &folder, &["--rolling-shutter", "0"]);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        (dir, folder)
+    });
+    folder
+}
+
+/// Frames 50 to 130 of the small sequence without what lies at the left and at the top.
+fn cropped_sequence(folder: &Path) {
+    let (left, top) = (24, 16);
+    fs::create_dir_all(folder.join("rgb")).unwrap();
+    let dataset = Dataset::open(small_sequence(), SourceOptions::default()).unwrap();
+    let mut list = String::new();
+    let mut size = (0, 0);
+    for (index, frame) in dataset.frames[50..130].iter().enumerate() {
+        let image = read_gray(&frame.path).unwrap();
+        size = (image.width() - left, image.height() - top);
+        let cut = Image::from_fn(size.0, size.1, |x, y| image.at(x + left, y + top) as u8);
+        let name = format!("rgb/{index}.png");
+        fs::write(folder.join(&name), encode_png(&cut)).unwrap();
+        list += &format!("{:.6} {name}\n", frame.timestamp_ns as f64 * 1e-9);
+    }
+    fs::write(folder.join("rgb.txt"), list).unwrap();
+    let camera = fs::read_to_string(small_sequence().join("calibration.txt")).unwrap();
+    let line = camera.lines().find(|line| !line.starts_with('#')).unwrap();
+    let mut numbers: Vec<f64> = line
+        .split_whitespace()
+        .map(|n| n.parse().unwrap())
+        .collect();
+    let last = numbers.len() - 2;
+    numbers[2] -= left as f64;
+    numbers[3] -= top as f64;
+    (numbers[last], numbers[last + 1]) = (size.0 as f64, size.1 as f64);
+    let words: Vec<String> = numbers.iter().map(f64::to_string).collect();
+    fs::write(folder.join("calibration.txt"), words.join(" ") + "\n").unwrap();
+}
+
+#[test]
+fn runs_of_two_cameras_become_one_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let merge = |runs: [&Path; 2], name: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        let mut args = vec!["merge-runs", text(runs[0]), text(runs[1]), "--json"];
+        args.extend(["--out", text(&out)]);
+        args.extend(more);
+        (monogrid(args), out)
+    };
+    let (first, later) = (first_run(), later_run());
+    let before = (files(first), files(later));
+    let (output, both) = merge([first, later], "both", &[]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(before == (files(first), files(later)), "a run was changed");
+    let summary = json(&output);
+    assert_eq!(summary["scale"], "metric", "the first run is in metres");
+    assert_eq!(summary["components"].as_array().unwrap().len(), 1);
+    // both cameras lie in one frame, in metres
+    let all = [1, 2].map(|number| poses(&both.join(format!("trajectory_{number}.txt"))));
+    assert!(all[1].len() > 50, "{}", all[1].len());
+    let truth = poses(&small_sequence().join("groundtruth.txt"));
+    let report = evaluate_trajectory(&all.concat(), &truth, &TrajectoryConfig::default()).unwrap();
+    assert!(
+        report.ate_rmse < 0.015 * report.path_length,
+        "{}",
+        report.ate_rmse
+    );
+    assert!((report.scale - 1.0).abs() < 0.03, "{}", report.scale);
+    // it is a recording as others are, with the camera of each keyframe
+    let recording = both.join("recording.mgk");
+    let again = dir.path().join("again.ot");
+    let output = monogrid(["map", text(&recording), "--out", text(&again)]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(fs::read(&again).unwrap() == fs::read(both.join("global.ot")).unwrap());
+    let (output, _) = merge([&both, first], "twice", &["--resolution", "0.2"]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    // two cameras cannot be gone on with
+    let more = ["--continue", text(&both), "--max-frames", "20"];
+    let refused = run(small_sequence(), &dir.path().join("on"), &more);
+    assert_fails(&refused, 2, &["several cameras"]);
+    // the order and the number of threads change nothing but the numbers
+    let (output, swapped) = merge(
+        [later, first],
+        "swapped",
+        &["--threads", "1", "--resolution", "0.2"],
+    );
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(fs::read(swapped.join("recording.mgk")).unwrap() == fs::read(recording).unwrap());
+    // where too little agrees both stay as they are
+    let strict = [
+        "--set",
+        "slam.merge.min_agreeing=1000",
+        "--resolution",
+        "0.2",
+    ];
+    let (output, apart) = merge([first, later], "apart", &strict);
+    assert_eq!(code(&output), 3, "{}", stderr(&output));
+    assert_eq!(json(&output)["components"].as_array().unwrap().len(), 2);
+    for place in ["", "apart_1/"] {
+        let recording = apart.join(format!("{place}recording.mgk"));
+        let info = monogrid(["map", text(&recording), "--out", text(&apart.join("a.ot"))]);
+        assert_eq!(code(&info), 0, "{}", stderr(&info));
+        fs::remove_file(apart.join("a.ot")).unwrap();
+    }
+    // a recording is not merged with itself
+    let (output, _) = merge([first, first], "itself", &[]);
+    assert_fails(&output, 2, &["same recording"]);
+}
+
 fn poses(file: &Path) -> Vec<StampedPose> {
     read_trajectory(file)
         .unwrap()

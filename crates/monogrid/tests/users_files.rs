@@ -49,7 +49,7 @@ f 1 2 3 4\nf 5 6 7 8\nf 1 2 6 5\nf 4 3 7 8\nf 1 4 8 5\nf 2 3 7 6\n";
 const INSIDE: &str = "0 1.0 0.5 0.5 0 0 0 1\n0.5 1.05 0.5 0.5 0 0 0 1\n1 1.1 0.5 0.5 0 0 0 1\n";
 
 /// Two keyframes that see a wall.
-fn write_recording(path: &Path) {
+fn write_recording(path: &Path, idepth: f32) {
     let (width, height) = (80, 60);
     let session = SessionInfo {
         pinhole: Pinhole::new(60.0, 60.0, 39.5, 29.5),
@@ -66,7 +66,7 @@ fn write_recording(path: &Path) {
         let pixels = (0..400u16).map(|i| DepthPixel {
             x: 20 + i % 20,
             y: 20 + i / 20,
-            idepth: 0.5,
+            idepth,
             idepth_var: 1e-4,
         });
         writer
@@ -74,6 +74,7 @@ fn write_recording(path: &Path) {
                 id,
                 frame_index: 10 * u64::from(id),
                 timestamp_ns: 1_000_000_000 * i64::from(id),
+                camera: None,
                 image: Some(Image::from_fn(width, height, |x, y| {
                     ((x * 7 + y * 13) % 251) as u8
                 })),
@@ -164,16 +165,11 @@ impl Sources {
         fs::write(this.path("sim3.txt"), "1 0 0 0 0 0 0 1\n").unwrap();
         fs::write(this.path("mesh.obj"), BOX_OBJ).unwrap();
         fs::write(this.path("inside.txt"), INSIDE).unwrap();
-        let batch = format!(
-            "{}\tname=images\tcalibration={}\n",
-            this.text("images"),
-            this.text("camera.txt")
-        );
-        fs::write(this.path("recordings.tsv"), batch).unwrap();
-        write_recording(&this.path("recording.mgk"));
+        write_recording(&this.path("recording.mgk"), 0.5);
+        write_recording(&this.path("later.mgk"), 0.4);
         // what a run leaves
         fs::create_dir(this.path("run")).unwrap();
-        write_recording(&this.path("run/recording.mgk"));
+        write_recording(&this.path("run/recording.mgk"), 0.5);
         fs::write(this.path("run/trajectory.txt"), POSES).unwrap();
         fs::write(this.path("run/map_from_world.txt"), "1 0 0 0 0 0 0 1\n").unwrap();
         fs::write(this.path("run/summary.json"), "{\"scale\": \"arbitrary\"}").unwrap();
@@ -230,17 +226,12 @@ impl Sources {
             "@mesh.obj --trajectory @inside.txt --frames 2 --size 64x48 --truth-resolution 0.1";
         let sweep = "@recording.mgk --truth @map.ot --resolutions 0.2";
         let rescale = "@run --scale-from trajectory:@poses.txt";
+        let merge_runs = "@run @later.mgk --config @settings.toml";
+        let read_by_merge_runs = "run/recording.mgk run/map_from_world.txt later.mgk settings.toml";
         let read_by_rescale = "run/recording.mgk run/summary.json poses.txt";
         vec![
             self.call("run", "--out", "", run, read_by_run),
             self.call("demo", "--out", "", "--max-frames 1", ""),
-            self.call(
-                "batch",
-                "--out",
-                "",
-                "@recordings.tsv",
-                "recordings.tsv camera.txt",
-            ),
             self.call("calibrate", "--out", "", "@board", "board/1.png"),
             self.call("synth", "--out", "", synth, "mesh.obj inside.txt"),
             self.call("sensor-model", "--plot", "", "", ""),
@@ -248,6 +239,7 @@ impl Sources {
             self.call("slice", "", "", "@map.ot", "map.ot"),
             self.call("sweep", "--out", "", sweep, "recording.mgk map.ot"),
             self.call("rescale", "--out", "", rescale, read_by_rescale),
+            self.call("merge-runs", "--out", "", merge_runs, read_by_merge_runs),
         ]
     }
 
@@ -341,12 +333,12 @@ impl Call {
         match self.command {
             "run" => &["config.toml", "recording.mgk", "summary.json"],
             "demo" => &["config.toml"],
-            "batch" => &["tasks/images/task.json", "tasks/images/log.txt"],
             "calibrate" => &["calibration.txt", "residuals.svg"],
             "synth" => &["truth.ot", "rgb.txt", "rgb/000000.png", "mesh.ply"],
             "sensor-model" => &["sensor-models.html"],
             "man" => &["monogrid.1", "monogrid-evaluate-map.1"],
             "slice" => &["slice_0000.png"],
+            "merge-runs" => &["recording.mgk", "apart_1/recording.mgk", "global.ot"],
             "rescale" => &["recording.mgk", "summary.json", "global.ot"],
             "sweep" => &["sweep.json", "sweep.html", "maps.csv"],
             other => panic!("what does {other} write?"),

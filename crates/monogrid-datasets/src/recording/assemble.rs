@@ -1,7 +1,9 @@
 //! The state of a run at the end of its recording.
 
 use super::{Continuation, Damage, PoseSnapshot};
-use super::{DepthPixel, EndRecord, KeyframeRecord, Record, RecordingReader, SessionInfo};
+use super::{
+    DepthPixel, EndRecord, KeyframeRecord, Record, RecordedCamera, RecordingReader, SessionInfo,
+};
 use crate::DatasetError;
 use monogrid_geometry::{Camera, Distortion, Sim3};
 use monogrid_image::Image;
@@ -31,6 +33,8 @@ pub struct RecordedKeyframe {
     pub frame_index: u64,
     /// Time, nanoseconds.
     pub timestamp_ns: i64,
+    /// Its camera.
+    pub camera: RecordedCamera,
     /// The undistorted image, if recorded and asked for.
     pub image: Option<Image<u8>>,
     /// The same in colour, a JPEG file as it was recorded, where the source has colour.
@@ -88,27 +92,30 @@ impl Recording {
         for record in reader.by_ref() {
             newest.take(record?);
         }
-        let session = newest.session.take().filter(is_usable);
+        let session = newest.session.take();
+        let session = session.filter(|session| is_usable(&session.camera()));
         let session = session
             .ok_or_else(|| DatasetError::binary(path, "recording", "it has no session record"))?;
         let pose_revision = newest.poses.as_ref().map(|poses| poses.revision);
-        newest.place_keyframes((session.width, session.height));
-        let mut continuation = newest.continuation;
-        let mut keyframes: Vec<RecordedKeyframe> = newest.keyframes.into_values().collect();
+        let (mut continuation, end) = (newest.continuation.take(), newest.end.take());
+        let mut keyframes = newest.placed_keyframes(&session.camera());
         let num_invalid_pixels = keyframes
             .iter_mut()
-            .map(|k| drop_invalid(&mut k.pixels, &session))
+            .map(|k| drop_invalid(&mut k.pixels, &k.camera))
             .sum();
         let num_invalid_links = continuation.as_mut().map_or(0, |c: &mut Continuation| {
-            let exists = |id: u32| keyframes.binary_search_by_key(&id, |k| k.id).is_ok();
-            c.drop_invalid(exists, (session.width, session.height))
+            c.drop_invalid(|id: u32| {
+                let found = keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
+                let camera = keyframes[found].camera;
+                Some((camera.width, camera.height))
+            })
         });
         Ok(Self {
             session,
             keyframes,
             pose_revision,
             continuation,
-            end: newest.end,
+            end,
             damage: reader.damage(),
             num_invalid_pixels,
             num_invalid_links,
@@ -120,7 +127,7 @@ impl Recording {
 #[derive(Default)]
 struct Newest {
     session: Option<SessionInfo>,
-    keyframes: BTreeMap<u32, RecordedKeyframe>,
+    keyframes: BTreeMap<u32, NewestKeyframe>,
     poses: Option<PoseSnapshot>,
     continuation: Option<Continuation>,
     end: Option<EndRecord>,
@@ -132,13 +139,18 @@ impl Newest {
         match record {
             Record::Session(session) => self.session = Some(session),
             Record::Keyframe(keyframe) => {
-                self.keyframes.insert(keyframe.id, recorded(keyframe));
+                let newest = NewestKeyframe {
+                    record: keyframe,
+                    colour: None,
+                    depth_revision: 0,
+                };
+                self.keyframes.insert(newest.record.id, newest);
             }
             Record::Depth(depth) => {
                 if let Some(keyframe) = self.keyframes.get_mut(&depth.keyframe_id)
                     && depth.revision >= keyframe.depth_revision
                 {
-                    keyframe.pixels = depth.pixels;
+                    keyframe.record.pixels = depth.pixels;
                     keyframe.depth_revision = depth.revision;
                 }
             }
@@ -158,50 +170,57 @@ impl Newest {
         }
     }
 
-    /// Gives the keyframes their poses and takes images of another size than the session's from them: they belong to none.
-    fn place_keyframes(&mut self, size: (usize, usize)) {
-        for keyframe in self.keyframes.values_mut() {
-            let image = keyframe.image.take();
-            keyframe.image = image.filter(|image| (image.width(), image.height()) == size);
-        }
-        for (id, pose) in self.poses.take().into_iter().flat_map(|poses| poses.poses) {
-            if let Some(keyframe) = self.keyframes.get_mut(&id) {
-                keyframe.world_from_keyframe = Some(pose);
-            }
-        }
+    /// The keyframes with their cameras, that of the session where they have none of their own, and poses. One whose camera could not be one
+    /// is left out; an image of another size than its camera's belongs to none.
+    fn placed_keyframes(self, of_session: &RecordedCamera) -> Vec<RecordedKeyframe> {
+        let poses = self.poses.into_iter().flat_map(|poses| poses.poses);
+        let poses: BTreeMap<u32, Sim3> = poses.collect();
+        let keyframes = self.keyframes.into_values().filter_map(|newest| {
+            let record = newest.record;
+            let camera = record.camera.unwrap_or(*of_session);
+            let size = (camera.width, camera.height);
+            is_usable(&camera).then(|| RecordedKeyframe {
+                id: record.id,
+                frame_index: record.frame_index,
+                timestamp_ns: record.timestamp_ns,
+                camera,
+                image: record
+                    .image
+                    .filter(|image| (image.width(), image.height()) == size),
+                colour: newest.colour,
+                pixels: record.pixels,
+                depth_revision: newest.depth_revision,
+                world_from_keyframe: poses.get(&record.id).copied(),
+            })
+        });
+        keyframes.collect()
     }
 }
 
-fn recorded(keyframe: KeyframeRecord) -> RecordedKeyframe {
-    RecordedKeyframe {
-        id: keyframe.id,
-        frame_index: keyframe.frame_index,
-        timestamp_ns: keyframe.timestamp_ns,
-        image: keyframe.image,
-        colour: None,
-        pixels: keyframe.pixels,
-        depth_revision: 0,
-        world_from_keyframe: None,
-    }
+/// The newest of what belongs to a keyframe.
+struct NewestKeyframe {
+    record: KeyframeRecord,
+    colour: Option<Vec<u8>>,
+    depth_revision: u32,
 }
 
 /// Longest side of a keyframe, px: that of the largest working size.
 const MAX_SIDE: usize = 8192;
 
-/// Whether the camera of a session could be one.
-fn is_usable(session: &SessionInfo) -> bool {
-    let (width, height) = (session.width, session.height);
+/// Whether a camera could be one.
+fn is_usable(camera: &RecordedCamera) -> bool {
+    let (width, height) = (camera.width, camera.height);
     width.max(height) <= MAX_SIDE
-        && Camera::try_new(width, height, session.pinhole, Distortion::None).is_ok()
+        && Camera::try_new(width, height, camera.pinhole, Distortion::None).is_ok()
 }
 
 /// Removes pixels that no mapper could use; returns how many.
-fn drop_invalid(pixels: &mut Vec<DepthPixel>, session: &SessionInfo) -> u64 {
+fn drop_invalid(pixels: &mut Vec<DepthPixel>, camera: &RecordedCamera) -> u64 {
     let before = pixels.len();
     let positive = |v: f32| v.is_finite() && v > 0.0;
     pixels.retain(|p| {
-        usize::from(p.x) < session.width
-            && usize::from(p.y) < session.height
+        usize::from(p.x) < camera.width
+            && usize::from(p.y) < camera.height
             && positive(p.idepth)
             && positive(p.idepth_var)
     });

@@ -103,15 +103,18 @@ pub struct RecordedFrame {
 }
 
 impl Continuation {
-    /// Drops what names a keyframe that does not exist, a pixel outside the images of `size` (width, height), or
-    /// a measurement without content; returns how much.
+    /// Drops what names a keyframe that does not exist, a pixel outside its image, or a measurement without content; returns how
+    /// much. `size_of` says the width and height of the image of a keyframe that exists.
     pub(super) fn drop_invalid(
         &mut self,
-        exists: impl Fn(u32) -> bool,
-        size: (usize, usize),
+        size_of: impl Fn(u32) -> Option<(usize, usize)>,
     ) -> usize {
-        let (width, height) = (size.0 as f64, size.1 as f64);
-        let is_inside = |[x, y]: [f64; 2]| (0.0..width).contains(&x) && (0.0..height).contains(&y);
+        let exists = |id: u32| size_of(id).is_some();
+        let is_inside = |id: u32, [x, y]: [f64; 2]| {
+            size_of(id).is_some_and(|(width, height)| {
+                (0.0..width as f64).contains(&x) && (0.0..height as f64).contains(&y)
+            })
+        };
         let count = |c: &Self| {
             c.keyframes.len() + c.edges.len() + c.points.len() + c.frames.len() + c.fragments.len()
         };
@@ -129,11 +132,10 @@ impl Continuation {
         self.points.retain(|point| {
             let [idepth, _, sigma] = point.idepth;
             let mut observations = point.observations.iter();
-            exists(point.host)
-                && is_inside(point.pixel)
+            is_inside(point.host, point.pixel)
                 && idepth > 0.0
                 && sigma > 0.0
-                && observations.all(|(id, pixel)| exists(*id) && is_inside(*pixel))
+                && observations.all(|(id, pixel)| is_inside(*id, *pixel))
         });
         self.frames
             .retain(|f| exists(f.keyframe) && (f.session as usize) < num_sessions);

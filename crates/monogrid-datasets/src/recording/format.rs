@@ -3,7 +3,7 @@
 use super::continuation;
 use super::{
     ColourRecord, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
-    Scale, SessionInfo,
+    RecordedCamera, Scale, SessionInfo,
 };
 use crate::bytes::Input;
 use crate::images::decode_png_luma8;
@@ -30,6 +30,8 @@ const KIND_POSES: u32 = 4;
 const KIND_END: u32 = 5;
 const KIND_CONTINUATION: u32 = 6;
 const KIND_COLOUR: u32 = 7;
+/// Unknown to readers that know one camera only, which would take the keyframe for one of it.
+const KIND_KEYFRAME_OF_CAMERA: u32 = 8;
 
 const IMAGE_NONE: u8 = 0;
 const IMAGE_RAW: u8 = 1;
@@ -104,10 +106,7 @@ pub(super) fn encode_record(record: &Record) -> Option<Vec<u8>> {
 }
 
 fn encode_session(session: &SessionInfo, out: &mut Bytes) -> u32 {
-    let Pinhole { fx, fy, cx, cy } = session.pinhole;
-    [fx, fy, cx, cy].into_iter().for_each(|v| out.f64(v));
-    out.u32(session.width as u32);
-    out.u32(session.height as u32);
+    encode_camera(&session.camera(), out);
     out.0.push(match session.scale {
         Scale::Arbitrary => 0,
         Scale::Metric => 1,
@@ -122,7 +121,17 @@ fn encode_session(session: &SessionInfo, out: &mut Bytes) -> u32 {
     KIND_SESSION
 }
 
+fn encode_camera(camera: &RecordedCamera, out: &mut Bytes) {
+    let Pinhole { fx, fy, cx, cy } = camera.pinhole;
+    [fx, fy, cx, cy].into_iter().for_each(|v| out.f64(v));
+    out.u32(camera.width as u32);
+    out.u32(camera.height as u32);
+}
+
 fn encode_keyframe(keyframe: &KeyframeRecord, out: &mut Bytes) -> Option<u32> {
+    if let Some(camera) = &keyframe.camera {
+        encode_camera(camera, out);
+    }
     out.u32(keyframe.id);
     out.u64(keyframe.frame_index);
     out.u64(keyframe.timestamp_ns as u64);
@@ -149,7 +158,10 @@ fn encode_keyframe(keyframe: &KeyframeRecord, out: &mut Bytes) -> Option<u32> {
         }
     }
     out.pixels(&keyframe.pixels)?;
-    Some(KIND_KEYFRAME)
+    Some(match keyframe.camera {
+        None => KIND_KEYFRAME,
+        Some(_) => KIND_KEYFRAME_OF_CAMERA,
+    })
 }
 
 fn encode_poses(snapshot: &PoseSnapshot, out: &mut Bytes) -> Option<u32> {
@@ -175,7 +187,10 @@ pub(super) fn decode_record(
     let mut input = Input::new(payload);
     let record = match kind {
         KIND_SESSION => decode_session(&mut input).map(Record::Session),
-        KIND_KEYFRAME => decode_keyframe(&mut input, with_images).map(Record::Keyframe),
+        KIND_KEYFRAME => decode_keyframe(&mut input, None, with_images).map(Record::Keyframe),
+        KIND_KEYFRAME_OF_CAMERA => decode_camera(&mut input)
+            .and_then(|camera| decode_keyframe(&mut input, Some(camera), with_images))
+            .map(Record::Keyframe),
         KIND_DEPTH => decode_depth(&mut input).map(Record::Depth),
         KIND_COLOUR if !with_images => return Ok(None),
         KIND_COLOUR => decode_colour(&mut input).map(Record::Colour),
@@ -188,11 +203,11 @@ pub(super) fn decode_record(
 }
 
 fn decode_session(input: &mut Input) -> Option<SessionInfo> {
-    let [fx, fy, cx, cy] = [input.f64()?, input.f64()?, input.f64()?, input.f64()?];
+    let camera = decode_camera(input)?;
     Some(SessionInfo {
-        pinhole: Pinhole::new(fx, fy, cx, cy),
-        width: input.u32()? as usize,
-        height: input.u32()? as usize,
+        pinhole: camera.pinhole,
+        width: camera.width,
+        height: camera.height,
         scale: match input.u8()? {
             0 => Scale::Arbitrary,
             1 => Scale::Metric,
@@ -205,7 +220,20 @@ fn decode_session(input: &mut Input) -> Option<SessionInfo> {
     })
 }
 
-fn decode_keyframe(input: &mut Input, with_images: bool) -> Option<KeyframeRecord> {
+fn decode_camera(input: &mut Input) -> Option<RecordedCamera> {
+    let [fx, fy, cx, cy] = [input.f64()?, input.f64()?, input.f64()?, input.f64()?];
+    Some(RecordedCamera {
+        pinhole: Pinhole::new(fx, fy, cx, cy),
+        width: input.u32()? as usize,
+        height: input.u32()? as usize,
+    })
+}
+
+fn decode_keyframe(
+    input: &mut Input,
+    camera: Option<RecordedCamera>,
+    with_images: bool,
+) -> Option<KeyframeRecord> {
     let id = input.u32()?;
     let frame_index = input.u64()?;
     let timestamp_ns = input.u64()? as i64;
@@ -223,6 +251,7 @@ fn decode_keyframe(input: &mut Input, with_images: bool) -> Option<KeyframeRecor
         id,
         frame_index,
         timestamp_ns,
+        camera,
         image,
         pixels: input.pixels()?,
     })

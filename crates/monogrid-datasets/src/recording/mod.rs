@@ -52,6 +52,29 @@ pub struct SessionInfo {
     pub config: String,
 }
 
+/// Camera of the (undistorted) images of keyframes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecordedCamera {
+    /// Intrinsics, px.
+    pub pinhole: Pinhole,
+    /// Width of the images, px.
+    pub width: usize,
+    /// Height of the images, px.
+    pub height: usize,
+}
+
+impl SessionInfo {
+    /// The camera of all keyframes that have none of their own.
+    #[must_use]
+    pub fn camera(&self) -> RecordedCamera {
+        RecordedCamera {
+            pinhole: self.pinhole,
+            width: self.width,
+            height: self.height,
+        }
+    }
+}
+
 /// Inverse depth of one pixel of a keyframe, in the keyframe's own unit of length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthPixel {
@@ -74,6 +97,8 @@ pub struct KeyframeRecord {
     pub frame_index: u64,
     /// Time, nanoseconds.
     pub timestamp_ns: i64,
+    /// Its camera, where it is not that of the session: recordings that were merged have several.
+    pub camera: Option<RecordedCamera>,
     /// The undistorted image.
     pub image: Option<Image<u8>>,
     /// Its semi-dense depth.

@@ -106,6 +106,7 @@ fn keyframe(id: u32, image: Option<Image<u8>>) -> KeyframeRecord {
         id,
         frame_index: u64::from(id),
         timestamp_ns: i64::from(id),
+        camera: None,
         image,
         pixels: Vec::new(),
     }

@@ -3,7 +3,7 @@
 use super::images::gray;
 use monogrid_datasets::{
     ColourRecord, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, ReadOptions,
-    Record, Recording, RecordingReader, RecordingWriter, Scale, SessionInfo,
+    Record, RecordedCamera, Recording, RecordingReader, RecordingWriter, Scale, SessionInfo,
 };
 use monogrid_geometry::{Pinhole, Sim3, Vec7};
 use monogrid_image::Image;
@@ -40,6 +40,7 @@ fn keyframe(id: u32, image: Option<Image<u8>>) -> KeyframeRecord {
         id,
         frame_index: 10 * u64::from(id),
         timestamp_ns: 1_403_715_273_262_142_976 + i64::from(id),
+        camera: None,
         image,
         pixels: pixels(20 + id as usize, id as usize),
     }
@@ -129,6 +130,59 @@ pub fn file_of_size(width: usize, height: usize, records: &[Record]) -> Vec<u8> 
         writer.append(record).expect("writable");
     }
     std::fs::read(&path).expect("readable")
+}
+
+/// A keyframe of another camera than the session's.
+fn keyframe_of(camera: RecordedCamera) -> KeyframeRecord {
+    let image = gray(camera.width, camera.height);
+    KeyframeRecord {
+        camera: Some(camera),
+        pixels: vec![
+            DepthPixel {
+                x: 70,
+                y: 9,
+                ..pixels(1, 0)[0]
+            },
+            DepthPixel {
+                x: 80,
+                ..pixels(1, 0)[0]
+            },
+        ],
+        ..keyframe(1, Some(image))
+    }
+}
+
+#[test]
+fn a_keyframe_may_have_a_camera_of_its_own() {
+    let camera = RecordedCamera {
+        pinhole: Pinhole::new(70.0, 71.0, 40.0, 25.0),
+        width: 80,
+        height: 50,
+    };
+    let of_session = gray(64, 48);
+    let records = [
+        Record::Keyframe(keyframe(0, Some(of_session))),
+        Record::Keyframe(keyframe_of(camera)),
+    ];
+    let recording = Recording::read(&write(&records).path, ReadOptions::default()).expect("whole");
+    let [first, second] = &recording.keyframes[..] else {
+        panic!("two keyframes");
+    };
+    assert_eq!(first.camera, session().camera());
+    assert_eq!(second.camera, camera);
+    // what lies inside is judged by its own camera
+    let size = second.image.as_ref().map(|i| (i.width(), i.height()));
+    assert_eq!(size, Some((80, 50)));
+    assert_eq!(second.pixels.len(), 1);
+    assert_eq!(recording.num_invalid_pixels, 1);
+    // a keyframe of a camera that cannot be is none
+    let impossible = RecordedCamera {
+        pinhole: Pinhole::new(0.0, 71.0, 40.0, 25.0),
+        ..camera
+    };
+    let records = [Record::Keyframe(keyframe_of(impossible))];
+    let recording = Recording::read(&write(&records).path, ReadOptions::default()).expect("whole");
+    assert!(recording.keyframes.is_empty());
 }
 
 struct Written {

@@ -13,6 +13,7 @@ pub(super) struct Side<'a> {
     pub features: &'a [Feature],
     pub landmarks: &'a [Option<Landmark>],
     pub grid: FeatureGrid<'a>,
+    pub pinhole: &'a Pinhole,
 }
 
 impl<'a> Side<'a> {
@@ -20,11 +21,13 @@ impl<'a> Side<'a> {
         features: &'a [Feature],
         landmarks: &'a [Option<Landmark>],
         size: (usize, usize),
+        pinhole: &'a Pinhole,
     ) -> Self {
         Self {
             features,
             landmarks,
             grid: FeatureGrid::new(features, size.0, size.1),
+            pinhole,
         }
     }
 }
@@ -39,7 +42,6 @@ pub(super) fn locate(
     b: &Side<'_>,
     matches: &[DescriptorMatch],
     freedom: Freedom,
-    pinhole: &Pinhole,
     config: &PlaceMemoryConfig,
 ) -> Option<(Fit, Vec<Correspondence>)> {
     let sightings: Vec<PointPixel> = matches
@@ -51,17 +53,17 @@ pub(super) fn locate(
             })
         })
         .collect();
-    let rigid = absolute_pose(&sightings, pinhole, &config.pose)?;
+    let rigid = absolute_pose(&sightings, b.pinhole, &config.pose)?;
     let pairs = matches.iter().map(|m| (m.b_idx, m.a_idx)).collect();
     let rough = correspondences(a, b, pairs, freedom, config);
-    let mut pose = with_scale(&rough, &Sim3::from(rigid), pinhole, freedom, config)?;
+    let mut pose = with_scale(&rough, &Sim3::from(rigid), freedom, config)?;
     let mut best = None;
     for radius_px in RADII_PX {
         let area = SearchArea {
             radius_px,
             max_distance: config.max_guided_distance,
         };
-        let mut pairs: Vec<(usize, usize)> = search(a.landmarks, &b.grid, &pose, pinhole, area)
+        let mut pairs: Vec<(usize, usize)> = search(a.landmarks, &b.grid, &pose, b.pinhole, area)
             .into_iter()
             .map(
                 |Pair {
@@ -71,13 +73,13 @@ pub(super) fn locate(
             )
             .collect();
         if freedom == Freedom::Similarity {
-            let back = search(b.landmarks, &a.grid, &pose.inverse(), pinhole, area);
+            let back = search(b.landmarks, &a.grid, &pose.inverse(), a.pinhole, area);
             pairs.extend(back.into_iter().map(|p| (p.feature_idx, p.landmark_idx)));
         }
         pairs.sort_unstable();
         pairs.dedup();
         let found = correspondences(a, b, pairs, freedom, config);
-        let fit = refine(&found, pinhole, &pose, freedom)?;
+        let fit = refine(&found, &pose, freedom)?;
         pose = fit.b_from_a;
         best = Some((fit, found));
     }
@@ -101,6 +103,7 @@ fn correspondences(
             relative_sigma: landmark.relative_sigma,
             pixel: feature.pixel,
             sigma_px: sigma_px(feature),
+            pinhole: *to.pinhole,
         })
     };
     let both = pairs.into_iter().map(|(i, j)| Correspondence {
@@ -119,7 +122,6 @@ fn correspondences(
 fn with_scale(
     correspondences: &[Correspondence],
     b_from_a: &Sim3,
-    pinhole: &Pinhole,
     freedom: Freedom,
     config: &PlaceMemoryConfig,
 ) -> Option<Sim3> {
@@ -131,7 +133,7 @@ fn with_scale(
         .filter_map(|c| {
             let (forward, backward) = (c.forward.as_ref()?, c.backward.as_ref()?);
             let point = *b_from_a * forward.point;
-            let error = pinhole.project(&point) - forward.pixel;
+            let error = forward.pinhole.project(&point) - forward.pixel;
             let is_close = point.z > 1e-6 && error.norm() < 2.0 * config.pose.max_error_px;
             is_close.then(|| backward.point.z / point.z)
         })

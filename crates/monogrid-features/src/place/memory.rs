@@ -46,6 +46,7 @@ pub struct LoopMatch {
 /// A remembered keyframe.
 #[derive(Clone, Debug)]
 struct Known {
+    pinhole: Pinhole,
     pyramid: Arc<Pyramid>,
     features: Vec<Feature>,
     landmarks: Vec<Option<Landmark>>,
@@ -55,6 +56,10 @@ impl Known {
     fn size(&self) -> (usize, usize) {
         let image = self.pyramid.level(0);
         (image.width(), image.height())
+    }
+
+    fn side(&self) -> Side<'_> {
+        Side::new(&self.features, &self.landmarks, self.size(), &self.pinhole)
     }
 }
 
@@ -70,7 +75,7 @@ pub struct PlaceMemory {
 }
 
 impl PlaceMemory {
-    /// A memory without keyframes, for undistorted images of one camera.
+    /// A memory without keyframes, in which frames with this camera are looked for. Images are undistorted.
     #[must_use]
     pub fn new(pinhole: Pinhole, config: PlaceMemoryConfig) -> Self {
         Self {
@@ -102,23 +107,25 @@ impl PlaceMemory {
         self.known.is_empty()
     }
 
-    /// Remembers a keyframe. Returns whether it was new: a known identity gets the new depths, its
-    /// image stays.
+    /// Remembers a keyframe, which may have another camera than frames have. Returns whether it was new: a known
+    /// identity gets the new depths, its image stays.
     pub fn insert(
         &mut self,
         id: u64,
         pyramid: &Arc<Pyramid>,
         mask: Option<&Mask>,
         depth: &DepthLookup,
+        pinhole: &Pinhole,
     ) -> bool {
         let is_new = !self.known.contains_key(&id);
         let known = self.known.entry(id).or_insert_with(|| Known {
+            pinhole: *pinhole,
             pyramid: Arc::clone(pyramid),
             features: View::new(&self.extractor, pyramid, mask).features,
             landmarks: Vec::new(),
         });
         let max_sigma = self.config.max_relative_sigma;
-        known.landmarks = landmarks(&known.features, depth, &self.pinhole, max_sigma);
+        known.landmarks = landmarks(&known.features, depth, &known.pinhole, max_sigma);
         if is_new {
             let descriptors: Vec<Descriptor> =
                 known.features.iter().map(|f| f.descriptor).collect();
@@ -144,25 +151,24 @@ impl PlaceMemory {
         };
         let size = (image.width(), image.height());
         let view = View::new(&self.extractor, pyramid, mask);
-        let frame = Side::new(&view.features, &[], size);
+        let frame = Side::new(&view.features, &[], size, &self.pinhole);
         let candidates = self.look_alikes(&view.descriptors(), is_allowed);
         let mut found: Vec<Relocalisation> = candidates
             .iter()
             .filter_map(|candidate| {
                 let known = self.known.get(&candidate.place)?;
-                let keyframe = Side::new(&known.features, &known.landmarks, known.size());
+                let keyframe = known.side();
                 let (fit, correspondences) = locate(
                     &keyframe,
                     &frame,
                     &candidate.matches,
                     Freedom::Rigid,
-                    &self.pinhole,
                     &self.config,
                 )?;
                 if !is_determined(&fit, &correspondences, size, &self.config) {
                     return None;
                 }
-                let support = self.support(&known.landmarks, &view, &fit.b_from_a);
+                let support = self.support(&known.landmarks, &view, &self.pinhole, &fit.b_from_a);
                 let is_sound =
                     self.is_supported(&support, self.config.min_cells, self.config.min_agreement);
                 is_sound.then(|| Relocalisation {
@@ -187,19 +193,18 @@ impl PlaceMemory {
         };
         let descriptors: Vec<Descriptor> = this.features.iter().map(|f| f.descriptor).collect();
         let candidates = self.look_alikes(&descriptors, |other| other != id && is_allowed(other));
-        let this_side = Side::new(&this.features, &this.landmarks, this.size());
+        let this_side = this.side();
         let this_view = self.view_of(this);
         let mut found: Vec<LoopMatch> = candidates
             .iter()
             .filter_map(|candidate| {
                 let other = self.known.get(&candidate.place)?;
-                let other_side = Side::new(&other.features, &other.landmarks, other.size());
+                let other_side = other.side();
                 let (fit, correspondences) = locate(
                     &other_side,
                     &this_side,
                     &candidate.matches,
                     Freedom::Similarity,
-                    &self.pinhole,
                     &self.config,
                 )?;
                 if !is_determined(&fit, &correspondences, this.size(), &self.config) {
@@ -211,12 +216,14 @@ impl PlaceMemory {
                     ..
                 } = self.config;
                 let is_supported = |s| self.is_supported(s, min_loop_cells, min_loop_agreement);
-                let support = self.support(&other.landmarks, &this_view, &fit.b_from_a);
+                let support =
+                    self.support(&other.landmarks, &this_view, &this.pinhole, &fit.b_from_a);
                 if !is_supported(&support) {
                     return None;
                 }
                 let back = fit.b_from_a.inverse();
-                let support_of_other = self.support(&this.landmarks, &self.view_of(other), &back);
+                let support_of_other =
+                    self.support(&this.landmarks, &self.view_of(other), &other.pinhole, &back);
                 let is_sound = is_supported(&support_of_other);
                 is_sound.then_some(LoopMatch {
                     keyframe: candidate.place,
@@ -267,6 +274,7 @@ impl PlaceMemory {
         &self,
         landmarks: &[Option<Landmark>],
         view: &View,
+        pinhole: &Pinhole,
         view_from_keyframe: &Sim3,
     ) -> Support {
         support(
@@ -274,7 +282,7 @@ impl PlaceMemory {
             view,
             view_from_keyframe,
             &self.extractor,
-            &self.pinhole,
+            pinhole,
             self.config.max_guided_distance,
         )
     }

@@ -15,6 +15,8 @@ pub(super) struct Projection {
     pub pixel: Vec2,
     /// Standard deviation of that, px.
     pub sigma_px: f64,
+    /// Camera of the second view.
+    pub pinhole: Pinhole,
 }
 
 /// A corner seen by both views: at least one knows its depth.
@@ -60,14 +62,13 @@ type Row2 = SMatrix<f64, 2, 7>;
 /// Gauss-Newton from `initial`; `None` when the correspondences do not determine the pose.
 pub(super) fn refine(
     correspondences: &[Correspondence],
-    pinhole: &Pinhole,
     initial: &Sim3,
     freedom: Freedom,
 ) -> Option<Fit> {
     let mut pose = *initial;
     for (cut, num_steps) in CUTS {
         for _ in 0..num_steps {
-            let system = accumulate(correspondences, pinhole, &pose, cut);
+            let system = accumulate(correspondences, &pose, cut);
             let step = -system
                 .locked(freedom)
                 .cholesky()?
@@ -83,14 +84,14 @@ pub(super) fn refine(
     }
     let inliers: Vec<bool> = correspondences
         .iter()
-        .map(|c| is_inlier(c, pinhole, &pose, freedom))
+        .map(|c| is_inlier(c, &pose, freedom))
         .collect();
     let kept: Vec<Correspondence> = correspondences
         .iter()
         .zip(&inliers)
         .filter_map(|(c, is_inlier)| is_inlier.then_some(*c))
         .collect();
-    let system = accumulate(&kept, pinhole, &pose, f64::INFINITY);
+    let system = accumulate(&kept, &pose, f64::INFINITY);
     let mut covariance = system.locked(freedom).cholesky()?.inverse();
     if freedom == Freedom::Rigid {
         covariance[(6, 6)] = 0.0;
@@ -161,12 +162,7 @@ impl System {
     }
 }
 
-fn accumulate(
-    correspondences: &[Correspondence],
-    pinhole: &Pinhole,
-    pose: &Sim3,
-    cut: f64,
-) -> System {
+fn accumulate(correspondences: &[Correspondence], pose: &Sim3, cut: f64) -> System {
     let mut system = System {
         h: Mat7::zeros(),
         g: Vec7::zeros(),
@@ -176,13 +172,13 @@ fn accumulate(
     let inverse = pose.inverse();
     for c in correspondences {
         if let Some(forward) = &c.forward
-            && let Some(seen) = project(forward, pinhole, pose)
+            && let Some(seen) = project(forward, pose)
         {
             let row = seen.derivative * left_update(&seen.point);
             system.add_pixel(&row, &seen.residual, &seen.information, cut);
         }
         if let Some(backward) = &c.backward
-            && let Some(seen) = project(backward, pinhole, &inverse)
+            && let Some(seen) = project(backward, &inverse)
         {
             // a_from_b exp(-delta) point: the update acts on the point in b
             let linear = inverse.rotation.to_rotation_matrix().into_inner() * inverse.scale;
@@ -216,11 +212,12 @@ struct Seen {
     information: Matrix2<f64>,
 }
 
-fn project(projection: &Projection, pinhole: &Pinhole, second_from_first: &Sim3) -> Option<Seen> {
+fn project(projection: &Projection, second_from_first: &Sim3) -> Option<Seen> {
     let p = *second_from_first * projection.point;
     if p.z < 1e-6 {
         return None;
     }
+    let pinhole = &projection.pinhole;
     let (fx, fy) = (pinhole.fx / p.z, pinhole.fy / p.z);
     let derivative = Matrix2x3::new(fx, 0.0, -fx * p.x / p.z, 0.0, fy, -fy * p.y / p.z);
     // a relative change of depth moves the point along its ray from the first camera
@@ -249,10 +246,10 @@ fn depth_residual(c: &Correspondence, b_from_a: &Sim3) -> Option<(Vec7, f64, f64
 
 /// Whether everything known about a correspondence agrees with the pose. Depths of two keyframes can
 /// be compared only when the ratio of their units is known.
-fn is_inlier(c: &Correspondence, pinhole: &Pinhole, pose: &Sim3, freedom: Freedom) -> bool {
+fn is_inlier(c: &Correspondence, pose: &Sim3, freedom: Freedom) -> bool {
     let agrees = |projection: &Option<Projection>, pose: &Sim3| {
         projection.as_ref().is_none_or(|p| {
-            project(p, pinhole, pose)
+            project(p, pose)
                 .is_some_and(|s| s.residual.dot(&(s.information * s.residual)) < INLIER_CHI_SQ)
         })
     };
@@ -305,6 +302,7 @@ mod tests {
                     relative_sigma,
                     pixel: pixel_b,
                     sigma_px: 1.0,
+                    pinhole: PINHOLE,
                 }),
                 // every other corner has no depth in b; its ray there is the noisy pixel's
                 backward: (i % 2 == 0).then_some(Projection {
@@ -312,6 +310,7 @@ mod tests {
                     relative_sigma,
                     pixel: pixel_a,
                     sigma_px: 1.5,
+                    pinhole: PINHOLE,
                 }),
             });
         }
@@ -325,7 +324,7 @@ mod tests {
             let (correspondences, truth) = scene(seed, 150, 0.2);
             // off by about five pixels, as a pose of random samples is
             let start = Sim3::exp(&Vec7::from_element(0.005)) * truth;
-            let fit = refine(&correspondences, &PINHOLE, &start, Freedom::Similarity).unwrap();
+            let fit = refine(&correspondences, &start, Freedom::Similarity).unwrap();
             let error = (fit.b_from_a * truth.inverse()).log();
             let chi_sq = error.dot(&(fit.covariance.try_inverse().unwrap() * error));
             mean_chi_sq += chi_sq / 20.0;
@@ -361,7 +360,7 @@ mod tests {
                 };
                 let at = |pose: &Sim3| {
                     let pose = if only_forward { *pose } else { pose.inverse() };
-                    project(&projection, &PINHOLE, &pose).unwrap()
+                    project(&projection, &pose).unwrap()
                 };
                 let seen = at(&pose);
                 let row = if only_forward {
@@ -400,8 +399,8 @@ mod tests {
     #[test]
     fn without_correspondences_nothing_is_determined() {
         let pose = Sim3::identity();
-        assert!(refine(&[], &PINHOLE, &pose, Freedom::Rigid).is_none());
+        assert!(refine(&[], &pose, Freedom::Rigid).is_none());
         let (few, truth) = scene(1, 30, 0.0);
-        assert!(refine(&few[..2], &PINHOLE, &truth, Freedom::Rigid).is_none());
+        assert!(refine(&few[..2], &truth, Freedom::Rigid).is_none());
     }
 }

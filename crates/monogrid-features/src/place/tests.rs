@@ -96,7 +96,7 @@ fn memory() -> (PlaceMemory, Vec<Room>) {
     for (id, room) in (0u64..).zip(&rooms) {
         let pyramid = room.pyramid(&Se3::identity(), id);
         let depth = Room::depth(&Se3::identity(), 1.5, id);
-        assert!(memory.insert(id, &pyramid, None, &depth));
+        assert!(memory.insert(id, &pyramid, None, &depth, &PINHOLE));
     }
     (memory, rooms)
 }
@@ -165,7 +165,7 @@ fn two_keyframes_of_a_room_give_pose_and_ratio_of_units() {
         let world_from_this = camera(v);
         let pyramid = rooms[1].pyramid(&world_from_this, id);
         let depth = Room::depth(&world_from_this, unit, id);
-        memory.insert(id, &pyramid, None, &depth);
+        memory.insert(id, &pyramid, None, &depth, &PINHOLE);
         let found = memory.find_loops(id, |other| other < 3);
         assert_eq!(found.len(), 1);
         assert_eq!(found[0].keyframe, 1);
@@ -194,7 +194,7 @@ fn the_same_furniture_beside_another_wall_is_another_room() {
     let pyramid = twin.pyramid(&camera([0.05, 0.0, 0.1, 0.0, 0.02, 0.0]), 3);
     assert!(memory.relocalise(&pyramid, None, |_| true).is_empty());
     let depth = Room::depth(&Se3::identity(), 1.0, 4);
-    memory.insert(5, &pyramid, None, &depth);
+    memory.insert(5, &pyramid, None, &depth, &PINHOLE);
     assert!(memory.find_loops(5, |_| true).is_empty());
     // without the comparison of what should be seen it would have been taken for one
     let config = PlaceMemoryConfig {
@@ -204,7 +204,8 @@ fn the_same_furniture_beside_another_wall_is_another_room() {
     };
     let mut gullible = PlaceMemory::new(PINHOLE, config);
     let known = Room::new(10, 11).pyramid(&Se3::identity(), 0);
-    gullible.insert(0, &known, None, &Room::depth(&Se3::identity(), 1.5, 0));
+    let depth = Room::depth(&Se3::identity(), 1.5, 0);
+    gullible.insert(0, &known, None, &depth, &PINHOLE);
     assert_eq!(gullible.relocalise(&pyramid, None, |_| true).len(), 1);
 }
 
@@ -238,10 +239,10 @@ fn a_keyframe_can_get_new_depths() {
     assert!(memory.is_empty());
     let pyramid = Room::new(10, 11).pyramid(&Se3::identity(), 0);
     let nothing = DepthLookup::new(W, H, []);
-    assert!(memory.insert(0, &pyramid, None, &nothing));
+    assert!(memory.insert(0, &pyramid, None, &nothing, &PINHOLE));
     assert!(memory.relocalise(&pyramid, None, |_| true).is_empty());
     let depth = Room::depth(&Se3::identity(), 1.0, 0);
-    assert!(!memory.insert(0, &pyramid, None, &depth));
+    assert!(!memory.insert(0, &pyramid, None, &depth, &PINHOLE));
     assert_eq!(memory.len(), 1);
     assert_eq!(memory.relocalise(&pyramid, None, |_| true).len(), 1);
 }

@@ -73,7 +73,10 @@ impl Beams {
         config: &IntegrationConfig,
     ) -> Result<Self, MapError> {
         let resolution = map.resolution();
-        let mut tables = map.known_tables.set(config, resolution)?;
+        let mut tables = TableSet::new(
+            config.model.at_resolution(resolution),
+            config.update_limits(),
+        )?;
         let pose = &scan.world_from_sensor;
         let mut extent = Extent::EMPTY;
         let mut measured = Vec::with_capacity(scan.len());

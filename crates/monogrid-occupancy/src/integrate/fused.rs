@@ -23,7 +23,6 @@ use crate::evidence::Limits;
 use crate::key::BrickKey;
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
-use crate::sensor::table::KnownTables;
 use crate::storage::Shard;
 
 /// A scan ready to be written: what its measurements say, and the bricks that it changes. Does not
@@ -39,15 +38,15 @@ pub(crate) struct Prepared {
 }
 
 impl Prepared {
-    /// Prepares a valid scan for a map with cells of that edge.
+    /// Prepares a valid scan for a map with cells of edge `resolution`.
     fn new(
-        (resolution, known_tables): (f64, &KnownTables),
+        resolution: f64,
         scan: &Scan,
         config: &IntegrationConfig,
         threads: usize,
         only: BrickFilter,
     ) -> Result<Self, MapError> {
-        let images = RangeImages::new(scan, config, resolution, threads, known_tables)?;
+        let images = RangeImages::new(scan, config, resolution, threads)?;
         let points = images.points;
         let footprints = Footprints::new(images, config.max_range, resolution);
         let search = Search {
@@ -111,13 +110,7 @@ pub(crate) fn integrate_fused(
     only: BrickFilter,
 ) -> Result<IntegrationReport, MapError> {
     origin_in_cells(map, scan)?;
-    let prepared = Prepared::new(
-        (map.resolution(), &map.known_tables),
-        scan,
-        config,
-        threads,
-        only,
-    )?;
+    let prepared = Prepared::new(map.resolution(), scan, config, threads, only)?;
     prepared.check_budget(map)?;
     advance(map, &[&prepared], &[], config, threads);
     Ok(prepared.report)
@@ -197,8 +190,7 @@ fn advance(
     config: &IntegrationConfig,
     threads: usize,
 ) -> Vec<Result<Prepared, MapError>> {
-    let (limits, before) = (map.limits, map.revision);
-    let cells = (map.resolution(), &map.known_tables);
+    let (resolution, limits, before) = (map.resolution(), map.limits, map.revision);
     map.revision += present.len() as u32;
     // The largest first, so that no thread is left with one at the end.
     let cost = |index: usize| -> usize { present.iter().map(|p| p.tasks[index].len()).sum() };
@@ -212,7 +204,7 @@ fn advance(
     jobs.extend(shards.into_iter().map(|(i, shard)| Job::Write(i, shard)));
     for_each(&mut jobs, threads, |_, job| match job {
         Job::Prepare(scan, place) => {
-            **place = Some(Prepared::new(cells, scan, config, 1, None));
+            **place = Some(Prepared::new(resolution, scan, config, 1, None));
         }
         Job::Write(index, shard) => {
             for (scan, revision) in present.iter().zip(before + 1..) {
@@ -231,13 +223,7 @@ pub(crate) fn bricks_seen(
     threads: usize,
 ) -> Result<Vec<u64>, MapError> {
     origin_in_cells(map, scan)?;
-    let prepared = Prepared::new(
-        (map.resolution(), &map.known_tables),
-        scan,
-        config,
-        threads,
-        None,
-    )?;
+    let prepared = Prepared::new(map.resolution(), scan, config, threads, None)?;
     let tasks = prepared.tasks.into_iter().flatten();
     Ok(tasks.map(|task| task.0).collect())
 }
@@ -277,7 +263,7 @@ mod tests {
     /// Every cell around the sensor on its own: no search, no free bricks, no vectors.
     fn cell_by_cell(map: &mut OccupancyMap, scan: &Scan, config: &IntegrationConfig) {
         let resolution = map.resolution();
-        let images = RangeImages::new(scan, config, resolution, 1, &map.known_tables).unwrap();
+        let images = RangeImages::new(scan, config, resolution, 1).unwrap();
         let footprints = Footprints::new(images, config.max_range, resolution);
         let reach = (3.0 / resolution / 8.0).ceil() as i32;
         for x in -reach..reach {

@@ -259,7 +259,6 @@ mod tests {
     use crate::integrate::IntegrationConfig;
     use crate::integrate::image::RangeImages;
     use crate::scan::{PointScan, PoseSigma, Scan, ScanData, Similarity};
-    use crate::sensor::table::KnownTables;
 
     fn random(state: &mut u64) -> f32 {
         *state = state
@@ -296,14 +295,7 @@ mod tests {
             }),
         };
         let cell = 0.01;
-        let images = RangeImages::new(
-            &scan,
-            &IntegrationConfig::default(),
-            cell,
-            1,
-            &KnownTables::default(),
-        )
-        .unwrap();
+        let images = RangeImages::new(&scan, &IntegrationConfig::default(), cell, 1).unwrap();
         let windows = Windows::new(&images.images[0], &images.tables, 100.0);
         let view = View {
             image: &images.images[0],

@@ -2,6 +2,7 @@
 
 use super::GraphConfig;
 use crate::KeyframeId;
+use crate::mapping::KeyframeCamera;
 use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Pinhole, Sim3, Vec3};
 
@@ -24,7 +25,12 @@ impl Probes {
     }
 
     /// Share of the points that another keyframe sees from a similar direction and distance.
-    fn seen_in(&self, other_from_self: &Sim3, image: &ImageBounds, config: &GraphConfig) -> f64 {
+    fn seen_in(
+        &self,
+        other_from_self: &Sim3,
+        camera: &KeyframeCamera,
+        config: &GraphConfig,
+    ) -> f64 {
         if self.0.is_empty() {
             return 0.0;
         }
@@ -34,7 +40,7 @@ impl Probes {
             // the same ray, seen from the own camera, in the axes of the other
             let own_ray = other_from_self.rotation * **point * other_from_self.scale;
             let ratio = in_other.norm() / own_ray.norm();
-            image.contains(&in_other)
+            sees(camera, &in_other)
                 && in_other.dot(&own_ray) > max_cosine * in_other.norm() * own_ray.norm()
                 && ratio < config.max_distance_ratio
                 && ratio * config.max_distance_ratio > 1.0
@@ -43,22 +49,14 @@ impl Probes {
     }
 }
 
-/// Field of view of a keyframe.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ImageBounds {
-    pub pinhole: Pinhole,
-    pub width: f64,
-    pub height: f64,
-}
-
-impl ImageBounds {
-    fn contains(&self, point: &Vec3) -> bool {
-        if point.z <= 1e-6 {
-            return false;
-        }
-        let pixel = self.pinhole.project(point);
-        pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < self.width && pixel.y < self.height
+/// Whether a point is in the field of view of a camera.
+fn sees(camera: &KeyframeCamera, point: &Vec3) -> bool {
+    if point.z <= 1e-6 {
+        return false;
     }
+    let pixel = camera.pinhole.project(point);
+    let (width, height) = (camera.width as f64, camera.height as f64);
+    pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < width && pixel.y < height
 }
 
 /// A keyframe as the search sees it.
@@ -66,6 +64,7 @@ pub(crate) struct Candidate<'a> {
     pub id: KeyframeId,
     pub world_from_keyframe: Sim3,
     pub probes: &'a Probes,
+    pub camera: &'a KeyframeCamera,
 }
 
 /// The ten nearest keyframes, and all others with a large predicted overlap; nearest first, then by
@@ -73,17 +72,16 @@ pub(crate) struct Candidate<'a> {
 pub(crate) fn choose(
     own: &Candidate<'_>,
     others: &[Candidate<'_>],
-    image: &ImageBounds,
     config: &GraphConfig,
 ) -> Vec<KeyframeId> {
     let mut rated: Vec<(KeyframeId, f64, f64)> = others
         .iter()
         .map(|other| {
             let other_from_own = other.world_from_keyframe.inverse() * own.world_from_keyframe;
-            let forward = own.probes.seen_in(&other_from_own, image, config);
+            let forward = own.probes.seen_in(&other_from_own, other.camera, config);
             let backward = other
                 .probes
-                .seen_in(&other_from_own.inverse(), image, config);
+                .seen_in(&other_from_own.inverse(), own.camera, config);
             let units = own
                 .world_from_keyframe
                 .scale

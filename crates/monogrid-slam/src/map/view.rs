@@ -2,6 +2,7 @@
 
 use super::exposure::Exposure;
 use crate::KeyframeId;
+use crate::mapping::KeyframeCamera;
 use monogrid_alignment::DepthSample;
 use monogrid_image::Pyramid;
 use std::sync::Arc;
@@ -10,6 +11,8 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(crate) struct View {
     pub id: KeyframeId,
+    /// Camera of its image.
+    pub camera: KeyframeCamera,
     pub pyramid: Arc<Pyramid>,
     /// Depth in the keyframe's units.
     pub samples: Vec<DepthSample>,

@@ -1,6 +1,6 @@
 //! How large cells should be where the scale is not known: from what keyframes see and how precisely.
 
-use super::{KeyframeCamera, MappingConfig, UprightView};
+use super::{MappingConfig, UprightView};
 use serde::Serialize;
 
 /// Edge of a cell over the median depth: 5 cm in a room that is seen from 2.5 m.
@@ -55,13 +55,11 @@ impl SceneCell {
 
 /// The cell for a scene; `None` without depth.
 #[must_use]
-pub fn scene_cell(
-    views: &[UprightView],
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-) -> Option<SceneCell> {
+pub fn scene_cell(views: &[UprightView], config: &MappingConfig) -> Option<SceneCell> {
     let mut depths = Vec::new();
     let mut sigmas = Vec::new();
+    // free space before each: a pyramid
+    let mut volume = 0.0;
     for view in views {
         let scale = view.world_from_keyframe.scale;
         let pixels = view.scan.pixels.iter().filter(|p| p.idepth > 0.0);
@@ -70,15 +68,14 @@ pub fn scene_cell(
             of_view.push(scale / f64::from(pixel.idepth));
             sigmas.push(f64::from(pixel.sigma_idepth / pixel.idepth));
         }
-        depths.extend(median(&mut of_view));
+        if let Some(depth) = median(&mut of_view) {
+            let camera = &view.scan.camera;
+            let across = camera.width as f64 / camera.pinhole.fx;
+            let down = camera.height as f64 / camera.pinhole.fy;
+            volume += across * down * depth.min(config.max_range).powi(3) / 3.0;
+            depths.push(depth);
+        }
     }
-    // free space before each: a pyramid
-    let across = camera.width as f64 / camera.pinhole.fx;
-    let down = camera.height as f64 / camera.pinhole.fy;
-    let volume: f64 = depths
-        .iter()
-        .map(|depth| across * down * depth.min(config.max_range).powi(3) / 3.0)
-        .sum();
     let median_depth = median(&mut depths)?;
     let relative_sigma = median(&mut sigmas)?;
     let candidates = [
@@ -121,7 +118,7 @@ fn median(values: &mut [f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::KeyframeScan;
+    use crate::mapping::{KeyframeCamera, KeyframeScan};
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
     use monogrid_occupancy::DepthPixel as Measurement;
 
@@ -147,6 +144,7 @@ mod tests {
             .collect();
         let scan = KeyframeScan {
             id: 0,
+            camera: CAMERA,
             pixels,
             num_filled: 0,
         };
@@ -155,7 +153,7 @@ mod tests {
             image: None,
             world_from_keyframe: Sim3::new(scale, Rotation::identity(), Vec3::zeros()),
         };
-        scene_cell(&vec![view; keyframes], &CAMERA, &MappingConfig::default()).unwrap()
+        scene_cell(&vec![view; keyframes], &MappingConfig::default()).unwrap()
     }
 
     #[test]
@@ -191,6 +189,6 @@ mod tests {
         for none in [0.0, f64::NAN, f64::INFINITY, -1.0] {
             assert_eq!(rounded(none), None);
         }
-        assert!(scene_cell(&[], &CAMERA, &MappingConfig::default()).is_none());
+        assert!(scene_cell(&[], &MappingConfig::default()).is_none());
     }
 }

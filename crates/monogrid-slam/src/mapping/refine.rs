@@ -64,7 +64,7 @@ pub fn final_scans_counted(
     let kept = agreed(keyframes, &depths, camera, &config.fill, threads);
     let ids = keyframes.iter().map(|keyframe| keyframe.id);
     ids.zip(depths.into_iter().zip(kept))
-        .map(|(id, (depths, filled))| Depths { filled, ..depths }.joined(id))
+        .map(|(id, (depths, filled))| Depths { filled, ..depths }.joined(id, camera))
         .collect()
 }
 

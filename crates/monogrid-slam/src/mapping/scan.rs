@@ -34,6 +34,8 @@ impl KeyframeCamera {
 pub struct KeyframeScan {
     /// The keyframe.
     pub id: KeyframeId,
+    /// Its camera.
+    pub camera: KeyframeCamera,
     /// Its measurements, row-major, in units of the keyframe.
     pub pixels: Vec<Measurement>,
     /// How many of them were not measured, but filled in between ([`super::fill_plain_regions`]).
@@ -51,40 +53,31 @@ impl KeyframeScan {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        Depths::new(id, pixels, image, camera, config).joined(id)
+        Depths::new(id, pixels, image, camera, config).joined(id, camera)
     }
+}
 
-    /// The measurements that pass the filter.
-    fn measured(
-        id: KeyframeId,
-        pixels: &[DepthPixel],
-        camera: &KeyframeCamera,
-        config: &DepthFilterConfig,
-    ) -> Self {
-        if (id as usize) < config.skip_keyframes {
-            return Self {
-                id,
-                pixels: Vec::new(),
-                num_filled: 0,
-            };
-        }
-        let support = Support::new(pixels, camera, config);
-        let pixels = pixels
-            .iter()
-            .filter(|pixel| is_precise(pixel, config) && support.is_sufficient(pixel))
-            .map(|pixel| Measurement {
-                x: pixel.x,
-                y: pixel.y,
-                idepth: pixel.idepth,
-                sigma_idepth: pixel.idepth_var.sqrt(),
-            })
-            .collect();
-        Self {
-            id,
-            pixels,
-            num_filled: 0,
-        }
+/// The measurements that pass the filter.
+fn measured(
+    id: KeyframeId,
+    pixels: &[DepthPixel],
+    camera: &KeyframeCamera,
+    config: &DepthFilterConfig,
+) -> Vec<Measurement> {
+    if (id as usize) < config.skip_keyframes {
+        return Vec::new();
     }
+    let support = Support::new(pixels, camera, config);
+    pixels
+        .iter()
+        .filter(|pixel| is_precise(pixel, config) && support.is_sufficient(pixel))
+        .map(|pixel| Measurement {
+            x: pixel.x,
+            y: pixel.y,
+            idepth: pixel.idepth,
+            sigma_idepth: pixel.idepth_var.sqrt(),
+        })
+        .collect()
 }
 
 /// The depth of a keyframe before measured and filled depth become one.
@@ -105,7 +98,7 @@ impl Depths {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let measured = KeyframeScan::measured(id, pixels, camera, &config.filter).pixels;
+        let measured = measured(id, pixels, camera, &config.filter);
         let limit = config.filter.max_relative_sigma;
         let filled = match image {
             Some(image) if config.fill.enabled => {
@@ -117,7 +110,7 @@ impl Depths {
     }
 
     /// Both together.
-    pub fn joined(self, id: KeyframeId) -> KeyframeScan {
+    pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera) -> KeyframeScan {
         let num_filled = self.filled.len();
         let mut pixels = self.measured;
         pixels.extend(self.filled);
@@ -126,6 +119,7 @@ impl Depths {
         }
         KeyframeScan {
             id,
+            camera: *camera,
             pixels,
             num_filled,
         }
@@ -135,7 +129,12 @@ impl Depths {
 impl KeyframeScan {
     /// All known pixels of a depth image (z, NaN where unknown), at a constant relative uncertainty.
     #[must_use]
-    pub fn from_depth_image(id: KeyframeId, depth: &GrayImage, config: &MappingConfig) -> Self {
+    pub fn from_depth_image(
+        id: KeyframeId,
+        depth: &GrayImage,
+        pinhole: Pinhole,
+        config: &MappingConfig,
+    ) -> Self {
         let relative_sigma = config.depth_image_sigma as f32;
         let mut pixels = Vec::new();
         for y in 0..depth.height() {
@@ -152,6 +151,7 @@ impl KeyframeScan {
         }
         Self {
             id,
+            camera: KeyframeCamera::new(pinhole, (depth.width(), depth.height())),
             pixels,
             num_filled: 0,
         }
@@ -268,11 +268,7 @@ mod tests {
         let mut pixels = vec![lonely, contradicted, imprecise];
         pixels.extend(invalid);
         pixels.extend(patch);
-        let count = |config: &DepthFilterConfig| {
-            KeyframeScan::measured(3, &pixels, &CAMERA, config)
-                .pixels
-                .len()
-        };
+        let count = |config: &DepthFilterConfig| measured(3, &pixels, &CAMERA, config).len();
         assert_eq!(count(&DepthFilterConfig::default()), 5);
         assert_eq!(count(&MappingConfig::thesis().filter), 12);
         let late = DepthFilterConfig {
@@ -309,8 +305,8 @@ mod tests {
             })
             .map(|p| (p.x, p.y))
             .collect();
-        let scan = KeyframeScan::measured(0, &pixels, &CAMERA, &config);
-        let found: Vec<(u16, u16)> = scan.pixels.iter().map(|p| (p.x, p.y)).collect();
+        let kept = measured(0, &pixels, &CAMERA, &config);
+        let found: Vec<(u16, u16)> = kept.iter().map(|p| (p.x, p.y)).collect();
         assert_eq!(found, expected);
         assert!(found.len() > 20 && found.len() < pixels.len());
     }

@@ -51,7 +51,7 @@ impl GraphLink {
             config.graph.clone(),
             config.fragments.clone(),
             setup.pinhole,
-            setup.mask.clone(),
+            Some(setup.mask.clone()),
         )?;
         if let Some(restored) = restored {
             graph.restore(restored);

@@ -76,6 +76,7 @@ pub(super) fn finish_keyframe(setup: &Setup, map: &Map, active: &Active) -> Fini
 fn view(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> View {
     View {
         id: keyframe.id,
+        camera: setup.camera(),
         pyramid: Arc::clone(&keyframe.pyramid),
         samples: tracking_samples(depth, &setup.config.tracking),
         exposure: keyframe.exposure,

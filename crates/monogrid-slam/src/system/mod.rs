@@ -16,6 +16,7 @@
 //!   -> outcome          the report on the frame
 //!   -> odometry         motion without corrections
 //! sessions: what is kept for a later run
+//! merge: maps of several runs as one
 //! ```
 //!
 //! Stages are functions of settings, map and frame; what they find changes the map in
@@ -31,6 +32,7 @@ mod inertia;
 mod keyframes;
 mod loss;
 mod lost;
+mod merge;
 mod missed;
 mod odometry;
 mod outcome;
@@ -44,4 +46,5 @@ mod slam;
 mod steps;
 mod tracking;
 
+pub use merge::{MergedMaps, merge_maps};
 pub use slam::Slam;

@@ -9,9 +9,10 @@ use crate::graph::RestoredGraph;
 use crate::map::{Change, Exposure, Map, MapKeyframe, Observation, SeenPoints, SparsePoint, View};
 use crate::sparse::dense_links;
 use crate::stored::{ContinueError, Purpose, StoredKeyframe, StoredMap, StoredPoint};
-use crate::{Keyframe, KeyframeId, SlamConfig, SlamError, TrackedFrame};
+use crate::{FragmentId, Keyframe, KeyframeId, SlamConfig, SlamError, TrackedFrame};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::{Mask, Pyramid};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 impl Slam {
@@ -42,22 +43,7 @@ impl Slam {
             imu: None,
             left_radial: 0.0,
         };
-        let (scale, revision) = (map.scale, map.pose_revision);
-        let points = restored_points(&map);
-        let seen = seen_points(&points, map.keyframes.len());
-        let mut keyframes: Vec<MapKeyframe> = Vec::with_capacity(map.keyframes.len());
-        for (stored, seen) in map.keyframes.into_iter().zip(seen) {
-            let is_near = |other: &&MapKeyframe| other.fragment == stored.fragment;
-            let rank = keyframes.iter().filter(is_near).count() as u32;
-            keyframes.push(restored_keyframe(&setup, stored, rank, &points, seen)?);
-        }
-        let views = keyframes.iter().filter_map(|k| k.view.clone()).collect();
-        let mut restored = Map::restored(keyframes, points, scale, revision);
-        let graph = RestoredGraph {
-            views,
-            poses: Arc::clone(restored.snapshot()),
-            edges: map.edges,
-        };
+        let (mut restored, graph) = restored(&|_| &setup, map)?;
         let graph = GraphLink::new(&setup, Some(graph))?.map(|(link, edges)| {
             restored.apply(Change::Constrained(edges));
             link
@@ -69,32 +55,13 @@ impl Slam {
     /// [`Slam::finish`] before.
     #[must_use]
     pub fn stored_map(&self) -> StoredMap {
-        let map = &self.map;
-        let count = map.published().count();
-        let keyframes = map.keyframes().iter();
-        let edges = map.edges().iter();
-        StoredMap {
-            scale: map.scale(),
-            pose_revision: map.snapshot().revision,
-            keyframes: keyframes.filter_map(stored_keyframe).collect(),
-            edges: edges
-                .filter(|e| e.edge.i.max(e.edge.j) < count as u64)
-                .copied()
-                .collect(),
-            points: self.points(),
-        }
+        stored(&self.map, |_| self.setup.pinhole)
     }
 
     /// The points of the sparse layer, by their hosts, as finished keyframes see them.
     #[must_use]
     pub fn points(&self) -> Vec<StoredPoint> {
-        let count = self.map.published().count();
-        let is_finished = |id: KeyframeId| (id as usize) < count;
-        let points = self.map.points().iter();
-        points
-            .filter(|point| point.alive && is_finished(point.host))
-            .map(|point| stored_point(point, is_finished))
-            .collect()
+        stored_points(&self.map)
     }
 
     /// Frames with a believed pose in any fragment, relative to their keyframes, in the order of time.
@@ -104,9 +71,39 @@ impl Slam {
     }
 }
 
-fn stored_keyframe(keyframe: &MapKeyframe) -> Option<StoredKeyframe> {
+/// A map as it is kept; `pinhole_of` says the camera of a keyframe.
+pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> StoredMap {
+    let count = map.published().count();
+    let keyframes = map.keyframes().iter();
+    let edges = map.edges().iter();
+    StoredMap {
+        scale: map.scale(),
+        pose_revision: map.snapshot().revision,
+        keyframes: keyframes
+            .filter_map(|keyframe| stored_keyframe(keyframe, pinhole_of(keyframe.id)))
+            .collect(),
+        edges: edges
+            .filter(|e| e.edge.i.max(e.edge.j) < count as u64)
+            .copied()
+            .collect(),
+        points: stored_points(map),
+    }
+}
+
+fn stored_points(map: &Map) -> Vec<StoredPoint> {
+    let count = map.published().count();
+    let is_finished = |id: KeyframeId| (id as usize) < count;
+    let points = map.points().iter();
+    points
+        .filter(|point| point.alive && is_finished(point.host))
+        .map(|point| stored_point(point, is_finished))
+        .collect()
+}
+
+fn stored_keyframe(keyframe: &MapKeyframe, pinhole: Pinhole) -> Option<StoredKeyframe> {
     Some(StoredKeyframe {
         keyframe: Keyframe::clone(keyframe.published.as_ref()?),
+        pinhole,
         fragment: keyframe.fragment,
         world_from_keyframe: keyframe.world_from_keyframe,
         parent: keyframe.parent,
@@ -129,11 +126,34 @@ fn stored_point(point: &SparsePoint, is_finished: impl Fn(KeyframeId) -> bool) -
     }
 }
 
+/// A map as it was kept, and its graph; `setup_of` has the settings and the camera for a keyframe.
+pub(super) fn restored<'a>(
+    setup_of: &dyn Fn(&StoredKeyframe) -> &'a Setup,
+    map: StoredMap,
+) -> Result<(Map, RestoredGraph), ContinueError> {
+    let points = restored_points(&map);
+    let seen = seen_points(&points, map.keyframes.len());
+    let mut keyframes: Vec<MapKeyframe> = Vec::with_capacity(map.keyframes.len());
+    let mut ranks: BTreeMap<FragmentId, u32> = BTreeMap::new();
+    for (stored, seen) in map.keyframes.into_iter().zip(seen) {
+        let rank = ranks.entry(stored.fragment).or_default();
+        let setup = setup_of(&stored);
+        keyframes.push(restored_keyframe(setup, stored, *rank, &points, seen)?);
+        *rank += 1;
+    }
+    let views = keyframes.iter().filter_map(|k| k.view.clone()).collect();
+    let restored = Map::restored(keyframes, points, map.scale, map.pose_revision);
+    let graph = RestoredGraph {
+        views,
+        poses: Arc::clone(restored.snapshot()),
+        edges: map.edges,
+    };
+    Ok((restored, graph))
+}
+
 /// The points of a map that make sense, by their hosts.
 fn restored_points(map: &StoredMap) -> Vec<SparsePoint> {
-    let image = map.keyframes.first().map(|stored| &stored.keyframe.image);
-    let size = image.map_or((0, 0), |image| (image.width(), image.height()));
-    let is_usable = |point: &&StoredPoint| point.is_usable(map.keyframes.len(), size);
+    let is_usable = |point: &&StoredPoint| point.is_usable(&map.keyframes);
     let usable = map.points.iter().filter(is_usable);
     let mut points: Vec<SparsePoint> = usable
         .map(|point| SparsePoint {
@@ -210,6 +230,7 @@ fn restored_keyframe(
         depth: Some(Arc::new(depth.packed())),
         view: Some(Arc::new(View {
             id,
+            camera: setup.camera(),
             pyramid: Arc::clone(&pyramid),
             samples: tracking_samples(&depth, &setup.config.tracking),
             exposure,

@@ -3,6 +3,7 @@
 use super::camera::Known;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
+use crate::mapping::KeyframeCamera;
 use monogrid_geometry::{Pinhole, Rotation, Vec3};
 use monogrid_image::Mask;
 use monogrid_inertial::Imu;
@@ -27,6 +28,11 @@ pub(super) struct Setup {
 }
 
 impl Setup {
+    /// The camera of keyframes.
+    pub(super) fn camera(&self) -> KeyframeCamera {
+        KeyframeCamera::new(self.pinhole, (self.mask.width(), self.mask.height()))
+    }
+
     /// A frame as tracking needs it.
     pub(super) fn frame(&self, input: FrameInput) -> Frame {
         let finest = self.config.tracking.alignment.finest_level;

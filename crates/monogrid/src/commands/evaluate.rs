@@ -9,12 +9,12 @@ use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
 use crate::output::{Inputs, OutputFile};
-use crate::recorded::{keyframe_camera, posed_keyframes};
+use crate::recorded::{by_camera, cameras_of};
 use crate::run::align::stamped_all;
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{
-    Dataset, DepthRegistration, ReadOptions, Recording, Scale, SourceOptions, format_sim3,
-    parse_seconds, read_file, read_trajectory,
+    Dataset, DepthRegistration, ReadOptions, RecordedCamera, Recording, Scale, SourceOptions,
+    format_sim3, parse_seconds, read_file, read_trajectory,
 };
 use monogrid_evaluation::{
     DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, WrongPoseConfig,
@@ -199,12 +199,14 @@ fn compare(
         distortion: Distortion::None,
     };
     let calibration = depth_calibration(dataset, args.depth_calibration.as_deref(), &colour)?;
-    let registration = DepthRegistration::new(
-        &calibration,
-        &session.pinhole,
-        session.width,
-        session.height,
-    );
+    let registrations: Vec<(RecordedCamera, DepthRegistration)> = cameras_of(&recording.keyframes)
+        .into_iter()
+        .map(|camera| {
+            let (width, height) = (camera.width, camera.height);
+            let registration = DepthRegistration::new(&calibration, &camera.pinhole, width, height);
+            (camera, registration)
+        })
+        .collect();
     let mut comparison = DepthComparison::new();
     let mut seeded_left_out = 0;
     for (keyframe, pixels) in recording.keyframes.iter().zip(depths(recording, args)?) {
@@ -220,7 +222,11 @@ fn compare(
             seeded_left_out += 1;
             continue;
         }
-        let true_depth = registered_depth(&truth.path, &calibration, &registration)?;
+        let registration = registrations.iter().find(|(c, _)| *c == keyframe.camera);
+        let Some((_, registration)) = registration else {
+            continue;
+        };
+        let true_depth = registered_depth(&truth.path, &calibration, registration)?;
         let candidate = Candidate {
             id: keyframe.id,
             image,
@@ -249,17 +255,15 @@ fn depths(
     args: &EvaluateDepthArgs,
 ) -> Result<Vec<Vec<DepthPixel>>, Failure> {
     let keyframes = &recording.keyframes;
-    let recorded: Vec<Vec<DepthPixel>> =
-        keyframes.iter().map(|k| from_recorded(&k.pixels)).collect();
     if !args.refined {
-        return Ok(recorded);
+        return Ok(keyframes.iter().map(|k| from_recorded(&k.pixels)).collect());
     }
-    let session = &recording.session;
-    let camera = keyframe_camera(session);
-    let config = RunConfig::recorded_mapping(&session.config)
+    let config = RunConfig::recorded_mapping(&recording.session.config)
         .map_or_else(RefineConfig::default, |config| config.mapping.refine);
-    let posed = posed_keyframes(keyframes, &recorded);
-    Ok(refined_depths(&posed, &camera, &config, use_threads(None)?))
+    let threads = use_threads(None)?;
+    Ok(by_camera(keyframes, |posed, camera| {
+        refined_depths(posed, camera, &config, threads)
+    }))
 }
 
 fn print_depth(report: &DepthReport) {

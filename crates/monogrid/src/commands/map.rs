@@ -17,7 +17,7 @@ use clap::Args;
 use monogrid_datasets::{Scale, ScansReader, encode_png_rgb};
 use monogrid_geometry::Sim3;
 use monogrid_occupancy::{MapFormat, OccupancyMap};
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, Mapper, MeshConfig};
+use monogrid_slam::mapping::{KeyframeScan, Mapper, MeshConfig};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -373,7 +373,7 @@ fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Fa
     let (map_from_world, frame) = given_frame(align)?;
     let reader = ScansReader::open(&args.recording).bad_input()?;
     let look = MeshLook::of_given_poses(config.mapping.mesh);
-    let mapper = Mapper::without_camera(config.mapping, threads);
+    let mapper = Mapper::new(config.mapping, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
     let (mut points, mut scans) = (0, 0);
@@ -409,9 +409,8 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
     )?;
     let config = settings_for_given_poses(args)?;
     let (map_from_world, frame) = given_frame(align)?;
-    let camera = KeyframeCamera::new(folder.pinhole(), folder.size());
     let look = MeshLook::of_given_poses(config.mapping.mesh);
-    let mapper = Mapper::new(config.mapping, camera, threads);
+    let mapper = Mapper::new(config.mapping, threads);
     let mut map = mapper.empty_map().bad_input()?;
     let mut watch = Stopwatch::new();
     let (mut points, mut scans) = (0, 0u32);
@@ -419,7 +418,12 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         let depth = folder.read(entry)?;
         points += watch
             .time(|| {
-                let scan = KeyframeScan::from_depth_image(scans, &depth, mapper.config());
+                let scan = KeyframeScan::from_depth_image(
+                    scans,
+                    &depth,
+                    folder.pinhole(),
+                    mapper.config(),
+                );
                 let map_from_camera = map_from_world * pose.with_scale(1.0);
                 mapper.integrate(&mut map, &scan, &map_from_camera)
             })

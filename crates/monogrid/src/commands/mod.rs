@@ -1,6 +1,5 @@
 //! The commands.
 
-pub mod batch;
 pub mod calibrate;
 pub mod cameras;
 pub mod check;
@@ -12,6 +11,7 @@ pub mod evaluate;
 pub mod evaluate_map;
 pub mod info;
 pub mod map;
+pub mod merge_runs;
 pub mod mesh;
 pub mod plan;
 pub mod posed_depth;

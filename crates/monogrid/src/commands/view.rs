@@ -191,7 +191,7 @@ impl Shown {
     /// The depth of the keyframes as it was recorded.
     fn of_recording(source: &Path) -> Result<Self, Failure> {
         let recorded = Recorded::read(source, &Align::Level(Up::Scene))?;
-        let camera = recorded.camera;
+        let camera = recorded.session.camera();
         let colours = Colours::of(&recorded.keyframes);
         let posed: Vec<ShownKeyframe> = recorded
             .keyframes
@@ -202,12 +202,13 @@ impl Shown {
                     frame_index: keyframe.frame_index,
                     timestamp_ns: keyframe.timestamp_ns,
                     map_from_keyframe: pose,
+                    pinhole: keyframe.camera.pinhole,
                     image: keyframe.image.as_ref(),
                     semi_dense: SemiDense::recorded(keyframe.id, &from_recorded(&keyframe.pixels)),
                 })
             })
             .collect();
-        let groups = point_groups(&posed, &colours, &camera.pinhole);
+        let groups = point_groups(&posed, &colours);
         let begin = posed.first().map_or(0, |keyframe| keyframe.timestamp_ns);
         let (cloud, keyframes) = cloud_and_keyframes(&posed, &groups, &colours, begin);
         let cubes = small_cubes(&groups.concat());

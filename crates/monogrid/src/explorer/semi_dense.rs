@@ -97,6 +97,7 @@ mod tests {
     use monogrid_geometry::Vec3;
     use monogrid_image::Image;
     use monogrid_occupancy::DepthPixel as Measurement;
+    use monogrid_slam::mapping::KeyframeCamera;
 
     fn keyframe() -> Keyframe {
         let pixel = |x, y| DepthPixel {
@@ -125,6 +126,7 @@ mod tests {
         };
         let scan = KeyframeScan {
             id: 3,
+            camera: KeyframeCamera::new(Pinhole::new(2.0, 2.0, 1.0, 1.0), (4, 3)),
             pixels: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 2), (3, 2)]
                 .map(|(x, y)| measurement(x, y))
                 .to_vec(),

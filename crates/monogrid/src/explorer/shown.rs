@@ -4,7 +4,6 @@ use super::{Cloud, CloudPoint, Keyframe, Pictures, SemiDense, num_measured, seco
 use crate::colours::{ColourImage, Colours};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
-use rayon::prelude::*;
 
 /// A keyframe of the main map.
 #[derive(Clone, Debug)]
@@ -15,6 +14,8 @@ pub struct ShownKeyframe<'a> {
     pub timestamp_ns: i64,
     /// Pose in the frame of the results.
     pub map_from_keyframe: Sim3,
+    /// Intrinsics of its images.
+    pub pinhole: Pinhole,
     /// Its grey image.
     pub image: Option<&'a Image<u8>>,
     /// What was measured in it.
@@ -61,10 +62,10 @@ impl ShownKeyframe<'_> {
     }
 
     /// Its points in the frame of the results.
-    pub fn points(&self, colours: &Colours, pinhole: &Pinhole) -> impl Iterator<Item = CloudPoint> {
+    pub fn points(&self, colours: &Colours) -> impl Iterator<Item = CloudPoint> {
         let look = self.look(colours);
         self.semi_dense
-            .points(look, pinhole, &self.map_from_keyframe)
+            .points(look, &self.pinhole, &self.map_from_keyframe)
     }
 }
 
@@ -74,14 +75,10 @@ pub fn measured_in(keyframes: &[ShownKeyframe]) -> usize {
 }
 
 /// The points of each keyframe that a page has room for.
-pub fn point_groups(
-    keyframes: &[ShownKeyframe],
-    colours: &Colours,
-    pinhole: &Pinhole,
-) -> Vec<Vec<CloudPoint>> {
+pub fn point_groups(keyframes: &[ShownKeyframe], colours: &Colours) -> Vec<Vec<CloudPoint>> {
     let keep_every = Cloud::keep_every(measured_in(keyframes));
     let points = |shown: &ShownKeyframe| {
-        let points = shown.points(colours, pinhole);
+        let points = shown.points(colours);
         points.step_by(keep_every).collect()
     };
     keyframes.iter().map(points).collect()
@@ -96,19 +93,14 @@ pub fn cloud_and_keyframes(
 ) -> (Cloud, Vec<Keyframe>) {
     let (cloud, ranges) = Cloud::new(groups, measured_in(keyframes));
     let pictures = Pictures::of(keyframes.len());
-    let images: Vec<_> = keyframes
-        .par_iter()
-        .enumerate()
-        .map(|(position, shown)| pictures.of_keyframe(position, || shown.look(colours)))
-        .collect();
-    let parts = keyframes.iter().zip(ranges).zip(images);
-    let keyframes = parts.map(|((shown, points), image)| Keyframe {
+    let positions = (0..).zip(keyframes.iter().zip(ranges));
+    let keyframes = positions.map(|(position, (shown, points))| Keyframe {
         id: shown.semi_dense.id,
         frame: shown.frame_index,
         time: seconds_since(begin_ns, shown.timestamp_ns),
         pose: Keyframe::rows(&shown.map_from_keyframe),
         points,
-        image,
+        image: pictures.of_keyframe(position, || shown.look(colours)),
     });
     (cloud, keyframes.collect())
 }

@@ -9,7 +9,6 @@
 mod file;
 mod folder;
 mod inputs;
-mod inspect;
 mod manifest;
 mod numbered;
 

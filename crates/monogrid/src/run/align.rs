@@ -6,7 +6,7 @@ use monogrid_datasets::{TimedPose, read_sim3, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_slam::mapping::{
-    Floor, KeyframeCamera, UprightConfig, UprightView, floor_below, level_from_world, upright,
+    Floor, UprightConfig, UprightView, floor_below, level_from_world, upright,
     z_up_from_camera_world,
 };
 use serde::Serialize;
@@ -96,8 +96,6 @@ pub struct FloorSummary {
 pub struct Scene<'a> {
     /// Keyframes of the map.
     pub views: Vec<UprightView<'a>>,
-    /// Their camera.
-    pub camera: KeyframeCamera,
     /// Settings.
     pub config: &'a UprightConfig,
 }
@@ -143,7 +141,7 @@ impl Up {
     ) -> MapFrame {
         let mut known = |up: &Vec3, said, from| {
             let scene = scene();
-            let floor = floor_below(&scene.views, &scene.camera, up, scene.config);
+            let floor = floor_below(&scene.views, up, scene.config);
             let summary = UpSummary {
                 from,
                 confidence: None,
@@ -156,7 +154,7 @@ impl Up {
             (Self::Scene, Some(up)) => known(&up, "as gravity says", "imu"),
             (Self::Scene, None) => {
                 let scene = scene();
-                let found = upright(&scene.views, &scene.camera, scene.config);
+                let found = upright(&scene.views, scene.config);
                 match found {
                     Some(found) if found.confidence >= scene.config.min_confidence => level(
                         &found.up_in_world,
@@ -387,14 +385,8 @@ mod tests {
     #[test]
     fn a_scene_that_is_not_sure_leaves_up_to_the_first_camera() {
         let config = UprightConfig::default();
-        let camera = KeyframeCamera {
-            pinhole: monogrid_geometry::Pinhole::new(1.0, 1.0, 0.0, 0.0),
-            width: 0,
-            height: 0,
-        };
         let mut nothing = || Scene {
             views: Vec::new(),
-            camera,
             config: &config,
         };
         let unsensed = SensedFrame::default();

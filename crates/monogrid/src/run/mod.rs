@@ -24,7 +24,7 @@ pub mod frames;
 mod live;
 pub mod outputs;
 mod progress;
-mod recorder;
+pub mod recorder;
 pub mod report;
 pub mod sensed;
 pub mod sessions;

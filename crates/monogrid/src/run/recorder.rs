@@ -8,8 +8,8 @@ use crate::memory;
 use crate::output::{Content, OutputFolder};
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use monogrid_datasets::{
-    ColourRecord, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordingWriter,
-    SessionInfo, encode_png, encode_png_rgb,
+    ColourRecord, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
+    RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_pipeline::{Event, Listener, ListenerError, Run};
 use monogrid_slam::Keyframe;
@@ -59,13 +59,7 @@ impl Recorder {
         match event {
             Event::Finished(keyframe, snapshot) => {
                 writer
-                    .append_keyframe(KeyframeRecord {
-                        id: keyframe.id,
-                        frame_index: keyframe.frame_index as u64,
-                        timestamp_ns: keyframe.timestamp_ns,
-                        image: Some(keyframe.image.clone()),
-                        pixels: to_recorded(&keyframe.pixels),
-                    })
+                    .append_keyframe(keyframe_record(keyframe, None))
                     .while_running(DOING)?;
                 let sources = (self.earlier.as_ref(), self.source_colours.as_ref());
                 if let Some(jpeg) = colour(keyframe, sources) {
@@ -123,6 +117,18 @@ impl Listener for Recorder {
 
     fn end(&mut self, run: Run) -> Result<(), ListenerError> {
         self.save_end(run).map_err(Failure::into_error)
+    }
+}
+
+/// A keyframe as it is first recorded; with its camera where that is not the one of the recording.
+pub fn keyframe_record(keyframe: &Keyframe, camera: Option<RecordedCamera>) -> KeyframeRecord {
+    KeyframeRecord {
+        id: keyframe.id,
+        frame_index: keyframe.frame_index as u64,
+        timestamp_ns: keyframe.timestamp_ns,
+        camera,
+        image: Some(keyframe.image.clone()),
+        pixels: to_recorded(&keyframe.pixels),
     }
 }
 

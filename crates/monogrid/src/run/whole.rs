@@ -24,7 +24,6 @@ use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
 use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
 use monogrid_slam::{Keyframe, TrackedFrame};
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -84,16 +83,14 @@ pub fn run_all(
     outputs::write_bridged(folder, &looked.sensed.bridged, &looked.frame)?;
     let paths = Paths::new(&poses, &tracked, &looked.frame);
     let posed = posed_keyframes(&tracked, &looked.frame);
-    let shown = shown_keyframes(&posed, &scans);
+    let shown = shown_keyframes(&posed, &scans, tracked.run.slam.pinhole());
     let colours = Colours::read(&folder.path().join(RECORDING))?;
-    let pinhole = tracked.run.slam.pinhole();
-    let unit = unit_name(is_metric(&tracked, &looked.frame));
+    if !shown.is_empty() {
+        let unit = unit_name(is_metric(&tracked, &looked.frame));
+        outputs::write_cloud(folder, &shown, &colours, unit)?;
+    }
     let edge = looked.edge(settings);
-    let (cell_colours, written) = rayon::join(
-        || CellColours::new(&coloured_scans(&posed, &scans), &colours, pinhole, edge),
-        || write_points(folder, &shown, &colours, pinhole, unit),
-    );
-    written?;
+    let cell_colours = CellColours::new(&coloured_scans(&posed, &scans), &colours, edge);
     let built = final_maps(&mut tracked, scans, &looked, &paths.path, settings);
     let (maps, failure) = match built {
         Ok(maps) => (maps, early_failure(&tracked)),
@@ -124,19 +121,15 @@ pub fn run_all(
     let title = format!("monogrid: {}", input.name);
     let report = page(&tracked, &results.report(&title, &verdict, &summary))?;
     folder.write("report.html", report)?;
-    write_summary(folder, &mut summary)?;
+    summary.take_times();
+    let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
+    folder.write("summary.json", json + "\n")?;
     Ok(Finished {
         outcome: summary.status.outcome(),
         summary,
         verdict,
         failure,
     })
-}
-
-fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Failure> {
-    summary.take_times();
-    let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
-    folder.write("summary.json", json + "\n")
 }
 
 /// What the report shows.
@@ -247,17 +240,16 @@ impl Looked {
                 })
             })
             .collect();
-        let (camera, mapping) = (input.keyframe_camera(), &settings.config.mapping);
+        let mapping = &settings.config.mapping;
         let inertial = input.inertial.as_ref();
         let sensed = sense(inertial, tracked, &settings.config.slam.inertial);
         let path = stamped_path(tracked);
         let (frame, warning) = align.frame(&path, &sensed.frame, &mut || Scene {
             views: views.clone(),
-            camera,
             config: &mapping.upright,
         });
         let is_free = mapping.auto_resolution && !is_metric(tracked, &frame);
-        let cell = is_free.then(|| scene_cell(&views, &camera, mapping));
+        let cell = is_free.then(|| scene_cell(&views, mapping));
         Self {
             frame,
             warning,
@@ -408,34 +400,22 @@ fn posed_keyframes(tracked: &Tracked, frame: &MapFrame) -> Vec<(Arc<Keyframe>, S
 fn shown_keyframes<'a>(
     posed: &'a [(Arc<Keyframe>, Sim3)],
     scans: &[KeyframeScan],
+    pinhole: &Pinhole,
 ) -> Vec<ShownKeyframe<'a>> {
     let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
-    let shown = posed.par_iter().map(|(keyframe, map_from_keyframe)| {
+    let shown = posed.iter().map(|(keyframe, map_from_keyframe)| {
         let scan = scans.get(&keyframe.id);
         let semi_dense = scan.map(|scan| SemiDense::new(keyframe, scan));
         ShownKeyframe {
             frame_index: keyframe.frame_index as u64,
             timestamp_ns: keyframe.timestamp_ns,
             map_from_keyframe: *map_from_keyframe,
+            pinhole: *pinhole,
             image: Some(&keyframe.image),
             semi_dense: semi_dense.unwrap_or_else(|| SemiDense::recorded(keyframe.id, &[])),
         }
     });
     shown.collect()
-}
-
-/// What they measured as points, if there are any.
-fn write_points(
-    folder: &OutputFolder,
-    shown: &[ShownKeyframe],
-    colours: &Colours,
-    pinhole: &Pinhole,
-    unit: &str,
-) -> Result<(), Failure> {
-    if shown.is_empty() {
-        return Ok(());
-    }
-    outputs::write_cloud(folder, shown, colours, pinhole, unit)
 }
 
 /// What of them is mapped.

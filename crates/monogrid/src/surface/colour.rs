@@ -2,7 +2,7 @@
 
 use crate::colours::Colours;
 use crate::explorer::Look;
-use monogrid_geometry::{Pinhole, Sim3, Vec2};
+use monogrid_geometry::{Sim3, Vec2};
 use monogrid_image::Image;
 use monogrid_occupancy::{MapError, OccupancyMap, SurfaceMesh, VoxelKey};
 use monogrid_slam::mapping::{KeyframeScan, MeshConfig};
@@ -53,20 +53,18 @@ impl CellColours {
     }
 
     /// What keyframes measured, in cells of a map with this edge.
-    pub fn new(
-        scans: &[ColouredScan],
-        colours: &Colours,
-        pinhole: &Pinhole,
-        resolution: f64,
-    ) -> Self {
+    pub fn new(scans: &[ColouredScan], colours: &Colours, resolution: f64) -> Self {
         let measured: usize = scans.iter().map(|shown| shown.scan.pixels.len()).sum();
         let every = measured.div_ceil(MAX_POINTS).max(1);
         let mut found = Self::unknown();
         for shown in scans {
+            let camera = &shown.scan.camera;
             let look = Look::of(shown.scan.id, shown.image, colours);
             found.has_colour |= matches!(look, Look::Colour(_));
             for pixel in shown.scan.pixels.iter().step_by(every) {
-                let ray = pinhole.unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));
+                let ray = camera
+                    .pinhole
+                    .unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));
                 let point = shown.map_from_keyframe * (ray / f64::from(pixel.idepth));
                 if let Some(key) = VoxelKey::from_point(point.into(), 1.0 / resolution) {
                     found.add(key, look.at(pixel.x.into(), pixel.y.into()));

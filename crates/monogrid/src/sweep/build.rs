@@ -37,7 +37,7 @@ pub struct Job<'a> {
 /// Builds, measures and compares one map that may take `budget` bytes.
 pub fn build(job: &Job, entry: &Entry, budget: usize) -> Result<MapResult, Failure> {
     let config = entry.model.mapping(entry.resolution);
-    let mapper = Mapper::new(config.clone(), job.recorded.camera, 1);
+    let mapper = Mapper::new(config.clone(), 1);
     let scans = job.scans.for_rules(&config);
     let mut map = empty(&config, budget)?;
     let mut grown = Grown::default();

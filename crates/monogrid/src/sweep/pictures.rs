@@ -149,7 +149,7 @@ fn count_hits(
         clamp: [-7.9, 7.9],
         ..mapper.config().clone()
     };
-    let counter = Mapper::new(config.clone(), job.recorded.camera, 1);
+    let counter = Mapper::new(config.clone(), 1);
     let mut counts = OccupancyMap::new(monogrid_occupancy::MapConfig {
         memory_budget_bytes: budget,
         ..config.map_config()

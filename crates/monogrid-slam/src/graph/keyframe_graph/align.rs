@@ -9,13 +9,13 @@ use monogrid_features::{DepthLookup, InverseDepth};
 use monogrid_geometry::Sim3;
 use std::sync::Arc;
 
-/// Keyframes that are prepared for alignment at the same time at most; one takes 3 MB at 640x480, and to prepare it a few milliseconds.
-const MAX_PREPARED: usize = 8;
+/// Keyframes that are prepared for alignment at the same time at most.
+const MAX_PREPARED: usize = 24;
 
 impl KeyframeGraph {
     /// Keeps a finished keyframe; whether it is new.
     pub(super) fn enter(&mut self, view: Arc<View>) -> bool {
-        let probes = Probes::new(&view.samples, &self.image.pinhole);
+        let probes = Probes::new(&view.samples, &view.camera.pinhole);
         self.remember(&view);
         self.entries
             .insert(view.id, Entry { view, probes })
@@ -34,10 +34,11 @@ impl KeyframeGraph {
             };
             (sample.x, sample.y, depth)
         });
-        let lookup = DepthLookup::new(self.mask.width(), self.mask.height(), depths);
+        let lookup = DepthLookup::new(view.camera.width, view.camera.height, depths);
         let id = u64::from(view.id);
+        let (mask, pinhole) = (self.mask.as_ref(), &view.camera.pinhole);
         self.places
-            .insert(id, &view.pyramid, Some(&self.mask), &lookup);
+            .insert(id, &view.pyramid, mask, &lookup, pinhole);
     }
 
     /// Direct alignment of keyframe `id` to `other`, in both directions.
@@ -71,7 +72,7 @@ impl KeyframeGraph {
         let (finest, coarsest) = (config.finest_level, config.coarsest_level);
         let prepared = Arc::new(KeyframeView::new(
             &view.pyramid,
-            &self.image.pinhole,
+            &view.camera.pinhole,
             &view.samples,
             finest,
             coarsest,

@@ -121,7 +121,7 @@ impl KeyframeGraph {
     /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it. Keyframes of
     /// the main map come first.
     pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
-        let mut found = self.places.relocalise(frame, Some(&self.mask), |_| true);
+        let mut found = self.places.relocalise(frame, self.mask.as_ref(), |_| true);
         found.sort_by_key(|found| self.fragment_of(found.keyframe as KeyframeId));
         found
             .iter()
@@ -147,13 +147,15 @@ impl KeyframeGraph {
                 id: *id,
                 world_from_keyframe: self.pose(*id),
                 probes: &entry.probes,
+                camera: &entry.view.camera,
             })
             .collect();
         let own = Candidate {
             id,
             world_from_keyframe: self.pose(id),
             probes: &own.probes,
+            camera: &own.view.camera,
         };
-        choose(&own, &others, &self.image, &self.config)
+        choose(&own, &others, &self.config)
     }
 }

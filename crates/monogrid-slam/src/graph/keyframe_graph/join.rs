@@ -17,20 +17,42 @@ const MAX_SIGHTINGS: usize = 64;
 
 /// A keyframe that was recognised in another fragment.
 #[derive(Clone, Debug)]
-struct Sighting {
+pub(super) struct Sighting {
     /// The keyframe of the other fragment, older.
-    other: KeyframeId,
-    own: KeyframeId,
+    pub other: KeyframeId,
+    pub own: KeyframeId,
     /// As direct alignment found it, else as the recognised points have it.
     other_from_own: Sim3,
     constraint: Option<SimilarityConstraint>,
+}
+
+impl Sighting {
+    /// A keyframe as recognised points have it, and as direct alignment has it unless that failed.
+    pub(super) fn new(
+        other: KeyframeId,
+        own: KeyframeId,
+        other_from_own: Sim3,
+        constraint: Option<SimilarityConstraint>,
+    ) -> Self {
+        Self {
+            other,
+            own,
+            other_from_own: constraint.as_ref().map_or(other_from_own, |c| c.b_from_a),
+            constraint,
+        }
+    }
+
+    /// Whether direct alignment confirmed it.
+    pub(super) fn is_aligned(&self) -> bool {
+        self.constraint.is_some()
+    }
 }
 
 /// What is known about the places of fragments in each other.
 #[derive(Clone, Debug)]
 pub(super) struct Joining {
     config: FragmentConfig,
-    sightings: Vec<Sighting>,
+    pub(super) sightings: Vec<Sighting>,
     /// Fragments that were joined in the job under way.
     joined: Vec<Joined>,
 }
@@ -69,12 +91,8 @@ impl KeyframeGraph {
         if self.joining.sightings.len() >= MAX_SIGHTINGS {
             self.joining.sightings.remove(0);
         }
-        self.joining.sightings.push(Sighting {
-            other,
-            own,
-            other_from_own: constraint.as_ref().map_or(other_from_own, |c| c.b_from_a),
-            constraint,
-        });
+        let sighting = Sighting::new(other, own, other_from_own, constraint);
+        self.joining.sightings.push(sighting);
     }
 
     /// Joins fragments about which the sightings of keyframe `own` are confirmed by those of others; whether
@@ -108,14 +126,14 @@ impl KeyframeGraph {
             let is_enough =
                 count >= self.joining.config.min_agreeing && count > keyframes(&contradicting);
             let (aligned, others): (Vec<&Sighting>, Vec<&Sighting>) =
-                agreeing.iter().partition(|s| s.constraint.is_some());
+                agreeing.iter().partition(|s| s.is_aligned());
             (is_enough && !aligned.is_empty())
                 .then(|| aligned.into_iter().chain(others).cloned().collect())
         })
     }
 
     /// The two fragments of a sighting, the older first.
-    fn pair_of(&self, sighting: &Sighting) -> (FragmentId, FragmentId) {
+    pub(super) fn pair_of(&self, sighting: &Sighting) -> (FragmentId, FragmentId) {
         let (a, b) = (
             self.fragment_of(sighting.other),
             self.fragment_of(sighting.own),
@@ -138,7 +156,7 @@ impl KeyframeGraph {
 
     /// Whether two sightings of the same fragments say the same, but for what drift can do on the ways between
     /// their keyframes in both fragments, and for the errors of recognition.
-    fn agree(&self, a: &Sighting, b: &Sighting) -> bool {
+    pub(super) fn agree(&self, a: &Sighting, b: &Sighting) -> bool {
         let others_from_owns = self.fragment_from_other(self.fragment_of(b.other), a);
         let world_from = |id: KeyframeId| self.pose(id);
         let predicted = world_from(b.other).inverse() * others_from_owns * world_from(b.own);
@@ -159,7 +177,7 @@ impl KeyframeGraph {
 
     /// Moves the newer fragment of agreeing sightings to where the first of them has it in the older one, and
     /// holds it there by all that were aligned.
-    fn join(&mut self, agreeing: &[Sighting]) {
+    pub(super) fn join(&mut self, agreeing: &[Sighting]) {
         let Some(first) = agreeing.first() else {
             return;
         };

@@ -5,6 +5,7 @@ mod constrain;
 mod drift;
 mod edges;
 mod join;
+mod merge;
 mod optimise;
 mod state;
 #[cfg(test)]
@@ -77,7 +78,6 @@ impl KeyframeGraph {
         }
         if job.is_final {
             self.search_all();
-            self.prepared = Vec::new();
         }
         if is_changed {
             self.update_covariances(job.is_final);
@@ -85,6 +85,11 @@ impl KeyframeGraph {
         let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
         self.stats.max_job_ms = self.stats.max_job_ms.max(milliseconds);
         self.stats.total_ms += milliseconds;
+        self.update()
+    }
+
+    /// What came of a job.
+    fn update(&mut self) -> GraphUpdate {
         GraphUpdate {
             poses: self.poses.clone(),
             joined: self.joining.take_joined(),
@@ -135,6 +140,7 @@ impl KeyframeGraph {
             }
             self.optimise(Search::Final);
         }
+        self.prepared = Vec::new();
     }
 
     /// The fragments that a job has to do with.

@@ -4,7 +4,7 @@ use super::join::Joining;
 use crate::graph::GraphConfig;
 use crate::graph::job::{EdgeKind, GraphStats};
 use crate::graph::places::{PlacesError, memory_of_places};
-use crate::graph::search::{ImageBounds, Probes};
+use crate::graph::search::Probes;
 use crate::map::View;
 use crate::stored::StoredEdge;
 use crate::{FragmentConfig, FragmentId, KeyframeId, MAIN_MAP, PoseSnapshot};
@@ -34,8 +34,8 @@ pub(super) type EdgeKey = (KeyframeId, KeyframeId, EdgeKind);
 #[derive(Clone, Debug)]
 pub(crate) struct KeyframeGraph {
     pub(super) config: GraphConfig,
-    pub(super) image: ImageBounds,
-    pub(super) mask: Mask,
+    /// What belongs to the picture; everything where there is none.
+    pub(super) mask: Option<Mask>,
     pub(super) entries: BTreeMap<KeyframeId, Entry>,
     /// The keyframes as the job under way moves them. Each fragment has its own world, held by its first
     /// keyframe, and is optimised alone.
@@ -58,7 +58,8 @@ pub(crate) struct KeyframeGraph {
 }
 
 impl KeyframeGraph {
-    /// A graph without keyframes, for images of which `mask` says what belongs to the picture.
+    /// A graph without keyframes, in which frames with this camera are looked for. Of their images and those of keyframes `mask` says
+    /// what belongs to the picture; without one keyframes may have cameras of their own.
     ///
     /// # Errors
     /// A vocabulary that cannot be used.
@@ -66,16 +67,11 @@ impl KeyframeGraph {
         config: GraphConfig,
         joining: FragmentConfig,
         pinhole: Pinhole,
-        mask: Mask,
+        mask: Option<Mask>,
     ) -> Result<Self, PlacesError> {
         let places = memory_of_places(&config.places, pinhole)?;
         Ok(Self {
             config,
-            image: ImageBounds {
-                pinhole,
-                width: mask.width() as f64,
-                height: mask.height() as f64,
-            },
             mask,
             entries: BTreeMap::new(),
             poses: PoseSnapshot::default(),

@@ -7,6 +7,7 @@ use crate::FragmentConfig;
 use crate::graph::GraphConfig;
 use crate::graph::job::{GraphStats, Joined, OdometryEdge};
 use crate::map::Exposure;
+use crate::mapping::KeyframeCamera;
 use crate::sparse::SharedPoints;
 use crate::test_world::small_demo;
 use monogrid_alignment::{DepthSample, SimilarityConstraint};
@@ -16,7 +17,11 @@ use monogrid_worlds::SynthSequence;
 
 /// Keyframes of a rendered room with exact depth, and their true poses; the unit of keyframe k is
 /// `1 + 0.1 k` metres.
-fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<Arc<View>>, Vec<Sim3>) {
+pub(super) fn keyframes(
+    sequence: &SynthSequence,
+    step: usize,
+    count: usize,
+) -> (Vec<Arc<View>>, Vec<Sim3>) {
     let mut views = Vec::new();
     let mut poses = Vec::new();
     for k in 0..count {
@@ -46,6 +51,7 @@ fn keyframes(sequence: &SynthSequence, step: usize, count: usize) -> (Vec<Arc<Vi
         poses.push(frame.world_from_camera.with_scale(f64::from(unit)));
         views.push(Arc::new(View {
             id: k as KeyframeId,
+            camera: KeyframeCamera::new(sequence.camera().pinhole, (image.width(), image.height())),
             pyramid: Arc::new(Pyramid::new(image.clone(), 5)),
             samples,
             exposure: Exposure::NEUTRAL,
@@ -65,7 +71,7 @@ fn chain_of(len: usize) -> Vec<Option<KeyframeId>> {
 }
 
 /// A map of one fragment, each keyframe tracked on the one before.
-fn map_of(world_from_keyframe: &[Sim3]) -> Arc<PoseSnapshot> {
+pub(super) fn map_of(world_from_keyframe: &[Sim3]) -> Arc<PoseSnapshot> {
     Arc::new(PoseSnapshot {
         world_from_keyframe: world_from_keyframe.to_vec(),
         parent: chain_of(world_from_keyframe.len()),
@@ -73,7 +79,7 @@ fn map_of(world_from_keyframe: &[Sim3]) -> Arc<PoseSnapshot> {
     })
 }
 
-fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
+pub(super) fn error(found: &[Sim3], truth: &[Sim3]) -> (f64, f64) {
     let errors = found.iter().zip(truth).map(|(f, t)| {
         let difference = t.inverse() * *f;
         (difference.translation.norm(), difference.scale.ln().abs())
@@ -91,8 +97,13 @@ fn constraints_take_out_the_drift_of_position_and_scale() {
     ]));
     let config = GraphConfig::default();
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let mut graph =
-        KeyframeGraph::new(config, FragmentConfig::default(), camera.pinhole, mask).unwrap();
+    let mut graph = KeyframeGraph::new(
+        config,
+        FragmentConfig::default(),
+        camera.pinhole,
+        Some(mask),
+    )
+    .unwrap();
     let mut poses = vec![truth[0]];
     let mut chain = vec![truth[0]];
     let mut stats = GraphStats::default();
@@ -151,7 +162,7 @@ fn a_keyframe_of_another_room_is_not_constrained() {
     let mask = Mask::filled(width, height, 255);
     let joining = FragmentConfig::default();
     let mut graph =
-        KeyframeGraph::new(GraphConfig::default(), joining, camera.pinhole, mask).unwrap();
+        KeyframeGraph::new(GraphConfig::default(), joining, camera.pinhole, Some(mask)).unwrap();
     let mut last = GraphUpdate::default();
     for view in views {
         last = graph.run(GraphJob {
@@ -174,7 +185,7 @@ fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
     let (views, truth) = keyframes(sequence, 8, 8);
     let mask = Mask::filled(camera.width, camera.height, 255);
     let mut graph =
-        KeyframeGraph::new(GraphConfig::default(), config, camera.pinhole, mask).unwrap();
+        KeyframeGraph::new(GraphConfig::default(), config, camera.pinhole, Some(mask)).unwrap();
     let fragment_from_world = Sim3::exp(&Vec7::from_column_slice(&[
         1.3, -0.4, 0.8, 0.3, 0.9, -0.2, 0.7,
     ]));
@@ -266,7 +277,8 @@ fn two_keyframes() -> KeyframeGraph {
     let mask = Mask::filled(320, 240, 255);
     let pinhole = monogrid_geometry::Pinhole::new(300.0, 300.0, 160.0, 120.0);
     let joining = FragmentConfig::default();
-    let mut graph = KeyframeGraph::new(GraphConfig::default(), joining, pinhole, mask).unwrap();
+    let mut graph =
+        KeyframeGraph::new(GraphConfig::default(), joining, pinhole, Some(mask)).unwrap();
     let aside = Sim3::exp(&Vec7::from_column_slice(&[
         1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ]));
@@ -341,7 +353,7 @@ fn with_places_only(off: f64) -> GraphStats {
     config.places.min_keyframes_between = 3;
     let mask = Mask::filled(camera.width, camera.height, 255);
     let joining = FragmentConfig::default();
-    let mut graph = KeyframeGraph::new(config, joining, camera.pinhole, mask).unwrap();
+    let mut graph = KeyframeGraph::new(config, joining, camera.pinhole, Some(mask)).unwrap();
     let aside = Sim3::exp(&Vec7::from_column_slice(&[
         off, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ]));

@@ -1,7 +1,7 @@
 //! The *global* map: every keyframe where the graph has it.
 
 use super::mapper::{MapStats, Mapper, similarity};
-use crate::mapping::{KeyframeCamera, KeyframeScan};
+use crate::mapping::KeyframeScan;
 use crate::{KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{KeyframeChange, KeyframeMap, MapError, OccupancyMap};
@@ -77,7 +77,7 @@ impl GlobalMap {
     ) -> Result<(), MapError> {
         let map_from_keyframe = self.map_from_world * *world_from_keyframe;
         self.map.set(&mapper.scan(scan, &map_from_keyframe))?;
-        let placed = Placed::new(scan, map_from_keyframe, mapper.camera());
+        let placed = Placed::new(scan, map_from_keyframe);
         self.placed.insert(scan.id, placed);
         Ok(())
     }
@@ -158,7 +158,7 @@ impl GlobalMap {
                 let pose = self.wanted.world_from_keyframe.get(id as usize);
                 let wanted = pose.map_or(placed.map_from_keyframe, |p| self.map_from_world * *p);
                 if let Some(scan) = self.revised.get(&id) {
-                    return Some((id, Placed::new(scan, wanted, mapper.camera())));
+                    return Some((id, Placed::new(scan, wanted)));
                 }
                 let has_moved = wanted != placed.map_from_keyframe
                     && placed
@@ -239,11 +239,11 @@ impl GlobalMap {
 }
 
 impl Placed {
-    fn new(scan: &KeyframeScan, map_from_keyframe: Sim3, camera: &KeyframeCamera) -> Self {
+    fn new(scan: &KeyframeScan, map_from_keyframe: Sim3) -> Self {
         Self {
             map_from_keyframe,
             num_filled: scan.num_filled,
-            reach: Reach::new(scan, camera),
+            reach: Reach::new(scan),
         }
     }
 }
@@ -253,7 +253,7 @@ impl Placed {
 struct Reach([Vec3; 5]);
 
 impl Reach {
-    fn new(scan: &KeyframeScan, camera: &KeyframeCamera) -> Self {
+    fn new(scan: &KeyframeScan) -> Self {
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
         let mut far: f64 = 0.0;
@@ -267,7 +267,7 @@ impl Reach {
             }
             far = far.max(1.0 / f64::from(pixel.idepth));
         }
-        let pinhole = &camera.pinhole;
+        let pinhole = &scan.camera.pinhole;
         let corner = |x: f64, y: f64| {
             let ray = Vec3::new(
                 (x - pinhole.cx) / pinhole.fx,
@@ -308,6 +308,7 @@ impl Reach {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::KeyframeCamera;
     use monogrid_geometry::{Pinhole, Rotation};
     use monogrid_occupancy::DepthPixel as Measurement;
 
@@ -336,6 +337,7 @@ mod tests {
                 .collect();
             let scan = KeyframeScan {
                 id: 0,
+                camera,
                 pixels,
                 num_filled: 0,
             };
@@ -358,7 +360,7 @@ mod tests {
                     (before * point - after * point).norm()
                 })
                 .fold(0.0, f64::max);
-            let reach = Reach::new(&scan, &camera);
+            let reach = Reach::new(&scan);
             let bound = reach.displacement(&before, &after, 1e9);
             assert!(farthest <= bound + 1e-9 && bound < 10.0 * farthest);
             // Points beyond the range do not count: the shift of the camera alone remains.

@@ -3,12 +3,11 @@
 use super::super::{
     AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, SigmaMode,
 };
-use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3, nalgebra::Matrix3};
+use monogrid_geometry::{Rotation, Sim3, Vec3, nalgebra::Matrix3};
 use monogrid_occupancy::{
     DepthScan, IntegrationConfig, IntegrationRule, MapError, OccupancyMap, PointScan, PoseSigma,
     Scan, ScanData, SigmaMode as OccupancySigmaMode, Similarity, integrate, integrate_scans,
 };
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Axes of robotics (x forward, y left, z up) from those of the first camera (x right, y down, z
 /// forward): the frame of all exports when nothing better is known about "up".
@@ -34,15 +33,14 @@ pub struct MapStats {
 #[derive(Clone, Debug)]
 pub struct Mapper {
     config: MappingConfig,
-    camera: KeyframeCamera,
     integration: IntegrationConfig,
     threads: usize,
 }
 
 impl Mapper {
-    /// Prepares mapping of keyframes of one camera on `threads` threads.
+    /// Prepares mapping on `threads` threads.
     #[must_use]
-    pub fn new(config: MappingConfig, camera: KeyframeCamera, threads: usize) -> Self {
+    pub fn new(config: MappingConfig, threads: usize) -> Self {
         let integration = IntegrationConfig {
             rule: match config.integration {
                 IntegrationKind::Fused => IntegrationRule::Fused,
@@ -62,21 +60,9 @@ impl Mapper {
         };
         Self {
             config,
-            camera,
             integration,
             threads,
         }
-    }
-
-    /// Prepares mapping of points, which need no camera.
-    #[must_use]
-    pub fn without_camera(config: MappingConfig, threads: usize) -> Self {
-        let camera = KeyframeCamera {
-            pinhole: Pinhole::new(1.0, 1.0, 0.0, 0.0),
-            width: 0,
-            height: 0,
-        };
-        Self::new(config, camera, threads)
     }
 
     /// The settings.
@@ -137,14 +123,18 @@ impl Mapper {
 
     /// A scan at a pose as the occupancy map takes it.
     pub(super) fn scan<'a>(&self, scan: &'a KeyframeScan, map_from_keyframe: &Sim3) -> Scan<'a> {
-        let pinhole = &self.camera.pinhole;
+        let KeyframeCamera {
+            pinhole,
+            width,
+            height,
+        } = scan.camera;
         Scan {
             id: scan.id,
             world_from_sensor: similarity(map_from_keyframe),
             pose_sigma: self.pose_sigma(),
             data: ScanData::Depth(DepthScan {
-                width: self.camera.width as u32,
-                height: self.camera.height as u32,
+                width: width as u32,
+                height: height as u32,
                 fx: pinhole.fx,
                 fy: pinhole.fy,
                 cx: pinhole.cx,
@@ -152,12 +142,6 @@ impl Mapper {
                 pixels: &scan.pixels,
             }),
         }
-    }
-
-    /// The camera of the keyframes.
-    #[must_use]
-    pub fn camera(&self) -> &KeyframeCamera {
-        &self.camera
     }
 
     /// Threads that integrate.
@@ -180,7 +164,7 @@ impl Mapper {
             resolution: edge,
             ..self.config.clone()
         };
-        Self::new(config, self.camera, self.threads)
+        Self::new(config, self.threads)
     }
 
     /// Adds points measured from the origin of a sensor, with the standard deviation of each range.
@@ -242,24 +226,6 @@ impl Mapper {
         world_from_keyframe: &[Option<Sim3>],
         map_from_world: &Sim3,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
-        self.build_counted(
-            scans,
-            world_from_keyframe,
-            map_from_world,
-            &AtomicUsize::new(0),
-        )
-    }
-
-    /// As [`Mapper::build`]; `done` grows with the keyframes, for those who wait.
-    pub(super) fn build_counted(
-        &self,
-        scans: &[KeyframeScan],
-        world_from_keyframe: &[Option<Sim3>],
-        map_from_world: &Sim3,
-        done: &AtomicUsize,
-    ) -> Result<(OccupancyMap, MapStats), MapError> {
-        /// Keyframes that are counted at once.
-        const COUNTED: usize = 16;
         let mut map = self.empty_map()?;
         let mut num_filled = 0;
         let posed: Vec<Scan> = scans
@@ -271,13 +237,9 @@ impl Mapper {
                 Some(self.scan(scan, &pose))
             })
             .collect();
-        let mut points = 0;
-        for some in posed.chunks(COUNTED) {
-            points += integrate_scans(&mut map, some, &self.integration, self.threads)?.points;
-            done.fetch_add(some.len(), Ordering::Relaxed);
-        }
+        let report = integrate_scans(&mut map, &posed, &self.integration, self.threads)?;
         let stats = MapStats {
-            points: points.saturating_sub(num_filled),
+            points: report.points.saturating_sub(num_filled),
             keyframes: posed.len(),
         };
         Ok((map, stats))

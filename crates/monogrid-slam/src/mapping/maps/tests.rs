@@ -49,7 +49,7 @@ fn bytes(map: &OccupancyMap) -> Vec<u8> {
 }
 
 fn finished(last: &[Sim3], threads: usize) -> Maps {
-    let mapper = Mapper::new(config(), CAMERA, threads);
+    let mapper = Mapper::new(config(), threads);
     let z_up = z_up_from_camera_world();
     let mut live = LiveMaps::new(mapper, z_up).unwrap();
     for (id, x) in [(0, 0.0), (1, 0.3)] {
@@ -98,7 +98,7 @@ fn the_global_map_follows_the_poses_and_the_large_one_does_not() {
     assert_eq!(bytes(&moved.large), bytes(&unmoved.large));
     assert_ne!(bytes(&moved.global), bytes(&unmoved.global));
     // always what a build from scratch gives
-    let mapper = Mapper::new(config(), CAMERA, 1);
+    let mapper = Mapper::new(config(), 1);
     let (scratch, stats) = mapper
         .build(
             &[wall(0), wall(1)],
@@ -114,7 +114,7 @@ fn the_global_map_follows_the_poses_and_the_large_one_does_not() {
 fn the_local_map_is_the_part_of_the_global_one_around_the_camera() {
     let mut config = config();
     config.local_radius = 1.5;
-    let mapper = Mapper::new(config, CAMERA, 1);
+    let mapper = Mapper::new(config, 1);
     let z_up = z_up_from_camera_world();
     let mut live = LiveMaps::new(mapper, z_up).unwrap();
     live.add(wall(0), pose(0.0)).unwrap();
@@ -242,7 +242,7 @@ impl History {
             follow_threshold: 0.0,
             ..config()
         };
-        let mapper = Mapper::new(config, CAMERA, threads);
+        let mapper = Mapper::new(config, threads);
         let mut live = LiveMaps::new(mapper, z_up_from_camera_world()).unwrap();
         for (i, scan) in self.scans.iter().enumerate() {
             live.add(scan.clone(), self.first[i]).unwrap();
@@ -269,7 +269,7 @@ impl History {
 
 fn from_scratch(scans: &[KeyframeScan], poses: &[Sim3], frame: &Sim3) -> OccupancyMap {
     let poses: Vec<Option<Sim3>> = poses.iter().copied().map(Some).collect();
-    let mapper = Mapper::new(config(), CAMERA, 1);
+    let mapper = Mapper::new(config(), 1);
     mapper.build(scans, &poses, frame).unwrap().0
 }
 
@@ -379,7 +379,7 @@ fn what_is_read_is_always_complete_and_of_one_revision() {
 
 #[test]
 fn keyframes_that_hardly_moved_wait_for_the_end() {
-    let mapper = Mapper::new(config(), CAMERA, 1);
+    let mapper = Mapper::new(config(), 1);
     let mut live = LiveMaps::new(mapper, z_up_from_camera_world()).unwrap();
     let _reader = live.reader().unwrap();
     live.add(wall(0), pose(0.0)).unwrap();
@@ -433,7 +433,7 @@ fn keyframes_of_a_fragment_are_mapped_once_it_is_joined() {
     let before = [pose(0.0), elsewhere, pose(0.3)];
     let after = [pose(0.0), pose(0.6), pose(0.3)];
     for (is_read, is_joined) in [(false, false), (false, true), (true, false), (true, true)] {
-        let mut live = LiveMaps::new(Mapper::new(config(), CAMERA, 1), z_up).unwrap();
+        let mut live = LiveMaps::new(Mapper::new(config(), 1), z_up).unwrap();
         let reader = is_read.then(|| live.reader().unwrap());
         live.add(wall(0), before[0]).unwrap();
         live.add_apart(wall(7));
@@ -458,7 +458,7 @@ fn keyframes_of_a_fragment_are_mapped_once_it_is_joined() {
             .finish(&last, &z_up, None, 1, &AtomicUsize::new(0))
             .unwrap();
         let poses: Vec<Option<Sim3>> = (0..3).map(|i| last.in_main_map(i).copied()).collect();
-        let mapper = Mapper::new(config(), CAMERA, 1);
+        let mapper = Mapper::new(config(), 1);
         let scans = [wall(0), wall(1), wall(2)];
         let (expected, stats) = mapper.build(&scans, &poses, &z_up).unwrap();
         assert_eq!(maps.stats, stats, "read {is_read}, joined {is_joined}");

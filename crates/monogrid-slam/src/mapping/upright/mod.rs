@@ -14,7 +14,6 @@ mod vote;
 pub use evidence::UprightView;
 pub use floor::Floor;
 
-use super::KeyframeCamera;
 use evidence::Evidence;
 use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
@@ -67,12 +66,8 @@ pub struct Upright {
 ///
 /// The result does not depend on the frame of the world: turning it turns the result.
 #[must_use]
-pub fn upright(
-    views: &[UprightView],
-    camera: &KeyframeCamera,
-    config: &UprightConfig,
-) -> Option<Upright> {
-    let evidence = Evidence::of(views, camera, config);
+pub fn upright(views: &[UprightView], config: &UprightConfig) -> Option<Upright> {
+    let evidence = Evidence::of(views, config);
     let vote = vote::vote(&evidence, config)?;
     Some(Upright {
         up_in_world: vote.up,
@@ -85,11 +80,10 @@ pub fn upright(
 #[must_use]
 pub fn floor_below(
     views: &[UprightView],
-    camera: &KeyframeCamera,
     up_in_world: &Vec3,
     config: &UprightConfig,
 ) -> Option<Floor> {
-    let evidence = Evidence::of(views, camera, config);
+    let evidence = Evidence::of(views, config);
     floor::floor(&evidence, &up_in_world.normalize(), config)
 }
 

@@ -1,7 +1,7 @@
 //! Rooms of exact planes, seen by cameras whose poses are known.
 
 use super::*;
-use crate::mapping::{KeyframeScan, z_up_from_camera_world};
+use crate::mapping::{KeyframeCamera, KeyframeScan, z_up_from_camera_world};
 use monogrid_geometry::Pinhole;
 use monogrid_occupancy::DepthPixel as Measurement;
 
@@ -73,6 +73,7 @@ impl Room {
         }
         KeyframeScan {
             id,
+            camera: CAMERA,
             pixels,
             num_filled: 0,
         }
@@ -111,7 +112,7 @@ fn found(room: &Room, room_from_cameras: &[Sim3], scale: f64) -> (Upright, Vec3)
             world_from_keyframe: world_from_room * *pose,
         })
         .collect();
-    let found = upright(&views, &CAMERA, &UprightConfig::default()).unwrap();
+    let found = upright(&views, &UprightConfig::default()).unwrap();
     (found, first.rotation.inverse() * Vec3::z())
 }
 
@@ -167,9 +168,10 @@ fn a_rolled_camera_makes_up_doubtful_before_it_makes_it_wrong() {
 
 #[test]
 fn nothing_that_votes_is_no_direction() {
-    assert_eq!(upright(&[], &CAMERA, &UprightConfig::default()), None);
+    assert_eq!(upright(&[], &UprightConfig::default()), None);
     let scan = KeyframeScan {
         id: 0,
+        camera: CAMERA,
         pixels: Vec::new(),
         num_filled: 0,
     };
@@ -178,7 +180,7 @@ fn nothing_that_votes_is_no_direction() {
         image: None,
         world_from_keyframe: Sim3::identity(),
     };
-    assert_eq!(upright(&[view], &CAMERA, &UprightConfig::default()), None);
+    assert_eq!(upright(&[view], &UprightConfig::default()), None);
 }
 
 #[test]

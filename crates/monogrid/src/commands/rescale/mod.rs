@@ -14,7 +14,7 @@ use crate::run::outputs::{Ground, Surface, path_of, write_global};
 use crate::run::sessions::{MAP_FROM_WORLD, RECORDING};
 use clap::Args;
 use monogrid_datasets::{
-    ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, ReadOptions, Record,
+    ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedCamera,
     RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3,
     read_trajectory,
 };
@@ -106,7 +106,9 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
         has_floor: !summary["floor"].is_null(),
         is_metric: true,
     };
-    summary["map"] = write_maps(&folder, args.resolution, ground, threads)?;
+    let poses = read_trajectory(&folder.path().join("trajectory.txt")).bad_input()?;
+    let path = path_of(&poses);
+    summary["map"] = write_maps(&folder, &path, args.resolution, ground, threads)?;
     let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
     folder.write(SUMMARY, text + "\n")?;
     let report = json!({ "metres_per_map_unit": factor, "map": summary["map"] });
@@ -173,7 +175,7 @@ fn write_tables(run: &Path, folder: &OutputFolder, factor: f64) -> Result<(), Fa
     Ok(())
 }
 
-/// The recording with its keyframes in a world of metres; edges, points and frames are in units of keyframes.
+/// The recording with its keyframes and points in a world of metres; edges and frames are in units of keyframes.
 fn write_recording(
     folder: &OutputFolder,
     recording: Recording,
@@ -199,10 +201,13 @@ fn write_recording(
             );
             poses.poses.push((keyframe.id, pose));
         }
-        append(&mut writer, keyframe).while_running(doing)?;
+        append(&mut writer, keyframe, session.camera()).while_running(doing)?;
     }
     writer.append_poses(poses).while_running(doing)?;
-    if let Some(continuation) = recording.continuation {
+    if let Some(mut continuation) = recording.continuation {
+        for point in &mut continuation.points {
+            point.idepth = point.idepth.map(|per_unit| per_unit / factor);
+        }
         let record = Record::Continuation(continuation);
         writer.append(&record).while_running(doing)?;
     }
@@ -215,6 +220,7 @@ fn write_recording(
 fn append(
     writer: &mut RecordingWriter,
     keyframe: RecordedKeyframe,
+    of_session: RecordedCamera,
 ) -> Result<(), monogrid_datasets::DatasetError> {
     let revision = (keyframe.depth_revision > 0).then(|| DepthRevision {
         keyframe_id: keyframe.id,
@@ -225,6 +231,7 @@ fn append(
         id: keyframe.id,
         frame_index: keyframe.frame_index,
         timestamp_ns: keyframe.timestamp_ns,
+        camera: (keyframe.camera != of_session).then_some(keyframe.camera),
         image: keyframe.image,
         pixels: keyframe.pixels,
     })?;
@@ -235,9 +242,10 @@ fn append(
     revision.map_or(Ok(()), |revision| writer.append_depth(revision))
 }
 
-/// Builds the maps of the new recording; facts about them.
-fn write_maps(
+/// Builds the maps of the recording in a folder, beside which its frame lies, around where the camera was; facts about them.
+pub fn write_maps(
     folder: &OutputFolder,
+    path: &[[f64; 3]],
     resolution: Option<f64>,
     ground: Ground,
     threads: usize,
@@ -256,8 +264,6 @@ fn write_maps(
         .map(&scans, &config, threads)
         .while_running(doing)?;
     global.pack(threads);
-    let poses = read_trajectory(&folder.path().join("trajectory.txt")).bad_input()?;
-    let path = path_of(&poses);
     let centre = path.last().copied().unwrap_or_default();
     let local = global
         .within(centre, config.local_radius)
@@ -266,7 +272,7 @@ fn write_maps(
         colours: &recorded.cell_colours(&scans, global.resolution()),
         config: &config.mesh,
     };
-    write_global(folder, [&global, &local], &path, ground, surface)?;
+    write_global(folder, [&global, &local], path, ground, surface)?;
     Ok(json!({
         "resolution": global.resolution(),
         "leaves": global.leaf_count(),

@@ -152,7 +152,7 @@ impl Results<'_> {
                 at.x, at.y
             )));
         };
-        let ray = self.recording.session.pinhole.unproject(at);
+        let ray = keyframe.camera.pinhole.unproject(at);
         Ok(self.map_from_world * (pose * (ray / f64::from(pixel.idepth))))
     }
 }

@@ -4,7 +4,6 @@ use crate::colours::Colours;
 use crate::explorer::{CloudPoint, ShownKeyframe, measured_in};
 use crate::failure::Failure;
 use crate::output::OutputFolder;
-use monogrid_geometry::Pinhole;
 
 /// Points in the file at most; of more, they are taken evenly.
 const MAX_POINTS: usize = 2_000_000;
@@ -14,7 +13,6 @@ pub fn write_cloud(
     folder: &OutputFolder,
     keyframes: &[ShownKeyframe],
     colours: &Colours,
-    pinhole: &Pinhole,
     unit: &str,
 ) -> Result<(), Failure> {
     let measured = measured_in(keyframes);
@@ -27,7 +25,7 @@ pub fn write_cloud(
              property uchar green\nproperty uchar blue\nproperty float confidence\nend_header\n",
             measured.div_ceil(every)
         )?;
-        let points = keyframes.iter().flat_map(|k| k.points(colours, pinhole));
+        let points = keyframes.iter().flat_map(|k| k.points(colours));
         for point in points.step_by(every) {
             out.write_all(&row(&point))?;
         }

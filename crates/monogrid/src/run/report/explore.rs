@@ -21,7 +21,7 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Fai
     let slam = &tracked.run.slam;
     let keyframes = input.keyframes;
     let begin = tracked.rows.first().map_or(0, |row| row.timestamp_ns);
-    let groups = point_groups(keyframes, input.colours, slam.pinhole());
+    let groups = point_groups(keyframes, input.colours);
     let (cloud, shown) = cloud_and_keyframes(keyframes, &groups, input.colours, begin);
     let positions: BTreeMap<u64, usize> = (0..)
         .zip(&shown)

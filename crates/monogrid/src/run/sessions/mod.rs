@@ -62,7 +62,7 @@ impl Earlier {
         };
         if !file.is_file() {
             return Err(Failure::input(format!(
-                "--continue {}: there is no {RECORDING}; expected the output folder of an earlier run",
+                "{}: there is no {RECORDING}; expected the output folder of an earlier run, or a recording",
                 path.display()
             )));
         }
@@ -122,7 +122,9 @@ impl Earlier {
             && centre(found.cx, expected.cx)
             && centre(found.cy, expected.cy);
         if is_same {
-            return Ok(());
+            let checked = self.map.check(size);
+            let said = |error| Failure::input(format!("{}: {error}", self.path.display()));
+            return checked.map_err(said);
         }
         let (width, height) = input.size();
         Err(Failure::input(format!(
@@ -176,7 +178,6 @@ pub fn sessions(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Vec<Rec
 
 /// What a later run needs of a finished one.
 pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Continuation {
-    let map = slam.stored_map();
     let sessions = sessions(slam, earlier, source);
     let session = sessions.len() as u32 - 1;
     let mut frames = earlier.map_or_else(Vec::new, |earlier| earlier.frames.clone());
@@ -187,6 +188,15 @@ pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Con
         keyframe: frame.keyframe,
         keyframe_from_frame: frame.keyframe_from_frame,
     }));
+    continuation_of(&slam.stored_map(), sessions, frames)
+}
+
+/// What a later run needs of a map, the sessions that made it, and their frames.
+pub fn continuation_of(
+    map: &StoredMap,
+    sessions: Vec<RecordedSession>,
+    frames: Vec<RecordedFrame>,
+) -> Continuation {
     Continuation {
         sessions,
         keyframes: map

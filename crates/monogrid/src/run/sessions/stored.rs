@@ -47,6 +47,7 @@ pub(super) fn stored_map(
         });
         keyframes.push(StoredKeyframe {
             keyframe,
+            pinhole: recorded.camera.pinhole,
             fragment,
             world_from_keyframe,
             parent: link.parent,
@@ -64,8 +65,7 @@ pub(super) fn stored_map(
         edges: continuation.edges.iter().filter_map(stored_edge).collect(),
         points: continuation.points.iter().map(stored_point).collect(),
     };
-    let size = (recording.session.width, recording.session.height);
-    map.check(size)
+    map.check_keyframes()
         .map_err(|error| Failure::input(format!("{}: {error}", file.display())))?;
     Ok(map)
 }

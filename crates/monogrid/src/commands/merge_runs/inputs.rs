@@ -1,0 +1,136 @@
+//! The recordings that are merged, in an order that does not depend on how they were named.
+
+use super::SUMMARY;
+use crate::failure::{Classify, Failure};
+use crate::run::align::Align;
+use crate::run::sessions::{Earlier, RECORDING};
+use monogrid_datasets::Scale;
+use monogrid_slam::{FragmentId, MAIN_MAP, StoredMap};
+use serde_json::Value;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A recording that is merged with others.
+#[derive(Debug)]
+pub struct Part {
+    /// Its number, from 1, as the command line has it.
+    pub number: usize,
+    /// What it was named.
+    pub path: PathBuf,
+    /// All that it holds.
+    pub earlier: Earlier,
+    /// What lies beside it as `summary.json`.
+    pub summary: Value,
+    /// Keyframes of all parts before it in the merged map, and its own.
+    pub keyframes: std::ops::Range<usize>,
+    /// Keyframes of its main map.
+    num_in_main_map: usize,
+    /// Checksum of the recording.
+    crc: u32,
+}
+
+impl Part {
+    fn read(number: usize, path: &Path) -> Result<Self, Failure> {
+        let earlier = Earlier::read(path)?;
+        let file = recording_file(path);
+        let folder = file.parent().unwrap_or(Path::new(""));
+        let summary = std::fs::read_to_string(folder.join(SUMMARY)).unwrap_or_default();
+        let bytes = std::fs::read(&file).bad_input()?;
+        let in_main_map = |fragment: FragmentId| fragment == MAIN_MAP;
+        let keyframes = &earlier.map.keyframes;
+        Ok(Self {
+            number,
+            path: path.to_owned(),
+            num_in_main_map: keyframes.iter().filter(|k| in_main_map(k.fragment)).count(),
+            keyframes: 0..keyframes.len(),
+            summary: serde_json::from_str(&summary).unwrap_or_default(),
+            crc: crc32fast::hash(&bytes),
+            earlier,
+        })
+    }
+
+    /// Whether lengths of its results are metres.
+    pub fn is_metric(&self) -> bool {
+        let in_frame = matches!(
+            self.earlier.frame,
+            Some(Align::Map {
+                is_metric: true,
+                ..
+            })
+        );
+        in_frame || self.earlier.session.scale == Scale::Metric
+    }
+
+    /// Whether it is known where up is.
+    fn is_level(&self) -> bool {
+        let from = self.summary["up"]["from"].as_str();
+        self.earlier.frame.is_some() && from.is_some_and(|from| from != "first-camera")
+    }
+
+    /// Its map, which is needed in the merged one only.
+    pub fn take_map(&mut self) -> StoredMap {
+        let map = &mut self.earlier.map;
+        StoredMap {
+            scale: map.scale,
+            pose_revision: map.pose_revision,
+            keyframes: std::mem::take(&mut map.keyframes),
+            edges: std::mem::take(&mut map.edges),
+            points: std::mem::take(&mut map.points),
+        }
+    }
+}
+
+/// The recording of a run, or a recording.
+fn recording_file(path: &Path) -> PathBuf {
+    if path.is_dir() {
+        path.join(RECORDING)
+    } else {
+        path.to_owned()
+    }
+}
+
+/// Reads all recordings. What is joined lies in the world of the first of them: those in metres come first, then those that know where up
+/// is, then those with most keyframes; checksums decide about the rest.
+pub fn read_parts(paths: &[PathBuf]) -> Result<Vec<Part>, Failure> {
+    let mut parts = Vec::with_capacity(paths.len());
+    for (number, path) in (1..).zip(paths) {
+        parts.push(Part::read(number, path)?);
+    }
+    parts.sort_by_key(|part| {
+        (
+            !part.is_metric(),
+            !part.is_level(),
+            Reverse(part.num_in_main_map),
+            part.crc,
+            part.number,
+        )
+    });
+    let same = parts
+        .windows(2)
+        .find(|pair| pair[0].crc == pair[1].crc && pair[0].keyframes == pair[1].keyframes);
+    if let Some([a, b]) = same {
+        return Err(Failure::input(format!(
+            "{} and {} are the same recording; expected each once",
+            a.path.display(),
+            b.path.display()
+        )));
+    }
+    let mut begin = 0;
+    for part in &mut parts {
+        part.keyframes = begin..begin + part.keyframes.len();
+        begin = part.keyframes.end;
+    }
+    Ok(parts)
+}
+
+/// Of every fragment of the map that the parts make side by side, the number of the recording that it came from.
+pub fn owners(parts: &[Part], side_by_side: &StoredMap) -> BTreeMap<FragmentId, usize> {
+    let mut owners = BTreeMap::new();
+    for part in parts {
+        for keyframe in &side_by_side.keyframes[part.keyframes.clone()] {
+            owners.insert(keyframe.fragment, part.number);
+        }
+    }
+    owners
+}
