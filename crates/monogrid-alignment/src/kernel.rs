@@ -4,11 +4,13 @@ use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::Se3;
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
+use std::ops::{Add, Mul, Neg, Sub};
+use wide::f32x8;
 
 /// Unknowns: twist `[v, w]` of the frame, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 8;
 /// Points that are worked on side by side.
-const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 /// Entries of the upper triangle of the normal equations.
 const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// Points summed in `f32` before the sum moves to `f64`.
@@ -77,11 +79,11 @@ pub struct Linearization {
     pub moments: [f64; 5],
 }
 
-/// One chunk of points after projection.
+/// Residuals of [`LANES`] points with their weights and derivatives; those that are not visible have no weight.
 struct Lanes {
-    residual: [f32; LANES],
-    weight: [f32; LANES],
-    jacobian: [[f32; LANES]; UNKNOWNS],
+    residual: f32x8,
+    weight: f32x8,
+    jacobian: [f32x8; UNKNOWNS],
 }
 
 /// Builds the normal equations of `reference` against `target` at `motion`.
@@ -113,7 +115,7 @@ pub fn linearize(
         let mut block = Block::default();
         let block_end = (start + BLOCK).min(count);
         for start in (start..block_end).step_by(LANES) {
-            let chunk = (start..(start + LANES).min(block_end)).map(|i| i * stride);
+            let chunk = (start * stride, stride);
             let lanes = projection.chunk(reference, target, weighting, chunk, &mut block.sums);
             accumulate(&lanes, &mut block.triangle, &mut block.gradient);
         }
@@ -143,16 +145,16 @@ pub fn linearize(
 
 /// Sums of a block of points.
 struct Block {
-    triangle: [[f32; LANES]; TRIANGLE],
-    gradient: [[f32; LANES]; UNKNOWNS],
+    triangle: [f32x8; TRIANGLE],
+    gradient: [f32x8; UNKNOWNS],
     sums: Sums,
 }
 
 impl Default for Block {
     fn default() -> Self {
         Self {
-            triangle: [[0.0; LANES]; TRIANGLE],
-            gradient: [[0.0; LANES]; UNKNOWNS],
+            triangle: [f32x8::ZERO; TRIANGLE],
+            gradient: [f32x8::ZERO; UNKNOWNS],
             sums: Sums::default(),
         }
     }
@@ -188,7 +190,7 @@ impl Linearization {
             gradient,
             sums,
         } = block;
-        let total = |lanes: &[f32; LANES]| lanes.iter().map(|x| f64::from(*x)).sum::<f64>();
+        let total = |lanes: &f32x8| lanes.to_array().into_iter().map(f64::from).sum::<f64>();
         let mut k = 0;
         for (row, sums) in gradient.iter().enumerate() {
             self.gradient[row] += total(sums);
@@ -244,26 +246,15 @@ impl Linearization {
     }
 }
 
-/// Adds `w J^T J` and `w J^T r` of a chunk; lanes stay apart, so that the loops vectorise and the
-/// order of the sums is the same on every machine.
+/// Adds `w J^T J` and `w J^T r` of a chunk; lanes stay apart, so that the order of the sums is the same on every machine.
 #[inline]
-fn accumulate(
-    lanes: &Lanes,
-    triangle: &mut [[f32; LANES]; TRIANGLE],
-    gradient: &mut [[f32; LANES]; UNKNOWNS],
-) {
+fn accumulate(lanes: &Lanes, triangle: &mut [f32x8; TRIANGLE], gradient: &mut [f32x8; UNKNOWNS]) {
     let mut k = 0;
-    for (row, sums) in gradient.iter_mut().enumerate() {
-        let mut weighted = [0.0f32; LANES];
-        for l in 0..LANES {
-            weighted[l] = lanes.weight[l] * lanes.jacobian[row][l];
-            sums[l] += weighted[l] * lanes.residual[l];
-        }
-        for column in row..UNKNOWNS {
-            let sums = &mut triangle[k];
-            for l in 0..LANES {
-                sums[l] += weighted[l] * lanes.jacobian[column][l];
-            }
+    for (row, sum) in gradient.iter_mut().enumerate() {
+        let weighted = lanes.weight * lanes.jacobian[row];
+        *sum += weighted * lanes.residual;
+        for derivative in &lanes.jacobian[row..] {
+            triangle[k] += weighted * *derivative;
             k += 1;
         }
     }
@@ -271,23 +262,27 @@ fn accumulate(
 
 /// Derivative of `I_frame - gain * I_keyframe - bias` by the left twist of the pose, the logarithm of the
 /// gain, and the bias; at the normalised image position `[x, y]` with the gradient `[gx, gy]` there, for a
-/// point at the inverse depth `inv_z` in the frame.
+/// point at the inverse depth `inv_z` in the frame. Of one point, or of several side by side; `one` is 1.
 #[inline]
-pub(crate) fn residual_row(
-    [x, y]: [f32; 2],
-    [gx, gy]: [f32; 2],
-    inv_z: f32,
-    scaled_reference: f32,
-) -> [f32; UNKNOWNS] {
+pub(crate) fn residual_row<T>(
+    [x, y]: [T; 2],
+    [gx, gy]: [T; 2],
+    inv_z: T,
+    scaled_reference: T,
+    one: T,
+) -> [T; UNKNOWNS]
+where
+    T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T> + Neg<Output = T>,
+{
     [
         gx * inv_z,
         gy * inv_z,
         -(x * gx + y * gy) * inv_z,
-        -(gx * x * y + gy * (1.0 + y * y)),
-        gx * (1.0 + x * x) + gy * x * y,
+        -(gx * x * y + gy * (one + y * y)),
+        gx * (one + x * x) + gy * x * y,
         gy * x - gx * y,
         -scaled_reference,
-        -1.0,
+        -one,
     ]
 }
 
@@ -311,7 +306,7 @@ impl Projection {
         }
     }
 
-    /// Residual, weight and Jacobian of up to [`LANES`] points.
+    /// Residual, weight and Jacobian of up to [`LANES`] points: from the first one on, every `stride`-th.
     ///
     /// `[ECCV14]` equations 11 to 14; with the direction `m` (z = 1) and inverse depth `d` of a
     /// point, `q = R m + t d` is its position in the frame times `d`.
@@ -321,75 +316,116 @@ impl Projection {
         reference: &ReferenceLevel,
         target: &TargetLevel,
         weighting: &Weighting,
-        chunk: impl Iterator<Item = usize>,
+        chunk: (usize, usize),
         sums: &mut Sums,
     ) -> Lanes {
-        let mut lanes = Lanes {
-            residual: [0.0; LANES],
-            weight: [0.0; LANES],
-            jacobian: [[0.0; LANES]; UNKNOWNS],
-        };
-        let mut chunk_cost = weighting.no_cost();
         let [fx, fy, cx, cy] = target.intrinsics;
         let (r, t) = (&self.r, &self.t);
-        for (l, i) in chunk.enumerate() {
-            let (mx, my, d) = (reference.x[i], reference.y[i], reference.idepth[i]);
-            let qx = r[0][0] * mx + r[0][1] * my + r[0][2] + t[0] * d;
-            let qy = r[1][0] * mx + r[1][1] * my + r[1][2] + t[1] * d;
-            let qz = r[2][0] * mx + r[2][1] * my + r[2][2] + t[2] * d;
-            let inv_qz = 1.0 / qz;
-            let (x, y) = (qx * inv_qz, qy * inv_qz);
-            let (u, v) = (fx * x + cx, fy * y + cy);
-            if qz <= 0.01 || !target.contains(u, v) {
-                continue;
-            }
-            let [intensity, gu, gv] = target.sample(u, v);
-            let scaled_reference = self.gain * reference.intensity[i];
-            let residual = intensity - scaled_reference - self.bias;
-            let (gx, gy) = (fx * gu, fy * gv);
-            // derivative by the inverse depth, for the variance of the residual
-            let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
-            let variance =
-                weighting.intensity_var + by_idepth * by_idepth * reference.idepth_var[i];
-            let normalised_sq = residual * residual / variance;
-            let (robust_weight, cost) = weighting.robust_weight(normalised_sq);
-            let jacobian = residual_row([x, y], [gx, gy], d * inv_qz, scaled_reference);
-            for (row, value) in lanes.jacobian.iter_mut().zip(jacobian) {
-                row[l] = value;
-            }
-            lanes.residual[l] = residual;
-            lanes.weight[l] = robust_weight / variance;
-            sums.add_moments(reference.intensity[i], intensity);
-            weighting.add_cost(&mut chunk_cost, cost);
-            sums.num_visible += 1;
-            // depth ratio keyframe / frame is 1 / qz
-            sums.usage += inv_qz.min(1.0);
-            if residual * residual
-                < weighting.good_sq + weighting.good_gradient_sq * (gu * gu + gv * gv)
-            {
-                sums.num_good += 1;
-                sums.good_residual_sq += residual * residual;
-            }
-            sums.scale += weighting.scale_term(normalised_sq);
+        let (mx, my) = (taken(&reference.x, chunk), taken(&reference.y, chunk));
+        let d = taken(&reference.idepth, chunk);
+        let [qx, qy, qz] = [0, 1, 2].map(|i| r[i][0] * mx + r[i][1] * my + r[i][2] + t[i] * d);
+        let inv_qz = 1.0 / qz;
+        let (x, y) = (qx * inv_qz, qy * inv_qz);
+        let (u, v) = (fx * x + cx, fy * y + cy);
+        let visible = qz.simd_gt(f32x8::splat(0.01)) & target.contains_lanes(u, v);
+        let [x, y, d, inv_qz] = [x, y, d, inv_qz].map(|values| visible & values);
+        let [intensity, gu, gv] = target.sample_lanes(u, v, visible);
+        let keyframe = visible & taken(&reference.intensity, chunk);
+        let scaled_reference = self.gain * keyframe;
+        let residual = intensity - scaled_reference - self.bias;
+        let (gx, gy) = (fx * gu, fy * gv);
+        // derivative by the inverse depth, for the variance of the residual
+        let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
+        let idepth_var = visible & taken(&reference.idepth_var, chunk);
+        let variance = weighting.intensity_var + by_idepth * by_idepth * idepth_var;
+        let normalised_sq = residual * residual / variance;
+        let (robust_weight, cost) = weighting.robust_weight(normalised_sq);
+        let good_sq = weighting.good_sq + weighting.good_gradient_sq * (gu * gu + gv * gv);
+        let residual_sq = residual * residual;
+        sums.add(
+            &Seen {
+                visible: visible.to_bitmask(),
+                good: (visible & residual_sq.simd_lt(good_sq)).to_bitmask(),
+                keyframe: keyframe.to_array(),
+                intensity: intensity.to_array(),
+                // depth ratio keyframe / frame is 1 / qz
+                usage: inv_qz.fast_min(f32x8::ONE).to_array(),
+                residual_sq: residual_sq.to_array(),
+                scale: weighting.scale_term(normalised_sq).to_array(),
+                cost: cost.to_array(),
+            },
+            weighting,
+        );
+        let inv_z = d * inv_qz;
+        Lanes {
+            residual,
+            weight: visible & (robust_weight / variance),
+            jacobian: residual_row([x, y], [gx, gy], inv_z, scaled_reference, f32x8::ONE),
         }
-        sums.cost += weighting.chunk_cost(chunk_cost);
-        lanes
+    }
+}
+
+/// Values of [`LANES`] points from the first one on, every `stride`-th; where there are no more, no numbers, so that they are nowhere.
+#[inline]
+pub(crate) fn taken(values: &[f32], (first, stride): (usize, usize)) -> f32x8 {
+    let values = &values[first..];
+    match values.first_chunk() {
+        Some(all) if stride == 1 => f32x8::new(*all),
+        _ => {
+            let mut lanes = [f32::NAN; LANES];
+            for (lane, value) in lanes.iter_mut().zip(values.iter().step_by(stride)) {
+                *lane = *value;
+            }
+            f32x8::new(lanes)
+        }
+    }
+}
+
+/// What of a chunk is summed up point by point, in their order.
+struct Seen {
+    /// A bit for each lane.
+    visible: u32,
+    good: u32,
+    keyframe: [f32; LANES],
+    intensity: [f32; LANES],
+    usage: [f32; LANES],
+    residual_sq: [f32; LANES],
+    scale: [f32; LANES],
+    cost: [f32; LANES],
+}
+
+impl Sums {
+    #[inline]
+    fn add(&mut self, seen: &Seen, weighting: &Weighting) {
+        let mut chunk_cost = weighting.no_cost();
+        for l in (0..LANES).filter(|l| seen.visible >> l & 1 == 1) {
+            self.add_moments(seen.keyframe[l], seen.intensity[l]);
+            self.usage += seen.usage[l];
+            self.scale += seen.scale[l];
+            if seen.good >> l & 1 == 1 {
+                self.good_residual_sq += seen.residual_sq[l];
+            }
+            weighting.add_cost(&mut chunk_cost, seen.cost[l]);
+        }
+        self.num_visible += seen.visible.count_ones() as usize;
+        self.num_good += seen.good.count_ones() as usize;
+        self.cost += weighting.chunk_cost(chunk_cost);
     }
 }
 
 impl Weighting {
-    /// Weight for a squared normalised residual, and its cost: a summand (Huber) or a factor under the
+    /// Weights for squared normalised residuals, and their costs: a summand (Huber) or a factor under the
     /// logarithm (Student t), see [`Self::chunk_cost`].
     #[inline]
-    fn robust_weight(&self, normalised_sq: f32) -> (f32, f32) {
+    fn robust_weight(&self, normalised_sq: f32x8) -> (f32x8, f32x8) {
         match self.robust {
             Robust::Huber { k } => {
                 let magnitude = normalised_sq.sqrt();
-                if magnitude <= k {
-                    (1.0, normalised_sq)
-                } else {
-                    (k / magnitude, k * (2.0 * magnitude - k))
-                }
+                let is_small = magnitude.simd_le(f32x8::splat(k));
+                (
+                    is_small.bitselect(f32x8::ONE, k / magnitude),
+                    is_small.bitselect(normalised_sq, k * (2.0 * magnitude - k)),
+                )
             }
             Robust::StudentT { nu } => {
                 let inv_scale_sq = 1.0 / (self.scale * self.scale);
@@ -428,9 +464,9 @@ impl Weighting {
 
     /// Summand of the fixed-point iteration for the scale of the t distribution (`[DVO13]`).
     #[inline]
-    fn scale_term(&self, normalised_sq: f32) -> f32 {
+    fn scale_term(&self, normalised_sq: f32x8) -> f32x8 {
         match self.robust {
-            Robust::Huber { .. } => 0.0,
+            Robust::Huber { .. } => f32x8::ZERO,
             Robust::StudentT { nu } => {
                 normalised_sq * (nu + 1.0) / (nu + normalised_sq / (self.scale * self.scale))
             }

@@ -2,6 +2,7 @@
 
 use monogrid_geometry::Pinhole;
 use monogrid_image::{Pyramid, pyramid_intrinsics};
+use wide::{f32x4, f32x8};
 
 /// One level: intensity and halved central differences side by side, so that one bilinear look-up
 /// touches two cache lines.
@@ -18,7 +19,7 @@ pub struct TargetLevel {
 }
 
 impl TargetLevel {
-    /// Bilinear `[intensity, d/dx, d/dy]`; the caller has checked [`Self::contains`].
+    /// Bilinear `[intensity, d/dx, d/dy]`; the caller has checked [`Self::contains_lanes`].
     #[inline]
     pub(crate) fn sample(&self, u: f32, v: f32) -> [f32; 3] {
         let (x, y) = (u as usize, v as usize);
@@ -30,19 +31,29 @@ impl TargetLevel {
         ) else {
             return [0.0; 3];
         };
-        let mut out = [0.0f32; 3];
-        for (k, value) in out.iter_mut().enumerate() {
-            let t = top[0][k] + fx * (top[1][k] - top[0][k]);
-            let b = bottom[0][k] + fx * (bottom[1][k] - bottom[0][k]);
-            *value = t + fy * (b - t);
-        }
-        out
+        let [a, b, c, d] = [top[0], top[1], bottom[0], bottom[1]].map(f32x4::new);
+        let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
+        let [intensity, du, dv, _] = (top + fy * (bottom - top)).to_array();
+        [intensity, du, dv]
     }
 
-    /// Whether a pixel is far enough inside for value and gradient; false for NaN.
+    /// [`Self::sample`] at the places that the mask says; 0 at the others.
     #[inline]
-    pub(crate) fn contains(&self, u: f32, v: f32) -> bool {
-        u > 1.0 && v > 1.0 && u < self.width as f32 - 2.0 && v < self.height as f32 - 2.0
+    pub(crate) fn sample_lanes(&self, u: f32x8, v: f32x8, mask: f32x8) -> [f32x8; 3] {
+        let (u, v, mask) = (u.to_array(), v.to_array(), mask.to_bitmask());
+        let mut out = [[0.0f32; 8]; 3];
+        for l in (0..8).filter(|l| mask >> l & 1 == 1) {
+            [out[0][l], out[1][l], out[2][l]] = self.sample(u[l], v[l]);
+        }
+        out.map(f32x8::new)
+    }
+
+    /// Which pixels are far enough inside for value and gradient, as a mask; not those that are no numbers.
+    #[inline]
+    pub(crate) fn contains_lanes(&self, u: f32x8, v: f32x8) -> f32x8 {
+        let right = f32x8::splat(self.width as f32 - 2.0);
+        let bottom = f32x8::splat(self.height as f32 - 2.0);
+        u.simd_gt(f32x8::ONE) & v.simd_gt(f32x8::ONE) & u.simd_lt(right) & v.simd_lt(bottom)
     }
 }
 

@@ -30,9 +30,9 @@ const CONVERGED_PX: f32 = 0.005;
 #[inline]
 pub(crate) fn sample(image: &GrayImage, x: f32, y: f32) -> f32 {
     let w = image.width();
-    let (ix, iy) = (x as i32 as usize, y as i32 as usize);
+    let (ix, iy) = (x as i32, y as i32);
     let (fx, fy) = (x - ix as f32, y - iy as f32);
-    let i = iy * w + ix;
+    let i = iy as usize * w + ix as usize;
     let data = image.as_slice();
     let (top, bottom) = (&data[i..i + 2], &data[i + w..i + w + 2]);
     let a = top[0] + fx * (top[1] - top[0]);

@@ -4,6 +4,7 @@ use crate::error::MapError;
 use crate::evidence::{Limits, Occupancy, UNKNOWN, evidence_from_log_odds, log_odds_from_evidence};
 use crate::integrate::parallel::for_each;
 use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
+use crate::sensor::table::KnownTables;
 use crate::storage::{BrickRef, SHARDS, Shard, hash, shard_of};
 
 /// Settings of a map.
@@ -56,6 +57,7 @@ pub struct OccupancyMap {
     pub(crate) limits: Limits,
     pub(crate) shards: Vec<Shard>,
     pub(crate) revision: u32,
+    pub(crate) known_tables: KnownTables,
 }
 
 impl OccupancyMap {
@@ -78,6 +80,7 @@ impl OccupancyMap {
             limits,
             shards: vec![Shard::default(); SHARDS],
             revision: 0,
+            known_tables: KnownTables::default(),
             config,
         })
     }

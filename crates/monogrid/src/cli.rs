@@ -1,5 +1,6 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
+use crate::commands::batch::BatchArgs;
 use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::check::CheckArgs;
@@ -75,6 +76,13 @@ pub enum Command {
         after_help = "Example: monogrid run recordings/kitchen --out runs/kitchen --resolution 0.02"
     )]
     Run(Box<RunArgs>),
+    /// Many recordings, each by a run of its own: resumable, a status for each, several at once
+    #[command(
+        after_help = "Example: monogrid batch recordings.tsv --out maps --jobs 8\n\n\
+A list has a recording per line, and behind tabs what is said of it alone: name=NAME and options of `monogrid run`\n\
+as KEY=VALUE."
+    )]
+    Batch(BatchArgs),
     /// Cameras of this computer that can be a source
     #[command(after_help = "Example: monogrid cameras")]
     Cameras(CamerasArgs),

@@ -70,6 +70,8 @@ mod say;
 #[cfg(feature = "program")]
 mod args;
 #[cfg(feature = "program")]
+mod batch;
+#[cfg(feature = "program")]
 mod cli;
 #[cfg(feature = "program")]
 mod colours;
@@ -121,6 +123,8 @@ mod self_calibration;
 mod surface;
 #[cfg(feature = "program")]
 mod sweep;
+#[cfg(feature = "program")]
+mod tally;
 #[cfg(feature = "program")]
 mod usage;
 #[cfg(feature = "program")]

@@ -2,7 +2,7 @@
 
 use crate::cli::{Cli, Command, EvaluateCommand};
 use crate::config::RunConfig;
-use crate::{commands, failure, memory, usage};
+use crate::{batch, commands, failure, memory, usage};
 use monogrid_pipeline::Settings;
 use std::error::Error;
 use std::ffi::OsString;
@@ -14,6 +14,7 @@ use std::path::Path;
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     // the clock of "frames per second, everything included"
     usage::process_start();
+    batch::child::end_with_parent();
     memory::share_heaps();
     let cli = match Cli::parse(arguments) {
         Ok(cli) => cli,
@@ -22,6 +23,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let result = match &cli.command {
         Command::Demo(args) => commands::demo::execute(args),
         Command::Run(args) => commands::run::execute(args),
+        Command::Batch(args) => commands::batch::execute(args),
         Command::Calibrate(args) => commands::calibrate::execute(args),
         Command::Cameras(args) => commands::cameras::execute(args),
         Command::Check(args) => commands::check::execute(args),

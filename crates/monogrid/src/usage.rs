@@ -12,7 +12,11 @@ pub fn process_start() -> Instant {
 
 /// Largest resident memory so far, bytes; `None` where the system does not say.
 pub fn peak_rss_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    peak_in(&std::fs::read_to_string("/proc/self/status").ok()?)
+}
+
+/// Largest resident memory that the `status` of a process says, bytes.
+pub fn peak_in(status: &str) -> Option<u64> {
     let line = status
         .lines()
         .find_map(|line| line.strip_prefix("VmHWM:"))?;

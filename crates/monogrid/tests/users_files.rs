@@ -165,6 +165,12 @@ impl Sources {
         fs::write(this.path("sim3.txt"), "1 0 0 0 0 0 0 1\n").unwrap();
         fs::write(this.path("mesh.obj"), BOX_OBJ).unwrap();
         fs::write(this.path("inside.txt"), INSIDE).unwrap();
+        let batch = format!(
+            "{}\tname=images\tcalibration={}\n",
+            this.text("images"),
+            this.text("camera.txt")
+        );
+        fs::write(this.path("recordings.tsv"), batch).unwrap();
         write_recording(&this.path("recording.mgk"), 0.5);
         write_recording(&this.path("later.mgk"), 0.4);
         // what a run leaves
@@ -232,6 +238,13 @@ impl Sources {
         vec![
             self.call("run", "--out", "", run, read_by_run),
             self.call("demo", "--out", "", "--max-frames 1", ""),
+            self.call(
+                "batch",
+                "--out",
+                "",
+                "@recordings.tsv",
+                "recordings.tsv camera.txt",
+            ),
             self.call("calibrate", "--out", "", "@board", "board/1.png"),
             self.call("synth", "--out", "", synth, "mesh.obj inside.txt"),
             self.call("sensor-model", "--plot", "", "", ""),
@@ -333,6 +346,7 @@ impl Call {
         match self.command {
             "run" => &["config.toml", "recording.mgk", "summary.json"],
             "demo" => &["config.toml"],
+            "batch" => &["tasks/images/task.json", "tasks/images/log.txt"],
             "calibrate" => &["calibration.txt", "residuals.svg"],
             "synth" => &["truth.ot", "rgb.txt", "rgb/000000.png", "mesh.ply"],
             "sensor-model" => &["sensor-models.html"],

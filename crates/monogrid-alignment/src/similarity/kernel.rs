@@ -1,10 +1,11 @@
 //! The normal equations of one level over similarity, gain and bias.
 
 use super::DepthLevel;
-use crate::kernel::residual_row;
+use crate::kernel::{LANES, residual_row, taken};
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 use nalgebra::{SMatrix, SVector};
+use wide::f32x8;
 
 /// Unknowns: tangent `[v, w, s]` of `b_from_a`, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 9;
@@ -113,8 +114,6 @@ impl SimilarityLinearization {
     }
 }
 
-/// Points that are worked on side by side.
-const LANES: usize = 8;
 /// Points summed in `f32` before the sums move to `f64`.
 const BLOCK: usize = 1024;
 /// Unknowns on which the photometric residual depends: all but the scale.
@@ -122,58 +121,39 @@ const PHOTOMETRIC: [usize; 8] = [0, 1, 2, 3, 4, 5, 7, 8];
 /// Unknowns on which the depth residual depends: v along the axis, w across it, scale.
 const DEPTH: [usize; 4] = [2, 3, 4, 6];
 
-/// Residuals of one kind of a chunk of points, with weights and derivatives by `N` unknowns.
+/// Residuals of one kind of [`LANES`] points, with weights and derivatives by `N` unknowns; without weight where there is none.
 struct Lanes<const N: usize> {
-    residual: [f32; LANES],
-    weight: [f32; LANES],
-    jacobian: [[f32; LANES]; N],
+    residual: f32x8,
+    weight: f32x8,
+    jacobian: [f32x8; N],
 }
 
-impl<const N: usize> Lanes<N> {
-    const EMPTY: Self = Self {
-        residual: [0.0; LANES],
-        weight: [0.0; LANES],
-        jacobian: [[0.0; LANES]; N],
-    };
-
-    fn set(&mut self, lane: usize, residual: f32, weight: f32, row: [f32; N]) {
-        self.residual[lane] = residual;
-        self.weight[lane] = weight;
-        for (values, value) in self.jacobian.iter_mut().zip(row) {
-            values[lane] = value;
-        }
-    }
-}
-
-/// Sums of `w J^T J` and `w J^T r` of one kind; lanes stay apart, so that the loops vectorise and the
-/// order of the sums is the same on every machine.
+/// Sums of `w J^T J` and `w J^T r` of one kind; lanes stay apart, so that the order of the sums is the same on every machine.
 struct BlockSums<const N: usize> {
-    hessian: [[[f32; LANES]; N]; N],
-    gradient: [[f32; LANES]; N],
+    hessian: [[f32x8; N]; N],
+    gradient: [f32x8; N],
 }
 
 impl<const N: usize> BlockSums<N> {
     const ZERO: Self = Self {
-        hessian: [[[0.0; LANES]; N]; N],
-        gradient: [[0.0; LANES]; N],
+        hessian: [[f32x8::ZERO; N]; N],
+        gradient: [f32x8::ZERO; N],
     };
 
     #[inline]
     fn add(&mut self, lanes: &Lanes<N>) {
         for row in 0..N {
-            let derivative = &lanes.jacobian[row];
-            let weighted: [f32; LANES] = std::array::from_fn(|l| lanes.weight[l] * derivative[l]);
-            add_products(&mut self.gradient[row], &weighted, &lanes.residual);
+            let weighted = lanes.weight * lanes.jacobian[row];
+            self.gradient[row] += weighted * lanes.residual;
             for column in row..N {
-                let sums = &mut self.hessian[row][column];
-                add_products(sums, &weighted, &lanes.jacobian[column]);
+                self.hessian[row][column] += weighted * lanes.jacobian[column];
             }
         }
     }
 
     /// Moves the sums to the equations of all unknowns.
     fn flush(&mut self, unknowns: [usize; N], out: &mut SimilarityLinearization) {
-        let total = |lanes: &[f32; LANES]| lanes.iter().map(|x| f64::from(*x)).sum::<f64>();
+        let total = |lanes: &f32x8| lanes.to_array().into_iter().map(f64::from).sum::<f64>();
         for (row, &i) in unknowns.iter().enumerate() {
             out.gradient[i] += total(&self.gradient[row]);
             for (column, &j) in unknowns.iter().enumerate().skip(row) {
@@ -184,21 +164,18 @@ impl<const N: usize> BlockSums<N> {
     }
 }
 
-#[inline]
-fn add_products(sums: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
-    for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
-        *sum += a * b;
-    }
-}
-
-/// Both residuals of a point with their derivatives.
-struct PointResiduals {
-    photometric: f32,
-    photometric_var: f32,
-    photometric_row: [f32; 8],
-    /// Residual, variance, row.
-    depth: Option<(f32, f32, [f32; 4])>,
-    intensities: [f32; 2],
+/// Both residuals of [`LANES`] points with their derivatives.
+struct Residuals {
+    visible: f32x8,
+    photometric: f32x8,
+    photometric_var: f32x8,
+    photometric_row: [f32x8; 8],
+    /// Visible points that meet a depth.
+    has_depth: f32x8,
+    depth: f32x8,
+    depth_var: f32x8,
+    depth_row: [f32x8; 4],
+    intensities: [f32x8; 2],
 }
 
 /// Builds the normal equations of `points` (of a) against image and depth of b. `stride` uses every n-th
@@ -220,16 +197,9 @@ pub fn linearize_similarity(
     for block in (0..count).step_by(BLOCK) {
         let block_end = (block + BLOCK).min(count);
         for start in (block..block_end).step_by(LANES) {
-            let (mut p, mut d) = (Lanes::EMPTY, Lanes::EMPTY);
-            let mut cost = ChunkCost::default();
-            for (lane, i) in (start..(start + LANES).min(block_end)).enumerate() {
-                let found = projection.residuals(points, i * stride, image, depth, weighting);
-                if let Some(residuals) = found {
-                    let lanes = (&mut p, &mut d, lane);
-                    weigh_point(&residuals, weighting, lanes, &mut cost, &mut out);
-                }
-            }
-            out.cost += cost.total(weighting.robust);
+            let chunk = (start * stride, stride);
+            let residuals = projection.residuals(points, chunk, image, depth, weighting);
+            let (p, d) = weigh(&residuals, weighting, &mut out);
             photometric.add(&p);
             geometric.add(&d);
         }
@@ -244,39 +214,69 @@ pub fn linearize_similarity(
     out
 }
 
-/// Gives a point the joint weight of its residuals (`[ECCV14]` equation 18).
+/// Gives points the joint weight of their residuals (`[ECCV14]` equation 18).
 #[inline]
-fn weigh_point(
-    point: &PointResiduals,
+fn weigh(
+    points: &Residuals,
     weighting: &SimilarityWeighting,
-    (photometric, geometric, lane): (&mut Lanes<8>, &mut Lanes<4>, usize),
-    cost: &mut ChunkCost,
     out: &mut SimilarityLinearization,
-) {
+) -> (Lanes<8>, Lanes<4>) {
     let [scale_p, scale_d] = weighting.scale.map(|s| s * s);
-    let photometric_sq = point.photometric * point.photometric / point.photometric_var;
-    let depth_sq = point
-        .depth
-        .map_or(0.0, |(residual, var, _)| residual * residual / var);
+    let photometric_sq = points.photometric * points.photometric / points.photometric_var;
+    let depth_sq = points.has_depth & (points.depth * points.depth / points.depth_var);
     let joint_sq = photometric_sq / scale_p + depth_sq / scale_d;
-    let weight = cost.add(weighting.robust, joint_sq, point.depth.is_some());
-    out.num_visible += 1;
-    out.num_good += usize::from(photometric_sq < 9.0);
-    out.scale_sums[0] += f64::from(weight * photometric_sq);
-    photometric.set(
-        lane,
-        point.photometric,
-        weight / (point.photometric_var * scale_p),
-        point.photometric_row,
-    );
-    if let Some((residual, var, row)) = point.depth {
-        out.num_depth += 1;
-        out.scale_sums[1] += f64::from(weight * depth_sq);
-        geometric.set(lane, residual, weight / (var * scale_d), row);
+    let (weight, cost) = robust_weight(weighting.robust, joint_sq, points.has_depth);
+    let (visible, has_depth) = (points.visible.to_bitmask(), points.has_depth.to_bitmask());
+    let good = points.visible & photometric_sq.simd_lt(f32x8::splat(9.0));
+    out.num_visible += visible.count_ones() as usize;
+    out.num_depth += has_depth.count_ones() as usize;
+    out.num_good += good.to_bitmask().count_ones() as usize;
+    let by_scale = [photometric_sq, depth_sq].map(|squared| (weight * squared).to_array());
+    let [a, b] = points.intensities.map(f32x8::to_array);
+    let cost = cost.to_array();
+    let mut chunk_cost = ChunkCost::default();
+    for l in (0..LANES).filter(|l| visible >> l & 1 == 1) {
+        let has_depth = has_depth >> l & 1 == 1;
+        chunk_cost.add(weighting.robust, cost[l], has_depth);
+        out.scale_sums[0] += f64::from(by_scale[0][l]);
+        if has_depth {
+            out.scale_sums[1] += f64::from(by_scale[1][l]);
+        }
+        let [a, b] = [a[l], b[l]].map(f64::from);
+        for (sum, value) in out.moments.iter_mut().zip([a, b, a * a, b * b, a * b]) {
+            *sum += value;
+        }
     }
-    let [a, b] = point.intensities.map(f64::from);
-    for (sum, value) in out.moments.iter_mut().zip([a, b, a * a, b * b, a * b]) {
-        *sum += value;
+    out.cost += chunk_cost.total(weighting.robust);
+    let photometric = Lanes {
+        residual: points.photometric,
+        weight: points.visible & (weight / (points.photometric_var * scale_p)),
+        jacobian: points.photometric_row,
+    };
+    let depth = Lanes {
+        residual: points.depth,
+        weight: points.has_depth & (weight / (points.depth_var * scale_d)),
+        jacobian: points.depth_row,
+    };
+    (photometric, depth)
+}
+
+/// Weights for squared normalised residuals, and their costs: summands (Huber) or factors under the logarithm (Student t).
+#[inline]
+fn robust_weight(robust: Robust, squared: f32x8, has_depth: f32x8) -> (f32x8, f32x8) {
+    match robust {
+        Robust::Huber { k } => {
+            let magnitude = squared.sqrt();
+            let is_small = magnitude.simd_le(f32x8::splat(k));
+            (
+                is_small.bitselect(f32x8::ONE, k / magnitude),
+                is_small.bitselect(squared, k * (2.0 * magnitude - k)),
+            )
+        }
+        Robust::StudentT { nu } => {
+            let dimension = f32x8::ONE + (has_depth & f32x8::ONE);
+            ((nu + dimension) / (nu + squared), 1.0 + squared / nu)
+        }
     }
 }
 
@@ -297,25 +297,12 @@ impl Default for ChunkCost {
 }
 
 impl ChunkCost {
-    /// Adds a squared normalised residual; returns its weight.
+    /// Adds the cost of a point as [`robust_weight`] gives it.
     #[inline]
-    fn add(&mut self, robust: Robust, squared: f32, has_depth: bool) -> f32 {
+    fn add(&mut self, robust: Robust, cost: f32, has_depth: bool) {
         match robust {
-            Robust::Huber { k } => {
-                let magnitude = squared.sqrt();
-                if magnitude <= k {
-                    self.sum += f64::from(squared);
-                    1.0
-                } else {
-                    self.sum += f64::from(k * (2.0 * magnitude - k));
-                    k / magnitude
-                }
-            }
-            Robust::StudentT { nu } => {
-                self.products[usize::from(has_depth)] *= f64::from(1.0 + squared / nu);
-                let dimension = if has_depth { 2.0 } else { 1.0 };
-                (nu + dimension) / (nu + squared)
-            }
+            Robust::Huber { .. } => self.sum += f64::from(cost),
+            Robust::StudentT { .. } => self.products[usize::from(has_depth)] *= f64::from(cost),
         }
     }
 
@@ -357,44 +344,44 @@ impl Projection {
     fn residuals(
         &self,
         points: &ReferenceLevel,
-        i: usize,
+        chunk: (usize, usize),
         image: &TargetLevel,
         depth: &DepthLevel,
         weighting: &SimilarityWeighting,
-    ) -> Option<PointResiduals> {
+    ) -> Residuals {
         let (r, t) = (&self.r, &self.t);
-        let (mx, my, d) = (points.x[i], points.y[i], points.idepth[i]);
-        let q: [f32; 3] = std::array::from_fn(|k| r[k][0] * mx + r[k][1] * my + r[k][2] + t[k] * d);
-        if q[2] <= 0.01 || d <= 0.0 {
-            return None;
-        }
+        let (mx, my) = (taken(&points.x, chunk), taken(&points.y, chunk));
+        let d = taken(&points.idepth, chunk);
+        let q = [0, 1, 2].map(|k| r[k][0] * mx + r[k][1] * my + r[k][2] + t[k] * d);
         let [fx, fy, cx, cy] = image.intrinsics;
         let inv_qz = 1.0 / q[2];
         let (x, y) = (q[0] * inv_qz, q[1] * inv_qz);
         let (u, v) = (fx * x + cx, fy * y + cy);
-        if !image.contains(u, v) {
-            return None;
-        }
-        let [intensity, gu, gv] = image.sample(u, v);
-        let scaled = self.gain * points.intensity[i];
+        let in_front = q[2].simd_gt(f32x8::splat(0.01)) & d.simd_gt(f32x8::ZERO);
+        let visible = in_front & image.contains_lanes(u, v);
+        let [x, y, d, qz, inv_qz] = [x, y, d, q[2], inv_qz].map(|values| visible & values);
+        let [intensity, gu, gv] = image.sample_lanes(u, v, visible);
+        let own = visible & taken(&points.intensity, chunk);
+        let scaled = self.gain * own;
         let (gx, gy) = (fx * gu, fy * gv);
         let inv_z = d * inv_qz;
         let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
-        let var_a = points.idepth_var[i];
-        Some(PointResiduals {
+        let var_a = visible & taken(&points.idepth_var, chunk);
+        let [idepth_b, var_b] = depth.nearest_lanes(u, v, visible);
+        let transfer = (qz - d * t[2]) * inv_qz * inv_qz;
+        let shared = weighting.shared_depth_var * inv_z * inv_z;
+        Residuals {
+            visible,
             photometric: intensity - scaled - self.bias,
             photometric_var: weighting.intensity_var + by_idepth * by_idepth * var_a,
             // no scale: its change moves the point along its viewing ray
-            photometric_row: residual_row([x, y], [gx, gy], inv_z, scaled),
-            depth: depth.nearest(u, v).map(|(idepth_b, var_b)| {
-                let transfer = (q[2] - d * t[2]) * inv_qz * inv_qz;
-                let shared = weighting.shared_depth_var * inv_z * inv_z;
-                let row = [-inv_z * inv_z, -inv_z * y, inv_z * x, -inv_z];
-                let var = var_b + transfer * transfer * var_a + shared;
-                (inv_z - idepth_b, var, row)
-            }),
-            intensities: [points.intensity[i], intensity],
-        })
+            photometric_row: residual_row([x, y], [gx, gy], inv_z, scaled, f32x8::ONE),
+            has_depth: var_b.simd_gt(f32x8::ZERO),
+            depth: inv_z - idepth_b,
+            depth_var: var_b + transfer * transfer * var_a + shared,
+            depth_row: [-inv_z * inv_z, -inv_z * y, inv_z * x, -inv_z],
+            intensities: [own, intensity],
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::{DepthSample, Reference, ReferenceLevel, Target, TargetLevel};
 use monogrid_geometry::Pinhole;
 use monogrid_image::Pyramid;
+use wide::f32x8;
 
 /// Inverse depth per pixel of one level; a variance of 0 says unknown.
 #[derive(Clone, Debug, Default)]
@@ -30,14 +31,18 @@ impl DepthLevel {
         }
     }
 
-    /// Inverse depth and variance at the nearest pixel; `None` where it is unknown.
+    /// Inverse depths and variances at the nearest pixels, for those of the mask; variance 0 where nothing is known.
     #[inline]
-    pub(crate) fn nearest(&self, u: f32, v: f32) -> Option<(f32, f32)> {
-        let i = (v + 0.5) as usize * self.width + (u + 0.5) as usize;
-        match self.values.get(i) {
-            Some(&[idepth, var]) if var > 0.0 => Some((idepth, var)),
-            _ => None,
+    pub(crate) fn nearest_lanes(&self, u: f32x8, v: f32x8, mask: f32x8) -> [f32x8; 2] {
+        let (u, v, mask) = (u.to_array(), v.to_array(), mask.to_bitmask());
+        let mut out = [[0.0; 8]; 2];
+        for l in (0..8).filter(|l| mask >> l & 1 == 1) {
+            let i = (v[l] + 0.5) as usize * self.width + (u[l] + 0.5) as usize;
+            if let Some(&[idepth, var]) = self.values.get(i) {
+                [out[0][l], out[1][l]] = [idepth, var];
+            }
         }
+        out.map(f32x8::new)
     }
 }
 

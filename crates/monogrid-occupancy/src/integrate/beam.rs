@@ -73,10 +73,7 @@ impl Beams {
         config: &IntegrationConfig,
     ) -> Result<Self, MapError> {
         let resolution = map.resolution();
-        let mut tables = TableSet::new(
-            config.model.at_resolution(resolution),
-            config.update_limits(),
-        )?;
+        let mut tables = map.known_tables.set(config, resolution)?;
         let pose = &scan.world_from_sensor;
         let mut extent = Extent::EMPTY;
         let mut measured = Vec::with_capacity(scan.len());

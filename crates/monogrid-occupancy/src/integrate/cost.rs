@@ -7,7 +7,7 @@ use crate::error::MapError;
 use crate::key::{BRICK_CELLS, BRICK_EDGE};
 use crate::map::OccupancyMap;
 use crate::scan::{Scan, ScanData};
-use crate::sensor::table::TableSet;
+use crate::sensor::table::KnownTables;
 
 /// Measurements that are looked at: enough for a mean, few enough to cost nothing.
 const SAMPLES: usize = 2048;
@@ -34,11 +34,9 @@ impl Cost {
         scan: &Scan,
         config: &IntegrationConfig,
         resolution: f64,
+        known_tables: &KnownTables,
     ) -> Result<Self, MapError> {
-        let mut tables = TableSet::new(
-            config.model.at_resolution(resolution),
-            config.update_limits(),
-        )?;
+        let mut tables = known_tables.set(config, resolution)?;
         let scale = scan.world_from_sensor.scale;
         let step = scan.len().div_ceil(SAMPLES).max(1);
         let sampled = (0..scan.len()).step_by(step);
@@ -104,15 +102,15 @@ pub(super) fn affordable(
     config: &IntegrationConfig,
 ) -> Result<Cost, MapError> {
     let cell = map.resolution();
-    let cost = Cost::of(scan, config, cell)?;
+    let cost = Cost::of(scan, config, cell, &map.known_tables)?;
     let budget_bytes = map.config().memory_budget_bytes as f64;
     if cost.bytes() <= budget_bytes {
         return Ok(cost);
     }
     // a map has many scans, so that one should need a tenth at most
     let mut fitting_cell = cell;
-    while fitting_cell < 1e9 && 10.0 * Cost::of(scan, config, fitting_cell)?.bytes() > budget_bytes
-    {
+    let of_cell = |cell| Cost::of(scan, config, cell, &KnownTables::default());
+    while fitting_cell < 1e9 && 10.0 * of_cell(fitting_cell)?.bytes() > budget_bytes {
         fitting_cell *= 2.0;
     }
     Err(MapError::TooFine {
@@ -250,7 +248,7 @@ mod tests {
             }),
         ] {
             let scan = scan(data);
-            let cost = Cost::of(&scan, &config, cells).unwrap();
+            let cost = Cost::of(&scan, &config, cells, &KnownTables::default()).unwrap();
             let mut map = OccupancyMap::new(MapConfig::with_resolution(cells)).unwrap();
             let report = super::super::integrate(&mut map, &scan, &config, 2).unwrap();
             let estimated = cost.free + cost.band;
@@ -355,7 +353,7 @@ mod tests {
             sigmas: &[0.01],
         }));
         let config = IntegrationConfig::default();
-        let cost = Cost::of(&scan, &config, 0.05).unwrap();
+        let cost = Cost::of(&scan, &config, 0.05, &KnownTables::default()).unwrap();
         let mut map = OccupancyMap::new(MapConfig::with_resolution(0.05)).unwrap();
         let report = super::super::integrate(&mut map, &scan, &config, 2).unwrap();
         // a fan is as thin as a brick, a ball of this radius has half a million of them

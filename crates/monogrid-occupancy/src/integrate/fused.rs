@@ -23,6 +23,7 @@ use crate::evidence::Limits;
 use crate::key::BrickKey;
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
+use crate::sensor::table::KnownTables;
 use crate::storage::Shard;
 
 /// A scan ready to be written: what its measurements say, and the bricks that it changes. Does not
@@ -38,15 +39,15 @@ pub(crate) struct Prepared {
 }
 
 impl Prepared {
-    /// Prepares a valid scan for a map with cells of edge `resolution`.
+    /// Prepares a valid scan for a map with cells of that edge.
     fn new(
-        resolution: f64,
+        (resolution, known_tables): (f64, &KnownTables),
         scan: &Scan,
         config: &IntegrationConfig,
         threads: usize,
         only: BrickFilter,
     ) -> Result<Self, MapError> {
-        let images = RangeImages::new(scan, config, resolution, threads)?;
+        let images = RangeImages::new(scan, config, resolution, threads, known_tables)?;
         let points = images.points;
         let footprints = Footprints::new(images, config.max_range, resolution);
         let search = Search {
@@ -110,7 +111,13 @@ pub(crate) fn integrate_fused(
     only: BrickFilter,
 ) -> Result<IntegrationReport, MapError> {
     origin_in_cells(map, scan)?;
-    let prepared = Prepared::new(map.resolution(), scan, config, threads, only)?;
+    let prepared = Prepared::new(
+        (map.resolution(), &map.known_tables),
+        scan,
+        config,
+        threads,
+        only,
+    )?;
     prepared.check_budget(map)?;
     advance(map, &[&prepared], &[], config, threads);
     Ok(prepared.report)
@@ -190,7 +197,8 @@ fn advance(
     config: &IntegrationConfig,
     threads: usize,
 ) -> Vec<Result<Prepared, MapError>> {
-    let (resolution, limits, before) = (map.resolution(), map.limits, map.revision);
+    let (limits, before) = (map.limits, map.revision);
+    let cells = (map.resolution(), &map.known_tables);
     map.revision += present.len() as u32;
     // The largest first, so that no thread is left with one at the end.
     let cost = |index: usize| -> usize { present.iter().map(|p| p.tasks[index].len()).sum() };
@@ -204,7 +212,7 @@ fn advance(
     jobs.extend(shards.into_iter().map(|(i, shard)| Job::Write(i, shard)));
     for_each(&mut jobs, threads, |_, job| match job {
         Job::Prepare(scan, place) => {
-            **place = Some(Prepared::new(resolution, scan, config, 1, None));
+            **place = Some(Prepared::new(cells, scan, config, 1, None));
         }
         Job::Write(index, shard) => {
             for (scan, revision) in present.iter().zip(before + 1..) {
@@ -223,7 +231,13 @@ pub(crate) fn bricks_seen(
     threads: usize,
 ) -> Result<Vec<u64>, MapError> {
     origin_in_cells(map, scan)?;
-    let prepared = Prepared::new(map.resolution(), scan, config, threads, None)?;
+    let prepared = Prepared::new(
+        (map.resolution(), &map.known_tables),
+        scan,
+        config,
+        threads,
+        None,
+    )?;
     let tasks = prepared.tasks.into_iter().flatten();
     Ok(tasks.map(|task| task.0).collect())
 }
@@ -263,7 +277,7 @@ mod tests {
     /// Every cell around the sensor on its own: no search, no free bricks, no vectors.
     fn cell_by_cell(map: &mut OccupancyMap, scan: &Scan, config: &IntegrationConfig) {
         let resolution = map.resolution();
-        let images = RangeImages::new(scan, config, resolution, 1).unwrap();
+        let images = RangeImages::new(scan, config, resolution, 1, &map.known_tables).unwrap();
         let footprints = Footprints::new(images, config.max_range, resolution);
         let reach = (3.0 / resolution / 8.0).ceil() as i32;
         for x in -reach..reach {

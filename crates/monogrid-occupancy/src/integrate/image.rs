@@ -10,7 +10,7 @@ use super::beam::total_sigma;
 use super::parallel::for_each;
 use crate::error::MapError;
 use crate::scan::{DepthScan, Scan, ScanData};
-use crate::sensor::table::TableSet;
+use crate::sensor::table::{KnownTables, TableSet};
 
 /// Pixels along the edge of a cell's footprint at the mean range.
 const PIXELS_PER_CELL: f64 = 2.5;
@@ -137,11 +137,9 @@ impl RangeImages {
         config: &IntegrationConfig,
         resolution: f64,
         threads: usize,
+        known_tables: &KnownTables,
     ) -> Result<Self, MapError> {
-        let mut tables = TableSet::new(
-            config.model.at_resolution(resolution),
-            config.update_limits(),
-        )?;
+        let mut tables = known_tables.set(config, resolution)?;
         let (faces, points) = match collect_forward(scan, config, resolution, threads) {
             Some(pieces) => {
                 let points = pieces.iter().map(|piece| piece.list.len()).sum();

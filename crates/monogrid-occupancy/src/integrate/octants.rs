@@ -259,6 +259,7 @@ mod tests {
     use crate::integrate::IntegrationConfig;
     use crate::integrate::image::RangeImages;
     use crate::scan::{PointScan, PoseSigma, Scan, ScanData, Similarity};
+    use crate::sensor::table::KnownTables;
 
     fn random(state: &mut u64) -> f32 {
         *state = state
@@ -295,7 +296,14 @@ mod tests {
             }),
         };
         let cell = 0.01;
-        let images = RangeImages::new(&scan, &IntegrationConfig::default(), cell, 1).unwrap();
+        let images = RangeImages::new(
+            &scan,
+            &IntegrationConfig::default(),
+            cell,
+            1,
+            &KnownTables::default(),
+        )
+        .unwrap();
         let windows = Windows::new(&images.images[0], &images.tables, 100.0);
         let view = View {
             image: &images.images[0],

@@ -7,10 +7,12 @@
 //! tests bound the difference to the exact model.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{SensorModel, ThrunForm};
 use crate::error::MapError;
 use crate::evidence::evidence_from_log_odds;
+use crate::integrate::IntegrationConfig;
 
 /// Bits of an `f32` dropped by its bin.
 const BIN_SHIFT: u32 = 18;
@@ -24,6 +26,8 @@ const THESIS_TAIL_SIGMAS: f32 = 6.0;
 /// `range - measured_range`: the skew of inverse depth and the growth of a stereo camera's sigma
 /// are then below 1 % within 4 sigma.
 const FAR_SIGMAS: f32 = 400.0;
+/// Tables that are remembered for the next scans: more than the uncertainties of a sensor need.
+const MAX_KNOWN: usize = 1024;
 
 /// Limits and cut of the evidence of one measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,15 +112,63 @@ impl EvidenceTable {
     }
 }
 
+/// Bin of sigma and, where it matters, bin of `range / sigma`.
+type Bins = (u32, u32);
+
+/// Tables that earlier scans needed: the next ones need the same, and to make one takes as long as to integrate a thousand
+/// measurements. Copies know the same; what is known changes no result.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct KnownTables(Arc<Mutex<Known>>);
+
+#[derive(Debug, Default)]
+struct Known {
+    made_for: Option<(SensorModel, UpdateLimits)>,
+    tables: BTreeMap<Bins, EvidenceTable>,
+}
+
+impl KnownTables {
+    /// An empty set for the measurements of a scan in a map with cells of edge `resolution`.
+    ///
+    /// # Errors
+    /// The model's fields are outside their ranges.
+    pub(crate) fn set(
+        &self,
+        config: &IntegrationConfig,
+        resolution: f64,
+    ) -> Result<TableSet, MapError> {
+        let model = config.model.at_resolution(resolution);
+        let known = self.clone();
+        TableSet::new(model, config.update_limits()).map(|set| TableSet { known, ..set })
+    }
+
+    fn table(&self, bins: Bins, model: SensorModel, limits: UpdateLimits) -> EvidenceTable {
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.made_for != Some((model, limits)) || known.tables.len() > MAX_KNOWN {
+            known.made_for = Some((model, limits));
+            known.tables.clear();
+        }
+        let make = || {
+            let sigma = bin_center(bins.0);
+            let ratio = if bins.1 == 0 {
+                1e3 + model.reach_behind(sigma) / sigma
+            } else {
+                bin_center(bins.1)
+            };
+            EvidenceTable::new(&model, sigma, ratio * sigma, limits)
+        };
+        known.tables.entry(bins).or_insert_with(make).clone()
+    }
+}
+
 /// The tables that a set of measurements needs, made on demand.
 #[derive(Clone, Debug)]
 pub(crate) struct TableSet {
+    known: KnownTables,
     model: SensorModel,
     limits: UpdateLimits,
     tables: Vec<EvidenceTable>,
-    /// By bin of sigma and, where it matters, bin of `range / sigma`.
-    index_of_bins: BTreeMap<(u32, u32), u16>,
-    last: Option<((u32, u32), u16)>,
+    index_of_bins: BTreeMap<Bins, u16>,
+    last: Option<(Bins, u16)>,
 }
 
 fn bin(value: f32) -> u32 {
@@ -132,9 +184,10 @@ impl TableSet {
     ///
     /// # Errors
     /// The model's fields are outside their ranges.
-    pub(crate) fn new(model: SensorModel, limits: UpdateLimits) -> Result<Self, MapError> {
+    fn new(model: SensorModel, limits: UpdateLimits) -> Result<Self, MapError> {
         model.validate()?;
         Ok(Self {
+            known: KnownTables::default(),
             model,
             limits,
             tables: Vec::new(),
@@ -163,15 +216,9 @@ impl TableSet {
         }
     }
 
-    fn prepare_bins(&mut self, bins: (u32, u32)) -> u16 {
+    fn prepare_bins(&mut self, bins: Bins) -> u16 {
         let index = self.index_of_bins.get(&bins).copied().unwrap_or_else(|| {
-            let sigma = bin_center(bins.0);
-            let ratio = if bins.1 == 0 {
-                1e3 + self.model.reach_behind(sigma) / sigma
-            } else {
-                bin_center(bins.1)
-            };
-            let table = EvidenceTable::new(&self.model, sigma, ratio * sigma, self.limits);
+            let table = self.known.table(bins, self.model, self.limits);
             self.tables.push(table);
             // 8 octaves of both bins at once would be needed to run out of indices.
             let index = u16::try_from(self.tables.len() - 1).unwrap_or(u16::MAX);
@@ -308,6 +355,26 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn known_tables_are_those_of_the_settings_that_are_asked_for() {
+        let known = KnownTables::default();
+        let configs = [0.9_f32, 1.2].map(|update_max| IntegrationConfig {
+            update_max,
+            ..IntegrationConfig::default()
+        });
+        for config in [&configs[0], &configs[1], &configs[0], &configs[0]] {
+            let [mut again, mut anew] =
+                [&known, &KnownTables::default()].map(|known| known.set(config, 0.05).unwrap());
+            for sigma in [0.01, 0.05, 0.02, 0.01] {
+                let [a, b] = [&mut again, &mut anew].map(|set| set.prepare(2.0, sigma));
+                assert_eq!((a, again.table(a).end()), (b, anew.table(b).end()));
+                assert_eq!(again.table(a).entries, anew.table(b).entries);
+            }
+        }
+        let kept = known.0.lock().unwrap();
+        assert_eq!(kept.tables.len(), 3);
     }
 
     #[test]

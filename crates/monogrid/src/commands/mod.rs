@@ -1,5 +1,6 @@
 //! The commands.
 
+pub mod batch;
 pub mod calibrate;
 pub mod cameras;
 pub mod check;

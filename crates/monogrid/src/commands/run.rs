@@ -135,7 +135,7 @@ fn pace(args: &RunArgs) -> Pace {
 }
 
 /// All settings; options of the command line win.
-fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunConfig, Failure> {
+pub fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunConfig, Failure> {
     let mut config = base_configuration(args, earlier)?;
     config.apply(&args.mapping);
     if let Some(radius) = args.local_radius {

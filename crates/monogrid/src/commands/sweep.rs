@@ -15,8 +15,9 @@ use crate::sweep::page::{self, Lead, truth_slice_file};
 use crate::sweep::pictures::{PictureOrders, truth_slice};
 use crate::sweep::plan::{self, Entry, RESOLUTIONS};
 use crate::sweep::result::RecordingResult;
-use crate::sweep::schedule::{self, Resources, SweepProgress};
+use crate::sweep::schedule::{self, Resources};
 use crate::sweep::slam_rate::{self, Rate, RateJob};
+use crate::tally::Tally;
 use crate::usage::peak_rss_bytes;
 use clap::Args;
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid};
@@ -95,7 +96,7 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
         memory_bytes: (args.memory * 1e9) as usize,
     };
     let num_maps = recordings.len() * resolutions.len() * plan::models().len();
-    let progress = SweepProgress::new(num_maps, std::io::stderr().is_terminal());
+    let progress = Tally::new(num_maps, "maps", std::io::stderr().is_terminal());
     let sweep = Sweep {
         args,
         out: &out,
@@ -136,7 +137,7 @@ struct Sweep<'a> {
     finest_truth: Option<&'a TruthGrid>,
     orders: &'a PictureOrders,
     resources: Resources,
-    progress: &'a SweepProgress,
+    progress: &'a Tally,
 }
 
 impl Sweep<'_> {

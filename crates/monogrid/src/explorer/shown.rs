@@ -4,6 +4,7 @@ use super::{Cloud, CloudPoint, Keyframe, Pictures, SemiDense, num_measured, seco
 use crate::colours::{ColourImage, Colours};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
+use rayon::prelude::*;
 
 /// A keyframe of the main map.
 #[derive(Clone, Debug)]
@@ -93,14 +94,19 @@ pub fn cloud_and_keyframes(
 ) -> (Cloud, Vec<Keyframe>) {
     let (cloud, ranges) = Cloud::new(groups, measured_in(keyframes));
     let pictures = Pictures::of(keyframes.len());
-    let positions = (0..).zip(keyframes.iter().zip(ranges));
-    let keyframes = positions.map(|(position, (shown, points))| Keyframe {
+    let images: Vec<_> = keyframes
+        .par_iter()
+        .enumerate()
+        .map(|(position, shown)| pictures.of_keyframe(position, || shown.look(colours)))
+        .collect();
+    let parts = keyframes.iter().zip(ranges).zip(images);
+    let keyframes = parts.map(|((shown, points), image)| Keyframe {
         id: shown.semi_dense.id,
         frame: shown.frame_index,
         time: seconds_since(begin_ns, shown.timestamp_ns),
         pose: Keyframe::rows(&shown.map_from_keyframe),
         points,
-        image: pictures.of_keyframe(position, || shown.look(colours)),
+        image,
     });
     (cloud, keyframes.collect())
 }

@@ -1,8 +1,10 @@
 //! Output folders.
 
 use super::Inputs;
-use super::inputs::identity;
-use super::manifest::{Content, Digest, Listed, MANIFEST, Manifest, OpenError, Summed};
+use super::inspect::{
+    Entry, Inspected, Nested, entries_below, inspect, listed_name, refused, split, unusable,
+};
+use super::manifest::{Content, Digest, MANIFEST, Manifest, OpenError, Summed};
 use super::numbered::numbered_folder;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::AtomicFile;
@@ -10,6 +12,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 /// An output folder that was checked to be usable, and that nobody else uses as long as this exists.
 #[derive(Debug)]
@@ -20,18 +24,14 @@ pub struct OutputFolder {
     foreign: BTreeSet<PathBuf>,
 }
 
+/// How long it is waited for others that look through a folder of folders.
+const PATIENCE: Duration = Duration::from_secs(30);
+
 /// What becomes of the files of an earlier call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Earlier {
     Removed,
     Kept,
-}
-
-/// Something that lies in a folder, at any depth: a file, a link, or whatever else is no folder.
-struct Entry {
-    /// Below the folder.
-    name: PathBuf,
-    is_file: bool,
 }
 
 impl OutputFolder {
@@ -60,38 +60,75 @@ impl OutputFolder {
         Self::open(path, force, inputs, Earlier::Kept)
     }
 
+    /// As [`Self::resume`]; `None` where another process writes into the folder.
+    pub fn resume_unless_in_use(path: &Path, force: bool) -> Result<Option<Self>, Failure> {
+        Self::open_unless_in_use(path, force, &Inputs::default(), Earlier::Kept)
+    }
+
+    /// Whether another process writes into a folder of ours.
+    pub fn is_in_use(path: &Path) -> bool {
+        path.join(MANIFEST).is_file() && matches!(Manifest::open(path), Err(OpenError::Busy))
+    }
+
+    /// Refuses what [`Self::resume`] would refuse, and changes nothing. A folder that does not exist, or into which another
+    /// process writes, is not looked into.
+    pub fn check(path: &Path, force: bool) -> Result<(), Failure> {
+        if !path.exists() {
+            return Ok(());
+        }
+        inspect(path, force, &Inputs::default(), Nested::Searched).map(|_| ())
+    }
+
+    /// A folder in which nothing lies but other output folders, each with a manifest of its own. It is made if there is none
+    /// and marked as ours; nobody holds it, so that several processes may work on the folders in it.
+    pub fn of_folders(path: &Path, force: bool, inputs: &Inputs) -> Result<(), Failure> {
+        fs::create_dir_all(path).map_err(|error| unusable(path, &error))?;
+        // others hold it for as long as they look through it
+        let begin = Instant::now();
+        let inspected = loop {
+            match inspect(path, force, inputs, Nested::Trusted)? {
+                Some(inspected) => break inspected,
+                None if begin.elapsed() < PATIENCE => thread::sleep(PATIENCE / 1000),
+                None => return Err(refused(path, OpenError::Busy)),
+            }
+        };
+        let begun = inspected.manifest.begin();
+        begun.map_err(|error| unusable(path, &error))
+    }
+
     fn open(path: &Path, force: bool, inputs: &Inputs, earlier: Earlier) -> Result<Self, Failure> {
-        if path.exists() && !path.is_dir() {
-            return Err(Failure::input(format!(
-                "output {} is a file, expected a folder; choose another",
-                path.display()
-            )));
-        }
+        let opened = Self::open_unless_in_use(path, force, inputs, earlier)?;
+        opened.ok_or_else(|| refused(path, OpenError::Busy))
+    }
+
+    fn open_unless_in_use(
+        path: &Path,
+        force: bool,
+        inputs: &Inputs,
+        earlier: Earlier,
+    ) -> Result<Option<Self>, Failure> {
         let failed = |error: io::Error| unusable(path, &error);
-        fs::create_dir_all(path).map_err(failed)?;
-        let found = entries_below(path).map_err(failed)?;
-        refuse_inputs(path, &found, inputs)?;
-        let has_manifest = found.iter().any(|entry| entry.name == Path::new(MANIFEST));
-        if !has_manifest && !force {
-            refuse_foreign(path, found.iter())?;
+        if !path.exists() {
+            fs::create_dir_all(path).map_err(failed)?;
         }
-        let (manifest, listed) = Manifest::open(path).map_err(|error| refused(path, error))?;
-        let (ours, foreign) = split(path, found, &listed);
-        if force {
-            refuse_links(path, &foreign)?;
-        } else {
-            refuse_foreign(path, foreign.iter())?;
-        }
+        let Some(inspected) = inspect(path, force, inputs, Nested::Searched)? else {
+            return Ok(None);
+        };
+        let Inspected {
+            manifest,
+            ours,
+            foreign,
+        } = inspected;
         if earlier == Earlier::Removed {
             remove(path, &ours).map_err(failed)?;
             manifest.clear().map_err(failed)?;
         }
         manifest.begin().map_err(failed)?;
-        Ok(Self {
+        Ok(Some(Self {
             path: path.to_owned(),
             manifest,
             foreign: foreign.into_iter().map(|entry| entry.name).collect(),
-        })
+        }))
     }
 
     /// The folder.
@@ -150,7 +187,7 @@ impl OutputFolder {
     /// Lists everything that has come into the folder since it was opened.
     pub fn list_new(&self) -> Result<(), Failure> {
         let doing = format!("{} cannot be read", self.path.display());
-        for entry in entries_below(&self.path).while_running(&doing)? {
+        for entry in entries_below(&self.path, Nested::Searched).while_running(&doing)? {
             let is_new = entry.is_file && !self.foreign.contains(&entry.name);
             if let Some(name) = listed_name(&entry.name).filter(|name| is_new && name != MANIFEST) {
                 self.list(&name, Content::Whole)?;
@@ -164,7 +201,7 @@ impl OutputFolder {
         let Self { path, manifest, .. } = self;
         let failed = |error: io::Error| unusable(&path, &error);
         let listed = manifest.listed().map_err(|error| refused(&path, error))?;
-        let found = entries_below(&path).map_err(failed)?;
+        let found = entries_below(&path, Nested::Searched).map_err(failed)?;
         let (mut ours, foreign) = split(&path, found, &listed);
         ours.push(Entry {
             name: MANIFEST.into(),
@@ -200,127 +237,6 @@ impl OutputFolder {
         }
         Ok(path.join(file))
     }
-}
-
-fn unusable(path: &Path, error: &io::Error) -> Failure {
-    Failure::input(format!(
-        "output folder {} cannot be written ({error}); choose another",
-        path.display()
-    ))
-}
-
-fn refused(path: &Path, error: OpenError) -> Failure {
-    match error {
-        OpenError::Busy => Failure::input(format!(
-            "another process writes into {}; wait for it, or choose another folder",
-            path.display()
-        )),
-        OpenError::Foreign => Failure::input(format!(
-            "{} in {} was not written by monogrid; choose another folder",
-            MANIFEST,
-            path.display()
-        )),
-        OpenError::Io(error) => unusable(path, &error),
-    }
-}
-
-fn refuse_inputs(path: &Path, found: &[Entry], inputs: &Inputs) -> Result<(), Failure> {
-    if found.is_empty() {
-        return Ok(());
-    }
-    let mut folders = BTreeSet::from([path.to_owned()]);
-    folders.extend(found.iter().flat_map(|entry| {
-        let parents = entry.name.ancestors().skip(1);
-        parents.map(|parent| path.join(parent))
-    }));
-    // what links lead to is not touched
-    let files = found.iter().filter(|entry| entry.is_file);
-    let files = files.map(|entry| path.join(&entry.name));
-    let identities = folders.into_iter().chain(files);
-    let identities = identities.filter_map(|path| identity(&path)).collect();
-    match inputs.is_read_in(path, &identities) {
-        Some(what) => Err(Failure::input(format!(
-            "the output folder {} holds {what}, which is read; choose another",
-            path.display()
-        ))),
-        None => Ok(()),
-    }
-}
-
-fn refuse_foreign<'a>(
-    path: &Path,
-    mut foreign: impl ExactSizeIterator<Item = &'a Entry>,
-) -> Result<(), Failure> {
-    let count = foreign.len();
-    let Some(first) = foreign.next() else {
-        return Ok(());
-    };
-    let others = match count - 1 {
-        0 => String::new(),
-        1 => " and another file".to_owned(),
-        more => format!(" and {more} other files"),
-    };
-    Err(Failure::input(format!(
-        "output folder {} holds {}{others}, which monogrid did not write or which changed since; choose another, or \
-         write beside them with --force (those of the same name are replaced)",
-        path.display(),
-        first.name.display()
-    )))
-}
-
-/// What is written into a folder must not end up in another one.
-fn refuse_links(path: &Path, foreign: &[Entry]) -> Result<(), Failure> {
-    let leads_away = |entry: &&Entry| !entry.is_file && path.join(&entry.name).is_dir();
-    match foreign.iter().find(leads_away) {
-        Some(link) => Err(Failure::input(format!(
-            "output folder {} holds {}, which leads to another folder; choose another",
-            path.display(),
-            link.name.display()
-        ))),
-        None => Ok(()),
-    }
-}
-
-/// Everything below a folder but folders; links are not followed. In the order of the names.
-fn entries_below(folder: &Path) -> io::Result<Vec<Entry>> {
-    fn collect(root: &Path, below: &Path, out: &mut Vec<Entry>) -> io::Result<()> {
-        for entry in fs::read_dir(root.join(below))? {
-            let entry = entry?;
-            let name = below.join(entry.file_name());
-            let kind = entry.file_type()?;
-            if kind.is_dir() {
-                collect(root, &name, out)?;
-            } else {
-                out.push(Entry {
-                    name,
-                    is_file: kind.is_file(),
-                });
-            }
-        }
-        Ok(())
-    }
-    let mut out = Vec::new();
-    collect(folder, Path::new(""), &mut out)?;
-    out.sort_by(|a, b| a.name.cmp(&b.name));
-    Ok(out)
-}
-
-/// A name as the manifest has it; `None` where it cannot be written there.
-fn listed_name(name: &Path) -> Option<String> {
-    let parts: Option<Vec<&str>> = name.iter().map(|part| part.to_str()).collect();
-    let name = parts?.join("/");
-    (!name.contains(['\n', '\r'])).then_some(name)
-}
-
-/// What was written by us and is as it was, and what else there is; the manifest is neither.
-fn split(folder: &Path, found: Vec<Entry>, listed: &Listed) -> (Vec<Entry>, Vec<Entry>) {
-    let others = found
-        .into_iter()
-        .filter(|entry| entry.name != Path::new(MANIFEST));
-    others.partition(|entry| {
-        let name = listed_name(&entry.name).filter(|_| entry.is_file);
-        name.is_some_and(|name| listed.is_ours(&name, &folder.join(&entry.name)))
-    })
 }
 
 /// Removes files and the subfolders that are empty without them.

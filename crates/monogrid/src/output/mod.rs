@@ -9,6 +9,7 @@
 mod file;
 mod folder;
 mod inputs;
+mod inspect;
 mod manifest;
 mod numbered;
 

@@ -24,6 +24,7 @@ use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
 use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
 use monogrid_slam::{Keyframe, TrackedFrame};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -85,12 +86,13 @@ pub fn run_all(
     let posed = posed_keyframes(&tracked, &looked.frame);
     let shown = shown_keyframes(&posed, &scans, tracked.run.slam.pinhole());
     let colours = Colours::read(&folder.path().join(RECORDING))?;
-    if !shown.is_empty() {
-        let unit = unit_name(is_metric(&tracked, &looked.frame));
-        outputs::write_cloud(folder, &shown, &colours, unit)?;
-    }
+    let unit = unit_name(is_metric(&tracked, &looked.frame));
     let edge = looked.edge(settings);
-    let cell_colours = CellColours::new(&coloured_scans(&posed, &scans), &colours, edge);
+    let (cell_colours, written) = rayon::join(
+        || CellColours::new(&coloured_scans(&posed, &scans), &colours, edge),
+        || write_points(folder, &shown, &colours, unit),
+    );
+    written?;
     let built = final_maps(&mut tracked, scans, &looked, &paths.path, settings);
     let (maps, failure) = match built {
         Ok(maps) => (maps, early_failure(&tracked)),
@@ -121,15 +123,19 @@ pub fn run_all(
     let title = format!("monogrid: {}", input.name);
     let report = page(&tracked, &results.report(&title, &verdict, &summary))?;
     folder.write("report.html", report)?;
-    summary.take_times();
-    let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
-    folder.write("summary.json", json + "\n")?;
+    write_summary(folder, &mut summary)?;
     Ok(Finished {
         outcome: summary.status.outcome(),
         summary,
         verdict,
         failure,
     })
+}
+
+fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Failure> {
+    summary.take_times();
+    let json = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
+    folder.write("summary.json", json + "\n")
 }
 
 /// What the report shows.
@@ -403,7 +409,7 @@ fn shown_keyframes<'a>(
     pinhole: &Pinhole,
 ) -> Vec<ShownKeyframe<'a>> {
     let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
-    let shown = posed.iter().map(|(keyframe, map_from_keyframe)| {
+    let shown = posed.par_iter().map(|(keyframe, map_from_keyframe)| {
         let scan = scans.get(&keyframe.id);
         let semi_dense = scan.map(|scan| SemiDense::new(keyframe, scan));
         ShownKeyframe {
@@ -416,6 +422,19 @@ fn shown_keyframes<'a>(
         }
     });
     shown.collect()
+}
+
+/// What they measured as points, if there are any.
+fn write_points(
+    folder: &OutputFolder,
+    shown: &[ShownKeyframe],
+    colours: &Colours,
+    unit: &str,
+) -> Result<(), Failure> {
+    if shown.is_empty() {
+        return Ok(());
+    }
+    outputs::write_cloud(folder, shown, colours, unit)
 }
 
 /// What of them is mapped.

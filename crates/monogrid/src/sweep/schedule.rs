@@ -4,61 +4,10 @@ use super::build::{Job, build};
 use super::plan::Entry;
 use super::record::{MapRecord, MapResult};
 use crate::failure::Failure;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use crate::tally::Tally;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
-
-/// Progress on standard error.
-#[derive(Debug)]
-pub struct SweepProgress {
-    bar: ProgressBar,
-    is_shown: bool,
-}
-
-impl SweepProgress {
-    /// A bar over so many maps; without a terminal one line per map.
-    pub fn new(num_maps: usize, is_shown: bool) -> Self {
-        let target = if is_shown {
-            ProgressDrawTarget::stderr_with_hz(4)
-        } else {
-            ProgressDrawTarget::hidden()
-        };
-        let bar = ProgressBar::with_draw_target(Some(num_maps as u64), target);
-        let template = "{bar:30} {pos}/{len} maps · {elapsed} gone, {eta} to go · {msg}";
-        if let Ok(style) = ProgressStyle::with_template(template) {
-            bar.set_style(style);
-        }
-        Self { bar, is_shown }
-    }
-
-    fn done(&self, name: &str, result: &MapResult) {
-        let text = match result {
-            MapResult::Built(built) => match &built.scores {
-                Some(scores) => format!(
-                    "{name}: {:.1} s, AUC {:.3}, MCC {:.3}",
-                    built.seconds, scores.observed.auc, scores.observed.mcc
-                ),
-                None => format!("{name}: {:.1} s", built.seconds),
-            },
-            MapResult::BeyondMemory { .. } => format!("{name}: beyond the memory limit"),
-        };
-        self.bar.set_message(text.clone());
-        self.bar.inc(1);
-        if !self.is_shown {
-            eprintln!(
-                "{}/{} {text}",
-                self.bar.position(),
-                self.bar.length().unwrap_or(0)
-            );
-        }
-    }
-
-    /// Removes the bar.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
-}
 
 /// How a sweep is carried out.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +26,7 @@ pub fn run(
     entries: &[Entry],
     fingerprint: impl Fn(&Entry) -> String + Sync,
     resources: Resources,
-    progress: &SweepProgress,
+    progress: &Tally,
 ) -> Result<Vec<MapRecord>, Failure> {
     let name = |entry: &Entry| format!("{}/{}.json", job.name, entry.name());
     let file = |entry: &Entry| job.out.path().join(name(entry));
@@ -89,12 +38,12 @@ pub fn run(
     let missing: Vec<usize> = (0..entries.len()).filter(|i| is_missing(*i)).collect();
     for index in (0..entries.len()).filter(|i| !missing.contains(i)) {
         if let Some(record) = lock(&records[index]).as_ref() {
-            progress.done(&entries[index].name(), &record.result);
+            progress.done(&line(&entries[index], &record.result));
         }
     }
     let finish = |index: usize, result: MapResult| {
         let entry = &entries[index];
-        progress.done(&entry.name(), &result);
+        progress.done(&line(entry, &result));
         let record = MapRecord {
             fingerprint: fingerprint(entry),
             entry: *entry,
@@ -113,6 +62,21 @@ pub fn run(
         .into_iter()
         .filter_map(|record| record.into_inner().ok().flatten())
         .collect())
+}
+
+/// What a map says when it is done.
+fn line(entry: &Entry, result: &MapResult) -> String {
+    let name = entry.name();
+    match result {
+        MapResult::Built(built) => match &built.scores {
+            Some(scores) => format!(
+                "{name}: {:.1} s, AUC {:.3}, MCC {:.3}",
+                built.seconds, scores.observed.auc, scores.observed.mcc
+            ),
+            None => format!("{name}: {:.1} s", built.seconds),
+        },
+        MapResult::BeyondMemory { .. } => format!("{name}: beyond the memory limit"),
+    }
 }
 
 /// Builds entries on all workers; returns those that need more than their share of the memory.

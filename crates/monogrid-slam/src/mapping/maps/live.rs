@@ -263,22 +263,25 @@ impl LiveMaps {
     ) -> Result<Maps, MapError> {
         self.follow(Arc::clone(snapshot))?;
         let mapper = self.mapper.with_threads(threads);
-        let mut global = self.global;
-        let first_poses = self.first_poses.iter();
-        let large = if self.waiting.len() == self.first_poses.len() {
+        let (large, (global, stats)) = if self.waiting.len() == self.first_poses.len() {
             // nothing was integrated yet
-            let (scans, poses): (Vec<KeyframeScan>, Vec<Sim3>) =
-                self.waiting.iter().cloned().unzip();
-            let poses: Vec<Option<Sim3>> = poses.into_iter().map(Some).collect();
-            let large = mapper.build(&scans, &poses, map_from_world)?.0;
-            global.settle(&mapper, snapshot, map_from_world, self.waiting, done)?;
-            large
+            both_from_scratch(
+                &mapper,
+                self.waiting,
+                snapshot,
+                map_from_world,
+                threads,
+                done,
+            )?
         } else {
+            let mut global = self.global;
             global.settle(&mapper, snapshot, map_from_world, self.waiting, done)?;
-            global.elsewhere(first_poses.map(|(id, pose)| (*id, *map_from_world * *pose)))?
+            let first_poses = self.first_poses.iter();
+            let first_poses = first_poses.map(|(id, pose)| (*id, *map_from_world * *pose));
+            let large = global.elsewhere(first_poses)?;
+            let stats = global.stats();
+            (large, (global.into_map(), stats))
         };
-        let stats = global.stats();
-        let global = global.into_map();
         let local = match camera_in_map {
             Some(center) => global.within(center.into(), mapper.config().local_radius)?,
             None => mapper.empty_map()?,
@@ -290,4 +293,30 @@ impl LiveMaps {
             stats,
         })
     }
+}
+
+/// *large* and *global* of keyframes with the poses that they had first. The two have nothing to do with each other, so each gets
+/// half of the threads.
+fn both_from_scratch(
+    mapper: &Mapper,
+    mut keyframes: Vec<(KeyframeScan, Sim3)>,
+    snapshot: &PoseSnapshot,
+    map_from_world: &Sim3,
+    threads: usize,
+    done: &AtomicUsize,
+) -> Result<(OccupancyMap, (OccupancyMap, MapStats)), MapError> {
+    keyframes.sort_by_key(|(scan, _)| scan.id);
+    let (scans, first): (Vec<KeyframeScan>, Vec<Sim3>) = keyframes.into_iter().unzip();
+    let last = scans.iter().zip(&first).map(|(scan, first)| {
+        let pose = snapshot.world_from_keyframe.get(scan.id as usize);
+        Some(*pose.unwrap_or(first))
+    });
+    let last: Vec<Option<Sim3>> = last.collect();
+    let first: Vec<Option<Sim3>> = first.into_iter().map(Some).collect();
+    let mapper = mapper.with_threads((threads / 2).max(1));
+    let (large, global) = rayon::join(
+        || mapper.build(&scans, &first, map_from_world),
+        || mapper.build_counted(&scans, &last, map_from_world, done),
+    );
+    Ok((large?.0, global?))
 }

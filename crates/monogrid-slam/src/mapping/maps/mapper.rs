@@ -8,6 +8,7 @@ use monogrid_occupancy::{
     DepthScan, IntegrationConfig, IntegrationRule, MapError, OccupancyMap, PointScan, PoseSigma,
     Scan, ScanData, SigmaMode as OccupancySigmaMode, Similarity, integrate, integrate_scans,
 };
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Axes of robotics (x forward, y left, z up) from those of the first camera (x right, y down, z
 /// forward): the frame of all exports when nothing better is known about "up".
@@ -226,6 +227,24 @@ impl Mapper {
         world_from_keyframe: &[Option<Sim3>],
         map_from_world: &Sim3,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
+        self.build_counted(
+            scans,
+            world_from_keyframe,
+            map_from_world,
+            &AtomicUsize::new(0),
+        )
+    }
+
+    /// As [`Mapper::build`]; `done` grows with the keyframes, for those who wait.
+    pub(super) fn build_counted(
+        &self,
+        scans: &[KeyframeScan],
+        world_from_keyframe: &[Option<Sim3>],
+        map_from_world: &Sim3,
+        done: &AtomicUsize,
+    ) -> Result<(OccupancyMap, MapStats), MapError> {
+        /// Keyframes that are counted at once.
+        const COUNTED: usize = 16;
         let mut map = self.empty_map()?;
         let mut num_filled = 0;
         let posed: Vec<Scan> = scans
@@ -237,9 +256,13 @@ impl Mapper {
                 Some(self.scan(scan, &pose))
             })
             .collect();
-        let report = integrate_scans(&mut map, &posed, &self.integration, self.threads)?;
+        let mut points = 0;
+        for some in posed.chunks(COUNTED) {
+            points += integrate_scans(&mut map, some, &self.integration, self.threads)?.points;
+            done.fetch_add(some.len(), Ordering::Relaxed);
+        }
         let stats = MapStats {
-            points: report.points.saturating_sub(num_filled),
+            points: points.saturating_sub(num_filled),
             keyframes: posed.len(),
         };
         Ok((map, stats))

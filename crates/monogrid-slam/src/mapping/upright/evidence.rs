@@ -6,6 +6,7 @@ use crate::mapping::fill::{Plane, planes_of_image};
 use crate::mapping::{FillConfig, KeyframeScan};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_image::Image;
+use rayon::prelude::*;
 
 /// A keyframe as the search for up needs it.
 #[derive(Clone, Copy, Debug)]
@@ -48,12 +49,19 @@ pub(super) struct Evidence {
 impl Evidence {
     /// Collects it from all keyframes.
     pub fn of(views: &[UprightView], config: &UprightConfig) -> Self {
-        let mut this = Self::default();
-        for view in views {
-            let (pose, camera) = (&view.world_from_keyframe, &view.scan.camera);
-            let min_length_px = config.min_edge * camera.width as f64;
-            this.poses.push(*pose);
+        let seen = |view: &UprightView| {
             let planes = planes_of_image(&view.scan.pixels, &FillConfig::default());
+            let min_length_px = config.min_edge * view.scan.camera.width as f64;
+            (
+                planes,
+                view.image.map(|image| segments(image, min_length_px)),
+            )
+        };
+        let seen: Vec<_> = views.par_iter().map(seen).collect();
+        let mut this = Self::default();
+        for (view, (planes, segments)) in views.iter().zip(seen) {
+            let (pose, camera) = (&view.world_from_keyframe, &view.scan.camera);
+            this.poses.push(*pose);
             let points: usize = planes.iter().map(|plane| plane.inliers).sum();
             let patches = planes.iter().map(|plane| Patch {
                 weight: plane.inliers as f64 / points as f64,
@@ -62,8 +70,7 @@ impl Evidence {
             // a plane through the camera has no place
             let is_finite = |p: &Patch| (p.normal_in_world + p.middle_in_world).norm().is_finite();
             this.patches.extend(patches.filter(is_finite));
-            let Some(image) = view.image else { continue };
-            let found = segments(image, min_length_px);
+            let found = segments.unwrap_or_default();
             let length: f64 = found.iter().map(|segment| segment.length_px).sum();
             this.edges.extend(found.iter().map(|segment| {
                 let ray = |side: f64| {

@@ -32,32 +32,35 @@ pub fn write_maps(
     ground: Ground,
     surface: Surface,
 ) -> Result<MapPictures, Failure> {
-    folder.write_with("large.ot", |mut out| {
-        Ok(MapFormat::Ot.write(&maps.large, &mut out)?)
-    })?;
+    let (written, large) = rayon::join(
+        || write_global(folder, [&maps.global, &maps.local], path, ground, surface),
+        || write_large(folder, &maps.large),
+    );
     let Written {
         cubes,
         preview,
         cut,
         mesh,
-    } = write_global(folder, [&maps.global, &maps.local], path, ground, surface)?;
-    let loops = match reported_path {
-        Some(reported_path) => Some(write_loop_pictures(
-            folder,
-            (
-                &occupied_cubes(&maps.large).while_running("the maps cannot be drawn")?,
-                reported_path,
-            ),
-            (&cubes, path),
-        )?),
-        None => None,
-    };
+    } = written?;
+    let large = large?;
+    let loops = reported_path
+        .map(|reported| write_loop_pictures(folder, (&large, reported), (&cubes, path)))
+        .transpose()?;
     Ok(MapPictures {
         preview,
         loops,
         cut,
         mesh,
     })
+}
+
+/// Writes the map of the poses that keyframes had first; returns its occupied cells.
+fn write_large(folder: &OutputFolder, map: &OccupancyMap) -> Result<Vec<Cube>, Failure> {
+    folder.write_with(
+        "large.ot",
+        |mut out| Ok(MapFormat::Ot.write(map, &mut out)?),
+    )?;
+    occupied_cubes(map).while_running("the maps cannot be drawn")
 }
 
 /// What was found while the global map was written.
@@ -105,16 +108,20 @@ pub fn write_global(
     folder.write_with("cells.ply", |mut out| {
         Ok(write_ply(global, colour, &mut out)?)
     })?;
-    let mesh = write_mesh(folder, global, ground, surface)?;
-    let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
-    write_grid(folder, global, &cubes, path, ground)?;
-    let cut = dollhouse_cut(&cubes, path);
-    let preview = write_preview(folder, &cubes, path, cut)?;
+    let draw = || {
+        let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
+        write_grid(folder, global, &cubes, path, ground)?;
+        let cut = dollhouse_cut(&cubes, path);
+        let preview = write_preview(folder, &cubes, path, cut)?;
+        Ok((cubes, preview, cut))
+    };
+    let (mesh, drawn) = rayon::join(|| write_mesh(folder, global, ground, surface), draw);
+    let (cubes, preview, cut) = drawn?;
     Ok(Written {
         cubes,
         preview,
         cut,
-        mesh,
+        mesh: mesh?,
     })
 }
 

@@ -1,0 +1,272 @@
+//! One task: found done, or carried out.
+
+use super::child::{self, Ended, Watch};
+use super::class::{Class, End};
+use super::digest::{read_inputs, read_outputs, stamp};
+use super::metrics::Metrics;
+use super::record::{TASK_FILE, TaskRecord};
+use super::schedule::Grown;
+use super::task::Task;
+use crate::failure::{Classify, Failure};
+use crate::output::{Content, OutputFolder};
+use std::ffi::OsString;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// What the run said.
+const LOG_FILE: &str = "log.txt";
+/// Time between looks at a folder that another process holds.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// How often a folder that another process holds is looked at before it is believed to be at work there.
+const GLANCES: u32 = 10;
+/// Bytes at the end of the log in which the last thing that was said is looked for.
+const LAST_WORDS: u64 = 16_384;
+
+/// How all tasks of a batch are carried out.
+#[derive(Debug)]
+pub struct Job<'a> {
+    /// Where results go.
+    pub out: &'a Path,
+    /// Write beside what others wrote.
+    pub force: bool,
+    /// Threads of each run.
+    pub threads: usize,
+    /// Each run is stopped after this time.
+    pub timeout: Option<Duration>,
+    /// Classes that are done again.
+    pub retry: &'a [Class],
+    /// Wait for another process that works on the same task.
+    pub waits: bool,
+    /// Everything is stopped when this is set.
+    pub interrupted: &'a AtomicBool,
+}
+
+/// What became of a task in this call.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// It was carried out.
+    Carried(Box<TaskRecord>),
+    /// It was done before.
+    Done(Box<TaskRecord>),
+    /// Another process works on it.
+    Elsewhere,
+    /// It could not be begun, or its end could not be written: why, and what that is.
+    Refused(Class, String),
+}
+
+impl Job<'_> {
+    /// Folder of what is known of a task.
+    pub fn task_folder(&self, task: &Task) -> PathBuf {
+        self.out.join("tasks").join(&task.name)
+    }
+
+    /// Folder of its run.
+    pub fn run_folder(&self, task: &Task) -> PathBuf {
+        self.out.join("runs").join(&task.name)
+    }
+
+    /// The record of a task that is done: of the same work, with nothing changed since.
+    pub fn done(&self, task: &Task) -> Option<TaskRecord> {
+        let record = self.finished(task)?;
+        let is_same = match (&record.input, stamp(task)) {
+            (Some(input), Ok(stamp)) => input.stamp == stamp,
+            // what could not be read cannot be read now
+            (None, Err(_)) => true,
+            _ => false,
+        };
+        is_same.then_some(record)
+    }
+
+    /// The record of a task that has ended, whatever is read now.
+    fn finished(&self, task: &Task) -> Option<TaskRecord> {
+        let record = TaskRecord::read(&self.task_folder(task))?;
+        let has_more_time = record.class == Class::Timeout
+            && self.timeout.map(|limit| limit.as_secs_f64()) != record.timeout_s;
+        let is_done = record.is_of(task)
+            && record.class.is_final()
+            && !self.retry.contains(&record.class)
+            && !has_more_time
+            && record.has_outputs(&self.run_folder(task));
+        is_done.then_some(record)
+    }
+
+    /// Carries out a task, unless it is done; `attempt` counts from 1.
+    pub fn carry_out(&self, task: &Task, attempt: u32, peak: &Grown) -> Outcome {
+        let folder = match self.hold(task) {
+            Ok(Some(folder)) => folder,
+            Ok(None) => return Outcome::Elsewhere,
+            Err(error) => return refused(Class::BadInput, error),
+        };
+        // while it was waited for, another process may have done it
+        if let Some(record) = self.done(task) {
+            return Outcome::Done(Box::new(record));
+        }
+        match self.carry_out_in(&folder, task, attempt, peak) {
+            Ok(outcome) => outcome,
+            Err(error) => {
+                let class = Class::of(End::Exit(1), &format!("{error:?}"), None);
+                refused(class, error)
+            }
+        }
+    }
+
+    /// Holds the folder of a task against other processes; `None` where one works on it.
+    fn hold(&self, task: &Task) -> Result<Option<OutputFolder>, Failure> {
+        let path = self.task_folder(task);
+        let mut glances = 0;
+        loop {
+            if let Some(folder) = OutputFolder::resume_unless_in_use(&path, self.force)? {
+                return Ok(Some(folder));
+            }
+            glances += 1;
+            let is_over = self.interrupted.load(Ordering::Relaxed);
+            if is_over || glances > GLANCES && !self.waits {
+                return Ok(None);
+            }
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    fn carry_out_in(
+        &self,
+        folder: &OutputFolder,
+        task: &Task,
+        attempt: u32,
+        peak: &Grown,
+    ) -> Result<Outcome, Failure> {
+        let input = read_inputs(task);
+        if let (Ok(input), Some(mut record)) = (&input, self.finished(task))
+            && record.input.as_ref().map(|i| &i.sha256) == Some(&input.sha256)
+        {
+            // only times have changed
+            record.input = Some(input.clone());
+            write(folder, &record)?;
+            return Ok(Outcome::Done(Box::new(record)));
+        }
+        let seconds = self.timeout.map(|limit| limit.as_secs_f64());
+        let mut record = TaskRecord::begun(task, now(), seconds);
+        record.input = input.ok();
+        record.attempts = attempt;
+        write(folder, &record)?;
+        let log = folder.begin(LOG_FILE)?;
+        self.wait_for_an_earlier_run(task);
+        let watch = Watch {
+            timeout: self.timeout,
+            interrupted: self.interrupted,
+            peak,
+        };
+        let begin = SystemTime::now();
+        let ended = child::run(&self.arguments(task), &log, watch)?;
+        let metrics = Metrics::read(&self.run_folder(task), begin);
+        conclude(&mut record, &ended, metrics, &last_words(&log));
+        folder.list(LOG_FILE, Content::Whole)?;
+        let outputs = read_outputs(&self.run_folder(task));
+        record.take_outputs(outputs.while_running("what a run wrote cannot be read")?);
+        write(folder, &record)?;
+        Ok(Outcome::Carried(Box::new(record)))
+    }
+
+    /// Where a batch was killed and its run was not.
+    fn wait_for_an_earlier_run(&self, task: &Task) {
+        let run = self.run_folder(task);
+        while OutputFolder::is_in_use(&run) && !self.interrupted.load(Ordering::Relaxed) {
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    fn arguments(&self, task: &Task) -> Vec<OsString> {
+        let mut arguments: Vec<OsString> = vec!["run".into()];
+        arguments.extend(task.options.iter().map(OsString::from));
+        arguments.extend(["--threads".into(), self.threads.to_string().into()]);
+        arguments.extend(["--out".into(), self.run_folder(task).into()]);
+        if self.force {
+            arguments.push("--force".into());
+        }
+        arguments.extend(["--".into(), task.source.clone().into()]);
+        arguments
+    }
+}
+
+fn conclude(record: &mut TaskRecord, ended: &Ended, metrics: Option<Metrics>, said: &str) {
+    record.class = Class::of(ended.end, said, metrics.as_ref());
+    record.reason = reason(ended.end, said);
+    record.metrics = metrics;
+    record.exit_code = match ended.end {
+        End::Exit(code) => Some(code),
+        _ => None,
+    };
+    record.wall_s = ended.wall.as_secs_f64();
+    record.cpu_s = ended.cpu.map(|cpu| cpu.as_secs_f64());
+    record.peak_rss_bytes = ended.peak_rss_bytes;
+}
+
+fn refused(class: Class, failure: Failure) -> Outcome {
+    let error = failure.into_error();
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    let causes: String = causes.map(|cause| format!(": {cause}")).collect();
+    Outcome::Refused(class, format!("{error}{causes}"))
+}
+
+fn write(folder: &OutputFolder, record: &TaskRecord) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(record).map_err(Failure::running)?;
+    folder.write(TASK_FILE, text + "\n")
+}
+
+/// Seconds since 1970.
+fn now() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| since.as_secs())
+}
+
+/// The last line of a log that is no detail of the one before: a verdict, or an error.
+fn last_words(log: &Path) -> String {
+    let tail = || -> std::io::Result<Vec<u8>> {
+        let mut file = std::fs::File::open(log)?;
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(LAST_WORDS)))?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    let bytes = tail().unwrap_or_default();
+    let text = String::from_utf8_lossy(&bytes);
+    let is_detail = |line: &str| line.starts_with([' ', '\t']) || line.starts_with("note: ");
+    let is_said = |line: &&str| !line.is_empty() && !is_detail(line);
+    let line = text.lines().rev().find(is_said).unwrap_or_default();
+    line.strip_prefix("error: ").unwrap_or(line).to_owned()
+}
+
+/// Why a run ended so.
+fn reason(end: End, said: &str) -> String {
+    match end {
+        End::Exit(_) => said.to_owned(),
+        End::Signal(signal) => format!("ended by signal {signal}; it had said: {said}"),
+        End::TooLong => format!("stopped because it took too long; it said: {said}"),
+        End::Interrupted => format!("stopped with the batch; it said: {said}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_words_are_a_verdict_or_an_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let log = dir.path().join("log");
+        let said = |text: &str| {
+            std::fs::write(&log, text).unwrap();
+            last_words(&log)
+        };
+        assert_eq!(
+            said("10 frames\nTracking never started.\n  0 frames\n"),
+            "Tracking never started."
+        );
+        assert_eq!(said("kitchen\nerror: no such file\n"), "no such file");
+        assert_eq!(said(""), "");
+        assert_eq!(said(&format!("{}\nend\n", "x".repeat(100_000))), "end");
+    }
+}

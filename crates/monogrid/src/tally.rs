@@ -1,0 +1,38 @@
+//! Progress over things that are done one by one: a bar on a terminal, a line for each.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// Counts what is done, on standard error.
+#[derive(Debug)]
+pub struct Tally {
+    bar: ProgressBar,
+}
+
+impl Tally {
+    /// Over so many things; the bar is only drawn on a terminal.
+    pub fn new(count: usize, of: &str, is_shown: bool) -> Self {
+        let target = if is_shown {
+            ProgressDrawTarget::stderr_with_hz(4)
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let bar = ProgressBar::with_draw_target(Some(count as u64), target);
+        let template = format!("{{bar:30}} {{pos}}/{{len}} {of} · {{elapsed}} gone, {{eta}} to go");
+        if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        Self { bar }
+    }
+
+    /// One more is done: what there is to say of it.
+    pub fn done(&self, text: &str) {
+        self.bar.inc(1);
+        let (count, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
+        self.bar.suspend(|| eprintln!("{count}/{all} {text}"));
+    }
+
+    /// Removes the bar.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
