@@ -219,6 +219,7 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_distance_ratio: 1.0, 1000.0;
         back_search_keyframes: 0.0, 1000.0;
         sigma_px: 0.01, 20.0;
+        kernel_px: 0.001, 100.0;
         pose_sigma_px: 0.01, 100.0;
         window_newest: 2.0, 1000.0;
         window_covisible: 0.0, 1000.0;

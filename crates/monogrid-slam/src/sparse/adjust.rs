@@ -4,6 +4,7 @@ use super::{LeftLens, SparseConfig};
 use crate::map::{Adjustment, Map, MapKeyframe};
 use crate::{FragmentId, KeyframeId, Scale};
 use monogrid_geometry::Pinhole;
+use monogrid_graph::RobustKernel;
 use monogrid_graph::bundle::{
     AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, BundleSolution, InverseDepthPrior,
     Observation, PoseFreedom, adjust,
@@ -39,8 +40,7 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
     let free = window(map, newest, config);
     let settings = BundleConfig {
         max_iterations: config.max_iterations,
-        inlier_chi2: config.max_chi_sq,
-        ..BundleConfig::default()
+        ..bundle_settings(config)
     };
     adjust_these(map, newest.fragment, free, &lens, config, &settings)
 }
@@ -56,14 +56,25 @@ pub(crate) fn adjust_all(
     let settings = BundleConfig {
         max_iterations: config.final_iterations,
         min_relative_decrease: FINAL_DECREASE,
-        inlier_chi2: config.max_chi_sq,
-        ..BundleConfig::default()
+        ..bundle_settings(config)
     };
     adjust_these(map, fragment, free.collect(), lens, config, &settings)
 }
 
 /// Share of the cost by which a step of the last adjustment must lower it: errors of large loops fall slowly.
 const FINAL_DECREASE: f64 = 1e-6;
+
+/// What all adjustments share. Most patches are found to a tenth of a pixel and some a pixel beside, where they overlap an edge
+/// of something nearer or are seen too flat: a nearly absolute error lets these say little.
+fn bundle_settings(config: &SparseConfig) -> BundleConfig {
+    BundleConfig {
+        kernel: RobustKernel::Huber {
+            delta: config.kernel_px / config.sigma_px,
+        },
+        inlier_chi2: config.max_chi_sq,
+        ..BundleConfig::default()
+    }
+}
 
 /// Adjusts some keyframes of a fragment, given ascending, with the points that they see.
 fn adjust_these(

@@ -27,8 +27,11 @@ pub struct SparseConfig {
     pub back_search_keyframes: usize,
     /// Standard deviation of a found position, px. Range [0.01, 20].
     pub sigma_px: f64,
-    /// The same for the first pose of a new keyframe, when the points are not adjusted with it yet, px. Range
-    /// [0.01, 100].
+    /// Distance from the prediction from which the pull of a found position no longer grows (Huber), px: the errors of patches
+    /// have long tails. Range [0.001, 100].
+    pub kernel_px: f64,
+    /// Standard deviation of a found position for the first pose of a new keyframe, when the points are not adjusted with it
+    /// yet, px. Range [0.01, 100].
     pub pose_sigma_px: f64,
     /// Newest keyframes whose poses are adjusted. Range [2, 1000].
     pub window_newest: usize,
@@ -70,6 +73,7 @@ impl Default for SparseConfig {
             max_distance_ratio: 2.0,
             back_search_keyframes: 5,
             sigma_px: 0.6,
+            kernel_px: 0.15,
             pose_sigma_px: 1.0,
             window_newest: 7,
             window_covisible: 8,

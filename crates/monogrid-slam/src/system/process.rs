@@ -44,11 +44,11 @@ impl Slam {
         let left = self.leave()?;
         self.join_all_by_inertia();
         self.await_graph();
+        self.constrain(left.view, Link::None, true);
+        self.await_graph();
         for fragment in self.map.grown_fragments() {
             adjust_whole(&self.setup, &mut self.map, fragment);
         }
-        self.constrain(left.view, Link::None, true);
-        self.await_graph();
         self.events = self.map.take_events();
         Some(left.id)
     }

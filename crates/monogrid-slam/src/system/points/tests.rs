@@ -1,9 +1,10 @@
 use super::*;
-use crate::map::Adjustment;
+use crate::map::{Adjustment, Observation};
+use crate::sparse::SparseConfig;
 use crate::system::Slam;
 use crate::test_world::small_demo;
 use crate::{FrameInput, KeyframeId, MAIN_MAP, SlamConfig};
-use monogrid_geometry::{Se3, Vec6};
+use monogrid_geometry::{Se3, Vec3, Vec6};
 use monogrid_image::Mask;
 use monogrid_worlds::SynthSequence;
 
@@ -81,4 +82,72 @@ fn the_whole_map_comes_back_to_where_its_points_have_it() {
     let before = slam.snapshot();
     adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
     assert_eq!(slam.snapshot(), before);
+}
+
+/// Largest distance between two sets of positions of the same keyframes.
+fn largest_move(a: &[Vec3], b: &[Vec3]) -> f64 {
+    let moves = a.iter().zip(b).map(|(a, b)| (a - b).norm());
+    moves.fold(0.0, f64::max)
+}
+
+fn positions(slam: &Slam) -> Vec<Vec3> {
+    let keyframes = slam.map.keyframes().iter();
+    keyframes
+        .map(|keyframe| keyframe.world_from_keyframe.translation)
+        .collect()
+}
+
+#[test]
+fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
+    let mut slam = with_keyframes(small_demo());
+    slam.finish();
+    let finished = positions(&slam);
+    adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
+    let before = positions(&slam);
+    let moved_m = largest_move(&finished, &before);
+    assert!(moved_m < 1e-5, "{moved_m}");
+
+    let beside = wrong_observations(&slam);
+    assert!(beside.len() > 100, "{}", beside.len());
+    let refuted = beside.iter().map(|(point, seen)| (*point, seen.keyframe));
+    slam.map.apply(Change::Adjusted(Adjustment {
+        refuted: refuted.collect(),
+        ..Adjustment::default()
+    }));
+    slam.map.apply(Change::Observed(beside));
+    let lens = LeftLens::of_pinhole(&slam.setup.pinhole);
+    let moved_m = |kernel_px: f64| {
+        let config = SparseConfig {
+            kernel_px,
+            ..SparseConfig::default()
+        };
+        let adjusted = adjust_all(&slam.map, MAIN_MAP, &lens, &config);
+        let after: Vec<Vec3> = adjusted
+            .camera_from_world
+            .iter()
+            .map(|(_, pose)| pose.inverse().translation)
+            .collect();
+        largest_move(&before, &after)
+    };
+    let (default_m, quadratic_m) = (moved_m(SparseConfig::default().kernel_px), moved_m(1.5));
+    assert!(
+        default_m < 0.5 * quadratic_m,
+        "{default_m} of {quadratic_m} m"
+    );
+}
+
+/// Of every sixth point, how the keyframes that see it would see it a pixel to the right: less than what is refuted.
+fn wrong_observations(slam: &Slam) -> Vec<(usize, Observation)> {
+    let points = slam.map.points().iter().enumerate().step_by(6);
+    points
+        .filter(|(_, point)| point.alive)
+        .flat_map(|(index, point)| {
+            let beside = |seen: &Observation| Observation {
+                pixel: seen.pixel + Vec2::new(1.0, 0.0),
+                ..*seen
+            };
+            let seen: Vec<_> = point.observations.iter().map(beside).collect();
+            seen.into_iter().map(move |seen| (index, seen))
+        })
+        .collect()
 }
