@@ -14,6 +14,7 @@ use crate::commands::map::MapArgs;
 use crate::commands::merge_runs::MergeRunsArgs;
 use crate::commands::mesh::MeshArgs;
 use crate::commands::plan::PlanArgs;
+use crate::commands::report::ReportArgs;
 use crate::commands::rescale::RescaleArgs;
 use crate::commands::run::RunArgs;
 use crate::commands::sensor_model::SensorModelArgs;
@@ -83,6 +84,9 @@ A list has a recording per line, and behind tabs what is said of it alone: name=
 as KEY=VALUE."
     )]
     Batch(BatchArgs),
+    /// One page of all recordings of a batch: what worked, what did not and why, the worst first
+    #[command(after_help = "Example: monogrid report maps")]
+    Report(ReportArgs),
     /// Cameras of this computer that can be a source
     #[command(after_help = "Example: monogrid cameras")]
     Cameras(CamerasArgs),

@@ -29,6 +29,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Check(args) => commands::check::execute(args),
         Command::View(args) => commands::view::execute(args),
         Command::Map(args) => commands::map::execute(args),
+        Command::Report(args) => commands::report::execute(args),
         Command::Rescale(args) => commands::rescale::execute(args),
         Command::MergeRuns(args) => commands::merge_runs::execute(args),
         Command::Truth(args) => commands::truth::execute(args),

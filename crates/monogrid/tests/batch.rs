@@ -133,6 +133,7 @@ fn results_are_those_of_plain_runs_and_what_is_done_stays_done() {
     let run = batch.path("out/runs/video");
     assert!(results(&run) == plain, "the same bytes");
     the_record_says_it(&batch, &run);
+    the_page_shows_all(&batch);
     what_changes_is_done_again(&batch, lines.to_vec(), &odd);
     fs::remove_file(run.join("global.ot")).unwrap();
     let report = batch.report(3, &[]);
@@ -179,6 +180,27 @@ fn the_record_says_it(batch: &Batch, run: &Path) {
             .unwrap()
             .contains("missing.mp4")
     );
+}
+
+fn the_page_shows_all(batch: &Batch) {
+    let out = batch.path("out");
+    let output = monogrid([Path::new("report"), &out]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let html = fs::read_to_string(out.join("report/report.html")).unwrap();
+    assert!(html.contains("3 recordings: 1 ok, 1 not-started, 1 bad-input"));
+    assert!(html.contains("href=\"../runs/video/report.html\""));
+    let preview = fs::read(out.join("runs/video/preview.png")).unwrap();
+    assert!(!preview.is_empty() && html.matches("data:image/png;base64,").count() == 1);
+    let worst_first =
+        ["<b>missing</b>", "not-started<br>", "video</a></b>"].map(|text| html.find(text));
+    assert!(
+        worst_first.is_sorted() && worst_first[0].is_some(),
+        "{worst_first:?}"
+    );
+    // again, when there is more to tell
+    assert_eq!(code(&monogrid([Path::new("report"), &out])), 0);
+    let nothing = monogrid([Path::new("report"), &batch.path("nowhere")]);
+    assert_fails(&nothing, 2, &["nowhere", "monogrid batch"]);
 }
 
 fn what_changes_is_done_again(batch: &Batch, mut lines: Vec<String>, odd: &Path) {

@@ -122,9 +122,17 @@ fn chessboard(turn_x: f64, turn_y: f64) -> Image<u8> {
     })
 }
 
+const TASK: &str = r#"{"format": 1, "name": "one", "source": "one.mp4", "options": [], "class": "failed", "reason": "", "attempts": 1,
+"version": "0.1.0", "settings_sha256": "", "began_unix_s": 0, "wall_s": 0, "outputs": {}}"#;
 const CALIBRATION: &str = "60 60 39.5 29.5 80 60\n";
 const POSES: &str =
     "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n2 1 1 0 0 0 0 1\n3 1 1 1 0 0 0 1\n4 0 1 1 0 0 0 1\n";
+
+/// What a batch leaves of a recording.
+fn write_batch(task: &Path) {
+    fs::create_dir_all(task).unwrap();
+    fs::write(task.join("task.json"), TASK).unwrap();
+}
 
 impl Sources {
     fn new() -> Self {
@@ -171,6 +179,7 @@ impl Sources {
             this.text("camera.txt")
         );
         fs::write(this.path("recordings.tsv"), batch).unwrap();
+        write_batch(&this.path("batch/tasks/one"));
         write_recording(&this.path("recording.mgk"), 0.5);
         write_recording(&this.path("later.mgk"), 0.4);
         // what a run leaves
@@ -245,6 +254,7 @@ impl Sources {
                 "@recordings.tsv",
                 "recordings.tsv camera.txt",
             ),
+            self.call("report", "--out", "", "@batch", "batch/tasks/one/task.json"),
             self.call("calibrate", "--out", "", "@board", "board/1.png"),
             self.call("synth", "--out", "", synth, "mesh.obj inside.txt"),
             self.call("sensor-model", "--plot", "", "", ""),
@@ -347,6 +357,7 @@ impl Call {
             "run" => &["config.toml", "recording.mgk", "summary.json"],
             "demo" => &["config.toml"],
             "batch" => &["tasks/images/task.json", "tasks/images/log.txt"],
+            "report" => &["report.html"],
             "calibrate" => &["calibration.txt", "residuals.svg"],
             "synth" => &["truth.ot", "rgb.txt", "rgb/000000.png", "mesh.ply"],
             "sensor-model" => &["sensor-models.html"],

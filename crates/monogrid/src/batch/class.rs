@@ -118,6 +118,13 @@ impl Class {
         }
     }
 
+    /// What it means, for people: as the help of the command line says it.
+    pub fn meaning(self) -> String {
+        let value = self.to_possible_value();
+        let help = value.and_then(|value| value.get_help().map(ToString::to_string));
+        help.unwrap_or_default()
+    }
+
     /// All of them, the best first.
     pub fn all() -> &'static [Self] {
         Self::value_variants()

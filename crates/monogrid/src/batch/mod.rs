@@ -1,7 +1,7 @@
 //! Many recordings, each by a run of its own: `monogrid batch`.
 //!
 //! Flow: [`list`] (which recordings) → [`task`] (names, options, settings) → [`schedule`] (how many at once, by processors and
-//! memory) → [`work`] (one task: is it done already? else a process of this program, [`child`]) → [`record`] (`task.json`).
+//! memory) → [`work`] (one task: is it done already? else a process of this program, [`child`]) → [`record`] (`task.json`) → [`page`] (`monogrid report`).
 //!
 //! `DEST/tasks/NAME` holds `task.json` and `log.txt`, `DEST/runs/NAME` is the folder of the run, as `monogrid run --out` writes it.
 //! Both are output folders of their own: whoever works on a task holds the lock of the former, which ends with its process,
@@ -15,6 +15,7 @@ pub mod digest;
 pub mod keys;
 pub mod list;
 pub mod metrics;
+pub mod page;
 pub mod record;
 pub mod schedule;
 pub mod task;

@@ -246,6 +246,10 @@ struct Planned<'a> {
     name: &'a str,
     source: String,
     options: &'a [String],
+    /// As in `task.json`.
+    settings_sha256: &'a str,
+    /// As in `task.json`.
+    version: &'static str,
     /// What became of it, where it is done.
     done: Option<&'static str>,
     /// Memory that it took when it was tried before.
@@ -267,6 +271,8 @@ fn say_plan(tasks: &[Task], job: &Job, json: JsonArg) -> CommandResult {
                 name: &task.name,
                 source: task.source.display().to_string(),
                 options: &task.options,
+                settings_sha256: &task.settings_sha256,
+                version: env!("CARGO_PKG_VERSION"),
                 done,
                 peak_rss_bytes,
             }

@@ -16,6 +16,7 @@ pub mod merge_runs;
 pub mod mesh;
 pub mod plan;
 pub mod posed_depth;
+pub mod report;
 pub mod rescale;
 pub mod run;
 pub mod sensor_model;
