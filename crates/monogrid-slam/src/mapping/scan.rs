@@ -2,7 +2,7 @@
 
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
 use crate::{DepthPixel, KeyframeId};
-use monogrid_geometry::Pinhole;
+use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::{GrayImage, Image};
 use monogrid_occupancy::DepthPixel as Measurement;
 
@@ -26,6 +26,12 @@ impl KeyframeCamera {
             width,
             height,
         }
+    }
+
+    /// Whether a pixel lies in its images.
+    pub(crate) fn contains(&self, pixel: &Vec2) -> bool {
+        let (width, height) = (self.width as f64, self.height as f64);
+        (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)
     }
 }
 
