@@ -1,0 +1,131 @@
+"""One recording, on the computer that a worker runs on: fetched, done by `monogrid batch --task`, sent."""
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from .places import Store, fetch_source, is_url, stamp
+
+#: What the source was when the recording was done, beside its task.json.
+STAMP_FILE = "source-stamp.txt"
+#: Classes that say nothing about the recording: it is done again.
+NOT_FINAL = ("killed", "no-space", "interrupted", "unfinished")
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recording as the driver planned it."""
+
+    #: Name of its results.
+    name: str
+    #: A path, or an address in an object store.
+    source: str
+    #: Where the program finds it: the path, or where an object is fetched to.
+    local_source: str
+    #: Line of a list, without its source and name: options separated by tabs.
+    options: str
+    #: What `monogrid batch --dry-run --json` says of it.
+    plan: dict
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all tasks share."""
+
+    #: A folder that all computers see, or an address in an object store.
+    out: str
+    #: Folder for what is fetched and not yet sent, on every computer.
+    scratch: str
+    #: The program, by name or path.
+    program: str
+    #: Arguments of `monogrid batch` for all.
+    arguments: tuple[str, ...]
+    #: The folder in which paths of options are meant.
+    folder: str
+
+
+class NotRun(Exception):
+    """The program itself could not work: its message."""
+
+
+def finished(task: Task, out: Store, retry: tuple[str, ...]) -> dict | None:
+    """The record of a recording in an object store that is done: of the same work, with nothing changed since."""
+    text = out.read(f"tasks/{task.name}/task.json")
+    if text is None:
+        return None
+    record = json.loads(text)
+    is_same = (
+        record["source"] == task.local_source
+        and record["options"] == task.plan["options"]
+        and record["settings_sha256"] == task.plan["settings_sha256"]
+        and record["version"] == task.plan["version"]
+    )
+    if not is_same or record["class"] in NOT_FINAL or record["class"] in retry:
+        return None
+    before = out.read(f"tasks/{task.name}/{STAMP_FILE}")
+    if before is None or before.decode() != str(stamp(task.source)):
+        return None
+    there = {file["name"]: file["bytes"] for file in out.files(f"runs/{task.name}")}
+    is_whole = all(there.get(name) == output["bytes"] for name, output in record["outputs"].items())
+    return record if is_whole else None
+
+
+def carry_out(task: Task, job: Job) -> dict:
+    """Does a recording; its record. Whatever ends halfway leaves a folder with which the next try goes on."""
+    scratch = Path(job.scratch)
+    (scratch / "lists").mkdir(parents=True, exist_ok=True)
+    (scratch / "pids").mkdir(exist_ok=True)
+    pid = scratch / "pids" / task.name
+    pid.write_text(str(os.getpid()))
+    before = stamp(task.source)
+    if is_url(task.source) and before is not None:
+        fetch_source(task.source, Path(task.local_source))
+    out = scratch / "out" if is_url(job.out) else Path(job.out)
+    call_program(task, job, out)
+    record = json.loads((out / "tasks" / task.name / "task.json").read_text())
+    if is_url(job.out):
+        send(task, out, Store(job.out), str(before), record)
+        shutil.rmtree(out / "runs" / task.name, ignore_errors=True)
+        shutil.rmtree(out / "tasks" / task.name, ignore_errors=True)
+    if is_url(task.source):
+        remove(Path(task.local_source))
+    pid.unlink()
+    return record
+
+
+def call_program(task: Task, job: Job, out: Path) -> None:
+    """Calls `monogrid batch` for one recording, and ends it with this process."""
+    listed = Path(job.scratch) / "lists" / f"{task.name}.tsv"
+    listed.write_text(f"{task.local_source}\tname={task.name}\t{task.options}\n")
+    command = [job.program, "batch", str(listed), "--out", str(out), "--task", task.name, "--jobs", "1", *job.arguments]
+    environment = dict(os.environ, MONOGRID_PARENT=str(os.getpid()))
+    folder = job.folder if os.path.isdir(job.folder) else None
+    ended = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
+    # 0, 1, 3 and 4 are said of the recording, in its record
+    if ended.returncode not in (0, 1, 3, 4) or not (out / "tasks" / task.name / "task.json").is_file():
+        said = ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"]
+        raise NotRun(f"{task.name}: {said[-1]}")
+
+
+def send(task: Task, out: Path, store: Store, before: str, record: dict) -> None:
+    """Sends all results; the record is the last, so that a recording without one is not done."""
+    runs, tasks = f"runs/{task.name}", f"tasks/{task.name}"
+    for old in store.files(runs):
+        if old["name"] not in record["outputs"]:
+            store.remove(f"{runs}/{old['name']}")
+    for name in record["outputs"]:
+        store.send(out / runs / name, f"{runs}/{name}")
+    store.send(out / tasks / "log.txt", f"{tasks}/log.txt")
+    store.write(before.encode(), f"{tasks}/{STAMP_FILE}")
+    store.send(out / tasks / "task.json", f"{tasks}/task.json")
+
+
+def remove(path: Path) -> None:
+    """Removes what was fetched."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
