@@ -14,7 +14,7 @@ use monogrid_slam::mapping::{
     camera_paths, final_scans_counted, z_up_from_camera_world,
 };
 use monogrid_slam::{
-    Event, FrameInput, FrameReport, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
+    Event, FrameInput, FrameReport, MapSize, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
     TrackedFrame, TrajectoryPose,
 };
 use std::ops::ControlFlow;
@@ -319,7 +319,7 @@ impl Pipeline {
         self.slam.finish();
         self.tell();
         let Self {
-            slam,
+            mut slam,
             listeners,
             mapper,
             num_frames,
@@ -342,7 +342,10 @@ impl Pipeline {
         }
         let (maps, mapping) = mapped?;
         cpu.mapping = mapping;
+        let map_size = slam.map_size();
+        slam.release();
         Ok(Finished {
+            map_size,
             trajectory: slam.trajectory(),
             poses: slam.snapshot(),
             slam,
@@ -383,8 +386,10 @@ pub struct Cpu {
 /// A pipeline that has ended.
 #[derive(Debug)]
 pub struct Finished {
-    /// The system, which holds the finished keyframes.
+    /// The system, which holds the finished keyframes, and no longer what only more frames would need.
     pub slam: Slam,
+    /// How large the map was after the last frame.
+    pub map_size: MapSize,
     /// Final poses of the keyframes.
     pub poses: Arc<PoseSnapshot>,
     /// Frames with a believed pose, final.

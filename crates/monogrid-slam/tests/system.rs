@@ -6,7 +6,8 @@ use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evalu
 use monogrid_geometry::Se3;
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{
-    FrameInput, FrameReport, InitializationMode, LostReason, Scale, Slam, SlamConfig, TrackingState,
+    FrameInput, FrameReport, InitializationMode, LostReason, MapBytes, Scale, Slam, SlamConfig,
+    TrackingState,
 };
 use monogrid_worlds::SynthSequence;
 use std::sync::OnceLock;
@@ -488,6 +489,26 @@ fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
         assert!(moved.translation.norm() < 0.02, "{index}: {moved:?}");
         assert!(moved.rotation.angle() < 0.01, "{index}: {moved:?}");
     }
+    // nothing of this is needed to look at what was found
+    let edges = slam.pose_graph().edges().len();
+    slam.release();
+    let MapBytes {
+        pyramids,
+        depth,
+        alignment,
+        published,
+        ..
+    } = slam.map_size().bytes;
+    assert_eq!((pyramids, depth, alignment), (0, 0, 0));
+    assert!(published > 0 && edges > 0 && slam.pose_graph().edges().len() == edges);
+    assert_eq!(slam.trajectory().len(), poses.len());
+    let index = inputs.len();
+    let report = slam.process_frame(FrameInput {
+        index,
+        timestamp_ns: index as i64 * 100_000_000,
+        ..inputs[0].clone()
+    });
+    assert_eq!(report.state, TrackingState::Lost);
     let mut without = SlamConfig::default();
     without.keyframes.reactivation.enabled = false;
     let (grown, _) = run(without, 0, &inputs);

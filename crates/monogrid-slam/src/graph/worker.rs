@@ -78,6 +78,17 @@ impl GraphWorker {
         }
     }
 
+    /// One that does nothing any more.
+    pub(crate) fn ended() -> Self {
+        Self::Threaded {
+            requests: None,
+            updates: channel().1,
+            places: channel().1,
+            thread: None,
+            under_way: false,
+        }
+    }
+
     /// Starts a job; the result of the one before must have been taken.
     pub(crate) fn submit(&mut self, job: GraphJob) {
         match self {

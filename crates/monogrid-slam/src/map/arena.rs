@@ -213,6 +213,15 @@ impl Map {
         }
     }
 
+    /// Forgets what only more frames would need of keyframes.
+    pub(crate) fn release(&mut self) {
+        for keyframe in &mut self.keyframes {
+            keyframe.pyramid = Arc::default();
+            keyframe.depth = None;
+            keyframe.view = None;
+        }
+    }
+
     /// What the parts that grow take in memory.
     fn bytes(&self) -> MapBytes {
         let mut bytes = MapBytes {

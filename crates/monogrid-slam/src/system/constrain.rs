@@ -70,6 +70,12 @@ impl GraphLink {
         &self.stats
     }
 
+    /// Ends the worker; what it has done stays known.
+    pub(super) fn end(&mut self) {
+        self.worker = GraphWorker::ended();
+        self.due = None;
+    }
+
     /// Gives the worker a job; the result of the one before must have been taken.
     pub(super) fn submit(&mut self, job: GraphJob) {
         self.worker.submit(job);

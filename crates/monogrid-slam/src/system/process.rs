@@ -1,5 +1,6 @@
 //! What is done with a frame, in order.
 
+use super::camera::Camera;
 use super::constrain::{GraphLink, Link};
 use super::depth::observe_depth;
 use super::keyframes::{Use, decide_use};
@@ -51,6 +52,18 @@ impl Slam {
         }
         self.events = self.map.take_events();
         Some(left.id)
+    }
+
+    /// Gives back the memory that only more frames would need: that of tracking and of the graph's thread, and of keyframes what is not
+    /// published. All that was found stays; the camera is lost in frames that come afterwards.
+    pub fn release(&mut self) {
+        self.await_graph();
+        self.camera = Camera::default();
+        self.start = None;
+        if let Some(graph) = &mut self.graph {
+            graph.end();
+        }
+        self.map.release();
     }
 
     fn process(&mut self, mut input: FrameInput) -> FrameOutcome {

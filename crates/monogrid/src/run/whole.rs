@@ -382,6 +382,7 @@ impl Reference {
 /// The final depth of the keyframes.
 fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> {
     let before = process_cpu();
+    memory::give_back();
     let count = tracked.run.slam.keyframes().len();
     eprintln!("depth and maps of {count} keyframes at their final poses");
     let scans = watched("final depth", count, show_progress, |done| {

@@ -57,7 +57,7 @@ impl Summary {
             },
             map: map_facts(maps, settings),
             peak_rss_bytes: None,
-            memory_bytes: slam.map_size().bytes,
+            memory_bytes: tracked.run.map_size.bytes,
             scale: scale_name(is_metric(tracked, frame)),
             frame: frame.description.clone(),
             up: frame.up,
