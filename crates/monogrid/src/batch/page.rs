@@ -22,7 +22,7 @@ const STYLE: &str = "<style>\
 .cards{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(220px,100%),1fr));gap:12px;margin:.8em 0}\
 .cards figure{background:var(--paper);border:1px solid var(--edge);border-top-width:4px;padding:8px}\
 .cards img{border:0;width:100%;aspect-ratio:3/2;object-fit:contain;background:#fff}.cards .none{aspect-ratio:3/2;display:grid;place-items:center;color:var(--faint);border:1px dashed var(--edge)}\
-.cards figcaption{font-size:13px;overflow-wrap:anywhere}.cards b{font-size:15px}a{color:inherit}.wide td,.wide th{white-space:nowrap}.wide td:last-child{white-space:normal;min-width:16em}</style>";
+.cards figcaption{font-size:13px;overflow-wrap:anywhere}.cards b{font-size:15px}a{color:inherit}.scroll td,.scroll th{overflow-wrap:break-word}.wide td,.wide th{white-space:nowrap}.wide td:last-child{white-space:normal;min-width:16em}</style>";
 
 /// The page; `runs` is the folder of the runs, `link` how the page refers to it.
 pub fn page(name: &str, records: &[TaskRecord], runs: &Path, link: &str) -> String {
@@ -181,10 +181,12 @@ fn reasons(page: &mut Page, ordered: &[&TaskRecord]) {
         vec![names.len().to_string(), class.name().to_owned(), kind, some]
     });
     let rows: Vec<_> = rows.collect();
+    page.html("<div class=\"scroll\">");
     page.table(
         &["how many", "class", "reason (# is a number)", "such as"],
         &rows,
     );
+    page.html("</div>");
 }
 
 /// Which share of the recordings has at most so much: one curve.
@@ -202,9 +204,9 @@ fn cumulative(title: &str, unit: &str, mut values: Vec<f64>) -> Option<Plot> {
         is_dashed: false,
     };
     Some(Plot {
-        title: format!("{title}: half have at most {}", number(middle)),
-        x_label: format!("{title}, {unit}"),
-        y_label: "recordings with at most so much, %".to_owned(),
+        title: title.to_owned(),
+        x_label: format!("{unit}; half have at most {}", number(middle)),
+        y_label: "recordings with at most so, %".to_owned(),
         series: vec![series],
         from_zero: true,
         is_panel: true,
@@ -222,7 +224,7 @@ fn spread(page: &mut Page, records: &[TaskRecord]) {
             metrics().map(|m| rounded(100.0 * m.coverage())).collect(),
         ),
         cumulative(
-            "Error against the reference (ATE)",
+            "Error (ATE)",
             "m",
             metrics()
                 .filter_map(|m| m.ate_rmse_m)
@@ -231,7 +233,7 @@ fn spread(page: &mut Page, records: &[TaskRecord]) {
         ),
         cumulative(
             "Speed",
-            "frames per second, everything included",
+            "frames per second",
             metrics()
                 .map(|m| (m.frames_per_second * 10.0).round() / 10.0)
                 .collect(),
