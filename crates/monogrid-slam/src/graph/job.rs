@@ -6,6 +6,7 @@ use crate::stored::StoredEdge;
 use crate::{FragmentId, KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Mat6, Se3, Sim3};
 use monogrid_graph::pose_graph::PoseGraphError;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Motion between a keyframe and the one that it was tracked on, as tracking found it.
@@ -56,6 +57,8 @@ pub(crate) struct GraphJob {
     pub shared_points: Vec<SharedPoints>,
     /// Whether all keyframes look for constraints once more.
     pub is_final: bool,
+    /// The fragments that this moves: one of an earlier session that has no new keyframes stays as its points have it.
+    pub grown: BTreeSet<FragmentId>,
 }
 
 /// The graph of an earlier session.

@@ -135,6 +135,7 @@ pub(super) fn graph_job(
         },
         handover,
         is_final,
+        grown: map.grown_fragments(),
     }
 }
 

@@ -96,6 +96,7 @@ fn adjusted(
         poses: Arc::clone(shown.snapshot()),
         shared_points: shared_points(&shown, &keyframes, &config),
         is_final: true,
+        grown: shown.snapshot().fragment.iter().copied().collect(),
         ..GraphJob::default()
     });
     shown.apply(Change::Optimised(Box::new(update), 0));

@@ -146,7 +146,7 @@ impl KeyframeGraph {
     /// The fragments that a job has to do with.
     fn fragments_of(&self, job: &GraphJob) -> BTreeSet<FragmentId> {
         if job.is_final {
-            return self.poses.fragment.iter().copied().collect();
+            return job.grown.clone();
         }
         let finished = job.finished.iter().map(|view| view.id);
         let made = job.odometry.iter().map(|odometry| odometry.keyframe);
