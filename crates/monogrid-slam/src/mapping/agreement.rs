@@ -157,7 +157,7 @@ pub(super) fn kept(
 }
 
 /// Keyframes that see some of the same, evenly spread over all of them.
-fn witnesses<'a, 'b>(
+pub(super) fn witnesses<'a, 'b>(
     views: &'a [Option<View<'b>>],
     this: &View,
     index: usize,

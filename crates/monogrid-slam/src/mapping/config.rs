@@ -301,6 +301,8 @@ pub struct MappingConfig {
     pub follow_threshold: f64,
     /// What is taken as the standard deviation of a range. Default `range`.
     pub sigma_mode: SigmaMode,
+    /// Whether standard deviations of depth are multiplied by what the disagreement of keyframes says, in final maps. Default true.
+    pub sigma_from_agreement: bool,
     /// Standard deviation of a keyframe's position relative to its neighbours. Default 0.01. Range [0,
     /// 1000000].
     pub pose_sigma: f64,
@@ -371,6 +373,7 @@ impl Default for MappingConfig {
             local_radius: 3.0,
             follow_threshold: 1.0,
             sigma_mode: SigmaMode::Range,
+            sigma_from_agreement: true,
             pose_sigma: 0.01,
             pose_sigma_deg: 0.1,
             body_radius: AutoLength::Auto,
@@ -406,6 +409,7 @@ impl MappingConfig {
             pose_sigma: 0.0,
             pose_sigma_deg: 0.0,
             body_radius: AutoLength::Fixed(0.0),
+            sigma_from_agreement: false,
             filter: DepthFilterConfig {
                 max_relative_sigma: f64::INFINITY,
                 min_support: 0,

@@ -22,6 +22,7 @@ mod agreement;
 mod band;
 mod body;
 mod cell;
+mod certainty;
 mod config;
 mod dense;
 mod fill;

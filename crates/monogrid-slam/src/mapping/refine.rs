@@ -1,14 +1,14 @@
 //! Better depth of all keyframes, when the poses are known in the end.
 
 use super::agreement::{Blocks, View, kept};
+use super::certainty::Certainty;
 use super::dense::{dense_depths, merged};
 use super::scan::Depths;
-use super::{FillConfig, KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
+use super::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
 use crate::{DepthPixel, KeyframeId};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
-use monogrid_occupancy::DepthPixel as Measurement;
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -61,33 +61,55 @@ pub fn final_scans_counted(
         done.fetch_add(1, Ordering::Relaxed);
         depths
     });
-    let kept = agreed(keyframes, &depths, camera, &config.fill, threads);
+    let agreed = agreed(keyframes, depths, camera, config, threads);
     let ids = keyframes.iter().map(|keyframe| keyframe.id);
-    ids.zip(depths.into_iter().zip(kept))
-        .map(|(id, (depths, filled))| Depths { filled, ..depths }.joined(id, camera))
+    ids.zip(agreed)
+        .map(|(id, depths)| depths.joined(id, camera))
         .collect()
 }
 
-/// The filled depth of each keyframe that the others do not contradict.
+/// The depth of each keyframe as the others have it: without filled depth that they contradict, and as certain as they agree.
 fn agreed(
     keyframes: &[PosedKeyframe],
-    depths: &[Depths],
+    mut depths: Vec<Depths>,
     camera: &KeyframeCamera,
-    config: &FillConfig,
+    config: &MappingConfig,
     threads: usize,
-) -> Vec<Vec<Measurement>> {
-    if config.max_witnesses == 0 {
-        return depths.iter().map(|depths| depths.filled.clone()).collect();
+) -> Vec<Depths> {
+    if config.fill.max_witnesses > 0 {
+        let views = views(keyframes, &depths, camera, threads);
+        let kept = for_each_keyframe(keyframes.len(), threads, |index| {
+            kept(&views, index, camera, &config.fill)
+        });
+        drop(views);
+        for (depths, kept) in depths.iter_mut().zip(kept) {
+            depths.filled = kept.unwrap_or_else(|| std::mem::take(&mut depths.filled));
+        }
     }
-    let views: Vec<Option<View>> = for_each_keyframe(keyframes.len(), threads, |index| {
+    if config.sigma_from_agreement {
+        let views = views(keyframes, &depths, camera, threads);
+        let certainty = Certainty::of_views(&views, camera, threads);
+        drop(views);
+        for depths in &mut depths {
+            certainty.apply(depths);
+        }
+    }
+    depths
+}
+
+/// The keyframes that have a pose.
+fn views<'a>(
+    keyframes: &[PosedKeyframe],
+    depths: &'a [Depths],
+    camera: &KeyframeCamera,
+    threads: usize,
+) -> Vec<Option<View<'a>>> {
+    for_each_keyframe(keyframes.len(), threads, |index| {
         Some(View {
             depths: &depths[index],
             blocks: Blocks::new(&depths[index], camera),
             world_from_keyframe: keyframes[index].world_from_keyframe?,
         })
-    });
-    for_each_keyframe(keyframes.len(), threads, |index| {
-        kept(&views, index, camera, config).unwrap_or_else(|| depths[index].filled.clone())
     })
 }
 
@@ -248,6 +270,7 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::FillConfig;
     use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -288,6 +311,7 @@ mod tests {
 
     fn config() -> MappingConfig {
         MappingConfig {
+            sigma_from_agreement: false,
             fill: FillConfig {
                 enabled: false,
                 ..FillConfig::default()

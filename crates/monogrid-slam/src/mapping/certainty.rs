@@ -1,0 +1,251 @@
+//! Whether depth is as certain as it says: from how well keyframes agree.
+//!
+//! Where two keyframes see the same surface, the difference of their depths over its standard deviation is a standard normal number
+//! if the deviations are right. The median of its absolute value over that of a normal (0.6745) is then what deviations have to
+//! be multiplied by. Keyframes share errors, since the same images measured them, and agree better with each other than with
+//! the truth: [`SHARED_ERRORS`]. Measured depth has one factor for the whole map, and filled depth has one.
+
+use super::KeyframeCamera;
+use super::agreement::{View, witnesses};
+use super::refine::for_each_keyframe;
+use super::scan::Depths;
+use monogrid_geometry::{Sim3, Vec2};
+use monogrid_occupancy::DepthPixel as Measurement;
+
+/// How much farther the truth is than another keyframe: 1.6 to 3.2 in two rendered rooms, a rendered sequence with an exact
+/// truth and two real ones with a depth camera (`docs/studies.md`).
+const SHARED_ERRORS: f32 = 2.2;
+/// Factors beyond these say that something else is wrong.
+const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.0;
+/// Relative deviation that always remains: of the camera's model and of the pixels' size.
+const LEAST_RELATIVE_SIGMA: f32 = 0.003;
+/// Every so many pixels of a keyframe are compared.
+const STRIDE: usize = 11;
+/// Depths that differ by more are of two surfaces.
+const MAX_RELATIVE_DIFFERENCE: f32 = 0.1;
+/// Fewest comparisons that say anything.
+const MIN_COMPARED: usize = 200;
+/// Keyframes that each is compared with.
+const MAX_WITNESSES: usize = 24;
+/// Median of the absolute value of a standard normal number.
+const NORMAL_MEDIAN: f32 = 0.674_49;
+
+/// What the standard deviations of all depths have to be multiplied by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Certainty {
+    pub measured: f32,
+    pub filled: f32,
+}
+
+impl Certainty {
+    /// From how well keyframes with poses agree; 1 where too little is seen twice.
+    pub fn of_views(views: &[Option<View>], camera: &KeyframeCamera, threads: usize) -> Self {
+        let compared = for_each_keyframe(views.len(), threads, |index| {
+            let mut compared = Compared::default();
+            if let Some(this) = &views[index] {
+                for other in witnesses(views, this, index, camera, MAX_WITNESSES) {
+                    compared.compare(this, other, camera);
+                }
+            }
+            compared
+        });
+        let (mut measured, mut filled) = (Vec::new(), Vec::new());
+        for mut of_keyframe in compared {
+            measured.append(&mut of_keyframe.measured);
+            filled.append(&mut of_keyframe.filled);
+        }
+        Self {
+            measured: factor(&mut measured),
+            filled: factor(&mut filled),
+        }
+    }
+
+    /// The depths of a keyframe, as certain as they are.
+    pub fn apply(self, depths: &mut Depths) {
+        let kinds = [
+            (&mut depths.measured, self.measured),
+            (&mut depths.filled, self.filled),
+        ];
+        for (pixels, factor) in kinds {
+            for pixel in pixels {
+                let least = LEAST_RELATIVE_SIGMA * pixel.idepth;
+                pixel.sigma_idepth = (factor * pixel.sigma_idepth).max(least);
+            }
+        }
+    }
+}
+
+fn factor(differences: &mut [f32]) -> f32 {
+    if differences.len() < MIN_COMPARED {
+        return 1.0;
+    }
+    let middle = differences.len() / 2;
+    let median = *differences.select_nth_unstable_by(middle, f32::total_cmp).1;
+    (SHARED_ERRORS * median / NORMAL_MEDIAN).clamp(*FACTORS.start(), *FACTORS.end())
+}
+
+/// Absolute differences in standard deviations.
+#[derive(Debug, Default)]
+struct Compared {
+    measured: Vec<f32>,
+    filled: Vec<f32>,
+}
+
+impl Compared {
+    /// Measured depth with measured depth, filled with filled.
+    fn compare(&mut self, this: &View, other: &View, camera: &KeyframeCamera) {
+        let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
+        let kinds = [
+            (
+                &mut self.measured,
+                &this.depths.measured,
+                &other.depths.measured,
+            ),
+            (&mut self.filled, &this.depths.filled, &other.depths.filled),
+        ];
+        for (differences, mine, theirs) in kinds {
+            let mine = mine.iter().step_by(STRIDE);
+            differences.extend(mine.filter_map(|pixel| {
+                let (expected, at) = seen_from(pixel, &other_from_this, camera)?;
+                difference(pixel, expected, depth_at(theirs, at)?)
+            }));
+        }
+    }
+}
+
+/// The inverse depth that a pixel has in another keyframe, and its pixel there.
+fn seen_from(
+    pixel: &Measurement,
+    other_from_this: &Sim3,
+    camera: &KeyframeCamera,
+) -> Option<(f32, (u16, u16))> {
+    let at = Vec2::new(pixel.x.into(), pixel.y.into());
+    let point = *other_from_this * (camera.pinhole.unproject(&at) / f64::from(pixel.idepth));
+    if point.z <= 1e-9 {
+        return None;
+    }
+    let seen = camera.pinhole.project(&point);
+    let inside = seen.x > -0.5
+        && seen.y > -0.5
+        && seen.x < camera.width as f64 - 0.5
+        && seen.y < camera.height as f64 - 0.5;
+    let nearest = || {
+        (
+            seen.x.round().max(0.0) as u16,
+            seen.y.round().max(0.0) as u16,
+        )
+    };
+    inside.then(|| ((1.0 / point.z) as f32, nearest()))
+}
+
+/// The measurement at a pixel; `pixels` are row-major.
+fn depth_at(pixels: &[Measurement], (x, y): (u16, u16)) -> Option<&Measurement> {
+    let found = pixels.binary_search_by_key(&(y, x), |pixel| (pixel.y, pixel.x));
+    found.ok().map(|index| &pixels[index])
+}
+
+/// Relative difference of two inverse depths in standard deviations; `None` for two surfaces.
+fn difference(pixel: &Measurement, expected: f32, other: &Measurement) -> Option<f32> {
+    let relative = (other.idepth / expected - 1.0).abs();
+    let sigma = (pixel.sigma_idepth / pixel.idepth).hypot(other.sigma_idepth / other.idepth);
+    (relative < MAX_RELATIVE_DIFFERENCE && sigma > 0.0).then(|| relative / sigma)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::agreement::Blocks;
+    use super::*;
+    use monogrid_geometry::{Pinhole, Rotation, Vec3};
+
+    const CAMERA: KeyframeCamera = KeyframeCamera {
+        pinhole: Pinhole {
+            fx: 60.0,
+            fy: 60.0,
+            cx: 39.5,
+            cy: 29.5,
+        },
+        width: 80,
+        height: 60,
+    };
+
+    /// A wall at 2 seen by keyframes side by side, with errors of this relative deviation, of which they say `said`.
+    fn wall(errors: f32, said: f32) -> Vec<(Depths, Sim3)> {
+        let mut state = 7_u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+        };
+        // the sum of twelve has a variance of one
+        let mut normal = || (0..12).map(|_| random()).sum::<f32>();
+        let mut pixels = || -> Vec<Measurement> {
+            (0..60 * 80)
+                .map(|k| {
+                    let idepth = 0.5 * (1.0 + errors * normal());
+                    Measurement {
+                        x: k % 80,
+                        y: k / 80,
+                        idepth,
+                        sigma_idepth: said * idepth,
+                    }
+                })
+                .collect()
+        };
+        (0..6)
+            .map(|k| {
+                let depths = Depths {
+                    measured: pixels(),
+                    filled: Vec::new(),
+                };
+                let centre = Vec3::new(0.05 * f64::from(k), 0.0, 0.0);
+                (depths, Sim3::new(1.0, Rotation::identity(), centre))
+            })
+            .collect()
+    }
+
+    fn certainty(keyframes: &[(Depths, Sim3)]) -> Certainty {
+        let view = |(depths, world_from_keyframe): &'_ (Depths, Sim3)| {
+            (depths.clone(), *world_from_keyframe)
+        };
+        let owned: Vec<(Depths, Sim3)> = keyframes.iter().map(view).collect();
+        let views: Vec<Option<View>> = owned
+            .iter()
+            .map(|(depths, world_from_keyframe)| {
+                Some(View {
+                    depths,
+                    blocks: Blocks::new(depths, &CAMERA),
+                    world_from_keyframe: *world_from_keyframe,
+                })
+            })
+            .collect();
+        Certainty::of_views(&views, &CAMERA, 2)
+    }
+
+    #[test]
+    fn deviations_become_those_of_the_differences() {
+        for (errors, said, expected) in [(0.01, 0.01, 1.0), (0.01, 0.02, 0.5), (0.012, 0.01, 1.2)] {
+            let found = certainty(&wall(errors, said));
+            let factor = found.measured / SHARED_ERRORS;
+            assert!(
+                (factor / expected - 1.0).abs() < 0.05,
+                "{errors} {said}: {factor}"
+            );
+            // nothing was filled
+            assert!((found.filled - 1.0).abs() < 1e-6);
+        }
+        // one keyframe knows nothing about itself
+        assert!((certainty(&wall(0.01, 0.01)[..1]).measured - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn factors_stay_within_their_bounds_and_deviations_above_the_least() {
+        let mut keyframes = wall(0.03, 0.002);
+        assert!((certainty(&keyframes).measured - FACTORS.end()).abs() < 1e-6);
+        let certain = certainty(&wall(0.0, 0.01));
+        assert!((certain.measured - FACTORS.start()).abs() < 1e-6);
+        let depths = &mut keyframes[0].0;
+        certain.apply(depths);
+        for pixel in &depths.measured {
+            assert!((pixel.sigma_idepth / pixel.idepth - LEAST_RELATIVE_SIGMA).abs() < 1e-6);
+        }
+    }
+}
