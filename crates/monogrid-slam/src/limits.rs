@@ -368,6 +368,7 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
     }));
     all.extend(limits!("mapping.filter", mapping.filter, {
         max_relative_sigma: 0.000001, f64::INFINITY;
+        max_agreed_sigma: 0.000001, f64::INFINITY;
         min_support: 0.0, 9.0;
         skip_keyframes: 0.0, 1_000_000.0;
     }));

@@ -60,17 +60,18 @@ impl Certainty {
         }
     }
 
-    /// The depths of a keyframe, as certain as they are.
-    pub fn apply(self, depths: &mut Depths) {
+    /// The depths of a keyframe, as certain as they are; without those that are less certain than this.
+    pub fn apply(self, depths: &mut Depths, max_relative_sigma: f32) {
         let kinds = [
             (&mut depths.measured, self.measured),
             (&mut depths.filled, self.filled),
         ];
         for (pixels, factor) in kinds {
-            for pixel in pixels {
+            for pixel in pixels.iter_mut() {
                 let least = LEAST_RELATIVE_SIGMA * pixel.idepth;
                 pixel.sigma_idepth = (factor * pixel.sigma_idepth).max(least);
             }
+            pixels.retain(|pixel| pixel.sigma_idepth <= max_relative_sigma * pixel.idepth);
         }
     }
 }
@@ -243,7 +244,9 @@ mod tests {
         let certain = certainty(&wall(0.0, 0.01));
         assert!((certain.measured - FACTORS.start()).abs() < 1e-6);
         let depths = &mut keyframes[0].0;
-        certain.apply(depths);
+        depths.measured[0].sigma_idepth = 0.3 * depths.measured[0].idepth;
+        certain.apply(depths, 0.05);
+        assert_eq!(depths.measured.len(), 60 * 80 - 1);
         for pixel in &depths.measured {
             assert!((pixel.sigma_idepth / pixel.idepth - LEAST_RELATIVE_SIGMA).abs() < 1e-6);
         }

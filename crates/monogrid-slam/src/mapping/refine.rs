@@ -91,7 +91,7 @@ fn agreed(
         let certainty = Certainty::of_views(&views, camera, threads);
         drop(views);
         for depths in &mut depths {
-            certainty.apply(depths);
+            certainty.apply(depths, config.filter.max_agreed_sigma as f32);
         }
     }
     depths
