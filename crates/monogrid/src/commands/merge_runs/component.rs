@@ -15,6 +15,7 @@ use monogrid_datasets::{
 };
 use monogrid_slam::{FragmentId, KeyframeId, StoredKeyframe, StoredMap};
 use serde_json::{Value, json};
+use std::ops::Range;
 
 /// Keyframes that hold together, in one world.
 #[derive(Debug)]
@@ -96,7 +97,7 @@ pub fn write_component(
     let sessions = sessions(component, parts);
     let is_metric = reference.is_some_and(Part::is_metric);
     let session = session(component, reference, parts);
-    let frames: Vec<RecordedFrame> = frames(component, parts);
+    let frames = frames(component, parts);
     let name = format!("{place}{RECORDING}");
     write_recording(
         folder,
@@ -186,18 +187,25 @@ fn sessions(component: &Component, parts: &[Part]) -> Vec<RecordedSession> {
 /// The frames of all parts that are known relative to keyframes of the component.
 fn frames(component: &Component, parts: &[Part]) -> Vec<RecordedFrame> {
     let mut frames = Vec::new();
-    let mut first_session = 0;
-    for part in parts {
+    for (part, sessions) in with_sessions(parts) {
         frames.extend(part.earlier.frames.iter().filter_map(|frame| {
             Some(RecordedFrame {
-                session: first_session + frame.session,
+                session: sessions.start + frame.session,
                 keyframe: component.renamed(part, frame.keyframe)?,
                 ..*frame
             })
         }));
-        first_session += part.earlier.sessions.len() as u32;
     }
     frames
+}
+
+/// Every part with the numbers that its sessions have among those of all parts.
+fn with_sessions(parts: &[Part]) -> impl Iterator<Item = (&Part, Range<u32>)> {
+    parts.iter().scan(0, |next, part| {
+        let first = *next;
+        *next += part.earlier.sessions.len() as u32;
+        Some((part, first..*next))
+    })
 }
 
 fn write_recording(
@@ -270,10 +278,7 @@ fn write_paths(
         }
     };
     let mut all: Vec<TimedPose> = Vec::with_capacity(frames.len());
-    let mut first_session = 0;
-    for part in parts {
-        let sessions = first_session..first_session + part.earlier.sessions.len() as u32;
-        first_session = sessions.end;
+    for (part, sessions) in with_sessions(parts) {
         let of_part = frames.iter().filter(|f| sessions.contains(&f.session));
         let poses: Vec<TimedPose> = of_part.map(posed).collect();
         if !poses.is_empty() {
