@@ -11,6 +11,8 @@
 //! # Ok::<(), monogrid_bags::BagError>(())
 //! ```
 //!
+//! [`McapWriter`] writes what other programs show: poses, images, clouds, maps seen from above.
+//!
 //! Recordings are read from the beginning, a chunk at a time; what a chunk claims to hold is limited, and damage is an error
 //! that says where it was found, never a panic. Times are those of the messages' headers.
 #![deny(missing_docs)]
@@ -24,6 +26,8 @@ mod mcap_file;
 mod message;
 mod ros1;
 mod sqlite;
+mod writer;
 
 pub use bag::{Bag, Images, Topic, TopicKind, is_bag};
 pub use error::BagError;
+pub use writer::McapWriter;

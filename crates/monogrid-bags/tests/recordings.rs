@@ -1,8 +1,15 @@
 //! Recordings that another program wrote: `data/write.py` made them with the package `rosbags`.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-use monogrid_bags::{Bag, TopicKind, is_bag};
+use monogrid_bags::convert::info_of;
+use monogrid_bags::{Bag, McapWriter, TopicKind, is_bag};
+use monogrid_datasets::encode_png;
 use monogrid_geometry::{Distortion, Pinhole};
+use monogrid_image::Image;
+use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::diagnostic_msgs::DiagnosticArray;
+use monogrid_messages::sensor_msgs::CompressedImage;
+use monogrid_messages::std_msgs::Header;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -155,5 +162,43 @@ fn damage_is_an_error_and_what_comes_before_it_is_read() {
             fs::write(&path, &damaged).unwrap();
             assert!(images_of(&path) <= 2 * FRAMES, "{name}");
         }
+    }
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("written.mcap");
+    let mut writer = McapWriter::new(fs::File::create(&path).unwrap(), "a test").unwrap();
+    let pinhole = Pinhole::new(60.0, 61.0, 3.5, 2.5);
+    for k in 0..3u8 {
+        let time_ns = 1_000_000_000 + i64::from(k);
+        let header = Header {
+            stamp: Time::from_nanoseconds(time_ns),
+            frame_id: "camera".to_owned(),
+        };
+        let info = info_of(header.clone(), &pinhole, (8, 6));
+        writer.write("/camera/camera_info", time_ns, &info).unwrap();
+        let image = Image::from_fn(8, 6, |x, y| (x + 10 * y) as u8 + k);
+        let message = CompressedImage {
+            header,
+            format: "png".to_owned(),
+            data: encode_png(&image),
+        };
+        writer.write("/camera/image", time_ns, &message).unwrap();
+    }
+    // readers would not know what it is
+    let unknown = writer.write("/other", 0, &DiagnosticArray::default());
+    assert!(unknown.unwrap_err().to_string().contains("definition"));
+    writer.finish().unwrap();
+
+    let bag = Bag::open(&path).unwrap();
+    let topic = bag.image_topic(None).unwrap();
+    let camera = bag.camera_of(topic).unwrap().unwrap();
+    assert_eq!((camera.pinhole, camera.width), (pinhole, 8));
+    let images = bag.images(topic).unwrap().map(Result::unwrap);
+    for (k, (time_ns, image)) in images.enumerate() {
+        assert_eq!(time_ns, 1_000_000_000 + k as i64);
+        assert_eq!(image.at(3, 2), (23 + k) as f32);
     }
 }

@@ -11,6 +11,7 @@
 #![deny(missing_docs)]
 
 pub mod builtin_interfaces;
+mod definitions;
 pub mod diagnostic_msgs;
 pub mod geometry_msgs;
 pub mod map_msgs;
@@ -20,6 +21,8 @@ pub mod sensor_msgs;
 pub mod std_msgs;
 pub mod std_srvs;
 pub mod tf2_msgs;
+
+pub use definitions::definition;
 
 /// A message that can be a topic, and what ROS calls it.
 pub trait RosMessage: serde::Serialize + serde::de::DeserializeOwned {

@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use byteorder::LittleEndian;
-use monogrid_messages::RosMessage;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue, WARN};
 use monogrid_messages::geometry_msgs::{
@@ -17,7 +16,9 @@ use monogrid_messages::sensor_msgs::{
 };
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
+use monogrid_messages::{RosMessage, definition};
 use std::array::from_fn;
+use std::collections::HashMap;
 use std::fmt::Debug;
 
 /// CDR, little endian.
@@ -33,6 +34,70 @@ fn is_as_others_write_it<M: RosMessage + PartialEq + Debug>(message: &M) {
     assert_eq!((&read, length), (message, body.len()));
     let written = cdr_encoding::to_vec::<M, LittleEndian>(message).unwrap();
     assert_eq!(written, body, "{}", M::NAME);
+    // the definition describes these bytes, all of them
+    if let Some(text) = definition::<M>() {
+        let described = Described::of(&text);
+        let mut wire = Fields { bytes: body, at: 0 };
+        wire.skip_message(&described, "");
+        assert_eq!(wire.at, body.len(), "{}", M::NAME);
+    }
+}
+
+/// A definition as whoever knows nothing of these messages reads it: fields (type, and how many) of each type; the message itself
+/// has no name.
+struct Described<'a>(HashMap<&'a str, Vec<&'a str>>);
+
+impl<'a> Described<'a> {
+    fn of(text: &'a str) -> Self {
+        let mut types = HashMap::new();
+        let mut name = "";
+        for line in text.lines() {
+            if let Some(next) = line.strip_prefix("MSG: ") {
+                name = next;
+            } else if !line.starts_with('=') {
+                let (field, _) = line.split_once(' ').unwrap();
+                types.entry(name).or_insert_with(Vec::new).push(field);
+            }
+        }
+        Self(types)
+    }
+}
+
+/// Fields of CDR, one after the other.
+struct Fields<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Fields<'_> {
+    fn skip(&mut self, size: usize) {
+        self.at = self.at.next_multiple_of(size) + size;
+    }
+
+    fn count(&mut self) -> usize {
+        self.skip(4);
+        let bytes = &self.bytes[self.at - 4..self.at];
+        u32::from_le_bytes(bytes.try_into().unwrap()) as usize
+    }
+
+    fn skip_message(&mut self, described: &Described, name: &str) {
+        for field in &described.0[name] {
+            let (kind, count) = match field.split_once('[') {
+                None => (*field, 1),
+                Some((kind, "]")) => (kind, self.count()),
+                Some((kind, count)) => (kind, count.trim_end_matches(']').parse().unwrap()),
+            };
+            for _ in 0..count {
+                match kind {
+                    "bool" | "int8" | "uint8" => self.skip(1),
+                    "int32" | "uint32" | "float32" => self.skip(4),
+                    "float64" => self.skip(8),
+                    "string" => self.at += self.count(),
+                    message => self.skip_message(described, message),
+                }
+            }
+        }
+    }
 }
 
 const STAMP: Time = Time {
@@ -212,4 +277,23 @@ fn diagnostics() {
             values: vec![fact("frames", "17"), fact("a", "")],
         }],
     });
+}
+
+#[test]
+fn definitions_bring_all_that_they_use_and_others_there_are_none() {
+    let text = definition::<TFMessage>().unwrap();
+    let types: Vec<&str> = text
+        .lines()
+        .filter_map(|line| line.strip_prefix("MSG: "))
+        .collect();
+    let transform = ["TransformStamped", "Transform", "Vector3", "Quaternion"];
+    for name in transform.map(|name| format!("geometry_msgs/{name}")) {
+        assert_eq!(
+            types.iter().filter(|known| **known == name).count(),
+            1,
+            "{name}"
+        );
+    }
+    assert!(types.contains(&"std_msgs/Header") && types.contains(&"builtin_interfaces/Time"));
+    assert_eq!(definition::<DiagnosticArray>(), None);
 }

@@ -13,6 +13,7 @@ use common::{
     assert_fails, code, copy_of_small_sequence, files, json, monogrid, program, small_sequence,
     stderr,
 };
+use monogrid_bags::Bag;
 use monogrid_datasets::{
     ReadOptions, Recording, TimedPose, decode_jpeg_rgb, encode_png_rgb, read_gray, read_sim3,
     read_trajectory,
@@ -396,6 +397,29 @@ fn colour_sequence(to: &Path) {
     }
 }
 
+/// Images, calibration and times in the file of messages are those of the run's keyframes.
+fn what_is_played_is_the_run(mcap: &Path, run: &Path) {
+    let bag = Bag::open(mcap).unwrap();
+    let topics: Vec<&str> = bag
+        .topics()
+        .iter()
+        .map(|topic| topic.name.as_str())
+        .collect();
+    for name in ["/tf", "/path", "/map/cells", "/map/grid", "/points"] {
+        assert!(topics.contains(&name), "{name} {topics:?}");
+    }
+    let recording = run.join("recording.mgk");
+    let recorded = Recording::read(&recording, ReadOptions::default()).unwrap();
+    let topic = bag.image_topic(None).unwrap();
+    let camera = bag.camera_of(topic).unwrap().unwrap();
+    assert_eq!(camera.pinhole, recorded.session.pinhole);
+    let images = bag.images(topic).unwrap();
+    let times: Vec<i64> = images.map(|image| image.unwrap().0).collect();
+    let mut expected: Vec<i64> = recorded.keyframes.iter().map(|k| k.timestamp_ns).collect();
+    expected.sort_unstable();
+    assert!(times.len() > 1 && times == expected, "{times:?}");
+}
+
 #[test]
 fn colour_of_the_source_is_kept_and_shown() {
     let dir = tempfile::tempdir().unwrap();
@@ -423,7 +447,10 @@ fn colour_of_the_source_is_kept_and_shown() {
         "--set",
         "mapping.fill.enabled=false",
     ];
-    run(&out, &[&["--max-frames", "70"], &quick[..]].concat());
+    let mcap = dir.path().join("run.mcap");
+    let played = ["--max-frames", "70", "--mcap", mcap.to_str().unwrap()];
+    run(&out, &[&played, &quick[..]].concat());
+    what_is_played_is_the_run(&mcap, &out);
     let recording = out.join("recording.mgk");
     let recorded = Recording::read(&recording, ReadOptions::default()).unwrap();
     for keyframe in &recorded.keyframes {

@@ -610,6 +610,22 @@ fn what_a_call_reads_is_never_in_its_output_folder() {
 #[cfg(not(unix))]
 fn by_links(_: &Call, _: &Path, _: &Path) {}
 
+#[test]
+fn the_messages_of_a_run_replace_nothing_that_was_not_given_away() {
+    let sources = Sources::new();
+    let run = sources.folder_calls().remove(0);
+    let other = sources.path("other.mcap");
+    fs::write(&other, "mine").unwrap();
+    let root = sources.dir.path();
+    for path in run.inputs.iter().chain([&other]) {
+        let mcap = ["--mcap", path.to_str().unwrap()];
+        run.refuse(root, &root.join("out"), &mcap, "--mcap");
+    }
+    let mcap = ["--mcap", other.to_str().unwrap(), "--force"];
+    run.succeed(&root.join("out"), &mcap);
+    assert!(fs::read(&other).unwrap().starts_with(b"\x89MCAP"));
+}
+
 /// The output folder holds another name of what is read.
 #[cfg(unix)]
 fn by_links(call: &Call, input: &Path, root: &Path) {

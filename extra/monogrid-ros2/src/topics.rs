@@ -2,7 +2,7 @@
 
 use crate::convert::{
     MAX_GRID_CELLS, MAX_POINTS, MAX_TREE_BYTES, changed_part, cloud_of_cells, cloud_of_keyframe,
-    grid_of, octomap_of, part_that_fits, path_of,
+    grid_of, last_path_of, octomap_of, part_that_fits,
 };
 use crate::node::{Quality, RosNode};
 use crate::shown::Shown;
@@ -123,7 +123,7 @@ impl MapTopics {
             self.octomap_binary.publish(binary).is_ok(),
             self.octomap_full.publish(full).is_ok(),
             self.cells.publish(cells).is_ok(),
-            self.path.publish(path_of(header, &shown.path)).is_ok(),
+            self.path.publish(last_path_of(header, &shown.path)).is_ok(),
         ];
         self.count(&sent);
         Ok(())

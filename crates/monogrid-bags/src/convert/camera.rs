@@ -2,6 +2,7 @@
 
 use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole};
 use monogrid_messages::sensor_msgs::CameraInfo;
+use monogrid_messages::std_msgs::Header;
 
 /// Why a `CameraInfo` is no camera.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -80,6 +81,23 @@ fn distortion_of(info: &CameraInfo) -> Result<Distortion, InfoError> {
     }
 }
 
+/// The calibration of images without distortion.
+#[must_use]
+pub fn info_of(header: Header, pinhole: &Pinhole, (width, height): (usize, usize)) -> CameraInfo {
+    let Pinhole { fx, fy, cx, cy } = *pinhole;
+    CameraInfo {
+        header,
+        height: height as u32,
+        width: width as u32,
+        distortion_model: "plumb_bob".to_owned(),
+        d: vec![0.0; 5],
+        k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        ..CameraInfo::default()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -144,6 +162,20 @@ mod tests {
         let mut without = info("plumb_bob", &[]);
         without.k = [0.0; 9];
         assert_eq!(camera_of(&without, false), Err(InfoError::NotCalibrated));
+    }
+
+    #[test]
+    fn what_is_written_is_read_as_the_same_camera() {
+        let pinhole = Pinhole::new(500.0, 510.0, 320.0, 240.0);
+        let info = info_of(Header::default(), &pinhole, (640, 480));
+        for rectified in [false, true] {
+            let camera = camera_of(&info, rectified).unwrap();
+            assert_eq!((camera.width, camera.height), (640, 480));
+            assert_eq!(
+                (camera.pinhole, camera.distortion),
+                (pinhole, Distortion::None)
+            );
+        }
     }
 
     #[test]

@@ -1,7 +1,15 @@
-//! From messages to images and cameras.
+//! From messages to images and cameras, and from poses, points and maps to messages.
 
 mod camera;
+mod cloud;
+mod grid;
 mod image;
+mod path;
+mod pose;
 
-pub use camera::{InfoError, camera_of};
+pub use camera::{InfoError, camera_of, info_of};
+pub use cloud::{BYTES_PER_NUMBER, cloud_of, packed, points_of_cells};
+pub use grid::grid_of;
 pub use image::{ImageError, gray_image, gray_of_compressed};
+pub use path::path_of;
+pub use pose::{odometry_of, pose_of, transform_of};

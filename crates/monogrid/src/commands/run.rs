@@ -6,7 +6,7 @@ use crate::config::RunConfig;
 use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
-use crate::output::{Inputs, OutputFolder};
+use crate::output::{Inputs, OutputFile, OutputFolder};
 use crate::readings::Inertial;
 use crate::refine::refine;
 use crate::run::RunSettings;
@@ -52,6 +52,14 @@ pub struct RunArgs {
     /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long, help_heading = "Output")]
     pub force: bool,
+    /// Write the run as messages of ROS 2 too, for Foxglove and Rerun: poses, images and points of keyframes, the map
+    #[arg(
+        long,
+        value_name = "FILE.mcap",
+        conflicts_with = "localise_only",
+        help_heading = "Output"
+    )]
+    pub mcap: Option<PathBuf>,
     #[command(flatten)]
     pub json: JsonArg,
     /// Start from the depth image of the first frame: the dataset's own, or a file; makes the scale metric
@@ -107,8 +115,15 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let align = alignment(args, earlier.as_ref())?;
     let input = open(args, earlier.as_ref(), &config)?;
     let seed_depth = seed_depth(&input, args)?;
-    let folder = Arc::new(output_folder(args, &input, &config)?);
+    let inputs = inputs(args, &input, &config);
+    let mcap = args.mcap.as_deref();
+    let mcap = mcap.map(|path| OutputFile::new(path, args.force, &inputs));
+    let mcap = mcap.transpose()?;
+    let out = args.out.as_deref();
+    let folder = OutputFolder::named_or_new(out, &input.name, args.force, &inputs)?;
+    let folder = Arc::new(folder);
     let settings = RunSettings {
+        mcap,
         seed_depth,
         continued: earlier.map(|earlier| continued(earlier, args)),
         pace: pace(args),
@@ -221,12 +236,8 @@ fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)
     Ok(seed)
 }
 
-/// The output folder; nothing that the run reads may lie in it.
-fn output_folder(
-    args: &RunArgs,
-    input: &Input,
-    config: &RunConfig,
-) -> Result<OutputFolder, Failure> {
+/// All that is read, and so must not be written.
+fn inputs(args: &RunArgs, input: &Input, config: &RunConfig) -> Inputs {
     let seed_depth = args.seed_depth.iter().filter(|depth| *depth != "dataset");
     let mut inputs = Inputs::of("the source", &args.source)
         .and_all("the calibration", &args.input.calibration)
@@ -245,7 +256,7 @@ fn output_folder(
     if let Images::Files(dataset) = &input.images {
         inputs = inputs.and_files_of(dataset);
     }
-    OutputFolder::named_or_new(args.out.as_deref(), &input.name, args.force, &inputs)
+    inputs
 }
 
 fn continued(earlier: Earlier, args: &RunArgs) -> Continued {

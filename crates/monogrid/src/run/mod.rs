@@ -34,6 +34,7 @@ mod tracking;
 pub mod whole;
 
 use crate::config::RunConfig;
+use crate::output::OutputFile;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Pace;
 use monogrid_slam::Purpose;
@@ -56,6 +57,8 @@ pub struct RunSettings {
     pub show_progress: bool,
     /// Port on which to show the run while it goes on.
     pub view: Option<u16>,
+    /// Where to write the run as messages.
+    pub mcap: Option<OutputFile>,
 }
 
 impl RunSettings {
@@ -69,6 +72,7 @@ impl RunSettings {
             threads,
             show_progress: false,
             view: None,
+            mcap: None,
         }
     }
 

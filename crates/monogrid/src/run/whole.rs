@@ -3,7 +3,7 @@
 use super::RunSettings;
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
-use super::outputs::{self, Ground, MapPictures, Surface, path_of};
+use super::outputs::{self, Ground, MapPictures, Playback, Surface, path_of};
 use super::progress::watched;
 use super::report::{ReportInput, page};
 use super::sensed::{Sensed, sense};
@@ -119,6 +119,7 @@ pub fn run_all(
         pictures,
         config,
     };
+    results.play(settings, &tracked, &poses)?;
     let verdict = verdict(&summary, &tracked);
     let title = format!("monogrid: {}", input.name);
     let report = page(&tracked, &results.report(&title, &verdict, &summary))?;
@@ -151,6 +152,26 @@ struct Results<'a> {
 }
 
 impl Results<'_> {
+    /// Writes the run as messages, where it is asked for.
+    fn play(
+        &self,
+        settings: &RunSettings,
+        tracked: &Tracked,
+        poses: &[TimedPose],
+    ) -> Result<(), Failure> {
+        let Some(file) = &settings.mcap else {
+            return Ok(());
+        };
+        let playback = Playback {
+            poses,
+            keyframes: &self.shown,
+            colours: &self.colours,
+            map: self.maps.as_ref().map(|maps| &maps.global),
+            ground: ground(tracked, self.frame),
+        };
+        file.write_with(|out| Ok(playback.write(out)?))
+    }
+
     fn report<'a>(
         &'a self,
         title: &'a str,

@@ -1,19 +1,15 @@
 //! Points.
 
 use super::{MAX_MESSAGE_BYTES, OVERHEAD_BYTES};
+use monogrid_bags::convert::{BYTES_PER_NUMBER, cloud_of, points_of_cells};
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
-use monogrid_messages::sensor_msgs::{FLOAT32, PointCloud2, PointField};
+use monogrid_messages::sensor_msgs::PointCloud2;
 use monogrid_messages::std_msgs::Header;
-use monogrid_occupancy::{Occupancy, OccupancyMap};
+use monogrid_occupancy::OccupancyMap;
 use monogrid_slam::Keyframe;
 
-/// Numbers of a point: x, y, z (m), intensity.
-const NUMBERS: [&str; 4] = ["x", "y", "z", "intensity"];
-const BYTES_PER_NUMBER: usize = 4;
-
 /// Points that fit into one message.
-pub const MAX_POINTS: usize =
-    (MAX_MESSAGE_BYTES - OVERHEAD_BYTES) / (NUMBERS.len() * BYTES_PER_NUMBER);
+pub const MAX_POINTS: usize = (MAX_MESSAGE_BYTES - OVERHEAD_BYTES) / (4 * BYTES_PER_NUMBER);
 
 /// Depths that are less certain are not sent.
 const MAX_RELATIVE_SIGMA: f32 = 0.05;
@@ -21,15 +17,7 @@ const MAX_RELATIVE_SIGMA: f32 = 0.05;
 /// The centres of the occupied cells of a map whose lengths are metres; the intensity is their probability.
 #[must_use]
 pub fn cloud_of_cells(header: Header, map: &OccupancyMap) -> PointCloud2 {
-    let occupied = map.cells().filter(|cell| cell.state == Occupancy::Occupied);
-    cloud_of(
-        header,
-        occupied.map(|cell| {
-            let [x, y, z] = cell.key.center(map.resolution()).map(|v| v as f32);
-            let probability = 1.0 / (1.0 + (-cell.log_odds).exp());
-            [x, y, z, probability]
-        }),
-    )
+    cut(header, points_of_cells(map))
 }
 
 /// The points of a keyframe, of which depth is known well enough, in the frame given by `frame_from_keyframe` (m); the
@@ -52,34 +40,12 @@ pub fn cloud_of_keyframe(
         let grey = keyframe.image.at(pixel.x.into(), pixel.y.into());
         [point.x as f32, point.y as f32, point.z as f32, grey.into()]
     });
-    cloud_of(header, points)
+    cut(header, points)
 }
 
 /// As many of the points as fit into one message.
-fn cloud_of(header: Header, points: impl Iterator<Item = [f32; 4]>) -> PointCloud2 {
-    let data: Vec<u8> = points
-        .take(MAX_POINTS)
-        .flatten()
-        .flat_map(f32::to_le_bytes)
-        .collect();
-    let field = |(index, name): (usize, &&str)| PointField {
-        name: (*name).to_owned(),
-        offset: (index * BYTES_PER_NUMBER) as u32,
-        datatype: FLOAT32,
-        count: 1,
-    };
-    let point_step = NUMBERS.len() * BYTES_PER_NUMBER;
-    PointCloud2 {
-        header,
-        height: 1,
-        width: (data.len() / point_step) as u32,
-        fields: NUMBERS.iter().enumerate().map(field).collect(),
-        is_bigendian: false,
-        point_step: point_step as u32,
-        row_step: data.len() as u32,
-        data,
-        is_dense: true,
-    }
+fn cut(header: Header, points: impl Iterator<Item = [f32; 4]>) -> PointCloud2 {
+    cloud_of(header, "intensity", points.take(MAX_POINTS))
 }
 
 #[cfg(test)]
@@ -143,7 +109,7 @@ mod tests {
 
     #[test]
     fn more_points_than_a_message_holds_are_cut() {
-        let cloud = cloud_of(
+        let cloud = cut(
             Header::default(),
             std::iter::repeat_n([1.0; 4], MAX_POINTS + 5),
         );

@@ -5,18 +5,17 @@ mod diagnostics;
 mod grid;
 mod octomap;
 mod path;
-mod pose;
 mod window;
 
 pub use cloud::{MAX_POINTS, cloud_of_cells, cloud_of_keyframe};
 pub use diagnostics::{Condition, diagnostics};
-pub use grid::{MAX_GRID_CELLS, changed_part, grid_of};
+pub use grid::{MAX_GRID_CELLS, changed_part};
 pub use monogrid_bags::convert::{
-    ImageError, InfoError, camera_of, gray_image, gray_of_compressed,
+    ImageError, InfoError, camera_of, gray_image, gray_of_compressed, grid_of, odometry_of,
+    pose_of, transform_of,
 };
 pub use octomap::{MAX_TREE_BYTES, octomap_of};
-pub use path::{MAX_PATH_POSES, path_of};
-pub use pose::{odometry_of, pose_of, transform_of};
+pub use path::{MAX_PATH_POSES, last_path_of};
 pub use window::part_that_fits;
 
 /// Largest message that is sent, bytes: what is larger can be lost on its way without an error on either side.

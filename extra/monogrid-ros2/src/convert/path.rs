@@ -1,9 +1,9 @@
 //! Where the camera was.
 
-use super::{MAX_MESSAGE_BYTES, OVERHEAD_BYTES, pose_of};
+use super::{MAX_MESSAGE_BYTES, OVERHEAD_BYTES};
+use monogrid_bags::convert::path_of;
 use monogrid_geometry::Se3;
 use monogrid_messages::builtin_interfaces::Time;
-use monogrid_messages::geometry_msgs::PoseStamped;
 use monogrid_messages::nav_msgs::Path;
 use monogrid_messages::std_msgs::Header;
 
@@ -18,19 +18,9 @@ pub const MAX_PATH_POSES: usize =
 
 /// Poses in the frame of the header, m, with their times; at most [`MAX_PATH_POSES`], the last ones.
 #[must_use]
-pub fn path_of(header: Header, poses: &[(Time, Se3)]) -> Path {
+pub fn last_path_of(header: Header, poses: &[(Time, Se3)]) -> Path {
     let first = poses.len().saturating_sub(MAX_PATH_POSES);
-    let stamped = |(stamp, pose): &(Time, Se3)| PoseStamped {
-        header: Header {
-            stamp: *stamp,
-            frame_id: header.frame_id.clone(),
-        },
-        pose: pose_of(pose),
-    };
-    Path {
-        poses: poses[first..].iter().map(stamped).collect(),
-        header,
-    }
+    path_of(header, poses[first..].iter().copied())
 }
 
 #[cfg(test)]
@@ -49,7 +39,7 @@ mod tests {
             frame_id: "map".into(),
             ..Header::default()
         };
-        let path = path_of(header, &poses);
+        let path = last_path_of(header, &poses);
         assert_eq!(path.poses.len(), MAX_PATH_POSES);
         let first = &path.poses[0];
         assert_eq!(

@@ -7,7 +7,7 @@ use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use crate::run::summary::unit_name;
 use crate::surface::{CellColours, ColouredMesh, MeshFormat};
 use monogrid_datasets::encode_png_rgb;
-use monogrid_occupancy::{MapFormat, OccupancyMap, VoxelKey, write_ply};
+use monogrid_occupancy::{MapFormat, OccupancyMap, Projection, VoxelKey, write_ply};
 use monogrid_slam::mapping::{Maps, MeshConfig, navigation_band};
 
 /// Pictures of the final maps, as PNG files.
@@ -205,7 +205,7 @@ pub struct Ground {
     pub is_metric: bool,
 }
 
-/// The map seen from above, of the heights that matter.
+/// Writes the map seen from above.
 fn write_grid(
     folder: &OutputFolder,
     map: &OccupancyMap,
@@ -213,15 +213,27 @@ fn write_grid(
     path: &[[f64; 3]],
     ground: Ground,
 ) -> Result<(), Failure> {
-    let mut occupied: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
-    let cameras: Vec<f64> = path.iter().map(|p| p[2]).collect();
-    let band = navigation_band(&mut occupied, &cameras, ground.has_floor);
-    if let Some(grid) = map.projected(band[0], band[1]) {
+    let heights = cubes.iter().map(|cube| cube.center[2]);
+    if let Some((grid, band)) = seen_from_above(map, heights, path, ground) {
         folder.write("map.pgm", grid.to_pgm())?;
         let note = grid_note(band, ground);
         folder.write("map.yaml", grid.to_yaml("map.pgm") + &note)?;
     }
     Ok(())
+}
+
+/// The map seen from above, of the heights that matter, and these; `heights` are those of its occupied cells. `None` where nothing
+/// of them is known.
+pub fn seen_from_above(
+    map: &OccupancyMap,
+    heights: impl Iterator<Item = f64>,
+    path: &[[f64; 3]],
+    ground: Ground,
+) -> Option<(Projection, [f64; 2])> {
+    let mut occupied: Vec<f64> = heights.collect();
+    let cameras: Vec<f64> = path.iter().map(|p| p[2]).collect();
+    let band = navigation_band(&mut occupied, &cameras, ground.has_floor);
+    Some((map.projected(band[0], band[1])?, band))
 }
 
 /// Comment of a grid whose lengths are not metres.

@@ -2,8 +2,10 @@
 
 mod cloud;
 mod maps;
+mod playback;
 mod tables;
 
 pub use cloud::write_cloud;
 pub use maps::{Ground, MapPictures, Surface, UNKNOWN_SCALE_WARNING, write_global, write_maps};
+pub use playback::Playback;
 pub use tables::{final_poses, path_of, reported_path, write_bridged, write_tables};
