@@ -3,9 +3,10 @@
 use monogrid_geometry::Pinhole;
 use monogrid_image::{Pyramid, pyramid_intrinsics};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Inverse depth of one keyframe pixel at full resolution.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DepthSample {
     /// Column, px.
     pub x: u16,

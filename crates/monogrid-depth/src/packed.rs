@@ -1,10 +1,11 @@
 //! The depth of a keyframe that is out of use, small, until it is used again.
 
 use crate::{DepthConfig, DepthMap, HostFrame};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A pixel with a hypothesis.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct PackedPixel {
     x: u16,
     y: u16,
@@ -18,7 +19,7 @@ struct PackedPixel {
 }
 
 /// What a [`DepthMap`] knows, without what follows from its image: 20 bytes per known pixel.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PackedDepth {
     pixels: Vec<PackedPixel>,
     noise_var: f32,

@@ -2,8 +2,8 @@
 
 use crate::clock::{give_way, thread_cpu};
 use monogrid_occupancy::MapError;
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, LiveMaps, MapReader};
-use monogrid_slam::{Event, Keyframe};
+use monogrid_slam::Event;
+use monogrid_slam::mapping::{KeyframeCamera, LiveMaps, MapReader, Waiting};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -96,27 +96,19 @@ fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &Keyframe
 fn take_event(maps: &mut LiveMaps, event: &Event, camera: &KeyframeCamera) -> Result<(), MapError> {
     match event {
         Event::Finished(keyframe, poses) => {
-            let scan = scan_of(keyframe, maps, camera);
+            let waiting = Waiting::Keyframe(keyframe.clone(), *camera);
             match poses.in_main_map(keyframe.id) {
-                Some(pose) => maps.add(scan, *pose)?,
-                None => maps.add_apart(scan),
+                Some(pose) => maps.add(waiting, *pose)?,
+                None => maps.add_apart(waiting),
             }
             maps.follow(Arc::clone(poses))
         }
         Event::Revised(keyframe) => {
-            maps.revise(scan_of(keyframe, maps, camera));
+            maps.revise(Waiting::Keyframe(keyframe.clone(), *camera));
             Ok(())
         }
         Event::Moved(poses) => maps.follow(Arc::clone(poses)),
         // nothing that maps show
         _ => Ok(()),
     }
-}
-
-/// What of a keyframe is mapped now. Filling plain surfaces is left for the final maps, which have better
-/// depth, as long as nobody looks.
-fn scan_of(keyframe: &Keyframe, maps: &LiveMaps, camera: &KeyframeCamera) -> KeyframeScan {
-    let config = maps.mapper().config();
-    let image = maps.is_read().then_some(&keyframe.image);
-    KeyframeScan::new(keyframe.id, &keyframe.pixels, image, camera, config)
 }

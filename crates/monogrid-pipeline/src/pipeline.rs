@@ -14,8 +14,8 @@ use monogrid_slam::mapping::{
     camera_paths, final_scans_counted, z_up_from_camera_world,
 };
 use monogrid_slam::{
-    Event, FrameInput, FrameReport, MapSize, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
-    TrackedFrame, TrajectoryPose,
+    Event, FrameInput, FrameReport, KeptKeyframe, Keyframe, MapSize, PoseSnapshot, Purpose, Slam,
+    SlamConfig, StoredMap, TrackedFrame, TrajectoryPose,
 };
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -485,6 +485,7 @@ impl Finished {
         }
         let mapper = maps.mapper();
         let finished = self.slam.keyframes();
+        let finished: Vec<Keyframe> = finished.iter().filter_map(KeptKeyframe::load).collect();
         let keyframes: Vec<PosedKeyframe> = finished
             .iter()
             .map(|keyframe| PosedKeyframe {
@@ -494,7 +495,7 @@ impl Finished {
                 world_from_keyframe: self.poses.in_main_map(keyframe.id).copied(),
             })
             .collect();
-        let size = finished.first().map_or((0, 0), |keyframe| keyframe.size());
+        let size = finished.first().map_or((0, 0), Keyframe::size);
         let camera = KeyframeCamera::new(*self.slam.pinhole(), size);
         final_scans_counted(&keyframes, &camera, mapper.config(), self.threads, done)
     }

@@ -157,7 +157,8 @@ fn edge_report(slam: &Slam, truth: &[StampedPose], sequence: &Sequence) {
         .map(|k| {
             let truth = sequence.true_depth(k.timestamp_ns)?;
             let z = |p: &monogrid_slam::DepthPixel| f64::from(truth.at(p.x.into(), p.y.into()));
-            let mut ratios: Vec<f64> = k
+            let keyframe = k.load()?;
+            let mut ratios: Vec<f64> = keyframe
                 .pixels
                 .iter()
                 .filter(|p| z(p).is_finite() && z(p) > 0.0)
@@ -220,6 +221,7 @@ fn depth_report(slam: &Slam, sequence: &Sequence, true_over_estimated: f64) {
     for keyframe in slam.keyframes() {
         let unit = snapshot.world_from_keyframe[keyframe.id as usize].scale * true_over_estimated;
         let truth = sequence.true_depth(keyframe.timestamp_ns);
+        let keyframe = keyframe.load().unwrap();
         let compared = truth.map_or(Vec::new(), |truth| compared(&keyframe, &truth, unit));
         if compared.len() < 100 {
             continue;

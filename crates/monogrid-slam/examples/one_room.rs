@@ -66,7 +66,7 @@ fn main() {
                 size.keyframes,
                 size.edges,
                 size.points,
-                size.bytes.depth as f64 * 1e-6,
+                size.bytes.keyframes as f64 * 1e-6,
                 rss_bytes() * 1e-6,
                 millis / f64::from(frames),
             );

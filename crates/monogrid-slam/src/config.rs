@@ -57,6 +57,8 @@ pub struct SlamConfig {
     pub merge: MergeConfig,
     /// What an inertial sensor beside the camera says of its path, where there is one.
     pub inertial: EstimateConfig,
+    /// How much of keyframes is in memory.
+    pub memory: MemoryConfig,
 }
 
 impl SlamConfig {
@@ -74,6 +76,7 @@ impl SlamConfig {
             fragments: FragmentConfig::default(),
             merge: MergeConfig::default(),
             inertial: EstimateConfig::default(),
+            memory: MemoryConfig::default(),
         }
     }
 
@@ -83,6 +86,26 @@ impl SlamConfig {
     /// The first setting outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         crate::limits::check_slam(self)
+    }
+}
+
+/// How much of keyframes is in memory. No result depends on it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MemoryConfig {
+    /// Images and depth of keyframes in memory, MB; what is beyond that and was not used for longest lies in a temporary file, where
+    /// there is one. Range [0, 1000000].
+    pub keyframes_mb: f64,
+    /// Pyramids of keyframes in memory, which are made again when they are needed, MB. Range [0, 1000000].
+    pub prepared_mb: f64,
+}
+
+impl Default for MemoryConfig {
+    fn default() -> Self {
+        Self {
+            keyframes_mb: 48.0,
+            prepared_mb: 24.0,
+        }
     }
 }
 

@@ -1,14 +1,17 @@
 //! Keyframes as they are published, and the poses that live outside them.
 
+use crate::map::KeyframeImage;
+use crate::store::{Kept, Store};
 use crate::{FragmentId, MAIN_MAP};
 use monogrid_geometry::{Mat7, Se3, Sim3};
 use monogrid_image::Image;
+use serde::{Deserialize, Serialize};
 
 /// Identity of a keyframe; never reused, counted from 0.
 pub type KeyframeId = u32;
 
 /// Published inverse depth of one keyframe pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DepthPixel {
     /// Column, px.
     pub x: u16,
@@ -43,10 +46,65 @@ impl Keyframe {
     pub fn size(&self) -> (usize, usize) {
         (self.image.width(), self.image.height())
     }
+}
 
-    /// Memory, bytes.
-    pub(crate) fn bytes(&self) -> usize {
-        self.image.as_slice().len() + self.pixels.capacity() * size_of::<DepthPixel>()
+/// A finished keyframe whose image and depth are where there is room: in memory, or in a file ([`crate::Slam::spill_into`]).
+#[derive(Clone, Debug)]
+pub struct KeptKeyframe {
+    /// Identity.
+    pub id: KeyframeId,
+    /// Index of its frame in the source.
+    pub frame_index: usize,
+    /// Time of its frame.
+    pub timestamp_ns: i64,
+    /// Grows when the depth changes after publication.
+    pub revision: u32,
+    /// Pixels with depth.
+    pub num_pixels: usize,
+    pub(crate) image: KeyframeImage,
+    pub(crate) pixels: Kept<Vec<DepthPixel>>,
+}
+
+impl KeptKeyframe {
+    /// Width and height of its image, px.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        self.image.size()
+    }
+
+    /// Its grey image; `None` where it cannot be read back ([`crate::Slam::spill_failure`]).
+    #[must_use]
+    pub fn image(&self) -> Option<Image<u8>> {
+        self.image.grey()
+    }
+
+    /// All of it; `None` where it cannot be read back.
+    #[must_use]
+    pub fn load(&self) -> Option<Keyframe> {
+        Some(Keyframe {
+            id: self.id,
+            frame_index: self.frame_index,
+            timestamp_ns: self.timestamp_ns,
+            revision: self.revision,
+            image: self.image()?,
+            pixels: self.pixels.get()?.to_vec(),
+        })
+    }
+}
+
+impl From<Keyframe> for KeptKeyframe {
+    /// One that stays in memory as long as this does.
+    fn from(keyframe: Keyframe) -> Self {
+        let store = Store::default();
+        Self {
+            id: keyframe.id,
+            frame_index: keyframe.frame_index,
+            timestamp_ns: keyframe.timestamp_ns,
+            revision: keyframe.revision,
+            num_pixels: keyframe.pixels.len(),
+            image: KeyframeImage::new(&store, &keyframe.image.map(f32::from)),
+            pixels: store.keep(keyframe.pixels),
+        }
     }
 }
 

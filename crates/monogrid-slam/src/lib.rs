@@ -24,6 +24,7 @@ mod policy;
 mod report;
 mod sparse;
 mod start;
+mod store;
 mod stored;
 mod system;
 #[cfg(test)]
@@ -32,8 +33,8 @@ mod tracker;
 mod two_view_start;
 
 pub use config::{
-    ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, PublicationConfig,
-    ReactivationConfig, SlamConfig, SlamError,
+    ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, MemoryConfig,
+    PublicationConfig, ReactivationConfig, SlamConfig, SlamError,
 };
 pub use fragments::{
     Agreement, Bridge, Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP, Meeting, MergeConfig,
@@ -44,7 +45,8 @@ pub use graph::{
     PlaceRecognitionConfig, PlacesError, SparseEdgeConfig,
 };
 pub use keyframe::{
-    DepthPixel, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame, TrajectoryPose,
+    DepthPixel, KeptKeyframe, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame,
+    TrajectoryPose,
 };
 pub use map::Event;
 pub use report::{

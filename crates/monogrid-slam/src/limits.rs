@@ -248,6 +248,10 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_aligned: 0.0, 1000.0;
         min_majority: 1.0, 1000.0;
     }));
+    all.extend(limits!("slam.memory", slam.memory, {
+        keyframes_mb: 0.0, 1_000_000.0;
+        prepared_mb: 0.0, 1_000_000.0;
+    }));
     all.extend(limits!("slam.inertial", slam.inertial, {
         max_frames: 30.0, 100_000.0;
         gyroscope_bias_sigma: 0.00001, 1.0;

@@ -143,14 +143,12 @@ pub struct MapSize {
 /// counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MapBytes {
-    /// Images of keyframes and their pyramids.
-    pub pyramids: usize,
-    /// Depth of keyframes that are out of use.
-    pub depth: usize,
-    /// Images and depth of keyframes as they are published.
-    pub published: usize,
-    /// Points of keyframes that they are aligned with.
-    pub alignment: usize,
+    /// Images and depth of keyframes that are in memory.
+    pub keyframes: usize,
+    /// What was made of them and is kept for a while: pyramids.
+    pub prepared: usize,
+    /// The temporary file for images and depth of keyframes.
+    pub in_file: usize,
     /// Points of the sparse layer, their observations, and what keyframes know of them.
     pub points: usize,
     /// Frames with a pose.

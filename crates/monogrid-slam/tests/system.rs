@@ -6,8 +6,8 @@ use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evalu
 use monogrid_geometry::Se3;
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{
-    FrameInput, FrameReport, InitializationMode, LostReason, MapBytes, Scale, Slam, SlamConfig,
-    TrackingState,
+    DepthPixel, FrameInput, FrameReport, InitializationMode, KeptKeyframe, LostReason, Scale, Slam,
+    SlamConfig, TrackingState,
 };
 use monogrid_worlds::SynthSequence;
 use std::sync::OnceLock;
@@ -85,6 +85,7 @@ fn fingerprint(slam: &Slam, reports: &[FrameReport]) -> String {
     }
     writeln!(text, "{:?}", slam.snapshot()).unwrap();
     for keyframe in slam.keyframes() {
+        let keyframe = keyframe.load().unwrap();
         writeln!(text, "{} {:?}", keyframe.id, keyframe.pixels).unwrap();
     }
     for report in reports {
@@ -116,7 +117,7 @@ fn starts_from_two_views_and_gives_every_frame_a_pose() {
     let tracked = reports.last().unwrap();
     assert_eq!(tracked.state, TrackingState::Good);
     assert!(tracked.covariance.is_some());
-    assert!(slam.keyframes().iter().all(|k| k.pixels.len() > 1000));
+    assert!(slam.keyframes().iter().all(|k| k.num_pixels > 1000));
 }
 
 #[test]
@@ -131,22 +132,34 @@ fn a_seed_depth_makes_the_scale_metric() {
 }
 
 #[test]
-fn the_same_bits_for_any_number_of_threads() {
+fn the_same_bits_for_any_number_of_threads_and_any_memory() {
     let inputs = &clip().inputs[..70];
-    let on = |threads: usize| {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap()
-            .install(|| {
-                let (slam, reports) = run(SlamConfig::default(), 3, inputs);
-                fingerprint(&slam, &reports)
-            })
+    let on = |threads: usize, memory_mb: f64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build().unwrap().install(|| {
+            let mut config = SlamConfig::default();
+            config.memory.keyframes_mb = memory_mb;
+            config.memory.prepared_mb = memory_mb;
+            let mut slam = system(config, 3);
+            slam.spill_into(tempfile::tempfile().unwrap());
+            let process = |input: &FrameInput| slam.process_frame(input.clone());
+            let reports: Vec<FrameReport> = inputs.iter().map(process).collect();
+            slam.finish();
+            let text = fingerprint(&slam, &reports);
+            (text, slam.map_size().bytes, slam.num_keyframes())
+        })
     };
-    let one = on(1);
-    assert!(one.len() > 10_000);
-    assert!(one == on(2), "two threads differ");
-    assert!(one == on(5), "five threads differ");
+    let (one, all, count) = on(1, 1e6);
+    assert!(one.len() > 10_000 && count > 1 && all.in_file == 0);
+    assert!(one == on(2, 1e6).0, "two threads differ");
+    let (five, spilled, _) = on(5, 0.0);
+    assert!(one == five, "five threads without memory differ");
+    // the value used last stays, and nothing is lost in the file
+    assert!(
+        spilled.keyframes * count < all.keyframes,
+        "{spilled:?} {all:?}"
+    );
+    assert!(spilled.in_file > all.keyframes / 2, "{spilled:?} {all:?}");
 }
 
 #[test]
@@ -476,7 +489,8 @@ fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
     assert_eq!(last.keyframes, early.keyframes, "{sizes:?}");
     assert_eq!(last.points, early.points, "{sizes:?}");
     assert!(last.edges <= early.edges * 11 / 10, "{sizes:?}");
-    assert!(last.bytes.depth <= early.bytes.depth * 11 / 10, "{sizes:?}");
+    let (early, last) = (early.bytes.keyframes, last.bytes.keyframes);
+    assert!(last <= early * 11 / 10, "{sizes:?}");
     // revisions stop when depth no longer improves
     let revisions: u32 = slam.keyframes().iter().map(|k| k.revision).sum();
     assert!(revisions > 0 && (revisions as usize) < again, "{revisions}");
@@ -491,16 +505,16 @@ fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
     }
     // nothing of this is needed to look at what was found
     let edges = slam.pose_graph().edges().len();
+    let before = slam.map_size().bytes.keyframes;
     slam.release();
-    let MapBytes {
-        pyramids,
-        depth,
-        alignment,
-        published,
-        ..
-    } = slam.map_size().bytes;
-    assert_eq!((pyramids, depth, alignment), (0, 0, 0));
-    assert!(published > 0 && edges > 0 && slam.pose_graph().edges().len() == edges);
+    let left = slam.map_size().bytes.keyframes;
+    assert!(left < before * 2 / 3, "{before} {left}");
+    let published: usize = slam.keyframes().iter().map(published_bytes).sum();
+    assert!(
+        published <= left && left < published * 11 / 10,
+        "{published} {left}"
+    );
+    assert!(edges > 0 && slam.pose_graph().edges().len() == edges);
     assert_eq!(slam.trajectory().len(), poses.len());
     let index = inputs.len();
     let report = slam.process_frame(FrameInput {
@@ -518,4 +532,10 @@ fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
         grown.keyframes().len(),
         slam.keyframes().len()
     );
+}
+
+/// What of a finished keyframe nobody can do without.
+fn published_bytes(keyframe: &KeptKeyframe) -> usize {
+    let (width, height) = keyframe.size();
+    width * height + keyframe.num_pixels * size_of::<DepthPixel>()
 }

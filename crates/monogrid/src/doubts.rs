@@ -6,7 +6,7 @@ use crate::self_calibration::{Expected, estimate, windows_of};
 use monogrid_calibration::Estimate;
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2, Vec3};
 use monogrid_image::GrayImage;
-use monogrid_slam::Slam;
+use monogrid_slam::{KeptKeyframe, Slam};
 
 /// Windows and frames that are looked at.
 const MAX_WINDOWS: usize = 5;
@@ -112,7 +112,7 @@ impl<'a> CalibrationCheck<'a> {
 /// The camera of the working images as the map shows it, with the calibration as the guess.
 fn by_map(slam: &Slam, taken_out: &TakenOut) -> Estimate {
     let keyframes = slam.keyframes();
-    let size = (keyframes.first()).map_or((0, 0), |k| (k.image.width(), k.image.height()));
+    let size = keyframes.first().map_or((0, 0), KeptKeyframe::size);
     let guess = as_calibrated(slam);
     let mut prior = Expected::ORDINARY.prior(size, CENTRE_FREEDOM);
     prior.mean = guess.parameters();

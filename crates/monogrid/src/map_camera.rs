@@ -110,7 +110,7 @@ fn is_left(with_focal: (f64, f64), (radial, at_corner_px): (f64, f64)) -> bool {
 fn working_size(slam: &Slam) -> Option<(usize, usize)> {
     let keyframes = slam.keyframes();
     let keyframe = keyframes.first()?;
-    Some((keyframe.image.width(), keyframe.image.height()))
+    Some(keyframe.size())
 }
 
 /// The rolling shutter that was taken out of the images of a run.

@@ -268,7 +268,7 @@ impl Slam {
                 .iter()
                 .map(|pose| matrix(&pose.world_from_camera))
                 .collect(),
-            num_keyframes: done.slam.keyframes().len(),
+            num_keyframes: done.slam.num_keyframes(),
         })
     }
 }

@@ -140,7 +140,11 @@ impl Maps {
                 self.totals.unusable_because = why;
             }
             News::Waiting(why) => self.condition = Condition::Waiting(why),
-            News::Keyframe(world, keyframe, poses) => self.publish_points(world, &keyframe, &poses),
+            News::Keyframe(world, keyframe, poses) => {
+                if let Some(keyframe) = keyframe.load() {
+                    self.publish_points(world, &keyframe, &poses);
+                }
+            }
             News::Scale(metres) => {
                 self.options.metres_per_unit = Some(metres);
                 self.show_again();

@@ -6,7 +6,7 @@ use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::sensor_msgs::{CompressedImage, Image};
 use monogrid_messages::std_srvs::TriggerResponse;
 use monogrid_slam::mapping::MapReader;
-use monogrid_slam::{FrameReport, Keyframe, PoseSnapshot, TrajectoryPose};
+use monogrid_slam::{FrameReport, KeptKeyframe, PoseSnapshot, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -60,7 +60,7 @@ pub enum News {
     /// Nothing can be tracked yet, and why.
     Waiting(String),
     /// A keyframe of a world was finished.
-    Keyframe(u32, Arc<Keyframe>, Arc<PoseSnapshot>),
+    Keyframe(u32, KeptKeyframe, Arc<PoseSnapshot>),
     /// A unit of the world is so many metres.
     Scale(f64),
     /// The world is given up.

@@ -47,23 +47,25 @@ pub struct LoopMatch {
 #[derive(Clone, Debug)]
 struct Known {
     pinhole: Pinhole,
-    pyramid: Arc<Pyramid>,
+    /// Width and height of its image, px.
+    size: (usize, usize),
     features: Vec<Feature>,
     landmarks: Vec<Option<Landmark>>,
 }
 
 impl Known {
-    fn size(&self) -> (usize, usize) {
-        let image = self.pyramid.level(0);
-        (image.width(), image.height())
-    }
-
     fn side(&self) -> Side<'_> {
-        Side::new(&self.features, &self.landmarks, self.size(), &self.pinhole)
+        Side::new(&self.features, &self.landmarks, self.size, &self.pinhole)
     }
 }
 
-/// Remembers keyframes by their appearance. About 0.2 MB per keyframe beside its (shared) pyramid.
+/// Width and height of the finest level, px.
+fn size_of(pyramid: &Pyramid) -> (usize, usize) {
+    let image = pyramid.level(0);
+    (image.width(), image.height())
+}
+
+/// Remembers keyframes by their appearance. About 0.2 MB per keyframe; its image is asked for where it is needed.
 #[derive(Clone, Debug)]
 pub struct PlaceMemory {
     pinhole: Pinhole,
@@ -112,7 +114,7 @@ impl PlaceMemory {
     pub fn insert(
         &mut self,
         id: u64,
-        pyramid: &Arc<Pyramid>,
+        pyramid: &Pyramid,
         mask: Option<&Mask>,
         depth: &DepthLookup,
         pinhole: &Pinhole,
@@ -120,7 +122,7 @@ impl PlaceMemory {
         let is_new = !self.known.contains_key(&id);
         let known = self.known.entry(id).or_insert_with(|| Known {
             pinhole: *pinhole,
-            pyramid: Arc::clone(pyramid),
+            size: size_of(pyramid),
             features: View::new(&self.extractor, pyramid, mask).features,
             landmarks: Vec::new(),
         });
@@ -146,10 +148,10 @@ impl PlaceMemory {
         mask: Option<&Mask>,
         is_allowed: impl Fn(u64) -> bool,
     ) -> Vec<Relocalisation> {
-        let Some(image) = pyramid.levels.first() else {
+        if pyramid.levels.is_empty() {
             return Vec::new();
-        };
-        let size = (image.width(), image.height());
+        }
+        let size = size_of(pyramid);
         let view = View::new(&self.extractor, pyramid, mask);
         let frame = Side::new(&view.features, &[], size, &self.pinhole);
         let candidates = self.look_alikes(&view.descriptors(), is_allowed);
@@ -185,16 +187,25 @@ impl PlaceMemory {
     }
 
     /// Remembered keyframes that show the same place as the remembered keyframe `id`, verified in both
-    /// directions, most inliers first. `is_allowed` excludes keyframes, such as its neighbours.
+    /// directions, most inliers first. `is_allowed` excludes keyframes, such as its neighbours; `pyramid_of` has the images of remembered
+    /// keyframes, as far as they can be had.
     #[must_use]
-    pub fn find_loops(&self, id: u64, is_allowed: impl Fn(u64) -> bool) -> Vec<LoopMatch> {
+    pub fn find_loops(
+        &self,
+        id: u64,
+        is_allowed: impl Fn(u64) -> bool,
+        pyramid_of: impl Fn(u64) -> Option<Arc<Pyramid>>,
+    ) -> Vec<LoopMatch> {
         let Some(this) = self.known.get(&id) else {
             return Vec::new();
         };
         let descriptors: Vec<Descriptor> = this.features.iter().map(|f| f.descriptor).collect();
         let candidates = self.look_alikes(&descriptors, |other| other != id && is_allowed(other));
         let this_side = this.side();
-        let this_view = self.view_of(this);
+        let Some(this_pyramid) = pyramid_of(id).filter(|_| !candidates.is_empty()) else {
+            return Vec::new();
+        };
+        let this_view = self.view_of(&this_pyramid);
         let mut found: Vec<LoopMatch> = candidates
             .iter()
             .filter_map(|candidate| {
@@ -207,7 +218,7 @@ impl PlaceMemory {
                     Freedom::Similarity,
                     &self.config,
                 )?;
-                if !is_determined(&fit, &correspondences, this.size(), &self.config) {
+                if !is_determined(&fit, &correspondences, this.size, &self.config) {
                     return None;
                 }
                 let PlaceMemoryConfig {
@@ -222,8 +233,9 @@ impl PlaceMemory {
                     return None;
                 }
                 let back = fit.b_from_a.inverse();
+                let other_view = self.view_of(&*pyramid_of(candidate.place)?);
                 let support_of_other =
-                    self.support(&this.landmarks, &self.view_of(other), &other.pinhole, &back);
+                    self.support(&this.landmarks, &other_view, &other.pinhole, &back);
                 let is_sound = is_supported(&support_of_other);
                 is_sound.then_some(LoopMatch {
                     keyframe: candidate.place,
@@ -263,10 +275,10 @@ impl PlaceMemory {
     }
 
     /// The smoothed image of a keyframe, made again: it is large and seldom needed.
-    fn view_of(&self, known: &Known) -> View {
+    fn view_of(&self, pyramid: &Pyramid) -> View {
         View {
             features: Vec::new(),
-            smooth: self.extractor.smoothed_levels(&known.pyramid),
+            smooth: self.extractor.smoothed_levels(pyramid),
         }
     }
 

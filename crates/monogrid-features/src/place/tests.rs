@@ -166,7 +166,11 @@ fn two_keyframes_of_a_room_give_pose_and_ratio_of_units() {
         let pyramid = rooms[1].pyramid(&world_from_this, id);
         let depth = Room::depth(&world_from_this, unit, id);
         memory.insert(id, &pyramid, None, &depth, &PINHOLE);
-        let found = memory.find_loops(id, |other| other < 3);
+        let pyramid_of = |other: u64| match rooms.get(other as usize) {
+            Some(room) => Some(room.pyramid(&Se3::identity(), other)),
+            None => (other == id).then(|| Arc::clone(&pyramid)),
+        };
+        let found = memory.find_loops(id, |other| other < 3, pyramid_of);
         assert_eq!(found.len(), 1);
         assert_eq!(found[0].keyframe, 1);
         // metres: unit_this * (this_from_other * p) = this_from_world * (unit_other * p)
@@ -179,23 +183,31 @@ fn two_keyframes_of_a_room_give_pose_and_ratio_of_units() {
         // two rooms apart: nothing
         assert!(
             memory
-                .find_loops(id, |other| other == 0 || other == 2)
+                .find_loops(id, |other| other == 0 || other == 2, pyramid_of)
                 .is_empty()
         );
+        // without its image nothing can be verified
+        let without = |image: u64| pyramid_of(image).filter(|_| image != 1);
+        assert!(memory.find_loops(id, |other| other < 3, without).is_empty());
     }
-    assert!(memory.find_loops(999, |_| true).is_empty());
+    assert!(memory.find_loops(999, |_| true, |_| None).is_empty());
 }
 
 #[test]
 fn the_same_furniture_beside_another_wall_is_another_room() {
     // half of the picture is shared: enough inliers for a pose, and still not this place
-    let (mut memory, _) = memory();
+    let (mut memory, known) = memory();
     let twin = Room::new(10, 77);
     let pyramid = twin.pyramid(&camera([0.05, 0.0, 0.1, 0.0, 0.02, 0.0]), 3);
     assert!(memory.relocalise(&pyramid, None, |_| true).is_empty());
     let depth = Room::depth(&Se3::identity(), 1.0, 4);
     memory.insert(5, &pyramid, None, &depth, &PINHOLE);
-    assert!(memory.find_loops(5, |_| true).is_empty());
+    let pyramid_of = |id: u64| {
+        let room = known.get(id as usize);
+        let known = room.map(|room| room.pyramid(&Se3::identity(), id));
+        known.or_else(|| (id == 5).then(|| Arc::clone(&pyramid)))
+    };
+    assert!(memory.find_loops(5, |_| true, pyramid_of).is_empty());
     // without the comparison of what should be seen it would have been taken for one
     let config = PlaceMemoryConfig {
         min_agreement: 0.0,

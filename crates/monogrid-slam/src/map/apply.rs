@@ -66,10 +66,9 @@ impl Map {
         } = changes;
         let mut events = Vec::new();
         for id in finished.union(&revised) {
-            let Some(keyframe) = &self[*id].published else {
+            let Some(keyframe) = self[*id].as_published() else {
                 continue;
             };
-            let keyframe = Arc::clone(keyframe);
             events.push(if finished.contains(id) {
                 Event::Finished(keyframe, Arc::clone(&self.snapshot))
             } else {
@@ -106,7 +105,7 @@ impl Map {
                 anchored: self.points.len()..self.points.len(),
                 ..SeenPoints::default()
             },
-            pyramid: new.pyramid,
+            image: new.image,
         });
         self.note_poses();
     }
@@ -120,10 +119,10 @@ impl Map {
             } else {
                 self.changes.revised.insert(id);
             }
-            keyframe.published = Some(Arc::new(published));
+            keyframe.published = Some(published);
         }
-        if let Some(depth) = finished.depth {
-            keyframe.depth = Some(Arc::new(depth));
+        if finished.depth.is_some() {
+            keyframe.depth = finished.depth;
         }
         keyframe.points.links = finished.links;
         keyframe.view = finished.view;

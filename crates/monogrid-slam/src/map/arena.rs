@@ -5,10 +5,11 @@ use super::frames::FrameLog;
 use super::keyframe::MapKeyframe;
 use super::points::SparsePoint;
 use super::tree::path_between;
+use crate::store::Store;
 use crate::stored::StoredEdge;
 use crate::{
-    Bridge, Fragment, FragmentId, InFragment, Keyframe, KeyframeId, MAIN_MAP, MapBytes, MapSize,
-    PoseSnapshot, Scale,
+    Bridge, Fragment, FragmentId, InFragment, KeptKeyframe, KeyframeId, MAIN_MAP, MapBytes,
+    MapSize, PoseSnapshot, Scale,
 };
 use monogrid_geometry::Se3;
 use std::collections::BTreeSet;
@@ -19,6 +20,8 @@ use std::sync::Arc;
 /// before those of a newer one.
 #[derive(Debug, Default)]
 pub(crate) struct Map {
+    /// Images and depth of the keyframes.
+    store: Store,
     pub(super) keyframes: Vec<MapKeyframe>,
     /// Of these, those of earlier sessions, which come first.
     num_restored: usize,
@@ -60,8 +63,17 @@ impl Index<KeyframeId> for Map {
 }
 
 impl Map {
+    /// A map without keyframes, whose images and depth a store keeps.
+    pub(crate) fn new(store: Store) -> Self {
+        Self {
+            store,
+            ..Self::default()
+        }
+    }
+
     /// The map of an earlier session: keyframes by identity, points by their hosts.
     pub(crate) fn restored(
+        store: Store,
         keyframes: Vec<MapKeyframe>,
         points: Vec<SparsePoint>,
         scale: Scale,
@@ -77,7 +89,7 @@ impl Map {
             keyframes,
             points,
             scale,
-            ..Self::default()
+            ..Self::new(store)
         };
         for keyframe in &map.keyframes {
             let id = keyframe.fragment;
@@ -89,6 +101,11 @@ impl Map {
         map.fragments.sort_by_key(|fragment| fragment.id);
         map.renew_snapshot(pose_revision.saturating_add(1));
         map
+    }
+
+    /// What keeps images and depth.
+    pub(crate) fn store(&self) -> &Store {
+        &self.store
     }
 
     /// All keyframes, by identity.
@@ -111,8 +128,14 @@ impl Map {
     }
 
     /// Finished keyframes as they are published, by identity.
-    pub(crate) fn published(&self) -> impl Iterator<Item = &Arc<Keyframe>> {
-        self.keyframes.iter().filter_map(|k| k.published.as_ref())
+    pub(crate) fn published(&self) -> impl Iterator<Item = KeptKeyframe> {
+        self.keyframes.iter().filter_map(MapKeyframe::as_published)
+    }
+
+    /// The number of finished keyframes.
+    pub(crate) fn num_published(&self) -> usize {
+        let finished = self.keyframes.iter().filter(|k| k.published.is_some());
+        finished.count()
     }
 
     pub(crate) fn points(&self) -> &[SparsePoint] {
@@ -216,7 +239,6 @@ impl Map {
     /// Forgets what only more frames would need of keyframes.
     pub(crate) fn release(&mut self) {
         for keyframe in &mut self.keyframes {
-            keyframe.pyramid = Arc::default();
             keyframe.depth = None;
             keyframe.view = None;
         }
@@ -224,19 +246,15 @@ impl Map {
 
     /// What the parts that grow take in memory.
     fn bytes(&self) -> MapBytes {
+        let kept = self.store.bytes();
         let mut bytes = MapBytes {
+            keyframes: kept.own,
+            prepared: kept.derived,
+            in_file: kept.file,
             points: self.points.iter().map(SparsePoint::bytes).sum(),
             frames: self.frames.bytes(),
-            ..MapBytes::default()
         };
         for keyframe in &self.keyframes {
-            bytes.pyramids += keyframe.pyramid.bytes();
-            let depth = keyframe.depth.as_ref();
-            bytes.depth += depth.map_or(0, |depth| depth.bytes_in_memory());
-            let published = keyframe.published.as_ref();
-            bytes.published += published.map_or(0, |published| published.bytes());
-            let view = keyframe.view.as_ref();
-            bytes.alignment += view.map_or(0, |view| view.bytes());
             bytes.points += keyframe.points.bytes();
         }
         bytes

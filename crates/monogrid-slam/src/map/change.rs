@@ -2,14 +2,15 @@
 
 use super::exposure::Exposure;
 use super::frames::{Record, VisitEnd};
+use super::keyframe::{KeyframeImage, Published};
 use super::points::{Adjustment, DenseLink, Observation, Registration, SparsePoint};
 use super::view::View;
 use crate::graph::GraphUpdate;
+use crate::store::Kept;
 use crate::stored::StoredEdge;
-use crate::{Bridge, Fragment, FragmentId, Keyframe, KeyframeId, Scale};
+use crate::{Bridge, Fragment, FragmentId, KeyframeId, Scale};
 use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Se3, Sim3};
-use monogrid_image::Pyramid;
 use std::sync::Arc;
 
 /// A change of the map; see [`super::Map::apply`].
@@ -75,7 +76,7 @@ pub(crate) struct NewKeyframe {
     pub parent: Option<KeyframeId>,
     pub frame_index: usize,
     pub timestamp_ns: i64,
-    pub pyramid: Arc<Pyramid>,
+    pub image: KeyframeImage,
     pub exposure: Exposure,
     /// In the world of its fragment.
     pub world_from_keyframe: Sim3,
@@ -86,9 +87,9 @@ pub(crate) struct NewKeyframe {
 pub(crate) struct FinishedKeyframe {
     pub id: KeyframeId,
     /// What everybody should use from now on, where that is worth it.
-    pub published: Option<Keyframe>,
+    pub published: Option<Published>,
     /// Its depth, to be used again.
-    pub depth: Option<PackedDepth>,
+    pub depth: Option<Kept<PackedDepth>>,
     /// Its dense depth at the points that it sees.
     pub links: Vec<DenseLink>,
     /// What the graph needs, where there is one.

@@ -1,6 +1,6 @@
 //! What others hear of the map.
 
-use crate::{Fragment, FragmentId, Keyframe, KeyframeId, PoseSnapshot};
+use crate::{Fragment, FragmentId, KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_graph::bundle::BundleError;
 use monogrid_graph::pose_graph::PoseGraphError;
 use std::collections::BTreeSet;
@@ -10,9 +10,9 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub enum Event {
     /// A keyframe was finished, and these are the poses now.
-    Finished(Arc<Keyframe>, Arc<PoseSnapshot>),
+    Finished(KeptKeyframe, Arc<PoseSnapshot>),
     /// The depth of a finished keyframe became better.
-    Revised(Arc<Keyframe>),
+    Revised(KeptKeyframe),
     /// Finished keyframes have other poses. Not said beside [`Event::Finished`], which has them.
     Moved(Arc<PoseSnapshot>),
     /// The bundle adjustment for the newest keyframe failed: poses and points are as they were found.

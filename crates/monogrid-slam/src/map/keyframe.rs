@@ -3,11 +3,15 @@
 use super::exposure::Exposure;
 use super::points::SeenPoints;
 use super::view::View;
-use crate::{FragmentId, Keyframe, KeyframeId};
+use crate::store::{Kept, KeptImage, Store};
+use crate::{DepthPixel, FragmentId, KeptKeyframe, KeyframeId};
 use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Mat7, Se3, Sim3};
-use monogrid_image::Pyramid;
+use monogrid_image::{GrayImage, Image, Pyramid};
 use std::sync::Arc;
+
+/// Levels of all pyramids.
+pub(crate) const NUM_LEVELS: usize = 5;
 
 /// A keyframe in the map.
 #[derive(Clone, Debug)]
@@ -21,7 +25,7 @@ pub(crate) struct MapKeyframe {
     pub parent: Option<KeyframeId>,
     pub frame_index: usize,
     pub timestamp_ns: i64,
-    pub pyramid: Arc<Pyramid>,
+    pub image: KeyframeImage,
     pub exposure: Exposure,
     /// Pose and unit, in the world of its fragment.
     pub world_from_keyframe: Sim3,
@@ -30,15 +34,91 @@ pub(crate) struct MapKeyframe {
     /// Covariance of `parent_from_keyframe`, as the graph has it.
     pub covariance: Option<Mat7>,
     /// Its depth as it was left, once it is out of use.
-    pub depth: Option<Arc<PackedDepth>>,
+    pub depth: Option<Kept<PackedDepth>>,
     /// As everybody else has it, once it is finished.
-    pub published: Option<Arc<Keyframe>>,
+    pub published: Option<Published>,
     /// What alignment needs of it, as it was left.
     pub view: Option<Arc<View>>,
     pub points: SeenPoints,
 }
 
+/// The image of a keyframe, in eight bits.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyframeImage {
+    size: (usize, usize),
+    grey: Kept<KeptImage>,
+    pyramid: Kept<Pyramid>,
+}
+
+/// Depth of a keyframe as everybody else has it.
+#[derive(Clone, Debug)]
+pub(crate) struct Published {
+    pub revision: u32,
+    pub num_pixels: usize,
+    pub pixels: Kept<Vec<DepthPixel>>,
+}
+
+impl Published {
+    pub(crate) fn new(store: &Store, revision: u32, pixels: Vec<DepthPixel>) -> Self {
+        Self {
+            revision,
+            num_pixels: pixels.len(),
+            pixels: store.keep(pixels),
+        }
+    }
+}
+
+impl KeyframeImage {
+    /// An image that is kept, rounded.
+    pub(crate) fn new(store: &Store, image: &GrayImage) -> Self {
+        let grey = store.keep(KeptImage::rounded(image));
+        let of_pyramid = grey.clone();
+        Self {
+            size: (image.width(), image.height()),
+            grey,
+            pyramid: store.derive(move || {
+                let image = of_pyramid.get()?.image()?.map(f32::from);
+                Some(Pyramid::new(image, NUM_LEVELS))
+            }),
+        }
+    }
+
+    /// Width and height, px.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// The image; `None` where it cannot be read back.
+    pub(crate) fn grey(&self) -> Option<Image<u8>> {
+        self.grey.get()?.image()
+    }
+
+    /// Its pyramid; `None` where it cannot be read back.
+    pub(crate) fn pyramid(&self) -> Option<Arc<Pyramid>> {
+        self.pyramid.get()
+    }
+}
+
 impl MapKeyframe {
+    /// The pyramid of its image; `None` where it cannot be read back.
+    pub(crate) fn pyramid(&self) -> Option<Arc<Pyramid>> {
+        self.image.pyramid()
+    }
+
+    /// The keyframe as everybody else has it; `None` before it is finished.
+    pub(crate) fn as_published(&self) -> Option<KeptKeyframe> {
+        let published = self.published.as_ref()?;
+        Some(KeptKeyframe {
+            id: self.id,
+            frame_index: self.frame_index,
+            timestamp_ns: self.timestamp_ns,
+            revision: published.revision,
+            num_pixels: published.num_pixels,
+            image: self.image.clone(),
+            pixels: published.pixels.clone(),
+        })
+    }
+
     /// Rigid pose of `other` relative to this keyframe, translation in this keyframe's units.
     pub(crate) fn other_from_self(&self, other: &Self) -> Se3 {
         let relative = other.world_from_keyframe.inverse() * self.world_from_keyframe;
@@ -67,7 +147,7 @@ mod tests {
             parent: None,
             frame_index: 0,
             timestamp_ns: 0,
-            pyramid: Arc::default(),
+            image: KeyframeImage::new(&Store::default(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe,
             camera_from_world: world_from_keyframe.to_se3().inverse(),

@@ -21,7 +21,7 @@ pub(crate) use change::{Change, FinishedKeyframe, Found, NewKeyframe, Placed};
 pub use event::Event;
 pub(crate) use exposure::Exposure;
 pub(crate) use frames::{Record, VisitEnd};
-pub(crate) use keyframe::MapKeyframe;
+pub(crate) use keyframe::{KeyframeImage, MapKeyframe, NUM_LEVELS, Published};
 pub(crate) use points::{
     Adjustment, DenseLink, Observation, Registration, SeenPoints, SparsePoint,
 };

@@ -135,13 +135,13 @@ struct Votes {
     against: f32,
 }
 
-/// The filled depth of keyframe `index` that the others leave; `None` for one without a pose.
+/// Which of the filled depth of keyframe `index` the others leave; `None` for one without a pose.
 pub(super) fn kept(
     views: &[Option<View>],
     index: usize,
     camera: &KeyframeCamera,
     config: &FillConfig,
-) -> Option<Vec<Measurement>> {
+) -> Option<Vec<bool>> {
     let this = views[index].as_ref()?;
     let mut votes = vec![Votes::default(); this.blocks.blocks.len()];
     for other in witnesses(views, this, index, camera, config.max_witnesses) {
@@ -149,11 +149,11 @@ pub(super) fn kept(
         hear_where_it_sees(&mut votes, this, other, &other_from_this, camera, config);
         hear_where_it_is_seen(&mut votes, this, other, &other_from_this, camera, config);
     }
-    let is_kept = |pixel: &&Measurement| {
+    let is_kept = |pixel: &Measurement| {
         let votes = votes[this.blocks.index_of_pixel(pixel)];
         votes.against <= config.max_against * votes.agree.max(FILLED_VOTE)
     };
-    Some(this.depths.filled.iter().filter(is_kept).copied().collect())
+    Some(this.depths.filled.iter().map(is_kept).collect())
 }
 
 /// Keyframes that see some of the same, evenly spread over all of them.
@@ -318,7 +318,8 @@ mod tests {
                 })
             })
             .collect();
-        kept(&views, 0, &CAMERA, config).unwrap().len()
+        let kept = kept(&views, 0, &CAMERA, config).unwrap();
+        kept.into_iter().filter(|kept| *kept).count()
     }
 
     #[test]

@@ -39,7 +39,9 @@ pub use config::{
     MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
-pub use maps::{LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, z_up_from_camera_world};
+pub use maps::{
+    LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,
+};
 pub use refine::{PosedKeyframe, final_scans, final_scans_counted, refined_depths};
 pub use scan::{KeyframeCamera, KeyframeScan};
 pub use upright::{

@@ -83,7 +83,9 @@ fn agreed(
         });
         drop(views);
         for (depths, kept) in depths.iter_mut().zip(kept) {
-            depths.filled = kept.unwrap_or_else(|| std::mem::take(&mut depths.filled));
+            let mut kept = kept.unwrap_or_default().into_iter();
+            depths.filled.retain(|_| kept.next().unwrap_or(true));
+            depths.filled.shrink_to_fit();
         }
     }
     if config.sigma_from_agreement {

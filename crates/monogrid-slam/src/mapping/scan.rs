@@ -104,14 +104,16 @@ impl Depths {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let measured = measured(id, pixels, camera, &config.filter);
+        let mut measured = measured(id, pixels, camera, &config.filter);
+        measured.shrink_to_fit();
         let limit = config.filter.max_relative_sigma;
-        let filled = match image {
+        let mut filled = match image {
             Some(image) if config.fill.enabled => {
                 fill_plain_regions(image, &measured, limit, &config.fill)
             }
             _ => Vec::new(),
         };
+        filled.shrink_to_fit();
         Self { measured, filled }
     }
 
@@ -119,6 +121,7 @@ impl Depths {
     pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera) -> KeyframeScan {
         let num_filled = self.filled.len();
         let mut pixels = self.measured;
+        pixels.reserve_exact(num_filled);
         pixels.extend(self.filled);
         if num_filled > 0 {
             pixels.sort_unstable_by_key(|p| (p.y, p.x));

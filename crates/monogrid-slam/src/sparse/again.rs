@@ -17,8 +17,11 @@ pub(crate) fn find_again(
 ) -> Vec<(usize, Observation)> {
     let mut seen = Vec::new();
     for keyframe in map.in_fragment(fragment) {
+        let Some(pyramid) = keyframe.pyramid() else {
+            continue;
+        };
         let image = SearchImage {
-            pyramid: &keyframe.pyramid,
+            pyramid: &pyramid,
             fragment,
             camera_from_world: keyframe.camera_from_world,
         };

@@ -47,7 +47,10 @@ fn corners(
         min_distance_px: (config.min_spacing * pinhole.fx).min(corner_config.min_distance_px),
         ..corner_config
     };
-    let corners = detect_corners(&newest.pyramid, Some(mask), seen, &settings);
+    let Some(pyramid) = newest.pyramid() else {
+        return Vec::new();
+    };
+    let corners = detect_corners(&pyramid, Some(mask), seen, &settings);
     let unit = newest.world_from_keyframe.scale;
     corners
         .iter()

@@ -8,6 +8,8 @@ use monogrid_features::{PatchSearchConfig, find_patch, patch_warp};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
 use monogrid_image::Pyramid;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Points that were looked for in a new keyframe.
 pub(crate) struct Search {
@@ -73,14 +75,15 @@ pub(crate) struct PointSearch {
 
 /// Looks for the points of its fragment in the newest keyframe.
 pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Search {
-    let Some(newest) = map.newest() else {
+    let newest = map.newest();
+    let Some((newest, pyramid)) = newest.and_then(|k| Some((k, k.pyramid()?))) else {
         return Search {
             num_searched: 0,
             found: Vec::new(),
         };
     };
     let image = SearchImage {
-        pyramid: &newest.pyramid,
+        pyramid: &pyramid,
         fragment: newest.fragment,
         camera_from_world: newest.camera_from_world,
     };
@@ -105,29 +108,82 @@ pub(crate) fn find_in_image(
     let visible = visible_in(map, image, search.which, pinhole, config);
     let size = size_of(image.pyramid);
     let chosen = spread(&visible, map.points(), size, search.max_points, config);
-    let found: Vec<Option<(usize, Vec2)>> = chosen
-        .par_iter()
-        .map(|&(index, predicted)| {
-            let source = patch_source(map, &map.points()[index], search.from_newest, pinhole)?;
-            let keyframe = source.keyframe;
-            let image_from_source = image.camera_from_world * keyframe.camera_from_world.inverse();
-            let warp = patch_warp(pinhole, &source.pixel, source.idepth, &image_from_source)?;
-            // the search wants offsets in the reference from offsets in the current image
-            let outcome = find_patch(
-                &keyframe.pyramid,
-                &source.pixel,
-                &warp,
-                image.pyramid,
-                &predicted,
-                &search.patch,
-            );
-            outcome.pixel().map(|pixel| (index, pixel))
+    let wanted: Vec<Wanted> = chosen
+        .iter()
+        .filter_map(|&(point, predicted)| {
+            let source = patch_source(map, &map.points()[point], search.from_newest, pinhole)?;
+            Some(Wanted {
+                point,
+                predicted,
+                source,
+            })
         })
         .collect();
     Search {
         num_searched: chosen.len(),
-        found: found.into_iter().flatten().collect(),
+        found: find_wanted(&wanted, image, search, pinhole),
     }
+}
+
+/// A point that is looked for.
+struct Wanted<'a> {
+    point: usize,
+    predicted: Vec2,
+    source: PatchSource<'a>,
+}
+
+/// Keyframes of which patches are taken at the same time: as many pyramids are in memory.
+const MAX_SOURCES: usize = 8;
+
+/// Those of the points that are found, in their order.
+fn find_wanted(
+    wanted: &[Wanted<'_>],
+    image: &SearchImage<'_>,
+    search: &PointSearch,
+    pinhole: &Pinhole,
+) -> Vec<(usize, Vec2)> {
+    let sources: BTreeMap<KeyframeId, &MapKeyframe> = wanted
+        .iter()
+        .map(|wanted| (wanted.source.keyframe.id, wanted.source.keyframe))
+        .collect();
+    let sources: Vec<&MapKeyframe> = sources.into_values().collect();
+    let mut found: Vec<Option<(usize, Vec2)>> = vec![None; wanted.len()];
+    for some in sources.chunks(MAX_SOURCES) {
+        let pyramids: BTreeMap<KeyframeId, Arc<Pyramid>> = some
+            .iter()
+            .filter_map(|keyframe| Some((keyframe.id, keyframe.pyramid()?)))
+            .collect();
+        let wanted = wanted.par_iter().zip(found.par_iter_mut());
+        wanted.for_each(|(wanted, found)| {
+            if let Some(pyramid) = pyramids.get(&wanted.source.keyframe.id) {
+                *found = find_one(wanted, pyramid, image, search, pinhole);
+            }
+        });
+    }
+    found.into_iter().flatten().collect()
+}
+
+/// Where an image shows a point that looks as it does in a keyframe with this pyramid.
+fn find_one(
+    wanted: &Wanted<'_>,
+    pyramid: &Pyramid,
+    image: &SearchImage<'_>,
+    search: &PointSearch,
+    pinhole: &Pinhole,
+) -> Option<(usize, Vec2)> {
+    let source = &wanted.source;
+    let image_from_source = image.camera_from_world * source.keyframe.camera_from_world.inverse();
+    let warp = patch_warp(pinhole, &source.pixel, source.idepth, &image_from_source)?;
+    // the search wants offsets in the reference from offsets in the current image
+    let outcome = find_patch(
+        pyramid,
+        &source.pixel,
+        &warp,
+        image.pyramid,
+        &wanted.predicted,
+        &search.patch,
+    );
+    outcome.pixel().map(|pixel| (wanted.point, pixel))
 }
 
 /// Where the patch of a point is taken from.
@@ -330,18 +386,22 @@ pub(super) fn find_in_older(
     let recent = map.recent_in(newest.fragment);
     let is_other = |id: &&KeyframeId| **id != newest.id;
     let others = recent.iter().rev().filter(is_other);
-    let mut older: Vec<&MapKeyframe> = others
+    let with_pyramid = |keyframe| Some((keyframe, MapKeyframe::pyramid(keyframe)?));
+    let mut older: Vec<(&MapKeyframe, Arc<Pyramid>)> = others
         .take(config.back_search_keyframes)
-        .map(|id| &map[*id])
+        .filter_map(|id| with_pyramid(&map[*id]))
         .collect();
     older.reverse();
+    let Some(newest) = with_pyramid(newest) else {
+        return vec![Vec::new(); points.len()];
+    };
     let search = search_config(config);
     points
         .par_iter()
         .map(|point| {
             let seen = older.iter().filter_map(|keyframe| {
-                let pixel = find_in_one(point, newest, keyframe, pinhole, &search)?;
-                let keyframe = keyframe.id;
+                let pixel = find_in_one(point, &newest, keyframe, pinhole, &search)?;
+                let keyframe = keyframe.0.id;
                 Some(Observation { keyframe, pixel })
             });
             seen.collect()
@@ -352,8 +412,8 @@ pub(super) fn find_in_older(
 /// Where an older keyframe sees a point of the newest.
 fn find_in_one(
     point: &SparsePoint,
-    newest: &MapKeyframe,
-    older: &MapKeyframe,
+    (newest, newest_pyramid): &(&MapKeyframe, Arc<Pyramid>),
+    (older, older_pyramid): &(&MapKeyframe, Arc<Pyramid>),
     pinhole: &Pinhole,
     search: &PatchSearchConfig,
 ) -> Option<Vec2> {
@@ -363,15 +423,15 @@ fn find_in_one(
         return None;
     }
     let predicted = pinhole.project(&in_older);
-    if !is_inside(&predicted, size_of(&newest.pyramid)) {
+    if !is_inside(&predicted, size_of(newest_pyramid)) {
         return None;
     }
     let warp = patch_warp(pinhole, &point.pixel, point.idepth, &older_from_newest)?;
     let outcome = find_patch(
-        &newest.pyramid,
+        newest_pyramid,
         &point.pixel,
         &warp,
-        &older.pyramid,
+        older_pyramid,
         &predicted,
         search,
     );

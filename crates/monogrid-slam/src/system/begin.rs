@@ -19,7 +19,12 @@ impl Slam {
     /// Makes the first keyframe of a fragment and tracks the frames that waited for it: those before it
     /// backwards. Those after it are left to be tracked.
     pub(super) fn begin_map(&mut self, fragment: FragmentId, started: Started) -> FrameOutcome {
-        let first = first_keyframe(fragment, &started.keyframe, started.world_scale);
+        let first = first_keyframe(
+            self.map.store(),
+            fragment,
+            &started.keyframe,
+            started.world_scale,
+        );
         let mut outcome = self.begin_with(first, Link::None, started);
         if let Some(begun) = &mut outcome.begun {
             begun.fragment = Some(fragment).filter(|id| *id != MAIN_MAP);
@@ -34,7 +39,12 @@ impl Slam {
         let first = NewKeyframe {
             parent: Some(parent.id),
             world_from_keyframe: parent.world_from_keyframe * landing.parent_from_start,
-            ..first_keyframe(parent.fragment, &started.keyframe, started.world_scale)
+            ..first_keyframe(
+                self.map.store(),
+                parent.fragment,
+                &started.keyframe,
+                started.world_scale,
+            )
         };
         let bridge = landing.bridge(id, started.keyframe.index);
         self.map.apply(Change::Bridged(bridge));

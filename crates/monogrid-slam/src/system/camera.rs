@@ -29,6 +29,8 @@ pub(super) struct Camera {
 #[derive(Debug)]
 pub(super) struct Active {
     pub id: KeyframeId,
+    /// Of its image.
+    pub pyramid: Arc<Pyramid>,
     pub depth: DepthMap,
     pub reference: Reference,
     /// Frames that refined its depth since it is in use.

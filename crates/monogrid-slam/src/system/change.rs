@@ -125,7 +125,7 @@ impl Slam {
         let Successor { depth, unit } = successor;
         let motion = &alignment.motion;
         let id = self.map.next_id();
-        let keyframe = new_keyframe(frame, &self.map[parent], motion, unit);
+        let keyframe = new_keyframe(self.map.store(), frame, &self.map[parent], motion, unit);
         self.map.apply(Change::Created(keyframe));
         self.stopwatch.lap(Stage::Depth);
         self.adjust(&depth);

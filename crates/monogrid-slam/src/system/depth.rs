@@ -3,14 +3,14 @@
 use super::camera::Active;
 use super::setup::Setup;
 use super::tracking::reference;
-use crate::Keyframe;
 use crate::depth_step::{observe, regularize, tracking_samples};
 use crate::frame::Frame;
-use crate::map::{Map, MapKeyframe};
+use crate::map::{Map, MapKeyframe, NUM_LEVELS};
+use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
 use monogrid_depth::{DepthMap, DepthState, HostFrame, PackedDepth, StereoFrame};
-use monogrid_geometry::Mat6;
-use monogrid_image::GrayImage;
+use monogrid_geometry::{Mat6, Se3};
+use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
 
 /// Depth that a new keyframe takes over.
@@ -23,20 +23,30 @@ pub(super) struct Successor {
 }
 
 /// A keyframe as frames are tracked on it.
-pub(super) fn activate(setup: &Setup, keyframe: &MapKeyframe, depth: DepthMap) -> Active {
+pub(super) fn activate(
+    setup: &Setup,
+    id: KeyframeId,
+    pyramid: Arc<Pyramid>,
+    depth: DepthMap,
+) -> Active {
     let samples = tracking_samples(&depth, &setup.config.tracking);
     Active {
-        id: keyframe.id,
-        reference: reference(setup, &keyframe.pyramid, &samples),
+        id,
+        reference: reference(setup, &pyramid, &samples),
+        pyramid,
         depth,
         num_mapped: 0,
     }
 }
 
+/// The pyramid of the image that depth belongs to.
+pub(super) fn pyramid_of(depth: &DepthMap) -> Arc<Pyramid> {
+    Arc::new(Pyramid::new(depth.host().image.clone(), NUM_LEVELS))
+}
+
 /// Observes the pixels of the keyframe in use in a tracked frame.
 pub(super) fn observe_depth(
     setup: &Setup,
-    keyframe: &MapKeyframe,
     active: Active,
     frame: &Frame,
     alignment: &Alignment,
@@ -64,7 +74,7 @@ pub(super) fn observe_depth(
     regularize(&mut depth, &setup.config.depth);
     Active {
         num_mapped,
-        ..activate(setup, keyframe, depth)
+        ..activate(setup, active.id, active.pyramid, depth)
     }
 }
 
@@ -78,16 +88,20 @@ pub(super) fn observe_old_keyframes(
     let config = &setup.config.keyframes;
     let recent = map.recent_in(keyframe.fragment);
     let others = recent.iter().rev().filter(|id| **id != keyframe.id);
-    let frames: Vec<StereoFrame<'_>> = others
+    let chosen: Vec<(&MapKeyframe, Se3, Arc<Pyramid>)> = others
         .map(|id| &map[*id])
         .map(|other| (other, keyframe.other_from_self(other)))
         .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
         .take(config.old_keyframes_observed)
-        .map(|(other, pose)| {
+        .filter_map(|(other, pose)| Some((other, pose, other.pyramid()?)))
+        .collect();
+    let frames: Vec<StereoFrame<'_>> = chosen
+        .iter()
+        .map(|(other, pose, pyramid)| {
             let (gain, bias) = keyframe.exposure.relative(&other.exposure);
             StereoFrame {
-                image: other.pyramid.level(0),
-                frame_from_keyframe: pose,
+                image: pyramid.level(0),
+                frame_from_keyframe: *pose,
                 gain: gain as f32,
                 bias: bias as f32,
                 residual_rms: 5.0,
@@ -126,7 +140,7 @@ pub(super) fn successor(
 
 /// Depth of a keyframe as it was left, smoothed.
 pub(super) fn stored_depth(setup: &Setup, keyframe: &MapKeyframe) -> Option<DepthMap> {
-    unpacked(setup, keyframe, keyframe.depth.as_ref()?)
+    unpacked(setup, keyframe, &*keyframe.depth.as_ref()?.get()?)
 }
 
 /// Depth of a keyframe from what is kept of it, smoothed.
@@ -135,7 +149,7 @@ pub(super) fn unpacked(
     keyframe: &MapKeyframe,
     packed: &PackedDepth,
 ) -> Option<DepthMap> {
-    let host = host(setup, keyframe.pyramid.level(0).clone())?;
+    let host = host(setup, keyframe.pyramid()?.level(0).clone())?;
     let mut depth = DepthMap::unpacked(host, packed, &setup.config.depth);
     regularize(&mut depth, &setup.config.depth);
     Some(depth)

@@ -5,11 +5,14 @@ use super::outcome::Attempt;
 use super::setup::Setup;
 use crate::depth_step::tracking_samples;
 use crate::frame::Frame;
-use crate::map::{Exposure, FinishedKeyframe, Map, MapKeyframe, NewKeyframe, View};
+use crate::map::{
+    Exposure, FinishedKeyframe, KeyframeImage, Map, MapKeyframe, NewKeyframe, Published, View,
+};
 use crate::policy::{KeyframeEvidence, is_new_keyframe};
 use crate::sparse::dense_links;
+use crate::store::Store;
 use crate::tracker::Support;
-use crate::{DepthPixel, FragmentId, Keyframe, TrackingState};
+use crate::{DepthPixel, FragmentId, TrackingState};
 use monogrid_alignment::Motion;
 use monogrid_depth::{DepthMap, PixelFilter};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
@@ -58,8 +61,8 @@ pub(super) fn finish_keyframe(setup: &Setup, map: &Map, active: &Active) -> Fini
     let is_kept = config.keyframes.reactivation.enabled || keyframe.depth.is_some();
     FinishedKeyframe {
         id: keyframe.id,
-        published: publish(setup, keyframe, depth),
-        depth: is_kept.then(|| depth.packed()),
+        published: publish(setup, map.store(), keyframe, depth),
+        depth: is_kept.then(|| map.store().keep(depth.packed())),
         links: if config.sparse.enabled {
             dense_links(map.points(), &keyframe.points, keyframe.id, depth)
         } else {
@@ -68,24 +71,29 @@ pub(super) fn finish_keyframe(setup: &Setup, map: &Map, active: &Active) -> Fini
         view: config
             .graph
             .enabled
-            .then(|| Arc::new(view(setup, keyframe, depth))),
+            .then(|| Arc::new(view(setup, map.store(), keyframe, depth))),
     }
 }
 
 /// What the graph needs of a keyframe.
-fn view(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> View {
+fn view(setup: &Setup, store: &Store, keyframe: &MapKeyframe, depth: &DepthMap) -> View {
     View {
         id: keyframe.id,
         camera: setup.camera(),
-        pyramid: Arc::clone(&keyframe.pyramid),
-        samples: tracking_samples(depth, &setup.config.tracking),
+        image: keyframe.image.clone(),
+        samples: store.keep(tracking_samples(depth, &setup.config.tracking)),
         exposure: keyframe.exposure,
         is_settled: keyframe.rank as usize >= setup.config.keyframes.ramp_keyframes,
     }
 }
 
-/// Depth and image of a keyframe as everybody should have them; `None` where what they have is as good.
-fn publish(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> Option<Keyframe> {
+/// Depth of a keyframe as everybody should have it; `None` where what they have is as good.
+fn publish(
+    setup: &Setup,
+    store: &Store,
+    keyframe: &MapKeyframe,
+    depth: &DepthMap,
+) -> Option<Published> {
     let publication = &setup.config.publication;
     let filter = PixelFilter {
         min_validity: publication.min_validity,
@@ -103,29 +111,23 @@ fn publish(setup: &Setup, keyframe: &MapKeyframe, depth: &DepthMap) -> Option<Ke
         })
         .collect();
     pixels.shrink_to_fit();
-    if let Some(known) = &keyframe.published {
-        return is_worth_a_revision(&known.pixels, &pixels).then(|| Keyframe {
-            pixels,
-            revision: known.revision + 1,
-            ..Keyframe::clone(known)
-        });
-    }
-    Some(Keyframe {
-        id: keyframe.id,
-        frame_index: keyframe.frame_index,
-        timestamp_ns: keyframe.timestamp_ns,
-        revision: 0,
-        image: keyframe
-            .pyramid
-            .level(0)
-            .map(|v| v.round().clamp(0.0, 255.0) as u8),
-        pixels,
-    })
+    let revision = match &keyframe.published {
+        Some(known) => {
+            let is_worth_it = known
+                .pixels
+                .get()
+                .is_none_or(|known| is_worth_a_revision(&known, &pixels));
+            is_worth_it.then_some(known.revision + 1)?
+        }
+        None => 0,
+    };
+    Some(Published::new(store, revision, pixels))
 }
 
 /// A frame as the newest keyframe, on top of a parent that it was tracked on; `unit` is its unit in those of
 /// the parent.
 pub(super) fn new_keyframe(
+    store: &Store,
     frame: &Frame,
     parent: &MapKeyframe,
     motion: &Motion,
@@ -137,20 +139,25 @@ pub(super) fn new_keyframe(
         parent: Some(parent.id),
         frame_index: frame.index,
         timestamp_ns: frame.timestamp_ns,
-        pyramid: Arc::clone(&frame.pyramid),
+        image: KeyframeImage::new(store, frame.image()),
         exposure: parent.exposure.then(motion.log_gain.exp(), motion.bias),
         world_from_keyframe: parent.world_from_keyframe * keyframe_from_frame.with_scale(unit),
     }
 }
 
 /// A frame as the first keyframe of a fragment, which is its world; `unit` is its unit in those of the world.
-pub(super) fn first_keyframe(fragment: FragmentId, frame: &Frame, unit: f64) -> NewKeyframe {
+pub(super) fn first_keyframe(
+    store: &Store,
+    fragment: FragmentId,
+    frame: &Frame,
+    unit: f64,
+) -> NewKeyframe {
     NewKeyframe {
         fragment,
         parent: None,
         frame_index: frame.index,
         timestamp_ns: frame.timestamp_ns,
-        pyramid: Arc::clone(&frame.pyramid),
+        image: KeyframeImage::new(store, frame.image()),
         exposure: Exposure::NEUTRAL,
         world_from_keyframe: Sim3::new(unit, Rotation::identity(), Vec3::zeros()),
     }

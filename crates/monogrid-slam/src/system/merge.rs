@@ -7,6 +7,7 @@ use crate::graph::{GraphJob, KeyframeGraph, SparseEdgeConfig};
 use crate::map::Change;
 use crate::mapping::KeyframeCamera;
 use crate::sparse::shared_points;
+use crate::store::Store;
 use crate::stored::{ContinueError, StoredKeyframe, StoredMap, StoredPoint};
 use crate::{DepthPixel, FragmentId, KeyframeId, Meeting, SlamConfig, SlamError};
 use monogrid_geometry::{Pinhole, Vec2};
@@ -47,7 +48,8 @@ pub fn merge_maps(config: &SlamConfig, map: StoredMap) -> Result<MergedMaps, Sla
             .find(|setup| setup.camera() == camera_of(stored));
         known.unwrap_or(&setups[0])
     };
-    let (mut merged, restored_graph) = restored(&setup_of, map)?;
+    let store = Store::new(&config.memory);
+    let (mut merged, restored_graph) = restored(&setup_of, &store, map)?;
     let mut graph = KeyframeGraph::new(
         config.graph.clone(),
         config.fragments.clone(),
@@ -80,7 +82,8 @@ fn adjusted(
     let widest = setups.iter().max_by(|a, b| width(a).total_cmp(&width(b)));
     let setup = widest.unwrap_or(&setups[0]);
     let camera = setup.camera();
-    let (mut shown, _) = restored(&|_| setup, through(&map, &camera))?;
+    let store = Store::new(&setup.config.memory);
+    let (mut shown, _) = restored(&|_| setup, &store, through(&map, &camera))?;
     for fragment in fragments {
         adjust_whole(setup, &mut shown, *fragment);
     }

@@ -178,10 +178,11 @@ impl Slam {
     /// The frame refines the depth of the keyframe in use.
     pub(super) fn observe(&mut self, frame: &Frame, attempt: &Attempt) -> KeyframeChange {
         let alignment = &attempt.tracked.alignment;
-        self.camera.active = self.camera.active.take().map(|active| {
-            let keyframe = &self.map[active.id];
-            observe_depth(&self.setup, keyframe, active, frame, alignment)
-        });
+        self.camera.active = self
+            .camera
+            .active
+            .take()
+            .map(|active| observe_depth(&self.setup, active, frame, alignment));
         KeyframeChange::default()
     }
 }

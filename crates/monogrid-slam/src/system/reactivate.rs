@@ -66,7 +66,7 @@ pub(super) fn find_known_view(
             ..Motion::from_pose(candidate.frame_from_candidate)
         };
         let samples = tracking_samples(&depth, &setup.config.tracking);
-        let tracked = track_on_other(setup, &keyframe.pyramid, &samples, frame, predicted);
+        let tracked = track_on_other(setup, &*keyframe.pyramid()?, &samples, frame, predicted);
         confirms(setup, &candidate, &tracked, limits).then_some(Confirmed {
             id: candidate.id,
             depth,

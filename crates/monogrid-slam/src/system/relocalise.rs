@@ -42,7 +42,8 @@ pub(super) fn relocalise(
         // from the pose that its points give
         let predicted = Motion::from_pose(found.frame_from_keyframe);
         let view = &found.view;
-        let tracked = track_on_other(setup, &view.pyramid, &view.samples, frame, predicted);
+        let (pyramid, samples) = (view.image.pyramid()?, view.samples.get()?);
+        let tracked = track_on_other(setup, &pyramid, &samples, frame, predicted);
         if tracked.state != TrackingState::Good {
             return None;
         }
@@ -68,8 +69,8 @@ fn resume(
         return depth_as_left(setup, map, active, id).map(Resume::Known);
     }
     // as it was when the keyframe was finished
-    let image = found.view.pyramid.level(0).clone();
-    let depth = sampled_depth(setup, image, &found.view.samples)?;
+    let image = found.view.image.pyramid()?.level(0).clone();
+    let depth = sampled_depth(setup, image, &found.view.samples.get()?)?;
     successor(setup, &depth, frame, &tracked.alignment.motion).map(Resume::New)
 }
 

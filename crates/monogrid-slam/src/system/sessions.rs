@@ -2,16 +2,20 @@
 
 use super::constrain::GraphLink;
 use super::depth::published_depth;
-use super::setup::{NUM_LEVELS, Setup};
+use super::setup::Setup;
 use super::slam::Slam;
 use crate::depth_step::tracking_samples;
 use crate::graph::RestoredGraph;
-use crate::map::{Change, Exposure, Map, MapKeyframe, Observation, SeenPoints, SparsePoint, View};
+use crate::map::{
+    Change, Exposure, KeyframeImage, Map, MapKeyframe, Observation, Published, SeenPoints,
+    SparsePoint, View,
+};
 use crate::sparse::dense_links;
+use crate::store::Store;
 use crate::stored::{ContinueError, Purpose, StoredKeyframe, StoredMap, StoredPoint};
-use crate::{FragmentId, Keyframe, KeyframeId, SlamConfig, SlamError, TrackedFrame};
+use crate::{FragmentId, KeyframeId, SlamConfig, SlamError, TrackedFrame};
 use monogrid_geometry::{Pinhole, Vec2};
-use monogrid_image::{Mask, Pyramid};
+use monogrid_image::Mask;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -43,7 +47,8 @@ impl Slam {
             imu: None,
             left_radial: 0.0,
         };
-        let (mut restored, graph) = restored(&|_| &setup, map)?;
+        let store = Store::new(&setup.config.memory);
+        let (mut restored, graph) = restored(&|_| &setup, &store, map)?;
         let graph = GraphLink::new(&setup, Some(graph))?.map(|(link, edges)| {
             restored.apply(Change::Constrained(edges));
             link
@@ -73,7 +78,7 @@ impl Slam {
 
 /// A map as it is kept; `pinhole_of` says the camera of a keyframe.
 pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> StoredMap {
-    let count = map.published().count();
+    let count = map.num_published();
     let keyframes = map.keyframes().iter();
     let edges = map.edges().iter();
     StoredMap {
@@ -91,7 +96,7 @@ pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> S
 }
 
 fn stored_points(map: &Map) -> Vec<StoredPoint> {
-    let count = map.published().count();
+    let count = map.num_published();
     let is_finished = |id: KeyframeId| (id as usize) < count;
     let points = map.points().iter();
     points
@@ -102,7 +107,7 @@ fn stored_points(map: &Map) -> Vec<StoredPoint> {
 
 fn stored_keyframe(keyframe: &MapKeyframe, pinhole: Pinhole) -> Option<StoredKeyframe> {
     Some(StoredKeyframe {
-        keyframe: Keyframe::clone(keyframe.published.as_ref()?),
+        keyframe: keyframe.as_published()?.load()?,
         pinhole,
         fragment: keyframe.fragment,
         world_from_keyframe: keyframe.world_from_keyframe,
@@ -129,6 +134,7 @@ fn stored_point(point: &SparsePoint, is_finished: impl Fn(KeyframeId) -> bool) -
 /// A map as it was kept, and its graph; `setup_of` has the settings and the camera for a keyframe.
 pub(super) fn restored<'a>(
     setup_of: &dyn Fn(&StoredKeyframe) -> &'a Setup,
+    store: &Store,
     map: StoredMap,
 ) -> Result<(Map, RestoredGraph), ContinueError> {
     let points = restored_points(&map);
@@ -138,11 +144,23 @@ pub(super) fn restored<'a>(
     for (stored, seen) in map.keyframes.into_iter().zip(seen) {
         let rank = ranks.entry(stored.fragment).or_default();
         let setup = setup_of(&stored);
-        keyframes.push(restored_keyframe(setup, stored, *rank, &points, seen)?);
+        keyframes.push(restored_keyframe(
+            setup,
+            store,
+            stored,
+            (*rank, seen),
+            &points,
+        )?);
         *rank += 1;
     }
     let views = keyframes.iter().filter_map(|k| k.view.clone()).collect();
-    let restored = Map::restored(keyframes, points, map.scale, map.pose_revision);
+    let restored = Map::restored(
+        store.clone(),
+        keyframes,
+        points,
+        map.scale,
+        map.pose_revision,
+    );
     let graph = RestoredGraph {
         views,
         poses: Arc::clone(restored.snapshot()),
@@ -196,10 +214,10 @@ fn seen_points(points: &[SparsePoint], num_keyframes: usize) -> Vec<SeenPoints> 
 /// A keyframe of an earlier session.
 fn restored_keyframe(
     setup: &Setup,
+    store: &Store,
     stored: StoredKeyframe,
-    rank: u32,
+    (rank, mut seen): (u32, SeenPoints),
     points: &[SparsePoint],
-    mut seen: SeenPoints,
 ) -> Result<MapKeyframe, ContinueError> {
     let published = stored.keyframe;
     let id = published.id;
@@ -214,8 +232,7 @@ fn restored_keyframe(
         gain: stored.gain,
         bias: stored.bias,
     };
-    let image = published.image.map(f32::from);
-    let pyramid = Arc::new(Pyramid::new(image, NUM_LEVELS));
+    let image = KeyframeImage::new(store, &published.image.map(f32::from));
     Ok(MapKeyframe {
         id,
         fragment: stored.fragment,
@@ -227,17 +244,17 @@ fn restored_keyframe(
         world_from_keyframe: stored.world_from_keyframe,
         camera_from_world: stored.world_from_keyframe.to_se3().inverse(),
         covariance: None,
-        depth: Some(Arc::new(depth.packed())),
+        depth: Some(store.keep(depth.packed())),
         view: Some(Arc::new(View {
             id,
             camera: setup.camera(),
-            pyramid: Arc::clone(&pyramid),
-            samples: tracking_samples(&depth, &setup.config.tracking),
+            image: image.clone(),
+            samples: store.keep(tracking_samples(&depth, &setup.config.tracking)),
             exposure,
             is_settled: true,
         })),
-        pyramid,
-        published: Some(Arc::new(published)),
+        image,
+        published: Some(Published::new(store, published.revision, published.pixels)),
         points: seen,
     })
 }

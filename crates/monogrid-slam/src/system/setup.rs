@@ -3,14 +3,12 @@
 use super::camera::Known;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
+use crate::map::NUM_LEVELS;
 use crate::mapping::KeyframeCamera;
 use monogrid_geometry::{Pinhole, Rotation, Vec3};
 use monogrid_image::Mask;
 use monogrid_inertial::Imu;
 use std::sync::Arc;
-
-/// Levels of all pyramids.
-pub(super) const NUM_LEVELS: usize = 5;
 
 /// Settings and camera, read by all stages.
 #[derive(Debug)]

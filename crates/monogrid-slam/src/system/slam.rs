@@ -9,8 +9,9 @@ use crate::map::{Event, Map};
 use crate::report::Stopwatch;
 use crate::sparse::SparseStats;
 use crate::start::Start;
+use crate::store::Store;
 use crate::{
-    Bridge, Fragment, FragmentId, Keyframe, MAIN_MAP, MapSize, PoseSnapshot, Scale, SlamConfig,
+    Bridge, Fragment, FragmentId, KeptKeyframe, MAIN_MAP, MapSize, PoseSnapshot, Scale, SlamConfig,
     SlamError, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
@@ -18,6 +19,7 @@ use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
 use monogrid_image::Mask;
 use monogrid_inertial::Imu;
+use std::fs::File;
 use std::sync::Arc;
 
 /// Direct semi-dense monocular SLAM.
@@ -62,9 +64,10 @@ impl Slam {
             left_radial: 0.0,
         };
         let graph = GraphLink::new(&setup, None)?.map(|(link, _)| link);
+        let map = Map::new(Store::new(&setup.config.memory));
         Ok(Self {
             start: Some(start),
-            ..Self::with_map(setup, Map::default(), graph)
+            ..Self::with_map(setup, map, graph)
         })
     }
 
@@ -109,8 +112,26 @@ impl Slam {
 
     /// Finished keyframes, by identity.
     #[must_use]
-    pub fn keyframes(&self) -> Vec<Arc<Keyframe>> {
-        self.map.published().cloned().collect()
+    pub fn keyframes(&self) -> Vec<KeptKeyframe> {
+        self.map.published().collect()
+    }
+
+    /// The number of finished keyframes.
+    #[must_use]
+    pub fn num_keyframes(&self) -> usize {
+        self.map.num_published()
+    }
+
+    /// Lets images and depth of keyframes for which there is no room in memory ([`crate::MemoryConfig`]) lie in a file, which nobody
+    /// else may use; without one all of them stay in memory. Its bytes mean nothing to anybody else.
+    pub fn spill_into(&self, file: File) {
+        self.map.store().spill_into(file);
+    }
+
+    /// What went wrong with that file first, if anything did: results are then made without the keyframes that cannot be read back.
+    #[must_use]
+    pub fn spill_failure(&self) -> Option<String> {
+        self.map.store().failure()
     }
 
     /// The newest poses of all keyframes.

@@ -2,7 +2,7 @@
 
 use super::camera::{Known, Last};
 use super::constrain::{GraphLink, Link, graph_job};
-use super::depth::activate;
+use super::depth::{activate, pyramid_of};
 use super::keyframes::finish_keyframe;
 use super::outcome::Attempt;
 use super::points::adjust_points;
@@ -76,7 +76,9 @@ impl Slam {
     }
 
     pub(super) fn activate(&mut self, id: KeyframeId, depth: DepthMap) {
-        self.camera.active = Some(activate(&self.setup, &self.map[id], depth));
+        let pyramid = self.map[id].pyramid();
+        let pyramid = pyramid.unwrap_or_else(|| pyramid_of(&depth));
+        self.camera.active = Some(activate(&self.setup, id, pyramid, depth));
     }
 
     /// Brings the newest keyframe into the sparse layer.

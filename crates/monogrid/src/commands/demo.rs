@@ -132,7 +132,9 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<DepthReport>
     let mut comparison = DepthComparison::new();
     for keyframe in tracked.run.slam.keyframes() {
         let pose = tracked.run.poses.in_main_map(keyframe.id);
-        let (Some(pose), Some(true_depth)) = (pose, sequence.depth(keyframe.frame_index)) else {
+        let (Some(pose), Some(true_depth), Some(keyframe)) =
+            (pose, sequence.depth(keyframe.frame_index), keyframe.load())
+        else {
             continue;
         };
         let candidate = Candidate {

@@ -12,7 +12,7 @@ use monogrid_datasets::{
     RecordingWriter, SessionInfo, encode_png, encode_png_rgb,
 };
 use monogrid_pipeline::{Event, Listener, ListenerError, Run};
-use monogrid_slam::Keyframe;
+use monogrid_slam::{KeptKeyframe, Keyframe};
 use std::sync::Arc;
 
 /// Folder with pictures of the keyframes.
@@ -58,6 +58,7 @@ impl Recorder {
         };
         match event {
             Event::Finished(keyframe, snapshot) => {
+                let keyframe = &loaded(keyframe)?;
                 writer
                     .append_keyframe(keyframe_record(keyframe, None))
                     .while_running(DOING)?;
@@ -71,6 +72,7 @@ impl Recorder {
                 save_pictures(&self.folder, keyframe)
             }
             Event::Revised(keyframe) => {
+                let keyframe = &loaded(keyframe)?;
                 writer
                     .append_depth(DepthRevision {
                         keyframe_id: keyframe.id,
@@ -118,6 +120,12 @@ impl Listener for Recorder {
     fn end(&mut self, run: Run) -> Result<(), ListenerError> {
         self.save_end(run).map_err(Failure::into_error)
     }
+}
+
+/// A keyframe that was just finished or revised.
+fn loaded(keyframe: &KeptKeyframe) -> Result<Keyframe, Failure> {
+    let lost = || anyhow::anyhow!("keyframe {} cannot be read back", keyframe.id);
+    keyframe.load().ok_or_else(lost).while_running(DOING)
 }
 
 /// A keyframe as it is first recorded; with its camera where that is not the one of the recording.

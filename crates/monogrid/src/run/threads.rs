@@ -58,6 +58,10 @@ pub fn track(
     let session = session_info(input, settings)?;
     let process_before = process_cpu();
     let mut pipeline = pipeline(input, settings)?;
+    // without a file, which has no name and ends with the process, all keyframes stay in memory
+    if let Ok(file) = tempfile::tempfile_in(folder.path()) {
+        pipeline.slam().spill_into(file);
+    }
     let mut video_colours = None;
     if !settings.is_localise_only() {
         let source_colours = ColourSource::of(input);

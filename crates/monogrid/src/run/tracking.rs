@@ -67,7 +67,7 @@ impl<'a> Tracking<'a> {
     ) -> Self {
         let num_frames = input.expected_frames().unwrap_or(0);
         Self {
-            num_keyframes: pipeline.slam().keyframes().len(),
+            num_keyframes: pipeline.slam().num_keyframes(),
             pipeline,
             settings,
             interrupted,

@@ -22,8 +22,9 @@ use crate::usage::process_cpu;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
+use monogrid_image::Image;
 use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
-use monogrid_slam::{Keyframe, TrackedFrame};
+use monogrid_slam::{KeptKeyframe, TrackedFrame};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -218,9 +219,11 @@ fn summary(
     extras: Extras,
 ) -> Summary {
     let mut summary = Summary::new(input, settings, tracked, &looked.frame, maps);
+    let not_kept = tracked.run.slam.spill_failure();
+    let said = extras.warnings.into_iter().chain(not_kept).collect();
     summary.map.cell = looked.cell;
     summary.inertial.clone_from(&looked.sensed.summary);
-    summary.warnings = warnings(input, looked.warning.clone(), extras.warnings, &summary);
+    summary.warnings = warnings(input, looked.warning.clone(), said, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     summary
@@ -257,12 +260,13 @@ impl Looked {
         settings: &RunSettings,
     ) -> Self {
         let keyframes = tracked.run.slam.keyframes();
-        let posed = keyframes.iter().zip(scans);
+        let images: Vec<Option<Image<u8>>> = keyframes.iter().map(KeptKeyframe::image).collect();
+        let posed = keyframes.iter().zip(&images).zip(scans);
         let views: Vec<UprightView> = posed
-            .filter_map(|(keyframe, scan)| {
+            .filter_map(|((keyframe, image), scan)| {
                 Some(UprightView {
                     scan,
-                    image: Some(&keyframe.image),
+                    image: image.as_ref(),
                     world_from_keyframe: *tracked.run.poses.in_main_map(keyframe.id)?,
                 })
             })
@@ -404,7 +408,7 @@ impl Reference {
 fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> {
     let before = process_cpu();
     memory::give_back();
-    let count = tracked.run.slam.keyframes().len();
+    let count = tracked.run.slam.num_keyframes();
     eprintln!("depth and maps of {count} keyframes at their final poses");
     let scans = watched("final depth", count, show_progress, |done| {
         tracked.run.final_scans(done)
@@ -414,11 +418,22 @@ fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> 
     scans
 }
 
+/// A keyframe of the main map with its final pose.
+struct Posed {
+    keyframe: KeptKeyframe,
+    image: Option<Image<u8>>,
+    map_from_keyframe: Sim3,
+}
+
 /// The keyframes of the main map with their final poses.
-fn posed_keyframes(tracked: &Tracked, frame: &MapFrame) -> Vec<(Arc<Keyframe>, Sim3)> {
-    let posed = |keyframe: Arc<Keyframe>| {
+fn posed_keyframes(tracked: &Tracked, frame: &MapFrame) -> Vec<Posed> {
+    let posed = |keyframe: KeptKeyframe| {
         let world_from_keyframe = tracked.run.poses.in_main_map(keyframe.id)?;
-        Some((keyframe, frame.map_from_world * *world_from_keyframe))
+        Some(Posed {
+            image: keyframe.image(),
+            keyframe,
+            map_from_keyframe: frame.map_from_world * *world_from_keyframe,
+        })
     };
     let keyframes = tracked.run.slam.keyframes().into_iter();
     keyframes.filter_map(posed).collect()
@@ -426,20 +441,21 @@ fn posed_keyframes(tracked: &Tracked, frame: &MapFrame) -> Vec<(Arc<Keyframe>, S
 
 /// What they measured, by the final depth.
 fn shown_keyframes<'a>(
-    posed: &'a [(Arc<Keyframe>, Sim3)],
+    posed: &'a [Posed],
     scans: &[KeyframeScan],
     pinhole: &Pinhole,
 ) -> Vec<ShownKeyframe<'a>> {
     let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
-    let shown = posed.par_iter().map(|(keyframe, map_from_keyframe)| {
+    let shown = posed.par_iter().map(|posed| {
+        let keyframe = &posed.keyframe;
         let scan = scans.get(&keyframe.id);
-        let semi_dense = scan.map(|scan| SemiDense::new(keyframe, scan));
+        let semi_dense = scan.and_then(|scan| Some(SemiDense::new(&keyframe.load()?, scan)));
         ShownKeyframe {
             frame_index: keyframe.frame_index as u64,
             timestamp_ns: keyframe.timestamp_ns,
-            map_from_keyframe: *map_from_keyframe,
+            map_from_keyframe: posed.map_from_keyframe,
             pinhole: *pinhole,
-            image: Some(&keyframe.image),
+            image: posed.image.as_ref(),
             semi_dense: semi_dense.unwrap_or_else(|| SemiDense::recorded(keyframe.id, &[])),
         }
     });
@@ -460,16 +476,13 @@ fn write_points(
 }
 
 /// What of them is mapped.
-fn coloured_scans<'a>(
-    posed: &'a [(Arc<Keyframe>, Sim3)],
-    scans: &'a [KeyframeScan],
-) -> Vec<ColouredScan<'a>> {
+fn coloured_scans<'a>(posed: &'a [Posed], scans: &'a [KeyframeScan]) -> Vec<ColouredScan<'a>> {
     let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
-    let coloured = posed.iter().filter_map(|(keyframe, map_from_keyframe)| {
+    let coloured = posed.iter().filter_map(|posed| {
         Some(ColouredScan {
-            scan: scans.get(&keyframe.id)?,
-            image: Some(&keyframe.image),
-            map_from_keyframe: *map_from_keyframe,
+            scan: scans.get(&posed.keyframe.id)?,
+            image: posed.image.as_ref(),
+            map_from_keyframe: posed.map_from_keyframe,
         })
     });
     coloured.collect()

@@ -4,7 +4,9 @@ use super::state::{Entry, KeyframeGraph};
 use crate::KeyframeId;
 use crate::graph::search::Probes;
 use crate::map::View;
-use monogrid_alignment::{KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally};
+use monogrid_alignment::{
+    DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
+};
 use monogrid_features::{DepthLookup, InverseDepth};
 use monogrid_geometry::Sim3;
 use std::sync::Arc;
@@ -15,19 +17,23 @@ const MAX_PREPARED: usize = 8;
 impl KeyframeGraph {
     /// Keeps a finished keyframe; whether it is new.
     pub(super) fn enter(&mut self, view: Arc<View>) -> bool {
-        let probes = Probes::new(&view.samples, &view.camera.pinhole);
-        self.remember(&view);
+        let samples = view.samples.get().unwrap_or_default();
+        let probes = Probes::new(&samples, &view.camera.pinhole);
+        self.remember(&view, &samples);
         self.entries
             .insert(view.id, Entry { view, probes })
             .is_none()
     }
 
     /// Remembers a keyframe by its appearance.
-    fn remember(&mut self, view: &View) {
+    fn remember(&mut self, view: &View, samples: &[DepthSample]) {
         if !self.config.places.enabled {
             return;
         }
-        let depths = view.samples.iter().map(|sample| {
+        let Some(pyramid) = view.image.pyramid() else {
+            return;
+        };
+        let depths = samples.iter().map(|sample| {
             let depth = InverseDepth {
                 idepth: sample.idepth,
                 idepth_var: sample.idepth_var,
@@ -37,8 +43,7 @@ impl KeyframeGraph {
         let lookup = DepthLookup::new(view.camera.width, view.camera.height, depths);
         let id = u64::from(view.id);
         let (mask, pinhole) = (self.mask.as_ref(), &view.camera.pinhole);
-        self.places
-            .insert(id, &view.pyramid, mask, &lookup, pinhole);
+        self.places.insert(id, &pyramid, mask, &lookup, pinhole);
     }
 
     /// Direct alignment of keyframe `id` to `other`, in both directions.
@@ -71,9 +76,9 @@ impl KeyframeGraph {
         let config = &self.config.similarity;
         let (finest, coarsest) = (config.finest_level, config.coarsest_level);
         let prepared = Arc::new(KeyframeView::new(
-            &view.pyramid,
+            &*view.image.pyramid()?,
             &view.camera.pinhole,
-            &view.samples,
+            &view.samples.get()?,
             finest,
             coarsest,
         ));

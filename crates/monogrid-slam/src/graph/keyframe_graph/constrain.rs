@@ -4,6 +4,7 @@ use super::state::{CERTAIN, KeyframeGraph};
 use crate::KeyframeId;
 use crate::graph::job::{EdgeKind, Handover, Relocalised};
 use crate::graph::search::{Candidate, choose};
+use monogrid_features::LoopMatch;
 use monogrid_geometry::Sim3;
 use monogrid_image::Pyramid;
 use std::sync::Arc;
@@ -96,7 +97,7 @@ impl KeyframeGraph {
             }
             newest_old.is_some_and(|newest| other <= newest) && !self.is_aligned(other, id)
         };
-        let matches = self.places.find_loops(u64::from(id), is_new);
+        let matches = self.find_loops(id, is_new);
         let mut closed = false;
         for found in matches.iter().take(self.config.places.max_loops) {
             let other = found.keyframe as KeyframeId;
@@ -116,6 +117,20 @@ impl KeyframeGraph {
             }
         }
         self.join_fragments(id) || closed
+    }
+
+    /// Remembered keyframes that show what this one shows, of those that are allowed.
+    pub(super) fn find_loops(
+        &self,
+        id: KeyframeId,
+        is_allowed: impl Fn(u64) -> bool,
+    ) -> Vec<LoopMatch> {
+        let pyramid_of = |id: u64| {
+            let entry = self.entries.get(&(id as KeyframeId))?;
+            entry.view.image.pyramid()
+        };
+        self.places
+            .find_loops(u64::from(id), is_allowed, pyramid_of)
     }
 
     /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it. Keyframes of

@@ -76,7 +76,7 @@ impl KeyframeGraph {
             let other = other as KeyframeId;
             self.fragment_of(other) == fragment && self.may_join(id, other)
         };
-        let found = self.places.find_loops(u64::from(id), may_join);
+        let found = self.find_loops(id, may_join);
         let best = found.into_iter().take(self.config.places.max_loops);
         best.map(|found| {
             let other = found.keyframe as KeyframeId;

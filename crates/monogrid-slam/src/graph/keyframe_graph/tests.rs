@@ -6,13 +6,14 @@ use super::*;
 use crate::FragmentConfig;
 use crate::graph::GraphConfig;
 use crate::graph::job::{GraphStats, Joined, OdometryEdge};
-use crate::map::Exposure;
+use crate::map::{Exposure, KeyframeImage};
 use crate::mapping::KeyframeCamera;
 use crate::sparse::SharedPoints;
+use crate::store::Store;
 use crate::test_world::small_demo;
 use monogrid_alignment::{DepthSample, SimilarityConstraint};
 use monogrid_geometry::{Mat6, Mat7, Sim3, Vec7};
-use monogrid_image::{Mask, Pyramid};
+use monogrid_image::Mask;
 use monogrid_worlds::SynthSequence;
 
 /// Keyframes of a rendered room with exact depth, and their true poses; the unit of keyframe k is
@@ -22,6 +23,7 @@ pub(super) fn keyframes(
     step: usize,
     count: usize,
 ) -> (Vec<Arc<View>>, Vec<Sim3>) {
+    let store = Store::default();
     let mut views = Vec::new();
     let mut poses = Vec::new();
     for k in 0..count {
@@ -52,8 +54,8 @@ pub(super) fn keyframes(
         views.push(Arc::new(View {
             id: k as KeyframeId,
             camera: KeyframeCamera::new(sequence.camera().pinhole, (image.width(), image.height())),
-            pyramid: Arc::new(Pyramid::new(image.clone(), 5)),
-            samples,
+            image: KeyframeImage::new(&store, image),
+            samples: store.keep(samples),
             exposure: Exposure::NEUTRAL,
             is_settled: true,
         }));
@@ -150,13 +152,13 @@ fn a_keyframe_of_another_room_is_not_constrained() {
     let camera = sequence.camera();
     let (mut views, poses) = keyframes(sequence, 8, 2);
     // the depth of the first, the image upside down
-    let image = views[0].pyramid.level(0).clone();
+    let image = views[0].image.pyramid().unwrap().level(0).clone();
     let (width, height) = (image.width(), image.height());
     let turned = monogrid_image::GrayImage::from_fn(width, height, |x, y| {
         image.at(width - 1 - x, height - 1 - y)
     });
     views[1] = Arc::new(View {
-        pyramid: Arc::new(Pyramid::new(turned, 5)),
+        image: KeyframeImage::new(&Store::default(), &turned),
         ..View::clone(&views[1])
     });
     let mask = Mask::filled(width, height, 255);

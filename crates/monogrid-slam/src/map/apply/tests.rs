@@ -1,10 +1,11 @@
 //! Changes of a small map, without images.
 
 use super::*;
-use crate::map::Exposure;
-use crate::{FragmentId, Keyframe, MAIN_MAP, PoseSnapshot};
+use crate::map::{Exposure, KeyframeImage, Published};
+use crate::{FragmentId, MAIN_MAP, PoseSnapshot};
 use monogrid_geometry::{Se3, Vec2, Vec3, Vec7};
 use monogrid_graph::bundle::BundleError;
+use monogrid_image::GrayImage;
 
 /// Keyframes in this many fragments, one after the other, three points in each, which the next one sees.
 fn map_with(fragments: &[FragmentId]) -> Map {
@@ -16,7 +17,7 @@ fn map_with(fragments: &[FragmentId]) -> Map {
             parent,
             frame_index: 10 * id as usize,
             timestamp_ns: i64::from(id),
-            pyramid: Arc::default(),
+            image: KeyframeImage::new(map.store(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe: pose(f64::from(id), 1.0),
         }));
@@ -57,14 +58,7 @@ fn pose(place: f64, unit: f64) -> Sim3 {
 fn finish(map: &mut Map, id: KeyframeId, revision: u32) {
     map.apply(Change::Finished(FinishedKeyframe {
         id,
-        published: Some(Keyframe {
-            id,
-            frame_index: 0,
-            timestamp_ns: 0,
-            revision,
-            image: monogrid_image::Image::filled(1, 1, 0),
-            pixels: Vec::new(),
-        }),
+        published: Some(Published::new(map.store(), revision, Vec::new())),
         depth: None,
         links: Vec::new(),
         view: None,
@@ -268,7 +262,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             parent: (id > 0).then(|| id - 1),
             frame_index: id as usize,
             timestamp_ns: i64::from(id),
-            pyramid: Arc::default(),
+            image: KeyframeImage::new(map.store(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe: pose(f64::from(id), 1.0),
         }));

@@ -2,8 +2,8 @@
 
 use super::global::GlobalMap;
 use super::mapper::{MapStats, Mapper};
-use crate::mapping::KeyframeScan;
-use crate::{KeyframeId, PoseSnapshot};
+use crate::mapping::{KeyframeCamera, KeyframeScan, MappingConfig};
+use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{MapError, OccupancyMap};
 use std::collections::BTreeMap;
@@ -85,10 +85,52 @@ pub struct LiveMaps {
     global: GlobalMap,
     /// Keyframes that came while nobody read, at the poses they had; the maps take them when they are
     /// wanted. A map that follows every small correction costs twice its integration and more.
-    waiting: Vec<(KeyframeScan, Sim3)>,
+    waiting: Vec<(Waiting, Sim3)>,
     /// Keyframes of fragments that are not joined to the main map: nobody knows where they are.
-    apart: BTreeMap<KeyframeId, KeyframeScan>,
+    apart: BTreeMap<KeyframeId, Waiting>,
     published: MapReader,
+}
+
+/// A keyframe that is not in the maps yet.
+#[derive(Clone, Debug)]
+pub enum Waiting {
+    /// What of it is mapped.
+    Scan(KeyframeScan),
+    /// What of it is mapped will be made when it is.
+    Keyframe(KeptKeyframe, KeyframeCamera),
+}
+
+impl Waiting {
+    fn id(&self) -> KeyframeId {
+        match self {
+            Self::Scan(scan) => scan.id,
+            Self::Keyframe(keyframe, _) => keyframe.id,
+        }
+    }
+
+    /// What of it is mapped; nothing where it cannot be read back. Filling plain surfaces is left for the final maps, which have
+    /// better depth, as long as nobody looks.
+    fn scan(self, config: &MappingConfig, is_read: bool) -> KeyframeScan {
+        let (keyframe, camera) = match self {
+            Self::Scan(scan) => return scan,
+            Self::Keyframe(keyframe, camera) => (keyframe, camera),
+        };
+        let loaded = keyframe.load();
+        let (image, pixels) = match &loaded {
+            Some(keyframe) => (
+                is_read.then_some(&keyframe.image),
+                keyframe.pixels.as_slice(),
+            ),
+            None => (None, [].as_slice()),
+        };
+        KeyframeScan::new(keyframe.id, pixels, image, &camera, config)
+    }
+}
+
+impl From<KeyframeScan> for Waiting {
+    fn from(scan: KeyframeScan) -> Self {
+        Self::Scan(scan)
+    }
 }
 
 impl LiveMaps {
@@ -121,7 +163,8 @@ impl LiveMaps {
     /// As [`LiveMaps::add`], for keyframes that came before.
     pub fn reader(&mut self) -> Result<MapReader, MapError> {
         let reader = self.published.clone();
-        for (scan, world_from_keyframe) in std::mem::take(&mut self.waiting) {
+        for (waiting, world_from_keyframe) in std::mem::take(&mut self.waiting) {
+            let scan = waiting.scan(self.mapper.config(), false);
             self.integrate(&scan, &world_from_keyframe)?;
         }
         if !self.first_poses.is_empty() {
@@ -135,13 +178,19 @@ impl LiveMaps {
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
-    pub fn add(&mut self, scan: KeyframeScan, world_from_keyframe: Sim3) -> Result<(), MapError> {
-        self.first_poses.push((scan.id, world_from_keyframe));
+    pub fn add(
+        &mut self,
+        keyframe: impl Into<Waiting>,
+        world_from_keyframe: Sim3,
+    ) -> Result<(), MapError> {
+        let keyframe = keyframe.into();
+        self.first_poses.push((keyframe.id(), world_from_keyframe));
         if self.published.is_read() {
+            let scan = keyframe.scan(self.mapper.config(), true);
             self.integrate(&scan, &world_from_keyframe)?;
             self.publish();
         } else {
-            self.waiting.push((scan, world_from_keyframe));
+            self.waiting.push((keyframe, world_from_keyframe));
         }
         Ok(())
     }
@@ -165,19 +214,25 @@ impl LiveMaps {
 
     /// Takes a finished keyframe of a fragment; it is added when [`LiveMaps::follow`] hears that the fragment is
     /// joined to the main map.
-    pub fn add_apart(&mut self, scan: KeyframeScan) {
-        self.apart.insert(scan.id, scan);
+    pub fn add_apart(&mut self, keyframe: impl Into<Waiting>) {
+        let keyframe = keyframe.into();
+        self.apart.insert(keyframe.id(), keyframe);
     }
 
     /// Takes better depth of a keyframe that was added before; *global* will use it, *large* at the end.
-    pub fn revise(&mut self, scan: KeyframeScan) {
-        if let Some(apart) = self.apart.get_mut(&scan.id) {
-            *apart = scan;
+    pub fn revise(&mut self, keyframe: impl Into<Waiting>) {
+        let keyframe = keyframe.into();
+        let id = keyframe.id();
+        if let Some(apart) = self.apart.get_mut(&id) {
+            *apart = keyframe;
             return;
         }
-        match self.waiting.iter_mut().find(|(w, _)| w.id == scan.id) {
-            Some((waiting, _)) => *waiting = scan,
-            None => self.global.revise(scan),
+        match self.waiting.iter_mut().find(|(w, _)| w.id() == id) {
+            Some((waiting, _)) => *waiting = keyframe,
+            None => {
+                let scan = keyframe.scan(self.mapper.config(), self.published.is_read());
+                self.global.revise(scan);
+            }
         }
     }
 
@@ -238,9 +293,9 @@ impl LiveMaps {
         for scan in scans {
             if let Some(first) = first_poses.get(&scan.id) {
                 remade.first_poses.push((scan.id, *first));
-                remade.waiting.push((scan, *first));
+                remade.waiting.push((scan.into(), *first));
             } else if self.apart.contains_key(&scan.id) {
-                remade.apart.insert(scan.id, scan);
+                remade.apart.insert(scan.id, scan.into());
             }
         }
         Ok(remade)
@@ -263,19 +318,16 @@ impl LiveMaps {
     ) -> Result<Maps, MapError> {
         self.follow(Arc::clone(snapshot))?;
         let mapper = self.mapper.with_threads(threads);
-        let (large, (global, stats)) = if self.waiting.len() == self.first_poses.len() {
+        let waiting = self.waiting.into_iter();
+        let waiting: Vec<(KeyframeScan, Sim3)> = waiting
+            .map(|(keyframe, pose)| (keyframe.scan(mapper.config(), false), pose))
+            .collect();
+        let (large, (global, stats)) = if waiting.len() == self.first_poses.len() {
             // nothing was integrated yet
-            both_from_scratch(
-                &mapper,
-                self.waiting,
-                snapshot,
-                map_from_world,
-                threads,
-                done,
-            )?
+            both_from_scratch(&mapper, waiting, snapshot, map_from_world, threads, done)?
         } else {
             let mut global = self.global;
-            global.settle(&mapper, snapshot, map_from_world, self.waiting, done)?;
+            global.settle(&mapper, snapshot, map_from_world, waiting, done)?;
             let first_poses = self.first_poses.iter();
             let first_poses = first_poses.map(|(id, pose)| (*id, *map_from_world * *pose));
             let large = global.elsewhere(first_poses)?;

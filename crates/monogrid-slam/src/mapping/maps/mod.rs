@@ -6,5 +6,5 @@ mod mapper;
 #[cfg(test)]
 mod tests;
 
-pub use live::{LiveMaps, LiveView, MapReader, Maps};
+pub use live::{LiveMaps, LiveView, MapReader, Maps, Waiting};
 pub use mapper::{MapStats, Mapper, z_up_from_camera_world};

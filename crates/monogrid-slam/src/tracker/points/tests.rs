@@ -1,6 +1,7 @@
 use super::*;
 use crate::Scale;
-use crate::map::{Exposure, SeenPoints, SparsePoint};
+use crate::map::{Exposure, KeyframeImage, SeenPoints, SparsePoint};
+use crate::store::Store;
 use monogrid_geometry::{Sim3, Vec2};
 use monogrid_image::Image;
 use std::sync::Arc;
@@ -58,6 +59,7 @@ fn map(step: usize) -> Map {
             alive: true,
         })
         .collect();
+    let store = Store::default();
     let keyframe = MapKeyframe {
         id: 0,
         fragment: 0,
@@ -65,7 +67,7 @@ fn map(step: usize) -> Map {
         parent: None,
         frame_index: 0,
         timestamp_ns: 0,
-        pyramid: plane(),
+        image: KeyframeImage::new(&store, plane().level(0)),
         exposure: Exposure::NEUTRAL,
         world_from_keyframe: Sim3::identity(),
         camera_from_world: Se3::identity(),
@@ -78,7 +80,7 @@ fn map(step: usize) -> Map {
             ..SeenPoints::default()
         },
     };
-    Map::restored(vec![keyframe], points, Scale::Arbitrary, 0)
+    Map::restored(store, vec![keyframe], points, Scale::Arbitrary, 0)
 }
 
 /// Whether points confirm that a frame which shows what the keyframe shows was taken from `pose`.

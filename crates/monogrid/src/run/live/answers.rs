@@ -121,7 +121,10 @@ impl Shown {
             camera: self.camera,
             frame: known.frame.as_ref().map(frame),
             path: known.path.get(from..).unwrap_or_default().to_vec(),
-            keyframes: changed.iter().map(|(_, k)| self.keyframe(k)).collect(),
+            keyframes: changed
+                .iter()
+                .filter_map(|(_, keyframe)| Some(self.keyframe(&keyframe.load()?)))
+                .collect(),
             poses: if known.posed > since {
                 poses(known)
             } else {
@@ -188,19 +191,19 @@ mod tests {
     use super::*;
     use monogrid_image::Image;
     use monogrid_pipeline::Event;
-    use monogrid_slam::PoseSnapshot;
     use monogrid_slam::mapping::MapReader;
+    use monogrid_slam::{KeptKeyframe, PoseSnapshot};
     use serde_json::Value;
     use std::sync::mpsc::sync_channel;
 
-    fn keyframe(id: u32) -> Arc<SlamKeyframe> {
+    fn keyframe(id: u32) -> KeptKeyframe {
         let pixel = |x| DepthPixel {
             x,
             y: 1,
             idepth: 0.5,
             idepth_var: if x == 0 { 1.0 } else { 1e-6 },
         };
-        Arc::new(SlamKeyframe {
+        KeptKeyframe::from(SlamKeyframe {
             id,
             frame_index: 10 * id as usize,
             timestamp_ns: 0,

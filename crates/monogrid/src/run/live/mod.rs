@@ -16,7 +16,7 @@ use monogrid_image::GrayImage;
 use monogrid_occupancy::MapError;
 use monogrid_pipeline::{Event, Listener, ListenerError, Pipeline};
 use monogrid_slam::mapping::{LiveView, MapReader, z_up_from_camera_world};
-use monogrid_slam::{Keyframe, KeyframeId, PoseSnapshot};
+use monogrid_slam::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -37,7 +37,7 @@ struct Known {
     num_frames: usize,
     path: Vec<PathPoint>,
     /// Keyframes, and the version in which their depth was changed last.
-    keyframes: BTreeMap<KeyframeId, (u64, Arc<Keyframe>)>,
+    keyframes: BTreeMap<KeyframeId, (u64, KeptKeyframe)>,
     poses: Arc<PoseSnapshot>,
     /// Version in which poses changed last.
     posed: u64,
@@ -176,9 +176,9 @@ impl Live {
 }
 
 impl Known {
-    fn change_depth(&mut self, keyframe: &Arc<Keyframe>) {
+    fn change_depth(&mut self, keyframe: &KeptKeyframe) {
         self.version += 1;
-        let changed = (self.version, Arc::clone(keyframe));
+        let changed = (self.version, keyframe.clone());
         self.keyframes.insert(keyframe.id, changed);
     }
 

@@ -245,7 +245,7 @@ fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
             q.y,
             q.z,
             q.w,
-            keyframe.pixels.len()
+            keyframe.num_pixels
         );
     }
     text

@@ -279,7 +279,9 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
         } else {
             0
         };
-        let keyframe = &keyframes[position];
+        let Some(keyframe) = keyframes[position].load() else {
+            continue;
+        };
         let image = Image::from_fn(
             keyframe.image.width() / 2,
             keyframe.image.height() / 2,
@@ -291,7 +293,7 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
                 (sum / 4) as u8
             },
         );
-        let measured: Vec<Measured> = measured(keyframe)
+        let measured: Vec<Measured> = measured(&keyframe)
             .map(|m| Measured {
                 x: m.x / 2,
                 y: m.y / 2,

@@ -171,7 +171,7 @@ pub fn sessions(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Vec<Rec
     let first = earlier.map_or(0, |earlier| earlier.map.keyframes.len());
     sessions.push(RecordedSession {
         source: source.to_owned(),
-        first_keyframe: first.min(slam.keyframes().len()) as u32,
+        first_keyframe: first.min(slam.num_keyframes()) as u32,
     });
     sessions
 }

@@ -37,7 +37,7 @@ impl Summary {
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
             rolling_shutter_ms: tracked.readout_ms,
             lost_episodes: slam.lost_episodes(),
-            keyframes: slam.keyframes().len(),
+            keyframes: slam.num_keyframes(),
             reactivated_keyframes: slam.reactivations(),
             relocalisations: slam.relocalisations(),
             fragments: slam.fragments().iter().map(FragmentSummary::new).collect(),

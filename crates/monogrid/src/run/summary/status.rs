@@ -34,7 +34,7 @@ impl Status {
         match &tracked.early_end {
             Some(EarlyEnd::Interrupted) => Self::Interrupted,
             Some(EarlyEnd::Unreadable(_)) => Self::Unreadable,
-            _ if tracked.run.slam.keyframes().is_empty() => Self::NotInitialised,
+            _ if tracked.run.slam.num_keyframes() == 0 => Self::NotInitialised,
             _ if settings.continued.is_some() && tracked.run.trajectory.is_empty() => {
                 Self::NotRecognised
             }

@@ -5,13 +5,14 @@ use super::super::tests::{error, keyframes, map_of};
 use super::*;
 use crate::graph::job::Joined;
 use crate::graph::{GraphConfig, RestoredGraph};
-use crate::map::View;
+use crate::map::{KeyframeImage, View};
 use crate::mapping::KeyframeCamera;
+use crate::store::Store;
 use crate::test_world::small_demo;
 use crate::{FragmentConfig, PoseSnapshot};
 use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Pinhole, Vec7};
-use monogrid_image::{GrayImage, Pyramid};
+use monogrid_image::GrayImage;
 use std::sync::Arc;
 
 /// Pixels that the second camera does not have at the left and at the top.
@@ -19,11 +20,13 @@ const CUT: [usize; 2] = [40, 24];
 
 /// The same keyframe by a camera that sees less, with another centre.
 fn cut(view: &View) -> View {
-    let image = view.pyramid.level(0);
+    let pyramid = view.image.pyramid().unwrap();
+    let image = pyramid.level(0);
     let [left, top] = CUT;
     let (width, height) = (image.width() - left - 16, image.height() - top);
     let Pinhole { fx, fy, cx, cy } = view.camera.pinhole;
-    let samples = view.samples.iter().filter_map(|sample| {
+    let samples = view.samples.get().unwrap();
+    let samples = samples.iter().filter_map(|sample| {
         let x = usize::from(sample.x).checked_sub(left)?;
         let y = usize::from(sample.y).checked_sub(top)?;
         (x < width).then_some(DepthSample {
@@ -37,26 +40,27 @@ fn cut(view: &View) -> View {
             Pinhole::new(fx, fy, cx - left as f64, cy - top as f64),
             (width, height),
         ),
-        samples: samples.collect(),
-        pyramid: Arc::new(Pyramid::new(
-            GrayImage::from_fn(width, height, |x, y| image.at(x + left, y + top)),
-            5,
-        )),
+        samples: Store::default().keep(samples.collect()),
+        image: KeyframeImage::new(
+            &Store::default(),
+            &GrayImage::from_fn(width, height, |x, y| image.at(x + left, y + top)),
+        ),
         ..view.clone()
     }
 }
 
 /// The same keyframe in another room: what it shows is upside down, at the same depths.
 fn elsewhere(view: &View) -> View {
-    let image = view.pyramid.level(0);
+    let pyramid = view.image.pyramid().unwrap();
+    let image = pyramid.level(0);
     let (width, height) = (image.width(), image.height());
     View {
-        pyramid: Arc::new(Pyramid::new(
-            GrayImage::from_fn(width, height, |x, y| {
+        image: KeyframeImage::new(
+            &Store::default(),
+            &GrayImage::from_fn(width, height, |x, y| {
                 image.at(width - 1 - x, height - 1 - y)
             }),
-            5,
-        )),
+        ),
         ..view.clone()
     }
 }

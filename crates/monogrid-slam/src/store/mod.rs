@@ -1,0 +1,152 @@
+//! What is kept of keyframes: in memory as far as there is room, beyond that in a file.
+//!
+//! A [`Kept`] value is immutable and comes back, the same in every bit, whenever somebody asks for it; that is why no result depends on how
+//! much room there is. What was used least recently leaves first, by the order of use and never by a clock:
+//!
+//! * a value of its own ([`Store::keep`]) leaves for the file, where there is one ([`Store::spill_into`]), and is written at most once;
+//! * a value that follows from others ([`Store::derive`]), such as the pyramid of an image, is made again.
+//!
+//! The file holds what a running system works with and nothing that a later one needs: what survives the process is the recording.
+
+mod packed;
+mod scratch;
+mod shelves;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use self::packed::{Keepable, KeptImage, Measured};
+use self::packed::{pack_any, unpack};
+
+use self::shelves::Shelves;
+pub(crate) use self::shelves::StoreBytes;
+use crate::config::MemoryConfig;
+use std::any::Any;
+use std::fs::File;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Values that are kept, shared by all that use them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Store(Arc<Mutex<Shelves>>);
+
+/// A value that is kept as long as somebody holds this.
+#[derive(Debug)]
+pub(crate) struct Kept<T>(Arc<Ticket<T>>);
+
+/// How a value that has left memory comes back.
+enum Origin<T> {
+    /// From what was written to the file.
+    Own(fn(&[u8]) -> Option<T>),
+    /// From others; `None` where one of them cannot be read back.
+    Derived(Box<dyn Fn() -> Option<T> + Send + Sync>),
+}
+
+struct Ticket<T> {
+    store: Store,
+    number: u64,
+    origin: Origin<T>,
+}
+
+impl Store {
+    /// With as much room as the settings say.
+    pub(crate) fn new(config: &MemoryConfig) -> Self {
+        let store = Self::default();
+        store.shelves().resize(config);
+        store
+    }
+
+    /// Lets values of their own leave memory for a file, which is overwritten.
+    pub(crate) fn spill_into(&self, file: File) {
+        self.shelves().spill_into(file);
+    }
+
+    /// Keeps a value.
+    pub(crate) fn keep<T: Keepable>(&self, value: T) -> Kept<T> {
+        let bytes = value.bytes();
+        let number = self.shelves().keep(Arc::new(value), bytes, pack_any::<T>);
+        self.kept(number, Origin::Own(unpack))
+    }
+
+    /// A value that follows from others and is made when somebody asks for it.
+    pub(crate) fn derive<T: Measured>(
+        &self,
+        make: impl Fn() -> Option<T> + Send + Sync + 'static,
+    ) -> Kept<T> {
+        let number = self.shelves().promise();
+        self.kept(number, Origin::Derived(Box::new(make)))
+    }
+
+    /// Bytes of its values.
+    pub(crate) fn bytes(&self) -> StoreBytes {
+        self.shelves().bytes()
+    }
+
+    /// What went wrong with the file first, if anything did.
+    pub(crate) fn failure(&self) -> Option<String> {
+        self.shelves().failure()
+    }
+
+    fn kept<T>(&self, number: u64, origin: Origin<T>) -> Kept<T> {
+        let store = self.clone();
+        Kept(Arc::new(Ticket {
+            store,
+            number,
+            origin,
+        }))
+    }
+
+    fn shelves(&self) -> MutexGuard<'_, Shelves> {
+        // whoever failed has left the shelves as they were: they change in single steps
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<T> Clone for Kept<T> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<T: Measured> Kept<T> {
+    /// The value; `None` where it, or what it follows from, cannot be read back from the file. The store remembers that
+    /// ([`Store::failure`]).
+    pub(crate) fn get(&self) -> Option<Arc<T>> {
+        let ticket = &*self.0;
+        let found = ticket.store.shelves().find(ticket.number);
+        if let Some(value) = found {
+            return value.downcast().ok();
+        }
+        let value = match &ticket.origin {
+            Origin::Own(unpack) => {
+                let packed = ticket.store.shelves().read(ticket.number)?;
+                unpack(&packed)?
+            }
+            Origin::Derived(make) => make()?,
+        };
+        Some(ticket.put_back(value))
+    }
+}
+
+impl<T: Measured> Ticket<T> {
+    /// Makes a value that had left part of what is in memory.
+    fn put_back(&self, value: T) -> Arc<T> {
+        let bytes = value.bytes();
+        let value = Arc::new(value);
+        let shelved: Arc<dyn Any + Send + Sync> = Arc::clone(&value) as _;
+        self.store.shelves().put_back(self.number, shelved, bytes);
+        value
+    }
+}
+
+impl<T> Drop for Ticket<T> {
+    fn drop(&mut self) {
+        // values may hold others: they are dropped when the shelves are free again
+        let value = self.store.shelves().forget(self.number);
+        drop(value);
+    }
+}
+
+impl<T> std::fmt::Debug for Ticket<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Kept({})", self.number)
+    }
+}

@@ -1,0 +1,86 @@
+//! Values as they are written to the file.
+
+use crate::DepthPixel;
+use monogrid_alignment::DepthSample;
+use monogrid_depth::PackedDepth;
+use monogrid_image::{GrayImage, Image, Pyramid};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::any::Any;
+
+/// A value of which is known what it takes.
+pub(crate) trait Measured: Send + Sync + 'static {
+    /// Memory, bytes.
+    fn bytes(&self) -> usize;
+}
+
+/// A value that can be written and read again.
+pub(crate) trait Keepable: Measured + Serialize + DeserializeOwned {}
+
+impl<T: Measured + Serialize + DeserializeOwned> Keepable for T {}
+
+/// A value as bytes; `None` for one of another type.
+pub(super) fn pack_any<T: Keepable>(value: &(dyn Any + Send + Sync)) -> Option<Vec<u8>> {
+    postcard::to_allocvec(value.downcast_ref::<T>()?).ok()
+}
+
+/// The value of these bytes.
+pub(super) fn unpack<T: Keepable>(bytes: &[u8]) -> Option<T> {
+    postcard::from_bytes(bytes).ok()
+}
+
+/// An image in eight bits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct KeptImage {
+    width: usize,
+    height: usize,
+    /// Row-major.
+    values: Vec<u8>,
+}
+
+impl KeptImage {
+    /// An image whose values lie between 0 and 255, rounded.
+    pub(crate) fn rounded(image: &GrayImage) -> Self {
+        let round = |value: &f32| value.round().clamp(0.0, 255.0) as u8;
+        Self {
+            width: image.width(),
+            height: image.height(),
+            values: image.as_slice().iter().map(round).collect(),
+        }
+    }
+
+    /// The image again.
+    pub(crate) fn image(&self) -> Option<Image<u8>> {
+        Image::from_vec(self.width, self.height, self.values.clone())
+    }
+}
+
+impl Measured for KeptImage {
+    fn bytes(&self) -> usize {
+        self.values.capacity()
+    }
+}
+
+impl Measured for Pyramid {
+    fn bytes(&self) -> usize {
+        Self::bytes(self)
+    }
+}
+
+impl Measured for PackedDepth {
+    fn bytes(&self) -> usize {
+        self.bytes_in_memory()
+    }
+}
+
+impl Measured for Vec<DepthSample> {
+    fn bytes(&self) -> usize {
+        self.capacity() * size_of::<DepthSample>()
+    }
+}
+
+impl Measured for Vec<DepthPixel> {
+    fn bytes(&self) -> usize {
+        self.capacity() * size_of::<DepthPixel>()
+    }
+}

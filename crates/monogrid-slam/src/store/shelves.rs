@@ -1,0 +1,249 @@
+//! What is in memory, what is in the file, and what leaves memory next.
+
+use super::scratch::{Place, Scratch};
+use crate::config::MemoryConfig;
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::sync::{Arc, Weak};
+
+/// A value of any type.
+pub(super) type Value = Arc<dyn Any + Send + Sync>;
+/// A value as bytes.
+pub(super) type Pack = fn(&(dyn Any + Send + Sync)) -> Option<Vec<u8>>;
+
+/// Bytes of what is kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct StoreBytes {
+    /// Values of their own that are in memory.
+    pub own: usize,
+    /// Values that were made of others, and are in memory.
+    pub derived: usize,
+    /// The file.
+    pub file: usize,
+}
+
+/// How a value leaves memory.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    /// For the file; where it is there, once it was written.
+    Own(Pack, Option<Place>),
+    /// It is made again.
+    Derived,
+}
+
+#[derive(Debug)]
+struct Entry {
+    kind: Kind,
+    /// While it is in memory because of us.
+    value: Option<Value>,
+    /// Others may still hold it.
+    seen: Weak<dyn Any + Send + Sync>,
+    bytes: usize,
+    /// When it was used, counted in uses.
+    used: u64,
+}
+
+/// Values in memory of one kind, by their last use.
+#[derive(Debug, Default)]
+struct Shelf {
+    by_use: BTreeMap<u64, u64>,
+    bytes: usize,
+    /// Bytes from which values leave.
+    limit: usize,
+}
+
+/// All values, by their numbers.
+#[derive(Debug, Default)]
+pub(super) struct Shelves {
+    entries: BTreeMap<u64, Entry>,
+    own: Shelf,
+    derived: Shelf,
+    num_made: u64,
+    num_uses: u64,
+    scratch: Option<Scratch>,
+    failure: Option<String>,
+}
+
+const MEGABYTE: f64 = 1e6;
+
+impl Shelves {
+    pub(super) fn resize(&mut self, config: &MemoryConfig) {
+        self.own.limit = (config.keyframes_mb * MEGABYTE) as usize;
+        self.derived.limit = (config.prepared_mb * MEGABYTE) as usize;
+    }
+
+    pub(super) fn spill_into(&mut self, file: File) {
+        self.scratch = Some(Scratch::new(file));
+        self.make_room();
+    }
+
+    pub(super) fn bytes(&self) -> StoreBytes {
+        StoreBytes {
+            own: self.own.bytes,
+            derived: self.derived.bytes,
+            file: self.scratch.as_ref().map_or(0, Scratch::bytes) as usize,
+        }
+    }
+
+    pub(super) fn failure(&self) -> Option<String> {
+        self.failure.clone()
+    }
+
+    /// Takes a value; its number.
+    pub(super) fn keep(&mut self, value: Value, bytes: usize, pack: Pack) -> u64 {
+        let number = self.enter(Kind::Own(pack, None));
+        self.put_back(number, value, bytes);
+        number
+    }
+
+    /// A number for a value that is made when somebody asks for it.
+    pub(super) fn promise(&mut self) -> u64 {
+        self.enter(Kind::Derived)
+    }
+
+    fn enter(&mut self, kind: Kind) -> u64 {
+        let number = self.num_made;
+        self.num_made += 1;
+        let entry = Entry {
+            kind,
+            value: None,
+            seen: Weak::<()>::new(),
+            bytes: 0,
+            used: 0,
+        };
+        self.entries.insert(number, entry);
+        number
+    }
+
+    /// A value that is in memory, for whatever reason.
+    pub(super) fn find(&mut self, number: u64) -> Option<Value> {
+        let entry = self.entries.get(&number)?;
+        let value = entry.value.clone().or_else(|| entry.seen.upgrade())?;
+        self.put_back(number, Arc::clone(&value), entry.bytes);
+        Some(value)
+    }
+
+    /// Puts a value to those in memory, as the one used last.
+    pub(super) fn put_back(&mut self, number: u64, value: Value, bytes: usize) {
+        self.take_out(number);
+        let Some(entry) = self.entries.get_mut(&number) else {
+            return;
+        };
+        self.num_uses += 1;
+        entry.seen = Arc::downgrade(&value);
+        (entry.value, entry.bytes, entry.used) = (Some(value), bytes, self.num_uses);
+        let shelf = match entry.kind {
+            Kind::Own(..) => &mut self.own,
+            Kind::Derived => &mut self.derived,
+        };
+        shelf.by_use.insert(self.num_uses, number);
+        shelf.bytes += bytes;
+        self.make_room();
+    }
+
+    /// Takes a value from those in memory.
+    fn take_out(&mut self, number: u64) -> Option<Value> {
+        let entry = self.entries.get_mut(&number)?;
+        let value = entry.value.take()?;
+        let shelf = match entry.kind {
+            Kind::Own(..) => &mut self.own,
+            Kind::Derived => &mut self.derived,
+        };
+        shelf.by_use.remove(&entry.used);
+        shelf.bytes -= entry.bytes;
+        Some(value)
+    }
+
+    /// Lets values leave until the rest has room.
+    fn make_room(&mut self) {
+        while let Some(oldest) = self.derived.oldest_too_many() {
+            self.take_out(oldest);
+        }
+        while let Some(oldest) = self.own.oldest_too_many() {
+            if !self.write(oldest) {
+                break;
+            }
+            self.take_out(oldest);
+        }
+    }
+
+    /// Makes sure that a value of its own is in the file; whether it is.
+    fn write(&mut self, number: u64) -> bool {
+        let (Some(entry), Some(scratch)) = (self.entries.get_mut(&number), &mut self.scratch)
+        else {
+            return false;
+        };
+        let (Kind::Own(pack, place @ None), Some(value)) = (&mut entry.kind, &entry.value) else {
+            return true;
+        };
+        let Some(packed) = pack(&**value) else {
+            return false;
+        };
+        match scratch.write(&packed) {
+            Ok(written) => {
+                *place = Some(written);
+                true
+            }
+            Err(error) => {
+                // what is in the file stays there; the rest stays in memory
+                self.own.limit = usize::MAX;
+                self.note(&format!(
+                    "keyframes stay in memory, since no more can be written to the file for them: {error}"
+                ));
+                false
+            }
+        }
+    }
+
+    /// A value as it is in the file.
+    pub(super) fn read(&mut self, number: u64) -> Option<Vec<u8>> {
+        let Kind::Own(_, Some(place)) = self.entries.get(&number)?.kind else {
+            return None;
+        };
+        match self.scratch.as_mut()?.read(&place) {
+            Ok(bytes) => Some(bytes),
+            Err(error) => {
+                self.note(&format!(
+                    "a keyframe cannot be read back from the file for those that are not in memory: {error}"
+                ));
+                None
+            }
+        }
+    }
+
+    /// Forgets a value; what is left of it is to be dropped without the shelves.
+    pub(super) fn forget(&mut self, number: u64) -> Option<Value> {
+        let value = self.take_out(number);
+        let entry = self.entries.remove(&number);
+        if let (Some(Kind::Own(_, Some(place))), Some(scratch)) =
+            (entry.map(|entry| entry.kind), &mut self.scratch)
+        {
+            scratch.give_up(&place);
+        }
+        value
+    }
+
+    /// The first failure is told.
+    fn note(&mut self, failure: &str) {
+        self.failure.get_or_insert_with(|| failure.to_owned());
+    }
+}
+
+impl Shelf {
+    /// The value used least recently, if there are others and all together are too many.
+    fn oldest_too_many(&self) -> Option<u64> {
+        let is_full = self.bytes > self.limit && self.by_use.len() > 1;
+        let oldest = self.by_use.values().next();
+        oldest.copied().filter(|_| is_full)
+    }
+}
+
+#[cfg(test)]
+impl Shelves {
+    /// Whether a value is in memory because of us.
+    pub(super) fn is_here(&self, number: u64) -> bool {
+        let entry = self.entries.get(&number);
+        entry.is_some_and(|entry| entry.value.is_some())
+    }
+}
