@@ -163,3 +163,24 @@ pub enum Record {
     /// The run ended by itself.
     End(EndRecord),
 }
+
+impl Record {
+    /// The bytes of the record as they stand in a file, its header included; `None` beyond 4 GiB.
+    #[must_use]
+    pub fn encode(&self) -> Option<Vec<u8>> {
+        format::encode_record(self)
+    }
+
+    /// The record that these bytes are, from header to end; `None` when they are damaged, or of a kind of a later version.
+    #[must_use]
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        let (header, payload) = bytes.split_first_chunk()?;
+        let header = format::parse_record_header(header)?;
+        let is_whole = payload.len() == header.payload_bytes as usize
+            && crc32fast::hash(payload) == header.payload_crc;
+        if !is_whole {
+            return None;
+        }
+        format::decode_record(header.kind, payload, true).ok()?
+    }
+}

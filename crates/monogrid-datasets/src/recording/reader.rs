@@ -41,6 +41,8 @@ pub struct RecordingReader<R = File> {
     /// Bytes of records whose checksum was wrong. Records do not overlap, so that a file as we write it, however
     /// damaged, has no more of them than bytes; one that was made to be read again and again has.
     refuted_bytes: u64,
+    /// Where the last whole record ends.
+    whole_until: u64,
     with_images: bool,
     damage: Damage,
 }
@@ -93,9 +95,24 @@ impl<R: Read + Seek> RecordingReader<R> {
             offset: FILE_HEADER_BYTES as u64,
             length,
             refuted_bytes: 0,
+            whole_until: FILE_HEADER_BYTES as u64,
             with_images: options.with_images,
             damage: Damage::default(),
         })
+    }
+
+    /// Reads on where an earlier reader of the same file, which has grown, had its [`RecordingReader::whole_until`].
+    #[must_use]
+    pub fn read_on(mut self, whole_until: u64) -> Self {
+        self.position = self.position.max(whole_until);
+        self.whole_until = self.position;
+        self
+    }
+
+    /// Where the last whole record that was read ends, bytes: what follows may still be being written.
+    #[must_use]
+    pub fn whole_until(&self) -> u64 {
+        self.whole_until
     }
 
     /// What was lost so far; complete once the iteration ended.
@@ -111,6 +128,7 @@ impl<R: Read + Seek> RecordingReader<R> {
             match self.read_at(start)? {
                 Some((end, outcome)) => {
                     self.position = end;
+                    self.whole_until = end;
                     match outcome {
                         Ok(Some(record)) => return Ok(Some(record)),
                         // a kind of a later version

@@ -446,3 +446,36 @@ proptest! {
         let _ = Recording::collect(reader(&bytes), Path::new("test.mgk"));
     }
 }
+
+/// Read on after every byte that comes, a file gives the records that it gives as a whole, each once.
+#[test]
+fn a_recording_that_grows_is_read_on() {
+    let bytes = write(&run()).bytes;
+    let expected = records(&bytes);
+    let mut whole_until = 0;
+    let mut found = Vec::new();
+    for length in (16..=bytes.len()).step_by(97).chain([bytes.len()]) {
+        let mut reader = reader(&bytes[..length]).read_on(whole_until);
+        found.extend(reader.by_ref().map(|r| r.expect("no read error")));
+        whole_until = reader.whole_until();
+    }
+    assert_eq!(found, expected);
+    assert_eq!(whole_until, bytes.len() as u64);
+}
+
+#[test]
+fn a_record_alone_is_read_back_and_no_other_bytes_are() {
+    let written = write(&run());
+    let read = records(&written.bytes);
+    for ((record, read), ends) in run().iter().zip(&read[1..]).zip(written.ends.windows(2)) {
+        let bytes = record.encode().expect("small");
+        assert_eq!(bytes, written.bytes[ends[0]..ends[1]]);
+        assert_eq!(Record::decode(&bytes).as_ref(), Some(read));
+        for damaged in [&bytes[1..], &bytes[..bytes.len() - 1], &[]] {
+            assert_eq!(Record::decode(damaged), None);
+        }
+        let mut damaged = bytes.clone();
+        damaged[25] ^= 4;
+        assert_eq!(Record::decode(&damaged), None);
+    }
+}
