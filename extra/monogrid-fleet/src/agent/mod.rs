@@ -1,0 +1,353 @@
+//! An agent: reads the recording of a run as it grows and delivers it.
+
+mod link;
+mod packer;
+mod tail;
+
+pub use link::{Link, LinkError, REFUSED, alone};
+pub use packer::{NewestPose, PackConfig, PackError, Packer, changed_share};
+pub use tail::Tail;
+
+use crate::messages::{AgentPose, BadName, Fleet, RunKey, run_number};
+use crate::packet_log::PacketLog;
+use monogrid_datasets::{DatasetError, Record};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Time between looks at the recording when there is nothing to deliver.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Time after which a lost link is tried again.
+const RETRY_AFTER: Duration = Duration::from_secs(1);
+
+/// What an agent is told.
+#[derive(Clone, Debug)]
+pub struct AgentConfig {
+    /// Its name.
+    pub name: String,
+    /// Endpoint of the server, `tcp/HOST:PORT`.
+    pub server: String,
+    /// Bytes of packets per second at most, over any time; positive.
+    pub max_bytes_per_s: f64,
+    /// After the end of the run the server is tried for so long.
+    pub give_up_after: Duration,
+    /// What is delivered how well.
+    pub pack: PackConfig,
+}
+
+/// Why an agent cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentError {
+    /// The recording is none.
+    #[error(transparent)]
+    Recording(#[from] DatasetError),
+    /// What was recorded cannot be delivered.
+    #[error(transparent)]
+    Pack(#[from] PackError),
+    /// The name cannot be one.
+    #[error(transparent)]
+    Name(#[from] BadName),
+}
+
+/// What an agent has to say while it works.
+#[derive(Clone, Debug, PartialEq)]
+pub enum News {
+    /// The server answers; it misses packets from this one of so many.
+    Connected {
+        /// First missing packet.
+        from: u64,
+        /// Packets that there are.
+        of: u64,
+    },
+    /// The server does not answer any more.
+    Lost(String),
+    /// The server does not take what it is sent; nothing more is delivered.
+    Refused(String),
+    /// The newest keyframe has a pose.
+    Pose(AgentPose),
+}
+
+/// What was delivered.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Delivered {
+    /// Packets that there were.
+    pub packets: u64,
+    /// Packets that the server has.
+    pub taken: u64,
+    /// Bytes of packets that were sent, those that were sent again among them.
+    pub bytes: u64,
+    /// Time of the newest keyframe since the first, s.
+    pub recorded_s: f64,
+    /// Time from the first packet that was sent to the last, s.
+    pub sending_s: f64,
+}
+
+/// An agent at work.
+pub struct Agent {
+    config: AgentConfig,
+    tail: Tail,
+    packer: Packer,
+    log: PacketLog,
+    session: Option<Record>,
+    run: Option<RunKey>,
+    first_ns: Option<i64>,
+    link: LinkState,
+    /// Number of the packet that is next, as the server said.
+    next: u64,
+    fleet: Fleet,
+    told: Option<(u32, u64)>,
+    pace: Pace,
+    delivered: Delivered,
+}
+
+enum LinkState {
+    Up(Link),
+    /// Until then it is not tried.
+    Down(Instant),
+    /// It is not tried any more.
+    Refused,
+}
+
+impl Agent {
+    /// An agent that delivers this recording, which need not exist yet.
+    ///
+    /// # Errors
+    /// When its name cannot be one, or no temporary file can be made.
+    pub fn new(config: AgentConfig, recording: &Path) -> Result<Self, AgentError> {
+        RunKey::new(&config.name, 0)?;
+        Ok(Self {
+            tail: Tail::new(recording),
+            packer: Packer::new(config.pack),
+            log: PacketLog::temporary().map_err(PackError::Log)?,
+            pace: Pace::new(config.max_bytes_per_s),
+            config,
+            session: None,
+            run: None,
+            first_ns: None,
+            link: LinkState::Down(Instant::now()),
+            next: 0,
+            fleet: Fleet::default(),
+            told: None,
+            delivered: Delivered::default(),
+        })
+    }
+
+    /// Works until the run is over and everything is delivered, or the server was not there for too long after it. `is_over` says whether
+    /// the run has ended, `say` hears what is new.
+    ///
+    /// # Errors
+    /// When the recording cannot be read or packed. A link that is lost is no error.
+    pub fn work(
+        &mut self,
+        mut is_over: impl FnMut() -> bool,
+        say: &mut dyn FnMut(&News),
+    ) -> Result<Delivered, AgentError> {
+        let mut over_since: Option<Instant> = None;
+        loop {
+            // before the recording is read: what was written last is not missed
+            if is_over() {
+                over_since.get_or_insert_with(Instant::now);
+            }
+            let has_grown = self.follow()?;
+            let has_sent = self.deliver(say);
+            if let Some(since) = over_since {
+                let is_done = self.next >= self.log.len() && matches!(self.link, LinkState::Up(_));
+                let gave_up = since.elapsed() > self.config.give_up_after;
+                let is_refused = matches!(self.link, LinkState::Refused);
+                if !has_grown && (is_done || gave_up || is_refused || self.log.is_empty()) {
+                    self.tell_pose(say);
+                    return Ok(self.summary());
+                }
+            }
+            if !has_sent {
+                std::thread::sleep(LOOK_EVERY);
+            }
+        }
+    }
+
+    /// Packs what has been recorded since the last time; whether there was anything.
+    fn follow(&mut self) -> Result<bool, AgentError> {
+        let Self {
+            tail,
+            packer,
+            log,
+            session,
+            run,
+            first_ns,
+            config,
+            ..
+        } = self;
+        tail.read(|record| {
+            match (record, &*session) {
+                (Record::Session(_), _) => *session = Some(record.clone()),
+                (Record::Keyframe(first), Some(session)) if run.is_none() => {
+                    *run = Some(RunKey::new(&config.name, run_number(session, record))?);
+                    *first_ns = Some(first.timestamp_ns);
+                }
+                _ => {}
+            }
+            Ok(packer.pack(record, log)?)
+        })
+    }
+
+    /// Sends the next packet, if there is one and the server is there; whether it was sent.
+    fn deliver(&mut self, say: &mut dyn FnMut(&News)) -> bool {
+        let Some(run) = self.run.clone() else {
+            return false;
+        };
+        let sent = match &self.link {
+            LinkState::Refused => return false,
+            LinkState::Down(until) if Instant::now() < *until => return false,
+            LinkState::Down(_) => self.connect(&run, say).map(|()| false),
+            LinkState::Up(link) => {
+                if let Some(fleet) = link.news() {
+                    self.fleet = fleet;
+                }
+                self.send_next(&run)
+            }
+        };
+        match sent {
+            Ok(has_sent) => {
+                self.tell_pose(say);
+                has_sent
+            }
+            Err(LinkError::Lost(why)) => {
+                if matches!(self.link, LinkState::Up(_)) {
+                    say(&News::Lost(why));
+                }
+                self.link = LinkState::Down(Instant::now() + RETRY_AFTER);
+                false
+            }
+            Err(LinkError::Refused(why)) => {
+                say(&News::Refused(why));
+                self.link = LinkState::Refused;
+                false
+            }
+        }
+    }
+
+    fn connect(&mut self, run: &RunKey, say: &mut dyn FnMut(&News)) -> Result<(), LinkError> {
+        let link = Link::open(&self.config.server)?;
+        self.next = link.deliver(&run.key("missing"), None)?.from;
+        self.fleet = link.fleet()?;
+        self.link = LinkState::Up(link);
+        let (from, of) = (self.next, self.log.len());
+        say(&News::Connected { from, of });
+        Ok(())
+    }
+
+    fn send_next(&mut self, run: &RunKey) -> Result<bool, LinkError> {
+        let LinkState::Up(link) = &self.link else {
+            return Ok(false);
+        };
+        let lost = |error: std::io::Error| LinkError::Lost(error.to_string());
+        let now = Instant::now();
+        if !self.pace.is_free(now) {
+            return Ok(false);
+        }
+        let Some(packet) = self.log.read(self.next).map_err(lost)? else {
+            return Ok(false);
+        };
+        let bytes = packet.len();
+        self.pace.sent(now, bytes);
+        self.delivered.bytes += bytes as u64;
+        let key = run.key(&format!("packets/{}", self.next));
+        self.next = link.deliver(&key, Some(packet))?.from;
+        Ok(true)
+    }
+
+    /// Says and publishes where the newest keyframe is, when it or the transform is new.
+    fn tell_pose(&mut self, say: &mut dyn FnMut(&News)) {
+        let (Some(newest), Some(run)) = (self.packer.newest_pose(), &self.run) else {
+            return;
+        };
+        let now = (newest.keyframe, self.fleet.version);
+        if self.told == Some(now) {
+            return;
+        }
+        self.told = Some(now);
+        let world_from_keyframe = newest.world_from_keyframe;
+        let shared = self.fleet.shared_from(run);
+        let pose = AgentPose {
+            timestamp_ns: newest.timestamp_ns,
+            keyframe: newest.keyframe,
+            world_from_keyframe: (&world_from_keyframe).into(),
+            shared_from_keyframe: shared.map(|s| (&(s * world_from_keyframe)).into()),
+            version: self.fleet.version,
+        };
+        if let (LinkState::Up(link), Ok(text)) = (&self.link, serde_json::to_string(&pose)) {
+            // the next one comes soon
+            let _ = link.publish(&run.key("pose"), text);
+        }
+        say(&News::Pose(pose));
+    }
+
+    fn summary(&self) -> Delivered {
+        let newest_ns = self.packer.newest_pose().map(|pose| pose.timestamp_ns);
+        let recorded_ns = newest_ns
+            .zip(self.first_ns)
+            .map_or(0, |(newest, first)| newest - first);
+        Delivered {
+            packets: self.log.len(),
+            taken: self.next,
+            recorded_s: recorded_ns as f64 * 1e-9,
+            sending_s: self.pace.sending_s(),
+            ..self.delivered
+        }
+    }
+}
+
+/// Lets no more bytes through than a rate allows: after so many bytes it is closed for as long as they take at that rate.
+#[derive(Debug)]
+struct Pace {
+    bytes_per_s: f64,
+    closed_until: Option<Instant>,
+    first_sent: Option<Instant>,
+    last_sent: Option<Instant>,
+}
+
+impl Pace {
+    fn new(bytes_per_s: f64) -> Self {
+        Self {
+            bytes_per_s,
+            closed_until: None,
+            first_sent: None,
+            last_sent: None,
+        }
+    }
+
+    fn is_free(&self, now: Instant) -> bool {
+        self.closed_until.is_none_or(|until| now >= until)
+    }
+
+    fn sent(&mut self, now: Instant, bytes: usize) {
+        self.closed_until = Some(now + Duration::from_secs_f64(bytes as f64 / self.bytes_per_s));
+        self.first_sent.get_or_insert(now);
+        self.last_sent = Some(now);
+    }
+
+    fn sending_s(&self) -> f64 {
+        let times = self.first_sent.zip(self.last_sent);
+        times.map_or(0.0, |(first, last)| (last - first).as_secs_f64())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pace_is_kept_over_any_time() {
+        let begin = Instant::now();
+        let at = |ms: u64| begin + Duration::from_millis(ms);
+        let mut pace = Pace::new(1000.0);
+        assert!(pace.is_free(begin));
+        pace.sent(begin, 500);
+        assert!(!pace.is_free(at(499)));
+        assert!(pace.is_free(at(500)));
+        // time in which nothing was sent is not saved up
+        pace.sent(at(5000), 500);
+        assert!(!pace.is_free(at(5499)));
+        assert!(pace.is_free(at(5500)));
+        assert_eq!(pace.sending_s(), 5.0);
+    }
+}

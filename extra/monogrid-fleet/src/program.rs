@@ -1,0 +1,330 @@
+//! The command line.
+#![allow(clippy::print_stderr, reason = "this is the program")]
+
+use crate::agent::{Agent, AgentConfig, Delivered, News, PackConfig};
+use crate::messages::Fleet;
+use crate::server::{JoiningConfig, Server, ServerConfig, ServerNews};
+use anyhow::Context as _;
+use clap::{Args, Parser, Subcommand};
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::{Child, Command};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Several cameras, one map: agents that run alone, and a server that joins what they see
+#[derive(Debug, Parser)]
+#[command(name = "monogrid-fleet", version, max_term_width = 110)]
+pub struct Cli {
+    /// What to be
+    #[command(subcommand)]
+    pub role: Role,
+}
+
+/// What the program is.
+#[derive(Debug, Subcommand)]
+pub enum Role {
+    /// Run `monogrid run` on a source and deliver its keyframes to a server, as far as there is a way to it
+    Agent(AgentArgs),
+    /// Take what agents deliver, join their maps, and say where their worlds lie in the shared one
+    Server(ServerArgs),
+    /// The program `monogrid`, as agents and server call it
+    #[command(disable_help_flag = true)]
+    Monogrid {
+        /// Its command line
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<OsString>,
+    },
+}
+
+/// `monogrid-fleet agent`.
+#[derive(Debug, Args)]
+pub struct AgentArgs {
+    /// What `monogrid run` reads: a video, a camera, a stream, a folder of images
+    #[arg(required_unless_present = "follow")]
+    pub source: Option<PathBuf>,
+    /// Name of the agent: letters, digits, - and _
+    #[arg(long, value_name = "NAME")]
+    pub name: String,
+    /// Where the server listens
+    #[arg(long, value_name = "tcp/HOST:PORT")]
+    pub connect: String,
+    /// Output folder of the run
+    #[arg(long, value_name = "DIR", required_unless_present = "follow")]
+    pub out: Option<PathBuf>,
+    /// Deliver the recording of a run that goes on elsewhere, or has ended, instead of starting one
+    #[arg(long, value_name = "RECORDING", conflicts_with_all = ["source", "out"])]
+    pub follow: Option<PathBuf>,
+    /// Kilobytes (1000) of packets per second at most
+    #[arg(long, value_name = "KB", default_value_t = 180.0, value_parser = rate)]
+    pub max_rate: f64,
+    /// Quality of the JPEG images of keyframes, 1 to 100
+    #[arg(long, value_name = "Q", default_value_t = 75, value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub jpeg_quality: u8,
+    /// Seconds for which the server is still tried when the run has ended; --follow delivers the rest later
+    #[arg(long, value_name = "SECONDS", default_value_t = 600)]
+    pub give_up_after: u64,
+    /// Further options of `monogrid run`, behind --
+    #[arg(last = true)]
+    pub run: Vec<OsString>,
+}
+
+/// `monogrid-fleet server`.
+#[derive(Debug, Args)]
+pub struct ServerArgs {
+    /// Where to listen; several times for several
+    #[arg(long, value_name = "tcp/ADDRESS:PORT", default_value = "tcp/[::]:7447")]
+    pub listen: Vec<String>,
+    /// Folder for what agents deliver (agents) and the joined map (map); that of an earlier server is taken up again
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Seconds between the end of a joining and the next one at least
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    pub join_every: u64,
+    /// So many new keyframes are worth a joining
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
+    pub min_new_keyframes: u64,
+    /// End when so many runs have ended and all of them is here [default: when interrupted]
+    #[arg(long, value_name = "N")]
+    pub until_ended: Option<usize>,
+    /// Further options of `monogrid merge-runs`, behind --
+    #[arg(last = true)]
+    pub merge: Vec<OsString>,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let rate: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    let is_rate = rate.is_finite() && rate > 0.0;
+    is_rate
+        .then_some(rate)
+        .ok_or_else(|| "expected a positive number".to_owned())
+}
+
+/// Does what a command line asks for, the name of the program first; the exit code: that of the run for an agent, 1 where not everything could
+/// be delivered.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let cli = match Cli::try_parse_from(arguments) {
+        Ok(cli) => cli,
+        Err(error) => {
+            let _ = error.print();
+            return if error.use_stderr() { 2 } else { 0 };
+        }
+    };
+    let result = match cli.role {
+        Role::Agent(args) => agent(&args),
+        Role::Server(args) => server(args),
+        Role::Monogrid { arguments } => {
+            let name = OsString::from("monogrid");
+            return monogrid::program::main(std::iter::once(name).chain(arguments));
+        }
+    };
+    result.unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        1
+    })
+}
+
+/// This program as `monogrid`.
+fn monogrid() -> anyhow::Result<Vec<OsString>> {
+    let program = std::env::current_exe().context("this program cannot be found")?;
+    Ok(vec![program.into(), "monogrid".into()])
+}
+
+/// Set by Ctrl-C.
+fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let set = Arc::clone(&flag);
+    ctrlc::set_handler(move || set.store(true, Ordering::Relaxed))?;
+    Ok(flag)
+}
+
+fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
+    let config = AgentConfig {
+        name: args.name.clone(),
+        server: args.connect.clone(),
+        max_bytes_per_s: args.max_rate * 1e3,
+        give_up_after: Duration::from_secs(args.give_up_after),
+        pack: PackConfig {
+            jpeg_quality: args.jpeg_quality,
+            ..PackConfig::default()
+        },
+    };
+    let (recording, mut run) = match (&args.follow, &args.source, &args.out) {
+        (Some(recording), ..) => (recording.clone(), None),
+        (None, Some(source), Some(out)) => (
+            out.join("recording.mgk"),
+            Some(Run::start(source, out, args)?),
+        ),
+        _ => anyhow::bail!("expected a source and --out, or --follow"),
+    };
+    let interrupted = interrupted()?;
+    let mut agent = Agent::new(config, &recording)?;
+    let is_over = || match &mut run {
+        Some(run) => run.is_over(&interrupted),
+        None => true,
+    };
+    let name = &args.name;
+    let worked = agent.work(is_over, &mut |news| eprintln!("{name}: {}", sentence(news)));
+    let run_code = run.as_mut().map_or(Ok(0), Run::code)?;
+    let delivered = worked?;
+    eprintln!("{name}: {}", summary(&delivered));
+    let is_all = delivered.taken >= delivered.packets;
+    Ok(if run_code == 0 && !is_all {
+        1
+    } else {
+        run_code
+    })
+}
+
+/// A run in a process of its own: whatever becomes of the agent, it goes on.
+struct Run {
+    child: Child,
+    was_asked: bool,
+}
+
+impl Run {
+    fn start(source: &PathBuf, out: &PathBuf, args: &AgentArgs) -> anyhow::Result<Self> {
+        let program = monogrid()?;
+        let mut command = Command::new(&program[0]);
+        command.args(&program[1..]).arg("run").arg(source);
+        command.arg("--out").arg(out).args(&args.run);
+        #[cfg(unix)]
+        // an interrupt from the terminal is for this process, which passes it on
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let child = command.spawn().context("the run cannot be started")?;
+        let was_asked = false;
+        Ok(Self { child, was_asked })
+    }
+
+    /// Whether it has ended; an interrupt is passed on once.
+    fn is_over(&mut self, interrupted: &AtomicBool) -> bool {
+        if interrupted.load(Ordering::Relaxed) && !self.was_asked {
+            self.was_asked = true;
+            ask_to_stop(&mut self.child);
+        }
+        !matches!(self.child.try_wait(), Ok(None))
+    }
+
+    fn code(&mut self) -> anyhow::Result<u8> {
+        let status = self.child.wait()?;
+        Ok(status
+            .code()
+            .and_then(|code| u8::try_from(code).ok())
+            .unwrap_or(1))
+    }
+}
+
+/// As Ctrl-C does: it saves what it has.
+#[cfg(unix)]
+fn ask_to_stop(child: &mut Child) {
+    use rustix::process::{Pid, Signal, kill_process};
+    // it may have ended just now
+    let _ = kill_process(Pid::from_child(child), Signal::INT);
+}
+
+#[cfg(not(unix))]
+fn ask_to_stop(child: &mut Child) {
+    let _ = child.kill();
+}
+
+fn sentence(news: &News) -> String {
+    match news {
+        News::Connected { from, of } => {
+            format!("connected; {} of {of} packets wait", of - from.min(of))
+        }
+        News::Lost(why) => format!("the link is lost, the run goes on: {why}"),
+        News::Refused(why) => format!("nothing more is delivered, the run goes on: {why}"),
+        News::Pose(pose) => {
+            let (camera, is_shared) = pose.camera();
+            let [x, y, z]: [f64; 3] = camera.translation.into();
+            let world = if is_shared { "shared" } else { "own" };
+            let seconds = pose.timestamp_ns as f64 * 1e-9;
+            format!(
+                "{seconds:.3} s: keyframe {} at {x:.3} {y:.3} {z:.3} in the {world} world",
+                pose.keyframe
+            )
+        }
+    }
+}
+
+fn summary(delivered: &Delivered) -> String {
+    let Delivered {
+        packets,
+        taken,
+        bytes,
+        recorded_s,
+        sending_s,
+    } = *delivered;
+    let per_second = |seconds: f64| bytes as f64 / 1e3 / seconds.max(1e-9);
+    format!(
+        "{taken} of {packets} packets delivered, {bytes} bytes: {:.0} kB/s over the {recorded_s:.1} s of the recording, {:.0} kB/s over \
+         the {sending_s:.1} s of sending",
+        per_second(recorded_s),
+        per_second(sending_s),
+    )
+}
+
+fn server(args: ServerArgs) -> anyhow::Result<u8> {
+    let config = ServerConfig {
+        listen: args.listen,
+        out: args.out,
+        joining: JoiningConfig {
+            every: Duration::from_secs(args.join_every),
+            min_new_keyframes: args.min_new_keyframes,
+            program: monogrid()?,
+            arguments: args.merge,
+        },
+        until_ended: args.until_ended,
+    };
+    let interrupted = interrupted()?;
+    let map = config.out.join("map");
+    let mut server = Server::start(config)?;
+    let is_interrupted = || interrupted.load(Ordering::Relaxed);
+    let fleet = server.work(is_interrupted, &mut |news| {
+        eprintln!("server: {}", server_sentence(news));
+    })?;
+    let placed = fleet
+        .agents
+        .iter()
+        .filter(|a| a.shared_from_agent.is_some());
+    let placed = placed.count();
+    eprintln!(
+        "server: {placed} of {} runs in one map: {}",
+        fleet.agents.len(),
+        map.display()
+    );
+    Ok(if placed == fleet.agents.len() {
+        0
+    } else {
+        APART
+    })
+}
+
+/// Exit code where some maps stay apart, as of `merge-runs`.
+const APART: u8 = 3;
+
+fn server_sentence(news: &ServerNews) -> String {
+    match news {
+        ServerNews::Came(run) => format!("{run} has come"),
+        ServerNews::Ended(run) => format!("{run} has ended"),
+        ServerNews::Refused(why) => format!("refused: {why}"),
+        ServerNews::NotJoined(why) => format!("nothing was joined: {why}"),
+        ServerNews::Placed(fleet) => placed(fleet),
+    }
+}
+
+fn placed(fleet: &Fleet) -> String {
+    let mut text = format!("transforms, version {}:", fleet.version);
+    for agent in &fleet.agents {
+        let place = agent.shared_from_agent.as_ref().map_or_else(
+            || "apart".to_owned(),
+            |place| {
+                let [x, y, z] = place.translation;
+                format!("at {x:.3} {y:.3} {z:.3}, scale {:.4}", place.scale)
+            },
+        );
+        text += &format!(" {} ({} keyframes) {place};", agent.run, agent.keyframes);
+    }
+    text
+}

@@ -1,0 +1,299 @@
+//! Agents and a server over real connections of this computer.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use monogrid_datasets::{ReadOptions, Record, Recording, Scale, SessionInfo};
+use monogrid_fleet::agent::{Agent, AgentConfig, Delivered, Link, LinkError, News, PackConfig};
+use monogrid_fleet::messages::{Fleet, PREFIX, RunKey};
+use monogrid_fleet::packet::parts_of;
+use monogrid_fleet::server::{JoiningConfig, Server, ServerConfig, similarity_of};
+use monogrid_geometry::{Pinhole, Sim3};
+use std::fs;
+use std::io::Write;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_monogrid-fleet");
+
+/// Runs `monogrid`.
+fn monogrid(arguments: &str, folder: &Path) {
+    let mut command = Command::new(PROGRAM);
+    command
+        .arg("monogrid")
+        .args(arguments.split(' '))
+        .current_dir(folder);
+    let done = command.output().unwrap();
+    assert!(
+        done.status.success(),
+        "{arguments}: {}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+}
+
+/// An endpoint at which nobody listens yet.
+fn endpoint() -> String {
+    let port = TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port();
+    format!("tcp/127.0.0.1:{port}")
+}
+
+fn server_config(endpoint: &str, out: &Path) -> ServerConfig {
+    ServerConfig {
+        listen: vec![endpoint.into()],
+        out: out.into(),
+        joining: JoiningConfig {
+            every: Duration::from_secs(1000),
+            min_new_keyframes: 1,
+            program: vec![PROGRAM.into(), "monogrid".into()],
+            arguments: vec!["--resolution".into(), "0.1".into()],
+        },
+        until_ended: Some(2),
+    }
+}
+
+/// An agent in a thread of its own; what it did, and what it said.
+fn agent(
+    name: &str,
+    server: &str,
+    recording: PathBuf,
+    is_over: Arc<AtomicBool>,
+) -> JoinHandle<(Delivered, Vec<News>)> {
+    let config = AgentConfig {
+        name: name.into(),
+        server: server.into(),
+        max_bytes_per_s: 1e7,
+        give_up_after: Duration::from_secs(120),
+        pack: PackConfig::default(),
+    };
+    let mut agent = Agent::new(config, &recording).unwrap();
+    thread::spawn(move || {
+        let mut said = Vec::new();
+        let is_over = || is_over.load(Ordering::Relaxed);
+        let delivered = agent.work(is_over, &mut |news| said.push(news.clone()));
+        (delivered.unwrap(), said)
+    })
+}
+
+/// `merged_from_world` of a run whose source has this name.
+fn place_of(merged: &Recording, run: &Recording) -> Sim3 {
+    let sessions = &merged.continuation.as_ref().unwrap().sessions;
+    let is_its = |id: u32| {
+        let before = sessions.iter().rfind(|s| s.first_keyframe <= id).unwrap();
+        before.source == run.session.source
+    };
+    let pairs = merged.keyframes.iter().filter(|k| is_its(k.id)).map(|k| {
+        let same = |own: &&monogrid_datasets::RecordedKeyframe| own.frame_index == k.frame_index;
+        let own = run.keyframes.iter().find(same).unwrap();
+        (
+            k.world_from_keyframe.unwrap(),
+            own.world_from_keyframe.unwrap(),
+        )
+    });
+    similarity_of(&pairs.collect::<Vec<_>>()).unwrap()
+}
+
+fn read(path: &Path) -> Recording {
+    Recording::read(path, ReadOptions { with_images: false }).unwrap()
+}
+
+/// Where the world of `b` lies in that of `a`.
+fn relative(fleet: &Fleet, a: &str, b: &str) -> Sim3 {
+    let place = |name: &str| {
+        let agent = fleet
+            .agents
+            .iter()
+            .find(|agent| agent.run.starts_with(name))
+            .unwrap();
+        Sim3::from(agent.shared_from_agent.as_ref().unwrap())
+    };
+    place(a).inverse() * place(b)
+}
+
+fn assert_close(found: &Sim3, expected: &Sim3) {
+    let difference = found.inverse() * *expected;
+    assert!(
+        difference.rotation.angle() < 0.3_f64.to_radians(),
+        "{difference:?}"
+    );
+    assert!(difference.scale.ln().abs() < 0.01, "{difference:?}");
+    assert!(difference.translation.norm() < 0.01, "{difference:?}");
+}
+
+/// Writes a copy of a file in thirty pieces.
+fn copied_slowly(from: &Path, to: &Path) {
+    let bytes = fs::read(from).unwrap();
+    let mut growing = fs::File::create(to).unwrap();
+    for piece in bytes.chunks(bytes.len() / 30) {
+        growing.write_all(piece).unwrap();
+        thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Two runs, a and b, of which the second half of one sees what the first half of the other does, and both merged.
+fn two_runs(folder: &Path) {
+    let at = |name: &str| folder.join(name);
+    monogrid(
+        "synth office --frames 500 --max-frames 130 --depth-every 0 --truth-resolution 0.4 --quick-light --size 320x240 --out east",
+        folder,
+    );
+    fs::create_dir(at("west")).unwrap();
+    for name in ["rgb", "rgb.txt", "calibration.txt"] {
+        fs::rename(at("east").join(name), at("west").join(name)).unwrap();
+        std::os::unix::fs::symlink(at("west").join(name), at("east").join(name)).unwrap();
+    }
+    let run = "--rolling-shutter 0 --resolution 0.2";
+    monogrid(&format!("run east --max-frames 80 {run} --out a"), folder);
+    monogrid(&format!("run west --start 45 {run} --out b"), folder);
+    monogrid("merge-runs a b --resolution 0.2 --out merged", folder);
+}
+
+#[test]
+fn an_agent_without_server_goes_on_and_catches_up_and_lies_where_merge_runs_has_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    two_runs(folder.path());
+
+    // the recording of a grows, and nobody is there
+    let server = endpoint();
+    let is_over = Arc::new(AtomicBool::new(false));
+    let a = agent("a", &server, at("growing.mgk"), Arc::clone(&is_over));
+    copied_slowly(&at("a/recording.mgk"), &at("growing.mgk"));
+    is_over.store(true, Ordering::Relaxed);
+    assert!(!a.is_finished());
+
+    let config = server_config(&server, &at("fleet"));
+    let serving = thread::spawn(move || {
+        let mut server = Server::start(config).unwrap();
+        server.work(|| false, &mut |_| {}).unwrap()
+    });
+    let b = agent(
+        "b",
+        &server,
+        at("b/recording.mgk"),
+        Arc::new(AtomicBool::new(true)),
+    );
+    for (agent, keyframes) in [
+        (a, read(&at("a/recording.mgk"))),
+        (b, read(&at("b/recording.mgk"))),
+    ] {
+        let (delivered, said) = agent.join().unwrap();
+        let waited = said
+            .iter()
+            .find(|news| matches!(news, News::Connected { .. }));
+        assert!(
+            matches!(waited, Some(News::Connected { from: 0, of }) if *of > keyframes.keyframes.len() as u64)
+        );
+        assert_eq!(delivered.taken, delivered.packets);
+    }
+    let fleet = serving.join().unwrap();
+    assert!(fleet.agents.iter().all(|agent| agent.has_ended));
+
+    let merged = read(&at("merged/recording.mgk"));
+    let place = |name: &str| place_of(&merged, &read(&at(name).join("recording.mgk")));
+    let expected = place("a").inverse() * place("b");
+    let found = relative(&fleet, "a", "b");
+    assert_close(&found, &expected);
+    // of all keyframes, in one map that all commands read
+    let joined = read(&at("fleet/map/recording.mgk"));
+    assert_eq!(joined.keyframes.len(), merged.keyframes.len());
+}
+
+fn session() -> Record {
+    Record::Session(SessionInfo {
+        pinhole: Pinhole::new(60.0, 60.0, 39.5, 29.5),
+        width: 80,
+        height: 60,
+        scale: Scale::Arbitrary,
+        seed: 1,
+        profile: String::new(),
+        source: "camera".into(),
+        config: String::new(),
+    })
+}
+
+#[test]
+fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let endpoint = endpoint();
+    let is_over = Arc::new(AtomicBool::new(false));
+    let serve = || {
+        let config = server_config(&endpoint, folder.path());
+        let (is_over, mut server) = (Arc::clone(&is_over), Server::start(config).unwrap());
+        thread::spawn(move || {
+            server
+                .work(|| is_over.load(Ordering::Relaxed), &mut |_| {})
+                .unwrap()
+        })
+    };
+    let packet = parts_of(&session()).unwrap()[0].encode().unwrap();
+    let run = RunKey::new("drone", 5).unwrap();
+    let key = |number: u64| run.key(&format!("packets/{number}"));
+    let refused = |link: &Link, packet: Vec<u8>| match link.deliver(&key(0), Some(packet)) {
+        Err(LinkError::Refused(why)) => why,
+        other => panic!("{other:?}"),
+    };
+
+    let serving = serve();
+    let link = Link::open(&endpoint).unwrap();
+    let mut damaged = packet.clone();
+    damaged[20] ^= 1;
+    assert!(refused(&link, damaged).contains("checksum"));
+    let mut newer = packet.clone();
+    newer[4] = 2;
+    assert!(refused(&link, newer).contains("version 2"));
+    // nothing was kept of them; what comes too early is not taken either
+    assert_eq!(link.deliver(&key(3), Some(packet.clone())).unwrap().from, 0);
+    assert_eq!(link.deliver(&key(0), Some(packet.clone())).unwrap().from, 1);
+    // an answer that was lost: the same once more
+    assert_eq!(link.deliver(&key(0), Some(packet.clone())).unwrap().from, 1);
+    assert_eq!(link.ask(&key(0), None).unwrap(), packet);
+    assert!(matches!(
+        link.ask(&key(1), None),
+        Err(LinkError::Refused(_))
+    ));
+    assert!(matches!(
+        link.ask(&format!("{PREFIX}/nothing"), None),
+        Err(LinkError::Refused(_))
+    ));
+    drop(link);
+    is_over.store(true, Ordering::Relaxed);
+    serving.join().unwrap();
+
+    is_over.store(false, Ordering::Relaxed);
+    let serving = serve();
+    let link = Link::open(&endpoint).unwrap();
+    assert_eq!(link.deliver(&run.key("missing"), None).unwrap().from, 1);
+    assert_eq!(link.ask(&key(0), None).unwrap(), packet);
+    let fleet = link.fleet().unwrap();
+    assert_eq!(fleet.shared, Some(run.to_string()));
+    assert_eq!(
+        (fleet.agents[0].packets, fleet.agents[0].shared_from_agent),
+        (1, None)
+    );
+    is_over.store(true, Ordering::Relaxed);
+    serving.join().unwrap();
+}
+
+#[test]
+fn a_joining_is_due_when_two_maps_have_enough_that_is_new() {
+    let config = server_config("tcp/127.0.0.1:1", Path::new("")).joining;
+    let config = JoiningConfig {
+        every: Duration::from_secs(10),
+        min_new_keyframes: 5,
+        ..config
+    };
+    let is_due = |seconds, new, joinable| {
+        monogrid_fleet::server::is_due(&config, Duration::from_secs(seconds), new, joinable)
+    };
+    assert!(is_due(10, 5, 2));
+    assert!(!is_due(9, 5, 2));
+    assert!(!is_due(10, 4, 2));
+    assert!(!is_due(10, 5, 1));
+}
