@@ -10,6 +10,7 @@
 //! fraction of a pixel as the minimum of an interpolated SSD is.
 
 use monogrid_image::GrayImage;
+use wide::f32x8;
 
 /// Samples compared.
 pub(crate) const PATCH: usize = 5;
@@ -26,19 +27,30 @@ const MAX_ITERATIONS: usize = 6;
 /// The refinement stops when it moves less, px.
 const CONVERGED_PX: f32 = 0.005;
 
-/// Bilinear sample; the caller keeps `(x, y)` inside the image.
+/// Bilinear samples at the first `N` of eight places `(x, y)`; the caller keeps them inside the image.
 #[inline]
-pub(crate) fn sample(image: &GrayImage, x: f32, y: f32) -> f32 {
-    let w = image.width();
-    let (ix, iy) = (x as i32, y as i32);
-    let (fx, fy) = (x - ix as f32, y - iy as f32);
-    let i = iy as usize * w + ix as usize;
-    let data = image.as_slice();
-    let (top, bottom) = (&data[i..i + 2], &data[i + w..i + w + 2]);
-    let a = top[0] + fx * (top[1] - top[0]);
-    let b = bottom[0] + fx * (bottom[1] - bottom[0]);
-    a + fy * (b - a)
+fn sample<const N: usize>(image: &GrayImage, x: f32x8, y: f32x8) -> [f32; N] {
+    let (column, row) = (x.fast_trunc_int(), y.fast_trunc_int());
+    let (fx, fy) = (x - f32x8::from_i32x8(column), y - f32x8::from_i32x8(row));
+    let (column, row) = (column.to_array(), row.to_array());
+    let (data, width) = (image.as_slice(), image.width());
+    let mut corners = [[0.0f32; 8]; 4];
+    for k in 0..N {
+        let first = row[k] as usize * width + column[k] as usize;
+        let cell = &data[first..first + width + 2];
+        let values = [cell[0], cell[1], cell[width], cell[width + 1]];
+        for (corner, value) in corners.iter_mut().zip(values) {
+            corner[k] = value;
+        }
+    }
+    let [a, b, c, d] = corners.map(f32x8::new);
+    let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
+    let values = (top + fy * (bottom - top)).to_array();
+    std::array::from_fn(|k| values[k])
 }
+
+/// 0, 1, ... 7.
+const LANE: f32x8 = f32x8::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
 
 /// What is looked for: the keyframe along its epipolar line.
 #[derive(Clone, Copy, Debug)]
@@ -64,16 +76,9 @@ impl Patch {
         step: f32,
         remove_mean: bool,
     ) -> Self {
-        let mut samples = [0.0f32; SAMPLES];
-        for (k, value) in samples.iter_mut().enumerate() {
-            let offset = (k as f32 - (RADIUS + 1) as f32) * step;
-            *value = sample(
-                image,
-                pixel[0] + offset * direction[0],
-                pixel[1] + offset * direction[1],
-            );
-        }
-        Self::from_samples(&samples, remove_mean)
+        let offset = (LANE - (RADIUS + 1) as f32) * step;
+        let [x, y] = [0, 1].map(|axis| pixel[axis] + offset * direction[axis]);
+        Self::from_samples(&sample(image, x, y), remove_mean)
     }
 
     fn from_samples(samples: &[f32; SAMPLES], remove_mean: bool) -> Self {
@@ -121,18 +126,14 @@ pub(crate) struct Walk<'a> {
 }
 
 impl Walk<'_> {
+    /// The samples of a patch around `position`.
     #[inline]
-    fn value(&self, position: f32) -> f32 {
-        let raw = sample(
-            self.image,
-            self.origin[0] + position * self.direction[0],
-            self.origin[1] + position * self.direction[1],
-        );
-        (raw - self.bias) * self.inv_gain
+    fn window(&self, position: f32) -> [f32; PATCH] {
+        let position = position + LANE - RADIUS as f32;
+        let [x, y] = [0, 1].map(|axis| self.origin[axis] + position * self.direction[axis]);
+        sample(self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
     }
-}
 
-impl Walk<'_> {
     /// Samples every px from `from`, in fixed point: steps are exact to 1e-3 px over any search, and
     /// no number is converted to an integer on the way.
     fn fill(&self, from: f32, values: &mut [f32]) {
@@ -151,9 +152,9 @@ impl Walk<'_> {
             let i = (v >> 16) as usize * w + (u >> 16) as usize;
             let fx = (u & 0xFFFF) as f32 * (1.0 / ONE);
             let fy = (v & 0xFFFF) as f32 * (1.0 / ONE);
-            let (top, bottom) = (&data[i..i + 2], &data[i + w..i + w + 2]);
-            let a = top[0] + fx * (top[1] - top[0]);
-            let b = bottom[0] + fx * (bottom[1] - bottom[0]);
+            let cell = &data[i..i + w + 2];
+            let a = cell[0] + fx * (cell[1] - cell[0]);
+            let b = cell[w] + fx * (cell[w + 1] - cell[w]);
             *value = a + fy * (b - a);
             u += step_u;
             v += step_v;
@@ -316,10 +317,7 @@ pub(crate) fn refine(
 /// The inverse-compositional step at `position`, and the SSD there.
 #[inline]
 fn newton_step(patch: &Patch, walk: &Walk<'_>, position: f32, inv_information: f32) -> (f32, f32) {
-    let mut window = [0.0f32; PATCH];
-    for (k, value) in window.iter_mut().enumerate() {
-        *value = walk.value(position + k as f32 - RADIUS as f32);
-    }
+    let window = walk.window(position);
     let mut slope_sum = 0.0;
     for ((slope, value), reference) in patch.slopes.iter().zip(&window).zip(&patch.values) {
         slope_sum += slope * (value - reference);
