@@ -9,6 +9,7 @@
 //! keyframe's own noise cancels in `sum g n` up to the ends, so the match is not drawn to any
 //! fraction of a pixel as the minimum of an interpolated SSD is.
 
+use crate::bilinear::bilinear;
 use monogrid_image::GrayImage;
 use wide::f32x8;
 
@@ -26,28 +27,6 @@ const SHORT: usize = 28;
 const MAX_ITERATIONS: usize = 6;
 /// The refinement stops when it moves less, px.
 const CONVERGED_PX: f32 = 0.005;
-
-/// Bilinear samples at the first `N` of eight places `(x, y)`; the caller keeps them inside the image.
-#[inline]
-fn sample<const N: usize>(image: &GrayImage, x: f32x8, y: f32x8) -> [f32; N] {
-    let (column, row) = (x.fast_trunc_int(), y.fast_trunc_int());
-    let (fx, fy) = (x - f32x8::from_i32x8(column), y - f32x8::from_i32x8(row));
-    let (column, row) = (column.to_array(), row.to_array());
-    let (data, width) = (image.as_slice(), image.width());
-    let mut corners = [[0.0f32; 8]; 4];
-    for k in 0..N {
-        let first = row[k] as usize * width + column[k] as usize;
-        let cell = &data[first..first + width + 2];
-        let values = [cell[0], cell[1], cell[width], cell[width + 1]];
-        for (corner, value) in corners.iter_mut().zip(values) {
-            corner[k] = value;
-        }
-    }
-    let [a, b, c, d] = corners.map(f32x8::new);
-    let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
-    let values = (top + fy * (bottom - top)).to_array();
-    std::array::from_fn(|k| values[k])
-}
 
 /// 0, 1, ... 7.
 const LANE: f32x8 = f32x8::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
@@ -78,7 +57,7 @@ impl Patch {
     ) -> Self {
         let offset = (LANE - (RADIUS + 1) as f32) * step;
         let [x, y] = [0, 1].map(|axis| pixel[axis] + offset * direction[axis]);
-        Self::from_samples(&sample(image, x, y), remove_mean)
+        Self::from_samples(&bilinear(image, x, y), remove_mean)
     }
 
     fn from_samples(samples: &[f32; SAMPLES], remove_mean: bool) -> Self {
@@ -131,7 +110,7 @@ impl Walk<'_> {
     fn window(&self, position: f32) -> [f32; PATCH] {
         let position = position + LANE - RADIUS as f32;
         let [x, y] = [0, 1].map(|axis| self.origin[axis] + position * self.direction[axis]);
-        sample(self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
+        bilinear(self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
     }
 
     /// Samples every px from `from`, in fixed point: steps are exact to 1e-3 px over any search, and
@@ -441,7 +420,7 @@ mod tests {
             let mut values = [0.0; 44];
             walk(&image, 20.0).fill(30.0, &mut values);
             for (i, value) in values.iter().enumerate() {
-                let exact = sample(&image, 30.0 + i as f32, 20.0);
+                let [exact] = bilinear(&image, f32x8::splat(30.0 + i as f32), f32x8::splat(20.0));
                 assert!((value - exact).abs() < 0.01);
             }
             let mut costs = [0.0; 40];

@@ -1,11 +1,15 @@
 //! How a source sees a pixel.
 
 use super::{MultiViewConfig, SourceView};
+use crate::bilinear::bilinear;
 use monogrid_geometry::{Pinhole, Vec2, Vec3};
 use monogrid_image::Image;
+use wide::f32x8;
 
-/// Samples of a patch: three times four lanes.
-pub(super) const SAMPLES: usize = 12;
+/// Samples that are looked up together.
+const GROUP: usize = 6;
+/// Samples of a patch: two groups, and three times four lanes.
+pub(super) const SAMPLES: usize = 2 * GROUP;
 /// A diamond around the pixel (which itself adds little to its neighbours), offsets in px.
 pub(super) const PATTERN: [[i32; 2]; SAMPLES] = [
     [0, -2],
@@ -70,8 +74,8 @@ pub(super) struct Sight<'a> {
     ray: Vec3,
     /// Motion in the source per px of the keyframe, along x and y.
     axes: [[f64; 2]; 2],
-    /// Offsets of the samples in the source, px.
-    offsets: [[f32; 2]; SAMPLES],
+    /// Offsets of the samples in the source along x and y, px: those of either group.
+    offsets: [[f32x8; 2]; 2],
     /// px that the match moves along the gradient, in the keyframe, per unit of ln(rho).
     pub disparity: f64,
 }
@@ -118,7 +122,7 @@ impl<'a> Sight<'a> {
             projection,
             ray,
             axes,
-            offsets: [[0.0; 2]; SAMPLES],
+            offsets: [[f32x8::ZERO; 2]; 2],
             disparity,
         })
     }
@@ -126,12 +130,14 @@ impl<'a> Sight<'a> {
     /// Makes the patch ready for [`Sight::values`].
     pub fn lay_out_patch(&mut self) {
         let [ex, ey] = self.axes;
-        for (offset, [dx, dy]) in self.offsets.iter_mut().zip(PATTERN) {
-            let (dx, dy) = (f64::from(dx), f64::from(dy));
-            *offset = [
-                (ex[0] * dx + ey[0] * dy) as f32,
-                (ex[1] * dx + ey[1] * dy) as f32,
-            ];
+        for (offsets, pattern) in self.offsets.iter_mut().zip(PATTERN.chunks(GROUP)) {
+            *offsets = [0, 1].map(|axis| {
+                let mut lanes = [0.0; 8];
+                for (lane, [dx, dy]) in lanes.iter_mut().zip(pattern) {
+                    *lane = (ex[axis] * f64::from(*dx) + ey[axis] * f64::from(*dy)) as f32;
+                }
+                f32x8::new(lanes)
+            });
         }
     }
 
@@ -157,18 +163,9 @@ impl<'a> Sight<'a> {
     pub fn values(&self, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
         let image = self.projection.image;
         let (x, y) = (x as f32, y as f32);
-        // in two loops, of which the first vectorises
-        let mut cells = [[0i32; 2]; SAMPLES];
-        let mut shares = [[0.0f32; 2]; SAMPLES];
-        for ((cell, share), [dx, dy]) in cells.iter_mut().zip(&mut shares).zip(&self.offsets) {
-            let at = [x + dx, y + dy];
-            *cell = [at[0] as i32, at[1] as i32];
-            *share = [at[0] - cell[0] as f32, at[1] - cell[1] as f32];
-        }
-        let (grey, width) = (image.as_slice(), image.width());
         let mut values = [0.0; SAMPLES];
-        for ((value, cell), share) in values.iter_mut().zip(&cells).zip(&shares) {
-            *value = bilinear(grey, width, *cell, *share);
+        for (values, [dx, dy]) in values.chunks_exact_mut(GROUP).zip(&self.offsets) {
+            values.copy_from_slice(&bilinear::<GROUP, _>(image, x + *dx, y + *dy));
         }
         values
     }
@@ -179,19 +176,4 @@ fn is_inside([x, y]: [f64; 2], image: &Image<u8>) -> bool {
         && y >= MARGIN_PX
         && x < image.width() as f64 - MARGIN_PX - 1.0
         && y < image.height() as f64 - MARGIN_PX - 1.0
-}
-
-/// The image between a pixel and its next ones; the caller keeps all of them inside.
-#[inline]
-fn bilinear(grey: &[u8], width: usize, [column, row]: [i32; 2], [fx, fy]: [f32; 2]) -> f32 {
-    let first = row as usize * width + column as usize;
-    let (Some(&[a, b]), Some(&[c, d])) = (
-        grey.get(first..first + 2),
-        grey.get(first + width..first + width + 2),
-    ) else {
-        return 0.0;
-    };
-    let (a, b, c, d) = (f32::from(a), f32::from(b), f32::from(c), f32::from(d));
-    let (top, bottom) = (a + (b - a) * fx, c + (d - c) * fx);
-    top + (bottom - top) * fy
 }

@@ -1,0 +1,70 @@
+//! Bilinear look-ups, several at once.
+
+use monogrid_image::Image;
+use wide::{f32x8, i32x8};
+
+/// Grey values of which four corners are looked up at eight places.
+pub(crate) trait Grey: Copy {
+    /// The corners of one place.
+    type Cell: Copy + Default;
+
+    fn cell(corners: [Self; 4]) -> Self::Cell;
+
+    /// Corners by place as places by corner.
+    fn by_corner(cells: [Self::Cell; 8]) -> [f32x8; 4];
+}
+
+impl Grey for f32 {
+    type Cell = [f32; 4];
+
+    #[inline]
+    fn cell(corners: [f32; 4]) -> [f32; 4] {
+        corners
+    }
+
+    #[inline]
+    fn by_corner(cells: [[f32; 4]; 8]) -> [f32x8; 4] {
+        std::array::from_fn(|corner| f32x8::new(cells.map(|cell| cell[corner])))
+    }
+}
+
+impl Grey for u8 {
+    /// Upper and lower pair, each as one number: to convert each byte alone costs more than all the rest.
+    type Cell = [i32; 2];
+
+    #[inline]
+    fn cell([a, b, c, d]: [u8; 4]) -> [i32; 2] {
+        [[a, b], [c, d]].map(|pair| i32::from(u16::from_le_bytes(pair)))
+    }
+
+    #[inline]
+    fn by_corner(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
+        let pair = |row: usize| i32x8::new(std::array::from_fn(|place| cells[place][row]));
+        let left = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat(0x00FF));
+        let right = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat(0xFF00)) * (1.0 / 256.0);
+        let (above, below) = (pair(0), pair(1));
+        [left(above), right(above), left(below), right(below)]
+    }
+}
+
+/// The image at the first `N` of eight places `(x, y)`, px; the caller keeps them inside.
+#[inline]
+pub(crate) fn bilinear<const N: usize, T: Grey>(image: &Image<T>, x: f32x8, y: f32x8) -> [f32; N] {
+    let (column, row) = (x.fast_trunc_int(), y.fast_trunc_int());
+    let (fx, fy) = (x - f32x8::from_i32x8(column), y - f32x8::from_i32x8(row));
+    let (column, row) = (column.to_array(), row.to_array());
+    // two slices of equal length, so that one check holds for both
+    let (data, width) = (image.as_slice(), image.width());
+    let below = &data[width..];
+    let above = &data[..below.len()];
+    let mut cells = [T::Cell::default(); 8];
+    for k in 0..N {
+        let left = row[k].wrapping_mul(width as i32).wrapping_add(column[k]) as usize;
+        let (above, below) = (&above[left..], &below[left..]);
+        cells[k] = T::cell([above[0], above[1], below[0], below[1]]);
+    }
+    let [a, b, c, d] = T::by_corner(cells);
+    let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
+    let values = (top + fy * (bottom - top)).to_array();
+    std::array::from_fn(|k| values[k])
+}
