@@ -68,3 +68,31 @@ pub(crate) fn bilinear<const N: usize, T: Grey>(image: &Image<T>, x: f32x8, y: f
     let values = (top + fy * (bottom - top)).to_array();
     std::array::from_fn(|k| values[k])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lanes_equal_the_plain_formula_for_bytes_and_for_numbers() {
+        let bytes = Image::from_fn(31, 17, |x, y| (37 * x + 101 * y + x * y) as u8);
+        let numbers = bytes.map(f32::from);
+        let x = [0.0, 29.0, 3.25, 7.5, 28.99, 12.125, 0.5, 15.75];
+        let y = [0.0, 15.0, 14.5, 0.25, 15.99, 8.0, 3.625, 7.75];
+        let plain = |k: usize| {
+            let (column, row) = (x[k] as usize, y[k] as usize);
+            let (fx, fy) = (x[k] - column as f32, y[k] - row as f32);
+            let along = |row: usize| {
+                let (a, b) = (numbers.at(column, row), numbers.at(column + 1, row));
+                a + fx * (b - a)
+            };
+            along(row) + fy * (along(row + 1) - along(row))
+        };
+        let expected: [f32; 8] = std::array::from_fn(plain);
+        let (x, y) = (f32x8::new(x), f32x8::new(y));
+        assert_eq!(bilinear(&bytes, x, y), expected);
+        assert_eq!(bilinear(&numbers, x, y), expected);
+        let first: [f32; 3] = bilinear(&bytes, x, y);
+        assert_eq!(first, expected[..3]);
+    }
+}
