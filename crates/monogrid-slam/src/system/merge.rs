@@ -210,3 +210,6 @@ fn setups(config: &SlamConfig, keyframes: &[StoredKeyframe]) -> Vec<Setup> {
     }
     setups
 }
+
+#[cfg(test)]
+mod tests;
