@@ -149,12 +149,12 @@ impl Agent {
             }
             let has_grown = self.follow()?;
             let has_sent = self.deliver(say);
+            self.tell_pose(say);
             if let Some(since) = over_since {
                 let is_done = self.next >= self.log.len() && matches!(self.link, LinkState::Up(_));
                 let gave_up = since.elapsed() > self.config.give_up_after;
                 let is_refused = matches!(self.link, LinkState::Refused);
                 if !has_grown && (is_done || gave_up || is_refused || self.log.is_empty()) {
-                    self.tell_pose(say);
                     return Ok(self.summary());
                 }
             }
@@ -206,10 +206,7 @@ impl Agent {
             }
         };
         match sent {
-            Ok(has_sent) => {
-                self.tell_pose(say);
-                has_sent
-            }
+            Ok(has_sent) => has_sent,
             Err(LinkError::Lost(why)) => {
                 if matches!(self.link, LinkState::Up(_)) {
                     say(&News::Lost(why));
