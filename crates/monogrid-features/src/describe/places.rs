@@ -104,6 +104,12 @@ impl PlaceIndex {
         self.places.len()
     }
 
+    /// Memory that it takes, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.heads.capacity() * size_of::<u32>() + self.entries.capacity() * size_of::<Entry>()
+    }
+
     /// Adds a place with its descriptors; returns whether it was new (nothing is added otherwise).
     pub fn add(&mut self, place: u64, descriptors: &[Descriptor]) -> bool {
         let is_full = self.entries.len() + descriptors.len() >= END as usize;
