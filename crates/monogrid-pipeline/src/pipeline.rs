@@ -10,12 +10,12 @@ use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_inertial::Imu;
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
-    KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, PosedKeyframe,
-    camera_paths, final_scans_counted, z_up_from_camera_world,
+    KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, camera_paths,
+    z_up_from_camera_world,
 };
 use monogrid_slam::{
-    Event, FrameInput, FrameReport, KeptKeyframe, Keyframe, MapSize, PoseSnapshot, Purpose, Slam,
-    SlamConfig, StoredMap, TrackedFrame, TrajectoryPose,
+    Event, FrameInput, FrameReport, MapSize, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
+    TrackedFrame, TrajectoryPose,
 };
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -483,20 +483,7 @@ impl Finished {
         if self.localise_only {
             return Vec::new();
         }
-        let mapper = maps.mapper();
-        let finished = self.slam.keyframes();
-        let finished: Vec<Keyframe> = finished.iter().filter_map(KeptKeyframe::load).collect();
-        let keyframes: Vec<PosedKeyframe> = finished
-            .iter()
-            .map(|keyframe| PosedKeyframe {
-                id: keyframe.id,
-                image: Some(&keyframe.image),
-                pixels: &keyframe.pixels,
-                world_from_keyframe: self.poses.in_main_map(keyframe.id).copied(),
-            })
-            .collect();
-        let size = finished.first().map_or((0, 0), Keyframe::size);
-        let camera = KeyframeCamera::new(*self.slam.pinhole(), size);
-        final_scans_counted(&keyframes, &camera, mapper.config(), self.threads, done)
+        let config = maps.mapper().config();
+        self.slam.final_scans(config, self.threads, done)
     }
 }

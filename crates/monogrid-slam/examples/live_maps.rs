@@ -47,7 +47,7 @@ fn main() {
     };
     let keyframes = options.number("keyframes", 45);
     let (scans, poses) = keyframes_of(Path::new(recording), keyframes, &config);
-    let points: usize = scans.iter().map(|s| s.pixels.len()).sum();
+    let points: usize = scans.iter().map(|s| s.num_pixels).sum();
     println!(
         "{} keyframes, {points} measurements, cells of {} m",
         scans.len(),

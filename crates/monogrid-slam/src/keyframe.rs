@@ -78,6 +78,12 @@ impl KeptKeyframe {
         self.image.grey()
     }
 
+    /// Its semi-dense depth, row-major; `None` where it cannot be read back.
+    #[must_use]
+    pub fn pixels(&self) -> Option<Vec<DepthPixel>> {
+        Some(self.pixels.get()?.to_vec())
+    }
+
     /// All of it; `None` where it cannot be read back.
     #[must_use]
     pub fn load(&self) -> Option<Keyframe> {
@@ -87,7 +93,7 @@ impl KeptKeyframe {
             timestamp_ns: self.timestamp_ns,
             revision: self.revision,
             image: self.image()?,
-            pixels: self.pixels.get()?.to_vec(),
+            pixels: self.pixels()?,
         })
     }
 }

@@ -180,6 +180,23 @@ fn auto_or_positive(text: &str) -> Result<AutoOr, String> {
         .map_err(|_| "expected a positive number or `auto`".into())
 }
 
+/// Bytes of memory, from 1 MB on.
+pub fn memory(text: &str) -> Result<u64, String> {
+    let expected = || "expected a size from 1MB to 1000000GB, e.g. 500MB or 1.5GB".to_owned();
+    let upper = text.trim().to_ascii_uppercase();
+    let units = [("MB", 1e6), ("GB", 1e9)];
+    let found = units.iter().find_map(|(unit, bytes)| {
+        let number: f64 = upper.strip_suffix(unit)?.trim().parse().ok()?;
+        Some(number * bytes)
+    });
+    let bytes = found.ok_or_else(expected)?;
+    if (1e6..=1e15).contains(&bytes) {
+        Ok(bytes as u64)
+    } else {
+        Err(expected())
+    }
+}
+
 /// Most pixels of a working image: tracking keeps some hundred bytes for each.
 const MAX_PIXELS: usize = 4_000_000;
 
@@ -212,6 +229,11 @@ mod tests {
         assert_eq!(size("640x480"), Ok((640, 480)));
         for bad in ["8192x8192", "640", "x480", "0x480", "640x-1", "9999x480"] {
             assert!(size(bad).is_err(), "{bad}");
+        }
+        assert_eq!(memory("500MB"), Ok(500_000_000));
+        assert_eq!(memory("1.5 gb"), Ok(1_500_000_000));
+        for bad in ["500", "MB", "0MB", "-1GB", "nanMB", "infGB", "1e9GB"] {
+            assert!(memory(bad).is_err(), "{bad}");
         }
         for bad in ["0", "-1", "nan", "inf", "x"] {
             assert!(positive(bad).is_err(), "{bad}");

@@ -11,10 +11,11 @@
 //! Depth that was measured has a full vote, depth that was filled a smaller one. Pixels with too many votes against them
 //! are taken out. Images are compared in blocks of a few pixels.
 
-use super::scan::Depths;
+use super::scan::{Depths, KeptDepths};
 use super::{FillConfig, KeyframeCamera};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
+use std::sync::Arc;
 
 /// Edge of a block, px.
 const BLOCK_PX: usize = 4;
@@ -45,10 +46,10 @@ pub(super) struct Blocks {
 }
 
 /// A keyframe with its pose.
-#[derive(Debug)]
-pub(super) struct View<'a> {
-    pub depths: &'a Depths,
-    pub blocks: Blocks,
+#[derive(Clone, Debug)]
+pub(super) struct View {
+    pub depths: KeptDepths,
+    pub blocks: Arc<Blocks>,
     pub world_from_keyframe: Sim3,
 }
 
@@ -144,7 +145,8 @@ pub(super) fn kept(
 ) -> Option<Vec<bool>> {
     let this = views[index].as_ref()?;
     let mut votes = vec![Votes::default(); this.blocks.blocks.len()];
-    for other in witnesses(views, this, index, camera, config.max_witnesses) {
+    let witnesses = witnesses(views, index, camera, config.max_witnesses);
+    for other in witnesses.iter().filter_map(|other| views[*other].as_ref()) {
         let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
         hear_where_it_sees(&mut votes, this, other, &other_from_this, camera, config);
         hear_where_it_is_seen(&mut votes, this, other, &other_from_this, camera, config);
@@ -153,23 +155,22 @@ pub(super) fn kept(
         let votes = votes[this.blocks.index_of_pixel(pixel)];
         votes.against <= config.max_against * votes.agree.max(FILLED_VOTE)
     };
-    Some(this.depths.filled.iter().map(is_kept).collect())
+    Some(this.depths.filled().0.iter().map(is_kept).collect())
 }
 
-/// Keyframes that see some of the same, evenly spread over all of them.
-pub(super) fn witnesses<'a, 'b>(
-    views: &'a [Option<View<'b>>],
-    this: &View,
+/// Keyframes that see some of what keyframe `index` sees, evenly spread over all of them; none where it has no pose.
+pub(super) fn witnesses(
+    views: &[Option<View>],
     index: usize,
     camera: &KeyframeCamera,
     max: usize,
-) -> Vec<&'a View<'b>> {
-    let seen: Vec<&View> = views
-        .iter()
-        .enumerate()
-        .filter(|(other, _)| *other != index)
-        .filter_map(|(_, other)| other.as_ref())
-        .filter(|other| overlap(this, other, camera) >= MIN_OVERLAP)
+) -> Vec<usize> {
+    let Some(this) = &views[index] else {
+        return Vec::new();
+    };
+    let overlaps = |other: &View| overlap(this, other, camera) >= MIN_OVERLAP;
+    let seen: Vec<usize> = (0..views.len())
+        .filter(|other| *other != index && views[*other].as_ref().is_some_and(overlaps))
         .collect();
     let count = seen.len().min(max);
     (0..count).map(|k| seen[k * seen.len() / count]).collect()
@@ -265,6 +266,7 @@ fn hear_where_it_is_seen(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::Store;
     use monogrid_geometry::Rotation;
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -312,8 +314,8 @@ mod tests {
             .map(|(k, depths)| {
                 let centre = Vec3::new(0.1 * k as f64, 0.0, 0.0);
                 Some(View {
-                    depths,
-                    blocks: Blocks::new(depths, &CAMERA),
+                    depths: KeptDepths::new(&Store::default(), depths.clone()),
+                    blocks: Arc::new(Blocks::new(depths, &CAMERA)),
                     world_from_keyframe: Sim3::new(1.0, Rotation::identity(), centre),
                 })
             })

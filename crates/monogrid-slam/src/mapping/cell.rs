@@ -62,7 +62,8 @@ pub fn scene_cell(views: &[UprightView], config: &MappingConfig) -> Option<Scene
     let mut volume = 0.0;
     for view in views {
         let scale = view.world_from_keyframe.scale;
-        let pixels = view.scan.pixels.iter().filter(|p| p.idepth > 0.0);
+        let pixels = view.scan.pixels();
+        let pixels = pixels.iter().filter(|p| p.idepth > 0.0);
         let mut of_view = Vec::new();
         for pixel in pixels.step_by(7) {
             of_view.push(scale / f64::from(pixel.idepth));
@@ -142,12 +143,7 @@ mod tests {
                 sigma_idepth: relative_sigma / depth,
             })
             .collect();
-        let scan = KeyframeScan {
-            id: 0,
-            camera: CAMERA,
-            pixels,
-            num_filled: 0,
-        };
+        let scan = KeyframeScan::of_measurements(0, CAMERA, pixels, 0);
         let view = UprightView {
             scan: &scan,
             image: None,

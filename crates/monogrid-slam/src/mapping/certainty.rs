@@ -40,11 +40,27 @@ pub(super) struct Certainty {
 impl Certainty {
     /// From how well keyframes with poses agree; 1 where too little is seen twice.
     pub fn of_views(views: &[Option<View>], camera: &KeyframeCamera, threads: usize) -> Self {
-        let compared = for_each_keyframe(views.len(), threads, |index| {
+        let count = views.len();
+        let sampled = for_each_keyframe(count, threads, |index| {
+            views[index]
+                .as_ref()
+                .map_or_else(Depths::default, |view| sampled(&view.depths.get()))
+        });
+        let witnesses = for_each_keyframe(count, threads, |index| {
+            witnesses(views, index, camera, MAX_WITNESSES)
+        });
+        // so that the depth of each is needed once
+        let compared = for_each_keyframe(count, threads, |other| {
             let mut compared = Compared::default();
-            if let Some(this) = &views[index] {
-                for other in witnesses(views, this, index, camera, MAX_WITNESSES) {
-                    compared.compare(this, other, camera);
+            let Some(witness) = &views[other] else {
+                return compared;
+            };
+            let theirs = witness.depths.get();
+            for (index, this) in views.iter().enumerate() {
+                if let Some(this) = this.as_ref().filter(|_| witnesses[index].contains(&other)) {
+                    let other_from_this =
+                        witness.world_from_keyframe.inverse() * this.world_from_keyframe;
+                    compared.compare(&sampled[index], &theirs, &other_from_this, camera);
                 }
             }
             compared
@@ -94,23 +110,33 @@ struct Compared {
 
 impl Compared {
     /// Measured depth with measured depth, filled with filled.
-    fn compare(&mut self, this: &View, other: &View, camera: &KeyframeCamera) {
-        let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
+    /// Adds those of some depths of a keyframe from the depths of another.
+    fn compare(
+        &mut self,
+        mine: &Depths,
+        theirs: &Depths,
+        other_from_this: &Sim3,
+        camera: &KeyframeCamera,
+    ) {
         let kinds = [
-            (
-                &mut self.measured,
-                &this.depths.measured,
-                &other.depths.measured,
-            ),
-            (&mut self.filled, &this.depths.filled, &other.depths.filled),
+            (&mut self.measured, &mine.measured, &theirs.measured),
+            (&mut self.filled, &mine.filled, &theirs.filled),
         ];
         for (differences, mine, theirs) in kinds {
-            let mine = mine.iter().step_by(STRIDE);
-            differences.extend(mine.filter_map(|pixel| {
-                let (expected, at) = seen_from(pixel, &other_from_this, camera)?;
+            differences.extend(mine.iter().filter_map(|pixel| {
+                let (expected, at) = seen_from(pixel, other_from_this, camera)?;
                 difference(pixel, expected, depth_at(theirs, at)?)
             }));
         }
+    }
+}
+
+/// Some of the depths of a keyframe.
+fn sampled(depths: &Depths) -> Depths {
+    let some = |pixels: &[Measurement]| pixels.iter().step_by(STRIDE).copied().collect();
+    Depths {
+        measured: some(&depths.measured),
+        filled: some(&depths.filled),
     }
 }
 
@@ -155,8 +181,11 @@ fn difference(pixel: &Measurement, expected: f32, other: &Measurement) -> Option
 #[cfg(test)]
 mod tests {
     use super::super::agreement::Blocks;
+    use super::super::scan::KeptDepths;
     use super::*;
+    use crate::store::Store;
     use monogrid_geometry::{Pinhole, Rotation, Vec3};
+    use std::sync::Arc;
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
         pinhole: Pinhole {
@@ -212,8 +241,8 @@ mod tests {
             .iter()
             .map(|(depths, world_from_keyframe)| {
                 Some(View {
-                    depths,
-                    blocks: Blocks::new(depths, &CAMERA),
+                    depths: KeptDepths::new(&Store::default(), depths.clone()),
+                    blocks: Arc::new(Blocks::new(depths, &CAMERA)),
                     world_from_keyframe: *world_from_keyframe,
                 })
             })

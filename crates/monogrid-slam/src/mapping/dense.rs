@@ -1,12 +1,14 @@
 //! Dense depth of the keyframes at the final poses: stereo with the keyframes that see the same from beside, then what
 //! these confirm of it, then one list of depths with those of the filter.
 
-use super::refine::for_each_keyframe;
-use super::{DenseMappingConfig, KeyframeCamera, PosedKeyframe};
+use super::posed::Keyframes;
+use super::refine::{for_each_keyframe, source_views};
+use super::{DenseMappingConfig, KeyframeCamera};
 use crate::DepthPixel;
-use monogrid_depth::{DenseDepth, PixelDepth, SourceView, Witness, dense_depth};
+use monogrid_depth::{DenseDepth, PixelDepth, Witness, dense_depth};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
+use std::borrow::Cow;
 
 /// Depths of a keyframe by which its neighbours are judged, at most.
 const MAX_PROBES: usize = 200;
@@ -29,7 +31,7 @@ struct Neighbour {
 ///
 /// The result does not depend on the number of threads.
 pub(super) fn dense_depths(
-    keyframes: &[PosedKeyframe],
+    keyframes: &dyn Keyframes,
     camera: &KeyframeCamera,
     config: &DenseMappingConfig,
     threads: usize,
@@ -60,23 +62,23 @@ pub(super) fn dense_depths(
 
 /// The dense depth of one keyframe by its neighbours.
 fn stereo<'a>(
-    keyframes: &[PosedKeyframe],
+    keyframes: &dyn Keyframes,
     index: usize,
     neighbours: impl Iterator<Item = &'a Neighbour>,
     camera: &KeyframeCamera,
     config: &DenseMappingConfig,
 ) -> Option<DenseDepth> {
-    let this = &keyframes[index];
-    let source = |neighbour: &Neighbour| {
-        Some(SourceView {
-            image: keyframes[neighbour.index].image?,
-            source_from_keyframe: neighbour.neighbour_from_keyframe,
+    let near: Vec<(Cow<Image<u8>>, Sim3)> = neighbours
+        .filter_map(|neighbour| {
+            let image = keyframes.image(neighbour.index)?;
+            Some((image, neighbour.neighbour_from_keyframe))
         })
-    };
-    let sources: Vec<SourceView> = neighbours.filter_map(source).collect();
-    let seeds: Vec<PixelDepth> = this.pixels.iter().map(PixelDepth::from).collect();
+        .collect();
+    let sources = source_views(&near);
+    let pixels = keyframes.pixels(index);
+    let seeds: Vec<PixelDepth> = pixels.iter().map(PixelDepth::from).collect();
     dense_depth(
-        this.image?,
+        &*keyframes.image(index)?,
         &camera.pinhole,
         &seeds,
         &sources,
@@ -86,23 +88,21 @@ fn stereo<'a>(
 
 /// The keyframes with an image that are most useful for the depth of another one, the best first.
 fn neighbours(
-    keyframes: &[PosedKeyframe],
+    keyframes: &dyn Keyframes,
     index: usize,
     camera: &KeyframeCamera,
     best_angle_deg: f64,
     max: usize,
 ) -> Vec<Neighbour> {
-    let this = &keyframes[index];
-    let Some(world_from_this) = this.world_from_keyframe else {
+    let Some(world_from_this) = keyframes.world_from_keyframe(index) else {
         return Vec::new();
     };
-    let points = probes(this, camera);
-    let mut useful: Vec<(f64, Neighbour)> = keyframes
-        .iter()
-        .enumerate()
-        .filter(|(other, keyframe)| *other != index && keyframe.image.is_some())
-        .filter_map(|(other, keyframe)| {
-            let neighbour_from_keyframe = keyframe.world_from_keyframe?.inverse() * world_from_this;
+    let points = probes(&keyframes.pixels(index), camera);
+    let mut useful: Vec<(f64, Neighbour)> = (0..keyframes.len())
+        .filter(|other| *other != index && keyframes.has_image(*other))
+        .filter_map(|other| {
+            let world_from_other = keyframes.world_from_keyframe(other)?;
+            let neighbour_from_keyframe = world_from_other.inverse() * world_from_this;
             let usefulness = usefulness(&points, &neighbour_from_keyframe, camera, best_angle_deg);
             let neighbour = Neighbour {
                 index: other,
@@ -118,10 +118,10 @@ fn neighbours(
 }
 
 /// Some points that a keyframe sees, in its frame.
-fn probes(keyframe: &PosedKeyframe, camera: &KeyframeCamera) -> Vec<Vec3> {
-    let stride = keyframe.pixels.len().div_ceil(MAX_PROBES).max(1);
+fn probes(pixels: &[DepthPixel], camera: &KeyframeCamera) -> Vec<Vec3> {
+    let stride = pixels.len().div_ceil(MAX_PROBES).max(1);
     let known = |p: &&DepthPixel| p.idepth > 0.0 && p.idepth.is_finite();
-    let pixels = keyframe.pixels.iter().step_by(stride).filter(known);
+    let pixels = pixels.iter().step_by(stride).filter(known);
     pixels
         .map(|p| {
             let ray = camera.pinhole.unproject(&Vec2::new(p.x.into(), p.y.into()));
@@ -242,6 +242,7 @@ fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::PosedKeyframe;
     use monogrid_geometry::{Pinhole, Rotation};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -290,7 +291,7 @@ mod tests {
             })
             .collect();
         let order = |keyframes: &[PosedKeyframe], max| -> Vec<usize> {
-            let found = neighbours(keyframes, 0, &CAMERA, 8.0, max);
+            let found = neighbours(&keyframes, 0, &CAMERA, 8.0, max);
             found.iter().map(|n| n.index).collect()
         };
         assert_eq!(order(&keyframes, 9), [2, 3, 1]);

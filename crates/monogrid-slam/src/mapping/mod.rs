@@ -27,6 +27,7 @@ mod config;
 mod dense;
 mod fill;
 mod maps;
+mod posed;
 mod refine;
 mod scan;
 mod upright;
@@ -42,8 +43,11 @@ pub use fill::fill_plain_regions;
 pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,
 };
-pub use refine::{PosedKeyframe, final_scans, final_scans_counted, refined_depths};
-pub use scan::{KeyframeCamera, KeyframeScan};
+pub(crate) use posed::KeptKeyframes;
+pub use posed::PosedKeyframe;
+pub(crate) use refine::final_scans_of;
+pub use refine::{final_scans, final_scans_counted, refined_depths};
+pub use scan::{KeyframeCamera, KeyframeScan, ScanPixels};
 pub use upright::{
     Floor, Upright, UprightConfig, UprightView, floor_below, level_from_world, upright,
 };

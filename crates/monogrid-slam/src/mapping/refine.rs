@@ -3,28 +3,18 @@
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
 use super::dense::{dense_depths, merged};
-use super::scan::Depths;
+use super::posed::{Keyframes, PosedKeyframe};
+use super::scan::{Depths, KeptDepths};
 use super::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
-use crate::{DepthPixel, KeyframeId};
+use crate::DepthPixel;
+use crate::store::Store;
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
 use std::borrow::Cow;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
-
-/// A finished keyframe, with its final pose where it is known.
-#[derive(Clone, Copy, Debug)]
-pub struct PosedKeyframe<'a> {
-    /// Identity.
-    pub id: KeyframeId,
-    /// Its image; without one it is mapped as it was measured.
-    pub image: Option<&'a Image<u8>>,
-    /// Its depth, row-major, in its own units.
-    pub pixels: &'a [DepthPixel],
-    /// Its pose in a world that all share.
-    pub world_from_keyframe: Option<Sim3>,
-}
 
 /// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
 /// keyframes around it ([`monogrid_depth::refine_depth`]) if the settings ask for it, filtered and filled as
@@ -50,89 +40,124 @@ pub fn final_scans_counted(
     threads: usize,
     done: &AtomicUsize,
 ) -> Vec<KeyframeScan> {
-    let dense = match config.quality {
-        MapQuality::Dense => dense_depths(keyframes, camera, &config.dense, threads),
-        MapQuality::Fast => vec![None; keyframes.len()],
-    };
-    let depths = for_each_keyframe(keyframes.len(), threads, |index| {
-        let keyframe = &keyframes[index];
-        let pixels = final_pixels(keyframes, index, dense[index].as_ref(), camera, config);
-        let depths = Depths::new(keyframe.id, &pixels, keyframe.image, camera, config);
-        done.fetch_add(1, Ordering::Relaxed);
-        depths
-    });
-    let agreed = agreed(keyframes, depths, camera, config, threads);
-    let ids = keyframes.iter().map(|keyframe| keyframe.id);
-    ids.zip(agreed)
-        .map(|(id, depths)| depths.joined(id, camera))
-        .collect()
+    final_scans_of(
+        &keyframes,
+        camera,
+        config,
+        threads,
+        (&Store::default(), done),
+    )
 }
 
-/// The depth of each keyframe as the others have it: without filled depth that they contradict, and as certain as they agree.
-fn agreed(
-    keyframes: &[PosedKeyframe],
-    mut depths: Vec<Depths>,
+/// As [`final_scans_counted`], of keyframes that lie where there is room, and so do the scans, in the store.
+pub(crate) fn final_scans_of(
+    keyframes: &dyn Keyframes,
     camera: &KeyframeCamera,
     config: &MappingConfig,
     threads: usize,
-) -> Vec<Depths> {
-    if config.fill.max_witnesses > 0 {
-        let views = views(keyframes, &depths, camera, threads);
-        let kept = for_each_keyframe(keyframes.len(), threads, |index| {
-            kept(&views, index, camera, &config.fill)
-        });
-        drop(views);
-        for (depths, kept) in depths.iter_mut().zip(kept) {
-            let mut kept = kept.unwrap_or_default().into_iter();
+    (store, done): (&Store, &AtomicUsize),
+) -> Vec<KeyframeScan> {
+    let count = keyframes.len();
+    let dense = match config.quality {
+        MapQuality::Dense => dense_depths(keyframes, camera, &config.dense, threads),
+        MapQuality::Fast => vec![None; count],
+    };
+    let found = for_each_keyframe(count, threads, |index| {
+        let pixels = final_pixels(keyframes, index, dense[index].as_ref(), camera, config);
+        let image = keyframes.image(index);
+        let id = keyframes.id(index);
+        let depths = Depths::new(id, &pixels, image.as_deref(), camera, config);
+        done.fetch_add(1, Ordering::Relaxed);
+        Found::new(depths, keyframes.world_from_keyframe(index), camera, store)
+    });
+    let found = if config.fill.max_witnesses > 0 {
+        without_contradicted(found, camera, config, threads, store)
+    } else {
+        found
+    };
+    let certainty = config.sigma_from_agreement.then(|| {
+        let views: Vec<Option<View>> = found.iter().map(|found| found.view.clone()).collect();
+        Certainty::of_views(&views, camera, threads)
+    });
+    for_each_keyframe(count, threads, |index| {
+        let mut depths = found[index].depths.get();
+        if let Some(certainty) = certainty {
+            certainty.apply(&mut depths, config.filter.max_agreed_sigma as f32);
+        }
+        depths.joined(keyframes.id(index), camera, store)
+    })
+}
+
+/// What was found of a keyframe.
+struct Found {
+    depths: KeptDepths,
+    /// As others see it, where it has a pose.
+    view: Option<View>,
+}
+
+impl Found {
+    fn new(
+        depths: Depths,
+        world_from_keyframe: Option<Sim3>,
+        camera: &KeyframeCamera,
+        store: &Store,
+    ) -> Self {
+        let blocks = world_from_keyframe.map(|_| Arc::new(Blocks::new(&depths, camera)));
+        let depths = KeptDepths::new(store, depths);
+        let view = world_from_keyframe.zip(blocks);
+        Self {
+            view: view.map(|(world_from_keyframe, blocks)| View {
+                depths: depths.clone(),
+                blocks,
+                world_from_keyframe,
+            }),
+            depths,
+        }
+    }
+}
+
+/// The depth of each keyframe without filled depth that others contradict.
+fn without_contradicted(
+    found: Vec<Found>,
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+    store: &Store,
+) -> Vec<Found> {
+    let (all, views): (Vec<KeptDepths>, Vec<Option<View>>) = found
+        .into_iter()
+        .map(|found| (found.depths, found.view))
+        .unzip();
+    for_each_keyframe(all.len(), threads, |index| {
+        let mut depths = all[index].get();
+        if let Some(kept) = kept(&views, index, camera, &config.fill) {
+            let mut kept = kept.into_iter();
             depths.filled.retain(|_| kept.next().unwrap_or(true));
             depths.filled.shrink_to_fit();
         }
-    }
-    if config.sigma_from_agreement {
-        let views = views(keyframes, &depths, camera, threads);
-        let certainty = Certainty::of_views(&views, camera, threads);
-        drop(views);
-        for depths in &mut depths {
-            certainty.apply(depths, config.filter.max_agreed_sigma as f32);
-        }
-    }
-    depths
-}
-
-/// The keyframes that have a pose.
-fn views<'a>(
-    keyframes: &[PosedKeyframe],
-    depths: &'a [Depths],
-    camera: &KeyframeCamera,
-    threads: usize,
-) -> Vec<Option<View<'a>>> {
-    for_each_keyframe(keyframes.len(), threads, |index| {
-        Some(View {
-            depths: &depths[index],
-            blocks: Blocks::new(&depths[index], camera),
-            world_from_keyframe: keyframes[index].world_from_keyframe?,
-        })
+        let pose = views[index].as_ref().map(|view| view.world_from_keyframe);
+        Found::new(depths, pose, camera, store)
     })
 }
 
 /// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
 fn final_pixels<'a>(
-    keyframes: &[PosedKeyframe<'a>],
+    keyframes: &'a dyn Keyframes,
     index: usize,
     dense: Option<&DenseDepth>,
     camera: &KeyframeCamera,
     config: &MappingConfig,
 ) -> Cow<'a, [DepthPixel]> {
-    let pixels = keyframes[index].pixels;
-    let pixels = dense.map_or(Cow::Borrowed(pixels), |dense| {
-        Cow::Owned(merged(pixels, dense, camera))
-    });
+    let pixels = keyframes.pixels(index);
+    let pixels = match dense {
+        Some(dense) => Cow::Owned(merged(&pixels, dense, camera)),
+        None => pixels,
+    };
     if config.refine.enabled {
-        let sources = sources(keyframes, index, &config.refine);
         Cow::Owned(refined_pixels(
-            &keyframes[index],
+            keyframes,
+            index,
             &pixels,
-            &sources,
             camera,
             &config.refine,
         ))
@@ -153,9 +178,8 @@ pub fn refined_depths(
     threads: usize,
 ) -> Vec<Vec<DepthPixel>> {
     for_each_keyframe(keyframes.len(), threads, |index| {
-        let keyframe = &keyframes[index];
-        let sources = sources(keyframes, index, config);
-        refined_pixels(keyframe, keyframe.pixels, &sources, camera, config)
+        let pixels = keyframes[index].pixels;
+        refined_pixels(&keyframes, index, pixels, camera, config)
     })
 }
 
@@ -191,17 +215,24 @@ pub(super) fn for_each_keyframe<T: Send>(
 
 /// Depths of one keyframe, refined by the others; as they were without an image.
 fn refined_pixels(
-    keyframe: &PosedKeyframe,
+    keyframes: &dyn Keyframes,
+    index: usize,
     pixels: &[DepthPixel],
-    sources: &[SourceView],
     camera: &KeyframeCamera,
     config: &RefineConfig,
 ) -> Vec<DepthPixel> {
-    let Some(image) = keyframe.image else {
+    let Some(image) = keyframes.image(index) else {
         return pixels.to_vec();
     };
+    let near: Vec<(Cow<Image<u8>>, Sim3)> = near(keyframes, index, config)
+        .into_iter()
+        .filter_map(|(other, source_from_keyframe)| {
+            Some((keyframes.image(other)?, source_from_keyframe))
+        })
+        .collect();
+    let sources = source_views(&near);
     let pixels: Vec<PixelDepth> = pixels.iter().map(PixelDepth::from).collect();
-    let (refined, _) = refine_depth(image, &camera.pinhole, &pixels, sources, &config.stereo);
+    let (refined, _) = refine_depth(&image, &camera.pinhole, &pixels, &sources, &config.stereo);
     refined
         .into_iter()
         .map(|pixel| DepthPixel {
@@ -225,37 +256,40 @@ impl From<&DepthPixel> for PixelDepth {
     }
 }
 
-/// The nearest keyframes with image and pose, nearest first.
-fn sources<'a>(
-    keyframes: &[PosedKeyframe<'a>],
-    index: usize,
-    config: &RefineConfig,
-) -> Vec<SourceView<'a>> {
-    let this = &keyframes[index];
-    let (Some(world_from_this), Some(median)) =
-        (this.world_from_keyframe, median_idepth(this.pixels))
-    else {
+/// Images, with `source_from_keyframe`, as stereo takes them.
+pub(super) fn source_views<'a>(images: &'a [(Cow<'_, Image<u8>>, Sim3)]) -> Vec<SourceView<'a>> {
+    let view = |(image, source_from_keyframe): &'a (Cow<'_, Image<u8>>, Sim3)| SourceView {
+        image: image.as_ref(),
+        source_from_keyframe: *source_from_keyframe,
+    };
+    images.iter().map(view).collect()
+}
+
+/// The nearest keyframes with image and pose, nearest first, with `source_from_keyframe`.
+fn near(keyframes: &dyn Keyframes, index: usize, config: &RefineConfig) -> Vec<(usize, Sim3)> {
+    let (Some(world_from_this), Some(median)) = (
+        keyframes.world_from_keyframe(index),
+        median_idepth(&keyframes.pixels(index)),
+    ) else {
         return Vec::new();
     };
-    let mut near: Vec<(f64, SourceView)> = keyframes
-        .iter()
-        .enumerate()
-        .filter(|(other, _)| *other != index)
-        .filter_map(|(_, other)| {
-            let source_from_keyframe = other.world_from_keyframe?.inverse() * world_from_this;
+    let mut near: Vec<(f64, usize, Sim3)> = (0..keyframes.len())
+        .filter(|other| *other != index && keyframes.has_image(*other))
+        .filter_map(|other| {
+            let world_from_other = keyframes.world_from_keyframe(other)?;
+            let source_from_keyframe = world_from_other.inverse() * world_from_this;
             let center_in_this = source_from_keyframe.inverse().translation;
             let separation = center_in_this.norm() * median + source_from_keyframe.rotation.angle();
-            let source = SourceView {
-                image: other.image?,
-                source_from_keyframe,
-            };
-            (separation <= config.max_separation).then_some((separation, source))
+            let is_near = separation <= config.max_separation;
+            is_near.then_some((separation, other, source_from_keyframe))
         })
         .collect();
     // stable: equal ones in the order of the keyframes
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     near.truncate(config.max_keyframes);
-    near.into_iter().map(|(_, source)| source).collect()
+    near.into_iter()
+        .map(|(_, other, pose)| (other, pose))
+        .collect()
 }
 
 fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
@@ -272,6 +306,7 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::KeyframeId;
     use crate::mapping::FillConfig;
     use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
 
@@ -325,8 +360,8 @@ mod tests {
     /// Share of the mapped depths of a keyframe of that unit that are right to within 2 %.
     fn share_right(scan: &KeyframeScan, scale: f64) -> f64 {
         let is_right = |idepth: f32| (f64::from(idepth) * 2.0 / scale - 1.0).abs() < 0.02;
-        let num_right = scan.pixels.iter().filter(|p| is_right(p.idepth)).count();
-        num_right as f64 / scan.pixels.len() as f64
+        let num_right = scan.pixels().iter().filter(|p| is_right(p.idepth)).count();
+        num_right as f64 / scan.num_pixels as f64
     }
 
     #[test]
@@ -408,7 +443,7 @@ mod tests {
         assert_eq!(final_scans(&keyframes, &CAMERA, &dense, 3), scans);
         let fast = final_scans(&keyframes, &CAMERA, &config(), 2);
         let all = CAMERA.width * CAMERA.height;
-        assert!(fast[0].pixels.is_empty() && 2 * scans[0].pixels.len() > all);
+        assert!(fast[0].num_pixels == 0 && 2 * scans[0].num_pixels > all);
         assert!(share_right(&scans[0], 1.0) > 0.9);
     }
 }

@@ -1,10 +1,13 @@
 //! From the depth of a keyframe to the measurements that are mapped.
 
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
+use crate::store::{Kept, Measurements, Store};
 use crate::{DepthPixel, KeyframeId};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::{GrayImage, Image};
 use monogrid_occupancy::DepthPixel as Measurement;
+use std::ops::Deref;
+use std::sync::Arc;
 
 /// Camera of the keyframes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,17 +38,39 @@ impl KeyframeCamera {
     }
 }
 
-/// What of a keyframe is mapped; small enough to be kept for all of them.
-#[derive(Clone, Debug, PartialEq)]
+/// What of a keyframe is mapped; its measurements are where there is room ([`crate::Slam::spill_into`]), or in memory.
+#[derive(Clone, Debug)]
 pub struct KeyframeScan {
     /// The keyframe.
     pub id: KeyframeId,
     /// Its camera.
     pub camera: KeyframeCamera,
-    /// Its measurements, row-major, in units of the keyframe.
-    pub pixels: Vec<Measurement>,
+    /// The number of its measurements.
+    pub num_pixels: usize,
     /// How many of them were not measured, but filled in between ([`super::fill_plain_regions`]).
     pub num_filled: usize,
+    pixels: Kept<Measurements>,
+}
+
+/// Measurements that are in memory as long as this is held.
+#[derive(Clone, Debug)]
+pub struct ScanPixels(Arc<Measurements>);
+
+impl Deref for ScanPixels {
+    type Target = [Measurement];
+
+    fn deref(&self) -> &[Measurement] {
+        &self.0.0
+    }
+}
+
+impl PartialEq for KeyframeScan {
+    fn eq(&self, other: &Self) -> bool {
+        self.id == other.id
+            && self.camera == other.camera
+            && self.num_filled == other.num_filled
+            && *self.pixels() == *other.pixels()
+    }
 }
 
 impl KeyframeScan {
@@ -59,7 +84,41 @@ impl KeyframeScan {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        Depths::new(id, pixels, image, camera, config).joined(id, camera)
+        let depths = Depths::new(id, pixels, image, camera, config);
+        depths.joined(id, camera, &Store::default())
+    }
+
+    /// A scan of these measurements, row-major, in units of the keyframe; `num_filled` of them were not measured. They stay in memory.
+    #[must_use]
+    pub fn of_measurements(
+        id: KeyframeId,
+        camera: KeyframeCamera,
+        pixels: Vec<Measurement>,
+        num_filled: usize,
+    ) -> Self {
+        Self::kept(id, camera, (pixels, num_filled), &Store::default())
+    }
+
+    fn kept(
+        id: KeyframeId,
+        camera: KeyframeCamera,
+        (pixels, num_filled): (Vec<Measurement>, usize),
+        store: &Store,
+    ) -> Self {
+        Self {
+            id,
+            camera,
+            num_pixels: pixels.len(),
+            num_filled,
+            pixels: store.keep(Measurements(pixels)),
+        }
+    }
+
+    /// Its measurements, row-major, in units of the keyframe; none where they cannot be read back
+    /// ([`crate::Slam::spill_failure`]).
+    #[must_use]
+    pub fn pixels(&self) -> ScanPixels {
+        ScanPixels(self.pixels.get().unwrap_or_default())
     }
 }
 
@@ -118,7 +177,7 @@ impl Depths {
     }
 
     /// Both together.
-    pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera) -> KeyframeScan {
+    pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera, store: &Store) -> KeyframeScan {
         let num_filled = self.filled.len();
         let mut pixels = self.measured;
         pixels.reserve_exact(num_filled);
@@ -126,12 +185,36 @@ impl Depths {
         if num_filled > 0 {
             pixels.sort_unstable_by_key(|p| (p.y, p.x));
         }
-        KeyframeScan {
-            id,
-            camera: *camera,
-            pixels,
-            num_filled,
+        KeyframeScan::kept(id, *camera, (pixels, num_filled), store)
+    }
+}
+
+/// [`Depths`] where there is room.
+#[derive(Clone, Debug)]
+pub(super) struct KeptDepths {
+    measured: Kept<Measurements>,
+    filled: Kept<Measurements>,
+}
+
+impl KeptDepths {
+    pub fn new(store: &Store, depths: Depths) -> Self {
+        Self {
+            measured: store.keep(Measurements(depths.measured)),
+            filled: store.keep(Measurements(depths.filled)),
         }
+    }
+
+    /// The depths; none where they cannot be read back.
+    pub fn get(&self) -> Depths {
+        Depths {
+            measured: self.measured.get().unwrap_or_default().0.clone(),
+            filled: self.filled().0.clone(),
+        }
+    }
+
+    /// What was filled in.
+    pub fn filled(&self) -> Arc<Measurements> {
+        self.filled.get().unwrap_or_default()
     }
 }
 
@@ -158,12 +241,8 @@ impl KeyframeScan {
                 }
             }
         }
-        Self {
-            id,
-            camera: KeyframeCamera::new(pinhole, (depth.width(), depth.height())),
-            pixels,
-            num_filled: 0,
-        }
+        let camera = KeyframeCamera::new(pinhole, (depth.width(), depth.height()));
+        Self::of_measurements(id, camera, pixels, 0)
     }
 }
 

@@ -14,7 +14,7 @@ mod shelves;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use self::packed::{Keepable, KeptImage, Measured};
+pub(crate) use self::packed::{Keepable, KeptImage, Measured, Measurements};
 use self::packed::{pack_any, unpack};
 
 use self::shelves::Shelves;
@@ -50,8 +50,13 @@ impl Store {
     /// With as much room as the settings say.
     pub(crate) fn new(config: &MemoryConfig) -> Self {
         let store = Self::default();
-        store.shelves().resize(config);
+        store.resize(config);
         store
+    }
+
+    /// Has as much room as these settings say from now on.
+    pub(crate) fn resize(&self, config: &MemoryConfig) {
+        self.shelves().resize(config);
     }
 
     /// Lets values of their own leave memory for a file, which is overwritten.

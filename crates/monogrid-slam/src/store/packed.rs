@@ -4,8 +4,9 @@ use crate::DepthPixel;
 use monogrid_alignment::DepthSample;
 use monogrid_depth::PackedDepth;
 use monogrid_image::{GrayImage, Image, Pyramid};
+use monogrid_occupancy::DepthPixel as Measurement;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::any::Any;
 
 /// A value of which is known what it takes.
@@ -27,6 +28,36 @@ pub(super) fn pack_any<T: Keepable>(value: &(dyn Any + Send + Sync)) -> Option<V
 /// The value of these bytes.
 pub(super) fn unpack<T: Keepable>(bytes: &[u8]) -> Option<T> {
     postcard::from_bytes(bytes).ok()
+}
+
+/// Measurements of a keyframe, row-major.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Measurements(pub Vec<Measurement>);
+
+impl Serialize for Measurements {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let pixels = self.0.iter();
+        serializer.collect_seq(pixels.map(|p| (p.x, p.y, p.idepth, p.sigma_idepth)))
+    }
+}
+
+impl<'de> Deserialize<'de> for Measurements {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let pixels = Vec::<(u16, u16, f32, f32)>::deserialize(deserializer)?;
+        let measurement = |(x, y, idepth, sigma_idepth)| Measurement {
+            x,
+            y,
+            idepth,
+            sigma_idepth,
+        };
+        Ok(Self(pixels.into_iter().map(measurement).collect()))
+    }
+}
+
+impl Measured for Measurements {
+    fn bytes(&self) -> usize {
+        self.0.capacity() * size_of::<Measurement>()
+    }
 }
 
 /// An image in eight bits.

@@ -71,6 +71,7 @@ impl Shelves {
     pub(super) fn resize(&mut self, config: &MemoryConfig) {
         self.own.limit = (config.keyframes_mb * MEGABYTE) as usize;
         self.derived.limit = (config.prepared_mb * MEGABYTE) as usize;
+        self.make_room();
     }
 
     pub(super) fn spill_into(&mut self, file: File) {

@@ -6,13 +6,14 @@ use super::odometry::Odometry;
 use super::setup::Setup;
 use crate::graph::GraphStats;
 use crate::map::{Event, Map};
+use crate::mapping::{KeptKeyframes, KeyframeScan, MappingConfig, final_scans_of};
 use crate::report::Stopwatch;
 use crate::sparse::SparseStats;
 use crate::start::Start;
 use crate::store::Store;
 use crate::{
-    Bridge, Fragment, FragmentId, KeptKeyframe, MAIN_MAP, MapSize, PoseSnapshot, Scale, SlamConfig,
-    SlamError, TrajectoryPose,
+    Bridge, Fragment, FragmentId, KeptKeyframe, MAIN_MAP, MapSize, MemoryConfig, PoseSnapshot,
+    Scale, SlamConfig, SlamError, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
@@ -21,6 +22,7 @@ use monogrid_image::Mask;
 use monogrid_inertial::Imu;
 use std::fs::File;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 
 /// Direct semi-dense monocular SLAM.
 #[derive(Debug)]
@@ -128,10 +130,50 @@ impl Slam {
         self.map.store().spill_into(file);
     }
 
+    /// From now on keyframes have so much room in memory instead of what the settings say, bytes. No result depends on it.
+    pub fn give_room(&self, bytes: usize) {
+        const OWN_SHARE: f64 = 0.75;
+        let megabytes = bytes as f64 * 1e-6;
+        self.map.store().resize(&MemoryConfig {
+            keyframes_mb: megabytes * OWN_SHARE,
+            prepared_mb: megabytes * (1.0 - OWN_SHARE),
+        });
+    }
+
+    /// What images and depth of keyframes, and what was made of them, take in memory now, bytes.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> usize {
+        let bytes = self.map.store().bytes();
+        bytes.own + bytes.derived
+    }
+
     /// What went wrong with that file first, if anything did: results are then made without the keyframes that cannot be read back.
     #[must_use]
     pub fn spill_failure(&self) -> Option<String> {
         self.map.store().failure()
+    }
+
+    /// The depth of all finished keyframes as it is mapped in the end ([`crate::mapping::final_scans`]) at the newest poses, by identity; it
+    /// lies where there is room. `done` grows with every keyframe, for those who wait.
+    #[must_use]
+    pub fn final_scans(
+        &self,
+        config: &MappingConfig,
+        threads: usize,
+        done: &AtomicUsize,
+    ) -> Vec<KeyframeScan> {
+        let keyframes = KeptKeyframes {
+            keyframes: self.keyframes(),
+            poses: self.map.snapshot(),
+        };
+        let camera = self.setup.camera();
+        final_scans_of(
+            &keyframes,
+            &camera,
+            config,
+            threads,
+            (self.map.store(), done),
+        )
     }
 
     /// The newest poses of all keyframes.

@@ -1,7 +1,7 @@
 //! `monogrid run`: what the command line asks for, put together and checked before anything is computed.
 
 use super::use_threads;
-use crate::args::{JsonArg, MappingArgs, Profile, SourceArgs, positive};
+use crate::args::{JsonArg, MappingArgs, Profile, SourceArgs, memory, positive};
 use crate::config::RunConfig;
 use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
@@ -9,11 +9,11 @@ use crate::input::{Images, Input};
 use crate::output::{Inputs, OutputFile, OutputFolder};
 use crate::readings::Inertial;
 use crate::refine::refine;
-use crate::run::RunSettings;
 use crate::run::align::{Align, Up};
 use crate::run::conclusion::conclude;
 use crate::run::sessions::{Continued, Earlier};
 use crate::run::whole::{Extras, run_all};
+use crate::run::{MemoryLimit, RunSettings};
 use clap::Args;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Pace;
@@ -104,6 +104,10 @@ pub struct RunArgs {
     /// Threads of computation [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Settings")]
     pub threads: Option<usize>,
+    /// Memory to stay within, e.g. 500MB: keyframes lie in a file of the output folder as far as there is no room; the results do not
+    /// depend on it
+    #[arg(long, value_name = "SIZE", value_parser = memory, help_heading = "Settings")]
+    pub memory_limit: Option<u64>,
 }
 
 /// Runs the command.
@@ -129,6 +133,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         pace: pace(args),
         show_progress: std::io::stderr().is_terminal(),
         view: args.view,
+        memory_limit: args.memory_limit.map(MemoryLimit),
         ..RunSettings::new(config, threads)
     };
     describe_input(&input);

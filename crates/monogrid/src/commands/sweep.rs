@@ -247,7 +247,7 @@ impl Sweep<'_> {
                 || recorded.session.scale == monogrid_datasets::Scale::Metric,
             frames: recorded.num_frames.unwrap_or(0),
             keyframes: recorded.world_from_keyframes().iter().flatten().count(),
-            points: all_scans.iter().map(|scan| scan.pixels.len()).sum(),
+            points: all_scans.iter().map(|scan| scan.num_pixels).sum(),
             video_seconds: span as f64 * 1e-9,
             environment: self
                 .finest_truth

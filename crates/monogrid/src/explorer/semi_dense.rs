@@ -32,7 +32,7 @@ impl SemiDense {
         let measured = &keyframe.pixels;
         let mut next = 0;
         let pixels = scan
-            .pixels
+            .pixels()
             .iter()
             .filter(|pixel| {
                 let wanted = (pixel.y, pixel.x);
@@ -124,14 +124,10 @@ mod tests {
             idepth: 0.5,
             sigma_idepth: 0.01,
         };
-        let scan = KeyframeScan {
-            id: 3,
-            camera: KeyframeCamera::new(Pinhole::new(2.0, 2.0, 1.0, 1.0), (4, 3)),
-            pixels: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 2), (3, 2)]
-                .map(|(x, y)| measurement(x, y))
-                .to_vec(),
-            num_filled: 4,
-        };
+        let camera = KeyframeCamera::new(Pinhole::new(2.0, 2.0, 1.0, 1.0), (4, 3));
+        let pixels = [(0, 0), (1, 0), (2, 0), (1, 1), (2, 2), (3, 2)];
+        let pixels = pixels.map(|(x, y)| measurement(x, y)).to_vec();
+        let scan = KeyframeScan::of_measurements(3, camera, pixels, 4);
         let cloud = SemiDense::new(&keyframe(), &scan);
         let pixels: Vec<_> = cloud.pixels.iter().map(|p| p.pixel).collect();
         assert_eq!(pixels, [[1, 0], [2, 2]]);

@@ -22,6 +22,7 @@ pub mod conclusion;
 mod frame_log;
 pub mod frames;
 mod live;
+mod memory_limit;
 pub mod outputs;
 mod progress;
 pub mod recorder;
@@ -32,6 +33,8 @@ pub mod summary;
 pub mod threads;
 mod tracking;
 pub mod whole;
+
+pub use memory_limit::MemoryLimit;
 
 use crate::config::RunConfig;
 use crate::output::OutputFile;
@@ -57,6 +60,8 @@ pub struct RunSettings {
     pub show_progress: bool,
     /// Port on which to show the run while it goes on.
     pub view: Option<u16>,
+    /// Memory that the process should stay within.
+    pub memory_limit: Option<MemoryLimit>,
     /// Where to write the run as messages.
     pub mcap: Option<OutputFile>,
 }
@@ -72,6 +77,7 @@ impl RunSettings {
             threads,
             show_progress: false,
             view: None,
+            memory_limit: None,
             mcap: None,
         }
     }

@@ -163,7 +163,12 @@ impl<'a> Tracking<'a> {
         });
         for event in self.pipeline.slam().events() {
             match event {
-                Event::Finished(..) => self.num_keyframes += 1,
+                Event::Finished(..) => {
+                    self.num_keyframes += 1;
+                    if let Some(limit) = self.settings.memory_limit {
+                        limit.apply(self.pipeline.slam());
+                    }
+                }
                 Event::NotAdjusted(error) => {
                     let text = format!("a bundle adjustment failed: {error}");
                     self.progress.warn(&text);

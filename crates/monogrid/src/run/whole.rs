@@ -1,6 +1,5 @@
 //! A run from its first frame to its last file.
 
-use super::RunSettings;
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
 use super::outputs::{self, Ground, MapPictures, Playback, Surface, path_of};
@@ -11,6 +10,7 @@ use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
 use super::threads::{Tracked, track};
 use super::tracking::EarlyEnd;
+use super::{MemoryLimit, RunSettings};
 use crate::colours::Colours;
 use crate::explorer::{SemiDense, ShownKeyframe};
 use crate::failure::{Failure, Outcome};
@@ -18,7 +18,7 @@ use crate::input::{Images, Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::memory;
 use crate::output::OutputFolder;
 use crate::surface::{CellColours, ColouredScan};
-use crate::usage::process_cpu;
+use crate::usage::{peak_rss_bytes, process_cpu};
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
@@ -77,7 +77,7 @@ pub fn run_all(
     let config = settings.config.to_toml()?;
     folder.write("config.toml", &config)?;
     let mut tracked = track(input, folder, settings, &INTERRUPTED)?;
-    let scans = final_depth(&mut tracked, settings.show_progress);
+    let scans = final_depth(&mut tracked, settings.memory_limit, settings.show_progress);
     let mut looked = Looked::at(&tracked, &scans, align, input, settings);
     let (known, not_compared) = known_path(input, align, &tracked, &mut looked.frame);
     let poses = outputs::final_poses(&tracked, &looked.frame);
@@ -220,7 +220,11 @@ fn summary(
 ) -> Summary {
     let mut summary = Summary::new(input, settings, tracked, &looked.frame, maps);
     let not_kept = tracked.run.slam.spill_failure();
-    let said = extras.warnings.into_iter().chain(not_kept).collect();
+    let exceeded = settings
+        .memory_limit
+        .and_then(|limit| limit.exceeded(peak_rss_bytes()));
+    let said = extras.warnings.into_iter().chain(not_kept).chain(exceeded);
+    let said = said.collect();
     summary.map.cell = looked.cell;
     summary.inertial.clone_from(&looked.sensed.summary);
     summary.warnings = warnings(input, looked.warning.clone(), said, &summary);
@@ -405,9 +409,16 @@ impl Reference {
 }
 
 /// The final depth of the keyframes.
-fn final_depth(tracked: &mut Tracked, show_progress: bool) -> Vec<KeyframeScan> {
+fn final_depth(
+    tracked: &mut Tracked,
+    limit: Option<MemoryLimit>,
+    show_progress: bool,
+) -> Vec<KeyframeScan> {
     let before = process_cpu();
     memory::give_back();
+    if let Some(limit) = limit {
+        limit.apply(&tracked.run.slam);
+    }
     let count = tracked.run.slam.num_keyframes();
     eprintln!("depth and maps of {count} keyframes at their final poses");
     let scans = watched("final depth", count, show_progress, |done| {

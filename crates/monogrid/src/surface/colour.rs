@@ -54,14 +54,14 @@ impl CellColours {
 
     /// What keyframes measured, in cells of a map with this edge.
     pub fn new(scans: &[ColouredScan], colours: &Colours, resolution: f64) -> Self {
-        let measured: usize = scans.iter().map(|shown| shown.scan.pixels.len()).sum();
+        let measured: usize = scans.iter().map(|shown| shown.scan.num_pixels).sum();
         let every = measured.div_ceil(MAX_POINTS).max(1);
         let mut found = Self::unknown();
         for shown in scans {
             let camera = &shown.scan.camera;
             let look = Look::of(shown.scan.id, shown.image, colours);
             found.has_colour |= matches!(look, Look::Colour(_));
-            for pixel in shown.scan.pixels.iter().step_by(every) {
+            for pixel in shown.scan.pixels().iter().step_by(every) {
                 let ray = camera
                     .pinhole
                     .unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));

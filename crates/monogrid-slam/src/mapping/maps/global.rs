@@ -1,7 +1,7 @@
 //! The *global* map: every keyframe where the graph has it.
 
 use super::mapper::{MapStats, Mapper, similarity};
-use crate::mapping::KeyframeScan;
+use crate::mapping::{KeyframeScan, ScanPixels};
 use crate::{KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{KeyframeChange, KeyframeMap, MapError, OccupancyMap};
@@ -76,7 +76,8 @@ impl GlobalMap {
         world_from_keyframe: &Sim3,
     ) -> Result<(), MapError> {
         let map_from_keyframe = self.map_from_world * *world_from_keyframe;
-        self.map.set(&mapper.scan(scan, &map_from_keyframe))?;
+        self.map
+            .set(&mapper.scan(scan, &scan.pixels(), &map_from_keyframe))?;
         let placed = Placed::new(scan, map_from_keyframe);
         self.placed.insert(scan.id, placed);
         Ok(())
@@ -125,11 +126,19 @@ impl GlobalMap {
             self.revision = coming.revision;
             return Ok(false);
         }
+        let pixels: BTreeMap<KeyframeId, ScanPixels> = coming
+            .revised
+            .iter()
+            .map(|(id, scan)| (*id, scan.pixels()))
+            .collect();
         let changes: Vec<KeyframeChange> = coming
             .placed
             .iter()
             .map(|(&id, placed)| match coming.revised.get(&id) {
-                Some(scan) => KeyframeChange::Set(mapper.scan(scan, &placed.map_from_keyframe)),
+                Some(scan) => {
+                    let pixels = &pixels[&id];
+                    KeyframeChange::Set(mapper.scan(scan, pixels, &placed.map_from_keyframe))
+                }
                 None => KeyframeChange::Move {
                     id,
                     world_from_sensor: similarity(&placed.map_from_keyframe),
@@ -257,7 +266,7 @@ impl Reach {
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
         let mut far: f64 = 0.0;
-        for pixel in scan.pixels.iter().filter(|p| p.idepth > 0.0) {
+        for pixel in scan.pixels().iter().filter(|p| p.idepth > 0.0) {
             for (axis, c) in [f64::from(pixel.x), f64::from(pixel.y)]
                 .into_iter()
                 .enumerate()
@@ -335,12 +344,7 @@ mod tests {
                     sigma_idepth: 0.01,
                 })
                 .collect();
-            let scan = KeyframeScan {
-                id: 0,
-                camera,
-                pixels,
-                num_filled: 0,
-            };
+            let scan = KeyframeScan::of_measurements(0, camera, pixels, 0);
             let mut pose = || {
                 let turn = Vec3::new(unit() - 0.5, unit() - 0.5, unit() - 0.5);
                 let shift = Vec3::new(unit() - 0.5, unit() - 0.5, unit() - 0.5);
@@ -348,7 +352,7 @@ mod tests {
             };
             let (before, after) = (pose(), pose());
             let farthest = scan
-                .pixels
+                .pixels()
                 .iter()
                 .map(|p| {
                     let ray = Vec3::new(

@@ -1,12 +1,13 @@
 //! One scan into one map.
 
 use super::super::{
-    AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, SigmaMode,
+    AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, ScanPixels, SigmaMode,
 };
 use monogrid_geometry::{Rotation, Sim3, Vec3, nalgebra::Matrix3};
 use monogrid_occupancy::{
-    DepthScan, IntegrationConfig, IntegrationRule, MapError, OccupancyMap, PointScan, PoseSigma,
-    Scan, ScanData, SigmaMode as OccupancySigmaMode, Similarity, integrate, integrate_scans,
+    DepthPixel as Measurement, DepthScan, IntegrationConfig, IntegrationRule, MapError,
+    OccupancyMap, PointScan, PoseSigma, Scan, ScanData, SigmaMode as OccupancySigmaMode,
+    Similarity, integrate, integrate_scans,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -96,7 +97,8 @@ impl Mapper {
         scan: &KeyframeScan,
         map_from_keyframe: &Sim3,
     ) -> Result<usize, MapError> {
-        let occupancy_scan = self.scan(scan, map_from_keyframe);
+        let pixels = scan.pixels();
+        let occupancy_scan = self.scan(scan, &pixels, map_from_keyframe);
         integrate(map, &occupancy_scan, &self.integration, self.threads)
             .map(|report| report.points.saturating_sub(scan.num_filled))
     }
@@ -123,7 +125,12 @@ impl Mapper {
     }
 
     /// A scan at a pose as the occupancy map takes it.
-    pub(super) fn scan<'a>(&self, scan: &'a KeyframeScan, map_from_keyframe: &Sim3) -> Scan<'a> {
+    pub(super) fn scan<'a>(
+        &self,
+        scan: &KeyframeScan,
+        pixels: &'a [Measurement],
+        map_from_keyframe: &Sim3,
+    ) -> Scan<'a> {
         let KeyframeCamera {
             pinhole,
             width,
@@ -140,7 +147,7 @@ impl Mapper {
                 fy: pinhole.fy,
                 cx: pinhole.cx,
                 cy: pinhole.cy,
-                pixels: &scan.pixels,
+                pixels,
             }),
         }
     }
@@ -243,22 +250,27 @@ impl Mapper {
         map_from_world: &Sim3,
         done: &AtomicUsize,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
-        /// Keyframes that are counted at once.
+        /// Keyframes that are in memory, and counted, at once.
         const COUNTED: usize = 16;
         let mut map = self.empty_map()?;
         let mut num_filled = 0;
-        let posed: Vec<Scan> = scans
+        let posed: Vec<(&KeyframeScan, Sim3)> = scans
             .iter()
             .zip(world_from_keyframe)
             .filter_map(|(scan, pose)| {
-                let pose = *map_from_world * (*pose)?;
-                num_filled += scan.num_filled;
-                Some(self.scan(scan, &pose))
+                num_filled += pose.map_or(0, |_| scan.num_filled);
+                Some((scan, *map_from_world * (*pose)?))
             })
             .collect();
         let mut points = 0;
         for some in posed.chunks(COUNTED) {
-            points += integrate_scans(&mut map, some, &self.integration, self.threads)?.points;
+            let pixels: Vec<ScanPixels> = some.iter().map(|(scan, _)| scan.pixels()).collect();
+            let scans: Vec<Scan> = some
+                .iter()
+                .zip(&pixels)
+                .map(|((scan, pose), pixels)| self.scan(scan, pixels, pose))
+                .collect();
+            points += integrate_scans(&mut map, &scans, &self.integration, self.threads)?.points;
             done.fetch_add(some.len(), Ordering::Relaxed);
         }
         let stats = MapStats {

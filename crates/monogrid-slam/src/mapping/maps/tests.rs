@@ -303,8 +303,7 @@ fn after_every_keyframe_has_moved_the_maps_are_those_built_from_scratch_for_any_
                 assert!(bytes(&maps.global) == bytes(&global), "{case}");
                 assert!(bytes(&maps.large) == bytes(&large), "{case}");
                 assert_eq!(maps.stats.keyframes, 6, "{case}");
-                let num_measured: usize =
-                    history.final_scans().iter().map(|s| s.pixels.len()).sum();
+                let num_measured: usize = history.final_scans().iter().map(|s| s.num_pixels).sum();
                 assert_eq!(maps.stats.points, num_measured, "{case}");
             }
         }

@@ -50,7 +50,7 @@ impl Evidence {
     /// Collects it from all keyframes.
     pub fn of(views: &[UprightView], config: &UprightConfig) -> Self {
         let seen = |view: &UprightView| {
-            let planes = planes_of_image(&view.scan.pixels, &FillConfig::default());
+            let planes = planes_of_image(&view.scan.pixels(), &FillConfig::default());
             let min_length_px = config.min_edge * view.scan.camera.width as f64;
             (
                 planes,

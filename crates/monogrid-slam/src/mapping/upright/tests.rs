@@ -71,12 +71,7 @@ impl Room {
                 });
             }
         }
-        KeyframeScan {
-            id,
-            camera: CAMERA,
-            pixels,
-            num_filled: 0,
-        }
+        KeyframeScan::of_measurements(id, CAMERA, pixels, 0)
     }
 }
 
@@ -169,12 +164,7 @@ fn a_rolled_camera_makes_up_doubtful_before_it_makes_it_wrong() {
 #[test]
 fn nothing_that_votes_is_no_direction() {
     assert_eq!(upright(&[], &UprightConfig::default()), None);
-    let scan = KeyframeScan {
-        id: 0,
-        camera: CAMERA,
-        pixels: Vec::new(),
-        num_filled: 0,
-    };
+    let scan = KeyframeScan::of_measurements(0, CAMERA, Vec::new(), 0);
     let view = UprightView {
         scan: &scan,
         image: None,
