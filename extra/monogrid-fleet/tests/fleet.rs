@@ -266,6 +266,9 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     is_over.store(true, Ordering::Relaxed);
     serving.join().unwrap();
 
+    // killed between the name of a run and its first packet, a server names it again
+    let list = fs::read_to_string(folder.path().join("agents/runs.txt")).unwrap();
+    fs::write(folder.path().join("agents/runs.txt"), list.repeat(2)).unwrap();
     is_over.store(false, Ordering::Relaxed);
     let serving = serve();
     let link = Link::open(&endpoint).unwrap();
@@ -273,6 +276,7 @@ fn a_server_refuses_what_is_no_packet_says_what_it_misses_and_goes_on_after_a_re
     assert_eq!(link.ask(&key(0), None).unwrap(), packet);
     let fleet = link.fleet().unwrap();
     assert_eq!(fleet.shared, Some(run.to_string()));
+    assert_eq!(fleet.agents.len(), 1);
     assert_eq!(
         (fleet.agents[0].packets, fleet.agents[0].shared_from_agent),
         (1, None)

@@ -229,7 +229,7 @@ fn bits(mask: &[bool]) -> Vec<u8> {
 
 /// Deflated bytes.
 pub(super) fn deflated(bytes: &[u8]) -> Vec<u8> {
-    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::best());
+    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::default());
     // writing into memory does not fail
     let _ = encoder.write_all(bytes);
     encoder.finish().unwrap_or_default()

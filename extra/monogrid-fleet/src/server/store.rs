@@ -99,7 +99,10 @@ impl Store {
             let run = line
                 .parse()
                 .map_err(|error| StoreError::List { path, error })?;
-            store.open_run(&run)?;
+            // named twice by a server that was killed before the first packet was kept
+            if !store.runs.contains_key(&run) {
+                store.open_run(&run)?;
+            }
         }
         Ok(store)
     }
