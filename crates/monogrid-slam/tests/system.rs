@@ -5,12 +5,14 @@
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, TrajectoryReport, evaluate_trajectory};
 use monogrid_geometry::Se3;
 use monogrid_image::{GrayImage, Mask};
+use monogrid_slam::mapping::MappingConfig;
 use monogrid_slam::{
     DepthPixel, FrameInput, FrameReport, InitializationMode, KeptKeyframe, LostReason, Scale, Slam,
     SlamConfig, TrackingState,
 };
 use monogrid_worlds::SynthSequence;
 use std::sync::OnceLock;
+use std::sync::atomic::AtomicUsize;
 
 const FRAMES: usize = 90;
 
@@ -133,6 +135,7 @@ fn a_seed_depth_makes_the_scale_metric() {
 
 #[test]
 fn the_same_bits_for_any_number_of_threads_and_any_memory() {
+    use std::fmt::Write;
     let inputs = &clip().inputs[..70];
     let on = |threads: usize, memory_mb: f64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
@@ -145,7 +148,12 @@ fn the_same_bits_for_any_number_of_threads_and_any_memory() {
             let process = |input: &FrameInput| slam.process_frame(input.clone());
             let reports: Vec<FrameReport> = inputs.iter().map(process).collect();
             slam.finish();
-            let text = fingerprint(&slam, &reports);
+            let mut text = fingerprint(&slam, &reports);
+            let done = AtomicUsize::new(0);
+            for scan in slam.final_scans(&MappingConfig::default(), threads, &done) {
+                writeln!(text, "{} {:?}", scan.num_filled, &*scan.pixels()).unwrap();
+            }
+            assert_eq!(done.into_inner(), slam.num_keyframes());
             (text, slam.map_size().bytes, slam.num_keyframes())
         })
     };
