@@ -64,6 +64,8 @@ impl DepthBand<'_> {
     }
 
     /// The frame with the smallest predicted variance (or the first usable one).
+    // always, as what it calls: a result of this size is dear to hand over in memory
+    #[inline(always)]
     pub(crate) fn choose_for_update<'f, 'a>(
         &self,
         pixel: Pixel,
@@ -167,7 +169,7 @@ impl DepthBand<'_> {
     }
 
     /// Geometry of one frame for one pixel at the assumed inverse depth, or why it is of no use.
-    #[inline]
+    #[inline(always)]
     fn consider<'f, 'a>(
         &self,
         pixel: Pixel,

@@ -25,6 +25,7 @@ pub(crate) struct Observation {
 impl DepthBand<'_> {
     /// Matches the pixel inside an interval of inverse depth and puts the observation together;
     /// returns it with the mean squared residual.
+    #[inline(always)]
     pub(crate) fn observe_line(
         &self,
         pixel: Pixel,

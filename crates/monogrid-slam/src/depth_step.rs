@@ -54,28 +54,24 @@ pub(crate) fn tracking_samples(depth: &DepthMap, config: &TrackingConfig) -> Vec
         smoothed: config.smoothed_depth,
         ..PixelFilter::default()
     };
-    let all: Vec<DepthSample> = depth
-        .pixels(filter)
-        .map(|p| DepthSample {
-            x: p.x,
-            y: p.y,
-            idepth: p.idepth,
-            idepth_var: p.idepth_var,
-        })
-        .collect();
+    let mut samples: Vec<DepthSample> = Vec::with_capacity(depth.num_candidates());
+    samples.extend(depth.pixels(filter).map(|p| DepthSample {
+        x: p.x,
+        y: p.y,
+        idepth: p.idepth,
+        idepth_var: p.idepth_var,
+    }));
+    let enough = config.min_reference_points.min(samples.len());
     let mut limit = config.max_relative_sigma;
-    loop {
-        let kept: Vec<DepthSample> = all
-            .iter()
-            .filter(|p| p.idepth_var <= (limit * p.idepth).powi(2))
-            .copied()
-            .collect();
-        if kept.len() >= config.min_reference_points.min(all.len()) || limit > 4.0 {
-            let mut chosen = if limit > 4.0 { all } else { kept };
-            // kept as long as the keyframe
-            chosen.shrink_to_fit();
-            return chosen;
+    while limit <= 4.0 {
+        let is_kept = |p: &DepthSample| p.idepth_var <= (limit * p.idepth).powi(2);
+        if samples.iter().filter(|p| is_kept(p)).count() >= enough {
+            samples.retain(is_kept);
+            break;
         }
         limit *= 2.0;
     }
+    // those of a keyframe are kept as long as it
+    samples.shrink_to_fit();
+    samples
 }
