@@ -385,6 +385,12 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         best_angle_deg: 0.1, 45.0;
         max_witnesses: 1.0, 100.0;
     }));
+    all.extend(limits!("mapping.fusion", mapping.fusion, {
+        max_witnesses: 0.0, 1000.0;
+        sigmas: 0.01, 100.0;
+        min_tolerance: 0.0, 1.0;
+        min_support: 1.0, 1000.0;
+    }));
     all.extend(limits!("mapping.fill", mapping.fill, {
         max_gradient: 0.01, 255.0;
         min_area_px: 1.0, 1_000_000_000.0;

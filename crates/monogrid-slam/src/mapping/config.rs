@@ -188,6 +188,32 @@ impl Default for DenseMappingConfig {
     }
 }
 
+/// How the depths of keyframes that see the same become one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FusionConfig {
+    /// Other keyframes whose depth the depth of each is fused with in final maps; 0: none. Default 16. Range [0, 1000].
+    pub max_witnesses: usize,
+    /// Depths agree that differ by at most so many standard deviations of the difference, ... Default 3. Range [0.01, 100].
+    pub sigmas: f64,
+    /// ... or by this share of them. Default 0.01. Range [0, 1].
+    pub min_tolerance: f64,
+    /// Keyframes that must have a depth, its own among them, where others have any there; what fewer have is left out. Default 2. Range
+    /// [1, 1000].
+    pub min_support: usize,
+}
+
+impl Default for FusionConfig {
+    fn default() -> Self {
+        Self {
+            max_witnesses: 16,
+            sigmas: 3.0,
+            min_tolerance: 0.01,
+            min_support: 2,
+        }
+    }
+}
+
 /// How plain surfaces get depth from the depth around them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -327,6 +353,8 @@ pub struct MappingConfig {
     pub dense: DenseMappingConfig,
     /// Better depth at the final poses.
     pub refine: RefineConfig,
+    /// One depth from several keyframes.
+    pub fusion: FusionConfig,
     /// Depth of plain surfaces.
     pub fill: FillConfig,
     /// Up and the floor.
@@ -386,6 +414,7 @@ impl Default for MappingConfig {
             filter: DepthFilterConfig::default(),
             dense: DenseMappingConfig::default(),
             refine: RefineConfig::default(),
+            fusion: FusionConfig::default(),
             fill: FillConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
@@ -423,6 +452,10 @@ impl MappingConfig {
             refine: RefineConfig {
                 enabled: false,
                 ..RefineConfig::default()
+            },
+            fusion: FusionConfig {
+                max_witnesses: 0,
+                ..FusionConfig::default()
             },
             fill: FillConfig {
                 enabled: false,

@@ -26,6 +26,7 @@ mod certainty;
 mod config;
 mod dense;
 mod fill;
+mod fusion;
 mod maps;
 mod posed;
 mod refine;
@@ -36,8 +37,9 @@ pub use band::navigation_band;
 pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
 pub use config::{
-    AndertFormKind, AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, IntegrationKind,
-    MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind, SigmaMode, ThrunFormKind,
+    AndertFormKind, AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig,
+    IntegrationKind, MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
+    SigmaMode, ThrunFormKind,
 };
 pub use fill::fill_plain_regions;
 pub use maps::{

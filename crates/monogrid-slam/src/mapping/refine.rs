@@ -3,6 +3,7 @@
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
 use super::dense::{dense_depths, merged};
+use super::fusion::fused;
 use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
 use super::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
@@ -75,15 +76,23 @@ pub(crate) fn final_scans_of(
     } else {
         found
     };
-    let certainty = config.sigma_from_agreement.then(|| {
-        let views: Vec<Option<View>> = found.iter().map(|found| found.view.clone()).collect();
-        Certainty::of_views(&views, camera, threads)
-    });
-    for_each_keyframe(count, threads, |index| {
-        let mut depths = found[index].depths.get();
+    let views: Vec<Option<View>> = found.iter().map(|found| found.view.clone()).collect();
+    let certainty = config
+        .sigma_from_agreement
+        .then(|| Certainty::of_views(&views, camera, threads));
+    let certain = |depths: &KeptDepths| {
+        let mut depths = depths.get();
         if let Some(certainty) = certainty {
             certainty.apply(&mut depths, config.filter.max_agreed_sigma as f32);
         }
+        depths
+    };
+    for_each_keyframe(count, threads, |index| {
+        let depths = certain(&found[index].depths);
+        let depths = match config.fusion.max_witnesses {
+            0 => depths,
+            _ => fused(&views, index, depths, certain, camera, &config.fusion),
+        };
         depths.joined(keyframes.id(index), camera, store)
     })
 }
@@ -307,7 +316,7 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::KeyframeId;
-    use crate::mapping::FillConfig;
+    use crate::mapping::{FillConfig, FusionConfig};
     use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -349,6 +358,10 @@ mod tests {
     fn config() -> MappingConfig {
         MappingConfig {
             sigma_from_agreement: false,
+            fusion: FusionConfig {
+                max_witnesses: 0,
+                ..FusionConfig::default()
+            },
             fill: FillConfig {
                 enabled: false,
                 ..FillConfig::default()
