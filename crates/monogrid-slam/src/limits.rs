@@ -376,6 +376,21 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         min_support: 0.0, 9.0;
         skip_keyframes: 0.0, 1_000_000.0;
     }));
+    all.extend(final_depth_limits(mapping));
+    all.extend(scene_limits(mapping));
+    all.extend(auto_length_limits(mapping));
+    let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
+    all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));
+    all.push(limit("mapping.update_limits", update_high, 1e-6, 100.0));
+    all.push(limit("mapping.clamp", clamp_low, -7.99, -0.001));
+    all.push(limit("mapping.clamp", clamp_high, 0.001, 7.99));
+    all
+}
+
+/// Depth at the final poses.
+#[rustfmt::skip]
+fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
+    let mut all = Vec::new();
     all.extend(limits!("mapping.refine", mapping.refine, {
         max_keyframes: 1.0, 1000.0;
         max_separation: 0.000001, 1_000_000.0;
@@ -407,13 +422,6 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         tolerance: 0.0001, 1.0;
         max_against: 0.0, 1000.0;
     }));
-    all.extend(scene_limits(mapping));
-    all.extend(auto_length_limits(mapping));
-    let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
-    all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));
-    all.push(limit("mapping.update_limits", update_high, 1e-6, 100.0));
-    all.push(limit("mapping.clamp", clamp_low, -7.99, -0.001));
-    all.push(limit("mapping.clamp", clamp_high, 0.001, 7.99));
     all
 }
 
