@@ -4,6 +4,7 @@
 //! * [`DepthEvaluator`]: inverse depth and the honesty of its variance.
 //! * [`truth_from_triangles`], [`truth_from_points`], [`truth_from_depth_images`]: ground-truth maps.
 //! * [`evaluate_map`]: a map against the truth, under four policies for unknown cells.
+//! * [`align_to_surfaces`]: measured points onto the surfaces of a true map, before maps are compared.
 //! * [`evaluate_paths`]: can a robot plan on the map, and are its plans safe?
 #![deny(missing_docs)]
 
@@ -12,6 +13,7 @@ mod line;
 mod map;
 mod paths;
 mod statistics;
+mod surfaces;
 mod trajectory;
 mod truth;
 
@@ -28,6 +30,7 @@ pub use paths::{
     evaluate_paths, plan_path,
 };
 pub use statistics::{ErrorSummary, median, robust_deviation};
+pub use surfaces::{OnSurfaces, SurfaceAlignment, align_to_surfaces};
 pub use trajectory::{
     PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,
     TrajectoryError, TrajectoryReport, WindowScale, WrongPoseConfig, evaluate_trajectory,

@@ -11,9 +11,12 @@ use clap::Args;
 use monogrid_datasets::read_sim3;
 use monogrid_evaluation::{
     MapEvaluationConfig, MapReport, PathConfig, PathReport, PathStats, PathsReport, PolicyReport,
-    TruthGrid, cells_in_view, evaluate_map, evaluate_paths,
+    SurfaceAlignment, TruthGrid, align_to_surfaces, cells_in_view, evaluate_map, evaluate_paths,
 };
+use monogrid_geometry::{Vec2, Vec3};
 use monogrid_occupancy::OccupancyMap;
+use monogrid_slam::mapping::KeyframeScan;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// `monogrid evaluate map`.
@@ -32,6 +35,10 @@ pub struct EvaluateMapArgs {
     /// Bring the poses of the recording to the frame of a reference, as when the map was made
     #[arg(long, value_name = "gt:FILE|sim3:FILE")]
     pub align: Option<String>,
+    /// Then bring the points of the recording onto the surfaces of the true map, by a similarity that begins at the poses: references
+    /// can be off by more than a cell
+    #[arg(long)]
+    pub align_points: bool,
     /// Cells farther from every keyframe do not count as seen
     #[arg(long, value_name = "L", value_parser = positive, default_value_t = 10.0)]
     pub view_range: f64,
@@ -42,6 +49,9 @@ pub struct EvaluateMapArgs {
     /// Settings of the maps of a recording
     #[command(flatten)]
     pub mapping: MappingArgs,
+    /// Change one setting of the map of a recording, e.g. --set mapping.quality=dense
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -82,7 +92,7 @@ const VIEW_CELL: f64 = 0.064;
 pub fn map(args: &EvaluateMapArgs) -> CommandResult {
     let is_recording = args.estimate.extension().is_some_and(|e| e == "mgk");
     let source = is_recording.then_some(&args.estimate);
-    let recorded = match source.or(args.recording.as_ref()) {
+    let mut recorded = match source.or(args.recording.as_ref()) {
         Some(path) => Some(Recorded::read(
             path,
             &Align::parse(args.align.as_deref(), Up::default())?,
@@ -95,8 +105,18 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
         }
         None => None,
     };
-    let estimate = match &recorded {
-        Some(recorded) if is_recording => mapped(recorded, &args.mapping)?,
+    let mut alignment = None;
+    let estimate = match &mut recorded {
+        Some(recorded) if is_recording => {
+            let (map, on_surfaces) = mapped(recorded, args)?;
+            alignment = on_surfaces;
+            map
+        }
+        _ if args.align_points => {
+            return Err(Failure::input(
+                "--align-points moves the points of a recording before they are mapped: give the recording instead of the map",
+            ));
+        }
         _ => mapfile::load(&args.estimate)?.0,
     };
     let truth = load_truth(&args.truth)?;
@@ -115,25 +135,89 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
     };
     let report = evaluate_map(&estimate, &truth, &config).bad_input()?;
     if args.json.json {
-        print_json(&report)?;
+        print_json(&Evaluated { report, alignment })?;
     } else {
+        if let Some(alignment) = &alignment {
+            print_alignment(alignment);
+        }
         print_map(&report);
     }
     Ok(Outcome::Done)
 }
 
-/// The map of a recording by its own settings and the options.
-fn mapped(recorded: &Recorded, options: &MappingArgs) -> Result<OccupancyMap, Failure> {
+/// `evaluate map --json`.
+#[derive(Debug, Serialize)]
+struct Evaluated {
+    #[serde(flatten)]
+    report: MapReport,
+    #[serde(
+        rename = "aligned_to_surfaces",
+        skip_serializing_if = "Option::is_none"
+    )]
+    alignment: Option<SurfaceAlignment>,
+}
+
+/// The map of a recording by its own settings and the options, and how its points were brought onto the surfaces of the truth, where
+/// that is asked for: the recording is in that frame then.
+fn mapped(
+    recorded: &mut Recorded,
+    args: &EvaluateMapArgs,
+) -> Result<(OccupancyMap, Option<SurfaceAlignment>), Failure> {
     let mut config = recorded
         .config
         .clone()
         .unwrap_or_else(|| RunConfig::of(Profile::Default));
-    config.apply(options);
+    config.apply(&args.mapping);
+    let config = config.with_settings(&args.set)?;
     config.validate()?;
     let threads = use_threads(None)?;
     let scans = recorded.scans(&config.mapping, threads);
+    let mut alignment = None;
+    if args.align_points {
+        let points = points_of(recorded, &scans);
+        let (truth, _) = mapfile::load(&args.truth)?;
+        let found = align_to_surfaces(&points, &truth, threads);
+        let found = found.while_running("the points cannot be aligned")?;
+        recorded.frame.map_from_world = found.correction * recorded.frame.map_from_world;
+        alignment = Some(found);
+    }
     let built = recorded.map(&scans, &config.mapping, threads);
-    Ok(built.while_running("the map cannot be built")?.0)
+    Ok((built.while_running("the map cannot be built")?.0, alignment))
+}
+
+/// Every so many pixels are points that are aligned.
+const POINT_STRIDE: usize = 7;
+
+/// Some of the points that the keyframes have, in the frame of maps.
+fn points_of(recorded: &Recorded, scans: &[KeyframeScan]) -> Vec<Vec3> {
+    let mut points = Vec::new();
+    for (keyframe, scan) in recorded.keyframes.iter().zip(scans) {
+        let Some(world_from_keyframe) = keyframe.world_from_keyframe else {
+            continue;
+        };
+        let map_from_keyframe = recorded.frame.map_from_world * world_from_keyframe;
+        let pinhole = &keyframe.camera.pinhole;
+        points.extend(scan.pixels().iter().step_by(POINT_STRIDE).map(|pixel| {
+            let at = Vec2::new(pixel.x.into(), pixel.y.into());
+            map_from_keyframe * (pinhole.unproject(&at) / f64::from(pixel.idepth))
+        }));
+    }
+    points
+}
+
+fn print_alignment(alignment: &SurfaceAlignment) {
+    let SurfaceAlignment { before, after, .. } = alignment;
+    println!(
+        "points brought onto the surfaces of the truth: moved by {:.4}, turned by {:.2} degrees, scaled by {:.4}; median distance {:.4} -> \
+         {:.4}, next to a surface {:.1} -> {:.1} %",
+        alignment.moved,
+        alignment.turned_deg,
+        alignment.scale,
+        before.median,
+        after.median,
+        100.0 * before.within_a_cell,
+        100.0 * after.within_a_cell
+    );
 }
 
 /// The cells that some keyframe of a recording looks at.
