@@ -9,6 +9,7 @@ use super::scan::{Depths, KeptDepths};
 use super::{FusionConfig, KeyframeCamera};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
+use nalgebra::Matrix3;
 
 /// The depths of keyframe `index`, each fused with those of other keyframes that agree; as they are for one without a pose. `get` gives
 /// those of the others.
@@ -29,13 +30,16 @@ pub(super) fn fused(
     };
     let (mut measured, mut filled) = (means(depths.measured), means(depths.filled));
     let witnesses = witnesses(views, index, camera, config.max_witnesses);
+    let mut grid = Grid::new(camera);
     for other in witnesses.into_iter().filter_map(|w| views[w].as_ref()) {
         let theirs = get(&other.depths);
-        let rows = Rows::new(&theirs, camera);
+        grid.fill(&theirs);
         let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
+        let other_from_this = Affine::new(&other_from_this);
         for mean in measured.iter_mut().chain(&mut filled) {
-            mean.hear(&rows, &other_from_this, camera, config);
+            mean.hear(&grid, &other_from_this, camera, config);
         }
+        grid.clear(&theirs);
     }
     let taken = |means: Vec<Mean>| -> Vec<Measurement> {
         let taken = means.iter().filter_map(|mean| mean.result(config));
@@ -79,18 +83,18 @@ impl Mean {
     /// Takes what a keyframe says of the point.
     fn hear(
         &mut self,
-        rows: &Rows,
-        other_from_this: &Sim3,
+        grid: &Grid,
+        other_from_this: &Affine,
         camera: &KeyframeCamera,
         config: &FusionConfig,
     ) {
-        let seen = *other_from_this * self.point;
+        let seen = other_from_this.linear * self.point + other_from_this.translation;
         if seen.z <= 1e-9 {
             return;
         }
         let expected = (1.0 / seen.z) as f32;
         let sigma = self.pixel.sigma_idepth / self.pixel.idepth;
-        match rows.confirming(&camera.pinhole.project(&seen), expected, sigma, config) {
+        match grid.confirming(&camera.pinhole.project(&seen), expected, sigma, config) {
             Answer::Nothing => {}
             Answer::Other => self.is_looked_at = true,
             Answer::Same { ratio, sigma } => {
@@ -129,77 +133,95 @@ enum Answer {
     Same { ratio: f32, sigma: f32 },
 }
 
-/// The depths of a keyframe, to be looked up by place.
-struct Rows<'a> {
-    /// Measured and filled, and where the rows of each begin.
-    kinds: [(&'a [Measurement], Vec<u32>); 2],
-    height: usize,
+/// A similarity as a matrix and a vector, for many points.
+struct Affine {
+    linear: Matrix3<f64>,
+    translation: Vec3,
 }
 
-impl<'a> Rows<'a> {
-    fn new(depths: &'a Depths, camera: &KeyframeCamera) -> Self {
-        let kind = |pixels: &'a [Measurement]| {
-            let mut starts = Vec::with_capacity(camera.height + 1);
-            let mut at = 0;
-            for y in 0..=camera.height {
-                while pixels.get(at).is_some_and(|pixel| usize::from(pixel.y) < y) {
-                    at += 1;
-                }
-                starts.push(at as u32);
-            }
-            (pixels, starts)
-        };
+impl Affine {
+    fn new(similarity: &Sim3) -> Self {
         Self {
-            kinds: [kind(&depths.measured), kind(&depths.filled)],
+            linear: similarity.rotation.to_rotation_matrix().into_inner() * similarity.scale,
+            translation: similarity.translation,
+        }
+    }
+}
+
+/// The depths of a keyframe by their place in its image.
+struct Grid {
+    width: usize,
+    height: usize,
+    /// Inverse depth and its relative standard deviation, row-major; 0 where there is none.
+    pixels: Vec<[f32; 2]>,
+}
+
+impl Grid {
+    /// Without depth.
+    fn new(camera: &KeyframeCamera) -> Self {
+        Self {
+            width: camera.width,
             height: camera.height,
+            pixels: vec![[0.0; 2]; camera.width * camera.height],
+        }
+    }
+
+    fn fill(&mut self, depths: &Depths) {
+        for pixel in depths.filled.iter().chain(&depths.measured) {
+            let sigma = pixel.sigma_idepth / pixel.idepth;
+            self.pixels[usize::from(pixel.y) * self.width + usize::from(pixel.x)] =
+                [pixel.idepth, sigma];
+        }
+    }
+
+    /// Takes out what was filled in.
+    fn clear(&mut self, depths: &Depths) {
+        for pixel in depths.filled.iter().chain(&depths.measured) {
+            self.pixels[usize::from(pixel.y) * self.width + usize::from(pixel.x)] = [0.0; 2];
         }
     }
 
     /// The depth next to a place, of the 3x3 pixels around it, that agrees with the expected one.
     fn confirming(&self, place: &Vec2, expected: f32, sigma: f32, config: &FusionConfig) -> Answer {
+        let (x, y) = (place.x.round(), place.y.round());
+        let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        if !is_inside {
+            return Answer::Nothing;
+        }
+        let (right, below) = ((place.x - x) as f32, (place.y - y) as f32);
+        let (x, y) = (x as usize, y as usize);
         let mut answer = Answer::Nothing;
         let mut nearest = f32::INFINITY;
-        for pixel in self.around(place) {
-            let ratio = pixel.idepth / expected;
-            let its_sigma = pixel.sigma_idepth / pixel.idepth;
-            let tolerance = config.sigmas as f32 * sigma.hypot(its_sigma);
-            if (ratio - 1.0).abs() > tolerance.max(config.min_tolerance as f32) {
-                if matches!(answer, Answer::Nothing) {
-                    answer = Answer::Other;
+        for row in y.saturating_sub(1)..(y + 2).min(self.height) {
+            for column in x.saturating_sub(1)..(x + 2).min(self.width) {
+                let [idepth, its_sigma] = self.pixels[row * self.width + column];
+                if idepth <= 0.0 {
+                    continue;
                 }
-                continue;
-            }
-            let (dx, dy) = (
-                f32::from(pixel.x) - place.x as f32,
-                f32::from(pixel.y) - place.y as f32,
-            );
-            let distance = dx * dx + dy * dy;
-            if distance < nearest {
-                nearest = distance;
-                answer = Answer::Same {
-                    ratio,
-                    sigma: its_sigma,
-                };
+                let ratio = idepth / expected;
+                let gap = (ratio - 1.0).powi(2);
+                let variance = sigma * sigma + its_sigma * its_sigma;
+                let tolerance = (config.sigmas * config.sigmas) as f32 * variance;
+                let least = (config.min_tolerance * config.min_tolerance) as f32;
+                if gap > tolerance.max(least) {
+                    if matches!(answer, Answer::Nothing) {
+                        answer = Answer::Other;
+                    }
+                    continue;
+                }
+                let dx = column as f32 - x as f32 - right;
+                let dy = row as f32 - y as f32 - below;
+                let distance = dx * dx + dy * dy;
+                if distance < nearest {
+                    nearest = distance;
+                    answer = Answer::Same {
+                        ratio,
+                        sigma: its_sigma,
+                    };
+                }
             }
         }
         answer
-    }
-
-    /// The depths of the 3x3 pixels around a place.
-    fn around(&self, place: &Vec2) -> impl Iterator<Item = &'a Measurement> {
-        let (x, y) = (place.x.round(), place.y.round());
-        let is_inside = x >= 0.0 && y >= 0.0 && y < self.height as f64;
-        let (x, y) = (x as usize, y as usize);
-        let rows = y.saturating_sub(1)..(y + 2).min(self.height);
-        let rows = if is_inside { rows } else { 0..0 };
-        rows.flat_map(move |row| {
-            self.kinds.iter().flat_map(move |(pixels, starts)| {
-                let of_row = &pixels[starts[row] as usize..starts[row + 1] as usize];
-                let first = of_row.partition_point(|pixel| usize::from(pixel.x) + 1 < x);
-                let near = of_row[first..].iter();
-                near.take_while(move |pixel| usize::from(pixel.x) <= x + 1)
-            })
-        })
     }
 }
 
