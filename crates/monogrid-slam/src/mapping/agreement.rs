@@ -269,6 +269,21 @@ mod tests {
     use crate::store::Store;
     use monogrid_geometry::Rotation;
 
+    impl View {
+        /// A keyframe whose depth lies in memory.
+        pub(in crate::mapping) fn in_memory(
+            depths: &Depths,
+            world_from_keyframe: Sim3,
+            camera: &KeyframeCamera,
+        ) -> Self {
+            Self {
+                depths: KeptDepths::new(&Store::default(), depths.clone()),
+                blocks: Arc::new(Blocks::new(depths, camera)),
+                world_from_keyframe,
+            }
+        }
+    }
+
     const CAMERA: KeyframeCamera = KeyframeCamera {
         pinhole: Pinhole {
             fx: 60.0,
@@ -313,11 +328,8 @@ mod tests {
             .enumerate()
             .map(|(k, depths)| {
                 let centre = Vec3::new(0.1 * k as f64, 0.0, 0.0);
-                Some(View {
-                    depths: KeptDepths::new(&Store::default(), depths.clone()),
-                    blocks: Arc::new(Blocks::new(depths, &CAMERA)),
-                    world_from_keyframe: Sim3::new(1.0, Rotation::identity(), centre),
-                })
+                let pose = Sim3::new(1.0, Rotation::identity(), centre);
+                Some(View::in_memory(depths, pose, &CAMERA))
             })
             .collect();
         let kept = kept(&views, 0, &CAMERA, config).unwrap();

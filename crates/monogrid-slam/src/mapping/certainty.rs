@@ -109,8 +109,7 @@ struct Compared {
 }
 
 impl Compared {
-    /// Measured depth with measured depth, filled with filled.
-    /// Adds those of some depths of a keyframe from the depths of another.
+    /// Adds those of some depths of a keyframe from the depths of another: measured from measured depth, filled from filled.
     fn compare(
         &mut self,
         mine: &Depths,
@@ -180,12 +179,8 @@ fn difference(pixel: &Measurement, expected: f32, other: &Measurement) -> Option
 
 #[cfg(test)]
 mod tests {
-    use super::super::agreement::Blocks;
-    use super::super::scan::KeptDepths;
     use super::*;
-    use crate::store::Store;
     use monogrid_geometry::{Pinhole, Rotation, Vec3};
-    use std::sync::Arc;
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
         pinhole: Pinhole {
@@ -233,19 +228,9 @@ mod tests {
     }
 
     fn certainty(keyframes: &[(Depths, Sim3)]) -> Certainty {
-        let view = |(depths, world_from_keyframe): &'_ (Depths, Sim3)| {
-            (depths.clone(), *world_from_keyframe)
-        };
-        let owned: Vec<(Depths, Sim3)> = keyframes.iter().map(view).collect();
-        let views: Vec<Option<View>> = owned
-            .iter()
-            .map(|(depths, world_from_keyframe)| {
-                Some(View {
-                    depths: KeptDepths::new(&Store::default(), depths.clone()),
-                    blocks: Arc::new(Blocks::new(depths, &CAMERA)),
-                    world_from_keyframe: *world_from_keyframe,
-                })
-            })
+        let keyframes = keyframes.iter();
+        let views: Vec<Option<View>> = keyframes
+            .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
             .collect();
         Certainty::of_views(&views, &CAMERA, 2)
     }

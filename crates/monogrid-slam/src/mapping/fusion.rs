@@ -167,17 +167,21 @@ impl Grid {
     }
 
     fn fill(&mut self, depths: &Depths) {
-        for pixel in depths.filled.iter().chain(&depths.measured) {
-            let sigma = pixel.sigma_idepth / pixel.idepth;
-            self.pixels[usize::from(pixel.y) * self.width + usize::from(pixel.x)] =
-                [pixel.idepth, sigma];
-        }
+        self.set(depths, |pixel| {
+            [pixel.idepth, pixel.sigma_idepth / pixel.idepth]
+        });
     }
 
     /// Takes out what was filled in.
     fn clear(&mut self, depths: &Depths) {
+        self.set(depths, |_| [0.0; 2]);
+    }
+
+    /// Measured depth wins where there are both.
+    fn set(&mut self, depths: &Depths, value: impl Fn(&Measurement) -> [f32; 2]) {
         for pixel in depths.filled.iter().chain(&depths.measured) {
-            self.pixels[usize::from(pixel.y) * self.width + usize::from(pixel.x)] = [0.0; 2];
+            let at = usize::from(pixel.y) * self.width + usize::from(pixel.x);
+            self.pixels[at] = value(pixel);
         }
     }
 
@@ -227,11 +231,8 @@ impl Grid {
 
 #[cfg(test)]
 mod tests {
-    use super::super::agreement::Blocks;
     use super::*;
-    use crate::store::Store;
     use monogrid_geometry::{Pinhole, Rotation};
-    use std::sync::Arc;
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
         pinhole: Pinhole {
@@ -272,13 +273,7 @@ mod tests {
     fn fused_first(keyframes: &[(Depths, Sim3)], config: &FusionConfig) -> Vec<Measurement> {
         let views: Vec<Option<View>> = keyframes
             .iter()
-            .map(|(depths, world_from_keyframe)| {
-                Some(View {
-                    depths: KeptDepths::new(&Store::default(), depths.clone()),
-                    blocks: Arc::new(Blocks::new(depths, &CAMERA)),
-                    world_from_keyframe: *world_from_keyframe,
-                })
-            })
+            .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
             .collect();
         let first = keyframes[0].0.clone();
         fused(&views, 0, first, KeptDepths::get, &CAMERA, config).measured
