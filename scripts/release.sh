@@ -4,14 +4,20 @@
 #   scripts/release.sh [TARGET]    default: this computer's. x86_64-unknown-linux-musl gives a program that needs nothing of the system;
 #                                  aarch64-unknown-linux-musl is tried out with qemu-aarch64 where that is installed
 #
-# A target is installed by `rustup target add`; a C linker for it is asked for by CARGO_TARGET_<TARGET>_LINKER. OUT: where the archive
-# goes; PROFILE: release (default) or dev.
+# A target is installed by `rustup target add`. Nothing of the program is C, so that musl targets are linked by the linker that comes with
+# Rust; another is asked for by CARGO_TARGET_<TARGET>_LINKER. OUT: where the archive goes; PROFILE: release (default) or dev.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 host=$(rustc -vV | sed -n 's/^host: //p')
 target=${1:-$host}
 profile=${PROFILE:-release}
 out=${OUT:-target/archives}
+case $target in
+  *-musl)
+    linker=CARGO_TARGET_$(tr 'a-z-' 'A-Z_' <<<"$target")_LINKER
+    export "$linker=${!linker:-rust-lld}"
+    ;;
+esac
 
 cargo build --locked --profile "$profile" --target "$target" -p monogrid --bin monogrid
 built=$([ "$profile" = dev ] && echo debug || echo "$profile")

@@ -57,9 +57,12 @@ impl ImuFile {
         let samples: Option<Vec<_>> = rows.iter().map(sample).collect();
         let samples = samples
             .ok_or_else(|| DatasetError::content(path, "times that are no numbers", "numbers"))?;
-        let (body_from_imu, noise) = match path.parent().map(|folder| folder.join("sensor.yaml")) {
-            Some(yaml) if yaml.is_file() => sensor_yaml(&read_text(&yaml)?),
-            _ => (None, None),
+        let ImuCalibration {
+            noise,
+            body_from_imu,
+        } = match path.parent().map(|folder| folder.join("sensor.yaml")) {
+            Some(yaml) if yaml.is_file() => ImuCalibration::of(&read_text(&yaml)?),
+            _ => ImuCalibration::default(),
         };
         Ok(Self {
             interpretation: format!(
@@ -82,6 +85,41 @@ impl ImuFile {
             body_from_imu,
             path: path.to_path_buf(),
         })
+    }
+}
+
+/// What a file says about an inertial sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImuCalibration {
+    /// Its noise.
+    pub noise: Option<ImuNoise>,
+    /// Where it sits in the body.
+    pub body_from_imu: Option<Se3>,
+}
+
+impl ImuCalibration {
+    /// Reads EuRoC's `sensor.yaml`.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or says nothing about the sensor.
+    pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        let found = Self::of(&read_text(path)?);
+        if found == Self::default() {
+            return Err(DatasetError::content(
+                path,
+                "neither noise nor place of an inertial sensor",
+                "gyroscope_noise_density, gyroscope_random_walk, accelerometer_noise_density, accelerometer_random_walk, T_BS",
+            ));
+        }
+        Ok(found)
+    }
+
+    fn of(yaml: &str) -> Self {
+        let (body_from_imu, noise) = sensor_yaml(yaml);
+        Self {
+            noise,
+            body_from_imu,
+        }
     }
 }
 

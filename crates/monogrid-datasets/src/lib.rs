@@ -39,7 +39,7 @@ pub use images::{
     decode_jpeg_luma, decode_jpeg_rgb, encode_jpeg, encode_jpeg_rgb, encode_png, encode_png_16,
     encode_png_rgb, exif_focal_px, read_depth, read_gray, read_mask, read_rgb,
 };
-pub use imu::{ImuFile, write_imu};
+pub use imu::{ImuCalibration, ImuFile, write_imu};
 pub use recording::{
     ColourRecord, Continuation, Damage, DepthPixel, DepthRevision, EndRecord, FragmentKeyframe,
     KeyframeLink, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedCamera, RecordedEdge,

@@ -68,8 +68,7 @@ impl Imu {
     /// Sorts the samples by time; of equal times the first counts, and readings that are not finite do not.
     #[must_use]
     pub fn new(mut samples: Vec<ImuSample>, noise: ImuNoise, imu_from_camera: Se3) -> Self {
-        samples
-            .retain(|s| s.angular_velocity.sum().is_finite() && s.specific_force.sum().is_finite());
+        samples.retain(is_finite);
         samples.sort_by_key(|s| s.timestamp_ns);
         samples.dedup_by_key(|s| s.timestamp_ns);
         Self {
@@ -77,6 +76,25 @@ impl Imu {
             noise,
             imu_from_camera,
         }
+    }
+
+    /// Adds readings as they come; late ones go where they belong, and of those of a time that is known already the earlier counts.
+    pub fn add(&mut self, samples: &[ImuSample]) {
+        for sample in samples.iter().filter(|sample| is_finite(sample)) {
+            let place = self
+                .samples
+                .partition_point(|s| s.timestamp_ns < sample.timestamp_ns);
+            let known = self.samples.get(place);
+            if known.is_none_or(|known| known.timestamp_ns != sample.timestamp_ns) {
+                self.samples.insert(place, *sample);
+            }
+        }
+    }
+
+    /// Gives up the readings before a time.
+    pub fn forget_before(&mut self, ns: i64) {
+        let first = self.samples.partition_point(|s| s.timestamp_ns < ns);
+        self.samples.drain(..first);
     }
 
     /// All readings.
@@ -143,6 +161,10 @@ impl Imu {
         let after = self.samples.partition_point(|s| s.timestamp_ns <= ns);
         after.saturating_sub(1)
     }
+}
+
+fn is_finite(sample: &ImuSample) -> bool {
+    sample.angular_velocity.sum().is_finite() && sample.specific_force.sum().is_finite()
 }
 
 /// Both readings at a time, by linear interpolation; the nearest ones beyond the ends.
@@ -212,6 +234,27 @@ mod tests {
                 .steps(0, 1)
                 .is_none()
         );
+    }
+
+    #[test]
+    fn readings_that_come_one_by_one_late_or_twice_are_those_that_were_known_before() {
+        let whole = imu(&[0, 10, 20, 30, 40]);
+        let mut live = imu(&[]);
+        let of = |ms: i64| whole.samples()[(ms / 10) as usize];
+        let second = ImuSample {
+            specific_force: Vec3::x(),
+            ..of(10)
+        };
+        let broken = ImuSample {
+            angular_velocity: Vec3::new(f64::NAN, 0.0, 0.0),
+            ..of(40)
+        };
+        live.add(&[of(0), of(10), of(30)]);
+        live.add(&[of(20), second, broken]);
+        live.add(&[of(40)]);
+        assert_eq!(live.samples(), whole.samples());
+        live.forget_before(20_000_000);
+        assert_eq!(live.samples(), &whole.samples()[2..]);
     }
 
     #[test]

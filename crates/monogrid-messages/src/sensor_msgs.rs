@@ -1,5 +1,6 @@
-//! Cameras and clouds.
+//! Cameras, inertial sensors and clouds.
 
+use crate::geometry_msgs::{Quaternion, Vector3};
 use crate::ros_message;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
@@ -80,6 +81,26 @@ pub struct CameraInfo {
     pub roi: RegionOfInterest,
 }
 ros_message!("sensor_msgs", CameraInfo);
+
+/// A reading of an inertial sensor, along its axes. A covariance that begins with -1 says that there is no such value.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Imu {
+    /// Time, and the frame of the sensor.
+    pub header: Header,
+    /// Its orientation in the world.
+    pub orientation: Quaternion,
+    /// Rows of the covariance of the orientation, rad².
+    pub orientation_covariance: [f64; 9],
+    /// rad/s.
+    pub angular_velocity: Vector3,
+    /// Rows of its covariance.
+    pub angular_velocity_covariance: [f64; 9],
+    /// Specific force, m/s²: with gravity in it.
+    pub linear_acceleration: Vector3,
+    /// Rows of its covariance.
+    pub linear_acceleration_covariance: [f64; 9],
+}
+ros_message!("sensor_msgs", Imu);
 
 /// One number of the points of a cloud.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -12,7 +12,7 @@ use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry, Path};
 use monogrid_messages::octomap_msgs::Octomap;
 use monogrid_messages::sensor_msgs::{
-    CameraInfo, CompressedImage, FLOAT32, Image, PointCloud2, PointField, RegionOfInterest,
+    CameraInfo, CompressedImage, FLOAT32, Image, Imu, PointCloud2, PointField, RegionOfInterest,
 };
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
@@ -155,7 +155,7 @@ fn images() {
 }
 
 #[test]
-fn cameras_and_clouds() {
+fn sensors_and_clouds() {
     is_as_others_write_it(&CameraInfo {
         header: header("camera"),
         height: 480,
@@ -174,6 +174,15 @@ fn cameras_and_clouds() {
             width: 4,
             do_rectify: true,
         },
+    });
+    is_as_others_write_it(&Imu {
+        header: header("imu"),
+        orientation: QUATERNION,
+        orientation_covariance: from_fn(|i| if i == 0 { -1.0 } else { 0.0 }),
+        angular_velocity: vector(0.1, -0.2, 0.3),
+        angular_velocity_covariance: from_fn(|i| i as f64),
+        linear_acceleration: vector(0.5, 9.75, -1.25),
+        linear_acceleration_covariance: from_fn(|i| i as f64 / 2.0),
     });
     is_as_others_write_it(&PointCloud2 {
         header: header("map"),

@@ -37,16 +37,20 @@
 #![deny(missing_docs)]
 
 pub mod clock;
+mod finished;
 mod listener;
 mod mapper;
 mod pipeline;
 mod preparation;
+mod readings;
 mod shutter;
 mod source;
 mod waiting;
 
+pub use finished::{Cpu, Finished};
 pub use listener::{Listener, ListenerError, Run};
+pub use monogrid_inertial::{Imu, ImuNoise, ImuSample};
 pub use monogrid_slam::Event;
-pub use pipeline::{Cpu, Finished, Pipeline, PipelineError, Settings};
+pub use pipeline::{Pipeline, PipelineError, Settings};
 pub use preparation::{Preparation, Unusable};
 pub use source::{FrameSource, Pace, ReadFrame, ReadOn, Reading, SourceFrame, read_ahead};

@@ -1,9 +1,10 @@
 //! The thread that maps: integrates keyframes as they are finished and lets the maps follow the graph.
 
 use crate::clock::{give_way, thread_cpu};
+use monogrid_geometry::Sim3;
 use monogrid_occupancy::MapError;
-use monogrid_slam::Event;
 use monogrid_slam::mapping::{KeyframeCamera, LiveMaps, MapReader, Waiting};
+use monogrid_slam::{Event, InertialPath};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -19,6 +20,8 @@ enum Message {
     Event(Event),
     /// Somebody wants to read the maps while they grow.
     Reader(SyncSender<Result<MapReader, MapError>>),
+    /// An inertial sensor may say what is level, and how long a metre is.
+    Path(InertialPath),
 }
 
 type Mapped = (Result<LiveMaps, MapError>, Duration);
@@ -52,6 +55,11 @@ impl MapperThread {
         reader
     }
 
+    /// Brings the maps that grow to the frame that an inertial sensor has, when it is sure and somebody reads them.
+    pub(crate) fn be_level(&self, path: InertialPath) {
+        let _ = self.messages.send(Message::Path(path));
+    }
+
     /// Ends it; the maps as far as they have come, and the CPU time that they took. None if it panicked.
     pub(crate) fn join(self) -> Option<Mapped> {
         drop(self.messages);
@@ -62,6 +70,7 @@ impl MapperThread {
 /// Integrates keyframes as they are finished, and lets the maps follow the graph while there is nothing else to do.
 fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &KeyframeCamera) -> Mapped {
     give_way();
+    let base = *maps.map_from_world();
     let mut result = Ok(());
     let mut has_work = false;
     loop {
@@ -84,6 +93,10 @@ fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &Keyframe
                 let _ = wanted.send(maps.reader());
                 has_work = true;
             }
+            Ok(Message::Path(path)) => {
+                result = be_level(&mut maps, &path, &base);
+                has_work = true;
+            }
             Err(TryRecvError::Empty) => match maps.step() {
                 Ok(has_worked) => has_work = has_worked,
                 Err(error) => result = Err(error),
@@ -91,6 +104,20 @@ fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &Keyframe
         }
     }
     (result.map(|()| maps), thread_cpu())
+}
+
+/// Brings the maps to the frame that an inertial sensor makes of `base`.
+fn be_level(maps: &mut LiveMaps, path: &InertialPath, base: &Sim3) -> Result<(), MapError> {
+    if !maps.is_read() {
+        return Ok(());
+    }
+    match path.sensed(base) {
+        Ok(sensed) if sensed.is_another(maps.map_from_world()) => {
+            maps.bring_to(sensed.map_from_world)
+        }
+        // nothing new, or nothing certain yet
+        _ => Ok(()),
+    }
 }
 
 fn take_event(maps: &mut LiveMaps, event: &Event, camera: &KeyframeCamera) -> Result<(), MapError> {

@@ -1,27 +1,23 @@
 //! Tracking, mapping and listeners put together.
 
+use crate::finished::{Cpu, Finished};
 use crate::listener::{Listener, ListenerError, Listening, Run};
 use crate::mapper::MapperThread;
 use crate::preparation::{Preparation, Preparer, Unusable};
+use crate::readings::LiveReadings;
 use crate::shutter::Rectifier;
 use crate::source::{FrameSource, ReadFrame, ReadOn, Reading, read_ahead};
-use monogrid_geometry::{Camera, Sim3, Vec3};
+use monogrid_geometry::{Camera, Sim3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
-use monogrid_inertial::Imu;
+use monogrid_inertial::{Imu, ImuSample};
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
-    KeyframeCamera, KeyframeScan, LiveMaps, MapReader, Mapper, MappingConfig, Maps, camera_paths,
-    z_up_from_camera_world,
+    KeyframeCamera, LiveMaps, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
 };
-use monogrid_slam::{
-    Event, FrameInput, FrameReport, MapSize, PoseSnapshot, Purpose, Slam, SlamConfig, StoredMap,
-    TrackedFrame, TrajectoryPose,
-};
+use monogrid_slam::{Event, FrameInput, FrameReport, Purpose, Slam, SlamConfig, StoredMap};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
 use std::sync::mpsc::Receiver;
-use std::time::Duration;
 
 /// Everything that decides the result of a pipeline, besides its camera and its images.
 #[derive(Clone, Debug)]
@@ -42,9 +38,11 @@ pub struct Settings {
     pub photometric: Photometric,
     /// Time that the camera takes from its first row to the last, ms; 0 where it reads all at once.
     pub readout_ms: f64,
-    /// Readings of an inertial sensor beside the camera, on the clock of the images.
+    /// Readings of an inertial sensor beside the camera, on the clock of the images; of a live one those of before the first image,
+    /// or none ([`Pipeline::push_readings`]).
     pub imu: Option<Arc<Imu>>,
-    /// The frame of the maps. By default they are z up as the first camera was held.
+    /// The frame of the maps, where no inertial sensor makes it level and metric. By default they are z up as the first camera was
+    /// held.
     pub map_from_world: Sim3,
 }
 
@@ -93,6 +91,8 @@ pub struct Pipeline {
     preparer: Preparer,
     /// Of images that are pushed, where rows are read one after the other.
     rectifier: Option<Rectifier>,
+    /// Of an inertial sensor that is read while images are pushed.
+    readings: LiveReadings,
     slam: Slam,
     listeners: Vec<Listening>,
     mapper: MapperThread,
@@ -150,6 +150,7 @@ impl Pipeline {
             rectifier: preparation.shutter().map(Rectifier::new),
             preparation,
             preparer: Preparer::default(),
+            readings: LiveReadings::default(),
             slam,
             listeners: Vec::new(),
             mapper: MapperThread::start(maps, camera)?,
@@ -228,13 +229,15 @@ impl Pipeline {
     }
 
     /// Takes the next image of the camera (grey, 0 to 255); what became of it. With a rolling shutter, what became of the
-    /// image before ([`FrameReport::index`]): its rows are put right by what moved until this one.
+    /// image before ([`FrameReport::index`]): its rows are put right by what moved until this one. An image that is newer than the
+    /// readings of a live inertial sensor waits for them until the next image.
     ///
     /// # Errors
     /// An image of another size than the camera's, or one that repeats the one before; [`Unusable::Waits`] for the first
-    /// image of a rolling shutter.
+    /// image of a rolling shutter, and for one that waits for readings.
     pub fn push(&mut self, image: GrayImage, timestamp_ns: i64) -> Result<FrameReport, Unusable> {
-        let index = self.num_frames + self.rectifier.as_ref().map_or(0, Rectifier::num_waiting);
+        let rectified_later = self.rectifier.as_ref().map_or(0, Rectifier::num_waiting);
+        let index = self.num_frames + rectified_later + self.readings.num_waiting();
         let image = self.preparer.next(&self.preparation, image, false);
         let image = image.inspect_err(|_| self.pass_over())?;
         let frame = ReadFrame {
@@ -250,8 +253,22 @@ impl Pipeline {
                 rectifier.take()
             }
         };
+        let ready = ready.and_then(|frame| self.readings.take_frame(frame));
         let tracked = ready.and_then(|frame| self.track_read(frame));
         tracked.unwrap_or(Err(Unusable::Waits))
+    }
+
+    /// Takes readings of a live inertial sensor, which [`Settings::imu`] describes, on the clock of the images and, as far as possible,
+    /// before images that are later. What became of the image that waited for them, if one did. The growing maps
+    /// ([`Self::live_map`]) become level and metric when the readings are sure enough.
+    pub fn push_readings(
+        &mut self,
+        readings: &[ImuSample],
+    ) -> Option<Result<FrameReport, Unusable>> {
+        self.slam.add_readings(readings);
+        let newest_ns = readings.iter().map(|reading| reading.timestamp_ns).max()?;
+        let ready = self.readings.take_readings(newest_ns)?;
+        self.track_read(ready)
     }
 
     /// Tracks a frame that was read; one that cannot be used is counted, nothing is said of one that was dropped.
@@ -275,6 +292,11 @@ impl Pipeline {
         self.num_frames += 1;
         let report = self.slam.process_frame(frame);
         self.tell();
+        if self.readings.is_question_due(&report)
+            && let Some(path) = self.slam.inertial_path()
+        {
+            self.mapper.be_level(path);
+        }
         report
     }
 
@@ -310,6 +332,9 @@ impl Pipeline {
     /// # Errors
     /// What a listener gave up for. Maps that could not grow are said by [`Finished::maps`].
     pub fn finish(mut self) -> Result<Finished, PipelineError> {
+        if let Some(frame) = self.readings.take_waiting() {
+            self.track_read(frame);
+        }
         if let Some(mut rectifier) = self.rectifier.take() {
             rectifier.finish();
             while let Some(frame) = rectifier.take() {
@@ -371,119 +396,5 @@ impl Pipeline {
         if !self.localise_only {
             self.mapper.tell(event);
         }
-    }
-}
-
-/// CPU time of the threads of a pipeline.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Cpu {
-    /// The mapper's.
-    pub mapping: Duration,
-    /// That of all listeners.
-    pub listening: Duration,
-}
-
-/// A pipeline that has ended.
-#[derive(Debug)]
-pub struct Finished {
-    /// The system, which holds the finished keyframes, and no longer what only more frames would need.
-    pub slam: Slam,
-    /// How large the map was after the last frame.
-    pub map_size: MapSize,
-    /// Final poses of the keyframes.
-    pub poses: Arc<PoseSnapshot>,
-    /// Frames with a believed pose, final.
-    pub trajectory: Vec<TrajectoryPose>,
-    /// CPU time of the threads.
-    pub cpu: Cpu,
-    maps: Option<Result<LiveMaps, MapError>>,
-    threads: usize,
-    map_from_world: Sim3,
-    localise_only: bool,
-}
-
-impl Finished {
-    /// The final maps in the frame of the settings; `None` where there is nothing to map.
-    ///
-    /// # Errors
-    /// A map that would exceed its memory.
-    pub fn maps(&mut self) -> Result<Option<Maps>, PipelineError> {
-        let map_from_world = self.map_from_world;
-        let last = self.trajectory.last().map(|pose| pose.world_from_camera);
-        let camera = last.map(|pose| (map_from_world * pose.with_scale(1.0)).translation);
-        self.maps_in(&map_from_world, camera)
-    }
-
-    /// The final maps in the frame given by `map_from_world`; the local one is around `camera`, which is in that
-    /// frame. Where the camera was is free in both. The second call has none.
-    ///
-    /// # Errors
-    /// A map that would exceed its memory.
-    pub fn maps_in(
-        &mut self,
-        map_from_world: &Sim3,
-        camera: Option<Vec3>,
-    ) -> Result<Option<Maps>, PipelineError> {
-        let done = AtomicUsize::new(0);
-        let scans = self.final_scans(&done);
-        self.maps_of(scans, map_from_world, camera, (&[], None), &done)
-    }
-
-    /// As [`Self::maps_in`], of measurements that are at hand: [`Self::final_scans`]. Where the camera was in the frames of
-    /// `earlier` sessions is free too; cells have the edge of the settings, or `edge`. `done` grows with every keyframe
-    /// that is put in its place, for those who wait.
-    ///
-    /// # Errors
-    /// A map that would exceed its memory.
-    pub fn maps_of(
-        &mut self,
-        scans: Vec<KeyframeScan>,
-        map_from_world: &Sim3,
-        camera: Option<Vec3>,
-        (earlier, edge): (&[TrackedFrame], Option<f64>),
-        done: &AtomicUsize,
-    ) -> Result<Option<Maps>, PipelineError> {
-        let Some(maps) = self.maps.take() else {
-            return Ok(None);
-        };
-        let mut live = maps?;
-        if scans.is_empty() {
-            return Ok(None);
-        }
-        let mapper = match edge {
-            Some(edge) => live.mapper().with_resolution(edge),
-            None => live.mapper().clone(),
-        };
-        match edge {
-            Some(_) => live = live.remade(mapper.clone(), scans)?,
-            None => scans.into_iter().for_each(|scan| live.revise(scan)),
-        }
-        let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
-        let mut frames = earlier.to_vec();
-        frames.extend(self.slam.tracked_frames());
-        let paths = camera_paths(&frames, |id| self.poses.in_main_map(id), map_from_world);
-        mapper.free_body(&mut maps.global, &paths)?;
-        if let Some(centre) = camera {
-            let radius = mapper.config().local_radius;
-            maps.local = maps.global.within(centre.into(), radius)?;
-        }
-        for map in [&mut maps.global, &mut maps.large, &mut maps.local] {
-            map.pack(self.threads);
-        }
-        Ok(Some(maps))
-    }
-
-    /// The depth of all keyframes as it is mapped in the end, made better at the final poses; empty where there is
-    /// nothing to map. `done` grows with every keyframe, for those who wait.
-    #[must_use]
-    pub fn final_scans(&self, done: &AtomicUsize) -> Vec<KeyframeScan> {
-        let Some(Ok(maps)) = &self.maps else {
-            return Vec::new();
-        };
-        if self.localise_only {
-            return Vec::new();
-        }
-        let config = maps.mapper().config();
-        self.slam.final_scans(config, self.threads, done)
     }
 }

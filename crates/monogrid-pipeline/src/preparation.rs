@@ -36,8 +36,9 @@ pub enum Unusable {
     /// It is the image before once more, pixel by pixel: it says nothing new.
     #[error("it repeats the image before")]
     Repeats,
-    /// Its rows are put right by what moves until the next one: it is used then.
-    #[error("it waits for the next image, which shows how its rows move")]
+    /// It is used later: its rows are put right by what moves until the next one, or readings of an inertial sensor until its time are
+    /// missing.
+    #[error("it waits for the next image, or for readings of the inertial sensor until its time")]
     Waits,
 }
 

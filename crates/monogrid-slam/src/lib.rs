@@ -16,6 +16,7 @@ mod depth_step;
 mod fragments;
 mod frame;
 mod graph;
+mod inertial_path;
 mod keyframe;
 mod limits;
 mod map;
@@ -44,6 +45,7 @@ pub use graph::{
     DirectEdgeConfig, DriftConfig, EdgeKind, GraphConfig, GraphStats, PlaceMethod,
     PlaceRecognitionConfig, PlacesError, SparseEdgeConfig,
 };
+pub use inertial_path::{InertialPath, SensedFrame};
 pub use keyframe::{
     DepthPixel, KeptKeyframe, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame,
     TrajectoryPose,

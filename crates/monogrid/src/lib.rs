@@ -40,7 +40,7 @@
 //! | calibrations, trajectories, recordings and folders of images | [`datasets`] |
 //! | frames of videos and cameras | [`video`] |
 //! | trajectories and maps against the truth | [`evaluation`] |
-//! | readings of an inertial sensor ([`Settings::imu`]) | [`inertial`] |
+//! | readings of an inertial sensor, known before ([`Settings::imu`]) or live ([`Pipeline::push_readings`]) | [`inertial`] |
 //! | transforms and camera models | [`geometry`] |
 //!
 //! Without the feature `program` (on by default), nothing is built but these libraries:

@@ -1,7 +1,7 @@
 //! Arrays of numpy as slices of Rust, without a copy where they are contiguous.
 
 use crate::errors::value;
-use monogrid::geometry::{Rotation, Se3, Vec3, nalgebra};
+use monogrid::geometry::{Rotation, Se3, Sim3, Vec3, nalgebra};
 use numpy::ndarray::Dimension;
 use numpy::{Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use numpy::{PyReadonlyArray, PyUntypedArrayMethods, dtype};
@@ -84,6 +84,17 @@ pub fn matrix(motion: &Se3) -> [f64; 16] {
         (i, 3) => t[i],
         (i, j) => r[(i, j)],
     })
+}
+
+/// The 4x4 matrix of a similarity, row by row: rotation times scale, and translation.
+pub fn similarity(motion: &Sim3) -> [f64; 16] {
+    let mut rows = matrix(&motion.to_se3());
+    for i in 0..3 {
+        rows[4 * i..4 * i + 3]
+            .iter_mut()
+            .for_each(|v| *v *= motion.scale);
+    }
+    rows
 }
 
 /// Numbers as an array of one dimension, which takes them over.

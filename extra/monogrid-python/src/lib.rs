@@ -6,6 +6,7 @@
 mod arrays;
 mod errors;
 mod evaluation;
+mod inertial;
 mod map;
 mod slam;
 
@@ -24,6 +25,7 @@ fn _monogrid(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_class::<map::OccupancyMap>()?;
     module.add_class::<map::DistanceField>()?;
     module.add_class::<slam::Camera>()?;
+    module.add_class::<inertial::Imu>()?;
     module.add_class::<slam::Slam>()?;
     module.add_class::<slam::Frame>()?;
     module.add_class::<slam::SlamResult>()?;

@@ -1,10 +1,17 @@
 //! A running system: images in, poses and a growing map out.
 
-use crate::arrays::{contiguous, matrices, matrix, vector};
+use crate::arrays::{contiguous, matrices, matrix, similarity, vector};
 use crate::errors::{of_pipeline, value};
+use crate::inertial::{Imu, nanoseconds, readings};
 use crate::map::OccupancyMap;
+use monogrid::geometry::Sim3;
 use monogrid::pipeline::Unusable;
-use monogrid::{Calibration, Distortion, FrameReport, GrayImage, Pinhole, Pipeline, Settings};
+use monogrid::slam::mapping::Maps;
+use monogrid::slam::{Scale, SensedFrame};
+use monogrid::{
+    Calibration, Distortion, Finished, FrameReport, GrayImage, Pinhole, Pipeline, PipelineError,
+    Settings,
+};
 use numpy::{
     IntoPyArray, Ix2, Ix3, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods,
 };
@@ -168,6 +175,9 @@ pub struct SlamResult {
     times_ns: Vec<i64>,
     poses: Vec<[f64; 16]>,
     num_keyframes: usize,
+    map_from_world: [f64; 16],
+    is_metric: bool,
+    is_level: bool,
 }
 
 /// Images in, poses and a growing map out.
@@ -175,6 +185,7 @@ pub struct SlamResult {
 pub struct Slam {
     /// None when it is finished.
     pipeline: Mutex<Option<Pipeline>>,
+    has_imu: bool,
     size: (usize, usize),
 }
 
@@ -193,6 +204,19 @@ impl Slam {
     }
 }
 
+/// What a pipeline has found, its maps, their frame, and what an inertial sensor says of it.
+type Ended = (Finished, Option<Maps>, Sim3, Option<SensedFrame>);
+
+/// Ends a pipeline.
+fn all_of(pipeline: Pipeline) -> Result<Ended, PipelineError> {
+    let mut finished = pipeline.finish()?;
+    let sensed = finished.sensed();
+    let settings_frame = *finished.map_from_world();
+    let frame = sensed.map_or(settings_frame, |sensed| sensed.map_from_world);
+    let maps = finished.maps_around_camera(&frame)?;
+    Ok((finished, maps, frame, sensed))
+}
+
 fn finished() -> PyErr {
     PyRuntimeError::new_err("this Slam is finished: make another one for more images")
 }
@@ -200,10 +224,11 @@ fn finished() -> PyErr {
 #[pymethods]
 impl Slam {
     #[new]
-    #[pyo3(signature = (camera, *, mask = None, config = None, settings = Vec::new(), threads = None))]
+    #[pyo3(signature = (camera, *, imu = None, mask = None, config = None, settings = Vec::new(), threads = None))]
     fn new(
         py: Python,
         camera: PyRef<Camera>,
+        imu: Option<PyRef<Imu>>,
         mask: Option<&Bound<PyAny>>,
         config: Option<PathBuf>,
         settings: Vec<String>,
@@ -214,6 +239,7 @@ impl Slam {
         let settings = Settings {
             mask,
             readout_ms: camera.readout_ms,
+            imu: imu.as_ref().map(|imu| imu.without_readings()),
             threads: threads.unwrap_or_else(crate::map::all_threads),
             ..chosen
         };
@@ -221,20 +247,32 @@ impl Slam {
         let pipeline = py.detach(|| Pipeline::new(&camera, settings));
         Ok(Self {
             pipeline: Mutex::new(Some(pipeline.map_err(of_pipeline)?)),
+            has_imu: imu.is_some(),
             size: (camera.width, camera.height),
         })
     }
 
     fn push(&self, image: &Bound<PyAny>, seconds: f64) -> PyResult<Frame> {
         let image = grey(image, self.size)?;
-        let time_ns = (seconds * 1e9).round();
-        if !time_ns.is_finite() || time_ns.abs() >= i64::MAX as f64 {
-            return Err(value(format!(
-                "the time of the image is {seconds} s, expected a finite number"
-            )));
-        }
-        let report = self.with(image.1, |pipeline| pipeline.push(image.0, time_ns as i64))?;
+        let time_ns = nanoseconds(seconds, "the image")?;
+        let report = self.with(image.1, |pipeline| pipeline.push(image.0, time_ns))?;
         Ok(Frame { report })
+    }
+
+    fn push_imu(
+        &self,
+        seconds: &Bound<PyAny>,
+        gyroscope: &Bound<PyAny>,
+        accelerometer: &Bound<PyAny>,
+    ) -> PyResult<Option<Frame>> {
+        if !self.has_imu {
+            return Err(value(
+                "this Slam knows no inertial sensor: Slam(camera, imu=Imu(imu_from_camera))",
+            ));
+        }
+        let readings = readings(seconds, gyroscope, accelerometer)?;
+        let report = self.with(seconds.py(), |pipeline| pipeline.push_readings(&readings))?;
+        Ok(report.map(|report| Frame { report }))
     }
 
     fn map(&self, py: Python) -> PyResult<Option<OccupancyMap>> {
@@ -247,15 +285,10 @@ impl Slam {
     fn finish(&self, py: Python) -> PyResult<SlamResult> {
         let ended = py.detach(|| {
             let mut pipeline = self.pipeline.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut finished = pipeline.take()?.finish();
-            let maps = finished.as_mut().map(monogrid::Finished::maps);
-            Some(match maps {
-                Ok(Ok(maps)) => finished.map(|finished| (finished, maps)),
-                Ok(Err(error)) => Err(error),
-                Err(_) => finished.map(|finished| (finished, None)),
-            })
+            Some(all_of(pipeline.take()?))
         });
-        let (done, maps) = ended.ok_or_else(finished)?.map_err(of_pipeline)?;
+        let (done, maps, frame, sensed) = ended.ok_or_else(finished)?.map_err(of_pipeline)?;
+        let told = done.slam.scale() == Scale::Metric;
         Ok(SlamResult {
             map: maps.map(|maps| Arc::new(maps.global)),
             times_ns: done
@@ -269,6 +302,9 @@ impl Slam {
                 .map(|pose| matrix(&pose.world_from_camera))
                 .collect(),
             num_keyframes: done.slam.num_keyframes(),
+            map_from_world: similarity(&frame),
+            is_metric: told || sensed.is_some_and(|sensed| sensed.is_metric),
+            is_level: sensed.is_some_and(|sensed| sensed.is_level),
         })
     }
 }
@@ -294,6 +330,22 @@ impl SlamResult {
     #[getter]
     fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
         matrices(py, self.poses.clone())
+    }
+
+    #[getter]
+    fn map_from_world<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let matrix = self.map_from_world.to_vec();
+        matrix.into_pyarray(py).reshape([4, 4])
+    }
+
+    #[getter]
+    fn is_metric(&self) -> bool {
+        self.is_metric
+    }
+
+    #[getter]
+    fn is_level(&self) -> bool {
+        self.is_level
     }
 
     #[getter]

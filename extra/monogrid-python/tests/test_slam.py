@@ -35,6 +35,56 @@ def test_pushed_images_find_the_true_path_and_a_map(sequence):
         slam.map()
 
 
+def inertial(sequence):
+    """imu_from_camera, times and readings of the sensor beside the camera."""
+    sensor = sequence / "mav0/imu0"
+    numbers = (sensor / "sensor.yaml").read_text().split("data: [")[1].split("]")[0]
+    camera_from_imu = np.array([float(number) for number in numbers.split(",")]).reshape(4, 4)
+    table = np.loadtxt(sensor / "data.csv", delimiter=",")
+    return np.linalg.inv(camera_from_imu), table[:, 0] * 1e-9, table[:, 1:4], table[:, 4:7]
+
+
+def test_readings_of_an_inertial_sensor_make_the_map_metric_and_level(sequence):
+    mount, times, gyroscope, accelerometer = inertial(sequence)
+    slam = Slam(Camera.read(sequence / "calibration.txt"), imu=monogrid.Imu(mount), settings=["mapping.resolution=0.05"])
+    told, begin = [], 0
+    for image, time in pictures(sequence):
+        end = np.searchsorted(times, time) - 2
+        slam.push_imu(times[begin:end], gyroscope[begin:end], accelerometer[begin:end])
+        told.append(slam.push(image, time))
+        # the readings that are late come one by one
+        for k in range(end, end + 4):
+            told.append(slam.push_imu(times[k], gyroscope[k], accelerometer[k]))
+        begin = end + 4
+    indices = [frame.index for frame in told if frame is not None and frame.index is not None]
+    assert indices == list(range(120))
+    assert any(frame is not None and "waits" in (frame.reason or "") for frame in told)
+    result = slam.finish()
+    assert result.is_metric and result.is_level
+    scale = np.cbrt(np.linalg.det(result.map_from_world[:3, :3]))
+    truth = monogrid.read_trajectory(sequence / "groundtruth.txt")
+    report = monogrid.evaluate_trajectory(result.times, result.poses, *truth)
+    assert abs(scale / report["scale"] - 1) < 0.05
+    # up of the map is up of the truth
+    when = np.searchsorted(truth[0], result.times[-1] - 1e-6)
+    up = result.map_from_world[2, :3] / scale @ result.poses[-1][:3, :3]
+    assert up @ truth[1][when][2, :3] > np.cos(np.radians(2))
+
+
+def test_readings_that_are_none_are_refused():
+    camera = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
+    with pytest.raises(ValueError, match="imu=Imu"):
+        Slam(camera).push_imu(0.0, [0, 0, 0], [0, 0, 9.8])
+    slam = Slam(camera, imu=monogrid.Imu())
+    assert slam.push_imu(0.0, [0, 0, 0], [0, 0, 9.8]) is None
+    with pytest.raises(ValueError, match="2 times, 1 readings of the gyroscope"):
+        slam.push_imu([0.1, 0.2], [[0, 0, 0]], [[0, 0, 9.8]])
+    with pytest.raises(ValueError, match="finite"):
+        slam.push_imu(float("nan"), [0, 0, 0], [0, 0, 9.8])
+    with pytest.raises(ValueError, match="above 0"):
+        monogrid.Imu(gyroscope_noise=-1.0)
+
+
 def test_images_that_do_not_fit_are_refused():
     slam = Slam(Camera(80, 60, 60.0, 60.0, 39.5, 29.5))
     for image in (np.zeros((60, 80)), np.zeros((80, 60), np.uint8), np.zeros((60, 80, 4), np.uint8)):
@@ -53,10 +103,11 @@ def test_images_that_do_not_fit_are_refused():
 
 def test_the_whole_program_runs_from_python(sequence, tmp_path):
     run = monogrid.run(
-        sequence, out=tmp_path / "run", align=f"gt:{sequence}/groundtruth.txt", set={"mapping.resolution": 0.064}, quiet=True
+        sequence, out=tmp_path / "run", imu=sequence / "mav0/imu0/data.csv", align=f"gt:{sequence}/groundtruth.txt", set={"mapping.resolution": 0.064}, quiet=True
     )
     times, poses = run.trajectory
     assert run.summary["tracked"] == len(times) and run.report.exists()
+    assert run.summary["inertial"]["metres_per_unit"] > 0
     truth = monogrid.OccupancyMap.read(sequence / "truth.ot")
     report = monogrid.evaluate_map(run.map, truth)
     roc = report["roc"]["observed"]

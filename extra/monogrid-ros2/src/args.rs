@@ -24,6 +24,16 @@ pub struct Args {
     /// Calibration from a file instead of the topic (any that `monogrid run --calibration` reads)
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Topic of an inertial sensor beside the camera (sensor_msgs/Imu), on the clock of the images: the map becomes level and metric
+    #[arg(long, value_name = "TOPIC")]
+    pub imu: Option<String>,
+    /// Noise of that sensor and where it sits on the base (EuRoC's sensor.yaml: densities, T_BS) [default: noise of a phone's sensor]
+    #[arg(long, value_name = "FILE", requires = "imu")]
+    pub imu_calibration: Option<PathBuf>,
+    /// How the camera is mounted on that sensor: tx ty tz qx qy qz qw or a 4x4 matrix, camera to sensor, metres [default: as
+    /// --base-from-camera and --imu-calibration say]
+    #[arg(long, value_name = "FILE", requires = "imu")]
+    pub imu_from_camera: Option<PathBuf>,
     /// Settings of tracking and mapping (TOML with [slam] and [mapping], as `config.toml` of a run)
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,

@@ -3,7 +3,7 @@
 //! What the camera moved from image to image is added up in `odom_from_base`, which never jumps: not when a loop is
 //! closed, not when the scale is set, not when the map is thrown away. All of that goes into `map_from_odom`.
 
-use monogrid_geometry::{Rotation, Se3, Vec3};
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use monogrid_slam::FrameReport;
 use monogrid_slam::mapping::z_up_from_camera_world;
 
@@ -16,17 +16,20 @@ pub fn mount(place: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Se3 {
     Se3::new(base_from_body * body_from_optical, Vec3::from(place))
 }
 
-/// A pose of the camera in the map, m, from that in a world whose unit is so many metres: the origin of the map is where the
-/// camera was first, its axes are those of the base then.
+/// The frame of the map, from the world: that of the mapper, where nobody has told how long a unit is; in it the camera was first at the
+/// origin, and its axes are those of the base then, made level where an inertial sensor says so.
 #[must_use]
-pub fn map_from_camera(
-    base_from_camera: &Se3,
-    metres_per_unit: f64,
-    world_from_camera: &Se3,
-) -> Se3 {
-    let axes = base_from_camera.rotation;
-    let place = axes * world_from_camera.translation * metres_per_unit;
-    Se3::new(axes * world_from_camera.rotation, place)
+pub fn frame_of_map(mapper_from_world: &Sim3, told_metres_per_unit: Option<f64>) -> Sim3 {
+    Sim3 {
+        scale: told_metres_per_unit.unwrap_or(mapper_from_world.scale),
+        ..*mapper_from_world
+    }
+}
+
+/// A pose of the camera in the map, m, from that in the world.
+#[must_use]
+pub fn map_from_camera(map_from_world: &Sim3, world_from_camera: &Se3) -> Se3 {
+    (*map_from_world * world_from_camera.with_scale(1.0)).to_se3()
 }
 
 /// Where everything is at one image, m.
@@ -52,7 +55,7 @@ impl Poses {
 #[derive(Clone, Debug)]
 pub struct Frames {
     base_from_camera: Se3,
-    metres_per_unit: f64,
+    map_from_world: Sim3,
     odom_from_base: Option<Se3>,
     /// odom_from_camera of the last report with a pose, in units of the world.
     last: Option<Se3>,
@@ -61,21 +64,21 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// For a camera that sits at `base_from_camera` (m), in a world whose unit is so many metres.
+    /// For a camera that sits at `base_from_camera` (m), in a map of this frame.
     #[must_use]
-    pub fn new(base_from_camera: Se3, metres_per_unit: f64) -> Self {
+    pub fn new(base_from_camera: Se3, map_from_world: Sim3) -> Self {
         Self {
             base_from_camera,
-            metres_per_unit,
+            map_from_world,
             odom_from_base: None,
             last: None,
             is_without_gap: false,
         }
     }
 
-    /// From now on a unit of the world is so many metres.
-    pub fn set_scale(&mut self, metres_per_unit: f64) {
-        self.metres_per_unit = metres_per_unit;
+    /// From now on the map has this frame.
+    pub fn set_frame(&mut self, map_from_world: Sim3) {
+        self.map_from_world = map_from_world;
     }
 
     /// The next report belongs to a new world. Odometry goes on from where it is.
@@ -86,9 +89,7 @@ impl Frames {
 
     /// A pose of the camera in the world as one of the robot in the map, m.
     fn map_from_base(&self, world_from_camera: &Se3) -> Se3 {
-        let scale = self.metres_per_unit;
-        let map_from_camera = map_from_camera(&self.base_from_camera, scale, world_from_camera);
-        map_from_camera * self.base_from_camera.inverse()
+        map_from_camera(&self.map_from_world, world_from_camera) * self.base_from_camera.inverse()
     }
 
     /// Where everything is after a report; `None` where the camera has no pose in the map.
@@ -114,7 +115,10 @@ impl Frames {
 
     /// last_from_this of the robot, m, from that of the camera in units of the world.
     fn base_step(&self, camera: &Se3) -> Se3 {
-        let metric = Se3::new(camera.rotation, camera.translation * self.metres_per_unit);
+        let metric = Se3::new(
+            camera.rotation,
+            camera.translation * self.map_from_world.scale,
+        );
         self.base_from_camera * metric * self.base_from_camera.inverse()
     }
 }
@@ -141,6 +145,12 @@ mod tests {
         (a.inverse() * *b).log().norm() < 1e-9
     }
 
+    fn frames(base_from_camera: Se3, metres_per_unit: f64) -> Frames {
+        let axes = base_from_camera.rotation;
+        let map_from_world = Sim3::new(metres_per_unit, axes, Vec3::zeros());
+        Frames::new(base_from_camera, map_from_world)
+    }
+
     /// The camera 1 m above the base, looking ahead.
     fn on_a_mast() -> Se3 {
         mount([0.0, 0.0, 1.0], [0.0; 3])
@@ -148,7 +158,7 @@ mod tests {
 
     #[test]
     fn a_camera_that_moves_forward_moves_the_robot_along_x() {
-        let mut frames = Frames::new(on_a_mast(), 2.0);
+        let mut frames = frames(on_a_mast(), 2.0);
         let first = frames.advance(&report(
             Some(pose(0.0, 0.0, 0.0)),
             Some(pose(0.0, 0.0, 0.0)),
@@ -169,7 +179,7 @@ mod tests {
     fn a_camera_that_looks_down_gives_a_level_map() {
         // pitched down by 30 degrees; what it sees as down-forward is level for the robot
         let tilt = 30_f64.to_radians();
-        let mut frames = Frames::new(mount([0.2, 0.0, 0.5], [0.0, tilt, 0.0]), 1.0);
+        let mut frames = frames(mount([0.2, 0.0, 0.5], [0.0, tilt, 0.0]), 1.0);
         let start = Se3::identity();
         frames.advance(&report(Some(start), Some(start)));
         // the robot drives 1 m ahead: in optical axes up by sin, forward by cos
@@ -183,7 +193,7 @@ mod tests {
     #[test]
     fn the_lever_of_the_mount_turns_with_the_robot() {
         // the camera is 1 m ahead of the base, which turns by 90 degrees to the left on the spot
-        let mut frames = Frames::new(mount([1.0, 0.0, 0.0], [0.0; 3]), 1.0);
+        let mut frames = frames(mount([1.0, 0.0, 0.0], [0.0; 3]), 1.0);
         let start = Se3::identity();
         frames.advance(&report(Some(start), Some(start)));
         // left is -x of the optical axes, and a turn to the left one around -y
@@ -199,7 +209,7 @@ mod tests {
 
     #[test]
     fn corrections_of_the_map_and_of_the_scale_never_move_odometry() {
-        let mut frames = Frames::new(on_a_mast(), 1.0);
+        let mut frames = frames(on_a_mast(), 1.0);
         let start = Se3::identity();
         frames.advance(&report(Some(start), Some(start)));
         let tracked = pose(0.0, 0.0, 1.0);
@@ -214,7 +224,8 @@ mod tests {
         assert!(near(&after.odom_from_base, &before.odom_from_base));
         assert!(near(&after.map_from_odom(), &pose(0.0, -0.5, 0.0)));
         // the scale is set: what is added from now on is longer, what was added stays
-        frames.set_scale(3.0);
+        let axes = on_a_mast().rotation;
+        frames.set_frame(Sim3::new(3.0, axes, Vec3::zeros()));
         let still = frames
             .advance(&report(Some(corrected), Some(tracked)))
             .unwrap();
@@ -226,8 +237,29 @@ mod tests {
     }
 
     #[test]
+    fn a_map_that_becomes_level_and_metric_never_moves_odometry() {
+        let mut frames = frames(on_a_mast(), 1.0);
+        let start = Se3::identity();
+        frames.advance(&report(Some(start), Some(start)));
+        let at = pose(0.0, 0.0, 1.0);
+        let before = frames.advance(&report(Some(at), Some(at))).unwrap();
+        // the robot stands on a slope: its nose is up by 0.1 rad, and a unit is 2 m
+        let level = Rotation::from_scaled_axis(Vec3::new(0.0, -0.1, 0.0));
+        let mapper_from_world = Sim3::new(2.0, level * on_a_mast().rotation, Vec3::zeros());
+        frames.set_frame(frame_of_map(&mapper_from_world, None));
+        let after = frames.advance(&report(Some(at), Some(at))).unwrap();
+        assert!(near(&after.odom_from_base, &before.odom_from_base));
+        let ahead = after.map_from_base * on_a_mast() * Vec3::zeros();
+        let expected = Vec3::new(2.0 * 0.1_f64.cos(), 0.0, 2.0 * 0.1_f64.sin());
+        assert!((ahead - expected).norm() < 1e-9, "{ahead}");
+        // what was told counts more than what was measured
+        assert_eq!(frame_of_map(&mapper_from_world, Some(3.0)).scale, 3.0);
+        assert_eq!(frame_of_map(&mapper_from_world, None), mapper_from_world);
+    }
+
+    #[test]
     fn a_lost_camera_has_no_pose_and_odometry_waits() {
-        let mut frames = Frames::new(on_a_mast(), 1.0);
+        let mut frames = frames(on_a_mast(), 1.0);
         let at = pose(0.0, 0.0, 1.0);
         let before = frames.advance(&report(Some(at), Some(at))).unwrap();
         assert_eq!(frames.advance(&report(None, None)), None);
@@ -248,7 +280,7 @@ mod tests {
 
     #[test]
     fn a_new_world_takes_over_where_odometry_is() {
-        let mut frames = Frames::new(on_a_mast(), 1.0);
+        let mut frames = frames(on_a_mast(), 1.0);
         let at = pose(0.0, 0.0, 1.0);
         frames.advance(&report(Some(Se3::identity()), Some(Se3::identity())));
         let before = frames.advance(&report(Some(at), Some(at))).unwrap();

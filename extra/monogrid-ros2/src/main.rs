@@ -4,18 +4,18 @@ use anyhow::Context as _;
 use clap::Parser;
 use futures::channel::mpsc;
 use futures::{StreamExt, future, pin_mut};
-use monogrid_datasets::Calibration;
-use monogrid_geometry::{Sim3, Vec3};
+use monogrid_datasets::{Calibration, ImuCalibration, read_transform};
+use monogrid_geometry::{Se3, Sim3, Vec3};
+use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
-use monogrid_ros2::frames::Frames;
 use monogrid_ros2::maps::{MapOptions, Maps};
 use monogrid_ros2::node::{RosNode, connect};
 use monogrid_ros2::serve::{Inputs, options};
 use monogrid_ros2::settings::read_settings;
 use monogrid_ros2::topics::MapTopics;
 use monogrid_ros2::tracking::{FrameNames, PosePublisher, Tracking};
-use monogrid_ros2::work::{Counts, WORK_AHEAD};
+use monogrid_ros2::work::{Counts, way_to_work};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::thread;
@@ -31,11 +31,10 @@ fn main() -> anyhow::Result<()> {
         None => Err(format!("no calibration has come on {} yet", args.info)),
     };
     let base_from_camera = args.frames.mount();
-    let scale = args.metres_per_unit.unwrap_or(1.0);
-    let frames = Frames::new(base_from_camera, scale);
+    let settings = settings(&args)?;
 
     let context = connect().context("the ROS domain cannot be joined")?;
-    let (work_sender, work) = sync_channel(WORK_AHEAD);
+    let (work_sender, work) = way_to_work();
     let (news_sender, news) = sync_channel(NEWS_AHEAD);
     let counts = Arc::new(Counts::default());
     let options = options(&args, work_sender.clone());
@@ -44,8 +43,9 @@ fn main() -> anyhow::Result<()> {
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
     let inputs = Inputs::new(&mut node, &args)?;
 
-    let tracking = Tracking::new(settings(&args)?, frames, camera, publisher, news_sender);
-    let maps = Maps::new(map_options(&args), topics, Arc::clone(&counts));
+    let maps = Maps::new(map_options(&args, &settings), topics, Arc::clone(&counts));
+    let place = (base_from_camera, args.metres_per_unit);
+    let tracking = Tracking::new(settings, place, camera, publisher, news_sender);
     let named = |name: &str| thread::Builder::new().name(name.to_owned());
     let tracking = named("tracking").spawn(move || tracking.run(&work))?;
     let maps = named("maps").spawn(move || maps.run(&news))?;
@@ -79,9 +79,25 @@ fn settings(args: &Args) -> anyhow::Result<Settings> {
             0 => settings.threads,
             threads => threads,
         },
+        imu: args.imu.as_ref().map(|_| imu(args)).transpose()?,
         map_from_world: Sim3::new(1.0, axes, Vec3::zeros()),
         ..settings
     })
+}
+
+/// The inertial sensor, before its first reading. The body of its file is the base of the robot.
+fn imu(args: &Args) -> anyhow::Result<Arc<Imu>> {
+    let calibration = args.imu_calibration.as_deref().map(ImuCalibration::read);
+    let calibration = calibration.transpose()?.unwrap_or_default();
+    let imu_from_camera = match &args.imu_from_camera {
+        Some(path) => read_transform(path)?,
+        None => {
+            let base_from_imu = calibration.body_from_imu.unwrap_or_else(Se3::identity);
+            base_from_imu.inverse() * args.frames.mount()
+        }
+    };
+    let noise = calibration.noise.unwrap_or_default();
+    Ok(Arc::new(Imu::new(Vec::new(), noise, imu_from_camera)))
 }
 
 fn frame_names(args: &Args) -> FrameNames {
@@ -95,10 +111,11 @@ fn frame_names(args: &Args) -> FrameNames {
     }
 }
 
-fn map_options(args: &Args) -> MapOptions {
+fn map_options(args: &Args, settings: &Settings) -> MapOptions {
     MapOptions {
         name: args.name.clone(),
-        base_from_camera: args.frames.mount(),
+        map_from_world: settings.map_from_world,
+        camera_over_base: args.frames.mount().translation.z,
         height_band: args.height_band,
         period: Duration::from_secs_f64(args.map_period),
         metres_per_unit: args.metres_per_unit,

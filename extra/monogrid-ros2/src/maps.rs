@@ -1,13 +1,13 @@
 //! The thread of the maps: publishes what the mapper has when it has something new, how the node is, and writes files.
 
 use crate::convert::{Condition, MAX_PATH_POSES, diagnostics};
-use crate::frames::map_from_camera;
+use crate::frames::{frame_of_map, map_from_camera};
 use crate::save::save;
 use crate::shown::{Seen, Shown};
 use crate::topics::MapTopics;
 use crate::trail::Trail;
 use crate::work::{Answer, Counts, News, Tracked, response};
-use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
+use monogrid_geometry::{Pinhole, Se3, Sim3};
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::MapError;
@@ -30,8 +30,10 @@ const SILENT_AFTER: Duration = Duration::from_secs(2);
 pub struct MapOptions {
     /// Name of the node, as diagnostics have it.
     pub name: String,
-    /// Where the camera sits on the base, m.
-    pub base_from_camera: Se3,
+    /// The frame of maps before an inertial sensor has a say.
+    pub map_from_world: Sim3,
+    /// Height of the camera over the base, m.
+    pub camera_over_base: f64,
     /// Heights over the base that matter, m.
     pub height_band: Option<[f64; 2]>,
     /// Least time between maps.
@@ -179,14 +181,23 @@ impl Maps {
         }
     }
 
-    fn metres_per_unit(&self) -> f64 {
-        self.options.metres_per_unit.unwrap_or(1.0)
+    /// The frame in which the mapper has its maps now.
+    fn frame_of_mapper(&self) -> Sim3 {
+        let world = self.world.as_ref();
+        let view = world.and_then(|world| world.reader.latest());
+        view.map_or(self.options.map_from_world, |view| view.map_from_world)
     }
 
-    /// A pose of the camera in the map, m.
-    fn in_map(&self, world_from_camera: &Se3) -> Se3 {
-        let mount = &self.options.base_from_camera;
-        map_from_camera(mount, self.metres_per_unit(), world_from_camera)
+    /// The frame of what is published of a map that the mapper has in another.
+    fn frame_of(&self, mapper_from_world: &Sim3) -> Sim3 {
+        frame_of_map(mapper_from_world, self.options.metres_per_unit)
+    }
+
+    /// Metres of a unit of the world, where somebody has told it, or an inertial sensor, which changes the scale of the frame.
+    fn metres_per_unit(&self) -> Option<f64> {
+        let sensed = self.frame_of_mapper().scale;
+        let is_sensed = sensed != self.options.map_from_world.scale;
+        self.options.metres_per_unit.or(is_sensed.then_some(sensed))
     }
 
     /// The newest map is published once more, since all lengths are others.
@@ -197,10 +208,10 @@ impl Maps {
         }
     }
 
-    /// Where the camera was, in the map, m.
-    fn path(&self, world: &World) -> Vec<(Time, Se3)> {
+    /// Where the camera was, in a map of this frame, m.
+    fn path(world: &World, map_from_world: &Sim3) -> Vec<(Time, Se3)> {
         let now = world.trail.now(&world.poses).into_iter();
-        now.map(|(stamp, pose)| (stamp, self.in_map(&pose)))
+        now.map(|(stamp, pose)| (stamp, map_from_camera(map_from_world, &pose)))
             .collect()
     }
 
@@ -224,12 +235,13 @@ impl Maps {
         if !again && published.is_some_and(|published| Arc::ptr_eq(published, &view)) {
             return Ok(None);
         }
-        let path = self.path(world);
+        let map_from_world = self.frame_of(&view.map_from_world);
+        let path = Self::path(world, &map_from_world);
         let seen = Seen {
             stamp: newest_image(&world.finished, view.stats.keyframes),
-            metres_per_unit: self.metres_per_unit(),
+            metres_per_unit: map_from_world.scale / view.map_from_world.scale,
             band_over_base: self.options.height_band,
-            camera_over_base: self.options.base_from_camera.translation.z,
+            camera_over_base: self.options.camera_over_base,
             path: &path,
         };
         let shown = Shown::new(&view.global, &seen)?;
@@ -253,8 +265,7 @@ impl Maps {
         let Some(world_from_keyframe) = poses.in_main_map(keyframe.id) else {
             return;
         };
-        let axes = self.options.base_from_camera.rotation;
-        let map_from_world = Sim3::new(self.metres_per_unit(), axes, Vec3::zeros());
+        let map_from_world = self.frame_of(&self.frame_of_mapper());
         let map_from_keyframe = map_from_world * *world_from_keyframe;
         let pinhole = &world.pinhole;
         self.topics
@@ -263,9 +274,13 @@ impl Maps {
 
     /// Publishes the newest map as a whole and writes the same to files.
     fn save(&mut self, answer: Answer, trajectory: &[TrajectoryPose]) {
+        let map_from_world = self.frame_of(&self.frame_of_mapper());
         let poses = trajectory.iter().map(|pose| {
             let stamp = Time::from_nanoseconds(pose.timestamp_ns);
-            (stamp, self.in_map(&pose.world_from_camera))
+            (
+                stamp,
+                map_from_camera(&map_from_world, &pose.world_from_camera),
+            )
         });
         let poses: Vec<(Time, Se3)> = poses.collect();
         let saved = self.publish_and_save(&poses);
@@ -279,7 +294,7 @@ impl Maps {
         };
         self.topics.forget_grid();
         self.publish(&shown)?;
-        let is_metric = self.options.metres_per_unit.is_some();
+        let is_metric = self.metres_per_unit().is_some();
         let folder = save(&self.options.save_dir, &shown, trajectory, is_metric)?;
         let folder = folder.canonicalize().unwrap_or(folder);
         Ok(folder.display().to_string())
@@ -305,7 +320,7 @@ impl Maps {
     fn facts(&self) -> Vec<(&'static str, String)> {
         let (counts, totals) = (&self.counts, &self.totals);
         let keyframes = self.world.as_ref().map_or(0, |world| world.finished.len());
-        let scale = match self.options.metres_per_unit {
+        let scale = match self.metres_per_unit() {
             Some(metres) => metres.to_string(),
             None => "unknown: lengths are not metres".to_owned(),
         };
@@ -320,6 +335,7 @@ impl Maps {
             ("images lost on the way", counts.lost.get().to_string()),
             ("images of no use", totals.unusable.to_string()),
             ("last of no use because", totals.unusable_because.clone()),
+            ("inertial readings", counts.readings.get().to_string()),
             (
                 "messages not sent",
                 (totals.unsent + self.topics.unsent()).to_string(),

@@ -49,6 +49,8 @@ pub fn connect_to(domain: u16, is_local: bool) -> anyhow::Result<Context> {
 pub enum Quality {
     /// The newest, late or never: images, as cameras send them.
     Sensor,
+    /// The last second of them, late or never: readings of an inertial sensor.
+    Readings,
     /// All of them, to those who listen now; what cannot be sent at once is not sent.
     Stream,
     /// The last one, also to those who come later: maps, as nav2 and RViz want them.
@@ -62,6 +64,9 @@ impl Quality {
         match self {
             Self::Sensor => {
                 QosProfile::subscription_default().history(History::KeepLast { depth: 5 })
+            }
+            Self::Readings => {
+                QosProfile::subscription_default().history(History::KeepLast { depth: 400 })
             }
             Self::Stream => QosProfile::publisher_default()
                 .reliability_reliable(WhenFull::Fail)
@@ -183,9 +188,11 @@ mod tests {
 
     #[test]
     fn qualities_are_those_that_nav2_and_rviz_ask_for() {
-        let sensor = Quality::Sensor.profile();
-        assert_eq!(sensor.reliability, Reliability::BestEffort);
-        assert_eq!(sensor.durability, Durability::Volatile);
+        for quality in [Quality::Sensor, Quality::Readings] {
+            let sensor = quality.profile();
+            assert_eq!(sensor.reliability, Reliability::BestEffort);
+            assert_eq!(sensor.durability, Durability::Volatile);
+        }
         let latched = Quality::Latched.profile();
         assert_eq!(latched.durability, Durability::TransientLocal);
         assert_eq!(latched.history, History::KeepLast { depth: 1 });

@@ -1,21 +1,20 @@
 //! The thread of the middleware: hands on what comes, answers services, waits for nothing.
 
 use crate::args::{Args, checked_scale};
-use crate::convert::camera_of;
+use crate::convert::{camera_of, imu_sample_of};
 use crate::node::{Quality, RosNode, Wire};
-use crate::work::{Answer, Counts, Picture, Work, response};
+use crate::work::{Answer, Counts, Picture, Work, WorkSender, response};
 use futures::channel::oneshot;
 use futures::{Stream, StreamExt, future};
-use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image};
+use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use ros2_client::{MessageInfo, NodeOptions, ParameterValue, ReadError, Server, Subscription};
-use std::sync::mpsc::{SyncSender, TrySendError};
 
 /// Name of the parameter that says how long a unit of the world is, m.
 const SCALE: &str = "metres_per_unit";
 
 /// A node with its parameter, which goes to the tracking thread when somebody sets it.
-pub fn options(args: &Args, work: SyncSender<Work>) -> NodeOptions {
+pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
     let value = ParameterValue::Double(args.metres_per_unit.unwrap_or(1.0));
     NodeOptions::new()
         .enable_rosout(false)
@@ -37,6 +36,7 @@ pub fn options(args: &Args, work: SyncSender<Work>) -> NodeOptions {
 pub struct Inputs {
     images: Images,
     info: Option<Subscription<CameraInfo>>,
+    imu: Option<Subscription<Imu>>,
     save: Trigger,
     reset: Trigger,
     is_rectified: bool,
@@ -64,9 +64,12 @@ impl Inputs {
             Some(_) => None,
             None => Some(node.subscription(&args.info, Quality::Sensor)?),
         };
+        let imu = args.imu.as_ref();
+        let imu = imu.map(|topic| node.subscription(topic, Quality::Readings));
         Ok(Self {
             images,
             info,
+            imu: imu.transpose()?,
             save: node.server("save", "Trigger")?,
             reset: node.server("reset", "Trigger")?,
             is_rectified: args.rectified,
@@ -74,7 +77,7 @@ impl Inputs {
     }
 
     /// Hands on all that comes; does not end.
-    pub async fn serve(self, work: &SyncSender<Work>, counts: &Counts) {
+    pub async fn serve(self, work: &WorkSender, counts: &Counts) {
         let images = async {
             match &self.images {
                 Images::Plain(topic) => {
@@ -90,9 +93,14 @@ impl Inputs {
                 take_infos(topic, self.is_rectified, work).await;
             }
         };
+        let readings = async {
+            if let Some(topic) = &self.imu {
+                take_readings(topic, work, counts).await;
+            }
+        };
         let save = answer(&self.save, work, Work::Save);
         let reset = answer(&self.reset, work, Work::Reset);
-        future::join4(images, info, save, reset).await;
+        future::join5(images, info, readings, save, reset).await;
     }
 }
 
@@ -100,7 +108,7 @@ impl Inputs {
 async fn take_images<M>(
     messages: impl Stream<Item = Result<(M, MessageInfo), ReadError>>,
     picture: fn(M) -> Picture,
-    work: &SyncSender<Work>,
+    work: &WorkSender,
     counts: &Counts,
 ) {
     let mut numbers = Numbers { last: None };
@@ -112,7 +120,7 @@ async fn take_images<M>(
                 counts
                     .lost
                     .add(numbers.gap(info.publisher_gid(), info.sequence_number()));
-                if let Err(TrySendError::Full(_)) = work.try_send(Work::Picture(picture(message))) {
+                if !work.offer(picture(message)) {
                     counts.dropped.add(1);
                 }
             } else {
@@ -140,7 +148,7 @@ impl<S: PartialEq> Numbers<S> {
 }
 
 /// Hands on the calibration when it is another than before.
-async fn take_infos(topic: &Subscription<CameraInfo>, is_rectified: bool, work: &SyncSender<Work>) {
+async fn take_infos(topic: &Subscription<CameraInfo>, is_rectified: bool, work: &WorkSender) {
     let mut last = None;
     let infos = std::pin::pin!(topic.async_stream());
     infos
@@ -158,8 +166,26 @@ async fn take_infos(topic: &Subscription<CameraInfo>, is_rectified: bool, work: 
         .await;
 }
 
+/// Hands on the readings of an inertial sensor; those that have none of the two are of no use.
+async fn take_readings(topic: &Subscription<Imu>, work: &WorkSender, counts: &Counts) {
+    let readings = std::pin::pin!(topic.async_stream());
+    readings
+        .for_each(|message| {
+            let reading = message
+                .ok()
+                .and_then(|(reading, _)| imu_sample_of(&reading));
+            if let Some(reading) = reading {
+                counts.readings.add(1);
+                // the other threads end after this one
+                let _ = work.send(Work::Reading(reading));
+            }
+            future::ready(())
+        })
+        .await;
+}
+
 /// Answers a service when its work is done.
-async fn answer(server: &Trigger, work: &SyncSender<Work>, ask: fn(Answer) -> Work) {
+async fn answer(server: &Trigger, work: &WorkSender, ask: fn(Answer) -> Work) {
     let requests = std::pin::pin!(server.receive_request_stream());
     requests
         .for_each(|request| async move {

@@ -13,7 +13,7 @@ const GRID_STEP: usize = 64;
 pub struct Seen<'a> {
     /// The newest image that the map knows of.
     pub stamp: Time,
-    /// Metres of a unit of the world.
+    /// Metres of a unit of the map as it was made.
     pub metres_per_unit: f64,
     /// Heights over the base that matter, m; `None` where they follow from the map.
     pub band_over_base: Option<[f64; 2]>,
@@ -41,7 +41,7 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// A map whose lengths are units of the world.
+    /// A map whose lengths are in units.
     ///
     /// # Errors
     /// A scale that makes cells of no size.

@@ -1,19 +1,21 @@
 //! The thread that tracks: images in, poses out; what the maps need goes to their thread.
 
 use crate::convert::{gray_image, gray_of_compressed, odometry_of, transform_of};
-use crate::frames::{Frames, Poses};
+use crate::frames::{Frames, Poses, frame_of_map};
 use crate::node::{Quality, RosNode};
-use crate::work::{Answer, News, Picture, Tracked, Work, response};
-use monogrid_geometry::{Camera, Se3};
+use crate::work::{Answer, News, Picture, Tracked, Work, WorkReceiver, response};
+use monogrid_geometry::{Camera, Se3, Sim3};
 use monogrid_image::GrayImage;
+use monogrid_inertial::ImuSample;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
-use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings};
+use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings, Unusable};
 use monogrid_slam::FrameReport;
+use monogrid_slam::mapping::MapReader;
 use ros2_client::Publisher;
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::SyncSender;
 
 /// Names of the frames, and what is published of them.
 #[derive(Clone, Debug)]
@@ -115,9 +117,13 @@ impl PosePublisher {
 pub struct Tracking {
     settings: Settings,
     frames: Frames,
+    /// Metres of a unit of the world, where somebody has told it.
+    told_metres_per_unit: Option<f64>,
     /// Or why it is not known.
     camera: Result<Camera, String>,
     pipeline: Option<Pipeline>,
+    /// Of the pipeline: what its maps are brought to.
+    maps: Option<MapReader>,
     /// Number of the world that comes next.
     next_world: u32,
     last_stamp: Option<Time>,
@@ -126,20 +132,23 @@ pub struct Tracking {
 }
 
 impl Tracking {
-    /// With nothing tracked yet.
+    /// With nothing tracked yet, for a camera that sits at `base_from_camera` (m).
     #[must_use]
     pub fn new(
         settings: Settings,
-        frames: Frames,
+        (base_from_camera, told_metres_per_unit): (Se3, Option<f64>),
         camera: Result<Camera, String>,
         publisher: PosePublisher,
         news: SyncSender<News>,
     ) -> Self {
+        let map_from_world = frame_of_map(&settings.map_from_world, told_metres_per_unit);
         Self {
             settings,
-            frames,
+            frames: Frames::new(base_from_camera, map_from_world),
+            told_metres_per_unit,
             camera,
             pipeline: None,
+            maps: None,
             next_world: 0,
             last_stamp: None,
             publisher,
@@ -148,13 +157,14 @@ impl Tracking {
     }
 
     /// Does all that is asked for, until nobody asks any more.
-    pub fn run(mut self, work: &Receiver<Work>) {
-        for work in work {
+    pub fn run(mut self, work: &WorkReceiver) {
+        while let Some(work) = work.next() {
             match work {
                 Work::Camera(camera) => self.camera = camera,
                 Work::Picture(picture) => self.take(&picture),
+                Work::Reading(reading) => self.take_reading(reading),
                 Work::Scale(metres_per_unit) => {
-                    self.frames.set_scale(metres_per_unit);
+                    self.told_metres_per_unit = Some(metres_per_unit);
                     self.tell(News::Scale(metres_per_unit));
                 }
                 Work::Reset(answer) => self.reset(answer),
@@ -174,7 +184,7 @@ impl Tracking {
 
     fn reset(&mut self, answer: Answer) {
         // its threads end by themselves
-        self.pipeline = None;
+        (self.pipeline, self.maps) = (None, None);
         self.last_stamp = None;
         self.frames.begin_again();
         self.tell(News::Ended);
@@ -190,14 +200,28 @@ impl Tracking {
         };
         let tracked = image
             .map_err(|error| error.to_string())
-            .and_then(|image| self.track(header, image));
+            .and_then(|image| self.push(header, image));
         match tracked {
-            Ok(news) => self.tell(News::Tracked(Box::new(news))),
+            Ok(report) => self.conclude(report),
             Err(why) => self.tell(News::Unusable(why)),
         }
     }
 
-    fn track(&mut self, header: &Header, image: GrayImage) -> Result<Tracked, String> {
+    /// A reading, and the image that waited for it, if one did. What was read before the first image is of no use.
+    fn take_reading(&mut self, reading: ImuSample) {
+        let pipeline = self.pipeline.as_mut();
+        if let Some(report) = pipeline.and_then(|pipeline| pipeline.push_readings(&[reading])) {
+            self.conclude(report);
+        }
+    }
+
+    /// Gives an image to the pipeline, which begins with the first one after the calibration. What became of it, or of an earlier
+    /// image.
+    fn push(
+        &mut self,
+        header: &Header,
+        image: GrayImage,
+    ) -> Result<Result<FrameReport, Unusable>, String> {
         let stamp = header.stamp;
         if let Some(last) = self.last_stamp.filter(|last| *last >= stamp) {
             return Err(format!(
@@ -206,29 +230,44 @@ impl Tracking {
                 last.nanoseconds()
             ));
         }
-        let report = self.push(image, stamp)?;
-        self.last_stamp = Some(stamp);
-        self.publisher.say_mount(header);
-        let poses = self.frames.advance(&report);
-        let unsent = poses.map_or(0, |poses| self.publisher.publish(stamp, &poses));
-        let pipeline = self.pipeline.as_ref();
-        Ok(Tracked {
-            stamp,
-            report,
-            poses: pipeline.map(|p| p.slam().snapshot()).unwrap_or_default(),
-            unsent,
-        })
-    }
-
-    /// Gives an image to the pipeline, which begins with the first one after the calibration.
-    fn push(&mut self, image: GrayImage, stamp: Time) -> Result<FrameReport, String> {
         let mut pipeline = match self.pipeline.take() {
             Some(pipeline) => pipeline,
             None => self.begin()?,
         };
         let report = pipeline.push(image, stamp.nanoseconds());
         self.pipeline = Some(pipeline);
-        report.map_err(|unusable| unusable.to_string())
+        self.last_stamp = Some(stamp);
+        self.publisher.say_mount(header);
+        Ok(report)
+    }
+
+    /// Publishes where everything was at an image.
+    fn conclude(&mut self, report: Result<FrameReport, Unusable>) {
+        let report = match report {
+            Ok(report) => report,
+            // it is heard of later
+            Err(Unusable::Waits) => return,
+            Err(unusable) => return self.tell(News::Unusable(unusable.to_string())),
+        };
+        let stamp = Time::from_nanoseconds(report.timestamp_ns);
+        self.frames.set_frame(self.frame_of_map());
+        let poses = self.frames.advance(&report);
+        let unsent = poses.map_or(0, |poses| self.publisher.publish(stamp, &poses));
+        let pipeline = self.pipeline.as_ref();
+        self.tell(News::Tracked(Box::new(Tracked {
+            stamp,
+            report,
+            poses: pipeline.map(|p| p.slam().snapshot()).unwrap_or_default(),
+            unsent,
+        })));
+    }
+
+    /// The frame of the map as it is now.
+    fn frame_of_map(&self) -> Sim3 {
+        let view = self.maps.as_ref().and_then(MapReader::latest);
+        let base = self.settings.map_from_world;
+        let mapper_from_world = view.map_or(base, |view| view.map_from_world);
+        frame_of_map(&mapper_from_world, self.told_metres_per_unit)
     }
 
     fn begin(&mut self) -> Result<Pipeline, String> {
@@ -248,7 +287,9 @@ impl Tracking {
             }
         })?;
         let pinhole = *pipeline.preparation().pinhole();
-        self.tell(News::Begun(world, pipeline.live_map()?, pinhole));
+        let maps = pipeline.live_map()?;
+        self.maps = Some(maps.clone());
+        self.tell(News::Begun(world, maps, pinhole));
         Ok(pipeline)
     }
 }

@@ -2,16 +2,18 @@
 
 use futures::channel::oneshot;
 use monogrid_geometry::{Camera, Pinhole};
+use monogrid_inertial::ImuSample;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::sensor_msgs::{CompressedImage, Image};
 use monogrid_messages::std_srvs::TriggerResponse;
 use monogrid_slam::mapping::MapReader;
 use monogrid_slam::{FrameReport, KeptKeyframe, PoseSnapshot, TrajectoryPose};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
 
-/// Work that may wait for tracking: enough images to bridge the making of a keyframe, few enough to stay near the present.
-pub const WORK_AHEAD: usize = 4;
+/// Images that may wait for tracking: enough to bridge the making of a keyframe, few enough to stay near the present.
+pub const IMAGES_AHEAD: usize = 4;
 
 /// Whom to answer when it is done.
 pub type Answer = oneshot::Sender<TriggerResponse>;
@@ -41,12 +43,78 @@ pub enum Work {
     Camera(Result<Camera, String>),
     /// The next image.
     Picture(Picture),
+    /// The next reading of an inertial sensor.
+    Reading(ImuSample),
     /// A unit of the world is so many metres.
     Scale(f64),
     /// Everything begins again.
     Reset(Answer),
     /// The map is written to files.
     Save(Answer),
+}
+
+/// A way to the tracking thread, on which only so many images wait; everything else always finds room, in the order in which it came.
+#[must_use]
+pub fn way_to_work() -> (WorkSender, WorkReceiver) {
+    let (sender, receiver) = channel();
+    let images = Arc::new(AtomicUsize::new(0));
+    let waiting = Arc::clone(&images);
+    (
+        WorkSender { sender, waiting },
+        WorkReceiver { receiver, images },
+    )
+}
+
+/// The end at which work comes in.
+#[derive(Clone, Debug)]
+pub struct WorkSender {
+    sender: Sender<Work>,
+    waiting: Arc<AtomicUsize>,
+}
+
+/// Nobody works any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ending;
+
+impl WorkSender {
+    /// Hands on an image; `false` where as many wait as may.
+    #[must_use]
+    pub fn offer(&self, picture: Picture) -> bool {
+        if self.waiting.fetch_add(1, Ordering::Relaxed) >= IMAGES_AHEAD {
+            self.waiting.fetch_sub(1, Ordering::Relaxed);
+            return false;
+        }
+        // a node that is ending takes nothing
+        let _ = self.sender.send(Work::Picture(picture));
+        true
+    }
+
+    /// Hands on anything else.
+    ///
+    /// # Errors
+    /// When nobody works any more.
+    pub fn send(&self, work: Work) -> Result<(), Ending> {
+        self.sender.send(work).map_err(|_| Ending)
+    }
+}
+
+/// The end at which it is done.
+#[derive(Debug)]
+pub struct WorkReceiver {
+    receiver: Receiver<Work>,
+    images: Arc<AtomicUsize>,
+}
+
+impl WorkReceiver {
+    /// The next work; `None` when nobody can ask for any more.
+    #[must_use]
+    pub fn next(&self) -> Option<Work> {
+        let work = self.receiver.recv().ok()?;
+        if matches!(work, Work::Picture(_)) {
+            self.images.fetch_sub(1, Ordering::Relaxed);
+        }
+        Some(work)
+    }
 }
 
 /// What the thread of the maps is told.
@@ -90,6 +158,8 @@ pub struct Counts {
     pub lost: Count,
     /// Dropped since as many as may wait were waiting.
     pub dropped: Count,
+    /// Readings of the inertial sensor.
+    pub readings: Count,
 }
 
 /// A number that one thread counts and others read.
@@ -106,5 +176,27 @@ impl Count {
     #[must_use]
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_find_room_for_a_few_and_everything_else_always() {
+        let (sender, receiver) = way_to_work();
+        let offer = || sender.offer(Picture::Plain(Image::default()));
+        assert!((0..IMAGES_AHEAD).all(|_| offer()));
+        assert!(!offer() && !offer());
+        for _ in 0..100 {
+            sender.send(Work::Scale(1.0)).unwrap();
+        }
+        assert!(matches!(receiver.next(), Some(Work::Picture(_))));
+        assert!(offer() && !offer(), "there is room for one again");
+        drop(sender);
+        let rest: Vec<Work> = std::iter::from_fn(|| receiver.next()).collect();
+        assert_eq!(rest.len(), IMAGES_AHEAD + 100);
+        assert!(matches!(rest.last(), Some(Work::Picture(_))), "in order");
     }
 }

@@ -7,22 +7,26 @@
 
 mod robot;
 
-use monogrid_datasets::{Dataset, SourceOptions, read_gray};
-use monogrid_geometry::Camera;
+use monogrid_datasets::{Dataset, SourceOptions, read_gray, read_trajectory};
+use monogrid_geometry::{Camera, Se3, Vec3, align_similarity};
 use monogrid_image::{GrayImage, Image};
+use monogrid_inertial::ImuSample;
+use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::geometry_msgs::{Pose, Transform};
 use monogrid_messages::nav_msgs::OccupancyGrid;
 use monogrid_ros2::convert::MAX_MESSAGE_BYTES;
-use monogrid_worlds::SynthSequence;
-use robot::{Heard, Listening, Node, Robot, first_arrivals, latencies};
+use monogrid_worlds::{ImuConfig, SynthSequence, imu_samples};
+use robot::{Heard, Listening, Node, Robot, first_arrivals, latencies, now};
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 /// A domain that other tests of this computer hardly use at the same time.
 fn domain() -> u16 {
-    100 + (std::process::id() % 100) as u16
+    static USED: AtomicU16 = AtomicU16::new(0);
+    100 + (std::process::id() % 50) as u16 * 2 + USED.fetch_add(1, Ordering::Relaxed)
 }
 
 /// A camera and what it sees.
@@ -68,7 +72,7 @@ fn bytes(image: &GrayImage) -> Image<u8> {
 
 /// What happened while images were sent.
 struct Sent {
-    stamps: Vec<monogrid_messages::builtin_interfaces::Time>,
+    stamps: Vec<Time>,
     cpu_seconds: f64,
 }
 
@@ -111,7 +115,7 @@ struct Loopback {
 }
 
 impl Loopback {
-    fn start() -> Self {
+    fn start(more: &[&str]) -> Self {
         let domain = domain();
         let folder = tempfile::tempdir().unwrap();
         let parent = folder.path().display().to_string();
@@ -123,7 +127,7 @@ impl Loopback {
             "--threads",
             "2",
         ];
-        let node = Node::start(domain, &arguments);
+        let node = Node::start(domain, &[&arguments, more].concat());
         let (heard, robot) = (Listening::start(domain), Robot::start(domain));
         heard.wait_until("the node says that it waits", |heard| {
             let array = heard.diagnostics.as_ref();
@@ -298,7 +302,7 @@ fn pgm_of(grid: &OccupancyGrid) -> Vec<u8> {
 #[test]
 fn ten_seconds_of_a_small_camera() {
     let film = Film::rendered(&SynthSequence::small_demo().unwrap(), 150);
-    let mut loopback = Loopback::start();
+    let mut loopback = Loopback::start(&[]);
     loopback.run(&film, 300);
     let changed = loopback.heard.heard(|heard| heard.grid.clone()).unwrap();
     loopback.save();
@@ -313,6 +317,83 @@ fn ten_seconds_of_a_small_camera() {
     a_scale_makes_everything_longer(&loopback);
     a_reset_begins_a_new_map(&loopback, &film.images[0]);
     assert!(loopback.node.interrupt());
+}
+
+/// A camera and an inertial sensor of which neither sits straight: the map is in metres, and its z is up.
+#[test]
+fn an_inertial_sensor_makes_the_map_metric_and_level() {
+    let sequence = SynthSequence::small_demo().unwrap();
+    let film = Film::rendered(&sequence, 240);
+    let sensor = ImuConfig::default();
+    let readings = imu_samples(sequence.path(), &sensor, 0, 8.2);
+    let folder = tempfile::tempdir().unwrap();
+    let mount = folder.path().join("mount.txt");
+    fs::write(&mount, written(&sensor.camera_from_imu.inverse())).unwrap();
+    let mut loopback = Loopback::start(&[
+        "--imu",
+        "/imu/data",
+        "--imu-from-camera",
+        mount.to_str().unwrap(),
+        // the base is tilted against the camera, and knows nothing of gravity
+        "--base-from-camera",
+        "0,0,0,0.1,0.2,0",
+    ]);
+    let begin_ns = send_with_readings(&loopback.robot, &film, &readings);
+    let heard = &loopback.heard;
+    heard.wait_until("all images are accounted for", |heard| {
+        heard.accounted() == film.images.len() as u64
+    });
+    heard.wait_until("the map is metric", |heard| {
+        let scale = heard.fact("metres per unit");
+        scale.is_some_and(|scale| scale.parse::<f64>().is_ok())
+    });
+    assert!(heard.heard(|heard| heard.count("inertial readings")) > 1000);
+    let folder = loopback.robot.save().unwrap();
+    let yaml = fs::read_to_string(Path::new(&folder).join("map.yaml")).unwrap();
+    assert!(!yaml.contains("WARNING"), "{yaml}");
+    let path = sequence.path();
+    let truth = |ns: i64| path.world_from_camera((ns - begin_ns) as f64 * 1e-9);
+    let saved = read_trajectory(&Path::new(&folder).join("trajectory.txt")).unwrap();
+    let places = saved.iter().map(|pose| {
+        let truth = truth(pose.timestamp_ns);
+        (pose.world_from_camera.translation, truth.translation)
+    });
+    let (found, truth): (Vec<Vec3>, Vec<Vec3>) = places.unzip();
+    let truth_from_map = align_similarity(&found, &truth, true)
+        .unwrap()
+        .target_from_source;
+    let up = truth_from_map.rotation * Vec3::z();
+    let (scale, tilt) = (truth_from_map.scale, up.angle(&Vec3::z()).to_degrees());
+    assert!(scale.ln().abs() < 0.05 && tilt < 2.0, "{scale} {tilt}");
+    assert!(loopback.node.interrupt());
+}
+
+/// A transform as a line of a file.
+fn written(transform: &Se3) -> String {
+    let (t, q) = (transform.translation, transform.rotation);
+    let numbers = [t.x, t.y, t.z, q.i, q.j, q.k, q.w];
+    numbers.map(|number| number.to_string()).join(" ")
+}
+
+/// Sends images at 30 Hz, and the readings of their times after them; the time of the first one, ns.
+fn send_with_readings(robot: &Robot, film: &Film, readings: &[ImuSample]) -> i64 {
+    for _ in 0..5 {
+        robot.send_info(&film.camera);
+        thread::sleep(Duration::from_millis(100));
+    }
+    let (clock, begin_ns) = (Instant::now(), now().nanoseconds());
+    let at = |ns: i64| Time::from_nanoseconds(begin_ns + ns);
+    let mut readings = readings.iter().peekable();
+    for (k, image) in film.images.iter().enumerate() {
+        let image_ns = k as i64 * 1_000_000_000 / 30;
+        let due = Duration::from_nanos(image_ns as u64);
+        thread::sleep(due.saturating_sub(clock.elapsed()));
+        robot.send_image_of(at(image_ns), image);
+        while let Some(reading) = readings.next_if(|r| r.timestamp_ns <= image_ns + 5_000_000) {
+            robot.send_reading(at(reading.timestamp_ns), reading);
+        }
+    }
+    begin_ns
 }
 
 fn a_scale_makes_everything_longer(loopback: &Loopback) {
@@ -351,7 +432,7 @@ fn a_reset_begins_a_new_map(loopback: &Loopback, image: &Image<u8>) {
 fn a_minute_of_a_camera() {
     let folder = std::env::var("LOOPBACK_SEQUENCE").unwrap();
     let film = Film::read(Path::new(&folder));
-    let mut loopback = Loopback::start();
+    let mut loopback = Loopback::start(&[]);
     let idle = idle_load(&loopback.node, 10);
     let sent = loopback.run(&film, 1800);
     loopback.save();

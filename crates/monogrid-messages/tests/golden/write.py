@@ -97,6 +97,16 @@ messages = [
         region,
     ),
     make(
+        "sensor_msgs/Imu",
+        header("imu"),
+        quaternion(),
+        np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]),
+        vector(0.1, -0.2, 0.3),
+        np.arange(9, dtype=np.float64),
+        vector(0.5, 9.75, -1.25),
+        np.arange(9, dtype=np.float64) / 2,
+    ),
+    make(
         "sensor_msgs/PointCloud2", header("map"), 1, 2, [field], False, 4, 8, uint8(0, 0, 128, 63, 0, 0, 0, 64), True
     ),
     make(

@@ -12,14 +12,14 @@ use crate::sparse::SparseStats;
 use crate::start::Start;
 use crate::store::Store;
 use crate::{
-    Bridge, Fragment, FragmentId, KeptKeyframe, MAIN_MAP, MapSize, MemoryConfig, PoseSnapshot,
-    Scale, SlamConfig, SlamError, TrajectoryPose,
+    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, MAIN_MAP, MapSize, MemoryConfig,
+    PoseSnapshot, Scale, SlamConfig, SlamError, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::pose_graph::{GraphEdge, GraphNode, PoseGraph};
 use monogrid_image::Mask;
-use monogrid_inertial::Imu;
+use monogrid_inertial::{Imu, ImuSample};
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -79,6 +79,35 @@ impl Slam {
     pub fn with_imu(mut self, imu: Arc<Imu>) -> Self {
         self.setup.imu = Some(imu);
         self
+    }
+
+    /// Adds readings of that sensor as they come, before the frames that are later than they are; without a sensor
+    /// ([`Self::with_imu`]) nothing is done. Those of the last half an hour are kept.
+    pub fn add_readings(&mut self, readings: &[ImuSample]) {
+        /// Readings of a fast sensor over this time take some twenty megabytes, ns.
+        const KEPT_NS: i64 = 30 * 60 * 1_000_000_000;
+        let Some(imu) = &mut self.setup.imu else {
+            return;
+        };
+        let imu = Arc::make_mut(imu);
+        imu.add(readings);
+        if let Some(newest) = imu.samples().last() {
+            imu.forget_before(newest.timestamp_ns.saturating_sub(KEPT_NS));
+        }
+    }
+
+    /// The path of the main map as it is now beside the readings of the inertial sensor; `None` without a sensor.
+    #[must_use]
+    pub fn inertial_path(&self) -> Option<InertialPath> {
+        let imu = Arc::clone(self.setup.imu.as_ref()?);
+        let config = self.setup.config.inertial.clone();
+        let is_metric = self.scale() == Scale::Metric;
+        Some(InertialPath::new(
+            imu,
+            &self.trajectory(),
+            config,
+            is_metric,
+        ))
     }
 
     /// What the calibration has left of the radial distortion of the lens in the images: a ray at `x` from the axis, in focal lengths, is

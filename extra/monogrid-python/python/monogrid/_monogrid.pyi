@@ -175,10 +175,28 @@ class Frame:
     def is_keyframe(self) -> bool: ...
 
 @final
+class Imu:
+    """An inertial sensor beside the camera: how it is mounted, and its noise as densities (rad/s/√Hz, m/s²/√Hz, rad/s²/√Hz,
+    m/s³/√Hz; by default those of a phone).
+
+    imu_from_camera: shape (4, 4), metres; without it the axes of the sensor are taken to be the camera's (x right, y down, z ahead).
+    """
+
+    def __init__(
+        self,
+        imu_from_camera: ArrayLike | None = None,
+        *,
+        gyroscope_noise: float | None = None,
+        accelerometer_noise: float | None = None,
+        gyroscope_walk: float | None = None,
+        accelerometer_walk: float | None = None,
+    ) -> None: ...
+
+@final
 class Slam:
     """Images of one camera in, poses and a growing map out. The same images and settings give the same bytes.
 
-    mask: uint8, shape (height, width), 0 where pixels must be ignored. config: a `config.toml`. settings: changes of it, as
+    imu: a sensor whose readings come by `push_imu`: the map becomes level and metric when they are sure enough. mask: uint8, shape (height, width), 0 where pixels must be ignored. config: a `config.toml`. settings: changes of it, as
     `["mapping.resolution=0.02"]`.
     """
 
@@ -186,6 +204,7 @@ class Slam:
         self,
         camera: Camera,
         *,
+        imu: Imu | None = None,
         mask: ArrayLike | None = None,
         config: str | os.PathLike[str] | None = None,
         settings: Sequence[str] = (),
@@ -194,10 +213,17 @@ class Slam:
     def push(self, image: NDArray[np.uint8], seconds: float) -> Frame:
         """Takes the next image, uint8 of shape (height, width) or (height, width, 3: red, green, blue).
 
-        With a rolling shutter it tells what became of the image before.
+        With a rolling shutter, or when readings until its time are missing, it tells what became of the image before, and of this one
+        later.
+        """
+    def push_imu(self, seconds: ArrayLike, gyroscope: ArrayLike, accelerometer: ArrayLike) -> Frame | None:
+        """Takes readings: times (n,) on the clock of the images, rad/s (n, 3), m/s² with gravity in it (n, 3); or a single one.
+
+        Readings come before images that are later. Tells what became of the image that waited for them, if one did.
         """
     def map(self) -> OccupancyMap | None:
-        """The map as it is now, z up as the first camera was held; None before the first finished keyframe."""
+        """The map as it is now, z up as the first camera was held, or as an inertial sensor says; None before the first finished
+        keyframe."""
     def finish(self) -> SlamResult:
         """Ends the run: final depth, poses and map."""
 
@@ -207,7 +233,16 @@ class SlamResult:
 
     @property
     def map(self) -> OccupancyMap | None:
-        """z up as the first camera was held; None if nothing was mapped."""
+        """z up as the first camera was held, or as an inertial sensor says; None if nothing was mapped."""
+    @property
+    def map_from_world(self) -> NDArray[np.float64]:
+        """From the world of `poses` to the map: scale times rotation, and translation, shape (4, 4)."""
+    @property
+    def is_metric(self) -> bool:
+        """Whether lengths of the map are metres."""
+    @property
+    def is_level(self) -> bool:
+        """Whether z of the map is against gravity by an inertial sensor."""
     @property
     def times(self) -> NDArray[np.float64]:
         """Seconds of every frame with a pose."""

@@ -3,6 +3,7 @@
 mod cloud;
 mod diagnostics;
 mod grid;
+mod inertial;
 mod octomap;
 mod path;
 mod window;
@@ -10,6 +11,7 @@ mod window;
 pub use cloud::{MAX_POINTS, cloud_of_cells, cloud_of_keyframe};
 pub use diagnostics::{Condition, diagnostics};
 pub use grid::{MAX_GRID_CELLS, changed_part};
+pub use inertial::imu_sample_of;
 pub use monogrid_bags::convert::{
     ImageError, InfoError, camera_of, gray_image, gray_of_compressed, grid_of, odometry_of,
     pose_of, transform_of,

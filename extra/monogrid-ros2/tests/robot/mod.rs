@@ -1,14 +1,16 @@
 //! The other process: a camera, and somebody who listens to everything that the node publishes.
 
-use monogrid_geometry::{Camera, Distortion};
+use monogrid_geometry::{Camera, Distortion, Vec3};
 use monogrid_image::Image as Picture;
+use monogrid_inertial::ImuSample;
 use monogrid_messages::RosMessage;
 use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::diagnostic_msgs::DiagnosticArray;
+use monogrid_messages::geometry_msgs::Vector3;
 use monogrid_messages::map_msgs::OccupancyGridUpdate;
 use monogrid_messages::nav_msgs::{OccupancyGrid, Odometry, Path};
 use monogrid_messages::octomap_msgs::Octomap;
-use monogrid_messages::sensor_msgs::{CameraInfo, Image, PointCloud2};
+use monogrid_messages::sensor_msgs::{CameraInfo, Image, Imu, PointCloud2};
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use monogrid_messages::tf2_msgs::TFMessage;
@@ -126,14 +128,16 @@ pub struct Heard {
 }
 
 impl Heard {
+    /// A fact of the last diagnostics.
+    pub fn fact(&self, key: &str) -> Option<&str> {
+        let facts = &self.diagnostics.as_ref()?.status[0].values;
+        let fact = facts.iter().find(|fact| fact.key == key)?;
+        Some(&fact.value)
+    }
+
     /// A number among the facts of the last diagnostics; 0 where there is none.
     pub fn count(&self, key: &str) -> u64 {
-        let facts = self
-            .diagnostics
-            .iter()
-            .flat_map(|array| &array.status[0].values);
-        let mut value = facts.filter(|fact| fact.key == key).map(|fact| &fact.value);
-        value.next().map_or(0, |value| value.parse().unwrap())
+        self.fact(key).map_or(0, |value| value.parse().unwrap())
     }
 
     /// Images of which it is known what became of them.
@@ -274,6 +278,7 @@ fn listen(domain: u16, heard: &std::sync::Mutex<Heard>, stop: &AtomicBool) {
 pub struct Robot {
     _context: Context,
     images: Publisher<Image>,
+    readings: Publisher<Imu>,
     infos: Publisher<CameraInfo>,
     save: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
     reset: Client<Wire<TriggerRequest>, Wire<TriggerResponse>>,
@@ -288,6 +293,7 @@ impl Robot {
         let images = node
             .publisher("/camera/image_raw", Quality::Stream)
             .unwrap();
+        let readings = node.publisher("/imu/data", Quality::Stream).unwrap();
         let infos = node
             .publisher("/camera/camera_info", Quality::Latched)
             .unwrap();
@@ -298,6 +304,7 @@ impl Robot {
         Self {
             _context: context,
             images,
+            readings,
             infos,
             save,
             reset,
@@ -326,9 +333,33 @@ impl Robot {
         self.infos.publish(info).unwrap();
     }
 
+    /// Sends a reading of the inertial sensor, at a time.
+    pub fn send_reading(&self, stamp: Time, reading: &ImuSample) {
+        let vector = |v: &Vec3| Vector3 {
+            x: v.x,
+            y: v.y,
+            z: v.z,
+        };
+        let header = Header {
+            stamp,
+            frame_id: "imu".into(),
+        };
+        let message = Imu {
+            header,
+            angular_velocity: vector(&reading.angular_velocity),
+            linear_acceleration: vector(&reading.specific_force),
+            ..Imu::default()
+        };
+        self.readings.publish(message).unwrap();
+    }
+
     /// Sends an image as it is now.
     pub fn send_image(&self, image: &Picture<u8>) -> Time {
-        let stamp = now();
+        self.send_image_of(now(), image)
+    }
+
+    /// Sends an image of a time.
+    pub fn send_image_of(&self, stamp: Time, image: &Picture<u8>) -> Time {
         let message = Image {
             header: Header {
                 stamp,

@@ -185,6 +185,23 @@ impl GlobalMap {
             .collect()
     }
 
+    /// Brings every keyframe to its exact pose in the frame of `map_from_world`, at once.
+    pub fn bring_to(&mut self, mapper: &Mapper, map_from_world: &Sim3) -> Result<(), MapError> {
+        if let Some(coming) = self.coming.take() {
+            // It leads to poses that are out of date.
+            self.map.abandon_update();
+            self.take_back(coming);
+        }
+        self.map_from_world = *map_from_world;
+        while self.step_beyond(mapper, 0.0)? {}
+        Ok(())
+    }
+
+    /// Whether a keyframe was added.
+    pub fn holds(&self, id: KeyframeId) -> bool {
+        self.placed.contains_key(&id)
+    }
+
     /// Brings every keyframe to its exact pose, in the frame of `map_from_world`, and adds those that
     /// are `waiting`, with the poses they had when they came; `done` grows with each of those.
     pub fn settle(
@@ -196,14 +213,8 @@ impl GlobalMap {
         done: &AtomicUsize,
     ) -> Result<(), MapError> {
         self.map.set_threads(mapper.threads());
-        if let Some(coming) = self.coming.take() {
-            // It leads to poses that are out of date.
-            self.map.abandon_update();
-            self.take_back(coming);
-        }
-        self.map_from_world = *map_from_world;
         self.follow(Arc::clone(wanted));
-        while self.step_beyond(mapper, 0.0)? {}
+        self.bring_to(mapper, map_from_world)?;
         // the newest is added without work on the others
         waiting.sort_by_key(|(scan, _)| scan.id);
         for (scan, first) in waiting {

@@ -35,6 +35,8 @@ pub struct LiveView {
     pub global: Arc<OccupancyMap>,
     /// Every keyframe where it was when it was finished.
     pub large: Arc<OccupancyMap>,
+    /// The frame of the maps.
+    pub map_from_world: Sim3,
     local_radius: f64,
 }
 
@@ -254,6 +256,29 @@ impl LiveMaps {
         Ok(())
     }
 
+    /// The frame of the maps.
+    #[must_use]
+    pub fn map_from_world(&self) -> &Sim3 {
+        &self.map_from_world
+    }
+
+    /// Brings the maps to another frame, at once: all that is in them is integrated again.
+    ///
+    /// # Errors
+    /// As [`LiveMaps::add`].
+    pub fn bring_to(&mut self, map_from_world: Sim3) -> Result<(), MapError> {
+        self.map_from_world = map_from_world;
+        self.global.bring_to(&self.mapper, &map_from_world)?;
+        let first_poses = self.first_poses.iter();
+        let placed = first_poses.filter(|(id, _)| self.global.holds(*id));
+        let large = placed.map(|(id, pose)| (*id, map_from_world * *pose));
+        self.large = Arc::new(self.global.elsewhere(large)?);
+        if !self.first_poses.is_empty() {
+            self.publish();
+        }
+        Ok(())
+    }
+
     /// Brings *global* closer to the newest poses and depths, by at most the integration of one
     /// keyframe; `false` when it is up to date, or when nobody reads.
     ///
@@ -278,6 +303,7 @@ impl LiveMaps {
                 stats: self.global.stats(),
                 global: self.global.share(),
                 large: Arc::clone(&self.large),
+                map_from_world: self.map_from_world,
                 local_radius: self.mapper.config().local_radius,
             });
         }

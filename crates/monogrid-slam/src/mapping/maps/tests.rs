@@ -328,6 +328,40 @@ fn maps_in_a_frame_found_at_the_end_are_built_there() {
 }
 
 #[test]
+fn maps_that_are_brought_to_another_frame_while_they_grow_are_those_built_there() {
+    let frame = Random(5).pose();
+    let poses = [pose(0.1), pose(0.4), pose(0.8)];
+    let snapshot = |count: usize| {
+        Arc::new(PoseSnapshot {
+            revision: count as u64,
+            world_from_keyframe: poses[..count].to_vec(),
+            ..PoseSnapshot::default()
+        })
+    };
+    let scans: Vec<KeyframeScan> = (0..3).map(wall).collect();
+    let first = [pose(0.0), pose(0.3), pose(0.7)];
+    let mut live = LiveMaps::new(Mapper::new(config(), 1), z_up_from_camera_world()).unwrap();
+    let reader = live.reader().unwrap();
+    for id in 0..2 {
+        live.add(scans[id].clone(), first[id]).unwrap();
+    }
+    // an update that is under way leads elsewhere
+    live.follow(snapshot(2)).unwrap();
+    live.step().unwrap();
+    live.bring_to(frame).unwrap();
+    let view = reader.latest().unwrap();
+    assert_eq!(view.map_from_world, frame);
+    let built = |poses: &[Sim3]| bytes(&from_scratch(&scans[..poses.len()], poses, &frame));
+    assert!(bytes(&view.global) == built(&poses[..2]));
+    assert!(bytes(&view.large) == built(&first[..2]));
+    live.add(scans[2].clone(), first[2]).unwrap();
+    live.follow(snapshot(3)).unwrap();
+    while live.step().unwrap() {}
+    let view = reader.latest().unwrap();
+    assert!(bytes(&view.global) == built(&poses) && bytes(&view.large) == built(&first));
+}
+
+#[test]
 fn what_is_read_is_always_complete_and_of_one_revision() {
     let z_up = z_up_from_camera_world();
     let mut revisions = std::collections::BTreeSet::new();
