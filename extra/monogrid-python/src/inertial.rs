@@ -4,7 +4,7 @@ use crate::arrays::{contiguous, pose_of, rigid, rows};
 use crate::errors::value;
 use monogrid::geometry::Vec3;
 use monogrid::inertial::{ImuNoise, ImuSample};
-use numpy::{Ix1, Ix2, PyArrayMethods};
+use numpy::{Ix1, Ix2};
 use pyo3::prelude::*;
 use std::sync::Arc;
 

@@ -24,6 +24,10 @@ pub struct Args {
     /// Calibration from a file instead of the topic (any that `monogrid run --calibration` reads)
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Time that the camera takes from its first row to the last, ms: rows are put right, which delays poses by an image [default: as
+    /// --calibration says, else 0]
+    #[arg(long, value_name = "MS", value_parser = readout, allow_hyphen_values = true)]
+    pub rolling_shutter: Option<f64>,
     /// Topic of an inertial sensor beside the camera (sensor_msgs/Imu), on the clock of the images: the map becomes level and metric
     #[arg(long, value_name = "TOPIC")]
     pub imu: Option<String>,
@@ -148,6 +152,15 @@ fn scale(text: &str) -> Result<f64, String> {
     checked_scale(metres)
 }
 
+fn readout(text: &str) -> Result<f64, String> {
+    let [ms] = numbers(text)?;
+    if ms.abs() <= 1000.0 {
+        Ok(ms)
+    } else {
+        Err(format!("{ms} ms is not between -1000 and 1000 ms"))
+    }
+}
+
 fn period(text: &str) -> Result<f64, String> {
     let [seconds] = numbers(text)?;
     if (0.05..=3600.0).contains(&seconds) {
@@ -189,6 +202,7 @@ mod tests {
             ["--metres-per-unit", "-1"],
             ["--map-period", "0"],
             ["--map-period", "1e9"],
+            ["--rolling-shutter", "2000"],
         ] {
             assert!(parse(&wrong).is_err(), "{wrong:?}");
         }

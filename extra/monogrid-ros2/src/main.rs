@@ -26,12 +26,20 @@ const NEWS_AHEAD: usize = 256;
 
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
-    let camera = match &args.calibration {
-        Some(path) => Ok(Calibration::read(path, None)?.camera),
+    let calibration = args.calibration.as_deref();
+    let calibration = calibration.map(|path| Calibration::read(path, None));
+    let calibration = calibration.transpose()?;
+    let told_ms = calibration.as_ref().and_then(|known| known.readout_ms);
+    let readout_ms = args.rolling_shutter.or(told_ms).unwrap_or(0.0);
+    let camera = match calibration {
+        Some(calibration) => Ok(calibration.camera),
         None => Err(format!("no calibration has come on {} yet", args.info)),
     };
     let base_from_camera = args.frames.mount();
-    let settings = settings(&args)?;
+    let settings = Settings {
+        readout_ms,
+        ..settings(&args)?
+    };
 
     let context = connect().context("the ROS domain cannot be joined")?;
     let (work_sender, work) = way_to_work();

@@ -147,8 +147,8 @@ impl Maps {
                     self.publish_points(world, &keyframe, &poses);
                 }
             }
-            News::Scale(metres) => {
-                self.options.metres_per_unit = Some(metres);
+            News::Scale(told) => {
+                self.options.metres_per_unit = told;
                 self.show_again();
             }
             News::Ended => {

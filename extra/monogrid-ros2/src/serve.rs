@@ -10,26 +10,35 @@ use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use ros2_client::{MessageInfo, NodeOptions, ParameterValue, ReadError, Server, Subscription};
 
-/// Name of the parameter that says how long a unit of the world is, m.
+/// Name of the parameter that says how long a unit of the world is, m; 0 where nobody has told.
 const SCALE: &str = "metres_per_unit";
 
 /// A node with its parameter, which goes to the tracking thread when somebody sets it.
 pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
-    let value = ParameterValue::Double(args.metres_per_unit.unwrap_or(1.0));
+    let value = ParameterValue::Double(args.metres_per_unit.unwrap_or(0.0));
     NodeOptions::new()
         .enable_rosout(false)
         .declare_parameter(SCALE, value)
         .parameter_validator(Box::new(|name, value| match value {
-            ParameterValue::Double(metres) if name == SCALE => checked_scale(*metres).map(|_| ()),
+            ParameterValue::Double(metres) if name == SCALE => told_scale(*metres).map(|_| ()),
             _ if name == SCALE => Err(format!("{SCALE} is a number with a decimal point")),
             _ => Ok(()),
         }))
+        // this is called with the first value too
         .parameter_set_action(Box::new(move |name, value| match value {
             ParameterValue::Double(metres) if name == SCALE => work
-                .send(Work::Scale(*metres))
+                .send(Work::Scale(told_scale(*metres)?))
                 .map_err(|_| "the node is ending".to_owned()),
             _ => Ok(()),
         }))
+}
+
+/// What the parameter says; nothing by 0.
+fn told_scale(metres_per_unit: f64) -> Result<Option<f64>, String> {
+    if metres_per_unit == 0.0 {
+        return Ok(None);
+    }
+    checked_scale(metres_per_unit).map(Some)
 }
 
 /// What comes in.

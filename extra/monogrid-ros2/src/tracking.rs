@@ -163,9 +163,9 @@ impl Tracking {
                 Work::Camera(camera) => self.camera = camera,
                 Work::Picture(picture) => self.take(&picture),
                 Work::Reading(reading) => self.take_reading(reading),
-                Work::Scale(metres_per_unit) => {
-                    self.told_metres_per_unit = Some(metres_per_unit);
-                    self.tell(News::Scale(metres_per_unit));
+                Work::Scale(told) => {
+                    self.told_metres_per_unit = told;
+                    self.tell(News::Scale(told));
                 }
                 Work::Reset(answer) => self.reset(answer),
                 Work::Save(answer) => {

@@ -45,8 +45,8 @@ pub enum Work {
     Picture(Picture),
     /// The next reading of an inertial sensor.
     Reading(ImuSample),
-    /// A unit of the world is so many metres.
-    Scale(f64),
+    /// A unit of the world is so many metres, as somebody tells; or nobody tells it any more.
+    Scale(Option<f64>),
     /// Everything begins again.
     Reset(Answer),
     /// The map is written to files.
@@ -129,8 +129,8 @@ pub enum News {
     Waiting(String),
     /// A keyframe of a world was finished.
     Keyframe(u32, KeptKeyframe, Arc<PoseSnapshot>),
-    /// A unit of the world is so many metres.
-    Scale(f64),
+    /// A unit of the world is so many metres, as somebody tells.
+    Scale(Option<f64>),
     /// The world is given up.
     Ended,
     /// The map is written to files, with the trajectory as it is known now.
@@ -190,7 +190,7 @@ mod tests {
         assert!((0..IMAGES_AHEAD).all(|_| offer()));
         assert!(!offer() && !offer());
         for _ in 0..100 {
-            sender.send(Work::Scale(1.0)).unwrap();
+            sender.send(Work::Scale(None)).unwrap();
         }
         assert!(matches!(receiver.next(), Some(Work::Picture(_))));
         assert!(offer() && !offer(), "there is room for one again");

@@ -402,6 +402,11 @@ fn a_scale_makes_everything_longer(loopback: &Loopback) {
     let before = loopback
         .heard
         .heard(|heard| heard.grid.as_ref().unwrap().info.resolution);
+    // nobody has told it until now
+    let unknown = loopback
+        .heard
+        .heard(|heard| heard.fact("metres per unit").map(str::to_owned));
+    assert!(unknown.unwrap().contains("unknown"));
     loopback.robot.set_scale(2.5).unwrap();
     loopback
         .heard
