@@ -1,11 +1,13 @@
-//! The update of one cell by the rule `fused`, and bounds of the updates of a whole block.
+//! The updates of the cells of a brick by the rule `fused`, and bounds of those of a whole cube.
 
 use super::image::{HOLE, RangeImage, RangeImages};
 use super::kernel::{
-    BLOCK_CELLS, Block, FlatTables, Kernel, KernelImage, KernelPixel, Weights, cell_of, evidence,
+    FlatTables, Kernel, KernelImage, OCTANTS, Placed, SINGLE_SAMPLE_PX, TableRow, Weights, cell_of,
+    evidence,
 };
 use super::octants::{Cube, Octants, View};
 use super::windows::Windows;
+use crate::key::BRICK_CELLS;
 use crate::sensor::table::EvidenceTable;
 
 /// Depth below which nothing is projected, in cells.
@@ -27,7 +29,6 @@ impl Footprints {
     pub(crate) fn new(images: RangeImages, max_range: f64, resolution: f64) -> Self {
         let max_range = max_range as f32;
         let tables = images.tables.tables();
-        let (flat, headers) = flatten(tables);
         Self {
             windows: images
                 .images
@@ -39,9 +40,9 @@ impl Footprints {
             kernel_images: images
                 .images
                 .iter()
-                .map(|image| kernel_image(image, &headers))
+                .map(|image| kernel_image(image, tables))
                 .collect(),
-            tables: flat,
+            tables: flatten(tables),
             free: tables.first().map_or(0, |table| table.free),
             images,
         }
@@ -59,9 +60,9 @@ impl Footprints {
         }
     }
 
-    /// The weights of cells around a block's centre (relative to the sensor, world axes).
+    /// The weights of cells around a brick's centre (relative to the sensor, world axes).
     ///
-    /// One value per block keeps uniform space uniform.
+    /// One value per brick keeps uniform space uniform.
     pub(crate) fn weights(&self, center: [f32; 3]) -> Weights {
         let Some(index) = self.image_of(center) else {
             return Weights {
@@ -83,49 +84,78 @@ impl Footprints {
         }
     }
 
-    /// Evidence for those octants of 4 x 4 x 4 cells around `center` (relative to the sensor, world
-    /// axes) that are `wanted`; 0 where the scan says nothing. Cells as [`cell_of`] orders them.
-    pub(crate) fn block_evidence(
+    /// Whether most cells around `center` (relative to the sensor, world axes) take the nearest pixel alone.
+    pub(crate) fn is_fine(&self, center: [f32; 3]) -> bool {
+        self.image_of(center).is_none_or(|index| {
+            let image = &self.images.images[index];
+            self.resolution * image.focal[0] <= SINGLE_SAMPLE_PX * in_image(image, center)[2]
+        })
+    }
+
+    /// Writes the evidence for some octants of the brick around `center` (relative to the sensor, world axes) into that of
+    /// its cells; 0 where the scan says nothing.
+    pub(crate) fn evidence(
         &self,
         center: [f32; 3],
         weights: &Weights,
-        wanted: u8,
-        evidence: &mut [i16; BLOCK_CELLS],
+        octants: &[u8],
+        cells: &mut [i16; BRICK_CELLS],
     ) {
-        let cube = Cube {
-            center,
-            half: 2.0 * self.resolution,
-        };
-        if let Some(index) = self.image_of_cube(cube) {
-            let block = self.block(&self.images.images[index], center);
-            self.kernel(index).block(&block, weights, wanted, evidence);
-            return;
+        let half = 4.0 * self.resolution;
+        if let Some(index) = self.image_of_cube(Cube { center, half }) {
+            return self.evidence_in(index, center, weights, octants, cells);
+        }
+        let mut apart = [0; OCTANTS];
+        let image_of = |octant: u8| self.image_of_cube(self.octant(center, octant));
+        for index in 0..self.images.images.len() {
+            let mut count = 0;
+            for &octant in octants
+                .iter()
+                .filter(|&&octant| image_of(octant) == Some(index))
+            {
+                apart[count] = octant;
+                count += 1;
+            }
+            self.evidence_in(index, center, weights, &apart[..count], cells);
         }
         // Where the images of a sensor that looks everywhere meet, each cell has its own.
-        for (i, value) in evidence.iter_mut().enumerate() {
-            if wanted >> (i >> 3) & 1 != 0 {
-                *value = self.cell_evidence(center, cell_of(i), weights);
+        for &octant in octants.iter().filter(|&&octant| image_of(octant).is_none()) {
+            for index in 0..8 {
+                let at @ [x, y, z] = cell_of(octant, index);
+                cells[x + 8 * y + 64 * z] = self.cell_evidence(center, at, weights);
             }
         }
     }
 
-    /// Evidence of one cell of a block.
-    fn cell_evidence(&self, center: [f32; 3], at: [usize; 3], weights: &Weights) -> i16 {
-        let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 1.5) * self.resolution);
-        self.image_of(point).map_or(0, |index| {
-            let block = self.block(&self.images.images[index], center);
-            self.kernel(index).cell(&block, at, weights)
-        })
-    }
-
-    /// [`Footprints::block_evidence`] cell by cell, without vectors.
-    #[cfg(test)]
-    pub(crate) fn block_evidence_scalar(
+    /// [`Footprints::evidence`] from one image.
+    fn evidence_in(
         &self,
+        index: usize,
         center: [f32; 3],
         weights: &Weights,
-    ) -> [i16; BLOCK_CELLS] {
-        std::array::from_fn(|i| self.cell_evidence(center, cell_of(i), weights))
+        octants: &[u8],
+        cells: &mut [i16; BRICK_CELLS],
+    ) {
+        let brick = self.placed(&self.images.images[index], center);
+        self.kernel(index).octants(&brick, weights, octants, cells);
+    }
+
+    /// The octant of a brick around `center`, relative to the sensor.
+    fn octant(&self, center: [f32; 3], octant: u8) -> Cube {
+        let first = cell_of(octant, 0);
+        Cube {
+            center: std::array::from_fn(|a| center[a] + (first[a] as f32 - 3.0) * self.resolution),
+            half: self.resolution,
+        }
+    }
+
+    /// Evidence of one cell of a brick.
+    pub(crate) fn cell_evidence(&self, center: [f32; 3], at: [usize; 3], weights: &Weights) -> i16 {
+        let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 3.5) * self.resolution);
+        self.image_of(point).map_or(0, |index| {
+            let brick = self.placed(&self.images.images[index], center);
+            self.kernel(index).cell(&brick, at, weights)
+        })
     }
 
     fn kernel(&self, index: usize) -> Kernel<'_> {
@@ -135,10 +165,10 @@ impl Footprints {
         }
     }
 
-    fn block(&self, image: &RangeImage, center: [f32; 3]) -> Block {
+    fn placed(&self, image: &RangeImage, center: [f32; 3]) -> Placed {
         let cell = self.resolution;
-        let first = center.map(|c| c - 1.5 * cell);
-        Block {
+        let first = center.map(|c| c - 3.5 * cell);
+        Placed {
             first: in_image(image, first),
             steps: std::array::from_fn(|axis| image.axes.map(|a| a[axis] as f32 * cell)),
             cell,
@@ -208,60 +238,37 @@ impl Footprints {
     }
 }
 
-/// Where a table is in the flat tables: start in space, entries per map unit, base and last.
-struct TableHeader {
-    start: f32,
-    inv_step: f32,
-    base: i32,
-    last: f32,
+fn flatten(tables: &[EvidenceTable]) -> FlatTables {
+    let mut flat = FlatTables::default();
+    for table in tables {
+        flat.rows.push(TableRow {
+            inv_step: table.inv_step as f32,
+            last: (table.entries.len() + 1) as f32,
+            base: flat.entries.len() as f32,
+        });
+        flat.entries.push(table.free);
+        flat.entries.extend_from_slice(&table.entries);
+        flat.entries.push(0);
+    }
+    flat
 }
 
-fn flatten(tables: &[EvidenceTable]) -> (FlatTables, Vec<TableHeader>) {
-    // The table of pixels without measurement: nothing in front, nothing behind.
-    let mut entries = vec![0, 0];
-    let headers = tables
-        .iter()
-        .map(|table| {
-            let header = TableHeader {
-                start: table.start as f32,
-                inv_step: table.inv_step as f32,
-                base: entries.len() as i32,
-                last: (table.entries.len() + 1) as f32,
-            };
-            entries.push(table.free);
-            entries.extend_from_slice(&table.entries);
-            entries.push(0);
-            header
-        })
-        .collect();
-    entries.push(0);
-    (FlatTables { entries }, headers)
-}
-
-fn kernel_image(image: &RangeImage, headers: &[TableHeader]) -> KernelImage {
-    let pixels = image.pixels.iter().map(|pixel| {
-        if pixel.range == HOLE {
-            return KernelPixel {
-                near: f32::INFINITY,
-                inv_step: 1.0,
-                last: 1.0,
-                base: 0,
-            };
-        }
-        let table = &headers[usize::from(pixel.table)];
-        KernelPixel {
-            near: pixel.range + table.start,
-            inv_step: table.inv_step,
-            last: table.last,
-            base: table.base,
-        }
+fn kernel_image(image: &RangeImage, tables: &[EvidenceTable]) -> KernelImage {
+    let near = image.pixels.iter().map(|pixel| match pixel.range {
+        HOLE => f32::NEG_INFINITY,
+        range => range + tables[usize::from(pixel.table)].start as f32,
     });
+    let table_of_pixel = image.pixels.iter().map(|pixel| pixel.table);
     KernelImage {
         width: image.width,
         height: image.height,
         focal: image.focal,
         center: image.center.map(|c| c + 0.5),
-        pixels: pixels.collect(),
+        near: near.chain([f32::NEG_INFINITY]).collect(),
+        tables: match tables {
+            [_] => Vec::new(),
+            _ => table_of_pixel.chain([0]).collect(),
+        },
     }
 }
 

@@ -243,9 +243,9 @@ pub(crate) fn bricks_seen(
 }
 #[cfg(test)]
 mod tests {
-    use super::super::kernel::cell_of;
     use super::super::search::relative_center;
     use super::*;
+    use crate::key::BRICK_CELLS;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
 
@@ -286,17 +286,10 @@ mod tests {
                     let brick = BrickKey::new(x, y, z);
                     let center = relative_center(brick, 4.0, resolution, footprints.images.origin);
                     let weights = footprints.weights(center);
-                    for octant in 0..8_usize {
-                        let side = [octant & 1, octant >> 1 & 1, octant >> 2];
-                        let cell = footprints.resolution;
-                        let middle = std::array::from_fn(|i| {
-                            center[i] + (side[i] as f32 * 4.0 - 2.0) * cell
-                        });
-                        let block = footprints.block_evidence_scalar(middle, &weights);
-                        for (i, update) in block.into_iter().enumerate().filter(|b| b.1 != 0) {
-                            let at = cell_of(i);
-                            let index: usize =
-                                (0..3).map(|a| (side[a] * 4 + at[a]) << (3 * a)).sum();
+                    for index in 0..BRICK_CELLS {
+                        let at = [index & 7, index >> 3 & 7, index >> 6];
+                        let update = footprints.cell_evidence(center, at, &weights);
+                        if update != 0 {
                             let key = brick.cell(index);
                             let value = map.limits.updated(map.evidence(key), update);
                             let log_odds = crate::evidence::log_odds_from_evidence(value);

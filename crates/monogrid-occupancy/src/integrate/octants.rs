@@ -19,6 +19,19 @@ pub(crate) struct Octants {
     pub clear: u8,
 }
 
+impl Octants {
+    pub(crate) const ALL_TOUCHED: Self = Self {
+        touched: 0xff,
+        free: 0,
+        clear: 0,
+    };
+    pub(crate) const ALL_FREE: Self = Self {
+        touched: 0xff,
+        free: 0xff,
+        clear: 0xff,
+    };
+}
+
 /// A cube in the world's axes, relative to the sensor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cube {

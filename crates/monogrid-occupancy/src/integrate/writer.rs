@@ -1,8 +1,8 @@
 //! The rule `fused`, second step: the updates of a brick, and the brick with them.
 
 use super::footprint::Footprints;
-use super::kernel::{BLOCK_CELLS, Weights, cell_of};
-use super::octants::Cube;
+use super::kernel::{OCTANTS, Weights, put_octant};
+use super::octants::{Cube, Octants};
 use super::search::{Update, relative_center};
 use crate::evidence::Limits;
 use crate::key::{BRICK_CELLS, BrickKey};
@@ -62,50 +62,46 @@ impl Writer<'_> {
     ) -> bool {
         let cell = self.footprints.resolution;
         let free = self.footprints.free_evidence(weights);
-        let octants = self.footprints.judge(Cube {
+        let is_fine = self.footprints.is_fine(center);
+        let half = 2.0 * cell;
+        let halves = self.footprints.judge(Cube {
             center,
-            half: 4.0 * cell,
+            half: 2.0 * half,
         });
-        let mut any = 0;
-        for octant in (0..8_usize).filter(|o| octants.touched >> o & 1 != 0) {
-            let side = [octant & 1, octant >> 1 & 1, octant >> 2];
-            let mut block = [0; BLOCK_CELLS];
-            if octants.free >> octant & 1 != 0 {
-                block = [free; BLOCK_CELLS];
+        let (mut unsure, mut count) = ([0; OCTANTS], 0);
+        for part in bits_of(halves.touched) {
+            let octants = if halves.free >> part & 1 != 0 {
+                Octants::ALL_FREE
+            } else if is_fine {
+                // To compute a cell takes less time than to find out whether it must be.
+                Octants::ALL_TOUCHED
             } else {
-                let center =
-                    std::array::from_fn(|i| center[i] + (side[i] as f32 * 4.0 - 2.0) * cell);
-                self.block_updates(center, weights, free, &mut block);
-            }
-            for (index, &update) in block.iter().enumerate() {
-                let at = cell_of(index);
-                let [x, y, z] = std::array::from_fn(|i| side[i] * 4 + at[i]);
-                updates[x + 8 * y + 64 * z] = update;
-                any |= update;
+                let side = |axis: usize| f32::from(part >> axis & 1) * 2.0 - 1.0;
+                let center = std::array::from_fn(|axis| center[axis] + side(axis) * half);
+                self.footprints.judge(Cube { center, half })
+            };
+            for octant in bits_of(octants.touched) {
+                let place = place_of(part) << 1 | place_of(octant);
+                if octants.free >> octant & 1 != 0 {
+                    put_octant(updates, place, [free; 8]);
+                } else {
+                    unsure[count] = place;
+                    count += 1;
+                }
             }
         }
-        any != 0
+        self.footprints
+            .evidence(center, weights, &unsure[..count], updates);
+        updates.iter().fold(0, |any, update| any | update) != 0
     }
+}
 
-    /// Updates of 4 x 4 x 4 cells; all are 0 before.
-    fn block_updates(
-        &self,
-        center: [f32; 3],
-        weights: &Weights,
-        free: i16,
-        block: &mut [i16; BLOCK_CELLS],
-    ) {
-        let half = 2.0 * self.footprints.resolution;
-        let octants = self.footprints.judge(Cube { center, half });
-        for (octant, cells) in block.chunks_exact_mut(8).enumerate() {
-            if octants.free >> octant & 1 != 0 {
-                cells.fill(free);
-            }
-        }
-        let wanted = octants.touched & !octants.free;
-        if wanted != 0 {
-            self.footprints
-                .block_evidence(center, weights, wanted, block);
-        }
-    }
+/// The bits that are set.
+fn bits_of(bits: u8) -> impl Iterator<Item = u8> {
+    (0..8).filter(move |bit| bits >> bit & 1 != 0)
+}
+
+/// The place, as the kernel numbers octants, of one of eight at an end of their brick.
+fn place_of(octant: u8) -> u8 {
+    octant & 1 | (octant & 2) << 1 | (octant & 4) << 2
 }
