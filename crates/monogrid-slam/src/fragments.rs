@@ -6,7 +6,7 @@
 use crate::KeyframeId;
 use serde::{Deserialize, Serialize};
 
-/// Identity of a fragment; never reused. 0 is the main map.
+/// Identity of a fragment; never reused. 0 is the main map, with which the largest fragment can change places at the end.
 pub type FragmentId = u32;
 
 /// The fragment that the first keyframe belongs to, and all that are joined to it.
@@ -41,6 +41,9 @@ pub struct FragmentConfig {
     pub max_bridge_scale_sigma: f64,
     /// Largest root mean square of the angles between their orientations, degrees. Range [0, 180].
     pub max_bridge_turn_deg: f64,
+    /// A fragment that is apart at the end becomes the map, and the first map a fragment, where it has at least so many times as many
+    /// frames with a pose; not where the first map is in metres or of an earlier session. Range [1, inf].
+    pub min_times_larger: f64,
 }
 
 impl Default for FragmentConfig {
@@ -55,6 +58,7 @@ impl Default for FragmentConfig {
             min_bridge_frames: 4,
             max_bridge_scale_sigma: 0.1,
             max_bridge_turn_deg: 1.0,
+            min_times_larger: 1.5,
         }
     }
 }

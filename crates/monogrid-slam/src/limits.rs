@@ -242,6 +242,7 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_bridge_frames: 3.0, 100.0;
         max_bridge_scale_sigma: 0.0, 10.0;
         max_bridge_turn_deg: 0.0, 180.0;
+        min_times_larger: 1.0, f64::INFINITY;
     }));
     all.extend(limits!("slam.merge", slam.merge, {
         min_agreeing: 1.0, 1000.0;

@@ -1,7 +1,10 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
-use crate::{FragmentConfig, KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState};
+use crate::{
+    FragmentConfig, FragmentId, KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState,
+};
 use monogrid_inertial::EstimateConfig;
+use std::cmp::Reverse;
 
 /// What makes a pose doubtful that passed the tests of alignment.
 #[derive(Clone, Copy, Debug, Default)]
@@ -99,6 +102,18 @@ pub(crate) fn is_placed(evidence: &PlaceEvidence, config: &EstimateConfig) -> bo
         && evidence.position_sigma_m <= share.max(config.join_position_sigma_m)
 }
 
+/// Which fragment is the map in the end, if not the main map: the one with the most frames (the oldest of equal ones), where it has many
+/// more. `frames` are those of the main map, `apart` the fragments that are not joined, with theirs.
+pub(crate) fn larger_map(
+    frames: usize,
+    apart: impl Iterator<Item = (FragmentId, usize)>,
+    config: &FragmentConfig,
+) -> Option<FragmentId> {
+    let (id, most) = apart.max_by_key(|(id, frames)| (*frames, Reverse(*id)))?;
+    let needed = config.min_times_larger * frames as f64;
+    (most > frames && most as f64 >= needed).then_some(id)
+}
+
 /// What the decision looks at.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct KeyframeEvidence {
@@ -153,6 +168,38 @@ mod tests {
         assert!(!do_points_decide(29, 29, &config));
         assert!(!do_points_decide(30, 61, &config));
         assert!(!do_points_decide(149, 300, &config));
+    }
+
+    #[test]
+    fn the_map_is_the_largest_fragment_where_it_is_much_larger() {
+        let config = FragmentConfig {
+            min_times_larger: 1.5,
+            ..FragmentConfig::default()
+        };
+        let larger = |frames, apart: &[(FragmentId, usize)]| {
+            larger_map(frames, apart.iter().copied(), &config)
+        };
+        assert_eq!(larger(100, &[]), None);
+        assert_eq!(larger(100, &[(1, 149)]), None);
+        assert_eq!(larger(100, &[(1, 150)]), Some(1));
+        assert_eq!(larger(100, &[(1, 150), (2, 160), (4, 150)]), Some(2));
+        // of equal ones the oldest
+        assert_eq!(larger(100, &[(2, 160), (3, 160)]), Some(2));
+        assert_eq!(larger(0, &[(1, 0)]), None);
+        assert_eq!(larger(0, &[(1, 1)]), Some(1));
+        // never
+        let never = FragmentConfig {
+            min_times_larger: f64::INFINITY,
+            ..config.clone()
+        };
+        assert_eq!(larger_map(1, [(1, 1000)].into_iter(), &never), None);
+        // the map stays where nothing is larger, whatever is asked for
+        let equal = FragmentConfig {
+            min_times_larger: 1.0,
+            ..config.clone()
+        };
+        assert_eq!(larger_map(9, [(1, 9)].into_iter(), &equal), None);
+        assert_eq!(larger_map(9, [(1, 10)].into_iter(), &equal), Some(1));
     }
 
     #[test]

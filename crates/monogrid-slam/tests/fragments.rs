@@ -264,6 +264,49 @@ fn another_place_that_looks_alike_stays_apart_and_moves_nothing() {
     assert_eq!(again.fragments().len(), 1);
 }
 
+#[test]
+fn the_map_is_the_largest_fragment_in_the_end() {
+    let other = mirrored();
+    let num_known = 30;
+    let mut inputs = video(world().known[..num_known].iter().chain(&other));
+    for input in &mut inputs {
+        input.seed_depth = None;
+    }
+    let mut slam = system();
+    let reports = run(&mut slam, &inputs);
+    assert_eq!(slam.exchanged(), None);
+    assert!(in_state(&reports[..num_known], TrackingState::Good) > 10);
+    assert!(in_state(&reports, TrackingState::Fragment) > 50);
+    let (before, apart) = (slam.trajectory(), slam.trajectory_in(1));
+    assert!(apart.len() as f64 > 1.5 * before.len() as f64);
+    slam.finish();
+    assert_eq!(slam.exchanged(), Some(1));
+    let (after, first) = (slam.trajectory(), slam.trajectory_in(1));
+    assert_eq!((after.len(), first.len()), (apart.len(), before.len()));
+    assert!(after.iter().all(|pose| pose.frame_index >= num_known));
+    let fragments = slam.fragments();
+    assert_eq!(fragments.len(), 1);
+    assert_eq!(fragments[0].frames, first.len());
+    assert!(fragments[0].first_frame < num_known && fragments[0].joined.is_none());
+    // the graph of the result begins with its own first keyframe
+    let graph = slam.pose_graph();
+    let fixed = graph.nodes().iter().filter(|node| node.is_fixed);
+    assert_eq!(fixed.count(), 1);
+
+    // a later session begins in the larger one, and knows the other
+    let again = continued(slam.stored_map(), Purpose::Extend);
+    assert_eq!(again.snapshot().fragment, slam.snapshot().fragment);
+    assert_eq!(again.fragments().len(), 1);
+
+    // a first map in metres stays the map
+    inputs[0].seed_depth = world().sequence.depth(0);
+    let mut slam = system();
+    run(&mut slam, &inputs);
+    slam.finish();
+    assert_eq!(slam.exchanged(), None);
+    assert!(slam.trajectory_in(1).len() > slam.trajectory().len());
+}
+
 fn continued(map: StoredMap, purpose: Purpose) -> Slam {
     let camera = world().sequence.camera();
     let mask = Mask::filled(camera.width, camera.height, 255);

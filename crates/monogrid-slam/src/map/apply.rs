@@ -6,7 +6,7 @@ use super::event::{Changes, Event};
 use super::keyframe::MapKeyframe;
 use super::points::{Adjustment, Observation, Registration, SeenPoints, SparsePoint};
 use crate::graph::{GraphUpdate, Joined};
-use crate::{Fragment, Join, KeyframeId};
+use crate::{Fragment, FragmentId, Join, KeyframeId, MAIN_MAP};
 use monogrid_geometry::Sim3;
 use std::sync::Arc;
 
@@ -39,6 +39,7 @@ impl Map {
                 self.changes.others.push(Event::Started(fragment.id));
                 self.fragments.push(fragment);
             }
+            Change::Exchanged(fragment) => self.exchange(fragment),
             Change::Lost(frame_index) => {
                 self.counts.lost_episodes += 1;
                 self.changes.others.push(Event::Lost { frame_index });
@@ -251,6 +252,30 @@ impl Map {
                 self.keyframes[index].fragment = placed.into;
             }
         }
+        self.note_poses();
+    }
+
+    /// Makes a fragment that is apart the main map, and the main map that fragment; each keeps its world.
+    fn exchange(&mut self, fragment: FragmentId) {
+        let exchanged = |id: FragmentId| match id {
+            MAIN_MAP => fragment,
+            id if id == fragment => MAIN_MAP,
+            id => id,
+        };
+        for keyframe in &mut self.keyframes {
+            keyframe.fragment = exchanged(keyframe.fragment);
+        }
+        let first = self.in_fragment(fragment).next();
+        let first = first.map(|keyframe| (keyframe.id, keyframe.frame_index));
+        for known in &mut self.fragments {
+            if let Some(join) = &mut known.joined {
+                join.into = exchanged(join.into);
+            }
+            if let (true, Some((id, frame_index))) = (known.id == fragment, first) {
+                *known = Fragment::begun(fragment, id, frame_index);
+            }
+        }
+        self.exchanged = Some(fragment);
         self.note_poses();
     }
 

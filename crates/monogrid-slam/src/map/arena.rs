@@ -31,6 +31,8 @@ pub(crate) struct Map {
     pub(super) frames: FrameLog,
     /// All but the main map, by identity.
     pub(super) fragments: Vec<Fragment>,
+    /// What the main map was called while the camera ran, if not that.
+    pub(super) exchanged: Option<FragmentId>,
     /// Losses after which the map went on, in the order of time.
     pub(super) bridges: Vec<Bridge>,
     /// Constraints between keyframes, as the graph has them.
@@ -195,6 +197,16 @@ impl Map {
     pub(crate) fn fragments(&self) -> Vec<Fragment> {
         let fragments = self.fragments.iter();
         fragments.map(|f| self.with_counts(f)).collect()
+    }
+
+    /// What the main map was called while the camera ran, if not that.
+    pub(crate) fn exchanged(&self) -> Option<FragmentId> {
+        self.exchanged
+    }
+
+    /// Whether it began with the map of an earlier session.
+    pub(crate) fn is_restored(&self) -> bool {
+        self.num_restored > 0
     }
 
     pub(crate) fn bridges(&self) -> &[Bridge] {

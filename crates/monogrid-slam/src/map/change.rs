@@ -53,6 +53,8 @@ pub(crate) enum Change {
     Placed(Placed),
     /// A fragment begins.
     Started(Fragment),
+    /// The main map and this fragment change places.
+    Exchanged(FragmentId),
     /// The camera is lost from this frame on.
     Lost(usize),
     /// The camera has a pose again.

@@ -160,7 +160,7 @@ impl Map {
     }
 
     /// Frames with a pose in a fragment.
-    pub(super) fn num_frames_in(&self, fragment: FragmentId) -> usize {
+    pub(crate) fn num_frames_in(&self, fragment: FragmentId) -> usize {
         let keyframes = self
             .frames
             .records

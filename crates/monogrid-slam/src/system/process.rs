@@ -10,9 +10,10 @@ use super::slam::Slam;
 use super::tracking::track_frame;
 use crate::frame::Frame;
 use crate::map::{Change, Event, Record};
+use crate::policy::larger_map;
 use crate::report::{Stage, Stopwatch};
 use crate::start::{Start, StartOutcome};
-use crate::{FragmentId, FrameInput, FrameReport, KeyframeId, MAIN_MAP};
+use crate::{FragmentId, FrameInput, FrameReport, KeyframeId, MAIN_MAP, Scale};
 use monogrid_image::GrayImage;
 
 impl Slam {
@@ -50,8 +51,23 @@ impl Slam {
         for fragment in self.map.grown_fragments() {
             adjust_whole(&self.setup, &mut self.map, fragment);
         }
+        self.prefer_larger_map();
         self.events = self.map.take_events();
         Some(left.id)
+    }
+
+    /// The largest fragment is the result, where nobody has asked for the first one: its unit and its place say nothing.
+    fn prefer_larger_map(&mut self) {
+        if self.map.scale() == Scale::Metric || self.map.is_restored() {
+            return;
+        }
+        let fragments = self.map.fragments();
+        let apart = fragments.iter().filter(|f| f.joined.is_none());
+        let frames = self.map.num_frames_in(MAIN_MAP);
+        let apart = apart.map(|f| (f.id, f.frames));
+        if let Some(larger) = larger_map(frames, apart, &self.setup.config.fragments) {
+            self.map.apply(Change::Exchanged(larger));
+        }
     }
 
     /// Gives back the memory that only more frames would need: that of tracking and of the graph's thread, and of keyframes what is not

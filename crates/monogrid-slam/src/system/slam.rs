@@ -223,6 +223,13 @@ impl Slam {
         self.map.fragments()
     }
 
+    /// The fragment that is the main map since [`Slam::finish`], under the name that it had before: it was much larger than the first
+    /// map, which has that name now. `None` while the first map is the main map.
+    #[must_use]
+    pub fn exchanged(&self) -> Option<FragmentId> {
+        self.map.exchanged()
+    }
+
     /// Losses after which the map went on with frames that both sides know, in the order of time.
     #[must_use]
     pub fn bridges(&self) -> &[Bridge] {
@@ -306,12 +313,13 @@ impl Slam {
     #[must_use]
     pub fn pose_graph(&self) -> PoseGraph {
         let mut graph = PoseGraph::new();
+        let first = self.map.in_fragment(MAIN_MAP).next().map(|k| k.id);
         for keyframe in self.map.in_fragment(MAIN_MAP) {
             // identities are unique and poses finite, so nothing is refused
             let _ = graph.add_node(GraphNode {
                 id: u64::from(keyframe.id),
                 world_from_keyframe: keyframe.world_from_keyframe,
-                is_fixed: keyframe.id == 0,
+                is_fixed: Some(keyframe.id) == first,
             });
         }
         for edge in self.map.edges() {

@@ -114,14 +114,7 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
     if let Some(cell) = &summary.map.cell {
         lines += &format!("  {}\n", cell.reason(unit));
     }
-    if !summary.fragments.is_empty() {
-        let num_apart = summary.num_apart();
-        lines += &format!(
-            "  {} fragments after losses, {} joined to the map, {num_apart} apart\n",
-            summary.fragments.len(),
-            summary.fragments.len() - num_apart
-        );
-    }
+    lines += &about_fragments(summary);
     for bridge in &summary.bridges {
         lines += &format!(
             "  after a loss the map goes on at frame {} with a scale known to {:.0} % (95 %)\n",
@@ -160,6 +153,25 @@ fn error_lines(summary: &Summary) -> String {
         lines += &format!(
             "  map against the truth: AUC {:.3}, MCC {:.3}; {} cells over 10 cm outside the room, MCC {:.3} with these\n",
             map.auc, map.mcc, report.predicted_beyond, report.mcc_with_beyond
+        );
+    }
+    lines
+}
+
+/// What became of what was mapped after losses.
+fn about_fragments(summary: &Summary) -> String {
+    let (num, num_apart) = (summary.fragments.len(), summary.num_apart());
+    if num == 0 {
+        return String::new();
+    }
+    let mut lines = format!(
+        "  {num} {} after losses, {} joined to the map, {num_apart} apart\n",
+        if num == 1 { "fragment" } else { "fragments" },
+        num - num_apart
+    );
+    if let Some(fragment) = summary.map_was_fragment {
+        lines += &format!(
+            "  the map is what was made after a loss, which is much larger; the first one is in trajectory_fragment_{fragment}.txt\n"
         );
     }
     lines

@@ -213,6 +213,52 @@ fn a_fragment_that_is_joined_is_counted_as_it_was() {
 }
 
 #[test]
+fn a_fragment_that_changes_places_with_the_main_map_leaves_all_poses_as_they_are() {
+    let mut map = map_with(&[0, 0, 1, 1, 1, 2, 3]);
+    for (id, first) in [(1, 2), (2, 5), (3, 6)] {
+        map.apply(Change::Started(Fragment::begun(
+            id,
+            first,
+            10 * first as usize,
+        )));
+    }
+    // one that was joined to each of the two
+    for (fragment, into) in [(2, MAIN_MAP), (3, 1)] {
+        map.apply(Change::Placed(Placed {
+            fragment,
+            into,
+            into_from_fragment: pose(0.0, 1.0),
+            frame_index: 66,
+        }));
+    }
+    for id in 0..7 {
+        finish(&mut map, id, 0);
+    }
+    let poses = map.snapshot().world_from_keyframe.clone();
+    map.take_events();
+    map.apply(Change::Exchanged(1));
+    assert_eq!(map.exchanged(), Some(1));
+    let fragments: Vec<FragmentId> = map.keyframes().iter().map(|k| k.fragment).collect();
+    assert_eq!(fragments, [1, 1, 0, 0, 0, 1, 0]);
+    assert_eq!(map.snapshot().world_from_keyframe, poses);
+    assert_eq!(map.snapshot().in_main_map(0), None);
+    assert_eq!(map.snapshot().in_main_map(2), Some(&poses[2]));
+    // the first map is the fragment now, with what was joined to it
+    let [first, second, third] = &map.fragments()[..] else {
+        panic!("{:?}", map.fragments());
+    };
+    assert_eq!(
+        (first.id, first.first_keyframe, first.first_frame),
+        (1, 0, 0)
+    );
+    assert_eq!((first.keyframes, first.joined), (3, None));
+    let into = |fragment: &Fragment| fragment.joined.map(|join| join.into);
+    assert_eq!((into(second), into(third)), (Some(1), Some(MAIN_MAP)));
+    let events = map.take_events();
+    assert!(events.iter().any(|event| matches!(event, Event::Moved(_))));
+}
+
+#[test]
 fn a_fragment_that_is_placed_takes_its_points_along_and_nothing_else() {
     let mut map = map_with(&[0, 0, 1, 1]);
     for id in 0..4 {

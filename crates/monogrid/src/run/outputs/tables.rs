@@ -34,7 +34,7 @@ pub fn write_tables(
     }
     folder.write(
         "trajectory_live.txt",
-        format_tum(&reported_poses(tracked, frame, |r| r.world_from_camera)),
+        format_tum(&live_poses(tracked, frame)),
     )?;
     folder.write(
         "trajectory_odometry.txt",
@@ -125,7 +125,7 @@ fn all_in_map(map_from_world: &Sim3, trajectory: &[TrajectoryPose]) -> Vec<Timed
 
 /// Positions of the camera as they were reported frame by frame.
 pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
-    path_of(&reported_poses(tracked, frame, |r| r.world_from_camera))
+    path_of(&live_poses(tracked, frame))
 }
 
 /// Positions of the camera.
@@ -134,6 +134,18 @@ pub fn path_of(poses: &[TimedPose]) -> Vec<[f64; 3]> {
         .iter()
         .map(|pose| pose.world_from_camera.translation.into())
         .collect()
+}
+
+/// Poses in what is the map in the end, as they were reported frame by frame.
+fn live_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
+    let map = tracked.run.slam.exchanged();
+    reported_poses(tracked, frame, |report| match map {
+        None => report.world_from_camera,
+        Some(map) => {
+            let place = report.fragment.filter(|place| place.id == map)?;
+            Some(place.fragment_from_camera)
+        }
+    })
 }
 
 /// Poses as they were reported frame by frame.

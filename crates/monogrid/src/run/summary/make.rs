@@ -41,6 +41,7 @@ impl Summary {
             reactivated_keyframes: slam.reactivations(),
             relocalisations: slam.relocalisations(),
             fragments: slam.fragments().iter().map(FragmentSummary::new).collect(),
+            map_was_fragment: slam.exchanged(),
             bridges: slam.bridges().to_vec(),
             sessions: session_summaries(input, settings, tracked),
             localise_only: settings.is_localise_only(),

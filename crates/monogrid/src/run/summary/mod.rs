@@ -129,6 +129,9 @@ pub struct Summary {
     pub graph_wait_ms: f64,
     /// Fragments that a lost camera began.
     pub fragments: Vec<FragmentSummary>,
+    /// The fragment that is the map in the end, since it is much larger than the first one, which has its name in `fragments`; `null`
+    /// where the first one is the map.
+    pub map_was_fragment: Option<u32>,
     /// Losses after which the map went on with frames that both sides know.
     pub bridges: Vec<Bridge>,
     /// The runs that made the map, this one last.
