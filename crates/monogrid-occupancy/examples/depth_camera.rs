@@ -7,32 +7,26 @@ use monogrid_occupancy::*;
 
 fn main() -> Result<(), MapError> {
     let (width, height, focal) = (320_u32, 240_u32, 260.0_f32);
-    // Pixels with a depth; the others are simply left out. Depth cameras know their error in
-    // depth z: that of 1 / z is sigma_z / z^2.
+    // Depths along the optical axis, row by row; 0 where nothing was measured.
     let depth = 2.0_f32;
-    let sigma = 0.01 * depth;
-    let pixels: Vec<DepthPixel> = (0..height)
-        .flat_map(|y| (0..width).map(move |x| (x, y)))
-        .filter(|(x, y)| !((100..140).contains(x) && (80..120).contains(y)))
-        .map(|(x, y)| DepthPixel {
-            x: x as u16,
-            y: y as u16,
-            idepth: 1.0 / depth,
-            sigma_idepth: sigma / (depth * depth),
-        })
-        .collect();
+    let mut depths = vec![depth; (width * height) as usize];
+    for row in 80..120 {
+        let first = row * width as usize;
+        depths[first + 100..first + 140].fill(0.0);
+    }
     let scan = Scan {
         id: 0,
         world_from_sensor: Similarity::IDENTITY, // the camera looks along its +z
         pose_sigma: PoseSigma::default(),
-        data: ScanData::Depth(DepthScan {
+        data: ScanData::Image(DepthImage {
             width,
             height,
             fx: f64::from(focal),
             fy: f64::from(focal),
             cx: f64::from(width) / 2.0 - 0.5,
             cy: f64::from(height) / 2.0 - 0.5,
-            pixels: &pixels,
+            depths: &depths,
+            sigmas: &[0.01 * depth],
         }),
     };
     let mut map = OccupancyMap::new(MapConfig::with_resolution(0.04))?;

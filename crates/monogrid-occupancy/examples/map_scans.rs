@@ -1,9 +1,10 @@
 //! Maps a `.scans` file and prints what it cost, comparable with `bench/octomap_baseline`.
 //!
 //! `cargo run --release -p monogrid-occupancy --example map_scans -- office.scans 0.032
-//!  [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [single=1] [out=map.ot]`
+//!  [rule=rays|fused] [L=0.08] [threads=1] [max_range=100] [scans=N] [single=1] [image=1] [out=map.ot]`
 //!
-//! With `single=1` every scan is a call of its own, as of a robot that maps while it drives.
+//! With `single=1` every scan is a call of its own, as of a robot that maps while it drives. With `image=1`
+//! the points are put back into the depth images of 640 x 480 pixels that they are of (`generate_scans.py`), outside of the timing.
 #![allow(clippy::print_stdout, reason = "an example program talks to its user")]
 
 use std::error::Error;
@@ -19,6 +20,7 @@ struct Options {
     threads: usize,
     scans: usize,
     single: bool,
+    image: bool,
     out: Option<String>,
 }
 
@@ -32,6 +34,7 @@ fn parse() -> Result<Options, Box<dyn Error>> {
         threads: 1,
         scans: usize::MAX,
         single: false,
+        image: false,
         out: None,
     };
     for argument in arguments {
@@ -58,6 +61,7 @@ fn parse() -> Result<Options, Box<dyn Error>> {
                 }
             }
             "obstacle" => options.config.obstacle_weight = value.parse()?,
+            "image" => options.image = value == "1",
             "single" => options.single = value == "1",
             "scans" => options.scans = value.parse()?,
             "out" => options.out = Some(value.to_owned()),
@@ -76,10 +80,49 @@ fn cpu_seconds() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// End points and standard deviations of the ranges of a scan, apart.
-fn ends(scan: &monogrid_datasets::Scan) -> (Vec<[f32; 3]>, Vec<f32>) {
+/// End points and standard deviations of the ranges of a scan.
+type Ends = (Vec<[f32; 3]>, Vec<f32>);
+
+/// Those of a scan, apart.
+fn ends(scan: &monogrid_datasets::Scan) -> Ends {
     let points = scan.points.iter();
     points.map(|p| (p.point_in_sensor, p.range_sigma)).unzip()
+}
+
+/// The camera of `generate_scans.py`.
+const CAMERA: DepthImage = DepthImage {
+    width: 640,
+    height: 480,
+    fx: 525.0,
+    fy: 525.0,
+    cx: 319.5,
+    cy: 239.5,
+    depths: &[],
+    sigmas: &[],
+};
+
+/// The depth image that points are of; 0 where there are none.
+fn depths(points: &[[f32; 3]]) -> Vec<f32> {
+    let mut depths = vec![0.0; (CAMERA.width * CAMERA.height) as usize];
+    for &[x, y, z] in points {
+        let slopes = [f64::from(x / z), f64::from(y / z)];
+        let column = (slopes[0] * CAMERA.fx + CAMERA.cx).round() as usize;
+        let row = (slopes[1] * CAMERA.fy + CAMERA.cy).round() as usize;
+        depths[row * CAMERA.width as usize + column] = z;
+    }
+    depths
+}
+
+/// The image of a scan if it has one, else its points.
+fn data<'a>(((points, sigmas), depths): (&'a Ends, &'a Vec<f32>)) -> ScanData<'a> {
+    if depths.is_empty() {
+        return ScanData::Points(PointScan { points, sigmas });
+    }
+    ScanData::Image(DepthImage {
+        depths,
+        sigmas: &sigmas[..1],
+        ..CAMERA
+    })
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -94,13 +137,18 @@ fn main() -> Result<(), Box<dyn Error>> {
             break;
         }
         let ends: Vec<_> = read.iter().map(ends).collect();
-        let scans = read.iter().zip(&ends).zip(num_read..);
+        let images: Vec<_> = match options.image {
+            true => ends.iter().map(|(points, _)| depths(points)).collect(),
+            false => vec![Vec::new(); ends.len()],
+        };
+        let measured = ends.iter().zip(&images).map(data);
+        let scans = read.iter().zip(measured).zip(num_read..);
         let scans: Vec<Scan> = scans
-            .map(|((scan, (points, sigmas)), id)| Scan {
+            .map(|((scan, data), id)| Scan {
                 id,
                 world_from_sensor: Similarity::from_rigid(&scan.world_from_sensor),
                 pose_sigma: PoseSigma::default(),
-                data: ScanData::Points(PointScan { points, sigmas }),
+                data,
             })
             .collect();
         num_read += scans.len() as u32;

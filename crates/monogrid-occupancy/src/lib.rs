@@ -20,7 +20,7 @@
 //! # }
 //! ```
 //!
-//! Depth images are [`ScanData::Depth`], holes included. The examples `lidar` and `depth_camera` are
+//! Depth images are [`ScanData::Image`] as they come, holes included, [`ScanData::Depth`] if few pixels have a depth. The examples `lidar` and `depth_camera` are
 //! whole programs. Scans of a few lone points are for [`IntegrationRule::Rays`]: the default rule may
 //! miss a point with no others in the directions around it.
 //!
@@ -115,6 +115,6 @@ pub use query::mesh::SurfaceMesh;
 pub use query::project::Projection;
 pub use query::snapshot::Snapshot;
 pub use scan::{
-    DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
+    DepthImage, DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };
 pub use sensor::{AndertForm, Buffer, SensorModel, Significance, ThrunForm, normal_cdf};

@@ -140,13 +140,50 @@ pub struct DepthScan<'a> {
     pub pixels: &'a [DepthPixel],
 }
 
+/// A complete depth image as a camera delivers it (axes as of [`DepthScan`]).
+///
+/// The rule `fused` takes it as an image: no point is made of a pixel, and of pixels much finer than cells some stand for all.
+#[derive(Clone, Copy, Debug)]
+pub struct DepthImage<'a> {
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Focal length along x in pixels.
+    pub fx: f64,
+    /// Focal length along y in pixels.
+    pub fy: f64,
+    /// Principal point along x in pixels.
+    pub cx: f64,
+    /// Principal point along y in pixels.
+    pub cy: f64,
+    /// Depths along the optical axis in sensor units, row by row; what is not positive and finite is no measurement.
+    pub depths: &'a [f32],
+    /// Standard deviation of each range in sensor units, or one value for all.
+    pub sigmas: &'a [f32],
+}
+
+impl DepthImage<'_> {
+    /// Depth and standard deviation of the range of pixel `index`; `None` if it has no measurement.
+    #[inline]
+    pub(crate) fn measured(&self, index: usize) -> Option<(f32, f32)> {
+        let depth = self.depths[index];
+        let sigma = self.sigmas[index.min(self.sigmas.len() - 1)];
+        // Written so that NaN fails.
+        let is_usable = depth > 1e-9 && depth < 1e8 && sigma > 0.0 && sigma < 1e9;
+        is_usable.then_some((depth, sigma))
+    }
+}
+
 /// The measurements of a scan.
 #[derive(Clone, Copy, Debug)]
 pub enum ScanData<'a> {
     /// Arbitrary points around an origin (lidar, any depth camera).
     Points(PointScan<'a>),
-    /// A pinhole depth image with holes.
+    /// Some pixels of a pinhole camera, each with its depth.
     Depth(DepthScan<'a>),
+    /// All pixels of a pinhole camera.
+    Image(DepthImage<'a>),
 }
 
 /// Measurements from one pose.
@@ -205,6 +242,16 @@ impl Scan<'_> {
         match self.data {
             ScanData::Points(scan) => scan.points.len(),
             ScanData::Depth(scan) => scan.pixels.len(),
+            ScanData::Image(image) => image.depths.len(),
+        }
+    }
+
+    /// Focal lengths of the camera along x and y, if it is one.
+    pub(crate) fn focal(&self) -> Option<[f64; 2]> {
+        match self.data {
+            ScanData::Points(_) => None,
+            ScanData::Depth(scan) => Some([scan.fx, scan.fy]),
+            ScanData::Image(image) => Some([image.fx, image.fy]),
         }
     }
 
@@ -242,24 +289,31 @@ impl Scan<'_> {
                 self.pose_sigma
             ));
         }
-        match self.data {
-            ScanData::Points(scan) => {
-                let (points, sigmas) = (scan.points.len(), scan.sigmas.len());
-                if sigmas != points && sigmas != 1 {
-                    return fail(format!(
-                        "{points} points have {sigmas} sigmas, expected 1 or all"
-                    ));
+        let (sigmas, camera) = match self.data {
+            ScanData::Points(scan) => (scan.sigmas.len(), None),
+            ScanData::Depth(scan) => (1, Some([scan.fx, scan.fy, scan.cx, scan.cy])),
+            ScanData::Image(image) => {
+                let [width, height] = [image.width, image.height].map(u64::from);
+                if image.depths.len() as u64 != width * height {
+                    let depths = image.depths.len();
+                    return fail(format!("{depths} depths are not {width} x {height}"));
                 }
+                let camera = [image.fx, image.fy, image.cx, image.cy];
+                (image.sigmas.len(), Some(camera))
             }
-            ScanData::Depth(scan) => {
-                let focal = scan.fx.is_normal() && scan.fy.is_normal();
-                if !(focal && scan.cx.is_finite() && scan.cy.is_finite()) {
-                    return fail(format!(
-                        "camera fx {} fy {} cx {} cy {} is not usable",
-                        scan.fx, scan.fy, scan.cx, scan.cy
-                    ));
-                }
-            }
+        };
+        if sigmas != self.len() && sigmas != 1 {
+            let measured = self.len();
+            return fail(format!(
+                "{measured} measurements have {sigmas} sigmas, expected 1 or all"
+            ));
+        }
+        if let Some([fx, fy, cx, cy]) = camera
+            && !(fx.is_normal() && fy.is_normal() && cx.is_finite() && cy.is_finite())
+        {
+            return fail(format!(
+                "camera fx {fx} fy {fy} cx {cx} cy {cy} is not usable"
+            ));
         }
         Ok(())
     }
@@ -284,15 +338,15 @@ impl Scan<'_> {
                 .zip(sigmas)
                 .filter_map(|(point, sigma)| measured_point(*point, *sigma))
                 .try_for_each(take),
-            ScanData::Depth(_) => {
+            ScanData::Depth(_) | ScanData::Image(_) => {
                 let mut all = (0..self.len()).filter_map(|index| self.measurement(index, mode));
                 all.try_for_each(&mut take)
             }
         }
     }
 
-    /// The scan with some of its measurements.
-    pub(crate) fn part(&self, range: Range<usize>) -> Self {
+    /// The scan with some of its measurements; `None` for an image, which has no list of them.
+    pub(crate) fn part(&self, range: Range<usize>) -> Option<Self> {
         let data = match self.data {
             ScanData::Points(scan) => ScanData::Points(PointScan {
                 points: &scan.points[range.clone()],
@@ -305,8 +359,9 @@ impl Scan<'_> {
                 pixels: &scan.pixels[range],
                 ..scan
             }),
+            ScanData::Image(_) => return None,
         };
-        Self { data, ..*self }
+        Some(Self { data, ..*self })
     }
 
     /// Measurement `index`; `None` if it is not finite, has no length or no uncertainty.
@@ -336,6 +391,17 @@ impl Scan<'_> {
                     SigmaMode::RawInverseDepth => sigma_d,
                 };
                 usable(ray.map(|c| c / d), sigma)
+            }
+            ScanData::Image(image) => {
+                let (depth, sigma) = image.measured(index)?;
+                let (x, y) = (index % image.width as usize, index / image.width as usize);
+                let z = f64::from(depth);
+                let point = [
+                    (x as f64 - image.cx) / image.fx * z,
+                    (y as f64 - image.cy) / image.fy * z,
+                    z,
+                ];
+                usable(point, f64::from(sigma))
             }
         }
     }

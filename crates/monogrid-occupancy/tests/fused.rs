@@ -29,12 +29,12 @@ const BORDER: f64 = 2e-4;
 /// Samples that say so little (in log-odds) may say nothing in the table: behind the cut, or exactly 0.
 const LITTLE: f64 = 0.03;
 
-struct DepthImage {
+struct View {
     pose: Similarity,
     pixels: Vec<DepthPixel>,
 }
 
-impl DepthImage {
+impl View {
     fn scan(&self, id: u32) -> Scan<'_> {
         Scan {
             id,
@@ -52,6 +52,45 @@ impl DepthImage {
                 cy: CENTER[1],
                 pixels: &self.pixels,
             }),
+        }
+    }
+
+    /// Depths and standard deviations of the ranges of all pixels; 0 and 1 where nothing was measured.
+    fn complete(&self) -> (Vec<f32>, Vec<f32>) {
+        let count = (WIDTH * HEIGHT) as usize;
+        let (mut depths, mut sigmas) = (vec![0.0; count], vec![1.0; count]);
+        for pixel in &self.pixels {
+            let index = usize::from(pixel.y) * WIDTH as usize + usize::from(pixel.x);
+            let d = f64::from(pixel.idepth);
+            let kappa = length(ray_of([f64::from(pixel.x), f64::from(pixel.y)]));
+            depths[index] = (1.0 / d) as f32;
+            sigmas[index] = (kappa * f64::from(pixel.sigma_idepth) / (d * d)) as f32;
+        }
+        (depths, sigmas)
+    }
+
+    /// The same scan as a complete image.
+    fn image_scan<'a>(&self, id: u32, (depths, sigmas): &'a (Vec<f32>, Vec<f32>)) -> Scan<'a> {
+        let data = ScanData::Image(DepthImage {
+            width: WIDTH as u32,
+            height: HEIGHT as u32,
+            fx: FOCAL,
+            fy: FOCAL,
+            cx: CENTER[0],
+            cy: CENTER[1],
+            depths,
+            sigmas,
+        });
+        let Scan {
+            world_from_sensor,
+            pose_sigma,
+            ..
+        } = self.scan(id);
+        Scan {
+            id,
+            world_from_sensor,
+            pose_sigma,
+            data,
         }
     }
 
@@ -109,7 +148,7 @@ struct Measured {
 }
 
 /// The measurements by pixel, gaps of one pixel between opposite measurements closed.
-fn measurements(image: &DepthImage) -> BTreeMap<(i32, i32), Measured> {
+fn measurements(image: &View) -> BTreeMap<(i32, i32), Measured> {
     let pose_sigma = image.scan(0).pose_sigma;
     let own: BTreeMap<_, _> = image
         .pixels
@@ -280,9 +319,16 @@ fn fused_is_its_definition_on_a_dense_grid_to_the_accuracy_of_the_tables() {
             };
             let mut random = Random(100 + case as u64);
             let mut map = OccupancyMap::new(MapConfig::with_resolution(cell)).unwrap();
-            let images: Vec<_> = (0..3).map(|_| DepthImage::random(&mut random)).collect();
+            let images: Vec<_> = (0..3).map(|_| View::random(&mut random)).collect();
             for (id, image) in images.iter().enumerate() {
-                integrate(&mut map, &image.scan(id as u32), &config, 2).unwrap();
+                // Both forms of a depth image, in turn.
+                let complete = image.complete();
+                let scan = match id {
+                    1 => image.image_scan(1, &complete),
+                    _ => image.scan(id as u32),
+                };
+                let report = integrate(&mut map, &scan, &config, 2).unwrap();
+                assert_eq!(report.points, image.pixels.len());
             }
             let definitions: Vec<_> = images
                 .iter()

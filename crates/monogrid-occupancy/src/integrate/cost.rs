@@ -6,7 +6,7 @@ use super::{IntegrationConfig, IntegrationRule};
 use crate::error::MapError;
 use crate::key::{BRICK_CELLS, BRICK_EDGE};
 use crate::map::OccupancyMap;
-use crate::scan::{Scan, ScanData};
+use crate::scan::Scan;
 use crate::sensor::table::KnownTables;
 
 /// Measurements that are looked at: enough for a mean, few enough to cost nothing.
@@ -43,11 +43,10 @@ impl Cost {
         let samples: Vec<_> = sampled
             .filter_map(|index| scan.measurement(index, config.sigma_mode))
             .collect();
-        let solid_angle = match scan.data {
-            ScanData::Depth(_) => 0.0,
-            ScanData::Points(_) => {
-                angle_seen(samples.iter().map(|m| m.point)) / samples.len().max(1) as f64
-            }
+        let focal = scan.focal();
+        let solid_angle = match focal {
+            Some(_) => 0.0,
+            None => angle_seen(samples.iter().map(|m| m.point)) / samples.len().max(1) as f64,
         };
         let mut cost = Self::default();
         for found in &samples {
@@ -55,13 +54,9 @@ impl Cost {
             let sigma = total_sigma(found.sigma * scale, range, scan, resolution);
             let index = tables.prepare(range as f32, sigma as f32);
             let table = tables.table(index);
-            let solid_angle = match scan.data {
-                ScanData::Depth(camera) => {
-                    step as f64 * (found.point[2] / found.range).powi(3)
-                        / (camera.fx * camera.fy).abs()
-                }
-                ScanData::Points(_) => solid_angle,
-            };
+            let solid_angle = focal.map_or(solid_angle, |[fx, fy]| {
+                step as f64 * (found.point[2] / found.range).powi(3) / (fx * fy).abs()
+            });
             let edge = resolution * f64::from(BRICK_EDGE);
             let bricks_to = |range: f64| {
                 let bricks = range.clamp(0.0, config.max_range) / edge;
@@ -195,7 +190,7 @@ fn rounded_up(value: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::map::MapConfig;
-    use crate::scan::{DepthPixel, DepthScan, PointScan, PoseSigma, Similarity};
+    use crate::scan::{DepthPixel, DepthScan, PointScan, PoseSigma, ScanData, Similarity};
 
     fn scan(data: ScanData) -> Scan {
         Scan {

@@ -3,7 +3,7 @@
 use super::image::{HOLE, RangeImage, RangeImages};
 use super::kernel::{
     FlatTables, Kernel, KernelImage, OCTANTS, Placed, SINGLE_SAMPLE_PX, TableRow, Weights, cell_of,
-    evidence,
+    evidence, put_octant,
 };
 use super::octants::{Cube, Octants, View};
 use super::windows::Windows;
@@ -120,10 +120,8 @@ impl Footprints {
         }
         // Where the images of a sensor that looks everywhere meet, each cell has its own.
         for &octant in octants.iter().filter(|&&octant| image_of(octant).is_none()) {
-            for index in 0..8 {
-                let at @ [x, y, z] = cell_of(octant, index);
-                cells[x + 8 * y + 64 * z] = self.cell_evidence(center, at, weights);
-            }
+            let found = std::array::from_fn(|i| self.cell_evidence(center, octant, i, weights));
+            put_octant(cells, octant, found);
         }
     }
 
@@ -149,12 +147,19 @@ impl Footprints {
         }
     }
 
-    /// Evidence of one cell of a brick.
-    pub(crate) fn cell_evidence(&self, center: [f32; 3], at: [usize; 3], weights: &Weights) -> i16 {
+    /// Evidence of the cell `index` of an octant of a brick.
+    pub(crate) fn cell_evidence(
+        &self,
+        center: [f32; 3],
+        octant: u8,
+        index: usize,
+        weights: &Weights,
+    ) -> i16 {
+        let at = cell_of(octant, index);
         let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 3.5) * self.resolution);
-        self.image_of(point).map_or(0, |index| {
-            let brick = self.placed(&self.images.images[index], center);
-            self.kernel(index).cell(&brick, at, weights)
+        self.image_of(point).map_or(0, |image| {
+            let brick = self.placed(&self.images.images[image], center);
+            self.kernel(image).cell(&brick, octant, index, weights)
         })
     }
 

@@ -243,9 +243,9 @@ pub(crate) fn bricks_seen(
 }
 #[cfg(test)]
 mod tests {
+    use super::super::kernel::cell_of;
     use super::super::search::relative_center;
     use super::*;
-    use crate::key::BRICK_CELLS;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
 
@@ -286,11 +286,11 @@ mod tests {
                     let brick = BrickKey::new(x, y, z);
                     let center = relative_center(brick, 4.0, resolution, footprints.images.origin);
                     let weights = footprints.weights(center);
-                    for index in 0..BRICK_CELLS {
-                        let at = [index & 7, index >> 3 & 7, index >> 6];
-                        let update = footprints.cell_evidence(center, at, &weights);
+                    for (octant, index) in (0..64).flat_map(|o| (0..8).map(move |i| (o, i))) {
+                        let [x, y, z] = cell_of(octant, index);
+                        let update = footprints.cell_evidence(center, octant, index, &weights);
                         if update != 0 {
-                            let key = brick.cell(index);
+                            let key = brick.cell(x + 8 * y + 64 * z);
                             let value = map.limits.updated(map.evidence(key), update);
                             let log_odds = crate::evidence::log_odds_from_evidence(value);
                             map.set_log_odds(key, Some(log_odds)).unwrap();

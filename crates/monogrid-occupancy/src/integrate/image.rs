@@ -7,13 +7,14 @@ use std::ops::ControlFlow;
 
 use super::IntegrationConfig;
 use super::beam::total_sigma;
+use super::depth_image::range_image;
 use super::parallel::for_each;
 use crate::error::MapError;
-use crate::scan::{DepthScan, Scan, ScanData};
+use crate::scan::Scan;
 use crate::sensor::table::{KnownTables, TableSet};
 
 /// Pixels along the edge of a cell's footprint at the mean range.
-const PIXELS_PER_CELL: f64 = 2.5;
+pub(super) const PIXELS_PER_CELL: f64 = 2.5;
 /// Measurements per pixel of a point cloud, on average: with one, a third of the pixels of randomly
 /// spread measurements are empty, and gaps are left that nothing can close.
 const POINTS_PER_PIXEL: f64 = 1.4;
@@ -21,7 +22,7 @@ const POINTS_PER_PIXEL: f64 = 1.4;
 /// furniture with the wall behind it at a range where nothing is.
 const ONE_SURFACE: f32 = 0.05;
 /// A scan whose directions all lie within this slope of the forward axis is one image.
-const WIDEST_SLOPE: f32 = 2.5;
+pub(super) const WIDEST_SLOPE: f32 = 2.5;
 /// Slope of a cube's faces, with a margin for footprints that cross an edge.
 const CUBE_SLOPE: f32 = 1.02;
 /// Slopes that an image spans at least, along each of its axes.
@@ -35,11 +36,11 @@ pub(crate) const HOLE: f32 = 0.0;
 /// What is known in one pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pixel {
-    /// Range in map units, or [`HOLE`].
+    /// Range in map units, or [`HOLE`]; while the image is being filled, the sum of those that voted for it.
     pub range: f32,
     /// Evidence table of the measurement.
     pub table: u16,
-    /// Votes for this range while the image is being filled.
+    /// Votes for this range.
     votes: u16,
 }
 
@@ -140,29 +141,37 @@ impl RangeImages {
         known_tables: &KnownTables,
     ) -> Result<Self, MapError> {
         let mut tables = known_tables.set(config, resolution)?;
-        let (faces, points) = match collect_forward(scan, config, resolution, threads) {
-            Some(pieces) => {
-                let points = pieces.iter().map(|piece| piece.list.len()).sum();
-                (vec![(FORWARD, pieces)], points)
-            }
-            None => collect_cube(scan, config, resolution),
-        };
         let rotation = scan.world_from_sensor.rotation;
-        let native = match scan.data {
-            ScanData::Depth(depth) => Some(depth),
-            ScanData::Points(_) => None,
+        // Columns of world_from_sensor are the sensor's axes in the world.
+        let in_world = |axes: [[f64; 3]; 3]| {
+            axes.map(|axis| std::array::from_fn(|i| (0..3).map(|j| rotation[i][j] * axis[j]).sum()))
         };
-        let images = faces
-            .into_iter()
-            .filter(|(_, pieces)| pieces.iter().any(|samples| !samples.list.is_empty()))
-            .map(|(axes, pieces)| {
-                // Columns of world_from_sensor are the sensor's axes in the world.
-                let axes_in_world = axes.map(|axis: [f64; 3]| {
-                    std::array::from_fn(|i| (0..3).map(|j| rotation[i][j] * axis[j]).sum())
-                });
-                build_image(axes_in_world, &pieces, native, resolution, &mut tables)
-            })
-            .collect();
+        let (images, points) =
+            if let Some(found) = range_image(scan, in_world(FORWARD), resolution, &mut tables) {
+                found
+            } else {
+                let (faces, points) = match collect_forward(scan, config, resolution, threads) {
+                    Some(pieces) => {
+                        let points = pieces.iter().map(|piece| piece.list.len()).sum();
+                        (vec![(FORWARD, pieces)], points)
+                    }
+                    None => collect_cube(scan, config, resolution),
+                };
+                let images = faces
+                    .into_iter()
+                    .filter(|(_, pieces)| pieces.iter().any(|samples| !samples.list.is_empty()))
+                    .map(|(axes, pieces)| {
+                        build_image(
+                            in_world(axes),
+                            &pieces,
+                            scan.focal(),
+                            resolution,
+                            &mut tables,
+                        )
+                    })
+                    .collect();
+                (images, points)
+            };
         Ok(Self {
             origin: scan.world_from_sensor.translation,
             images,
@@ -187,7 +196,7 @@ const CUBE: [[[f64; 3]; 3]; 6] = [
 ];
 
 /// Scale and pose uncertainty applied to one measurement.
-struct RangeModel<'a> {
+pub(super) struct RangeModel<'a> {
     scan: &'a Scan<'a>,
     resolution: f64,
     /// The last uncertainty of a range, and with that of the pose: most sensors state one for all.
@@ -195,7 +204,7 @@ struct RangeModel<'a> {
 }
 
 impl<'a> RangeModel<'a> {
-    fn new(scan: &'a Scan<'a>, resolution: f64) -> Self {
+    pub(super) fn new(scan: &'a Scan<'a>, resolution: f64) -> Self {
         Self {
             scan,
             resolution,
@@ -204,7 +213,7 @@ impl<'a> RangeModel<'a> {
     }
 
     #[inline]
-    fn range_and_sigma(&mut self, range: f64, sigma: f64) -> (f32, f32) {
+    pub(super) fn range_and_sigma(&mut self, range: f64, sigma: f64) -> (f32, f32) {
         let scale = self.scan.world_from_sensor.scale;
         let range = range * scale;
         if sigma != self.last.0 || self.scan.pose_sigma.rotation_rad != 0.0 {
@@ -229,10 +238,10 @@ fn collect_forward(
 ) -> Option<Vec<Samples>> {
     let parts = scan.len().div_ceil(PART);
     let count = PART * parts.div_ceil(threads).max(1);
-    let mut pieces: Vec<_> = (0..scan.len())
+    let mut pieces: Vec<(Scan, Option<Samples>)> = (0..scan.len())
         .step_by(count)
-        .map(|first| (scan.part(first..(first + count).min(scan.len())), None))
-        .collect();
+        .map(|first| Some((scan.part(first..(first + count).min(scan.len()))?, None)))
+        .collect::<Option<_>>()?;
     for_each(&mut pieces, threads, |_, (piece, samples)| {
         *samples = collect_piece(piece, config, resolution);
     });
@@ -243,7 +252,7 @@ fn collect_piece(scan: &Scan, config: &IntegrationConfig, resolution: f64) -> Op
     let mut model = RangeModel::new(scan, resolution);
     let mut samples = Samples::with_capacity(scan.len());
     for first in (0..scan.len()).step_by(PART) {
-        let part = scan.part(first..(first + PART).min(scan.len()));
+        let part = scan.part(first..(first + PART).min(scan.len()))?;
         let end = part.each_measurement(config.sigma_mode, |measured| {
             let [x, y, z] = measured.point;
             let inverse = 1.0 / z;
@@ -299,79 +308,115 @@ fn collect_cube(
 fn build_image(
     axes: [[f64; 3]; 3],
     pieces: &[Samples],
-    native: Option<DepthScan>,
+    native: Option<[f64; 2]>,
     resolution: f64,
     tables: &mut TableSet,
 ) -> RangeImage {
-    let low = [0, 1].map(|i| {
-        pieces
-            .iter()
-            .fold(f32::MAX, |low, piece| low.min(piece.low[i]))
-    });
-    let high = [0, 1].map(|i| {
-        pieces
-            .iter()
-            .fold(f32::MIN, |high, piece| high.max(piece.high[i]))
-    });
+    let joined = |of: fn(&Samples) -> [f32; 2], join: fn(f32, f32) -> f32| {
+        let all = pieces.iter().map(of);
+        all.reduce(|a, b| [join(a[0], b[0]), join(a[1], b[1])])
+            .unwrap_or_default()
+    };
+    let low = joined(|piece| piece.low, f32::min);
+    let high = joined(|piece| piece.high, f32::max);
     let count = pieces.iter().map(|piece| piece.list.len()).sum::<usize>();
-    let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(NARROWEST_SLOPES));
     let sums = pieces
         .iter()
         .flat_map(|p| p.part_sums.iter().chain([&p.range_sum]));
     let mean_range = sums.sum::<f64>() / count as f64;
     // As many measurements per pixel as leave few gaps, or the camera's own pixels.
-    let (focal_u, aspect) = match native {
-        Some(camera) => (camera.fx.abs(), (camera.fy / camera.fx).abs()),
-        None => {
-            let pixels = count as f64 / POINTS_PER_PIXEL;
-            ((pixels / (extent[0] * extent[1])).sqrt(), 1.0)
-        }
-    };
-    let focal_u = focal_u
-        .min(PIXELS_PER_CELL * mean_range / resolution)
-        .min((MAX_PIXELS / (extent[0] * extent[1] * aspect)).sqrt())
-        .max(1.0);
-    let focal = [focal_u as f32, (focal_u * aspect) as f32];
-    let size = [0, 1].map(|i| ((high[i] - low[i]) * focal[i]).round() as usize + 1);
-    let mut image = RangeImage {
+    let native = native.unwrap_or_else(|| {
+        let pixels = count as f64 / POINTS_PER_PIXEL;
+        let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(NARROWEST_SLOPES));
+        [(pixels / (extent[0] * extent[1])).sqrt(); 2]
+    });
+    let mut image = RangeImage::empty(
         axes,
-        width: size[0],
-        height: size[1],
-        focal,
-        center: [-low[0] * focal[0], -low[1] * focal[1]],
-        pixels: vec![EMPTY_PIXEL; size[0] * size[1]],
-        density: 1.0,
-    };
+        [low, high],
+        native,
+        PIXELS_PER_CELL * mean_range / resolution,
+    );
     for sample in pieces.iter().flat_map(|piece| &piece.list) {
-        image.vote(sample, tables.prepare(sample.range, sample.sigma));
+        let at = image.row_of(sample.v) + image.column_of(sample.u);
+        image.vote(at, sample.range, tables.prepare(sample.range, sample.sigma));
     }
-    let filled = image.pixels.iter().filter(|p| p.range != HOLE).count();
-    image.density = (count as f32 / filled.max(1) as f32).max(1.0);
-    image.fill_gaps();
+    image.finish(count);
     image
 }
 
 impl RangeImage {
-    /// Adds a measurement to its pixel. Ranges of one surface are averaged; where they
+    /// An image without measurements between two slopes, with the focal lengths `native`, or in their proportion less: at most
+    /// `finest` along u.
+    pub(super) fn empty(
+        axes: [[f64; 3]; 3],
+        [low, high]: [[f32; 2]; 2],
+        native: [f64; 2],
+        finest: f64,
+    ) -> Self {
+        let extent = [0, 1].map(|i| f64::from(high[i] - low[i]).max(NARROWEST_SLOPES));
+        let aspect = (native[1] / native[0]).abs();
+        let focal_u = native[0]
+            .abs()
+            .min(finest)
+            .min((MAX_PIXELS / (extent[0] * extent[1] * aspect)).sqrt())
+            .max(1.0);
+        let focal = [focal_u as f32, (focal_u * aspect) as f32];
+        let size = [0, 1].map(|i| ((high[i] - low[i]) * focal[i]).round() as usize + 1);
+        Self {
+            axes,
+            width: size[0],
+            height: size[1],
+            focal,
+            center: [-low[0] * focal[0], -low[1] * focal[1]],
+            pixels: vec![EMPTY_PIXEL; size[0] * size[1]],
+            density: 1.0,
+        }
+    }
+
+    /// The column of a slope.
+    #[inline]
+    pub(super) fn column_of(&self, u: f32) -> usize {
+        ((u * self.focal[0] + self.center[0] + 0.5) as usize).min(self.width - 1)
+    }
+
+    /// Where the row of a slope begins.
+    #[inline]
+    pub(super) fn row_of(&self, v: f32) -> usize {
+        ((v * self.focal[1] + self.center[1] + 0.5) as usize).min(self.height - 1) * self.width
+    }
+
+    /// Adds a measurement to the pixel `index`. Ranges of one surface are averaged; where they
     /// are not, the majority stays (Boyer and Moore's vote).
     #[inline]
-    fn vote(&mut self, sample: &Sample, table: u16) {
-        let column = (sample.u * self.focal[0] + self.center[0] + 0.5) as usize;
-        let row = (sample.v * self.focal[1] + self.center[1] + 0.5) as usize;
-        let index = row.min(self.height - 1) * self.width + column.min(self.width - 1);
+    pub(super) fn vote(&mut self, index: usize, range: f32, table: u16) {
         let pixel = &mut self.pixels[index];
-        if pixel.votes == 0 {
-            *pixel = Pixel {
-                range: sample.range,
-                table,
-                votes: 1,
-            };
-        } else if (sample.range - pixel.range).abs() <= ONE_SURFACE * pixel.range {
-            pixel.votes = pixel.votes.saturating_add(1);
-            pixel.range += (sample.range - pixel.range) / f32::from(pixel.votes);
+        let votes = f32::from(pixel.votes);
+        // Also the first of a pixel: one branch that is nearly always taken.
+        if (range * votes - pixel.range).abs() <= ONE_SURFACE * pixel.range {
+            if pixel.votes < u16::MAX {
+                pixel.table = if pixel.votes == 0 { table } else { pixel.table };
+                pixel.range += range;
+                pixel.votes += 1;
+            }
+        } else if pixel.votes == 0 {
+            (pixel.range, pixel.table, pixel.votes) = (range, table, 1);
         } else {
+            if pixel.votes > 1 {
+                pixel.range -= pixel.range / votes;
+            }
             pixel.votes -= 1;
         }
+    }
+
+    /// Ends the filling of the image with `count` measurements.
+    pub(super) fn finish(&mut self, count: usize) {
+        let mut filled = 0;
+        for pixel in &mut self.pixels {
+            pixel.range /= f32::from(pixel.votes.max(1));
+            filled += usize::from(pixel.range != HOLE);
+        }
+        self.density = (count as f32 / filled.max(1) as f32).max(1.0);
+        self.fill_gaps();
     }
 
     /// Closes gaps of one pixel between opposite measurements of one surface, at the

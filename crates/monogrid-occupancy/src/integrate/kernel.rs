@@ -94,11 +94,29 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// Centre of the cell `(x, y, z)`; the order of the operations is part of the result.
+    /// Centre of the cell `index` of an octant: that of its first cell, and the way from there.
     #[inline]
-    fn center(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+    fn center(&self, octant: u8, index: usize) -> [f32; 3] {
+        let (first, way) = (
+            self.first_of(octant),
+            self.way([0, 1, 2].map(|a| index >> a & 1)),
+        );
+        std::array::from_fn(|i| first[i] + way[i])
+    }
+
+    /// Centre of the first cell of an octant.
+    #[inline]
+    pub(super) fn first_of(&self, octant: u8) -> [f32; 3] {
+        let way = self.way(cell_of(octant, 0));
+        std::array::from_fn(|i| self.first[i] + way[i])
+    }
+
+    /// The way over so many cells; the order of the operations is part of the result.
+    #[inline]
+    pub(super) fn way(&self, cells: [usize; 3]) -> [f32; 3] {
+        let [x, y, z] = cells.map(|cells| cells as f32);
         let [sx, sy, sz] = self.steps;
-        std::array::from_fn(|i| (self.first[i] + z * sz[i]) + (x * sx[i] + y * sy[i]))
+        std::array::from_fn(|i| z * sz[i] + (x * sx[i] + y * sy[i]))
     }
 }
 
@@ -135,14 +153,14 @@ impl Kernel<'_> {
         cells: &mut [i16; BRICK_CELLS],
     ) {
         for &octant in octants {
-            let found = std::array::from_fn(|i| self.cell(brick, cell_of(octant, i), weights));
+            let found = std::array::from_fn(|i| self.cell(brick, octant, i, weights));
             put_octant(cells, octant, found);
         }
     }
 
-    /// Evidence for one cell of a brick.
-    pub(crate) fn cell(&self, brick: &Placed, at: [usize; 3], weights: &Weights) -> i16 {
-        let [x, y, z] = brick.center(at.map(|step| step as f32));
+    /// Evidence for the cell `index` of an octant of a brick.
+    pub(crate) fn cell(&self, brick: &Placed, octant: u8, index: usize, weights: &Weights) -> i16 {
+        let [x, y, z] = brick.center(octant, index);
         let range = (x * x + y * y + z * z).sqrt();
         // Written so that NaN gives nothing.
         if !(z > brick.min_depth && range <= brick.max_range) {

@@ -12,7 +12,7 @@ use std::arch::x86_64::*;
 
 use super::kernel::{
     EIGHT_SAMPLES, FOUR_SAMPLES, FOUR_SAMPLES_PX, Kernel, Placed, SINGLE_SAMPLE_PX, TableRow,
-    Weights, cell_of, put_octant,
+    Weights, put_octant,
 };
 use crate::key::BRICK_CELLS;
 
@@ -41,21 +41,12 @@ fn octants_avx2(
     octants: &[u8],
     cells: &mut [i16; BRICK_CELLS],
 ) {
-    let lane_x = _mm256_setr_ps(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0);
-    let lane_y = _mm256_setr_ps(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0);
-    let lane_z = _mm256_setr_ps(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0);
     let lanes = Lanes::new(kernel, brick, weights);
+    let ways = |i: usize| vector(|lane| brick.way([0, 1, 2].map(|axis| lane >> axis & 1))[i]);
+    let ways = [ways(0), ways(1), ways(2)];
     for &octant in octants {
-        let first = cell_of(octant, 0).map(|first| _mm256_set1_ps(first as f32));
-        let x = _mm256_add_ps(lane_x, first[0]);
-        let y = _mm256_add_ps(lane_y, first[1]);
-        let z = _mm256_add_ps(lane_z, first[2]);
-        let along = |i: usize| {
-            let [sx, sy, sz] = brick.steps.map(|step| _mm256_set1_ps(step[i]));
-            let layer = _mm256_add_ps(_mm256_set1_ps(brick.first[i]), _mm256_mul_ps(z, sz));
-            let row = _mm256_add_ps(_mm256_mul_ps(x, sx), _mm256_mul_ps(y, sy));
-            _mm256_add_ps(layer, row)
-        };
+        let first = brick.first_of(octant);
+        let along = |i: usize| _mm256_add_ps(_mm256_set1_ps(first[i]), ways[i]);
         let evidence = lanes.cells([along(0), along(1), along(2)]);
         // Saturating to i16 changes nothing: the lanes are within its range.
         let packed = _mm_packs_epi32(

@@ -11,6 +11,7 @@
 mod batches;
 pub(crate) mod beam;
 mod cost;
+mod depth_image;
 pub(crate) mod footprint;
 pub(crate) mod fused;
 pub(crate) mod image;
@@ -135,7 +136,7 @@ impl IntegrationConfig {
 /// What an integration did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IntegrationReport {
-    /// Measurements used.
+    /// Measurements used, those that their neighbours in a depth image stand for included.
     pub points: usize,
     /// Measurements dropped because they were not finite, or had no length or uncertainty.
     pub skipped: usize,

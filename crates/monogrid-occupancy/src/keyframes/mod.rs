@@ -20,7 +20,9 @@ use crate::error::MapError;
 use crate::integrate::{IntegrationConfig, bricks_seen, integrate};
 use crate::key::BrickKey;
 use crate::map::{MapConfig, OccupancyMap};
-use crate::scan::{DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, Similarity};
+use crate::scan::{
+    DepthImage, DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, Similarity,
+};
 
 /// Bricks along the edge of the groups that a scan's footprint is kept in, as a power of two.
 const GROUP_LEVEL: u32 = 2;
@@ -34,6 +36,8 @@ enum OwnedData {
     },
     /// The camera and an empty list of pixels; the pixels.
     Depth(DepthScan<'static>, Vec<DepthPixel>),
+    /// The camera and an empty image; depths and sigmas.
+    Image(DepthImage<'static>, Vec<f32>, Vec<f32>),
 }
 
 /// One keyframe at its pose.
@@ -68,6 +72,19 @@ impl Keyframe {
                 };
                 OwnedData::Depth(camera, scan.pixels.to_vec())
             }
+            ScanData::Image(image) => {
+                let camera = DepthImage {
+                    depths: &[],
+                    sigmas: &[],
+                    width: image.width,
+                    height: image.height,
+                    fx: image.fx,
+                    fy: image.fy,
+                    cx: image.cx,
+                    cy: image.cy,
+                };
+                OwnedData::Image(camera, image.depths.to_vec(), image.sigmas.to_vec())
+            }
         };
         Self {
             id: scan.id,
@@ -83,6 +100,11 @@ impl Keyframe {
         let data = match &*self.data {
             OwnedData::Points { points, sigmas } => ScanData::Points(PointScan { points, sigmas }),
             OwnedData::Depth(camera, pixels) => ScanData::Depth(DepthScan { pixels, ..*camera }),
+            OwnedData::Image(camera, depths, sigmas) => ScanData::Image(DepthImage {
+                depths,
+                sigmas,
+                ..*camera
+            }),
         };
         Scan {
             id: self.id,
