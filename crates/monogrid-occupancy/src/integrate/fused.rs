@@ -1,7 +1,8 @@
 //! The rule `fused`: one update per cell and scan.
 //!
-//! Flow: measurements -> range images with bounds over windows of pixels -> cubes are split, down to
-//! 2 x 2 x 2 cells, only where the bounds cannot tell what their cells get (`search`) -> free bricks
+//! Flow: measurements, or a depth image as it is (`depth_image`) -> range images with bounds over windows
+//! of pixels -> cubes are split, down to 2 x 2 x 2 cells (4 x 4 x 4 where a cell is no wider than a pixel),
+//! only where the bounds cannot tell what their cells get (`search`) -> free bricks
 //! get one addition, mixed ones an update per cell from the measurements in the cell's footprint, shard
 //! by shard (`writer`). A brick that is saturated free and can only become freer costs a look into the
 //! directory.
