@@ -3,7 +3,6 @@
 # points from Python and from Rust and says how long each took.
 #
 #   scripts/python.sh            PYTHON: another interpreter; PROFILE: release (default) or dev; WHEELS: where the wheel goes
-#   scripts/python.sh --here     without wheel, network and notebook, by the numpy and pytest of this interpreter, as .ci/run does
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -13,21 +12,6 @@ package=extra/monogrid-python
 if ! command -v "$python" >/dev/null; then
   echo "NOT TESTED: there is no $python" >&2
   exit 1
-fi
-
-if [ "${1:-}" = --here ]; then
-  if ! "$python" -c 'import matplotlib, numpy, pytest' 2>/dev/null; then
-    echo "NOT TESTED: $python has not numpy, pytest and matplotlib" >&2
-    exit 0
-  fi
-  cargo build -q --locked --profile "$profile" -p monogrid-python
-  folder=$([ "$profile" = dev ] && echo debug || echo "$profile")
-  here=$(mktemp -d)
-  trap 'rm -rf "$here"' EXIT
-  cp -r $package/python/monogrid "$here"
-  cp "$(ls "${CARGO_TARGET_DIR:-target}/$folder"/lib_monogrid.{so,dylib} 2>/dev/null | head -1)" "$here/monogrid/_monogrid.abi3.so"
-  cd $package && PYTHONPATH=$here "$python" -m pytest -q -p no:cacheprovider tests/test_map.py tests/test_slam.py
-  exit
 fi
 
 env=$(mktemp -d)
