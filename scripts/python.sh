@@ -2,7 +2,8 @@
 # Builds the Python package as a wheel, installs it into a fresh virtual environment and tests it there; then inserts a million
 # points from Python and from Rust and says how long each took.
 #
-#   scripts/python.sh            PYTHON: another interpreter; PROFILE: release (default) or dev; WHEELS: where the wheel goes
+#   scripts/python.sh            PYTHON: another interpreter; PROFILE: release (default) or dev; WHEELS: where the wheel goes; BESIDE=1:
+#                                evo, Open3D and Rerun (some 700 MB) in the same environment
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -21,7 +22,7 @@ trap 'rm -rf "$env"' EXIT
 rm -f "$wheels"/monogrid-*.whl
 "$env/bin/maturin" build -q --locked --profile "$profile" --manifest-path $package/Cargo.toml --out "$wheels"
 wheel=$(echo "$wheels"/monogrid-*.whl)
-"$env/bin/pip" install -q "$wheel[test]"
+"$env/bin/pip" install -q "$wheel[test${BESIDE:+,beside}]"
 (cd $package && "$env/bin/python" -m pytest -q -p no:cacheprovider tests)
 
 cargo build -q --locked --profile "$profile" -p monogrid-python --example insert_points

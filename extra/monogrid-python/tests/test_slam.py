@@ -48,8 +48,8 @@ def test_readings_of_an_inertial_sensor_make_the_map_metric_and_level(sequence):
     mount, times, gyroscope, accelerometer = inertial(sequence)
     slam = Slam(Camera.read(sequence / "calibration.txt"), imu=monogrid.Imu(mount), settings=["mapping.resolution=0.05"])
     told, begin = [], 0
-    for image, time in pictures(sequence):
-        end = np.searchsorted(times, time) - 2
+    for time, image in pictures(sequence):
+        end = max(int(np.searchsorted(times, time)) - 2, begin)
         slam.push_imu(times[begin:end], gyroscope[begin:end], accelerometer[begin:end])
         told.append(slam.push(image, time))
         # the readings that are late come one by one
