@@ -4,7 +4,7 @@
 #
 #   scripts/imu.sh [FOLDER]      FOLDER keeps videos, runs and rows [default: a temporary one]
 #
-# WORLDS, SEEDS, FRAMES (30 per second), SIZE: others than the five worlds, seeds 0 to 2, ten seconds, 640x480; BIN, BLACKOUT: other builds of
+# WORLDS, SEEDS, FRAMES (30 per second), SIZE: others than the five worlds, seeds 0 to 2, ten seconds, 640x480 (or 320x240); BIN, BLACKOUT: other builds of
 # the program and of the example `blackout`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -77,7 +77,8 @@ for world in $worlds; do
     for seed in $seeds; do
       for imu in 1 0; do
         key="| $world | $place | $seed | $([ "$imu" = 1 ] && echo yes || echo no) |"
-        grep -qF "$key" "$dark" || "$BLACKOUT" "$world" "$place" "seed=$seed" "imu=$imu" >>"$dark"
+        small=$([ "$size" = 320x240 ] && echo 1 || echo 0)
+        grep -qF "$key" "$dark" || "$BLACKOUT" "$world" "$place" "seed=$seed" "imu=$imu" "small=$small" >>"$dark"
         grep -F "$key" "$dark"
       done
     done

@@ -1,8 +1,8 @@
 //! Two seconds without a picture, with and without an inertial sensor: where the camera is afterwards (`scripts/imu.sh`).
 //!
-//! `cargo run --release -p monogrid-slam --example blackout -- WORLD known|unknown [seed=I] [imu=0] [before=SECONDS]`
+//! `cargo run --release -p monogrid-slam --example blackout -- WORLD known|unknown [seed=I] [imu=0] [before=SECONDS] [small=1]`
 //!
-//! A built-in world at 320x240, carried by hand, with the noise of the demonstration. `unknown`: the camera goes on; `known`: it
+//! A built-in world at 640x480 (`small`: 320x240), carried by hand, with the noise of the demonstration. `unknown`: the camera goes on; `known`: it
 //! turns round in the dark and goes back. Prints the way in the dark, how the loss ended, and by what share of that way positions in the
 //! second after it are wrong, when the path before it is aligned with the truth, with scale.
 #![allow(
@@ -76,10 +76,14 @@ fn main() {
     let (world, place) = (args.next().unwrap(), args.next().unwrap());
     let options = Options::read(args);
     let (seed, dark) = (options.number("seed", 0), options.number("before", 10.0));
+    let camera = match options.number("small", 0) {
+        0 => SynthConfig::demo(),
+        _ => SynthConfig::small(),
+    };
     let config = SynthConfig {
         frames: WALKING_FRAMES,
         seed,
-        ..SynthConfig::small()
+        ..camera
     };
     let path = path(&world, place == "known", dark, &config);
     let built = World::by_name_with(&world, &LightingConfig::quick()).unwrap();

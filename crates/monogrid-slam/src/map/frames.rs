@@ -2,7 +2,7 @@
 
 use super::arena::Map;
 use crate::{FragmentId, KeyframeId, TrackedFrame, TrajectoryPose};
-use monogrid_geometry::{Se3, Vec6};
+use monogrid_geometry::{Se3, Vec3, Vec6};
 
 /// A tracked frame, relative to its keyframe.
 #[derive(Clone, Copy, Debug)]
@@ -75,6 +75,66 @@ impl FrameLog {
     }
 }
 
+/// How much longer the ways from a keyframe are than they were tracked on its depth: tracking shrinks translations, since depth and
+/// gradients have noise (by up to a percent and a half in rendered worlds), while the poses of keyframes come from adjusted points. It shows where the last frame of
+/// a visit was tracked and where the next keyframe has it; neighbouring visits are alike, and say it together.
+#[derive(Clone, Copy, Debug, Default)]
+struct Stretch {
+    /// Sum of tracked way times way as it is known now, in squared units of the keyframes.
+    known: f64,
+    /// Sum of the squares of the tracked ways.
+    tracked: f64,
+}
+
+impl Stretch {
+    /// The way of a last frame from its keyframe, as it was tracked and as it is known now, in units of the keyframe.
+    /// A tenth between them is not the work of noise: one of the two is wrong, and the visit says nothing.
+    fn of(tracked: &Vec3, known: &Vec3) -> Self {
+        const MAX_SHARE: f64 = 0.1;
+        let stretch = Self {
+            known: tracked.dot(known),
+            tracked: tracked.norm_squared(),
+        };
+        if (known - tracked).norm() <= MAX_SHARE * tracked.norm() {
+            stretch
+        } else {
+            Self::default()
+        }
+    }
+
+    /// Visits before and after a visit that are taken for its own.
+    const NEIGHBOURS: usize = 2;
+
+    /// The factor for each visit, of what each of them shows.
+    fn smoothed(shown: &[Self]) -> Vec<f64> {
+        let around = |k: usize| {
+            let first = k.saturating_sub(Self::NEIGHBOURS);
+            let end = shown.len().min(k + Self::NEIGHBOURS + 1);
+            shown[first..end]
+                .iter()
+                .fold(Self::default(), |sum, one| Self {
+                    known: sum.known + one.known,
+                    tracked: sum.tracked + one.tracked,
+                })
+        };
+        (0..shown.len()).map(|k| around(k).factor()).collect()
+    }
+
+    /// The factor, as if a way of a tenth of the depth of the scene had shown none before.
+    fn factor(self) -> f64 {
+        const PRIOR: f64 = 0.1 * 0.1;
+        (self.known + PRIOR) / (self.tracked + PRIOR)
+    }
+}
+
+/// A pose relative to a keyframe with the way to it as many times as long.
+fn stretched(frame_from_keyframe: &Se3, factor: f64) -> Se3 {
+    Se3::new(
+        frame_from_keyframe.rotation,
+        frame_from_keyframe.translation * factor,
+    )
+}
+
 /// What is known now about the end of a visit: the pose of its last frame relative to the next keyframe
 /// differs from the tracked one.
 struct Correction {
@@ -125,7 +185,8 @@ impl Map {
     /// The frames of a fragment, in its world, in the order of time, with everything known now.
     ///
     /// Frames are known relative to their keyframe. Where the keyframe after it says something else about
-    /// the last of them, the difference is spread over the frames of the visit.
+    /// the last of them, all ways from the keyframe are stretched alike as far as that explains it, and the rest of the difference is
+    /// spread over the frames of the visit.
     pub(crate) fn trajectory_in(&self, fragment: FragmentId) -> Vec<TrajectoryPose> {
         let mut poses: Vec<TrajectoryPose> = self
             .corrected_poses()
@@ -178,15 +239,23 @@ impl Map {
     /// All records with their keyframes and `world_from_camera`, each in the world of its fragment.
     fn corrected_poses(&self) -> impl Iterator<Item = (&Record, KeyframeId, Se3)> {
         let visits = &self.frames.visits;
-        let next = visits.iter().skip(1).map(Some).chain([None]);
+        let next = || visits.iter().skip(1).map(Some).chain([None]);
+        let shown = visits.iter().zip(next()).map(|(visit, next)| {
+            let stretch = next.and_then(|next| self.stretch(visit, next));
+            stretch.unwrap_or_default()
+        });
+        let factors = Stretch::smoothed(&shown.collect::<Vec<_>>());
         let corrections: Vec<Option<Correction>> = visits
             .iter()
-            .zip(next)
-            .map(|(visit, next)| self.correction(visit, next?))
+            .zip(next())
+            .zip(&factors)
+            .map(|((visit, next), factor)| self.correction(visit, next?, *factor))
             .collect();
         self.frames.records.iter().filter_map(move |record| {
             let keyframe = self.keyframe_of(record)?;
-            let tracked = self[keyframe].world_from_camera(&record.frame_from_keyframe);
+            let factor = factors.get(record.visit).copied().unwrap_or(1.0);
+            let frame_from_keyframe = stretched(&record.frame_from_keyframe, factor);
+            let tracked = self[keyframe].world_from_camera(&frame_from_keyframe);
             let correction = corrections.get(record.visit);
             let pose = match correction.and_then(Option::as_ref) {
                 Some(correction) => tracked * correction.at(record.timestamp_ns),
@@ -196,10 +265,23 @@ impl Map {
         })
     }
 
-    /// The correction over the time of a visit; none where tracking was lost at its end.
-    fn correction(&self, visit: &Visit, next: &Visit) -> Option<Correction> {
+    /// What the end of a visit says of its ways; nothing where tracking was lost there.
+    fn stretch(&self, visit: &Visit, next: &Visit) -> Option<Stretch> {
         let end = visit.end.as_ref()?;
-        let tracked = self[visit.keyframe].world_from_camera(&end.frame_from_keyframe);
+        let known = self[next.keyframe].world_from_camera(&end.frame_from_next);
+        let keyframe_from_world = self[visit.keyframe].world_from_keyframe.inverse();
+        let tracked = end.frame_from_keyframe.inverse().translation;
+        Some(Stretch::of(
+            &tracked,
+            &(keyframe_from_world * known.translation),
+        ))
+    }
+
+    /// The correction over the time of a visit, whose ways are stretched; none where tracking was lost at its end.
+    fn correction(&self, visit: &Visit, next: &Visit, factor: f64) -> Option<Correction> {
+        let end = visit.end.as_ref()?;
+        let frame_from_keyframe = stretched(&end.frame_from_keyframe, factor);
+        let tracked = self[visit.keyframe].world_from_camera(&frame_from_keyframe);
         let adjusted = self[next.keyframe].world_from_camera(&end.frame_from_next);
         Some(Correction {
             begin_ns: visit.begin_ns,
@@ -234,6 +316,36 @@ mod tests {
             is_at(end_ns, 1.0);
             is_at(end_ns + (end_ns - begin_ns), 1.0);
         }
+    }
+
+    #[test]
+    fn ways_that_were_tracked_too_short_are_stretched_by_what_their_neighbours_show() {
+        let way = |z: f64| Vec3::new(0.1, -0.05, z);
+        // a percent too short; one has an error besides, and one shows nothing
+        let shown: Vec<Stretch> = (0..6)
+            .map(|k| match k {
+                4 => Stretch::of(&way(0.2), &(way(0.2) * 1.03)),
+                5 => Stretch::default(),
+                _ => Stretch::of(&way(0.2), &(way(0.2) * 1.01)),
+            })
+            .collect();
+        let factors = Stretch::smoothed(&shown);
+        assert!((1.009..1.01).contains(&factors[0]), "{factors:?}");
+        assert!((1.012..1.02).contains(&factors[3]), "{factors:?}");
+        assert!((1.015..1.02).contains(&factors[5]), "of its neighbours");
+        // what is across a way says nothing about its length, and a short way hardly anything
+        let across = Stretch::of(&Vec3::x(), &Vec3::new(1.0, 0.09, 0.0));
+        assert_eq!(across.factor(), 1.0);
+        let short = Stretch::of(&(Vec3::x() * 0.01), &(Vec3::x() * 0.0109));
+        assert!((1.0..1.001).contains(&short.factor()));
+        // what differs by more is an error, not a length
+        let wrong = Stretch::of(&Vec3::x(), &Vec3::new(1.11, 0.0, 0.0));
+        assert_eq!(wrong.factor(), 1.0);
+        assert_eq!(Stretch::smoothed(&[Stretch::default()]), [1.0]);
+        // the camera's place is stretched, whatever its turn
+        let pose = Se3::exp(&Vec6::new(0.1, -0.2, 0.3, 0.2, 0.1, -0.3));
+        let place = |pose: Se3| pose.inverse().translation;
+        assert!((place(stretched(&pose, 1.5)) - place(pose) * 1.5).norm() < 1e-12);
     }
 
     #[test]

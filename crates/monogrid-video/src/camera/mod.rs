@@ -3,6 +3,7 @@
 #[cfg(target_os = "linux")]
 mod v4l2;
 
+#[cfg(any(target_os = "linux", test))]
 mod convert;
 
 use crate::{Opened, VideoError};
