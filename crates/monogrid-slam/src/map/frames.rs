@@ -76,7 +76,7 @@ impl FrameLog {
 }
 
 /// How much longer the ways from a keyframe are than they were tracked on its depth: tracking shrinks translations, since depth and
-/// gradients have noise (by up to a percent and a half in rendered worlds), while the poses of keyframes come from adjusted points. It shows where the last frame of
+/// gradients have noise (by up to a percent and a half in rendered rooms), while the poses of keyframes come from adjusted points. It shows where the last frame of
 /// a visit was tracked and where the next keyframe has it; neighbouring visits are alike, and say it together.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stretch {
@@ -88,14 +88,19 @@ struct Stretch {
 
 impl Stretch {
     /// The way of a last frame from its keyframe, as it was tracked and as it is known now, in units of the keyframe.
-    /// A tenth between them is not the work of noise: one of the two is wrong, and the visit says nothing.
+    /// Noise shrinks a way by less than two percent; where the two differ by more, or by a tenth across, one of them is wrong for another
+    /// reason, and nobody knows which: the visit says nothing.
     fn of(tracked: &Vec3, known: &Vec3) -> Self {
-        const MAX_SHARE: f64 = 0.1;
+        const MAX_ALONG: f64 = 0.02;
+        const MAX_ACROSS: f64 = 0.1;
         let stretch = Self {
             known: tracked.dot(known),
             tracked: tracked.norm_squared(),
         };
-        if (known - tracked).norm() <= MAX_SHARE * tracked.norm() {
+        let along = (stretch.known / stretch.tracked - 1.0).abs();
+        let across = (known - tracked).norm() / tracked.norm();
+        // NaN is no length
+        if along <= MAX_ALONG && across <= MAX_ACROSS {
             stretch
         } else {
             Self::default()
@@ -320,27 +325,35 @@ mod tests {
 
     #[test]
     fn ways_that_were_tracked_too_short_are_stretched_by_what_their_neighbours_show() {
-        let way = |z: f64| Vec3::new(0.1, -0.05, z);
+        let way = Vec3::new(0.1, -0.05, 0.2);
         // a percent too short; one has an error besides, and one shows nothing
         let shown: Vec<Stretch> = (0..6)
             .map(|k| match k {
-                4 => Stretch::of(&way(0.2), &(way(0.2) * 1.03)),
+                4 => Stretch::of(&way, &(way * 1.018)),
                 5 => Stretch::default(),
-                _ => Stretch::of(&way(0.2), &(way(0.2) * 1.01)),
+                _ => Stretch::of(&way, &(way * 1.01)),
             })
             .collect();
         let factors = Stretch::smoothed(&shown);
         assert!((1.009..1.01).contains(&factors[0]), "{factors:?}");
-        assert!((1.012..1.02).contains(&factors[3]), "{factors:?}");
-        assert!((1.015..1.02).contains(&factors[5]), "of its neighbours");
+        assert!((1.01..1.013).contains(&factors[3]), "{factors:?}");
+        assert!((1.01..1.014).contains(&factors[5]), "of its neighbours");
         // what is across a way says nothing about its length, and a short way hardly anything
-        let across = Stretch::of(&Vec3::x(), &Vec3::new(1.0, 0.09, 0.0));
-        assert_eq!(across.factor(), 1.0);
-        let short = Stretch::of(&(Vec3::x() * 0.01), &(Vec3::x() * 0.0109));
+        let factor = |known: Vec3| Stretch::of(&Vec3::x(), &known).factor();
+        assert_eq!(factor(Vec3::new(1.0, 0.09, 0.0)), 1.0);
+        let short = Stretch::of(&(Vec3::x() * 0.01), &(Vec3::x() * 0.0101));
         assert!((1.0..1.001).contains(&short.factor()));
-        // what differs by more is an error, not a length
-        let wrong = Stretch::of(&Vec3::x(), &Vec3::new(1.11, 0.0, 0.0));
-        assert_eq!(wrong.factor(), 1.0);
+        // what differs by more is an error of one of the two
+        assert!(factor(Vec3::new(1.019, 0.0, 0.0)) > 1.018);
+        for wrong in [
+            [1.021, 0.0, 0.0],
+            [0.979, 0.0, 0.0],
+            [1.0, 0.11, 0.0],
+            [-1.0, 0.0, 0.0],
+        ] {
+            assert_eq!(factor(Vec3::from(wrong)), 1.0, "{wrong:?}");
+        }
+        assert_eq!(Stretch::of(&Vec3::zeros(), &Vec3::x()).factor(), 1.0);
         assert_eq!(Stretch::smoothed(&[Stretch::default()]), [1.0]);
         // the camera's place is stretched, whatever its turn
         let pose = Se3::exp(&Vec6::new(0.1, -0.2, 0.3, 0.2, 0.1, -0.3));
