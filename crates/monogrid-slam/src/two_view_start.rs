@@ -15,7 +15,8 @@ use monogrid_graph::bundle::{
     AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
 };
 use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose};
-use monogrid_image::Mask;
+use monogrid_image::{Mask, Pyramid};
+use std::sync::Arc;
 
 /// Features followed since the reference frame.
 #[derive(Debug)]
@@ -26,6 +27,8 @@ pub(crate) struct TwoViewStart {
     buffered: Vec<BufferedFrame>,
     /// Oldest first.
     references: Vec<Reference>,
+    /// The last frame.
+    last: Option<Arc<Pyramid>>,
 }
 
 #[derive(Debug)]
@@ -56,6 +59,7 @@ impl TwoViewStart {
             settings: settings.clone(),
             buffered: Vec::new(),
             references: Vec::new(),
+            last: None,
         }
     }
 
@@ -72,8 +76,12 @@ impl TwoViewStart {
     ) -> StartOutcome {
         self.buffer(&frame);
         let min_features = self.settings.min_features;
+        let last = self.last.replace(Arc::clone(&frame.pyramid));
         for reference in &mut self.references {
             reference.follow(&frame);
+            if let Some(last) = last.as_ref().filter(|_| reference.is_poor(min_features)) {
+                reference.follow_from(last, &frame);
+            }
         }
         self.references.retain(|r| r.num_followed() >= min_features);
         let mut reason = None;
@@ -222,13 +230,16 @@ struct PosedView {
 /// Views that are adjusted together at most.
 const MAX_VIEWS: usize = 10;
 
+/// A reference with fewer features than so many times the least is given up soon where the camera moves ahead. Those that are not found by
+/// their patch in the reference any more are followed from frame to frame, less exactly: where there are more, the start became worse by it.
+const FEW_TIMES: usize = 3;
+
 /// References in competition at most; the oldest gives way.
 const MAX_REFERENCES: usize = 3;
 
 impl Reference {
     /// Follows every point from the reference into `frame`, from where it was seen last.
     fn follow(&mut self, frame: &Frame) {
-        let config = TrackConfig::default();
         let alive: Vec<usize> = (0..self.points.len())
             .filter(|&i| self.tracks[i].is_some())
             .collect();
@@ -242,7 +253,7 @@ impl Reference {
             &frame.pyramid,
             &points,
             &initial,
-            &config,
+            &TrackConfig::default(),
         );
         for (&i, outcome) in alive.iter().zip(&outcomes) {
             self.tracks[i] = match (outcome.pixel(), self.tracks[i]) {
@@ -255,6 +266,35 @@ impl Reference {
             offset,
             pixels: self.tracks.iter().map(|t| t.map(|(p, _)| p)).collect(),
         });
+    }
+
+    /// Follows those points from the last frame that are not found in `frame`, the newest view, by what they look like in the reference: a camera
+    /// that moves ahead sees them grow.
+    fn follow_from(&mut self, last: &Pyramid, frame: &Frame) {
+        let [.., before, view] = &mut self.views[..] else {
+            return;
+        };
+        let lost = (0..self.points.len()).filter(|&i| view.pixels[i].is_none());
+        let (lost, points): (Vec<usize>, Vec<Vec2>) =
+            lost.filter_map(|i| Some((i, before.pixels[i]?))).unzip();
+        let outcomes = track_points(
+            last,
+            &frame.pyramid,
+            &points,
+            &points,
+            &TrackConfig::default(),
+        );
+        for ((&i, point), outcome) in lost.iter().zip(&points).zip(&outcomes) {
+            if let Some(pixel) = outcome.pixel() {
+                self.tracks[i] = Some((pixel, pixel - point));
+                view.pixels[i] = Some(pixel);
+            }
+        }
+    }
+
+    /// Whether it will soon be given up where the camera moves ahead.
+    fn is_poor(&self, min_features: usize) -> bool {
+        self.points.len() < FEW_TIMES * min_features
     }
 
     fn num_followed(&self) -> usize {

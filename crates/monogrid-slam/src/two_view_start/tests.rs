@@ -74,3 +74,66 @@ fn a_camera_that_moves_on_without_a_start_gets_references_beside_the_first() {
     // the oldest has given way
     assert!(states[24].1[0] > 0);
 }
+
+fn frame(image: GrayImage) -> Frame {
+    let input = FrameInput {
+        index: 0,
+        timestamp_ns: 0,
+        image,
+        seed_depth: None,
+    };
+    Frame::new(input, &Pinhole::new(200.0, 200.0, 80.0, 60.0), 0, 4)
+}
+
+#[test]
+fn what_has_changed_its_looks_is_followed_from_where_it_was_last_seen() {
+    let room = room();
+    let (width, height) = (room.width(), room.height());
+    // of other looks than in the reference, then moved
+    let negative = room.map(|grey| 255.0 - grey);
+    let moved = GrayImage::from_fn(width, height, |x, y| {
+        negative.at(x.saturating_sub(4), y.saturating_sub(3))
+    });
+    let mut start = TwoViewStart::new(&InitializationConfig::default(), 0);
+    start.buffer(&frame(room.clone()));
+    start.refer_to(frame(room), &Mask::filled(width, height, 255));
+    let mut reference = start.references.remove(0);
+    let points = reference.points.clone();
+    let seen = |pixels: Vec<Option<Vec2>>, offset| View { offset, pixels };
+    // the last one was not found in the view before either
+    let mut before: Vec<Option<Vec2>> = points.iter().copied().map(Some).collect();
+    before[points.len() - 1] = None;
+    reference.views = vec![seen(before, 1), seen(vec![None; points.len()], 2)];
+    reference.tracks = vec![None; points.len()];
+    reference.follow_from(&frame(negative).pyramid, &frame(moved));
+    let shift = Vec2::new(4.0, 3.0);
+    let found: Vec<(usize, Vec2, Vec2)> = (0..points.len())
+        .filter_map(|i| reference.tracks[i].map(|(pixel, step)| (i, pixel, step)))
+        .collect();
+    assert!(found.len() > points.len() / 2, "{}", found.len());
+    assert!(reference.tracks[points.len() - 1].is_none());
+    let is_right = |(i, pixel, _): &&(usize, Vec2, Vec2)| (pixel - points[*i] - shift).norm() < 0.3;
+    let num_right = found.iter().filter(is_right).count();
+    assert!(
+        20 * num_right > 19 * found.len(),
+        "{num_right} of {}",
+        found.len()
+    );
+    for (i, pixel, step) in found {
+        assert_eq!(step, pixel - points[i]);
+        assert_eq!(reference.views[1].pixels[i], Some(pixel));
+    }
+}
+
+#[test]
+fn only_references_with_few_features_need_that() {
+    let mut start = TwoViewStart::new(&InitializationConfig::default(), 0);
+    let room = room();
+    let mask = Mask::filled(room.width(), room.height(), 255);
+    start.buffer(&frame(room.clone()));
+    start.refer_to(frame(room), &mask);
+    let reference = &start.references[0];
+    let num = reference.points.len();
+    assert!(!reference.is_poor(num / FEW_TIMES));
+    assert!(reference.is_poor(num / FEW_TIMES + 1));
+}
