@@ -115,9 +115,10 @@ impl Finished {
             Some(edge) => live.mapper().with_resolution(edge),
             None => live.mapper().clone(),
         };
-        match edge {
-            Some(_) => live = live.remade(mapper.clone(), scans)?,
-            None => scans.into_iter().for_each(|scan| live.revise(scan)),
+        if edge.is_some() || self.slam.exchanged().is_some() {
+            live = live.remade(mapper.clone(), scans, &self.poses)?;
+        } else {
+            scans.into_iter().for_each(|scan| live.revise(scan));
         }
         let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
         let mut frames = earlier.to_vec();

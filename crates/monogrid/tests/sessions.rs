@@ -341,7 +341,9 @@ fn a_fragment_is_kept_apart_and_goes_on_in_a_later_session() {
     let dir = tempfile::tempdir().unwrap();
     let (source, out) = (dir.path().join("cut"), dir.path().join("out"));
     cut_sequence(&source, 45, 95);
-    let output = run(&source, &out, &[]);
+    // the first map stays the map, however large the fragment becomes
+    let stays = ["--set", "slam.fragments.min_times_larger=inf"];
+    let output = run(&source, &out, &stays);
     assert_eq!(code(&output), 3, "{}", stderr(&output));
     assert!(stderr(&output).contains("fragment"), "{}", stderr(&output));
     let summary = json(&output);
@@ -385,6 +387,43 @@ fn a_fragment_is_kept_apart_and_goes_on_in_a_later_session() {
     let earlier = fs::read_to_string(second.join("trajectory_earlier.txt")).unwrap();
     let earlier = earlier.lines().filter(|line| !line.starts_with('#'));
     assert_eq!(earlier.count(), main.len());
+}
+
+#[test]
+fn the_larger_part_is_the_map_and_a_later_session_goes_on_in_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let (source, out) = (dir.path().join("cut"), dir.path().join("out"));
+    cut_sequence(&source, 45, 95);
+    let output = run(&source, &out, &[]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(
+        stderr(&output).contains("trajectory_fragment_1.txt"),
+        "{}",
+        stderr(&output)
+    );
+    let summary = json(&output);
+    assert_eq!(summary["status"], "done");
+    assert_eq!(summary["map_was_fragment"], 1);
+    let main = poses(&out.join("trajectory.txt"));
+    let first = poses(&out.join("trajectory_fragment_1.txt"));
+    assert_eq!(summary["tracked"], main.len());
+    assert_eq!(summary["fragments"][0]["frames"], first.len());
+    assert!(main.len() > first.len() && first.iter().all(|(time, _)| *time < main[0].0));
+    // as known at the time: in the world of what is the map now
+    let live = poses(&out.join("trajectory_live.txt"));
+    assert!(!live.is_empty() && live.len() <= main.len());
+    assert!(live.iter().all(|(time, _)| *time >= main[0].0));
+    // the recording knows it
+    let again = dir.path().join("again.ot");
+    let recording = out.join("recording.mgk");
+    let output = monogrid(["map", text(&recording), "--out", text(&again)]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(fs::read(again).unwrap() == fs::read(out.join("global.ot")).unwrap());
+    let (later, second) = (dir.path().join("later"), dir.path().join("second"));
+    cut_sequence(&later, 0, 40);
+    let output = run(&later, &second, &["--continue", text(&out)]);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(poses(&second.join("trajectory.txt")).len() > 30);
 }
 
 #[test]

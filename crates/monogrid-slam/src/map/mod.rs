@@ -12,6 +12,7 @@ mod event;
 mod exposure;
 mod frames;
 mod keyframe;
+mod parts;
 mod points;
 mod tree;
 mod view;
@@ -22,6 +23,7 @@ pub use event::Event;
 pub(crate) use exposure::Exposure;
 pub(crate) use frames::{Record, VisitEnd};
 pub(crate) use keyframe::{KeyframeImage, MapKeyframe, NUM_LEVELS, Published};
+pub(crate) use parts::parts;
 pub(crate) use points::{
     Adjustment, DenseLink, Observation, Registration, SeenPoints, SparsePoint,
 };

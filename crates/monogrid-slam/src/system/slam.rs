@@ -5,15 +5,15 @@ use super::constrain::GraphLink;
 use super::odometry::Odometry;
 use super::setup::Setup;
 use crate::graph::GraphStats;
-use crate::map::{Event, Map};
+use crate::map::{Event, Map, parts};
 use crate::mapping::{KeptKeyframes, KeyframeScan, MappingConfig, final_scans_of};
 use crate::report::Stopwatch;
 use crate::sparse::SparseStats;
 use crate::start::Start;
 use crate::store::Store;
 use crate::{
-    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, MAIN_MAP, MapSize, MemoryConfig,
-    PoseSnapshot, Scale, SlamConfig, SlamError, TrajectoryPose,
+    Bridge, Fragment, FragmentId, InertialPath, KeptKeyframe, KeyframeId, MAIN_MAP, MapSize,
+    MemoryConfig, PoseSnapshot, Scale, SlamConfig, SlamError, TrajectoryPose,
 };
 use monogrid_geometry::{Mat7, Pinhole};
 use monogrid_graph::RobustKernel;
@@ -228,6 +228,13 @@ impl Slam {
     #[must_use]
     pub fn exchanged(&self) -> Option<FragmentId> {
         self.map.exchanged()
+    }
+
+    /// Of each keyframe, by identity, the oldest one that points or direct alignments hold together with it, perhaps over others: within
+    /// such a part places are known well. Two parts know of each other only by tracked motion, or across a loss.
+    #[must_use]
+    pub fn parts(&self) -> Vec<KeyframeId> {
+        parts(self.map.keyframes().len(), self.map.edges())
     }
 
     /// Losses after which the map went on with frames that both sides know, in the order of time.

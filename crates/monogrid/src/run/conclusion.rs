@@ -115,6 +115,12 @@ fn summary_lines(summary: &Summary, folder: &Path) -> String {
         lines += &format!("  {}\n", cell.reason(unit));
     }
     lines += &about_fragments(summary);
+    if summary.parts > 1 {
+        lines += &format!(
+            "  the map has {} parts that only tracked motion holds together (last column of keyframes.txt)\n",
+            summary.parts
+        );
+    }
     for bridge in &summary.bridges {
         lines += &format!(
             "  after a loss the map goes on at frame {} with a scale known to {:.0} % (95 %)\n",

@@ -309,18 +309,26 @@ impl LiveMaps {
         }
     }
 
-    /// The same keyframes, with the depth of `scans` (all of them), in maps of other settings in which nothing is integrated yet.
+    /// The same keyframes, with the depth of `scans` (all of them), in maps of other settings in which nothing is integrated yet. Those that
+    /// are not in the main map by `poses` are apart, though they may have been in it before.
     ///
     /// # Errors
     /// A setting of the map outside its range.
-    pub fn remade(self, mapper: Mapper, scans: Vec<KeyframeScan>) -> Result<Self, MapError> {
+    pub fn remade(
+        self,
+        mapper: Mapper,
+        scans: Vec<KeyframeScan>,
+        poses: &PoseSnapshot,
+    ) -> Result<Self, MapError> {
         let mut remade = Self::new(mapper, self.map_from_world)?;
         let first_poses: BTreeMap<KeyframeId, Sim3> = self.first_poses.into_iter().collect();
         for scan in scans {
-            if let Some(first) = first_poses.get(&scan.id) {
+            let first = first_poses.get(&scan.id);
+            let is_inside = poses.in_main_map(scan.id).is_some();
+            if let Some(first) = first.filter(|_| is_inside) {
                 remade.first_poses.push((scan.id, *first));
                 remade.waiting.push((scan.into(), *first));
-            } else if self.apart.contains_key(&scan.id) {
+            } else if first.is_some() || self.apart.contains_key(&scan.id) {
                 remade.apart.insert(scan.id, scan.into());
             }
         }

@@ -236,7 +236,8 @@ fn events(report: &FrameReport) -> String {
 }
 
 fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
-    let mut text = String::from("# id frame timestamp scale tx ty tz qx qy qz qw points\n");
+    let mut text = String::from("# id frame timestamp scale tx ty tz qx qy qz qw points part\n");
+    let parts = tracked.run.slam.parts();
     for keyframe in tracked.run.slam.keyframes() {
         let Some(pose) = tracked.run.poses.in_main_map(keyframe.id) else {
             continue;
@@ -245,7 +246,7 @@ fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
         let (t, q) = (pose.translation, pose.rotation.coords);
         let _ = writeln!(
             text,
-            "{} {} {} {:.9} {:.9} {:.9} {:.9} {:.10} {:.10} {:.10} {:.10} {}",
+            "{} {} {} {:.9} {:.9} {:.9} {:.9} {:.10} {:.10} {:.10} {:.10} {} {}",
             keyframe.id,
             keyframe.frame_index,
             format_seconds(keyframe.timestamp_ns),
@@ -257,7 +258,8 @@ fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
             q.y,
             q.z,
             q.w,
-            keyframe.num_pixels
+            keyframe.num_pixels,
+            parts[keyframe.id as usize],
         );
     }
     text

@@ -9,8 +9,9 @@ use crate::run::align::MapFrame;
 use crate::run::frames::{FrameFate, FrameRow};
 use crate::run::sessions::sessions;
 use crate::run::threads::Tracked;
-use monogrid_slam::Scale;
 use monogrid_slam::mapping::Maps;
+use monogrid_slam::{KeyframeId, Scale, Slam};
+use std::collections::BTreeSet;
 
 impl Summary {
     /// The summary of a run as far as it has come, without what is known from a truth.
@@ -42,6 +43,7 @@ impl Summary {
             relocalisations: slam.relocalisations(),
             fragments: slam.fragments().iter().map(FragmentSummary::new).collect(),
             map_was_fragment: slam.exchanged(),
+            parts: num_parts(slam),
             bridges: slam.bridges().to_vec(),
             sessions: session_summaries(input, settings, tracked),
             localise_only: settings.is_localise_only(),
@@ -95,6 +97,18 @@ fn scale_name(is_metric: bool) -> &'static str {
 /// Whether lengths of the results are metres.
 pub fn is_metric(tracked: &Tracked, frame: &MapFrame) -> bool {
     tracked.run.slam.scale() == Scale::Metric || frame.is_aligned
+}
+
+/// Parts of the map, by their oldest keyframes.
+fn num_parts(slam: &Slam) -> usize {
+    let poses = slam.snapshot();
+    let in_map = slam.keyframes().into_iter().map(|keyframe| keyframe.id);
+    let all = slam.parts();
+    let parts: BTreeSet<KeyframeId> = in_map
+        .filter(|id| poses.in_main_map(*id).is_some())
+        .map(|id| all[id as usize])
+        .collect();
+    parts.len()
 }
 
 fn count(tracked: &Tracked, test: fn(&FrameFate) -> bool) -> usize {

@@ -132,6 +132,8 @@ pub struct Summary {
     /// The fragment that is the map in the end, since it is much larger than the first one, which has its name in `fragments`; `null`
     /// where the first one is the map.
     pub map_was_fragment: Option<u32>,
+    /// Parts of the map that know of each other only by tracked motion; 1 where points and alignments hold all of it together.
+    pub parts: usize,
     /// Losses after which the map went on with frames that both sides know.
     pub bridges: Vec<Bridge>,
     /// The runs that made the map, this one last.
