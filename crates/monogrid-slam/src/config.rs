@@ -180,7 +180,7 @@ pub struct KeyframeConfig {
     pub distance_weight: f64,
     /// Weight of the lost overlap. Range [0.01, 1000].
     pub usage_weight: f64,
-    /// Frames that must have updated the depth before the next keyframe. Range [0, 1000].
+    /// Frames good enough to refine a keyframe's depth that must come before the next keyframe. Range [0, 1000].
     pub min_mapped_frames: usize,
     /// Usage below which the next keyframe is made at once. Range [0, 1].
     pub urgent_usage: f64,
@@ -201,6 +201,42 @@ pub struct KeyframeConfig {
     pub min_relative_baseline: f64,
     /// When an old keyframe is used again instead of a new one.
     pub reactivation: ReactivationConfig,
+    /// Which frames refine the depth of the keyframe in use.
+    pub refinement: RefinementConfig,
+}
+
+/// Which tracked frames refine the depth of the keyframe in use: one that is taken from almost the same place as the one before it sees
+/// the same disparities with the same patch of the keyframe, and costs as much as any other.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RefinementConfig {
+    /// First frames of a keyframe, all of which refine it. Range [0, 1000].
+    pub first_frames: usize,
+    /// Frames in a row that are passed over at most; 0: all frames refine it. Range [0, 1000].
+    pub max_passed: usize,
+    /// Distance from the last frame that refined it, in units of the mean depth, from which a frame is not passed over. Range [0, 1000].
+    pub max_passed_distance: f64,
+}
+
+impl Default for RefinementConfig {
+    fn default() -> Self {
+        Self {
+            first_frames: 2,
+            max_passed: 2,
+            max_passed_distance: 0.03,
+        }
+    }
+}
+
+impl RefinementConfig {
+    /// LSD-SLAM: all frames.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            max_passed: 0,
+            ..Self::default()
+        }
+    }
 }
 
 /// Settings of the return to keyframes that exist already.
@@ -282,6 +318,7 @@ impl Default for KeyframeConfig {
             old_keyframes_observed: 3,
             min_relative_baseline: 0.03,
             reactivation: ReactivationConfig::default(),
+            refinement: RefinementConfig::default(),
         }
     }
 }
@@ -300,6 +337,7 @@ impl KeyframeConfig {
             urgent_good_of_visible: 0.0,
             min_holding_points: 0,
             reactivation: ReactivationConfig::thesis(),
+            refinement: RefinementConfig::thesis(),
             ..Self::default()
         }
     }

@@ -35,7 +35,7 @@ mod two_view_start;
 
 pub use config::{
     ConfigError, InitializationConfig, InitializationMode, KeyframeConfig, MemoryConfig,
-    PublicationConfig, ReactivationConfig, SlamConfig, SlamError,
+    PublicationConfig, ReactivationConfig, RefinementConfig, SlamConfig, SlamError,
 };
 pub use fragments::{
     Agreement, Bridge, Fragment, FragmentConfig, FragmentId, Join, MAIN_MAP, Meeting, MergeConfig,

@@ -197,6 +197,11 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
         crowded_max_score: 0.0, 1000.0;
         crowded_max_disagreement: 0.0, 1000.0;
     }));
+    all.extend(limits!("slam.keyframes.refinement", slam.keyframes.refinement, {
+        first_frames: 0.0, 1000.0;
+        max_passed: 0.0, 1000.0;
+        max_passed_distance: 0.0, 1000.0;
+    }));
     all.extend(limits!("slam.publication", slam.publication, {
         min_validity: 0.0, 255.0;
         sigma_factor: 0.01, 100.0;

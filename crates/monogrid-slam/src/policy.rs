@@ -1,7 +1,8 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
 use crate::{
-    FragmentConfig, FragmentId, KeyframeConfig, PointTrackingConfig, TrackingConfig, TrackingState,
+    FragmentConfig, FragmentId, KeyframeConfig, PointTrackingConfig, RefinementConfig,
+    TrackingConfig, TrackingState,
 };
 use monogrid_inertial::EstimateConfig;
 use std::cmp::Reverse;
@@ -125,7 +126,7 @@ pub(crate) struct KeyframeEvidence {
     pub good_of_visible: f32,
     /// Points that gave the pose; `None` where alignment did.
     pub num_holding: Option<usize>,
-    /// Frames that updated the keyframe's depth.
+    /// Frames that were good enough to refine the keyframe's depth.
     pub num_mapped: usize,
     /// Keyframes that exist already.
     pub num_keyframes: usize,
@@ -155,6 +156,24 @@ pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConf
     evidence.good_of_visible < config.min_good_of_visible
         || evidence.num_holding.is_some_and(is_slipping)
         || keyframe_score(evidence, config) > ramp
+}
+
+/// What is asked before the depth of the keyframe in use is refined.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RefinementEvidence {
+    /// Frames before this one that were good enough for it.
+    pub num_mapped: usize,
+    /// Those after the last that refined it.
+    pub num_passed: usize,
+    /// Distance from that one, in units of the keyframe's mean depth.
+    pub relative_distance: f64,
+}
+
+/// Whether a tracked frame refines the depth of the keyframe in use.
+pub(crate) fn is_refining(evidence: &RefinementEvidence, config: &RefinementConfig) -> bool {
+    evidence.num_mapped < config.first_frames
+        || evidence.num_passed >= config.max_passed
+        || evidence.relative_distance >= config.max_passed_distance
 }
 
 #[cfg(test)]
@@ -396,5 +415,37 @@ mod tests {
             ..young
         };
         assert!(is_new_keyframe(&urgent, &config));
+    }
+
+    #[test]
+    fn a_frame_from_the_same_place_is_passed_over_but_not_many_in_a_row() {
+        let config = RefinementConfig::default();
+        let refines = |num_mapped, num_passed, relative_distance| {
+            let evidence = RefinementEvidence {
+                num_mapped,
+                num_passed,
+                relative_distance,
+            };
+            is_refining(&evidence, &config)
+        };
+        let (first, near) = (config.first_frames, 0.9 * config.max_passed_distance);
+        assert!(!refines(first, 0, near));
+        assert!(
+            refines(first - 1, 0, near),
+            "the first frames of a keyframe"
+        );
+        assert!(
+            refines(first, 0, config.max_passed_distance),
+            "another place"
+        );
+        assert!(!refines(first, config.max_passed - 1, near));
+        assert!(refines(first, config.max_passed, near), "once in a while");
+        let every = RefinementConfig::thesis();
+        let still = RefinementEvidence {
+            num_mapped: 100,
+            num_passed: 0,
+            relative_distance: 0.0,
+        };
+        assert!(is_refining(&still, &every));
     }
 }

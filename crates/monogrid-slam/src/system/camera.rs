@@ -33,8 +33,14 @@ pub(super) struct Active {
     pub pyramid: Arc<Pyramid>,
     pub depth: DepthMap,
     pub reference: Reference,
-    /// Frames that refined its depth since it is in use.
+    /// Frames that were good enough to refine its depth since it is in use.
     pub num_mapped: usize,
+    /// Those that did.
+    pub num_refined: u32,
+    /// Those that came after the last that did.
+    pub num_passed: usize,
+    /// Where that one was taken, in the keyframe.
+    pub refined_from: Vec3,
 }
 
 /// A frame with a pose.

@@ -9,7 +9,7 @@ use crate::map::{Map, MapKeyframe, NUM_LEVELS};
 use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
 use monogrid_depth::{DepthMap, DepthState, HostFrame, PackedDepth, StereoFrame};
-use monogrid_geometry::{Mat6, Se3};
+use monogrid_geometry::{Mat6, Se3, Vec3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
 
@@ -36,6 +36,9 @@ pub(super) fn activate(
         pyramid,
         depth,
         num_mapped: 0,
+        num_refined: 0,
+        num_passed: 0,
+        refined_from: Vec3::zeros(),
     }
 }
 
@@ -52,6 +55,7 @@ pub(super) fn observe_depth(
     alignment: &Alignment,
 ) -> Active {
     let num_mapped = active.num_mapped + 1;
+    let num_refined = active.num_refined + 1;
     if setup.is_frozen {
         return Active {
             num_mapped,
@@ -68,12 +72,14 @@ pub(super) fn observe_depth(
         residual_rms: alignment.residual_rms,
         pose_sigma_trans,
         pose_sigma_rot,
-        id: frame.index as u32,
+        id: num_refined,
     };
     observe(&mut depth, &[stereo], &setup.config.depth);
     regularize(&mut depth, &setup.config.depth);
     Active {
         num_mapped,
+        num_refined,
+        refined_from: alignment.motion.frame_from_keyframe.inverse().translation,
         ..activate(setup, active.id, active.pyramid, depth)
     }
 }

@@ -8,14 +8,14 @@ use crate::frame::Frame;
 use crate::map::{
     Exposure, FinishedKeyframe, KeyframeImage, Map, MapKeyframe, NewKeyframe, Published, View,
 };
-use crate::policy::{KeyframeEvidence, is_new_keyframe};
+use crate::policy::{KeyframeEvidence, RefinementEvidence, is_new_keyframe, is_refining};
 use crate::sparse::dense_links;
 use crate::store::Store;
 use crate::tracker::Support;
 use crate::{DepthPixel, FragmentId, TrackingState};
 use monogrid_alignment::Motion;
 use monogrid_depth::{DepthMap, PixelFilter};
-use monogrid_geometry::{Rotation, Sim3, Vec3};
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use std::sync::Arc;
 
 /// What a tracked frame is for.
@@ -25,6 +25,8 @@ pub(super) enum Use {
     ChangeKeyframe,
     /// It refines the depth of the keyframe in use.
     RefineDepth,
+    /// It could, but shows what the last one that did has shown.
+    PassOver,
     /// It is not good enough for that.
     None,
 }
@@ -46,11 +48,25 @@ pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &At
     };
     if is_new_keyframe(&evidence, &setup.config.keyframes) {
         Use::ChangeKeyframe
-    } else if attempt.tracked.state == TrackingState::Good {
+    } else if attempt.tracked.state != TrackingState::Good {
+        Use::None
+    } else if is_due(setup, camera, &keyframe_from_frame) {
         Use::RefineDepth
     } else {
-        Use::None
+        Use::PassOver
     }
+}
+
+/// Whether a frame shows the keyframe in use from elsewhere than the last one that refined its depth.
+fn is_due(setup: &Setup, camera: &Camera, keyframe_from_frame: &Se3) -> bool {
+    camera.active.as_ref().is_none_or(|active| {
+        let evidence = RefinementEvidence {
+            num_mapped: active.num_mapped,
+            num_passed: active.num_passed,
+            relative_distance: (keyframe_from_frame.translation - active.refined_from).norm(),
+        };
+        is_refining(&evidence, &setup.config.keyframes.refinement)
+    })
 }
 
 /// The keyframe in use as others need it when it is left.

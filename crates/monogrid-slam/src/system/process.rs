@@ -167,6 +167,7 @@ impl Slam {
                 self.join_by_inertia();
                 change
             }
+            Use::PassOver => self.pass_over(),
             Use::None => KeyframeChange::default(),
         };
         self.stopwatch.lap(Stage::Depth);
@@ -201,6 +202,15 @@ impl Slam {
             .map(|active| observe_depth(&self.setup, active, frame, alignment));
         KeyframeChange::default()
     }
+
+    /// The frame leaves the depth of the keyframe in use as it is.
+    fn pass_over(&mut self) -> KeyframeChange {
+        if let Some(active) = self.camera.active.as_mut() {
+            active.num_mapped += 1;
+            active.num_passed += 1;
+        }
+        KeyframeChange::default()
+    }
 }
 
 /// Fragments that became a part of another, by identity.
@@ -214,4 +224,51 @@ fn joined(events: &[Event]) -> Vec<FragmentId> {
         .collect();
     ids.sort_unstable();
     ids
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::test_world::small_demo;
+    use crate::{FrameInput, RefinementConfig, Slam, SlamConfig};
+    use monogrid_image::Mask;
+
+    const FRAMES: usize = 10;
+
+    /// Frames that refine the first keyframe of the first ten, and whether all have a pose.
+    fn num_refined(refinement: RefinementConfig) -> (usize, bool) {
+        let sequence = small_demo();
+        let camera = sequence.camera();
+        let mask = Mask::filled(camera.width, camera.height, 255);
+        let mut config = SlamConfig::default();
+        config.keyframes.refinement = refinement;
+        let mut slam = Slam::new(config, camera.pinhole, mask, 0).unwrap();
+        let is_tracked = (0..FRAMES).all(|k| {
+            let report = slam.process_frame(FrameInput {
+                index: k,
+                timestamp_ns: k as i64 * 33_333_333,
+                image: sequence.frame(k).unwrap().image,
+                seed_depth: sequence.depth(k).filter(|_| k == 0),
+            });
+            report.world_from_camera.is_some()
+        });
+        let active = slam.camera.active.as_ref().unwrap();
+        assert_eq!(active.id, 0);
+        assert_eq!(active.num_mapped, FRAMES - 1, "all of them count");
+        (active.num_refined as usize, is_tracked)
+    }
+
+    #[test]
+    fn a_slow_camera_refines_depth_with_some_of_its_frames() {
+        // all but the first, which is the keyframe
+        let all = num_refined(RefinementConfig::thesis());
+        assert_eq!(all, (FRAMES - 1, true));
+        let RefinementConfig {
+            first_frames,
+            max_passed,
+            ..
+        } = RefinementConfig::default();
+        let later = FRAMES - 1 - first_frames;
+        let expected = first_frames + later / (max_passed + 1);
+        assert_eq!(num_refined(RefinementConfig::default()), (expected, true));
+    }
 }
