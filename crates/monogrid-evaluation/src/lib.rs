@@ -23,7 +23,7 @@ pub use depth::{
 };
 pub use map::{
     Calibration, Contingency, MapEvaluationConfig, MapEvaluationError, MapEvaluator, MapReport,
-    Policies, PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, evaluate_map,
+    Policies, PolicyReport, ReliabilityBin, RocPoint, SurfaceDistances, Thickness, evaluate_map,
 };
 pub use paths::{
     PathConfig, PathError, PathReport, PathStats, PathsReport, PlanConfig, PlanError, PlannedPath,

@@ -196,3 +196,43 @@ fn bad_input_is_named() {
         Err(DepthError::NoTruth { estimates: 0 })
     ));
 }
+
+#[test]
+fn shares_of_all_pixels_count_those_without_texture_and_those_without_depth() {
+    let scene = scene();
+    let mut known = estimates(&scene, 1.0, 1.0, (0.0, 0.01), &mut Random(7));
+    // every fourth pixel has no depth, and the rows of the lower half are 20 % off
+    known.retain(|e| e.x_px % 4 != 0);
+    for estimate in known.iter_mut().filter(|e| e.y_px >= 30) {
+        estimate.idepth *= 1.2;
+    }
+    let mut evaluator = DepthEvaluator::new(DepthConfig {
+        scale: Some(1.0),
+        ..DepthConfig::default()
+    });
+    evaluator
+        .add_keyframe(&KeyframeDepth {
+            id: 0,
+            width: WIDTH,
+            height: HEIGHT,
+            estimates: &known,
+            world_scale: 1.0,
+            true_depth: &scene.depth,
+            gradient: &scene.gradient,
+        })
+        .expect("sizes fit");
+    let report = evaluator.finish().expect("truth is known");
+    // the last row has no truth
+    assert_eq!(report.known_pixels, WIDTH * (HEIGHT - 1));
+    let shares = report.shares_of_known;
+    assert!((shares.density - 0.75).abs() < 1e-12, "{shares:?}");
+    let expected = 0.75 * 30.0 / 59.0;
+    assert!(
+        (shares.within_3_percent - expected).abs() < 1e-12,
+        "{shares:?}"
+    );
+    assert!(
+        (shares.within_10_percent - expected).abs() < 1e-12,
+        "{shares:?}"
+    );
+}

@@ -166,6 +166,47 @@ fn what_is_close_to_a_surface_or_free_is_no_false_wall_outside_the_room() {
     assert!((report.mcc_with_beyond - report.policies.observed.mcc).abs() < 1e-12);
 }
 
+/// The room of [`room`] as an estimate whose wall at x = 0 takes all cells of `wall` on that axis.
+fn with_wall(truth: &TruthGrid, wall: std::ops::RangeInclusive<i32>) -> OccupancyMap {
+    let mut map = moved(truth, 0, 1.0);
+    for (y, z) in (1..15).flat_map(|y| (1..11).map(move |z| (y, z))) {
+        for x in -8..=8 {
+            let log_odds = if wall.contains(&x) { 3.5 } else { -2.0 };
+            map.set_log_odds(VoxelKey::new(x, y, z), Some(log_odds))
+                .expect("fits");
+        }
+    }
+    map
+}
+
+#[test]
+fn walls_are_as_thick_as_the_cells_in_a_row_across_them() {
+    let mut truth = room();
+    // only the wall at x = 0
+    let others: Vec<[i32; 3]> = truth.keys_in(Occupancy::Occupied).collect();
+    for key in others {
+        let is_wall = key[0] == 0 && (1..15).contains(&key[1]) && (1..11).contains(&key[2]);
+        if !is_wall {
+            truth.set(key, Occupancy::Unknown);
+        }
+    }
+    let thickness = |map: &OccupancyMap| evaluate(map, &truth).thickness;
+    // as it is, thicker on either side, beside its place, and too far from it
+    for (wall, expected) in [
+        (0..=0, Some(1.0)),
+        (0..=2, Some(3.0)),
+        (-3..=1, Some(5.0)),
+        (2..=3, Some(2.0)),
+        (-2..=-1, Some(2.0)),
+        (3..=5, None),
+    ] {
+        let found = thickness(&with_wall(&truth, wall.clone()));
+        assert_eq!(found.thickness_cells, expected, "{wall:?}");
+        let truth = expected.map(|_| 1.0);
+        assert_eq!(found.true_thickness_cells, truth, "{wall:?}");
+    }
+}
+
 #[test]
 fn the_view_limits_what_is_asked_for() {
     let truth = room();

@@ -7,12 +7,15 @@ use crate::map_camera::{HELD, LEFT_RADIAL, TakenOut, as_calibrated, shown_by_map
 use crate::self_calibration::{Expected, OwnCalibration};
 use monogrid_calibration::{Estimate, Intrinsics, Parameters};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
-use monogrid_pipeline::{ReadOn, Reading, read_ahead};
+use monogrid_pipeline::{ReadOn, Reading, SourceFrame, read_ahead};
 use monogrid_slam::{FrameInput, Slam};
 use std::ops::ControlFlow;
 
-/// Frames of the first pass: half a minute of a phone's video, after which more says little more.
-const MAX_FRAMES: usize = 900;
+/// Length of the first pass: half a minute, after which more says little more, of a video with many frames per second too; where
+/// there are few, as many as half a minute has at 30 per second.
+const MAX_LENGTH_NS: i64 = 30_000_000_000;
+const MIN_FRAMES: usize = 900;
+const MAX_FRAMES: usize = 1800;
 
 /// Keyframes of a piece of the map: the longer, the better does it hold the distortion and the principal point.
 const VIEWS_PER_PIECE: usize = 20;
@@ -58,7 +61,7 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
     let mut slam = Slam::new(config.slam.clone(), *input.pinhole(), mask, config.seed)
         .map_err(Failure::input)?;
     let mut num_frames = 0;
-    let frames = input.source().take(MAX_FRAMES);
+    let frames = beginning(input.source());
     read_ahead(frames, &input.preparation, Reading::default(), |frame| {
         num_frames += 1;
         if let Some(Ok(image)) = frame.image {
@@ -74,6 +77,19 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
     .while_running("frames cannot be read")?;
     slam.finish();
     Ok((slam, num_frames))
+}
+
+/// The frames of the first pass.
+fn beginning(
+    source: impl Iterator<Item = SourceFrame> + Send,
+) -> impl Iterator<Item = SourceFrame> + Send {
+    let mut first_ns = None;
+    let is_early = move |(number, frame): &(usize, SourceFrame)| {
+        let first_ns = *first_ns.get_or_insert(frame.timestamp_ns);
+        *number < MIN_FRAMES || frame.timestamp_ns.saturating_sub(first_ns) <= MAX_LENGTH_NS
+    };
+    let numbered = source.take(MAX_FRAMES).enumerate();
+    numbered.take_while(is_early).map(|(_, frame)| frame)
 }
 
 /// All parameters of a camera that was estimated or assumed.
@@ -182,8 +198,22 @@ fn own_intrinsics(camera: &Camera) -> Intrinsics {
 
 #[cfg(test)]
 mod tests {
-    use super::two_lenses;
+    use super::{beginning, two_lenses};
     use monogrid_geometry::{Distortion, Vec2};
+    use monogrid_pipeline::{SourceFrame, Unusable};
+
+    #[test]
+    fn the_first_pass_is_half_a_minute_long() {
+        let count = |per_second: i64| {
+            let frames = (0..5000i64).map(move |k| SourceFrame {
+                index: k as usize,
+                timestamp_ns: 7 + k * 1_000_000_000 / per_second,
+                image: Err(Unusable::Repeats),
+            });
+            beginning(frames).count()
+        };
+        assert_eq!([10, 30, 48, 240].map(count), [900, 901, 1441, 1800]);
+    }
 
     #[test]
     fn a_lens_before_a_lens_is_both_in_turn() {

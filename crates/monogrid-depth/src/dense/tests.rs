@@ -129,6 +129,38 @@ fn depth_that_others_contradict_goes_and_the_rest_becomes_better() {
 }
 
 #[test]
+fn sources_are_warped_as_their_pixels_are_projected() {
+    // a width that is no multiple of the pixels that are looked up together
+    let image = Image::from_fn(45, 30, |x, y| (7 * x + 3 * y) as f32);
+    let camera = Pinhole::new(40.0, 42.0, 22.0, 14.5);
+    let turned = Rotation::from_euler_angles(0.02, -0.05, 0.03);
+    let pose = Sim3::new(1.5, turned, Vec3::new(0.3, -0.1, 0.05));
+    let source = Source::new(image, &pose, &camera);
+    let mut warped = warp::Warped::new(45, 30);
+    let mut seen = 0;
+    for idepth in [0.2, 1.1] {
+        source.warp(idepth, &mut warped);
+        for (pixel, (grey, is_seen)) in warped.grey.iter().zip(&warped.is_seen).enumerate() {
+            let at = [(pixel % 45) as f64, (pixel / 45) as f64];
+            let [u, v] = source.project(at, idepth.into()).unwrap();
+            let is_inside = u > 2.0 && v > 2.0 && u < 41.99 && v < 26.99;
+            let is_outside = u < 1.99 || v < 1.99 || u > 42.01 || v > 27.01;
+            assert!(*is_seen || !is_inside, "{at:?} is not seen at {u} {v}");
+            assert!(!*is_seen || !is_outside, "{at:?} is seen at {u} {v}");
+            if *is_seen {
+                seen += 1;
+                let expected = 7.0 * u + 3.0 * v;
+                assert!(
+                    (f64::from(*grey) - expected).abs() < 0.01,
+                    "{grey} {expected}"
+                );
+            }
+        }
+    }
+    assert!((600..2600).contains(&seen), "{seen}");
+}
+
+#[test]
 fn without_sources_or_depths_around_which_to_look_there_is_none() {
     let image = picture(0.0, false);
     let config = DenseConfig::default();

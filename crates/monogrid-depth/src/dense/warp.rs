@@ -1,7 +1,12 @@
 //! Sources projected onto planes parallel to the keyframe's image.
 
+use crate::bilinear::bilinear;
 use monogrid_geometry::{Pinhole, Sim3, Vec3};
 use monogrid_image::GrayImage;
+use wide::f32x8;
+
+/// Pixels that are looked up together.
+const LANES: usize = 8;
 
 /// Sources see a pixel that keeps this distance from their border, px.
 const MARGIN_PX: f32 = 2.0;
@@ -56,40 +61,46 @@ impl Source {
         let first = self.columns[2] + self.translation * f64::from(idepth);
         let [step, row_step, first] =
             [self.columns[0], self.columns[1], first].map(|v| [v.x as f32, v.y as f32, v.z as f32]);
-        let width = warped.places.len();
         let rows = warped
             .grey
-            .chunks_exact_mut(width)
-            .zip(warped.is_seen.chunks_exact_mut(width));
+            .chunks_exact_mut(warped.width)
+            .zip(warped.is_seen.chunks_exact_mut(warped.width));
         for (y, (grey, is_seen)) in rows.enumerate() {
             let start = std::array::from_fn(|i| first[i] + y as f32 * row_step[i]);
-            self.find_places(start, step, &mut warped.places, is_seen);
-            for (value, [u, v]) in grey.iter_mut().zip(&warped.places) {
-                *value = between_pixels(&self.image, *u, *v);
-            }
+            self.warp_row(start, step, grey, is_seen);
         }
     }
 
-    /// Where the pixels of a row are seen, moved into the image, and whether they had been there before.
-    fn find_places(
-        &self,
-        start: [f32; 3],
-        step: [f32; 3],
-        places: &mut [[f32; 2]],
-        is_seen: &mut [bool],
-    ) {
-        let last_u = (self.image.width() as f32 - 1.001).max(0.0);
-        let last_v = (self.image.height() as f32 - 1.001).max(0.0);
-        for (x, (place, is_seen)) in places.iter_mut().zip(is_seen).enumerate() {
-            let [px, py, pz]: [f32; 3] = std::array::from_fn(|i| start[i] + x as f32 * step[i]);
-            let inverse = 1.0 / pz.max(NEAREST);
+    /// The pixels of a row, eight at a time: the source there (where it does not see the pixel, at its border), and whether it sees
+    /// them.
+    fn warp_row(&self, start: [f32; 3], step: [f32; 3], grey: &mut [f32], is_seen: &mut [bool]) {
+        let last = [self.image.width(), self.image.height()]
+            .map(|edge| f32x8::splat((edge as f32 - 1.001).max(0.0)));
+        let (margin, nearest) = (f32x8::splat(MARGIN_PX), f32x8::splat(NEAREST));
+        let start = start.map(f32x8::splat);
+        let step = step.map(f32x8::splat);
+        let lanes = f32x8::new(std::array::from_fn(|lane| lane as f32));
+        let eights = grey.chunks_mut(LANES).zip(is_seen.chunks_mut(LANES));
+        for (eight, (grey, is_seen)) in eights.enumerate() {
+            let x = lanes + f32x8::splat((eight * LANES) as f32);
+            let [px, py, pz]: [f32x8; 3] = std::array::from_fn(|i| start[i] + x * step[i]);
+            let inverse = f32x8::splat(1.0) / pz.max(nearest);
             let (u, v) = (px * inverse, py * inverse);
-            *is_seen = pz > NEAREST
-                && u >= MARGIN_PX
-                && v >= MARGIN_PX
-                && u <= last_u - MARGIN_PX
-                && v <= last_v - MARGIN_PX;
-            *place = [u.max(0.0).min(last_u), v.max(0.0).min(last_v)];
+            let seen = pz.simd_gt(nearest)
+                & u.simd_ge(margin)
+                & v.simd_ge(margin)
+                & u.simd_le(last[0] - margin)
+                & v.simd_le(last[1] - margin);
+            let (u, v) = (
+                u.max(f32x8::ZERO).min(last[0]),
+                v.max(f32x8::ZERO).min(last[1]),
+            );
+            let values: [f32; LANES] = bilinear(&self.image, u, v);
+            grey.copy_from_slice(&values[..grey.len()]);
+            let seen = seen.to_bitmask();
+            for (lane, is_seen) in is_seen.iter_mut().enumerate() {
+                *is_seen = seen >> lane & 1 == 1;
+            }
         }
     }
 }
@@ -101,8 +112,7 @@ pub(super) struct Warped {
     pub grey: Vec<f32>,
     /// Which pixels the source sees.
     pub is_seen: Vec<bool>,
-    /// Where the pixels of the present row are seen.
-    places: Vec<[f32; 2]>,
+    width: usize,
 }
 
 impl Warped {
@@ -110,24 +120,7 @@ impl Warped {
         Self {
             grey: vec![0.0; width * height],
             is_seen: vec![false; width * height],
-            places: vec![[0.0; 2]; width],
+            width,
         }
     }
-}
-
-/// Bilinear; the caller keeps the place inside of the image.
-#[inline]
-fn between_pixels(image: &GrayImage, u: f32, v: f32) -> f32 {
-    let (column, row) = (u as usize, v as usize);
-    let (fx, fy) = (u - column as f32, v - row as f32);
-    let (grey, width) = (image.as_slice(), image.width());
-    let first = row * width + column;
-    let (Some(&[a, b]), Some(&[c, d])) = (
-        grey.get(first..first + 2),
-        grey.get(first + width..first + width + 2),
-    ) else {
-        return 0.0;
-    };
-    let (top, bottom) = (a + (b - a) * fx, c + (d - c) * fx);
-    top + (bottom - top) * fy
 }

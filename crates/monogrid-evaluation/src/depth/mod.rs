@@ -120,6 +120,10 @@ pub struct DepthReport {
     pub shares: DepthShares,
     /// The same shares when each keyframe has its own scale.
     pub shares_own_scale: DepthShares,
+    /// Pixels where the truth is known, textured or not.
+    pub known_pixels: usize,
+    /// Shares of all of these with the global scale.
+    pub shares_of_known: DepthShares,
     /// Shares of the estimates themselves within 3 % and 10 %, whatever their gradient.
     pub estimates_within_3_percent: f64,
     /// See above.
@@ -169,6 +173,7 @@ impl Comparison {
 #[derive(Clone, Debug)]
 struct Keyframe {
     id: u64,
+    known_pixels: usize,
     gradient_pixels: usize,
     comparisons: Vec<Comparison>,
 }
@@ -233,6 +238,7 @@ impl DepthEvaluator {
         self.num_estimates += keyframe.estimates.len();
         self.keyframes.push(Keyframe {
             id: keyframe.id,
+            known_pixels: keyframe.true_depth.iter().filter(|d| is_known(**d)).count(),
             gradient_pixels,
             comparisons: keyframe.estimates.iter().filter_map(compare).collect(),
         });
@@ -278,6 +284,8 @@ impl DepthEvaluator {
             gradient_pixels: self.keyframes.iter().map(|k| k.gradient_pixels).sum(),
             shares: shares(self.keyframes.iter(), |_| scale),
             shares_own_scale: shares(self.keyframes.iter(), |k| k.own_scale().unwrap_or(scale)),
+            known_pixels: self.keyframes.iter().map(|k| k.known_pixels).sum(),
+            shares_of_known: shares_of_known(&self.keyframes, scale),
             estimates_within_3_percent: share_of_estimates(0.03),
             estimates_within_10_percent: share_of_estimates(0.1),
             bias: median(&relative_depths).ok_or_else(no_truth)? - 1.0,
@@ -356,6 +364,20 @@ fn shares<'a>(
         within_3_percent: share(within_3),
         within_10_percent: share(within_10),
         density: share(have),
+    }
+}
+
+/// Shares over all pixels with a true depth; zero when there are none.
+fn shares_of_known(keyframes: &[Keyframe], scale: f64) -> DepthShares {
+    let pixels: usize = keyframes.iter().map(|k| k.known_pixels).sum();
+    let share = |counts: &dyn Fn(&Comparison) -> bool| {
+        let of_keyframe = |k: &Keyframe| k.comparisons.iter().filter(|c| counts(c)).count();
+        keyframes.iter().map(of_keyframe).sum::<usize>() as f64 / pixels.max(1) as f64
+    };
+    DepthShares {
+        within_3_percent: share(&|c| c.is_within(0.03, scale)),
+        within_10_percent: share(&|c| c.is_within(0.1, scale)),
+        density: share(&|_| true),
     }
 }
 

@@ -25,7 +25,7 @@ pub struct SurfaceDistances {
     pub completeness: f64,
     /// Mean distance from a truly occupied cell to the nearest predicted one.
     pub completeness_m: Option<f64>,
-    /// Predicted occupied cells per truly occupied one: how thick walls are.
+    /// Predicted occupied cells per truly occupied one.
     pub occupied_ratio: Option<f64>,
     /// The tolerance, map units.
     pub tolerance_m: f64,
@@ -60,6 +60,11 @@ impl TrueSurface {
             tolerance,
             max_queries,
         }
+    }
+
+    /// Truly occupied cells in view that should be found, a sample.
+    pub fn cells_to_find(&self) -> &[[i32; 3]] {
+        &self.to_find
     }
 
     /// How many of the cells are farther than `distance` (map units) from this surface.

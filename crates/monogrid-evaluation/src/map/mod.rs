@@ -12,12 +12,14 @@ mod in_view;
 mod nearest;
 mod report;
 mod scores;
+mod thickness;
 
 pub use calibration::{Calibration, ReliabilityBin};
 pub use classify::{Contingency, RocPoint};
 pub use geometry::SurfaceDistances;
 use geometry::TrueSurface;
 pub use report::{MapReport, Policies, PolicyReport};
+pub use thickness::Thickness;
 
 use crate::truth::{CellCounts, TruthGrid};
 use in_view::InView;
@@ -227,6 +229,12 @@ impl<'a> MapEvaluator<'a> {
                     .map(|surface| surface.distances(pass.predicted))
                     .unwrap_or_default()
             },
+            thickness: self
+                .surface
+                .as_ref()
+                .map_or_else(Thickness::default, |surface| {
+                    Thickness::at(surface.cells_to_find(), estimate, self.truth)
+                }),
             ssd: ssd_total / ssd_per_slice.len().max(1) as f64,
             ssd_normalised: ssd_total / self.counts.total().max(1) as f64,
             ssd_per_slice,

@@ -1,6 +1,6 @@
 //! What the map evaluation reports.
 
-use super::{Calibration, Contingency, RocPoint, SurfaceDistances};
+use super::{Calibration, Contingency, RocPoint, SurfaceDistances, Thickness};
 use crate::truth::CellCounts;
 use serde::Serialize;
 
@@ -78,6 +78,9 @@ pub struct MapReport {
     /// Accuracy and completeness of the surface.
     #[serde(flatten)]
     pub surface: SurfaceDistances,
+    /// Thickness of walls; absent where distances are not asked for.
+    #[serde(flatten)]
+    pub thickness: Thickness,
     /// Mean over the horizontal slices of the sum of squared differences of probability, unknown
     /// being 0.5 (the thesis' equation 6.1.2, with probabilities instead of grey levels).
     pub ssd: f64,

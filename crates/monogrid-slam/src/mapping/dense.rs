@@ -5,10 +5,12 @@ use super::posed::Keyframes;
 use super::refine::{for_each_keyframe, source_views};
 use super::{DenseMappingConfig, KeyframeCamera};
 use crate::DepthPixel;
+use crate::store::{Kept, KeptDense, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, Witness, dense_depth};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
 use std::borrow::Cow;
+use std::sync::Arc;
 
 /// Depths of a keyframe by which its neighbours are judged, at most.
 const MAX_PROBES: usize = 200;
@@ -27,7 +29,7 @@ struct Neighbour {
     neighbour_from_keyframe: Sim3,
 }
 
-/// The dense depth of each keyframe that others confirm; `None` where there is no image, no pose or no neighbour.
+/// The dense depth of each keyframe that others confirm, where there is room; `None` where there is no image, no pose or no neighbour.
 ///
 /// The result does not depend on the number of threads.
 pub(super) fn dense_depths(
@@ -35,28 +37,36 @@ pub(super) fn dense_depths(
     camera: &KeyframeCamera,
     config: &DenseMappingConfig,
     threads: usize,
-) -> Vec<Option<DenseDepth>> {
+    store: &Store,
+) -> Vec<Option<Kept<KeptDense>>> {
     let count = config.max_sources.max(config.max_witnesses);
     let neighbours: Vec<Vec<Neighbour>> = for_each_keyframe(keyframes.len(), threads, |index| {
         neighbours(keyframes, index, camera, config.best_angle_deg, count)
     });
     let depths = for_each_keyframe(keyframes.len(), threads, |index| {
         let sources = neighbours[index].iter().take(config.max_sources);
-        stereo(keyframes, index, sources, camera, config)
+        let depth = stereo(keyframes, index, sources, camera, config)?;
+        Some(store.keep(KeptDense(depth)))
     });
     for_each_keyframe(keyframes.len(), threads, |index| {
-        let witnesses: Vec<Witness> = neighbours[index]
+        let seen: Vec<(Arc<KeptDense>, Sim3)> = neighbours[index]
             .iter()
             .take(config.max_witnesses)
             .filter_map(|neighbour| {
-                Some(Witness {
-                    depth: depths[neighbour.index].as_ref()?,
-                    witness_from_keyframe: neighbour.neighbour_from_keyframe,
-                })
+                let depth = depths[neighbour.index].as_ref()?.get()?;
+                Some((depth, neighbour.neighbour_from_keyframe))
             })
             .collect();
-        let depth = depths[index].as_ref()?;
-        Some(depth.agreed(&witnesses, &camera.pinhole, &config.stereo))
+        let witnesses: Vec<Witness> = seen
+            .iter()
+            .map(|(depth, witness_from_keyframe)| Witness {
+                depth: &depth.0,
+                witness_from_keyframe: *witness_from_keyframe,
+            })
+            .collect();
+        let depth = depths[index].as_ref()?.get()?;
+        let agreed = depth.0.agreed(&witnesses, &camera.pinhole, &config.stereo);
+        Some(store.keep(KeptDense(agreed)))
     })
 }
 

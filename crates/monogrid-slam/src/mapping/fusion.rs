@@ -187,45 +187,57 @@ impl Grid {
 
     /// The depth next to a place, of the 3x3 pixels around it, that agrees with the expected one.
     fn confirming(&self, place: &Vec2, expected: f32, sigma: f32, config: &FusionConfig) -> Answer {
-        let (x, y) = (place.x.round(), place.y.round());
+        let (x, y) = (place.x + 0.5, place.y + 0.5);
         let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
         if !is_inside {
             return Answer::Nothing;
         }
-        let (right, below) = ((place.x - x) as f32, (place.y - y) as f32);
         let (x, y) = (x as usize, y as usize);
-        let mut answer = Answer::Nothing;
+        // no other pixel is nearer than this one
+        let middle = self.answer(y * self.width + x, expected, sigma, config);
+        if matches!(middle, Answer::Same { .. }) {
+            return middle;
+        }
+        let (right, below) = ((place.x - x as f64) as f32, (place.y - y as f64) as f32);
+        let mut answer = middle;
         let mut nearest = f32::INFINITY;
         for row in y.saturating_sub(1)..(y + 2).min(self.height) {
             for column in x.saturating_sub(1)..(x + 2).min(self.width) {
-                let [idepth, its_sigma] = self.pixels[row * self.width + column];
-                if idepth <= 0.0 {
-                    continue;
-                }
-                let ratio = idepth / expected;
-                let gap = (ratio - 1.0).powi(2);
-                let variance = sigma * sigma + its_sigma * its_sigma;
-                let tolerance = (config.sigmas * config.sigmas) as f32 * variance;
-                let least = (config.min_tolerance * config.min_tolerance) as f32;
-                if gap > tolerance.max(least) {
-                    if matches!(answer, Answer::Nothing) {
-                        answer = Answer::Other;
-                    }
-                    continue;
-                }
                 let dx = column as f32 - x as f32 - right;
                 let dy = row as f32 - y as f32 - below;
                 let distance = dx * dx + dy * dy;
-                if distance < nearest {
-                    nearest = distance;
-                    answer = Answer::Same {
-                        ratio,
-                        sigma: its_sigma,
-                    };
+                match self.answer(row * self.width + column, expected, sigma, config) {
+                    same @ Answer::Same { .. } if distance < nearest => {
+                        nearest = distance;
+                        answer = same;
+                    }
+                    Answer::Other if matches!(answer, Answer::Nothing) => answer = Answer::Other,
+                    _ => {}
                 }
             }
         }
         answer
+    }
+
+    /// What one pixel says.
+    #[inline]
+    fn answer(&self, pixel: usize, expected: f32, sigma: f32, config: &FusionConfig) -> Answer {
+        let [idepth, its_sigma] = self.pixels[pixel];
+        if idepth <= 0.0 {
+            return Answer::Nothing;
+        }
+        let ratio = idepth / expected;
+        let gap = (ratio - 1.0).powi(2);
+        let variance = sigma * sigma + its_sigma * its_sigma;
+        let tolerance = (config.sigmas * config.sigmas) as f32 * variance;
+        let least = (config.min_tolerance * config.min_tolerance) as f32;
+        if gap > tolerance.max(least) {
+            return Answer::Other;
+        }
+        Answer::Same {
+            ratio,
+            sigma: its_sigma,
+        }
     }
 }
 

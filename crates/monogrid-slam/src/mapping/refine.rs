@@ -8,7 +8,7 @@ use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
 use super::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
 use crate::DepthPixel;
-use crate::store::Store;
+use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
@@ -60,11 +60,13 @@ pub(crate) fn final_scans_of(
 ) -> Vec<KeyframeScan> {
     let count = keyframes.len();
     let dense = match config.quality {
-        MapQuality::Dense => dense_depths(keyframes, camera, &config.dense, threads),
+        MapQuality::Dense => dense_depths(keyframes, camera, &config.dense, threads, store),
         MapQuality::Fast => vec![None; count],
     };
     let found = for_each_keyframe(count, threads, |index| {
-        let pixels = final_pixels(keyframes, index, dense[index].as_ref(), camera, config);
+        let dense = dense[index].as_ref().and_then(Kept::get);
+        let dense = dense.as_deref().map(|dense| &dense.0);
+        let pixels = final_pixels(keyframes, index, dense, camera, config);
         let image = keyframes.image(index);
         let id = keyframes.id(index);
         let depths = Depths::new(id, &pixels, image.as_deref(), camera, config);
@@ -316,6 +318,7 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::KeyframeId;
+    use crate::MemoryConfig;
     use crate::mapping::{FillConfig, FusionConfig};
     use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
 
@@ -454,6 +457,14 @@ mod tests {
         };
         let scans = final_scans(&keyframes, &CAMERA, &dense, 1);
         assert_eq!(final_scans(&keyframes, &CAMERA, &dense, 3), scans);
+        let no_room = Store::new(&MemoryConfig {
+            keyframes_mb: 0.0,
+            prepared_mb: 0.0,
+        });
+        no_room.spill_into(tempfile::tempfile().unwrap());
+        let store = (&no_room, &AtomicUsize::new(0));
+        let spilled = final_scans_of(&keyframes.as_slice(), &CAMERA, &dense, 2, store);
+        assert!(spilled == scans && no_room.bytes().file > 0);
         let fast = final_scans(&keyframes, &CAMERA, &config(), 2);
         let all = CAMERA.width * CAMERA.height;
         assert!(fast[0].num_pixels == 0 && 2 * scans[0].num_pixels > all);

@@ -14,7 +14,7 @@ mod shelves;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use self::packed::{Keepable, KeptImage, Measured, Measurements};
+pub(crate) use self::packed::{Keepable, KeptDense, KeptImage, Measured, Measurements};
 use self::packed::{pack_any, unpack};
 
 use self::shelves::Shelves;

@@ -2,7 +2,7 @@
 
 use crate::DepthPixel;
 use monogrid_alignment::DepthSample;
-use monogrid_depth::PackedDepth;
+use monogrid_depth::{DenseDepth, PackedDepth};
 use monogrid_image::{GrayImage, Image, Pyramid};
 use monogrid_occupancy::DepthPixel as Measurement;
 use serde::de::DeserializeOwned;
@@ -57,6 +57,39 @@ impl<'de> Deserialize<'de> for Measurements {
 impl Measured for Measurements {
     fn bytes(&self) -> usize {
         self.0.capacity() * size_of::<Measurement>()
+    }
+}
+
+/// Dense depth of a keyframe.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct KeptDense(pub DenseDepth);
+
+impl Serialize for KeptDense {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let DenseDepth { idepth, sigma } = &self.0;
+        let size = (idepth.width(), idepth.height());
+        (size, idepth.as_slice(), sigma.as_slice()).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for KeptDense {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let ((width, height), idepth, sigma) =
+            <((usize, usize), Vec<f32>, Vec<f32>)>::deserialize(deserializer)?;
+        let image = |values| {
+            let image = Image::from_vec(width, height, values);
+            image.ok_or_else(|| serde::de::Error::custom("values for each pixel"))
+        };
+        Ok(Self(DenseDepth {
+            idepth: image(idepth)?,
+            sigma: image(sigma)?,
+        }))
+    }
+}
+
+impl Measured for KeptDense {
+    fn bytes(&self) -> usize {
+        2 * size_of_val(self.0.idepth.as_slice())
     }
 }
 

@@ -3,13 +3,13 @@
 use super::depth::{Candidate, DepthComparison};
 use super::print_json;
 use super::use_threads;
-use crate::args::JsonArg;
+use crate::args::{JsonArg, Profile};
 use crate::config::RunConfig;
 use crate::depth_images::{depth_calibration, registered_depth};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::keyframe_pixels::from_recorded;
 use crate::output::{Inputs, OutputFile};
-use crate::recorded::{by_camera, cameras_of};
+use crate::recorded::{by_camera, cameras_of, scans_of};
 use crate::run::align::stamped_all;
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{
@@ -22,7 +22,7 @@ use monogrid_evaluation::{
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::DepthPixel;
-use monogrid_slam::mapping::{RefineConfig, refined_depths};
+use monogrid_slam::mapping::{KeyframeScan, RefineConfig, refined_depths};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -67,9 +67,15 @@ pub struct EvaluateDepthArgs {
     /// Intrinsics and scale of the depth images [default: calibration_depth.txt in the folder]
     #[arg(long, value_name = "FILE")]
     pub depth_calibration: Option<PathBuf>,
-    /// Compare the depth of the final map: made better by the keyframes around each, at the final poses
-    #[arg(long)]
+    /// Compare depth made better by the keyframes around each, at the final poses
+    #[arg(long, conflicts_with = "mapped")]
     pub refined: bool,
+    /// Compare the depth that the final map is made of: refined, filled where surfaces are plain, fused and filtered
+    #[arg(long)]
+    pub mapped: bool,
+    /// With --mapped, change one setting of the map, e.g. --set mapping.quality=dense
+    #[arg(long, value_name = "KEY=VALUE", requires = "mapped")]
+    pub set: Vec<String>,
     #[command(flatten)]
     pub json: JsonArg,
 }
@@ -255,6 +261,9 @@ fn depths(
     args: &EvaluateDepthArgs,
 ) -> Result<Vec<Vec<DepthPixel>>, Failure> {
     let keyframes = &recording.keyframes;
+    if args.mapped {
+        return mapped_depths(recording, args);
+    }
     if !args.refined {
         return Ok(keyframes.iter().map(|k| from_recorded(&k.pixels)).collect());
     }
@@ -264,6 +273,30 @@ fn depths(
     Ok(by_camera(keyframes, |posed, camera| {
         refined_depths(posed, camera, &config, threads)
     }))
+}
+
+/// The depth of the keyframes as the final map has it.
+fn mapped_depths(
+    recording: &Recording,
+    args: &EvaluateDepthArgs,
+) -> Result<Vec<Vec<DepthPixel>>, Failure> {
+    let config = RunConfig::recorded_mapping(&recording.session.config)
+        .unwrap_or_else(|| RunConfig::of(Profile::Default))
+        .with_settings(&args.set)?;
+    config.validate()?;
+    let threads = use_threads(None)?;
+    let scans = scans_of(&recording.keyframes, &config.mapping, threads);
+    let pixels = |scan: &KeyframeScan| -> Vec<DepthPixel> {
+        let pixels = scan.pixels();
+        let measurements = pixels.iter().map(|pixel| DepthPixel {
+            x: pixel.x,
+            y: pixel.y,
+            idepth: pixel.idepth,
+            idepth_var: pixel.sigma_idepth.powi(2),
+        });
+        measurements.collect()
+    };
+    Ok(scans.iter().map(pixels).collect())
 }
 
 fn print_depth(report: &DepthReport) {
@@ -277,6 +310,13 @@ fn print_depth(report: &DepthReport) {
         100.0 * report.shares.density,
         100.0 * report.shares.within_3_percent,
         100.0 * report.shares.within_10_percent
+    );
+    println!(
+        "of {} pixels with a true depth: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % within 10 %",
+        report.known_pixels,
+        100.0 * report.shares_of_known.density,
+        100.0 * report.shares_of_known.within_3_percent,
+        100.0 * report.shares_of_known.within_10_percent
     );
     println!(
         "of the estimates: {:.1} % within 3 %, {:.1} % within 10 %; bias {:+.2} %",

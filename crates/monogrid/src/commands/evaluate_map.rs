@@ -364,6 +364,16 @@ fn print_cells(report: &MapReport) {
         100.0 * surface.completeness,
         surface.tolerance_m
     );
+    let thickness = &report.thickness;
+    println!(
+        "walls: {} cells in a row across surfaces (median), {} in truth",
+        thickness
+            .thickness_cells
+            .map_or_else(|| "-".to_owned(), |n| n.to_string()),
+        thickness
+            .true_thickness_cells
+            .map_or_else(|| "-".to_owned(), |n| n.to_string())
+    );
     println!(
         "false walls: {} of {} occupied cells lie over 0.1 outside what the truth knows; MCC {:.4} with these as false",
         report.predicted_beyond, report.predicted, report.mcc_with_beyond
