@@ -104,6 +104,15 @@ impl FlowField {
         }
     }
 
+    /// Memory that it takes.
+    #[must_use]
+    pub fn num_bytes(&self) -> usize {
+        size_of::<Self>()
+            + size_of_val(self.nodes.as_slice())
+            + size_of_val(self.starts.as_slice())
+            + size_of_val(self.fractions.as_slice())
+    }
+
     /// Velocities at the pixels of a row of the image, px per unit of time: their horizontal and their vertical parts.
     pub fn row(&self, y: usize, parts: &mut [&mut [f32]; 2]) {
         let place = y as f32 / self.spacing_px;

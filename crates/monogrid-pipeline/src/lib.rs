@@ -53,4 +53,5 @@ pub use monogrid_inertial::{Imu, ImuNoise, ImuSample};
 pub use monogrid_slam::Event;
 pub use pipeline::{Pipeline, PipelineError, Settings};
 pub use preparation::{Preparation, Unusable};
+pub use shutter::Rectification;
 pub use source::{FrameSource, Pace, ReadFrame, ReadOn, Reading, SourceFrame, read_ahead};

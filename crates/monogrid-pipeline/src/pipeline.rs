@@ -245,6 +245,8 @@ impl Pipeline {
             timestamp_ns,
             image: Some(Ok(image)),
             readout_ms: self.preparation.readout_ms(),
+            rectification: None,
+            due: None,
         };
         let ready = match &mut self.rectifier {
             None => Some(frame),

@@ -156,12 +156,7 @@ impl Preparation {
     /// # Errors
     /// An image of another size than the camera's.
     pub fn apply_rgb(&self, image: &Image<[u8; 3]>) -> Result<Image<[u8; 3]>, Unusable> {
-        let channel = |c: usize| self.undistort(&image.map(|pixel| f32::from(pixel[c])));
-        let channels = [channel(0)?, channel(1)?, channel(2)?];
-        let (width, height) = self.size();
-        Ok(Image::from_fn(width, height, |x, y| {
-            [0, 1, 2].map(|c| channels[c].at(x, y).round().clamp(0.0, 255.0) as u8)
-        }))
+        each_channel(image, |channel| self.undistort(channel))
     }
 
     fn undistort(&self, image: &GrayImage) -> Result<GrayImage, Unusable> {
@@ -175,6 +170,19 @@ impl Preparation {
             expected: (self.camera.width, self.camera.height),
         }
     }
+}
+
+/// An image in colour of which every channel becomes what `change` makes of it.
+pub(crate) fn each_channel(
+    image: &Image<[u8; 3]>,
+    change: impl Fn(&GrayImage) -> Result<GrayImage, Unusable>,
+) -> Result<Image<[u8; 3]>, Unusable> {
+    let channel = |c: usize| change(&image.map(|pixel| f32::from(pixel[c])));
+    let channels = [channel(0)?, channel(1)?, channel(2)?];
+    let (width, height) = (channels[0].width(), channels[0].height());
+    Ok(Image::from_fn(width, height, |x, y| {
+        [0, 1, 2].map(|c| channels[c].at(x, y).round().clamp(0.0, 255.0) as u8)
+    }))
 }
 
 /// Working images one after the other; what repeats the image before is found.

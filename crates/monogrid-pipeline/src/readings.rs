@@ -89,6 +89,8 @@ mod tests {
             timestamp_ns,
             image: None,
             readout_ms: 0.0,
+            rectification: None,
+            due: None,
         }
     }
 

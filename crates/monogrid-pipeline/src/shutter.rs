@@ -5,13 +5,15 @@
 //! around it, measured by corners that are followed to the image before and the image after: whatever the depth, and
 //! without a pose, so that everything that comes after sees an ordinary camera whose pose is that of the middle row.
 
+use crate::preparation::{Unusable, each_channel};
 use crate::source::ReadFrame;
 use monogrid_features::{
     CornerConfig, FlowConfig, FlowField, FlowSample, TrackConfig, detect_corners, track_points,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2};
-use monogrid_image::{GrayImage, Pyramid, bicubic};
+use monogrid_image::{GrayImage, Image, Pyramid, bicubic};
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// Corners that are followed from image to image.
 const MAX_CORNERS: usize = 300;
@@ -32,7 +34,7 @@ pub(crate) struct Shutter {
     readout_ns: f64,
     direction: ReadoutDirection,
     /// Time of each pixel in shares of it, 0 in the middle.
-    phases: GrayImage,
+    phases: Arc<GrayImage>,
 }
 
 impl Shutter {
@@ -52,7 +54,7 @@ impl Shutter {
         Self {
             readout_ns,
             direction,
-            phases: GrayImage::from_fn(width, height, phase),
+            phases: Arc::new(GrayImage::from_fn(width, height, phase)),
         }
     }
 
@@ -93,6 +95,38 @@ impl Shutter {
             let time = readout_ns * phase / (1.0 - passed).max(0.5);
             (*x, *y) = (f32::from(column) + time * u, row as f32 + time * v);
         }
+    }
+}
+
+/// How a rolling shutter was taken out of a working image; what it shows in colour moves with it.
+#[derive(Clone, Debug)]
+pub struct Rectification {
+    shutter: Shutter,
+    flow: Arc<FlowField>,
+}
+
+impl Rectification {
+    /// The image in colour (red, green, blue), [as it covers the working image](crate::Preparation::apply_rgb), with every pixel
+    /// where it is when the middle row is read.
+    ///
+    /// # Errors
+    /// An image of another size than the working image's.
+    pub fn apply_rgb(&self, image: &Image<[u8; 3]>) -> Result<Image<[u8; 3]>, Unusable> {
+        let phases = &self.shutter.phases;
+        let found = (image.width(), image.height());
+        let expected = (phases.width(), phases.height());
+        if found != expected {
+            return Err(Unusable::Size { found, expected });
+        }
+        each_channel(image, |channel| {
+            Ok(self.shutter.rectify(channel, &self.flow))
+        })
+    }
+
+    /// Memory that it takes beside what all images of a camera share.
+    #[must_use]
+    pub fn num_bytes(&self) -> usize {
+        size_of::<Self>() + self.flow.num_bytes()
     }
 }
 
@@ -227,6 +261,10 @@ impl Rectifier {
         let size = (image.width(), image.height());
         if let Some(flow) = FlowField::fit(&samples, size, &FlowConfig::default()) {
             *image = self.shutter.rectify(image, &flow);
+            frame.rectification = Some(Rectification {
+                shutter: self.shutter.clone(),
+                flow: Arc::new(flow),
+            });
         }
     }
 }
@@ -238,7 +276,7 @@ mod tests {
     use crate::source::ReadFrame;
     use monogrid_geometry::ReadoutDirection::{self, Down, Left, Right, Up};
     use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
-    use monogrid_image::GrayImage;
+    use monogrid_image::{GrayImage, Image};
 
     const SIZE: (usize, usize) = (160, 120);
     const INTERVAL_NS: i64 = 33_000_000;
@@ -274,6 +312,8 @@ mod tests {
             timestamp_ns: index as i64 * INTERVAL_NS,
             image: Some(Ok(image)),
             readout_ms: 0.0,
+            rectification: None,
+            due: None,
         }
     }
 
@@ -356,6 +396,26 @@ mod tests {
                     "{velocity:?} {direction:?} {k}: {bent} {left}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn colours_are_put_where_the_grey_image_is() {
+        let rolling = (0..4).map(|k| frame(k, [6.0, -2.0], READOUT_NS));
+        let tinted = |value: f32| [value as u8, (0.5 * value) as u8, 255 - value as u8];
+        for (before, after) in rolling.clone().zip(all_of(rolling)) {
+            let (Some(Ok(bent)), Some(Ok(grey))) = (&before.image, &after.image) else {
+                panic!("no image");
+            };
+            let rectification = after.rectification.as_ref().expect("it moves");
+            let colour = rectification.apply_rgb(&bent.map(tinted)).unwrap();
+            for (pixel, value) in colour.as_slice().iter().zip(grey.as_slice()) {
+                let expected = [*value, 0.5 * value, 255.0 - value];
+                let apart = (0..3).map(|c| (f32::from(pixel[c]) - expected[c]).abs());
+                assert!(apart.fold(0.0, f32::max) < 3.0, "{pixel:?} {expected:?}");
+            }
+            let small = Image::filled(20, 20, [0; 3]);
+            assert!(rectification.apply_rgb(&small).is_err());
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::clock::thread_cpu;
 use crate::preparation::{Preparation, Preparer, Unusable};
-use crate::shutter::{MAX_WAITING, Rectifier};
+use crate::shutter::{MAX_WAITING, Rectification, Rectifier};
 use crate::waiting::{Entrance, WaitingFrames};
 use monogrid_image::GrayImage;
 use std::collections::VecDeque;
@@ -59,6 +59,10 @@ pub struct ReadFrame {
     pub image: Option<Result<GrayImage, Unusable>>,
     /// The rolling shutter that was taken out of it: time from the first row to the last, ms.
     pub readout_ms: f64,
+    /// How that was done, where it was.
+    pub rectification: Option<Rectification>,
+    /// At [`Pace::Real`] when the camera had it: as long after the first frame was decoded as their times say.
+    pub due: Option<Instant>,
 }
 
 /// How to read on after a frame.
@@ -122,6 +126,7 @@ pub fn read_ahead(
         readout_ms: preparation.readout_ms(),
         rectifier: preparation.shutter().map(Rectifier::new),
         num_read: 0,
+        first_read: None,
         wanted,
         pending: VecDeque::new(),
         must_be_used: reading.must_be_used,
@@ -197,6 +202,8 @@ struct Reader<'a, S> {
     readout_ms: f64,
     rectifier: Option<Rectifier>,
     num_read: usize,
+    /// When the first frame was decoded, and its time, ns.
+    first_read: Option<(Instant, i64)>,
     wanted: Receiver<WantedReadout>,
     /// What is wanted and not due yet.
     pending: VecDeque<WantedReadout>,
@@ -232,6 +239,8 @@ impl<S: FrameSource> Reader<'_, S> {
         }
         let frame = self.source.next_frame()?;
         self.num_read += 1;
+        let first = (Instant::now(), frame.timestamp_ns);
+        self.first_read.get_or_insert(first);
         let must_be_used = self.must_be_used == Some(frame.index);
         let prepared = frame
             .image
@@ -241,6 +250,8 @@ impl<S: FrameSource> Reader<'_, S> {
             timestamp_ns: frame.timestamp_ns,
             image: Some(prepared),
             readout_ms: self.readout_ms,
+            rectification: None,
+            due: None,
         })
     }
 
@@ -277,11 +288,12 @@ impl<S: FrameSource> Reader<'_, S> {
     /// Each frame at its own time.
     fn read_at_pace(&mut self, waiting: &Entrance) {
         let begin = Instant::now();
-        let mut first_ns = None;
-        while let Some(frame) = self.next() {
-            let first_ns = *first_ns.get_or_insert(frame.timestamp_ns);
+        while let Some(mut frame) = self.next() {
+            let (read, first_ns) = self.first_read.unwrap_or((begin, frame.timestamp_ns));
             let offset_ns = frame.timestamp_ns.saturating_sub(first_ns).max(0) as u64;
-            self.wait_until(begin, Duration::from_nanos(offset_ns));
+            let offset = Duration::from_nanos(offset_ns);
+            frame.due = Some(read + offset);
+            self.wait_until(begin, offset);
             if self.is_stopped() {
                 return;
             }
@@ -333,10 +345,17 @@ mod tests {
     fn a_slow_reader_of_a_stream_loses_nothing_within_the_time_to_wait() {
         let mut next = 0;
         let reading = at_pace(Duration::from_secs(100));
+        let begin = Instant::now();
         let read = read_ahead(endless().take(30), &preparation(), reading, |frame| {
             thread::sleep(Duration::from_millis(3));
             assert_eq!(frame.index, next);
             assert!(frame.image.is_some());
+            // each takes 3 ms, and one comes every 1 ms
+            let since_begin = begin.elapsed();
+            let late = frame.due.map(|due| due.elapsed()).unwrap_or_default();
+            let index = frame.index as u64;
+            assert!(late >= Duration::from_millis(2 * index), "{late:?} {index}");
+            assert!(late + Duration::from_millis(index) <= since_begin);
             next += 1;
             ControlFlow::Continue(ReadOn::AsBefore)
         });

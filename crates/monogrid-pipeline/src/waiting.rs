@@ -126,6 +126,8 @@ mod tests {
             index,
             timestamp_ns,
             readout_ms: 0.0,
+            rectification: None,
+            due: None,
             image: Some(Ok(GrayImage::filled(1, 1, 0.0))),
         }
     }

@@ -2,8 +2,8 @@
 //! so that tracking knows nothing of it and no decoded image stays in memory.
 
 use crate::failure::{Classify, Failure};
+use crate::frame_colours::{FrameColour, FrameColours};
 use crate::input::{Images, Input};
-use crate::video_colours::VideoColours;
 use monogrid_datasets::{
     FrameEntry, ReadOptions, Record, RecordedKeyframe, RecordingReader, decode_jpeg_rgb,
     encode_jpeg_rgb, read_rgb,
@@ -27,75 +27,79 @@ const MAX_PIXELS: usize = 1 << 26;
 
 /// Where the colour of keyframes comes from.
 #[derive(Clone, Debug)]
-pub enum ColourSource {
-    /// Files, which are read once more.
-    Files(Vec<FrameEntry>, Preparation),
-    /// A video, of which colours are kept as it is read.
-    Video(Arc<VideoColours>, Preparation),
+pub struct ColourSource {
+    /// Those of image files, which are read once more; none of a video.
+    files: Vec<FrameEntry>,
+    preparation: Preparation,
+    kept: Arc<FrameColours>,
 }
 
 impl ColourSource {
     /// Image files and videos have colour; built-in worlds are grey.
     pub fn of(input: &Input) -> Option<Self> {
-        let preparation = input.preparation.clone();
-        match &input.images {
-            Images::Files(_) => Some(Self::Files(input.frames.clone(), preparation)),
-            Images::Video(_) => Some(Self::Video(Arc::default(), preparation)),
-            Images::Rendered(_) => None,
-        }
+        let files = match &input.images {
+            Images::Files(_) => input.frames.clone(),
+            Images::Video(_) => Vec::new(),
+            Images::Rendered(_) => return None,
+        };
+        Some(Self {
+            files,
+            preparation: input.preparation.clone(),
+            kept: Arc::default(),
+        })
     }
 
-    /// Where the colours of a video go as it is read.
-    pub fn of_video(&self) -> Option<&Arc<VideoColours>> {
-        match self {
-            Self::Files(..) => None,
-            Self::Video(colours, _) => Some(colours),
-        }
+    /// Where what is seen only once is kept.
+    pub fn kept(&self) -> &Arc<FrameColours> {
+        &self.kept
     }
 
-    /// The working image of a keyframe in colour, as JPEG; `None` where it is grey, or cannot be read a second time. Those of a
-    /// video can be asked for once.
+    /// The working image of a keyframe in colour, as JPEG; `None` where it is grey, or cannot be read a second time. To be asked for
+    /// once.
     pub fn keyframe(&self, keyframe: &Keyframe) -> Option<Vec<u8>> {
-        let image = match self {
-            Self::Files(frames, preparation) => {
-                let frame = &keyframe.frame_index;
-                let found = frames.binary_search_by_key(frame, |frame| frame.index);
-                let image = read_rgb(&frames[found.ok()?].path).ok()??;
-                preparation.apply_rgb(&image).ok()?
+        let frame = keyframe.frame_index;
+        let kept = self.kept.take(frame);
+        let found = self.files.binary_search_by_key(&frame, |file| file.index);
+        let image = match found {
+            Ok(found) => {
+                let image = read_rgb(&self.files[found].path).ok()??;
+                self.working(&image, &kept)?
             }
-            Self::Video(colours, preparation) => {
-                let colour = colours.take(keyframe.frame_index);
-                shown_in_colour(&keyframe.image, &colour, preparation)?
-            }
+            Err(_) => self.shown_in_colour(&keyframe.image, &kept)?,
         };
         Some(encode_jpeg_rgb(&image, QUALITY))
     }
-}
 
-/// A working image in the colours of its frame.
-fn shown_in_colour(
-    working: &Image<u8>,
-    colour: &Colour,
-    preparation: &Preparation,
-) -> Option<ColourImage> {
-    match colour {
-        Colour::Grey => None,
-        Colour::Jpeg(bytes) => {
-            let name = Path::new("frame of a video");
-            let image = decode_jpeg_rgb(bytes, MAX_PIXELS, name).ok()??;
-            preparation.apply_rgb(&image).ok()
+    /// A working image in the colours of its frame of a video.
+    fn shown_in_colour(&self, working: &Image<u8>, kept: &FrameColour) -> Option<ColourImage> {
+        match &kept.colour {
+            Colour::Grey => None,
+            Colour::Jpeg(bytes) => {
+                let name = Path::new("frame of a video");
+                let image = decode_jpeg_rgb(bytes, MAX_PIXELS, name).ok()??;
+                self.working(&image, kept)
+            }
+            // the detail is that of luma, which tracking has prepared
+            Colour::Chroma(chroma) => {
+                let camera = self.preparation.camera();
+                let differences = chroma.at_size((camera.width, camera.height));
+                let differences = differences.map(|[blue, red]| [0, blue, red]);
+                let differences = self.working(&differences, kept)?;
+                let (width, height) = (working.width(), working.height());
+                Some(Image::from_fn(width, height, |x, y| {
+                    let [_, blue, red] = differences.at(x, y);
+                    chroma.space().rgb(working.at(x, y), [blue, red])
+                }))
+            }
         }
-        // the detail is that of luma, which tracking has prepared
-        Colour::Chroma(chroma) => {
-            let camera = preparation.camera();
-            let differences = chroma.at_size((camera.width, camera.height));
-            let differences = differences.map(|[blue, red]| [0, blue, red]);
-            let differences = preparation.apply_rgb(&differences).ok()?;
-            let (width, height) = (working.width(), working.height());
-            Some(Image::from_fn(width, height, |x, y| {
-                let [_, blue, red] = differences.at(x, y);
-                chroma.space().rgb(working.at(x, y), [blue, red])
-            }))
+    }
+
+    /// An image of the camera as the working image shows it: undistorted, and rectified as the grey one was.
+    fn working(&self, image: &ColourImage, kept: &FrameColour) -> Option<ColourImage> {
+        let undistorted = self.preparation.apply_rgb(image).ok()?;
+        match &kept.rectification {
+            Some(rectification) => rectification.apply_rgb(&undistorted).ok(),
+            None => Some(undistorted),
         }
     }
 }

@@ -99,7 +99,7 @@ impl<'a> CalibrationCheck<'a> {
         match self.input {
             Some(input) if self.doubts.is_empty() => {
                 let shown = by_map(slam, taken_out);
-                if shown.num_windows == 0 && share_with_pose < POOR_SHARE {
+                if says_too_little(&shown, share_with_pose) && input.is_repeatable() {
                     return doubts(input.lens(), input.images_again());
                 }
                 against(input, &shown)
@@ -138,6 +138,15 @@ fn against(input: &Input, shown: &Estimate) -> Vec<String> {
          calibrate anew",
         100.0 * offset
     )]
+}
+
+/// Whether a map says too little about its camera, so that the images must: it leaves the focal length open, or is very small though most
+/// frames have no pose. A map that a wrong calibration has bent agrees with it the better, the shorter it is.
+fn says_too_little(shown: &Estimate, share_with_pose: f64) -> bool {
+    match shown.num_windows {
+        0 => share_with_pose < POOR_SHARE,
+        _ => !shown.is_determined(),
+    }
 }
 
 /// Whether a map shows the camera that it was made with: its focal length, and the principal point to a share of the
@@ -223,6 +232,7 @@ fn middle(camera: &Camera) -> Option<(f64, Vec2)> {
 mod tests {
     use super::{
         Estimate, Expected, estimate, is_as_given, is_centre_doubted, is_focal_doubted, middle,
+        says_too_little,
     };
     use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 
@@ -275,6 +285,14 @@ mod tests {
         assert!(!says(500.0, 0.068, &[]));
         let disagree = [(508.0, 0.055), (420.0, 0.084)];
         assert!(!says(505.0, 0.0, &disagree), "pieces that disagree");
+    }
+
+    #[test]
+    fn the_images_are_asked_where_a_map_leaves_the_camera_open() {
+        let mut small = shown(0.07);
+        assert!(says_too_little(&small, 1.0) && !says_too_little(&shown(0.03), 0.2));
+        small.num_windows = 0;
+        assert!(!says_too_little(&small, 1.0) && says_too_little(&small, 0.3));
     }
 
     #[test]

@@ -2,9 +2,9 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
+use crate::frame_colours::FrameColours;
 use crate::readings::Inertial;
 use crate::self_calibration::{Expected, OwnCalibration};
-use crate::video_colours::VideoColours;
 use crate::video_source::{VideoItem, VideoSource, check_topic, is_video};
 use monogrid_datasets::{
     Calibration, Dataset, FrameEntry, SourceOptions, read_gray, read_mask, read_photometric,
@@ -353,10 +353,10 @@ impl Input {
         self.source_with(None)
     }
 
-    /// The same; the colours of a video's frames go to `colours`.
+    /// The same; what a video shows beside luma goes to `colours`.
     pub fn source_with<'a>(
         &'a self,
-        colours: Option<&'a VideoColours>,
+        colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = SourceFrame> + Send + 'a> {
         let Images::Video(video) = &self.images else {
             return Box::new(self.frames.iter().map(|frame| SourceFrame {

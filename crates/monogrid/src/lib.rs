@@ -90,6 +90,8 @@ mod explorer;
 #[cfg(feature = "program")]
 mod failure;
 #[cfg(feature = "program")]
+mod frame_colours;
+#[cfg(feature = "program")]
 mod input;
 #[cfg(feature = "program")]
 mod keyframe_pixels;
@@ -127,7 +129,5 @@ mod sweep;
 mod tally;
 #[cfg(feature = "program")]
 mod usage;
-#[cfg(feature = "program")]
-mod video_colours;
 #[cfg(feature = "program")]
 mod video_source;

@@ -170,7 +170,7 @@ impl Recorded {
 }
 
 /// What of each keyframe is mapped.
-fn scans_of(
+pub fn scans_of(
     keyframes: &[RecordedKeyframe],
     config: &MappingConfig,
     threads: usize,

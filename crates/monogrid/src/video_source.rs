@@ -2,7 +2,7 @@
 
 use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
-use crate::video_colours::VideoColours;
+use crate::frame_colours::FrameColours;
 use monogrid_geometry::{Camera, ReadoutDirection};
 use monogrid_image::GrayImage;
 use monogrid_video::{Video, VideoError, is_recording};
@@ -140,7 +140,7 @@ impl VideoSource {
     /// The frames to use, in order; their colours go to `colours`. A stream has them only once.
     pub fn frames<'a>(
         &'a self,
-        colours: Option<&'a VideoColours>,
+        colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = VideoItem> + Send + 'a> {
         let opened = self.opened.lock().ok().and_then(|mut opened| opened.take());
         let video = match opened {

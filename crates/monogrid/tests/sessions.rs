@@ -362,7 +362,7 @@ fn a_fragment_is_kept_apart_and_goes_on_in_a_later_session() {
     assert!(main.iter().all(|(time, _)| *time < apart[0].0));
     let rows = fs::read_to_string(out.join("frames.csv")).unwrap();
     assert!(rows.contains("fragment_started:1"));
-    assert!(rows.lines().last().unwrap().ends_with(",1"), "{rows}");
+    assert!(rows.lines().last().unwrap().ends_with(",1,"), "{rows}");
     let lines = |name: &str| fs::read_to_string(out.join(name)).unwrap().lines().count();
     let first_keyframe = fragment["first_keyframe"].as_u64().unwrap() as usize;
     assert_eq!(lines("keyframes.txt"), 1 + first_keyframe);

@@ -4,7 +4,10 @@
 mod common;
 
 use common::{assert_fails, code, json, monogrid, program, small_sequence, stderr};
-use monogrid_datasets::{ReadOptions, Recording, decode_jpeg_rgb, encode_png, read_gray};
+use monogrid_datasets::{
+    ReadOptions, RecordedKeyframe, Recording, decode_jpeg_rgb, encode_png, encode_png_rgb,
+    read_gray,
+};
 use monogrid_image::Image;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -164,6 +167,55 @@ fn the_keyframes_of_a_video_are_in_colour() {
         let [red, _, blue] = sum;
         assert!((red - blue - 136.5).abs() < 25.0, "{sum:?}");
     }
+}
+
+/// How far the green of a keyframe lies beside its grey image to the right, in the upper and in the lower third, px: by least squares
+/// over the slopes of the grey image.
+fn colour_beside_grey(keyframe: &RecordedKeyframe) -> [f64; 2] {
+    let jpeg = keyframe.colour.as_ref().expect("colour");
+    let colour = decode_jpeg_rgb(jpeg, 1 << 20, Path::new("keyframe")).unwrap();
+    let (colour, grey) = (colour.expect("colour"), keyframe.image.as_ref().unwrap());
+    let (width, height) = (grey.width(), grey.height());
+    assert_eq!((colour.width(), colour.height()), (width, height));
+    [10..height / 3, 2 * height / 3..height - 10].map(|rows| {
+        let (mut moved, mut slopes) = (0.0, 0.0);
+        for y in rows {
+            for x in 10..width - 10 {
+                let slope = (f64::from(grey.at(x + 1, y)) - f64::from(grey.at(x - 1, y))) / 2.0;
+                let difference = f64::from(grey.at(x, y)) - f64::from(colour.at(x, y)[1]);
+                moved += slope * difference;
+                slopes += slope * slope;
+            }
+        }
+        moved / slopes
+    })
+}
+
+#[test]
+fn colours_lie_where_a_rolling_shutter_was_taken_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let [world, out] = ["world", "out"].map(|name| dir.path().join(name));
+    render(&world, ["--rolling-shutter", "30", "--max-frames", "80"]);
+    for entry in fs::read_dir(world.join("rgb")).unwrap() {
+        let path = entry.unwrap().path();
+        let tinted = read_gray(&path).unwrap().map(|grey| {
+            let grey = grey as u8;
+            [grey.saturating_add(20), grey, grey.saturating_sub(20)]
+        });
+        fs::write(&path, encode_png_rgb(&tinted)).unwrap();
+    }
+    let output = program()
+        .args(["run", "--rolling-shutter", "30", "--out"])
+        .args([&out, &world])
+        .output()
+        .unwrap();
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let recording = Recording::read(&out.join("recording.mgk"), ReadOptions::default()).unwrap();
+    let beside = recording.keyframes.iter().map(colour_beside_grey);
+    let beside: Vec<[f64; 2]> = beside.collect();
+    assert!(beside.len() > 1);
+    let is_there = |third: &f64| third.abs() < 0.15;
+    assert!(beside.iter().flatten().all(is_there), "{beside:?}");
 }
 
 #[test]

@@ -57,6 +57,7 @@ export class View {
 
   // What there is to see lies between these corners.
   surround(low, high) {
+    this.box = [low, high];
     this.centre = low.map((value, i) => (value + high[i]) / 2);
     this.radius = Math.max(1e-6, Math.hypot(...low.map((value, i) => (high[i] - value) / 2)));
     this.camera.near = this.radius / 500;
@@ -137,12 +138,47 @@ export class View {
 
   lookFrom(where) {
     const direction = { corner: [-0.62, -0.72, 0.75], above: [0, -0.001, 1.25], front: [-1.2, 0, 0.1] }[where];
-    const distance = this.radius * (this.camera.aspect < 1 ? 2.3 : 1.6);
-    const centre = new Vector3(...this.centre);
-    this.camera.position.copy(centre).addScaledVector(new Vector3(...direction), distance);
-    this.controls.target.copy(centre);
+    const back = new Vector3(...direction).normalize();
+    const right = new Vector3(0, 0, 1).cross(back).normalize();
+    const up = back.clone().cross(right);
+    const { across, upwards, distance } = this.fit(right, up, back);
+    const target = new Vector3(...this.centre).addScaledVector(right, across).addScaledVector(up, upwards);
+    this.camera.position.copy(target).addScaledVector(back, distance);
+    this.controls.target.copy(target);
     this.controls.update();
     this.draw();
+  }
+
+  // What is in view at first: some of the cells, or points, and the path, within the box and below the cut; its corners where there is nothing yet.
+  toFit() {
+    const [low, high] = this.box;
+    const top = Math.max(low[2], Math.min(high[2], this.data.cut ?? Infinity));
+    const { occupied, points, path } = this.data;
+    const places = (path ?? []).map((p) => p.slice(1, 4));
+    const take = (source, at) => {
+      const every = Math.max(1, Math.floor(source.count / 5000));
+      for (let i = 0; i < source.count; i += every) places.push(at(i));
+    };
+    if (occupied?.count) take(occupied, (i) => occupied.centre(i));
+    else if (points?.count) take(points, (i) => points.at(i));
+    const isInside = (place) => place.every((value, i) => value >= low[i] && value <= (i === 2 ? top : high[i]));
+    const inside = places.filter(isInside);
+    if (inside.length > 1) return inside;
+    return [...Array(8).keys()].map((k) => [k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], k & 4 ? top : low[2]]);
+  }
+
+  // From how far away, and how far beside the centre, all of it just fills the picture. A point at (x, y, z) of the camera's axes, z towards
+  // it, is seen where |x - across| <= tan (distance - z): each side bounds distance and place by one point.
+  fit(right, up, back) {
+    const offsets = this.toFit().map((place) => new Vector3(...place).sub(new Vector3(...this.centre)));
+    const half = Math.tan((this.camera.fov * Math.PI) / 360);
+    const along = (axis, tangent) => {
+      const side = (sign) => Math.max(...offsets.map((p) => sign * p.dot(axis) + tangent * p.dot(back)));
+      const [above, below] = [side(1), side(-1)];
+      return { place: (above - below) / 2, distance: (above + below) / (2 * tangent) };
+    };
+    const [x, y] = [along(right, half * this.camera.aspect), along(up, half)];
+    return { across: x.place, upwards: y.place, distance: Math.max(1.05 * x.distance, 1.05 * y.distance, 0.1 * this.radius) };
   }
 
   // The camera of a keyframe as our own.

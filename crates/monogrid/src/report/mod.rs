@@ -20,7 +20,7 @@ svg .title,svg .label,svg .tick{fill:#c8c8c4}svg .grid{stroke:#34373b}}\
 body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--ground);max-width:1000px;margin:2em auto;padding:0 1em}
 h1{font-size:1.7em;margin-bottom:.2em;overflow-wrap:anywhere}h2{font-size:1.25em;margin-top:2em;border-bottom:1px solid var(--edge)}
 .lead{font-size:1.1em}.note{color:var(--faint)}.warn{background:var(--warn);border-left:4px solid #e0a800;padding:.4em .8em;margin:.4em 0}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top;overflow-wrap:anywhere}
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:.25em .9em .25em 0;text-align:left;vertical-align:top}td{overflow-wrap:anywhere}
 th{font-weight:600;color:var(--faint)}td.n{text-align:right;font-variant-numeric:tabular-nums}
 svg{width:100%;background:var(--paper);border:1px solid var(--edge);margin:.4em 0;box-sizing:border-box}
 .grid2{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(380px,100%),1fr));gap:8px}.scroll{overflow-x:auto}

@@ -128,6 +128,7 @@ mod tests {
                 3 => FrameFate::BeforeSeed,
                 _ => FrameFate::Processed(Box::new(report)),
             },
+            latency_ms: index.is_multiple_of(3).then_some(0.1 + index as f32),
         }
     }
 

@@ -27,6 +27,8 @@ pub struct FrameRow {
     pub timestamp_ns: i64,
     /// What became of it.
     pub fate: FrameFate,
+    /// Where frames come at their own pace: from when the camera had it until that was known, ms.
+    pub latency_ms: Option<f32>,
 }
 
 impl FrameRow {

@@ -62,13 +62,12 @@ pub fn track(
     if let Ok(file) = tempfile::tempfile_in(folder.path()) {
         pipeline.slam().spill_into(file);
     }
-    let mut video_colours = None;
+    let mut frame_colours = None;
     if !settings.is_localise_only() {
         let source_colours = ColourSource::of(input);
-        video_colours = source_colours
+        frame_colours = source_colours
             .as_ref()
-            .and_then(ColourSource::of_video)
-            .cloned();
+            .map(|source| Arc::clone(source.kept()));
         let earlier = settings.earlier().cloned();
         let recorder = Recorder::start(Arc::clone(folder), &session, earlier, source_colours)?;
         pipeline.listen(recorder).map_err(Failure::running)?;
@@ -79,7 +78,7 @@ pub fn track(
     };
     let viewer = viewer(&mut pipeline, input, settings)?;
     let places = (input, folder.path());
-    let colours = video_colours.as_deref();
+    let colours = frame_colours.as_deref();
     let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
     let source = input.source_with(colours);
     let reading = read_ahead(source, &input.preparation, reading, |frame| {

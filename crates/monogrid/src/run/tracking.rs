@@ -7,11 +7,11 @@ use super::live::Viewer;
 use super::progress::Progress;
 use crate::doubts::CalibrationCheck;
 use crate::failure::Failure;
+use crate::frame_colours::FrameColours;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::rolling::ShutterSearch;
-use crate::video_colours::VideoColours;
 use monogrid_image::GrayImage;
-use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, ReadOn, Unusable};
+use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, ReadOn, Rectification, Unusable};
 use monogrid_slam::FrameInput;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -40,7 +40,7 @@ pub struct Tracking<'a> {
     shutter: ShutterSearch,
     progress: Progress,
     viewer: Option<Viewer>,
-    colours: Option<&'a VideoColours>,
+    colours: Option<&'a FrameColours>,
 }
 
 /// What tracking leaves behind.
@@ -60,7 +60,7 @@ pub struct Ended {
 impl<'a> Tracking<'a> {
     /// Before the first frame; what becomes of the frames is kept on the disk of `folder`.
     pub fn begin(
-        (pipeline, viewer, colours): (Pipeline, Option<Viewer>, Option<&'a VideoColours>),
+        (pipeline, viewer, colours): (Pipeline, Option<Viewer>, Option<&'a FrameColours>),
         settings: &'a RunSettings,
         (input, folder): (&'a Input, &Path),
         interrupted: &'a AtomicBool,
@@ -93,13 +93,17 @@ impl<'a> Tracking<'a> {
             _ => None,
         };
         self.shutter.note(frame.index, frame.readout_ms);
+        let rectification = frame.rectification.clone();
+        let (index, timestamp_ns, due) = (frame.index, frame.timestamp_ns, frame.due);
+        let fate = self.fate(frame);
         let row = FrameRow {
-            index: frame.index,
-            timestamp_ns: frame.timestamp_ns,
-            fate: self.fate(frame),
+            index,
+            timestamp_ns,
+            fate,
+            latency_ms: due.map(|due| 1e3 * due.elapsed().as_secs_f32()),
         };
         if let Some(colours) = self.colours {
-            self.keep_colours(colours, &row);
+            self.keep_colours(colours, rectification, &row);
         }
         if let Some(viewer) = &self.viewer {
             viewer.show(&row, shown, &self.pipeline);
@@ -117,9 +121,14 @@ impl<'a> Tracking<'a> {
     }
 
     /// Keeps the colours of keyframes.
-    fn keep_colours(&self, colours: &VideoColours, row: &FrameRow) {
+    fn keep_colours(
+        &self,
+        colours: &FrameColours,
+        rectification: Option<Rectification>,
+        row: &FrameRow,
+    ) {
         let became_keyframe = row.report().is_some_and(|report| report.created_keyframe);
-        colours.pass(row.index, became_keyframe);
+        colours.pass(row.index, rectification, became_keyframe);
         if row.report().is_some() {
             for event in self.pipeline.slam().events() {
                 if let Event::Finished(keyframe, _) = event {

@@ -167,7 +167,7 @@ fn reported_poses(
 
 fn frames_csv(rows: &[FrameRow]) -> String {
     let mut text = String::from(
-        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe,event,fragment\n",
+        "frame,timestamp,state,reason,residual,good_share,usage,exposure_gain,tracking_ms,depth_ms,graph_ms,keyframe,event,fragment,latency_ms\n",
     );
     for row in rows {
         let (state, reason) = match &row.fate {
@@ -209,7 +209,12 @@ fn frames_csv(rows: &[FrameRow]) -> String {
         } else {
             text.push_str(",,,,,,,,,");
         }
-        text.push('\n');
+        match row.latency_ms {
+            Some(latency_ms) => {
+                let _ = writeln!(text, ",{latency_ms:.1}");
+            }
+            None => text.push_str(",\n"),
+        }
     }
     text
 }

@@ -1,7 +1,7 @@
 //! What a run did, counted.
 
 use super::{
-    ARBITRARY, FragmentSummary, METRIC, MapFacts, Seconds, SessionSummary, Status, Summary,
+    ARBITRARY, FragmentSummary, Latency, METRIC, MapFacts, Seconds, SessionSummary, Status, Summary,
 };
 use crate::input::Input;
 use crate::run::RunSettings;
@@ -36,6 +36,7 @@ impl Summary {
             tracked: tracked.run.trajectory.len(),
             skipped: count(tracked, |fate| matches!(fate, FrameFate::Skipped(_))),
             dropped: count(tracked, |fate| matches!(fate, FrameFate::Dropped)),
+            latency_ms: Latency::of(&tracked.rows),
             rolling_shutter_ms: tracked.readout_ms,
             lost_episodes: slam.lost_episodes(),
             keyframes: slam.num_keyframes(),

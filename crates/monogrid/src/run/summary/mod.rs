@@ -7,6 +7,7 @@ pub use make::is_metric;
 pub use status::Status;
 
 use super::align::{FloorSummary, UpSummary};
+use super::frames::FrameRow;
 use super::sensed::InertialSummary;
 use crate::usage::{peak_rss_bytes, process_start};
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
@@ -36,6 +37,33 @@ pub struct Seconds {
     pub reading: f64,
     /// CPU time of recording and pictures.
     pub recording: f64,
+}
+
+/// How long frames took that came at their own pace: from when the camera had one (but for decoding the first) to its pose, ms.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Latency {
+    /// Half of the frames took at most this.
+    pub median: f32,
+    /// And 99 % at most this.
+    pub p99: f32,
+    /// The slowest.
+    pub most: f32,
+}
+
+impl Latency {
+    /// Of the frames that were tracked; `None` where they did not come at their own pace.
+    fn of(rows: &[FrameRow]) -> Option<Self> {
+        let tracked = rows.iter().filter(|row| row.report().is_some());
+        let mut all: Vec<f32> = tracked.filter_map(|row| row.latency_ms).collect();
+        all.sort_unstable_by(f32::total_cmp);
+        let most = *all.last()?;
+        let share = |percent: usize| all.get((all.len() * percent).div_ceil(100).saturating_sub(1));
+        Some(Self {
+            median: *share(50)?,
+            p99: *share(99)?,
+            most,
+        })
+    }
 }
 
 /// Facts about the global map.
@@ -113,6 +141,9 @@ pub struct Summary {
     pub skipped: usize,
     /// Frames dropped because the program was behind (`--realtime`).
     pub dropped: usize,
+    /// Time from a frame to its pose (`--realtime`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latency_ms: Option<Latency>,
     /// Rolling shutter, given or found: time from the first row of an image to the last, ms.
     pub rolling_shutter_ms: f64,
     /// Times that tracking was lost.
@@ -227,5 +258,40 @@ impl Summary {
         self.seconds.total = total;
         self.frames_per_second = self.frames as f64 / total.max(1e-9);
         self.peak_rss_bytes = peak_rss_bytes();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Latency;
+    use crate::run::frames::{FrameFate, FrameRow};
+    use monogrid_slam::{FrameReport, TrackingState};
+
+    #[test]
+    fn latency_is_that_of_the_frames_that_were_tracked() {
+        let row = |index: usize| FrameRow {
+            index,
+            timestamp_ns: 0,
+            fate: match index {
+                0 => FrameFate::Dropped,
+                _ => {
+                    FrameFate::Processed(Box::new(FrameReport::new(index, 0, TrackingState::Good)))
+                }
+            },
+            latency_ms: Some(if index == 0 { 1e6 } else { index as f32 }),
+        };
+        let rows: Vec<FrameRow> = (0..=200).map(row).collect();
+        let expected = Latency {
+            median: 100.0,
+            p99: 198.0,
+            most: 200.0,
+        };
+        assert_eq!(Latency::of(&rows), Some(expected));
+        assert_eq!(Latency::of(&rows[..1]), None);
+        let at_rest = rows.into_iter().map(|row| FrameRow {
+            latency_ms: None,
+            ..row
+        });
+        assert_eq!(Latency::of(&at_rest.collect::<Vec<_>>()), None);
     }
 }

@@ -120,6 +120,7 @@ mod tests {
             index,
             timestamp_ns,
             fate: FrameFate::Processed(Box::new(FrameReport::new(index, timestamp_ns, state))),
+            latency_ms: None,
         }
     }
 
