@@ -88,8 +88,8 @@ def carry_out(task: Task, job: Job) -> dict:
     record = json.loads((out / "tasks" / task.name / "task.json").read_text())
     if is_url(job.out):
         send(task, out, Store(job.out), str(before), record)
-        shutil.rmtree(out / "runs" / task.name, ignore_errors=True)
-        shutil.rmtree(out / "tasks" / task.name, ignore_errors=True)
+        for kind in ("runs", "tasks"):
+            remove_at_once(out / kind / task.name, scratch / "sent" / kind / task.name)
     if is_url(task.source):
         remove(Path(task.local_source))
     pid.unlink()
@@ -121,6 +121,14 @@ def send(task: Task, out: Path, store: Store, before: str, record: dict) -> None
     store.send(out / tasks / "log.txt", f"{tasks}/log.txt")
     store.write(before.encode(), f"{tasks}/{STAMP_FILE}")
     store.send(out / tasks / "task.json", f"{tasks}/task.json")
+
+
+def remove_at_once(folder: Path, aside: Path) -> None:
+    """Removes a folder that other tasks may be looking through: they find it whole or not at all."""
+    aside.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(aside, ignore_errors=True)
+    folder.rename(aside)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def remove(path: Path) -> None:
