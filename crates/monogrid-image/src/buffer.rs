@@ -181,12 +181,23 @@ pub fn bicubic(image: &GrayImage, xs: [f32; 4], ys: [f32; 4]) -> [f32; 4] {
     }
     let (lefts, across) = cubic_weights(xs, w);
     let (tops, down) = cubic_weights(ys, h);
+    let inside = lefts
+        .iter()
+        .zip(tops)
+        .all(|(left, top)| is_inside(*left, w) && is_inside(top, h));
+    let place = |k: usize| (lefts[k] as usize, tops[k] as usize);
+    let around: [[f32x4; 4]; 4] = if inside {
+        std::array::from_fn(|k| samples_inside(image, place(k)))
+    } else {
+        std::array::from_fn(|k| samples_at_border(image, place(k)))
+    };
     let (mut rows, mut low, mut high) = ([f32x4::ZERO; 4], [f32x4::ZERO; 4], [f32x4::ZERO; 4]);
     for k in 0..4 {
-        let [a, b, c, d] = samples_around(image, lefts[k] as usize, tops[k] as usize);
+        let [a, b, c, d] = around[k];
         low[k] = a.fast_min(b).fast_min(c.fast_min(d));
         high[k] = a.fast_max(b).fast_max(c.fast_max(d));
-        rows[k] = down[k] * sum_of_lanes([a, b, c, d].map(|row| across[k] * row));
+        let [above, at, below, last] = down[k].to_array();
+        rows[k] = across[k] * (above * a + at * b + below * c + last * d);
     }
     let low = f32x4::transpose(low).into_iter().reduce(f32x4::fast_min);
     let high = f32x4::transpose(high).into_iter().reduce(f32x4::fast_max);
@@ -195,22 +206,26 @@ pub fn bicubic(image: &GrayImage, xs: [f32; 4], ys: [f32; 4]) -> [f32; 4] {
     values.fast_max(within.0).fast_min(within.1).to_array()
 }
 
-/// The sixteen samples around the place between this pixel and the next ones; those beyond the border are those at it.
+/// Whether a line of this many pixels has one before this place and two behind it.
 #[inline]
-fn samples_around(image: &GrayImage, left: usize, top: usize) -> [f32x4; 4] {
+fn is_inside(before: i32, length: usize) -> bool {
+    before >= 1 && before as usize + 2 < length
+}
+
+/// The sixteen samples around the place between this pixel and the next ones, [inside](is_inside).
+#[inline(always)]
+fn samples_inside(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 4] {
+    let rows = &image.data[(top - 1) * image.width + left - 1..][..3 * image.width + 4];
+    [0, 1, 2, 3].map(|k| {
+        let row = &rows[k * image.width..][..4];
+        f32x4::new([row[0], row[1], row[2], row[3]])
+    })
+}
+
+/// The sixteen samples around the place between this pixel and the next ones; those beyond the border are those at it.
+#[cold]
+fn samples_at_border(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 4] {
     let (w, h) = (image.width, image.height);
-    if left >= 1 && top >= 1 && left + 2 < w && top + 2 < h {
-        let first = (top - 1) * w + left - 1;
-        let row = |k: usize| image.data[first + k * w..].first_chunk::<4>();
-        if let (Some(a), Some(b), Some(c), Some(d)) = (row(0), row(1), row(2), row(3)) {
-            return [
-                f32x4::new(*a),
-                f32x4::new(*b),
-                f32x4::new(*c),
-                f32x4::new(*d),
-            ];
-        }
-    }
     let columns = [-1isize, 0, 1, 2].map(|d| left.saturating_add_signed(d).min(w - 1));
     [-1isize, 0, 1, 2].map(|d| {
         let row = image.row(top.saturating_add_signed(d).min(h - 1));

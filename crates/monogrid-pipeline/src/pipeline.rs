@@ -14,7 +14,9 @@ use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
     KeyframeCamera, LiveMaps, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
 };
-use monogrid_slam::{Event, FrameInput, FrameReport, Purpose, Slam, SlamConfig, StoredMap};
+use monogrid_slam::{
+    Effort, Event, FrameInput, FrameReport, Purpose, Slam, SlamConfig, StoredMap, Told,
+};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -236,6 +238,19 @@ impl Pipeline {
     /// An image of another size than the camera's, or one that repeats the one before; [`Unusable::Waits`] for the first
     /// image of a rolling shutter, and for one that waits for readings.
     pub fn push(&mut self, image: GrayImage, timestamp_ns: i64) -> Result<FrameReport, Unusable> {
+        self.push_telling(image, timestamp_ns, &mut |_| Effort::Whole)
+    }
+
+    /// The same; the frame is told of as soon as it has its pose, as by [`Self::track_telling`].
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_telling(
+        &mut self,
+        image: GrayImage,
+        timestamp_ns: i64,
+        told: &mut Told<'_>,
+    ) -> Result<FrameReport, Unusable> {
         let rectified_later = self.rectifier.as_ref().map_or(0, Rectifier::num_waiting);
         let index = self.num_frames + rectified_later + self.readings.num_waiting();
         let image = self.preparer.next(&self.preparation, image, false);
@@ -256,7 +271,7 @@ impl Pipeline {
             }
         };
         let ready = ready.and_then(|frame| self.readings.take_frame(frame));
-        let tracked = ready.and_then(|frame| self.track_read(frame));
+        let tracked = ready.and_then(|frame| self.track_read(frame, told));
         tracked.unwrap_or(Err(Unusable::Waits))
     }
 
@@ -270,18 +285,25 @@ impl Pipeline {
         self.slam.add_readings(readings);
         let newest_ns = readings.iter().map(|reading| reading.timestamp_ns).max()?;
         let ready = self.readings.take_readings(newest_ns)?;
-        self.track_read(ready)
+        self.track_read(ready, &mut |_| Effort::Whole)
     }
 
     /// Tracks a frame that was read; one that cannot be used is counted, nothing is said of one that was dropped.
-    fn track_read(&mut self, frame: ReadFrame) -> Option<Result<FrameReport, Unusable>> {
+    fn track_read(
+        &mut self,
+        frame: ReadFrame,
+        told: &mut Told<'_>,
+    ) -> Option<Result<FrameReport, Unusable>> {
         Some(match frame.image? {
-            Ok(image) => Ok(self.track(FrameInput {
-                index: frame.index,
-                timestamp_ns: frame.timestamp_ns,
-                image,
-                seed_depth: None,
-            })),
+            Ok(image) => {
+                let frame = FrameInput {
+                    index: frame.index,
+                    timestamp_ns: frame.timestamp_ns,
+                    image,
+                    seed_depth: None,
+                };
+                Ok(self.track_telling(frame, told))
+            }
             Err(unusable) => {
                 self.pass_over();
                 Err(unusable)
@@ -291,8 +313,14 @@ impl Pipeline {
 
     /// Takes a working image, with depth to start with if there is some.
     pub fn track(&mut self, frame: FrameInput) -> FrameReport {
+        self.track_telling(frame, &mut |_| Effort::Whole)
+    }
+
+    /// The same; a frame that is tracked is told of as soon as it has its pose ([`Slam::process_frame_telling`]): a robot that steers by
+    /// poses need not wait until the frame has made the map better, and may say that there is no time for that.
+    pub fn track_telling(&mut self, frame: FrameInput, told: &mut Told<'_>) -> FrameReport {
         self.num_frames += 1;
-        let report = self.slam.process_frame(frame);
+        let report = self.slam.process_frame_telling(frame, told);
         self.tell();
         if self.readings.is_question_due(&report)
             && let Some(path) = self.slam.inertial_path()
@@ -320,7 +348,7 @@ impl Pipeline {
         let preparation = self.preparation.clone();
         read_ahead(source, &preparation, Reading::default(), |frame| {
             let index = frame.index;
-            let heard = match self.track_read(frame) {
+            let heard = match self.track_read(frame, &mut |_| Effort::Whole) {
                 Some(outcome) => heard(index, outcome.as_ref()),
                 None => ControlFlow::Continue(()),
             };
@@ -335,12 +363,12 @@ impl Pipeline {
     /// What a listener gave up for. Maps that could not grow are said by [`Finished::maps`].
     pub fn finish(mut self) -> Result<Finished, PipelineError> {
         if let Some(frame) = self.readings.take_waiting() {
-            self.track_read(frame);
+            self.track_read(frame, &mut |_| Effort::Whole);
         }
         if let Some(mut rectifier) = self.rectifier.take() {
             rectifier.finish();
             while let Some(frame) = rectifier.take() {
-                self.track_read(frame);
+                self.track_read(frame, &mut |_| Effort::Whole);
             }
         }
         self.slam.finish();

@@ -56,5 +56,5 @@ pub use report::{
 };
 pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
-pub use system::{MergedMaps, Slam, merge_maps};
+pub use system::{Effort, MergedMaps, Slam, Told, merge_maps};
 pub use tracker::{PointTrackingConfig, TrackingConfig};

@@ -167,10 +167,18 @@ pub(crate) struct RefinementEvidence {
     pub num_passed: usize,
     /// Distance from that one, in units of the keyframe's mean depth.
     pub relative_distance: f64,
+    /// Whether the next frame waits already.
+    pub is_hurried: bool,
 }
+
+/// Frames in a row that refine no depth because the next one waits: a computer that is always late makes a map all the same.
+const MAX_HURRIED: usize = 6;
 
 /// Whether a tracked frame refines the depth of the keyframe in use.
 pub(crate) fn is_refining(evidence: &RefinementEvidence, config: &RefinementConfig) -> bool {
+    if evidence.is_hurried && evidence.num_passed < MAX_HURRIED {
+        return false;
+    }
     evidence.num_mapped < config.first_frames
         || evidence.num_passed >= config.max_passed
         || evidence.relative_distance >= config.max_passed_distance
@@ -425,6 +433,7 @@ mod tests {
                 num_mapped,
                 num_passed,
                 relative_distance,
+                is_hurried: false,
             };
             is_refining(&evidence, &config)
         };
@@ -445,7 +454,26 @@ mod tests {
             num_mapped: 100,
             num_passed: 0,
             relative_distance: 0.0,
+            is_hurried: false,
         };
         assert!(is_refining(&still, &every));
+    }
+
+    #[test]
+    fn a_frame_that_keeps_the_next_one_waiting_is_passed_over_but_not_for_ever() {
+        let config = RefinementConfig::default();
+        let refines = |num_mapped, num_passed| {
+            let evidence = RefinementEvidence {
+                num_mapped,
+                num_passed,
+                relative_distance: 10.0 * config.max_passed_distance,
+                is_hurried: true,
+            };
+            is_refining(&evidence, &config)
+        };
+        assert!(!refines(0, 0), "not even the first one");
+        assert!(!refines(100, 0), "nor one from another place");
+        assert!(!refines(100, MAX_HURRIED - 1));
+        assert!(refines(100, MAX_HURRIED), "once in a while");
     }
 }

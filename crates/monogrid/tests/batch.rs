@@ -307,12 +307,12 @@ fn every_end_of_a_run_is_told_and_harms_no_other() {
     assert_eq!(batch.record("noise")["class"], "not-started");
 
     // too slow: what it has mapped is saved; done again when it gets more time
-    batch.list(&[video_line("\tname=slow\tmax-frames=45")]);
-    let output = batch.call(&["--timeout", "0.3"]);
+    batch.list(&[video_line("\tname=slow")]);
+    let output = batch.call(&["--timeout", "0.5"]);
     assert_fails(&output, 1, &["1 runs"]);
     assert_eq!(batch.record("slow")["class"], "timeout");
     assert!(batch.path("out/runs/slow/summary.json").is_file());
-    assert_eq!(code(&batch.call(&["--timeout", "0.3"])), 1);
+    assert_eq!(code(&batch.call(&["--timeout", "0.5"])), 1);
     assert_eq!(batch.record("slow")["attempts"], 1);
 
     fs::remove_dir_all(batch.path("out/runs/slow")).unwrap();

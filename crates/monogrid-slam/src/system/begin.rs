@@ -7,6 +7,7 @@ use super::depth::stored_depth;
 use super::keyframes::{Use, decide_use, first_keyframe};
 use super::missed::track_back;
 use super::outcome::{Attempt, Begun, FrameOutcome, Localised};
+use super::process::Effort;
 use super::slam::Slam;
 use super::tracking::track_on_active;
 use crate::frame::{BufferedFrame, Frame};
@@ -130,7 +131,13 @@ impl Slam {
         self.believe(frame, alignment.motion);
         // without, the depth of the first keyframe would not be kept for the way forward
         let may_change = self.setup.config.keyframes.reactivation.enabled;
-        match decide_use(&self.setup, &self.map, &self.camera, &attempt) {
+        match decide_use(
+            &self.setup,
+            &self.map,
+            &self.camera,
+            &attempt,
+            Effort::Whole,
+        ) {
             Use::ChangeKeyframe if may_change => {
                 self.change_keyframe(frame, alignment);
             }

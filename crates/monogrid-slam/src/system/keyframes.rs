@@ -2,6 +2,7 @@
 
 use super::camera::{Active, Camera};
 use super::outcome::Attempt;
+use super::process::Effort;
 use super::setup::Setup;
 use crate::depth_step::tracking_samples;
 use crate::frame::Frame;
@@ -32,7 +33,13 @@ pub(super) enum Use {
 }
 
 /// Decides what a tracked frame is for.
-pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &Attempt) -> Use {
+pub(super) fn decide_use(
+    setup: &Setup,
+    map: &Map,
+    camera: &Camera,
+    attempt: &Attempt,
+    effort: Effort,
+) -> Use {
     let alignment = &attempt.tracked.alignment;
     let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
     let evidence = KeyframeEvidence {
@@ -50,7 +57,7 @@ pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &At
         Use::ChangeKeyframe
     } else if attempt.tracked.state != TrackingState::Good {
         Use::None
-    } else if is_due(setup, camera, &keyframe_from_frame) {
+    } else if is_due(setup, camera, &keyframe_from_frame, effort) {
         Use::RefineDepth
     } else {
         Use::PassOver
@@ -58,12 +65,13 @@ pub(super) fn decide_use(setup: &Setup, map: &Map, camera: &Camera, attempt: &At
 }
 
 /// Whether a frame shows the keyframe in use from elsewhere than the last one that refined its depth.
-fn is_due(setup: &Setup, camera: &Camera, keyframe_from_frame: &Se3) -> bool {
+fn is_due(setup: &Setup, camera: &Camera, keyframe_from_frame: &Se3, effort: Effort) -> bool {
     camera.active.as_ref().is_none_or(|active| {
         let evidence = RefinementEvidence {
             num_mapped: active.num_mapped,
             num_passed: active.num_passed,
             relative_distance: (keyframe_from_frame.translation - active.refined_from).norm(),
+            is_hurried: effort == Effort::Hurried,
         };
         is_refining(&evidence, &setup.config.keyframes.refinement)
     })

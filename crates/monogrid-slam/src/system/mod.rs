@@ -47,4 +47,5 @@ mod steps;
 mod tracking;
 
 pub use merge::{MergedMaps, merge_maps};
+pub use process::{Effort, Told};
 pub use slam::Slam;

@@ -4,6 +4,7 @@ use crate::frame::BufferedFrame;
 use crate::tracker::Tracked;
 use crate::{FragmentId, FrameReport, InFragment, KeyframeId, LostReason, MAIN_MAP, TrackingState};
 use monogrid_alignment::Alignment;
+use monogrid_geometry::Se3;
 
 /// What the stages found about a frame.
 #[derive(Debug)]
@@ -12,6 +13,8 @@ pub(super) struct FrameOutcome {
     pub attempt: Option<Attempt>,
     pub localised: Localised,
     pub change: KeyframeChange,
+    /// Odometry, where it was told already.
+    pub odom_from_camera: Option<Se3>,
     /// A map or fragment that began with this frame.
     pub begun: Option<Begun>,
 }
@@ -85,6 +88,7 @@ impl FrameOutcome {
             attempt,
             localised,
             change: KeyframeChange::default(),
+            odom_from_camera: None,
             begun: None,
         }
     }
@@ -126,6 +130,19 @@ fn report_attempt(attempt: &Attempt, report: &mut FrameReport) {
 }
 
 impl Localised {
+    /// The report on a frame as far as it is known from where it was tracked.
+    pub(super) fn report_of(
+        &self,
+        attempt: &Attempt,
+        index: usize,
+        timestamp_ns: i64,
+    ) -> FrameReport {
+        let mut report = FrameReport::new(index, timestamp_ns, TrackingState::Lost);
+        report_attempt(attempt, &mut report);
+        self.report(&mut report);
+        report
+    }
+
     fn report(&self, report: &mut FrameReport) {
         match self {
             Self::Waiting(reason) => {

@@ -14,26 +14,53 @@ use crate::policy::larger_map;
 use crate::report::{Stage, Stopwatch};
 use crate::start::{Start, StartOutcome};
 use crate::{FragmentId, FrameInput, FrameReport, KeyframeId, MAIN_MAP, Scale};
+use monogrid_geometry::Se3;
 use monogrid_image::GrayImage;
+
+/// Hears where a frame is, and says what it is used for.
+pub type Told<'a> = dyn FnMut(&FrameReport) -> Effort + Send + 'a;
+
+/// What a frame with a pose is used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effort {
+    /// It makes the map better where it can.
+    Whole,
+    /// The next one waits already: it refines no depth. A new keyframe, without which the camera would be lost, is made all the same.
+    Hurried,
+}
 
 impl Slam {
     /// Processes the next frame.
     pub fn process_frame(&mut self, input: FrameInput) -> FrameReport {
+        self.process_frame_telling(input, &mut |_| Effort::Whole)
+    }
+
+    /// The same; a frame that is tracked is told of as soon as it has its pose, before it makes the map better, which takes several times
+    /// as long. What is told is the report so far, with the same poses, but not what the frame does to keyframes. Nothing is told of
+    /// frames that have no pose, that wait, or that were found by their appearance. Who always answers [`Effort::Whole`] gets the results of
+    /// [`Slam::process_frame`].
+    pub fn process_frame_telling(&mut self, input: FrameInput, told: &mut Told<'_>) -> FrameReport {
         // inside the pool of threads its many short parallel steps begin without waking anybody
         rayon::scope(|_| {
             self.stopwatch = Stopwatch::start();
             self.frame_index = input.index;
             let timestamp_ns = input.timestamp_ns;
-            let outcome = self.process(input);
+            let outcome = self.process(input, told);
             self.events = self.map.take_events();
             let mut report = outcome.report(self.frame_index, timestamp_ns);
             report.joined_fragments = joined(&self.events);
-            report.odom_from_camera = report
-                .world_from_camera
-                .map(|pose| self.odometry.advance(&self.map, report.index, &pose));
+            report.odom_from_camera = outcome
+                .odom_from_camera
+                .or_else(|| self.advance_odometry(&report));
             report.milliseconds = self.stopwatch.times();
             report
         })
+    }
+
+    /// Odometry with the pose of a frame.
+    fn advance_odometry(&mut self, report: &FrameReport) -> Option<Se3> {
+        let pose = report.world_from_camera.as_ref()?;
+        Some(self.odometry.advance(&self.map, report.index, pose))
     }
 
     /// Finishes the last keyframe; its identity, if there is one.
@@ -82,7 +109,7 @@ impl Slam {
         self.map.release();
     }
 
-    fn process(&mut self, mut input: FrameInput) -> FrameOutcome {
+    fn process(&mut self, mut input: FrameInput, told: &mut Told<'_>) -> FrameOutcome {
         if let Some(repeated) = self.repeat(&input) {
             return repeated;
         }
@@ -91,7 +118,7 @@ impl Slam {
         self.stopwatch.lap(Stage::Tracking);
         let outcome = match self.start.take() {
             Some(start) => self.start(start, frame, seed_depth.as_ref()),
-            None => self.track(frame),
+            None => self.track(frame, Some(told)),
         };
         self.catch_up(outcome)
     }
@@ -140,7 +167,7 @@ impl Slam {
     }
 
     /// One frame of normal operation: tracked, it makes the map better; lost, it is looked for elsewhere.
-    fn track(&mut self, frame: Frame) -> FrameOutcome {
+    fn track(&mut self, frame: Frame, told: Option<&mut Told<'_>>) -> FrameOutcome {
         let update = self.graph.as_mut().and_then(GraphLink::count_frame);
         self.follow_graph(update);
         self.stopwatch.lap(Stage::Graph);
@@ -159,8 +186,14 @@ impl Slam {
         self.find_missed(&frame, motion);
         self.end_loss(attempt.keyframe, false);
         self.believe(&frame, motion);
+        let tracked = Localised::Tracked(place);
+        let (odom_from_camera, effort) = told.map_or((None, Effort::Whole), |told| {
+            let mut report = tracked.report_of(&attempt, frame.index, frame.timestamp_ns);
+            report.odom_from_camera = self.advance_odometry(&report);
+            (report.odom_from_camera, told(&report))
+        });
 
-        let change = match decide_use(&self.setup, &self.map, &self.camera, &attempt) {
+        let change = match decide_use(&self.setup, &self.map, &self.camera, &attempt, effort) {
             Use::RefineDepth => self.observe(&frame, &attempt),
             Use::ChangeKeyframe => {
                 let change = self.change_keyframe(&frame, &attempt.tracked.alignment);
@@ -173,7 +206,8 @@ impl Slam {
         self.stopwatch.lap(Stage::Depth);
         FrameOutcome {
             change,
-            ..FrameOutcome::new(Some(attempt), Localised::Tracked(place))
+            odom_from_camera,
+            ..FrameOutcome::new(Some(attempt), tracked)
         }
     }
 
@@ -184,7 +218,7 @@ impl Slam {
         };
         let finished = outcome.change.finished;
         for buffered in std::mem::take(&mut begun.later) {
-            let next = self.track(self.setup.restored(&buffered));
+            let next = self.track(self.setup.restored(&buffered), None);
             outcome = self.catch_up(next);
         }
         outcome.change.finished = finished.or(outcome.change.finished);
@@ -228,8 +262,9 @@ fn joined(events: &[Event]) -> Vec<FragmentId> {
 
 #[cfg(test)]
 mod tests {
+    use super::Effort;
     use crate::test_world::small_demo;
-    use crate::{FrameInput, RefinementConfig, Slam, SlamConfig};
+    use crate::{FrameInput, FrameReport, RefinementConfig, Slam, SlamConfig};
     use monogrid_image::Mask;
 
     const FRAMES: usize = 10;
@@ -255,6 +290,79 @@ mod tests {
         assert_eq!(active.id, 0);
         assert_eq!(active.num_mapped, FRAMES - 1, "all of them count");
         (active.num_refined as usize, is_tracked)
+    }
+
+    /// Reports on the first frames, and what was told of them before, where the answer is always this one.
+    fn told(effort: Effort) -> (Slam, Vec<(FrameReport, Option<FrameReport>)>) {
+        let sequence = small_demo();
+        let camera = sequence.camera();
+        let mask = Mask::filled(camera.width, camera.height, 255);
+        let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+        let reports = (0..TOLD_FRAMES).map(|k| {
+            let input = FrameInput {
+                index: k,
+                timestamp_ns: k as i64 * 100_000_000,
+                image: sequence.frame(3 * k).unwrap().image,
+                seed_depth: sequence.depth(k).filter(|_| k == 0),
+            };
+            let mut told = None;
+            let report = slam.process_frame_telling(input, &mut |report| {
+                told = Some(report.clone());
+                effort
+            });
+            (report, told)
+        });
+        let reports = reports.collect();
+        (slam, reports)
+    }
+
+    /// Every third of as many frames makes some keyframes.
+    const TOLD_FRAMES: usize = 30;
+
+    #[test]
+    fn poses_are_told_before_the_map_is_made_better_and_are_those_of_the_reports() {
+        let (_, reports) = told(Effort::Whole);
+        assert!(reports[0].1.is_none(), "the first frame begins the map");
+        for (report, told) in &reports[1..] {
+            let told = told.as_ref().unwrap();
+            assert_eq!(told.world_from_camera, report.world_from_camera);
+            assert_eq!(told.odom_from_camera, report.odom_from_camera);
+            assert!(told.odom_from_camera.is_some());
+            let frame = |report: &FrameReport| (report.index, report.state, report.keyframe);
+            assert_eq!(frame(told), frame(report));
+            assert!(!told.created_keyframe && told.finished_keyframe.is_none());
+        }
+        assert!(reports.iter().any(|(report, _)| report.created_keyframe));
+        // who says nothing has the same
+        let sequence = small_demo();
+        let camera = sequence.camera();
+        let mask = Mask::filled(camera.width, camera.height, 255);
+        let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+        for (k, (with, _)) in reports.iter().enumerate() {
+            let report = slam.process_frame(FrameInput {
+                index: k,
+                timestamp_ns: k as i64 * 100_000_000,
+                image: sequence.frame(3 * k).unwrap().image,
+                seed_depth: sequence.depth(k).filter(|_| k == 0),
+            });
+            assert_eq!(report.world_from_camera, with.world_from_camera);
+            assert_eq!(report.odom_from_camera, with.odom_from_camera);
+        }
+    }
+
+    #[test]
+    fn a_hurried_frame_refines_no_depth_and_makes_a_keyframe_all_the_same() {
+        let (slam, hurried) = told(Effort::Hurried);
+        let (whole_slam, _) = told(Effort::Whole);
+        assert!(hurried.iter().any(|(report, _)| report.created_keyframe));
+        let has_pose = |(report, _): &(FrameReport, _)| report.world_from_camera.is_some();
+        assert!(hurried.iter().all(has_pose));
+        let [refined, whole] = [&slam, &whole_slam].map(|slam| {
+            let active = slam.camera.active.as_ref().unwrap();
+            (active.num_refined as usize, active.num_mapped)
+        });
+        assert!(refined.0 * 4 <= refined.1, "{refined:?}");
+        assert!(whole.0 > refined.0, "{whole:?} {refined:?}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use crate::run::{MemoryLimit, RunSettings};
 use clap::Args;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Pace;
-use monogrid_slam::Purpose;
+use monogrid_slam::{Purpose, SlamConfig};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -164,9 +164,17 @@ pub fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunCon
     if let Some(seed) = args.seed {
         config.seed = seed;
     }
+    let lag_frames = &mut config.slam.graph.lag_frames;
+    if args.realtime.is_some() && *lag_frames == SlamConfig::default().graph.lag_frames {
+        *lag_frames = REALTIME_LAG_FRAMES;
+    }
     config.validate()?;
     Ok(config)
 }
+
+/// `slam.graph.lag_frames` with `--realtime`, where nothing else is asked for: an optimisation that takes longer than the usual lag lets
+/// no frame wait.
+const REALTIME_LAG_FRAMES: usize = 8;
 
 /// Profile, file and `--set`; the settings of the continued run where no profile or file is named.
 fn base_configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunConfig, Failure> {

@@ -12,10 +12,11 @@ use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::rolling::ShutterSearch;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, ReadOn, Rectification, Unusable};
-use monogrid_slam::FrameInput;
+use monogrid_slam::{Effort, FrameInput};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// Why a run ended before its last frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,6 +26,9 @@ pub enum EarlyEnd {
     /// Too many frames in a row were unreadable; the reason of the last.
     Unreadable(String),
 }
+
+/// Between frames that follow each other lies no more than this, ns.
+const MAX_INTERVAL_NS: i64 = 200_000_000;
 
 /// The pipeline, and what its frames have come to.
 pub struct Tracking<'a> {
@@ -41,6 +45,8 @@ pub struct Tracking<'a> {
     progress: Progress,
     viewer: Option<Viewer>,
     colours: Option<&'a FrameColours>,
+    /// Time of the last frame.
+    last_ns: Option<i64>,
 }
 
 /// What tracking leaves behind.
@@ -79,6 +85,7 @@ impl<'a> Tracking<'a> {
             progress: Progress::new(num_frames, settings.show_progress),
             viewer,
             colours,
+            last_ns: None,
         }
     }
 
@@ -95,12 +102,12 @@ impl<'a> Tracking<'a> {
         self.shutter.note(frame.index, frame.readout_ms);
         let rectification = frame.rectification.clone();
         let (index, timestamp_ns, due) = (frame.index, frame.timestamp_ns, frame.due);
-        let fate = self.fate(frame);
+        let (fate, posed) = self.fate(frame);
         let row = FrameRow {
             index,
             timestamp_ns,
             fate,
-            latency_ms: due.map(|due| 1e3 * due.elapsed().as_secs_f32()),
+            latency_ms: due.map(|due| 1e3 * posed.saturating_duration_since(due).as_secs_f32()),
         };
         if let Some(colours) = self.colours {
             self.keep_colours(colours, rectification, &row);
@@ -138,10 +145,13 @@ impl<'a> Tracking<'a> {
         }
     }
 
-    /// Does with a frame what can be done with it.
-    fn fate(&mut self, frame: ReadFrame) -> FrameFate {
+    /// Does with a frame what can be done with it; also when it was known where it is, or that it is nowhere.
+    fn fate(&mut self, frame: ReadFrame) -> (FrameFate, Instant) {
         let fate = match frame.image {
-            Some(Ok(image)) => return self.process(frame.index, frame.timestamp_ns, image),
+            Some(Ok(image)) => {
+                let next_due = self.next_due(frame.due, frame.timestamp_ns);
+                return self.process((frame.index, frame.timestamp_ns), image, next_due);
+            }
             Some(Err(Unusable::Repeats)) => FrameFate::Repeated,
             Some(Err(reason)) => {
                 let index = frame.index;
@@ -152,24 +162,49 @@ impl<'a> Tracking<'a> {
             None => FrameFate::Dropped,
         };
         self.pipeline.pass_over();
-        fate
+        (fate, Instant::now())
     }
 
-    fn process(&mut self, index: usize, timestamp_ns: i64, image: GrayImage) -> FrameFate {
+    /// When the next frame comes from a source at its own pace, by the time since the last one.
+    fn next_due(&mut self, due: Option<Instant>, timestamp_ns: i64) -> Option<Instant> {
+        let last_ns = self.last_ns.replace(timestamp_ns)?;
+        let interval_ns = timestamp_ns
+            .saturating_sub(last_ns)
+            .clamp(0, MAX_INTERVAL_NS);
+        Some(due? + Duration::from_nanos(interval_ns as u64))
+    }
+
+    fn process(
+        &mut self,
+        (index, timestamp_ns): (usize, i64),
+        image: GrayImage,
+        next_due: Option<Instant>,
+    ) -> (FrameFate, Instant) {
         let seed_depth = match &self.settings.seed_depth {
             Some((seeded, _)) if index < *seeded => {
                 self.pipeline.pass_over();
-                return FrameFate::BeforeSeed;
+                return (FrameFate::BeforeSeed, Instant::now());
             }
             Some((seeded, depth)) if index == *seeded => Some(depth.clone()),
             _ => None,
         };
-        let report = self.pipeline.track(FrameInput {
+        let frame = FrameInput {
             index,
             timestamp_ns,
             image,
             seed_depth,
+        };
+        let mut posed = None;
+        let report = self.pipeline.track_telling(frame, &mut |_| {
+            let now = Instant::now();
+            posed = Some(now);
+            if next_due.is_some_and(|next_due| now >= next_due) {
+                Effort::Hurried
+            } else {
+                Effort::Whole
+            }
         });
+        let posed = posed.unwrap_or_else(Instant::now);
         for event in self.pipeline.slam().events() {
             match event {
                 Event::Finished(..) => {
@@ -193,7 +228,7 @@ impl<'a> Tracking<'a> {
         for doubt in self.calibration.early(seen, self.num_keyframes) {
             self.progress.warn(doubt);
         }
-        FrameFate::Processed(Box::new(report))
+        (FrameFate::Processed(Box::new(report)), posed)
     }
 
     /// Whether so many frames in a row are unreadable that the source is given up.
