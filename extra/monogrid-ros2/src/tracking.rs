@@ -12,7 +12,7 @@ use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings, Unusable};
-use monogrid_slam::FrameReport;
+use monogrid_slam::{Effort, FrameReport};
 use monogrid_slam::mapping::MapReader;
 use ros2_client::Publisher;
 use std::sync::mpsc::SyncSender;
@@ -202,7 +202,7 @@ impl Tracking {
             .map_err(|error| error.to_string())
             .and_then(|image| self.push(header, image));
         match tracked {
-            Ok(report) => self.conclude(report),
+            Ok((report, unsent)) => self.conclude(report, unsent),
             Err(why) => self.tell(News::Unusable(why)),
         }
     }
@@ -211,17 +211,17 @@ impl Tracking {
     fn take_reading(&mut self, reading: ImuSample) {
         let pipeline = self.pipeline.as_mut();
         if let Some(report) = pipeline.and_then(|pipeline| pipeline.push_readings(&[reading])) {
-            self.conclude(report);
+            self.conclude(report, None);
         }
     }
 
     /// Gives an image to the pipeline, which begins with the first one after the calibration. What became of it, or of an earlier
-    /// image.
+    /// image, and how many messages about it could not be sent, where its poses were published already: as soon as they were known.
     fn push(
         &mut self,
         header: &Header,
         image: GrayImage,
-    ) -> Result<Result<FrameReport, Unusable>, String> {
+    ) -> Result<(Result<FrameReport, Unusable>, Option<usize>), String> {
         let stamp = header.stamp;
         if let Some(last) = self.last_stamp.filter(|last| *last >= stamp) {
             return Err(format!(
@@ -234,15 +234,27 @@ impl Tracking {
             Some(pipeline) => pipeline,
             None => self.begin()?,
         };
-        let report = pipeline.push(image, stamp.nanoseconds());
+        self.publisher.say_mount(header);
+        let mut unsent = None;
+        let report = pipeline.push_telling(image, stamp.nanoseconds(), &mut |report| {
+            unsent = Some(self.publish(report));
+            Effort::Whole
+        });
         self.pipeline = Some(pipeline);
         self.last_stamp = Some(stamp);
-        self.publisher.say_mount(header);
-        Ok(report)
+        Ok((report, unsent))
     }
 
-    /// Publishes where everything was at an image.
-    fn conclude(&mut self, report: Result<FrameReport, Unusable>) {
+    /// Publishes where everything was at an image; how many messages could not be sent.
+    fn publish(&mut self, report: &FrameReport) -> usize {
+        self.frames.set_frame(self.frame_of_map());
+        let poses = self.frames.advance(report);
+        let stamp = Time::from_nanoseconds(report.timestamp_ns);
+        poses.map_or(0, |poses| self.publisher.publish(stamp, &poses))
+    }
+
+    /// Says what became of an image, and where everything was if that was not published.
+    fn conclude(&mut self, report: Result<FrameReport, Unusable>, unsent: Option<usize>) {
         let report = match report {
             Ok(report) => report,
             // it is heard of later
@@ -250,9 +262,7 @@ impl Tracking {
             Err(unusable) => return self.tell(News::Unusable(unusable.to_string())),
         };
         let stamp = Time::from_nanoseconds(report.timestamp_ns);
-        self.frames.set_frame(self.frame_of_map());
-        let poses = self.frames.advance(&report);
-        let unsent = poses.map_or(0, |poses| self.publisher.publish(stamp, &poses));
+        let unsent = unsent.unwrap_or_else(|| self.publish(&report));
         let pipeline = self.pipeline.as_ref();
         self.tell(News::Tracked(Box::new(Tracked {
             stamp,
