@@ -50,6 +50,6 @@ pub use multi_view::{MultiViewConfig, SourceView, refine_depth};
 pub use observe::{DepthBand, StereoFrame};
 pub use packed::PackedDepth;
 pub use pixels::{PixelDepth, PixelFilter};
-pub use propagate::PropagationStats;
+pub use propagate::{MergedRows, PropagationStats, WarpedDepth};
 pub use regularize::{FilledHole, RegularizeBand, RegularizeStats};
 pub use stats::{ObserveStats, PixelOutcome};

@@ -7,6 +7,7 @@ use crate::HostFrame;
 use crate::config::DepthConfig;
 use crate::map::{BORDER, DepthMap, Hypothesis};
 use monogrid_geometry::{Se3, Vec2, Vec3};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// What happened to the hypotheses.
@@ -42,8 +43,28 @@ const SAME_SURFACE_SIGMA: f32 = 2.5;
 /// Relative difference of inverse depth per px that one surface may have besides.
 const SAME_SURFACE_SLOPE: f32 = 0.02;
 
+/// What is known of a keyframe, as the next one sees it, on its way there.
+#[derive(Debug)]
+pub struct WarpedDepth {
+    /// Per pixel of the next keyframe the first of those whose nearest pixel it is, or `NONE`.
+    heads: Vec<u32>,
+    warped: Vec<Warped>,
+    width: usize,
+    stats: PropagationStats,
+    noise_var: f32,
+    noise_measured: bool,
+}
+
+/// Depths of some rows of the next keyframe.
+#[derive(Debug)]
+pub struct MergedRows {
+    /// With the indices of their pixels.
+    found: Vec<(usize, Hypothesis)>,
+    conflicts: usize,
+}
+
 impl DepthMap {
-    /// The depth of this keyframe as seen from `target`. `target_from_source` has its translation in
+    /// The depth of this keyframe as seen from `target`, an image of the same camera. `target_from_source` has its translation in
     /// this keyframe's unit, which is also the unit of the result ([`DepthMap::rescale`] changes it).
     #[must_use]
     pub fn propagate(
@@ -52,60 +73,56 @@ impl DepthMap {
         target_from_source: &Se3,
         config: &DepthConfig,
     ) -> (Self, PropagationStats) {
-        let mut result = Self::empty(target, config);
-        result.noise_var = self.noise_var;
-        result.noise_measured = self.noise_measured;
-        let mut stats = PropagationStats::default();
-        let (heads, warped) = self.warp_all(&result, target_from_source, &mut stats);
-        let w = result.host.width();
-        let mut found: Vec<(usize, Hypothesis)> = Vec::new();
-        let mut nearby = Vec::with_capacity(MAX_CANDIDATES);
-        for y in 0..result.host.height() {
-            for &x in result.candidates.row(y) {
-                let x = usize::from(x);
-                collect_nearby((x, y), w, (&heads, &warped), config, &mut nearby);
-                if let Some(hypothesis) = merge((x, y), &nearby, config, &mut stats) {
-                    found.push((y * w + x, hypothesis));
-                }
-            }
-        }
-        stats.target = found.len();
-        for (i, hypothesis) in found {
-            result.arrays.set(i, hypothesis);
-            result.smooth_idepth[i] = hypothesis.idepth;
-            result.smooth_var[i] = hypothesis.var;
-        }
-        result.limit_search(config);
-        (result, stats)
+        let mut target = Self::empty(target, config);
+        let warped = self.warped(target_from_source);
+        let all = warped.merged(&target, 0..target.host.height(), config);
+        let stats = target.take_over(&warped, vec![all], config);
+        (target, stats)
     }
 
-    /// Warps every known pixel and sorts it into lists per nearest target pixel.
-    fn warp_all(
-        &self,
-        target: &Self,
-        target_from_source: &Se3,
-        stats: &mut PropagationStats,
-    ) -> (Vec<u32>, Vec<Warped>) {
-        let (w, h) = (target.host.width(), target.host.height());
+    /// Takes over what another keyframe knew, from all rows.
+    pub fn take_over(
+        &mut self,
+        warped: &WarpedDepth,
+        rows: Vec<MergedRows>,
+        config: &DepthConfig,
+    ) -> PropagationStats {
+        let mut stats = warped.stats;
+        self.noise_var = warped.noise_var;
+        self.noise_measured = warped.noise_measured;
+        for merged in rows {
+            stats.target += merged.found.len();
+            stats.conflicts += merged.conflicts;
+            for (i, hypothesis) in merged.found {
+                self.arrays.set(i, hypothesis);
+                self.smooth_idepth[i] = hypothesis.idepth;
+                self.smooth_var[i] = hypothesis.var;
+            }
+        }
+        self.limit_search(config);
+        stats
+    }
+
+    /// Warps every known pixel into an image of the same camera and sorts it into lists per nearest pixel there.
+    #[must_use]
+    pub fn warped(&self, target_from_source: &Se3) -> WarpedDepth {
+        let (w, h) = (self.host.width(), self.host.height());
+        let mut stats = PropagationStats::default();
         let mut heads = vec![NONE; w * h];
         let mut warped: Vec<Warped> = Vec::with_capacity(self.candidates.len());
-        let source_width = self.host.width();
         let rotation = target_from_source.rotation_matrix();
         let translation = target_from_source.translation;
-        for y in 0..self.host.height() {
+        for y in 0..h {
             for &x in self.candidates.row(y) {
-                let i = y * source_width + usize::from(x);
+                let i = y * w + usize::from(x);
                 if self.arrays.var[i] <= 0.0 || self.arrays.idepth[i] <= 0.0 {
                     continue;
                 }
                 stats.source += 1;
-                let ray = rotation
-                    * self
-                        .host
-                        .pinhole
-                        .unproject(&Vec2::new(f64::from(x), y as f64));
+                let pixel = Vec2::new(f64::from(x), y as f64);
+                let ray = rotation * self.host.pinhole.unproject(&pixel);
                 let idepth = f64::from(self.arrays.idepth[i]);
-                let Some(mut moved) = warp(&ray, &translation, idepth, target) else {
+                let Some(mut moved) = warp(&ray, &translation, idepth, &self.host) else {
                     continue;
                 };
                 let (tx, ty) = ((moved.x + 0.5) as usize, (moved.y + 0.5) as usize);
@@ -117,24 +134,59 @@ impl DepthMap {
                 warped.push(moved);
             }
         }
-        (heads, warped)
+        WarpedDepth {
+            heads,
+            warped,
+            width: w,
+            stats,
+            noise_var: self.noise_var,
+            noise_measured: self.noise_measured,
+        }
+    }
+}
+
+impl WarpedDepth {
+    /// The depth of some rows of `target`.
+    #[must_use]
+    pub fn merged(
+        &self,
+        target: &DepthMap,
+        rows: Range<usize>,
+        config: &DepthConfig,
+    ) -> MergedRows {
+        let mut merged = MergedRows {
+            found: Vec::new(),
+            conflicts: 0,
+        };
+        let mut nearby = Vec::with_capacity(MAX_CANDIDATES);
+        for y in rows.start..rows.end.min(target.host.height()) {
+            for &x in target.candidates.row(y) {
+                let x = usize::from(x);
+                let lists = (self.heads.as_slice(), self.warped.as_slice());
+                collect_nearby((x, y), self.width, lists, config, &mut nearby);
+                if let Some(hypothesis) = merge((x, y), &nearby, config, &mut merged.conflicts) {
+                    merged.found.push((y * self.width + x, hypothesis));
+                }
+            }
+        }
+        merged
     }
 }
 
 /// Where `ray` (rotated, z = 1 before) at inverse depth `idepth` is seen; `var` is the factor on the
 /// variance.
-fn warp(ray: &Vec3, translation: &Vec3, idepth: f64, target: &DepthMap) -> Option<Warped> {
+fn warp(ray: &Vec3, translation: &Vec3, idepth: f64, camera: &HostFrame) -> Option<Warped> {
     let point = ray + translation * idepth;
     let ratio = point.z;
     if ratio < 0.1 || ray.z <= 0.0 {
         return None;
     }
-    let pixel = target.host.pinhole.project(&point);
+    let pixel = camera.pinhole.project(&point);
     let border = BORDER as f64 - 1.0;
     let inside = pixel.x >= border
         && pixel.y >= border
-        && pixel.x <= target.host.width() as f64 - 1.0 - border
-        && pixel.y <= target.host.height() as f64 - 1.0 - border;
+        && pixel.x <= camera.width() as f64 - 1.0 - border
+        && pixel.y <= camera.height() as f64 - 1.0 - border;
     let jacobian = ray.z / (ratio * ratio);
     inside.then_some(Warped {
         x: pixel.x as f32,
@@ -189,10 +241,10 @@ fn merge(
     (x, y): (usize, usize),
     nearby: &[Warped],
     config: &DepthConfig,
-    stats: &mut PropagationStats,
+    conflicts: &mut usize,
 ) -> Option<Hypothesis> {
     let (x, y) = (x as f32, y as f32);
-    let seed = visible_seed(nearby, (x, y), config, stats)?;
+    let seed = visible_seed(nearby, (x, y), config, conflicts)?;
     let (mut sum_w, mut sum_d, mut sum_v, mut sum_ww) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
     let (mut offset_x, mut offset_y, mut tents) = (0.0f32, 0.0f32, 0.0f32);
     let mut validity = 0.0f32;
@@ -231,7 +283,7 @@ fn visible_seed<'a>(
     nearby: &'a [Warped],
     (x, y): (f32, f32),
     config: &DepthConfig,
-    stats: &mut PropagationStats,
+    conflicts: &mut usize,
 ) -> Option<&'a Warped> {
     let support = |of: &Warped| -> f32 {
         nearby
@@ -245,7 +297,7 @@ fn visible_seed<'a>(
         // one surface: its best known member decides who belongs to it
         return nearby.iter().min_by(|a, b| a.var.total_cmp(&b.var));
     }
-    stats.conflicts += 1;
+    *conflicts += 1;
     let total: f32 = nearby
         .iter()
         .map(|c| (tent(c, x, y) + 0.01) * (1.0 + f32::from(c.validity)))
@@ -292,7 +344,7 @@ mod tests {
                 let at =
                     |d: f64| 1.0 / (pose * (map.host.pinhole.unproject(&Vec2::new(x, y)) / d)).z;
                 let numeric = (at(idepth + 1e-6) - at(idepth - 1e-6)) / 2e-6;
-                let moved = warp(&ray, &pose.translation, idepth, &map).expect("visible");
+                let moved = warp(&ray, &pose.translation, idepth, &map.host).expect("visible");
                 assert!((f64::from(moved.idepth) - at(idepth)).abs() < 1e-6);
                 assert!((f64::from(moved.var) / (numeric * numeric) - 1.0).abs() < 1e-5);
             }
@@ -312,6 +364,30 @@ mod tests {
         for p in next.pixels(crate::PixelFilter::default()) {
             assert!((p.idepth - 0.9).abs() < 1e-6 && p.validity == 20);
             assert!(p.idepth_var < 1.2e-3 && p.idepth_var > 0.9e-3, "{p:?}");
+        }
+    }
+
+    #[test]
+    fn bands_of_rows_give_what_all_rows_give() {
+        let config = DepthConfig::default();
+        let mut map = DepthMap::empty(textured(), &config);
+        map.initialize_constant(0.9, 1e-3);
+        let pose = Se3::new(
+            Rotation::from_euler_angles(0.01, -0.02, 0.03),
+            Vec3::new(0.02, 0.01, 0.05),
+        );
+        let (whole, stats) = map.propagate(textured(), &pose, &config);
+        assert!(stats.target > 1000);
+        for band in [1, 7, SIZE.1 + 5] {
+            let mut next = DepthMap::empty(textured(), &config);
+            let warped = map.warped(&pose);
+            let rows = (0..SIZE.1).step_by(band);
+            let rows = rows.map(|y| warped.merged(&next, y..y + band, &config));
+            let rows = rows.collect();
+            assert_eq!(next.take_over(&warped, rows, &config), stats);
+            for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y))) {
+                assert_eq!(next.state(x, y), whole.state(x, y), "{x} {y}");
+            }
         }
     }
 
@@ -370,16 +446,16 @@ mod tests {
     #[test]
     fn the_nearer_surface_hides_the_other_but_a_lone_outlier_does_not() {
         let config = DepthConfig::default();
-        let mut stats = PropagationStats::default();
+        let mut conflicts = 0;
         let surface = [at(1.0, 40, 9.8), at(1.01, 40, 10.3), at(0.5, 40, 10.1)];
-        let front = merge((10, 10), &surface, &config, &mut stats).expect("visible");
+        let front = merge((10, 10), &surface, &config, &mut conflicts).expect("visible");
         assert!((front.idepth - 1.0).abs() < 0.02, "{front:?}");
         let outlier = [at(1.0, 0, 9.8), at(0.5, 40, 10.2), at(0.505, 40, 10.1)];
-        let back = merge((10, 10), &outlier, &config, &mut stats).expect("visible");
+        let back = merge((10, 10), &outlier, &config, &mut conflicts).expect("visible");
         assert!((back.idepth - 0.5).abs() < 0.02, "{back:?}");
-        assert_eq!(stats.conflicts, 2);
+        assert_eq!(conflicts, 2);
         // LSD-SLAM's rule
-        let thesis = merge((10, 10), &outlier, &DepthConfig::thesis(), &mut stats);
+        let thesis = merge((10, 10), &outlier, &DepthConfig::thesis(), &mut conflicts);
         assert!((thesis.expect("visible").idepth - 1.0).abs() < 0.02);
     }
 

@@ -2,7 +2,10 @@
 
 use crate::TrackingConfig;
 use monogrid_alignment::DepthSample;
-use monogrid_depth::{DepthConfig, DepthMap, FilledHole, ObserveStats, PixelFilter, StereoFrame};
+use monogrid_depth::{
+    DepthConfig, DepthMap, FilledHole, MergedRows, ObserveStats, PixelFilter, StereoFrame,
+};
+use monogrid_geometry::Se3;
 use rayon::prelude::*;
 
 /// Rows per band: fixed, so that the result does not depend on the number of threads.
@@ -25,6 +28,24 @@ pub(crate) fn observe(
     }
     depth.finish_observation(&stats);
     stats
+}
+
+/// The depth of a keyframe as seen from the next one, which `make_next` makes without any depth.
+pub(crate) fn propagate(
+    depth: &DepthMap,
+    make_next: impl FnOnce() -> Option<DepthMap> + Send,
+    next_from_keyframe: &Se3,
+    config: &DepthConfig,
+) -> Option<DepthMap> {
+    let (next, warped) = rayon::join(make_next, || depth.warped(next_from_keyframe));
+    let mut next = next?;
+    let num_bands = next.host().height().div_ceil(BAND_ROWS);
+    let rows: Vec<MergedRows> = (0..num_bands)
+        .into_par_iter()
+        .map(|band| warped.merged(&next, band * BAND_ROWS..(band + 1) * BAND_ROWS, config))
+        .collect();
+    next.take_over(&warped, rows, config);
+    Some(next)
 }
 
 /// Fills holes, smooths, and drops what its neighbourhood does not support.

@@ -12,8 +12,8 @@ use monogrid_messages::nav_msgs::Odometry;
 use monogrid_messages::std_msgs::Header;
 use monogrid_messages::tf2_msgs::TFMessage;
 use monogrid_pipeline::{Event, Pipeline, PipelineError, Settings, Unusable};
-use monogrid_slam::{Effort, FrameReport};
 use monogrid_slam::mapping::MapReader;
+use monogrid_slam::{Effort, FrameReport};
 use ros2_client::Publisher;
 use std::sync::mpsc::SyncSender;
 

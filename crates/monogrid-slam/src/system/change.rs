@@ -2,13 +2,13 @@
 
 use super::constrain::{Link, Tie, handover, odometry_edge};
 use super::depth::{Successor, observe_old_keyframes, successor};
-use super::keyframes::new_keyframe;
+use super::keyframes::{finish_keyframe, new_keyframe};
 use super::outcome::{KeyframeChange, NextKeyframe};
 use super::reactivate::{Confirmed, find_known_view};
 use super::slam::Slam;
 use crate::KeyframeId;
 use crate::frame::Frame;
-use crate::map::{Change, View, VisitEnd};
+use crate::map::{Change, FinishedKeyframe, View, VisitEnd};
 use crate::report::Stage;
 use monogrid_alignment::{Alignment, Motion};
 use monogrid_geometry::{Mat6, Se3};
@@ -35,8 +35,13 @@ impl Slam {
             active.num_mapped = 0;
             return KeyframeChange::default();
         }
-        match successor(&self.setup, &active.depth, frame, motion) {
-            Some(successor) => self.succeed(frame, alignment, successor),
+        let (setup, map, active) = (&self.setup, &self.map, &*active);
+        let (next, finished) = rayon::join(
+            || successor(setup, &active.depth, frame, motion),
+            || finish_keyframe(setup, map, active),
+        );
+        match next {
+            Some(next) => self.succeed(frame, alignment, next, finished),
             // no depth can be handed on
             None => KeyframeChange::default(),
         }
@@ -91,10 +96,9 @@ impl Slam {
         frame: &Frame,
         alignment: &Alignment,
         successor: Successor,
+        finished: FinishedKeyframe,
     ) -> KeyframeChange {
-        let Some(left) = self.leave() else {
-            return KeyframeChange::default();
-        };
+        let left = self.leave_as(finished);
         let end = VisitEnd {
             frame_from_keyframe: alignment.motion.frame_from_keyframe,
             frame_from_next: Se3::identity(),

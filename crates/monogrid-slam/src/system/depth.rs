@@ -3,7 +3,7 @@
 use super::camera::Active;
 use super::setup::Setup;
 use super::tracking::reference;
-use crate::depth_step::{observe, regularize, tracking_samples};
+use crate::depth_step::{observe, propagate, regularize, tracking_samples};
 use crate::frame::Frame;
 use crate::map::{Map, MapKeyframe, NUM_LEVELS};
 use crate::{Keyframe, KeyframeId};
@@ -132,8 +132,9 @@ pub(super) fn successor(
     frame: &Frame,
     motion: &Motion,
 ) -> Option<Successor> {
-    let host = host(setup, frame.image().clone())?;
-    let (mut depth, _) = depth.propagate(host, &motion.frame_from_keyframe, &setup.config.depth);
+    let config = &setup.config.depth;
+    let next = || Some(DepthMap::empty(host(setup, frame.image().clone())?, config));
+    let mut depth = propagate(depth, next, &motion.frame_from_keyframe, config)?;
     let median_idepth = depth
         .median_idepth()
         .filter(|m| m.is_finite() && *m > 0.0)?;

@@ -10,7 +10,7 @@ use super::slam::Slam;
 use crate::KeyframeId;
 use crate::frame::Frame;
 use crate::graph::GraphUpdate;
-use crate::map::{Change, Found, Record, View};
+use crate::map::{Change, FinishedKeyframe, Found, Record, View};
 use monogrid_alignment::Motion;
 use monogrid_depth::DepthMap;
 use std::sync::Arc;
@@ -64,9 +64,18 @@ impl Slam {
             return Some(Left { id, view: None });
         }
         let finished = finish_keyframe(&self.setup, &self.map, &active);
-        let view = finished.view.clone();
+        Some(self.leave_as(finished))
+    }
+
+    /// The same with what is to be published of it.
+    pub(super) fn leave_as(&mut self, finished: FinishedKeyframe) -> Left {
+        self.camera.active = None;
+        let left = Left {
+            id: finished.id,
+            view: finished.view.clone(),
+        };
         self.map.apply(Change::Finished(finished));
-        Some(Left { id, view })
+        left
     }
 
     /// Makes a keyframe that was left the one in use again.
