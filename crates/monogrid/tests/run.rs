@@ -689,3 +689,62 @@ fn every_command_of_the_book_works() {
         assert_eq!(code(&output), 0, "{command}: {}", stderr(&output));
     }
 }
+
+/// A program of this name and content, alone in a folder.
+#[cfg(unix)]
+fn fake(folder: &Path, script: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    fs::create_dir_all(folder).unwrap();
+    let program = folder.join("monogrid-rerun");
+    fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[cfg(unix)]
+#[test]
+fn rerun_looks_at_a_run_and_one_that_is_slow_gone_or_missing_harms_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let plain = dir.path().join("plain");
+    let short = ["--max-frames", "40", "--resolution", "0.1"];
+    assert_eq!(code(&run(small_sequence(), &plain, &short)), 0);
+    let view = |path: &Path, name: &str, view: &str| {
+        let mut command = program();
+        command.env("PATH", path).arg("run").arg(small_sequence());
+        command.arg("--out").arg(dir.path().join(name));
+        command.args(["--seed-depth", "dataset", view]).args(short);
+        command.output().unwrap()
+    };
+    let nothing = dir.path().join("nothing");
+    let missing = view(&nothing, "missing", "--view=rerun");
+    assert_fails(&missing, 2, &["cargo install --path extra/monogrid-rerun"]);
+    assert!(!dir.path().join("missing").exists(), "before anything else");
+
+    let heard = dir.path().join("heard");
+    let says = dir.path().join("says");
+    fake(&says, &format!("echo \"$@\" > {}", heard.display()));
+    let file = dir.path().join("a run.rrd");
+    let rrd = format!("--view=rrd={}", file.display());
+    let output = view(&says, "said", &rrd);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let heard = fs::read_to_string(heard).unwrap();
+    let expected = format!("/ --rrd {}", file.display());
+    assert!(heard.starts_with("http://127.0.0.1:"), "{heard}");
+    assert!(heard.trim_end().ends_with(&expected), "{heard}");
+    fs::write(&file, "another").unwrap();
+    assert_fails(&view(&says, "twice", &rrd), 2, &["exists"]);
+
+    for (name, script, said) in [
+        ("dead", "exit 7", "has not shown the whole run"),
+        ("asleep", "exec /bin/sleep 20", "is slow"),
+    ] {
+        let folder = dir.path().join(name);
+        fake(&folder, script);
+        let begin = Instant::now();
+        let output = view(&folder, &format!("{name}-run"), "--view=rerun");
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        assert!(begin.elapsed() < Duration::from_secs(19), "{name}");
+        assert!(stderr(&output).contains(said), "{}", stderr(&output));
+        let path = |run: &str| fs::read(dir.path().join(run).join("trajectory.txt")).unwrap();
+        assert_eq!(path(&format!("{name}-run")), path("plain"));
+    }
+}

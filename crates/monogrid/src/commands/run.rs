@@ -13,7 +13,7 @@ use crate::run::align::{Align, Up};
 use crate::run::conclusion::conclude;
 use crate::run::sessions::{Continued, Earlier};
 use crate::run::whole::{Extras, run_all};
-use crate::run::{MemoryLimit, RunSettings};
+use crate::run::{MemoryLimit, RunSettings, View};
 use clap::Args;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Pace;
@@ -98,9 +98,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "MS", num_args = 0..=1, default_missing_value = "200", require_equals = true,
           value_parser = clap::value_parser!(u64).range(..=60_000), help_heading = "Input")]
     pub realtime: Option<u64>,
-    /// Show the run in a browser of this computer while it goes on [port: any that is free]
-    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", require_equals = true, help_heading = "Output")]
-    pub view: Option<u16>,
+    /// Show the run while it goes on: in a browser of this computer [port: any that is free]; with rerun in the Rerun viewer, with
+    /// rrd=FILE in a file for it (both by the program monogrid-rerun)
+    #[arg(long, value_name = "PORT|rerun|rrd=FILE", num_args = 0..=1, default_missing_value = "0", require_equals = true,
+          value_parser = View::parse, help_heading = "Output")]
+    pub view: Option<View>,
     /// Threads of computation [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Settings")]
     pub threads: Option<usize>,
@@ -113,6 +115,9 @@ pub struct RunArgs {
 /// Runs the command.
 pub fn execute(args: &RunArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
+    if let Some(view) = &args.view {
+        view.check(args.force)?;
+    }
     let continue_from = args.continue_from.as_deref();
     let earlier = continue_from.map(Earlier::read).transpose()?;
     let config = configuration(args, earlier.as_ref())?;
@@ -132,7 +137,7 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         continued: earlier.map(|earlier| continued(earlier, args)),
         pace: pace(args),
         show_progress: std::io::stderr().is_terminal(),
-        view: args.view,
+        view: args.view.clone(),
         memory_limit: args.memory_limit.map(MemoryLimit),
         ..RunSettings::new(config, threads)
     };

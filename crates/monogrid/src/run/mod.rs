@@ -34,6 +34,7 @@ pub mod threads;
 mod tracking;
 pub mod whole;
 
+pub use live::View;
 pub use memory_limit::MemoryLimit;
 
 use crate::config::RunConfig;
@@ -59,7 +60,7 @@ pub struct RunSettings {
     /// Whether to show a progress bar.
     pub show_progress: bool,
     /// Port on which to show the run while it goes on.
-    pub view: Option<u16>,
+    pub view: Option<View>,
     /// Memory that the process should stay within.
     pub memory_limit: Option<MemoryLimit>,
     /// Where to write the run as messages.

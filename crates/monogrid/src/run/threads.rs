@@ -112,7 +112,7 @@ fn viewer(
     input: &Input,
     settings: &RunSettings,
 ) -> Result<Option<Viewer>, Failure> {
-    let Some(port) = settings.view else {
+    let Some(view) = &settings.view else {
         return Ok(None);
     };
     let KeyframeCamera {
@@ -122,7 +122,7 @@ fn viewer(
     } = input.keyframe_camera();
     let title = format!("monogrid: {}", input.name);
     let total = input.expected_frames().unwrap_or(0);
-    let viewer = Viewer::start(port, &title, (&pinhole, [width, height]), total)?;
+    let viewer = Viewer::start(view, &title, (&pinhole, [width, height]), total)?;
     pipeline.listen(viewer.ear()).map_err(Failure::running)?;
     Ok(Some(viewer))
 }

@@ -9,6 +9,7 @@ use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_slam::mapping::z_up_from_camera_world;
 use monogrid_slam::{DepthPixel, Keyframe as SlamKeyframe};
 use serde::Serialize;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -26,6 +27,8 @@ const CELLS_EVERY: Duration = Duration::from_secs(3);
 struct News {
     /// What to ask from next.
     version: u64,
+    /// Whether there are no more frames.
+    ended: bool,
     /// Frames until now, and of how many; 0 where that is not known.
     frames: [usize; 2],
     /// Frames per second since the start.
@@ -87,9 +90,11 @@ impl Shown {
         let (since, from): (u64, usize) = (since.parse().ok()?, from.parse().ok()?);
         let wants_cells = cells == "1";
         self.live.note_question(wants_cells);
+        // before what is known is taken: what is told is then all
+        let has_ended = self.live.has_ended.load(Ordering::Relaxed);
         // references are taken while it is locked, work is done afterwards
         let known = lock(&self.live.known).clone();
-        let news = self.news(&known, since, from);
+        let news = self.news(&known, (since, from), has_ended);
         let news = News {
             cells: if wants_cells { self.cells() } else { None },
             ..news
@@ -101,7 +106,7 @@ impl Shown {
         })
     }
 
-    fn news(&self, known: &Known, since: u64, from: usize) -> News {
+    fn news(&self, known: &Known, (since, from): (u64, usize), has_ended: bool) -> News {
         let mut changed: Vec<_> = known
             .keyframes
             .values()
@@ -116,6 +121,7 @@ impl Shown {
         let seconds = self.live.begin.elapsed().as_secs_f64();
         News {
             version: if is_all { known.version } else { last },
+            ended: is_all && has_ended,
             frames: [known.num_frames, self.live.total],
             rate: known.num_frames as f64 / seconds.max(1e-3),
             camera: self.camera,
@@ -292,6 +298,21 @@ mod tests {
         lock(&shown.live.asked).cells = None;
         shown.live.follow_map(|| panic!("nobody looks any more"));
         assert!(!is_open());
+    }
+
+    #[test]
+    fn the_end_is_told_with_the_last_news() {
+        let shown = shown();
+        for id in 0..MAX_KEYFRAMES as u32 + 1 {
+            let poses = poses_of(id as usize + 1);
+            shown.live.hear(&Event::Finished(keyframe(id), poses));
+        }
+        shown.live.has_ended.store(true, Ordering::Relaxed);
+        let first = ask(&shown, "/live/0/0/0");
+        assert_eq!(first["ended"], false, "one keyframe is left");
+        let last = ask(&shown, &format!("/live/{}/0/0", first["version"]));
+        assert_eq!(last["ended"], true);
+        assert_eq!(last["keyframes"].as_array().unwrap().len(), 1);
     }
 
     #[test]

@@ -6,6 +6,9 @@
 
 mod answers;
 mod page;
+mod rerun;
+
+pub use rerun::View;
 
 use crate::explorer::{Answer, PathPoint, Server};
 use crate::failure::{Classify, Failure};
@@ -17,6 +20,7 @@ use monogrid_occupancy::MapError;
 use monogrid_pipeline::{Event, Listener, ListenerError, Pipeline};
 use monogrid_slam::mapping::{LiveView, MapReader, z_up_from_camera_world};
 use monogrid_slam::{KeptKeyframe, KeyframeId, PoseSnapshot};
+use rerun::Rerun;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -81,6 +85,8 @@ pub struct Live {
     map: Mutex<Map>,
     begin: Instant,
     total: usize,
+    /// Whether there are no more frames.
+    has_ended: AtomicBool,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -100,6 +106,7 @@ impl Live {
             map: Mutex::default(),
             begin: Instant::now(),
             total,
+            has_ended: AtomicBool::new(false),
         }
     }
 
@@ -204,22 +211,24 @@ pub struct Viewer {
     live: Arc<Live>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    rerun: Option<Rerun>,
     last_image: Option<Instant>,
 }
 
 impl Viewer {
-    /// Begins to listen, and says where.
+    /// Begins to listen, and says where, or shows it to the program that was asked for.
     pub fn start(
-        port: u16,
+        view: &View,
         title: &str,
         camera: (&Pinhole, [usize; 2]),
         total: usize,
     ) -> Result<Self, Failure> {
+        let port = match view {
+            View::Browser(port) => *port,
+            View::Rerun(_) => 0,
+        };
         let server = Server::listen(port)?;
-        eprintln!(
-            "{} shows the run in a browser of this computer",
-            server.url()
-        );
+        let url = server.url();
         let live = Arc::new(Live::new(total));
         let stop = Arc::new(AtomicBool::new(false));
         let page = Answer::page(page::page(title)?);
@@ -237,12 +246,18 @@ impl Viewer {
                 .spawn(serve)
                 .while_running("the viewer cannot be started")?
         };
-        Ok(Self {
+        let mut viewer = Self {
             live,
             stop,
             thread: Some(thread),
+            rerun: None,
             last_image: None,
-        })
+        };
+        match view {
+            View::Browser(_) => eprintln!("{url} shows the run in a browser of this computer"),
+            View::Rerun(file) => viewer.rerun = Some(Rerun::start(&url, file.as_deref())?),
+        }
+        Ok(viewer)
     }
 
     /// What hears of keyframes for it.
@@ -271,6 +286,10 @@ impl Viewer {
 
 impl Drop for Viewer {
     fn drop(&mut self) {
+        self.live.has_ended.store(true, Ordering::Relaxed);
+        if let Some(rerun) = self.rerun.take() {
+            rerun.end();
+        }
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             // one that failed has nothing left to say

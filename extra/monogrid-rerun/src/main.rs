@@ -1,0 +1,69 @@
+//! Shows a run of monogrid in the Rerun viewer while it goes on, or writes it as an `.rrd` file.
+//!
+//! `monogrid run --view=rerun` and `--view=rrd=FILE` start this program. It asks the page of the run on this computer for what is new, a
+//! few times a second, as a browser does (`--view`), so that a run never waits for it, and ends with the run.
+
+mod ask;
+mod news;
+mod show;
+
+use ask::Page;
+use rerun::RecordingStreamBuilder;
+use show::Shown;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// Time between questions.
+const ASK_EVERY: Duration = Duration::from_millis(150);
+
+const USAGE: &str = "usage: monogrid-rerun http://127.0.0.1:PORT/ [--rrd FILE]
+
+Shows the run of `monogrid run --view` at this address in the Rerun viewer (the program `rerun` on the PATH), or writes it to FILE.
+`monogrid run --view=rerun` and `--view=rrd=FILE` call it.";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let (url, file) = match words[..] {
+        ["-h" | "--help"] => {
+            println!("{USAGE}");
+            return ExitCode::SUCCESS;
+        }
+        [url] => (url, None),
+        [url, "--rrd", file] | ["--rrd", file, url] => (url, Some(PathBuf::from(file))),
+        _ => {
+            eprintln!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match follow(url, file.as_deref()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("monogrid-rerun: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Follows a run to its end.
+fn follow(url: &str, file: Option<&Path>) -> Result<(), Box<dyn Error>> {
+    let page = Page::at(url)?;
+    let builder = RecordingStreamBuilder::new("monogrid");
+    let recording = match file {
+        Some(file) => builder.save(file)?,
+        None => builder.spawn()?,
+    };
+    let mut shown = Shown::begin(&recording)?;
+    // a run that is gone has ended
+    while let Ok(answer) = page.ask(&shown.question()) {
+        let news = serde_json::from_slice(&answer)?;
+        if shown.take(&recording, &news)? {
+            break;
+        }
+        std::thread::sleep(ASK_EVERY);
+    }
+    recording.flush_blocking()?;
+    Ok(())
+}
