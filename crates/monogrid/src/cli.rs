@@ -41,8 +41,24 @@ pub struct Cli {
 impl Cli {
     /// What the program was called with.
     pub fn parse(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
-        Self::from_arg_matches(&command().try_get_matches_from(arguments)?)
+        Self::from_arg_matches(&command().try_get_matches_from(with_view(arguments))?)
     }
+}
+
+/// `--view rerun` and `--view rrd=FILE` as one word, as `--view=8080` is: what follows `--view` alone is the source.
+fn with_view(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut joined: Vec<OsString> = Vec::new();
+    for argument in arguments {
+        let is_viewer = argument == "rerun" || argument.to_string_lossy().starts_with("rrd=");
+        match joined.last_mut() {
+            Some(last) if last == "--view" && is_viewer => {
+                last.push("=");
+                last.push(argument);
+            }
+            _ => joined.push(argument),
+        }
+    }
+    joined
 }
 
 /// All commands; `-1` after an option is its value, so that the option says what is wrong with it.
@@ -231,6 +247,16 @@ mod tests {
             command.get_subcommands().for_each(check);
         }
         check(&command());
+    }
+
+    #[test]
+    fn a_viewer_may_stand_beside_its_option_and_a_source_after_it() {
+        let joined =
+            |words: &[&str]| with_view(words.iter().map(OsString::from)).join(" ".as_ref());
+        assert_eq!(joined(&["--view", "rerun", "video"]), "--view=rerun video");
+        assert_eq!(joined(&["--view", "rrd=a b"]), "--view=rrd=a b");
+        assert_eq!(joined(&["--view", "video"]), "--view video");
+        assert_eq!(joined(&["rerun", "--view"]), "rerun --view");
     }
 
     #[test]

@@ -721,11 +721,13 @@ fn rerun_looks_at_a_run_and_one_that_is_slow_gone_or_missing_harms_none() {
 
     let heard = dir.path().join("heard");
     let says = dir.path().join("says");
-    fake(&says, &format!("echo \"$@\" > {}", heard.display()));
+    let takes = format!("echo \"$@\" > {}; : > \"$3\"", heard.display());
+    fake(&says, &takes);
     let file = dir.path().join("a run.rrd");
     let rrd = format!("--view=rrd={}", file.display());
     let output = view(&says, "said", &rrd);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
+    assert!(!stderr(&output).contains("warning: monogrid-rerun"));
     let heard = fs::read_to_string(heard).unwrap();
     let expected = format!("/ --rrd {}", file.display());
     assert!(heard.starts_with("http://127.0.0.1:"), "{heard}");
@@ -735,12 +737,17 @@ fn rerun_looks_at_a_run_and_one_that_is_slow_gone_or_missing_harms_none() {
 
     for (name, script, said) in [
         ("dead", "exit 7", "has not shown the whole run"),
-        // a run that waited for it would take minutes
-        ("asleep", "exec /bin/sleep 200 2>/dev/null", "is slow"),
+        ("useless", "exit 0", "has not shown the whole run"),
+        // a run that waited for it would take minutes, and so would whoever reads what it says
+        ("asleep", "exec /bin/sleep 200", "too slow"),
     ] {
         let folder = dir.path().join(name);
         fake(&folder, script);
-        let output = view(&folder, &format!("{name}-run"), "--view=rerun");
+        let view_as = match name {
+            "useless" => format!("--view=rrd={}", dir.path().join("none.rrd").display()),
+            _ => "--view=rerun".to_owned(),
+        };
+        let output = view(&folder, &format!("{name}-run"), &view_as);
         assert_eq!(code(&output), 0, "{}", stderr(&output));
         assert!(stderr(&output).contains(said), "{}", stderr(&output));
         let path = |run: &str| fs::read(dir.path().join(run).join("trajectory.txt")).unwrap();

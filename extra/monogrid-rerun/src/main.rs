@@ -8,7 +8,7 @@ mod news;
 mod show;
 
 use ask::Page;
-use rerun::RecordingStreamBuilder;
+use rerun::{RecordingStream, RecordingStreamBuilder};
 use show::Shown;
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -47,6 +47,22 @@ fn main() -> ExitCode {
     }
 }
 
+/// Asks until the run says that nothing more comes.
+fn show_all(
+    page: &Page,
+    shown: &mut Shown,
+    recording: &RecordingStream,
+) -> Result<(), Box<dyn Error>> {
+    loop {
+        let answer = page.ask(&shown.question());
+        let answer = answer.map_err(|error| format!("the run has gone before its end: {error}"))?;
+        if shown.take(recording, &serde_json::from_slice(&answer)?)? {
+            return Ok(());
+        }
+        std::thread::sleep(ASK_EVERY);
+    }
+}
+
 /// Follows a run to its end.
 fn follow(url: &str, file: Option<&Path>) -> Result<(), Box<dyn Error>> {
     let page = Page::at(url)?;
@@ -56,14 +72,8 @@ fn follow(url: &str, file: Option<&Path>) -> Result<(), Box<dyn Error>> {
         None => builder.spawn()?,
     };
     let mut shown = Shown::begin(&recording)?;
-    // a run that is gone has ended
-    while let Ok(answer) = page.ask(&shown.question()) {
-        let news = serde_json::from_slice(&answer)?;
-        if shown.take(&recording, &news)? {
-            break;
-        }
-        std::thread::sleep(ASK_EVERY);
-    }
+    let outcome = show_all(&page, &mut shown, &recording);
+    // what was shown is kept, however it ended
     recording.flush_blocking()?;
-    Ok(())
+    outcome
 }

@@ -6,8 +6,6 @@ use rerun::{
     RecordingStreamResult, Scalars, TextLog, Transform3D, ViewCoordinates,
 };
 
-/// Questions between two that ask for cells: all of them are sent again.
-const CELLS_EVERY: u64 = 20;
 /// Radius of points, px of the screen.
 const POINT_RADIUS: f32 = 1.5;
 
@@ -16,7 +14,6 @@ const POINT_RADIUS: f32 = 1.5;
 pub struct Shown {
     version: u64,
     path: Vec<[f32; 3]>,
-    num_questions: u64,
     last_frame: Option<i64>,
     last_said: String,
     has_camera: bool,
@@ -29,12 +26,10 @@ impl Shown {
         Ok(Self::default())
     }
 
-    /// What to ask next.
-    pub fn question(&mut self) -> String {
-        let wants_cells = self.num_questions % CELLS_EVERY == CELLS_EVERY - 1;
-        self.num_questions += 1;
+    /// What to ask next. Cells are asked for each time, or the map would not grow; they come every few seconds.
+    pub fn question(&self) -> String {
         let (version, from) = (self.version, self.path.len());
-        format!("/live/{version}/{from}/{}", u8::from(wants_cells))
+        format!("/live/{version}/{from}/1")
     }
 
     /// Shows news; whether nothing more comes.
@@ -165,12 +160,12 @@ mod tests {
     fn news_become_entities_and_the_end_waits_for_all_of_them() {
         let (recording, storage) = rerun::RecordingStreamBuilder::new("test").memory().unwrap();
         let mut shown = Shown::begin(&recording).unwrap();
-        assert_eq!(shown.question(), "/live/0/0/0");
+        assert_eq!(shown.question(), "/live/0/0/1");
         assert!(
             !shown.take(&recording, &news(5, true)).unwrap(),
             "there may be more"
         );
-        assert_eq!(shown.question(), "/live/5/2/0");
+        assert_eq!(shown.question(), "/live/5/2/1");
         assert!(shown.take(&recording, &news(5, true)).unwrap());
         recording.flush_blocking().unwrap();
         let mut entities: Vec<String> = storage
@@ -202,13 +197,5 @@ mod tests {
                 "{expected} of {entities:?}"
             );
         }
-    }
-
-    #[test]
-    fn cells_are_asked_for_now_and_then() {
-        let mut shown = Shown::default();
-        let questions: Vec<String> = (0..2 * CELLS_EVERY).map(|_| shown.question()).collect();
-        let with_cells = questions.iter().filter(|question| question.ends_with("/1"));
-        assert_eq!(with_cells.count(), 2);
     }
 }

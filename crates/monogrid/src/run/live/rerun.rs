@@ -70,35 +70,60 @@ const LAST_NEWS: Duration = Duration::from_secs(3);
 
 /// The program while it looks at a run.
 #[derive(Debug)]
-pub struct Rerun(Child);
+pub struct Rerun {
+    child: Child,
+    file: Option<PathBuf>,
+}
 
 impl Rerun {
     /// Lets it look at the page of a run.
     pub fn start(url: &str, file: Option<&Path>) -> Result<Self, Failure> {
         let program = program()?;
         let mut command = Command::new(&program);
-        command.arg(url).stdin(Stdio::null()).stdout(Stdio::null());
+        // nothing of this process is held open by it, nor by a viewer that outlives both
+        command.arg(url).stdin(Stdio::null());
+        command.stdout(Stdio::null()).stderr(Stdio::null());
         if let Some(file) = file {
             command.arg("--rrd").arg(file);
         }
         let doing = format!("{} cannot be started", program.display());
-        Ok(Self(command.spawn().while_running(&doing)?))
+        Ok(Self {
+            child: command.spawn().while_running(&doing)?,
+            file: file.map(Path::to_owned),
+        })
     }
 
-    /// Waits until it has taken the last news, but not for long.
+    /// Waits until it has taken the last news, but not for long; what it lacks is said.
     pub fn end(mut self) {
-        let begin = Instant::now();
-        while begin.elapsed() < LAST_NEWS {
-            match self.0.try_wait() {
-                Ok(None) => std::thread::sleep(Duration::from_millis(20)),
-                Ok(Some(status)) if !status.success() => {
-                    eprintln!("warning: {PROGRAM} has not shown the whole run ({status})");
-                    return;
-                }
-                _ => return,
-            }
+        if let Some(lack) = self.wait() {
+            eprintln!("warning: {PROGRAM} {lack}");
         }
-        eprintln!("warning: {PROGRAM} is slow; it may lack the end of the run");
+    }
+
+    fn wait(&mut self) -> Option<String> {
+        let begin = Instant::now();
+        let status = loop {
+            match self.child.try_wait() {
+                Ok(None) if begin.elapsed() < LAST_NEWS => {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                Ok(Some(status)) => break status,
+                Ok(None) | Err(_) => {
+                    // so that nobody writes into a file of a run that is over
+                    let _ = self.child.kill();
+                    let _ = self.child.wait();
+                    return Some("was too slow and lacks the end of the run".to_owned());
+                }
+            }
+        };
+        let has_file = self.file.as_ref().is_none_or(|file| file.is_file());
+        (!status.success() || !has_file).then(|| {
+            let viewer = match self.file {
+                Some(_) => "",
+                None => "; the viewer itself is installed by pip install rerun-sdk",
+            };
+            format!("has not shown the whole run ({status}){viewer}")
+        })
     }
 }
 
