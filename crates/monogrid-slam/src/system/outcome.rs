@@ -95,11 +95,8 @@ impl FrameOutcome {
 
     /// The report on a frame.
     pub(super) fn report(&self, index: usize, timestamp_ns: i64) -> FrameReport {
-        let mut report = FrameReport::new(index, timestamp_ns, TrackingState::Lost);
-        if let Some(attempt) = &self.attempt {
-            report_attempt(attempt, &mut report);
-        }
-        self.localised.report(&mut report);
+        let attempt = self.attempt.as_ref();
+        let mut report = self.localised.report_of(attempt, index, timestamp_ns);
         report.finished_keyframe = self.change.finished;
         match self.change.next {
             Some(NextKeyframe::Created) => report.created_keyframe = true,
@@ -130,15 +127,17 @@ fn report_attempt(attempt: &Attempt, report: &mut FrameReport) {
 }
 
 impl Localised {
-    /// The report on a frame as far as it is known from where it was tracked.
+    /// The report on a frame as far as it is known before it does anything to keyframes.
     pub(super) fn report_of(
         &self,
-        attempt: &Attempt,
+        attempt: Option<&Attempt>,
         index: usize,
         timestamp_ns: i64,
     ) -> FrameReport {
         let mut report = FrameReport::new(index, timestamp_ns, TrackingState::Lost);
-        report_attempt(attempt, &mut report);
+        if let Some(attempt) = attempt {
+            report_attempt(attempt, &mut report);
+        }
         self.report(&mut report);
         report
     }

@@ -188,7 +188,7 @@ impl Slam {
         self.believe(&frame, motion);
         let tracked = Localised::Tracked(place);
         let (odom_from_camera, effort) = told.map_or((None, Effort::Whole), |told| {
-            let mut report = tracked.report_of(&attempt, frame.index, frame.timestamp_ns);
+            let mut report = tracked.report_of(Some(&attempt), frame.index, frame.timestamp_ns);
             report.odom_from_camera = self.advance_odometry(&report);
             (report.odom_from_camera, told(&report))
         });
@@ -269,21 +269,31 @@ mod tests {
 
     const FRAMES: usize = 10;
 
-    /// Frames that refine the first keyframe of the first ten, and whether all have a pose.
-    fn num_refined(refinement: RefinementConfig) -> (usize, bool) {
-        let sequence = small_demo();
-        let camera = sequence.camera();
+    /// A system for the sequence.
+    fn slam(refinement: RefinementConfig) -> Slam {
+        let camera = small_demo().camera();
         let mask = Mask::filled(camera.width, camera.height, 255);
         let mut config = SlamConfig::default();
         config.keyframes.refinement = refinement;
-        let mut slam = Slam::new(config, camera.pinhole, mask, 0).unwrap();
+        Slam::new(config, camera.pinhole, mask, 0).unwrap()
+    }
+
+    /// The next of every `step` frames of the sequence, the first with its depth.
+    fn input(k: usize, step: usize) -> FrameInput {
+        let sequence = small_demo();
+        FrameInput {
+            index: k,
+            timestamp_ns: (k * step) as i64 * 33_333_333,
+            image: sequence.frame(step * k).unwrap().image,
+            seed_depth: sequence.depth(k).filter(|_| k == 0),
+        }
+    }
+
+    /// Frames that refine the first keyframe of the first ten, and whether all have a pose.
+    fn num_refined(refinement: RefinementConfig) -> (usize, bool) {
+        let mut slam = slam(refinement);
         let is_tracked = (0..FRAMES).all(|k| {
-            let report = slam.process_frame(FrameInput {
-                index: k,
-                timestamp_ns: k as i64 * 33_333_333,
-                image: sequence.frame(k).unwrap().image,
-                seed_depth: sequence.depth(k).filter(|_| k == 0),
-            });
+            let report = slam.process_frame(input(k, 1));
             report.world_from_camera.is_some()
         });
         let active = slam.camera.active.as_ref().unwrap();
@@ -292,21 +302,16 @@ mod tests {
         (active.num_refined as usize, is_tracked)
     }
 
+    /// Every third of as many frames makes some keyframes.
+    const TOLD_FRAMES: usize = 30;
+    const TOLD_STEP: usize = 3;
+
     /// Reports on the first frames, and what was told of them before, where the answer is always this one.
     fn told(effort: Effort) -> (Slam, Vec<(FrameReport, Option<FrameReport>)>) {
-        let sequence = small_demo();
-        let camera = sequence.camera();
-        let mask = Mask::filled(camera.width, camera.height, 255);
-        let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+        let mut slam = slam(RefinementConfig::default());
         let reports = (0..TOLD_FRAMES).map(|k| {
-            let input = FrameInput {
-                index: k,
-                timestamp_ns: k as i64 * 100_000_000,
-                image: sequence.frame(3 * k).unwrap().image,
-                seed_depth: sequence.depth(k).filter(|_| k == 0),
-            };
             let mut told = None;
-            let report = slam.process_frame_telling(input, &mut |report| {
+            let report = slam.process_frame_telling(input(k, TOLD_STEP), &mut |report| {
                 told = Some(report.clone());
                 effort
             });
@@ -315,9 +320,6 @@ mod tests {
         let reports = reports.collect();
         (slam, reports)
     }
-
-    /// Every third of as many frames makes some keyframes.
-    const TOLD_FRAMES: usize = 30;
 
     #[test]
     fn poses_are_told_before_the_map_is_made_better_and_are_those_of_the_reports() {
@@ -334,17 +336,9 @@ mod tests {
         }
         assert!(reports.iter().any(|(report, _)| report.created_keyframe));
         // who says nothing has the same
-        let sequence = small_demo();
-        let camera = sequence.camera();
-        let mask = Mask::filled(camera.width, camera.height, 255);
-        let mut slam = Slam::new(SlamConfig::default(), camera.pinhole, mask, 0).unwrap();
+        let mut slam = slam(RefinementConfig::default());
         for (k, (with, _)) in reports.iter().enumerate() {
-            let report = slam.process_frame(FrameInput {
-                index: k,
-                timestamp_ns: k as i64 * 100_000_000,
-                image: sequence.frame(3 * k).unwrap().image,
-                seed_depth: sequence.depth(k).filter(|_| k == 0),
-            });
+            let report = slam.process_frame(input(k, TOLD_STEP));
             assert_eq!(report.world_from_camera, with.world_from_camera);
             assert_eq!(report.odom_from_camera, with.odom_from_camera);
         }

@@ -304,20 +304,17 @@ fn print_depth(report: &DepthReport) {
         "{} keyframes with true depth, {} estimates; scale {:.6}",
         report.keyframes, report.estimates, report.scale
     );
-    println!(
-        "of {} pixels with texture: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % within 10 %",
-        report.gradient_pixels,
-        100.0 * report.shares.density,
-        100.0 * report.shares.within_3_percent,
-        100.0 * report.shares.within_10_percent
-    );
-    println!(
-        "of {} pixels with a true depth: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % within 10 %",
-        report.known_pixels,
-        100.0 * report.shares_of_known.density,
-        100.0 * report.shares_of_known.within_3_percent,
-        100.0 * report.shares_of_known.within_10_percent
-    );
+    for (pixels, what, shares) in [
+        (report.gradient_pixels, "texture", &report.shares),
+        (report.known_pixels, "a true depth", &report.shares_of_known),
+    ] {
+        println!(
+            "of {pixels} pixels with {what}: {:.1} % have a depth, {:.1} % within 3 %, {:.1} % within 10 %",
+            100.0 * shares.density,
+            100.0 * shares.within_3_percent,
+            100.0 * shares.within_10_percent
+        );
+    }
     println!(
         "of the estimates: {:.1} % within 3 %, {:.1} % within 10 %; bias {:+.2} %",
         100.0 * report.estimates_within_3_percent,

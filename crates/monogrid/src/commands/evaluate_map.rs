@@ -365,15 +365,9 @@ fn print_cells(report: &MapReport) {
         surface.tolerance_m
     );
     let thickness = &report.thickness;
-    println!(
-        "walls: {} cells in a row across surfaces (median), {} in truth",
-        thickness
-            .thickness_cells
-            .map_or_else(|| "-".to_owned(), |n| n.to_string()),
-        thickness
-            .true_thickness_cells
-            .map_or_else(|| "-".to_owned(), |n| n.to_string())
-    );
+    let [found, expected] = [thickness.thickness_cells, thickness.true_thickness_cells]
+        .map(|cells| cells.map_or_else(|| "-".to_owned(), |cells| cells.to_string()));
+    println!("walls: {found} cells in a row across surfaces (median), {expected} in truth");
     println!(
         "false walls: {} of {} occupied cells lie over 0.1 outside what the truth knows; MCC {:.4} with these as false",
         report.predicted_beyond, report.predicted, report.mcc_with_beyond

@@ -162,16 +162,17 @@ fn pace(args: &RunArgs) -> Pace {
 /// All settings; options of the command line win.
 pub fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunConfig, Failure> {
     let mut config = base_configuration(args, earlier)?;
+    let lag_frames = &mut config.slam.graph.lag_frames;
+    if args.realtime.is_some() && *lag_frames == SlamConfig::default().graph.lag_frames {
+        *lag_frames = REALTIME_LAG_FRAMES;
+    }
+    let mut config = config.with_settings(&args.set)?;
     config.apply(&args.mapping);
     if let Some(radius) = args.local_radius {
         config.mapping.local_radius = radius;
     }
     if let Some(seed) = args.seed {
         config.seed = seed;
-    }
-    let lag_frames = &mut config.slam.graph.lag_frames;
-    if args.realtime.is_some() && *lag_frames == SlamConfig::default().graph.lag_frames {
-        *lag_frames = REALTIME_LAG_FRAMES;
     }
     config.validate()?;
     Ok(config)
@@ -181,21 +182,20 @@ pub fn configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunCon
 /// no frame wait.
 const REALTIME_LAG_FRAMES: usize = 8;
 
-/// Profile, file and `--set`; the settings of the continued run where no profile or file is named.
+/// Profile and file; the settings of the continued run where no profile or file is named.
 fn base_configuration(args: &RunArgs, earlier: Option<&Earlier>) -> Result<RunConfig, Failure> {
     if let Some(earlier) = earlier
         && args.config.is_none()
         && args.profile.is_none()
     {
-        let recorded = RunConfig::recorded(&earlier.session.config).ok_or_else(|| {
+        return RunConfig::recorded(&earlier.session.config).ok_or_else(|| {
             Failure::input(format!(
                 "the settings in {} cannot be understood by this version; choose some with --profile or --config",
                 earlier.path.display()
             ))
-        })?;
-        return recorded.with_settings(&args.set);
+        });
     }
-    RunConfig::resolve(args.profile, args.config.as_deref(), &args.set)
+    RunConfig::resolve(args.profile, args.config.as_deref(), &[])
 }
 
 /// What `--align` and `--up` say, else the frame of the continued run.
@@ -308,5 +308,31 @@ fn describe_input(input: &Input) {
     let findings = input.inertial.iter().flat_map(Inertial::findings);
     for warning in input.warnings.iter().cloned().chain(findings) {
         eprintln!("warning: {warning}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{REALTIME_LAG_FRAMES, configuration};
+    use crate::cli::{Cli, Command};
+
+    /// `slam.graph.lag_frames` of a run with these options.
+    fn lag_frames(options: &[&str]) -> usize {
+        let words = ["monogrid", "run", "video"].iter().chain(options);
+        let cli = Cli::parse(words.map(Into::into)).unwrap();
+        let Command::Run(args) = &cli.command else {
+            panic!("another command");
+        };
+        let config = configuration(args, None).unwrap();
+        config.slam.graph.lag_frames
+    }
+
+    #[test]
+    fn a_stream_waits_longer_for_the_graph_unless_it_is_told_how_long() {
+        let usual = lag_frames(&[]);
+        assert!(usual < REALTIME_LAG_FRAMES);
+        assert_eq!(lag_frames(&["--realtime"]), REALTIME_LAG_FRAMES);
+        let told = format!("slam.graph.lag_frames={usual}");
+        assert_eq!(lag_frames(&["--realtime", "--set", &told]), usual);
     }
 }

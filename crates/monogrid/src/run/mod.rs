@@ -59,7 +59,7 @@ pub struct RunSettings {
     pub threads: usize,
     /// Whether to show a progress bar.
     pub show_progress: bool,
-    /// Port on which to show the run while it goes on.
+    /// Who looks at the run while it goes on.
     pub view: Option<View>,
     /// Memory that the process should stay within.
     pub memory_limit: Option<MemoryLimit>,

@@ -105,8 +105,8 @@ fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
     adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
     let before = positions(&slam);
     let moved_m = largest_move(&finished, &before);
-    // some points are found once more; where edges of direct alignment had come last, it would be 2 mm
-    assert!(moved_m < 5e-4, "{moved_m}");
+    // one more round refutes a point and finds some again: 0.20 mm; where edges of direct alignment come last it is 0.51 mm
+    assert!(moved_m < 3e-4, "{moved_m}");
 
     let beside = wrong_observations(&slam);
     assert!(beside.len() > 100, "{}", beside.len());
@@ -132,7 +132,7 @@ fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
     };
     let (default_m, quadratic_m) = (moved_m(SparseConfig::default().kernel_px), moved_m(1.5));
     assert!(
-        default_m < 0.7 * quadratic_m,
+        default_m < 0.65 * quadratic_m,
         "{default_m} of {quadratic_m} m"
     );
 }
