@@ -33,7 +33,8 @@ pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use surfaces::{OnSurfaces, SurfaceAlignment, align_to_surfaces};
 pub use trajectory::{
     PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,
-    TrajectoryError, TrajectoryReport, WindowScale, WrongPoseConfig, evaluate_trajectory,
+    TrajectoryError, TrajectoryReport, WindowScale, WrongPose, WrongPoseConfig,
+    evaluate_trajectory,
 };
 pub use truth::{
     CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid, View,

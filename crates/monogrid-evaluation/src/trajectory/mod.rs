@@ -12,7 +12,7 @@ mod wrong;
 
 pub use associate::{PosePair, StampedPose};
 pub use scale_drift::{ScaleWindowConfig, WindowScale};
-pub use wrong::WrongPoseConfig;
+pub use wrong::{WrongPose, WrongPoseConfig};
 
 use crate::statistics::ErrorSummary;
 use align::align;
@@ -156,6 +156,9 @@ pub struct TrajectoryReport {
     pub scale_drift: f64,
     /// Share of the compared poses that are wrong (see [`WrongPoseConfig`]), [0, 1].
     pub wrong_share: f64,
+    /// These, in the order of their times; not in JSON, where there can be thousands.
+    #[serde(skip)]
+    pub wrong: Vec<WrongPose>,
     /// Scale of windows that are aligned alone.
     pub window_scales: Vec<WindowScale>,
     /// Pairs of poses compared.
@@ -218,6 +221,7 @@ pub fn evaluate_trajectory(
     let rpe_trans = ErrorSummary::of(&translations).ok_or_else(too_few)?;
     let rpe_rot_deg = ErrorSummary::of(&rotations_deg).ok_or_else(too_few)?;
     let window_scales = scale_drift::window_scales(&pairs, &config.windows);
+    let wrong = wrong::wrong_poses(&pairs, config.alignment, &config.wrong);
     let frame_interval_secs = config
         .frame_interval_secs
         .unwrap_or_else(|| coverage::frame_interval_secs(&estimate));
@@ -239,7 +243,8 @@ pub fn evaluate_trajectory(
         tilt_deg: tilt_deg(&pairs),
         scale: gt_from_est.scale,
         scale_drift: scale_drift::scale_drift(&window_scales),
-        wrong_share: wrong::wrong_share(&pairs, config.alignment, &config.wrong),
+        wrong_share: wrong.len() as f64 / pairs.len() as f64,
+        wrong,
         window_scales,
         matched: pairs.len(),
         estimated: estimate.len(),

@@ -22,31 +22,44 @@ impl Default for WrongPoseConfig {
     }
 }
 
-/// Share of the poses that are wrong when positions and orientations are aligned together, each in units of what is
-/// allowed. (By positions alone, the angle around a nearly straight path rests on their errors.)
-pub(super) fn wrong_share(
+/// A pose that is wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WrongPose {
+    /// Time of the pose, seconds.
+    pub time_secs: f64,
+    /// Distance from the true position, units of the truth.
+    pub distance: f64,
+    /// Angle to the true orientation, degrees.
+    pub degrees: f64,
+}
+
+/// The poses that are wrong when positions and orientations are aligned together, each in units of what is
+/// allowed; all of them where they determine no alignment. (By positions alone, the angle around a nearly straight path
+/// rests on their errors.)
+pub(super) fn wrong_poses(
     pairs: &[PosePair],
     alignment: TrajectoryAlignment,
     config: &WrongPoseConfig,
-) -> f64 {
-    let (max_distance, max_angle) = (
-        config.path_share * path_length(pairs),
-        config.degrees.to_radians(),
-    );
-    let radius = max_distance / max_angle;
+) -> Vec<WrongPose> {
+    let max_distance = config.path_share * path_length(pairs);
+    let radius = max_distance / config.degrees.to_radians();
     let gt_from_est = match alignment {
         TrajectoryAlignment::Sim3 => align_poses(pairs, radius, true),
         TrajectoryAlignment::Se3 => align_poses(pairs, radius, false),
         TrajectoryAlignment::None => Some(Sim3::identity()),
     };
-    let is_wrong = |pair: &&PosePair| {
-        gt_from_est.is_none_or(|gt_from_est| {
-            let aligned = apply(&gt_from_est, &pair.est_from_camera);
-            let error = pair.gt_from_camera.inverse() * aligned;
-            error.translation.norm() > max_distance || error.rotation.angle() > max_angle
-        })
+    let measured = |pair: &PosePair| {
+        let error = gt_from_est.as_ref().map(|gt_from_est| {
+            pair.gt_from_camera.inverse() * apply(gt_from_est, &pair.est_from_camera)
+        });
+        WrongPose {
+            time_secs: pair.time_secs,
+            distance: error.map_or(f64::INFINITY, |error| error.translation.norm()),
+            degrees: error.map_or(180.0, |error| error.rotation.angle().to_degrees()),
+        }
     };
-    pairs.iter().filter(is_wrong).count() as f64 / pairs.len().max(1) as f64
+    let is_wrong = |pose: &WrongPose| pose.distance > max_distance || pose.degrees > config.degrees;
+    pairs.iter().map(measured).filter(is_wrong).collect()
 }
 
 #[cfg(test)]
@@ -75,7 +88,8 @@ mod tests {
 
     fn share(pairs: &[PosePair]) -> f64 {
         let config = WrongPoseConfig::default();
-        wrong_share(pairs, TrajectoryAlignment::Sim3, &config)
+        let wrong = wrong_poses(pairs, TrajectoryAlignment::Sim3, &config);
+        wrong.len() as f64 / pairs.len() as f64
     }
 
     #[test]
@@ -97,5 +111,23 @@ mod tests {
         assert_eq!(spoiled([0.0, 0.5, 0.0, 0.0, 0.0, 0.0]), 0.05);
         assert_eq!(spoiled([0.0, 0.0, 0.0, 0.0, 0.03, 0.0]), 0.0);
         assert_eq!(spoiled([0.0, 0.0, 0.0, 0.0, 0.08, 0.0]), 0.05);
+    }
+
+    #[test]
+    fn a_wrong_pose_is_named_with_its_errors() {
+        let mut pairs = pairs();
+        let turned = Se3::exp(&Vec6::from_row_slice(&[0.0, 0.0, 0.0, 0.0, 0.2, 0.0]));
+        pairs[40].est_from_camera = pairs[40].est_from_camera * turned;
+        let wrong = wrong_poses(
+            &pairs,
+            TrajectoryAlignment::None,
+            &WrongPoseConfig::default(),
+        );
+        assert_eq!(wrong.len(), 1);
+        assert_eq!(wrong[0].time_secs, pairs[40].time_secs);
+        assert!((wrong[0].degrees - 0.2_f64.to_degrees()).abs() < 1e-9);
+        // what sways by 3 cm and what sways by 5 cm, at right angles
+        let distance = 0.05_f64.hypot(0.03);
+        assert!((wrong[0].distance - distance).abs() < 1e-9);
     }
 }
