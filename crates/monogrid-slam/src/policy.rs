@@ -46,6 +46,12 @@ pub(crate) fn demand(evidence: &DoubtEvidence, config: &TrackingConfig) -> Deman
     }
 }
 
+/// Whether a frame agrees so much worse with its keyframe than usual (root mean square residuals, grey levels) that its pose is to
+/// be doubted; before it is known what is usual, none is.
+pub(crate) fn is_doubtful(residual_rms: f32, usual: Option<f32>, config: &TrackingConfig) -> bool {
+    usual.is_some_and(|usual| residual_rms > config.doubtful_residual * usual)
+}
+
 /// Whether a few points that agree are enough to let a pose by alignment stand; else all points are asked. What is weak
 /// or unexpected may be another place that looks alike there.
 pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) -> bool {

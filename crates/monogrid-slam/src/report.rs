@@ -13,7 +13,8 @@ pub enum TrackingState {
     Initialising,
     /// The pose is believed.
     Good,
-    /// The pose is believed, but the depth is not updated with this frame.
+    /// The pose is believed, but less: grey values of frame and keyframe do not agree well enough to refine depth, or much
+    /// worse than those of the frames before ([`LostReason::Doubtful`]).
     Degraded,
     /// The pose is believed, but only within a fragment of which it is not known where it lies in the main map.
     Fragment,
@@ -57,6 +58,8 @@ pub enum LostReason {
     NotRecognised,
     /// The image is the same as the one before; its pose was taken over.
     Repeated,
+    /// The grey values agree with the keyframe much worse than those of the frames before did.
+    Doubtful,
 }
 
 impl fmt::Display for LostReason {
@@ -71,6 +74,7 @@ impl fmt::Display for LostReason {
             Self::Jump => "implausible motion",
             Self::NotRecognised => "not recognised in the map",
             Self::Repeated => "repeated image",
+            Self::Doubtful => "grey values agree much worse than before",
         })
     }
 }

@@ -123,6 +123,7 @@ impl Slam {
         let attempt = Attempt {
             keyframe: active.id,
             tracked: track_on_active(&self.setup, &self.map, active, last, frame),
+            is_doubtful: false,
         };
         if attempt.tracked.state != TrackingState::Good {
             return false;

@@ -1,5 +1,6 @@
 //! Where the camera is, and what is done while that is not known.
 
+use super::doubt::Doubt;
 use super::loss::Loss;
 use crate::KeyframeId;
 use crate::frame::Frame;
@@ -23,6 +24,8 @@ pub(super) struct Camera {
     pub lost_in_a_row: usize,
     /// What is being done about a loss that lasts.
     pub loss: Loss,
+    /// How well the last frames agreed with their keyframes.
+    pub doubt: Doubt,
 }
 
 /// The keyframe that frames are tracked on.

@@ -28,6 +28,7 @@ mod camera;
 mod change;
 mod constrain;
 mod depth;
+mod doubt;
 mod inertia;
 mod keyframes;
 mod loss;

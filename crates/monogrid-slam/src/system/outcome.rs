@@ -24,6 +24,8 @@ pub(super) struct FrameOutcome {
 pub(super) struct Attempt {
     pub keyframe: KeyframeId,
     pub tracked: Tracked,
+    /// Whether it agrees with its keyframe much worse than frames before it did with theirs.
+    pub is_doubtful: bool,
 }
 
 /// How a frame got its pose, or why it has none.
@@ -116,6 +118,10 @@ fn report_attempt(attempt: &Attempt, report: &mut FrameReport) {
     let alignment = &attempt.tracked.alignment;
     report.state = attempt.tracked.state;
     report.reason = attempt.tracked.reason;
+    if attempt.is_doubtful && report.state == TrackingState::Good {
+        report.state = TrackingState::Degraded;
+        report.reason = Some(LostReason::Doubtful);
+    }
     report.residual = alignment.residual_rms;
     report.good_share = alignment.good_of_visible;
     report.usage = alignment.usage;

@@ -174,10 +174,12 @@ impl Slam {
 
         let attempt = track_frame(&self.setup, &self.map, &self.camera, &frame);
         self.stopwatch.lap(Stage::Tracking);
-        let attempt = match attempt {
+        let mut attempt = match attempt {
             Some(attempt) if attempt.is_believed() => attempt,
             attempt => return self.find_back(frame, attempt),
         };
+        let residual = attempt.tracked.alignment.residual_rms;
+        attempt.is_doubtful = (self.camera.doubt).judge(residual, &self.setup.config.tracking);
         let motion = attempt.tracked.alignment.motion;
         let place = self
             .map

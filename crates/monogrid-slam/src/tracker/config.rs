@@ -39,6 +39,11 @@ pub struct TrackingConfig {
     pub min_correlation: f64,
     /// Degraded below this share of good points of the visible ones. Range [0, 1].
     pub degraded_good_of_visible: f32,
+    /// Reported as degraded where the residual is more than so many times the median of the last 200 frames: the camera may have
+    /// slid before a plain wall, whatever else it sees. Range [1, 1000].
+    pub doubtful_residual: f32,
+    /// Frames for which that doubt lasts at least, this one counted. Range [0, 1000].
+    pub doubtful_frames: usize,
     /// Largest difference from where the motion of the last frames leads (norm of the twist, median depths and
     /// rad) that is no surprise (range [0, 1000]), and
     pub surprising_motion: f64,
@@ -126,6 +131,8 @@ impl Default for TrackingConfig {
             min_good_of_visible: 0.55,
             min_correlation: 0.4,
             degraded_good_of_visible: 0.7,
+            doubtful_residual: 1.5,
+            doubtful_frames: 5,
             surprising_motion: 0.2,
             surprising_log_gain: 0.2,
             return_correlation: 0.8,
