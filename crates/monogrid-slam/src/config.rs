@@ -136,6 +136,9 @@ pub struct InitializationConfig {
     pub reference_displacement: f64,
     /// Frames kept at most while waiting for parallax; older ones stay without a pose. Range [2, 3000].
     pub max_buffered_frames: usize,
+    /// Frames without a start after which features may lie as close together as points of the sparse layer
+    /// (`sparse.min_spacing`): small, dim images show few. Range [0, 1000000].
+    pub patient_frames: usize,
     /// Standard deviation of a followed feature, px. Range [0.01, 20].
     pub sigma_px: f64,
     /// Largest median relative standard deviation of the features' inverse depths with which a two-view start
@@ -154,6 +157,7 @@ impl Default for InitializationConfig {
             min_displacement: 0.025,
             reference_displacement: 0.1,
             max_buffered_frames: 300,
+            patient_frames: 90,
             sigma_px: 0.5,
             max_relative_sigma: 0.03,
             seed_relative_sigma: 0.02,

@@ -105,6 +105,7 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_displacement: 0.001, 1.0;
         reference_displacement: 0.001, 10.0;
         max_buffered_frames: 2.0, 3000.0;
+        patient_frames: 0.0, 1_000_000.0;
         sigma_px: 0.01, 20.0;
         max_relative_sigma: 0.001, 10.0;
         seed_relative_sigma: 0.0001, 1.0;
@@ -121,6 +122,8 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_good_of_visible: 0.0, 1.0;
         min_correlation: -1.0, 1.0;
         degraded_good_of_visible: 0.0, 1.0;
+        doubtful_residual: 1.0, 1000.0;
+        doubtful_frames: 0.0, 1000.0;
         surprising_motion: 0.0, 1000.0;
         surprising_log_gain: 0.0, 1000.0;
         return_correlation: -1.0, 1.0;

@@ -3,8 +3,9 @@
 
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
+use crate::sparse::corner_settings;
 use crate::start::{StartOutcome, Started, host_of};
-use crate::{InitializationConfig, LostReason, Scale, SlamConfig};
+use crate::{InitializationConfig, LostReason, Scale, SlamConfig, SparseConfig};
 use monogrid_depth::{DepthMap, StereoFrame};
 use monogrid_features::{
     CornerConfig, Match, TrackConfig, TwoView, TwoViewConfig, TwoViewOutcome, detect_corners,
@@ -92,7 +93,8 @@ impl TwoViewStart {
             }
         }
         if self.needs_reference() {
-            self.refer_to(frame, mask);
+            let corners = self.corners(pinhole, &config.sparse);
+            self.refer_to(frame, mask, &corners);
         }
         let is_blind = self.references.is_empty();
         let reason = reason.filter(|_| !is_blind);
@@ -139,17 +141,22 @@ impl TwoViewStart {
         newest.is_none_or(|r| r.displacement() >= self.settings.reference_displacement)
     }
 
+    /// How the features of a reference are chosen. (From the first frame on, close ones make starts worse where there is enough to
+    /// see.)
+    fn corners(&self, pinhole: &Pinhole, sparse: &SparseConfig) -> CornerConfig {
+        let max_corners = self.settings.num_features;
+        if self.buffered.len() > self.settings.patient_frames {
+            return corner_settings(max_corners, pinhole, sparse);
+        }
+        CornerConfig {
+            max_corners,
+            ..CornerConfig::default()
+        }
+    }
+
     /// Makes `frame` the newest reference if it shows enough features.
-    fn refer_to(&mut self, frame: Frame, mask: &Mask) {
-        let corners = detect_corners(
-            &frame.pyramid,
-            Some(mask),
-            &[],
-            &CornerConfig {
-                max_corners: self.settings.num_features,
-                ..CornerConfig::default()
-            },
-        );
+    fn refer_to(&mut self, frame: Frame, mask: &Mask, settings: &CornerConfig) {
+        let corners = detect_corners(&frame.pyramid, Some(mask), &[], settings);
         let points: Vec<Vec2> = corners.iter().map(|corner| corner.pixel).collect();
         if points.len() < self.settings.min_features {
             return;

@@ -40,13 +40,7 @@ fn corners(
     if missing == 0 {
         return Vec::new();
     }
-    let corner_config = CornerConfig::default();
-    let settings = CornerConfig {
-        max_corners: missing,
-        // in a small image things are small
-        min_distance_px: (config.min_spacing * pinhole.fx).min(corner_config.min_distance_px),
-        ..corner_config
-    };
+    let settings = corner_settings(missing, pinhole, config);
     let Some(pyramid) = newest.pyramid() else {
         return Vec::new();
     };
@@ -69,6 +63,21 @@ fn corners(
         .collect()
 }
 
+/// How corners are detected in the images of a camera.
+pub(crate) fn corner_settings(
+    max_corners: usize,
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> CornerConfig {
+    let usual = CornerConfig::default();
+    CornerConfig {
+        max_corners,
+        // in a small image things are small
+        min_distance_px: (config.min_spacing * pinhole.fx).min(usual.min_distance_px),
+        ..usual
+    }
+}
+
 /// Points in use that were not found again soon after they were anchored, in the fragment of the newest
 /// keyframe.
 pub(crate) fn unconfirmed(map: &Map, config: &SparseConfig) -> Vec<usize> {
@@ -83,4 +92,23 @@ pub(crate) fn unconfirmed(map: &Map, config: &SparseConfig) -> Vec<usize> {
             point.alive && point.observations.len() < 2
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_lie_closer_in_small_images() {
+        let config = SparseConfig {
+            min_spacing: 0.02,
+            ..SparseConfig::default()
+        };
+        let distance = |f: f64| {
+            let pinhole = Pinhole::new(f, f, 0.0, 0.0);
+            corner_settings(1, &pinhole, &config).min_distance_px
+        };
+        assert_eq!(distance(250.0), 5.0);
+        assert_eq!(distance(1000.0), CornerConfig::default().min_distance_px);
+    }
 }

@@ -22,7 +22,7 @@ mod shared;
 
 pub(crate) use adjust::{adjust_all, adjust_window};
 pub(crate) use again::find_again;
-pub(crate) use anchor::{anchor, unconfirmed};
+pub(crate) use anchor::{anchor, corner_settings, unconfirmed};
 pub use config::SparseConfig;
 pub(crate) use lens::LeftLens;
 pub(crate) use matching::{PointSearch, SearchImage, Which, find_in_image, position};

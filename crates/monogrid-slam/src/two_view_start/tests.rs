@@ -96,7 +96,8 @@ fn what_has_changed_its_looks_is_followed_from_where_it_was_last_seen() {
     });
     let mut start = TwoViewStart::new(&InitializationConfig::default(), 0);
     start.buffer(&frame(room.clone()));
-    start.refer_to(frame(room), &Mask::filled(width, height, 255));
+    let mask = Mask::filled(width, height, 255);
+    start.refer_to(frame(room), &mask, &CornerConfig::default());
     let mut reference = start.references.remove(0);
     let points = reference.points.clone();
     let seen = |pixels: Vec<Option<Vec2>>, offset| View { offset, pixels };
@@ -131,9 +132,28 @@ fn only_references_with_few_features_need_that() {
     let room = room();
     let mask = Mask::filled(room.width(), room.height(), 255);
     start.buffer(&frame(room.clone()));
-    start.refer_to(frame(room), &mask);
+    start.refer_to(frame(room), &mask, &CornerConfig::default());
     let reference = &start.references[0];
     let num = reference.points.len();
     assert!(!reference.is_poor(num / FEW_TIMES));
     assert!(reference.is_poor(num / FEW_TIMES + 1));
+}
+
+#[test]
+fn features_lie_closer_together_when_nothing_starts_for_long() {
+    let settings = InitializationConfig {
+        patient_frames: 2,
+        ..InitializationConfig::default()
+    };
+    let pinhole = Pinhole::new(200.0, 200.0, 80.0, 60.0);
+    let mut start = TwoViewStart::new(&settings, 0);
+    let mut spacing = || {
+        start.buffer(&frame(room()));
+        start
+            .corners(&pinhole, &SparseConfig::default())
+            .min_distance_px
+    };
+    let usual = CornerConfig::default().min_distance_px;
+    assert_eq!([spacing(), spacing()], [usual; 2]);
+    assert!(spacing() < usual);
 }
