@@ -13,14 +13,11 @@ const MIN_VIEWS: usize = 4;
 impl Scene {
     /// Pieces of `num_views` views that follow each other, with the points that at least three of them see; each has
     /// its first view at the origin and a median depth of one. What is left at the end, and pieces of fewer than
-    /// four views or forty points, are left out.
-    #[must_use]
-    pub fn pieces(&self, num_views: usize) -> Vec<Self> {
+    /// four views or forty points, are left out. Each is made when it is asked for: all together are larger than the scene.
+    pub fn pieces(&self, num_views: usize) -> impl Iterator<Item = Self> {
         let views = num_views.max(MIN_VIEWS);
         let starts = (0..self.poses.len()).step_by(views);
-        starts
-            .filter_map(|first| self.piece(first, views.min(self.poses.len() - first)))
-            .collect()
+        starts.filter_map(move |first| self.piece(first, views.min(self.poses.len() - first)))
     }
 
     /// The piece of `num_views` views from `first` on.
@@ -131,7 +128,7 @@ mod tests {
     #[test]
     fn pieces_show_what_the_whole_shows() {
         let whole = scene();
-        let pieces = whole.pieces(10);
+        let pieces = whole.pieces(10).collect::<Vec<_>>();
         assert_eq!(pieces.len(), 2, "the last three views are too few");
         for piece in &pieces {
             assert_eq!(piece.poses.len(), 10);
@@ -155,11 +152,11 @@ mod tests {
     fn too_little_is_no_piece() {
         let mut few = scene();
         few.sightings.retain(|s| s.point % 10 == 0);
-        assert!(few.pieces(10).is_empty());
+        assert!(few.pieces(10).next().is_none());
         let behind = Scene {
             points: vec![-Vec3::z(); 230],
             ..scene()
         };
-        assert!(behind.pieces(10).is_empty());
+        assert!(behind.pieces(10).next().is_none());
     }
 }

@@ -325,7 +325,7 @@ fn a_map_shows_the_camera_though_it_was_made_with_another() {
     for (guess_px, k1) in [(480.0, 0.0), (560.0, -0.1)] {
         let lens = lens(520.0, k1);
         let guess = Intrinsics::centred(guess_px, SIZE);
-        let pieces = mapped(&lens, &guess, 5).pieces(10);
+        let pieces: Vec<Scene> = mapped(&lens, &guess, 5).pieces(10).collect();
         assert_eq!(pieces.len(), 2);
         let shown = refine_intrinsics(pieces, SIZE, &prior, &config);
         let error = shown.intrinsics.focal / 520.0 - 1.0;

@@ -361,7 +361,19 @@ impl Pipeline {
     ///
     /// # Errors
     /// What a listener gave up for. Maps that could not grow are said by [`Finished::maps`].
-    pub fn finish(mut self) -> Result<Finished, PipelineError> {
+    pub fn finish(self) -> Result<Finished, PipelineError> {
+        self.finish_telling(&mut |_| ())
+    }
+
+    /// The same; `released` hears of it when the last frame is processed, only what was found is still there, and images and depth of
+    /// keyframes are not needed for a while ([`Slam::conclude`]): a good time to give memory back.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn finish_telling(
+        mut self,
+        released: &mut dyn FnMut(&Slam),
+    ) -> Result<Finished, PipelineError> {
         if let Some(frame) = self.readings.take_waiting() {
             self.track_read(frame, &mut |_| Effort::Whole);
         }
@@ -371,7 +383,7 @@ impl Pipeline {
                 self.track_read(frame, &mut |_| Effort::Whole);
             }
         }
-        self.slam.finish();
+        self.slam.conclude(released);
         self.tell();
         let Self {
             mut slam,

@@ -19,8 +19,8 @@ use monogrid_geometry::{Pinhole, Rotation, Se3, Vec3};
 use monogrid_image::{GradientImage, Image};
 use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{
-    KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, Upright, UprightView, final_scans,
-    upright,
+    ImageOf, KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, Upright, UprightView,
+    final_scans, upright,
 };
 use monogrid_worlds::{LightingConfig, Motion, Renderer, SynthConfig, SynthSequence, WORLD_NAMES};
 use std::path::Path;
@@ -71,7 +71,7 @@ fn main() {
             .filter_map(|(scan, keyframe)| {
                 Some(UprightView {
                     scan,
-                    image: keyframe.image,
+                    image: keyframe.image.map(ImageOf::Held),
                     world_from_keyframe: keyframe.world_from_keyframe?,
                 })
             })
@@ -199,7 +199,7 @@ fn judge(keyframes: &[Rendered], pinhole: &Pinhole) -> (Upright, f64, f64) {
         .zip(keyframes)
         .map(|(scan, k)| UprightView {
             scan,
-            image: Some(&k.image),
+            image: Some(ImageOf::Held(&k.image)),
             world_from_keyframe: (first_from_world * k.world_from_camera).with_scale(1.0),
         })
         .collect();

@@ -55,6 +55,8 @@ pub use report::{
     FrameReport, InFragment, LostReason, MapBytes, MapSize, StageTimes, TrackingState,
 };
 pub use sparse::{SparseConfig, SparseStats};
-pub use stored::{ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredMap, StoredPoint};
+pub use stored::{
+    ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
+};
 pub use system::{Effort, MergedMaps, Slam, Told, merge_maps};
 pub use tracker::{PointTrackingConfig, TrackingConfig};

@@ -39,6 +39,23 @@ pub struct StoredKeyframe {
     pub bias: f64,
 }
 
+/// What a later session is told of a keyframe beside its image and depth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StoredLink {
+    /// The keyframe.
+    pub id: KeyframeId,
+    /// See [`StoredKeyframe::fragment`].
+    pub fragment: FragmentId,
+    /// See [`StoredKeyframe::world_from_keyframe`].
+    pub world_from_keyframe: Sim3,
+    /// See [`StoredKeyframe::parent`].
+    pub parent: Option<KeyframeId>,
+    /// See [`StoredKeyframe::gain`].
+    pub gain: f64,
+    /// See [`StoredKeyframe::gain`].
+    pub bias: f64,
+}
+
 /// A constraint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StoredEdge {
@@ -64,6 +81,19 @@ pub struct StoredPoint {
 }
 
 impl StoredKeyframe {
+    /// It without image and depth.
+    #[must_use]
+    pub fn link(&self) -> StoredLink {
+        StoredLink {
+            id: self.keyframe.id,
+            fragment: self.fragment,
+            world_from_keyframe: self.world_from_keyframe,
+            parent: self.parent,
+            gain: self.gain,
+            bias: self.bias,
+        }
+    }
+
     /// The same with other identities.
     fn renamed(mut self, name: impl Fn(KeyframeId) -> KeyframeId) -> Self {
         self.keyframe.id = name(self.keyframe.id);

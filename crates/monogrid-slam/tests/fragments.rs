@@ -6,7 +6,7 @@ use monogrid_geometry::{Se3, Vec3};
 use monogrid_image::{GrayImage, Mask};
 use monogrid_slam::{
     Fragment, FrameInput, FrameReport, MAIN_MAP, PoseSnapshot, Purpose, Slam, SlamConfig,
-    StoredMap, TrackingState, TrajectoryPose,
+    StoredKeyframe, StoredMap, TrackingState, TrajectoryPose,
 };
 use monogrid_worlds::SynthSequence;
 use std::fmt::Write;
@@ -255,6 +255,13 @@ fn another_place_that_looks_alike_stays_apart_and_moves_nothing() {
 
     // a later session knows the fragment by itself
     let map = slam.stored_map();
+    // what is said of keyframes without their images is the same
+    let links = map.keyframes.iter().map(StoredKeyframe::link);
+    assert_eq!(slam.links(), links.collect::<Vec<_>>());
+    assert_eq!(
+        (slam.edges(), slam.points()),
+        (map.edges.clone(), map.points.clone())
+    );
     let mut again = continued(map, Purpose::Extend);
     let reports = run(&mut again, &video(other[30..].iter()));
     assert!(reports.iter().all(|r| r.world_from_camera.is_none()));

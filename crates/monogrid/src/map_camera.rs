@@ -34,9 +34,10 @@ pub fn shown_by_map(
     (size, prior): ((usize, usize), &Prior),
     taken_out: &TakenOut,
 ) -> Estimate {
-    let pieces = scene(slam, guess, taken_out).pieces(num_views);
-    let step = pieces.len().div_ceil(MAX_PIECES).max(1);
-    let pieces = pieces.into_iter().step_by(step).collect();
+    let scene = scene(slam, guess, taken_out);
+    let step = scene.pieces(num_views).count().div_ceil(MAX_PIECES).max(1);
+    let pieces = scene.pieces(num_views).step_by(step).collect();
+    drop(scene);
     refine_intrinsics(pieces, size, prior, &EstimateConfig::default())
 }
 

@@ -17,8 +17,8 @@ use monogrid_geometry::{Se3, Sim3};
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::TrackedFrame;
 use monogrid_slam::mapping::{
-    KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe, SceneCell,
-    UprightView, camera_paths, final_scans, scene_cell,
+    ImageOf, KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe,
+    SceneCell, UprightView, camera_paths, final_scans, scene_cell,
 };
 use std::cell::OnceCell;
 use std::path::Path;
@@ -135,7 +135,7 @@ impl Recorded {
             .filter_map(|(keyframe, scan)| {
                 Some(ColouredScan {
                     scan,
-                    image: keyframe.image.as_ref(),
+                    image: keyframe.image.as_ref().map(ImageOf::Held),
                     map_from_keyframe: self.frame.map_from_world * keyframe.world_from_keyframe?,
                 })
             })
@@ -225,7 +225,7 @@ fn views_of<'a>(
     let posed = keyframes.iter().zip(scans).filter_map(|(keyframe, scan)| {
         Some(UprightView {
             scan,
-            image: keyframe.image.as_ref(),
+            image: keyframe.image.as_ref().map(ImageOf::Held),
             world_from_keyframe: keyframe.world_from_keyframe?,
         })
     });

@@ -43,7 +43,7 @@ fn holds_time(name: &str) -> bool {
 }
 
 #[test]
-fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
+fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads_and_any_memory() {
     let dir = tempfile::tempdir().unwrap();
     let first = dir.path().join("one");
     let output = run(small_sequence(), &first, &["--threads", "1", "--json"]);
@@ -85,8 +85,10 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
         assert!(length > 0, "{name}");
     }
     let second = dir.path().join("three");
-    let output = run(small_sequence(), &second, &["--threads", "3"]);
+    let little = ["--threads", "3", "--memory-limit", "20MB"];
+    let output = run(small_sequence(), &second, &little);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
+    the_limit_is_too_small(&second);
     let (a, b) = (files(&first), files(&second));
     let names = |files: &[(String, Vec<u8>)]| files.iter().map(|f| f.0.clone()).collect::<Vec<_>>();
     assert_eq!(names(&a), names(&b));
@@ -97,6 +99,16 @@ fn a_run_writes_everything_and_the_same_bytes_for_any_number_of_threads() {
     what_is_up_is_said_and_found_again(&first, &summary);
     the_results_can_be_evaluated(&first);
     the_report_can_be_explored_without_a_network(&first);
+}
+
+/// Keyframes lie in the file, and the run says that the rest takes more than the limit.
+fn the_limit_is_too_small(run: &Path) {
+    let summary = fs::read_to_string(run.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    assert!(summary["memory_bytes"]["in_file"].as_u64() > Some(0));
+    let warnings = summary["warnings"].as_array().unwrap();
+    let is_said = |w: &serde_json::Value| w.as_str().unwrap().contains("more than the 20 MB");
+    assert!(warnings.iter().any(is_said), "{warnings:?}");
 }
 
 /// Text between a mark and the next `</script>`.

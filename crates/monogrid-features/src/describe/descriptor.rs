@@ -152,6 +152,8 @@ impl FeatureExtractor {
                     .filter_map(|corner| self.describe_corner(smooth, corner, level)),
             );
         }
+        // many images have fewer, and keyframes keep them
+        features.shrink_to_fit();
         features
     }
 

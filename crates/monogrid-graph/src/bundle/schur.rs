@@ -2,8 +2,10 @@
 
 use super::PoseFreedom;
 use super::linear::{Normal, State, Window};
-use faer::linalg::solvers::Solve;
-use faer::{MatRef, Side};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::{factor, solve};
+use faer::prelude::ReborrowMut;
+use faer::{Conj, MatMut, Spec};
 use monogrid_geometry::Vec6;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
@@ -179,7 +181,7 @@ pub(super) fn solve_step(
     let poses = if b.is_empty() {
         b
     } else {
-        solve_system(&s, b)?
+        solve_system(s, &b)?
     };
     if !poses.iter().all(|x| x.is_finite()) {
         return None;
@@ -211,13 +213,22 @@ pub(super) fn solve_step(
     })
 }
 
-/// Solves a positive definite system of which the lower triangle is given; `None` where it is not.
-fn solve_system(s: &DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
-    let n = s.nrows();
-    let lower = MatRef::from_column_major_slice(s.as_slice(), n, n);
-    let mut x = MatRef::from_column_major_slice(b.as_slice(), n, 1).to_owned();
-    lower.llt(Side::Lower).ok()?.solve_in_place(&mut x);
-    Some(DVector::from_iterator(n, x.col(0).iter().copied()))
+/// Solves a positive definite system of which the lower triangle is given; `None` where it is not. The system of a long run is large: its
+/// factor takes its place.
+fn solve_system(mut s: DMatrix<f64>, b: &DVector<f64>) -> Option<DVector<f64>> {
+    let (n, par) = (s.nrows(), faer::get_global_parallelism());
+    let mut factor = MatMut::from_column_major_slice_mut(s.as_mut_slice(), n, n);
+    let needed = factor::cholesky_in_place_scratch::<f64>(n, par, Spec::default());
+    let mut memory = MemBuffer::new(needed);
+    let stack = MemStack::new(&mut memory);
+    let is_regular = factor::LltRegularization::default();
+    factor::cholesky_in_place(factor.rb_mut(), is_regular, par, stack, Spec::default()).ok()?;
+    let mut x = b.clone();
+    let unknowns = MatMut::from_column_major_slice_mut(x.as_mut_slice(), n, 1);
+    let mut memory = MemBuffer::new(solve::solve_in_place_scratch::<f64>(n, 1, par));
+    let stack = MemStack::new(&mut memory);
+    solve::solve_in_place_with_conj(factor.as_ref(), Conj::No, unknowns, par, stack);
+    Some(x)
 }
 
 /// Inverse of the reduced system without damping: the covariance of all free poses.

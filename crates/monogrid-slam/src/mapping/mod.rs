@@ -46,7 +46,7 @@ pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,
 };
 pub(crate) use posed::KeptKeyframes;
-pub use posed::PosedKeyframe;
+pub use posed::{ImageOf, PosedKeyframe};
 pub(crate) use refine::final_scans_of;
 pub use refine::{final_scans, final_scans_counted, refined_depths};
 pub use scan::{KeyframeCamera, KeyframeScan, ScanPixels};

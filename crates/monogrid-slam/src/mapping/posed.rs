@@ -18,6 +18,35 @@ pub struct PosedKeyframe<'a> {
     pub world_from_keyframe: Option<Sim3>,
 }
 
+/// The image of a keyframe.
+#[derive(Clone, Copy, Debug)]
+pub enum ImageOf<'a> {
+    /// At hand.
+    Held(&'a Image<u8>),
+    /// Where there is room; it is asked for where it is needed, so that not all of them are in memory at once.
+    Kept(&'a KeptKeyframe),
+}
+
+impl<'a> ImageOf<'a> {
+    /// Width and height, px.
+    #[must_use]
+    pub fn size(self) -> (usize, usize) {
+        match self {
+            Self::Held(image) => (image.width(), image.height()),
+            Self::Kept(keyframe) => keyframe.size(),
+        }
+    }
+
+    /// The image; `None` where it cannot be read back.
+    #[must_use]
+    pub fn get(self) -> Option<Cow<'a, Image<u8>>> {
+        match self {
+            Self::Held(image) => Some(Cow::Borrowed(image)),
+            Self::Kept(keyframe) => keyframe.image().map(Cow::Owned),
+        }
+    }
+}
+
 /// Keyframes by their index, of which image and depth are asked for when they are needed.
 pub(crate) trait Keyframes: Sync {
     fn len(&self) -> usize;

@@ -114,6 +114,13 @@ impl KeyframeScan {
         }
     }
 
+    /// Those of its measurements that are wanted, none of which counts as filled in; they lie where these do.
+    #[must_use]
+    pub fn only(&self, is_wanted: impl FnMut(&&Measurement) -> bool) -> Self {
+        let pixels = self.pixels().iter().filter(is_wanted).copied().collect();
+        Self::kept(self.id, self.camera, (pixels, 0), self.pixels.store())
+    }
+
     /// Its measurements, row-major, in units of the keyframe; none where they cannot be read back
     /// ([`crate::Slam::spill_failure`]).
     #[must_use]

@@ -111,6 +111,13 @@ impl<T> Clone for Kept<T> {
     }
 }
 
+impl<T> Kept<T> {
+    /// What keeps it.
+    pub(crate) fn store(&self) -> &Store {
+        &self.0.store
+    }
+}
+
 impl<T: Measured> Kept<T> {
     /// The value; `None` where it, or what it follows from, cannot be read back from the file. The store remembers that
     /// ([`Store::failure`]).

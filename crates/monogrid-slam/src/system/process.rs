@@ -65,6 +65,26 @@ impl Slam {
 
     /// Finishes the last keyframe; its identity, if there is one.
     pub fn finish(&mut self) -> Option<KeyframeId> {
+        let last = self.finish_keyframe()?;
+        self.adjust_all();
+        Some(last)
+    }
+
+    /// The same after the last frame of all: what only more frames would need ([`Self::release`]) is given back before the last
+    /// adjustment, which takes much memory itself. `released` hears of it, since images and depth of keyframes are not needed before that
+    /// adjustment is done.
+    pub fn conclude(&mut self, released: &mut dyn FnMut(&Self)) -> Option<KeyframeId> {
+        let last = self.finish_keyframe();
+        self.await_graph();
+        self.release_camera();
+        released(self);
+        let last = last?;
+        self.adjust_all();
+        Some(last)
+    }
+
+    /// Finishes the last keyframe and gives the graph all that there is; the keyframe, if there is one.
+    fn finish_keyframe(&mut self) -> Option<KeyframeId> {
         self.events.clear();
         if self.setup.is_frozen {
             return None;
@@ -75,12 +95,16 @@ impl Slam {
         self.await_graph();
         self.constrain(left.view, Link::None, true);
         self.await_graph();
+        Some(left.id)
+    }
+
+    /// Adjusts all that was mapped.
+    fn adjust_all(&mut self) {
         for fragment in self.map.grown_fragments() {
             adjust_whole(&self.setup, &mut self.map, fragment);
         }
         self.prefer_larger_map();
         self.events = self.map.take_events();
-        Some(left.id)
     }
 
     /// The largest fragment is the result, where nobody has asked for the first one: its unit and its place say nothing.
@@ -101,12 +125,16 @@ impl Slam {
     /// published. All that was found stays; the camera is lost in frames that come afterwards.
     pub fn release(&mut self) {
         self.await_graph();
+        self.release_camera();
+        self.map.release();
+    }
+
+    fn release_camera(&mut self) {
         self.camera = Camera::default();
         self.start = None;
         if let Some(graph) = &mut self.graph {
             graph.end();
         }
-        self.map.release();
     }
 
     fn process(&mut self, mut input: FrameInput, told: &mut Told<'_>) -> FrameOutcome {

@@ -12,7 +12,9 @@ use crate::map::{
 };
 use crate::sparse::dense_links;
 use crate::store::Store;
-use crate::stored::{ContinueError, Purpose, StoredKeyframe, StoredMap, StoredPoint};
+use crate::stored::{
+    ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
+};
 use crate::{FragmentId, KeyframeId, SlamConfig, SlamError, TrackedFrame};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::Mask;
@@ -63,6 +65,20 @@ impl Slam {
         stored(&self.map, |_| self.setup.pinhole)
     }
 
+    /// How the finished keyframes are linked, by identity: what [`Self::stored_map`] says of them without images and depth.
+    #[must_use]
+    pub fn links(&self) -> Vec<StoredLink> {
+        let keyframes = self.map.keyframes().iter();
+        let finished = keyframes.filter(|keyframe| keyframe.published.is_some());
+        finished.map(stored_link).collect()
+    }
+
+    /// The constraints between finished keyframes.
+    #[must_use]
+    pub fn edges(&self) -> Vec<StoredEdge> {
+        stored_edges(&self.map)
+    }
+
     /// The points of the sparse layer, by their hosts, as finished keyframes see them.
     #[must_use]
     pub fn points(&self) -> Vec<StoredPoint> {
@@ -78,20 +94,32 @@ impl Slam {
 
 /// A map as it is kept; `pinhole_of` says the camera of a keyframe.
 pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> StoredMap {
-    let count = map.num_published();
     let keyframes = map.keyframes().iter();
-    let edges = map.edges().iter();
     StoredMap {
         scale: map.scale(),
         pose_revision: map.snapshot().revision,
         keyframes: keyframes
             .filter_map(|keyframe| stored_keyframe(keyframe, pinhole_of(keyframe.id)))
             .collect(),
-        edges: edges
-            .filter(|e| e.edge.i.max(e.edge.j) < count as u64)
-            .copied()
-            .collect(),
+        edges: stored_edges(map),
         points: stored_points(map),
+    }
+}
+
+fn stored_edges(map: &Map) -> Vec<StoredEdge> {
+    let count = map.num_published() as u64;
+    let is_finished = |e: &&StoredEdge| e.edge.i.max(e.edge.j) < count;
+    map.edges().iter().filter(is_finished).copied().collect()
+}
+
+fn stored_link(keyframe: &MapKeyframe) -> StoredLink {
+    StoredLink {
+        id: keyframe.id,
+        fragment: keyframe.fragment,
+        world_from_keyframe: keyframe.world_from_keyframe,
+        parent: keyframe.parent,
+        gain: keyframe.exposure.gain,
+        bias: keyframe.exposure.bias,
     }
 }
 

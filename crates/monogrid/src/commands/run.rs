@@ -6,6 +6,7 @@ use crate::config::RunConfig;
 use crate::depth_images::{dataset_seed_depth, depth_calibration};
 use crate::failure::{CommandResult, Failure};
 use crate::input::{Images, Input};
+use crate::memory;
 use crate::output::{Inputs, OutputFile, OutputFolder};
 use crate::readings::Inertial;
 use crate::refine::refine;
@@ -114,6 +115,9 @@ pub struct RunArgs {
 
 /// Runs the command.
 pub fn execute(args: &RunArgs) -> CommandResult {
+    if args.memory_limit.is_some() {
+        memory::keep_little();
+    }
     let threads = use_threads(args.threads)?;
     if let Some(view) = &args.view {
         view.check(args.force)?;

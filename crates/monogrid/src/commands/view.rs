@@ -18,8 +18,8 @@ use crate::report::Page;
 use crate::run::align::{Align, Up};
 use crate::surface::CellColours;
 use clap::Args;
-use monogrid_datasets::encode_png_rgb;
-use monogrid_slam::mapping::MeshConfig;
+use monogrid_datasets::{RecordedCamera, RecordedKeyframe, encode_png_rgb};
+use monogrid_slam::mapping::{ImageOf, KeyframeCamera, MeshConfig};
 use monogrid_worlds::MeshModel;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -203,8 +203,8 @@ impl Shown {
                     timestamp_ns: keyframe.timestamp_ns,
                     map_from_keyframe: pose,
                     pinhole: keyframe.camera.pinhole,
-                    image: keyframe.image.as_ref(),
-                    semi_dense: SemiDense::recorded(keyframe.id, &from_recorded(&keyframe.pixels)),
+                    image: keyframe.image.as_ref().map(ImageOf::Held),
+                    semi_dense: recorded_depth(keyframe),
                 })
             })
             .collect();
@@ -279,6 +279,17 @@ impl Shown {
             &source.display().to_string(),
         ))
     }
+}
+
+/// The depth of a keyframe as it was recorded.
+fn recorded_depth(keyframe: &RecordedKeyframe) -> SemiDense {
+    let RecordedCamera {
+        pinhole,
+        width,
+        height,
+    } = keyframe.camera;
+    let camera = KeyframeCamera::new(pinhole, (width, height));
+    SemiDense::recorded(keyframe.id, camera, &from_recorded(&keyframe.pixels))
 }
 
 /// Points as cubes that can be seen in a picture.

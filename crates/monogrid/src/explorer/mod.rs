@@ -17,7 +17,7 @@ mod shown;
 pub use cells::Cells;
 pub use cloud::{Cloud, CloudPoint};
 pub use mesh::PageMesh;
-pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section};
+pub use page::{LIVE_POLICY, POLICY, STYLE, live_section, section, write_section};
 pub use pictures::{Pictures, small_jpeg};
 pub use scene::{Camera, Frames, Keyframe, PathPoint, Scene, seconds_since};
 pub use semi_dense::{SemiDense, num_measured};

@@ -3,6 +3,7 @@
 use super::Scene;
 use crate::failure::{Classify, Failure};
 use crate::picture::base64;
+use std::io::{self, Write};
 
 /// How the explorer looks.
 pub const STYLE: &str = include_str!("../../assets/explorer/style.css");
@@ -81,27 +82,52 @@ const LIVE_MARKUP: &str = "\
 <p class=\"note\">Green: points of the newest keyframe where the pose has them.</p></div>\
 <div><h3>Keyframe</h3><canvas id=\"keyframe\"></canvas><p id=\"keyframe-caption\" class=\"note\"></p></div></div></section>";
 
-/// The explorer of a scene: markup, data and scripts.
+/// The explorer of a scene: markup, data and scripts. The data are not in memory a second time.
+pub fn write_section(out: &mut dyn Write, scene: &Scene) -> anyhow::Result<()> {
+    out.write_all(MARKUP.as_bytes())?;
+    out.write_all(b"<script type=\"application/json\" id=\"scene\">")?;
+    serde_json::to_writer(WithoutTags(out), scene)?;
+    out.write_all(b"</script>")?;
+    out.write_all(scripts("explorer/main")?.as_bytes())?;
+    Ok(())
+}
+
+/// The same as text.
 pub fn section(scene: &Scene) -> Result<String, Failure> {
-    let json = serde_json::to_string(scene).while_running("the page cannot be made")?;
-    let mut html = String::with_capacity(json.len() + (1 << 20));
-    html.push_str(MARKUP);
-    html.push_str("<script type=\"application/json\" id=\"scene\">");
-    // nothing in the data can end its block
-    html.push_str(&json.replace('<', "\\u003c"));
-    html.push_str("</script>");
-    html.push_str(&scripts("explorer/main")?);
-    Ok(html)
+    let doing = "the page cannot be made";
+    let mut html = Vec::new();
+    write_section(&mut html, scene).while_running(doing)?;
+    String::from_utf8(html).while_running(doing)
+}
+
+/// Writes JSON in which nothing can end its block.
+struct WithoutTags<'a>(&'a mut dyn Write);
+
+impl Write for WithoutTags<'_> {
+    fn write(&mut self, json: &[u8]) -> io::Result<usize> {
+        let mut parts = json.split(|byte| *byte == b'<');
+        self.0.write_all(parts.next().unwrap_or_default())?;
+        for part in parts {
+            self.0.write_all(b"\\u003c")?;
+            self.0.write_all(part)?;
+        }
+        Ok(json.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
 }
 
 /// The explorer of a run that goes on: markup and scripts, which ask for the rest.
 pub fn live_section() -> Result<String, Failure> {
-    Ok(LIVE_MARKUP.to_owned() + &scripts("explorer/live")?)
+    let scripts = scripts("explorer/live").while_running("the page cannot be made")?;
+    Ok(LIVE_MARKUP.to_owned() + &scripts)
 }
 
 /// All scripts with their licence; the one named is begun with.
-fn scripts(main: &str) -> Result<String, Failure> {
-    let map = import_map().while_running("the page cannot be made")?;
+fn scripts(main: &str) -> anyhow::Result<String> {
+    let map = import_map()?;
     Ok(format!(
         "<script type=\"text/plain\" id=\"licence-of-three\">{LICENCE}</script>\
          <script type=\"importmap\">{map}</script>\

@@ -37,7 +37,7 @@ impl Pictures {
         }
         match look() {
             Look::Colour(image) => Some(base64(&small_colour_jpeg(&image))),
-            Look::Grey(image) => Some(base64(&small_jpeg(image))),
+            Look::Grey(image) => Some(base64(&small_jpeg(&image))),
             Look::Unknown => None,
         }
     }
@@ -78,13 +78,15 @@ fn smaller<T: Copy, const N: usize>(
 mod tests {
     use super::*;
     use monogrid_datasets::{decode_jpeg_luma, decode_jpeg_rgb};
+    use std::borrow::Cow;
     use std::path::Path;
 
     #[test]
     fn long_runs_have_some_of_the_pictures() {
         let image = Image::filled(8, 8, 9u8);
         let has = |count, position| {
-            let picture = Pictures::of(count).of_keyframe(position, || Look::Grey(&image));
+            let picture =
+                Pictures::of(count).of_keyframe(position, || Look::Grey(Cow::Borrowed(&image)));
             picture.is_some()
         };
         assert!(has(240, 1) && !has(241, 1) && has(241, 2));

@@ -2,66 +2,46 @@
 
 use super::{CloudPoint, Look};
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
-use monogrid_slam::mapping::KeyframeScan;
-use monogrid_slam::{DepthPixel, Keyframe, KeyframeId};
+use monogrid_occupancy::DepthPixel as Measurement;
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan};
+use monogrid_slam::{DepthPixel, KeyframeId};
 
-/// A measured pixel with its final depth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeasuredPixel {
-    /// Column and row, px.
-    pub pixel: [u16; 2],
-    /// Inverse depth, 1 / keyframe units.
-    pub idepth: f32,
-    /// Standard deviation of the inverse depth over the inverse depth.
-    pub relative_sigma: f32,
-}
-
-/// The measured pixels of a keyframe that pass the filter of the map.
+/// The measured pixels of a keyframe that pass the filter of the map. They lie where there is room.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SemiDense {
-    /// The keyframe.
-    pub id: KeyframeId,
-    /// Its pixels, row-major.
-    pub pixels: Vec<MeasuredPixel>,
-}
+pub struct SemiDense(KeyframeScan);
 
 impl SemiDense {
     /// What of a scan was measured in its keyframe. Both are row-major.
-    pub fn new(keyframe: &Keyframe, scan: &KeyframeScan) -> Self {
+    pub fn new(measured: &[DepthPixel], scan: &KeyframeScan) -> Self {
         let place = |pixel: &DepthPixel| (pixel.y, pixel.x);
-        let measured = &keyframe.pixels;
         let mut next = 0;
-        let pixels = scan
-            .pixels()
-            .iter()
-            .filter(|pixel| {
-                let wanted = (pixel.y, pixel.x);
-                next += measured[next..].partition_point(|m| place(m) < wanted);
-                measured.get(next).is_some_and(|m| place(m) == wanted)
-            })
-            .map(|pixel| MeasuredPixel {
-                pixel: [pixel.x, pixel.y],
-                idepth: pixel.idepth,
-                relative_sigma: pixel.sigma_idepth / pixel.idepth,
-            })
-            .collect();
-        Self {
-            id: scan.id,
-            pixels,
-        }
+        Self(scan.only(|pixel| {
+            let wanted = (pixel.y, pixel.x);
+            next += measured[next..].partition_point(|m| place(m) < wanted);
+            measured.get(next).is_some_and(|m| place(m) == wanted)
+        }))
     }
 
     /// All that a recording has of a keyframe.
-    pub fn recorded(id: KeyframeId, pixels: &[DepthPixel]) -> Self {
-        let measured = |pixel: &DepthPixel| MeasuredPixel {
-            pixel: [pixel.x, pixel.y],
+    pub fn recorded(id: KeyframeId, camera: KeyframeCamera, pixels: &[DepthPixel]) -> Self {
+        let measured = |pixel: &DepthPixel| Measurement {
+            x: pixel.x,
+            y: pixel.y,
             idepth: pixel.idepth,
-            relative_sigma: pixel.idepth_var.sqrt() / pixel.idepth,
+            sigma_idepth: pixel.idepth_var.sqrt(),
         };
-        Self {
-            id,
-            pixels: pixels.iter().map(measured).collect(),
-        }
+        let pixels = pixels.iter().map(measured).collect();
+        Self(KeyframeScan::of_measurements(id, camera, pixels, 0))
+    }
+
+    /// The keyframe.
+    pub fn id(&self) -> KeyframeId {
+        self.0.id
+    }
+
+    /// The number of its pixels.
+    pub fn num_pixels(&self) -> usize {
+        self.0.num_pixels
     }
 
     /// Its points in the frame of the results, in the colours of its image.
@@ -71,16 +51,16 @@ impl SemiDense {
         pinhole: &Pinhole,
         map_from_keyframe: &Sim3,
     ) -> impl Iterator<Item = CloudPoint> {
-        self.pixels.iter().map(move |measured| {
-            let [x, y] = measured.pixel.map(f64::from);
+        let pixels = self.0.pixels();
+        (0..pixels.len()).map(move |index| {
+            let measured = pixels[index];
             let depth = 1.0 / f64::from(measured.idepth);
-            let ray = pinhole.unproject(&Vec2::new(x, y));
+            let ray = pinhole.unproject(&Vec2::new(measured.x.into(), measured.y.into()));
             let point = *map_from_keyframe * (ray * depth);
-            let [x, y] = measured.pixel.map(usize::from);
             CloudPoint {
                 point: [point.x, point.y, point.z].map(|value| value as f32),
-                colour: look.at(x, y),
-                confidence: CloudPoint::confidence(measured.relative_sigma),
+                colour: look.at(measured.x.into(), measured.y.into()),
+                confidence: CloudPoint::confidence(measured.sigma_idepth / measured.idepth),
             }
         })
     }
@@ -88,7 +68,7 @@ impl SemiDense {
 
 /// Points of all keyframes together.
 pub fn num_measured<'a>(clouds: impl IntoIterator<Item = &'a SemiDense>) -> usize {
-    clouds.into_iter().map(|cloud| cloud.pixels.len()).sum()
+    clouds.into_iter().map(SemiDense::num_pixels).sum()
 }
 
 #[cfg(test)]
@@ -96,24 +76,16 @@ mod tests {
     use super::*;
     use monogrid_geometry::Vec3;
     use monogrid_image::Image;
-    use monogrid_occupancy::DepthPixel as Measurement;
-    use monogrid_slam::mapping::KeyframeCamera;
+    use std::borrow::Cow;
 
-    fn keyframe() -> Keyframe {
-        let pixel = |x, y| DepthPixel {
+    fn measured() -> [DepthPixel; 4] {
+        let pixel = |(x, y)| DepthPixel {
             x,
             y,
             idepth: 1.0,
             idepth_var: 0.01,
         };
-        Keyframe {
-            id: 3,
-            frame_index: 0,
-            timestamp_ns: 0,
-            revision: 0,
-            image: Image::from_fn(4, 3, |x, y| (10 * y + x) as u8),
-            pixels: vec![pixel(1, 0), pixel(3, 0), pixel(0, 2), pixel(2, 2)],
-        }
+        [(1, 0), (3, 0), (0, 2), (2, 2)].map(pixel)
     }
 
     #[test]
@@ -128,13 +100,14 @@ mod tests {
         let pixels = [(0, 0), (1, 0), (2, 0), (1, 1), (2, 2), (3, 2)];
         let pixels = pixels.map(|(x, y)| measurement(x, y)).to_vec();
         let scan = KeyframeScan::of_measurements(3, camera, pixels, 4);
-        let cloud = SemiDense::new(&keyframe(), &scan);
-        let pixels: Vec<_> = cloud.pixels.iter().map(|p| p.pixel).collect();
-        assert_eq!(pixels, [[1, 0], [2, 2]]);
+        let cloud = SemiDense::new(&measured(), &scan);
+        let pixels: Vec<_> = cloud.0.pixels().iter().map(|p| [p.x, p.y]).collect();
+        assert_eq!((pixels, cloud.id()), (vec![[1, 0], [2, 2]], 3));
         let pinhole = Pinhole::new(2.0, 2.0, 1.0, 1.0);
         let twice = Sim3::new(2.0, monogrid_geometry::Rotation::identity(), Vec3::zeros());
-        let image = keyframe().image;
-        let points: Vec<_> = cloud.points(Look::Grey(&image), &pinhole, &twice).collect();
+        let image = Image::from_fn(4, 3, |x, y| (10 * y + x) as u8);
+        let look = Look::Grey(Cow::Owned(image));
+        let points: Vec<_> = cloud.points(look, &pinhole, &twice).collect();
         assert_eq!(points[1].point, [2.0, 2.0, 4.0]);
         assert_eq!([points[0].colour, points[1].colour], [[1; 3], [22; 3]]);
         assert!((points[0].confidence - 0.6).abs() < 1e-6);

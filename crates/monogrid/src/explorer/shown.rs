@@ -4,7 +4,9 @@ use super::{Cloud, CloudPoint, Keyframe, Pictures, SemiDense, num_measured, seco
 use crate::colours::{ColourImage, Colours};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
+use monogrid_slam::mapping::ImageOf;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// A keyframe of the main map.
 #[derive(Clone, Debug)]
@@ -18,7 +20,7 @@ pub struct ShownKeyframe<'a> {
     /// Intrinsics of its images.
     pub pinhole: Pinhole,
     /// Its grey image.
-    pub image: Option<&'a Image<u8>>,
+    pub image: Option<ImageOf<'a>>,
     /// What was measured in it.
     pub semi_dense: SemiDense,
 }
@@ -29,21 +31,20 @@ pub enum Look<'a> {
     /// In colour.
     Colour(ColourImage),
     /// In grey.
-    Grey(&'a Image<u8>),
+    Grey(Cow<'a, Image<u8>>),
     /// Nobody knows: a middle grey.
     Unknown,
 }
 
 impl<'a> Look<'a> {
     /// What a keyframe looks like: in colour where that is known and of the size of its grey image.
-    pub fn of(id: u32, image: Option<&'a Image<u8>>, colours: &Colours) -> Self {
-        let size = image.map(|image| (image.width(), image.height()));
-        match (colours.of_keyframe(id), image) {
-            (Some(colour), _) if size == Some((colour.width(), colour.height())) => {
-                Self::Colour(colour)
-            }
-            (_, Some(image)) => Self::Grey(image),
-            (_, None) => Self::Unknown,
+    pub fn of(id: u32, image: Option<ImageOf<'a>>, colours: &Colours) -> Self {
+        let size = image.map(ImageOf::size);
+        match colours.of_keyframe(id) {
+            Some(colour) if size == Some((colour.width(), colour.height())) => Self::Colour(colour),
+            _ => image
+                .and_then(ImageOf::get)
+                .map_or(Self::Unknown, Self::Grey),
         }
     }
 
@@ -59,7 +60,7 @@ impl<'a> Look<'a> {
 
 impl ShownKeyframe<'_> {
     fn look(&self, colours: &Colours) -> Look<'_> {
-        Look::of(self.semi_dense.id, self.image, colours)
+        Look::of(self.semi_dense.id(), self.image, colours)
     }
 
     /// Its points in the frame of the results.
@@ -101,7 +102,7 @@ pub fn cloud_and_keyframes(
         .collect();
     let parts = keyframes.iter().zip(ranges).zip(images);
     let keyframes = parts.map(|((shown, points), image)| Keyframe {
-        id: shown.semi_dense.id,
+        id: shown.semi_dense.id(),
         frame: shown.frame_index,
         time: seconds_since(begin_ns, shown.timestamp_ns),
         pose: Keyframe::rows(&shown.map_from_keyframe),

@@ -5,6 +5,7 @@ pub mod svg;
 use crate::explorer::{self, POLICY};
 use crate::picture::data_url;
 use std::fmt::Write;
+use std::io;
 use svg::{Plot, escape};
 
 /// A page under construction.
@@ -210,18 +211,40 @@ impl Page {
 
     /// The complete page; `policy` is its content security policy.
     pub fn finish_with(self, title: &str, lead: &str, policy: &str) -> String {
-        format!(
-            "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title>\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\
-             <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><style>{3}{STYLE}{4}</style></head>\
-             <body><h1>{0}</h1><p class=\"lead\">{1}</p>{2}</body></html>\n",
-            escape(title),
-            escape(lead),
-            self.body,
-            svg::STYLE,
-            explorer::STYLE
-        )
+        beginning(title, lead, policy) + &self.body + END
     }
+
+    /// Writes the complete page with something between its body and the rest of it.
+    pub fn write_around(
+        &self,
+        out: &mut dyn io::Write,
+        (title, lead): (&str, &str),
+        between: impl FnOnce(&mut dyn io::Write) -> anyhow::Result<()>,
+        rest: &Self,
+    ) -> anyhow::Result<()> {
+        out.write_all(beginning(title, lead, POLICY).as_bytes())?;
+        out.write_all(self.body.as_bytes())?;
+        between(out)?;
+        out.write_all(rest.body.as_bytes())?;
+        Ok(out.write_all(END.as_bytes())?)
+    }
+}
+
+/// What stands behind the body.
+const END: &str = "</body></html>\n";
+
+/// What stands before it.
+fn beginning(title: &str, lead: &str, policy: &str) -> String {
+    format!(
+        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title>\
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\
+             <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><style>{2}{STYLE}{3}</style></head>\
+             <body><h1>{0}</h1><p class=\"lead\">{1}</p>",
+        escape(title),
+        escape(lead),
+        svg::STYLE,
+        explorer::STYLE
+    )
 }
 
 #[cfg(test)]

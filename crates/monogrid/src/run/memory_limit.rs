@@ -22,6 +22,16 @@ impl MemoryLimit {
         slam.give_room(self.room(resident, slam.bytes_in_memory() as u64) as usize);
     }
 
+    /// For work that needs none of the keyframes of a system, or one after the other: they have the least room where some have had to
+    /// leave memory already.
+    pub fn squeeze(self, slam: &Slam) {
+        if slam.map_size().bytes.in_file == 0 {
+            return self.apply(slam);
+        }
+        slam.give_room(LEAST_ROOM as usize);
+        memory::give_back();
+    }
+
     /// What keyframes may take of a process that takes `resident` bytes, `kept` of them for keyframes.
     fn room(self, resident: u64, kept: u64) -> u64 {
         let others = resident.saturating_sub(kept);

@@ -13,6 +13,7 @@ use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::SessionInfo;
 use monogrid_pipeline::{Finished, Pipeline, PipelineError, Reading, Settings, read_ahead};
+use monogrid_slam::Slam;
 use monogrid_slam::mapping::KeyframeCamera;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -86,7 +87,13 @@ pub fn track(
     })
     .while_running("frames cannot be read")?;
     let ended = tracking.finish()?;
-    let run = ended.pipeline.finish().map_err(|error| match error {
+    let mut released = |slam: &Slam| {
+        if let Some(limit) = settings.memory_limit {
+            limit.squeeze(slam);
+        }
+    };
+    let run = ended.pipeline.finish_telling(&mut released);
+    let run = run.map_err(|error| match error {
         PipelineError::Listener(error) => Failure::Running(anyhow::Error::from_boxed(error)),
         error => Failure::running(error),
     })?;

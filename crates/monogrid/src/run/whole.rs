@@ -4,7 +4,7 @@ use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
 use super::outputs::{self, Ground, MapPictures, Playback, Surface, path_of};
 use super::progress::watched;
-use super::report::{ReportInput, page};
+use super::report::{ReportInput, write_page};
 use super::sensed::{Sensed, sense};
 use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
@@ -22,8 +22,9 @@ use crate::usage::{peak_rss_bytes, process_cpu};
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{DepthReport, MapReport};
 use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
-use monogrid_image::Image;
-use monogrid_slam::mapping::{KeyframeScan, Maps, SceneCell, UprightView, scene_cell};
+use monogrid_slam::mapping::{
+    ImageOf, KeyframeCamera, KeyframeScan, Maps, SceneCell, UprightView, scene_cell,
+};
 use monogrid_slam::{KeptKeyframe, TrackedFrame};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -123,8 +124,8 @@ pub fn run_all(
     results.play(settings, &tracked, &poses)?;
     let verdict = verdict(&summary, &tracked);
     let title = format!("monogrid: {}", input.name);
-    let report = page(&tracked, &results.report(&title, &verdict, &summary))?;
-    folder.write("report.html", report)?;
+    let report = results.report(&title, &verdict, &summary);
+    folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
     Ok(Finished {
         outcome: summary.status.outcome(),
@@ -153,13 +154,14 @@ struct Results<'a> {
 }
 
 impl Results<'_> {
-    /// Writes the run as messages, where it is asked for.
+    /// Writes the run as messages, where it is asked for; what was needed for the maps alone is given back.
     fn play(
         &self,
         settings: &RunSettings,
         tracked: &Tracked,
         poses: &[TimedPose],
     ) -> Result<(), Failure> {
+        leave_room(tracked, settings.memory_limit);
         let Some(file) = &settings.mcap else {
             return Ok(());
         };
@@ -264,13 +266,12 @@ impl Looked {
         settings: &RunSettings,
     ) -> Self {
         let keyframes = tracked.run.slam.keyframes();
-        let images: Vec<Option<Image<u8>>> = keyframes.iter().map(KeptKeyframe::image).collect();
-        let posed = keyframes.iter().zip(&images).zip(scans);
+        let posed = keyframes.iter().zip(scans);
         let views: Vec<UprightView> = posed
-            .filter_map(|((keyframe, image), scan)| {
+            .filter_map(|(keyframe, scan)| {
                 Some(UprightView {
                     scan,
-                    image: image.as_ref(),
+                    image: Some(ImageOf::Kept(keyframe)),
                     world_from_keyframe: *tracked.run.poses.in_main_map(keyframe.id)?,
                 })
             })
@@ -415,24 +416,36 @@ fn final_depth(
     show_progress: bool,
 ) -> Vec<KeyframeScan> {
     let before = process_cpu();
-    memory::give_back();
-    if let Some(limit) = limit {
-        limit.apply(&tracked.run.slam);
-    }
+    make_room(tracked, limit);
     let count = tracked.run.slam.num_keyframes();
     eprintln!("depth and maps of {count} keyframes at their final poses");
     let scans = watched("final depth", count, show_progress, |done| {
         tracked.run.final_scans(done)
     });
     tracked.cpu.mapping += process_cpu() - before;
-    memory::give_back();
+    leave_room(tracked, limit);
     scans
+}
+
+/// Gives back what is free, and the keyframes as much room as is left now.
+fn make_room(tracked: &Tracked, limit: Option<MemoryLimit>) {
+    match limit {
+        Some(limit) => limit.apply(&tracked.run.slam),
+        None => memory::give_back(),
+    }
+}
+
+/// The same for work that takes one keyframe after the other: with a limit they have the least room.
+fn leave_room(tracked: &Tracked, limit: Option<MemoryLimit>) {
+    match limit {
+        Some(limit) => limit.squeeze(&tracked.run.slam),
+        None => memory::give_back(),
+    }
 }
 
 /// A keyframe of the main map with its final pose.
 struct Posed {
     keyframe: KeptKeyframe,
-    image: Option<Image<u8>>,
     map_from_keyframe: Sim3,
 }
 
@@ -441,7 +454,6 @@ fn posed_keyframes(tracked: &Tracked, frame: &MapFrame) -> Vec<Posed> {
     let posed = |keyframe: KeptKeyframe| {
         let world_from_keyframe = tracked.run.poses.in_main_map(keyframe.id)?;
         Some(Posed {
-            image: keyframe.image(),
             keyframe,
             map_from_keyframe: frame.map_from_world * *world_from_keyframe,
         })
@@ -460,14 +472,17 @@ fn shown_keyframes<'a>(
     let shown = posed.par_iter().map(|posed| {
         let keyframe = &posed.keyframe;
         let scan = scans.get(&keyframe.id);
-        let semi_dense = scan.and_then(|scan| Some(SemiDense::new(&keyframe.load()?, scan)));
+        let semi_dense = scan.and_then(|scan| Some(SemiDense::new(&keyframe.pixels()?, scan)));
         ShownKeyframe {
             frame_index: keyframe.frame_index as u64,
             timestamp_ns: keyframe.timestamp_ns,
             map_from_keyframe: posed.map_from_keyframe,
             pinhole: *pinhole,
-            image: posed.image.as_ref(),
-            semi_dense: semi_dense.unwrap_or_else(|| SemiDense::recorded(keyframe.id, &[])),
+            image: Some(ImageOf::Kept(keyframe)),
+            semi_dense: semi_dense.unwrap_or_else(|| {
+                let camera = KeyframeCamera::new(*pinhole, keyframe.size());
+                SemiDense::recorded(keyframe.id, camera, &[])
+            }),
         }
     });
     shown.collect()
@@ -492,7 +507,7 @@ fn coloured_scans<'a>(posed: &'a [Posed], scans: &'a [KeyframeScan]) -> Vec<Colo
     let coloured = posed.iter().filter_map(|posed| {
         Some(ColouredScan {
             scan: scans.get(&posed.keyframe.id)?,
-            image: posed.image.as_ref(),
+            image: Some(ImageOf::Kept(&posed.keyframe)),
             map_from_keyframe: posed.map_from_keyframe,
         })
     });
@@ -508,6 +523,7 @@ fn final_maps(
     settings: &RunSettings,
 ) -> Result<Option<Maps>, String> {
     let before = process_cpu();
+    leave_room(tracked, settings.memory_limit);
     let camera = path.last().map(|point| Vec3::from(*point));
     let frames = settings.earlier().into_iter().flat_map(|e| &e.frames);
     let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
@@ -517,6 +533,7 @@ fn final_maps(
         let more = (frames.as_slice(), edge);
         run.maps_of(scans, &looked.frame.map_from_world, camera, more, done)
     });
+    leave_room(tracked, settings.memory_limit);
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())
 }

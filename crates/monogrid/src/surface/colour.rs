@@ -3,9 +3,8 @@
 use crate::colours::Colours;
 use crate::explorer::Look;
 use monogrid_geometry::{Sim3, Vec2};
-use monogrid_image::Image;
 use monogrid_occupancy::{MapError, OccupancyMap, SurfaceMesh, VoxelKey};
-use monogrid_slam::mapping::{KeyframeScan, MeshConfig};
+use monogrid_slam::mapping::{ImageOf, KeyframeScan, MeshConfig};
 use std::collections::HashMap;
 
 /// Measurements that are looked at, at most; of more, they are taken evenly.
@@ -20,7 +19,7 @@ pub struct ColouredScan<'a> {
     /// What of it is mapped.
     pub scan: &'a KeyframeScan,
     /// Its grey image.
-    pub image: Option<&'a Image<u8>>,
+    pub image: Option<ImageOf<'a>>,
     /// Pose in the frame of the map.
     pub map_from_keyframe: Sim3,
 }

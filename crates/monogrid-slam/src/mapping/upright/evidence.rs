@@ -3,9 +3,8 @@
 use super::UprightConfig;
 use super::segments::segments;
 use crate::mapping::fill::{Plane, planes_of_image};
-use crate::mapping::{FillConfig, KeyframeScan};
+use crate::mapping::{FillConfig, ImageOf, KeyframeScan};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
-use monogrid_image::Image;
 use rayon::prelude::*;
 
 /// A keyframe as the search for up needs it.
@@ -14,7 +13,7 @@ pub struct UprightView<'a> {
     /// Its depth as it is mapped.
     pub scan: &'a KeyframeScan,
     /// Its image; without one there are no edges.
-    pub image: Option<&'a Image<u8>>,
+    pub image: Option<ImageOf<'a>>,
     /// Its pose.
     pub world_from_keyframe: Sim3,
 }
@@ -52,10 +51,9 @@ impl Evidence {
         let seen = |view: &UprightView| {
             let planes = planes_of_image(&view.scan.pixels(), &FillConfig::default());
             let min_length_px = config.min_edge * view.scan.camera.width as f64;
-            (
-                planes,
-                view.image.map(|image| segments(image, min_length_px)),
-            )
+            let image = view.image.and_then(ImageOf::get);
+            let segments = image.map(|image| segments(&image, min_length_px));
+            (planes, segments)
         };
         let seen: Vec<_> = views.par_iter().map(seen).collect();
         let mut this = Self::default();

@@ -6,9 +6,10 @@ use crate::explorer::{
 };
 use crate::picture::base64;
 use monogrid_geometry::{Pinhole, Sim3};
-use monogrid_slam::mapping::z_up_from_camera_world;
+use monogrid_slam::mapping::{KeyframeCamera, z_up_from_camera_world};
 use monogrid_slam::{DepthPixel, Keyframe as SlamKeyframe};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -144,9 +145,11 @@ impl Shown {
         let is_certain = |p: &&DepthPixel| p.idepth_var.sqrt() <= MAX_RELATIVE_SIGMA * p.idepth;
         let certain: Vec<DepthPixel> = keyframe.pixels.iter().filter(is_certain).copied().collect();
         let every = certain.len().div_ceil(MAX_POINTS).max(1);
-        let semi_dense = SemiDense::recorded(keyframe.id, &certain);
+        let camera = KeyframeCamera::new(self.pinhole, keyframe.size());
+        let semi_dense = SemiDense::recorded(keyframe.id, camera, &certain);
         let at_rest = Sim3::identity();
-        let points = semi_dense.points(Look::Grey(&keyframe.image), &self.pinhole, &at_rest);
+        let look = Look::Grey(Cow::Borrowed(&keyframe.image));
+        let points = semi_dense.points(look, &self.pinhole, &at_rest);
         let points: Vec<CloudPoint> = points.step_by(every).collect();
         KeyframeNews {
             id: keyframe.id,

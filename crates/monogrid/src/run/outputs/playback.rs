@@ -102,19 +102,20 @@ impl Playback<'_> {
     ) -> io::Result<()> {
         let time_ns = keyframe.timestamp_ns;
         if let Some(image) = keyframe.image {
-            let (header, size) = (header(time_ns, CAMERA), (image.width(), image.height()));
+            let (header, size) = (header(time_ns, CAMERA), image.size());
             let info = info_of(header.clone(), &keyframe.pinhole, size);
             writer.write("/camera/camera_info", time_ns, &info)?;
-            let (format, data) = match self.colours.jpeg(keyframe.semi_dense.id) {
-                Some(jpeg) => ("jpeg", jpeg.to_vec()),
-                None => ("png", encode_png(image)),
-            };
-            let image = CompressedImage {
-                header,
-                format: format.to_owned(),
-                data,
-            };
-            writer.write("/camera/image/compressed", time_ns, &image)?;
+            let jpeg = self.colours.jpeg(keyframe.semi_dense.id());
+            let jpeg = jpeg.map(|jpeg| ("jpeg", jpeg.to_vec()));
+            let png = || Some(("png", encode_png(&*image.get()?)));
+            if let Some((format, data)) = jpeg.or_else(png) {
+                let image = CompressedImage {
+                    header,
+                    format: format.to_owned(),
+                    data,
+                };
+                writer.write("/camera/image/compressed", time_ns, &image)?;
+            }
         }
         let points = keyframe.points(self.colours).map(|point| {
             let [x, y, z] = point.point;

@@ -6,7 +6,6 @@ use crate::explorer::{
     Camera, Cells, Frames, PageMesh, PathPoint, Scene, cloud_and_keyframes, point_groups,
     seconds_since,
 };
-use crate::failure::{Classify, Failure};
 use crate::run::frames::FrameRow;
 use crate::run::threads::Tracked;
 use monogrid_slam::TrackingState;
@@ -17,7 +16,7 @@ use std::collections::BTreeMap;
 const MIN_LOOP: u64 = 10;
 
 /// The scene of a run.
-pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Failure> {
+pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> anyhow::Result<Scene> {
     let slam = &tracked.run.slam;
     let keyframes = input.keyframes;
     let begin = tracked.rows.first().map_or(0, |row| row.timestamp_ns);
@@ -28,13 +27,10 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> Result<Scene, Fai
         .map(|(position, keyframe)| (u64::from(keyframe.id), position))
         .collect();
     let image = keyframes.first().and_then(|keyframe| keyframe.image);
-    let size = image.map(|image| [image.width(), image.height()]);
+    let size = image.map(|image| <[usize; 2]>::from(image.size()));
     Ok(Scene {
         unit: input.summary.unit().to_owned(),
-        cells: match input.map {
-            Some(map) => Some(Cells::new(map).while_running("the map cannot be drawn")?),
-            None => None,
-        },
+        cells: input.map.map(Cells::new).transpose()?,
         mesh: input
             .map
             .zip(input.mesh)

@@ -9,7 +9,6 @@ use super::summary::Summary;
 use super::threads::Tracked;
 use crate::colours::Colours;
 use crate::explorer::{self, ShownKeyframe};
-use crate::failure::Failure;
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
@@ -17,6 +16,7 @@ use crate::surface::ColouredMesh;
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_image::Image;
 use monogrid_occupancy::OccupancyMap;
+use std::io::Write;
 use tracking::{losses, ribbon, tracking_plots};
 
 /// Keyframes shown with their pictures.
@@ -59,13 +59,26 @@ pub struct ReportInput<'a> {
     pub config: &'a str,
 }
 
-/// The complete page.
-pub fn page(tracked: &Tracked, input: &ReportInput) -> Result<String, Failure> {
-    let mut page = Page::default();
+/// Writes the complete page.
+pub fn write_page(
+    out: &mut dyn Write,
+    tracked: &Tracked,
+    input: &ReportInput,
+) -> anyhow::Result<()> {
+    let mut warnings = Page::default();
     for warning in &input.summary.warnings {
-        page.warning(warning);
+        warnings.warning(warning);
     }
-    page.html(&explorer::section(&explore::scene(tracked, input)?)?);
+    let rest = below_the_explorer(tracked, input);
+    let explorer = |out: &mut dyn Write| {
+        let scene = explore::scene(tracked, input)?;
+        explorer::write_section(out, &scene)
+    };
+    warnings.write_around(out, (input.title, input.verdict), explorer, &rest)
+}
+
+fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
+    let mut page = Page::default();
     page.heading("In numbers");
     page.facts(&facts(input));
     if let Some(preview) = input.preview {
@@ -106,7 +119,7 @@ pub fn page(tracked: &Tracked, input: &ReportInput) -> Result<String, Failure> {
     show_keyframes(&mut page, tracked);
     page.heading("Settings");
     page.folded("all settings, as in config.toml", input.config);
-    Ok(page.finish(input.title, input.verdict))
+    page
 }
 
 fn facts(input: &ReportInput) -> Vec<(String, String)> {

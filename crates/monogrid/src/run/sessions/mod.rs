@@ -13,7 +13,7 @@ use monogrid_datasets::{
     Recording, SessionInfo, read_sim3,
 };
 use monogrid_geometry::Pinhole;
-use monogrid_slam::{MAIN_MAP, Purpose, Slam, StoredMap};
+use monogrid_slam::{MAIN_MAP, Purpose, Slam, StoredKeyframe, StoredLink, StoredMap};
 use std::path::{Path, PathBuf};
 use stored::{recorded_edge, recorded_point, stored_map};
 
@@ -188,7 +188,12 @@ pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Con
         keyframe: frame.keyframe,
         keyframe_from_frame: frame.keyframe_from_frame,
     }));
-    continuation_of(&slam.stored_map(), sessions, frames)
+    // one after the other: a list that is made into another is gone before the next one
+    Continuation {
+        edges: slam.edges().iter().map(recorded_edge).collect(),
+        points: slam.points().iter().map(recorded_point).collect(),
+        ..of_links(&slam.links(), sessions, frames)
+    }
 }
 
 /// What a later run needs of a map, the sessions that made it, and their frames.
@@ -197,30 +202,38 @@ pub fn continuation_of(
     sessions: Vec<RecordedSession>,
     frames: Vec<RecordedFrame>,
 ) -> Continuation {
+    let links: Vec<StoredLink> = map.keyframes.iter().map(StoredKeyframe::link).collect();
     Continuation {
-        sessions,
-        keyframes: map
-            .keyframes
-            .iter()
-            .map(|stored| KeyframeLink {
-                id: stored.keyframe.id,
-                parent: stored.parent,
-                gain: stored.gain,
-                bias: stored.bias,
-            })
-            .collect(),
         edges: map.edges.iter().map(recorded_edge).collect(),
         points: map.points.iter().map(recorded_point).collect(),
+        ..of_links(&links, sessions, frames)
+    }
+}
+
+/// The same without edges and points.
+fn of_links(
+    links: &[StoredLink],
+    sessions: Vec<RecordedSession>,
+    frames: Vec<RecordedFrame>,
+) -> Continuation {
+    let link = |stored: &StoredLink| KeyframeLink {
+        id: stored.id,
+        parent: stored.parent,
+        gain: stored.gain,
+        bias: stored.bias,
+    };
+    let apart = links.iter().filter(|stored| stored.fragment != MAIN_MAP);
+    let fragment = |stored: &StoredLink| FragmentKeyframe {
+        keyframe: stored.id,
+        fragment: stored.fragment,
+        fragment_from_keyframe: stored.world_from_keyframe,
+    };
+    Continuation {
+        sessions,
+        keyframes: links.iter().map(link).collect(),
+        edges: Vec::new(),
+        points: Vec::new(),
         frames,
-        fragments: map
-            .keyframes
-            .iter()
-            .filter(|stored| stored.fragment != MAIN_MAP)
-            .map(|stored| FragmentKeyframe {
-                keyframe: stored.keyframe.id,
-                fragment: stored.fragment,
-                fragment_from_keyframe: stored.world_from_keyframe,
-            })
-            .collect(),
+        fragments: apart.map(fragment).collect(),
     }
 }
