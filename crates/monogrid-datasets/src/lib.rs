@@ -7,6 +7,7 @@
 //! * [`read_trajectory`], [`write_tum`], [`read_sim3`] and their kin handle poses.
 //! * [`ImuFile`] reads the inertial measurements beside them.
 //! * [`RecordingWriter`] and [`Recording`] write and read `.mgk` files, [`ScansReader`] reads `.scans`.
+//! * [`SubmapBuilder`], [`SubmapReader`] and [`SubmapTable`] are the same in pieces that never change, `.mgs`.
 //! * [`FrameChecker`] and [`SequenceCheck`] say what in the images would hurt tracking.
 //! * [`write_atomically`] replaces files whole or not at all.
 //!
@@ -25,6 +26,7 @@ mod imu;
 mod recording;
 mod scans;
 mod source;
+mod submap;
 mod text;
 mod timestamp;
 mod trajectory;
@@ -49,6 +51,10 @@ pub use recording::{
 pub use scans::{Scan, ScanPoint, ScansReader};
 pub use source::{
     DEFAULT_FPS, Dataset, DepthEntry, FrameEntry, Layout, SourceOptions, natural_order,
+};
+pub use submap::{
+    BuiltSubmap, MovedKeyframe, SUBMAP_TABLE, SubmapBlock, SubmapBuilder, SubmapEntry, SubmapId,
+    SubmapInfo, SubmapPose, SubmapReader, SubmapTable, is_submap_table, submap_table_in,
 };
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;

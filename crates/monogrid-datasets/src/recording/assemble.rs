@@ -5,6 +5,7 @@ use super::{
     DepthPixel, EndRecord, KeyframeRecord, Record, RecordedCamera, RecordingReader, SessionInfo,
 };
 use crate::DatasetError;
+use crate::submap::{is_submap_table, read_recording};
 use monogrid_geometry::{Camera, Distortion, Sim3};
 use monogrid_image::Image;
 use std::collections::BTreeMap;
@@ -71,12 +72,16 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a recording, as far as it is whole.
+    /// Reads a recording, as far as it is whole, or the submaps of a run by their table ([`crate::SUBMAP_TABLE`]): the same where the run
+    /// ended by itself.
     ///
     /// # Errors
     /// When the file cannot be read, is not a recording, or has lost its session record, without
-    /// which depth cannot be turned into points.
+    /// which depth cannot be turned into points; when a submap is missing or damaged.
     pub fn read(path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
+        if is_submap_table(path) {
+            return read_recording(path, options);
+        }
         Self::collect(RecordingReader::open(path, options)?, path)
     }
 
@@ -92,40 +97,13 @@ impl Recording {
         for record in reader.by_ref() {
             newest.take(record?);
         }
-        let session = newest.session.take();
-        let session = session.filter(|session| is_usable(&session.camera()));
-        let session = session
-            .ok_or_else(|| DatasetError::binary(path, "recording", "it has no session record"))?;
-        let pose_revision = newest.poses.as_ref().map(|poses| poses.revision);
-        let (mut continuation, end) = (newest.continuation.take(), newest.end.take());
-        let mut keyframes = newest.placed_keyframes(&session.camera());
-        let num_invalid_pixels = keyframes
-            .iter_mut()
-            .map(|k| drop_invalid(&mut k.pixels, &k.camera))
-            .sum();
-        let num_invalid_links = continuation.as_mut().map_or(0, |c: &mut Continuation| {
-            c.drop_invalid(|id: u32| {
-                let found = keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
-                let camera = keyframes[found].camera;
-                Some((camera.width, camera.height))
-            })
-        });
-        Ok(Self {
-            session,
-            keyframes,
-            pose_revision,
-            continuation,
-            end,
-            damage: reader.damage(),
-            num_invalid_pixels,
-            num_invalid_links,
-        })
+        newest.into_recording(reader.damage(), path)
     }
 }
 
 /// The newest record of each kind.
 #[derive(Default)]
-struct Newest {
+pub(crate) struct Newest {
     session: Option<SessionInfo>,
     keyframes: BTreeMap<u32, NewestKeyframe>,
     poses: Option<PoseSnapshot>,
@@ -135,7 +113,7 @@ struct Newest {
 
 impl Newest {
     /// Keeps a record where none is newer. What came before its keyframe can only be of a keyframe lost to damage.
-    fn take(&mut self, record: Record) {
+    pub(crate) fn take(&mut self, record: Record) {
         match record {
             Record::Session(session) => self.session = Some(session),
             Record::Keyframe(keyframe) => {
@@ -168,6 +146,42 @@ impl Newest {
             Record::Continuation(continuation) => self.continuation = Some(continuation),
             Record::End(end) => self.end = Some(end),
         }
+    }
+
+    /// What there is, checked; `path` is only for messages.
+    pub(crate) fn into_recording(
+        mut self,
+        damage: Damage,
+        path: &Path,
+    ) -> Result<Recording, DatasetError> {
+        let session = self.session.take();
+        let session = session.filter(|session| is_usable(&session.camera()));
+        let session = session
+            .ok_or_else(|| DatasetError::binary(path, "recording", "it has no session record"))?;
+        let pose_revision = self.poses.as_ref().map(|poses| poses.revision);
+        let (mut continuation, end) = (self.continuation.take(), self.end.take());
+        let mut keyframes = self.placed_keyframes(&session.camera());
+        let num_invalid_pixels = keyframes
+            .iter_mut()
+            .map(|k| drop_invalid(&mut k.pixels, &k.camera))
+            .sum();
+        let num_invalid_links = continuation.as_mut().map_or(0, |c: &mut Continuation| {
+            c.drop_invalid(|id: u32| {
+                let found = keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
+                let camera = keyframes[found].camera;
+                Some((camera.width, camera.height))
+            })
+        });
+        Ok(Recording {
+            session,
+            keyframes,
+            pose_revision,
+            continuation,
+            end,
+            damage,
+            num_invalid_pixels,
+            num_invalid_links,
+        })
     }
 
     /// The keyframes with their cameras, that of the session where they have none of their own, and poses. One whose camera could not be one

@@ -121,7 +121,7 @@ fn encode_session(session: &SessionInfo, out: &mut Bytes) -> u32 {
     KIND_SESSION
 }
 
-fn encode_camera(camera: &RecordedCamera, out: &mut Bytes) {
+pub(crate) fn encode_camera(camera: &RecordedCamera, out: &mut Bytes) {
     let Pinhole { fx, fy, cx, cy } = camera.pinhole;
     [fx, fy, cx, cy].into_iter().for_each(|v| out.f64(v));
     out.u32(camera.width as u32);
@@ -169,17 +169,15 @@ fn encode_poses(snapshot: &PoseSnapshot, out: &mut Bytes) -> Option<u32> {
     out.u32(u32::try_from(snapshot.poses.len()).ok()?);
     for (id, pose) in &snapshot.poses {
         out.u32(*id);
-        let (t, q) = (pose.translation, pose.rotation.quaternion());
-        [pose.scale, t.x, t.y, t.z, q.i, q.j, q.k, q.w]
-            .into_iter()
-            .for_each(|v| out.f64(v));
+        let numbers = numbers_of_pose(pose);
+        numbers.into_iter().for_each(|v| out.f64(v));
     }
     Some(KIND_POSES)
 }
 
 /// The record of a payload whose checksum was right. `Ok(None)`: a kind of a later version.
 /// `Err`: the payload is not what its kind says.
-pub(super) fn decode_record(
+pub(crate) fn decode_record(
     kind: u32,
     payload: &[u8],
     with_images: bool,
@@ -220,7 +218,7 @@ fn decode_session(input: &mut Input) -> Option<SessionInfo> {
     })
 }
 
-fn decode_camera(input: &mut Input) -> Option<RecordedCamera> {
+pub(crate) fn decode_camera(input: &mut Input) -> Option<RecordedCamera> {
     let [fx, fy, cx, cy] = [input.f64()?, input.f64()?, input.f64()?, input.f64()?];
     Some(RecordedCamera {
         pinhole: Pinhole::new(fx, fy, cx, cy),
@@ -301,15 +299,26 @@ fn decode_poses(input: &mut Input) -> Option<PoseSnapshot> {
     let mut poses = Vec::with_capacity(count.min(input.len() / 68));
     for _ in 0..count {
         let id = input.u32()?;
-        let scale = input.f64()?;
-        let mut numbers = [0.0; 7];
+        let mut numbers = [0.0; 8];
         for n in &mut numbers {
             *n = input.f64()?;
         }
-        let pose: Sim3 = pose_from_numbers(&numbers)?.with_scale(scale);
-        poses.push((id, pose.is_finite().then_some(pose)?));
+        poses.push((id, pose_of_numbers(&numbers)?));
     }
     Some(PoseSnapshot { revision, poses })
+}
+
+/// Scale, tx, ty, tz, qx, qy, qz, qw.
+pub(crate) fn numbers_of_pose(pose: &Sim3) -> [f64; 8] {
+    let (t, q) = (pose.translation, pose.rotation.quaternion());
+    [pose.scale, t.x, t.y, t.z, q.i, q.j, q.k, q.w]
+}
+
+/// The pose with these [numbers](numbers_of_pose), if it is one.
+pub(crate) fn pose_of_numbers(numbers: &[f64; 8]) -> Option<Sim3> {
+    let [scale, rigid @ ..] = numbers;
+    let pose: Sim3 = pose_from_numbers(rigid)?.with_scale(*scale);
+    pose.is_finite().then_some(pose)
 }
 
 fn decode_end(input: &mut Input) -> Option<EndRecord> {
@@ -321,23 +330,23 @@ fn decode_end(input: &mut Input) -> Option<EndRecord> {
 }
 
 /// Little-endian output.
-pub(super) struct Bytes(pub(super) Vec<u8>);
+pub(crate) struct Bytes(pub(crate) Vec<u8>);
 
 impl Bytes {
-    pub(super) fn u32(&mut self, v: u32) {
+    pub(crate) fn u32(&mut self, v: u32) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
-    pub(super) fn u64(&mut self, v: u64) {
+    pub(crate) fn u64(&mut self, v: u64) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
-    pub(super) fn f64(&mut self, v: f64) {
+    pub(crate) fn f64(&mut self, v: f64) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
-    pub(super) fn count(&mut self, count: usize) -> Option<()> {
+    pub(crate) fn count(&mut self, count: usize) -> Option<()> {
         self.u32(u32::try_from(count).ok()?);
         Some(())
     }
-    pub(super) fn blob(&mut self, bytes: &[u8]) -> Option<()> {
+    pub(crate) fn blob(&mut self, bytes: &[u8]) -> Option<()> {
         self.u32(u32::try_from(bytes.len()).ok()?);
         self.0.extend_from_slice(bytes);
         Some(())

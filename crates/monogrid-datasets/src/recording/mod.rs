@@ -18,6 +18,11 @@ pub use continuation::{
 pub use reader::{Damage, RecordingReader};
 pub use writer::RecordingWriter;
 
+pub(crate) use assemble::Newest;
+pub(crate) use format::{
+    Bytes, decode_camera, decode_record, encode_camera, numbers_of_pose, pose_of_numbers,
+};
+
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
 
@@ -169,6 +174,14 @@ impl Record {
     #[must_use]
     pub fn encode(&self) -> Option<Vec<u8>> {
         format::encode_record(self)
+    }
+
+    /// Its kind and payload, for files that have headers of their own; `None` beyond 4 GiB.
+    pub(crate) fn payload(&self) -> Option<(u32, Vec<u8>)> {
+        let mut bytes = format::encode_record(self)?;
+        let header = format::parse_record_header(bytes.first_chunk()?)?;
+        bytes.drain(..format::RECORD_HEADER_BYTES);
+        Some((header.kind, bytes))
     }
 
     /// The record that these bytes are, from header to end; `None` when they are damaged, or of a kind of a later version.

@@ -12,4 +12,5 @@ mod register;
 mod scans;
 mod shared_data;
 mod sources;
+mod submaps;
 mod trajectory;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// Damaged copies of a file: changed bits and bytes, extreme numbers, cuts, repeated and removed
 /// stretches; in text also words that are numbers and should not be.
-fn mutations(file: &[u8], count: usize) -> Vec<Vec<u8>> {
+pub fn mutations(file: &[u8], count: usize) -> Vec<Vec<u8>> {
     let words: [&[u8]; 8] = [
         b"nan",
         b"-inf",
@@ -57,13 +57,13 @@ fn mutations(file: &[u8], count: usize) -> Vec<Vec<u8>> {
 
 /// Counts what was accepted and refused, so that a test cannot pass by trying nothing.
 #[derive(Debug, Default)]
-struct Tried {
+pub struct Tried {
     accepted: usize,
     refused: usize,
 }
 
 impl Tried {
-    fn count<T, E: ToString>(&mut self, result: Result<T, E>) -> Option<T> {
+    pub fn count<T, E: ToString>(&mut self, result: Result<T, E>) -> Option<T> {
         match result {
             Ok(value) => {
                 self.accepted += 1;
@@ -77,7 +77,7 @@ impl Tried {
         }
     }
 
-    fn assert_both(&self) {
+    pub fn assert_both(&self) {
         assert!(self.accepted > 0 && self.refused > 0, "{self:?}");
     }
 }

@@ -11,7 +11,7 @@ use proptest::prelude::*;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-fn session() -> SessionInfo {
+pub fn session() -> SessionInfo {
     SessionInfo {
         pinhole: Pinhole::new(50.0, 51.0, 31.5, 23.5),
         width: 64,
@@ -24,7 +24,7 @@ fn session() -> SessionInfo {
     }
 }
 
-fn pixels(count: usize, seed: usize) -> Vec<DepthPixel> {
+pub fn pixels(count: usize, seed: usize) -> Vec<DepthPixel> {
     (0..count)
         .map(|i| DepthPixel {
             x: ((i * 7 + seed) % 64) as u16,
@@ -35,7 +35,7 @@ fn pixels(count: usize, seed: usize) -> Vec<DepthPixel> {
         .collect()
 }
 
-fn keyframe(id: u32, image: Option<Image<u8>>) -> KeyframeRecord {
+pub fn keyframe(id: u32, image: Option<Image<u8>>) -> KeyframeRecord {
     KeyframeRecord {
         id,
         frame_index: 10 * u64::from(id),
@@ -46,7 +46,7 @@ fn keyframe(id: u32, image: Option<Image<u8>>) -> KeyframeRecord {
     }
 }
 
-fn pose(i: usize) -> Sim3 {
+pub fn pose(i: usize) -> Sim3 {
     let x = i as f64;
     Sim3::exp(&Vec7::from_column_slice(&[
         x,
