@@ -14,7 +14,7 @@ use crate::run::align::{Align, Up};
 use crate::run::conclusion::conclude;
 use crate::run::sessions::{Continued, Earlier};
 use crate::run::whole::{Extras, run_all};
-use crate::run::{MemoryLimit, RunSettings, View};
+use crate::run::{MemoryLimit, RunSettings, SubmapPolicy, View};
 use clap::Args;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::Pace;
@@ -111,6 +111,11 @@ pub struct RunArgs {
     /// depend on it
     #[arg(long, value_name = "SIZE", value_parser = memory, help_heading = "Settings")]
     pub memory_limit: Option<u64>,
+    /// Close finished keyframes into files that never change while the run goes on, beside the recording: submaps/*.mgs, and
+    /// submaps/submaps.json, which says where they lie [keyframes of each, 1 to 1000: 16]
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "16", require_equals = true,
+          value_parser = clap::value_parser!(u16).range(1..=1000), conflicts_with = "localise_only", help_heading = "Output")]
+    pub submaps: Option<u16>,
 }
 
 /// Runs the command.
@@ -143,6 +148,9 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         show_progress: std::io::stderr().is_terminal(),
         view: args.view.clone(),
         memory_limit: args.memory_limit.map(MemoryLimit),
+        submaps: args
+            .submaps
+            .map(|keyframes| SubmapPolicy::of(usize::from(keyframes))),
         ..RunSettings::new(config, threads)
     };
     describe_input(&input);

@@ -29,6 +29,7 @@ pub mod recorder;
 pub mod report;
 pub mod sensed;
 pub mod sessions;
+mod submaps;
 pub mod summary;
 pub mod threads;
 mod tracking;
@@ -36,6 +37,7 @@ pub mod whole;
 
 pub use live::View;
 pub use memory_limit::MemoryLimit;
+pub use submaps::SubmapPolicy;
 
 use crate::config::RunConfig;
 use crate::output::OutputFile;
@@ -63,6 +65,8 @@ pub struct RunSettings {
     pub view: Option<View>,
     /// Memory that the process should stay within.
     pub memory_limit: Option<MemoryLimit>,
+    /// When finished keyframes are closed into submaps, where they are wanted.
+    pub submaps: Option<SubmapPolicy>,
     /// Where to write the run as messages.
     pub mcap: Option<OutputFile>,
 }
@@ -79,6 +83,7 @@ impl RunSettings {
             show_progress: false,
             view: None,
             memory_limit: None,
+            submaps: None,
             mcap: None,
         }
     }

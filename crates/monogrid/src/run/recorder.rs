@@ -1,6 +1,7 @@
 //! What is saved while a run goes on: the recording and the pictures of keyframes.
 
 use super::sessions::{Earlier, RECORDING, continuation};
+use super::submaps::{SubmapPolicy, Submaps};
 use crate::colours::ColourSource;
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::to_recorded;
@@ -21,6 +22,7 @@ pub const KEYFRAME_FOLDER: &str = "keyframes";
 /// Hears of keyframes and writes them.
 pub struct Recorder {
     writer: Option<RecordingWriter>,
+    submaps: Option<Submaps>,
     folder: Arc<OutputFolder>,
     /// What a later run is told of this one.
     source: String,
@@ -45,6 +47,7 @@ impl Recorder {
         folder.list(RECORDING, Content::Begins)?;
         Ok(Self {
             writer: Some(writer),
+            submaps: None,
             folder,
             source: session.source.clone(),
             earlier,
@@ -52,27 +55,41 @@ impl Recorder {
         })
     }
 
+    /// Closes submaps as well, where they are wanted.
+    pub fn closing(mut self, policy: Option<SubmapPolicy>, session: &SessionInfo) -> Self {
+        let submaps = |policy| Submaps::new(Arc::clone(&self.folder), session.clone(), policy);
+        self.submaps = policy.map(submaps);
+        self
+    }
+
     fn save(&mut self, event: &Event) -> Result<(), Failure> {
         let Some(writer) = &mut self.writer else {
             return Ok(());
         };
         match event {
-            Event::Finished(keyframe, snapshot) => {
-                let keyframe = &loaded(keyframe)?;
+            Event::Finished(kept, snapshot) => {
+                let keyframe = &loaded(kept)?;
                 writer
                     .append_keyframe(keyframe_record(keyframe, None))
                     .while_running(DOING)?;
                 let sources = (self.earlier.as_ref(), self.source_colours.as_ref());
-                if let Some(jpeg) = colour(keyframe, sources) {
+                let jpeg = colour(keyframe, sources);
+                if let Some(jpeg) = jpeg.clone() {
                     let keyframe_id = keyframe.id;
                     let record = Record::Colour(ColourRecord { keyframe_id, jpeg });
                     writer.append(&record).while_running(DOING)?;
                 }
                 writer.append_poses(poses(snapshot)).while_running(DOING)?;
+                if let Some(submaps) = &mut self.submaps {
+                    submaps.finished(kept, jpeg, snapshot)?;
+                }
                 save_pictures(&self.folder, keyframe)
             }
-            Event::Revised(keyframe) => {
-                let keyframe = &loaded(keyframe)?;
+            Event::Revised(kept) => {
+                let keyframe = &loaded(kept)?;
+                if let Some(submaps) = &mut self.submaps {
+                    submaps.revised(kept);
+                }
                 writer
                     .append_depth(DepthRevision {
                         keyframe_id: keyframe.id,
@@ -94,16 +111,20 @@ impl Recorder {
         };
         let snapshot = run.slam.snapshot();
         writer.append_poses(poses(&snapshot)).while_running(DOING)?;
-        let continuation = continuation(run.slam, self.earlier.as_ref(), &self.source);
-        let continuation = Record::Continuation(continuation);
-        writer.append(&continuation).while_running(DOING)?;
         let end = EndRecord {
             num_frames: run.num_frames as u64,
             num_tracked: run.slam.trajectory().len() as u64,
             summary: String::new(),
         };
-        writer.finish(end).while_running(DOING)?;
-        self.folder.list(RECORDING, Content::Whole)
+        let continuation = continuation(run.slam, self.earlier.as_ref(), &self.source);
+        let continuation = Record::Continuation(continuation);
+        writer.append(&continuation).while_running(DOING)?;
+        writer.finish(end.clone()).while_running(DOING)?;
+        self.folder.list(RECORDING, Content::Whole)?;
+        match self.submaps.take() {
+            Some(submaps) => submaps.end(&snapshot, &[continuation, Record::End(end)]),
+            None => Ok(()),
+        }
     }
 }
 

@@ -71,6 +71,7 @@ pub fn track(
             .map(|source| Arc::clone(source.kept()));
         let earlier = settings.earlier().cloned();
         let recorder = Recorder::start(Arc::clone(folder), &session, earlier, source_colours)?;
+        let recorder = recorder.closing(settings.submaps, &session);
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
     let reading = Reading {
