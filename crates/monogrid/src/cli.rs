@@ -147,7 +147,7 @@ as KEY=VALUE."
     /// Grey pictures of the layers of a map
     #[command(after_help = "Example: monogrid slice kitchen.ot slices --leaves")]
     Slice(SliceArgs),
-    /// Facts about a map
+    /// Facts about a map or submaps
     #[command(after_help = "Example: monogrid info kitchen.bt")]
     Info(InfoArgs),
     /// Convert a map: .ot, .bt and .mgo to .ot, .bt, .mgo, .ply or .pcd

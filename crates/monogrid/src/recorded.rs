@@ -3,15 +3,13 @@
 use crate::args::Profile;
 use crate::colours::Colours;
 use crate::config::RunConfig;
-use crate::failure::{Classify, Failure};
+use crate::failure::Failure;
 use crate::keyframe_pixels::from_recorded;
 use crate::run::align::{Align, MapFrame, Scene};
 use crate::run::sensed::SensedFrame;
-use crate::run::sessions::{frame_beside, tracked_frame};
+use crate::run::sessions::{Source, frame_beside, tracked_frame};
 use crate::surface::{CellColours, ColouredScan};
-use monogrid_datasets::{
-    ReadOptions, RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo,
-};
+use monogrid_datasets::{RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_occupancy::{MapError, OccupancyMap};
@@ -43,9 +41,10 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// Reads a recording and finds the frame of its maps.
+    /// Reads a recording, a run or submaps, and finds the frame of their maps.
     pub fn read(path: &Path, align: &Align) -> Result<Self, Failure> {
-        let recording = Recording::read(path, ReadOptions::default()).bad_input()?;
+        let source = Source::find(path)?;
+        let recording = source.read()?;
         let config = RunConfig::recorded_mapping(&recording.session.config);
         let warnings = warnings(&recording, config.is_some());
         let trajectory: Vec<(i64, Se3)> = recording
@@ -59,7 +58,7 @@ impl Recorded {
                 path.display()
             )));
         }
-        let align = match frame_beside(path)? {
+        let align = match frame_beside(&source.file)? {
             Some(known) => align.clone().in_known_frame(known),
             None => align.clone(),
         };

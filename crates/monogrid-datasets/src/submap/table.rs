@@ -117,7 +117,13 @@ impl SubmapEntry {
     }
 
     fn composed(&self, submap_from_keyframe: Option<Sim3>) -> Option<Sim3> {
-        let pose = self.world_from_submap? * submap_from_keyframe?;
+        let (world_from_submap, submap_from_keyframe) =
+            (self.world_from_submap?, submap_from_keyframe?);
+        // the first keyframe, which a product would round
+        if submap_from_keyframe == Sim3::identity() {
+            return Some(world_from_submap);
+        }
+        let pose = world_from_submap * submap_from_keyframe;
         pose.is_finite().then_some(pose)
     }
 }

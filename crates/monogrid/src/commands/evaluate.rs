@@ -11,10 +11,11 @@ use crate::keyframe_pixels::from_recorded;
 use crate::output::{Inputs, OutputFile};
 use crate::recorded::{by_camera, cameras_of, scans_of};
 use crate::run::align::stamped_all;
+use crate::run::sessions::Source;
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{
-    Dataset, DepthRegistration, ReadOptions, RecordedCamera, Recording, Scale, SourceOptions,
-    format_sim3, parse_seconds, read_file, read_trajectory,
+    Dataset, DepthRegistration, RecordedCamera, Recording, Scale, SourceOptions, format_sim3,
+    parse_seconds, read_file, read_trajectory,
 };
 use monogrid_evaluation::{
     DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, WrongPoseConfig,
@@ -60,7 +61,7 @@ pub struct EvaluateTrajectoryArgs {
 /// `monogrid evaluate depth`.
 #[derive(Debug, Args)]
 pub struct EvaluateDepthArgs {
-    /// Recording of a run (.mgk)
+    /// Recording of a run (.mgk), submaps (submaps.json), or the folder of a run
     pub recording: PathBuf,
     /// Folder in TUM layout with true depth images
     pub truth: PathBuf,
@@ -171,8 +172,7 @@ struct Compared {
 
 /// Compares the depth of a recording with true depth images.
 pub fn depth(args: &EvaluateDepthArgs) -> CommandResult {
-    let recording =
-        Recording::read(&args.recording, ReadOptions { with_images: true }).bad_input()?;
+    let recording = Source::find(&args.recording)?.read()?;
     let dataset = Dataset::open(&args.truth, SourceOptions::default()).bad_input()?;
     if dataset.depths.is_empty() {
         return Err(Failure::input(format!(

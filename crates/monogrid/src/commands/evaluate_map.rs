@@ -7,6 +7,7 @@ use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile;
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
+use crate::run::sessions::Source;
 use clap::Args;
 use monogrid_datasets::read_sim3;
 use monogrid_evaluation::{
@@ -22,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// `monogrid evaluate map`.
 #[derive(Debug, Args)]
 pub struct EvaluateMapArgs {
-    /// Estimated map (.ot; a .bt has no probabilities to rank), or a recording (.mgk) to map
+    /// Estimated map (.ot; a .bt has no probabilities to rank), or a recording (.mgk), submaps (submaps.json) or a run to map
     pub estimate: PathBuf,
     /// True map (.ot or .bt); its cells as large as the estimate's, or a whole number of times smaller
     pub truth: PathBuf,
@@ -90,7 +91,7 @@ const VIEW_CELL: f64 = 0.064;
 
 /// Compares an estimated map with the true one, cell by cell.
 pub fn map(args: &EvaluateMapArgs) -> CommandResult {
-    let is_recording = args.estimate.extension().is_some_and(|e| e == "mgk");
+    let is_recording = Source::is_at(&args.estimate);
     let source = is_recording.then_some(&args.estimate);
     let mut recorded = match source.or(args.recording.as_ref()) {
         Some(path) => Some(Recorded::read(

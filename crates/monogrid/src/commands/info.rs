@@ -1,5 +1,7 @@
 //! `monogrid info`.
 
+mod submaps;
+
 use super::{bytes, print_json};
 use crate::args::JsonArg;
 use crate::failure::{CommandResult, Outcome};
@@ -7,11 +9,12 @@ use crate::mapfile;
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
+use submaps::Submaps;
 
 /// `monogrid info`.
 #[derive(Debug, Args)]
 pub struct InfoArgs {
-    /// Map (.ot, .bt or .mgo)
+    /// Map (.ot, .bt or .mgo), a submap (.mgs), or submaps (submaps.json, or the folder of them)
     pub map: PathBuf,
     #[command(flatten)]
     pub json: JsonArg,
@@ -30,8 +33,12 @@ struct Info {
     file_bytes: u64,
 }
 
-/// Prints facts about a map.
+/// Prints facts about a map, a submap or all submaps of a run.
 pub fn execute(args: &InfoArgs) -> CommandResult {
+    if let Some(submaps) = Submaps::at(&args.map)? {
+        submaps.tell(&args.map, args.json.json)?;
+        return Ok(Outcome::Done);
+    }
     let (map, format) = mapfile::load(&args.map)?;
     let counts = map.cell_counts();
     let bounds = map.bounds();

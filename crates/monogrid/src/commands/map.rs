@@ -10,6 +10,7 @@ use crate::output::{Inputs, OutputFile};
 use crate::picture::voxels::{View, occupied_cubes, render};
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
+use crate::run::sessions::{Source, files_of};
 use crate::run::summary::unit_name;
 use crate::surface::{CellColours, MeshFormat};
 use crate::usage::{peak_rss_bytes, process_cpu};
@@ -25,7 +26,7 @@ use std::time::{Duration, Instant};
 /// `monogrid map`.
 #[derive(Debug, Args)]
 pub struct MapArgs {
-    /// Recording (.mgk), scans (.scans) or a folder in TUM layout with depth images
+    /// Recording (.mgk), submaps (submaps.json), the folder of a run, scans (.scans) or a folder in TUM layout with depth images
     pub recording: PathBuf,
     /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
     #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
@@ -227,7 +228,8 @@ fn inputs(args: &MapArgs) -> Result<Inputs, Failure> {
         .and_named("the reference", args.align.as_deref());
     Ok(match Kind::of(&args.recording)? {
         Kind::Folder => inputs.and_dataset(&args.recording)?,
-        Kind::Recording | Kind::Scans => inputs,
+        Kind::Recording => inputs.and_all("the recording", files_of(&args.recording)),
+        Kind::Scans => inputs,
     })
 }
 
@@ -243,14 +245,16 @@ impl Kind {
         let metadata = std::fs::metadata(path).map_err(|error| {
             Failure::input(format!("{} cannot be read: {error}", path.display()))
         })?;
+        if Source::is_at(path) {
+            return Ok(Self::Recording);
+        }
         if metadata.is_dir() {
             return Ok(Self::Folder);
         }
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("scans") => Ok(Self::Scans),
-            Some("mgk") => Ok(Self::Recording),
             _ => Err(Failure::input(format!(
-                "{} is neither a recording (.mgk), nor scans (.scans), nor a folder with depth images",
+                "{} is neither a recording (.mgk), nor submaps (submaps.json), nor scans (.scans), nor a folder of a run or with depth images",
                 path.display()
             ))),
         }

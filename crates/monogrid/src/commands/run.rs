@@ -12,7 +12,7 @@ use crate::readings::Inertial;
 use crate::refine::refine;
 use crate::run::align::{Align, Up};
 use crate::run::conclusion::conclude;
-use crate::run::sessions::{Continued, Earlier};
+use crate::run::sessions::{Continued, Earlier, files_of};
 use crate::run::whole::{Extras, run_all};
 use crate::run::{MemoryLimit, RunSettings, SubmapPolicy, View};
 use clap::Args;
@@ -273,6 +273,10 @@ fn inputs(args: &RunArgs, input: &Input, config: &RunConfig) -> Inputs {
         .and_all("the calibration", &args.input.calibration)
         .and_all("the mask", &args.input.mask)
         .and_all("the run to continue", &args.continue_from)
+        .and_all(
+            "the run to continue",
+            args.continue_from.iter().flat_map(|run| files_of(run)),
+        )
         .and_all("the depth to start with", seed_depth)
         .and_all("the calibration of depth images", &args.depth_calibration)
         .and_all("the settings", &args.config)

@@ -16,6 +16,7 @@ use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
 use crate::recorded::Recorded;
 use crate::report::Page;
 use crate::run::align::{Align, Up};
+use crate::run::sessions::Source;
 use crate::surface::CellColours;
 use clap::Args;
 use monogrid_datasets::{RecordedCamera, RecordedKeyframe, encode_png_rgb};
@@ -28,7 +29,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// `monogrid view`.
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Map (.ot, .bt, .mgo), points (.ply), recording (.mgk), or the folder of a run
+    /// Map (.ot, .bt, .mgo), points (.ply), recording (.mgk), submaps (submaps.json), or the folder of a run
     pub source: PathBuf,
     /// Port on this computer; 0 is any that is free
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -128,12 +129,14 @@ impl Shown {
         if source.is_dir() {
             return Self::of_run(source);
         }
+        if Source::is_at(source) {
+            return Self::of_recording(source);
+        }
         let extension = source
             .extension()
             .map(|e| e.to_string_lossy().to_ascii_lowercase());
         match extension.as_deref() {
             Some("ply") => Self::of_points(source),
-            Some("mgk") => Self::of_recording(source),
             _ => Self::of_map(source),
         }
     }
@@ -233,20 +236,19 @@ impl Shown {
 
     /// A run: the page that it wrote, else its map and its recording.
     fn of_run(folder: &Path) -> Result<Self, Failure> {
-        let [map, recording, report] =
-            ["global.ot", "recording.mgk", "report.html"].map(|name| folder.join(name));
-        if !map.is_file() && !recording.is_file() {
+        let [map, report] = ["global.ot", "report.html"].map(|name| folder.join(name));
+        let recording = Source::in_folder(folder);
+        if !map.is_file() && recording.is_none() {
             return Err(Failure::input(format!(
-                "{} holds neither global.ot nor recording.mgk: it is not the folder of a run that came to a map",
+                "{} holds neither global.ot nor recording.mgk nor submaps: it is not the folder of a run that came to a map",
                 folder.display()
             )));
         }
-        let mut shown = if recording.is_file() {
-            Self::of_recording(&recording)?
-        } else {
-            Self::of_map(&map)?
+        let mut shown = match &recording {
+            Some(recording) => Self::of_recording(&recording.file)?,
+            None => Self::of_map(&map)?,
         };
-        if map.is_file() && recording.is_file() {
+        if map.is_file() && recording.is_some() {
             let of_map = Self::of_map(&map)?;
             shown.scene.cells = of_map.scene.cells;
             shown.scene.mesh = of_map.scene.mesh;

@@ -37,7 +37,7 @@ pub mod whole;
 
 pub use live::View;
 pub use memory_limit::MemoryLimit;
-pub use submaps::SubmapPolicy;
+pub use submaps::{SUBMAP_FOLDER, SubmapPolicy};
 
 use crate::config::RunConfig;
 use crate::output::OutputFile;

@@ -213,3 +213,104 @@ pub fn measured(keyframe: &Keyframe) -> impl Iterator<Item = Measured> {
         relative_sigma: f64::from(pixel.idepth_var.sqrt() / pixel.idepth),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::Inputs;
+    use monogrid_datasets::{ReadOptions, Recording, Scale, SubmapTable};
+    use monogrid_geometry::{Pinhole, Sim3, Vec7};
+    use monogrid_image::Image;
+    use monogrid_slam::DepthPixel;
+    use std::path::Path;
+
+    fn keyframe(id: u32, revision: u32) -> KeptKeyframe {
+        let pixel = |x| DepthPixel {
+            x,
+            y: 20,
+            idepth: 0.5 + 0.1 * f32::from(x) + revision as f32,
+            idepth_var: 1e-4,
+        };
+        KeptKeyframe::from(Keyframe {
+            id,
+            frame_index: 10 * id as usize,
+            timestamp_ns: 100 * i64::from(id),
+            revision,
+            image: Image::from_fn(40, 30, |x, y| (7 * x + 3 * y) as u8 ^ id as u8),
+            pixels: (0..5).map(pixel).collect(),
+        })
+    }
+
+    /// Poses of so many keyframes, all others than before; keyframes 3 and 4 are of a fragment.
+    fn snapshot(count: u32) -> Arc<monogrid_slam::PoseSnapshot> {
+        let pose = |id: u32| Sim3::exp(&(Vec7::repeat(0.01) * f64::from(id + count)));
+        Arc::new(monogrid_slam::PoseSnapshot {
+            revision: u64::from(count),
+            world_from_keyframe: (0..count).map(pose).collect(),
+            fragment: (0..count).map(|id| u32::from(id == 3 || id == 4)).collect(),
+            ..monogrid_slam::PoseSnapshot::default()
+        })
+    }
+
+    fn recorder(folder: &Path) -> Recorder {
+        let session = SessionInfo {
+            pinhole: Pinhole::new(40.0, 40.0, 19.5, 14.5),
+            width: 40,
+            height: 30,
+            scale: Scale::Arbitrary,
+            seed: 1,
+            profile: "default".to_owned(),
+            source: "somewhere".to_owned(),
+            config: String::new(),
+        };
+        let folder = OutputFolder::replace(folder, true, &Inputs::default()).unwrap();
+        let policy = SubmapPolicy {
+            keyframes: 2,
+            newest: 1,
+        };
+        let recorder = Recorder::start(Arc::new(folder), &session, None, None).unwrap();
+        recorder.closing(Some(policy), &session)
+    }
+
+    #[test]
+    fn submaps_hold_what_the_recording_holds_whatever_moves_and_becomes_better() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = recorder(folder.path());
+        let finished = |id: u32| Event::Finished(keyframe(id, 0), snapshot(id + 1));
+        let table = folder.path().join("submaps/submaps.json");
+        for id in 0..3 {
+            assert!(!table.exists());
+            recorder.hear(&finished(id)).unwrap();
+        }
+        // of a keyframe that is closed, of one that is not, and again
+        for (id, revision) in [(1, 1), (2, 1), (1, 2)] {
+            recorder
+                .hear(&Event::Revised(keyframe(id, revision)))
+                .unwrap();
+        }
+        for id in 3..6 {
+            recorder.hear(&finished(id)).unwrap();
+        }
+        let read = |name: &str| {
+            Recording::read(&folder.path().join(name), ReadOptions::default()).unwrap()
+        };
+        // as a run leaves it that is killed now
+        let closed = read("submaps/submaps.json");
+        let recording = read("recording.mgk");
+        assert_eq!(closed.keyframes, recording.keyframes[..5]);
+        assert_eq!(closed.keyframes[1].depth_revision, 2);
+        assert!(closed.keyframes[3].world_from_keyframe.is_none());
+        recorder.hear(&Event::Revised(keyframe(0, 1))).unwrap();
+        recorder.hear(&finished(6)).unwrap();
+        let submaps = recorder.submaps.take().unwrap();
+        submaps.end(&snapshot(7), &[]).unwrap();
+        assert_eq!(read("submaps/submaps.json"), read("recording.mgk"));
+        let entries = SubmapTable::read(&table).unwrap().submaps;
+        let sizes: Vec<usize> = entries.iter().map(|entry| entry.keyframes).collect();
+        assert_eq!(sizes, [2, 1, 2, 2], "a submap ends where a fragment does");
+        let is_placed = entries
+            .iter()
+            .map(|entry| entry.world_from_submap.is_some());
+        assert_eq!(is_placed.collect::<Vec<_>>(), [true, true, false, true]);
+    }
+}

@@ -1,11 +1,11 @@
 //! The recordings that are merged, in an order that does not depend on how they were named.
 
 use super::SUMMARY;
-use crate::failure::{Classify, Failure};
+use crate::failure::Failure;
 use crate::run::align::Align;
-use crate::run::sessions::{Earlier, RECORDING};
+use crate::run::sessions::{Earlier, Source};
 use monogrid_datasets::Scale;
-use monogrid_slam::{FragmentId, MAIN_MAP, StoredMap};
+use monogrid_slam::{FragmentId, MAIN_MAP, StoredKeyframe, StoredMap};
 use serde_json::Value;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -26,17 +26,16 @@ pub struct Part {
     pub keyframes: std::ops::Range<usize>,
     /// Keyframes of its main map.
     num_in_main_map: usize,
-    /// Checksum of the recording.
+    /// [Checksum](checksum) of its keyframes.
     crc: u32,
 }
 
 impl Part {
     fn read(number: usize, path: &Path) -> Result<Self, Failure> {
         let earlier = Earlier::read(path)?;
-        let file = recording_file(path);
-        let folder = file.parent().unwrap_or(Path::new(""));
+        let source = Source::find(path)?;
+        let folder = source.folder_of_run();
         let summary = std::fs::read_to_string(folder.join(SUMMARY)).unwrap_or_default();
-        let bytes = std::fs::read(&file).bad_input()?;
         let in_main_map = |fragment: FragmentId| fragment == MAIN_MAP;
         let keyframes = &earlier.map.keyframes;
         Ok(Self {
@@ -45,7 +44,7 @@ impl Part {
             num_in_main_map: keyframes.iter().filter(|k| in_main_map(k.fragment)).count(),
             keyframes: 0..keyframes.len(),
             summary: serde_json::from_str(&summary).unwrap_or_default(),
-            crc: crc32fast::hash(&bytes),
+            crc: checksum(keyframes),
             earlier,
         })
     }
@@ -81,13 +80,22 @@ impl Part {
     }
 }
 
-/// The recording of a run, or a recording.
-fn recording_file(path: &Path) -> PathBuf {
-    if path.is_dir() {
-        path.join(RECORDING)
-    } else {
-        path.to_owned()
+/// Of what keyframes show and measured, and where they are: the same of a recording and of the submaps of its run.
+fn checksum(keyframes: &[StoredKeyframe]) -> u32 {
+    let mut crc = crc32fast::Hasher::new();
+    for stored in keyframes {
+        let (keyframe, pose) = (&stored.keyframe, &stored.world_from_keyframe);
+        crc.update(&(keyframe.frame_index as u64).to_le_bytes());
+        crc.update(&keyframe.timestamp_ns.to_le_bytes());
+        crc.update(keyframe.image.as_slice());
+        for pixel in &keyframe.pixels {
+            crc.update(&pixel.idepth.to_le_bytes());
+        }
+        for number in pose.translation.iter().chain([&pose.scale]) {
+            crc.update(&number.to_le_bytes());
+        }
     }
+    crc.finalize()
 }
 
 /// Reads all recordings. What is joined lies in the world of the first of them: those in metres come first, then those that know where up

@@ -11,7 +11,7 @@ use crate::config::RunConfig;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::output::{Inputs, OutputFolder};
 use crate::run::outputs::Ground;
-use crate::run::sessions::{MAP_FROM_WORLD, RECORDING};
+use crate::run::sessions::{MAP_FROM_WORLD, RECORDING, files_of};
 use clap::Args;
 use component::{Component, components, write_component};
 use inputs::{Part, read_parts};
@@ -106,7 +106,7 @@ fn read_files(args: &MergeRunsArgs) -> Inputs {
     };
     let mut inputs = Inputs::of("the settings", args.config.clone().unwrap_or_default());
     for run in &args.runs {
-        inputs = inputs.and("a run", run);
+        inputs = inputs.and("a run", run).and_all("a run", files_of(run));
         inputs = if run.is_dir() {
             inputs.and_all("a run", of_run(run))
         } else {

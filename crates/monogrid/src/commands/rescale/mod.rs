@@ -11,10 +11,10 @@ use crate::output::{Content, Inputs, OutputFolder};
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
 use crate::run::outputs::{Ground, Surface, path_of, write_global};
-use crate::run::sessions::{MAP_FROM_WORLD, RECORDING};
+use crate::run::sessions::{MAP_FROM_WORLD, RECORDING, Source, files_of};
 use clap::Args;
 use monogrid_datasets::{
-    ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, ReadOptions, Record, RecordedCamera,
+    ColourRecord, DepthRevision, KeyframeRecord, PoseSnapshot, Record, RecordedCamera,
     RecordedKeyframe, Recording, RecordingWriter, Scale, SessionInfo, format_sim3, read_sim3,
     read_trajectory,
 };
@@ -75,8 +75,8 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     if let ScaleFrom::Trajectory(path) = &args.scale_from {
         inputs = inputs.and("the trajectory", path);
     }
-    let recording_file = args.run.join(RECORDING);
-    let recording = Recording::read(&recording_file, ReadOptions::default()).bad_input()?;
+    inputs = inputs.and_all("the run", files_of(&args.run));
+    let recording = Source::find(&args.run)?.read()?;
     let summary = summary(&args.run)?;
     if recording.session.scale == Scale::Metric || summary["scale"] == "metric" {
         return Err(Failure::input(format!(

@@ -1,7 +1,9 @@
 //! A run that goes on with the map of an earlier one.
 
+mod source;
 mod stored;
 
+pub use source::{Source, files_of};
 pub use stored::tracked_frame;
 
 use crate::colours::Colours;
@@ -9,8 +11,8 @@ use crate::failure::{Classify, Failure};
 use crate::input::Input;
 use crate::run::align::Align;
 use monogrid_datasets::{
-    Continuation, FragmentKeyframe, KeyframeLink, ReadOptions, RecordedFrame, RecordedSession,
-    Recording, SessionInfo, read_sim3,
+    Continuation, FragmentKeyframe, KeyframeLink, RecordedFrame, RecordedSession, SessionInfo,
+    read_sim3,
 };
 use monogrid_geometry::Pinhole;
 use monogrid_slam::{MAIN_MAP, Purpose, Slam, StoredKeyframe, StoredLink, StoredMap};
@@ -53,20 +55,11 @@ pub struct Continued {
 }
 
 impl Earlier {
-    /// Reads the recording in the folder of a run, or a recording.
+    /// Reads the recording in the folder of a run, a recording, or submaps.
     pub fn read(path: &Path) -> Result<Self, Failure> {
-        let file = if path.is_dir() {
-            path.join(RECORDING)
-        } else {
-            path.to_owned()
-        };
-        if !file.is_file() {
-            return Err(Failure::input(format!(
-                "{}: there is no {RECORDING}; expected the output folder of an earlier run, or a recording",
-                path.display()
-            )));
-        }
-        let recording = Recording::read(&file, ReadOptions::default()).bad_input()?;
+        let source = Source::find(path)?;
+        let recording = source.read()?;
+        let file = source.file;
         let mut warnings = Vec::new();
         if recording.damage.num_gaps > 0 {
             warnings.push(format!(
@@ -143,7 +136,7 @@ impl Earlier {
 /// The frame of the results that lie beside a recording: what a map of it, or a run that goes on with it, has in common with
 /// them. `None` where there are none.
 pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
-    let folder = recording.parent().unwrap_or(Path::new(""));
+    let folder = source::folder_of_run(recording);
     let frame_file = folder.join(MAP_FROM_WORLD);
     if !frame_file.is_file() {
         return Ok(None);
