@@ -54,7 +54,7 @@ pub use source::{
 };
 pub use submap::{
     BuiltSubmap, MovedKeyframe, SUBMAP_TABLE, SubmapBlock, SubmapBuilder, SubmapEntry, SubmapId,
-    SubmapInfo, SubmapPose, SubmapReader, SubmapTable, is_submap_table, submap_table_in,
+    SubmapInfo, SubmapPose, SubmapReader, SubmapTable, is_submap, is_submap_table, submap_table_in,
 };
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;

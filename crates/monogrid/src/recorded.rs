@@ -9,7 +9,9 @@ use crate::run::align::{Align, MapFrame, Scene};
 use crate::run::sensed::SensedFrame;
 use crate::run::sessions::{Source, frame_beside, tracked_frame};
 use crate::surface::{CellColours, ColouredScan};
-use monogrid_datasets::{RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo};
+use monogrid_datasets::{
+    RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo, is_submap,
+};
 use monogrid_evaluation::View;
 use monogrid_geometry::{Se3, Sim3};
 use monogrid_occupancy::{MapError, OccupancyMap};
@@ -20,6 +22,9 @@ use monogrid_slam::mapping::{
 };
 use std::cell::OnceCell;
 use std::path::Path;
+
+/// What is said of a recording without an end.
+const NOT_ENDED: &str = "the run that wrote this recording did not end by itself";
 
 /// A recording in memory.
 #[derive(Debug)]
@@ -46,7 +51,11 @@ impl Recorded {
         let source = Source::find(path)?;
         let recording = source.read()?;
         let config = RunConfig::recorded_mapping(&recording.session.config);
-        let warnings = warnings(&recording, config.is_some());
+        let mut warnings = warnings(&recording, config.is_some());
+        if is_submap(&source.file) {
+            // a part of a run has no end
+            warnings.retain(|warning| warning != NOT_ENDED);
+        }
         let trajectory: Vec<(i64, Se3)> = recording
             .keyframes
             .iter()
@@ -237,7 +246,7 @@ fn warnings(recording: &Recording, has_settings: bool) -> Vec<String> {
         warnings.push("the recording holds no usable settings; the defaults are used".to_owned());
     }
     if recording.end.is_none() {
-        warnings.push("the run that wrote this recording did not end by itself".to_owned());
+        warnings.push(NOT_ENDED.to_owned());
     }
     if recording.damage.num_gaps > 0 {
         warnings.push(format!(

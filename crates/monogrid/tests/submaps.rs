@@ -201,6 +201,11 @@ fn what_is_in_submaps_is_told() {
     );
     let output = monogrid(["info", text(&file)]);
     assert!(String::from_utf8_lossy(&output.stdout).contains("2 keyframes of 320x240 pixels"));
+    // alone it is a map in its own frame
+    let out = run.parent().unwrap().join("one.ot");
+    let map = said(&["map", text(&file), "--out", text(&out)]);
+    assert_eq!(map["scans"], 2);
+    assert_eq!(map["warnings"], serde_json::json!([]));
     // a damaged one is named by whoever needs it
     let dir = tempfile::tempdir().unwrap();
     for (name, bytes) in files(&run.join("submaps")) {

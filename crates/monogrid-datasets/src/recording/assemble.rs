@@ -5,7 +5,7 @@ use super::{
     DepthPixel, EndRecord, KeyframeRecord, Record, RecordedCamera, RecordingReader, SessionInfo,
 };
 use crate::DatasetError;
-use crate::submap::{is_submap_table, read_recording};
+use crate::submap::{is_submap, is_submap_table, read_recording, read_single};
 use monogrid_geometry::{Camera, Distortion, Sim3};
 use monogrid_image::Image;
 use std::collections::BTreeMap;
@@ -73,7 +73,7 @@ pub struct Recording {
 
 impl Recording {
     /// Reads a recording, as far as it is whole, or the submaps of a run by their table ([`crate::SUBMAP_TABLE`]): the same where the run
-    /// ended by itself.
+    /// ended by itself; or one submap, whose frame is then the world.
     ///
     /// # Errors
     /// When the file cannot be read, is not a recording, or has lost its session record, without
@@ -81,6 +81,9 @@ impl Recording {
     pub fn read(path: &Path, options: ReadOptions) -> Result<Self, DatasetError> {
         if is_submap_table(path) {
             return read_recording(path, options);
+        }
+        if is_submap(path) {
+            return read_single(path, options);
         }
         Self::collect(RecordingReader::open(path, options)?, path)
     }

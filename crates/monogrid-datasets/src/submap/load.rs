@@ -1,14 +1,20 @@
 //! A run that is read from its submaps.
 
-use super::{SUBMAP_TABLE, SubmapReader, SubmapTable};
+use super::{ENDING, SUBMAP_TABLE, SubmapReader, SubmapTable};
 use crate::recording::Newest;
-use crate::{Damage, DatasetError, ReadOptions, Record, Recording};
+use crate::{Damage, DatasetError, PoseSnapshot, ReadOptions, Record, Recording};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// Folder of the submaps in that of their run.
 const SUBMAP_FOLDER: &str = "submaps";
+
+/// Whether a path names one submap.
+#[must_use]
+pub fn is_submap(path: &Path) -> bool {
+    path.extension() == Some(OsStr::new(ENDING))
+}
 
 /// Whether a path names a table of submaps, and not a recording.
 #[must_use]
@@ -50,4 +56,27 @@ pub(crate) fn read_recording(
         newest.take(Record::Poses(snapshot));
     }
     newest.into_recording(Damage::default(), table_file)
+}
+
+/// One submap as a recording of its own: the world is its frame, keyframes are counted from 0, and what the run says of all of them, or of
+/// those of other submaps, is left out.
+pub(crate) fn read_single(file: &Path, options: ReadOptions) -> Result<Recording, DatasetError> {
+    let mut reader = SubmapReader::open(file)?;
+    let mut newest = Newest::default();
+    for record in reader.records(options) {
+        match record? {
+            Record::Poses(_) | Record::Continuation(_) | Record::End(_) => {}
+            record => newest.take(record),
+        }
+    }
+    let poses = reader.poses()?.into_iter();
+    newest.take(Record::Poses(PoseSnapshot {
+        revision: 0,
+        poses: poses.filter_map(|(id, pose)| Some((id, pose?))).collect(),
+    }));
+    let mut recording = newest.into_recording(Damage::default(), file)?;
+    for (id, keyframe) in (0..).zip(&mut recording.keyframes) {
+        keyframe.id = id;
+    }
+    Ok(recording)
 }

@@ -176,6 +176,24 @@ fn a_run_in_submaps_is_the_run_of_its_recording() {
 }
 
 #[test]
+fn one_submap_is_a_recording_in_its_own_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    write_submaps(folder.path());
+    let [_, second] = submaps();
+    let one = Recording::read(&folder.path().join(second.id.file_name()), ALL).unwrap();
+    let keyframes: Vec<_> = one
+        .keyframes
+        .iter()
+        .map(|k| (k.id, k.frame_index))
+        .collect();
+    assert_eq!(keyframes, [(0, 30), (1, 40), (2, 50)]);
+    assert_eq!(one.keyframes[0].world_from_keyframe, Some(Sim3::identity()));
+    assert_eq!(one.keyframes[1].world_from_keyframe, None);
+    assert_eq!(one.keyframes[2].world_from_keyframe, second.poses[2].1);
+    assert!(one.continuation.is_none() && one.end.is_none());
+}
+
+#[test]
 fn the_table_comes_back_to_the_last_bit() {
     let folder = tempfile::tempdir().unwrap();
     let path = write_submaps(folder.path());

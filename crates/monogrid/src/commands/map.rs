@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 /// `monogrid map`.
 #[derive(Debug, Args)]
 pub struct MapArgs {
-    /// Recording (.mgk), submaps (submaps.json), the folder of a run, scans (.scans) or a folder in TUM layout with depth images
+    /// Recording (.mgk), submaps (submaps.json, or one .mgs in its own frame), the folder of a run, scans (.scans) or a folder in TUM layout with depth images
     pub recording: PathBuf,
     /// Map to write: .ot (probabilities), .bt (occupied, free) or .mgo (exact, small)
     #[arg(long, value_name = "MAP.{ot,bt,mgo}")]

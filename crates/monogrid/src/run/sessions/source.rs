@@ -3,7 +3,9 @@
 use super::RECORDING;
 use crate::failure::{Classify, Failure};
 use crate::run::SUBMAP_FOLDER;
-use monogrid_datasets::{ReadOptions, Recording, SubmapTable, is_submap_table, submap_table_in};
+use monogrid_datasets::{
+    ReadOptions, Recording, SubmapTable, is_submap, is_submap_table, submap_table_in,
+};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -44,7 +46,7 @@ impl Source {
         if path.is_dir() {
             return Self::in_folder(path).is_some();
         }
-        is_submap_table(path) || path.extension() == Some(OsStr::new("mgk"))
+        is_submap_table(path) || is_submap(path) || path.extension() == Some(OsStr::new("mgk"))
     }
 
     /// All of it.
