@@ -8,9 +8,9 @@ use crate::TrackingConfig;
 use crate::policy::is_doubtful;
 use std::collections::VecDeque;
 
-/// Frames that say what residuals are usual, at most and at least.
+/// Frames that say what residuals are usual, at most and at least: those on the first keyframe agree with it better than any later ones.
 const MAX_FRAMES: usize = 200;
-const MIN_FRAMES: usize = 20;
+const MIN_FRAMES: usize = 100;
 
 /// How well the last frames agreed with their keyframes.
 #[derive(Debug, Default)]
@@ -66,17 +66,17 @@ mod tests {
 
     #[test]
     fn a_frame_that_agrees_much_worse_than_others_is_doubted_and_so_are_some_after_it() {
-        let mut residuals = vec![4.0; 30];
+        let mut residuals = vec![4.0; 130];
         residuals.extend([6.1, 4.0, 4.0, 4.0, 6.0]);
         let judged = judged(residuals);
-        assert!(judged[..30].iter().all(|is_doubtful| !is_doubtful));
-        assert_eq!(judged[30..], [true, true, true, false, false]);
+        assert!(judged[..130].iter().all(|is_doubtful| !is_doubtful));
+        assert_eq!(judged[130..], [true, true, true, false, false]);
     }
 
     #[test]
     fn the_first_frames_say_nothing_of_what_is_usual() {
-        assert!(!judged((0..20).map(|k| if k == 19 { 40.0 } else { 4.0 }))[19]);
-        assert!(judged((0..21).map(|k| if k == 20 { 40.0 } else { 4.0 }))[20]);
+        assert!(!judged((0..100).map(|k| if k == 99 { 40.0 } else { 4.0 }))[99]);
+        assert!(judged((0..101).map(|k| if k == 100 { 40.0 } else { 4.0 }))[100]);
     }
 
     #[test]
