@@ -117,7 +117,7 @@ fn results_are_those_of_plain_runs_and_what_is_done_stays_done() {
         "missing.mp4".to_owned(),
     ];
     batch.list(&lines);
-    let report = batch.report(3, &["--jobs", "3"]);
+    let report = batch.report(3, &["--jobs", "3", "--threads", "5"]);
     assert_eq!(report["carried_out"], 3, "{report}");
     let classes = &report["classes"];
     assert_eq!(
@@ -132,6 +132,9 @@ fn results_are_those_of_plain_runs_and_what_is_done_stays_done() {
     let plain = plain_results(&batch);
     let run = batch.path("out/runs/video");
     assert!(results(&run) == plain, "the same bytes");
+    let summary = fs::read(run.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
+    assert_eq!(summary["threads"], 5);
     the_record_says_it(&batch, &run);
     the_page_shows_all(&batch);
     what_changes_is_done_again(&batch, lines.to_vec(), &odd);

@@ -90,7 +90,7 @@ def job_of(batch: Batch) -> Job:
     if batch.retry:
         arguments += ["--retry", ",".join(batch.retry)]
     out = batch.out if is_url(batch.out) else os.path.abspath(batch.out)
-    return Job(out, os.path.abspath(batch.scratch), batch.program, tuple(arguments), os.getcwd())
+    return Job(out, os.path.abspath(batch.scratch), batch.program, tuple(arguments), os.getcwd(), max(1, int(batch.cpus)))
 
 
 def run(batch: Batch, say=lambda text: print(text, file=sys.stderr, flush=True)) -> dict[str, dict]:

@@ -45,6 +45,8 @@ class Job:
     arguments: tuple[str, ...]
     #: The folder in which paths of options are meant.
     folder: str
+    #: Threads of a run: those of the processors that Ray gives it.
+    threads: int
 
 
 class NotRun(Exception):
@@ -100,7 +102,8 @@ def call_program(task: Task, job: Job, out: Path) -> None:
     """Calls `monogrid batch` for one recording, and ends it with this process."""
     listed = Path(job.scratch) / "lists" / f"{task.name}.tsv"
     listed.write_text(f"{task.local_source}\tname={task.name}\t{task.options}\n")
-    command = [job.program, "batch", str(listed), "--out", str(out), "--task", task.name, "--jobs", "1", *job.arguments]
+    command = [job.program, "batch", str(listed), "--out", str(out), "--task", task.name, "--jobs", "1"]
+    command += ["--threads", str(job.threads), *job.arguments]
     environment = dict(os.environ, MONOGRID_PARENT=str(os.getpid()))
     folder = job.folder if os.path.isdir(job.folder) else None
     ended = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, errors="replace", check=False)

@@ -39,6 +39,9 @@ pub struct BatchArgs {
     /// Recordings at once [default: all cores]; the results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     pub jobs: Option<u16>,
+    /// Threads of each run [default: the cores, shared by those at once]; the results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    pub threads: Option<u16>,
     /// Memory that all runs may take together, GB [default: 80 % of what is free]
     #[arg(long, value_name = "GB", value_parser = positive, help_heading = "Resources")]
     pub memory: Option<f64>,
@@ -77,7 +80,9 @@ pub fn execute(args: &BatchArgs) -> CommandResult {
     let job = Job {
         out: &args.out,
         force: args.force,
-        threads: (available / jobs.max(1)).max(1),
+        threads: args
+            .threads
+            .map_or((available / jobs.max(1)).max(1), usize::from),
         timeout: args.timeout.map(|s| Duration::from_secs_f64(s.min(1e9))),
         retry: &args.retry,
         waits: args.task.is_some() || args.number.is_some(),
