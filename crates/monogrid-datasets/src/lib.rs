@@ -53,8 +53,9 @@ pub use source::{
     DEFAULT_FPS, Dataset, DepthEntry, FrameEntry, Layout, SourceOptions, natural_order,
 };
 pub use submap::{
-    BuiltSubmap, MovedKeyframe, SUBMAP_TABLE, SubmapBlock, SubmapBuilder, SubmapEntry, SubmapId,
-    SubmapInfo, SubmapPose, SubmapReader, SubmapTable, is_submap, is_submap_table, submap_table_in,
+    BuiltSubmap, MovedKeyframe, SUBMAP_FOLDER, SUBMAP_TABLE, SubmapBlock, SubmapBuilder,
+    SubmapEntry, SubmapId, SubmapInfo, SubmapPose, SubmapReader, SubmapTable, is_submap,
+    is_submap_table, submap_table_in,
 };
 pub use timestamp::{format_seconds, parse_seconds};
 pub(crate) use trajectory::pose_from_numbers;

@@ -23,9 +23,6 @@ use monogrid_slam::mapping::{
 use std::cell::OnceCell;
 use std::path::Path;
 
-/// What is said of a recording without an end.
-const NOT_ENDED: &str = "the run that wrote this recording did not end by itself";
-
 /// A recording in memory.
 #[derive(Debug)]
 pub struct Recorded {
@@ -51,11 +48,7 @@ impl Recorded {
         let source = Source::find(path)?;
         let recording = source.read()?;
         let config = RunConfig::recorded_mapping(&recording.session.config);
-        let mut warnings = warnings(&recording, config.is_some());
-        if is_submap(&source.file) {
-            // a part of a run has no end
-            warnings.retain(|warning| warning != NOT_ENDED);
-        }
+        let warnings = warnings(&recording, config.is_some(), is_submap(&source.file));
         let trajectory: Vec<(i64, Se3)> = recording
             .keyframes
             .iter()
@@ -240,13 +233,14 @@ fn views_of<'a>(
     posed.collect()
 }
 
-fn warnings(recording: &Recording, has_settings: bool) -> Vec<String> {
+/// What the user should know; a part of a run has no end.
+fn warnings(recording: &Recording, has_settings: bool, is_part: bool) -> Vec<String> {
     let mut warnings = Vec::new();
     if !has_settings {
         warnings.push("the recording holds no usable settings; the defaults are used".to_owned());
     }
-    if recording.end.is_none() {
-        warnings.push(NOT_ENDED.to_owned());
+    if recording.end.is_none() && !is_part {
+        warnings.push("the run that wrote this recording did not end by itself".to_owned());
     }
     if recording.damage.num_gaps > 0 {
         warnings.push(format!(

@@ -24,14 +24,14 @@ pub(super) const SYNC: [u8; 4] = *b"RMGK";
 pub(super) const RECORD_HEADER_BYTES: usize = 20;
 
 const KIND_SESSION: u32 = 1;
-const KIND_KEYFRAME: u32 = 2;
+pub(crate) const KIND_KEYFRAME: u32 = 2;
 const KIND_DEPTH: u32 = 3;
-const KIND_POSES: u32 = 4;
+pub(crate) const KIND_POSES: u32 = 4;
 const KIND_END: u32 = 5;
 const KIND_CONTINUATION: u32 = 6;
 const KIND_COLOUR: u32 = 7;
 /// Unknown to readers that know one camera only, which would take the keyframe for one of it.
-const KIND_KEYFRAME_OF_CAMERA: u32 = 8;
+pub(crate) const KIND_KEYFRAME_OF_CAMERA: u32 = 8;
 
 const IMAGE_NONE: u8 = 0;
 const IMAGE_RAW: u8 = 1;
@@ -66,32 +66,7 @@ pub(super) fn parse_record_header(bytes: &[u8; RECORD_HEADER_BYTES]) -> Option<R
 /// Header and payload; `None` when the payload exceeds 4 GiB.
 pub(super) fn encode_record(record: &Record) -> Option<Vec<u8>> {
     let mut out = Bytes(vec![0; RECORD_HEADER_BYTES]);
-    let kind = match record {
-        Record::Session(session) => encode_session(session, &mut out),
-        Record::Keyframe(keyframe) => encode_keyframe(keyframe, &mut out)?,
-        Record::Depth(depth) => {
-            out.u32(depth.keyframe_id);
-            out.u32(depth.revision);
-            out.pixels(&depth.pixels)?;
-            KIND_DEPTH
-        }
-        Record::Colour(colour) => {
-            out.u32(colour.keyframe_id);
-            out.blob(&colour.jpeg)?;
-            KIND_COLOUR
-        }
-        Record::Poses(snapshot) => encode_poses(snapshot, &mut out)?,
-        Record::Continuation(continuation) => {
-            continuation::encode(continuation, &mut out)?;
-            KIND_CONTINUATION
-        }
-        Record::End(end) => {
-            out.u64(end.num_frames);
-            out.u64(end.num_tracked);
-            out.blob(end.summary.as_bytes())?;
-            KIND_END
-        }
-    };
+    let kind = encode_payload(record, &mut out)?;
     let mut bytes = out.0;
     let payload = &bytes[RECORD_HEADER_BYTES..];
     let payload_bytes = u32::try_from(payload.len()).ok()?;
@@ -103,6 +78,36 @@ pub(super) fn encode_record(record: &Record) -> Option<Vec<u8>> {
     let header_crc = crc32fast::hash(&bytes[..16]);
     bytes[16..20].copy_from_slice(&header_crc.to_le_bytes());
     Some(bytes)
+}
+
+/// Appends what follows the header; its kind, or `None` when a list exceeds 4 GiB.
+pub(super) fn encode_payload(record: &Record, out: &mut Bytes) -> Option<u32> {
+    Some(match record {
+        Record::Session(session) => encode_session(session, out),
+        Record::Keyframe(keyframe) => encode_keyframe(keyframe, out)?,
+        Record::Depth(depth) => {
+            out.u32(depth.keyframe_id);
+            out.u32(depth.revision);
+            out.pixels(&depth.pixels)?;
+            KIND_DEPTH
+        }
+        Record::Colour(colour) => {
+            out.u32(colour.keyframe_id);
+            out.blob(&colour.jpeg)?;
+            KIND_COLOUR
+        }
+        Record::Poses(snapshot) => encode_poses(snapshot, out)?,
+        Record::Continuation(continuation) => {
+            continuation::encode(continuation, out)?;
+            KIND_CONTINUATION
+        }
+        Record::End(end) => {
+            out.u64(end.num_frames);
+            out.u64(end.num_tracked);
+            out.blob(end.summary.as_bytes())?;
+            KIND_END
+        }
+    })
 }
 
 fn encode_session(session: &SessionInfo, out: &mut Bytes) -> u32 {

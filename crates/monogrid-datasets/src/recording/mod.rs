@@ -20,7 +20,8 @@ pub use writer::RecordingWriter;
 
 pub(crate) use assemble::Newest;
 pub(crate) use format::{
-    Bytes, decode_camera, decode_record, encode_camera, numbers_of_pose, pose_of_numbers,
+    Bytes, KIND_KEYFRAME, KIND_KEYFRAME_OF_CAMERA, KIND_POSES, decode_camera, decode_record,
+    encode_camera, numbers_of_pose, pose_of_numbers,
 };
 
 use monogrid_geometry::{Pinhole, Sim3};
@@ -176,12 +177,11 @@ impl Record {
         format::encode_record(self)
     }
 
-    /// Its kind and payload, for files that have headers of their own; `None` beyond 4 GiB.
+    /// Its kind and payload, for files that have headers of their own; `None` where a list exceeds 4 GiB.
     pub(crate) fn payload(&self) -> Option<(u32, Vec<u8>)> {
-        let mut bytes = format::encode_record(self)?;
-        let header = format::parse_record_header(bytes.first_chunk()?)?;
-        bytes.drain(..format::RECORD_HEADER_BYTES);
-        Some((header.kind, bytes))
+        let mut payload = Bytes(Vec::new());
+        let kind = format::encode_payload(self, &mut payload)?;
+        Some((kind, payload.0))
     }
 
     /// The record that these bytes are, from header to end; `None` when they are damaged, or of a kind of a later version.

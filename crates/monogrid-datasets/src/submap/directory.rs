@@ -3,7 +3,9 @@
 use super::block::Codec;
 use super::id::Hash;
 use crate::bytes::Input;
-use crate::recording::{Bytes, decode_camera, encode_camera};
+use crate::recording::{
+    Bytes, KIND_KEYFRAME, KIND_KEYFRAME_OF_CAMERA, decode_camera, encode_camera,
+};
 use crate::{RecordedCamera, Scale};
 
 /// Start of the file, and of its end.
@@ -57,7 +59,7 @@ impl SubmapBlock {
     /// Whether this is a keyframe, and not something that belongs to one.
     #[must_use]
     pub fn is_keyframe(&self) -> bool {
-        matches!(self.kind, 2 | 8)
+        matches!(self.kind, KIND_KEYFRAME | KIND_KEYFRAME_OF_CAMERA)
     }
 
     fn end(&self) -> Option<u64> {

@@ -8,7 +8,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// Folder of the submaps in that of their run.
-const SUBMAP_FOLDER: &str = "submaps";
+pub const SUBMAP_FOLDER: &str = "submaps";
 
 /// Whether a path names one submap.
 #[must_use]

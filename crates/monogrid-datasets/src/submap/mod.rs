@@ -15,7 +15,7 @@ mod table;
 pub use build::{BuiltSubmap, SubmapBuilder};
 pub use directory::{SubmapBlock, SubmapInfo};
 pub use id::SubmapId;
-pub use load::{is_submap, is_submap_table, submap_table_in};
+pub use load::{SUBMAP_FOLDER, is_submap, is_submap_table, submap_table_in};
 pub(crate) use load::{read_recording, read_single};
 pub use reader::SubmapReader;
 pub use table::{MovedKeyframe, SUBMAP_TABLE, SubmapEntry, SubmapPose, SubmapTable};

@@ -5,7 +5,7 @@ use super::directory::{self, END_MAGIC, FORMAT_VERSION, HEADER_BYTES, MAGIC, TRA
 use super::id::hash_of;
 use super::{KIND, SubmapBlock, SubmapId, SubmapInfo, SubmapPose};
 use crate::files::open_file;
-use crate::recording::decode_record;
+use crate::recording::{KIND_POSES, decode_record};
 use crate::{DatasetError, ReadOptions, Record};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -146,7 +146,7 @@ impl<R: Read + Seek> SubmapReader<R> {
         let mut placed = std::collections::BTreeMap::new();
         let options = ReadOptions { with_images: false };
         for block in self.blocks.clone() {
-            if block.kind == POSES
+            if block.kind == KIND_POSES
                 && let Some(Record::Poses(snapshot)) = self.read(&block, options)?
             {
                 placed.extend(snapshot.poses);
@@ -161,9 +161,6 @@ impl<R: Read + Seek> SubmapReader<R> {
         DatasetError::binary(&self.path, KIND, reason)
     }
 }
-
-/// The kind of poses in a recording.
-const POSES: u32 = 4;
 
 fn read_at<const N: usize>(input: &mut (impl Read + Seek), at: u64) -> std::io::Result<[u8; N]> {
     let mut bytes = [0; N];

@@ -37,7 +37,7 @@ pub mod whole;
 
 pub use live::View;
 pub use memory_limit::MemoryLimit;
-pub use submaps::{SUBMAP_FOLDER, SubmapPolicy};
+pub use submaps::SubmapPolicy;
 
 use crate::config::RunConfig;
 use crate::output::OutputFile;

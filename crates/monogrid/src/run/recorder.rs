@@ -68,7 +68,7 @@ impl Recorder {
         };
         match event {
             Event::Finished(kept, snapshot) => {
-                let keyframe = &loaded(kept)?;
+                let keyframe = &loaded(kept, DOING)?;
                 writer
                     .append_keyframe(keyframe_record(keyframe, None))
                     .while_running(DOING)?;
@@ -86,7 +86,7 @@ impl Recorder {
                 save_pictures(&self.folder, keyframe)
             }
             Event::Revised(kept) => {
-                let keyframe = &loaded(kept)?;
+                let keyframe = &loaded(kept, DOING)?;
                 if let Some(submaps) = &mut self.submaps {
                     submaps.revised(kept);
                 }
@@ -143,10 +143,10 @@ impl Listener for Recorder {
     }
 }
 
-/// A keyframe that was just finished or revised.
-fn loaded(keyframe: &KeptKeyframe) -> Result<Keyframe, Failure> {
+/// A keyframe that was finished or revised.
+pub fn loaded(keyframe: &KeptKeyframe, doing: &'static str) -> Result<Keyframe, Failure> {
     let lost = || anyhow::anyhow!("keyframe {} cannot be read back", keyframe.id);
-    keyframe.load().ok_or_else(lost).while_running(DOING)
+    keyframe.load().ok_or_else(lost).while_running(doing)
 }
 
 /// A keyframe as it is first recorded; with its camera where that is not the one of the recording.

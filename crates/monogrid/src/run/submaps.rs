@@ -1,20 +1,17 @@
 //! `--submaps`: finished keyframes in files that never change, and where the graph has them.
 
-use super::recorder::keyframe_record;
+use super::recorder::{keyframe_record, loaded};
 use crate::failure::{Classify, Failure};
 use crate::keyframe_pixels::to_recorded;
 use crate::output::OutputFolder;
 use monogrid_datasets::{
-    BuiltSubmap, ColourRecord, DepthRevision, Record, SUBMAP_TABLE, SessionInfo, SubmapBuilder,
-    SubmapEntry, SubmapId, SubmapPose, SubmapTable,
+    BuiltSubmap, ColourRecord, DepthRevision, Record, SUBMAP_FOLDER, SUBMAP_TABLE, SessionInfo,
+    SubmapBuilder, SubmapEntry, SubmapId, SubmapPose, SubmapTable,
 };
 use monogrid_geometry::Sim3;
-use monogrid_slam::{KeptKeyframe, Keyframe, PoseSnapshot};
+use monogrid_slam::{KeptKeyframe, PoseSnapshot};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Folder of the submaps and their table.
-pub const SUBMAP_FOLDER: &str = "submaps";
 
 /// When keyframes are closed into a submap: the oldest `keyframes` that are open, as soon as `newest` others are. Depth that became better
 /// later goes into the next submap.
@@ -156,7 +153,7 @@ impl Submaps {
             }
         }
         for (keyframe_id, kept) in std::mem::take(&mut self.better) {
-            let keyframe = loaded(&kept)?;
+            let keyframe = loaded(&kept, DOING)?;
             whole(builder.add(&Record::Depth(DepthRevision {
                 keyframe_id,
                 revision: keyframe.revision,
@@ -191,7 +188,7 @@ fn add(
     open: Open,
     submap_from_keyframe: Option<Sim3>,
 ) -> Result<(), Failure> {
-    let keyframe = loaded(&open.keyframe)?;
+    let keyframe = loaded(&open.keyframe, DOING)?;
     let record = keyframe_record(&keyframe, None);
     whole(builder.add_keyframe(record, open.revision, submap_from_keyframe))?;
     let keyframe_id = keyframe.id;
@@ -208,11 +205,6 @@ fn submap_from_keyframe(snapshot: &PoseSnapshot, first: u32, id: u32) -> Option<
     }
     let pose = |id: u32| snapshot.world_from_keyframe.get(id as usize);
     Some(pose(first)?.inverse() * *pose(id)?)
-}
-
-fn loaded(keyframe: &KeptKeyframe) -> Result<Keyframe, Failure> {
-    let lost = || anyhow::anyhow!("keyframe {} cannot be read back", keyframe.id);
-    keyframe.load().ok_or_else(lost).while_running(DOING)
 }
 
 fn whole<T>(built: Option<T>) -> Result<T, Failure> {

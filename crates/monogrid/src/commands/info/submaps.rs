@@ -3,7 +3,7 @@
 use crate::commands::{bytes, print_json};
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{
-    Scale, SubmapReader, SubmapTable, format_seconds, is_submap_table, submap_table_in,
+    Scale, SubmapReader, SubmapTable, format_seconds, is_submap, is_submap_table, submap_table_in,
 };
 use serde::Serialize;
 use std::path::Path;
@@ -41,7 +41,7 @@ struct Submap {
 impl Submaps {
     /// What lies at a path; `None` where it is something else.
     pub fn at(path: &Path) -> Result<Option<Self>, Failure> {
-        if path.extension().is_some_and(|extension| extension == "mgs") {
+        if is_submap(path) {
             let submap = Submap::read(path)?;
             return Ok(Some(Self::of("submap (.mgs)", vec![submap])));
         }

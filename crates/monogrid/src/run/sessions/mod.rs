@@ -77,7 +77,7 @@ impl Earlier {
         }
         let continuation = recording.continuation.clone().unwrap_or_else(|| {
             warnings.push(format!(
-                "{} was not finished, or by an earlier version: only keyframes and poses are taken over",
+                "{} says nothing of edges, points and frames (not finished, a part of a run, or by an earlier version): only keyframes and poses are taken over",
                 file.display()
             ));
             Continuation::default()

@@ -2,9 +2,8 @@
 
 use super::RECORDING;
 use crate::failure::{Classify, Failure};
-use crate::run::SUBMAP_FOLDER;
 use monogrid_datasets::{
-    ReadOptions, Recording, SubmapTable, is_submap, is_submap_table, submap_table_in,
+    ReadOptions, Recording, SUBMAP_FOLDER, SubmapTable, is_submap, is_submap_table, submap_table_in,
 };
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
