@@ -298,6 +298,31 @@ fn fixed_nodes_stay_and_runs_repeat_exactly() {
 }
 
 #[test]
+fn strain_is_what_the_cost_falls_when_a_node_alone_gives_way() {
+    let RandomGraph { mut graph, .. } = plain(20, 5);
+    graph.optimise(&PoseGraphConfig::default()).unwrap();
+    let strains = graph.strains();
+    // the first is held, yet nothing pushes it: a world can lie anywhere
+    assert!(strains.iter().all(|s| *s < 1e-3), "{strains:?}");
+
+    let away = Sim3::exp(&Vec7::from([0.01, -0.02, 0.01, 0.01, 0.0, 0.01, 0.01]));
+    let pose = away * graph.pose(7).unwrap();
+    graph.set_pose(7, pose).unwrap();
+    for id in 0..20 {
+        graph.set_fixed(id, true).unwrap();
+    }
+    let strain = graph.strains()[7];
+    graph.set_fixed(7, false).unwrap();
+    assert_eq!(graph.strains()[7], strain, "fixed or not");
+    let report = graph.optimise(&PoseGraphConfig::default()).unwrap();
+    let fallen = report.initial_cost - report.final_cost;
+    assert!(
+        fallen > 1.0 && (strain / fallen - 1.0).abs() < 0.1,
+        "{strain} {fallen}"
+    );
+}
+
+#[test]
 fn graphs_without_anything_to_do_are_left_alone() {
     let mut graph = PoseGraph::new();
     let report = graph.optimise(&PoseGraphConfig::default()).unwrap();

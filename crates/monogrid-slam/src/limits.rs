@@ -290,6 +290,7 @@ fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
         odometry_scale_sigma: 0.000001, 10.0;
         switch_chi_sq: 0.01, 1_000_000_000.0;
         lag_frames: 0.0, 1000.0;
+        window: 12.0, 1e6;
         max_iterations: 1.0, 1000.0;
     }));
     all.extend(limits!("slam.graph.places", slam.graph.places, {

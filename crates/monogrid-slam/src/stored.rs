@@ -1,5 +1,6 @@
 //! A finished map as it is kept between sessions.
 
+use crate::graph::EdgeKey;
 use crate::{EdgeKind, FragmentId, Keyframe, KeyframeId, MAIN_MAP, Scale};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_graph::pose_graph::GraphEdge;
@@ -63,6 +64,14 @@ pub struct StoredEdge {
     pub kind: EdgeKind,
     /// The constraint.
     pub edge: GraphEdge,
+}
+
+impl StoredEdge {
+    /// By what it is told from others.
+    pub(crate) fn key(&self) -> EdgeKey {
+        let (i, j) = (self.edge.i as KeyframeId, self.edge.j as KeyframeId);
+        (i, j, self.kind)
+    }
 }
 
 /// A point of the sparse layer.

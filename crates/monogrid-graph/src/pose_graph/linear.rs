@@ -144,13 +144,9 @@ impl<'a> Terms<'a> {
             if slot[i].is_none() && slot[j].is_none() {
                 continue;
             }
-            let Residual { r, chi2 } = residuals[edge];
-            let weight = self.kernel(edge, width).weight(chi2);
-            // d r / d T_j = J_l^-1(r) Ad(T_i^-1), and its negative by T_i
-            let jacobian = sim3_left_jacobian_inverse(&r) * adjoints[i];
-            let weighted = jacobian.tr_mul(&e.information) * weight;
-            let block = weighted * jacobian;
-            let gradient = weighted * r;
+            let residual = residuals[edge];
+            let weight = self.kernel(edge, width).weight(residual.chi2);
+            let (block, gradient) = normal_terms(&residual, &adjoints[i], &e.information, weight);
             if let Some(a) = slot[j] {
                 pattern.add_diagonal(h, a, &block);
                 b[a] -= gradient;
@@ -165,6 +161,38 @@ impl<'a> Terms<'a> {
         }
         b
     }
+
+    /// Per node half of `b' H^-1 b` of its own block: see [`PoseGraph::strains`].
+    pub(super) fn strains(&self, poses: &[Sim3]) -> Vec<f64> {
+        let mut own = vec![(Mat7::zeros(), Vec7::zeros()); poses.len()];
+        for (edge, e) in self.edges.iter().enumerate() {
+            let (i, j) = self.ends[edge];
+            let residual = self.fit(edge, poses);
+            let weight = e.kernel.weight(residual.chi2);
+            let adjoint = poses[i].inverse().adjoint();
+            let (block, gradient) = normal_terms(&residual, &adjoint, &e.information, weight);
+            for (node, sign) in [(i, 1.0), (j, -1.0)] {
+                own[node].0 += block;
+                own[node].1 += gradient * sign;
+            }
+        }
+        let strain = |(h, b): (Mat7, Vec7)| h.cholesky().map_or(0.0, |c| 0.5 * b.dot(&c.solve(&b)));
+        own.into_iter().map(strain).collect()
+    }
+}
+
+/// What an edge adds to the normal equations of node `j`, block and gradient; node `i` has the same block and the negative
+/// gradient.
+fn normal_terms(
+    residual: &Residual,
+    adjoint: &Mat7,
+    information: &Mat7,
+    weight: f64,
+) -> (Mat7, Vec7) {
+    // d r / d T_j = J_l^-1(r) Ad(T_i^-1), and its negative by T_i
+    let jacobian = sim3_left_jacobian_inverse(&residual.r) * adjoint;
+    let weighted = jacobian.tr_mul(information) * weight;
+    (weighted * jacobian, weighted * residual.r)
 }
 
 #[cfg(test)]

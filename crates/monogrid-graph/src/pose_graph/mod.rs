@@ -342,6 +342,14 @@ impl PoseGraph {
         linear::Terms::new(self).cost(&self.poses(), 1.0)
     }
 
+    /// Per node, in the order of insertion, by how much the cost would fall to first order if it alone could move, fixed
+    /// or not: a fixed node with much strain is where the others would push it. Zero where the edges of a node do not
+    /// determine it.
+    #[must_use]
+    pub fn strains(&self) -> Vec<f64> {
+        linear::Terms::new(self).strains(&self.poses())
+    }
+
     /// Moves the nodes to a minimum of the cost.
     ///
     /// # Errors

@@ -34,6 +34,9 @@ pub struct GraphConfig {
     pub switch_chi_sq: f64,
     /// Frames after which the result of an optimisation is taken over. Range [0, 1000].
     pub lag_frames: usize,
+    /// Keyframes that an optimisation moves while the run goes on: those with new constraints, the newest, and those
+    /// around them. More where that strains others; all when a loop is closed, and at the end. Range [12, 1000000].
+    pub window: usize,
     /// Iterations of an optimisation. Range [1, 1000].
     pub max_iterations: usize,
     /// Whether at the end all keyframes look for constraints once more with the final poses.
@@ -206,6 +209,7 @@ impl Default for GraphConfig {
             odometry_scale_sigma: 0.05,
             switch_chi_sq: 25.0,
             lag_frames: 3,
+            window: 1_000_000,
             max_iterations: 10,
             final_search: true,
             places: PlaceRecognitionConfig::default(),

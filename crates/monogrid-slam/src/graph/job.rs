@@ -77,13 +77,25 @@ pub(crate) struct GraphUpdate {
     pub poses: PoseSnapshot,
     /// Fragments that became a part of another.
     pub joined: Vec<Joined>,
-    /// All edges.
-    pub edges: Vec<StoredEdge>,
+    /// Edges that changed since the last update.
+    pub edges: EdgeChanges,
     /// Why poses stayed as they were, if an optimisation failed.
     pub failure: Option<PoseGraphError>,
     /// What was done.
     pub stats: GraphStats,
 }
+
+/// What happened to edges. All of them are as many as keyframes a run has made: they are not handed over again and again.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct EdgeChanges {
+    /// Edges that are new or different, ascending by key.
+    pub set: Vec<StoredEdge>,
+    /// Edges that are no more.
+    pub removed: Vec<EdgeKey>,
+}
+
+/// The older and the newer keyframe of an edge, and its kind.
+pub(crate) type EdgeKey = (KeyframeId, KeyframeId, EdgeKind);
 
 /// A fragment that became a part of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -18,10 +18,11 @@ pub use config::{
     DirectEdgeConfig, DriftConfig, GraphConfig, PlaceMethod, PlaceRecognitionConfig,
     SparseEdgeConfig,
 };
-pub use job::{EdgeKind, GraphStats};
 pub(crate) use job::{
-    GraphJob, GraphUpdate, Handover, Joined, OdometryEdge, Relocalised, RestoredGraph,
+    EdgeChanges, EdgeKey, GraphJob, GraphUpdate, Handover, Joined, OdometryEdge, Relocalised,
+    RestoredGraph,
 };
+pub use job::{EdgeKind, GraphStats};
 pub(crate) use keyframe_graph::KeyframeGraph;
 pub use places::PlacesError;
 pub(crate) use worker::GraphWorker;

@@ -11,7 +11,11 @@ const NUM_PROBES: usize = 300;
 
 /// A few points of a keyframe, in its units.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Probes(Vec<Vec3>);
+pub(crate) struct Probes {
+    points: Vec<Vec3>,
+    /// Their distances, ascending.
+    distances: Vec<f64>,
+}
 
 impl Probes {
     pub(crate) fn new(samples: &[DepthSample], pinhole: &Pinhole) -> Self {
@@ -21,7 +25,23 @@ impl Probes {
             let depth = 1.0 / f64::from(sample.idepth);
             (depth.is_finite() && depth > 0.0).then(|| pinhole.unproject(&pixel) * depth)
         });
-        Self(points.collect())
+        Self::of(points.collect())
+    }
+
+    fn of(points: Vec<Vec3>) -> Self {
+        let mut distances: Vec<f64> = points.iter().map(Vec3::norm).collect();
+        distances.sort_by(f64::total_cmp);
+        Self { points, distances }
+    }
+
+    /// Share of the points, at most, that a camera sees which is this far away. A point is seen if its distances
+    /// to both cameras differ by a limited ratio, and the cameras are no farther apart than the sum of the two.
+    fn seen_from_at_most(&self, distance: f64, config: &GraphConfig) -> f64 {
+        const ROUNDING: f64 = 1.0 - 1e-9;
+        let least = distance / (1.0 + config.max_distance_ratio) * ROUNDING;
+        let too_near = self.distances.partition_point(|d| *d < least);
+        let num = self.distances.len();
+        (num - too_near) as f64 / num.max(1) as f64
     }
 
     /// Share of the points that another keyframe sees from a similar direction and distance.
@@ -31,11 +51,11 @@ impl Probes {
         camera: &KeyframeCamera,
         config: &GraphConfig,
     ) -> f64 {
-        if self.0.is_empty() {
+        if self.points.is_empty() {
             return 0.0;
         }
         let max_cosine = config.max_view_angle_deg.to_radians().cos();
-        let seen = self.0.iter().filter(|point| {
+        let seen = self.points.iter().filter(|point| {
             let in_other = *other_from_self * **point;
             // the same ray, seen from the own camera, in the axes of the other
             let own_ray = other_from_self.rotation * **point * other_from_self.scale;
@@ -45,7 +65,7 @@ impl Probes {
                 && ratio < config.max_distance_ratio
                 && ratio * config.max_distance_ratio > 1.0
         });
-        seen.count() as f64 / self.0.len() as f64
+        seen.count() as f64 / self.points.len() as f64
     }
 }
 
@@ -67,6 +87,47 @@ pub(crate) struct Candidate<'a> {
     pub camera: &'a KeyframeCamera,
 }
 
+/// Whether two keyframes, of which one is here in the other, are near enough to have this overlap. Most of a long way
+/// are not, which is seen without their points.
+fn are_near(
+    own: &Probes,
+    other: &Probes,
+    other_from_own: &Sim3,
+    min_overlap: f64,
+    config: &GraphConfig,
+) -> bool {
+    let in_other = other_from_own.translation.norm();
+    let in_own = in_other / other_from_own.scale;
+    own.seen_from_at_most(in_own, config) >= min_overlap
+        && other.seen_from_at_most(in_other, config) >= min_overlap
+}
+
+/// A keyframe with its distance and its overlap, if that is large enough.
+fn rate(
+    own: &Candidate<'_>,
+    other: &Candidate<'_>,
+    min_overlap: f64,
+    config: &GraphConfig,
+) -> Option<(KeyframeId, f64, f64)> {
+    let other_from_own = other.world_from_keyframe.inverse() * own.world_from_keyframe;
+    if !are_near(
+        own.probes,
+        other.probes,
+        &other_from_own,
+        min_overlap,
+        config,
+    ) {
+        return None;
+    }
+    let own_from_other = other_from_own.inverse();
+    let forward = (own.probes).seen_in(&other_from_own, other.camera, config);
+    let backward = (other.probes).seen_in(&own_from_other, own.camera, config);
+    let (a, b) = (&own.world_from_keyframe, &other.world_from_keyframe);
+    let distance = (a.translation - b.translation).norm() / a.scale.min(b.scale);
+    let overlap = forward.min(backward);
+    (overlap >= min_overlap).then_some((other.id, distance, overlap))
+}
+
 /// The ten nearest keyframes, and all others with a large predicted overlap; nearest first, then by
 /// overlap, without repetition.
 pub(crate) fn choose(
@@ -74,25 +135,10 @@ pub(crate) fn choose(
     others: &[Candidate<'_>],
     config: &GraphConfig,
 ) -> Vec<KeyframeId> {
+    let least = config.min_nearest_overlap.min(config.min_overlap);
     let mut rated: Vec<(KeyframeId, f64, f64)> = others
         .iter()
-        .map(|other| {
-            let other_from_own = other.world_from_keyframe.inverse() * own.world_from_keyframe;
-            let forward = own.probes.seen_in(&other_from_own, other.camera, config);
-            let backward = other
-                .probes
-                .seen_in(&other_from_own.inverse(), own.camera, config);
-            let units = own
-                .world_from_keyframe
-                .scale
-                .min(other.world_from_keyframe.scale);
-            let distance = (own.world_from_keyframe.translation
-                - other.world_from_keyframe.translation)
-                .norm()
-                / units;
-            (other.id, distance, forward.min(backward))
-        })
-        .filter(|(_, _, overlap)| *overlap >= config.min_nearest_overlap.min(config.min_overlap))
+        .filter_map(|other| rate(own, other, least, config))
         .collect();
     rated.sort_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
     let near: Vec<KeyframeId> = rated
@@ -105,4 +151,43 @@ pub(crate) fn choose(
     rated.sort_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
     let overlapping = rated.iter().take(config.max_overlapping).map(|r| r.0);
     near.iter().copied().chain(overlapping).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use monogrid_geometry::{Rotation, Vec3};
+
+    /// Points on a wall before a camera, from left to right ever farther away.
+    fn wall() -> Probes {
+        let points = (0..30).map(|k| {
+            let x = f64::from(k) / 30.0 - 0.5;
+            Vec3::new(x, 0.1 * x, 1.0) * (1.0 + 0.1 * f64::from(k))
+        });
+        Probes::of(points.collect())
+    }
+
+    #[test]
+    fn keyframes_are_passed_over_unseen_only_where_no_overlap_is_possible() {
+        let config = GraphConfig::default();
+        let camera = KeyframeCamera::new(Pinhole::new(300.0, 300.0, 160.0, 120.0), (320, 240));
+        let own = wall();
+        let (mut overlapping, mut passed_over) = (0, 0);
+        for step in -60..60 {
+            for (scale, aside) in [(1.0, 0.0), (0.7, 0.3), (1.6, -0.5)] {
+                let at = Vec3::new(aside, 0.1, 0.25 * f64::from(step));
+                let other_from_own = Sim3::new(scale, Rotation::identity(), at);
+                let other = wall();
+                let own_from_other = other_from_own.inverse();
+                let forward = own.seen_in(&other_from_own, &camera, &config);
+                let backward = other.seen_in(&own_from_other, &camera, &config);
+                let is_near = are_near(&own, &other, &other_from_own, 0.2, &config);
+                assert!(is_near || forward.min(backward) < 0.2, "{other_from_own:?}");
+                overlapping += usize::from(forward.min(backward) >= 0.2);
+                passed_over += usize::from(!is_near);
+            }
+        }
+        assert!(overlapping > 10, "{overlapping}");
+        assert!(passed_over > 100, "{passed_over}");
+    }
 }

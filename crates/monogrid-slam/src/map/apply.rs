@@ -5,7 +5,8 @@ use super::change::{Change, FinishedKeyframe, Found, NewKeyframe, Placed};
 use super::event::{Changes, Event};
 use super::keyframe::MapKeyframe;
 use super::points::{Adjustment, Observation, Registration, SeenPoints, SparsePoint};
-use crate::graph::{GraphUpdate, Joined};
+use crate::graph::{EdgeChanges, GraphUpdate, Joined};
+use crate::stored::StoredEdge;
 use crate::{Fragment, FragmentId, Join, KeyframeId, MAIN_MAP};
 use monogrid_geometry::Sim3;
 use std::sync::Arc;
@@ -217,10 +218,28 @@ impl Map {
             keyframe.fragment = fragment;
             keyframe.covariance = covariance;
         }
-        self.edges = update.edges;
+        self.follow_edges(update.edges);
         let failure = update.failure.map(Event::NotOptimised);
         self.changes.others.extend(failure);
         self.note_poses();
+    }
+
+    /// Edges are in the order of their keys, and most that change are near the end.
+    fn follow_edges(&mut self, changes: EdgeChanges) {
+        for key in changes.removed {
+            if let Ok(at) = self.edges.binary_search_by_key(&key, StoredEdge::key) {
+                self.edges.remove(at);
+            }
+        }
+        for edge in changes.set {
+            match self
+                .edges
+                .binary_search_by_key(&edge.key(), StoredEdge::key)
+            {
+                Ok(at) => self.edges[at] = edge,
+                Err(at) => self.edges.insert(at, edge),
+            }
+        }
     }
 
     /// Moves a keyframe, and with it the points that are anchored in it.

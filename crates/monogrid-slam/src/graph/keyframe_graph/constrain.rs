@@ -58,7 +58,7 @@ impl KeyframeGraph {
     pub(super) fn link(&mut self, handover: &Handover) -> bool {
         let (i, j) = (handover.i, handover.j);
         let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
-        if kinds.iter().any(|k| self.edges.contains_key(&(i, j, *k))) {
+        if kinds.iter().any(|k| self.edges.has(&(i, j, *k))) {
             return false;
         }
         if let Some(constraint) = self.align(j, i, handover.i_from_j) {

@@ -2,6 +2,7 @@
 
 mod align;
 mod constrain;
+mod constraints;
 mod drift;
 mod edges;
 mod join;
@@ -10,11 +11,12 @@ mod optimise;
 mod state;
 #[cfg(test)]
 mod tests;
+mod window;
 
 pub(crate) use self::state::KeyframeGraph;
 
 use self::optimise::Search;
-use super::job::{EdgeKind, GraphJob, GraphUpdate, RestoredGraph};
+use super::job::{GraphJob, GraphUpdate, RestoredGraph};
 use crate::map::View;
 use crate::stored::StoredEdge;
 use crate::{FragmentId, KeyframeId, MAIN_MAP, PoseSnapshot};
@@ -35,7 +37,7 @@ impl KeyframeGraph {
                 self.set_edge((i, j, kind), edge.i_from_j, edge.information, edge.kernel);
             }
         }
-        let linked: BTreeSet<KeyframeId> = self.edges.keys().map(|key| key.1).collect();
+        let linked: BTreeSet<KeyframeId> = self.edges.iter().map(|(key, _)| key.1).collect();
         for view in restored.views {
             let id = view.id;
             self.enter(view);
@@ -50,12 +52,10 @@ impl KeyframeGraph {
 
     /// Whether a keyframe is the first of a fragment, and later ones hold it.
     fn is_root_with_edge(&self, id: KeyframeId) -> bool {
-        let first = (id, KeyframeId::MIN, EdgeKind::Odometry);
-        let mut edges = self.edges.range(first..);
-        self.poses.parent_of(id).is_none() && edges.next().is_some_and(|(key, _)| key.0 == id)
+        self.poses.parent_of(id).is_none() && self.edges.has_newer(id)
     }
 
-    /// Searches constraints for the finished keyframe and optimises all poses.
+    /// Searches constraints for the finished keyframe and optimises the poses around what is new.
     pub(crate) fn run(&mut self, job: GraphJob) -> GraphUpdate {
         let begin = Instant::now();
         self.poses.clone_from(&job.poses);
@@ -93,7 +93,7 @@ impl KeyframeGraph {
         GraphUpdate {
             poses: self.poses.clone(),
             joined: self.joining.take_joined(),
-            edges: self.stored_edges(),
+            edges: self.edges.take_changes(),
             failure: self.failure.take(),
             stats: self.stats,
         }

@@ -1,17 +1,17 @@
 //! Moving the poses to the optimum, and their covariances.
 
-use super::state::{EdgeKey, KeyframeGraph};
+use super::state::KeyframeGraph;
+use super::window::{NEWEST, Window};
+use crate::graph::job::EdgeKey;
 use crate::{FragmentId, KeyframeId};
 use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig, PoseGraphError};
+use std::collections::BTreeSet;
 use std::time::Instant;
-
-/// Newest keyframes whose covariances follow the graph while it grows.
-const NEWEST: usize = 12;
 
 /// Where the optimum is looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Search {
-    /// Near the poses as they are, which a few new constraints hardly move.
+    /// Near the poses as they are, which a few new constraints hardly move, and only around these.
     Near,
     /// Also far away, with ever narrower kernels of the edges that are new: a loop was closed.
     Wide,
@@ -23,7 +23,7 @@ impl KeyframeGraph {
     /// Moves the poses of the fragments in question to the optimum.
     pub(super) fn optimise(&mut self, search: Search) {
         if search == Search::Final {
-            self.judged.clear();
+            self.edges.doubt_all();
         }
         self.stats.switched_off = 0;
         for fragment in self.active.clone() {
@@ -39,7 +39,50 @@ impl KeyframeGraph {
         search: Search,
     ) -> Result<(), PoseGraphError> {
         let begin = Instant::now();
-        let mut graph = self.pose_graph(fragment)?;
+        let switched_off = match search {
+            Search::Near => self.optimise_around_changes(fragment)?,
+            Search::Wide | Search::Final => self.move_poses(fragment, None, search)?.1,
+        };
+        self.stats.switched_off += switched_off;
+        let fragments = &self.poses;
+        self.edges
+            .judge(|key| fragments.fragment_of(key.0) == fragment);
+        if search != Search::Final {
+            let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
+            self.stats.max_optimisation_ms = self.stats.max_optimisation_ms.max(milliseconds);
+        }
+        Ok(())
+    }
+
+    /// Moves the keyframes around what is new; as long as that strains others, twice as many. The number of edges
+    /// in question that are switched off.
+    fn optimise_around_changes(&mut self, fragment: FragmentId) -> Result<usize, PoseGraphError> {
+        let mut changed = self.changed(fragment);
+        let mut size = self.config.window;
+        loop {
+            let window = self.window(fragment, changed.iter().copied(), size);
+            let (graph, switched_off) = self.move_poses(fragment, window.as_ref(), Search::Near)?;
+            let Some(window) = window else {
+                return Ok(switched_off);
+            };
+            let strained = self.strained(&window, &graph, self.first_of(fragment));
+            if strained.is_empty() {
+                return Ok(switched_off);
+            }
+            changed.extend(strained);
+            size = size.saturating_mul(2);
+        }
+    }
+
+    /// Moves the keyframes of a window, or of a whole fragment. The graph afterwards, and how many of its edges are
+    /// switched off.
+    fn move_poses(
+        &mut self,
+        fragment: FragmentId,
+        window: Option<&Window>,
+        search: Search,
+    ) -> Result<(PoseGraph, usize), PoseGraphError> {
+        let mut graph = self.pose_graph(fragment, window)?;
         let default = PoseGraphConfig::default();
         let settings = PoseGraphConfig {
             max_iterations: self.config.max_iterations,
@@ -53,15 +96,8 @@ impl KeyframeGraph {
         for node in graph.nodes() {
             self.poses.world_from_keyframe[node.id as usize] = node.world_from_keyframe;
         }
-        let is_inside = |key: &&EdgeKey| self.fragment_of(key.0) == fragment;
-        let judged: Vec<EdgeKey> = self.edges.keys().filter(is_inside).copied().collect();
-        self.judged.extend(judged);
-        self.stats.switched_off += report.edges.iter().filter(|fit| fit.weight < 0.1).count();
-        if search != Search::Final {
-            let milliseconds = begin.elapsed().as_secs_f64() * 1e3;
-            self.stats.max_optimisation_ms = self.stats.max_optimisation_ms.max(milliseconds);
-        }
-        Ok(())
+        let switched_off = report.edges.iter().filter(|fit| fit.weight < 0.1).count();
+        Ok((graph, switched_off))
     }
 
     /// Covariances of keyframes relative to their parents, of the newest, or of all: what the graph says
@@ -76,7 +112,10 @@ impl KeyframeGraph {
             num.saturating_sub(NEWEST).max(1)
         };
         for fragment in &self.active {
-            let graph = self.pose_graph(*fragment);
+            let window = (!all)
+                .then(|| self.window(*fragment, [], self.config.window))
+                .flatten();
+            let graph = self.pose_graph(*fragment, window.as_ref());
             let Ok(uncertainty) = graph.and_then(|g| g.uncertainty()) else {
                 continue;
             };
@@ -89,34 +128,72 @@ impl KeyframeGraph {
         self.poses.previous_from_keyframe_covariance = covariances;
     }
 
-    /// The graph of a fragment, whose first keyframe holds its world.
+    /// The first keyframe of a fragment, which holds its world.
+    fn first_of(&self, fragment: FragmentId) -> KeyframeId {
+        let first = self.poses.fragment.iter().position(|f| *f == fragment);
+        first.unwrap_or(0) as KeyframeId
+    }
+
+    /// The graph of a fragment, whose first keyframe holds its world, or of a window of it: all edges of the
+    /// keyframes that move and of those around them.
     ///
     /// # Errors
     /// A pose that is not finite.
-    pub(super) fn pose_graph(&self, fragment: FragmentId) -> Result<PoseGraph, PoseGraphError> {
+    pub(super) fn pose_graph(
+        &self,
+        fragment: FragmentId,
+        window: Option<&Window>,
+    ) -> Result<PoseGraph, PoseGraphError> {
+        let (ids, keys) = match window {
+            None => self.everything_in(fragment),
+            Some(window) => self.around(window, fragment),
+        };
         let mut graph = PoseGraph::new();
-        let poses = self
-            .poses
-            .world_from_keyframe
-            .iter()
-            .zip(&self.poses.fragment);
-        for (id, (pose, _)) in poses.enumerate().filter(|(_, (_, f))| **f == fragment) {
-            let node = GraphNode {
-                id: id as u64,
-                world_from_keyframe: *pose,
-                is_fixed: graph.nodes().is_empty(),
-            };
-            graph.add_node(node)?;
+        let first = self.first_of(fragment);
+        for id in ids {
+            let is_free = window.is_none_or(|window| window.free.contains(&id));
+            graph.add_node(GraphNode {
+                id: u64::from(id),
+                world_from_keyframe: self.pose(id),
+                is_fixed: !is_free || id == first,
+            })?;
         }
-        let is_inside = |key: &EdgeKey| self.fragment_of(key.0) == fragment;
-        for (key, edge) in self.edges.iter().filter(|(key, _)| is_inside(key)) {
+        for key in keys {
+            let Some(edge) = self.edges.get(&key) else {
+                continue;
+            };
             // an edge that the graph refuses (a scale beyond reason) is no constraint
-            let _ = if self.judged.contains(key) {
-                graph.add_judged_edge(*edge)
-            } else {
+            let _ = if self.edges.new_ones().contains(&key) {
                 graph.add_edge(*edge)
+            } else {
+                graph.add_judged_edge(*edge)
             };
         }
         Ok(graph)
+    }
+
+    /// All keyframes and edges of a fragment, in order.
+    fn everything_in(&self, fragment: FragmentId) -> (Vec<KeyframeId>, Vec<EdgeKey>) {
+        let all = self.poses.fragment.iter().enumerate();
+        let ids = all.filter(|(_, f)| **f == fragment);
+        let keys = self.edges.iter().map(|(key, _)| *key);
+        let keys = keys.filter(|key| self.fragment_of(key.0) == fragment);
+        (
+            ids.map(|(id, _)| id as KeyframeId).collect(),
+            keys.collect(),
+        )
+    }
+
+    /// The edges of the keyframes of a window and of its border, with their keyframes, in order.
+    fn around(&self, window: &Window, fragment: FragmentId) -> (Vec<KeyframeId>, Vec<EdgeKey>) {
+        let inside = window.free.union(&window.border);
+        let mut ids: BTreeSet<KeyframeId> = inside.clone().copied().collect();
+        let is_inside = |key: &EdgeKey| {
+            self.fragment_of(key.0) == fragment && self.fragment_of(key.1) == fragment
+        };
+        let keys = inside.flat_map(|id| self.edges.of(*id)).filter(is_inside);
+        let keys: BTreeSet<EdgeKey> = keys.collect();
+        ids.extend(keys.iter().flat_map(|key| [key.0, key.1]));
+        (ids.into_iter().collect(), keys.into_iter().collect())
     }
 }

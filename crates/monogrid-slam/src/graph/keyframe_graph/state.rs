@@ -1,8 +1,9 @@
 //! The graph with all that its jobs need.
 
+use super::constraints::Constraints;
 use super::join::Joining;
 use crate::graph::GraphConfig;
-use crate::graph::job::{EdgeKind, GraphStats};
+use crate::graph::job::{EdgeKey, EdgeKind, GraphStats};
 use crate::graph::places::{PlacesError, memory_of_places};
 use crate::graph::search::Probes;
 use crate::map::View;
@@ -27,9 +28,6 @@ pub(super) struct Entry {
 /// Kernel of edges that are right but for single large errors.
 pub(super) const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
 
-/// The older and the newer keyframe of an edge, and its kind.
-pub(super) type EdgeKey = (KeyframeId, KeyframeId, EdgeKind);
-
 /// Constraints between keyframes and the optimisation of their poses.
 #[derive(Clone, Debug)]
 pub(crate) struct KeyframeGraph {
@@ -43,10 +41,7 @@ pub(crate) struct KeyframeGraph {
     /// Fragments that the job under way has to do with.
     pub(super) active: BTreeSet<FragmentId>,
     pub(super) joining: Joining,
-    pub(super) edges: BTreeMap<EdgeKey, GraphEdge>,
-    /// Edges that an optimisation has seen: they decide from then on by how well they fit, and only what
-    /// is new makes it look far away.
-    pub(super) judged: BTreeSet<EdgeKey>,
+    pub(super) edges: Constraints,
     pub(super) refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
     /// Keyframes by their appearance.
     pub(super) places: PlaceMemory,
@@ -77,8 +72,7 @@ impl KeyframeGraph {
             poses: PoseSnapshot::default(),
             active: BTreeSet::from([MAIN_MAP]),
             joining: Joining::new(joining),
-            edges: BTreeMap::new(),
-            judged: BTreeSet::new(),
+            edges: Constraints::default(),
             refused: BTreeMap::new(),
             places,
             prepared: Vec::new(),
@@ -102,24 +96,17 @@ impl KeyframeGraph {
             information,
             kernel,
         };
-        self.judged.remove(&(i, j, kind));
-        self.edges.insert((i, j, kind), edge);
+        self.edges.set((i, j, kind), edge);
     }
 
     /// All edges with where they come from.
     pub(crate) fn stored_edges(&self) -> Vec<StoredEdge> {
-        let edges = self.edges.iter();
-        edges
-            .map(|((_, _, kind), edge)| StoredEdge {
-                kind: *kind,
-                edge: *edge,
-            })
-            .collect()
+        self.edges.stored()
     }
 
     /// Whether two keyframes have a direct edge.
     pub(super) fn is_aligned(&self, i: KeyframeId, j: KeyframeId) -> bool {
-        self.edges.contains_key(&(i, j, EdgeKind::Direct))
+        self.edges.has(&(i, j, EdgeKind::Direct))
     }
 
     /// The fragment of a keyframe.
