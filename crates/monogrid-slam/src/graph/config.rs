@@ -209,7 +209,7 @@ impl Default for GraphConfig {
             odometry_scale_sigma: 0.05,
             switch_chi_sq: 25.0,
             lag_frames: 3,
-            window: 1_000_000,
+            window: 100,
             max_iterations: 10,
             final_search: true,
             places: PlaceRecognitionConfig::default(),

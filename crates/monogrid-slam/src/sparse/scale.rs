@@ -33,14 +33,18 @@ pub(crate) fn dense_links(
         .collect()
 }
 
-/// Poses and units of the keyframes of a fragment as the points have them. Where too few points pin a unit
-/// it stays.
+/// Poses and units of the newest keyframes of a fragment as the points have them. Where too few points pin a unit
+/// it stays. Older ones are to stay as the graph has them, which moves the same newest: units that change where it
+/// does not reach would pull at its border for ever.
 pub(crate) fn world_from_keyframes(
     map: &Map,
     fragment: FragmentId,
+    newest: usize,
     pinhole: &Pinhole,
 ) -> Vec<(KeyframeId, Sim3)> {
+    let older = map.num_keyframes_in(fragment).saturating_sub(newest);
     map.in_fragment(fragment)
+        .skip(older)
         .map(|keyframe| {
             let unit = keyframe_unit(map, keyframe, pinhole);
             let unit = unit.unwrap_or(keyframe.world_from_keyframe.scale);

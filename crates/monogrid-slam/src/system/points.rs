@@ -47,7 +47,8 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) -> O
 
     let links = dense_links(map.points(), &map[id].points, id, depth);
     map.apply(Change::Linked(id, links));
-    let poses = world_from_keyframes(map, fragment, &setup.pinhole);
+    let newest = setup.config.graph.window;
+    let poses = world_from_keyframes(map, fragment, newest, &setup.pinhole);
     map.apply(Change::Posed(poses));
     Some(stats)
 }
@@ -73,7 +74,7 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
         let adjustment = adjust_all(map, fragment, &lens, config);
         map.apply(Change::Adjusted(adjustment));
     }
-    let poses = world_from_keyframes(map, fragment, &setup.pinhole);
+    let poses = world_from_keyframes(map, fragment, num_keyframes, &setup.pinhole);
     map.apply(Change::Posed(poses));
 }
 

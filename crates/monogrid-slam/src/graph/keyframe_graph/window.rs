@@ -11,7 +11,7 @@ pub(super) const NEWEST: usize = 12;
 
 /// By how much the cost may fall at most (half of a squared normalised residual) if one of the keyframes around the
 /// window moved: beyond it the change must spread. Together they may give way by much more than each alone.
-const MAX_STRAIN: f64 = 0.01;
+const MAX_STRAIN: f64 = 0.001;
 
 /// Keyframes of a fragment that may move, and what holds them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

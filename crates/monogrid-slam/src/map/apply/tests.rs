@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::map::{Exposure, KeyframeImage, Published};
+use crate::sparse::world_from_keyframes;
 use crate::{FragmentId, MAIN_MAP, PoseSnapshot};
-use monogrid_geometry::{Se3, Vec2, Vec3, Vec7};
+use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec7};
 use monogrid_graph::bundle::BundleError;
 use monogrid_image::GrayImage;
 
@@ -357,4 +358,17 @@ fn keyframes_see_points_once() {
     assert_eq!(observers(1), [1, 2]);
     assert_eq!(observers(4), [2]);
     assert_eq!(observers(7), [1]);
+}
+
+#[test]
+fn points_settle_the_units_of_the_newest_keyframes_of_a_fragment_and_of_no_others() {
+    let map = map_with(&[0, 0, 1, 0, 0]);
+    let pinhole = Pinhole::new(30.0, 30.0, 16.0, 16.0);
+    let settled = |fragment, newest| -> Vec<KeyframeId> {
+        let poses = world_from_keyframes(&map, fragment, newest, &pinhole);
+        poses.into_iter().map(|(id, _)| id).collect()
+    };
+    assert_eq!(settled(0, 3), [1, 3, 4]);
+    assert_eq!(settled(0, 10), [0, 1, 3, 4]);
+    assert_eq!(settled(1, 3), [2]);
 }

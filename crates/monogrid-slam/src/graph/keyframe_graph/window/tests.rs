@@ -120,7 +120,6 @@ fn what_changes_near_the_end_moves_the_end_alone_and_as_in_the_whole() {
 }
 
 #[test]
-#[ignore = "fails: the change does not spread yet, so windows are off by default"]
 fn what_strains_the_keyframes_around_the_window_spreads_to_all() {
     let (mut windowed, mut whole) = (way(40), way(LEN));
     for graph in [&mut windowed, &mut whole] {
