@@ -193,18 +193,19 @@ impl PlaceIndex {
         seen: &mut [u32],
     ) -> BTreeMap<u64, Nearest> {
         let mut nearest: BTreeMap<u64, Nearest> = BTreeMap::new();
-        for part in 0..NUM_PARTS {
-            let mut at = self.heads[head_of(descriptor, part)];
-            for _ in 0..MAX_LIST {
-                if at == END {
-                    break;
-                }
-                let entry = &self.entries[at as usize];
+        // all lists at the same pace: the processor fetches their next entries from memory at once
+        let mut ids: [u32; NUM_PARTS] =
+            std::array::from_fn(|part| self.heads[head_of(descriptor, part)]);
+        for _ in 0..MAX_LIST {
+            if ids.iter().all(|id| *id == END) {
+                break;
+            }
+            for (part, id) in ids.iter_mut().enumerate().filter(|(_, id)| **id != END) {
+                let entry = &self.entries[*id as usize];
                 // compared with this query before, through another part
-                let is_new = seen[at as usize] != query_idx as u32;
-                seen[at as usize] = query_idx as u32;
-                at = entry.next[part];
-                if !is_new {
+                let last = std::mem::replace(&mut seen[*id as usize], query_idx as u32);
+                *id = entry.next[part];
+                if last == query_idx as u32 {
                     continue;
                 }
                 let distance = descriptor.distance(&entry.descriptor);
@@ -216,13 +217,11 @@ impl PlaceIndex {
                     b_idx: entry.index as usize,
                     distance,
                 };
+                let first = Nearest::of(found);
                 nearest
                     .entry(entry.place)
                     .and_modify(|known| known.add(found))
-                    .or_insert(Nearest {
-                        best: found,
-                        second: u32::MAX,
-                    });
+                    .or_insert(first);
             }
         }
         nearest
@@ -237,6 +236,13 @@ struct Nearest {
 }
 
 impl Nearest {
+    fn of(best: DescriptorMatch) -> Self {
+        Self {
+            best,
+            second: u32::MAX,
+        }
+    }
+
     fn add(&mut self, found: DescriptorMatch) {
         let key = |m: &DescriptorMatch| (m.distance, m.b_idx);
         if key(&found) < key(&self.best) {
