@@ -212,7 +212,7 @@ impl Footprints {
             image: &self.images.images[index],
             windows: &self.windows[index],
             cell: self.resolution,
-            nearest: 2.0 * NEAREST_CELLS * self.resolution,
+            nearest: NEAREST_CELLS * self.resolution,
         };
         #[cfg(target_arch = "x86_64")]
         if let Some(octants) = super::octants_avx2::judge(&view, cube) {

@@ -57,7 +57,7 @@ pub(crate) struct View<'a> {
     pub windows: &'a Windows,
     /// Edge of a cell.
     pub cell: f32,
-    /// Cubes that reach nearer than this along the optical axis are not judged.
+    /// Cells that are not deeper than this along the optical axis get nothing.
     pub nearest: f32,
 }
 
@@ -143,17 +143,16 @@ impl View<'_> {
         });
         let near = lanes(|l| in_image[2][l] - extent[2]);
         let far = lanes(|l| in_image[2][l] + extent[2]);
-        // Lanes too near the camera get any positive depth; they are set aside below.
+        // Cells that are not deeper than `nearest` get nothing.
         let inv_near = lanes(|l| 1.0 / higher(near[l], self.nearest));
         let inv_far = lanes(|l| 1.0 / higher(far[l], self.nearest));
         let boxes = self.pixel_boxes(&in_image, extent, &inv_near, &inv_far);
         let bounds = self.look_up(&boxes);
         let nearest = lanes(|l| nearest[l].sqrt() * (1.0 - SLACK_RANGE));
         let farthest = lanes(|l| farthest[l].sqrt() * (1.0 + SLACK_RANGE));
-        let farthest_change = self.windows.farthest_change();
         let [right, bottom] = boxes.size;
-        let is_judged = bits(|l| near[l] > self.nearest);
-        let is_near = bits(|l| (far[l] > 0.0) & (nearest[l] <= farthest_change));
+        let is_deep = bits(|l| near[l] > self.nearest);
+        let reaches_deep = bits(|l| far[l] > self.nearest);
         let [low_u, low_v] = &boxes.low;
         let [high_u, high_v] = &boxes.high;
         let is_seen = bits(|l| {
@@ -166,11 +165,11 @@ impl View<'_> {
         let is_reached = bits(|l| nearest[l] <= bounds.changes_until[l]);
         let is_clear = bits(|l| farthest[l] < bounds.clear_until[l]);
         let is_free = bits(|l| farthest[l] < bounds.free_until[l]);
-        let reached = is_judged & is_seen & is_reached;
+        let touched = reaches_deep & is_seen & is_reached;
         Octants {
-            touched: reached | (!is_judged & is_near),
-            clear: reached & is_clear,
-            free: reached & is_clear & is_free & is_inside,
+            touched,
+            clear: touched & is_clear,
+            free: touched & is_clear & is_free & is_inside & is_deep,
         }
     }
 
@@ -212,14 +211,14 @@ impl View<'_> {
         let [width, height] = self.windows.size();
         let size = [width as f32, height as f32];
         let footprint = self.cell * self.image.focal[0];
-        let margin = lanes(|l| {
+        // Samples lie within so much of the cell's centre, at its depth.
+        let spread = lanes(|l| {
             let width = footprint * inv_near[l] * (1.0 + SLACK_RANGE);
-            let spread = if width <= SINGLE_SAMPLE_PX {
+            if width <= SINGLE_SAMPLE_PX {
                 0.0
             } else {
-                WIDEST_SAMPLE * width
-            };
-            spread + SLACK_PX
+                WIDEST_SAMPLE * self.cell
+            }
         });
         let mut boxes = PixelBoxes {
             low: [[0.0; LANES]; 2],
@@ -229,13 +228,16 @@ impl View<'_> {
         for axis in 0..2 {
             // Half a pixel more: truncation then finds the nearest pixel.
             let (focal, center) = (self.image.focal[axis], self.image.center[axis] + 0.5);
+            // Footprints are as high as they are wide, in pixels.
+            let aspect = self.image.focal[0] / focal;
             for l in 0..LANES {
-                let low = in_image[axis][l] - extent[axis];
-                let high = in_image[axis][l] + extent[axis];
+                let extent = extent[axis] + spread[l] * aspect;
+                let low = in_image[axis][l] - extent;
+                let high = in_image[axis][l] + extent;
                 let low = low * if low < 0.0 { inv_near[l] } else { inv_far[l] };
                 let high = high * if high > 0.0 { inv_near[l] } else { inv_far[l] };
-                boxes.low[axis][l] = low * focal + center - margin[l];
-                boxes.high[axis][l] = high * focal + center + margin[l];
+                boxes.low[axis][l] = low * focal + center - SLACK_PX;
+                boxes.high[axis][l] = high * focal + center + SLACK_PX;
             }
         }
         boxes
@@ -281,9 +283,11 @@ mod tests {
         (*state >> 40) as f32 / (1 << 24) as f32
     }
 
-    #[test]
-    #[cfg(target_arch = "x86_64")]
-    fn vectors_give_the_bits_of_the_scalar_search() {
+    /// The edge of a cell.
+    const CELL: f32 = 0.01;
+
+    /// Random points one to two units in front of a turned camera, as an image.
+    fn images() -> RangeImages {
         let mut state = 9;
         let points: Vec<[f32; 3]> = (0..3000)
             .map(|_| {
@@ -308,38 +312,61 @@ mod tests {
                 sigmas: &[0.01],
             }),
         };
-        let cell = 0.01;
-        let images = RangeImages::new(
-            &scan,
-            &IntegrationConfig::default(),
-            cell,
-            1,
-            &KnownTables::default(),
-        )
-        .unwrap();
+        let (config, tables) = (IntegrationConfig::default(), KnownTables::default());
+        RangeImages::new(&scan, &config, f64::from(CELL), 1, &tables).unwrap()
+    }
+
+    /// What `look` sees of them.
+    fn with_view<T>(look: impl FnOnce(&View) -> T) -> T {
+        let images = images();
         let windows = Windows::new(&images.images[0], &images.tables, 100.0);
-        let view = View {
+        look(&View {
             image: &images.images[0],
             windows: &windows,
-            cell: cell as f32,
-            nearest: 0.5 * cell as f32,
-        };
-        let mut seen = Octants::default();
-        for i in 0..200_000 {
-            let cube = Cube {
-                center: [0; 3].map(|_| (random(&mut state) - 0.5) * 4.0),
-                half: cell as f32 * (1 << (i % 8)) as f32,
-            };
-            let expected = view.judge(cube);
-            let Some(found) = super::super::octants_avx2::judge(&view, cube) else {
-                eprintln!("SKIPPED: this processor has no AVX2");
-                return;
-            };
-            assert_eq!(found, expected, "{cube:?}");
-            seen.touched |= expected.touched;
-            seen.clear |= expected.clear & !expected.free;
-            seen.free |= expected.free;
-        }
-        assert!((seen.touched, seen.clear, seen.free) == (0xff, 0xff, 0xff));
+            cell: CELL,
+            nearest: 0.25 * CELL,
+        })
+    }
+
+    #[test]
+    fn cubes_in_the_plane_of_the_camera_are_touched_only_beside_it() {
+        with_view(|view| {
+            let axes = view.image.axes.map(|axis| axis.map(|c| c as f32));
+            for offset in [0.0, 0.05, 0.3, 1.0] {
+                for axis in [&axes[0], &axes[1]] {
+                    let cube = Cube {
+                        center: axis.map(|c| c * offset),
+                        half: 4.0 * CELL,
+                    };
+                    let touched = view.judge(cube).touched;
+                    assert_eq!(touched != 0, offset < 0.1, "{offset}");
+                }
+            }
+        });
+    }
+
+    #[test]
+    #[cfg(target_arch = "x86_64")]
+    fn vectors_give_the_bits_of_the_scalar_search() {
+        with_view(|view| {
+            let mut state = 5;
+            let mut seen = Octants::default();
+            for i in 0..200_000 {
+                let cube = Cube {
+                    center: [0; 3].map(|_| (random(&mut state) - 0.5) * 4.0),
+                    half: CELL * (1 << (i % 8)) as f32,
+                };
+                let expected = view.judge(cube);
+                let Some(found) = super::super::octants_avx2::judge(view, cube) else {
+                    eprintln!("SKIPPED: this processor has no AVX2");
+                    return;
+                };
+                assert_eq!(found, expected, "{cube:?}");
+                seen.touched |= expected.touched;
+                seen.clear |= expected.clear & !expected.free;
+                seen.free |= expected.free;
+            }
+            assert!((seen.touched, seen.clear, seen.free) == (0xff, 0xff, 0xff));
+        });
     }
 }

@@ -63,20 +63,16 @@ fn judge_avx2(view: &View, cube: Cube) -> Octants {
     let [free_until, clear_until, changes_until] = look_up(view, &boxes);
 
     let bits = |lanes| _mm256_movemask_ps(lanes) as u8;
-    let is_judged = bits(_mm256_cmp_ps::<_CMP_GT_OQ>(near, all(view.nearest)));
-    let farthest_change = all(view.windows.farthest_change());
-    let is_near = bits(_mm256_and_ps(
-        _mm256_cmp_ps::<_CMP_GT_OQ>(far, zero),
-        _mm256_cmp_ps::<_CMP_LE_OQ>(nearest, farthest_change),
-    ));
+    let is_deep = bits(_mm256_cmp_ps::<_CMP_GT_OQ>(near, all(view.nearest)));
+    let reaches_deep = bits(_mm256_cmp_ps::<_CMP_GT_OQ>(far, all(view.nearest)));
     let is_reached = bits(_mm256_cmp_ps::<_CMP_LE_OQ>(nearest, changes_until));
     let is_clear = bits(_mm256_cmp_ps::<_CMP_LT_OQ>(farthest, clear_until));
     let is_free = bits(_mm256_cmp_ps::<_CMP_LT_OQ>(farthest, free_until));
-    let reached = is_judged & bits(boxes.is_seen) & is_reached;
+    let touched = reaches_deep & bits(boxes.is_seen) & is_reached;
     Octants {
-        touched: reached | (!is_judged & is_near),
-        clear: reached & is_clear,
-        free: reached & is_clear & is_free & bits(boxes.is_inside),
+        touched,
+        clear: touched & is_clear,
+        free: touched & is_clear & is_free & bits(boxes.is_inside) & is_deep,
     }
 }
 
@@ -104,8 +100,7 @@ fn pixel_boxes(
     let footprint = all(view.cell * view.image.focal[0]);
     let width = _mm256_mul_ps(_mm256_mul_ps(footprint, inv_near), all(1.0 + SLACK_RANGE));
     let is_wide = _mm256_cmp_ps::<_CMP_NLE_UQ>(width, all(SINGLE_SAMPLE_PX));
-    let spread = _mm256_and_ps(_mm256_mul_ps(all(WIDEST_SAMPLE), width), is_wide);
-    let margin = _mm256_add_ps(spread, all(SLACK_PX));
+    let spread = _mm256_and_ps(all(WIDEST_SAMPLE * view.cell), is_wide);
     let size = view.windows.size().map(|edge| edge as f32);
     let mut is_seen = all(f32::from_bits(u32::MAX));
     let mut is_inside = is_seen;
@@ -113,15 +108,17 @@ fn pixel_boxes(
     let mut edges = _mm256_setzero_si256();
     for axis in 0..2 {
         let (focal, center) = (view.image.focal[axis], view.image.center[axis] + 0.5);
-        let low = _mm256_sub_ps(in_image[axis], all(extent[axis]));
-        let high = _mm256_add_ps(in_image[axis], all(extent[axis]));
+        let spread = _mm256_mul_ps(spread, all(view.image.focal[0] / focal));
+        let extent = _mm256_add_ps(all(extent[axis]), spread);
+        let low = _mm256_sub_ps(in_image[axis], extent);
+        let high = _mm256_add_ps(in_image[axis], extent);
         let is_left = _mm256_cmp_ps::<_CMP_LT_OQ>(low, zero);
         let is_right = _mm256_cmp_ps::<_CMP_GT_OQ>(high, zero);
         let low = _mm256_mul_ps(low, _mm256_blendv_ps(inv_far, inv_near, is_left));
         let high = _mm256_mul_ps(high, _mm256_blendv_ps(inv_far, inv_near, is_right));
         let pixel = |slope| _mm256_add_ps(_mm256_mul_ps(slope, all(focal)), all(center));
-        let low = _mm256_sub_ps(pixel(low), margin);
-        let high = _mm256_add_ps(pixel(high), margin);
+        let low = _mm256_sub_ps(pixel(low), all(SLACK_PX));
+        let high = _mm256_add_ps(pixel(high), all(SLACK_PX));
         let ends_inside = _mm256_cmp_ps::<_CMP_LT_OQ>(high, all(size[axis]));
         let begins_inside = _mm256_cmp_ps::<_CMP_GE_OQ>(low, zero);
         let ends_right = _mm256_cmp_ps::<_CMP_GE_OQ>(high, zero);
