@@ -2,8 +2,8 @@
 
 use super::image::{HOLE, RangeImage, RangeImages};
 use super::kernel::{
-    FlatTables, Kernel, KernelImage, OCTANTS, Placed, SINGLE_SAMPLE_PX, TableRow, Weights, cell_of,
-    evidence, put_octant,
+    FlatTables, Kernel, KernelImage, Placed, TableRow, Weights, bits_of, cells_of, evidence,
+    index_of,
 };
 use super::octants::{Cube, Octants, View};
 use super::windows::Windows;
@@ -84,44 +84,30 @@ impl Footprints {
         }
     }
 
-    /// Whether most cells around `center` (relative to the sensor, world axes) take the nearest pixel alone.
-    pub(crate) fn is_fine(&self, center: [f32; 3]) -> bool {
-        self.image_of(center).is_none_or(|index| {
-            let image = &self.images.images[index];
-            self.resolution * image.focal[0] <= SINGLE_SAMPLE_PX * in_image(image, center)[2]
-        })
-    }
-
-    /// Writes the evidence for some octants of the brick around `center` (relative to the sensor, world axes) into that of
-    /// its cells; 0 where the scan says nothing.
+    /// Writes the evidence for the touched octants of the brick around `center` (relative to the sensor, world axes) into
+    /// that of its cells; 0 where the scan says nothing.
     pub(crate) fn evidence(
         &self,
         center: [f32; 3],
         weights: &Weights,
-        octants: &[u8],
+        octants: Octants,
         cells: &mut [i16; BRICK_CELLS],
     ) {
         let half = 4.0 * self.resolution;
-        if let Some(index) = self.image_of_cube(Cube { center, half }) {
+        let brick = Cube { center, half };
+        if let Some(index) = self.image_of_cube(brick) {
             return self.evidence_in(index, center, weights, octants, cells);
         }
-        let mut apart = [0; OCTANTS];
-        let image_of = |octant: u8| self.image_of_cube(self.octant(center, octant));
-        for index in 0..self.images.images.len() {
-            let mut count = 0;
-            for &octant in octants
-                .iter()
-                .filter(|&&octant| image_of(octant) == Some(index))
-            {
-                apart[count] = octant;
-                count += 1;
+        for octant in bits_of(octants.touched) {
+            if let Some(index) = self.image_of_cube(brick.octant(usize::from(octant))) {
+                let octants = octants.only(octant);
+                self.evidence_in(index, center, weights, octants, cells);
+                continue;
             }
-            self.evidence_in(index, center, weights, &apart[..count], cells);
-        }
-        // Where the images of a sensor that looks everywhere meet, each cell has its own.
-        for &octant in octants.iter().filter(|&&octant| image_of(octant).is_none()) {
-            let found = std::array::from_fn(|i| self.cell_evidence(center, octant, i, weights));
-            put_octant(cells, octant, found);
+            // Where the images of a sensor that looks everywhere meet, each cell has its own.
+            for cell in cells_of(octant) {
+                cells[index_of(cell)] = self.cell_evidence(center, cell, weights);
+            }
         }
     }
 
@@ -131,35 +117,24 @@ impl Footprints {
         index: usize,
         center: [f32; 3],
         weights: &Weights,
-        octants: &[u8],
+        octants: Octants,
         cells: &mut [i16; BRICK_CELLS],
     ) {
         let brick = self.placed(&self.images.images[index], center);
-        self.kernel(index).octants(&brick, weights, octants, cells);
+        self.kernel(index).brick(&brick, weights, octants, cells);
     }
 
-    /// The octant of a brick around `center`, relative to the sensor.
-    fn octant(&self, center: [f32; 3], octant: u8) -> Cube {
-        let first = cell_of(octant, 0);
-        Cube {
-            center: std::array::from_fn(|a| center[a] + (first[a] as f32 - 3.0) * self.resolution),
-            half: self.resolution,
-        }
-    }
-
-    /// Evidence of the cell `index` of an octant of a brick.
+    /// Evidence of a cell of a brick.
     pub(crate) fn cell_evidence(
         &self,
         center: [f32; 3],
-        octant: u8,
-        index: usize,
+        cell: [usize; 3],
         weights: &Weights,
     ) -> i16 {
-        let at = cell_of(octant, index);
-        let point = std::array::from_fn(|a| center[a] + (at[a] as f32 - 3.5) * self.resolution);
+        let point = std::array::from_fn(|a| center[a] + (cell[a] as f32 - 3.5) * self.resolution);
         self.image_of(point).map_or(0, |image| {
             let brick = self.placed(&self.images.images[image], center);
-            self.kernel(image).cell(&brick, octant, index, weights)
+            self.kernel(image).cell(&brick, cell, weights)
         })
     }
 
@@ -251,8 +226,9 @@ fn flatten(tables: &[EvidenceTable]) -> FlatTables {
             last: (table.entries.len() + 1) as f32,
             base: flat.entries.len() as f32,
         });
-        flat.entries.push(table.free);
-        flat.entries.extend_from_slice(&table.entries);
+        flat.entries.push(i32::from(table.free));
+        flat.entries
+            .extend(table.entries.iter().map(|&entry| i32::from(entry)));
         flat.entries.push(0);
     }
     flat
@@ -264,17 +240,15 @@ fn kernel_image(image: &RangeImage, tables: &[EvidenceTable]) -> KernelImage {
         range => range + tables[usize::from(pixel.table)].start as f32,
     });
     let table_of_pixel = image.pixels.iter().map(|pixel| pixel.table);
-    KernelImage {
-        width: image.width,
-        height: image.height,
-        focal: image.focal,
-        center: image.center.map(|c| c + 0.5),
-        near: near.chain([f32::NEG_INFINITY]).collect(),
-        tables: match tables {
-            [_] => Vec::new(),
-            _ => table_of_pixel.chain([0]).collect(),
+    KernelImage::new(
+        [image.width, image.height],
+        [image.focal, image.center],
+        near,
+        match tables {
+            [_] => None,
+            _ => Some(table_of_pixel.collect()),
         },
-    }
+    )
 }
 
 #[inline]

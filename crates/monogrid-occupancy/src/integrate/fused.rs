@@ -1,8 +1,8 @@
 //! The rule `fused`: one update per cell and scan.
 //!
 //! Flow: measurements, or a depth image as it is (`depth_image`) -> range images with bounds over windows
-//! of pixels -> cubes are split, down to 2 x 2 x 2 cells (4 x 4 x 4 where a cell is no wider than a pixel),
-//! only where the bounds cannot tell what their cells get (`search`) -> free bricks
+//! of pixels -> cubes are split, down to 4 x 4 x 4 cells, only where the bounds cannot tell what their cells
+//! get (`search`) -> free bricks
 //! get one addition, mixed ones an update per cell from the measurements in the cell's footprint, shard
 //! by shard (`writer`). A brick that is saturated free and can only become freer costs a look into the
 //! directory.
@@ -244,7 +244,7 @@ pub(crate) fn bricks_seen(
 }
 #[cfg(test)]
 mod tests {
-    use super::super::kernel::cell_of;
+    use super::super::kernel::cells_of;
     use super::super::search::relative_center;
     use super::*;
     use crate::map::MapConfig;
@@ -287,9 +287,9 @@ mod tests {
                     let brick = BrickKey::new(x, y, z);
                     let center = relative_center(brick, 4.0, resolution, footprints.images.origin);
                     let weights = footprints.weights(center);
-                    for (octant, index) in (0..64).flat_map(|o| (0..8).map(move |i| (o, i))) {
-                        let [x, y, z] = cell_of(octant, index);
-                        let update = footprints.cell_evidence(center, octant, index, &weights);
+                    for cell in (0..8).flat_map(cells_of) {
+                        let [x, y, z] = cell;
+                        let update = footprints.cell_evidence(center, cell, &weights);
                         if update != 0 {
                             let key = brick.cell(x + 8 * y + 64 * z);
                             let value = map.limits.updated(map.evidence(key), update);

@@ -3,7 +3,8 @@
 //! The scalar kernel here defines the result; `kernel_avx2` computes the same bits eight cells at
 //! a time.
 
-use crate::key::BRICK_CELLS;
+use super::octants::Octants;
+use crate::key::{BRICK_CELLS, BRICK_EDGE};
 
 /// Samples in a wide footprint, as offsets in units of its width: a Latin square, so that each
 /// row and column of an 8 x 8 raster has one.
@@ -24,34 +25,74 @@ pub(crate) const FOUR_SAMPLES: [[f32; 2]; 4] =
 pub(crate) const SINGLE_SAMPLE_PX: f32 = 1.5;
 /// Footprints up to this wide take four samples.
 pub(crate) const FOUR_SAMPLES_PX: f32 = 3.2;
-/// Octants of 2 x 2 x 2 cells in a brick; number `x | y << 2 | z << 4` is the place of each.
-pub(crate) const OCTANTS: usize = 64;
-/// The cell `index` of an octant in its brick: x fastest.
+/// Edge of an octant of a brick in cells; octant `x | y << 1 | z << 2` lies at those ends of its brick.
+pub(crate) const OCTANT_EDGE: usize = 4;
+
+/// The cell `[x, y, z]` of an octant in its brick.
 #[inline(always)]
-pub(crate) fn cell_of(octant: u8, index: usize) -> [usize; 3] {
-    std::array::from_fn(|axis| usize::from(octant >> (2 * axis) & 3) * 2 + (index >> axis & 1))
+pub(crate) fn cell_in_brick(octant: u8, cell: [usize; 3]) -> [usize; 3] {
+    std::array::from_fn(|axis| usize::from(octant >> axis & 1) * OCTANT_EDGE + cell[axis])
 }
 
-/// An image as the kernel needs it.
+/// An image as the kernel needs it: with a border of one pixel without a measurement, for all that lies outside.
 #[derive(Clone, Debug)]
 pub(crate) struct KernelImage {
-    pub width: usize,
-    pub height: usize,
+    /// Pixels per row.
+    pub stride: usize,
+    /// Last column and row.
+    pub last: [f32; 2],
     /// Pixels per unit of slope, along u and v.
     pub focal: [f32; 2],
     /// Pixel of slope 0, plus one half: truncation then finds the nearest pixel.
     pub center: [f32; 2],
     /// Range at which the table of each pixel begins, in map units; minus infinity without a measurement, which lies behind every
-    /// table. One more follows, for all that lies outside of the image.
+    /// table.
     pub near: Vec<f32>,
     /// Table of each pixel; empty if all have the first.
     pub tables: Vec<u16>,
 }
 
+impl KernelImage {
+    /// The image of so many columns and rows of [`KernelImage::near`] and, unless all have the first, tables. `center` is the
+    /// pixel of slope 0.
+    pub(crate) fn new(
+        [width, height]: [usize; 2],
+        [focal, center]: [[f32; 2]; 2],
+        near: impl IntoIterator<Item = f32>,
+        tables: Option<Vec<u16>>,
+    ) -> Self {
+        let size = [width, height];
+        Self {
+            stride: width + 2,
+            last: size.map(|edge| (edge + 1) as f32),
+            focal,
+            center: center.map(|c| c + 1.5),
+            near: with_border(size, near, f32::NEG_INFINITY),
+            tables: tables.map_or(Vec::new(), |tables| with_border(size, tables, 0)),
+        }
+    }
+}
+
+/// The rows with one pixel more on each side.
+fn with_border<T: Copy>(
+    [width, height]: [usize; 2],
+    pixels: impl IntoIterator<Item = T>,
+    border: T,
+) -> Vec<T> {
+    let mut all = vec![border; (width + 2) * (height + 2)];
+    let mut pixels = pixels.into_iter();
+    for row in all.chunks_exact_mut(width + 2).skip(1).take(height) {
+        for (place, pixel) in row[1..=width].iter_mut().zip(&mut pixels) {
+            *place = pixel;
+        }
+    }
+    all
+}
+
 /// All tables one after the other, each as: free update, entries, 0.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FlatTables {
-    pub entries: Vec<i16>,
+    pub entries: Vec<i32>,
     /// At least one.
     pub rows: Vec<TableRow>,
 }
@@ -94,29 +135,18 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// Centre of the cell `index` of an octant: that of its first cell, and the way from there.
+    /// Centre of a cell: the way along z, and then that along x and y; the order of the operations is part of the result.
     #[inline]
-    fn center(&self, octant: u8, index: usize) -> [f32; 3] {
-        let (first, way) = (
-            self.first_of(octant),
-            self.way([0, 1, 2].map(|a| index >> a & 1)),
-        );
-        std::array::from_fn(|i| first[i] + way[i])
+    fn center(&self, cell: [usize; 3]) -> [f32; 3] {
+        let [x, y, z] = cell.map(|c| c as f32);
+        let ([sx, sy, _], layer) = (self.steps, self.layer(z));
+        std::array::from_fn(|i| layer[i] + (x * sx[i] + y * sy[i]))
     }
 
-    /// Centre of the first cell of an octant.
+    /// Centre of the first cell of a layer.
     #[inline]
-    pub(super) fn first_of(&self, octant: u8) -> [f32; 3] {
-        let way = self.way(cell_of(octant, 0));
-        std::array::from_fn(|i| self.first[i] + way[i])
-    }
-
-    /// The way over so many cells; the order of the operations is part of the result.
-    #[inline]
-    pub(super) fn way(&self, cells: [usize; 3]) -> [f32; 3] {
-        let [x, y, z] = cells.map(|cells| cells as f32);
-        let [sx, sy, sz] = self.steps;
-        std::array::from_fn(|i| z * sz[i] + (x * sx[i] + y * sy[i]))
+    pub(super) fn layer(&self, z: f32) -> [f32; 3] {
+        std::array::from_fn(|i| self.first[i] + z * self.steps[2][i])
     }
 }
 
@@ -128,39 +158,51 @@ pub(crate) struct Kernel<'a> {
 }
 
 impl Kernel<'_> {
-    /// Writes the evidence for the cells of some octants into that of their brick; 0 where the scan says nothing.
+    /// Writes the evidence for the cells of the octants of a brick that are touched; 0 where the scan says nothing.
     #[inline]
-    pub(crate) fn octants(
+    pub(crate) fn brick(
         &self,
         brick: &Placed,
         weights: &Weights,
-        octants: &[u8],
+        octants: Octants,
         cells: &mut [i16; BRICK_CELLS],
     ) {
         #[cfg(target_arch = "x86_64")]
-        if super::kernel_avx2::octants(self, brick, weights, octants, cells) {
+        if super::kernel_avx2::brick(self, brick, weights, octants, cells) {
             return;
         }
-        self.octants_scalar(brick, weights, octants, cells);
+        self.brick_scalar(brick, weights, octants, cells);
     }
 
-    /// [`Kernel::octants`] without vectors.
-    pub(crate) fn octants_scalar(
+    /// [`Kernel::brick`] without vectors.
+    pub(crate) fn brick_scalar(
         &self,
         brick: &Placed,
         weights: &Weights,
-        octants: &[u8],
+        octants: Octants,
         cells: &mut [i16; BRICK_CELLS],
     ) {
-        for &octant in octants {
-            let found = std::array::from_fn(|i| self.cell(brick, octant, i, weights));
-            put_octant(cells, octant, found);
+        let free = self.free(weights);
+        for octant in bits_of(octants.touched) {
+            let is_free = octants.free >> octant & 1 != 0;
+            for cell in cells_of(octant) {
+                cells[index_of(cell)] = match is_free {
+                    true => free,
+                    false => self.cell(brick, cell, weights),
+                };
+            }
         }
     }
 
-    /// Evidence for the cell `index` of an octant of a brick.
-    pub(crate) fn cell(&self, brick: &Placed, octant: u8, index: usize, weights: &Weights) -> i16 {
-        let [x, y, z] = brick.center(octant, index);
+    /// The update of a cell whose whole footprint is free.
+    #[inline]
+    pub(super) fn free(&self, weights: &Weights) -> i16 {
+        evidence(self.tables.entries[0], weights.single)
+    }
+
+    /// Evidence for a cell of a brick.
+    pub(crate) fn cell(&self, brick: &Placed, cell: [usize; 3], weights: &Weights) -> i16 {
+        let [x, y, z] = brick.center(cell);
         let range = (x * x + y * y + z * z).sqrt();
         // Written so that NaN gives nothing.
         if !(z > brick.min_depth && range <= brick.max_range) {
@@ -171,7 +213,7 @@ impl Kernel<'_> {
         let v = y * inverse * self.image.focal[1] + self.image.center[1];
         let width = brick.cell * self.image.focal[0] * inverse;
         if width <= SINGLE_SAMPLE_PX {
-            return evidence(i32::from(self.sample(u, v, range)), weights.single);
+            return evidence(self.sample(u, v, range), weights.single);
         }
         if width <= FOUR_SAMPLES_PX {
             let (sum, hits) = self.sum(&FOUR_SAMPLES, [u, v], width, range, weights.obstacle);
@@ -193,7 +235,7 @@ impl Kernel<'_> {
         obstacle: i32,
     ) -> (i32, usize) {
         samples.iter().fold((0, 0), |(sum, hits), [du, dv]| {
-            let sample = i32::from(self.sample(u + du * width, v + dv * width, range));
+            let sample = self.sample(u + du * width, v + dv * width, range);
             let gained = sample + sample.max(0) * obstacle;
             (sum + gained, hits + usize::from(sample != 0))
         })
@@ -201,13 +243,11 @@ impl Kernel<'_> {
 
     /// Evidence of the pixel that holds `(u, v)`; 0 if it says nothing.
     #[inline]
-    fn sample(&self, u: f32, v: f32, range: f32) -> i16 {
-        let inside =
-            u >= 0.0 && v >= 0.0 && u < self.image.width as f32 && v < self.image.height as f32;
-        if !inside {
-            return 0;
-        }
-        let pixel = v as usize * self.image.width + u as usize;
+    fn sample(&self, u: f32, v: f32, range: f32) -> i32 {
+        let [column, row] = [u, v].map(|c| c.max(0.0));
+        let [last_column, last_row] = self.image.last;
+        let row = row.min(last_row) as usize;
+        let pixel = row * self.image.stride + column.min(last_column) as usize;
         let table = self.image.tables.get(pixel).map_or(0, |&t| usize::from(t));
         let row = &self.tables.rows[table];
         let offset = (range - self.image.near[pixel]) * row.inv_step + 1.0;
@@ -216,14 +256,22 @@ impl Kernel<'_> {
     }
 }
 
-/// Puts the evidence of an octant into that of its brick.
+/// The bits that are set.
 #[inline]
-pub(crate) fn put_octant(cells: &mut [i16; BRICK_CELLS], octant: u8, found: [i16; 8]) {
-    let [x, y, z] = cell_of(octant, 0);
-    let first = x + 8 * y + 64 * z;
-    for (row, found) in [0, 8, 64, 72].into_iter().zip(found.chunks_exact(2)) {
-        cells[first + row..first + row + 2].copy_from_slice(found);
-    }
+pub(crate) fn bits_of(bits: u8) -> impl Iterator<Item = u8> {
+    (0..8).filter(move |bit| bits >> bit & 1 != 0)
+}
+
+/// The cells of an octant of a brick, x fastest.
+pub(crate) fn cells_of(octant: u8) -> impl Iterator<Item = [usize; 3]> {
+    const E: usize = OCTANT_EDGE;
+    (0..E * E * E).map(move |i| cell_in_brick(octant, [i % E, i / E % E, i / (E * E)]))
+}
+
+/// The index of a cell in its brick.
+#[inline(always)]
+pub(crate) fn index_of([x, y, z]: [usize; 3]) -> usize {
+    x + BRICK_EDGE as usize * (y + BRICK_EDGE as usize * z)
 }
 
 /// `sum * factor`, rounded towards zero but never to it.
@@ -259,7 +307,7 @@ pub(crate) mod tests {
                 base: entries.len() as f32,
             });
             entries.push(-2458);
-            entries.extend((0..length).map(|i| (i * 37 % 9000 - 2000) as i16));
+            entries.extend((0..length).map(|i| i * 37 % 9000 - 2000));
             entries.push(0);
         }
         let tables = FlatTables { entries, rows };
@@ -268,16 +316,10 @@ pub(crate) mod tests {
             0.75.. => f32::NEG_INFINITY,
             _ => 1.0 + unit(),
         });
-        let near: Vec<f32> = near.chain([f32::NEG_INFINITY]).collect();
+        let near: Vec<f32> = near.collect();
         let of_pixels = (0..near.len()).map(|_| (unit() * 3.0) as u16).collect();
-        let image = KernelImage {
-            width,
-            height,
-            focal: [30.0, 31.0],
-            center: [20.2, 14.8],
-            near,
-            tables: of_pixels,
-        };
+        let view = [[30.0, 31.0], [18.7, 13.3]];
+        let image = KernelImage::new([width, height], view, near, Some(of_pixels));
         let bricks = (0..200)
             .map(|i| {
                 let cell = if i % 2 == 0 { 0.01 } else { 0.13 };
@@ -324,7 +366,11 @@ pub(crate) mod tests {
         let (mut zero, mut free, mut other) = (0, 0, 0);
         for (brick, weights) in &bricks {
             let mut cells = [0; BRICK_CELLS];
-            kernel.octants_scalar(brick, weights, &[0, 21, 1, 63, 42, 42, 16, 7], &mut cells);
+            let touched = Octants {
+                touched: 0b1010_0111,
+                ..Octants::default()
+            };
+            kernel.brick_scalar(brick, weights, touched, &mut cells);
             for value in cells {
                 match value {
                     0 => zero += 1,

@@ -20,16 +20,15 @@ pub(crate) struct Octants {
 }
 
 impl Octants {
-    pub(crate) const ALL_TOUCHED: Self = Self {
-        touched: 0xff,
-        free: 0,
-        clear: 0,
-    };
-    pub(crate) const ALL_FREE: Self = Self {
-        touched: 0xff,
-        free: 0xff,
-        clear: 0xff,
-    };
+    /// One of them.
+    pub(crate) fn only(self, octant: u8) -> Self {
+        let bit = 1 << octant;
+        Self {
+            touched: self.touched & bit,
+            free: self.free & bit,
+            clear: self.clear & bit,
+        }
+    }
 }
 
 /// A cube in the world's axes, relative to the sensor.

@@ -1,8 +1,8 @@
 //! The rule `fused`, second step: the updates of a brick, and the brick with them.
 
 use super::footprint::Footprints;
-use super::kernel::{OCTANTS, Weights, put_octant};
-use super::octants::{Cube, Octants};
+use super::kernel::Weights;
+use super::octants::Cube;
 use super::search::{Update, relative_center};
 use crate::evidence::Limits;
 use crate::key::{BRICK_CELLS, BrickKey};
@@ -60,48 +60,9 @@ impl Writer<'_> {
         weights: &Weights,
         updates: &mut [i16; BRICK_CELLS],
     ) -> bool {
-        let cell = self.footprints.resolution;
-        let free = self.footprints.free_evidence(weights);
-        let is_fine = self.footprints.is_fine(center);
-        let half = 2.0 * cell;
-        let halves = self.footprints.judge(Cube {
-            center,
-            half: 2.0 * half,
-        });
-        let (mut unsure, mut count) = ([0; OCTANTS], 0);
-        for part in bits_of(halves.touched) {
-            let octants = if halves.free >> part & 1 != 0 {
-                Octants::ALL_FREE
-            } else if is_fine {
-                // To compute a cell takes less time than to find out whether it must be.
-                Octants::ALL_TOUCHED
-            } else {
-                let side = |axis: usize| f32::from(part >> axis & 1) * 2.0 - 1.0;
-                let center = std::array::from_fn(|axis| center[axis] + side(axis) * half);
-                self.footprints.judge(Cube { center, half })
-            };
-            for octant in bits_of(octants.touched) {
-                let place = place_of(part) << 1 | place_of(octant);
-                if octants.free >> octant & 1 != 0 {
-                    put_octant(updates, place, [free; 8]);
-                } else {
-                    unsure[count] = place;
-                    count += 1;
-                }
-            }
-        }
-        self.footprints
-            .evidence(center, weights, &unsure[..count], updates);
+        let half = 4.0 * self.footprints.resolution;
+        let octants = self.footprints.judge(Cube { center, half });
+        self.footprints.evidence(center, weights, octants, updates);
         updates.iter().fold(0, |any, update| any | update) != 0
     }
-}
-
-/// The bits that are set.
-fn bits_of(bits: u8) -> impl Iterator<Item = u8> {
-    (0..8).filter(move |bit| bits >> bit & 1 != 0)
-}
-
-/// The place, as the kernel numbers octants, of one of eight at an end of their brick.
-fn place_of(octant: u8) -> u8 {
-    octant & 1 | (octant & 2) << 1 | (octant & 4) << 2
 }
