@@ -7,7 +7,7 @@ use crate::reprojection::{
     BEHIND_CHI2, adjoint_transpose, pose_jacobian, project, projection_jacobian,
 };
 use monogrid_geometry::{Mat3, Mat6, Se3, Vec2, Vec3, Vec6, hat};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 /// The unknowns.
 #[derive(Clone, Debug)]
@@ -38,16 +38,16 @@ pub(super) struct Window<'a> {
 /// Gauss-Newton system before the points are eliminated.
 #[derive(Debug)]
 pub(super) struct Normal {
-    /// Poses x poses, lower triangle valid.
-    pub h_poses: DMatrix<f64>,
+    /// Poses x poses: the blocks that the layout names.
+    pub h_poses: Vec<Mat6>,
     /// Negative gradient by the poses.
     pub b_poses: DVector<f64>,
     /// Per point second derivative.
     pub h_points: Vec<f64>,
     /// Per point negative gradient.
     pub b_points: Vec<f64>,
-    /// Per observation the mixed derivative by the observer's pose and the inverse depth.
-    pub cross: Vec<Vec6>,
+    /// Per entry of the points' fans the mixed derivative by its pose and the inverse depth.
+    pub fans: Vec<Vec6>,
     /// Per pair observer from host at the point of linearisation.
     pub relatives: Vec<Relative>,
 }
@@ -59,7 +59,7 @@ impl<'a> Window<'a> {
         config: &BundleConfig,
     ) -> Self {
         let bearing = |p: &super::AnchoredPoint| problem.pinhole.unproject(&p.pixel);
-        let is_seen = |&pair: &usize| pair != NO_PAIR;
+        let is_seen = |&pair: &u32| pair != NO_PAIR;
         Self {
             problem,
             layout,
@@ -99,7 +99,7 @@ impl<'a> Window<'a> {
 
     /// Squared error of observation `i` in standard deviations; `None` when behind or an anchor.
     pub(super) fn chi2(&self, i: usize, relatives: &[Relative], state: &State) -> Option<f64> {
-        let relative = relatives.get(self.layout.pair_of_observation[i])?;
+        let relative = relatives.get(self.layout.pair_of_observation[i] as usize)?;
         let q = self.scaled_point(i, relative, state);
         let weight = self.problem.observations[i].inv_sigma_px;
         self.residual(i, &q)
@@ -129,11 +129,11 @@ impl<'a> Window<'a> {
         let n = 6 * self.layout.free_keyframes.len();
         let points = self.problem.points.len();
         let mut normal = Normal {
-            h_poses: DMatrix::zeros(n, n),
+            h_poses: vec![Mat6::zeros(); self.layout.blocks.len()],
             b_poses: DVector::zeros(n),
             h_points: vec![0.0; points],
             b_points: vec![0.0; points],
-            cross: vec![Vec6::zeros(); self.problem.observations.len()],
+            fans: vec![Vec6::zeros(); self.layout.fans.len()],
             relatives: self.relatives(state),
         };
         let mut per_pair = vec![(Mat6::zeros(), Vec6::zeros()); self.layout.pairs.len()];
@@ -164,7 +164,7 @@ impl<'a> Window<'a> {
         normal: &mut Normal,
         per_pair: &mut [(Mat6, Vec6)],
     ) {
-        let pair = self.layout.pair_of_observation[i];
+        let pair = self.layout.pair_of_observation[i] as usize;
         let observation = &self.problem.observations[i];
         let relative = &normal.relatives[pair];
         let q = self.scaled_point(i, relative, state);
@@ -182,6 +182,7 @@ impl<'a> Window<'a> {
         let j_pose = pose_jacobian(&projection, &q, state.inverse_depths[observation.point]);
         normal.h_points[observation.point] += weight * j_depth.norm_squared();
         normal.b_points[observation.point] -= weight * j_depth.dot(&residual);
+        let mut cross = Vec6::zeros();
         let (h, b) = &mut per_pair[pair];
         for c in 0..6 {
             let (x, y) = (weight * j_pose[(0, c)], weight * j_pose[(1, c)]);
@@ -189,7 +190,14 @@ impl<'a> Window<'a> {
                 h[(r, c)] += x * j_pose[(0, r)] + y * j_pose[(1, r)];
             }
             b[c] -= x * residual.x + y * residual.y;
-            normal.cross[i][c] = x * j_depth.x + y * j_depth.y;
+            cross[c] = x * j_depth.x + y * j_depth.y;
+        }
+        if let Some(entry) = self.layout.fans.of_observation(i) {
+            normal.fans[entry] += cross;
+        }
+        if let Some(entry) = self.layout.fans.of_host(observation.point) {
+            normal.fans[entry] +=
+                -adjoint_transpose(&relative.rotation, &relative.translation, &cross);
         }
     }
 
@@ -203,25 +211,48 @@ impl<'a> Window<'a> {
         let adjoint = adjoint(&normal.relatives[pair]);
         let h_ad = h * adjoint;
         if let Some(k) = slot(observer) {
-            add_block(&mut normal.h_poses, k, k, &h);
+            self.add_block(normal, (k, k), &h);
             add_segment(&mut normal.b_poses, k, b);
         }
         if let Some(l) = slot(host) {
-            add_block(&mut normal.h_poses, l, l, &adjoint.tr_mul(&h_ad));
+            self.add_block(normal, (l, l), &adjoint.tr_mul(&h_ad));
             add_segment(&mut normal.b_poses, l, &-adjoint.tr_mul(b));
             match slot(observer) {
-                Some(k) if k > l => add_block(&mut normal.h_poses, k, l, &-h_ad),
-                Some(k) => add_block(&mut normal.h_poses, l, k, &-h_ad.transpose()),
+                Some(k) if k > l => self.add_block(normal, (k, l), &-h_ad),
+                Some(k) => self.add_block(normal, (l, k), &-h_ad.transpose()),
                 None => {}
             }
         }
     }
 
-    /// Mixed derivative of observation `i` by its host's pose and the inverse depth.
-    #[inline]
-    pub(super) fn host_cross(&self, i: usize, normal: &Normal) -> Vec6 {
-        let relative = &normal.relatives[self.layout.pair_of_observation[i]];
-        -adjoint_transpose(&relative.rotation, &relative.translation, &normal.cross[i])
+    /// Adds to a block (row, column) of the lower triangle; the layout names all that there are.
+    fn add_block(&self, normal: &mut Normal, at: (usize, usize), block: &Mat6) {
+        if let Ok(at) = self.layout.blocks.binary_search(&at) {
+            normal.h_poses[at] += block;
+        }
+    }
+
+    /// The diagonal of the poses.
+    pub(super) fn diagonal(&self, normal: &Normal) -> DVector<f64> {
+        let mut diagonal = DVector::zeros(normal.b_poses.len());
+        for ((row, column), block) in self.layout.blocks.iter().zip(&normal.h_poses) {
+            if row == column {
+                let mut view = diagonal.fixed_rows_mut::<6>(6 * row);
+                view.copy_from(&block.diagonal());
+            }
+        }
+        diagonal
+    }
+
+    /// The free poses (slots) on which a point depends, with the mixed derivatives.
+    pub(super) fn fan<'b>(
+        &'b self,
+        normal: &'b Normal,
+        point: usize,
+    ) -> impl DoubleEndedIterator<Item = (usize, &'b Vec6)> + Clone {
+        let fans = &self.layout.fans;
+        let entries = fans.of(point);
+        entries.map(|entry| (fans.slot(entry), &normal.fans[entry]))
     }
 }
 
@@ -234,11 +265,6 @@ fn adjoint(relative: &Relative) -> Mat6 {
     let upper = hat(&relative.translation) * relative.rotation;
     ad.fixed_view_mut::<3, 3>(0, 3).copy_from(&upper);
     ad
-}
-
-fn add_block(h: &mut DMatrix<f64>, row: usize, column: usize, block: &Mat6) {
-    let mut view = h.fixed_view_mut::<6, 6>(6 * row, 6 * column);
-    view += block;
 }
 
 fn add_segment(b: &mut DVector<f64>, row: usize, segment: &Vec6) {

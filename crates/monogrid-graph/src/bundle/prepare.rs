@@ -1,6 +1,7 @@
 //! Checks of a problem, and the orders in which the solver walks through it.
 
-use super::{BundleConfig, BundleError, BundleProblem, PoseFreedom};
+use super::{BundleConfig, BundleError, BundleProblem, Observation, PoseFreedom};
+use std::ops::Range;
 
 fn index(
     what: impl Fn() -> String,
@@ -188,9 +189,10 @@ fn validate_keyframes(problem: &BundleProblem) -> Result<(), BundleError> {
 }
 
 /// Marks an anchor observation in [`Layout::pair_of_observation`].
-pub(super) const NO_PAIR: usize = usize::MAX;
+pub(super) const NO_PAIR: u32 = u32::MAX;
 
-/// How the parts of a problem hang together; computed once.
+/// How the parts of a problem hang together; computed once. Lists as long as the observations are narrow: those of a long run are
+/// hundreds of thousands.
 #[derive(Debug)]
 pub(super) struct Layout {
     /// Per keyframe its place among the free ones.
@@ -200,11 +202,25 @@ pub(super) struct Layout {
     /// Distinct pairs (host, observer), sorted.
     pub pairs: Vec<(usize, usize)>,
     /// Per observation its pair, or [`NO_PAIR`] when the host observes itself.
-    pub pair_of_observation: Vec<usize>,
-    /// Observations sorted by point (stable).
-    pub by_point: Vec<usize>,
-    /// Where each point's observations start in `by_point`; one more than there are points.
-    pub point_starts: Vec<usize>,
+    pub pair_of_observation: Vec<u32>,
+    /// Blocks of the lower triangle (row, column; slots) that pairs or the diagonal have, sorted.
+    pub blocks: Vec<(usize, usize)>,
+    /// The poses that each point depends on.
+    pub fans: FanLayout,
+}
+
+/// Marks what has no entry in [`FanLayout`].
+const NO_ENTRY: u32 = u32::MAX;
+
+/// For every point the free poses that it depends on: those of its observers and of its host.
+#[derive(Debug)]
+pub(super) struct FanLayout {
+    /// Where the entries of each point start; one more than there are points.
+    starts: Vec<u32>,
+    /// Slots, each once per point, sorted.
+    slots: Vec<u32>,
+    of_observation: Vec<u32>,
+    of_host: Vec<u32>,
 }
 
 impl Layout {
@@ -217,37 +233,110 @@ impl Layout {
                 free_keyframes.push(i);
             }
         }
-        let observations = &problem.observations;
-        let pair = |o: &super::Observation| (problem.points[o.point].host, o.keyframe);
-        let mut pairs: Vec<_> = observations
-            .iter()
-            .map(pair)
-            .filter(|(h, k)| h != k)
-            .collect();
-        pairs.sort_unstable();
-        pairs.dedup();
-        let find = |o| pairs.binary_search(&pair(o)).unwrap_or(NO_PAIR);
-        let pair_of_observation = observations.iter().map(find).collect();
-        let mut point_starts = vec![0; problem.points.len() + 1];
-        for o in observations {
-            point_starts[o.point + 1] += 1;
-        }
-        for i in 1..point_starts.len() {
-            point_starts[i] += point_starts[i - 1];
-        }
-        let mut next = point_starts.clone();
-        let mut by_point = vec![0; observations.len()];
-        for (i, o) in observations.iter().enumerate() {
-            by_point[next[o.point]] = i;
-            next[o.point] += 1;
-        }
+        let pairs = pairs(problem);
+        let find = |o| {
+            let found = pairs.binary_search(&pair(problem, o));
+            found.map_or(NO_PAIR, |pair| pair as u32)
+        };
         Self {
+            pair_of_observation: problem.observations.iter().map(find).collect(),
+            blocks: blocks(&pairs, &slot_of_keyframe, free_keyframes.len()),
+            fans: FanLayout::new(problem, &slot_of_keyframe),
             slot_of_keyframe,
             free_keyframes,
             pairs,
-            pair_of_observation,
-            by_point,
-            point_starts,
         }
+    }
+}
+
+/// Host and observer of an observation.
+fn pair(problem: &BundleProblem, observation: &Observation) -> (usize, usize) {
+    (problem.points[observation.point].host, observation.keyframe)
+}
+
+fn pairs(problem: &BundleProblem) -> Vec<(usize, usize)> {
+    let observations = problem.observations.iter();
+    let mut pairs: Vec<_> = observations
+        .map(|o| pair(problem, o))
+        .filter(|(h, k)| h != k)
+        .collect();
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs.shrink_to_fit();
+    pairs
+}
+
+fn blocks(
+    pairs: &[(usize, usize)],
+    slot_of_keyframe: &[Option<usize>],
+    num_slots: usize,
+) -> Vec<(usize, usize)> {
+    let of_pair = |&(host, observer): &(usize, usize)| {
+        let (a, b) = (slot_of_keyframe[host]?, slot_of_keyframe[observer]?);
+        Some((a.max(b), a.min(b)))
+    };
+    let diagonal = (0..num_slots).map(|slot| (slot, slot));
+    let mut blocks: Vec<_> = pairs.iter().filter_map(of_pair).chain(diagonal).collect();
+    blocks.sort_unstable();
+    blocks.dedup();
+    blocks
+}
+
+impl FanLayout {
+    fn new(problem: &BundleProblem, slot_of_keyframe: &[Option<usize>]) -> Self {
+        let host_of = |point: usize| slot_of_keyframe[problem.points[point].host];
+        let seen = problem.observations.iter().filter_map(|o| {
+            let slot = slot_of_keyframe[o.keyframe]?;
+            Some((o.point as u32, slot as u32))
+        });
+        let hosts = (0..problem.points.len())
+            .filter_map(|point| Some((point as u32, host_of(point)? as u32)));
+        let mut entries: Vec<(u32, u32)> = seen.chain(hosts).collect();
+        entries.sort_unstable();
+        entries.dedup();
+        let find = |point: usize, slot: Option<usize>| {
+            let entry = slot.map(|slot| (point as u32, slot as u32));
+            let found = entry.and_then(|entry| entries.binary_search(&entry).ok());
+            found.map_or(NO_ENTRY, |at| at as u32)
+        };
+        let observations = problem.observations.iter();
+        let start = |point: usize| entries.partition_point(|e| (e.0 as usize) < point) as u32;
+        Self {
+            starts: (0..=problem.points.len()).map(start).collect(),
+            of_observation: observations
+                .map(|o| find(o.point, slot_of_keyframe[o.keyframe]))
+                .collect(),
+            of_host: (0..problem.points.len())
+                .map(|point| find(point, host_of(point)))
+                .collect(),
+            slots: entries.iter().map(|entry| entry.1).collect(),
+        }
+    }
+
+    /// Entries of all points.
+    pub(super) fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// The entries of a point.
+    pub(super) fn of(&self, point: usize) -> Range<usize> {
+        self.starts[point] as usize..self.starts[point + 1] as usize
+    }
+
+    /// The slot of an entry.
+    pub(super) fn slot(&self, entry: usize) -> usize {
+        self.slots[entry] as usize
+    }
+
+    /// The entry of an observation's point for its observer, where that is free.
+    pub(super) fn of_observation(&self, observation: usize) -> Option<usize> {
+        let entry = self.of_observation[observation];
+        (entry != NO_ENTRY).then_some(entry as usize)
+    }
+
+    /// The entry of a point for its host, where that is free.
+    pub(super) fn of_host(&self, point: usize) -> Option<usize> {
+        let entry = self.of_host[point];
+        (entry != NO_ENTRY).then_some(entry as usize)
     }
 }

@@ -9,68 +9,6 @@ use faer::{Conj, MatMut, Spec};
 use monogrid_geometry::Vec6;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// For every point the mixed derivatives by the free poses that it depends on: each slot once, sorted.
-#[derive(Debug)]
-pub(super) struct Fans {
-    entries: Vec<(usize, Vec6)>,
-    starts: Vec<usize>,
-}
-
-impl Fans {
-    /// Collects them once per linearisation, so that retries with another damping need not.
-    pub(super) fn new(window: &Window, normal: &Normal) -> Self {
-        let points = window.problem.points.len();
-        let observations = window.problem.observations.len();
-        let mut fans = Self {
-            entries: Vec::with_capacity(observations + points),
-            starts: Vec::with_capacity(points + 1),
-        };
-        for point in 0..points {
-            fans.starts.push(fans.entries.len());
-            fans.collect(window, normal, point);
-        }
-        fans.starts.push(fans.entries.len());
-        fans
-    }
-
-    /// The fan of one point.
-    pub(super) fn of(&self, point: usize) -> &[(usize, Vec6)] {
-        &self.entries[self.starts[point]..self.starts[point + 1]]
-    }
-
-    /// The observers' derivatives, and the host's from all of them.
-    fn collect(&mut self, window: &Window, normal: &Normal, point: usize) {
-        let layout = window.layout;
-        let range = layout.point_starts[point]..layout.point_starts[point + 1];
-        let mut host = Vec6::zeros();
-        let host_slot = layout.slot_of_keyframe[window.problem.points[point].host];
-        for &i in &layout.by_point[range] {
-            if !window.active[i] {
-                continue;
-            }
-            let observer = window.problem.observations[i].keyframe;
-            if let Some(slot) = layout.slot_of_keyframe[observer] {
-                self.add(point, slot, &normal.cross[i]);
-            }
-            if host_slot.is_some() {
-                host += window.host_cross(i, normal);
-            }
-        }
-        if let Some(slot) = host_slot {
-            self.add(point, slot, &host);
-        }
-    }
-
-    fn add(&mut self, point: usize, slot: usize, w: &Vec6) {
-        let start = self.starts[point];
-        let place = start + self.entries[start..].partition_point(|entry| entry.0 < slot);
-        match self.entries.get_mut(place) {
-            Some(entry) if entry.0 == slot => entry.1 += w,
-            _ => self.entries.insert(place, (slot, *w)),
-        }
-    }
-}
-
 /// A step of all unknowns.
 #[derive(Debug)]
 pub(super) struct Step {
@@ -84,27 +22,30 @@ pub(super) struct Step {
 pub(super) fn reduce(
     window: &Window,
     normal: &Normal,
-    fans: &Fans,
     state: &State,
     lambda: f64,
 ) -> (DMatrix<f64>, DVector<f64>) {
-    let mut s = normal.h_poses.clone();
     let mut b = normal.b_poses.clone();
+    let mut s = DMatrix::zeros(b.len(), b.len());
+    for (&(row, column), block) in window.layout.blocks.iter().zip(&normal.h_poses) {
+        s.fixed_view_mut::<6, 6>(6 * row, 6 * column)
+            .copy_from(block);
+    }
     for i in 0..s.nrows() {
         s[(i, i)] += lambda * s[(i, i)] + DIAGONAL_FLOOR;
     }
     for point in 0..normal.h_points.len() {
-        let fan = fans.of(point);
         let h = normal.h_points[point] * (1.0 + lambda);
         if h <= 0.0 {
             continue;
         }
         let inv_h = 1.0 / h;
-        for (column, (slot_c, w_c)) in fan.iter().enumerate() {
+        let mut rest = window.fan(normal, point);
+        while let Some((slot_c, w_c)) = rest.clone().next() {
             let scaled = w_c * inv_h;
             let mut segment = b.fixed_rows_mut::<6>(6 * slot_c);
             segment -= scaled * normal.b_points[point];
-            for (slot_r, w_r) in &fan[column..] {
+            for (slot_r, w_r) in rest.clone() {
                 let mut block = s.fixed_view_mut::<6, 6>(6 * slot_r, 6 * slot_c);
                 for c in 0..6 {
                     for r in 0..6 {
@@ -112,6 +53,7 @@ pub(super) fn reduce(
                     }
                 }
             }
+            rest.next();
         }
     }
     for (keyframe, direction) in held_directions(window, state) {
@@ -173,11 +115,10 @@ fn hold(s: &mut DMatrix<f64>, b: &mut DVector<f64>, slot: usize, u: &Vec6) {
 pub(super) fn solve_step(
     window: &Window,
     normal: &Normal,
-    fans: &Fans,
     state: &State,
     lambda: f64,
 ) -> Option<Step> {
-    let (s, b) = reduce(window, normal, fans, state, lambda);
+    let (s, b) = reduce(window, normal, state, lambda);
     let poses = if b.is_empty() {
         b
     } else {
@@ -186,20 +127,20 @@ pub(super) fn solve_step(
     if !poses.iter().all(|x| x.is_finite()) {
         return None;
     }
+    let diagonal = window.diagonal(normal);
     let mut predicted = 0.0;
     for i in 0..poses.len() {
-        let damping = lambda * normal.h_poses[(i, i)] * poses[i];
+        let damping = lambda * diagonal[i] * poses[i];
         predicted += 0.5 * poses[i] * (damping + normal.b_poses[i]);
     }
     let mut inverse_depths = vec![0.0; normal.h_points.len()];
     for (point, inverse_depth) in inverse_depths.iter_mut().enumerate() {
-        let fan = fans.of(point);
         let h = normal.h_points[point];
         if h <= 0.0 {
             continue;
         }
         let mut rest = normal.b_points[point];
-        for (slot, w) in fan {
+        for (slot, w) in window.fan(normal, point) {
             rest -= w.dot(&poses.fixed_rows::<6>(6 * slot));
         }
         let step = rest / (h * (1.0 + lambda));
@@ -235,17 +176,15 @@ fn solve_system(mut s: DMatrix<f64>, b: &DVector<f64>) -> Option<DVector<f64>> {
 pub(super) fn pose_covariance(
     window: &Window,
     normal: &Normal,
-    fans: &Fans,
     state: &State,
 ) -> Option<DMatrix<f64>> {
-    let (mut s, _) = reduce(window, normal, fans, state, 0.0);
+    let (mut s, _) = reduce(window, normal, state, 0.0);
     if s.is_empty() {
         return Some(s);
     }
     s.fill_upper_triangle_with_lower_triangle();
-    let scale: DVector<f64> = DVector::from_fn(s.nrows(), |i, _| {
-        1.0 / normal.h_poses[(i, i)].max(DIAGONAL_FLOOR).sqrt()
-    });
+    let diagonal = window.diagonal(normal);
+    let scale = diagonal.map(|h| 1.0 / h.max(DIAGONAL_FLOOR).sqrt());
     for c in 0..s.ncols() {
         for r in 0..s.nrows() {
             s[(r, c)] *= scale[r] * scale[c];

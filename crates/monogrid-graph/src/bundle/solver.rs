@@ -2,7 +2,7 @@
 
 use super::linear::{State, Window};
 use super::prepare::{Layout, NO_PAIR};
-use super::schur::{Fans, Step, pose_covariance, solve_step};
+use super::schur::{Step, pose_covariance, solve_step};
 use super::{
     BundleConfig, BundleCovariance, BundleOutcome, BundleProblem, BundleSolution,
     ObservationOutcome, PoseFreedom,
@@ -67,9 +67,8 @@ fn descend(
     let mut cost = window.cost(state, &window.active);
     for _ in 0..config.max_iterations {
         let normal = window.linearise(state);
-        let fans = Fans::new(window, &normal);
         let decrease = loop {
-            let step = solve_step(window, &normal, &fans, state, damping.lambda);
+            let step = solve_step(window, &normal, state, damping.lambda);
             if let Some(step) = step {
                 let candidate = apply(window, state, &step, config);
                 let new_cost = window.cost(&candidate, &window.active);
@@ -159,17 +158,15 @@ fn classify(window: &Window, state: &State, config: &BundleConfig) -> Vec<Observ
 /// `1/h + (w/h)' S^-1 (w/h)`.
 fn covariance(window: &Window, state: &State) -> Option<BundleCovariance> {
     let normal = window.linearise(state);
-    let fans = Fans::new(window, &normal);
-    let all = pose_covariance(window, &normal, &fans, state)?;
+    let all = pose_covariance(window, &normal, state)?;
     let variance = |point: usize| {
-        let fan = fans.of(point);
         let h = normal.h_points[point];
         if h <= 0.0 {
             return None;
         }
         let mut from_poses = 0.0;
-        for (a, w_a) in fan {
-            for (b, w_b) in fan {
+        for (a, w_a) in window.fan(&normal, point) {
+            for (b, w_b) in window.fan(&normal, point) {
                 let block = all.fixed_view::<6, 6>(6 * a, 6 * b);
                 from_poses += w_a.dot(&(block * w_b));
             }
