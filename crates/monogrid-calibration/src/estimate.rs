@@ -143,19 +143,20 @@ pub fn estimate_intrinsics(
 }
 
 /// Estimates the camera of scenes that are known but for it, as a map holds them: each is adjusted once from where it
-/// is. The scenes have images of one size.
+/// is, and asked for when its turn comes. The scenes have images of one size.
 ///
 /// With no usable scene the result is the prior. Some 5 ms per scene of twenty views.
 #[must_use]
 pub fn refine_intrinsics(
-    scenes: Vec<Scene>,
+    scenes: impl IntoIterator<Item = Scene>,
     size: (usize, usize),
     prior: &Prior,
     config: &EstimateConfig,
 ) -> Estimate {
-    let num_given = scenes.len();
+    let mut num_given = 0;
     let opinions: Vec<Opinion> = scenes
         .into_iter()
+        .inspect(|_| num_given += 1)
         .filter_map(|scene| Opinion::of(&adjust(scene, prior, &config.adjust), config))
         .collect();
     conclude(&opinions, num_given, size, prior, config)

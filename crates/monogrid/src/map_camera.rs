@@ -36,8 +36,7 @@ pub fn shown_by_map(
 ) -> Estimate {
     let scene = scene(slam, guess, taken_out);
     let step = scene.pieces(num_views).count().div_ceil(MAX_PIECES).max(1);
-    let pieces = scene.pieces(num_views).step_by(step).collect();
-    drop(scene);
+    let pieces = scene.pieces(num_views).step_by(step);
     refine_intrinsics(pieces, size, prior, &EstimateConfig::default())
 }
 

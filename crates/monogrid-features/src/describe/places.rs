@@ -71,7 +71,7 @@ struct Entry {
     next: [u32; NUM_PARTS],
 }
 
-/// Descriptors of all places, findable by any of their parts. About 4 MB, and 110 bytes per
+/// Descriptors of all places, findable by any of their parts. About 4 MB as soon as there are any, and 100 bytes per
 /// descriptor.
 #[derive(Clone, Debug)]
 pub struct PlaceIndex {
@@ -92,7 +92,7 @@ impl PlaceIndex {
     #[must_use]
     pub fn new() -> Self {
         Self {
-            heads: vec![END; NUM_PARTS * NUM_KEYS],
+            heads: Vec::new(),
             entries: Vec::new(),
             places: BTreeMap::new(),
         }
@@ -117,6 +117,7 @@ impl PlaceIndex {
             return false;
         }
         self.places.insert(place, descriptors.len());
+        self.heads.resize(NUM_PARTS * NUM_KEYS, END);
         for (index, descriptor) in descriptors.iter().enumerate() {
             let id = self.entries.len() as u32;
             let mut next = [END; NUM_PARTS];

@@ -79,9 +79,8 @@ impl Slam {
         stored_edges(&self.map)
     }
 
-    /// The points of the sparse layer, by their hosts, as finished keyframes see them.
-    #[must_use]
-    pub fn points(&self) -> Vec<StoredPoint> {
+    /// The points of the sparse layer, by their hosts, as finished keyframes see them; made one by one.
+    pub fn points(&self) -> impl Iterator<Item = StoredPoint> {
         stored_points(&self.map)
     }
 
@@ -102,7 +101,7 @@ pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> S
             .filter_map(|keyframe| stored_keyframe(keyframe, pinhole_of(keyframe.id)))
             .collect(),
         edges: stored_edges(map),
-        points: stored_points(map),
+        points: stored_points(map).collect(),
     }
 }
 
@@ -123,14 +122,13 @@ fn stored_link(keyframe: &MapKeyframe) -> StoredLink {
     }
 }
 
-fn stored_points(map: &Map) -> Vec<StoredPoint> {
+fn stored_points(map: &Map) -> impl Iterator<Item = StoredPoint> {
     let count = map.num_published();
-    let is_finished = |id: KeyframeId| (id as usize) < count;
+    let is_finished = move |id: KeyframeId| (id as usize) < count;
     let points = map.points().iter();
     points
-        .filter(|point| point.alive && is_finished(point.host))
-        .map(|point| stored_point(point, is_finished))
-        .collect()
+        .filter(move |point| point.alive && is_finished(point.host))
+        .map(move |point| stored_point(point, is_finished))
 }
 
 fn stored_keyframe(keyframe: &MapKeyframe, pinhole: Pinhole) -> Option<StoredKeyframe> {

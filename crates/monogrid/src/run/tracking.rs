@@ -256,6 +256,10 @@ impl<'a> Tracking<'a> {
             |row: &&FrameRow| row.report().is_some_and(|r| r.world_from_camera.is_some());
         let num_with_pose = rows.iter().filter(has_pose).count();
         let share = num_with_pose as f64 / rows.len().max(1) as f64;
+        if let Some(limit) = self.settings.memory_limit {
+            // what the map says of the camera is a question to its points alone
+            limit.squeeze(self.pipeline.slam());
+        }
         let seen = (self.pipeline.slam(), self.shutter.taken_out());
         let left_radial = self.calibration.left_radial(seen);
         let mut doubts = self.calibration.end(seen, share);

@@ -184,7 +184,7 @@ pub fn continuation(slam: &Slam, earlier: Option<&Earlier>, source: &str) -> Con
     // one after the other: a list that is made into another is gone before the next one
     Continuation {
         edges: slam.edges().iter().map(recorded_edge).collect(),
-        points: slam.points().iter().map(recorded_point).collect(),
+        points: slam.points().map(|point| recorded_point(&point)).collect(),
         ..of_links(&slam.links(), sessions, frames)
     }
 }
