@@ -259,7 +259,7 @@ fn another_place_that_looks_alike_stays_apart_and_moves_nothing() {
     let links = map.keyframes.iter().map(StoredKeyframe::link);
     assert_eq!(slam.links(), links.collect::<Vec<_>>());
     assert_eq!(
-        (slam.edges(), slam.points()),
+        (slam.edges(), slam.points().collect::<Vec<_>>()),
         (map.edges.clone(), map.points.clone())
     );
     let mut again = continued(map, Purpose::Extend);
