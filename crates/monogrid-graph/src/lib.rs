@@ -17,6 +17,7 @@ mod kernel;
 pub mod pose_graph;
 mod pose_only;
 mod reprojection;
+mod sparse;
 mod tangent;
 
 pub use kernel::RobustKernel;

@@ -20,6 +20,7 @@ mod linear;
 mod prepare;
 mod schur;
 mod solver;
+mod system;
 
 use crate::RobustKernel;
 use monogrid_geometry::{Mat6, Pinhole, Se3, Vec2};

@@ -1,6 +1,8 @@
 //! Checks of a problem, and the orders in which the solver walks through it.
 
+use super::system::sparse_pattern;
 use super::{BundleConfig, BundleError, BundleProblem, Observation, PoseFreedom};
+use crate::sparse::BlockPattern;
 use std::ops::Range;
 
 fn index(
@@ -207,6 +209,8 @@ pub(super) struct Layout {
     pub blocks: Vec<(usize, usize)>,
     /// The poses that each point depends on.
     pub fans: FanLayout,
+    /// The places of the blocks of the reduced system, where it is sparse.
+    pub sparse: Option<BlockPattern<6>>,
 }
 
 /// Marks what has no entry in [`FanLayout`].
@@ -238,10 +242,12 @@ impl Layout {
             let found = pairs.binary_search(&pair(problem, o));
             found.map_or(NO_PAIR, |pair| pair as u32)
         };
+        let fans = FanLayout::new(problem, &slot_of_keyframe);
         Self {
+            sparse: sparse_pattern(&fans, free_keyframes.len()),
             pair_of_observation: problem.observations.iter().map(find).collect(),
             blocks: blocks(&pairs, &slot_of_keyframe, free_keyframes.len()),
-            fans: FanLayout::new(problem, &slot_of_keyframe),
+            fans,
             slot_of_keyframe,
             free_keyframes,
             pairs,
@@ -311,6 +317,11 @@ impl FanLayout {
                 .collect(),
             slots: entries.iter().map(|entry| entry.1).collect(),
         }
+    }
+
+    /// Number of points.
+    pub(super) fn num_points(&self) -> usize {
+        self.of_host.len()
     }
 
     /// Entries of all points.

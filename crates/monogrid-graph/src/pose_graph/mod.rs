@@ -24,10 +24,10 @@
 
 mod linear;
 mod solver;
-mod sparse;
 mod uncertainty;
 
 use crate::RobustKernel;
+use crate::sparse;
 use monogrid_geometry::{Mat7, Sim3};
 use std::collections::BTreeMap;
 pub use uncertainty::GraphUncertainty;

@@ -1,4 +1,4 @@
-//! Symmetric sparse matrices of 7x7 blocks, factorised by faer's sparse Cholesky.
+//! Symmetric sparse matrices of square blocks (seven rows for similarities, six for poses), factorised by faer's sparse Cholesky.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::linalg::SupernodalThreshold;
@@ -8,14 +8,12 @@ use faer::sparse::linalg::cholesky::{
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, Par, Side};
-use monogrid_geometry::{Mat7, Vec7};
-
-/// Size of a block.
-pub(super) const B: usize = 7;
+use nalgebra::{SMatrix, SVector};
 
 /// Where the blocks of the lower triangle are, and the order of elimination; depends on the edges
 /// alone and is reused for every factorisation.
-pub(super) struct BlockPattern {
+#[derive(Debug)]
+pub(crate) struct BlockPattern<const B: usize = 7> {
     blocks: usize,
     /// Block column starts in `rows`.
     starts: Vec<usize>,
@@ -27,31 +25,31 @@ pub(super) struct BlockPattern {
 
 /// Lower triangle of a symmetric matrix with a [`BlockPattern`].
 #[derive(Clone)]
-pub(super) struct BlockMatrix {
+pub(crate) struct BlockMatrix {
     values: Vec<f64>,
 }
 
 impl BlockMatrix {
     /// Makes it zero.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.values.fill(0.0);
     }
 
     /// Makes it equal to another of the same pattern.
-    pub(super) fn copy_from(&mut self, other: &Self) {
+    pub(crate) fn copy_from(&mut self, other: &Self) {
         self.values.copy_from_slice(&other.values);
     }
 }
 
 /// Room for a factorised matrix.
-pub(super) struct Factor {
+pub(crate) struct Factor {
     values: Vec<f64>,
     memory: MemBuffer,
 }
 
-impl BlockPattern {
+impl<const B: usize> BlockPattern<B> {
     /// Pattern with the given off-diagonal blocks `(row, column)`, in any order, repeated or not.
-    pub(super) fn new(blocks: usize, pairs: &[(usize, usize)]) -> Option<Self> {
+    pub(crate) fn new(blocks: usize, pairs: &[(usize, usize)]) -> Option<Self> {
         let mut lower: Vec<_> = pairs.iter().map(|&(a, b)| (a.min(b), a.max(b))).collect();
         lower.sort_unstable();
         lower.dedup();
@@ -95,52 +93,77 @@ impl BlockPattern {
     }
 
     /// A matrix of zeros.
-    pub(super) fn zeros(&self) -> BlockMatrix {
+    pub(crate) fn zeros(&self) -> BlockMatrix {
         BlockMatrix {
             values: vec![0.0; self.matrix.row_idx().len()],
         }
     }
 
     /// Adds to a diagonal block.
-    pub(super) fn add_diagonal(&self, matrix: &mut BlockMatrix, at: usize, block: &Mat7) {
-        for k in 0..B {
-            let start = self.matrix.col_ptr()[at * B + k];
-            for i in k..B {
-                matrix.values[start + i - k] += block[(i, k)];
-            }
-        }
+    pub(crate) fn add_diagonal(
+        &self,
+        matrix: &mut BlockMatrix,
+        at: usize,
+        block: &SMatrix<f64, B, B>,
+    ) {
+        self.change(matrix, (at, at), |r, c, value| *value += block[(r, c)]);
     }
 
     /// Adds a symmetric off-diagonal block (the same for both orders).
-    pub(super) fn add_symmetric(&self, matrix: &mut BlockMatrix, a: usize, b: usize, block: &Mat7) {
-        let (column, row) = (a.min(b), a.max(b));
-        let range = self.starts[column]..self.starts[column + 1];
-        let Ok(place) = self.rows[range].binary_search(&row) else {
-            return; // the pattern was made from the same edges
+    pub(crate) fn add_symmetric(
+        &self,
+        matrix: &mut BlockMatrix,
+        a: usize,
+        b: usize,
+        block: &SMatrix<f64, B, B>,
+    ) {
+        let at = (a.max(b), a.min(b));
+        self.change(matrix, at, |r, c, value| *value += block[(r, c)]);
+    }
+
+    /// Shows the numbers of a block `(row, column)` of the lower triangle with their places in it; of one on the diagonal the lower
+    /// triangle. Whether the pattern has it.
+    pub(crate) fn change(
+        &self,
+        matrix: &mut BlockMatrix,
+        (row, column): (usize, usize),
+        mut show: impl FnMut(usize, usize, &mut f64),
+    ) -> bool {
+        let (skip, first) = if row == column {
+            (0, 0)
+        } else {
+            let range = self.starts[column]..self.starts[column + 1];
+            let Ok(place) = self.rows[range].binary_search(&row) else {
+                return false;
+            };
+            (B + B * place, B)
         };
         for k in 0..B {
-            let start = self.matrix.col_ptr()[column * B + k] + (B - k) + B * place;
-            for i in 0..B {
-                matrix.values[start + i] += block[(i, k)];
+            let start = self.matrix.col_ptr()[column * B + k];
+            let top = if first == 0 { k } else { 0 };
+            let start = start + skip.saturating_sub(k);
+            for (i, value) in (top..B).zip(&mut matrix.values[start..]) {
+                show(i, k, value);
             }
         }
+        true
     }
 
     /// The diagonal.
-    pub(super) fn diagonal(&self, matrix: &BlockMatrix) -> Vec<f64> {
+    pub(crate) fn diagonal(&self, matrix: &BlockMatrix) -> Vec<f64> {
         let at = |c: usize| matrix.values[self.matrix.col_ptr()[c]];
         (0..self.blocks * B).map(at).collect()
     }
 
     /// Adds to the diagonal.
-    pub(super) fn add_to_diagonal(&self, matrix: &mut BlockMatrix, add: impl Fn(usize) -> f64) {
+    pub(crate) fn add_to_diagonal(&self, matrix: &mut BlockMatrix, add: impl Fn(usize) -> f64) {
         for c in 0..self.blocks * B {
             matrix.values[self.matrix.col_ptr()[c]] += add(c);
         }
     }
 
     /// Room for a factorisation, to be used again and again; `None` without memory.
-    pub(super) fn factor(&self) -> Option<Factor> {
+    pub(crate) fn factor(&self) -> Option<Factor> {
         let scratch = self
             .symbolic
             .factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
@@ -151,7 +174,7 @@ impl BlockPattern {
     }
 
     /// Factorises; `None` when not positive definite.
-    pub(super) fn factorise(&self, matrix: &BlockMatrix, factor: &mut Factor) -> Option<()> {
+    pub(crate) fn factorise(&self, matrix: &BlockMatrix, factor: &mut Factor) -> Option<()> {
         let view = SparseColMatRef::new(self.matrix.as_ref(), matrix.values.as_slice());
         self.symbolic
             .factorize_numeric_llt(
@@ -182,21 +205,25 @@ impl BlockPattern {
     }
 
     /// Solves for one right-hand side; `None` without memory.
-    pub(super) fn solve(&self, factor: &Factor, b: &[Vec7]) -> Option<Vec<Vec7>> {
+    pub(crate) fn solve(
+        &self,
+        factor: &Factor,
+        b: &[SVector<f64, B>],
+    ) -> Option<Vec<SVector<f64, B>>> {
         let mut x = Mat::from_fn(b.len() * B, 1, |r, _| b[r / B][r % B]);
         self.solve_in_place(factor, &mut x)?;
-        let block = |k: usize| Vec7::from_fn(|i, _| x[(k * B + i, 0)]);
+        let block = |k: usize| SVector::from_fn(|i, _| x[(k * B + i, 0)]);
         Some((0..b.len()).map(block).collect())
     }
 
     /// Solves for a right-hand side of a few blocks, each times the identity, and returns the blocks of
     /// the solution that `wanted` names.
-    pub(super) fn solve_blocks(
+    pub(crate) fn solve_blocks(
         &self,
         factor: &Factor,
         given: &[(usize, f64)],
         wanted: &[usize],
-    ) -> Option<Vec<Mat7>> {
+    ) -> Option<Vec<SMatrix<f64, B, B>>> {
         let mut x = Mat::<f64>::zeros(self.blocks * B, B);
         for &(block, sign) in given {
             for k in 0..B {
@@ -204,7 +231,7 @@ impl BlockPattern {
             }
         }
         self.solve_in_place(factor, &mut x)?;
-        let block = |&at: &usize| Mat7::from_fn(|r, c| x[(at * B + r, c)]);
+        let block = |&at: &usize| SMatrix::from_fn(|r, c| x[(at * B + r, c)]);
         Some(wanted.iter().map(block).collect())
     }
 }

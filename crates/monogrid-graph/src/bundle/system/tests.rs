@@ -1,0 +1,106 @@
+use crate::bundle::linear::{State, Window};
+use crate::bundle::prepare::Layout;
+use crate::bundle::schur::solve_step;
+use crate::bundle::{
+    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
+};
+use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec6};
+
+/// A camera that moves sideways past a wall; each point is seen by its host and the four keyframes after it. The first pose is
+/// fixed, the distance of the last to it held, and what was seen is a little off.
+fn chain(num_keyframes: usize) -> BundleProblem {
+    let pinhole = Pinhole::new(300.0, 300.0, 160.0, 120.0);
+    let pose = |k: usize| Se3::exp(&Vec6::new(-0.2 * k as f64, 0.0, 0.0, 0.0, 0.01, 0.0));
+    let noise = |k: usize| 0.5 * (k as f64 * 12.9898).sin();
+    let mut problem = BundleProblem {
+        pinhole,
+        keyframes: (0..num_keyframes)
+            .map(|k| BundleKeyframe {
+                camera_from_world: pose(k),
+                freedom: PoseFreedom::Free,
+            })
+            .collect(),
+        points: Vec::new(),
+        observations: Vec::new(),
+    };
+    problem.keyframes[0].freedom = PoseFreedom::Fixed;
+    problem.keyframes[num_keyframes - 1].freedom = PoseFreedom::FixedDistance { to: 0 };
+    for host in 0..num_keyframes - 4 {
+        for k in 0..12 {
+            let pixel = Vec2::new(60.0 + 15.0 * k as f64, 20.0 + 70.0 * (k % 4) as f64);
+            let inverse_depth = 1.0 / (2.0 + 0.3 * (k % 5) as f64);
+            let in_world = pose(host).inverse() * (pinhole.unproject(&pixel) / inverse_depth);
+            let point = problem.points.len();
+            problem.points.push(AnchoredPoint {
+                host,
+                pixel,
+                inverse_depth: inverse_depth * (1.0 + 0.02 * noise(7 * point)),
+                prior: None,
+            });
+            for keyframe in host + 1..host + 5 {
+                let n = problem.observations.len();
+                let seen: Vec3 = pose(keyframe) * in_world;
+                problem.observations.push(Observation {
+                    keyframe,
+                    point,
+                    pixel: pinhole.project(&seen) + Vec2::new(noise(n), noise(n + 1)),
+                    inv_sigma_px: 1.0,
+                });
+            }
+        }
+    }
+    problem
+}
+
+#[test]
+fn a_sparse_step_is_the_dense_one() {
+    let problem = chain(90);
+    let config = BundleConfig::default();
+    let state = State {
+        camera_from_world: (problem.keyframes.iter())
+            .map(|k| k.camera_from_world)
+            .collect(),
+        inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
+    };
+    let mut layout = Layout::new(&problem);
+    assert!(layout.sparse.is_some());
+    let step = |layout: &Layout| {
+        let window = Window::new(&problem, layout, &config);
+        let normal = window.linearise(&state);
+        solve_step(&window, &normal, &state, 1e-3).unwrap()
+    };
+    let sparse = step(&layout);
+    layout.sparse = None;
+    let dense = step(&layout);
+    let size = dense.poses.norm();
+    assert!(size > 1e-3, "{size}");
+    assert!((&sparse.poses - &dense.poses).norm() < 1e-9 * size);
+    for (a, b) in sparse.inverse_depths.iter().zip(&dense.inverse_depths) {
+        assert!((a - b).abs() < 1e-9, "{a} {b}");
+    }
+    assert!((sparse.predicted / dense.predicted - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_long_run_is_adjusted_with_its_length_held() {
+    let problem = chain(90);
+    let solution = adjust(&problem, &BundleConfig::default()).unwrap();
+    assert!(solution.final_cost < 0.9 * solution.initial_cost);
+    let length = |poses: &dyn Fn(usize) -> Se3| {
+        (poses(89).inverse().translation - poses(0).inverse().translation).norm()
+    };
+    let before = length(&|k| problem.keyframes[k].camera_from_world);
+    let after = length(&|k| solution.camera_from_world[k]);
+    assert!((before - after).abs() < 1e-9 * before);
+}
+
+#[test]
+fn few_keyframes_or_many_that_share_points_make_a_dense_system() {
+    assert!(Layout::new(&chain(60)).sparse.is_none());
+    let mut shared = chain(90);
+    for keyframe in 1..90 {
+        let seen = shared.observations[0];
+        shared.observations.push(Observation { keyframe, ..seen });
+    }
+    assert!(Layout::new(&shared).sparse.is_none());
+}
