@@ -10,7 +10,7 @@ use crate::scan::Scan;
 use crate::sensor::table::KnownTables;
 
 /// Measurements that are looked at: enough for a mean, few enough to cost nothing.
-const SAMPLES: usize = 2048;
+const SAMPLES: usize = 512;
 /// Bytes per brick while a scan is prepared: its task in a list that grows, and again by shard.
 const PREPARED_BYTES: f64 = 64.0;
 /// Bytes per brick in a directory, at least.
@@ -120,7 +120,10 @@ pub(super) fn affordable(
 /// else of a pyramid in each face of a cube around the sensor that holds some.
 fn angle_seen(points: impl Iterator<Item = [f64; 3]> + Clone) -> f64 {
     let mut ahead = Slopes::default();
-    if points.clone().all(|[x, y, z]| z > 0.2 * x.hypot(y)) {
+    if points
+        .clone()
+        .all(|[x, y, z]| z > 0.0 && z * z > 0.04 * (x * x + y * y))
+    {
         points.for_each(|[x, y, z]| ahead.add([x / z, y / z]));
         return ahead.solid_angle();
     }

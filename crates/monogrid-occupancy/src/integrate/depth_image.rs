@@ -54,13 +54,13 @@ pub(super) fn range_image(
     let finest = PIXELS_PER_CELL * mean_range / resolution;
     let mut image = RangeImage::empty(axes, extent, native, finest);
     let step = camera.fx.abs() / f64::from(image.focal[0]) / SAMPLES_PER_PIXEL;
-    let column_of: Vec<usize> = columns.iter().map(|&u| image.column_of(u)).collect();
-    let row_of: Vec<usize> = rows.iter().map(|&v| image.row_of(v)).collect();
+    let column_of: Vec<u32> = columns.iter().map(|&u| image.column_of(u)).collect();
+    let row_of: Vec<u32> = rows.iter().map(|&v| image.row_of(v)).collect();
     let mut model = RangeModel::new(scan, resolution);
     depths.each([step.max(1.0) as usize; 2], |x, y, range, sigma| {
         let (range, sigma) = model.range_and_sigma(range, sigma);
         image.vote(
-            row_of[y] + column_of[x],
+            (row_of[y] + column_of[x]) as usize,
             range,
             tables.prepare(range, sigma),
         );

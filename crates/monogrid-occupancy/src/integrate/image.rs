@@ -9,8 +9,9 @@ use super::IntegrationConfig;
 use super::beam::total_sigma;
 use super::depth_image::range_image;
 use super::parallel::for_each;
+use super::windows::{higher, lower};
 use crate::error::MapError;
-use crate::scan::Scan;
+use crate::scan::{PointScan, Scan, ScanData};
 use crate::sensor::table::{KnownTables, TableSet};
 
 /// Pixels along the edge of a cell's footprint at the mean range.
@@ -75,9 +76,12 @@ struct Sample {
     sigma: f32,
 }
 
-/// Measurements of one image, in their order.
+/// Measurements of one image, in their order: slopes, ranges and uncertainties.
 struct Samples {
-    list: Vec<Sample>,
+    u: Vec<f32>,
+    v: Vec<f32>,
+    ranges: Vec<f32>,
+    sigmas: Vec<f32>,
     /// Least and greatest slopes.
     low: [f32; 2],
     high: [f32; 2],
@@ -89,7 +93,10 @@ struct Samples {
 impl Samples {
     fn with_capacity(count: usize) -> Self {
         Self {
-            list: Vec::with_capacity(count),
+            u: Vec::with_capacity(count),
+            v: Vec::with_capacity(count),
+            ranges: Vec::with_capacity(count),
+            sigmas: Vec::with_capacity(count),
             low: [f32::MAX; 2],
             high: [f32::MIN; 2],
             part_sums: Vec::new(),
@@ -101,21 +108,92 @@ impl Samples {
         self.part_sums.push(std::mem::take(&mut self.range_sum));
     }
 
+    fn len(&self) -> usize {
+        self.ranges.len()
+    }
+
     #[inline]
     fn push(&mut self, sample: Sample) {
-        let Sample { u, v, range, .. } = sample;
-        let (low, high) = (self.low, self.high);
-        // Comparisons instead of `min` and `max`: slopes are finite.
-        self.low = [
-            if u < low[0] { u } else { low[0] },
-            if v < low[1] { v } else { low[1] },
-        ];
-        self.high = [
-            if u > high[0] { u } else { high[0] },
-            if v > high[1] { v } else { high[1] },
-        ];
+        let Sample { u, v, range, sigma } = sample;
+        self.widen([u, v], [u, v]);
         self.range_sum += f64::from(range);
-        self.list.push(sample);
+        self.u.push(u);
+        self.v.push(v);
+        self.ranges.push(range);
+        self.sigmas.push(sigma);
+    }
+
+    /// Slopes are finite.
+    #[inline]
+    fn widen(&mut self, low: [f32; 2], high: [f32; 2]) {
+        for axis in 0..2 {
+            self.low[axis] = lower(low[axis], self.low[axis]);
+            self.high[axis] = higher(high[axis], self.high[axis]);
+        }
+    }
+
+    /// Adds points that are all usable, ahead and of one uncertainty, side by side; `false`, and nothing done, for others.
+    fn push_chunk(&mut self, scan: &Scan, model: &mut RangeModel) -> bool {
+        let ScanData::Points(PointScan { points, sigmas }) = scan.data else {
+            return false;
+        };
+        let Ok(points) = <&[[f32; 3]; CHUNK]>::try_from(points) else {
+            return false;
+        };
+        let sigma = sigmas[0];
+        let is_one = sigmas.iter().fold(true, |all, &s| all & (s == sigma));
+        let Some(chunk) = Chunk::new(points, scan.world_from_sensor.scale as f32) else {
+            return false;
+        };
+        if scan.pose_sigma.rotation_rad != 0.0 || !(is_one && sigma > 0.0 && sigma < 1e9) {
+            return false;
+        }
+        let (_, sigma) = model.range_and_sigma(1.0, f64::from(sigma));
+        let bound = |of: &[f32; CHUNK], end: fn(f32, f32) -> f32| {
+            let ends = of.chunks_exact(LANES).fold([of[0]; LANES], |ends, lanes| {
+                std::array::from_fn(|l| end(lanes[l], ends[l]))
+            });
+            ends.into_iter().fold(of[0], end)
+        };
+        let bounds = |end| [bound(&chunk.u, end), bound(&chunk.v, end)];
+        self.widen(bounds(lower), bounds(higher));
+        self.range_sum += f64::from(chunk.ranges.iter().sum::<f32>());
+        self.u.extend_from_slice(&chunk.u);
+        self.v.extend_from_slice(&chunk.v);
+        self.ranges.extend_from_slice(&chunk.ranges);
+        self.sigmas.extend_from_slice(&[sigma; CHUNK]);
+        true
+    }
+}
+
+/// Points that are converted side by side.
+const CHUNK: usize = 64;
+/// Values that are compared side by side.
+const LANES: usize = 8;
+
+/// Slopes and ranges of points.
+struct Chunk {
+    u: [f32; CHUNK],
+    v: [f32; CHUNK],
+    ranges: [f32; CHUNK],
+}
+
+impl Chunk {
+    /// `None` if one of the points is not usable or not ahead.
+    fn new(points: &[[f32; 3]; CHUNK], scale: f32) -> Option<Self> {
+        let [mut u, mut v, mut ranges] = [[0.0; CHUNK]; 3];
+        for (i, [x, y, z]) in points.iter().enumerate() {
+            let inverse = 1.0 / z;
+            (u[i], v[i]) = (x * inverse, y * inverse);
+            ranges[i] = (x * x + y * y + z * z).sqrt();
+        }
+        // Written so that NaN fails; a range is finite only if all of its point is.
+        let is_ahead = (0..CHUNK).fold(true, |all, i| {
+            let slopes = (u[i].abs() < WIDEST_SLOPE) & (v[i].abs() < WIDEST_SLOPE);
+            all & slopes & (points[i][2] > 0.0) & (ranges[i] > 1e-9) & (ranges[i] < 1e9)
+        });
+        ranges.iter_mut().for_each(|range| *range *= scale);
+        is_ahead.then_some(Self { u, v, ranges })
     }
 }
 
@@ -152,14 +230,14 @@ impl RangeImages {
             } else {
                 let (faces, points) = match collect_forward(scan, config, resolution, threads) {
                     Some(pieces) => {
-                        let points = pieces.iter().map(|piece| piece.list.len()).sum();
+                        let points = pieces.iter().map(Samples::len).sum();
                         (vec![(FORWARD, pieces)], points)
                     }
                     None => collect_cube(scan, config, resolution),
                 };
                 let images = faces
                     .into_iter()
-                    .filter(|(_, pieces)| pieces.iter().any(|samples| !samples.list.is_empty()))
+                    .filter(|(_, pieces)| pieces.iter().any(|samples| samples.len() > 0))
                     .map(|(axes, pieces)| {
                         build_image(
                             in_world(axes),
@@ -251,9 +329,15 @@ fn collect_forward(
 fn collect_piece(scan: &Scan, config: &IntegrationConfig, resolution: f64) -> Option<Samples> {
     let mut model = RangeModel::new(scan, resolution);
     let mut samples = Samples::with_capacity(scan.len());
-    for first in (0..scan.len()).step_by(PART) {
-        let part = scan.part(first..(first + PART).min(scan.len()))?;
-        let end = part.each_measurement(config.sigma_mode, |measured| {
+    for first in (0..scan.len()).step_by(CHUNK) {
+        if first > 0 && first.is_multiple_of(PART) {
+            samples.end_part();
+        }
+        let chunk = scan.part(first..(first + CHUNK).min(scan.len()))?;
+        if samples.push_chunk(&chunk, &mut model) {
+            continue;
+        }
+        let end = chunk.each_measurement(config.sigma_mode, |measured| {
             let [x, y, z] = measured.point;
             let inverse = 1.0 / z;
             let (u, v) = ((x * inverse) as f32, (y * inverse) as f32);
@@ -267,8 +351,8 @@ fn collect_piece(scan: &Scan, config: &IntegrationConfig, resolution: f64) -> Op
         if end.is_break() {
             return None;
         }
-        samples.end_part();
     }
+    samples.end_part();
     Some(samples)
 }
 
@@ -319,7 +403,7 @@ fn build_image(
     };
     let low = joined(|piece| piece.low, f32::min);
     let high = joined(|piece| piece.high, f32::max);
-    let count = pieces.iter().map(|piece| piece.list.len()).sum::<usize>();
+    let count = pieces.iter().map(Samples::len).sum::<usize>();
     let sums = pieces
         .iter()
         .flat_map(|p| p.part_sums.iter().chain([&p.range_sum]));
@@ -336,12 +420,31 @@ fn build_image(
         native,
         PIXELS_PER_CELL * mean_range / resolution,
     );
-    for sample in pieces.iter().flat_map(|piece| &piece.list) {
-        let at = image.row_of(sample.v) + image.column_of(sample.u);
-        image.vote(at, sample.range, tables.prepare(sample.range, sample.sigma));
+    for piece in pieces {
+        let slopes = piece.u.chunks(CHUNK).zip(piece.v.chunks(CHUNK));
+        let measured = piece.ranges.chunks(CHUNK).zip(piece.sigmas.chunks(CHUNK));
+        for ((u, v), (ranges, sigmas)) in slopes.zip(measured) {
+            let mut pixels = [0; CHUNK];
+            for ((pixel, &u), &v) in pixels.iter_mut().zip(u).zip(v) {
+                *pixel = image.row_of(v) + image.column_of(u);
+            }
+            for ((&at, &range), &sigma) in pixels.iter().zip(ranges).zip(sigmas) {
+                image.vote(at as usize, range, tables.prepare(range, sigma));
+            }
+        }
     }
     image.finish(count);
     image
+}
+
+/// The nearest whole number of a value below 2^23, of one below 0 that is 0: without a conversion, of which a processor does one
+/// at a time.
+#[inline]
+fn nearest(value: f32) -> u32 {
+    const SHIFT: f32 = 8_388_608.0;
+    (higher(value, 0.0) + SHIFT)
+        .to_bits()
+        .wrapping_sub(SHIFT.to_bits())
 }
 
 impl RangeImage {
@@ -375,14 +478,14 @@ impl RangeImage {
 
     /// The column of a slope.
     #[inline]
-    pub(super) fn column_of(&self, u: f32) -> usize {
-        ((u * self.focal[0] + self.center[0] + 0.5) as usize).min(self.width - 1)
+    pub(super) fn column_of(&self, u: f32) -> u32 {
+        nearest(u * self.focal[0] + self.center[0]).min(self.width as u32 - 1)
     }
 
     /// Where the row of a slope begins.
     #[inline]
-    pub(super) fn row_of(&self, v: f32) -> usize {
-        ((v * self.focal[1] + self.center[1] + 0.5) as usize).min(self.height - 1) * self.width
+    pub(super) fn row_of(&self, v: f32) -> u32 {
+        nearest(v * self.focal[1] + self.center[1]).min(self.height as u32 - 1) * self.width as u32
     }
 
     /// Adds a measurement to the pixel `index`. Ranges of one surface are averaged; where they
@@ -454,6 +557,94 @@ impl RangeImage {
                     }
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::Similarity;
+
+    fn points() -> Vec<[f32; 3]> {
+        let unit = |i: usize, step: f32| (i as f32 * step).fract();
+        let point = |i| {
+            [
+                unit(i, 0.377) * 3.0 - 1.0,
+                unit(i, 0.617) - 0.7,
+                1.0 + unit(i, 0.271),
+            ]
+        };
+        (0..3 * CHUNK + 7).map(point).collect()
+    }
+
+    fn collected(points: &[[f32; 3]], sigmas: &[f32]) -> Option<Samples> {
+        let pose = Similarity {
+            scale: 2.5,
+            ..Similarity::IDENTITY
+        };
+        let scan = Scan::of_points(0, pose, points, sigmas);
+        collect_piece(&scan, &IntegrationConfig::default(), 0.1)
+    }
+
+    #[test]
+    fn points_side_by_side_are_those_one_by_one() {
+        let points = points();
+        let found = collected(&points, &[0.02]).unwrap();
+        assert_eq!(found.len(), points.len());
+        for (i, [x, y, z]) in points.iter().map(|p| p.map(f64::from)).enumerate() {
+            let range = 2.5 * (x * x + y * y + z * z).sqrt();
+            let expected = [x / z, y / z, range, 0.05].map(|c| c as f32);
+            let found = [found.u[i], found.v[i], found.ranges[i], found.sigmas[i]];
+            for (found, expected) in found.into_iter().zip(expected) {
+                assert!((found - expected).abs() <= 3e-7 * expected.abs(), "{i}");
+            }
+        }
+        let ends = |of: &[f32], end: fn(f32, f32) -> f32| of.iter().copied().reduce(end).unwrap();
+        assert_eq!(found.low, [&found.u, &found.v].map(|of| ends(of, f32::min)));
+        assert_eq!(
+            found.high,
+            [&found.u, &found.v].map(|of| ends(of, f32::max))
+        );
+        let mean = found.part_sums.iter().sum::<f64>() / found.len() as f64;
+        let expected = found.ranges.iter().map(|r| f64::from(*r)).sum::<f64>() / found.len() as f64;
+        assert!((mean - expected).abs() < 1e-6 * expected);
+    }
+
+    #[test]
+    fn unusable_points_are_left_out_others_keep_their_uncertainty_and_none_may_lie_behind() {
+        let mut points = points();
+        let mut sigmas: Vec<f32> = points.iter().map(|p| 0.01 * p[2]).collect();
+        let found = collected(&points, &sigmas).unwrap();
+        assert!((found.sigmas[70] - 2.5 * sigmas[70]).abs() < 1e-7);
+        points[5][1] = f32::NAN;
+        points[70] = [0.0; 3];
+        points[71][0] = f32::INFINITY;
+        sigmas[130] = 0.0;
+        let found = collected(&points, &sigmas).unwrap();
+        assert_eq!(found.len(), points.len() - 4);
+        assert!(
+            found
+                .u
+                .iter()
+                .chain(&found.ranges)
+                .all(|value| value.is_finite())
+        );
+        points[100][2] = -1.0;
+        assert!(collected(&points, &sigmas).is_none());
+    }
+
+    #[test]
+    fn the_nearest_pixel_is_found_without_a_conversion() {
+        for (value, expected) in [
+            (-3.0, 0),
+            (-0.2, 0),
+            (0.49, 0),
+            (0.51, 1),
+            (7.6, 8),
+            (4e6, 4_000_000),
+        ] {
+            assert_eq!(nearest(value), expected);
         }
     }
 }
