@@ -7,6 +7,7 @@ mod machine_hall;
 mod mover;
 mod office;
 mod paths;
+mod stairs;
 mod workplace;
 
 use super::lighting::LightingConfig;
@@ -18,12 +19,13 @@ pub(super) use paths::path_of;
 pub use paths::{MOTION_NAMES, Motion, usual_frames};
 
 /// Names of the built-in worlds.
-pub const WORLD_NAMES: [&str; 5] = [
+pub const WORLD_NAMES: [&str; 6] = [
     "living-room",
     "office",
     "machine-hall",
     "corridor-loop",
     "blank-walls",
+    "stairs",
 ];
 
 /// What is wrong with a request for a world.
@@ -58,6 +60,7 @@ impl World {
             "office" => office::scene(),
             "machine-hall" => machine_hall::scene(),
             "corridor-loop" => corridor_loop::scene(),
+            "stairs" => stairs::scene(),
             _ => {
                 return Err(WorldError::UnknownName {
                     name: name.to_owned(),

@@ -1,5 +1,6 @@
 //! Somebody who walks through a world.
 
+use super::stairs;
 use crate::bvh::P3;
 use crate::lighting::LightingConfig;
 use crate::patterns;
@@ -48,8 +49,13 @@ pub(crate) fn mover_world() -> World {
     World::new("walker", &scene, &LightingConfig::quick())
 }
 
-/// Pose of the walker: up and down a line through the middle of the world, 0.6 m/s.
+/// Pose of the walker, 0.6 m/s: up and down the stairs where there are some, else a line through the middle of the world.
 pub(crate) fn mover_pose(world: &World, secs: f64) -> Se3 {
+    if world.name() == "stairs" {
+        let (feet, heading) = stairs::walker(secs);
+        let heading = Rotation::from_axis_angle(&Vec3::z_axis(), heading);
+        return Se3::new(heading, Vec3::from(feet));
+    }
     let bounds = world.bounds();
     let middle = |axis: usize| 0.5 * f64::from(bounds.min[axis] + bounds.max[axis]);
     let reach = 0.25 * f64::from(bounds.max[0] - bounds.min[0]).min(8.0);

@@ -1,5 +1,6 @@
 //! The built-in camera motions of each world.
 
+use super::stairs;
 use crate::path::{CameraPath, Carrier, PathError, Waypoint};
 
 const fn way(eye: [f64; 3], target: [f64; 3]) -> Waypoint {
@@ -203,7 +204,7 @@ impl From<Carrier> for Motion {
 pub fn usual_frames(world: &str) -> usize {
     match world {
         "corridor-loop" => 3000,
-        "machine-hall" => 2400,
+        "machine-hall" | "stairs" => 2400,
         _ => 1500,
     }
 }
@@ -219,6 +220,7 @@ pub(crate) fn path_of(
         "office" => OFFICE.to_vec(),
         "machine-hall" => MACHINE_HALL.to_vec(),
         "corridor-loop" => corridor_loop(),
+        "stairs" => stairs::way(),
         _ => LIVING_ROOM.to_vec(),
     };
     if motion.is_reversed {
@@ -227,7 +229,12 @@ pub(crate) fn path_of(
     if motion.carrier == Carrier::Drone {
         // a drone also climbs and sinks
         for (k, (eye, _)) in waypoints.iter_mut().enumerate() {
-            eye[2] += 0.15 * eye[2] * (0.9 * k as f64).sin();
+            let height_m = if world == "stairs" {
+                stairs::EYE_M
+            } else {
+                eye[2]
+            };
+            eye[2] += 0.15 * height_m * (0.9 * k as f64).sin();
         }
     }
     CameraPath::scripted(&waypoints, motion.carrier, duration_secs, seed)

@@ -39,7 +39,7 @@ fn frame_count(text: &str) -> Result<usize, String> {
 /// `monogrid synth`.
 #[derive(Debug, Args)]
 pub struct SynthArgs {
-    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls) or a mesh
+    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls, stairs) or a mesh
     /// (.ply, .obj) together with --trajectory
     pub world: PathBuf,
     /// Output folder
