@@ -153,7 +153,7 @@ fn belongings(s: &mut Scene, m: &Materials, storey: usize, seed: u64) {
                 });
             });
             s.object_at("notice board", place(0.0, 1.0, 1.1, FRAC_PI_2), |s| {
-                w::whiteboard(s, &m.office, 1.0, 0.8, seed)
+                w::whiteboard(s, &m.office, 1.0, 0.8, seed);
             });
         }
         1 => s.object_at("plant", place(3.1, 1.55, 0.0, 0.0), |s| {
