@@ -31,9 +31,9 @@ pub use describe::{
 };
 pub use flow::{FlowConfig, FlowField, FlowSample};
 pub use place::{
-    DepthLookup, FabMap, FabMapConfig, InverseDepth, LoopMatch, PlaceBelief, PlaceBeliefs,
-    PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, Relocalisation, Support, TrainingError,
-    VocabularyConfig, VocabularyError, VocabularyProgress,
+    DepthLookup, FabMap, FabMapConfig, InverseDepth, KeptCorners, LoopMatch, PlaceBelief,
+    PlaceBeliefs, PlaceCorners, PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, Relocalisation,
+    Support, TrainingError, VocabularyConfig, VocabularyError, VocabularyProgress,
 };
 pub use rng::Rng;
 pub use track::{

@@ -58,5 +58,5 @@ pub use sparse::{SparseConfig, SparseStats};
 pub use stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };
-pub use system::{Effort, MergedMaps, Slam, Told, merge_maps};
+pub use system::{Effort, KeyframeRoom, MergedMaps, Slam, Told, merge_maps};
 pub use tracker::{PointTrackingConfig, TrackingConfig};

@@ -34,9 +34,23 @@ pub fn keep_little() {
     }
 }
 
+/// The same for smaller blocks, for what comes after the last frame: keyframes are read back one after the other while long lists grow,
+/// and leave holes between them.
+pub fn keep_least() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    unsafe {
+        let _ = libc::mallopt(libc::M_MMAP_THRESHOLD, SMALL_BYTES);
+        let _ = libc::mallopt(libc::M_TRIM_THRESHOLD, 2 * SMALL_BYTES);
+    }
+}
+
 /// Blocks from this size on are large: a working image of floats at 640x480 is, one at 320x240 is not.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE_BYTES: libc::c_int = 512 << 10;
+
+/// After the last frame: that of a level of a pyramid but for its smallest.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const SMALL_BYTES: libc::c_int = 64 << 10;
 
 /// Gives free memory back to the system. Costs a few milliseconds, and those pages that are needed again their zeros.
 pub fn give_back() {

@@ -1,11 +1,12 @@
 //! Keyframes that are remembered, and the two questions: where is this frame, was this seen before.
 
+use super::corners::{KeptCorners, PlaceCorners};
 use super::locate::{Side, is_determined, locate};
 use super::refine::Freedom;
 use super::support::{Support, support};
 use super::view::{DepthLookup, Landmark, View, landmarks};
 use super::{FabMap, PlaceMemoryConfig};
-use crate::{Descriptor, Feature, FeatureExtractor, PlaceCandidate, PlaceIndex};
+use crate::{Descriptor, FeatureExtractor, PlaceCandidate, PlaceIndex};
 use monogrid_geometry::{Mat6, Mat7, Pinhole, Se3, Sim3};
 use monogrid_image::{Mask, Pyramid};
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,29 +44,14 @@ pub struct LoopMatch {
     pub support_of_other: Support,
 }
 
-/// A remembered keyframe.
-#[derive(Clone, Debug)]
-struct Known {
-    pinhole: Pinhole,
-    /// Width and height of its image, px.
-    size: (usize, usize),
-    features: Vec<Feature>,
-    landmarks: Vec<Option<Landmark>>,
-}
-
-impl Known {
-    fn side(&self) -> Side<'_> {
-        Side::new(&self.features, &self.landmarks, self.size, &self.pinhole)
-    }
-}
-
 /// Width and height of the finest level, px.
 fn size_of(pyramid: &Pyramid) -> (usize, usize) {
     let image = pyramid.level(0);
     (image.width(), image.height())
 }
 
-/// Remembers keyframes by their appearance. About 0.2 MB per keyframe; its image is asked for where it is needed.
+/// Remembers keyframes by their appearance: in memory what recognises them (100 bytes per corner), and where the caller keeps it what
+/// verifies that (170 bytes). Its image is asked for where it is needed.
 #[derive(Clone, Debug)]
 pub struct PlaceMemory {
     pinhole: Pinhole,
@@ -73,7 +59,7 @@ pub struct PlaceMemory {
     extractor: FeatureExtractor,
     index: PlaceIndex,
     fab_map: Option<FabMap>,
-    known: BTreeMap<u64, Known>,
+    known: BTreeMap<u64, Arc<dyn KeptCorners>>,
 }
 
 impl PlaceMemory {
@@ -119,23 +105,43 @@ impl PlaceMemory {
         depth: &DepthLookup,
         pinhole: &Pinhole,
     ) -> bool {
-        let is_new = !self.known.contains_key(&id);
-        let known = self.known.entry(id).or_insert_with(|| Known {
-            pinhole: *pinhole,
-            size: size_of(pyramid),
-            features: View::new(&self.extractor, pyramid, mask).features,
-            landmarks: Vec::new(),
-        });
+        let in_memory = |corners| Arc::new(Arc::new(corners)) as Arc<dyn KeptCorners>;
+        self.insert_kept(id, (pyramid, mask), depth, pinhole, in_memory)
+    }
+
+    /// The same for a keyframe with its mask, whose corners `keep` keeps.
+    pub fn insert_kept(
+        &mut self,
+        id: u64,
+        (pyramid, mask): (&Pyramid, Option<&Mask>),
+        depth: &DepthLookup,
+        pinhole: &Pinhole,
+        keep: impl FnOnce(PlaceCorners) -> Arc<dyn KeptCorners>,
+    ) -> bool {
+        let known = self.known.get(&id);
+        let is_new = known.is_none();
+        let mut corners = match known.map(|known| known.get()) {
+            None => PlaceCorners {
+                pinhole: *pinhole,
+                size: size_of(pyramid),
+                features: View::new(&self.extractor, pyramid, mask).features,
+                landmarks: Vec::new(),
+            },
+            Some(Some(corners)) => PlaceCorners::clone(&corners),
+            // whoever keeps them knows why they cannot be read back
+            Some(None) => return false,
+        };
         let max_sigma = self.config.max_relative_sigma;
-        known.landmarks = landmarks(&known.features, depth, &known.pinhole, max_sigma);
+        corners.landmarks = landmarks(&corners.features, depth, &corners.pinhole, max_sigma);
         if is_new {
             let descriptors: Vec<Descriptor> =
-                known.features.iter().map(|f| f.descriptor).collect();
+                corners.features.iter().map(|f| f.descriptor).collect();
             self.index.add(id, &descriptors);
             if let Some(fab_map) = &mut self.fab_map {
                 fab_map.add(id, &descriptors);
             }
         }
+        self.known.insert(id, keep(corners));
         is_new
     }
 
@@ -158,7 +164,7 @@ impl PlaceMemory {
         let mut found: Vec<Relocalisation> = candidates
             .iter()
             .filter_map(|candidate| {
-                let known = self.known.get(&candidate.place)?;
+                let known = self.corners(candidate.place)?;
                 let keyframe = known.side();
                 let (fit, correspondences) = locate(
                     &keyframe,
@@ -196,7 +202,7 @@ impl PlaceMemory {
         is_allowed: impl Fn(u64) -> bool,
         pyramid_of: impl Fn(u64) -> Option<Arc<Pyramid>>,
     ) -> Vec<LoopMatch> {
-        let Some(this) = self.known.get(&id) else {
+        let Some(this) = self.corners(id) else {
             return Vec::new();
         };
         let descriptors: Vec<Descriptor> = this.features.iter().map(|f| f.descriptor).collect();
@@ -209,7 +215,7 @@ impl PlaceMemory {
         let mut found: Vec<LoopMatch> = candidates
             .iter()
             .filter_map(|candidate| {
-                let other = self.known.get(&candidate.place)?;
+                let other = self.corners(candidate.place)?;
                 let other_side = other.side();
                 let (fit, correspondences) = locate(
                     &other_side,
@@ -272,6 +278,11 @@ impl PlaceMemory {
             .collect();
         self.index
             .query(descriptors, config, |place| believed.contains(&place))
+    }
+
+    /// The corners of a keyframe, where it is known and they can be read back.
+    pub(super) fn corners(&self, id: u64) -> Option<Arc<PlaceCorners>> {
+        self.known.get(&id)?.get()
     }
 
     /// The smoothed image of a keyframe, made again: it is large and seldom needed.

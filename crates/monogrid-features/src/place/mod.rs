@@ -12,6 +12,7 @@
 //! 5. what *should* be seen is compared with what *is* seen (`support`): two rooms with the same
 //!    furniture agree in the furniture, but not in what is seen beside it.
 mod config;
+mod corners;
 mod fabmap;
 mod locate;
 mod memory;
@@ -23,6 +24,7 @@ mod tests;
 mod view;
 
 pub use config::PlaceMemoryConfig;
+pub use corners::{KeptCorners, PlaceCorners};
 pub use fabmap::{
     FabMap, FabMapConfig, PlaceBelief, PlaceBeliefs, PlaceVocabulary, TrainingError,
     VocabularyConfig, VocabularyError, VocabularyProgress,

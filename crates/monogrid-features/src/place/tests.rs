@@ -245,6 +245,49 @@ fn depth_is_looked_up_only_where_neighbours_agree() {
     assert_eq!(empty.at(&Vec2::new(1.0, 1.0)), None);
 }
 
+/// Corners that are only bytes, or lost.
+#[derive(Debug)]
+struct Written(Option<Vec<u8>>);
+
+impl KeptCorners for Written {
+    fn get(&self) -> Option<Arc<PlaceCorners>> {
+        PlaceCorners::from_bytes(self.0.as_ref()?).map(Arc::new)
+    }
+}
+
+#[test]
+fn corners_that_are_kept_elsewhere_verify_the_same() {
+    let (whole, rooms) = memory();
+    let mut written = PlaceMemory::new(PINHOLE, PlaceMemoryConfig::default());
+    let mut lost = written.clone();
+    for (id, room) in (0u64..).zip(&rooms) {
+        let pyramid = room.pyramid(&Se3::identity(), id);
+        let depth = Room::depth(&Se3::identity(), 1.5, id);
+        let view = (&*pyramid, None);
+        let write = |corners: PlaceCorners| Arc::new(Written(Some(corners.to_bytes()))) as _;
+        assert!(written.insert_kept(id, view, &depth, &PINHOLE, write));
+        assert!(!written.insert_kept(id, view, &depth, &PINHOLE, write));
+        assert!(lost.insert_kept(id, view, &depth, &PINHOLE, |_| Arc::new(Written(None))));
+        assert!(!lost.insert_kept(id, view, &depth, &PINHOLE, write));
+    }
+    let frame = rooms[1].pyramid(&camera([0.1, -0.05, 0.2, 0.0, 0.1, 0.0]), 50);
+    let found = whole.relocalise(&frame, None, |_| true);
+    assert!(!found.is_empty());
+    assert_eq!(written.relocalise(&frame, None, |_| true), found);
+    assert!(lost.relocalise(&frame, None, |_| true).is_empty());
+}
+
+#[test]
+fn other_bytes_are_no_corners() {
+    let (memory, _) = memory();
+    let bytes = memory.corners(0).unwrap().to_bytes();
+    assert!(PlaceCorners::from_bytes(&bytes).is_some());
+    assert!(PlaceCorners::from_bytes(&bytes[..bytes.len() - 8]).is_none());
+    assert!(PlaceCorners::from_bytes(&[bytes.as_slice(), &[0; 8]].concat()).is_none());
+    assert!(PlaceCorners::from_bytes(&[0xff; 80]).is_none());
+    assert!(PlaceCorners::from_bytes(&[]).is_none());
+}
+
 #[test]
 fn a_keyframe_can_get_new_depths() {
     let mut memory = PlaceMemory::new(PINHOLE, PlaceMemoryConfig::default());

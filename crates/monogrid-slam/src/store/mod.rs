@@ -14,7 +14,9 @@ mod shelves;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use self::packed::{Keepable, KeptDense, KeptImage, Measured, Measurements};
+pub(crate) use self::packed::{
+    Keepable, KeptDense, KeptImage, Measured, Measurements, StoredCorners,
+};
 use self::packed::{pack_any, unpack};
 
 use self::shelves::Shelves;

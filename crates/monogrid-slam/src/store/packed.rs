@@ -1,13 +1,16 @@
 //! Values as they are written to the file.
 
+use super::Kept;
 use crate::DepthPixel;
 use monogrid_alignment::DepthSample;
 use monogrid_depth::{DenseDepth, PackedDepth};
+use monogrid_features::{KeptCorners, PlaceCorners};
 use monogrid_image::{GrayImage, Image, Pyramid};
 use monogrid_occupancy::DepthPixel as Measurement;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, Error};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::any::Any;
+use std::sync::Arc;
 
 /// A value of which is known what it takes.
 pub(crate) trait Measured: Send + Sync + 'static {
@@ -90,6 +93,37 @@ impl<'de> Deserialize<'de> for KeptDense {
 impl Measured for KeptDense {
     fn bytes(&self) -> usize {
         2 * size_of_val(self.0.idepth.as_slice())
+    }
+}
+
+/// Corners by which a place is verified.
+#[derive(Clone, Debug)]
+pub(crate) struct StoredCorners(pub Arc<PlaceCorners>);
+
+impl Serialize for StoredCorners {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(&self.0.to_bytes())
+    }
+}
+
+impl<'de> Deserialize<'de> for StoredCorners {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let bytes = Vec::<u8>::deserialize(deserializer)?;
+        let corners = PlaceCorners::from_bytes(&bytes);
+        let corners = corners.ok_or_else(|| D::Error::custom("the corners of a place"))?;
+        Ok(Self(Arc::new(corners)))
+    }
+}
+
+impl Measured for StoredCorners {
+    fn bytes(&self) -> usize {
+        self.0.bytes()
+    }
+}
+
+impl KeptCorners for Kept<StoredCorners> {
+    fn get(&self) -> Option<Arc<PlaceCorners>> {
+        Some(Arc::clone(&Self::get(self)?.0))
     }
 }
 

@@ -49,4 +49,4 @@ mod tracking;
 
 pub use merge::{MergedMaps, merge_maps};
 pub use process::{Effort, Told};
-pub use slam::Slam;
+pub use slam::{KeyframeRoom, Slam};

@@ -43,6 +43,29 @@ pub struct Slam {
     pub(super) events: Vec<Event>,
 }
 
+/// Room that keyframes of a [`Slam`] have in memory.
+#[derive(Clone, Debug)]
+pub struct KeyframeRoom(Store);
+
+impl KeyframeRoom {
+    /// From now on keyframes have so much room instead of what the settings say, bytes. No result depends on it.
+    pub fn give(&self, bytes: usize) {
+        const OWN_SHARE: f64 = 0.75;
+        let megabytes = bytes as f64 * 1e-6;
+        self.0.resize(&MemoryConfig {
+            keyframes_mb: megabytes * OWN_SHARE,
+            prepared_mb: megabytes * (1.0 - OWN_SHARE),
+        });
+    }
+
+    /// What images, depth and corners of keyframes, and what was made of them, take in memory now, bytes.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> usize {
+        let bytes = self.0.bytes();
+        bytes.own + bytes.derived
+    }
+}
+
 impl Slam {
     /// A system for working images of the given camera. `mask` has their size.
     ///
@@ -161,19 +184,13 @@ impl Slam {
 
     /// From now on keyframes have so much room in memory instead of what the settings say, bytes. No result depends on it.
     pub fn give_room(&self, bytes: usize) {
-        const OWN_SHARE: f64 = 0.75;
-        let megabytes = bytes as f64 * 1e-6;
-        self.map.store().resize(&MemoryConfig {
-            keyframes_mb: megabytes * OWN_SHARE,
-            prepared_mb: megabytes * (1.0 - OWN_SHARE),
-        });
+        self.room().give(bytes);
     }
 
-    /// What images and depth of keyframes, and what was made of them, take in memory now, bytes.
+    /// The room of the keyframes, for a thread beside those that use the system.
     #[must_use]
-    pub fn bytes_in_memory(&self) -> usize {
-        let bytes = self.map.store().bytes();
-        bytes.own + bytes.derived
+    pub fn room(&self) -> KeyframeRoom {
+        KeyframeRoom(self.map.store().clone())
     }
 
     /// What went wrong with that file first, if anything did: results are then made without the keyframes that cannot be read back.

@@ -2,7 +2,7 @@
 
 use crate::memory;
 use crate::usage::rss_bytes;
-use monogrid_slam::Slam;
+use monogrid_slam::{KeyframeRoom, Slam};
 
 /// Share of the limit that is used: what is made and dropped within a frame is not seen.
 const SHARE: f64 = 0.9;
@@ -16,10 +16,15 @@ pub struct MemoryLimit(pub u64);
 impl MemoryLimit {
     /// Gives the keyframes of a system as much room as is left now. What is in memory changes no result.
     pub fn apply(self, slam: &Slam) {
+        self.apply_to(&slam.room());
+    }
+
+    /// The same, for a thread beside those that use the system.
+    pub fn apply_to(self, keyframes: &KeyframeRoom) {
         memory::give_back();
         // where the system does not say what is used, half is a guess
         let resident = rss_bytes().unwrap_or(self.0 / 2);
-        slam.give_room(self.room(resident, slam.bytes_in_memory() as u64) as usize);
+        keyframes.give(self.room(resident, keyframes.bytes_in_memory() as u64) as usize);
     }
 
     /// For work that needs none of the keyframes of a system, or one after the other: they have the least room where some have had to

@@ -86,11 +86,11 @@ impl Progress {
     }
 }
 
-/// Does work that counts its keyframes, and says meanwhile how far it is and how long it will take.
+/// Does work that counts its keyframes, and says meanwhile how far it is and how long it will take; `look` is called each time.
 pub fn watched<T>(
-    what: &str,
-    num_keyframes: usize,
+    (what, num_keyframes): (&str, usize),
     show: bool,
+    look: impl Fn() + Send,
     work: impl FnOnce(&AtomicUsize) -> T,
 ) -> T {
     let done = &AtomicUsize::new(0);
@@ -102,6 +102,7 @@ pub fn watched<T>(
             let mut last_line = begin;
             // an end of the work closes the channel
             while wait.recv_timeout(LOOK_EVERY) == Err(RecvTimeoutError::Timeout) {
+                look();
                 let num_done = done.load(Ordering::Relaxed);
                 let left = left(num_done, num_keyframes, begin.elapsed());
                 bar.set_position(num_done as u64);
@@ -171,9 +172,12 @@ mod tests {
 
     #[test]
     fn watched_work_gives_its_result() {
-        let result = watched("counting", 3, false, |done| {
-            done.fetch_add(3, Ordering::Relaxed) + 7
-        });
+        let result = watched(
+            ("counting", 3),
+            false,
+            || {},
+            |done| done.fetch_add(3, Ordering::Relaxed) + 7,
+        );
         assert_eq!(result, 7);
     }
 }

@@ -9,6 +9,7 @@ use crate::doubts::CalibrationCheck;
 use crate::failure::Failure;
 use crate::frame_colours::FrameColours;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
+use crate::memory;
 use crate::rolling::ShutterSearch;
 use monogrid_image::GrayImage;
 use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, ReadOn, Rectification, Unusable};
@@ -258,6 +259,7 @@ impl<'a> Tracking<'a> {
         let share = num_with_pose as f64 / rows.len().max(1) as f64;
         if let Some(limit) = self.settings.memory_limit {
             // what the map says of the camera is a question to its points alone
+            memory::keep_least();
             limit.squeeze(self.pipeline.slam());
         }
         let seen = (self.pipeline.slam(), self.shutter.taken_out());

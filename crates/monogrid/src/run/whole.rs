@@ -419,7 +419,14 @@ fn final_depth(
     make_room(tracked, limit);
     let count = tracked.run.slam.num_keyframes();
     eprintln!("depth and maps of {count} keyframes at their final poses");
-    let scans = watched("final depth", count, show_progress, |done| {
+    // what is kept of each keyframe grows while others are read: the room for them shrinks meanwhile, which changes no result
+    let keyframes = tracked.run.slam.room();
+    let look = || {
+        if let Some(limit) = limit {
+            limit.apply_to(&keyframes);
+        }
+    };
+    let scans = watched(("final depth", count), show_progress, look, |done| {
         tracked.run.final_scans(done)
     });
     tracked.cpu.mapping += process_cpu() - before;
@@ -529,10 +536,15 @@ fn final_maps(
     let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
     let edge = looked.cell.map(|cell| cell.edge);
     let run = &mut tracked.run;
-    let maps = watched("final maps", scans.len(), settings.show_progress, |done| {
-        let more = (frames.as_slice(), edge);
-        run.maps_of(scans, &looked.frame.map_from_world, camera, more, done)
-    });
+    let maps = watched(
+        ("final maps", scans.len()),
+        settings.show_progress,
+        || {},
+        |done| {
+            let more = (frames.as_slice(), edge);
+            run.maps_of(scans, &looked.frame.map_from_world, camera, more, done)
+        },
+    );
     leave_room(tracked, settings.memory_limit);
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())

@@ -4,6 +4,7 @@ use super::state::{Entry, KeyframeGraph};
 use crate::KeyframeId;
 use crate::graph::search::Probes;
 use crate::map::View;
+use crate::store::StoredCorners;
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
@@ -43,7 +44,10 @@ impl KeyframeGraph {
         let lookup = DepthLookup::new(view.camera.width, view.camera.height, depths);
         let id = u64::from(view.id);
         let (mask, pinhole) = (self.mask.as_ref(), &view.camera.pinhole);
-        self.places.insert(id, &pyramid, mask, &lookup, pinhole);
+        let store = view.samples.store();
+        let keep = |corners| Arc::new(store.keep(StoredCorners(Arc::new(corners)))) as _;
+        self.places
+            .insert_kept(id, (&pyramid, mask), &lookup, pinhole, keep);
     }
 
     /// Direct alignment of keyframe `id` to `other`, in both directions.
