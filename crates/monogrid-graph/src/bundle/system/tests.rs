@@ -27,8 +27,8 @@ fn chain(num_keyframes: usize) -> BundleProblem {
     problem.keyframes[num_keyframes - 1].freedom = PoseFreedom::FixedDistance { to: 0 };
     for host in 0..num_keyframes - 4 {
         for k in 0..12 {
-            let pixel = Vec2::new(60.0 + 15.0 * k as f64, 20.0 + 70.0 * (k % 4) as f64);
-            let inverse_depth = 1.0 / (2.0 + 0.3 * (k % 5) as f64);
+            let pixel = Vec2::new(60.0 + 15.0 * f64::from(k), 20.0 + 70.0 * f64::from(k % 4));
+            let inverse_depth = 1.0 / (2.0 + 0.3 * f64::from(k % 5));
             let in_world = pose(host).inverse() * (pinhole.unproject(&pixel) / inverse_depth);
             let point = problem.points.len();
             problem.points.push(AnchoredPoint {
