@@ -45,6 +45,14 @@ pub const DRONE_JITTER: [JitterBand; 5] = [
     band(4.8, 0.000_03, 0.0004),
 ];
 
+/// A guess, not measured: springs of a car on a street, a few millimetres and a tenth of a degree.
+pub const CAR_JITTER: [JitterBand; 4] = [
+    band(0.3, 0.008, 0.0015),
+    band(0.6, 0.005, 0.0020),
+    band(1.2, 0.003, 0.0020),
+    band(2.4, 0.001, 0.0008),
+];
+
 /// Sinusoids per band and axis.
 const TONES: usize = 7;
 

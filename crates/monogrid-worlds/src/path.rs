@@ -1,6 +1,6 @@
 //! Where the camera is at any time: built-in motions, recorded trajectories, smoothly interpolated.
 
-use super::jitter::{DRONE_JITTER, HAND_JITTER, Jitter};
+use super::jitter::{CAR_JITTER, DRONE_JITTER, HAND_JITTER, Jitter};
 use monogrid_datasets::TimedPose;
 use monogrid_geometry::nalgebra::Rotation3;
 use monogrid_geometry::{Mat3, Rotation, Se3, Vec3, Vec6};
@@ -12,6 +12,8 @@ pub enum Carrier {
     Hand,
     /// A drone: swaying.
     Drone,
+    /// A car: held fast, rocking a little.
+    Car,
     /// Rails: no unsteadiness at all.
     Rails,
 }
@@ -49,6 +51,7 @@ pub enum PathError {
 pub struct CameraPath {
     kind: Kind,
     duration_secs: f64,
+    is_backwards: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -87,6 +90,7 @@ impl CameraPath {
         let jitter = match carrier {
             Carrier::Hand => Some(Jitter::new(&HAND_JITTER, 1.0, seed)),
             Carrier::Drone => Some(Jitter::new(&DRONE_JITTER, 1.0, seed)),
+            Carrier::Car => Some(Jitter::new(&CAR_JITTER, 1.0, seed)),
             Carrier::Rails => None,
         };
         Ok(Self {
@@ -96,6 +100,7 @@ impl CameraPath {
                 jitter,
             },
             duration_secs,
+            is_backwards: false,
         })
     }
 
@@ -140,6 +145,7 @@ impl CameraPath {
         Ok(Self {
             kind: Kind::Recorded { knots },
             duration_secs,
+            is_backwards: false,
         })
     }
 
@@ -159,6 +165,24 @@ impl CameraPath {
             }
         }
         self
+    }
+
+    /// The same poses, known to be a way from its end to its beginning: what else moves goes back too.
+    #[must_use]
+    pub(crate) fn played_backwards(mut self) -> Self {
+        self.is_backwards = true;
+        self
+    }
+
+    /// Part of the way that is gone at a time, in [0, 1].
+    #[must_use]
+    pub(crate) fn progress(&self, secs: f64) -> f64 {
+        let progress = (secs / self.duration_secs.max(1e-9)).clamp(0.0, 1.0);
+        if self.is_backwards {
+            1.0 - progress
+        } else {
+            progress
+        }
     }
 
     /// Length in time, s.

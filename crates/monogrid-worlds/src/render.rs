@@ -6,6 +6,7 @@
 use super::bvh::P3;
 use super::packet::Packet;
 use super::world::World;
+use monogrid_geometry::nalgebra::Matrix3;
 use monogrid_geometry::{Camera, Se3, Vec2, Vec3};
 use monogrid_image::GrayImage;
 use rayon::prelude::*;
@@ -218,19 +219,19 @@ impl Renderer {
         packet.trace(&world.bvh);
         let moved = view.trace_movers(&packet);
         for (lane, value) in out.iter_mut().enumerate() {
-            let nearest = moved
-                .iter()
-                .filter_map(|other| other.hit(lane))
-                .map(|hit| hit.t)
-                .fold(f32::INFINITY, f32::min);
-            // directions have z = 1 in the camera, so t is the depth
-            *value = match packet.hit(lane) {
-                Some(hit) if hit.t <= nearest => {
-                    view.exact_depth(world, &packet, lane, hit.triangle)
-                }
-                _ if nearest.is_finite() => nearest,
-                _ => f32::NAN,
-            };
+            let hit = packet
+                .hit(lane)
+                .map(|hit| (hit, world, &packet, &view.exact_origin));
+            let others = view.movers.iter().zip(&moved).filter_map(|(mover, rays)| {
+                Some((rays.hit(lane)?, mover.world, rays, &mover.exact_origin))
+            });
+            let nearest = hit
+                .into_iter()
+                .chain(others)
+                .min_by(|a, b| a.0.t.total_cmp(&b.0.t));
+            *value = nearest.map_or(f32::NAN, |(hit, world, rays, origin)| {
+                exact_depth(world, origin, &rays.direction(lane), hit.triangle)
+            });
         }
     }
 
@@ -283,11 +284,32 @@ struct View<'a> {
     right: P3,
     down: P3,
     forward: P3,
-    movers: &'a [Mover<'a>],
+    movers: Vec<Seen<'a>>,
+}
+
+/// A mover and how rays come into its frame.
+struct Seen<'a> {
+    world: &'a World,
+    rotation: Matrix3<f32>,
+    origin: P3,
+    exact_origin: Vec3,
+}
+
+impl<'a> Seen<'a> {
+    fn new(mover: &Mover<'a>, origin: Vec3) -> Self {
+        let mover_from_world = mover.world_from_mover.inverse();
+        let exact_origin = mover_from_world * origin;
+        Self {
+            world: mover.world,
+            rotation: mover_from_world.rotation_matrix().map(|v| v as f32),
+            origin: exact_origin.map(|v| v as f32),
+            exact_origin,
+        }
+    }
 }
 
 impl<'a> View<'a> {
-    fn new(world_from_camera: &Se3, movers: &'a [Mover<'a>]) -> Self {
+    fn new(world_from_camera: &Se3, movers: &[Mover<'a>]) -> Self {
         let r = world_from_camera.rotation_matrix();
         let column = |k: usize| P3::new(r[(0, k)] as f32, r[(1, k)] as f32, r[(2, k)] as f32);
         Self {
@@ -296,7 +318,10 @@ impl<'a> View<'a> {
             right: column(0),
             down: column(1),
             forward: column(2),
-            movers,
+            movers: movers
+                .iter()
+                .map(|mover| Seen::new(mover, world_from_camera.translation))
+                .collect(),
         }
     }
 
@@ -311,28 +336,25 @@ impl<'a> View<'a> {
         self.movers
             .iter()
             .map(|mover| {
-                let mover_from_world = mover.world_from_mover.inverse();
-                let r = mover_from_world.rotation_matrix().map(|v| v as f32);
-                let origin = (mover_from_world * self.exact_origin).map(|v| v as f32);
                 let mut local = [[0.0f32; RAYS]; 3];
                 let mut farthest = 0.0f32;
                 for lane in 0..RAYS {
-                    set_lane(&mut local, lane, &(r * packet.direction(lane)));
+                    set_lane(&mut local, lane, &(mover.rotation * packet.direction(lane)));
                     farthest = farthest.max(packet.distance(lane));
                 }
-                let mut moved = Packet::new(origin, local, farthest);
+                let mut moved = Packet::new(mover.origin, local, farthest);
                 moved.trace(&mover.world.bvh);
                 moved
             })
             .collect()
     }
+}
 
-    /// Depth by the plane of the triangle in double precision.
-    fn exact_depth(&self, world: &World, packet: &Packet<RAYS>, lane: usize, triangle: u32) -> f32 {
-        let triangle = &world.bvh.triangles[triangle as usize];
-        let to_f64 = |p: P3| p.map(f64::from);
-        let normal = to_f64(triangle.e1).cross(&to_f64(triangle.e2));
-        let along = normal.dot(&to_f64(packet.direction(lane)));
-        (normal.dot(&(to_f64(triangle.v0) - self.exact_origin)) / along) as f32
-    }
+/// Depth by the plane of the triangle in double precision: directions have z = 1 in the camera, so lengths of them are depths.
+fn exact_depth(world: &World, origin: &Vec3, direction: &P3, triangle: u32) -> f32 {
+    let triangle = &world.bvh.triangles[triangle as usize];
+    let to_f64 = |p: P3| p.map(f64::from);
+    let normal = to_f64(triangle.e1).cross(&to_f64(triangle.e2));
+    let along = normal.dot(&to_f64(*direction));
+    (normal.dot(&(to_f64(triangle.v0) - origin)) / along) as f32
 }

@@ -5,7 +5,7 @@ use super::lighting::LightingConfig;
 use super::path::{CameraPath, Carrier, PathError};
 use super::render::{Mover, Renderer, Shutter};
 use super::world::World;
-use super::worlds::{Motion, WorldError, mover_world, path_of};
+use super::worlds::{Motion, WorldError, mover_world, path_of, traffic, traffic_worlds};
 use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3};
 use monogrid_image::GrayImage;
 use std::sync::Arc;
@@ -98,6 +98,8 @@ pub struct SynthFrame {
 pub struct SynthSequence {
     world: Arc<World>,
     mover: Option<Arc<World>>,
+    /// Cars that drive through the world.
+    traffic: Arc<Vec<World>>,
     path: CameraPath,
     renderer: Renderer,
     sensor: Sensor,
@@ -120,6 +122,7 @@ impl SynthSequence {
         let sensor = Sensor::new(config.effects, config.seed);
         let mover = config.effects.has_mover.then(|| Arc::new(mover_world()));
         Ok(Self {
+            traffic: Arc::new(traffic_worlds(&world)),
             world,
             mover,
             path,
@@ -323,12 +326,17 @@ impl SynthSequence {
             .collect()
     }
 
+    /// Cars are where the camera has come to, however fast that is; who walks has a pace of their own.
     fn movers(&self, secs: f64) -> Vec<Mover<'_>> {
-        self.mover
-            .iter()
-            .map(|mover| Mover {
-                world: mover.as_ref(),
-                world_from_mover: super::worlds::mover_pose(&self.world, secs),
+        let cars = self.traffic.iter().zip(traffic(self.path.progress(secs)));
+        let walker = self.mover.iter().map(|mover| {
+            let pose = super::worlds::mover_pose(&self.world, secs);
+            (mover.as_ref(), pose)
+        });
+        cars.chain(walker)
+            .map(|(world, world_from_mover)| Mover {
+                world,
+                world_from_mover,
             })
             .collect()
     }

@@ -8,24 +8,27 @@ mod mover;
 mod office;
 mod paths;
 mod stairs;
+mod street;
 mod workplace;
 
 use super::lighting::LightingConfig;
 use super::world::World;
 use living_room::Covering;
 
-pub(super) use mover::{mover_pose, mover_world};
+pub(super) use mover::{mover_pose, mover_world, traffic_worlds};
 pub(super) use paths::path_of;
 pub use paths::{MOTION_NAMES, Motion, usual_frames};
+pub(super) use street::traffic;
 
 /// Names of the built-in worlds.
-pub const WORLD_NAMES: [&str; 6] = [
+pub const WORLD_NAMES: [&str; 7] = [
     "living-room",
     "office",
     "machine-hall",
     "corridor-loop",
     "blank-walls",
     "stairs",
+    "street",
 ];
 
 /// What is wrong with a request for a world.
@@ -61,6 +64,7 @@ impl World {
             "machine-hall" => machine_hall::scene(),
             "corridor-loop" => corridor_loop::scene(),
             "stairs" => stairs::scene(),
+            "street" => street::scene(),
             _ => {
                 return Err(WorldError::UnknownName {
                     name: name.to_owned(),

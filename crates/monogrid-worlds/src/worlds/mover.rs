@@ -1,6 +1,6 @@
 //! Somebody who walks through a world.
 
-use super::stairs;
+use super::{stairs, street};
 use crate::bvh::P3;
 use crate::lighting::LightingConfig;
 use crate::patterns;
@@ -47,6 +47,22 @@ pub(crate) fn mover_world() -> World {
         6.0,
     );
     World::new("walker", &scene, &LightingConfig::quick())
+}
+
+/// The cars that drive through a world, in the order of their poses; none where there is no traffic.
+pub(crate) fn traffic_worlds(world: &World) -> Vec<World> {
+    let paints: &[f32] = match world.name() {
+        "street" => &street::PAINTS,
+        _ => &[],
+    };
+    let car = |paint: &f32| {
+        World::new(
+            "car",
+            &street::traffic_car(*paint),
+            &LightingConfig::quick(),
+        )
+    };
+    paints.iter().map(car).collect()
 }
 
 /// Pose of the walker, 0.6 m/s: up and down the stairs where there are some, else a line through the middle of the world.

@@ -1,6 +1,6 @@
 //! The built-in camera motions of each world.
 
-use super::stairs;
+use super::{stairs, street};
 use crate::path::{CameraPath, Carrier, PathError, Waypoint};
 
 const fn way(eye: [f64; 3], target: [f64; 3]) -> Waypoint {
@@ -168,7 +168,14 @@ pub struct Motion {
 }
 
 /// Names of the built-in motions.
-pub const MOTION_NAMES: [&str; 4] = ["hand", "drone", "hand-back", "drone-back"];
+pub const MOTION_NAMES: [&str; 6] = [
+    "hand",
+    "drone",
+    "car",
+    "hand-back",
+    "drone-back",
+    "car-back",
+];
 
 impl Motion {
     /// One of [`MOTION_NAMES`].
@@ -181,6 +188,7 @@ impl Motion {
         let carrier = match base {
             "hand" => Carrier::Hand,
             "drone" => Carrier::Drone,
+            "car" => Carrier::Car,
             _ => return None,
         };
         Some(Self {
@@ -199,12 +207,13 @@ impl From<Carrier> for Motion {
     }
 }
 
-/// Frames at 30 per second in which a built-in motion goes at a walking pace.
+/// Frames at 30 per second in which a built-in motion goes at a walking pace, or at that of a car in a town.
 #[must_use]
 pub fn usual_frames(world: &str) -> usize {
     match world {
         "corridor-loop" => 3000,
         "machine-hall" | "stairs" => 2400,
+        "street" => 600,
         _ => 1500,
     }
 }
@@ -221,6 +230,7 @@ pub(crate) fn path_of(
         "machine-hall" => MACHINE_HALL.to_vec(),
         "corridor-loop" => corridor_loop(),
         "stairs" => stairs::way(),
+        "street" => street::way(),
         _ => LIVING_ROOM.to_vec(),
     };
     if motion.is_reversed {
@@ -237,5 +247,10 @@ pub(crate) fn path_of(
             eye[2] += 0.15 * height_m * (0.9 * k as f64).sin();
         }
     }
-    CameraPath::scripted(&waypoints, motion.carrier, duration_secs, seed)
+    let path = CameraPath::scripted(&waypoints, motion.carrier, duration_secs, seed)?;
+    Ok(if motion.is_reversed {
+        path.played_backwards()
+    } else {
+        path
+    })
 }
