@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p monogrid-slam --example robustness -- WORLD DISTURBANCE [seed=I] [frames=N] [imu=1] [list=1]`
 //!
-//! A built-in world at 320x240, carried by hand, with the noise of the demonstration. Disturbances: `low-rate`, `blur`,
+//! A built-in world at 320x240, carried by hand (`street`: by a car), with the noise of the demonstration. Disturbances: `low-rate`, `blur`,
 //! `exposure-jumps`, `black-frames`, `person`, `rolling-shutter`, `noise`, `fast`; `none` for comparison. Prints coverage, ATE
 //! as a share of the path, the share of the frames that were called good and are off by more than 2 % of the path or 3 degrees in
 //! the end, and how many frames were lost. `list=1` names the frames that are off.
@@ -20,13 +20,19 @@ use monogrid_inertial::Imu;
 use monogrid_slam::{FrameInput, Slam, SlamConfig, TrackingState};
 use monogrid_worlds::{
     Carrier, EffectsConfig, ImuConfig, LightingConfig, NoiseConfig, SynthConfig, SynthSequence,
-    imu_samples,
+    imu_samples, usual_frames,
 };
 use options::Options;
 use std::sync::Arc;
 
-/// Frames in which a built-in motion goes its way at walking pace, 30 per second.
-const WALKING_FRAMES: usize = 1500;
+/// Frames in which a built-in motion goes its way at walking pace (in the street at that of a car), 30 per second, and who
+/// carries the camera.
+fn pace(world: &str) -> (usize, Carrier) {
+    match world {
+        "street" => (usual_frames(world), Carrier::Car),
+        _ => (1500, Carrier::Hand),
+    }
+}
 
 /// What is made worse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,9 +91,9 @@ impl Disturbance {
     }
 
     /// The settings of a sequence whose first `frames` at walking pace and 30 per second are shown, and how many are.
-    fn sequence(self, frames: usize, seed: u64) -> (SynthConfig, usize) {
+    fn sequence(self, usual_frames: usize, frames: usize, seed: u64) -> (SynthConfig, usize) {
         let usual = SynthConfig {
-            frames: WALKING_FRAMES,
+            frames: usual_frames,
             effects: self.effects(),
             seed,
             ..SynthConfig::small()
@@ -96,14 +102,14 @@ impl Disturbance {
             Self::LowRate => {
                 let config = SynthConfig {
                     fps: usual.fps / 3.0,
-                    frames: WALKING_FRAMES / 3,
+                    frames: usual_frames / 3,
                     ..usual
                 };
                 (config, frames / 3)
             }
             Self::Fast => {
                 let config = SynthConfig {
-                    frames: WALKING_FRAMES / 2,
+                    frames: usual_frames / 2,
                     ..usual
                 };
                 (config, frames / 2)
@@ -180,9 +186,10 @@ fn main() {
     let options = Options::read(args);
     let disturbance = Disturbance::by_name(&name).unwrap();
     let seed = options.number("seed", 0);
-    let (config, frames) = disturbance.sequence(options.number("frames", 600), seed);
+    let (usual_frames, carrier) = pace(&world);
+    let (config, frames) = disturbance.sequence(usual_frames, options.number("frames", 600), seed);
     let quick = LightingConfig::quick();
-    let sequence = SynthSequence::built_in_with(&world, Carrier::Hand, config, &quick).unwrap();
+    let sequence = SynthSequence::built_in_with(&world, carrier, config, &quick).unwrap();
     let sequence = sequence.shortened(frames);
     let (slam, truth, states) = run(
         &sequence,

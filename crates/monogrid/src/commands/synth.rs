@@ -39,7 +39,7 @@ fn frame_count(text: &str) -> Result<usize, String> {
 /// `monogrid synth`.
 #[derive(Debug, Args)]
 pub struct SynthArgs {
-    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls, stairs) or a mesh
+    /// Built-in world (living-room, office, machine-hall, corridor-loop, blank-walls, stairs, street) or a mesh
     /// (.ply, .obj) together with --trajectory
     pub world: PathBuf,
     /// Output folder
@@ -48,7 +48,7 @@ pub struct SynthArgs {
     /// Write into the folder although it holds other files; those of the same names are replaced
     #[arg(long)]
     pub force: bool,
-    /// Built-in motion: hand, drone, hand-back, drone-back [default: hand]
+    /// Built-in motion: hand, drone, car, hand-back, drone-back, car-back [default: hand; in the street, car]
     #[arg(long, value_name = "NAME", conflicts_with = "trajectory")]
     pub motion: Option<String>,
     /// Motion of the camera: poses in the frame of the world
@@ -247,7 +247,14 @@ fn check_world(args: &SynthArgs) -> Result<(), Failure> {
 }
 
 fn motion(args: &SynthArgs) -> Result<Motion, Failure> {
-    let name = args.motion.as_deref().unwrap_or("hand");
+    let name = args
+        .motion
+        .as_deref()
+        .unwrap_or(if args.world.to_str() == Some("street") {
+            "car"
+        } else {
+            "hand"
+        });
     Motion::by_name(name).ok_or_else(|| {
         Failure::input(format!(
             "--motion is {name:?}, expected one of {}",
