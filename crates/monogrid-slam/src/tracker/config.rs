@@ -29,6 +29,9 @@ pub struct TrackingConfig {
     pub accept_visible_share: f32,
     /// Fewest points on the finest level. Range [6, 1000000].
     pub min_points: usize,
+    /// Lost below this number of points on the finest level: before a plain wall fewer agree with any picture, and hold neither
+    /// place nor scale. Range [0, 1000000].
+    pub min_holding_points: usize,
     /// Lost below this share of keyframe points inside the frame. Range [0, 1].
     pub min_visible_share: f32,
     /// Lost below this share of good points of all. Range [0, 1].
@@ -126,6 +129,7 @@ impl Default for TrackingConfig {
             accept_good_of_visible: 0.85,
             accept_visible_share: 0.5,
             min_points: 60,
+            min_holding_points: 400,
             min_visible_share: 0.15,
             min_good_share: 0.08,
             min_good_of_visible: 0.55,
@@ -154,6 +158,7 @@ impl TrackingConfig {
             max_relative_sigma: 1e3,
             min_validity: 0,
             motion_hypotheses: false,
+            min_holding_points: 0,
             min_visible_share: 0.0,
             min_good_share: 0.04,
             min_good_of_visible: 0.5,

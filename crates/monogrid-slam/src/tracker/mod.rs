@@ -191,7 +191,7 @@ fn align_rotation(
 /// Good, degraded or lost, with the reason.
 fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Option<LostReason>) {
     let motion = &alignment.motion.frame_from_keyframe;
-    if alignment.num_points < config.min_points {
+    if alignment.num_points < config.min_points.max(config.min_holding_points) {
         return (TrackingState::Lost, Some(LostReason::NoTexture));
     }
     if !motion.is_finite() {
@@ -241,4 +241,37 @@ pub(crate) fn extrapolate(frame_from_last: &Se3, interval_ns: i64, next_interval
     let factor = (next_interval_ns as f64 / interval_ns as f64).clamp(0.0, 3.0);
     let twist: Vec6 = frame_from_last.log() * factor;
     Se3::exp(&twist)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of a frame that shows all points where they should be.
+    fn perfect(num_points: usize) -> Alignment {
+        Alignment {
+            motion: Motion::from_pose(Se3::identity()),
+            residual_rms: 2.0,
+            mean_cost: 1.0,
+            good_share: 1.0,
+            good_of_visible: 1.0,
+            visible_share: 1.0,
+            usage: 1.0,
+            correlation: Some(1.0),
+            num_points,
+            covariance: None,
+            iterations: 5,
+        }
+    }
+
+    #[test]
+    fn what_too_few_points_agree_on_is_lost() {
+        let (usual, thesis) = (TrackingConfig::default(), TrackingConfig::thesis());
+        let state = |num_points, config| judge(&perfect(num_points), config).0;
+        let least = usual.min_holding_points;
+        assert_eq!(state(least, &usual), TrackingState::Good);
+        assert_eq!(state(least - 1, &usual), TrackingState::Lost);
+        assert_eq!(state(thesis.min_points, &thesis), TrackingState::Good);
+        assert_eq!(state(thesis.min_points - 1, &thesis), TrackingState::Lost);
+    }
 }
