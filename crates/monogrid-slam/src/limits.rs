@@ -116,6 +116,7 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_reference_points: 0.0, 1_000_000.0;
         accept_good_of_visible: 0.0, 1.0;
         accept_visible_share: 0.0, 1.0;
+        retry_correlation: -1.0, 1.0;
         min_points: 6.0, 1_000_000.0;
         min_holding_points: 0.0, 1_000_000.0;
         min_visible_share: 0.0, 1.0;

@@ -6,6 +6,7 @@
 //! the pose of every frame. Where they do not, or alignment is weak or surprising, all are looked for, alignment
 //! says where, and they have the last word.
 
+use super::again::polish;
 use super::points::{PointMap, PointPose};
 use super::{MotionPrior, Support, Tracked, judge, track};
 use crate::frame::Frame;
@@ -47,7 +48,7 @@ pub(crate) fn track_with_points(
     if let Some(points) = near {
         return at_points(reference, frame, aligned, &points, by_alignment, config);
     }
-    let predicted = prior.frame_from_last * prior.last_from_keyframe.frame_from_keyframe;
+    let predicted = prior.motion().frame_from_keyframe;
     let around = [predicted, by_alignment.frame_from_keyframe]
         .iter()
         .filter(|start| start.is_finite())
@@ -93,20 +94,6 @@ fn at_points(
         reason,
         ..aligned
     }
-}
-
-/// Alignment on the two finest levels.
-fn polish(
-    reference: &Reference,
-    frame: &Frame,
-    start: &Motion,
-    config: &AlignmentConfig,
-) -> Alignment {
-    let settings = AlignmentConfig {
-        coarsest_level: (config.finest_level + 1).min(config.coarsest_level),
-        ..config.clone()
-    };
-    align(reference, &frame.target, start, Freedom::Rigid, &settings)
 }
 
 /// What the pixels say about a pose, which stays as it is.

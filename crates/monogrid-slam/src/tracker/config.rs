@@ -27,6 +27,9 @@ pub struct TrackingConfig {
     pub accept_good_of_visible: f32,
     /// and this share of all points is visible. Range [0, 1].
     pub accept_visible_share: f32,
+    /// Aligned again on the two finest levels, from where the motion of the last frames leads, where the grey values correlate less than
+    /// this, the pose is a surprise, or it is not good; what explains more is taken. Only with `motion_hypotheses`. Range [-1, 1].
+    pub retry_correlation: f64,
     /// Fewest points on the finest level. Range [6, 1000000].
     pub min_points: usize,
     /// Lost below this number of points on the finest level: before a plain wall fewer agree with any picture, and hold neither
@@ -128,6 +131,7 @@ impl Default for TrackingConfig {
             motion_hypotheses: true,
             accept_good_of_visible: 0.85,
             accept_visible_share: 0.5,
+            retry_correlation: 0.9,
             min_points: 60,
             min_holding_points: 400,
             min_visible_share: 0.15,

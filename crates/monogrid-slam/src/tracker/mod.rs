@@ -1,5 +1,6 @@
 //! From a prior to the pose of a frame relative to the keyframe, with a verdict.
 
+mod again;
 mod combine;
 mod config;
 mod points;
@@ -8,6 +9,7 @@ pub(crate) use self::combine::track_with_points;
 pub use self::config::{PointTrackingConfig, TrackingConfig};
 pub(crate) use self::points::PointMap;
 
+use self::again::{better, is_weak, polish};
 use crate::frame::Frame;
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
@@ -21,6 +23,17 @@ pub(crate) struct MotionPrior {
     pub last_from_keyframe: Motion,
     /// Motion expected between the last frame and this one.
     pub frame_from_last: Se3,
+}
+
+impl MotionPrior {
+    /// Where the motion of the last frames leads.
+    fn motion(&self) -> Motion {
+        let last = &self.last_from_keyframe;
+        Motion {
+            frame_from_keyframe: self.frame_from_last * last.frame_from_keyframe,
+            ..*last
+        }
+    }
 }
 
 /// What points of the sparse layer say about a pose.
@@ -99,6 +112,12 @@ pub(crate) fn track(
         Freedom::Rigid,
         &refined,
     );
+    let alignment = if config.motion_hypotheses && is_weak(&alignment, prior, config) {
+        let again = polish(reference, frame, &prior.motion(), &config.alignment);
+        better(alignment, again)
+    } else {
+        alignment
+    };
     let (state, reason) = judge(&alignment, config);
     Tracked {
         is_surprising: is_surprising(&alignment, prior, config),
@@ -111,7 +130,7 @@ pub(crate) fn track(
 
 fn is_surprising(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
     let last = &prior.last_from_keyframe;
-    let expected = prior.frame_from_last * last.frame_from_keyframe;
+    let expected = prior.motion().frame_from_keyframe;
     let difference = alignment.motion.frame_from_keyframe * expected.inverse();
     let change = alignment.motion.log_gain - last.log_gain;
     difference.log().norm() > config.surprising_motion || change.abs() > config.surprising_log_gain
@@ -248,7 +267,7 @@ mod tests {
     use super::*;
 
     /// Of a frame that shows all points where they should be.
-    fn perfect(num_points: usize) -> Alignment {
+    pub(super) fn perfect(num_points: usize) -> Alignment {
         Alignment {
             motion: Motion::from_pose(Se3::identity()),
             residual_rms: 2.0,
