@@ -58,6 +58,17 @@ pub(crate) const fn may_be_confirmed(state: TrackingState, is_surprising: bool) 
     matches!(state, TrackingState::Good) && !is_surprising
 }
 
+/// How far a pose by points is believed, of which the pixels say so much. Where they disagree altogether it is believed, but the frame says nothing
+/// about the depth of the keyframe; unless the pose is also far from where the motion leads: points of another place agree among themselves.
+pub(crate) const fn state_at_points(by_pixels: TrackingState, is_far: bool) -> TrackingState {
+    match by_pixels {
+        TrackingState::Lost if is_far => TrackingState::Lost,
+        TrackingState::Lost => TrackingState::Degraded,
+        TrackingState::Degraded | TrackingState::Good => TrackingState::Good,
+        other => other,
+    }
+}
+
 /// Whether points decide where a frame is: enough of them agree with one pose, and they are the larger part of
 /// those that were found.
 pub(crate) fn do_points_decide(
@@ -193,6 +204,19 @@ pub(crate) fn is_refining(evidence: &RefinementEvidence, config: &RefinementConf
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn points_overrule_pixels_only_near_where_the_motion_leads() {
+        use TrackingState::{Degraded, Good, Lost};
+        for (by_pixels, near, far) in [
+            (Good, Good, Good),
+            (Degraded, Good, Good),
+            (Lost, Degraded, Lost),
+        ] {
+            assert_eq!(state_at_points(by_pixels, false), near);
+            assert_eq!(state_at_points(by_pixels, true), far);
+        }
+    }
 
     #[test]
     fn points_decide_when_enough_agree_and_most_of_those_found() {

@@ -16,10 +16,12 @@ pub(super) fn is_weak(alignment: &Alignment, prior: &MotionPrior, config: &Track
         || alignment.correlation.unwrap_or(0.0) < config.retry_correlation
 }
 
-/// The second of two alignments of a frame if it explains more than the first.
-pub(super) fn better(first: Alignment, second: Alignment) -> Alignment {
-    let is_better =
-        second.motion.frame_from_keyframe.is_finite() && explained(&second) > explained(&first);
+/// The second of two alignments of a frame if it agrees well and explains more than the first. (In noise no alignment agrees well, and those
+/// that were right to be refused at a start would be let in.)
+pub(super) fn better(first: Alignment, second: Alignment, config: &TrackingConfig) -> Alignment {
+    let is_better = second.motion.frame_from_keyframe.is_finite()
+        && second.correlation.unwrap_or(0.0) >= config.retry_correlation
+        && explained(&second) > MIN_TIMES_BETTER * explained(&first);
     if is_better { second } else { first }
 }
 
@@ -29,6 +31,9 @@ fn explained(alignment: &Alignment) -> f64 {
     let residual = f64::from(alignment.residual_rms / alignment.gain()).max(MIN_RESIDUAL);
     f64::from(alignment.good_share) * alignment.correlation.unwrap_or(0.0) / residual
 }
+
+/// Where a shutter rolls two alignments differ by less without one of them having slid, and the first has seen more levels.
+const MIN_TIMES_BETTER: f64 = 1.25;
 
 /// Smaller residuals say nothing, grey levels.
 const MIN_RESIDUAL: f64 = 0.1;
@@ -86,6 +91,7 @@ mod tests {
     /// Numbers of the frame of the stairs at which alignment slid off the door that left the view.
     #[test]
     fn few_points_that_agree_are_worth_more_than_many_that_do_not() {
+        let config = TrackingConfig::default();
         let few = Alignment {
             good_share: 0.4,
             residual_rms: 2.8,
@@ -106,24 +112,52 @@ mod tests {
         };
         dim.motion.log_gain = -1.23;
         for wrong in [slid, dim] {
-            assert_eq!(better(wrong.clone(), few.clone()).residual_rms, 2.8);
-            assert_eq!(better(few.clone(), wrong).residual_rms, 2.8);
+            assert_eq!(
+                better(wrong.clone(), few.clone(), &config).residual_rms,
+                2.8
+            );
+            assert_eq!(better(few.clone(), wrong, &config).residual_rms, 2.8);
         }
     }
 
     #[test]
+    fn what_agrees_badly_is_not_taken_however_much_better_it_is() {
+        let noisy = |correlation, residual_rms| Alignment {
+            correlation: Some(correlation),
+            residual_rms,
+            ..perfect(2800)
+        };
+        let config = TrackingConfig::default();
+        let chosen = |second| better(noisy(0.32, 28.0), second, &config).residual_rms;
+        assert_eq!(chosen(noisy(0.89, 14.0)), 28.0);
+        assert_eq!(chosen(noisy(0.91, 14.0)), 14.0);
+    }
+
+    #[test]
+    fn a_little_better_is_not_enough() {
+        let config = TrackingConfig::default();
+        let with = |residual_rms| Alignment {
+            residual_rms,
+            ..perfect(2800)
+        };
+        assert_eq!(better(with(6.0), with(5.0), &config).residual_rms, 6.0);
+        assert_eq!(better(with(6.0), with(4.0), &config).residual_rms, 4.0);
+    }
+
+    #[test]
     fn the_first_stays_where_the_second_is_no_better_or_no_motion() {
+        let config = TrackingConfig::default();
         let first = Alignment {
             iterations: 1,
             ..perfect(1000)
         };
         let second = perfect(1000);
-        assert_eq!(better(first.clone(), second).iterations, 1);
+        assert_eq!(better(first.clone(), second, &config).iterations, 1);
         let mut lost = Alignment {
             residual_rms: 0.5,
             ..perfect(1000)
         };
         lost.motion.frame_from_keyframe.translation.x = f64::NAN;
-        assert_eq!(better(first, lost).iterations, 1);
+        assert_eq!(better(first, lost, &config).iterations, 1);
     }
 }

@@ -8,9 +8,9 @@
 
 use super::again::polish;
 use super::points::{PointMap, PointPose};
-use super::{MotionPrior, Support, Tracked, judge, track};
+use super::{MotionPrior, Support, Tracked, is_far, judge, track};
 use crate::frame::Frame;
-use crate::policy::may_be_confirmed;
+use crate::policy::{may_be_confirmed, state_at_points};
 use crate::{TrackingConfig, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
 use monogrid_geometry::Pinhole;
@@ -46,7 +46,15 @@ pub(crate) fn track_with_points(
         })
         .flatten();
     if let Some(points) = near {
-        return at_points(reference, frame, aligned, &points, by_alignment, config);
+        return at_points(
+            reference,
+            frame,
+            prior,
+            aligned,
+            &points,
+            by_alignment,
+            config,
+        );
     }
     let predicted = prior.motion().frame_from_keyframe;
     let around = [predicted, by_alignment.frame_from_keyframe]
@@ -62,14 +70,22 @@ pub(crate) fn track_with_points(
         ..prior.last_from_keyframe
     };
     let polished = polish(reference, frame, &start, &config.alignment);
-    at_points(reference, frame, aligned, &points, polished.motion, config)
+    at_points(
+        reference,
+        frame,
+        prior,
+        aligned,
+        &points,
+        polished.motion,
+        config,
+    )
 }
 
-/// The pose that the points gave, with what the pixels say about it. Where they disagree altogether the pose is
-/// believed, but the frame says nothing about the depth of the keyframe.
+/// The pose that the points gave, with what the pixels say about it.
 fn at_points(
     reference: &Reference,
     frame: &Frame,
+    prior: &MotionPrior,
     aligned: Tracked,
     points: &PointPose,
     brightness: Motion,
@@ -80,18 +96,22 @@ fn at_points(
         ..brightness
     };
     let alignment = look(reference, frame, &motion, &config.alignment);
-    let (state, reason) = match judge(&alignment, config) {
-        (TrackingState::Lost, reason) => (TrackingState::Degraded, reason),
-        (TrackingState::Degraded | TrackingState::Good, _) => (TrackingState::Good, None),
-        verdict => verdict,
-    };
+    let (by_pixels, reason) = judge(&alignment, config);
+    let state = state_at_points(by_pixels, is_far(&motion, prior, config));
+    if state == TrackingState::Lost {
+        return Tracked {
+            state,
+            reason,
+            ..aligned
+        };
+    }
     Tracked {
         alignment,
         support: Support::Held {
             num_points: points.num_inliers,
         },
         state,
-        reason,
+        reason: reason.filter(|_| state != TrackingState::Good),
         ..aligned
     }
 }

@@ -28,7 +28,8 @@ pub struct TrackingConfig {
     /// and this share of all points is visible. Range [0, 1].
     pub accept_visible_share: f32,
     /// Aligned again on the two finest levels, from where the motion of the last frames leads, where the grey values correlate less than
-    /// this, the pose is a surprise, or it is not good; what explains more is taken. Only with `motion_hypotheses`. Range [-1, 1].
+    /// this, the pose is a surprise, or it is not good; taken if they correlate at least so well there, and it explains more. Only with
+    /// `motion_hypotheses`. Range [-1, 1].
     pub retry_correlation: f64,
     /// Fewest points on the finest level. Range [6, 1000000].
     pub min_points: usize,

@@ -114,7 +114,7 @@ pub(crate) fn track(
     );
     let alignment = if config.motion_hypotheses && is_weak(&alignment, prior, config) {
         let again = polish(reference, frame, &prior.motion(), &config.alignment);
-        better(alignment, again)
+        better(alignment, again, config)
     } else {
         alignment
     };
@@ -129,11 +129,15 @@ pub(crate) fn track(
 }
 
 fn is_surprising(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
-    let last = &prior.last_from_keyframe;
+    let change = alignment.motion.log_gain - prior.last_from_keyframe.log_gain;
+    is_far(&alignment.motion, prior, config) || change.abs() > config.surprising_log_gain
+}
+
+/// Whether a pose is far from where the motion of the last frames leads.
+fn is_far(motion: &Motion, prior: &MotionPrior, config: &TrackingConfig) -> bool {
     let expected = prior.motion().frame_from_keyframe;
-    let difference = alignment.motion.frame_from_keyframe * expected.inverse();
-    let change = alignment.motion.log_gain - last.log_gain;
-    difference.log().norm() > config.surprising_motion || change.abs() > config.surprising_log_gain
+    let difference = motion.frame_from_keyframe * expected.inverse();
+    difference.log().norm() > config.surprising_motion
 }
 
 /// Whether a coarse alignment is good enough to stop looking for a better start.
