@@ -144,6 +144,7 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_error_px: 0.1, 100.0;
         min_inliers: 4.0, 1_000_000.0;
         min_inlier_share: 0.0, 1.0;
+        max_jump: 0.0, 1000.0;
         alignment_sigma_factor: 0.01, 1000.0;
     }));
     all.extend(alignment_limits(slam));

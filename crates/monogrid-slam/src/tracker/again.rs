@@ -129,8 +129,9 @@ mod tests {
         };
         let config = TrackingConfig::default();
         let chosen = |second| better(noisy(0.32, 28.0), second, &config).residual_rms;
-        assert_eq!(chosen(noisy(0.89, 14.0)), 28.0);
-        assert_eq!(chosen(noisy(0.91, 14.0)), 14.0);
+        let least = config.retry_correlation;
+        assert_eq!(chosen(noisy(least - 0.01, 14.0)), 28.0);
+        assert_eq!(chosen(noisy(least + 0.01, 14.0)), 14.0);
     }
 
     #[test]

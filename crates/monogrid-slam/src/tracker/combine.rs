@@ -8,7 +8,7 @@
 
 use super::again::polish;
 use super::points::{PointMap, PointPose};
-use super::{MotionPrior, Support, Tracked, is_far, judge, track};
+use super::{MotionPrior, Support, Tracked, judge, track};
 use crate::frame::Frame;
 use crate::policy::{may_be_confirmed, state_at_points};
 use crate::{TrackingConfig, TrackingState};
@@ -97,7 +97,8 @@ fn at_points(
     };
     let alignment = look(reference, frame, &motion, &config.alignment);
     let (by_pixels, reason) = judge(&alignment, config);
-    let state = state_at_points(by_pixels, is_far(&motion, prior, config));
+    let is_far = prior.distance_to(&motion) > config.points.max_jump;
+    let state = state_at_points(by_pixels, is_far);
     if state == TrackingState::Lost {
         return Tracked {
             state,

@@ -98,6 +98,9 @@ pub struct PointTrackingConfig {
     pub min_inliers: usize,
     /// and their smallest share of those that were found. Range [0, 1].
     pub min_inlier_share: f64,
+    /// Largest difference from where the motion of the last frames leads (norm of the twist, median depths and rad) of a pose that points
+    /// gave and no pixels of the keyframe agree with. Range [0, 1000].
+    pub max_jump: f64,
     /// Factor on the standard deviations of a pose by alignment where it is fused with that of the points: its
     /// residuals do not show the errors of the depth. Range [0.01, 1000].
     pub alignment_sigma_factor: f64,
@@ -116,6 +119,7 @@ impl Default for PointTrackingConfig {
             max_error_px: 3.0,
             min_inliers: 30,
             min_inlier_share: 0.5,
+            max_jump: 0.6,
             alignment_sigma_factor: 2.0,
         }
     }
@@ -132,7 +136,7 @@ impl Default for TrackingConfig {
             motion_hypotheses: true,
             accept_good_of_visible: 0.85,
             accept_visible_share: 0.5,
-            retry_correlation: 0.9,
+            retry_correlation: 0.8,
             min_points: 60,
             min_holding_points: 400,
             min_visible_share: 0.15,

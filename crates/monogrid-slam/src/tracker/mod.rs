@@ -34,6 +34,13 @@ impl MotionPrior {
             ..*last
         }
     }
+
+    /// How far a pose is from there: norm of the twist, median depths and rad.
+    fn distance_to(&self, motion: &Motion) -> f64 {
+        let expected = self.motion().frame_from_keyframe;
+        let difference = motion.frame_from_keyframe * expected.inverse();
+        difference.log().norm()
+    }
 }
 
 /// What points of the sparse layer say about a pose.
@@ -130,14 +137,8 @@ pub(crate) fn track(
 
 fn is_surprising(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
     let change = alignment.motion.log_gain - prior.last_from_keyframe.log_gain;
-    is_far(&alignment.motion, prior, config) || change.abs() > config.surprising_log_gain
-}
-
-/// Whether a pose is far from where the motion of the last frames leads.
-fn is_far(motion: &Motion, prior: &MotionPrior, config: &TrackingConfig) -> bool {
-    let expected = prior.motion().frame_from_keyframe;
-    let difference = motion.frame_from_keyframe * expected.inverse();
-    difference.log().norm() > config.surprising_motion
+    prior.distance_to(&alignment.motion) > config.surprising_motion
+        || change.abs() > config.surprising_log_gain
 }
 
 /// Whether a coarse alignment is good enough to stop looking for a better start.
