@@ -53,18 +53,121 @@ pub fn median(values: &[f64]) -> Option<f64> {
     }
 }
 
+/// As [`median`], of values too many to be kept: they are made anew whenever they are looked at, seven times in all, always the same in
+/// the same order.
+pub(crate) fn median_of_many<I>(values: impl Fn() -> I) -> Option<f64>
+where
+    I: Iterator<Item = f64>,
+{
+    let n = values().count();
+    if n == 0 {
+        return None;
+    }
+    let low = ranked(&values, (n - 1) / 2);
+    if n % 2 == 1 {
+        return Some(low);
+    }
+    let num_up_to_low = values().filter(|v| v.total_cmp(&low).is_le()).count();
+    let above = values().filter(|v| v.total_cmp(&low).is_gt());
+    let high = above
+        .min_by(f64::total_cmp)
+        .filter(|_| num_up_to_low <= n / 2);
+    Some(0.5 * (low + high.unwrap_or(low)))
+}
+
+/// As [`robust_deviation`], of values that are made anew as in [`median_of_many`], which gave `centre`.
+pub(crate) fn robust_deviation_of_many<I>(values: impl Fn() -> I, centre: f64) -> Option<f64>
+where
+    I: Iterator<Item = f64>,
+{
+    let deviations = || values().map(|v| (v - centre).abs());
+    median_of_many(deviations).map(|mad| SIGMA_BY_MAD * mad)
+}
+
+/// The value that so many others come before: its bits are found sixteen at a time, by counting.
+fn ranked<I>(values: impl Fn() -> I, mut rank: usize) -> f64
+where
+    I: Iterator<Item = f64>,
+{
+    let mut prefix = 0;
+    for shift in [48, 32, 16, 0] {
+        let mut counts = vec![0_usize; 1 << 16];
+        for place in values().map(place) {
+            if (place >> shift) >> 16 == prefix {
+                counts[(place >> shift) as usize & 0xffff] += 1;
+            }
+        }
+        let mut digit = 0;
+        while digit < 0xffff && rank >= counts[digit] {
+            rank -= counts[digit];
+            digit += 1;
+        }
+        prefix = prefix << 16 | digit as u64;
+    }
+    value_at(prefix)
+}
+
+const SIGN: u64 = 1 << 63;
+
+/// A number that grows with the value.
+fn place(value: f64) -> u64 {
+    let bits = value.to_bits();
+    if bits & SIGN == 0 { bits | SIGN } else { !bits }
+}
+
+fn value_at(place: u64) -> f64 {
+    f64::from_bits(if place & SIGN == 0 {
+        !place
+    } else {
+        place & !SIGN
+    })
+}
+
+/// Standard deviation of a normal distribution by its median absolute deviation.
+const SIGMA_BY_MAD: f64 = 1.482_602_218_505_602;
+
 /// 1.4826 times the median absolute deviation from the median: the standard deviation of a normal
 /// distribution, blind to outliers. `None` when there are no values.
 #[must_use]
 pub fn robust_deviation(values: &[f64]) -> Option<f64> {
     let centre = median(values)?;
     let deviations: Vec<f64> = values.iter().map(|v| (v - centre).abs()).collect();
-    median(&deviations).map(|mad| 1.482_602_218_505_602 * mad)
+    median(&deviations).map(|mad| SIGMA_BY_MAD * mad)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn median_of_many_is_that_of_the_sorted_values() {
+        let mut seed = 7_u64;
+        let mut random = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (seed >> 40) as f64 / f64::from(1 << 20) - 8.0
+        };
+        for n in [1, 2, 3, 4, 9, 100, 1001] {
+            for levels in [1.0, 1e9] {
+                // few levels: the middle values are alike, or negative and positive
+                let values: Vec<f64> = (0..n)
+                    .map(|_| (random() * levels).round() / levels)
+                    .collect();
+                let many = || values.iter().copied();
+                let of_many = median_of_many(many).expect("not empty");
+                assert_eq!(Some(of_many), median(&values), "{values:?}");
+                assert_eq!(
+                    robust_deviation_of_many(many, of_many),
+                    robust_deviation(&values)
+                );
+            }
+        }
+        let special = [-0.0, 0.0, f64::NEG_INFINITY, f64::MAX, -1e-310, 1e-310];
+        assert_eq!(
+            median_of_many(|| special.into_iter()).map(f64::to_bits),
+            median(&special).map(f64::to_bits)
+        );
+        assert_eq!(median_of_many(std::iter::empty), None);
+    }
 
     #[test]
     fn summary_of_known_numbers() {

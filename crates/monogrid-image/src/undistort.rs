@@ -3,6 +3,7 @@
 use crate::{GrayImage, Image, Mask, Resize, resize_area};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 use std::borrow::Cow;
+use std::sync::Arc;
 
 /// How the working size is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,8 +105,9 @@ pub struct Undistorter {
     crop: (usize, usize, usize, usize),
     /// Size after area averaging, before remapping.
     reduced: Resize,
-    /// Where each output pixel is read in the reduced image; empty when nothing is to be resampled.
-    remap: Vec<Tap>,
+    /// Where each output pixel is read in the reduced image; empty when nothing is to be resampled. Copies of
+    /// the mapping share it.
+    remap: Arc<[Tap]>,
     mask: Mask,
 }
 
@@ -166,7 +168,7 @@ impl Undistorter {
             height,
             crop,
             reduced,
-            remap,
+            remap: remap.into(),
             mask: Mask::filled(width, height, 255),
         };
         this.mask = this.valid_mask(mask);

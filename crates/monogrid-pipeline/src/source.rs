@@ -12,8 +12,8 @@ use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Frames decoded ahead: enough to bridge a slow file, few enough to stay small.
-const FRAMES_AHEAD: usize = 6;
+/// Frames decoded ahead: enough to bridge a slow file; each takes four bytes per pixel.
+const FRAMES_AHEAD: usize = 3;
 
 /// A frame of a source.
 #[derive(Debug)]
@@ -81,7 +81,8 @@ pub enum ReadOn {
 
 /// Frames after which what was found of the rolling shutter is used: more than can be read and not taken yet, so that it does not
 /// depend on how far ahead the reader is.
-const FRAMES_UNTIL_RECTIFIED: usize = 2 * (FRAMES_AHEAD + MAX_WAITING);
+const FRAMES_UNTIL_RECTIFIED: usize = 28;
+const _: () = assert!(FRAMES_UNTIL_RECTIFIED > FRAMES_AHEAD + MAX_WAITING + 2);
 
 /// How fast frames are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

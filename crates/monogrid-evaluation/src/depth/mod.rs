@@ -8,7 +8,7 @@ mod error;
 
 pub use error::DepthError;
 
-use crate::statistics::{median, robust_deviation};
+use crate::statistics::{median, median_of_many, robust_deviation_of_many};
 use serde::Serialize;
 
 /// Estimated depth of one pixel of a keyframe.
@@ -170,25 +170,40 @@ impl Comparison {
     }
 }
 
+/// A comparison as it is kept until all keyframes are there: a run has millions.
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    idepth: f32,
+    idepth_var: f32,
+    /// In the unit of the truth; negative where there is no gradient.
+    true_depth: f32,
+}
+
 #[derive(Clone, Debug)]
 struct Keyframe {
     id: u64,
     known_pixels: usize,
     gradient_pixels: usize,
-    comparisons: Vec<Comparison>,
+    world_scale: f64,
+    kept: Vec<Kept>,
 }
 
 impl Keyframe {
+    fn comparisons(&self) -> impl Iterator<Item = Comparison> {
+        self.kept.iter().map(|kept| Comparison {
+            idepth: f64::from(kept.idepth),
+            idepth_sigma: f64::from(kept.idepth_var).sqrt(),
+            true_idepth: self.world_scale / f64::from(kept.true_depth.abs()),
+            has_gradient: kept.true_depth > 0.0,
+        })
+    }
+
     fn shares(&self, scale: f64) -> DepthShares {
         shares([self].into_iter(), |_| scale)
     }
 
     fn own_scale(&self) -> Option<f64> {
-        let ratios: Vec<f64> = self
-            .comparisons
-            .iter()
-            .map(Comparison::depth_ratio)
-            .collect();
+        let ratios: Vec<f64> = self.comparisons().map(|c| c.depth_ratio()).collect();
         median(&ratios).filter(|scale| *scale > 0.0)
     }
 }
@@ -228,11 +243,15 @@ impl DepthEvaluator {
         let compare = |estimate: &DepthEstimate| {
             let index = estimate.y_px as usize * keyframe.width + estimate.x_px as usize;
             let true_depth = keyframe.true_depth[index];
-            is_known(true_depth).then(|| Comparison {
-                idepth: f64::from(estimate.idepth),
-                idepth_sigma: f64::from(estimate.idepth_var).sqrt(),
-                true_idepth: keyframe.world_scale / f64::from(true_depth),
-                has_gradient: keyframe.gradient[index] >= self.config.min_gradient,
+            let has_gradient = keyframe.gradient[index] >= self.config.min_gradient;
+            is_known(true_depth).then_some(Kept {
+                idepth: estimate.idepth,
+                idepth_var: estimate.idepth_var,
+                true_depth: if has_gradient {
+                    true_depth
+                } else {
+                    -true_depth
+                },
             })
         };
         self.num_estimates += keyframe.estimates.len();
@@ -240,7 +259,8 @@ impl DepthEvaluator {
             id: keyframe.id,
             known_pixels: keyframe.true_depth.iter().filter(|d| is_known(**d)).count(),
             gradient_pixels,
-            comparisons: keyframe.estimates.iter().filter_map(compare).collect(),
+            world_scale: keyframe.world_scale,
+            kept: keyframe.estimates.iter().filter_map(compare).collect(),
         });
         Ok(())
     }
@@ -250,37 +270,30 @@ impl DepthEvaluator {
     /// # Errors
     /// When no estimate lies where the truth is known, or a scale that was set is not positive.
     pub fn finish(self) -> Result<DepthReport, DepthError> {
-        let all: Vec<Comparison> = self
-            .keyframes
-            .iter()
-            .flat_map(|k| k.comparisons.iter().copied())
-            .collect();
+        let all = || self.keyframes.iter().flat_map(Keyframe::comparisons);
+        let num_compared = self.keyframes.iter().map(|k| k.kept.len()).sum();
         let no_truth = || DepthError::NoTruth {
             estimates: self.num_estimates,
         };
-        let ratios: Vec<f64> = all.iter().map(Comparison::depth_ratio).collect();
-        let fitted = median(&ratios).ok_or_else(no_truth)?;
+        let fitted = median_of_many(|| all().map(|c| c.depth_ratio())).ok_or_else(no_truth)?;
         let scale = self.config.scale.unwrap_or(fitted);
         if !(scale > 0.0 && scale.is_finite()) {
             return Err(DepthError::Scale { id: 0, scale });
         }
-        let normalised = normalised_error(&all, scale).ok_or_else(no_truth)?;
-        let idepth_errors: Vec<f64> = all
-            .iter()
-            .map(|c| c.idepth / (scale * c.true_idepth) - 1.0)
-            .collect();
-        let relative_depths: Vec<f64> = all
-            .iter()
-            .filter(|c| c.idepth > 0.0)
-            .map(|c| c.relative_depth(scale))
-            .collect();
+        let normalised =
+            normalised_error(|| all().map(|c| c.normalised(scale))).ok_or_else(no_truth)?;
+        let idepth_errors = || all().map(|c| c.idepth / (scale * c.true_idepth) - 1.0);
+        let relative_depths = || {
+            let positive = all().filter(|c| c.idepth > 0.0);
+            positive.map(|c| c.relative_depth(scale))
+        };
         let share_of_estimates = |ratio: f64| {
-            all.iter().filter(|c| c.is_within(ratio, scale)).count() as f64 / all.len() as f64
+            all().filter(|c| c.is_within(ratio, scale)).count() as f64 / num_compared as f64
         };
         Ok(DepthReport {
             scale,
             keyframes: self.keyframes.len(),
-            estimates: all.len(),
+            estimates: num_compared,
             gradient_pixels: self.keyframes.iter().map(|k| k.gradient_pixels).sum(),
             shares: shares(self.keyframes.iter(), |_| scale),
             shares_own_scale: shares(self.keyframes.iter(), |k| k.own_scale().unwrap_or(scale)),
@@ -288,9 +301,9 @@ impl DepthEvaluator {
             shares_of_known: shares_of_known(&self.keyframes, scale),
             estimates_within_3_percent: share_of_estimates(0.03),
             estimates_within_10_percent: share_of_estimates(0.1),
-            bias: median(&relative_depths).ok_or_else(no_truth)? - 1.0,
-            idepth_bias: median(&idepth_errors).ok_or_else(no_truth)?,
-            rmse_log_depth: rmse_log(&relative_depths),
+            bias: median_of_many(relative_depths).ok_or_else(no_truth)? - 1.0,
+            idepth_bias: median_of_many(idepth_errors).ok_or_else(no_truth)?,
+            rmse_log_depth: rmse_log(relative_depths()),
             normalised_error: normalised,
             per_keyframe: self.keyframes.iter().map(|k| report(k, scale)).collect(),
         })
@@ -353,7 +366,7 @@ fn shares<'a>(
     for keyframe in keyframes {
         let scale = scale_of(keyframe);
         pixels += keyframe.gradient_pixels;
-        for c in keyframe.comparisons.iter().filter(|c| c.has_gradient) {
+        for c in keyframe.comparisons().filter(|c| c.has_gradient) {
             have += 1;
             within_3 += usize::from(c.is_within(0.03, scale));
             within_10 += usize::from(c.is_within(0.1, scale));
@@ -371,7 +384,7 @@ fn shares<'a>(
 fn shares_of_known(keyframes: &[Keyframe], scale: f64) -> DepthShares {
     let pixels: usize = keyframes.iter().map(|k| k.known_pixels).sum();
     let share = |counts: &dyn Fn(&Comparison) -> bool| {
-        let of_keyframe = |k: &Keyframe| k.comparisons.iter().filter(|c| counts(c)).count();
+        let of_keyframe = |k: &Keyframe| k.comparisons().filter(|c| counts(c)).count();
         keyframes.iter().map(of_keyframe).sum::<usize>() as f64 / pixels.max(1) as f64
     };
     DepthShares {
@@ -381,31 +394,38 @@ fn shares_of_known(keyframes: &[Keyframe], scale: f64) -> DepthShares {
     }
 }
 
-fn normalised_error(all: &[Comparison], scale: f64) -> Option<NormalisedError> {
-    let errors: Vec<f64> = all.iter().map(|c| c.normalised(scale)).collect();
-    let median = median(&errors)?;
-    let n = errors.len() as f64;
-    let mean = errors.iter().sum::<f64>() / n;
-    let variance = errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n;
+/// Of errors in standard deviations, which are made anew for each question.
+fn normalised_error<I>(errors: impl Fn() -> I) -> Option<NormalisedError>
+where
+    I: Iterator<Item = f64>,
+{
+    let median = median_of_many(&errors)?;
+    let n = errors().count() as f64;
+    let mean = errors().sum::<f64>() / n;
+    let variance = errors().map(|e| (e - mean).powi(2)).sum::<f64>() / n;
     Some(NormalisedError {
         median,
         absolute_median: median.abs(),
-        robust_deviation: robust_deviation(&errors)?,
-        within_2_sigma: errors.iter().filter(|e| e.abs() <= 2.0).count() as f64 / n,
+        robust_deviation: robust_deviation_of_many(&errors, median)?,
+        within_2_sigma: errors().filter(|e| e.abs() <= 2.0).count() as f64 / n,
         std: variance.sqrt(),
     })
 }
 
-fn rmse_log(relative_depths: &[f64]) -> f64 {
-    let sum: f64 = relative_depths.iter().map(|r| r.ln().powi(2)).sum();
-    (sum / relative_depths.len().max(1) as f64).sqrt()
+fn rmse_log(relative_depths: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0_usize);
+    for ratio in relative_depths {
+        sum += ratio.ln().powi(2);
+        count += 1;
+    }
+    (sum / count.max(1) as f64).sqrt()
 }
 
 fn report(keyframe: &Keyframe, global_scale: f64) -> KeyframeDepthReport {
     let own = keyframe.own_scale();
     KeyframeDepthReport {
         id: keyframe.id,
-        estimates: keyframe.comparisons.len(),
+        estimates: keyframe.kept.len(),
         scale: own,
         relative_scale: own.map(|scale| scale / global_scale),
         shares: keyframe.shares(global_scale),
