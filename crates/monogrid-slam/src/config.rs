@@ -103,8 +103,8 @@ pub struct MemoryConfig {
 impl Default for MemoryConfig {
     fn default() -> Self {
         Self {
-            keyframes_mb: 16.0,
-            prepared_mb: 10.0,
+            keyframes_mb: 12.0,
+            prepared_mb: 8.0,
         }
     }
 }

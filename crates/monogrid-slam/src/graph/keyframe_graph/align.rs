@@ -13,7 +13,7 @@ use monogrid_geometry::Sim3;
 use std::sync::Arc;
 
 /// Keyframes that are prepared for alignment at the same time at most; one takes 1.8 MB at 640x480, and to prepare it a few milliseconds.
-const MAX_PREPARED: usize = 5;
+const MAX_PREPARED: usize = 4;
 
 impl KeyframeGraph {
     /// Keeps a finished keyframe; whether it is new.
