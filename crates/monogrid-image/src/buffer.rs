@@ -186,11 +186,21 @@ pub fn bicubic(image: &GrayImage, xs: [f32; 4], ys: [f32; 4]) -> [f32; 4] {
         .zip(tops)
         .all(|(left, top)| is_inside(*left, w) && is_inside(top, h));
     let place = |k: usize| (lefts[k] as usize, tops[k] as usize);
-    let around: [[f32x4; 4]; 4] = if inside {
-        std::array::from_fn(|k| samples_inside(image, place(k)))
-    } else {
-        std::array::from_fn(|k| samples_at_border(image, place(k)))
-    };
+    if !inside {
+        let around = std::array::from_fn(|k| samples_at_border(image, place(k)));
+        return apart(around, across, down);
+    }
+    if (0..4).all(|k| (lefts[k], tops[k]) == (lefts[0] + k as i32, tops[0])) {
+        return abreast(image, place(0), across, down);
+    }
+    let around = std::array::from_fn(|k| samples_inside(image, place(k)));
+    apart(around, across, down)
+}
+
+/// Values at four places, each with rows of samples of its own; weights of the samples in the order of [`cubic_weights`].
+#[inline(always)]
+fn apart(around: [[f32x4; 4]; 4], across: [f32x4; 4], down: [f32x4; 4]) -> [f32; 4] {
+    let (across, down) = (f32x4::transpose(across), f32x4::transpose(down));
     let (mut rows, mut low, mut high) = ([f32x4::ZERO; 4], [f32x4::ZERO; 4], [f32x4::ZERO; 4]);
     for k in 0..4 {
         let [a, b, c, d] = around[k];
@@ -206,6 +216,37 @@ pub fn bicubic(image: &GrayImage, xs: [f32; 4], ys: [f32; 4]) -> [f32; 4] {
     values.fast_max(within.0).fast_min(within.1).to_array()
 }
 
+/// The same bits where the places follow each other, the first after the pixel `left` of row `top`: their samples do so too,
+/// and lie in the lanes in which their places do.
+#[inline(always)]
+fn abreast(
+    image: &GrayImage,
+    (left, top): (usize, usize),
+    across: [f32x4; 4],
+    down: [f32x4; 4],
+) -> [f32; 4] {
+    let width = image.width;
+    let rows = &image.data[(top - 1) * width + left - 1..][..3 * width + 7];
+    let mut sum = f32x4::ZERO;
+    let (mut low, mut high) = (f32x4::splat(f32::MAX), f32x4::splat(f32::MIN));
+    for (column, weight) in across.into_iter().enumerate() {
+        let samples = |row: usize| four(&rows[row * width + column..]);
+        let (a, b, c, d) = (samples(0), samples(1), samples(2), samples(3));
+        low = low.fast_min(a.fast_min(b).fast_min(c.fast_min(d)));
+        high = high.fast_max(a.fast_max(b).fast_max(c.fast_max(d)));
+        let [above, at, below, last] = down;
+        let part = weight * (above * a + at * b + below * c + last * d);
+        sum = if column == 0 { part } else { sum + part };
+    }
+    sum.fast_max(low).fast_min(high).to_array()
+}
+
+/// The first four values.
+#[inline(always)]
+fn four(values: &[f32]) -> f32x4 {
+    f32x4::new([values[0], values[1], values[2], values[3]])
+}
+
 /// Whether a line of this many pixels has one before this place and two behind it.
 #[inline]
 fn is_inside(before: i32, length: usize) -> bool {
@@ -216,10 +257,8 @@ fn is_inside(before: i32, length: usize) -> bool {
 #[inline(always)]
 fn samples_inside(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 4] {
     let rows = &image.data[(top - 1) * image.width + left - 1..][..3 * image.width + 4];
-    [0, 1, 2, 3].map(|k| {
-        let row = &rows[k * image.width..][..4];
-        f32x4::new([row[0], row[1], row[2], row[3]])
-    })
+    let samples = |row: usize| four(&rows[row * image.width..]);
+    [samples(0), samples(1), samples(2), samples(3)]
 }
 
 /// The sixteen samples around the place between this pixel and the next ones; those beyond the border are those at it.
@@ -240,7 +279,7 @@ fn sum_of_lanes(vectors: [f32x4; 4]) -> f32x4 {
     a + b + c + d
 }
 
-/// The pixels before four places on a line of this many pixels, and for each place the weights of the samples at -1, 0, 1, 2.
+/// The pixels before four places on a line of this many pixels, and the weights of the samples at -1, 0, 1, 2, places in the lanes.
 #[inline]
 fn cubic_weights(places: [f32; 4], length: usize) -> ([i32; 4], [f32x4; 4]) {
     let last = f32x4::splat(length as f32 - 1.0);
@@ -248,16 +287,13 @@ fn cubic_weights(places: [f32; 4], length: usize) -> ([i32; 4], [f32x4; 4]) {
     let before = places.fast_trunc_int();
     let t = places - f32x4::from_i32x4(before);
     let (t2, t3) = (t * t, t * t * t);
-    let weights = [
+    let weights: [f32x4; 4] = [
         2.0 * t2 - t3 - t,
         3.0 * t3 - 5.0 * t2 + 2.0,
         4.0 * t2 - 3.0 * t3 + t,
         t3 - t2,
     ];
-    (
-        before.to_array(),
-        f32x4::transpose(weights.map(|w| 0.5 * w)),
-    )
+    (before.to_array(), weights.map(|w| 0.5 * w))
 }
 
 /// Linear value between the samples of a line; `position` lies within them.

@@ -156,6 +156,21 @@ fn bicubic_is_the_convolution_of_keys_also_at_the_border() {
 }
 
 #[test]
+fn places_that_follow_each_other_have_the_bits_that_each_has_alone() {
+    let image = picture(14, 9);
+    for k in 0..3000 {
+        let (x, y) = ((k % 60) as f32 * 0.17 - 1.0, (k / 60) as f32 * 0.19 - 1.0);
+        // a row, one that is sheared into the next, and one that is stretched past a pixel
+        for (across, down) in [(1.0, 0.0), (0.98, 0.003), (1.0, 0.1), (1.1, 0.0)] {
+            let xs = [0.0, 1.0, 2.0, 3.0].map(|k| x + across * k);
+            let ys = [0.0, 1.0, 2.0, 3.0].map(|k| y + down * k);
+            let alone: [f32; 4] = std::array::from_fn(|k| cubic_at(&image, xs[k], ys[k]));
+            assert_eq!(bicubic(&image, xs, ys), alone, "{xs:?} {ys:?}");
+        }
+    }
+}
+
+#[test]
 fn bicubic_is_exact_on_slopes_sharper_than_bilinear_and_does_not_ring() {
     let ramp = GrayImage::from_fn(12, 9, |x, y| 3.0 * x as f32 + 10.0 * y as f32);
     for (x, y) in [(4.0, 4.0), (4.3, 5.9), (7.5, 2.5)] {
