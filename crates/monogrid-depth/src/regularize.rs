@@ -135,12 +135,21 @@ impl DepthMap {
     fn hole(&self, x: usize, y: usize, config: &DepthConfig) -> Option<Hypothesis> {
         let w = self.host.width();
         let arrays = &self.arrays;
+        let around = |yy: usize| yy * w + x - RADIUS..yy * w + x + RADIUS + 1;
+        // most holes are too far from anything known, which costs no division to find out
         let mut support = 0u32;
+        for row in (y - RADIUS..=y + RADIUS).map(around) {
+            for (var, validity) in arrays.var[row.clone()].iter().zip(&arrays.validity[row]) {
+                support += u32::from(*validity) * u32::from(*var > 0.0);
+            }
+        }
+        if support <= u32::from(config.min_support_fill) {
+            return None;
+        }
         let (mut sum_w, mut sum_d, mut sum_dd, mut num) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
-        for yy in y - RADIUS..=y + RADIUS {
-            for j in yy * w + x - RADIUS..=yy * w + x + RADIUS {
+        for row in (y - RADIUS..=y + RADIUS).map(around) {
+            for j in row {
                 if arrays.var[j] > 0.0 && arrays.validity[j] > 0 {
-                    support += u32::from(arrays.validity[j]);
                     let weight = 1.0 / arrays.var[j];
                     sum_w += weight;
                     sum_d += weight * arrays.idepth[j];
@@ -149,7 +158,7 @@ impl DepthMap {
                 }
             }
         }
-        if support <= u32::from(config.min_support_fill) || sum_w <= 0.0 {
+        if sum_w <= 0.0 {
             return None;
         }
         let idepth = sum_d / sum_w;
