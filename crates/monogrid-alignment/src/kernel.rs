@@ -323,12 +323,14 @@ impl Projection {
         let (r, t) = (&self.r, &self.t);
         let (mx, my) = (taken(&reference.x, chunk), taken(&reference.y, chunk));
         let d = taken(&reference.idepth, chunk);
-        let [qx, qy, qz] = [0, 1, 2].map(|i| r[i][0] * mx + r[i][1] * my + r[i][2] + t[i] * d);
+        // one by one: vectors that a closure gives back go through memory
+        let q = |i: usize| r[i][0] * mx + r[i][1] * my + r[i][2] + t[i] * d;
+        let (qx, qy, qz) = (q(0), q(1), q(2));
         let inv_qz = 1.0 / qz;
         let (x, y) = (qx * inv_qz, qy * inv_qz);
         let (u, v) = (fx * x + cx, fy * y + cy);
         let visible = qz.simd_gt(f32x8::splat(0.01)) & target.contains_lanes(u, v);
-        let [x, y, d, inv_qz] = [x, y, d, inv_qz].map(|values| visible & values);
+        let (x, y, d, inv_qz) = (visible & x, visible & y, visible & d, visible & inv_qz);
         let [intensity, gu, gv] = target.sample_lanes(u, v, visible);
         let keyframe = visible & taken(&reference.intensity, chunk);
         let scaled_reference = self.gain * keyframe;

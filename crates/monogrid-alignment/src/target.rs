@@ -45,7 +45,7 @@ impl TargetLevel {
         for l in (0..8).filter(|l| mask >> l & 1 == 1) {
             [out[0][l], out[1][l], out[2][l]] = self.sample(u[l], v[l]);
         }
-        out.map(f32x8::new)
+        [f32x8::new(out[0]), f32x8::new(out[1]), f32x8::new(out[2])]
     }
 
     /// Which pixels are far enough inside for value and gradient, as a mask; not those that are no numbers.

@@ -352,14 +352,17 @@ impl Projection {
         let (r, t) = (&self.r, &self.t);
         let (mx, my) = (taken(&points.x, chunk), taken(&points.y, chunk));
         let d = taken(&points.idepth, chunk);
-        let q = [0, 1, 2].map(|k| r[k][0] * mx + r[k][1] * my + r[k][2] + t[k] * d);
+        // one by one: vectors that a closure gives back go through memory
+        let q = |k: usize| r[k][0] * mx + r[k][1] * my + r[k][2] + t[k] * d;
+        let q = [q(0), q(1), q(2)];
         let [fx, fy, cx, cy] = image.intrinsics;
         let inv_qz = 1.0 / q[2];
         let (x, y) = (q[0] * inv_qz, q[1] * inv_qz);
         let (u, v) = (fx * x + cx, fy * y + cy);
         let in_front = q[2].simd_gt(f32x8::splat(0.01)) & d.simd_gt(f32x8::ZERO);
         let visible = in_front & image.contains_lanes(u, v);
-        let [x, y, d, qz, inv_qz] = [x, y, d, q[2], inv_qz].map(|values| visible & values);
+        let (x, y, d) = (visible & x, visible & y, visible & d);
+        let (qz, inv_qz) = (visible & q[2], visible & inv_qz);
         let [intensity, gu, gv] = image.sample_lanes(u, v, visible);
         let own = visible & taken(&points.intensity, chunk);
         let scaled = self.gain * own;

@@ -42,7 +42,7 @@ impl DepthLevel {
                 [out[0][l], out[1][l]] = [idepth, var];
             }
         }
-        out.map(f32x8::new)
+        [f32x8::new(out[0]), f32x8::new(out[1])]
     }
 }
 

@@ -302,13 +302,18 @@ fn sample_warped(
     centre: &Vec2,
     warp: &Matrix2<f64>,
 ) -> Option<[[f32; WIDE]; WIDE]> {
-    let half = (WIDE as f64 - 1.0) / 2.0;
+    const HALF: f64 = (WIDE as f64 - 1.0) / 2.0;
+    let offsets: [f64; WIDE] = std::array::from_fn(|k| k as f64 - HALF);
+    let across = offsets.map(|offset| [warp.m11 * offset, warp.m21 * offset]);
     let mut out = [[0.0f32; WIDE]; WIDE];
-    for (j, row) in out.iter_mut().enumerate() {
-        for (i, value) in row.iter_mut().enumerate() {
-            let offset = Vec2::new(i as f64 - half, j as f64 - half);
-            let at = centre + warp * offset;
-            *value = bilinear(image, at.x as f32, at.y as f32)?;
+    for (row, offset) in out.iter_mut().zip(offsets) {
+        let down = [warp.m12 * offset, warp.m22 * offset];
+        for (value, across) in row.iter_mut().zip(across) {
+            let [x, y] = [
+                centre.x + (across[0] + down[0]),
+                centre.y + (across[1] + down[1]),
+            ];
+            *value = bilinear(image, x as f32, y as f32)?;
         }
     }
     Some(out)
