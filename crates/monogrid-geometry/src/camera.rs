@@ -26,6 +26,7 @@ impl Pinhole {
 
     /// Pixel of a point in the camera frame; meaningful only for `z > 0`.
     #[must_use]
+    #[inline]
     pub fn project(&self, point_in_camera: &Vec3) -> Vec2 {
         let inv_z = 1.0 / point_in_camera.z;
         Vec2::new(
@@ -36,6 +37,7 @@ impl Pinhole {
 
     /// Direction of a pixel with `z = 1` ("bearing per unit depth").
     #[must_use]
+    #[inline]
     pub fn unproject(&self, pixel: &Vec2) -> Vec3 {
         Vec3::new(
             (pixel.x - self.cx) / self.fx,

@@ -133,6 +133,7 @@ impl Se3 {
 
 impl Mul for Se3 {
     type Output = Self;
+    #[inline]
     fn mul(self, rhs: Self) -> Self {
         Self::new(
             // Renormalise, so that long products stay on the group.
@@ -144,6 +145,7 @@ impl Mul for Se3 {
 
 impl Mul<Vec3> for Se3 {
     type Output = Vec3;
+    #[inline]
     fn mul(self, point: Vec3) -> Vec3 {
         self.rotation * point + self.translation
     }

@@ -187,6 +187,7 @@ impl From<Se3> for Sim3 {
 
 impl Mul for Sim3 {
     type Output = Self;
+    #[inline]
     fn mul(self, rhs: Self) -> Self {
         Self::new(
             self.scale * rhs.scale,
@@ -198,6 +199,7 @@ impl Mul for Sim3 {
 
 impl Mul<Vec3> for Sim3 {
     type Output = Vec3;
+    #[inline]
     fn mul(self, point: Vec3) -> Vec3 {
         self.rotation * point * self.scale + self.translation
     }
