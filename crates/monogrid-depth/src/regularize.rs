@@ -136,7 +136,7 @@ impl DepthMap {
         let w = self.host.width();
         let arrays = &self.arrays;
         let around = |yy: usize| yy * w + x - RADIUS..yy * w + x + RADIUS + 1;
-        // most holes are too far from anything known, which costs no division to find out
+        // whether it is too far from anything known is found out without a division
         let mut support = 0u32;
         for row in (y - RADIUS..=y + RADIUS).map(around) {
             for (var, validity) in arrays.var[row.clone()].iter().zip(&arrays.validity[row]) {
@@ -399,6 +399,60 @@ mod tests {
                 assert!(kept > 100 && dropped > 10, "{kept} {dropped}");
             }
         }
+    }
+
+    /// Mean and number of confirmed neighbours, neighbour by neighbour, when they are confirmed enough.
+    fn plain_hole(map: &DepthMap, index: usize, config: &DepthConfig) -> Option<f32> {
+        let (mut support, mut weights, mut sum) = (0u32, 0.0, 0.0);
+        for j in (0..25).map(|k| index + 64 * (k / 5) + k % 5 - 2 * 64 - 2) {
+            let (var, validity) = (map.arrays.var[j], map.arrays.validity[j]);
+            if var > 0.0 && validity > 0 {
+                support += u32::from(validity);
+                weights += 1.0 / var;
+                sum += 1.0 / var * map.arrays.idepth[j];
+            }
+        }
+        (support > u32::from(config.min_support_fill)).then(|| sum / weights)
+    }
+
+    #[test]
+    fn holes_are_those_that_a_plain_count_finds() {
+        let (mut filled, mut left) = (0, 0);
+        for min_support_fill in [30, 55, 70] {
+            let config = DepthConfig {
+                min_support_fill,
+                ..DepthConfig::default()
+            };
+            let mut map = DepthMap::empty(textured(), &config);
+            map.initialize_random(5);
+            for i in 0..map.arrays.var.len() {
+                map.arrays.var[i] *= [0.0, 0.001, 0.3, 1.0, 0.02][i % 5];
+                map.arrays.validity[i] = (i * i % 11 % 7) as u8;
+            }
+            let found = map.holes(0..48, &config);
+            let mut found = found.iter().peekable();
+            for y in 0..48 {
+                for index in map
+                    .candidates
+                    .row(y)
+                    .iter()
+                    .map(|x| y * 64 + usize::from(*x))
+                {
+                    if map.arrays.var[index] > 0.0 || map.arrays.failures[index] > 2 {
+                        continue;
+                    }
+                    let hole = found.next_if(|hole| hole.index == index);
+                    let expected = plain_hole(&map, index, &config);
+                    assert_eq!(hole.map(|hole| hole.hypothesis.idepth), expected);
+                    (filled, left) = match expected {
+                        Some(_) => (filled + 1, left),
+                        None => (filled, left + 1),
+                    };
+                }
+            }
+            assert!(found.next().is_none());
+        }
+        assert!(filled > 100 && left > 100, "{filled} filled, {left} left");
     }
 
     #[test]
