@@ -224,15 +224,18 @@ impl OutputFolder {
             .map_or((None, name), |(f, n)| (Some(f), n));
         for folder in folders.into_iter().flat_map(|folders| folders.split('/')) {
             path.push(folder);
-            match fs::symlink_metadata(&path) {
-                Ok(metadata) if metadata.is_dir() => {}
-                Ok(_) => {
-                    return Err(Failure::running(format!(
-                        "{} is not a folder, nothing is written there",
-                        path.display()
-                    )));
+            match fs::create_dir(&path) {
+                // there may be one, or another thread was faster
+                Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
+                    return Err(unusable(&path, &error));
                 }
-                Err(_) => fs::create_dir(&path).map_err(|error| unusable(&path, &error))?,
+                _ => {}
+            }
+            if !fs::symlink_metadata(&path).is_ok_and(|metadata| metadata.is_dir()) {
+                return Err(Failure::running(format!(
+                    "{} is not a folder, nothing is written there",
+                    path.display()
+                )));
             }
         }
         Ok(path.join(file))
@@ -253,4 +256,33 @@ fn remove(folder: &Path, ours: &[Entry]) -> io::Result<()> {
         let _ = fs::remove_dir(folder.join(below));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Barrier;
+
+    #[test]
+    fn threads_may_write_into_a_new_subfolder_at_once() {
+        const THREADS: usize = 4;
+        let dir = tempfile::tempdir().unwrap();
+        let folder = OutputFolder::replace(&dir.path().join("out"), false, &Inputs::default());
+        let folder = folder.unwrap();
+        for round in 0..100 {
+            let barrier = Barrier::new(THREADS);
+            thread::scope(|scope| {
+                for thread in 0..THREADS {
+                    let (folder, barrier) = (&folder, &barrier);
+                    scope.spawn(move || {
+                        barrier.wait();
+                        let name = format!("{round}/below/{thread}.txt");
+                        folder.write(&name, "content").unwrap();
+                    });
+                }
+            });
+            let written = fs::read_dir(folder.path().join(format!("{round}/below")));
+            assert_eq!(written.unwrap().count(), THREADS);
+        }
+    }
 }
