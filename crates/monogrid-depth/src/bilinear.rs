@@ -28,6 +28,25 @@ impl Grey for f32 {
     }
 }
 
+impl Grey for u16 {
+    /// Upper and lower pair, each as one number.
+    type Cell = [i32; 2];
+
+    #[inline]
+    fn cell([a, b, c, d]: [u16; 4]) -> [i32; 2] {
+        [[a, b], [c, d]].map(|[left, right]| (u32::from(right) << 16 | u32::from(left)) as i32)
+    }
+
+    #[inline]
+    fn by_corner(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
+        let pair = |row: usize| i32x8::new(std::array::from_fn(|place| cells[place][row]));
+        let left = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat(0xFFFF));
+        let right = |pairs: i32x8| f32x8::from_i32x8((pairs >> 16) & i32x8::splat(0xFFFF));
+        let (above, below) = (pair(0), pair(1));
+        [left(above), right(above), left(below), right(below)]
+    }
+}
+
 impl Grey for u8 {
     /// Upper and lower pair, each as one number: to convert each byte alone costs more than all the rest.
     type Cell = [i32; 2];
@@ -91,6 +110,9 @@ mod tests {
         let expected: [f32; 8] = std::array::from_fn(plain);
         let (x, y) = (f32x8::new(x), f32x8::new(y));
         assert_eq!(bilinear(&bytes, x, y), expected);
+        let words = bytes.map(|byte| u16::from(byte) << 8);
+        let of_words: [f32; 8] = bilinear(&words, x, y);
+        assert_eq!(of_words.map(|value| value / 256.0), expected);
         assert_eq!(bilinear(&numbers, x, y), expected);
         let first: [f32; 3] = bilinear(&bytes, x, y);
         assert_eq!(first, expected[..3]);

@@ -126,18 +126,17 @@ pub fn dense_depth(
     sources: &[SourceView],
     config: &DenseConfig,
 ) -> Option<DenseDepth> {
-    let halved = |image: &Image<u8>| half_size(&image.map(f32::from));
-    let half = halved(image);
+    let half = half_size(&image.map(f32::from));
     let sources: Vec<Source> = sources
         .iter()
         .filter(|s| s.image.same_size(image))
-        .map(|s| Source::new(halved(s.image), &s.source_from_keyframe, &camera.half()))
+        .map(|s| Source::new(s.image, &s.source_from_keyframe, &camera.half()))
         .collect();
     if half.width().min(half.height()) < MIN_EDGE_PX {
         return None;
     }
     let idepths = planes(&half, seeds, &sources, config)?;
-    let volume = CostVolume::new(&half, &sources, idepths, config);
+    let volume = CostVolume::new(image, &sources, idepths, config);
     let sums = aggregate(&volume, &half, config);
     Some(winner::winners(&volume, &sums, &half, config))
 }

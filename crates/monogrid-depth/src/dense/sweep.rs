@@ -1,13 +1,14 @@
 //! How well the sources agree with each plane: the cost volume.
 
 use super::DenseConfig;
-use super::warp::{Source, Warped};
-use monogrid_image::GrayImage;
+use super::warp::{LANES, Source, WarpOfPlane, padded, sums_of_four};
+use monogrid_image::Image;
+use wide::{f32x8, i16x8, i32x8};
 
 /// Half the edge of the compared windows, px.
 pub(super) const RADIUS: usize = 2;
-/// Pixels of a window.
-const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
+/// Edge of the windows, px.
+const EDGE: usize = 2 * RADIUS + 1;
 /// The cost of windows that do not correlate at all, and of those that no source sees.
 pub(super) const MAX_COST: u8 = 60;
 
@@ -23,30 +24,40 @@ pub(super) struct CostVolume {
 }
 
 impl CostVolume {
-    /// One less the normalised correlation of windows of the keyframe with those of the sources, the mean of the
+    /// One less the normalised correlation of windows of the keyframe with those of the sources at half their size, the mean of the
     /// two best: in others the surface may be covered.
     pub fn new(
-        image: &GrayImage,
+        image: &Image<u8>,
         sources: &[Source],
         idepths: Vec<f32>,
         config: &DenseConfig,
     ) -> Self {
+        let image = sums_of_four(image);
         let (width, height) = (image.width(), image.height());
-        let mut correlation = Correlation::new(image, config);
-        let mut warped = Warped::new(width, height);
-        let mut best = vec![[f32::INFINITY; 2]; width * height];
-        let mut costs = vec![MAX_COST; width * height * idepths.len()];
+        let windows = Windows::new(&image, config);
+        let mut strips: Vec<Strip> = sources.iter().map(|_| Strip::new(width)).collect();
+        let mut best = Best::new(width);
+        let planes = idepths.len();
+        // by row, plane and column, as they are found
+        let mut costs = vec![MAX_COST; width * height * planes];
         for (k, idepth) in idepths.iter().enumerate() {
-            best.fill([f32::INFINITY; 2]);
-            for source in sources {
-                source.warp(*idepth, &mut warped);
-                correlation.with_source(&warped, &mut best);
-            }
-            let of_plane = costs.iter_mut().skip(k).step_by(idepths.len());
-            for (cost, best) in of_plane.zip(&best) {
-                *cost = joined(*best);
+            let warps: Vec<WarpOfPlane<'_>> = sources.iter().map(|s| s.at(*idepth)).collect();
+            strips.iter_mut().for_each(Strip::clear);
+            for y in 0..height {
+                best.clear();
+                for (strip, warp) in strips.iter_mut().zip(&warps) {
+                    strip.take_row(y, warp, &windows);
+                    if let Some(middle) = middle_row(y) {
+                        strip.compare(middle, &windows, &mut best);
+                    }
+                }
+                if let Some(middle) = middle_row(y) {
+                    let row = (middle * planes + k) * width;
+                    best.costs(&mut costs[row + RADIUS..row + width - RADIUS]);
+                }
             }
         }
+        by_pixel(&mut costs, width, planes);
         Self {
             width,
             height,
@@ -62,123 +73,217 @@ impl CostVolume {
     }
 }
 
-/// The cost by the two best sources, or by the only one.
-fn joined([first, second]: [f32; 2]) -> u8 {
-    let cost = if second.is_finite() {
-        0.5 * (first + second)
-    } else {
-        first
-    };
-    (cost.min(1.0) * f32::from(MAX_COST) + 0.5) as u8
+/// The row in the middle of the windows that end with a row.
+fn middle_row(last: usize) -> Option<usize> {
+    last.checked_sub(RADIUS).filter(|middle| *middle >= RADIUS)
 }
 
-/// Correlation of the windows of a keyframe with those of warped sources.
-struct Correlation<'a> {
-    image: &'a GrayImage,
-    /// Variance of the noise of a window times its pixels.
+/// From costs by plane and column to costs by column and plane, row by row.
+fn by_pixel(costs: &mut [u8], width: usize, planes: usize) {
+    let mut of_row = vec![0; width * planes];
+    for row in costs.chunks_exact_mut(width * planes) {
+        of_row.copy_from_slice(row);
+        for (x, pixel) in row.chunks_exact_mut(planes).enumerate() {
+            let of_planes = of_row[x..].iter().step_by(width);
+            pixel
+                .iter_mut()
+                .zip(of_planes)
+                .for_each(|(to, of)| *to = *of);
+        }
+    }
+}
+
+/// The keyframe and its windows, in rows that are a multiple of the lanes long. Grey levels are in quarters, so that all sums are
+/// whole numbers and exact.
+struct Windows {
+    /// Length of the rows.
+    row: usize,
+    /// Variance of the noise of a window times the square of its pixels.
     noise: f32,
-    /// Sum and inverse deviation of each window of the keyframe.
-    windows: Vec<[f32; 2]>,
-    /// By column, over the rows of a window: sums of the warped image, its squares, and its products with the keyframe.
-    columns: [Vec<f32>; 3],
+    grey: Vec<i16>,
+    /// The sum of the window *from* each pixel to the right, around its row.
+    sums: Vec<i16>,
+    /// One over the root of the variance of the same times the square of its pixels.
+    inverse_deviations: Vec<f32>,
 }
 
-impl<'a> Correlation<'a> {
-    fn new(image: &'a GrayImage, config: &DenseConfig) -> Self {
-        let (width, height) = (image.width(), image.height());
-        let noise = WINDOW * (config.grey_sigma * config.grey_sigma) as f32;
-        let mut windows = vec![[0.0; 2]; width * height];
+/// Pixels of a window.
+const WINDOW: i32 = (EDGE * EDGE) as i32;
+/// Parts of a grey level.
+const QUARTERS: f64 = 4.0;
+
+impl Windows {
+    fn new(image: &Image<u16>, config: &DenseConfig) -> Self {
+        let (row, height) = (padded(image.width()), image.height());
+        let grey_sigma = QUARTERS * config.grey_sigma * f64::from(WINDOW);
+        let mut windows = Self {
+            row,
+            noise: (grey_sigma * grey_sigma) as f32,
+            grey: vec![0; row * height],
+            sums: vec![0; row * height],
+            inverse_deviations: vec![0.0; row * height],
+        };
+        for (y, grey) in windows.grey.chunks_exact_mut(row).enumerate() {
+            let own = grey.iter_mut().zip(image.row(y));
+            own.for_each(|(grey, own)| *grey = *own as i16);
+        }
         for y in RADIUS..height.saturating_sub(RADIUS) {
-            for x in RADIUS..width.saturating_sub(RADIUS) {
-                let (mut sum, mut squares) = (0.0, 0.0);
-                for row in y - RADIUS..=y + RADIUS {
-                    for value in &image.row(row)[x - RADIUS..=x + RADIUS] {
-                        sum += value;
-                        squares += value * value;
+            for x in 0..(image.width() + 1).saturating_sub(EDGE) {
+                let (mut sum, mut squares) = (0, 0);
+                for other in y - RADIUS..=y + RADIUS {
+                    for value in &image.row(other)[x..x + EDGE] {
+                        sum += i32::from(*value);
+                        squares += i32::from(*value).pow(2);
                     }
                 }
-                windows[y * width + x] = [sum, 1.0 / deviation(sum, squares, noise)];
+                let variance = (WINDOW * squares - sum * sum) as f32 + windows.noise;
+                windows.sums[y * row + x] = sum as i16;
+                windows.inverse_deviations[y * row + x] = 1.0 / variance.sqrt();
             }
         }
+        windows
+    }
+
+    /// A row of one of the images.
+    fn row<'a, T>(&self, of: &'a [T], y: usize) -> &'a [[T; LANES]] {
+        of[y * self.row..(y + 1) * self.row].as_chunks().0
+    }
+}
+
+/// The last rows of a warped source, and the sums over their columns.
+struct Strip {
+    /// Grey levels of the last rows, each where its number modulo their count says.
+    rows: [Vec<i16>; EDGE],
+    /// 0 where the source sees the pixel, else infinite; likewise.
+    unseen: [Vec<f32>; EDGE],
+    /// The row that comes.
+    next: Vec<i16>,
+    /// By column, over the rows of a window: sums of the warped source, ...
+    sums: Vec<i16>,
+    /// ... of its squares, and of its products with the keyframe.
+    squares: Vec<i32>,
+    products: Vec<i32>,
+}
+
+impl Strip {
+    fn new(width: usize) -> Self {
+        // windows begin up to the end of a row and reach beyond it
+        let columns = padded(width) + LANES;
         Self {
-            image,
-            noise,
-            windows,
-            columns: std::array::from_fn(|_| vec![0.0; width]),
+            rows: std::array::from_fn(|_| vec![0; padded(width)]),
+            unseen: std::array::from_fn(|_| vec![0.0; columns]),
+            next: vec![0; padded(width)],
+            sums: vec![0; columns],
+            squares: vec![0; columns],
+            products: vec![0; columns],
         }
     }
 
-    /// Puts the costs by one source among the two best of each pixel.
-    fn with_source(&mut self, warped: &Warped, best: &mut [[f32; 2]]) {
-        let (width, height) = (self.image.width(), self.image.height());
-        self.columns.iter_mut().for_each(|sums| sums.fill(0.0));
-        for y in 0..height {
-            self.add_row(1.0, y, warped);
-            let Some(middle) = y.checked_sub(RADIUS).filter(|m| *m >= RADIUS) else {
-                continue;
-            };
-            let inner = middle * width + RADIUS..(middle + 1) * width - RADIUS;
-            self.compare_row(
-                &self.windows[inner.clone()],
-                &warped.is_seen[inner.clone()],
-                &mut best[inner],
-            );
-            self.add_row(-1.0, middle - RADIUS, warped);
-        }
+    fn clear(&mut self) {
+        self.rows.iter_mut().for_each(|row| row.fill(0));
+        self.sums.fill(0);
+        self.squares.fill(0);
+        self.products.fill(0);
     }
 
-    /// Adds a row to the sums of the columns, or takes it away.
-    fn add_row(&mut self, sign: f32, y: usize, warped: &Warped) {
-        let width = self.image.width();
-        let own = self.image.row(y);
-        let grey = &warped.grey[y * width..(y + 1) * width];
-        let [sums, squares, products] = &mut self.columns;
-        for ((((sum, square), product), own), value) in sums
-            .iter_mut()
-            .zip(squares)
-            .zip(products)
-            .zip(own)
-            .zip(grey)
-        {
-            let signed = sign * value;
-            *sum += signed;
-            *square += signed * value;
-            *product += signed * own;
+    /// Warps the next row; the sums of the columns are then those of it and the four before.
+    fn take_row(&mut self, y: usize, warp: &WarpOfPlane<'_>, windows: &Windows) {
+        let place = y % EDGE;
+        warp.row(y, &mut self.next, &mut self.unseen[place]);
+        // what leaves is 0 until there are rows enough
+        let left = windows.row(&windows.grey, y.saturating_sub(EDGE));
+        let own = windows.row(&windows.grey, y);
+        let came = self.next.as_chunks::<LANES>().0;
+        let went = self.rows[place].as_chunks::<LANES>().0;
+        let sums = self.sums.as_chunks_mut::<LANES>().0.iter_mut();
+        let squares = self.squares.as_chunks_mut::<LANES>().0;
+        let columns = sums.zip(squares).zip(self.products.as_chunks_mut().0);
+        let grey = came.iter().zip(went).zip(own.iter().zip(left));
+        for (((sum, square), product), ((came, went), (own, left))) in columns.zip(grey) {
+            let [came, went, own, left] = [came, went, own, left].map(|lanes| i16x8::new(*lanes));
+            *sum = (i16x8::new(*sum) + came - went).to_array();
+            let squares = came.widening_mul(came) - went.widening_mul(went);
+            *square = (i32x8::new(*square) + squares).to_array();
+            let products = came.widening_mul(own) - went.widening_mul(left);
+            *product = (i32x8::new(*product) + products).to_array();
         }
+        std::mem::swap(&mut self.rows[place], &mut self.next);
     }
 
-    /// The costs of the windows around one row.
-    fn compare_row(&self, windows: &[[f32; 2]], is_seen: &[bool], best: &mut [[f32; 2]]) {
-        let [sums, squares, products] = &self.columns;
-        let there = sums_of_windows(sums)
-            .zip(sums_of_windows(squares))
-            .zip(sums_of_windows(products));
-        let here = windows.iter().zip(is_seen).zip(best);
-        for ((([own_sum, own_inverse], is_seen), best), ((sum, squares), products)) in
-            here.zip(there)
-        {
-            let covariance = products - own_sum * sum / WINDOW;
-            let correlation = covariance * own_inverse / deviation(sum, squares, self.noise);
-            let cost = if *is_seen {
-                1.0 - correlation
-            } else {
-                f32::INFINITY
-            };
-            *best = [best[0].min(cost), best[1].min(best[0].max(cost))];
+    /// Puts the costs of the windows around a row among the two best of each.
+    fn compare(&self, middle: usize, windows: &Windows, best: &mut Best) {
+        let unseen = &self.unseen[middle % EDGE];
+        let own = windows.row(&windows.sums, middle).iter();
+        let own = own.zip(windows.row(&windows.inverse_deviations, middle));
+        let [first, second] = best.0.each_mut().map(|b| b.as_chunks_mut::<LANES>().0);
+        let best = first.iter_mut().zip(second);
+        for (eight, ((own_sum, own_inverse), (first, second))) in own.zip(best).enumerate() {
+            let x = eight * LANES;
+            let sum = sum_of_window(|i| i16x8::new(lanes_from(&self.sums, x + i)));
+            let squares = sum_of_window(|i| i32x8::new(lanes_from(&self.squares, x + i)));
+            let products = sum_of_window(|i| i32x8::new(lanes_from(&self.products, x + i)));
+            let own_sum = i16x8::new(*own_sum);
+            let covariance = f32x8::from_i32x8(times_window(products) - own_sum.widening_mul(sum));
+            let variance = f32x8::from_i32x8(times_window(squares) - sum.widening_mul(sum));
+            // with the deviations that noise makes: plain windows correlate with nothing
+            let deviation = (variance + windows.noise).sqrt();
+            let correlation = covariance * f32x8::new(*own_inverse) / deviation;
+            let unseen = f32x8::new(lanes_from(unseen, x + RADIUS));
+            let cost = f32x8::ONE - correlation + unseen;
+            let before = f32x8::new(*first);
+            *first = before.fast_min(cost).to_array();
+            *second = f32x8::new(*second)
+                .fast_min(before.fast_max(cost))
+                .to_array();
         }
     }
 }
 
-/// Root of the sum of the squared deviations in a window, with those that noise makes: plain windows correlate with
-/// nothing.
+/// Eight values from a place on, which need not be a multiple of eight; nothing beyond the end.
 #[inline]
-fn deviation(sum: f32, squares: f32, noise: f32) -> f32 {
-    ((squares - sum * sum / WINDOW).max(0.0) + noise).sqrt()
+fn lanes_from<T: Copy + Default>(values: &[T], x: usize) -> [T; LANES] {
+    match values[x..].first_chunk() {
+        Some(lanes) => *lanes,
+        None => [T::default(); LANES],
+    }
 }
 
-/// Sums over the columns of a window.
-fn sums_of_windows(columns: &[f32]) -> impl Iterator<Item = f32> + '_ {
-    columns
-        .windows(2 * RADIUS + 1)
-        .map(|w| (w[0] + w[1]) + (w[2] + w[3]) + w[4])
+/// The sum over the columns of a window.
+#[inline]
+fn sum_of_window<T: std::ops::Add<Output = T>>(column: impl Fn(usize) -> T) -> T {
+    let [a, b, c, d, e]: [T; EDGE] = std::array::from_fn(column);
+    (a + b) + (c + d) + e
+}
+
+/// The 25-fold, by what every processor has.
+#[inline]
+fn times_window(x: i32x8) -> i32x8 {
+    const { assert!(WINDOW == 16 + 8 + 1) };
+    (x << 4) + (x << 3) + x
+}
+
+/// The costs by the two best sources of the windows of a row.
+struct Best([Vec<f32>; 2]);
+
+impl Best {
+    fn new(width: usize) -> Self {
+        Self(std::array::from_fn(|_| vec![f32::INFINITY; padded(width)]))
+    }
+
+    fn clear(&mut self) {
+        self.0.iter_mut().for_each(|b| b.fill(f32::INFINITY));
+    }
+
+    /// The cost by the two best sources, or by the only one.
+    fn costs(&self, costs: &mut [u8]) {
+        let [first, second] = &self.0;
+        for ((cost, first), second) in costs.iter_mut().zip(first).zip(second) {
+            let mean = if second.is_finite() {
+                0.5 * (first + second)
+            } else {
+                *first
+            };
+            *cost = (mean.min(1.0) * f32::from(MAX_COST) + 0.5) as u8;
+        }
+    }
 }

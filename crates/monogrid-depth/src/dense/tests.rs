@@ -1,3 +1,4 @@
+use super::warp::padded;
 use super::*;
 use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
 
@@ -128,36 +129,134 @@ fn depth_that_others_contradict_goes_and_the_rest_becomes_better() {
     assert!(known < 0.05, "{known}");
 }
 
+/// An image whose half is 4 x + 3 y, so that any interpolation is right.
+fn ramp(width: usize, height: usize) -> Image<u8> {
+    Image::from_fn(2 * width, 2 * height, |x, y| (x / 2 * 4 + y / 2 * 3) as u8)
+}
+
 #[test]
 fn sources_are_warped_as_their_pixels_are_projected() {
     // a width that is no multiple of the pixels that are looked up together
-    let image = Image::from_fn(45, 30, |x, y| (7 * x + 3 * y) as f32);
     let camera = Pinhole::new(40.0, 42.0, 22.0, 14.5);
     let turned = Rotation::from_euler_angles(0.02, -0.05, 0.03);
     let pose = Sim3::new(1.5, turned, Vec3::new(0.3, -0.1, 0.05));
-    let source = Source::new(image, &pose, &camera);
-    let mut warped = warp::Warped::new(45, 30);
+    let source = Source::new(&ramp(45, 30), &pose, &camera);
+    let (mut grey, mut unseen) = (vec![0; padded(45)], vec![0.0; padded(45)]);
     let mut seen = 0;
-    for idepth in [0.2, 1.1] {
-        source.warp(idepth, &mut warped);
-        for (pixel, (grey, is_seen)) in warped.grey.iter().zip(&warped.is_seen).enumerate() {
-            let at = [(pixel % 45) as f64, (pixel / 45) as f64];
+    for (idepth, y) in [0.2, 1.1]
+        .into_iter()
+        .flat_map(|d| (0..30).map(move |y| (d, y)))
+    {
+        source.at(idepth).row(y, &mut grey, &mut unseen);
+        for (x, (grey, unseen)) in grey.iter().zip(&unseen).take(45).enumerate() {
+            let at = [x as f64, y as f64];
             let [u, v] = source.project(at, idepth.into()).unwrap();
             let is_inside = u > 2.0 && v > 2.0 && u < 41.99 && v < 26.99;
             let is_outside = u < 1.99 || v < 1.99 || u > 42.01 || v > 27.01;
-            assert!(*is_seen || !is_inside, "{at:?} is not seen at {u} {v}");
-            assert!(!*is_seen || !is_outside, "{at:?} is seen at {u} {v}");
-            if *is_seen {
+            assert!(
+                *unseen <= 0.0 || !is_inside,
+                "{at:?} is not seen at {u} {v}"
+            );
+            assert!(*unseen > 0.0 || !is_outside, "{at:?} is seen at {u} {v}");
+            if *unseen <= 0.0 {
                 seen += 1;
-                let expected = 7.0 * u + 3.0 * v;
-                assert!(
-                    (f64::from(*grey) - expected).abs() < 0.01,
-                    "{grey} {expected}"
-                );
+                let expected = 4.0 * u + 3.0 * v;
+                let error = (f64::from(*grey) / 4.0 - expected).abs();
+                assert!(error < 0.13, "{grey} {expected}");
             }
         }
     }
     assert!((600..2600).contains(&seen), "{seen}");
+}
+
+/// The cost of a plane at a pixel, window by window in double precision.
+fn plain_cost(half: &Image<f32>, warped: &[Warped], [x, y]: [usize; 2]) -> f64 {
+    let window = |image: &dyn Fn(usize, usize) -> f32| -> Vec<f64> {
+        let pixels = (y - 2..=y + 2).flat_map(|v| (x - 2..=x + 2).map(move |u| (u, v)));
+        let values: Vec<f64> = pixels.map(|(u, v)| image(u, v).into()).collect();
+        let mean = values.iter().sum::<f64>() / 25.0;
+        values.iter().map(|value| value - mean).collect()
+    };
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let own = window(&|u, v| half.at(u, v));
+    let noise = 25.0 * DenseConfig::default().grey_sigma.powi(2);
+    let mut costs: Vec<f64> = warped
+        .iter()
+        .filter(|warped| warped.unseen[y][x] <= 0.0)
+        .map(|warped| {
+            let other = window(&|u, v| f32::from(warped.grey[v][u]) / 4.0);
+            let [own_var, other_var] = [&own, &other].map(|window| product(window, window) + noise);
+            1.0 - product(&own, &other) / (own_var * other_var).sqrt()
+        })
+        .collect();
+    costs.sort_by(f64::total_cmp);
+    costs.truncate(2);
+    let sum: f64 = costs.iter().sum();
+    // no source sees it: as if nothing correlated
+    let mean = if costs.is_empty() {
+        1.0
+    } else {
+        sum / costs.len() as f64
+    };
+    60.0 * mean.min(1.0)
+}
+
+#[test]
+fn costs_are_those_of_windows_compared_one_by_one() {
+    let camera = CAMERA.half();
+    let image = picture(0.0, true);
+    let sources: Vec<Source> = EYES[..3]
+        .iter()
+        .map(|eye| Source::new(&picture(*eye, true), &at(*eye), &camera))
+        .collect();
+    let half = half_size(&image.map(f32::from));
+    let idepths = vec![0.3, 0.4, 0.55];
+    let config = DenseConfig::default();
+    let volume = CostVolume::new(&image, &sources, idepths.clone(), &config);
+    let (width, height) = (half.width(), half.height());
+    for (k, idepth) in idepths.iter().enumerate() {
+        let warped: Vec<Warped> = sources
+            .iter()
+            .map(|s| Warped::new(s, *idepth, &half))
+            .collect();
+        for y in 0..height {
+            for x in 0..width {
+                let is_inner = x >= 2 && y >= 2 && x < width - 2 && y < height - 2;
+                let cost = f64::from(volume.at(y * width + x)[k]);
+                let expected = if is_inner {
+                    plain_cost(&half, &warped, [x, y])
+                } else {
+                    60.0
+                };
+                assert!(
+                    (cost - expected).abs() < 0.6,
+                    "{x} {y} {k}: {cost} {expected}"
+                );
+            }
+        }
+    }
+}
+
+/// A warped source: its grey levels in quarters, and where it does not see.
+struct Warped {
+    grey: Vec<Vec<i16>>,
+    unseen: Vec<Vec<f32>>,
+}
+
+impl Warped {
+    fn new(source: &Source, idepth: f32, half: &Image<f32>) -> Self {
+        let row = padded(half.width());
+        let mut warped = Self {
+            grey: vec![vec![0; row]; half.height()],
+            unseen: vec![vec![0.0; row]; half.height()],
+        };
+        let warp = source.at(idepth);
+        let rows = warped.grey.iter_mut().zip(&mut warped.unseen);
+        for (y, (grey, unseen)) in rows.enumerate() {
+            warp.row(y, grey, unseen);
+        }
+        warped
+    }
 }
 
 #[test]

@@ -2,22 +2,28 @@
 
 use crate::bilinear::bilinear;
 use monogrid_geometry::{Pinhole, Sim3, Vec3};
-use monogrid_image::GrayImage;
-use wide::f32x8;
+use monogrid_image::Image;
+use wide::{f32x8, i16x8};
 
 /// Pixels that are looked up together.
-const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 
 /// Sources see a pixel that keeps this distance from their border, px.
 const MARGIN_PX: f32 = 2.0;
 /// Nothing nearer to a source than this share of the plane's distance is seen.
 const NEAREST: f32 = 1e-3;
 
+/// The length of rows that are worked on eight at a time, with room for what begins in the last eight.
+pub(super) fn padded(width: usize) -> usize {
+    width.next_multiple_of(LANES) + LANES
+}
+
 /// A source at the size of the sweep: a pixel `x` of inverse depth `rho` is seen at
 /// `pi(K R K^-1 (x, y, 1) + rho K t / s)` with `s R, t` the source from the keyframe.
 #[derive(Debug)]
 pub(super) struct Source {
-    image: GrayImage,
+    /// Sums of 2x2 pixels: as exact as means, and half as long to look up.
+    image: Image<u16>,
     /// K R K^-1, by columns.
     columns: [Vec3; 3],
     /// K t / s.
@@ -25,7 +31,8 @@ pub(super) struct Source {
 }
 
 impl Source {
-    pub fn new(image: GrayImage, source_from_keyframe: &Sim3, camera: &Pinhole) -> Self {
+    /// Of a full image, with the camera of the half one.
+    pub fn new(image: &Image<u8>, source_from_keyframe: &Sim3, camera: &Pinhole) -> Self {
         let to_pixels = |p: Vec3| {
             Vec3::new(
                 camera.fx * p.x + camera.cx * p.z,
@@ -35,7 +42,7 @@ impl Source {
         };
         let of_ray = |ray: Vec3| to_pixels(source_from_keyframe.rotation * ray);
         Self {
-            image,
+            image: sums_of_four(image),
             columns: [
                 of_ray(Vec3::new(1.0 / camera.fx, 0.0, 0.0)),
                 of_ray(Vec3::new(0.0, 1.0 / camera.fy, 0.0)),
@@ -57,70 +64,69 @@ impl Source {
     }
 
     /// The source as it would look from the keyframe if all of it had that inverse depth.
-    pub fn warp(&self, idepth: f32, warped: &mut Warped) {
+    pub fn at(&self, idepth: f32) -> WarpOfPlane<'_> {
         let first = self.columns[2] + self.translation * f64::from(idepth);
         let [step, row_step, first] =
             [self.columns[0], self.columns[1], first].map(|v| [v.x as f32, v.y as f32, v.z as f32]);
-        let rows = warped
-            .grey
-            .chunks_exact_mut(warped.width)
-            .zip(warped.is_seen.chunks_exact_mut(warped.width));
-        for (y, (grey, is_seen)) in rows.enumerate() {
-            let start = std::array::from_fn(|i| first[i] + y as f32 * row_step[i]);
-            self.warp_row(start, step, grey, is_seen);
+        WarpOfPlane {
+            image: &self.image,
+            first,
+            step,
+            row_step,
         }
     }
+}
 
-    /// The pixels of a row, eight at a time: the source there (where it does not see the pixel, at its border), and whether it sees
-    /// them.
-    fn warp_row(&self, start: [f32; 3], step: [f32; 3], grey: &mut [f32], is_seen: &mut [bool]) {
+/// The sums of 2x2 pixels, where [`monogrid_image::half_size`] has their means.
+pub(super) fn sums_of_four(image: &Image<u8>) -> Image<u16> {
+    Image::from_fn(image.width() / 2, image.height() / 2, |x, y| {
+        let of_row = |y: usize| {
+            let row = image.row(y);
+            u16::from(row[2 * x]) + u16::from(row[2 * x + 1])
+        };
+        of_row(2 * y) + of_row(2 * y + 1)
+    })
+}
+
+/// A source, projected onto a plane.
+#[derive(Debug)]
+pub(super) struct WarpOfPlane<'a> {
+    image: &'a Image<u16>,
+    /// Where the first pixel of the keyframe is seen, homogeneous, and how that moves from pixel to pixel and from row to row.
+    first: [f32; 3],
+    step: [f32; 3],
+    row_step: [f32; 3],
+}
+
+impl WarpOfPlane<'_> {
+    /// The pixels of a row, eight at a time: the source there in quarters of a grey level (where it does not see the pixel, at its
+    /// border), and 0, or infinity where it does not see them.
+    pub fn row(&self, y: usize, grey: &mut [i16], unseen: &mut [f32]) {
         let last = [self.image.width(), self.image.height()]
             .map(|edge| f32x8::splat((edge as f32 - 1.001).max(0.0)));
         let (margin, nearest) = (f32x8::splat(MARGIN_PX), f32x8::splat(NEAREST));
-        let start = start.map(f32x8::splat);
-        let step = step.map(f32x8::splat);
+        let start = std::array::from_fn(|i| self.first[i] + y as f32 * self.row_step[i]);
+        let start: [f32x8; 3] = start.map(f32x8::splat);
+        let step = self.step.map(f32x8::splat);
         let lanes = f32x8::new(std::array::from_fn(|lane| lane as f32));
-        let eights = grey.chunks_mut(LANES).zip(is_seen.chunks_mut(LANES));
-        for (eight, (grey, is_seen)) in eights.enumerate() {
+        let (grey, unseen) = (grey.as_chunks_mut().0, unseen.as_chunks_mut().0);
+        for (eight, (grey, unseen)) in grey.iter_mut().zip(unseen).enumerate() {
             let x = lanes + f32x8::splat((eight * LANES) as f32);
             let [px, py, pz]: [f32x8; 3] = std::array::from_fn(|i| start[i] + x * step[i]);
-            let inverse = f32x8::splat(1.0) / pz.max(nearest);
+            let inverse = f32x8::ONE / pz.fast_max(nearest);
             let (u, v) = (px * inverse, py * inverse);
-            let seen = pz.simd_gt(nearest)
+            let is_seen = pz.simd_gt(nearest)
                 & u.simd_ge(margin)
                 & v.simd_ge(margin)
                 & u.simd_le(last[0] - margin)
                 & v.simd_le(last[1] - margin);
-            let (u, v) = (
-                u.max(f32x8::ZERO).min(last[0]),
-                v.max(f32x8::ZERO).min(last[1]),
-            );
-            let values: [f32; LANES] = bilinear(&self.image, u, v);
-            grey.copy_from_slice(&values[..grey.len()]);
-            let seen = seen.to_bitmask();
-            for (lane, is_seen) in is_seen.iter_mut().enumerate() {
-                *is_seen = seen >> lane & 1 == 1;
-            }
-        }
-    }
-}
-
-/// A source as the keyframe would see it.
-#[derive(Debug)]
-pub(super) struct Warped {
-    /// Grey levels, row-major.
-    pub grey: Vec<f32>,
-    /// Which pixels the source sees.
-    pub is_seen: Vec<bool>,
-    width: usize,
-}
-
-impl Warped {
-    pub fn new(width: usize, height: usize) -> Self {
-        Self {
-            grey: vec![0.0; width * height],
-            is_seen: vec![false; width * height],
-            width,
+            let inside = |at: f32x8, last: f32x8| at.fast_max(f32x8::ZERO).fast_min(last);
+            let sums: [f32; LANES] = bilinear(self.image, inside(u, last[0]), inside(v, last[1]));
+            let rounded = (f32x8::new(sums) + f32x8::HALF).fast_trunc_int();
+            *grey = i16x8::from_i32x8_truncate(rounded).to_array();
+            *unseen = is_seen
+                .select(f32x8::ZERO, f32x8::splat(f32::INFINITY))
+                .to_array();
         }
     }
 }
