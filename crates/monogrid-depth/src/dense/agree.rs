@@ -33,8 +33,9 @@ struct Opinions {
 
 impl DenseDepth {
     /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within `config.tolerance`, and no more
-    /// of them see through: the mean of all of these, with the variance of the own costs, of the disagreement at
-    /// the pixel, and of the disagreement that all pixels share.
+    /// of them see through, with the variance of the own costs, of the disagreement at the pixel, and of the disagreement that
+    /// all pixels share. It is not the mean with that of the witnesses: a mean agrees with what it is made of, and how far keyframes
+    /// disagree is what tells the uncertainty of the map.
     ///
     /// `camera` is that of the full image.
     #[must_use]
@@ -54,10 +55,10 @@ impl DenseDepth {
                 let is_held = opinions.agreeing >= config.min_agreeing
                     && opinions.against <= opinions.agreeing;
                 if is_held {
-                    let (mean, spread) = opinions.mean_with_own();
                     let own = self.sigma.at(x, y) / idepth;
-                    agreed.idepth.set(x, y, idepth * (1.0 + mean));
-                    agreed.sigma.set(x, y, (0.5 * own * own + spread).sqrt());
+                    agreed.idepth.set(x, y, idepth);
+                    let variance = 0.5 * own * own + opinions.spread();
+                    agreed.sigma.set(x, y, variance.sqrt());
                 }
             }
         }
@@ -71,11 +72,11 @@ impl DenseDepth {
 }
 
 impl Opinions {
-    /// Mean and variance of the differences, with the own one of 0.
-    fn mean_with_own(&self) -> (f32, f32) {
+    /// Variance of the differences, with the own one of 0.
+    fn spread(&self) -> f32 {
         let count = self.agreeing as f32 + 1.0;
         let mean = self.sum / count;
-        (mean, (self.squares / count - mean * mean).max(0.0))
+        (self.squares / count - mean * mean).max(0.0)
     }
 }
 

@@ -36,7 +36,7 @@ const MIN_EDGE_PX: usize = 16;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DenseConfig {
-    /// Most planes. Default 96. Range [24, 512].
+    /// Most planes. Default 80. Range [24, 512].
     pub max_planes: usize,
     /// From plane to plane a match moves by this in the middle of the source that it moves most in, px of the half image. Default
     /// 1. Range [0.05, 100].
@@ -62,7 +62,7 @@ pub struct DenseConfig {
 impl Default for DenseConfig {
     fn default() -> Self {
         Self {
-            max_planes: 96,
+            max_planes: 80,
             step_px: 1.0,
             grey_sigma: 2.0,
             small_step_cost: 6,

@@ -58,8 +58,9 @@ pub enum IntegrationKind {
 pub enum MapQuality {
     /// The depth of the filter, refined.
     Fast,
-    /// And dense depth: more of the surfaces and of the free space, for five times the work.
-    Dense,
+    /// And dense depth: more of the surfaces and of the free space, for three times the work.
+    #[serde(alias = "dense")]
+    Default,
 }
 
 /// What is taken as the standard deviation of a range.
@@ -114,8 +115,9 @@ pub struct DepthFilterConfig {
     /// measurement smears its surface along the ray (in the demo world 3.6 times the true number of occupied
     /// cells at 0.1, 1.4 times at 0.035). Range [0.000001, inf].
     pub max_relative_sigma: f64,
-    /// The same for measured and filled depth of final maps, once `mapping.sigma_from_agreement` has set it. Default 0.05. Range
-    /// [0.000001, inf].
+    /// The same for all depth of final maps, once `mapping.sigma_from_agreement` has set it. Default 0.03:
+    /// against 0.05, walls are thinner (in red-kitchen MCC rises from 0.70 to 0.715) and 2 % less of the surfaces
+    /// is observed. Range [0.000001, inf].
     pub max_agreed_sigma: f64,
     /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within two
     /// standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71 to 0.72 in the demo
@@ -130,7 +132,7 @@ impl Default for DepthFilterConfig {
     fn default() -> Self {
         Self {
             max_relative_sigma: 0.035,
-            max_agreed_sigma: 0.05,
+            max_agreed_sigma: 0.03,
             min_support: 6,
             skip_keyframes: 0,
         }
@@ -163,7 +165,7 @@ impl Default for RefineConfig {
     }
 }
 
-/// How all pixels of keyframes get depth when the poses are known in the end (quality `dense`).
+/// How all pixels of keyframes get depth when the poses are known in the end (quality `default`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DenseMappingConfig {
@@ -282,8 +284,8 @@ impl Default for FillConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
-    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `dense` makes depth of all pixels
-    /// beside it, for five times the work. Default `fast`.
+    /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default` makes depth of all pixels
+    /// beside it, for three times the work. Default `default`.
     pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,
@@ -385,7 +387,7 @@ impl Default for MeshConfig {
 impl Default for MappingConfig {
     fn default() -> Self {
         Self {
-            quality: MapQuality::Fast,
+            quality: MapQuality::Default,
             resolution: 0.05,
             auto_resolution: true,
             sensor_model: SensorModelKind::Thrun,
@@ -429,6 +431,7 @@ impl MappingConfig {
     pub fn thesis() -> Self {
         let certain = (1e-6f64 / (1.0 - 1e-6)).ln();
         Self {
+            quality: MapQuality::Fast,
             auto_resolution: false,
             buffer: AutoLength::Fixed(0.5),
             thrun_form: ThrunFormKind::Thesis,
@@ -539,6 +542,7 @@ mod tests {
         assert_ne!(default.update_limits, thesis.update_limits);
         assert_ne!(default.filter, thesis.filter);
         assert_ne!(default.integration, thesis.integration);
+        assert_ne!(default.quality, thesis.quality);
         assert!(thesis.pose_sigma <= 0.0 && thesis.pose_sigma_deg <= 0.0);
     }
 

@@ -60,7 +60,7 @@ pub(crate) fn final_scans_of(
 ) -> Vec<KeyframeScan> {
     let count = keyframes.len();
     let dense = match config.quality {
-        MapQuality::Dense => dense_depths(keyframes, camera, &config.dense, threads, store),
+        MapQuality::Default => dense_depths(keyframes, camera, &config.dense, threads, store),
         MapQuality::Fast => vec![None; count],
     };
     let found = for_each_keyframe(count, threads, |index| {
@@ -360,6 +360,7 @@ mod tests {
 
     fn config() -> MappingConfig {
         MappingConfig {
+            quality: MapQuality::Fast,
             sigma_from_agreement: false,
             fusion: FusionConfig {
                 max_witnesses: 0,
@@ -452,7 +453,7 @@ mod tests {
             })
             .collect();
         let dense = MappingConfig {
-            quality: MapQuality::Dense,
+            quality: MapQuality::Default,
             ..config()
         };
         let scans = final_scans(&keyframes, &CAMERA, &dense, 1);

@@ -74,7 +74,7 @@ pub struct EvaluateDepthArgs {
     /// Compare the depth that the final map is made of: refined, filled where surfaces are plain, fused and filtered
     #[arg(long)]
     pub mapped: bool,
-    /// With --mapped, change one setting of the map, e.g. --set mapping.quality=dense
+    /// With --mapped, change one setting of the map, e.g. --set mapping.quality=fast
     #[arg(long, value_name = "KEY=VALUE", requires = "mapped")]
     pub set: Vec<String>,
     #[command(flatten)]

@@ -50,7 +50,7 @@ pub struct EvaluateMapArgs {
     /// Settings of the maps of a recording
     #[command(flatten)]
     pub mapping: MappingArgs,
-    /// Change one setting of the map of a recording, e.g. --set mapping.quality=dense
+    /// Change one setting of the map of a recording, e.g. --set mapping.quality=fast
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     #[command(flatten)]
