@@ -219,6 +219,10 @@ impl Strip {
         let best = first.iter_mut().zip(second);
         for (eight, ((own_sum, own_inverse), (first, second))) in own.zip(best).enumerate() {
             let x = eight * LANES;
+            let unseen = f32x8::new(lanes_from(unseen, x + RADIUS));
+            if unseen.simd_gt(f32x8::ONE).all() {
+                continue;
+            }
             let sum = sum_of_window(|i| i16x8::new(lanes_from(&self.sums, x + i)));
             let squares = sum_of_window(|i| i32x8::new(lanes_from(&self.squares, x + i)));
             let products = sum_of_window(|i| i32x8::new(lanes_from(&self.products, x + i)));
@@ -228,7 +232,6 @@ impl Strip {
             // with the deviations that noise makes: plain windows correlate with nothing
             let deviation = (variance + windows.noise).sqrt();
             let correlation = covariance * f32x8::new(*own_inverse) / deviation;
-            let unseen = f32x8::new(lanes_from(unseen, x + RADIUS));
             let cost = f32x8::ONE - correlation + unseen;
             let before = f32x8::new(*first);
             *first = before.fast_min(cost).to_array();

@@ -10,6 +10,8 @@ pub(super) const LANES: usize = 8;
 
 /// Sources see a pixel that keeps this distance from their border, px.
 const MARGIN_PX: f32 = 2.0;
+/// Where all of eight pixels are further than this outside of a source, no window that it sees reaches them, px.
+const BESIDE_PX: f32 = 8.0;
 /// Nothing nearer to a source than this share of the plane's distance is seen.
 const NEAREST: f32 = 1e-3;
 
@@ -100,7 +102,7 @@ pub(super) struct WarpOfPlane<'a> {
 
 impl WarpOfPlane<'_> {
     /// The pixels of a row, eight at a time: the source there in quarters of a grey level (where it does not see the pixel, at its
-    /// border), and 0, or infinity where it does not see them.
+    /// border; 0 far from it), and 0, or infinity where it does not see them.
     pub fn row(&self, y: usize, grey: &mut [i16], unseen: &mut [f32]) {
         let last = [self.image.width(), self.image.height()]
             .map(|edge| f32x8::splat((edge as f32 - 1.001).max(0.0)));
@@ -121,6 +123,11 @@ impl WarpOfPlane<'_> {
                 & u.simd_le(last[0] - margin)
                 & v.simd_le(last[1] - margin);
             let inside = |at: f32x8, last: f32x8| at.fast_max(f32x8::ZERO).fast_min(last);
+            if is_seen.none() && !is_beside(u, v, last) {
+                grey.fill(0);
+                unseen.fill(f32::INFINITY);
+                continue;
+            }
             let sums: [f32; LANES] = bilinear(self.image, inside(u, last[0]), inside(v, last[1]));
             let rounded = (f32x8::new(sums) + f32x8::HALF).fast_trunc_int();
             *grey = i16x8::from_i32x8_truncate(rounded).to_array();
@@ -129,4 +136,15 @@ impl WarpOfPlane<'_> {
                 .to_array();
         }
     }
+}
+
+/// Whether one of these places is not far outside of an image, whose last pixels are given.
+#[inline]
+fn is_beside(u: f32x8, v: f32x8, last: [f32x8; 2]) -> bool {
+    let beside = f32x8::splat(BESIDE_PX);
+    let is_beside = u.simd_ge(-beside)
+        & v.simd_ge(-beside)
+        & u.simd_le(last[0] + beside)
+        & v.simd_le(last[1] + beside);
+    is_beside.any()
 }
