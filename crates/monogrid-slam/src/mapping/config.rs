@@ -235,9 +235,11 @@ pub struct FillConfig {
     pub min_inliers_offered: usize,
     /// Planes that regions without an own one may choose from. Default 12. Range [0, 1000].
     pub max_offered: usize,
-    /// Share of the outline that must lie on the plane of a region, in (0, 1]. Default 0.5. Range [0.001, 1].
+    /// Share of the outline that must lie on the plane of a region, in (0, 1]; what lies before it is no objection. Default 0.3: dense
+    /// depth beside a plain surface is often that of what stands before it (against 0.5, red-kitchen has 6 % more of its
+    /// surfaces). Range [0.001, 1].
     pub min_inlier_share: f64,
-    /// The same for a plane that was found elsewhere. Default 0.5. Range [0.001, 1].
+    /// The same for a plane that was found elsewhere. Default 0.3. Range [0.001, 1].
     pub min_offered_share: f64,
     /// Share of the outline that may lie behind the plane. Default 0.05. Range [0, 0.999].
     pub max_behind_share: f64,
@@ -266,8 +268,8 @@ impl Default for FillConfig {
             min_inliers: 20,
             min_inliers_offered: 8,
             max_offered: 12,
-            min_inlier_share: 0.5,
-            min_offered_share: 0.5,
+            min_inlier_share: 0.3,
+            min_offered_share: 0.3,
             max_behind_share: 0.05,
             relative_sigma: 0.01,
             correlated_points: 100.0,
