@@ -103,6 +103,7 @@ fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &Keyframe
             },
         }
     }
+    maps.rest();
     (result.map(|()| maps), thread_cpu())
 }
 

@@ -175,6 +175,8 @@ pub struct DenseMappingConfig {
     pub best_angle_deg: f64,
     /// Keyframes whose dense depth must confirm it. Default 8. Range [1, 100].
     pub max_witnesses: usize,
+    /// Whether maps that are read while they grow get it too, a few keyframes later. Default true.
+    pub live: bool,
     /// How pixels are matched and confirmed.
     pub stereo: DenseConfig,
 }
@@ -185,6 +187,7 @@ impl Default for DenseMappingConfig {
             max_sources: 4,
             best_angle_deg: 8.0,
             max_witnesses: 8,
+            live: true,
             stereo: DenseConfig::default(),
         }
     }

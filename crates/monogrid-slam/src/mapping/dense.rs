@@ -24,7 +24,7 @@ const ANGLE_WIDTHS: [f64; 2] = [0.5, 1.25];
 const ONE_SURFACE: f32 = 0.03;
 
 /// A keyframe that sees the same as another one.
-struct Neighbour {
+pub(super) struct Neighbour {
     index: usize,
     neighbour_from_keyframe: Sim3,
 }
@@ -39,46 +39,57 @@ pub(super) fn dense_depths(
     threads: usize,
     store: &Store,
 ) -> Vec<Option<Kept<KeptDense>>> {
-    let count = config.max_sources.max(config.max_witnesses);
     let neighbours: Vec<Vec<Neighbour>> = for_each_keyframe(keyframes.len(), threads, |index| {
-        neighbours(keyframes, index, camera, config.best_angle_deg, count)
+        neighbours(keyframes, index, camera, config)
     });
     let depths = for_each_keyframe(keyframes.len(), threads, |index| {
-        let sources = neighbours[index].iter().take(config.max_sources);
-        let depth = stereo(keyframes, index, sources, camera, config)?;
+        let depth = stereo(keyframes, index, &neighbours[index], camera, config)?;
         Some(store.keep(KeptDense(depth)))
     });
     for_each_keyframe(keyframes.len(), threads, |index| {
-        let seen: Vec<(Arc<KeptDense>, Sim3)> = neighbours[index]
-            .iter()
-            .take(config.max_witnesses)
-            .filter_map(|neighbour| {
-                let depth = depths[neighbour.index].as_ref()?.get()?;
-                Some((depth, neighbour.neighbour_from_keyframe))
-            })
-            .collect();
-        let witnesses: Vec<Witness> = seen
-            .iter()
-            .map(|(depth, witness_from_keyframe)| Witness {
-                depth: &depth.0,
-                witness_from_keyframe: *witness_from_keyframe,
-            })
-            .collect();
-        let depth = depths[index].as_ref()?.get()?;
-        let agreed = depth.0.agreed(&witnesses, &camera.pinhole, &config.stereo);
+        let agreed = agreed(&depths, index, &neighbours[index], camera, config)?;
         Some(store.keep(KeptDense(agreed)))
     })
 }
 
+/// What of the dense depth of one keyframe that of its neighbours confirms.
+pub(super) fn agreed(
+    depths: &[Option<Kept<KeptDense>>],
+    index: usize,
+    neighbours: &[Neighbour],
+    camera: &KeyframeCamera,
+    config: &DenseMappingConfig,
+) -> Option<DenseDepth> {
+    let seen: Vec<(Arc<KeptDense>, Sim3)> = neighbours
+        .iter()
+        .take(config.max_witnesses)
+        .filter_map(|neighbour| {
+            let depth = depths[neighbour.index].as_ref()?.get()?;
+            Some((depth, neighbour.neighbour_from_keyframe))
+        })
+        .collect();
+    let witnesses: Vec<Witness> = seen
+        .iter()
+        .map(|(depth, witness_from_keyframe)| Witness {
+            depth: &depth.0,
+            witness_from_keyframe: *witness_from_keyframe,
+        })
+        .collect();
+    let depth = depths[index].as_ref()?.get()?;
+    Some(depth.0.agreed(&witnesses, &camera.pinhole, &config.stereo))
+}
+
 /// The dense depth of one keyframe by its neighbours.
-fn stereo<'a>(
+pub(super) fn stereo(
     keyframes: &dyn Keyframes,
     index: usize,
-    neighbours: impl Iterator<Item = &'a Neighbour>,
+    neighbours: &[Neighbour],
     camera: &KeyframeCamera,
     config: &DenseMappingConfig,
 ) -> Option<DenseDepth> {
     let near: Vec<(Cow<Image<u8>>, Sim3)> = neighbours
+        .iter()
+        .take(config.max_sources)
         .filter_map(|neighbour| {
             let image = keyframes.image(neighbour.index)?;
             Some((image, neighbour.neighbour_from_keyframe))
@@ -96,13 +107,13 @@ fn stereo<'a>(
     )
 }
 
-/// The keyframes with an image that are most useful for the depth of another one, the best first.
-fn neighbours(
+/// The keyframes with an image that are most useful for the depth of another one, the best first: as many as match it or
+/// confirm it.
+pub(super) fn neighbours(
     keyframes: &dyn Keyframes,
     index: usize,
     camera: &KeyframeCamera,
-    best_angle_deg: f64,
-    max: usize,
+    config: &DenseMappingConfig,
 ) -> Vec<Neighbour> {
     let Some(world_from_this) = keyframes.world_from_keyframe(index) else {
         return Vec::new();
@@ -113,6 +124,7 @@ fn neighbours(
         .filter_map(|other| {
             let world_from_other = keyframes.world_from_keyframe(other)?;
             let neighbour_from_keyframe = world_from_other.inverse() * world_from_this;
+            let best_angle_deg = config.best_angle_deg;
             let usefulness = usefulness(&points, &neighbour_from_keyframe, camera, best_angle_deg);
             let neighbour = Neighbour {
                 index: other,
@@ -123,7 +135,7 @@ fn neighbours(
         .collect();
     // stable: equal ones in the order of the keyframes
     useful.sort_by(|a, b| b.0.total_cmp(&a.0));
-    useful.truncate(max);
+    useful.truncate(config.max_sources.max(config.max_witnesses));
     useful.into_iter().map(|(_, neighbour)| neighbour).collect()
 }
 
@@ -301,7 +313,12 @@ mod tests {
             })
             .collect();
         let order = |keyframes: &[PosedKeyframe], max| -> Vec<usize> {
-            let found = neighbours(&keyframes, 0, &CAMERA, 8.0, max);
+            let config = DenseMappingConfig {
+                max_sources: 1,
+                max_witnesses: max,
+                ..DenseMappingConfig::default()
+            };
+            let found = neighbours(&keyframes, 0, &CAMERA, &config);
             found.iter().map(|n| n.index).collect()
         };
         assert_eq!(order(&keyframes, 9), [2, 3, 1]);

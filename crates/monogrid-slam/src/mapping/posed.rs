@@ -92,7 +92,7 @@ impl Keyframes for &[PosedKeyframe<'_>] {
 
 /// Finished keyframes of a map.
 pub(crate) struct KeptKeyframes<'a> {
-    pub keyframes: Vec<KeptKeyframe>,
+    pub keyframes: &'a [KeptKeyframe],
     pub poses: &'a PoseSnapshot,
 }
 

@@ -66,47 +66,56 @@ pub(crate) fn final_scans_of(
     let found = for_each_keyframe(count, threads, |index| {
         let dense = dense[index].as_ref().and_then(Kept::get);
         let dense = dense.as_deref().map(|dense| &dense.0);
-        let pixels = final_pixels(keyframes, index, dense, camera, config);
-        let image = keyframes.image(index);
-        let id = keyframes.id(index);
-        let depths = Depths::new(id, &pixels, image.as_deref(), camera, config);
+        let found = Found::of_keyframe(keyframes, index, dense, (camera, config), store);
         done.fetch_add(1, Ordering::Relaxed);
-        Found::new(depths, keyframes.world_from_keyframe(index), camera, store)
+        found
     });
     let found = if config.fill.max_witnesses > 0 {
-        without_contradicted(found, camera, config, threads, store)
+        let views = views(&found);
+        for_each_keyframe(count, threads, |index| {
+            found[index].without_contradicted(&views, index, camera, config)
+        })
     } else {
         found
     };
-    let views: Vec<Option<View>> = found.iter().map(|found| found.view.clone()).collect();
+    let views = views(&found);
     let certainty = config
         .sigma_from_agreement
         .then(|| Certainty::of_views(&views, camera, threads));
-    let certain = |depths: &KeptDepths| {
-        let mut depths = depths.get();
-        if let Some(certainty) = certainty {
-            certainty.apply(&mut depths, config.filter.max_agreed_sigma as f32);
-        }
-        depths
-    };
     for_each_keyframe(count, threads, |index| {
-        let depths = certain(&found[index].depths);
-        let depths = match config.fusion.max_witnesses {
-            0 => depths,
-            _ => fused(&views, index, depths, certain, camera, &config.fusion),
-        };
+        let depths = found[index].certain(certainty, &views, index, camera, config);
         depths.joined(keyframes.id(index), camera, store)
     })
 }
 
+fn views(found: &[Found]) -> Vec<Option<View>> {
+    found.iter().map(|found| found.view.clone()).collect()
+}
+
 /// What was found of a keyframe.
-struct Found {
+#[derive(Clone, Debug)]
+pub(super) struct Found {
     depths: KeptDepths,
     /// As others see it, where it has a pose.
-    view: Option<View>,
+    pub view: Option<View>,
 }
 
 impl Found {
+    /// From its depth by all that the settings ask for.
+    pub fn of_keyframe(
+        keyframes: &dyn Keyframes,
+        index: usize,
+        dense: Option<&DenseDepth>,
+        (camera, config): (&KeyframeCamera, &MappingConfig),
+        store: &Store,
+    ) -> Self {
+        let pixels = final_pixels(keyframes, index, dense, camera, config);
+        let image = keyframes.image(index);
+        let id = keyframes.id(index);
+        let depths = Depths::new(id, &pixels, image.as_deref(), camera, config);
+        Self::new(depths, keyframes.world_from_keyframe(index), camera, store)
+    }
+
     fn new(
         depths: Depths,
         world_from_keyframe: Option<Sim3>,
@@ -125,30 +134,47 @@ impl Found {
             depths,
         }
     }
-}
 
-/// The depth of each keyframe without filled depth that others contradict.
-fn without_contradicted(
-    found: Vec<Found>,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-    threads: usize,
-    store: &Store,
-) -> Vec<Found> {
-    let (all, views): (Vec<KeptDepths>, Vec<Option<View>>) = found
-        .into_iter()
-        .map(|found| (found.depths, found.view))
-        .unzip();
-    for_each_keyframe(all.len(), threads, |index| {
-        let mut depths = all[index].get();
-        if let Some(kept) = kept(&views, index, camera, &config.fill) {
+    /// Without filled depth that others contradict; `views[index]` is its own view.
+    pub fn without_contradicted(
+        &self,
+        views: &[Option<View>],
+        index: usize,
+        camera: &KeyframeCamera,
+        config: &MappingConfig,
+    ) -> Self {
+        let mut depths = self.depths.get();
+        if let Some(kept) = kept(views, index, camera, &config.fill) {
             let mut kept = kept.into_iter();
             depths.filled.retain(|_| kept.next().unwrap_or(true));
             depths.filled.shrink_to_fit();
         }
-        let pose = views[index].as_ref().map(|view| view.world_from_keyframe);
-        Found::new(depths, pose, camera, store)
-    })
+        let pose = self.view.as_ref().map(|view| view.world_from_keyframe);
+        Self::new(depths, pose, camera, self.depths.store())
+    }
+
+    /// Its depths, as certain as they are, each fused with those of others that agree; `views[index]` is its own view.
+    pub fn certain(
+        &self,
+        certainty: Option<Certainty>,
+        views: &[Option<View>],
+        index: usize,
+        camera: &KeyframeCamera,
+        config: &MappingConfig,
+    ) -> Depths {
+        let certain = |depths: &KeptDepths| {
+            let mut depths = depths.get();
+            if let Some(certainty) = certainty {
+                certainty.apply(&mut depths, config.filter.max_agreed_sigma as f32);
+            }
+            depths
+        };
+        let depths = certain(&self.depths);
+        match config.fusion.max_witnesses {
+            0 => depths,
+            _ => fused(views, index, depths, certain, camera, &config.fusion),
+        }
+    }
 }
 
 /// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
@@ -319,44 +345,9 @@ mod tests {
     use super::*;
     use crate::KeyframeId;
     use crate::MemoryConfig;
+    use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
     use crate::mapping::{FillConfig, FusionConfig};
-    use monogrid_geometry::{Pinhole, Rotation, Vec2, Vec3};
-
-    const CAMERA: KeyframeCamera = KeyframeCamera {
-        pinhole: Pinhole {
-            fx: 140.0,
-            fy: 140.0,
-            cx: 79.5,
-            cy: 59.5,
-        },
-        width: 160,
-        height: 120,
-    };
-
-    /// A textured wall two units before the first camera, as a camera beside it sees it.
-    fn wall(x: f64) -> Image<u8> {
-        Image::from_fn(CAMERA.width, CAMERA.height, |u, v| {
-            let ray = CAMERA.pinhole.unproject(&Vec2::new(u as f64, v as f64));
-            let (a, b) = (2.0 * ray.x + x, 2.0 * ray.y);
-            let grey =
-                128.0 + 50.0 * (31.0 * a + 9.0 * b).sin() + 50.0 * (23.0 * a - 17.0 * b).cos();
-            grey as u8
-        })
-    }
-
-    /// Depths that are all 4 % too large, in a keyframe whose unit is `scale`.
-    fn depths(scale: f64) -> Vec<DepthPixel> {
-        let idepth = (0.96 * scale / 2.0) as f32;
-        (0..CAMERA.height as u16)
-            .flat_map(|y| (0..CAMERA.width as u16).map(move |x| (x, y)))
-            .map(|(x, y)| DepthPixel {
-                x,
-                y,
-                idepth,
-                idepth_var: (0.03 * idepth).powi(2),
-            })
-            .collect()
-    }
+    use monogrid_geometry::{Rotation, Vec3};
 
     fn config() -> MappingConfig {
         MappingConfig {
@@ -372,13 +363,6 @@ mod tests {
             },
             ..MappingConfig::default()
         }
-    }
-
-    /// Share of the mapped depths of a keyframe of that unit that are right to within 2 %.
-    fn share_right(scan: &KeyframeScan, scale: f64) -> f64 {
-        let is_right = |idepth: f32| (f64::from(idepth) * 2.0 / scale - 1.0).abs() < 0.02;
-        let num_right = scan.pixels().iter().filter(|p| is_right(p.idepth)).count();
-        num_right as f64 / scan.num_pixels as f64
     }
 
     #[test]

@@ -211,6 +211,11 @@ impl KeptDepths {
         }
     }
 
+    /// What keeps them.
+    pub fn store(&self) -> &Store {
+        self.measured.store()
+    }
+
     /// The depths; none where they cannot be read back.
     pub fn get(&self) -> Depths {
         Depths {

@@ -208,8 +208,9 @@ impl Slam {
         threads: usize,
         done: &AtomicUsize,
     ) -> Vec<KeyframeScan> {
+        let finished = self.keyframes();
         let keyframes = KeptKeyframes {
-            keyframes: self.keyframes(),
+            keyframes: &finished,
             poses: self.map.snapshot(),
         };
         let camera = self.setup.camera();

@@ -26,6 +26,8 @@ pub(super) struct GlobalMap {
     revision: u64,
     /// What the update under way leads to.
     coming: Option<Coming>,
+    /// Updates that came about.
+    num_updates: u64,
 }
 
 /// A keyframe as it is in the map.
@@ -55,6 +57,7 @@ impl GlobalMap {
             wanted: Arc::default(),
             revision: 0,
             coming: None,
+            num_updates: 0,
         })
     }
 
@@ -66,6 +69,16 @@ impl GlobalMap {
     /// Revision of the poses that the map shows.
     pub fn revision(&self) -> u64 {
         self.revision
+    }
+
+    /// Where keyframes should be.
+    pub fn wanted(&self) -> &Arc<PoseSnapshot> {
+        &self.wanted
+    }
+
+    /// Grows when what the map shows, or its revision, changes by [`GlobalMap::step`].
+    pub fn version(&self) -> (u64, u64) {
+        (self.revision, self.num_updates)
     }
 
     /// Adds a keyframe where it is now; cheapest when it is newer than all others.
@@ -108,6 +121,7 @@ impl GlobalMap {
                 Ok(None) => self.coming = Some(coming),
                 Ok(Some(_)) => {
                     self.revision = coming.revision;
+                    self.num_updates += 1;
                     self.placed.extend(coming.placed);
                 }
                 Err(error) => {

@@ -2,7 +2,8 @@
 
 use super::global::GlobalMap;
 use super::mapper::{MapStats, Mapper};
-use crate::mapping::{KeyframeCamera, KeyframeScan, MappingConfig};
+use crate::mapping::live_depth::{LiveDepth, Step};
+use crate::mapping::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig};
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{MapError, OccupancyMap};
@@ -90,6 +91,10 @@ pub struct LiveMaps {
     waiting: Vec<(Waiting, Sim3)>,
     /// Keyframes of fragments that are not joined to the main map: nobody knows where they are.
     apart: BTreeMap<KeyframeId, Waiting>,
+    /// Better depth of the keyframes in the maps, from the first on that came while somebody read.
+    depth: Option<LiveDepth>,
+    /// Whether the next step is one of the depth, where there is one to take; else one of *global*.
+    is_depths_turn: bool,
     published: MapReader,
 }
 
@@ -149,6 +154,8 @@ impl LiveMaps {
             first_poses: Vec::new(),
             waiting: Vec::new(),
             apart: BTreeMap::new(),
+            depth: None,
+            is_depths_turn: false,
             published: MapReader::default(),
         })
     }
@@ -166,6 +173,7 @@ impl LiveMaps {
     pub fn reader(&mut self) -> Result<MapReader, MapError> {
         let reader = self.published.clone();
         for (waiting, world_from_keyframe) in std::mem::take(&mut self.waiting) {
+            self.make_better(&waiting);
             let scan = waiting.scan(self.mapper.config(), false);
             self.integrate(&scan, &world_from_keyframe)?;
         }
@@ -188,6 +196,7 @@ impl LiveMaps {
         let keyframe = keyframe.into();
         self.first_poses.push((keyframe.id(), world_from_keyframe));
         if self.published.is_read() {
+            self.make_better(&keyframe);
             let scan = keyframe.scan(self.mapper.config(), true);
             self.integrate(&scan, &world_from_keyframe)?;
             self.publish();
@@ -195,6 +204,19 @@ impl LiveMaps {
             self.waiting.push((keyframe, world_from_keyframe));
         }
         Ok(())
+    }
+
+    /// Has better depth made of a keyframe, if the settings ask for it.
+    fn make_better(&mut self, keyframe: &Waiting) {
+        let config = self.mapper.config();
+        let Waiting::Keyframe(keyframe, camera) = keyframe else {
+            return;
+        };
+        if config.quality == MapQuality::Default && config.dense.live {
+            self.depth
+                .get_or_insert_with(|| LiveDepth::new(config.clone(), *camera))
+                .add(keyframe.clone());
+        }
     }
 
     fn integrate(
@@ -221,7 +243,7 @@ impl LiveMaps {
         self.apart.insert(keyframe.id(), keyframe);
     }
 
-    /// Takes better depth of a keyframe that was added before; *global* will use it, *large* at the end.
+    /// Takes other depth of a keyframe that was added before; *global* will use it, or what is made of it, *large* at the end.
     pub fn revise(&mut self, keyframe: impl Into<Waiting>) {
         let keyframe = keyframe.into();
         let id = keyframe.id();
@@ -232,10 +254,21 @@ impl LiveMaps {
         match self.waiting.iter_mut().find(|(w, _)| w.id() == id) {
             Some((waiting, _)) => *waiting = keyframe,
             None => {
-                let scan = keyframe.scan(self.mapper.config(), self.published.is_read());
-                self.global.revise(scan);
+                let is_better_shown = self.has_better(&keyframe);
+                self.make_better(&keyframe);
+                if !is_better_shown {
+                    let scan = keyframe.scan(self.mapper.config(), self.published.is_read());
+                    self.global.revise(scan);
+                }
             }
         }
+    }
+
+    /// Whether a keyframe of the filter would replace what was made of its depth before.
+    fn has_better(&self, keyframe: &Waiting) -> bool {
+        let depth = self.depth.as_ref();
+        matches!(keyframe, Waiting::Keyframe(..))
+            && depth.is_some_and(|depth| depth.has_handed_over(keyframe.id()))
     }
 
     /// Says where keyframes are now; *global* follows in [`LiveMaps::step`]. Keyframes that have come to the
@@ -280,7 +313,8 @@ impl LiveMaps {
     }
 
     /// Brings *global* closer to the newest poses and depths, by at most the integration of one
-    /// keyframe; `false` when it is up to date, or when nobody reads.
+    /// keyframe, or makes the depth of a keyframe better, by a step of it, in turns; `false` when there is nothing to do, or when
+    /// nobody reads.
     ///
     /// # Errors
     /// An invalid pose, or a map that would exceed its memory.
@@ -288,12 +322,38 @@ impl LiveMaps {
         if !self.published.is_read() {
             return Ok(false);
         }
-        let revision = self.global.revision();
+        let is_depth_first = self.is_depths_turn;
+        self.is_depths_turn = !is_depth_first;
+        if is_depth_first && self.step_depth() || self.step_global()? {
+            return Ok(true);
+        }
+        Ok(!is_depth_first && self.step_depth())
+    }
+
+    fn step_global(&mut self) -> Result<bool, MapError> {
+        let version = self.global.version();
         let has_worked = self.global.step(&self.mapper)?;
-        if self.global.revision() != revision {
+        if self.global.version() != version {
             self.publish();
         }
         Ok(has_worked)
+    }
+
+    fn step_depth(&mut self) -> bool {
+        let Some(depth) = &mut self.depth else {
+            return false;
+        };
+        match depth.step(self.global.wanted()) {
+            Step::Idle => return false,
+            Step::Worked => {}
+            Step::Better(scan) => self.global.revise(scan),
+        }
+        true
+    }
+
+    /// No more keyframes come: what was kept to make their depth better is given back.
+    pub fn rest(&mut self) {
+        self.depth = None;
     }
 
     fn publish(&self) {

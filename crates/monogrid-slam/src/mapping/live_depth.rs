@@ -1,0 +1,439 @@
+//! Better depth of keyframes while a run goes on.
+//!
+//! The same steps as for the final maps (module `refine`), one keyframe and one step at a time: dense depth by the images of its
+//! neighbours → what of it they confirm → filled depth that they do not contradict → one depth from all that see the same. A keyframe
+//! takes a step when the [`AHEAD`] keyframes after it are as far, so that neighbours on both sides have their say, and its depth is
+//! ready when four more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
+//! [`MAX_BEHIND`] wait, the newest are, the others when there is nothing else to do.
+
+use super::agreement::View;
+use super::certainty::Certainty;
+use super::dense::{agreed, neighbours, stereo};
+use super::refine::Found;
+use super::{KeptKeyframes, KeyframeCamera, KeyframeScan, MappingConfig};
+use crate::store::{Kept, KeptDense};
+use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
+use std::collections::VecDeque;
+use std::ops::Range;
+
+/// Later keyframes that must be as far as one that takes a step.
+const AHEAD: usize = 1;
+
+/// Keyframes that wait for their first step while it is taken in order.
+const MAX_BEHIND: usize = 8;
+/// Keyframes of which what was found is kept for the others.
+const MAX_HELD: usize = 20;
+/// How far from a keyframe, in keyframes, are those that tell how certain its depth is.
+const COMPARED: usize = 3;
+
+/// How far a keyframe has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    #[default]
+    Waiting,
+    /// Its image was matched with those of its neighbours.
+    Matched,
+    /// What these confirm was merged with its own depth, refined and filled.
+    Found,
+    /// Without filled depth that they contradict.
+    Checked,
+    /// Handed over.
+    Ready,
+}
+
+/// What was found of a keyframe.
+#[derive(Clone, Debug, Default)]
+struct Work {
+    stage: Stage,
+    found: Option<Found>,
+}
+
+/// What a step has done.
+#[derive(Debug)]
+pub(super) enum Step {
+    /// There was nothing to do.
+    Idle,
+    /// Something that nobody sees yet.
+    Worked,
+    /// A keyframe has better depth.
+    Better(KeyframeScan),
+}
+
+/// The keyframes of a run and how far each has come.
+#[derive(Debug)]
+pub(super) struct LiveDepth {
+    config: MappingConfig,
+    camera: KeyframeCamera,
+    /// By identity.
+    keyframes: Vec<KeptKeyframe>,
+    /// Of each of them.
+    work: Vec<Work>,
+    /// Dense depth of each of them, as it was matched.
+    dense: Vec<Option<Kept<KeptDense>>>,
+    /// Those of which something is kept, in the order in which they were matched.
+    held: VecDeque<KeyframeId>,
+    /// The one that was matched last.
+    last: Option<KeyframeId>,
+}
+
+impl LiveDepth {
+    /// Of no keyframe yet.
+    pub fn new(config: MappingConfig, camera: KeyframeCamera) -> Self {
+        Self {
+            config,
+            camera,
+            keyframes: Vec::new(),
+            work: Vec::new(),
+            dense: Vec::new(),
+            held: VecDeque::new(),
+            last: None,
+        }
+    }
+
+    /// Takes a keyframe, or another depth of one.
+    pub fn add(&mut self, keyframe: KeptKeyframe) {
+        match self.index(keyframe.id) {
+            Ok(index) => {
+                self.forget(keyframe.id);
+                self.work[index].stage = Stage::Waiting;
+                self.keyframes[index] = keyframe;
+            }
+            Err(index) => {
+                self.keyframes.insert(index, keyframe);
+                self.work.insert(index, Work::default());
+                self.dense.insert(index, None);
+            }
+        }
+    }
+
+    /// Whether better depth of a keyframe was handed over.
+    pub fn has_handed_over(&self, id: KeyframeId) -> bool {
+        self.index(id)
+            .is_ok_and(|index| self.work[index].stage == Stage::Ready)
+    }
+
+    /// Lets one keyframe take a step, at poses that are the newest.
+    pub fn step(&mut self, poses: &PoseSnapshot) -> Step {
+        let Some(index) = self.next() else {
+            return Step::Idle;
+        };
+        let step = match self.work[index].stage {
+            Stage::Waiting => self.match_images(index, poses),
+            Stage::Matched => self.find(index, poses),
+            Stage::Found => self.check(index),
+            Stage::Checked => Step::Better(self.ready(index)),
+            Stage::Ready => return Step::Idle,
+        };
+        let stage = &mut self.work[index].stage;
+        *stage = stage.next();
+        step
+    }
+
+    /// The keyframe that takes a step: the one that is nearest to its end, else one that waits.
+    fn next(&self) -> Option<usize> {
+        [Stage::Checked, Stage::Found, Stage::Matched]
+            .into_iter()
+            .find_map(|stage| self.all_ready_for_more(stage).next())
+            .or_else(|| self.next_waiting())
+    }
+
+    /// Those of a stage with enough later ones that are as far.
+    fn all_ready_for_more(&self, stage: Stage) -> impl Iterator<Item = usize> {
+        (0..self.work.len().saturating_sub(AHEAD)).filter(move |index| {
+            let ahead = &self.work[index + 1..=index + AHEAD];
+            self.work[*index].stage == stage && ahead.iter().all(|later| later.stage >= stage)
+        })
+    }
+
+    /// The one that is to be matched: after the last one in order, the newest where too many wait, else the oldest.
+    fn next_waiting(&self) -> Option<usize> {
+        let after = match self.last.map(|id| self.index(id)) {
+            Some(Ok(index) | Err(index)) => index,
+            None => 0,
+        };
+        let mut later = self
+            .all_ready_for_more(Stage::Waiting)
+            .skip_while(|index| *index < after);
+        let Some(next) = later.next() else {
+            return self.all_ready_for_more(Stage::Waiting).next();
+        };
+        let newest = later.last().unwrap_or(next);
+        Some(if newest - next >= MAX_BEHIND {
+            newest
+        } else {
+            next
+        })
+    }
+
+    /// Matches the image of a keyframe with those of its neighbours.
+    fn match_images(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
+        let keyframes = self.kept(poses);
+        let config = &self.config.dense;
+        let neighbours = neighbours(&keyframes, index, &self.camera, config);
+        let depth = stereo(&keyframes, index, &neighbours, &self.camera, config);
+        let store = self.keyframes[index].pixels.store();
+        self.dense[index] = depth.map(|depth| store.keep(KeptDense(depth)));
+        let id = self.keyframes[index].id;
+        self.last = Some(id);
+        self.held.push_back(id);
+        while self.held.len() > MAX_HELD
+            && let Some(oldest) = self.held.pop_front()
+        {
+            self.forget(oldest);
+        }
+        Step::Worked
+    }
+
+    /// Merges what neighbours confirm with the depth of the filter.
+    fn find(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
+        let keyframes = self.kept(poses);
+        let config = &self.config.dense;
+        let neighbours = neighbours(&keyframes, index, &self.camera, config);
+        let dense = agreed(&self.dense, index, &neighbours, &self.camera, config);
+        let settings = (&self.camera, &self.config);
+        let store = self.keyframes[index].pixels.store();
+        let found = Found::of_keyframe(&keyframes, index, dense.as_ref(), settings, store);
+        self.work[index].found = Some(found);
+        Step::Worked
+    }
+
+    /// Leaves out filled depth that others contradict.
+    fn check(&mut self, index: usize) -> Step {
+        let (views, middle) = self.views(index, MAX_HELD);
+        if let Some(found) = &self.work[index].found
+            && self.config.fill.max_witnesses > 0
+        {
+            let checked = found.without_contradicted(&views, middle, &self.camera, &self.config);
+            self.work[index].found = Some(checked);
+        }
+        Step::Worked
+    }
+
+    /// What of a keyframe is mapped.
+    fn ready(&self, index: usize) -> KeyframeScan {
+        let (near, _) = self.views(index, COMPARED);
+        let certainty = self
+            .config
+            .sigma_from_agreement
+            .then(|| Certainty::of_views(&near, &self.camera, 1));
+        let (views, middle) = self.views(index, MAX_HELD);
+        let found = self.work[index].found.as_ref();
+        let depths =
+            found.map(|found| found.certain(certainty, &views, middle, &self.camera, &self.config));
+        let keyframe = &self.keyframes[index];
+        let store = keyframe.pixels.store();
+        let depths = depths.unwrap_or_default();
+        depths.joined(keyframe.id, &self.camera, store)
+    }
+
+    /// What was found of the keyframes around one, and where that one is among them.
+    fn views(&self, index: usize, reach: usize) -> (Vec<Option<View>>, usize) {
+        let Range { start, end } =
+            index.saturating_sub(reach)..(index + reach + 1).min(self.work.len());
+        let views = self.work[start..end].iter();
+        let views = views.map(|work| work.found.as_ref()?.view.clone());
+        (views.collect(), index - start)
+    }
+
+    /// Leaves what was found of a keyframe; one that was not handed over begins again.
+    fn forget(&mut self, id: KeyframeId) {
+        self.held.retain(|held| *held != id);
+        if let Ok(index) = self.index(id) {
+            self.dense[index] = None;
+            let work = &mut self.work[index];
+            work.found = None;
+            if work.stage != Stage::Ready {
+                work.stage = Stage::Waiting;
+            }
+        }
+    }
+
+    fn kept<'a>(&'a self, poses: &'a PoseSnapshot) -> KeptKeyframes<'a> {
+        KeptKeyframes {
+            keyframes: &self.keyframes,
+            poses,
+        }
+    }
+
+    /// Where a keyframe is, or would be.
+    fn index(&self, id: KeyframeId) -> Result<usize, usize> {
+        self.keyframes
+            .binary_search_by_key(&id, |keyframe| keyframe.id)
+    }
+}
+
+impl Stage {
+    fn next(self) -> Self {
+        match self {
+            Self::Waiting => Self::Matched,
+            Self::Matched => Self::Found,
+            Self::Found => Self::Checked,
+            Self::Checked | Self::Ready => Self::Ready,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Keyframe;
+    use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
+    use crate::mapping::{PosedKeyframe, final_scans};
+    use monogrid_geometry::{Rotation, Sim3, Vec3};
+
+    fn place(id: KeyframeId) -> f64 {
+        0.12 * f64::from(id)
+    }
+
+    fn poses(count: KeyframeId) -> PoseSnapshot {
+        let pose = |id| Sim3::new(1.0, Rotation::identity(), Vec3::new(place(id), 0.0, 0.0));
+        PoseSnapshot {
+            world_from_keyframe: (0..count).map(pose).collect(),
+            ..PoseSnapshot::default()
+        }
+    }
+
+    /// A keyframe that knows the depth of every ninth pixel, 4 % too large.
+    fn keyframe(id: KeyframeId) -> Keyframe {
+        let mut pixels = depths(1.0);
+        pixels.retain(|p| p.x % 3 == 0 && p.y % 3 == 0);
+        Keyframe {
+            id,
+            frame_index: id as usize,
+            timestamp_ns: 0,
+            revision: 0,
+            image: wall(place(id)),
+            pixels,
+        }
+    }
+
+    fn live() -> LiveDepth {
+        LiveDepth::new(MappingConfig::default(), CAMERA)
+    }
+
+    /// Lets it do all that there is to do; the keyframes that it handed over, in this order.
+    fn rest(live: &mut LiveDepth, poses: &PoseSnapshot) -> Vec<KeyframeScan> {
+        let mut ready = Vec::new();
+        loop {
+            match live.step(poses) {
+                Step::Idle => return ready,
+                Step::Worked => {}
+                Step::Better(scan) => ready.push(scan),
+            }
+        }
+    }
+
+    fn ids(scans: &[KeyframeScan]) -> Vec<KeyframeId> {
+        scans.iter().map(|scan| scan.id).collect()
+    }
+
+    /// Some keyframes, and how far they have come.
+    fn stages(count: KeyframeId, stages: &[(Range<usize>, Stage)]) -> LiveDepth {
+        let mut live = live();
+        for id in 0..count {
+            live.add(keyframe(id).into());
+        }
+        for (range, stage) in stages {
+            for work in &mut live.work[range.clone()] {
+                work.stage = *stage;
+            }
+        }
+        live
+    }
+
+    #[test]
+    fn a_keyframe_is_ready_when_four_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
+        let (count, snapshot) = (9, poses(9));
+        let mut live = live();
+        let mut ready = Vec::new();
+        for id in 0..count {
+            live.add(keyframe(id).into());
+            let scans = rest(&mut live, &snapshot);
+            let expected: Vec<KeyframeId> = id.checked_sub(4).into_iter().collect();
+            assert_eq!(ids(&scans), expected);
+            ready.extend(scans);
+        }
+        assert!(live.has_handed_over(4) && !live.has_handed_over(5));
+        let keyframes: Vec<Keyframe> = (0..count).map(keyframe).collect();
+        let posed: Vec<PosedKeyframe> = keyframes
+            .iter()
+            .map(|keyframe| PosedKeyframe {
+                id: keyframe.id,
+                image: Some(&keyframe.image),
+                pixels: &keyframe.pixels,
+                world_from_keyframe: snapshot.in_main_map(keyframe.id).copied(),
+            })
+            .collect();
+        let config = MappingConfig::default();
+        let last = final_scans(&posed, &CAMERA, &config, 2);
+        // the first one has neighbours on one side, of which too few confirm it
+        for scan in &ready[1..] {
+            assert!(10 * scan.num_pixels > 9 * last[scan.id as usize].num_pixels);
+            assert!(share_right(scan, 1.0) > 0.99);
+        }
+        // the filter has too little to be mapped, and nothing right
+        let measured = &keyframes[1].pixels;
+        let of_filter = KeyframeScan::new(1, measured, None, &CAMERA, &config);
+        assert!(of_filter.num_pixels == 0 && !measured.is_empty());
+    }
+
+    #[test]
+    fn work_that_has_begun_goes_first_and_needs_later_keyframes_that_are_as_far() {
+        let next = |given: &[(Range<usize>, Stage)]| stages(9, given).next();
+        assert_eq!(next(&[]), Some(0));
+        assert_eq!(next(&[(0..1, Stage::Matched)]), Some(1));
+        assert_eq!(next(&[(0..2, Stage::Matched)]), Some(0));
+        let two = [(0..1, Stage::Found), (1..3, Stage::Matched)];
+        assert_eq!(next(&two), Some(1));
+        let three = [(4..5, Stage::Checked), (5..9, Stage::Matched)];
+        assert_eq!(next(&three), Some(5));
+        let four = [(4..6, Stage::Checked), (6..9, Stage::Found)];
+        assert_eq!(next(&four), Some(4));
+        assert_eq!(next(&[(0..9, Stage::Ready)]), None);
+        // there is none after the last one
+        assert_eq!(next(&[(0..8, Stage::Ready)]), None);
+    }
+
+    #[test]
+    fn who_is_behind_leaves_keyframes_out_until_there_is_time() {
+        let mut live = stages(20, &[(0..20, Stage::Ready)]);
+        let wait = |live: &mut LiveDepth, range: Range<usize>| {
+            for work in &mut live.work[range] {
+                work.stage = Stage::Waiting;
+            }
+        };
+        live.last = Some(9);
+        wait(&mut live, 10..19);
+        // in order: of nine that wait the newest is eight after the first, and goes first
+        assert_eq!(live.next_waiting(), Some(18));
+        live.work[18].stage = Stage::Ready;
+        assert_eq!(live.next_waiting(), Some(10));
+        // older ones come when there is nothing newer
+        live.last = Some(18);
+        assert_eq!(live.next_waiting(), Some(10));
+        live.last = Some(14);
+        live.work[14].stage = Stage::Ready;
+        assert_eq!(live.next_waiting(), Some(15));
+    }
+
+    #[test]
+    fn what_is_kept_is_bounded_and_other_depth_begins_again() {
+        let count = MAX_HELD as KeyframeId + 6;
+        let snapshot = poses(count);
+        let mut live = live();
+        for id in 0..count {
+            live.add(keyframe(id).into());
+            rest(&mut live, &snapshot);
+        }
+        let num_held = |live: &LiveDepth| live.work.iter().filter(|w| w.found.is_some()).count();
+        let num_dense = |live: &LiveDepth| live.dense.iter().flatten().count();
+        assert!(num_held(&live) <= MAX_HELD && num_dense(&live) == MAX_HELD);
+        // one that nothing is kept of is ready all the same
+        assert!(live.has_handed_over(0) && live.work[0].found.is_none());
+        let revised = live.keyframes.len() - 6;
+        live.add(keyframe(revised as KeyframeId).into());
+        assert!(!live.has_handed_over(revised as KeyframeId));
+        assert_eq!(live.keyframes.len(), count as usize);
+        assert_eq!(ids(&rest(&mut live, &snapshot)), [revised as KeyframeId]);
+    }
+}
