@@ -8,6 +8,14 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// Points that a candidate is judged by, at most.
 const MAX_JUDGES: usize = 300;
+/// Fits of the best candidate in which sides differ, each to the points on the one before.
+const ASYMMETRIC_FITS: usize = 4;
+/// Fits after these to the points near the surface.
+const NARROW_FITS: usize = 3;
+/// How near: so many times the spread of what lies behind it.
+const NARROW_REACH: f64 = 1.5;
+/// Least spread of points around a surface, in standard deviations.
+const LEAST_SPREAD: f64 = 0.1;
 
 /// A measurement on an outline.
 #[derive(Clone, Copy, Debug)]
@@ -201,14 +209,43 @@ fn best_plane(
         }
     }
     let (_, mut plane) = best?;
-    for _ in 0..2 {
-        let inliers: Vec<&BorderPoint> = points
-            .iter()
-            .filter(|p| plane.explains(p, config))
-            .collect();
-        plane = fitted(&inliers, config)?;
+    for round in 0..=ASYMMETRIC_FITS {
+        let inliers = within(points, &plane, 2.0, config);
+        // sides mean something once the plane is a fit and not a guess by three points
+        let side_of = (round > 0).then_some(&plane);
+        plane = fitted(&inliers, side_of, config)?;
+    }
+    // what is left before the plane stands before the surface; what is left behind it is noise, which is as large on either side
+    let reach = NARROW_REACH * spread_behind(points, &plane, config);
+    for _ in 0..NARROW_FITS {
+        let inliers = within(points, &plane, reach, config);
+        if inliers.len() < config.min_inliers {
+            break;
+        }
+        plane = fitted(&inliers, None, config)?;
     }
     Some(plane)
+}
+
+/// Points at most so many standard deviations off a plane.
+fn within<'a>(
+    points: &'a [BorderPoint],
+    plane: &Plane,
+    sigmas: f64,
+    config: &FillConfig,
+) -> Vec<&'a BorderPoint> {
+    let is_near = |point: &&BorderPoint| plane.gap(point, config).abs() <= sigmas;
+    points.iter().filter(is_near).collect()
+}
+
+/// Root mean square of how far points on a plane lie behind it, in standard deviations.
+fn spread_behind(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> f64 {
+    let gaps = points.iter().map(|point| plane.gap(point, config));
+    let behind = gaps.filter(|gap| (-2.0..0.0).contains(gap));
+    let (sum, count) = behind.fold((0.0, 0.0), |(sum, count), gap| {
+        (sum + gap * gap, count + 1.0)
+    });
+    (sum / f64::max(count, 1.0)).sqrt().max(LEAST_SPREAD)
 }
 
 /// The plane through three points that are not almost on one line.
@@ -235,9 +272,9 @@ fn through(points: &[BorderPoint; 3]) -> Option<Plane> {
     })
 }
 
-/// Weighted least squares. Neighbouring depths share their errors: `correlated_points` of them count as
-/// one in the covariance.
-fn fitted(points: &[&BorderPoint], config: &FillConfig) -> Option<Plane> {
+/// Weighted least squares. Points before the plane `side_of` weigh less than those behind it (`front_weight`; [NEWEY87]), but say as much
+/// about how certain it is. Neighbouring depths share their errors: `correlated_points` of them count as one in the covariance.
+fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>, config: &FillConfig) -> Option<Plane> {
     let count = points.len() as f64;
     if points.len() < 3 {
         return None;
@@ -246,19 +283,22 @@ fn fitted(points: &[&BorderPoint], config: &FillConfig) -> Option<Plane> {
         points.iter().map(|p| p.x).sum::<f64>() / count,
         points.iter().map(|p| p.y).sum::<f64>() / count,
     ];
-    let mut information = Matrix3::zeros();
+    let (mut information, mut normal) = (Matrix3::zeros(), Matrix3::zeros());
     let mut right = Vector3::zeros();
     for point in points {
         let row = Vector3::new(point.x - center[0], point.y - center[1], 1.0);
-        let weight = 1.0 / (point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2));
-        information += row * row.transpose() * weight;
-        right += row * (weight * point.idepth);
+        let variance = point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2);
+        let is_before = side_of.is_some_and(|plane| plane.gap(point, config) > 0.0);
+        let weight = if is_before { config.front_weight } else { 1.0 };
+        let outer = row * row.transpose() / variance;
+        information += outer;
+        normal += outer * weight;
+        right += row * (weight * point.idepth / variance);
     }
-    let inverse = information.try_inverse()?;
     Some(Plane {
-        coefficients: inverse * right,
+        coefficients: normal.try_inverse()? * right,
         center,
-        covariance: inverse * config.correlated_points,
+        covariance: information.try_inverse()? * config.correlated_points,
         shared_sigma: points.iter().map(|p| p.sigma / p.idepth).sum::<f64>() / count,
         inliers: points.len(),
     })

@@ -83,6 +83,34 @@ fn what_stands_before_a_wall_does_not_bend_it() {
 }
 
 #[test]
+fn a_wall_lies_behind_the_frames_and_skirtings_that_outline_it() {
+    // some of the outline stands 1 % before the wall
+    let error = |is_wall: fn(usize) -> bool, front_weight: f64| {
+        let factor = |x, y| if is_wall(x + y) { 1.0 } else { 1.01 };
+        let measured = rim(|x, y| wall(x as f64, y as f64) * factor(x, y));
+        let config = FillConfig {
+            front_weight,
+            ..FillConfig::default()
+        };
+        let filled = fill_plain_regions(&panel(), &measured, 0.035, &config);
+        let errors = filled.iter().map(|p| {
+            let truth = wall(p.x.into(), p.y.into());
+            f64::from(p.idepth) / truth - 1.0
+        });
+        errors.sum::<f64>() / filled.len() as f64
+    };
+    let default = FillConfig::default().front_weight;
+    // two of three points: where sides are the same, most of them decide
+    let symmetric = error(|k| k % 3 == 0, 1.0);
+    assert!((0.006..0.01).contains(&symmetric), "{symmetric}");
+    let behind = error(|k| k % 3 == 0, default);
+    assert!(behind.abs() < 0.001, "{behind}");
+    // where nothing stands before it, noise does not move it
+    let alone = error(|_| true, default);
+    assert!(alone.abs() < 0.0005, "{alone}");
+}
+
+#[test]
 fn an_outline_that_is_no_plane_fills_nothing() {
     // a quarter of the outline lies on one plane and the rest behind it, at many depths
     let filled = filled(&rim(|x, y| {
