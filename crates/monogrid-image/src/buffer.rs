@@ -148,6 +148,14 @@ pub fn luma_of_rgb(rgb: [u8; 3]) -> u8 {
     ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 
+/// A grey value rounded to 8 bits: what `round` and a conversion give, without a call for each pixel.
+#[must_use]
+#[inline]
+pub fn to_gray8(value: f32) -> u8 {
+    let below = value as u8;
+    below.saturating_add(u8::from(value - f32::from(below) >= 0.5))
+}
+
 /// Bilinear value at `(x, y)`; `None` outside the square of pixel centres.
 #[must_use]
 #[inline]
@@ -156,18 +164,25 @@ pub fn bilinear(image: &GrayImage, x: f32, y: f32) -> Option<f32> {
     if !(x >= 0.0 && y >= 0.0 && x <= (w as f32 - 1.0) && y <= (h as f32 - 1.0)) {
         return None;
     }
-    let (ix, iy) = (
-        (x as usize).min(w.saturating_sub(2)),
-        (y as usize).min(h.saturating_sub(2)),
-    );
-    if w < 2 || h < 2 {
-        return Some(linear(&image.data, if w < 2 { y } else { x }));
-    }
+    Some(if w < 2 || h < 2 {
+        linear(&image.data, if w < 2 { y } else { x })
+    } else {
+        bilinear_inside(image, x, y)
+    })
+}
+
+/// The same at a place that is known to be inside, of an image of at least two pixels in both directions.
+#[must_use]
+#[inline]
+pub fn bilinear_inside(image: &GrayImage, x: f32, y: f32) -> f32 {
+    let (w, h) = (image.width, image.height);
+    let (ix, iy) = ((x as usize).min(w - 2), (y as usize).min(h - 2));
     let (fx, fy) = (x - ix as f32, y - iy as f32);
     let i = iy * w + ix;
-    let top = image.data[i] + fx * (image.data[i + 1] - image.data[i]);
-    let bottom = image.data[i + w] + fx * (image.data[i + w + 1] - image.data[i + w]);
-    Some(top + fy * (bottom - top))
+    let (upper, lower) = (&image.data[i..i + 2], &image.data[i + w..i + w + 2]);
+    let top = upper[0] + fx * (upper[1] - upper[0]);
+    let bottom = lower[0] + fx * (lower[1] - lower[0]);
+    top + fy * (bottom - top)
 }
 
 /// Values at four places `(x, y)` by cubic convolution (Keys 1981, a = -1/2), which blurs less than [`bilinear`]; outside the
@@ -367,6 +382,27 @@ fn area_weights(input: usize, output: usize) -> Vec<(usize, Vec<f32>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rounding_is_that_of_the_library() {
+        let tenths = (-30..2600_i16).map(|tenth| f32::from(tenth) * 0.1);
+        let rest = [
+            0.499_999_97,
+            0.5,
+            254.5,
+            255.5,
+            f32::NAN,
+            f32::INFINITY,
+            -1e9,
+        ];
+        for value in tenths
+            .chain((0..255_u8).map(|v| f32::from(v) + 0.5))
+            .chain(rest)
+        {
+            let expected = value.round().clamp(0.0, 255.0) as u8;
+            assert_eq!(to_gray8(value), expected, "{value}");
+        }
+    }
 
     #[test]
     fn bytes_become_grey_values() {

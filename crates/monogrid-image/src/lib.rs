@@ -10,7 +10,10 @@ mod photometric;
 mod pyramid;
 mod undistort;
 
-pub use buffer::{GrayImage, Image, Mask, Resize, bicubic, bilinear, luma_of_rgb, resize_area};
+pub use buffer::{
+    GrayImage, Image, Mask, Resize, bicubic, bilinear, bilinear_inside, luma_of_rgb, resize_area,
+    to_gray8,
+};
 pub use gradient::{GradientImage, max_gradient};
 pub use photometric::{Photometric, PhotometricError};
 pub use pyramid::{Pyramid, half_size, pyramid_intrinsics};

@@ -51,16 +51,13 @@ impl Pyramid {
 #[must_use]
 pub fn half_size(image: &GrayImage) -> GrayImage {
     let (w, h) = (image.width() / 2, image.height() / 2);
-    let mut output = Image::filled(w, h, 0.0f32);
+    let mut output = Vec::with_capacity(w * h);
     for y in 0..h {
         let (top, bottom) = (image.row(2 * y), image.row(2 * y + 1));
-        let out = output.row_mut(y);
-        let pairs = top.chunks_exact(2).zip(bottom.chunks_exact(2));
-        for (o, (t, b)) in out.iter_mut().zip(pairs) {
-            *o = 0.25 * (t[0] + t[1] + b[0] + b[1]);
-        }
+        let pairs = top.as_chunks().0.iter().zip(bottom.as_chunks().0);
+        output.extend(pairs.map(|([a, b], [c, d])| 0.25 * (a + b + c + d)));
     }
-    output
+    Image::from_vec(w, h, output).unwrap_or_default()
 }
 
 /// Intrinsics of each level of a pyramid.

@@ -2,7 +2,7 @@
 
 use crate::shutter::Shutter;
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection};
-use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSize};
+use monogrid_image::{GrayImage, Image, Mask, Photometric, Undistorter, WorkingSize, to_gray8};
 
 /// Undistortion, photometric correction and working size of one camera.
 #[derive(Clone, Debug)]
@@ -181,7 +181,7 @@ pub(crate) fn each_channel(
     let channels = [channel(0)?, channel(1)?, channel(2)?];
     let (width, height) = (channels[0].width(), channels[0].height());
     Ok(Image::from_fn(width, height, |x, y| {
-        [0, 1, 2].map(|c| channels[c].at(x, y).round().clamp(0.0, 255.0) as u8)
+        [0, 1, 2].map(|c| to_gray8(channels[c].at(x, y)))
     }))
 }
 

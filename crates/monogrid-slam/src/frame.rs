@@ -2,7 +2,7 @@
 
 use monogrid_alignment::Target;
 use monogrid_geometry::Pinhole;
-use monogrid_image::{GrayImage, Image, Pyramid};
+use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
 use std::sync::Arc;
 
 /// One working image.
@@ -73,7 +73,7 @@ impl BufferedFrame {
         Self {
             index: frame.index,
             timestamp_ns: frame.timestamp_ns,
-            image: frame.image().map(|v| v.round().clamp(0.0, 255.0) as u8),
+            image: frame.image().map(to_gray8),
         }
     }
 

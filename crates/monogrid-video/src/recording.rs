@@ -4,7 +4,7 @@ use crate::turn::Turn;
 use crate::{Colour, Grey, Opened, VideoError, VideoFrame};
 use monogrid_bags::{Bag, BagError};
 use monogrid_geometry::Camera;
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, to_gray8};
 use std::path::Path;
 
 /// Opens a topic of a recording, or the only one with images; with the camera that the recording says.
@@ -43,5 +43,5 @@ pub(crate) fn open(
 
 /// 8 bits, as every video has them.
 fn grey(image: &GrayImage) -> Grey {
-    image.map(|value| value.round().clamp(0.0, 255.0) as u8)
+    image.map(to_gray8)
 }

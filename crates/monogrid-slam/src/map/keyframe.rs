@@ -77,7 +77,7 @@ impl KeyframeImage {
             size: (image.width(), image.height()),
             grey,
             pyramid: store.derive(move || {
-                let image = of_pyramid.get()?.image()?.map(f32::from);
+                let image = of_pyramid.get()?.grey()?;
                 Some(Pyramid::new(image, NUM_LEVELS))
             }),
         }

@@ -14,10 +14,10 @@ mod shelves;
 #[cfg(test)]
 mod tests;
 
+use self::packed::pack_any;
 pub(crate) use self::packed::{
     Keepable, KeptDense, KeptImage, Measured, Measurements, StoredCorners,
 };
-use self::packed::{pack_any, unpack};
 
 use self::shelves::Shelves;
 pub(crate) use self::shelves::StoreBytes;
@@ -70,7 +70,7 @@ impl Store {
     pub(crate) fn keep<T: Keepable>(&self, value: T) -> Kept<T> {
         let bytes = value.bytes();
         let number = self.shelves().keep(Arc::new(value), bytes, pack_any::<T>);
-        self.kept(number, Origin::Own(unpack))
+        self.kept(number, Origin::Own(T::unpack))
     }
 
     /// A value that follows from others and is made when somebody asks for it.

@@ -5,10 +5,8 @@ use crate::DepthPixel;
 use monogrid_alignment::DepthSample;
 use monogrid_depth::{DenseDepth, PackedDepth};
 use monogrid_features::{KeptCorners, PlaceCorners};
-use monogrid_image::{GrayImage, Image, Pyramid};
+use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
 use monogrid_occupancy::DepthPixel as Measurement;
-use serde::de::{DeserializeOwned, Error};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::any::Any;
 use std::sync::Arc;
 
@@ -18,42 +16,68 @@ pub(crate) trait Measured: Send + Sync + 'static {
     fn bytes(&self) -> usize;
 }
 
-/// A value that can be written and read again.
-pub(crate) trait Keepable: Measured + Serialize + DeserializeOwned {}
+/// A value that can be written and read again: often, since little is in memory, so that pixels are copied and not encoded.
+pub(crate) trait Keepable: Measured + Sized {
+    /// As bytes.
+    fn pack(&self) -> Vec<u8>;
 
-impl<T: Measured + Serialize + DeserializeOwned> Keepable for T {}
+    /// The value of these bytes.
+    fn unpack(bytes: &[u8]) -> Option<Self>;
+}
 
 /// A value as bytes; `None` for one of another type.
 pub(super) fn pack_any<T: Keepable>(value: &(dyn Any + Send + Sync)) -> Option<Vec<u8>> {
-    postcard::to_allocvec(value.downcast_ref::<T>()?).ok()
+    Some(value.downcast_ref::<T>()?.pack())
 }
 
-/// The value of these bytes.
-pub(super) fn unpack<T: Keepable>(bytes: &[u8]) -> Option<T> {
-    postcard::from_bytes(bytes).ok()
+/// Column and row of a pixel, and two numbers.
+type Pixel = (u16, u16, f32, f32);
+
+/// Bytes of a pixel.
+const PIXEL: usize = 12;
+
+fn pack_pixels<T: Copy>(pixels: &[T], of: impl Fn(T) -> Pixel) -> Vec<u8> {
+    let mut bytes = vec![0; PIXEL * pixels.len()];
+    for (to, pixel) in bytes.as_chunks_mut::<PIXEL>().0.iter_mut().zip(pixels) {
+        let (x, y, first, second) = of(*pixel);
+        to[..2].copy_from_slice(&x.to_le_bytes());
+        to[2..4].copy_from_slice(&y.to_le_bytes());
+        to[4..8].copy_from_slice(&first.to_le_bytes());
+        to[8..].copy_from_slice(&second.to_le_bytes());
+    }
+    bytes
+}
+
+fn unpack_pixels<T>(bytes: &[u8], to: impl Fn(Pixel) -> T) -> Option<Vec<T>> {
+    let (pixels, rest) = bytes.as_chunks::<PIXEL>();
+    let pixel = |[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; PIXEL]| {
+        to((
+            u16::from_le_bytes([*a, *b]),
+            u16::from_le_bytes([*c, *d]),
+            f32::from_le_bytes([*e, *f, *g, *h]),
+            f32::from_le_bytes([*i, *j, *k, *l]),
+        ))
+    };
+    rest.is_empty().then(|| pixels.iter().map(pixel).collect())
 }
 
 /// Measurements of a keyframe, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Measurements(pub Vec<Measurement>);
 
-impl Serialize for Measurements {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let pixels = self.0.iter();
-        serializer.collect_seq(pixels.map(|p| (p.x, p.y, p.idepth, p.sigma_idepth)))
+impl Keepable for Measurements {
+    fn pack(&self) -> Vec<u8> {
+        pack_pixels(&self.0, |p| (p.x, p.y, p.idepth, p.sigma_idepth))
     }
-}
 
-impl<'de> Deserialize<'de> for Measurements {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let pixels = Vec::<(u16, u16, f32, f32)>::deserialize(deserializer)?;
+    fn unpack(bytes: &[u8]) -> Option<Self> {
         let measurement = |(x, y, idepth, sigma_idepth)| Measurement {
             x,
             y,
             idepth,
             sigma_idepth,
         };
-        Ok(Self(pixels.into_iter().map(measurement).collect()))
+        unpack_pixels(bytes, measurement).map(Self)
     }
 }
 
@@ -67,25 +91,25 @@ impl Measured for Measurements {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct KeptDense(pub DenseDepth);
 
-impl Serialize for KeptDense {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+impl Keepable for KeptDense {
+    fn pack(&self) -> Vec<u8> {
         let DenseDepth { idepth, sigma } = &self.0;
-        let size = (idepth.width(), idepth.height());
-        (size, idepth.as_slice(), sigma.as_slice()).serialize(serializer)
+        let width = idepth.width() as u64;
+        let values = idepth.as_slice().iter().chain(sigma.as_slice());
+        let values = values.flat_map(|value| value.to_le_bytes());
+        width.to_le_bytes().into_iter().chain(values).collect()
     }
-}
 
-impl<'de> Deserialize<'de> for KeptDense {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let ((width, height), idepth, sigma) =
-            <((usize, usize), Vec<f32>, Vec<f32>)>::deserialize(deserializer)?;
-        let image = |values| {
-            let image = Image::from_vec(width, height, values);
-            image.ok_or_else(|| serde::de::Error::custom("values for each pixel"))
-        };
-        Ok(Self(DenseDepth {
-            idepth: image(idepth)?,
-            sigma: image(sigma)?,
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let (width, values) = bytes.split_first_chunk()?;
+        let width = u64::from_le_bytes(*width) as usize;
+        let values = values.as_chunks().0.iter();
+        let mut idepth: Vec<f32> = values.map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        let sigma = idepth.split_off(idepth.len() / 2);
+        let height = sigma.len().checked_div(width)?;
+        Some(Self(DenseDepth {
+            idepth: Image::from_vec(width, height, idepth)?,
+            sigma: Image::from_vec(width, height, sigma)?,
         }))
     }
 }
@@ -100,18 +124,13 @@ impl Measured for KeptDense {
 #[derive(Clone, Debug)]
 pub(crate) struct StoredCorners(pub Arc<PlaceCorners>);
 
-impl Serialize for StoredCorners {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(&self.0.to_bytes())
+impl Keepable for StoredCorners {
+    fn pack(&self) -> Vec<u8> {
+        self.0.to_bytes()
     }
-}
 
-impl<'de> Deserialize<'de> for StoredCorners {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let bytes = Vec::<u8>::deserialize(deserializer)?;
-        let corners = PlaceCorners::from_bytes(&bytes);
-        let corners = corners.ok_or_else(|| D::Error::custom("the corners of a place"))?;
-        Ok(Self(Arc::new(corners)))
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        Some(Self(Arc::new(PlaceCorners::from_bytes(bytes)?)))
     }
 }
 
@@ -128,7 +147,7 @@ impl KeptCorners for Kept<StoredCorners> {
 }
 
 /// An image in eight bits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct KeptImage {
     width: usize,
     height: usize,
@@ -139,17 +158,38 @@ pub(crate) struct KeptImage {
 impl KeptImage {
     /// An image whose values lie between 0 and 255, rounded.
     pub(crate) fn rounded(image: &GrayImage) -> Self {
-        let round = |value: &f32| value.round().clamp(0.0, 255.0) as u8;
+        let values = image.as_slice().iter();
         Self {
             width: image.width(),
             height: image.height(),
-            values: image.as_slice().iter().map(round).collect(),
+            values: values.map(|value| to_gray8(*value)).collect(),
         }
     }
 
     /// The image again.
     pub(crate) fn image(&self) -> Option<Image<u8>> {
         Image::from_vec(self.width, self.height, self.values.clone())
+    }
+
+    /// The image in numbers.
+    pub(crate) fn grey(&self) -> Option<GrayImage> {
+        GrayImage::from_gray8(self.width, self.height, &self.values)
+    }
+}
+
+impl Keepable for KeptImage {
+    fn pack(&self) -> Vec<u8> {
+        [&(self.width as u64).to_le_bytes(), self.values.as_slice()].concat()
+    }
+
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let (width, values) = bytes.split_first_chunk()?;
+        let width = u64::from_le_bytes(*width) as usize;
+        Some(Self {
+            width,
+            height: values.len().checked_div(width)?,
+            values: values.to_vec(),
+        })
     }
 }
 
@@ -171,6 +211,17 @@ impl Measured for PackedDepth {
     }
 }
 
+impl Keepable for PackedDepth {
+    fn pack(&self) -> Vec<u8> {
+        // none of its numbers is refused
+        postcard::to_allocvec(self).unwrap_or_default()
+    }
+
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        postcard::from_bytes(bytes).ok()
+    }
+}
+
 impl Measured for Vec<DepthSample> {
     fn bytes(&self) -> usize {
         self.capacity() * size_of::<DepthSample>()
@@ -180,5 +231,37 @@ impl Measured for Vec<DepthSample> {
 impl Measured for Vec<DepthPixel> {
     fn bytes(&self) -> usize {
         self.capacity() * size_of::<DepthPixel>()
+    }
+}
+
+impl Keepable for Vec<DepthSample> {
+    fn pack(&self) -> Vec<u8> {
+        pack_pixels(self, |p| (p.x, p.y, p.idepth, p.idepth_var))
+    }
+
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let sample = |(x, y, idepth, idepth_var)| DepthSample {
+            x,
+            y,
+            idepth,
+            idepth_var,
+        };
+        unpack_pixels(bytes, sample)
+    }
+}
+
+impl Keepable for Vec<DepthPixel> {
+    fn pack(&self) -> Vec<u8> {
+        pack_pixels(self, |p| (p.x, p.y, p.idepth, p.idepth_var))
+    }
+
+    fn unpack(bytes: &[u8]) -> Option<Self> {
+        let pixel = |(x, y, idepth, idepth_var)| DepthPixel {
+            x,
+            y,
+            idepth,
+            idepth_var,
+        };
+        unpack_pixels(bytes, pixel)
     }
 }
