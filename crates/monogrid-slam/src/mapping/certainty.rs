@@ -8,9 +8,11 @@
 use super::KeyframeCamera;
 use super::agreement::{View, witnesses};
 use super::refine::for_each_keyframe;
-use super::scan::Depths;
+use super::scan::{Depths, KeptDepths};
+use crate::store::Measurements;
 use monogrid_geometry::{Sim3, Vec2};
 use monogrid_occupancy::DepthPixel as Measurement;
+use std::sync::Arc;
 
 /// How much farther the truth is than another keyframe: 1.6 to 3.2 in two rendered rooms, a rendered sequence with an exact
 /// truth and two real ones with a depth camera (`docs/studies.md`).
@@ -35,16 +37,33 @@ const NORMAL_MEDIAN: f32 = 0.674_49;
 pub(super) struct Certainty {
     pub measured: f32,
     pub filled: f32,
+    /// Smallest relative deviation.
+    pub least: f32,
+    /// Depths that are less certain than this do not count.
+    pub most: f32,
 }
 
 impl Certainty {
-    /// From how well keyframes with poses agree; 1 where too little is seen twice.
-    pub fn of_views(views: &[Option<View>], camera: &KeyframeCamera, threads: usize) -> Self {
+    /// Leaves deviations as they are.
+    pub const UNCHANGED: Self = Self {
+        measured: 1.0,
+        filled: 1.0,
+        least: 0.0,
+        most: f32::INFINITY,
+    };
+
+    /// From how well keyframes with poses agree; 1 where too little is seen twice. Depths are less certain than `most` at most.
+    pub fn of_views(
+        views: &[Option<View>],
+        camera: &KeyframeCamera,
+        most: f32,
+        threads: usize,
+    ) -> Self {
         let count = views.len();
         let sampled = for_each_keyframe(count, threads, |index| {
             views[index]
                 .as_ref()
-                .map_or_else(Depths::default, |view| sampled(&view.depths.get()))
+                .map_or_else(Depths::default, |view| sampled(&view.depths))
         });
         let witnesses = for_each_keyframe(count, threads, |index| {
             witnesses(views, index, camera, MAX_WITNESSES)
@@ -55,7 +74,7 @@ impl Certainty {
             let Some(witness) = &views[other] else {
                 return compared;
             };
-            let theirs = witness.depths.get();
+            let theirs = witness.depths.kinds().map(|kind| Rows::new(kind, camera));
             for (index, this) in views.iter().enumerate() {
                 if let Some(this) = this.as_ref().filter(|_| witnesses[index].contains(&other)) {
                     let other_from_this =
@@ -73,22 +92,39 @@ impl Certainty {
         Self {
             measured: factor(&mut measured),
             filled: factor(&mut filled),
+            least: LEAST_RELATIVE_SIGMA,
+            most,
         }
     }
 
-    /// The depths of a keyframe, as certain as they are; without those that are less certain than this.
-    pub fn apply(self, depths: &mut Depths, max_relative_sigma: f32) {
-        let kinds = [
-            (&mut depths.measured, self.measured),
-            (&mut depths.filled, self.filled),
-        ];
-        for (pixels, factor) in kinds {
-            for pixel in pixels.iter_mut() {
-                let least = LEAST_RELATIVE_SIGMA * pixel.idepth;
-                pixel.sigma_idepth = (factor * pixel.sigma_idepth).max(least);
-            }
-            pixels.retain(|pixel| pixel.sigma_idepth <= max_relative_sigma * pixel.idepth);
+    /// The depths of a keyframe, as certain as they are, without those that are too uncertain.
+    pub fn apply(self, depths: &KeptDepths) -> Depths {
+        let [measured, filled] = depths.kinds();
+        Depths {
+            measured: self.measured(&measured.0).collect(),
+            filled: self.filled(&filled.0).collect(),
         }
+    }
+
+    /// Measured depths, as certain as they are, without those that are too uncertain.
+    pub fn measured(self, pixels: &[Measurement]) -> impl Iterator<Item = Measurement> {
+        self.corrected(self.measured, pixels)
+    }
+
+    /// The same of filled depths.
+    pub fn filled(self, pixels: &[Measurement]) -> impl Iterator<Item = Measurement> {
+        self.corrected(self.filled, pixels)
+    }
+
+    fn corrected(self, factor: f32, pixels: &[Measurement]) -> impl Iterator<Item = Measurement> {
+        pixels.iter().filter_map(move |pixel| {
+            let least = self.least * pixel.idepth;
+            let sigma_idepth = (factor * pixel.sigma_idepth).max(least);
+            (sigma_idepth <= self.most * pixel.idepth).then_some(Measurement {
+                sigma_idepth,
+                ..*pixel
+            })
+        })
     }
 }
 
@@ -113,30 +149,28 @@ impl Compared {
     fn compare(
         &mut self,
         mine: &Depths,
-        theirs: &Depths,
+        [measured, filled]: &[Rows; 2],
         other_from_this: &Sim3,
         camera: &KeyframeCamera,
     ) {
         let kinds = [
-            (&mut self.measured, &mine.measured, &theirs.measured),
-            (&mut self.filled, &mine.filled, &theirs.filled),
+            (&mut self.measured, &mine.measured, measured),
+            (&mut self.filled, &mine.filled, filled),
         ];
         for (differences, mine, theirs) in kinds {
             differences.extend(mine.iter().filter_map(|pixel| {
                 let (expected, at) = seen_from(pixel, other_from_this, camera)?;
-                difference(pixel, expected, depth_at(theirs, at)?)
+                difference(pixel, expected, theirs.at(at)?)
             }));
         }
     }
 }
 
 /// Some of the depths of a keyframe.
-fn sampled(depths: &Depths) -> Depths {
-    let some = |pixels: &[Measurement]| pixels.iter().step_by(STRIDE).copied().collect();
-    Depths {
-        measured: some(&depths.measured),
-        filled: some(&depths.filled),
-    }
+fn sampled(depths: &KeptDepths) -> Depths {
+    let some = |pixels: Arc<Measurements>| pixels.0.iter().step_by(STRIDE).copied().collect();
+    let [measured, filled] = depths.kinds().map(some);
+    Depths { measured, filled }
 }
 
 /// The inverse depth that a pixel has in another keyframe, and its pixel there.
@@ -164,10 +198,28 @@ fn seen_from(
     inside.then(|| ((1.0 / point.z) as f32, nearest()))
 }
 
-/// The measurement at a pixel; `pixels` are row-major.
-fn depth_at(pixels: &[Measurement], (x, y): (u16, u16)) -> Option<&Measurement> {
-    let found = pixels.binary_search_by_key(&(y, x), |pixel| (pixel.y, pixel.x));
-    found.ok().map(|index| &pixels[index])
+/// Row-major depths, and where each row begins.
+struct Rows {
+    pixels: Arc<Measurements>,
+    starts: Vec<usize>,
+}
+
+impl Rows {
+    fn new(pixels: Arc<Measurements>, camera: &KeyframeCamera) -> Self {
+        let start = |row: usize| pixels.0.partition_point(|pixel| usize::from(pixel.y) < row);
+        Self {
+            starts: (0..=camera.height).map(start).collect(),
+            pixels,
+        }
+    }
+
+    /// The depth at a pixel of the image.
+    fn at(&self, (x, y): (u16, u16)) -> Option<&Measurement> {
+        let y = usize::from(y);
+        let row = &self.pixels.0[self.starts[y]..self.starts[y + 1]];
+        let found = row.binary_search_by_key(&x, |pixel| pixel.x);
+        found.ok().map(|index| &row[index])
+    }
 }
 
 /// Relative difference of two inverse depths in standard deviations; `None` for two surfaces.
@@ -232,7 +284,7 @@ mod tests {
         let views: Vec<Option<View>> = keyframes
             .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
             .collect();
-        Certainty::of_views(&views, &CAMERA, 2)
+        Certainty::of_views(&views, &CAMERA, 0.05, 2)
     }
 
     #[test]
@@ -259,9 +311,9 @@ mod tests {
         assert!((certain.measured - FACTORS.start()).abs() < 1e-6);
         let depths = &mut keyframes[0].0;
         depths.measured[0].sigma_idepth = 0.3 * depths.measured[0].idepth;
-        certain.apply(depths, 0.05);
-        assert_eq!(depths.measured.len(), 60 * 80 - 1);
-        for pixel in &depths.measured {
+        let applied: Vec<Measurement> = certain.measured(&depths.measured).collect();
+        assert_eq!(applied.len(), 60 * 80 - 1);
+        for pixel in &applied {
             assert!((pixel.sigma_idepth / pixel.idepth - LEAST_RELATIVE_SIGMA).abs() < 1e-6);
         }
     }

@@ -5,19 +5,20 @@
 //! keyframes look at, and none of them confirms, is most often wrong, and left out.
 
 use super::agreement::{View, witnesses};
+use super::certainty::Certainty;
 use super::scan::{Depths, KeptDepths};
 use super::{FusionConfig, KeyframeCamera};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::Matrix3;
 
-/// The depths of keyframe `index`, each fused with those of other keyframes that agree; as they are for one without a pose. `get` gives
-/// those of the others.
+/// The depths of keyframe `index`, each fused with those of other keyframes that agree, as certain as they are; as they are for one
+/// without a pose.
 pub(super) fn fused(
     views: &[Option<View>],
     index: usize,
     depths: Depths,
-    get: impl Fn(&KeptDepths) -> Depths,
+    certainty: Certainty,
     camera: &KeyframeCamera,
     config: &FusionConfig,
 ) -> Depths {
@@ -31,15 +32,14 @@ pub(super) fn fused(
     let (mut measured, mut filled) = (means(depths.measured), means(depths.filled));
     let witnesses = witnesses(views, index, camera, config.max_witnesses);
     let mut grid = Grid::new(camera);
+    let tolerance = Tolerance::new(config);
     for other in witnesses.into_iter().filter_map(|w| views[w].as_ref()) {
-        let theirs = get(&other.depths);
-        grid.fill(&theirs);
+        grid.fill(&other.depths, certainty);
         let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
         let other_from_this = Affine::new(&other_from_this);
         for mean in measured.iter_mut().chain(&mut filled) {
-            mean.hear(&grid, &other_from_this, camera, config);
+            mean.hear(&grid, &other_from_this, camera, &tolerance);
         }
-        grid.clear(&theirs);
     }
     let taken = |means: Vec<Mean>| -> Vec<Measurement> {
         let taken = means.iter().filter_map(|mean| mean.result(config));
@@ -86,7 +86,7 @@ impl Mean {
         grid: &Grid,
         other_from_this: &Affine,
         camera: &KeyframeCamera,
-        config: &FusionConfig,
+        tolerance: &Tolerance,
     ) {
         let seen = other_from_this.linear * self.point + other_from_this.translation;
         if seen.z <= 1e-9 {
@@ -94,7 +94,7 @@ impl Mean {
         }
         let expected = (1.0 / seen.z) as f32;
         let sigma = self.pixel.sigma_idepth / self.pixel.idepth;
-        match grid.confirming(&camera.pinhole.project(&seen), expected, sigma, config) {
+        match grid.confirming(&camera.pinhole.project(&seen), expected, sigma, tolerance) {
             Answer::Nothing => {}
             Answer::Other => self.is_looked_at = true,
             Answer::Same { ratio, sigma } => {
@@ -133,6 +133,21 @@ enum Answer {
     Same { ratio: f32, sigma: f32 },
 }
 
+/// How far depths may differ that agree, squared.
+struct Tolerance {
+    sigmas_sq: f32,
+    least_sq: f32,
+}
+
+impl Tolerance {
+    fn new(config: &FusionConfig) -> Self {
+        Self {
+            sigmas_sq: (config.sigmas * config.sigmas) as f32,
+            least_sq: (config.min_tolerance * config.min_tolerance) as f32,
+        }
+    }
+}
+
 /// A similarity as a matrix and a vector, for many points.
 struct Affine {
     linear: Matrix3<f64>,
@@ -166,27 +181,19 @@ impl Grid {
         }
     }
 
-    fn fill(&mut self, depths: &Depths) {
-        self.set(depths, |pixel| {
-            [pixel.idepth, pixel.sigma_idepth / pixel.idepth]
-        });
-    }
-
-    /// Takes out what was filled in.
-    fn clear(&mut self, depths: &Depths) {
-        self.set(depths, |_| [0.0; 2]);
-    }
-
-    /// Measured depth wins where there are both.
-    fn set(&mut self, depths: &Depths, value: impl Fn(&Measurement) -> [f32; 2]) {
-        for pixel in depths.filled.iter().chain(&depths.measured) {
+    /// With the depth of one keyframe alone; measured depth wins where there are both.
+    fn fill(&mut self, depths: &KeptDepths, certainty: Certainty) {
+        self.pixels.fill([0.0; 2]);
+        let [measured, filled] = depths.kinds();
+        let filled = certainty.filled(&filled.0);
+        for pixel in filled.chain(certainty.measured(&measured.0)) {
             let at = usize::from(pixel.y) * self.width + usize::from(pixel.x);
-            self.pixels[at] = value(pixel);
+            self.pixels[at] = [pixel.idepth, pixel.sigma_idepth / pixel.idepth];
         }
     }
 
     /// The depth next to a place, of the 3x3 pixels around it, that agrees with the expected one.
-    fn confirming(&self, place: &Vec2, expected: f32, sigma: f32, config: &FusionConfig) -> Answer {
+    fn confirming(&self, place: &Vec2, expected: f32, sigma: f32, tolerance: &Tolerance) -> Answer {
         let (x, y) = (place.x + 0.5, place.y + 0.5);
         let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
         if !is_inside {
@@ -194,7 +201,7 @@ impl Grid {
         }
         let (x, y) = (x as usize, y as usize);
         // no other pixel is nearer than this one
-        let middle = self.answer(y * self.width + x, expected, sigma, config);
+        let middle = self.answer(y * self.width + x, expected, sigma, tolerance);
         if matches!(middle, Answer::Same { .. }) {
             return middle;
         }
@@ -206,7 +213,7 @@ impl Grid {
                 let dx = column as f32 - x as f32 - right;
                 let dy = row as f32 - y as f32 - below;
                 let distance = dx * dx + dy * dy;
-                match self.answer(row * self.width + column, expected, sigma, config) {
+                match self.answer(row * self.width + column, expected, sigma, tolerance) {
                     same @ Answer::Same { .. } if distance < nearest => {
                         nearest = distance;
                         answer = same;
@@ -221,7 +228,7 @@ impl Grid {
 
     /// What one pixel says.
     #[inline]
-    fn answer(&self, pixel: usize, expected: f32, sigma: f32, config: &FusionConfig) -> Answer {
+    fn answer(&self, pixel: usize, expected: f32, sigma: f32, tolerance: &Tolerance) -> Answer {
         let [idepth, its_sigma] = self.pixels[pixel];
         if idepth <= 0.0 {
             return Answer::Nothing;
@@ -229,9 +236,7 @@ impl Grid {
         let ratio = idepth / expected;
         let gap = (ratio - 1.0).powi(2);
         let variance = sigma * sigma + its_sigma * its_sigma;
-        let tolerance = (config.sigmas * config.sigmas) as f32 * variance;
-        let least = (config.min_tolerance * config.min_tolerance) as f32;
-        if gap > tolerance.max(least) {
+        if gap > (tolerance.sigmas_sq * variance).max(tolerance.least_sq) {
             return Answer::Other;
         }
         Answer::Same {
@@ -288,7 +293,7 @@ mod tests {
             .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
             .collect();
         let first = keyframes[0].0.clone();
-        fused(&views, 0, first, KeptDepths::get, &CAMERA, config).measured
+        fused(&views, 0, first, Certainty::UNCHANGED, &CAMERA, config).measured
     }
 
     /// Root mean square of the relative errors of the wall's depths.

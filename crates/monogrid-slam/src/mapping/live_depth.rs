@@ -209,17 +209,20 @@ impl LiveDepth {
         Step::Worked
     }
 
-    /// What of a keyframe is mapped.
+    /// What of a keyframe is mapped; nothing where nothing was found.
     fn ready(&self, index: usize) -> KeyframeScan {
         let (near, _) = self.views(index, COMPARED);
-        let certainty = self
-            .config
-            .sigma_from_agreement
-            .then(|| Certainty::of_views(&near, &self.camera, 1));
+        let certainty = if self.config.sigma_from_agreement {
+            let max_relative_sigma = self.config.filter.max_agreed_sigma as f32;
+            Certainty::of_views(&near, &self.camera, max_relative_sigma, 1)
+        } else {
+            Certainty::UNCHANGED
+        };
         let (views, middle) = self.views(index, MAX_HELD);
         let found = self.work[index].found.as_ref();
-        let depths =
-            found.map(|found| found.certain(certainty, &views, middle, &self.camera, &self.config));
+        let depths = found.map(|found| {
+            found.certain(certainty, &views, middle, &self.camera, &self.config.fusion)
+        });
         let keyframe = &self.keyframes[index];
         let store = keyframe.pixels.store();
         let depths = depths.unwrap_or_default();

@@ -6,7 +6,7 @@ use super::dense::{dense_depths, merged};
 use super::fusion::fused;
 use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
-use super::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
+use super::{FusionConfig, KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
 use crate::DepthPixel;
 use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, refine_depth};
@@ -79,11 +79,14 @@ pub(crate) fn final_scans_of(
         found
     };
     let views = views(&found);
-    let certainty = config
-        .sigma_from_agreement
-        .then(|| Certainty::of_views(&views, camera, threads));
+    let certainty = if config.sigma_from_agreement {
+        let max_relative_sigma = config.filter.max_agreed_sigma as f32;
+        Certainty::of_views(&views, camera, max_relative_sigma, threads)
+    } else {
+        Certainty::UNCHANGED
+    };
     for_each_keyframe(count, threads, |index| {
-        let depths = found[index].certain(certainty, &views, index, camera, config);
+        let depths = found[index].certain(certainty, &views, index, camera, &config.fusion);
         depths.joined(keyframes.id(index), camera, store)
     })
 }
@@ -143,7 +146,7 @@ impl Found {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let mut depths = self.depths.get();
+        let mut depths = Certainty::UNCHANGED.apply(&self.depths);
         if let Some(kept) = kept(views, index, camera, &config.fill) {
             let mut kept = kept.into_iter();
             depths.filled.retain(|_| kept.next().unwrap_or(true));
@@ -156,23 +159,16 @@ impl Found {
     /// Its depths, as certain as they are, each fused with those of others that agree; `views[index]` is its own view.
     pub fn certain(
         &self,
-        certainty: Option<Certainty>,
+        certainty: Certainty,
         views: &[Option<View>],
         index: usize,
         camera: &KeyframeCamera,
-        config: &MappingConfig,
+        config: &FusionConfig,
     ) -> Depths {
-        let certain = |depths: &KeptDepths| {
-            let mut depths = depths.get();
-            if let Some(certainty) = certainty {
-                certainty.apply(&mut depths, config.filter.max_agreed_sigma as f32);
-            }
-            depths
-        };
-        let depths = certain(&self.depths);
-        match config.fusion.max_witnesses {
+        let depths = certainty.apply(&self.depths);
+        match config.max_witnesses {
             0 => depths,
-            _ => fused(views, index, depths, certain, camera, &config.fusion),
+            _ => fused(views, index, depths, certainty, camera, config),
         }
     }
 }

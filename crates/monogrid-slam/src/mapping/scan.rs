@@ -216,12 +216,9 @@ impl KeptDepths {
         self.measured.store()
     }
 
-    /// The depths; none where they cannot be read back.
-    pub fn get(&self) -> Depths {
-        Depths {
-            measured: self.measured.get().unwrap_or_default().0.clone(),
-            filled: self.filled().0.clone(),
-        }
+    /// What was measured, and what was filled in; none where it cannot be read back.
+    pub fn kinds(&self) -> [Arc<Measurements>; 2] {
+        [self.measured.get().unwrap_or_default(), self.filled()]
     }
 
     /// What was filled in.
