@@ -1,11 +1,12 @@
 //! The normal equations of one level: residuals, weights and Jacobians of all points.
 
+use crate::target::by_point;
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::Se3;
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 use std::ops::{Add, Mul, Neg, Sub};
-use wide::f32x8;
+use wide::{f32x4, f32x8};
 
 /// Unknowns: twist `[v, w]` of the frame, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 8;
@@ -166,21 +167,10 @@ struct Sums {
     cost: f64,
     num_visible: usize,
     num_good: usize,
-    usage: f32,
-    good_residual_sq: f32,
-    scale: f32,
-    moments: [f32; 5],
-}
-
-impl Sums {
-    #[inline]
-    fn add_moments(&mut self, keyframe: f32, frame: f32) {
-        self.moments[0] += keyframe;
-        self.moments[1] += frame;
-        self.moments[2] += keyframe * keyframe;
-        self.moments[3] += frame * frame;
-        self.moments[4] += keyframe * frame;
-    }
+    /// The first four of [`Linearization::moments`].
+    moments: f32x4,
+    /// The last of them, usage, squared residuals of good points, and the scale.
+    others: f32x4,
 }
 
 impl Linearization {
@@ -202,11 +192,13 @@ impl Linearization {
         self.cost += sums.cost;
         self.num_visible += sums.num_visible;
         self.num_good += sums.num_good;
-        self.usage_sum += f64::from(sums.usage);
-        self.good_residual_sq += f64::from(sums.good_residual_sq);
-        self.scale_sum += f64::from(sums.scale);
-        for (total, part) in self.moments.iter_mut().zip(sums.moments) {
-            *total += f64::from(part);
+        let [product, usage, good_residual_sq, scale] = sums.others.to_array().map(f64::from);
+        self.usage_sum += usage;
+        self.good_residual_sq += good_residual_sq;
+        self.scale_sum += scale;
+        let moments = sums.moments.to_array().map(f64::from).into_iter();
+        for (total, part) in self.moments.iter_mut().zip(moments.chain([product])) {
+            *total += part;
         }
     }
 
@@ -344,19 +336,16 @@ impl Projection {
         let (robust_weight, cost) = weighting.robust_weight(normalised_sq);
         let good_sq = weighting.good_sq + weighting.good_gradient_sq * (gu * gu + gv * gv);
         let residual_sq = residual * residual;
+        let is_good = visible & residual_sq.simd_lt(good_sq);
+        sums.num_visible += visible.to_bitmask().count_ones() as usize;
+        sums.num_good += is_good.to_bitmask().count_ones() as usize;
+        sums.cost += weighting.chunk_cost(visible, cost);
         sums.add(
-            &Seen {
-                visible: visible.to_bitmask(),
-                good: (visible & residual_sq.simd_lt(good_sq)).to_bitmask(),
-                keyframe: keyframe.to_array(),
-                intensity: intensity.to_array(),
-                // depth ratio keyframe / frame is 1 / qz
-                usage: inv_qz.fast_min(f32x8::ONE).to_array(),
-                residual_sq: residual_sq.to_array(),
-                scale: weighting.scale_term(normalised_sq).to_array(),
-                cost: cost.to_array(),
-            },
-            weighting,
+            [keyframe, intensity],
+            // depth ratio keyframe / frame is 1 / qz
+            inv_qz.fast_min(f32x8::ONE),
+            is_good & residual_sq,
+            visible & weighting.scale_term(normalised_sq),
         );
         let inv_z = d * inv_qz;
         Lanes {
@@ -383,35 +372,17 @@ pub(crate) fn taken(values: &[f32], (first, stride): (usize, usize)) -> f32x8 {
     }
 }
 
-/// What of a chunk is summed up point by point, in their order.
-struct Seen {
-    /// A bit for each lane.
-    visible: u32,
-    good: u32,
-    keyframe: [f32; LANES],
-    intensity: [f32; LANES],
-    usage: [f32; LANES],
-    residual_sq: [f32; LANES],
-    scale: [f32; LANES],
-    cost: [f32; LANES],
-}
-
 impl Sums {
-    #[inline]
-    fn add(&mut self, seen: &Seen, weighting: &Weighting) {
-        let mut chunk_cost = weighting.no_cost();
-        for l in (0..LANES).filter(|l| seen.visible >> l & 1 == 1) {
-            self.add_moments(seen.keyframe[l], seen.intensity[l]);
-            self.usage += seen.usage[l];
-            self.scale += seen.scale[l];
-            if seen.good >> l & 1 == 1 {
-                self.good_residual_sq += seen.residual_sq[l];
-            }
-            weighting.add_cost(&mut chunk_cost, seen.cost[l]);
+    /// Adds point after point, in their order, but all sums side by side; what does not count is 0.
+    #[inline(always)]
+    fn add(&mut self, grey: [f32x8; 2], usage: f32x8, good_sq: f32x8, scale: f32x8) {
+        let [a, b] = grey;
+        let moments = by_point([a, b, a * a, b * b]);
+        let others = by_point([a * b, usage, good_sq, scale]);
+        for (moments, others) in moments.into_iter().zip(others) {
+            self.moments += moments;
+            self.others += others;
         }
-        self.num_visible += seen.visible.count_ones() as usize;
-        self.num_good += seen.good.count_ones() as usize;
-        self.cost += weighting.chunk_cost(chunk_cost);
     }
 }
 
@@ -438,29 +409,16 @@ impl Weighting {
         }
     }
 
-    /// Neutral element of the costs of a chunk.
-    fn no_cost(&self) -> f64 {
-        match self.robust {
-            Robust::Huber { .. } => 0.0,
-            Robust::StudentT { .. } => 1.0,
-        }
-    }
-
-    /// Adds the cost of one point to those of its chunk.
+    /// Cost of the visible points of a chunk: one logarithm of the product instead of one for each of them.
     #[inline]
-    fn add_cost(&self, chunk: &mut f64, cost: f32) {
+    fn chunk_cost(&self, visible: f32x8, cost: f32x8) -> f64 {
+        let costs = |neutral| visible.bitselect(cost, neutral).to_array().map(f64::from);
         match self.robust {
-            Robust::Huber { .. } => *chunk += f64::from(cost),
-            Robust::StudentT { .. } => *chunk *= f64::from(cost),
-        }
-    }
-
-    /// Cost of a chunk: one logarithm of the product instead of one for each of its points.
-    #[inline]
-    fn chunk_cost(&self, chunk: f64) -> f64 {
-        match self.robust {
-            Robust::Huber { .. } => chunk,
-            Robust::StudentT { nu } => f64::from(nu + 1.0) * chunk.ln(),
+            Robust::Huber { .. } => costs(f32x8::ZERO).into_iter().sum(),
+            Robust::StudentT { nu } => {
+                let product: f64 = costs(f32x8::ONE).into_iter().product();
+                f64::from(nu + 1.0) * product.ln()
+            }
         }
     }
 

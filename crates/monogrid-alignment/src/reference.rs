@@ -46,6 +46,43 @@ impl ReferenceLevel {
         self.x.is_empty()
     }
 
+    fn with_capacity(count: usize) -> Self {
+        let [x, y, idepth, idepth_var, intensity] = [(); 5].map(|()| Vec::with_capacity(count));
+        Self {
+            x,
+            y,
+            idepth,
+            idepth_var,
+            intensity,
+        }
+    }
+
+    /// Takes the points of a row of pixels, and leaves their sums empty.
+    fn take_row(&mut self, y: usize, cells: &mut [Cell], grey: &[f32], pinhole: &Pinhole) {
+        let (inv_fx, inv_fy) = (1.0 / pinhole.fx as f32, 1.0 / pinhole.fy as f32);
+        let (cx, cy) = (pinhole.cx as f32, pinhole.cy as f32);
+        for (x, (cell, grey)) in cells.iter_mut().zip(grey).enumerate() {
+            if cell.count == 0 {
+                continue;
+            }
+            let Cell {
+                information,
+                weighted,
+                weighted_sq,
+                count,
+            } = std::mem::take(cell);
+            let idepth = weighted / information;
+            let spread = (weighted_sq / information - idepth * idepth).max(0.0);
+            self.push(
+                (x as f32 - cx) * inv_fx,
+                (y as f32 - cy) * inv_fy,
+                idepth,
+                f32::from(count) / information + spread,
+                *grey,
+            );
+        }
+    }
+
     fn push(&mut self, x: f32, y: f32, idepth: f32, idepth_var: f32, intensity: f32) {
         self.x.push(x);
         self.y.push(y);
@@ -71,8 +108,20 @@ struct Cell {
     count: u16,
 }
 
+impl Cell {
+    fn add(&mut self, sample: &DepthSample) {
+        let information = 1.0 / sample.idepth_var;
+        self.information += information;
+        self.weighted += information * sample.idepth;
+        self.weighted_sq += information * sample.idepth * sample.idepth;
+        self.count += 1;
+    }
+}
+
 impl Reference {
     /// Points for the levels `finest..=coarsest` from the semi-dense depth of a keyframe.
+    ///
+    /// Samples come row by row.
     ///
     /// On level n a point stands for all samples in a block of 2^n pixels: the mean weighted by
     /// information, with the variance of *one* of them (their errors are shared) plus the spread
@@ -126,7 +175,7 @@ impl Reference {
     }
 }
 
-/// Points of one level.
+/// Points of one level. Samples come in rows, so that sums are needed for one row of pixels at a time.
 fn level_points(
     pyramid: &Pyramid,
     pinhole: &Pinhole,
@@ -134,42 +183,21 @@ fn level_points(
     level: usize,
 ) -> ReferenceLevel {
     let image = pyramid.level(level);
-    let (width, height) = (image.width(), image.height());
-    let mut cells = vec![Cell::default(); width * height];
-    for sample in samples {
-        let (x, y) = (
-            usize::from(sample.x) >> level,
-            usize::from(sample.y) >> level,
-        );
+    let mut cells = vec![Cell::default(); image.width()];
+    let mut points = ReferenceLevel::with_capacity(samples.len() >> level);
+    let row_of = |sample: &DepthSample| usize::from(sample.y) >> level;
+    for row in samples.chunk_by(|a, b| row_of(a) == row_of(b)) {
+        let y = row_of(&row[0]);
         // an odd last row or column has no pixel on the coarser level
-        if x >= width || y >= height {
-            continue;
+        if y >= image.height() {
+            break;
         }
-        let information = 1.0 / sample.idepth_var;
-        let cell = &mut cells[y * width + x];
-        cell.information += information;
-        cell.weighted += information * sample.idepth;
-        cell.weighted_sq += information * sample.idepth * sample.idepth;
-        cell.count += 1;
-    }
-    let (inv_fx, inv_fy) = (1.0 / pinhole.fx as f32, 1.0 / pinhole.fy as f32);
-    let (cx, cy) = (pinhole.cx as f32, pinhole.cy as f32);
-    let mut points = ReferenceLevel::default();
-    for y in 0..height {
-        for (x, cell) in cells[y * width..(y + 1) * width].iter().enumerate() {
-            if cell.count == 0 {
-                continue;
+        for sample in row {
+            if let Some(cell) = cells.get_mut(usize::from(sample.x) >> level) {
+                cell.add(sample);
             }
-            let idepth = cell.weighted / cell.information;
-            let spread = (cell.weighted_sq / cell.information - idepth * idepth).max(0.0);
-            points.push(
-                (x as f32 - cx) * inv_fx,
-                (y as f32 - cy) * inv_fy,
-                idepth,
-                f32::from(cell.count) / cell.information + spread,
-                image.at(x, y),
-            );
         }
+        points.take_row(y, &mut cells, image.row(y), pinhole);
     }
     points
 }

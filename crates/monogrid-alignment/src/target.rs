@@ -1,7 +1,7 @@
 //! The image that is aligned: intensity and gradient per level, interleaved for sampling.
 
 use monogrid_geometry::Pinhole;
-use monogrid_image::{Pyramid, pyramid_intrinsics};
+use monogrid_image::{GrayImage, Pyramid, pyramid_intrinsics};
 use wide::{f32x4, f32x8};
 
 /// One level: intensity and halved central differences side by side, so that one bilinear look-up
@@ -19,33 +19,35 @@ pub struct TargetLevel {
 }
 
 impl TargetLevel {
-    /// Bilinear `[intensity, d/dx, d/dy]`; the caller has checked [`Self::contains_lanes`].
-    #[inline]
-    pub(crate) fn sample(&self, u: f32, v: f32) -> [f32; 3] {
-        let (x, y) = (u as usize, v as usize);
-        let (fx, fy) = (u - x as f32, v - y as f32);
-        let i = y * self.width + x;
+    /// Bilinear `[intensity, d/dx, d/dy, 0]` between a pixel and the next ones; the caller has checked [`Self::contains_lanes`].
+    #[inline(always)]
+    fn sample(&self, (x, fx): (i32, f32), (y, fy): (i32, f32)) -> f32x4 {
+        let i = y as usize * self.width + x as usize;
         let (Some(top), Some(bottom)) = (
             self.samples.get(i..i + 2),
             self.samples.get(i + self.width..i + self.width + 2),
         ) else {
-            return [0.0; 3];
+            return f32x4::ZERO;
         };
         let [a, b, c, d] = [top[0], top[1], bottom[0], bottom[1]].map(f32x4::new);
         let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
-        let [intensity, du, dv, _] = (top + fy * (bottom - top)).to_array();
-        [intensity, du, dv]
+        top + fy * (bottom - top)
     }
 
-    /// [`Self::sample`] at the places that the mask says; 0 at the others.
+    /// Bilinear `[intensity, d/dx, d/dy]` at the places that the mask says; 0 at the others.
     #[inline]
     pub(crate) fn sample_lanes(&self, u: f32x8, v: f32x8, mask: f32x8) -> [f32x8; 3] {
-        let (u, v, mask) = (u.to_array(), v.to_array(), mask.to_bitmask());
-        let mut out = [[0.0f32; 8]; 3];
-        for l in (0..8).filter(|l| mask >> l & 1 == 1) {
-            [out[0][l], out[1][l], out[2][l]] = self.sample(u[l], v[l]);
+        // those that do not count are read from a corner, so that there is no branch for each
+        let (u, v) = (mask & u, mask & v);
+        let (x, y) = (u.fast_trunc_int(), v.fast_trunc_int());
+        let (fx, fy) = (u - f32x8::from_i32x8(x), v - f32x8::from_i32x8(y));
+        let (x, y, fx, fy) = (x.to_array(), y.to_array(), fx.to_array(), fy.to_array());
+        let mut by_place = [f32x4::ZERO; 8];
+        for (l, place) in by_place.iter_mut().enumerate() {
+            *place = self.sample((x[l], fx[l]), (y[l], fy[l]));
         }
-        [f32x8::new(out[0]), f32x8::new(out[1]), f32x8::new(out[2])]
+        let [intensity, du, dv, _] = by_kind(by_place);
+        [mask & intensity, mask & du, mask & dv]
     }
 
     /// Which pixels are far enough inside for value and gradient, as a mask; not those that are no numbers.
@@ -55,6 +57,52 @@ impl TargetLevel {
         let bottom = f32x8::splat(self.height as f32 - 2.0);
         u.simd_gt(f32x8::ONE) & v.simd_gt(f32x8::ONE) & u.simd_lt(right) & v.simd_lt(bottom)
     }
+}
+
+/// Intensity and gradient of each pixel; 0 at the border.
+fn samples(image: &GrayImage) -> Vec<[f32; 4]> {
+    let (width, height) = (image.width(), image.height());
+    let mut samples = Vec::with_capacity(width * height);
+    samples.resize(width, [0.0; 4]);
+    for y in 1..height - 1 {
+        samples.push([0.0; 4]);
+        let vertical = image.row(y - 1)[1..].iter().zip(&image.row(y + 1)[1..]);
+        let pixels = image.row(y).windows(3).zip(vertical);
+        samples.extend(pixels.map(|(beside, (above, below))| {
+            let [left, at, right] = [beside[0], beside[1], beside[2]];
+            [at, 0.5 * (right - left), 0.5 * (below - above), 0.0]
+        }));
+        samples.push([0.0; 4]);
+    }
+    samples.resize(width * height, [0.0; 4]);
+    samples
+}
+
+/// Four numbers of eight points, point by point, as those of all points, kind by kind.
+#[inline(always)]
+pub(crate) fn by_kind(points: [f32x4; 8]) -> [f32x8; 4] {
+    let [a, b, c, d, e, f, g, h] = points;
+    let (first, last) = (
+        f32x4::transpose([a, b, c, d]),
+        f32x4::transpose([e, f, g, h]),
+    );
+    std::array::from_fn(|kind| {
+        let ([a, b, c, d], [e, f, g, h]) = (first[kind].to_array(), last[kind].to_array());
+        f32x8::new([a, b, c, d, e, f, g, h])
+    })
+}
+
+/// And back.
+#[inline(always)]
+pub(crate) fn by_point(kinds: [f32x8; 4]) -> [f32x4; 8] {
+    let kinds = kinds.map(f32x8::to_array);
+    let half = |from: usize| {
+        f32x4::transpose(
+            kinds.map(|k| f32x4::new([k[from], k[from + 1], k[from + 2], k[from + 3]])),
+        )
+    };
+    let ([a, b, c, d], [e, f, g, h]) = (half(0), half(4));
+    [a, b, c, d, e, f, g, h]
 }
 
 /// A frame prepared as the target of an alignment.
@@ -78,25 +126,11 @@ impl Target {
                 }
                 let image = pyramid.level(level);
                 let (width, height) = (image.width(), image.height());
-                let mut samples = vec![[0.0f32; 4]; width * height];
-                let pixels = image.as_slice();
-                for y in 1..height - 1 {
-                    let start = y * width;
-                    for x in 1..width - 1 {
-                        let i = start + x;
-                        samples[i] = [
-                            pixels[i],
-                            0.5 * (pixels[i + 1] - pixels[i - 1]),
-                            0.5 * (pixels[i + width] - pixels[i - width]),
-                            0.0,
-                        ];
-                    }
-                }
                 TargetLevel {
                     width,
                     height,
                     intrinsics: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
-                    samples,
+                    samples: samples(image),
                 }
             })
             .collect();

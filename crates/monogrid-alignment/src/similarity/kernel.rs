@@ -238,11 +238,12 @@ fn weigh(
     for l in (0..LANES).filter(|l| visible >> l & 1 == 1) {
         let has_depth = has_depth >> l & 1 == 1;
         chunk_cost.add(weighting.robust, cost[l], has_depth);
-        out.scale_sums[0] += f64::from(by_scale[0][l]);
-        if has_depth {
-            out.scale_sums[1] += f64::from(by_scale[1][l]);
-        }
+        // 0 without depth
+        let by_scale = [by_scale[0][l], by_scale[1][l]].map(f64::from);
         let [a, b] = [a[l], b[l]].map(f64::from);
+        for (sum, value) in out.scale_sums.iter_mut().zip(by_scale) {
+            *sum += value;
+        }
         for (sum, value) in out.moments.iter_mut().zip([a, b, a * a, b * b, a * b]) {
             *sum += value;
         }
