@@ -10,32 +10,50 @@
 //! where P2 is smaller across edges of the image. What counts is the sum over the directions.
 
 use super::DenseConfig;
-use super::sweep::CostVolume;
+use super::sweep::{CostVolume, MAX_COST};
 use monogrid_image::GrayImage;
 
-/// A cost that no sum reaches.
-const WALL: i16 = i16::MAX / 4;
+/// A cost that no way reaches.
+const WALL: u8 = u8::MAX;
 
-/// Sums over all directions, as [`CostVolume::costs`] lie.
-pub(super) fn aggregate(volume: &CostVolume, image: &GrayImage, config: &DenseConfig) -> Vec<i16> {
-    let mut sums = vec![0_i16; volume.costs.len()];
-    for is_backward in [false, true] {
-        let pass = Pass {
-            volume,
-            image,
-            config,
-            is_backward,
-        };
-        pass.run(&mut sums);
-    }
-    sums
+/// Most that a step may cost: what the ways of four directions cost beyond the pixels then fits a byte.
+pub(super) const MAX_STEP_COST: u16 = 63;
+const _: () = assert!(MAX_COST as u16 + MAX_STEP_COST < WALL as u16 && 4 * MAX_STEP_COST < 256);
+
+/// Tells of each pixel and its sums over all directions by plane, from the last one to the first.
+pub(super) fn aggregate(
+    volume: &CostVolume,
+    image: &GrayImage,
+    config: &DenseConfig,
+    mut tell: impl FnMut(usize, &[i16]),
+) {
+    let pass = |is_backward| Pass {
+        volume,
+        image,
+        config,
+        is_backward,
+    };
+    let planes = volume.idepths.len();
+    let mut steps_before = vec![0; volume.costs.len()];
+    pass(false).run(|pixel, steps| {
+        steps_before[pixel * planes..(pixel + 1) * planes].copy_from_slice(steps);
+    });
+    let mut sums = vec![0; planes];
+    pass(true).run(|pixel, steps| {
+        let before = &steps_before[pixel * planes..(pixel + 1) * planes];
+        let steps = steps.iter().zip(before);
+        for ((sum, cost), (steps, before)) in sums.iter_mut().zip(volume.at(pixel)).zip(steps) {
+            *sum = 8 * i16::from(*cost) + i16::from(*steps) + i16::from(*before);
+        }
+        tell(pixel, &sums);
+    });
 }
 
 /// The costs of the ways to one pixel along one direction, with a wall at both ends.
 #[derive(Clone)]
 struct Way {
-    costs: Vec<i16>,
-    least: i16,
+    costs: Vec<u8>,
+    least: u8,
 }
 
 impl Way {
@@ -71,26 +89,28 @@ impl Pass<'_> {
         }
     }
 
-    /// Adds the costs of the ways along the four directions.
-    fn run(&self, sums: &mut [i16]) {
+    /// Tells of each pixel and what the steps of the ways along the four directions cost there, by plane.
+    fn run(&self, mut tell: impl FnMut(usize, &[u8])) {
         let (width, planes) = (self.volume.width, self.volume.idepths.len());
         let start = vec![Way::new(planes); width];
         let mut rows = ABOVE.map(|shift| (shift, start.clone(), start.clone()));
         let mut left = [Way::new(planes), Way::new(planes)];
+        let mut steps = vec![0; planes];
         for row in 0..self.volume.height {
             for column in 0..width {
                 let pixel = self.pixel(column, row);
-                let sums = &mut sums[pixel * planes..(pixel + 1) * planes];
+                steps.fill(0);
                 let before = column.checked_sub(1).map(|c| self.pixel(c, row));
                 let [from, next] = &mut left;
-                self.step(pixel, before.map(|pixel| (pixel, &*from)), next, sums);
+                self.step(pixel, before.map(|pixel| (pixel, &*from)), next, &mut steps);
                 left.swap(0, 1);
                 for (shift, above, present) in &mut rows {
                     let from = column.checked_add_signed(*shift).filter(|c| *c < width);
                     let from = from.filter(|_| row > 0);
                     let before = from.map(|c| (self.pixel(c, row - 1), &above[c]));
-                    self.step(pixel, before, &mut present[column], sums);
+                    self.step(pixel, before, &mut present[column], &mut steps);
                 }
+                tell(pixel, &steps);
             }
             for (_, above, present) in &mut rows {
                 std::mem::swap(above, present);
@@ -99,34 +119,29 @@ impl Pass<'_> {
     }
 
     /// From the pixel before to this one, or the first pixel of a way.
-    fn step(&self, pixel: usize, before: Option<(usize, &Way)>, next: &mut Way, sums: &mut [i16]) {
+    fn step(&self, pixel: usize, before: Option<(usize, &Way)>, next: &mut Way, steps: &mut [u8]) {
         match before {
-            Some((before, from)) => self.go_on(pixel, before, from, next, sums),
-            None => self.begin(pixel, next, sums),
+            Some((before, from)) => self.go_on(pixel, before, from, next, steps),
+            None => self.begin(pixel, next),
         }
     }
 
     /// The first pixel of a way.
-    fn begin(&self, pixel: usize, next: &mut Way, sums: &mut [i16]) {
-        let planes = sums.len();
+    fn begin(&self, pixel: usize, next: &mut Way) {
         let costs = self.volume.at(pixel);
-        let mut least = WALL;
-        for ((to, cost), sum) in next.costs[1..=planes].iter_mut().zip(costs).zip(sums) {
-            *to = i16::from(*cost);
-            *sum += *to;
-            least = least.min(*to);
-        }
-        next.least = least;
+        next.costs[1..=costs.len()].copy_from_slice(costs);
+        next.least = costs.iter().copied().min().unwrap_or(WALL);
     }
 
     /// From one pixel to the next.
-    fn go_on(&self, pixel: usize, before: usize, from: &Way, next: &mut Way, sums: &mut [i16]) {
-        let planes = sums.len();
-        let small = self.config.small_step_cost as i16;
+    fn go_on(&self, pixel: usize, before: usize, from: &Way, next: &mut Way, steps: &mut [u8]) {
+        let planes = steps.len();
+        let small = self.config.small_step_cost.min(MAX_STEP_COST) as u8;
         let grey = self.image.as_slice();
         let gradient = (grey[pixel] - grey[before]).abs();
-        let jump = f32::from(self.config.jump_cost) / (1.0 + gradient / HALVING_GREY);
-        let jump = from.least + (jump as i16).max(small);
+        let jump = self.config.jump_cost.min(MAX_STEP_COST);
+        let jump = f32::from(jump) / (1.0 + gradient / HALVING_GREY);
+        let jump = from.least + (jump as u8).max(small);
         let costs = self.volume.at(pixel);
         let mut least = WALL;
         let same = &from.costs[1..=planes];
@@ -138,11 +153,12 @@ impl Pass<'_> {
             .zip(same)
             .zip(lower)
             .zip(higher)
-            .zip(sums)
+            .zip(steps)
         {
-            let best = (*same).min(jump).min((*lower).min(*higher) + small);
-            *to = i16::from(*cost) + best - from.least;
-            *sum += *to;
+            let beside = (*lower).min(*higher).saturating_add(small);
+            let step = (*same).min(jump).min(beside) - from.least;
+            *to = *cost + step;
+            *sum += step;
             least = least.min(*to);
         }
         next.least = least;

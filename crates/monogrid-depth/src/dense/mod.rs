@@ -15,7 +15,7 @@ mod winner;
 use crate::PixelDepth;
 use crate::config::{ConfigError, Limit, first_outside};
 use crate::multi_view::SourceView;
-use aggregate::aggregate;
+use aggregate::MAX_STEP_COST;
 pub use agree::Witness;
 use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image, half_size};
@@ -44,9 +44,9 @@ pub struct DenseConfig {
     /// Noise of the images, grey levels: windows with less contrast correlate with nothing. Default 2. Range [0.01, 100].
     pub grey_sigma: f64,
     /// Cost of a step to the next plane between two pixels; windows that do not correlate at all cost 60. Default 6. Range
-    /// [0, 1000].
+    /// [0, 63].
     pub small_step_cost: u16,
-    /// Cost of any larger step, less where the image has an edge. Default 40. Range [0, 1000].
+    /// Cost of any larger step, less where the image has an edge. Default 40. Range [0, 63].
     pub jump_cost: u16,
     /// All other planes must cost more than the best one by this share. Default 0.03. Range [0, 10].
     pub min_uniqueness: f64,
@@ -85,8 +85,18 @@ impl DenseConfig {
             Limit("max_planes", self.max_planes as f64, 24.0, 512.0),
             Limit("step_px", self.step_px, 0.05, 100.0),
             Limit("grey_sigma", self.grey_sigma, 0.01, 100.0),
-            Limit("small_step_cost", self.small_step_cost.into(), 0.0, 1000.0),
-            Limit("jump_cost", self.jump_cost.into(), 0.0, 1000.0),
+            Limit(
+                "small_step_cost",
+                self.small_step_cost.into(),
+                0.0,
+                MAX_STEP_COST.into(),
+            ),
+            Limit(
+                "jump_cost",
+                self.jump_cost.into(),
+                0.0,
+                MAX_STEP_COST.into(),
+            ),
             Limit("min_uniqueness", self.min_uniqueness, 0.0, 10.0),
             Limit("min_contrast", self.min_contrast, 0.0, 60.0),
             Limit("tolerance", self.tolerance, 0.0001, 0.1),
@@ -137,8 +147,7 @@ pub fn dense_depth(
     }
     let idepths = planes(&half, seeds, &sources, config)?;
     let volume = CostVolume::new(image, &sources, idepths, config);
-    let sums = aggregate(&volume, &half, config);
-    Some(winner::winners(&volume, &sums, &half, config))
+    Some(winner::winners(&volume, &half, config))
 }
 
 /// The range of inverse depths that the seeds have, with room on both sides.

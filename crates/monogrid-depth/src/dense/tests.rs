@@ -1,3 +1,4 @@
+use super::aggregate::aggregate;
 use super::warp::padded;
 use super::*;
 use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
@@ -237,6 +238,85 @@ fn costs_are_those_of_windows_compared_one_by_one() {
                 );
             }
         }
+    }
+}
+
+#[test]
+fn sums_are_those_of_the_best_ways_one_by_one() {
+    let (width, height, planes) = (7, 5, 9);
+    let mut state = 5_u32;
+    let mut random = |below: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) % below
+    };
+    let volume = CostVolume {
+        width,
+        height,
+        idepths: (0..planes).map(|k| 0.1 * k as f32).collect(),
+        costs: (0..width * height * planes)
+            .map(|_| random(61) as u8)
+            .collect(),
+    };
+    let image = Image::from_fn(width, height, |_, _| random(40) as f32);
+    for (small_step_cost, jump_cost) in [(6, 40), (63, 63), (0, 0)] {
+        let config = DenseConfig {
+            small_step_cost,
+            jump_cost,
+            ..DenseConfig::default()
+        };
+        // the costs of the way that comes to a pixel by (dx, dy)
+        fn way(
+            at: (i64, i64),
+            step: (i64, i64),
+            of: (&CostVolume, &Image<f32>, &DenseConfig),
+        ) -> Vec<i32> {
+            let (volume, image, config) = of;
+            let index = |(x, y): (i64, i64)| y as usize * volume.width + x as usize;
+            let costs = volume.at(index(at)).iter().map(|c| i32::from(*c));
+            let from = (at.0 - step.0, at.1 - step.1);
+            let is_inside = (0..volume.width as i64).contains(&from.0)
+                && (0..volume.height as i64).contains(&from.1);
+            if !is_inside {
+                return costs.collect();
+            }
+            let before = way(from, step, of);
+            let least = before.iter().min().copied().unwrap();
+            let grey = |at| image.as_slice()[index(at)];
+            let edge = 1.0 + (grey(at) - grey(from)).abs() / 8.0;
+            let small = i32::from(config.small_step_cost);
+            let jump = ((f32::from(config.jump_cost) / edge) as i32).max(small);
+            let best = |k: usize| {
+                let beside = [k.checked_sub(1), Some(k + 1)].into_iter().flatten();
+                let beside = beside.filter_map(|k| before.get(k)).map(|c| c + small);
+                beside.chain([before[k], least + jump]).min().unwrap()
+            };
+            costs
+                .enumerate()
+                .map(|(k, cost)| cost + best(k) - least)
+                .collect()
+        }
+        let mut num_told = 0;
+        aggregate(&volume, &image, &config, |pixel, sums| {
+            num_told += 1;
+            let at = ((pixel % width) as i64, (pixel / width) as i64);
+            let mut expected = vec![0; planes];
+            for step in [
+                (1, 0),
+                (1, 1),
+                (0, 1),
+                (-1, 1),
+                (-1, 0),
+                (-1, -1),
+                (0, -1),
+                (1, -1),
+            ] {
+                let way = way(at, step, (&volume, &image, &config));
+                expected.iter_mut().zip(way).for_each(|(sum, c)| *sum += c);
+            }
+            let sums: Vec<i32> = sums.iter().map(|sum| i32::from(*sum)).collect();
+            assert_eq!(sums, expected, "{pixel}");
+        });
+        assert_eq!(num_told, width * height);
     }
 }
 

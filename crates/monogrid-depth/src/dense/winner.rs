@@ -1,5 +1,6 @@
 //! From costs to depth.
 
+use super::aggregate::aggregate;
 use super::sweep::{CostVolume, RADIUS};
 use super::{DenseConfig, DenseDepth};
 use monogrid_image::{GrayImage, Image};
@@ -17,20 +18,14 @@ const ONE_SURFACE: f32 = 0.04;
 
 /// The best plane of each pixel, between its neighbours; unknown where another plane is nearly as good, where the
 /// sources look alike in all of them, and beside the edges of objects.
-pub(super) fn winners(
-    volume: &CostVolume,
-    sums: &[i16],
-    image: &GrayImage,
-    config: &DenseConfig,
-) -> DenseDepth {
-    let planes = volume.idepths.len();
+pub(super) fn winners(volume: &CostVolume, image: &GrayImage, config: &DenseConfig) -> DenseDepth {
     let mut depth = DenseDepth::unknown(volume.width, volume.height);
-    for (pixel, sums) in sums.chunks_exact(planes).enumerate() {
+    aggregate(volume, image, config, |pixel, sums| {
         if let Some((idepth, sigma)) = winner(volume, pixel, sums, config) {
             depth.idepth.as_mut_slice()[pixel] = idepth;
             depth.sigma.as_mut_slice()[pixel] = sigma;
         }
-    }
+    });
     without_rims(depth, image)
 }
 
