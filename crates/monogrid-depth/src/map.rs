@@ -41,7 +41,7 @@ pub(crate) struct Arrays {
     pub(crate) floor_var: Vec<f32>,
     /// Photometric variance of the last match, px²; 0 before one.
     pub(crate) photo_px: Vec<f32>,
-    /// Confirmation.
+    /// Confirmation; 0 where unknown.
     pub(crate) validity: Vec<u8>,
     /// Failures in a row.
     pub(crate) failures: Vec<u8>,

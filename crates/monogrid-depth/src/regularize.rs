@@ -137,13 +137,9 @@ impl DepthMap {
         let arrays = &self.arrays;
         let around = |yy: usize| yy * w + x - RADIUS..yy * w + x + RADIUS + 1;
         // whether it is too far from anything known is found out without a division
-        let mut support = 0u32;
-        for row in (y - RADIUS..=y + RADIUS).map(around) {
-            for (var, validity) in arrays.var[row.clone()].iter().zip(&arrays.validity[row]) {
-                support += u32::from(*validity) * u32::from(*var > 0.0);
-            }
-        }
-        if support <= u32::from(config.min_support_fill) {
+        let rows = (y - RADIUS..=y + RADIUS).map(|yy| yy * w + x - RADIUS);
+        let rows = rows.filter_map(|start| lanes(&arrays.validity, start));
+        if sum_of_fives(rows) <= u32::from(config.min_support_fill) {
             return None;
         }
         let (mut sum_w, mut sum_d, mut sum_dd, mut num) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
@@ -184,10 +180,15 @@ impl DepthMap {
         const ENOUGH: u32 = 1000;
         let mut bins = [0u32; BINS];
         let mut total = 0u32;
-        let confirmed = self.arrays.idepth.iter().zip(&self.arrays.validity);
-        for (idepth, _) in confirmed.filter(|(_, validity)| **validity >= 10) {
-            bins[((idepth * BINS_PER_UNIT).max(0.0) as usize).min(BINS - 1)] += 1;
-            total += 1;
+        let w = self.host.width();
+        for y in 0..self.host.height() {
+            let row = y * w..(y + 1) * w;
+            let (validity, idepth) = (&self.arrays.validity[row.clone()], &self.arrays.idepth[row]);
+            let columns = self.candidates.row(y).iter().map(|x| usize::from(*x));
+            for x in columns.filter(|x| validity[*x] >= 10) {
+                bins[((idepth[x] * BINS_PER_UNIT).max(0.0) as usize).min(BINS - 1)] += 1;
+                total += 1;
+            }
         }
         self.near_limit = config.max_idepth;
         if total < ENOUGH {
@@ -303,6 +304,17 @@ const COLUMN_USED: f32x8 = f32x8::new([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
 const COLUMN_SQ: f32x8 = f32x8::new([4.0, 1.0, 0.0, 1.0, 4.0, 0.0, 0.0, 0.0]);
 const ROW_SQ: [f32; 2 * RADIUS + 1] = [4.0, 1.0, 0.0, 1.0, 4.0];
 
+/// The sum of the first five bytes of rows, at most five of them; what is unknown has no validity.
+#[inline]
+fn sum_of_fives<'a>(rows: impl Iterator<Item = &'a [u8; LANES]>) -> u32 {
+    const FIVE: u64 = 0xff_ffff_ffff;
+    const EVEN: u64 = 0x00ff_00ff_00ff_00ff;
+    let words = rows.map(|row| u64::from_le_bytes(*row) & FIVE);
+    // four sums of 16 bits side by side
+    let sums: u64 = words.map(|word| (word & EVEN) + (word >> 8 & EVEN)).sum();
+    (sums.wrapping_mul(0x0001_0001_0001_0001) >> 48) as u32
+}
+
 /// The eight values from `start`; the border of the candidates keeps them inside the row.
 #[inline]
 fn lanes<T>(values: &[T], start: usize) -> Option<&[T; LANES]> {
@@ -359,6 +371,19 @@ mod tests {
             sum / weights,
             (1.0 / weights).max(var / config.max_smoothing_gain),
         ))
+    }
+
+    #[test]
+    fn sums_of_fives_are_those_of_single_bytes() {
+        for seed in 0..50_u8 {
+            let byte = |k: u8| k.wrapping_mul(73).wrapping_add(seed.wrapping_mul(31)) | seed << 6;
+            let rows: [[u8; LANES]; 5] =
+                std::array::from_fn(|row| std::array::from_fn(|k| byte((8 * row + k) as u8)));
+            let plain = rows.iter().flat_map(|row| &row[..5]);
+            let plain: u32 = plain.map(|byte| u32::from(*byte)).sum();
+            assert_eq!(sum_of_fives(rows.iter()), plain);
+        }
+        assert_eq!(sum_of_fives([[255; LANES]; 5].iter()), 25 * 255);
     }
 
     #[test]
@@ -427,7 +452,8 @@ mod tests {
             map.initialize_random(5);
             for i in 0..map.arrays.var.len() {
                 map.arrays.var[i] *= [0.0, 0.001, 0.3, 1.0, 0.02][i % 5];
-                map.arrays.validity[i] = (i * i % 11 % 7) as u8;
+                let is_known = u8::from(map.arrays.var[i] > 0.0);
+                map.arrays.validity[i] = (i * i % 11 % 7) as u8 * is_known;
             }
             let found = map.holes(0..48, &config);
             let mut found = found.iter().peekable();
