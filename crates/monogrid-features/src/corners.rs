@@ -99,9 +99,9 @@ fn score_image(image: &GrayImage) -> GrayImage {
             continue;
         }
         for (c, sum) in columns.iter_mut().enumerate() {
-            let [p0, p1, p2, p3, p4] = std::array::from_fn(|k| products[k][c].as_slice());
-            for x in 0..w {
-                sum[x] = (p0[x] + p1[x]) + (p2[x] + p3[x]) + p4[x];
+            let [p0, p1, p2, p3, p4] = std::array::from_fn(|k| &products[k][c][..w]);
+            for (x, sum) in sum.iter_mut().enumerate().take(w) {
+                *sum = (p0[x] + p1[x]) + (p2[x] + p3[x]) + p4[x];
             }
         }
         let out = &mut scores.row_mut(y - WINDOW)[WINDOW + 1..w - WINDOW - 1];

@@ -74,9 +74,13 @@ impl Shutter {
             let mut places = [&mut xs[..width], &mut ys[..width]];
             flow.row(row, &mut places);
             self.seen_at(row, (width, height), places);
-            let fours = xs.as_chunks().0.iter().zip(ys.as_chunks().0);
-            for (values, (xs, ys)) in rectified.row_mut(row).chunks_mut(4).zip(fours) {
-                values.copy_from_slice(&bicubic(image, *xs, *ys)[..values.len()]);
+            let mut fours = xs.as_chunks().0.iter().zip(ys.as_chunks().0);
+            let (whole, rest) = rectified.row_mut(row).as_chunks_mut();
+            for (values, (xs, ys)) in whole.iter_mut().zip(&mut fours) {
+                *values = bicubic(image, *xs, *ys);
+            }
+            if let Some((xs, ys)) = fours.next() {
+                rest.copy_from_slice(&bicubic(image, *xs, *ys)[..rest.len()]);
             }
         }
         rectified

@@ -8,7 +8,7 @@ use super::template::{
 use crate::{finest_pixel, level_pixel};
 use monogrid_geometry::nalgebra::Matrix2;
 use monogrid_geometry::{Pinhole, Se3, Vec2};
-use monogrid_image::{GrayImage, Pyramid, bilinear};
+use monogrid_image::{GrayImage, Pyramid, bilinear_inside};
 
 /// Settings of the search for a patch.
 #[derive(Clone, Debug, PartialEq)]
@@ -296,7 +296,7 @@ fn grid_peaks(scores: &[f32], side: usize) -> Vec<(usize, usize)> {
     peaks.into_iter().map(|(_, at)| at).collect()
 }
 
-/// The patch with border whose sample at offset `u` is `image(centre + warp u)`.
+/// The patch with border whose sample at offset `u` is `image(centre + warp u)`; `None` where it is not all inside.
 fn sample_warped(
     image: &GrayImage,
     centre: &Vec2,
@@ -305,15 +305,27 @@ fn sample_warped(
     const HALF: f64 = (WIDE as f64 - 1.0) / 2.0;
     let offsets: [f64; WIDE] = std::array::from_fn(|k| k as f64 - HALF);
     let across = offsets.map(|offset| [warp.m11 * offset, warp.m21 * offset]);
+    let down = offsets.map(|offset| [warp.m12 * offset, warp.m22 * offset]);
+    let place = |across: [f64; 2], down: [f64; 2]| {
+        [
+            (centre.x + (across[0] + down[0])) as f32,
+            (centre.y + (across[1] + down[1])) as f32,
+        ]
+    };
+    // nothing lies beyond the corners
+    let ends = [0, WIDE - 1];
+    let (width, height) = (image.width(), image.height());
+    let (right, bottom) = (width as f32 - 1.0, height as f32 - 1.0);
+    let is_inside = |[x, y]: [f32; 2]| x >= 0.0 && y >= 0.0 && x <= right && y <= bottom;
+    let corners = ends.map(|row| ends.map(|column| place(across[column], down[row])));
+    if width < 2 || height < 2 || !corners.as_flattened().iter().all(|c| is_inside(*c)) {
+        return None;
+    }
     let mut out = [[0.0f32; WIDE]; WIDE];
-    for (row, offset) in out.iter_mut().zip(offsets) {
-        let down = [warp.m12 * offset, warp.m22 * offset];
+    for (row, down) in out.iter_mut().zip(down) {
         for (value, across) in row.iter_mut().zip(across) {
-            let [x, y] = [
-                centre.x + (across[0] + down[0]),
-                centre.y + (across[1] + down[1]),
-            ];
-            *value = bilinear(image, x as f32, y as f32)?;
+            let [x, y] = place(across, down);
+            *value = bilinear_inside(image, x, y);
         }
     }
     Some(out)
