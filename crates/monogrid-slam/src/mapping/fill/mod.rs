@@ -56,7 +56,7 @@ pub fn fill_plain_regions(
     config: &FillConfig,
 ) -> Vec<Measurement> {
     let regions = Regions::new(image, measured, config);
-    let borders = borders(&regions, measured);
+    let borders = borders(&regions, measured, config);
     let mut planes: Vec<Option<Plane>> = borders
         .iter()
         .enumerate()
@@ -68,7 +68,7 @@ pub fn fill_plain_regions(
         .zip(&borders)
         .map(|(plane, border)| {
             let plane = plane?;
-            let hull = Hull::new(border.points_on(&plane, config));
+            let hull = Hull::new(border.points_on(&plane));
             Some((plane, hull))
         })
         .collect();
@@ -77,7 +77,7 @@ pub fn fill_plain_regions(
 
 /// The measurements along the outline of each region. One on the edge between two regions belongs to
 /// both.
-fn borders(regions: &Regions, measured: &[Measurement]) -> Vec<Border> {
+fn borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
     let mut borders = vec![Border::default(); regions.count];
     for point in measured {
         let mut found: [u32; 16] = [NO_REGION; 16];
@@ -92,7 +92,7 @@ fn borders(regions: &Regions, measured: &[Measurement]) -> Vec<Border> {
                 if label != NO_REGION && !found[..num_found].contains(&label) {
                     found[num_found] = label;
                     num_found += 1;
-                    borders[label as usize].push(point);
+                    borders[label as usize].push(point, config);
                 }
             }
         }
@@ -125,10 +125,10 @@ fn share_planes(
     pool.sort_by_key(|plane| std::cmp::Reverse(plane.inliers));
     pool.truncate(config.max_offered);
     for (border, own) in borders.iter().zip(planes) {
-        let own_score = own.as_ref().map_or(0, |p| border.count(p, config).score());
+        let own_score = own.as_ref().map_or(0, |p| border.count(p).score());
         let best = pool
             .iter()
-            .map(|plane| (border.count(plane, config), plane))
+            .map(|plane| (border.count(plane), plane))
             .filter(|(count, _)| {
                 count.is_believable(config.min_inliers_offered, config.min_offered_share, config)
             })
@@ -148,7 +148,7 @@ pub(super) fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> 
     let stride = measured.len().div_ceil(MAX_IMAGE_POINTS).max(1);
     let mut left = Border::default();
     for point in measured.iter().step_by(stride) {
-        left.push(point);
+        left.push(point, config);
     }
     let min_inliers = (left.len() as f64 * MIN_IMAGE_SHARE) as usize;
     let mut planes = Vec::new();

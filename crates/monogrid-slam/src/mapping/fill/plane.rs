@@ -24,6 +24,8 @@ pub(in crate::mapping) struct BorderPoint {
     y: f64,
     idepth: f64,
     sigma: f64,
+    /// Standard deviation of its distance from a plane.
+    deviation: f64,
 }
 
 /// The measurements along the outline of a region.
@@ -91,32 +93,45 @@ impl Plane {
         self.center
     }
 
+    /// The points of another plane, as certain as this one.
+    fn through_points_of(self, other: &Self) -> Self {
+        let [x, y] = self.center;
+        let [a, b, _] = other.coefficients.into();
+        let c = other.coefficients.dot(&other.row(x, y));
+        Self {
+            coefficients: Vector3::new(a, b, c),
+            ..self
+        }
+    }
+
     fn row(&self, x: f64, y: f64) -> Vector3<f64> {
         Vector3::new(x - self.center[0], y - self.center[1], 1.0)
     }
 
     /// Whether a point lies on the plane.
-    pub fn explains(&self, point: &BorderPoint, config: &FillConfig) -> bool {
-        self.gap(point, config).abs() <= 2.0
+    pub fn explains(&self, point: &BorderPoint) -> bool {
+        self.gap(point).abs() <= 2.0
     }
 
     /// Inverse depth of the point less that of the plane there, in standard deviations.
-    fn gap(&self, point: &BorderPoint, config: &FillConfig) -> f64 {
+    fn gap(&self, point: &BorderPoint) -> f64 {
         let expected = self.coefficients.dot(&self.row(point.x, point.y));
-        let flatness = config.relative_sigma * point.idepth;
-        let sigma = point.sigma.min(flatness);
-        (point.idepth - expected) / (sigma * sigma + flatness * flatness).sqrt()
+        (point.idepth - expected) / point.deviation
     }
 }
 
 impl Border {
     /// Adds a measurement.
-    pub fn push(&mut self, point: &Measurement) {
+    pub fn push(&mut self, point: &Measurement, config: &FillConfig) {
+        let (idepth, sigma) = (point.idepth.into(), point.sigma_idepth.into());
+        let flatness = config.relative_sigma * idepth;
+        let own = f64::min(sigma, flatness);
         self.points.push(BorderPoint {
             x: point.x.into(),
             y: point.y.into(),
-            idepth: point.idepth.into(),
-            sigma: point.sigma_idepth.into(),
+            idepth,
+            sigma,
+            deviation: (own * own + flatness * flatness).sqrt(),
         });
     }
 
@@ -136,32 +151,31 @@ impl Border {
             return None;
         }
         // here nothing is seen through anything: points behind a plane do not contradict it
-        let score =
-            |points: &[BorderPoint], plane: &Plane| count(points, plane, config).on_plane as i64;
+        let score = |points: &[BorderPoint], plane: &Plane| count(points, plane).on_plane as i64;
         let plane = best_plane(&self.points, seed, samples, score, config)?;
-        self.points.retain(|point| !plane.explains(point, config));
+        self.points.retain(|point| !plane.explains(point));
         Some(plane)
     }
 
     /// Where the points of the outline on a plane are, px.
-    pub fn points_on(&self, plane: &Plane, config: &FillConfig) -> Vec<[f64; 2]> {
-        let on_plane = self.points.iter().filter(|p| plane.explains(p, config));
+    pub fn points_on(&self, plane: &Plane) -> Vec<[f64; 2]> {
+        let on_plane = self.points.iter().filter(|p| plane.explains(p));
         on_plane.map(|p| [p.x, p.y]).collect()
     }
 
     /// How the outline judges a plane.
-    pub fn count(&self, plane: &Plane, config: &FillConfig) -> Count {
-        count(&self.points, plane, config)
+    pub fn count(&self, plane: &Plane) -> Count {
+        count(&self.points, plane)
     }
 }
 
-fn count(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> Count {
+fn count(points: &[BorderPoint], plane: &Plane) -> Count {
     let mut count = Count {
         total: points.len(),
         ..Count::default()
     };
     for point in points {
-        let gap = plane.gap(point, config);
+        let gap = plane.gap(point);
         if gap.abs() <= 2.0 {
             count.on_plane += 1;
         } else if gap < -2.5 {
@@ -178,10 +192,10 @@ pub(super) fn fit_plane(border: &Border, seed: u64, config: &FillConfig) -> Opti
     if border.points.len() < config.min_inliers {
         return None;
     }
-    let score = |points: &[BorderPoint], plane: &Plane| count(points, plane, config).score();
+    let score = |points: &[BorderPoint], plane: &Plane| count(points, plane).score();
     let plane = best_plane(&border.points, seed, config.samples, score, config)?;
     border
-        .count(&plane, config)
+        .count(&plane)
         .is_believable(config.min_inliers, config.min_inlier_share, config)
         .then_some(plane)
 }
@@ -210,37 +224,32 @@ fn best_plane(
     }
     let (_, mut plane) = best?;
     for round in 0..=ASYMMETRIC_FITS {
-        let inliers = within(points, &plane, 2.0, config);
         // sides mean something once the plane is a fit and not a guess by three points
         let side_of = (round > 0).then_some(&plane);
-        plane = fitted(&inliers, side_of, config)?;
+        plane = fitted(&within(points, &plane, 2.0), side_of, config)?;
     }
     // what is left before the plane stands before the surface; what is left behind it is noise, which is as large on either side
-    let reach = NARROW_REACH * spread_behind(points, &plane, config);
+    let reach = NARROW_REACH * spread_behind(points, &plane);
+    let mut surface = plane.clone();
     for _ in 0..NARROW_FITS {
-        let inliers = within(points, &plane, reach, config);
-        if inliers.len() < config.min_inliers {
+        let near = within(points, &surface, reach);
+        if near.len() < config.min_inliers {
             break;
         }
-        plane = fitted(&inliers, None, config)?;
+        surface = fitted(&near, None, config)?;
     }
-    Some(plane)
+    Some(plane.through_points_of(&surface))
 }
 
 /// Points at most so many standard deviations off a plane.
-fn within<'a>(
-    points: &'a [BorderPoint],
-    plane: &Plane,
-    sigmas: f64,
-    config: &FillConfig,
-) -> Vec<&'a BorderPoint> {
-    let is_near = |point: &&BorderPoint| plane.gap(point, config).abs() <= sigmas;
+fn within<'a>(points: &'a [BorderPoint], plane: &Plane, sigmas: f64) -> Vec<&'a BorderPoint> {
+    let is_near = |point: &&BorderPoint| plane.gap(point).abs() <= sigmas;
     points.iter().filter(is_near).collect()
 }
 
 /// Root mean square of how far points on a plane lie behind it, in standard deviations.
-fn spread_behind(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> f64 {
-    let gaps = points.iter().map(|point| plane.gap(point, config));
+fn spread_behind(points: &[BorderPoint], plane: &Plane) -> f64 {
+    let gaps = points.iter().map(|point| plane.gap(point));
     let behind = gaps.filter(|gap| (-2.0..0.0).contains(gap));
     let (sum, count) = behind.fold((0.0, 0.0), |(sum, count), gap| {
         (sum + gap * gap, count + 1.0)
@@ -288,7 +297,7 @@ fn fitted(points: &[&BorderPoint], side_of: Option<&Plane>, config: &FillConfig)
     for point in points {
         let row = Vector3::new(point.x - center[0], point.y - center[1], 1.0);
         let variance = point.sigma.powi(2) + (config.relative_sigma * point.idepth).powi(2);
-        let is_before = side_of.is_some_and(|plane| plane.gap(point, config) > 0.0);
+        let is_before = side_of.is_some_and(|plane| plane.gap(point) > 0.0);
         let weight = if is_before { config.front_weight } else { 1.0 };
         let outer = row * row.transpose() / variance;
         information += outer;

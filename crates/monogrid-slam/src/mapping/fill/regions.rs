@@ -114,15 +114,20 @@ fn neighbours(index: usize, width: usize, height: usize) -> impl Iterator<Item =
 fn plain_pixels(image: &Image<u8>, max_gradient: f64) -> Vec<bool> {
     let (width, height) = (image.width(), image.height());
     let smooth = smoothed(image);
-    let at = |x: usize, y: usize| i32::from(smooth[y * width + x]);
     // smoothed values are 16 times the grey level, differences are over two pixels
-    let limit = (32.0 * max_gradient).powi(2);
+    let limit = (32.0 * max_gradient).powi(2) as i32;
     let mut plain = vec![false; width * height];
+    if width < 3 {
+        return plain;
+    }
     for y in 1..height.saturating_sub(1) {
-        for x in 1..width.saturating_sub(1) {
-            let dx = f64::from(at(x + 1, y) - at(x - 1, y));
-            let dy = f64::from(at(x, y + 1) - at(x, y - 1));
-            plain[y * width + x] = dx * dx + dy * dy <= limit;
+        let row = |y: usize| &smooth[y * width..(y + 1) * width];
+        let (above, own, below) = (row(y - 1), row(y), row(y + 1));
+        let around = own.windows(3).zip(above[1..].iter().zip(&below[1..]));
+        for (plain, (beside, (above, below))) in plain[y * width + 1..].iter_mut().zip(around) {
+            let dx = i32::from(beside[2]) - i32::from(beside[0]);
+            let dy = i32::from(*below) - i32::from(*above);
+            *plain = dx * dx + dy * dy <= limit;
         }
     }
     plain
@@ -132,31 +137,39 @@ fn plain_pixels(image: &Image<u8>, max_gradient: f64) -> Vec<bool> {
 fn smoothed(image: &Image<u8>) -> Vec<u16> {
     let (width, height) = (image.width(), image.height());
     let mut rows = vec![0u16; width * height];
-    for y in 0..height {
+    for (y, out) in rows.chunks_exact_mut(width.max(1)).enumerate() {
         let row = image.row(y);
-        for x in 0..width {
-            let (left, right) = (row[x.saturating_sub(1)], row[(x + 1).min(width - 1)]);
-            rows[y * width + x] = u16::from(left) + 2 * u16::from(row[x]) + u16::from(right);
+        let mean =
+            |left: u8, at: u8, right: u8| u16::from(left) + 2 * u16::from(at) + u16::from(right);
+        for (out, around) in out[1..].iter_mut().zip(row.windows(3)) {
+            *out = mean(around[0], around[1], around[2]);
+        }
+        let last = width - 1;
+        out[0] = mean(row[0], row[0], row[last.min(1)]);
+        out[last] = mean(row[last.saturating_sub(1)], row[last], row[last]);
+    }
+    let mut smooth = vec![0u16; width * height];
+    for (y, out) in smooth.chunks_exact_mut(width.max(1)).enumerate() {
+        let row = |y: usize| &rows[y * width..(y + 1) * width];
+        let (above, below) = (row(y.saturating_sub(1)), row((y + 1).min(height - 1)));
+        let around = above.iter().zip(row(y)).zip(below);
+        for (out, ((above, at), below)) in out.iter_mut().zip(around) {
+            *out = above + 2 * at + below;
         }
     }
-    let mut out = vec![0u16; width * height];
-    for y in 0..height {
-        let (up, down) = (y.saturating_sub(1), (y + 1).min(height - 1));
-        for x in 0..width {
-            out[y * width + x] =
-                rows[up * width + x] + 2 * rows[y * width + x] + rows[down * width + x];
-        }
-    }
-    out
+    smooth
 }
 
 /// Pixels whose 3x3 neighbourhood is set.
 fn eroded(set: &[bool], width: usize, height: usize) -> Vec<bool> {
     let mut out = vec![false; set.len()];
     for y in 1..height.saturating_sub(1) {
-        for x in 1..width.saturating_sub(1) {
-            out[y * width + x] =
-                (y - 1..=y + 1).all(|row| (x - 1..=x + 1).all(|column| set[row * width + column]));
+        let row = |y: usize| &set[y * width..(y + 1) * width];
+        let columns = row(y - 1).iter().zip(row(y)).zip(row(y + 1));
+        let columns: Vec<bool> = columns.map(|((a, b), c)| a & b & c).collect();
+        let inner = out[y * width + 1..].iter_mut();
+        for (out, around) in inner.zip(columns.windows(3)) {
+            *out = around[0] & around[1] & around[2];
         }
     }
     out
