@@ -6,6 +6,7 @@ use monogrid_geometry::{Sim3, Vec2};
 use monogrid_occupancy::{MapError, OccupancyMap, SurfaceMesh, VoxelKey};
 use monogrid_slam::mapping::{ImageOf, KeyframeScan, MeshConfig};
 use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
 
 /// Measurements that are looked at, at most; of more, they are taken evenly.
 const MAX_POINTS: usize = 3_000_000;
@@ -28,9 +29,28 @@ pub struct ColouredScan<'a> {
 #[derive(Clone, Debug)]
 pub struct CellColours {
     /// Sums of red, green and blue, and the number of measurements.
-    sums: HashMap<VoxelKey, [u32; 4]>,
+    sums: HashMap<VoxelKey, [u32; 4], BuildHasherDefault<CellHasher>>,
     /// Whether any of them was seen in colour.
     has_colour: bool,
+}
+
+/// Nobody chooses cells so that they collide, and each vertex asks for eight of them and more.
+#[derive(Clone, Copy, Debug, Default)]
+struct CellHasher(u64);
+
+impl Hasher for CellHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.write_i32((*byte).into()));
+    }
+
+    fn write_i32(&mut self, index: i32) {
+        let mixed = self.0.rotate_left(29) ^ u64::from(index as u32);
+        self.0 = mixed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    }
+
+    fn finish(&self) -> u64 {
+        self.0 ^ self.0 >> 32
+    }
 }
 
 /// The surface of a map with a colour for every vertex.
@@ -46,7 +66,7 @@ impl CellColours {
     /// Nothing is known: all is of a middle grey.
     pub fn unknown() -> Self {
         Self {
-            sums: HashMap::new(),
+            sums: HashMap::default(),
             has_colour: false,
         }
     }

@@ -34,7 +34,7 @@ pub fn write_maps(
 ) -> Result<MapPictures, Failure> {
     let (written, large) = rayon::join(
         || write_global(folder, [&maps.global, &maps.local], path, ground, surface),
-        || write_large(folder, &maps.large),
+        || write_map(folder, "large.ot", &maps.large, MapFormat::Ot),
     );
     let Written {
         cubes,
@@ -42,10 +42,12 @@ pub fn write_maps(
         cut,
         mesh,
     } = written?;
-    let large = large?;
-    let loops = reported_path
-        .map(|reported| write_loop_pictures(folder, (&large, reported), (&cubes, path)))
-        .transpose()?;
+    large?;
+    let write_loops = |reported| {
+        let large = occupied_cubes(&maps.large).while_running("the maps cannot be drawn")?;
+        write_loop_pictures(folder, (&large, reported), (&cubes, path))
+    };
+    let loops = reported_path.map(write_loops).transpose()?;
     Ok(MapPictures {
         preview,
         loops,
@@ -54,13 +56,14 @@ pub fn write_maps(
     })
 }
 
-/// Writes the map of the poses that keyframes had first; returns its occupied cells.
-fn write_large(folder: &OutputFolder, map: &OccupancyMap) -> Result<Vec<Cube>, Failure> {
-    folder.write_with(
-        "large.ot",
-        |mut out| Ok(MapFormat::Ot.write(map, &mut out)?),
-    )?;
-    occupied_cubes(map).while_running("the maps cannot be drawn")
+/// Writes a map as a file of that name.
+fn write_map(
+    folder: &OutputFolder,
+    name: &str,
+    map: &OccupancyMap,
+    format: MapFormat,
+) -> Result<(), Failure> {
+    folder.write_with(name, |mut out| Ok(format.write(map, &mut out)?))
 }
 
 /// What was found while the global map was written.
@@ -98,7 +101,7 @@ pub fn write_global(
         ("global.bt", global, MapFormat::Bt),
         ("local.ot", local, MapFormat::Ot),
     ] {
-        folder.write_with(name, |mut out| Ok(format.write(map, &mut out)?))?;
+        write_map(folder, name, map, format)?;
     }
     let colour = |key| surface.colours.of(key);
     let colour: Option<&dyn Fn(VoxelKey) -> [u8; 3]> = match surface.colours.has_colour() {
