@@ -146,3 +146,51 @@ impl Target {
             .unwrap_or(0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eight_places_are_what_each_of_them_is_alone() {
+        let image = GrayImage::from_fn(40, 30, |x, y| ((37 * x + 101 * y + x * y) % 251) as f32);
+        let pinhole = Pinhole::new(30.0, 30.0, 19.5, 14.5);
+        let target = Target::new(&Pyramid::new(image.clone(), 1), &pinhole, 0, 0);
+        let level = &target.levels[0];
+        let u = [1.5, 20.25, 37.9, 3.0, f32::NAN, -4.0, 1e9, 12.75];
+        let v = [1.5, 9.125, 27.9, 20.5, 5.0, 5.0, 5.0, 27.0];
+        let mask = level.contains_lanes(f32x8::new(u), f32x8::new(v));
+        assert_eq!(mask.to_bitmask(), 0b1000_1111);
+        let found = level.sample_lanes(f32x8::new(u), f32x8::new(v), mask);
+        for l in 0..8 {
+            let found = found.map(|kind| kind.to_array()[l]);
+            if mask.to_bitmask() >> l & 1 == 0 {
+                assert_eq!(found, [0.0; 3]);
+                continue;
+            }
+            let grey = |x: f32, y: f32| monogrid_image::bilinear(&image, x, y).unwrap();
+            let (x, y) = (u[l], v[l]);
+            let expected = [
+                grey(x, y),
+                0.5 * (grey(x + 1.0, y) - grey(x - 1.0, y)),
+                0.5 * (grey(x, y + 1.0) - grey(x, y - 1.0)),
+            ];
+            for (found, expected) in found.into_iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-3, "{l}: {found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn kinds_and_points_change_places() {
+        let kinds: [f32x8; 4] = std::array::from_fn(|kind| {
+            f32x8::new(std::array::from_fn(|point| (10 * kind + point) as f32))
+        });
+        let points = by_point(kinds);
+        assert_eq!(points[5].to_array(), [5.0, 15.0, 25.0, 35.0]);
+        assert_eq!(
+            by_kind(points).map(f32x8::to_array),
+            kinds.map(f32x8::to_array)
+        );
+    }
+}

@@ -241,6 +241,34 @@ fn costs_are_those_of_windows_compared_one_by_one() {
     }
 }
 
+/// The costs of the way that comes to a pixel by a step.
+fn way(at: (i64, i64), step: (i64, i64), of: (&CostVolume, &Image<f32>, &DenseConfig)) -> Vec<i32> {
+    let (volume, image, config) = of;
+    let index = |(x, y): (i64, i64)| y as usize * volume.width + x as usize;
+    let costs = volume.at(index(at)).iter().map(|c| i32::from(*c));
+    let from = (at.0 - step.0, at.1 - step.1);
+    let is_inside =
+        (0..volume.width as i64).contains(&from.0) && (0..volume.height as i64).contains(&from.1);
+    if !is_inside {
+        return costs.collect();
+    }
+    let before = way(from, step, of);
+    let least = before.iter().min().copied().unwrap();
+    let grey = |at| image.as_slice()[index(at)];
+    let edge = 1.0 + (grey(at) - grey(from)).abs() / 8.0;
+    let small = i32::from(config.small_step_cost);
+    let jump = ((f32::from(config.jump_cost) / edge) as i32).max(small);
+    let best = |k: usize| {
+        let beside = [k.checked_sub(1), Some(k + 1)].into_iter().flatten();
+        let beside = beside.filter_map(|k| before.get(k)).map(|c| c + small);
+        beside.chain([before[k], least + jump]).min().unwrap()
+    };
+    costs
+        .enumerate()
+        .map(|(k, cost)| cost + best(k) - least)
+        .collect()
+}
+
 #[test]
 fn sums_are_those_of_the_best_ways_one_by_one() {
     let (width, height, planes) = (7, 5, 9);
@@ -264,37 +292,6 @@ fn sums_are_those_of_the_best_ways_one_by_one() {
             jump_cost,
             ..DenseConfig::default()
         };
-        // the costs of the way that comes to a pixel by (dx, dy)
-        fn way(
-            at: (i64, i64),
-            step: (i64, i64),
-            of: (&CostVolume, &Image<f32>, &DenseConfig),
-        ) -> Vec<i32> {
-            let (volume, image, config) = of;
-            let index = |(x, y): (i64, i64)| y as usize * volume.width + x as usize;
-            let costs = volume.at(index(at)).iter().map(|c| i32::from(*c));
-            let from = (at.0 - step.0, at.1 - step.1);
-            let is_inside = (0..volume.width as i64).contains(&from.0)
-                && (0..volume.height as i64).contains(&from.1);
-            if !is_inside {
-                return costs.collect();
-            }
-            let before = way(from, step, of);
-            let least = before.iter().min().copied().unwrap();
-            let grey = |at| image.as_slice()[index(at)];
-            let edge = 1.0 + (grey(at) - grey(from)).abs() / 8.0;
-            let small = i32::from(config.small_step_cost);
-            let jump = ((f32::from(config.jump_cost) / edge) as i32).max(small);
-            let best = |k: usize| {
-                let beside = [k.checked_sub(1), Some(k + 1)].into_iter().flatten();
-                let beside = beside.filter_map(|k| before.get(k)).map(|c| c + small);
-                beside.chain([before[k], least + jump]).min().unwrap()
-            };
-            costs
-                .enumerate()
-                .map(|(k, cost)| cost + best(k) - least)
-                .collect()
-        }
         let mut num_told = 0;
         aggregate(&volume, &image, &config, |pixel, sums| {
             num_told += 1;

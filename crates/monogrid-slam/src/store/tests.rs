@@ -2,6 +2,8 @@
 
 use super::*;
 use crate::DepthPixel;
+use monogrid_depth::DenseDepth;
+use monogrid_image::GrayImage;
 use std::io::{Seek, SeekFrom, Write};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -49,6 +51,24 @@ fn what_was_not_used_for_longest_leaves_and_comes_back_the_same() {
     assert_eq!((store.bytes().file, store.failure()), (file, None));
     drop((kept, more));
     assert_eq!(store.bytes(), StoreBytes::default());
+}
+
+#[test]
+fn images_and_dense_depth_come_back_the_same_from_their_bytes() {
+    let grey = GrayImage::from_fn(7, 5, |x, y| (x * 31 + y * 7) as f32 + 0.4);
+    let image = KeptImage::rounded(&grey);
+    assert_eq!(KeptImage::unpack(&image.pack()).unwrap(), image);
+    assert_eq!(image.grey().unwrap(), grey.map(|value| value - 0.4));
+    let depth = |factor: f32| GrayImage::from_fn(4, 3, |x, y| factor * (x + 4 * y) as f32);
+    let dense = KeptDense(DenseDepth {
+        idepth: depth(0.3),
+        sigma: depth(0.01),
+    });
+    let bytes = dense.pack();
+    assert_eq!(KeptDense::unpack(&bytes).unwrap(), dense);
+    // what is cut off is no value
+    assert!(KeptDense::unpack(&bytes[..bytes.len() - 8]).is_none());
+    assert!(Vec::<DepthPixel>::unpack(&pixels(1).pack()[1..]).is_none());
 }
 
 #[test]
