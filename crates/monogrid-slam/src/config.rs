@@ -103,7 +103,7 @@ pub struct MemoryConfig {
 impl Default for MemoryConfig {
     fn default() -> Self {
         Self {
-            keyframes_mb: 12.0,
+            keyframes_mb: 8.0,
             prepared_mb: 8.0,
         }
     }
