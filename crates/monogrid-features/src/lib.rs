@@ -37,7 +37,7 @@ pub use place::{
 };
 pub use rng::Rng;
 pub use track::{
-    PatchFit, PatchSearchConfig, ReferencePatch, TrackConfig, TrackOutcome, find_patch,
-    finest_pixel, level_pixel, patch_warp, track_points,
+    Likeness, LikenessConfig, LikenessSlope, PatchFit, PatchSearchConfig, ReferencePatch,
+    TrackConfig, TrackOutcome, find_patch, finest_pixel, level_pixel, patch_warp, track_points,
 };
 pub use two_view::{Match, TriangulatedPoint, TwoView, TwoViewConfig, TwoViewOutcome, two_view};

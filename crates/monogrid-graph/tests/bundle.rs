@@ -2,12 +2,14 @@
 
 mod common;
 
-use common::{Scene, SceneOptions, disturb, scene, worst_centre_error, worst_rotation_error};
-use monogrid_geometry::{Mat6, Se3, Vec6};
+use common::{
+    PINHOLE, Scene, SceneOptions, disturb, scene, worst_centre_error, worst_rotation_error,
+};
+use monogrid_geometry::{Mat6, Se3, Vec2, Vec6};
 use monogrid_graph::RobustKernel;
 use monogrid_graph::bundle::{
-    BundleConfig, BundleError, BundleOutcome, InverseDepthPrior, ObservationOutcome, PoseFreedom,
-    adjust,
+    Appearance, BundleConfig, BundleError, BundleOutcome, BundleSolution, InverseDepthPrior,
+    Observation, ObservationOutcome, PixelSlope, PoseFreedom, adjust, adjust_to_images,
 };
 
 fn options() -> SceneOptions {
@@ -376,5 +378,94 @@ fn bad_input_is_named() {
             .unwrap_err()
             .to_string()
             .contains("keyframe 2")
+    );
+}
+
+/// Images in which each point lies on an edge: they say where it is across one direction, and nothing beyond three pixels.
+#[derive(Debug)]
+struct Edges {
+    /// Per observation a place on the edge and a direction across it, 1 / standard deviations.
+    edges: Vec<(Vec2, Vec2)>,
+}
+
+impl Edges {
+    /// Edges through where the points of a scene truly are.
+    fn of(scene: &Scene) -> Self {
+        let edge = |(i, o): (usize, &Observation)| {
+            let anchor = &scene.problem.points[o.point];
+            let in_host = PINHOLE.unproject(&anchor.pixel) / scene.true_inverse_depths[o.point];
+            let in_world = scene.true_poses[anchor.host].inverse() * in_host;
+            let angle = 0.9 * i as f64;
+            let across = 10.0 * Vec2::new(angle.cos(), angle.sin());
+            (
+                PINHOLE.project(&(scene.true_poses[o.keyframe] * in_world)),
+                across,
+            )
+        };
+        let observations = scene.problem.observations.iter().enumerate();
+        Self {
+            edges: observations.map(edge).collect(),
+        }
+    }
+
+    fn distance(&self, observation: usize, pixel: &Vec2) -> f64 {
+        let (place, across) = &self.edges[observation];
+        across.dot(&(pixel - place))
+    }
+}
+
+impl Appearance for Edges {
+    fn cost(&self, observation: usize, pixel: &Vec2) -> f64 {
+        0.5 * self.distance(observation, pixel).powi(2).min(900.0)
+    }
+
+    fn slope(&self, observation: usize, pixel: &Vec2) -> Option<PixelSlope> {
+        let distance = self.distance(observation, pixel);
+        let across = self.edges[observation].1;
+        (distance.abs() < 30.0).then(|| PixelSlope {
+            gradient: across * distance,
+            information: across * across.transpose(),
+        })
+    }
+}
+
+#[test]
+fn images_say_more_than_the_places_at_which_points_were_found() {
+    let mut scene = fixed_scene(&options());
+    let edges = Edges::of(&scene);
+    disturb(&mut scene.problem, 0.003, 0.01, 7);
+    let config = BundleConfig {
+        max_iterations: 50,
+        ..BundleConfig::default()
+    };
+    let by_places = adjust(&scene.problem, &config).unwrap();
+    let by_images = adjust_to_images(&scene.problem, &edges, &config).unwrap();
+    let error = |solution: &BundleSolution| {
+        worst_centre_error(&solution.camera_from_world, &scene.true_poses)
+    };
+    let (places, images) = (error(&by_places), error(&by_images));
+    // ten times as sure, half as often
+    assert!(images < 0.2 * places, "{images} of {places}");
+    assert!(by_images.final_cost < by_images.initial_cost);
+}
+
+#[test]
+fn images_that_say_nothing_change_nothing() {
+    #[derive(Debug)]
+    struct Blind;
+    impl Appearance for Blind {
+        fn cost(&self, _: usize, _: &Vec2) -> f64 {
+            0.0
+        }
+        fn slope(&self, _: usize, _: &Vec2) -> Option<PixelSlope> {
+            None
+        }
+    }
+    let mut scene = fixed_scene(&options());
+    disturb(&mut scene.problem, 0.03, 0.1, 7);
+    let config = BundleConfig::default();
+    assert_eq!(
+        adjust_to_images(&scene.problem, &Blind, &config).unwrap(),
+        adjust(&scene.problem, &config).unwrap()
     );
 }

@@ -54,7 +54,7 @@ pub use map::Event;
 pub use report::{
     FrameReport, InFragment, LostReason, MapBytes, MapSize, StageTimes, TrackingState,
 };
-pub use sparse::{SparseConfig, SparseStats};
+pub use sparse::{ImageAdjustmentConfig, SparseConfig, SparseStats};
 pub use stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };

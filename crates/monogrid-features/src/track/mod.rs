@@ -1,11 +1,13 @@
 //! Finding patches again: pyramidal Lucas-Kanade tracking and search for warped patches.
 
+mod likeness;
 mod patch;
 mod points;
 mod template;
 #[cfg(test)]
 mod tests;
 
+pub use likeness::{Likeness, LikenessConfig, LikenessSlope};
 pub use patch::{PatchSearchConfig, ReferencePatch, find_patch, patch_warp};
 pub use points::{TrackConfig, TrackOutcome, track_points};
 pub use template::PatchFit;

@@ -72,18 +72,8 @@ impl ReferencePatch {
         level: usize,
         min_score: f32,
     ) -> Result<Self, TrackOutcome> {
-        let level_scale = (1u64 << level) as f64;
-        let warp = reference_from_current * level_scale;
-        let magnification = warp.determinant().abs().sqrt();
-        if !magnification.is_finite() || reference.num_levels() == 0 {
-            return Err(TrackOutcome::OutOfImage);
-        }
-        let reference_level =
-            (magnification.max(1.0).log2().round() as usize).min(reference.num_levels() - 1);
-        let warp = warp / (1u64 << reference_level) as f64;
-        let image = reference.level(reference_level);
-        let centre = level_pixel(pixel, reference_level);
-        let wide = sample_warped(image, &centre, &warp).ok_or(TrackOutcome::OutOfImage)?;
+        let wide = warped(reference, pixel, reference_from_current, level)
+            .ok_or(TrackOutcome::OutOfImage)?;
         let template = Template::new(&wide, min_score).ok_or(TrackOutcome::NoTexture)?;
         Ok(Self { template, level })
     }
@@ -294,6 +284,26 @@ fn grid_peaks(scores: &[f32], side: usize) -> Vec<(usize, usize)> {
     }
     peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
     peaks.into_iter().map(|(_, at)| at).collect()
+}
+
+/// The patch with border around `pixel` (level-0 px of `reference`), as level `level` of an image has it that is mapped there by
+/// `reference_from_current`, from the level of `reference` whose pixels are about as large.
+pub(super) fn warped(
+    reference: &Pyramid,
+    pixel: &Vec2,
+    reference_from_current: &Matrix2<f64>,
+    level: usize,
+) -> Option<[[f32; WIDE]; WIDE]> {
+    let warp = reference_from_current * (1u64 << level) as f64;
+    let magnification = warp.determinant().abs().sqrt();
+    if !magnification.is_finite() || reference.num_levels() == 0 {
+        return None;
+    }
+    let reference_level =
+        (magnification.max(1.0).log2().round() as usize).min(reference.num_levels() - 1);
+    let warp = warp / (1u64 << reference_level) as f64;
+    let image = reference.level(reference_level);
+    sample_warped(image, &level_pixel(pixel, reference_level), &warp)
 }
 
 /// The patch with border whose sample at offset `u` is `image(centre + warp u)`; `None` where it is not all inside.

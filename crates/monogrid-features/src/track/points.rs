@@ -184,7 +184,7 @@ fn coarse_to_fine(
     let image = reference.levels.first().ok_or(TrackOutcome::OutOfImage)?;
     let target = current.levels.first().ok_or(TrackOutcome::OutOfImage)?;
     let centre = to_f32(point);
-    if super::template::sample::<{ super::template::WIDE }>(image, centre).is_none() {
+    if super::template::sample::<{ super::template::WIDE }, _>(image, centre).is_none() {
         return Err(TrackOutcome::OutOfImage);
     }
     let template =

@@ -6,7 +6,7 @@
 //! (Baker and Matthews, *Lucas-Kanade 20 years on*, 2004, sections 3.2 and part 3).
 
 use monogrid_geometry::Vec2;
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, Image};
 
 /// Side of a patch, px.
 pub(super) const SIDE: usize = 8;
@@ -74,15 +74,7 @@ impl Template {
     /// A template from a patch with its border; `None` when its weakest direction has a mean
     /// squared gradient below `min_score` (after projection).
     pub fn new(wide: &[[f32; WIDE]; WIDE], min_score: f32) -> Option<Self> {
-        let mut values = [[0.0f32; SIDE]; SIDE];
-        let (mut gx, mut gy) = (values, values);
-        for y in 0..SIDE {
-            for x in 0..SIDE {
-                values[y][x] = wide[y + 1][x + 1];
-                gx[y][x] = 0.5 * (wide[y + 1][x + 2] - wide[y + 1][x]);
-                gy[y][x] = 0.5 * (wide[y + 2][x + 1] - wide[y][x + 1]);
-            }
-        }
+        let (mut values, mut gx, mut gy) = with_gradients(wide);
         remove_mean(&mut values);
         let energy = dot(&values, &values);
         if energy < NUM {
@@ -116,7 +108,7 @@ impl Template {
 
     /// The template around `centre` of an image; `None` at the border or without texture.
     pub fn sampled(image: &GrayImage, centre: [f32; 2], min_score: f32) -> Option<Self> {
-        Self::new(&sample::<WIDE>(image, centre)?, min_score)
+        Self::new(&sample::<WIDE, _>(image, centre)?, min_score)
     }
 
     /// Zero-mean normalised cross-correlation with the patch around an integer `corner`.
@@ -147,7 +139,7 @@ impl Template {
     ) -> Result<LevelFit, LevelFailure> {
         let mut centre = start;
         for _ in 0..limits.max_iterations {
-            let patch = sample::<SIDE>(image, centre).ok_or(LevelFailure::OutOfImage)?;
+            let patch = sample::<SIDE, _>(image, centre).ok_or(LevelFailure::OutOfImage)?;
             let (bx, by) = (dot(&self.gx, &patch), dot(&self.gy, &patch));
             // a contrast that vanishes or flips must not make the step explode
             let gain = (dot(&self.values, &patch) / self.energy).max(0.3);
@@ -177,7 +169,7 @@ impl Template {
 
     /// Similarity of template and image at a centre.
     pub fn fit_at(&self, image: &GrayImage, centre: [f32; 2]) -> Option<LevelFit> {
-        let mut patch = sample::<SIDE>(image, centre)?;
+        let mut patch = sample::<SIDE, _>(image, centre)?;
         remove_mean(&mut patch);
         let variance = dot(&patch, &patch);
         let cross = dot(&self.values, &patch);
@@ -193,6 +185,20 @@ impl Template {
     }
 }
 
+/// The inner patch, and its derivatives along x and y.
+pub(super) fn with_gradients(wide: &[[f32; WIDE]; WIDE]) -> (Values, Values, Values) {
+    let mut seen = [[0.0f32; SIDE]; SIDE];
+    let (mut gx, mut gy) = (seen, seen);
+    for y in 0..SIDE {
+        for x in 0..SIDE {
+            seen[y][x] = wide[y + 1][x + 1];
+            gx[y][x] = 0.5 * (wide[y + 1][x + 2] - wide[y + 1][x]);
+            gy[y][x] = 0.5 * (wide[y + 2][x + 1] - wide[y][x + 1]);
+        }
+    }
+    (seen, gx, gy)
+}
+
 /// Longest step of one iteration, px of the level: beyond it the linearisation means nothing.
 const MAX_STEP: f32 = 2.0;
 
@@ -205,7 +211,10 @@ pub(super) struct AlignLimits {
 }
 
 /// An `N`x`N` patch around `centre`, bilinear; `None` when a sample lies outside the image.
-pub(super) fn sample<const N: usize>(image: &GrayImage, centre: [f32; 2]) -> Option<[[f32; N]; N]> {
+pub(super) fn sample<const N: usize, P: Copy + Into<f32>>(
+    image: &Image<P>,
+    centre: [f32; 2],
+) -> Option<[[f32; N]; N]> {
     let half = (N as f32 - 1.0) / 2.0;
     let (left, top) = (centre[0] - half, centre[1] - half);
     let inside = left >= 0.0
@@ -224,7 +233,9 @@ pub(super) fn sample<const N: usize>(image: &GrayImage, centre: [f32; 2]) -> Opt
         let upper = &image.row(iy + y)[ix..ix + N + 1];
         let lower = &image.row(iy + y + 1)[ix..ix + N + 1];
         for x in 0..N {
-            row[x] = w00 * upper[x] + w10 * upper[x + 1] + (w01 * lower[x] + w11 * lower[x + 1]);
+            let [a, b] = [upper[x].into(), upper[x + 1].into()];
+            let [c, d] = [lower[x].into(), lower[x + 1].into()];
+            row[x] = w00 * a + w10 * b + (w01 * c + w11 * d);
         }
     }
     Some(out)
@@ -240,7 +251,7 @@ pub(super) fn centre_of_corner(left: usize, top: usize) -> [f32; 2] {
     [left as f32 + HALF, top as f32 + HALF]
 }
 
-fn dot(a: &Values, b: &Values) -> f32 {
+pub(super) fn dot(a: &Values, b: &Values) -> f32 {
     let mut lanes = [0.0f32; SIDE];
     for (row_a, row_b) in a.iter().zip(b) {
         for x in 0..SIDE {
@@ -250,7 +261,7 @@ fn dot(a: &Values, b: &Values) -> f32 {
     lane_sum(&lanes)
 }
 
-fn remove_mean(values: &mut Values) {
+pub(super) fn remove_mean(values: &mut Values) {
     let mut lanes = [0.0f32; SIDE];
     for row in values.iter() {
         for x in 0..SIDE {

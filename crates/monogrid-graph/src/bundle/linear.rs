@@ -1,7 +1,7 @@
 //! Cost and normal equations of a window.
 
 use super::prepare::{Layout, NO_PAIR};
-use super::{BundleConfig, BundleProblem};
+use super::{Appearance, BundleConfig, BundleProblem};
 use crate::RobustKernel;
 use crate::reprojection::{
     BEHIND_CHI2, adjoint_transpose, pose_jacobian, project, projection_jacobian,
@@ -33,6 +33,8 @@ pub(super) struct Window<'a> {
     pub bearings: Vec<Vec3>,
     /// Per observation whether it takes part.
     pub active: Vec<bool>,
+    /// What images say of observations, beside their pixels.
+    pub appearance: Option<&'a dyn Appearance>,
 }
 
 /// Gauss-Newton system before the points are eliminated.
@@ -56,6 +58,7 @@ impl<'a> Window<'a> {
     pub(super) fn new(
         problem: &'a BundleProblem,
         layout: &'a Layout,
+        appearance: Option<&'a dyn Appearance>,
         config: &BundleConfig,
     ) -> Self {
         let bearing = |p: &super::AnchoredPoint| problem.pinhole.unproject(&p.pixel);
@@ -66,6 +69,7 @@ impl<'a> Window<'a> {
             kernel: config.kernel,
             bearings: problem.points.iter().map(bearing).collect(),
             active: layout.pair_of_observation.iter().map(is_seen).collect(),
+            appearance,
         }
     }
 
@@ -106,6 +110,19 @@ impl<'a> Window<'a> {
             .map(|r| r.norm_squared() * weight * weight)
     }
 
+    /// What images say against observation `i`; nothing of a point that is not in front of the camera, which costs most anyway.
+    fn look(&self, i: usize, relatives: &[Relative], state: &State) -> f64 {
+        let Some(appearance) = self.appearance else {
+            return 0.0;
+        };
+        let relative = relatives.get(self.layout.pair_of_observation[i] as usize);
+        let seen = relative.and_then(|relative| {
+            let q = self.scaled_point(i, relative, state);
+            project(&self.problem.pinhole, &q)
+        });
+        seen.map_or(0.0, |pixel| appearance.cost(i, &pixel))
+    }
+
     /// Robust cost of the observations for which `includes` is true, and of the priors of all points.
     pub(super) fn cost(&self, state: &State, includes: &[bool]) -> f64 {
         let relatives = self.relatives(state);
@@ -114,6 +131,7 @@ impl<'a> Window<'a> {
             if is_included {
                 let chi2 = self.chi2(i, &relatives, state).unwrap_or(BEHIND_CHI2);
                 sum += self.kernel.cost(chi2.min(BEHIND_CHI2));
+                sum += 2.0 * self.look(i, &relatives, state);
             }
         }
         for (point, &d) in self.problem.points.iter().zip(&state.inverse_depths) {
@@ -191,6 +209,15 @@ impl<'a> Window<'a> {
             }
             b[c] -= x * residual.x + y * residual.y;
             cross[c] = x * j_depth.x + y * j_depth.y;
+        }
+        let pixel = residual + observation.pixel;
+        if let Some(look) = self.appearance.and_then(|images| images.slope(i, &pixel)) {
+            *h += j_pose.tr_mul(&(look.information * j_pose));
+            *b -= j_pose.tr_mul(&look.gradient);
+            let weighted = look.information * j_depth;
+            normal.h_points[observation.point] += j_depth.dot(&weighted);
+            normal.b_points[observation.point] -= j_depth.dot(&look.gradient);
+            cross += j_pose.tr_mul(&weighted);
         }
         if let Some(entry) = self.layout.fans.of_observation(i) {
             normal.fans[entry] += cross;

@@ -16,11 +16,14 @@
 //! Reference: Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000, section 6; inverse depth
 //! after Civera et al., 2008.
 
+mod appearance;
 mod linear;
 mod prepare;
 mod schur;
 mod solver;
 mod system;
+
+pub use appearance::{Appearance, PixelSlope};
 
 use crate::RobustKernel;
 use monogrid_geometry::{Mat6, Pinhole, Se3, Vec2};
@@ -256,5 +259,19 @@ pub fn adjust(
     config: &BundleConfig,
 ) -> Result<BundleSolution, BundleError> {
     prepare::validate(problem, config)?;
-    Ok(solver::solve(problem, config))
+    Ok(solver::solve(problem, None, config))
+}
+
+/// Adjusts a window to the pixels at which points were found and to how images look where the points are projected, together: the cost
+/// is that of [`adjust`] plus that of `appearance`.
+///
+/// # Errors
+/// As [`adjust`].
+pub fn adjust_to_images(
+    problem: &BundleProblem,
+    appearance: &dyn Appearance,
+    config: &BundleConfig,
+) -> Result<BundleSolution, BundleError> {
+    prepare::validate(problem, config)?;
+    Ok(solver::solve(problem, Some(appearance), config))
 }

@@ -4,16 +4,20 @@ use super::linear::{State, Window};
 use super::prepare::{Layout, NO_PAIR};
 use super::schur::{Step, pose_covariance, solve_step};
 use super::{
-    BundleConfig, BundleCovariance, BundleOutcome, BundleProblem, BundleSolution,
+    Appearance, BundleConfig, BundleCovariance, BundleOutcome, BundleProblem, BundleSolution,
     ObservationOutcome, PoseFreedom,
 };
 use crate::damping::Damping;
 use monogrid_geometry::{Mat6, Se3, Vec6};
 
 /// Solves a problem that has been validated.
-pub(super) fn solve(problem: &BundleProblem, config: &BundleConfig) -> BundleSolution {
+pub(super) fn solve(
+    problem: &BundleProblem,
+    appearance: Option<&dyn Appearance>,
+    config: &BundleConfig,
+) -> BundleSolution {
     let layout = Layout::new(problem);
-    let mut window = Window::new(problem, &layout, config);
+    let mut window = Window::new(problem, &layout, appearance, config);
     let (low, high) = config.inverse_depth_range;
     let clamped = |p: &super::AnchoredPoint| p.inverse_depth.clamp(low, high);
     let mut state = State {

@@ -1,13 +1,14 @@
 //! Bundle adjustment over the newest and the most covisible keyframes, and at the end over all.
 
+use super::looks::Looks;
 use super::{LeftLens, SparseConfig};
 use crate::map::{Adjustment, Map, MapKeyframe};
 use crate::{FragmentId, KeyframeId, Scale};
 use monogrid_geometry::Pinhole;
 use monogrid_graph::RobustKernel;
 use monogrid_graph::bundle::{
-    AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, BundleSolution, InverseDepthPrior,
-    Observation, PoseFreedom, adjust,
+    AnchoredPoint, BundleConfig, BundleError, BundleKeyframe, BundleProblem, BundleSolution,
+    InverseDepthPrior, Observation, PoseFreedom, adjust, adjust_to_images,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -61,6 +62,28 @@ pub(crate) fn adjust_all(
     adjust_these(map, fragment, free.collect(), lens, config, &settings)
 }
 
+/// The same to the places at which points were found and to the images where they are projected: from near the solution, since an
+/// image says nothing of what is more than two pixels away.
+pub(crate) fn adjust_all_to_images(
+    map: &Map,
+    fragment: FragmentId,
+    lens: &LeftLens,
+    config: &SparseConfig,
+) -> Adjustment {
+    let free = map.in_fragment(fragment).map(|keyframe| keyframe.id);
+    let settings = BundleConfig {
+        max_iterations: config.images.max_iterations,
+        min_relative_decrease: FINAL_DECREASE,
+        rejection_rounds: 0,
+        ..bundle_settings(config)
+    };
+    adjust_by(map, fragment, free.collect(), lens, config, &|problem| {
+        let identities = (problem.keyframes.as_slice(), problem.points.as_slice());
+        let looks = Looks::new(map, &problem.bundle, identities, lens, &config.images);
+        adjust_to_images(&problem.bundle, &looks, &settings)
+    })
+}
+
 /// Share of the cost by which a step of the last adjustment must lower it: errors of large loops fall slowly.
 const FINAL_DECREASE: f64 = 1e-6;
 
@@ -80,10 +103,24 @@ fn bundle_settings(config: &SparseConfig) -> BundleConfig {
 fn adjust_these(
     map: &Map,
     fragment: FragmentId,
-    mut free: Vec<KeyframeId>,
+    free: Vec<KeyframeId>,
     lens: &LeftLens,
     config: &SparseConfig,
     settings: &BundleConfig,
+) -> Adjustment {
+    adjust_by(map, fragment, free, lens, config, &|problem| {
+        adjust(&problem.bundle, settings)
+    })
+}
+
+/// The same by a way to solve it.
+fn adjust_by(
+    map: &Map,
+    fragment: FragmentId,
+    mut free: Vec<KeyframeId>,
+    lens: &LeftLens,
+    config: &SparseConfig,
+    solve: &dyn Fn(&Problem) -> Result<BundleSolution, BundleError>,
 ) -> Adjustment {
     // A keyframe that sees too little keeps the pose that tracking gave it.
     free.retain(|id| num_shared_points(map, *id) >= config.min_shared_points);
@@ -91,7 +128,7 @@ fn adjust_these(
     let Some(problem) = Problem::build(map, &free, gauge, lens, config) else {
         return Adjustment::default();
     };
-    match adjust(&problem.bundle, settings) {
+    match solve(&problem) {
         Ok(solution) => problem.adjustment(free.len(), &solution),
         Err(error) => Adjustment {
             failure: Some(error),

@@ -1,5 +1,6 @@
 //! Settings of the sparse layer.
 
+use monogrid_features::LikenessConfig;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the sparse layer.
@@ -58,6 +59,54 @@ pub struct SparseConfig {
     pub final_radius_px: f64,
     /// Keyframes of a map that is adjusted as a whole at most; the time grows with their third power. Range [0, 5000].
     pub final_max_keyframes: usize,
+    /// Adjustment to the images after them.
+    pub images: ImageAdjustmentConfig,
+}
+
+/// Settings of the adjustment of all keyframes and points to the images themselves, where the points are projected.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ImageAdjustmentConfig {
+    /// Whether the last adjustment is followed by one to the images.
+    pub enabled: bool,
+    /// Iterations. Range [1, 1000].
+    pub max_iterations: usize,
+    /// Smallest correlation of a patch with what a keyframe shows where its point is projected; below, only the place at which it was
+    /// found counts. Range [-1, 1].
+    pub min_correlation: f32,
+    /// Noise of every image, grey levels. How well each patch fits beyond that is not given: it is estimated with all else. Range [0.01,
+    /// 100].
+    pub noise: f32,
+    /// Difference of a pixel from the patch from which on it counts no more than in proportion (Huber), grey levels. Range [0.01, 255].
+    pub kernel: f32,
+    /// Pixels of a patch whose differences are independent of each other: what images say beside the places at which points were found.
+    /// Range [0, 64].
+    pub independent_pixels: f32,
+}
+
+impl Default for ImageAdjustmentConfig {
+    fn default() -> Self {
+        let usual = LikenessConfig::default();
+        Self {
+            enabled: true,
+            max_iterations: 5,
+            min_correlation: 0.8,
+            noise: usual.noise,
+            kernel: usual.kernel,
+            independent_pixels: usual.independent_pixels,
+        }
+    }
+}
+
+impl ImageAdjustmentConfig {
+    /// What differences between patch and image cost.
+    pub(super) fn likeness(&self) -> LikenessConfig {
+        LikenessConfig {
+            noise: self.noise,
+            kernel: self.kernel,
+            independent_pixels: self.independent_pixels,
+        }
+    }
 }
 
 impl Default for SparseConfig {
@@ -86,6 +135,7 @@ impl Default for SparseConfig {
             final_iterations: 30,
             final_radius_px: 4.0,
             final_max_keyframes: 400,
+            images: ImageAdjustmentConfig::default(),
         }
     }
 }

@@ -6,7 +6,7 @@
 //! [`adjust_window`] is bundle adjustment over the newest and the most covisible keyframes →
 //! [`unconfirmed`] names points that were not found again → [`dense_links`] and [`world_from_keyframes`] pin
 //! the unit of each keyframe's dense depth to the points. After the last frame [`find_again`] looks for all points
-//! in all keyframes, and [`adjust_all`] adjusts everything together.
+//! in all keyframes, [`adjust_all`] adjusts everything together, and [`adjust_all_to_images`] does so to the images themselves.
 //!
 //! Lengths here are world units; every keyframe is a rigid pose.
 
@@ -15,15 +15,16 @@ mod again;
 mod anchor;
 mod config;
 mod lens;
+mod looks;
 mod matching;
 mod register;
 mod scale;
 mod shared;
 
-pub(crate) use adjust::{adjust_all, adjust_window};
+pub(crate) use adjust::{adjust_all, adjust_all_to_images, adjust_window};
 pub(crate) use again::find_again;
 pub(crate) use anchor::{anchor, corner_settings, unconfirmed};
-pub use config::SparseConfig;
+pub use config::{ImageAdjustmentConfig, SparseConfig};
 pub(crate) use lens::LeftLens;
 pub(crate) use matching::{PointSearch, SearchImage, Which, find_in_image, position};
 pub(crate) use register::register;

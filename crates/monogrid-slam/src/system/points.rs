@@ -4,8 +4,8 @@ use super::setup::Setup;
 use crate::FragmentId;
 use crate::map::{Change, Map};
 use crate::sparse::{
-    LeftLens, SparseStats, adjust_all, adjust_window, anchor, dense_links, find_again, register,
-    unconfirmed, world_from_keyframes,
+    LeftLens, SparseStats, adjust_all, adjust_all_to_images, adjust_window, anchor, dense_links,
+    find_again, register, unconfirmed, world_from_keyframes,
 };
 use monogrid_depth::DepthMap;
 use monogrid_geometry::Vec2;
@@ -68,10 +68,14 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
         let adjustment = adjust_all(map, fragment, &pinhole, config);
         map.apply(Change::Adjusted(adjustment));
     }
+    let lens = LeftLens::new(&setup.pinhole, setup.left_radial);
     if setup.left_radial != 0.0 {
-        // points are looked for in the images as they are, so this comes last
-        let lens = LeftLens::new(&setup.pinhole, setup.left_radial);
+        // points are looked for in the images as they are, so this comes after it
         let adjustment = adjust_all(map, fragment, &lens, config);
+        map.apply(Change::Adjusted(adjustment));
+    }
+    if config.images.enabled {
+        let adjustment = adjust_all_to_images(map, fragment, &lens, config);
         map.apply(Change::Adjusted(adjustment));
     }
     let poses = world_from_keyframes(map, fragment, num_keyframes, &setup.pinhole);

@@ -65,7 +65,7 @@ fn a_sparse_step_is_the_dense_one() {
     let mut layout = Layout::new(&problem);
     assert!(layout.sparse.is_some());
     let step = |layout: &Layout| {
-        let window = Window::new(&problem, layout, &config);
+        let window = Window::new(&problem, layout, None, &config);
         let normal = window.linearise(&state);
         solve_step(&window, &normal, &state, 1e-3).unwrap()
     };

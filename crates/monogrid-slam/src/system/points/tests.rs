@@ -152,3 +152,73 @@ fn wrong_observations(slam: &Slam) -> Vec<(usize, Observation)> {
         })
         .collect()
 }
+
+/// Largest angle between the orientations of the same keyframes, rad.
+fn largest_turn(a: &[Se3], b: &[Se3]) -> f64 {
+    let turns = a
+        .iter()
+        .zip(b)
+        .map(|(a, b)| (a.rotation.inverse() * b.rotation).angle());
+    turns.fold(0.0, f64::max)
+}
+
+fn poses(slam: &Slam) -> Vec<Se3> {
+    let keyframes = slam.map.keyframes().iter();
+    keyframes
+        .map(|keyframe| keyframe.camera_from_world)
+        .collect()
+}
+
+#[test]
+fn images_correct_places_that_are_all_wrong_alike() {
+    let mut slam = with_keyframes(small_demo());
+    slam.finish();
+    let finished = poses(&slam);
+    // what every second keyframe sees, half a pixel to the right
+    let points = slam.map.points().iter().enumerate();
+    let beside: Vec<(usize, Observation)> = points
+        .filter(|(_, point)| point.alive)
+        .flat_map(|(index, point)| {
+            let odd = point.observations.iter().filter(|o| o.keyframe % 2 == 1);
+            odd.map(move |seen| (index, *seen))
+        })
+        .map(|(index, seen)| {
+            let pixel = seen.pixel + Vec2::new(0.5, 0.0);
+            (index, Observation { pixel, ..seen })
+        })
+        .collect();
+    let refuted = beside.iter().map(|(point, seen)| (*point, seen.keyframe));
+    slam.map.apply(Change::Adjusted(Adjustment {
+        refuted: refuted.collect(),
+        ..Adjustment::default()
+    }));
+    slam.map.apply(Change::Observed(beside));
+    let lens = LeftLens::of_pinhole(&slam.setup.pinhole);
+    let mut config = SparseConfig::default();
+    let adjusted = adjust_all(&slam.map, MAIN_MAP, &lens, &config);
+    slam.map.apply(Change::Adjusted(adjusted));
+    let turned = largest_turn(&finished, &poses(&slam));
+    // half a pixel
+    assert!(turned > 0.3 / slam.setup.pinhole.fx, "{turned}");
+
+    let left = |config: &SparseConfig| {
+        let adjusted = adjust_all_to_images(&slam.map, MAIN_MAP, &lens, config);
+        assert_eq!(adjusted.failure, None);
+        let ids = adjusted
+            .camera_from_world
+            .iter()
+            .map(|(id, _)| *id as usize);
+        let before: Vec<Se3> = ids.map(|id| finished[id]).collect();
+        let after: Vec<Se3> = adjusted
+            .camera_from_world
+            .iter()
+            .map(|(_, pose)| *pose)
+            .collect();
+        largest_turn(&before, &after)
+    };
+    let by_images = left(&config);
+    assert!(by_images < 0.2 * turned, "{by_images} of {turned}");
+    config.images.independent_pixels = 0.0;
+    let by_places = left(&config);
+    assert!(by_places > 0.8 * turned, "{by_places} of {turned}");
+}

@@ -1,0 +1,152 @@
+//! How points look in the keyframes that see them, for an adjustment to the images themselves.
+
+use super::{ImageAdjustmentConfig, LeftLens};
+use crate::KeyframeId;
+use crate::map::Map;
+use monogrid_features::{Likeness, LikenessConfig, patch_warp};
+use monogrid_geometry::Vec2;
+use monogrid_graph::bundle::{Appearance, BundleProblem, Observation, PixelSlope};
+use monogrid_image::Image;
+
+/// Side of the piece of an image around the place of a point, px: a patch of eight with its border may move by two and a half.
+const SIDE: usize = 16;
+
+/// The patches of the points of a problem, and what keyframes show where they see them.
+#[derive(Debug)]
+pub(super) struct Looks {
+    /// By observation; none where the keyframe does not show what the anchor shows.
+    looks: Vec<Option<Look>>,
+    config: LikenessConfig,
+}
+
+/// A point in a keyframe.
+#[derive(Debug)]
+struct Look {
+    likeness: Likeness,
+    /// The keyframe's image around the point; all images at once would not fit.
+    piece: Image<u8>,
+    /// To the pixels of the piece from those of the pinhole: what a lens bends does not change within it.
+    piece_from_ideal: Vec2,
+}
+
+impl Looks {
+    /// Patches as the poses and depths of a problem warp them. `keyframes` and `points` are the identities behind its indices.
+    pub fn new(
+        map: &Map,
+        problem: &BundleProblem,
+        (keyframes, points): (&[KeyframeId], &[usize]),
+        lens: &LeftLens,
+        config: &ImageAdjustmentConfig,
+    ) -> Self {
+        let observations = &problem.observations;
+        let mut likenesses: Vec<Option<Likeness>> = vec![None; observations.len()];
+        let host = |o: &Observation| problem.points[o.point].host;
+        for (host, seen) in by_keyframe(observations, host) {
+            let Some(pyramid) = map[keyframes[host]].pyramid() else {
+                continue;
+            };
+            for i in seen {
+                let (point, observer) = (observations[i].point, observations[i].keyframe);
+                let anchor = &problem.points[point];
+                let pose = |k: usize| problem.keyframes[k].camera_from_world;
+                let observer_from_host = pose(observer) * pose(host).inverse();
+                let (pixel, idepth) = (&anchor.pixel, anchor.inverse_depth);
+                let warp = patch_warp(&problem.pinhole, pixel, idepth, &observer_from_host);
+                let pixel_in_image = &map.points()[points[point]].pixel;
+                likenesses[i] = warp.and_then(|w| Likeness::new(&pyramid, pixel_in_image, &w));
+            }
+        }
+        let mut looks: Vec<Option<Look>> = observations.iter().map(|_| None).collect();
+        for (observer, seen) in by_keyframe(observations, |o| o.keyframe) {
+            let Some(image) = map[keyframes[observer]].image.grey() else {
+                continue;
+            };
+            for i in seen {
+                let (likeness, place) = (likenesses[i].take(), projected(problem, i));
+                looks[i] = likeness.zip(place).and_then(|(likeness, ideal)| {
+                    Look::new(likeness, &image, (ideal, lens.seen(ideal)), config)
+                });
+            }
+        }
+        Self {
+            looks,
+            config: config.likeness(),
+        }
+    }
+}
+
+impl Look {
+    /// A patch in an image, where a point is projected to a pixel of the pinhole and seen at a pixel of the image; `None` where the
+    /// image shows something else.
+    fn new(
+        likeness: Likeness,
+        image: &Image<u8>,
+        (ideal, seen): (Vec2, Vec2),
+        config: &ImageAdjustmentConfig,
+    ) -> Option<Self> {
+        let half = 0.5 * (SIDE as f64 - 1.0);
+        let corner = (seen - Vec2::repeat(half)).map(f64::round);
+        let fits = |at: f64, size: usize| at >= 0.0 && at + SIDE as f64 <= size as f64;
+        // NaN does not fit
+        if !fits(corner.x, image.width()) || !fits(corner.y, image.height()) {
+            return None;
+        }
+        let (left, top) = (corner.x as usize, corner.y as usize);
+        let piece = Image::from_fn(SIDE, SIDE, |x, y| image.at(left + x, top + y));
+        let correlation = likeness.correlation(&piece, &(seen - corner))?;
+        (correlation >= config.min_correlation).then_some(Self {
+            likeness,
+            piece,
+            piece_from_ideal: seen - corner - ideal,
+        })
+    }
+}
+
+impl Appearance for Looks {
+    fn cost(&self, observation: usize, pixel: &Vec2) -> f64 {
+        let Some(look) = &self.looks[observation] else {
+            return 0.0;
+        };
+        let pixel = pixel + look.piece_from_ideal;
+        let cost = look.likeness.cost(&look.piece, &pixel, &self.config);
+        // nothing is gained by leaving the piece
+        cost.unwrap_or_else(|| self.config.largest_cost())
+    }
+
+    fn slope(&self, observation: usize, pixel: &Vec2) -> Option<PixelSlope> {
+        let look = self.looks[observation].as_ref()?;
+        let pixel = pixel + look.piece_from_ideal;
+        let slope = look.likeness.slope(&look.piece, &pixel, &self.config)?;
+        Some(PixelSlope {
+            gradient: slope.gradient,
+            information: slope.information,
+        })
+    }
+}
+
+/// The observations with the same keyframe together, by it.
+fn by_keyframe(
+    observations: &[Observation],
+    keyframe: impl Fn(&Observation) -> usize,
+) -> Vec<(usize, Vec<usize>)> {
+    let mut order: Vec<usize> = (0..observations.len()).collect();
+    order.sort_by_key(|i| keyframe(&observations[*i]));
+    let same = |a: &usize, b: &usize| keyframe(&observations[*a]) == keyframe(&observations[*b]);
+    let together = order.chunk_by(same);
+    together
+        .map(|seen| (keyframe(&observations[seen[0]]), seen.to_vec()))
+        .collect()
+}
+
+/// Where the point of an observation is projected to.
+fn projected(problem: &BundleProblem, observation: usize) -> Option<Vec2> {
+    let observation = &problem.observations[observation];
+    let point = &problem.points[observation.point];
+    let pose = |k: usize| &problem.keyframes[k].camera_from_world;
+    let in_host = problem.pinhole.unproject(&point.pixel) / point.inverse_depth;
+    let in_observer = *pose(observation.keyframe) * (pose(point.host).inverse() * in_host);
+    (in_observer.z > 1e-6).then(|| problem.pinhole.project(&in_observer))
+}
+
+#[cfg(test)]
+mod tests;
