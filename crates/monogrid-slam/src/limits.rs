@@ -245,6 +245,7 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         final_max_keyframes: 0.0, 5000.0;
     }));
     all.extend(limits!("slam.sparse.images", slam.sparse.images, {
+        min_keyframes: 0.0, 1_000_000.0;
         max_iterations: 1.0, 1000.0;
         min_correlation: -1.0, 1.0;
         noise: 0.01, 100.0;

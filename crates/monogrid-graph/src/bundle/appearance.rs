@@ -129,7 +129,7 @@ mod tests {
             let window = Window::new(&problem, &layout, appearance, &config);
             let cost = |state: &State| window.cost(state, &window.active);
             let normal: Normal = window.linearise(&state);
-            let step = 1e-5;
+            let step = 1e-6;
             for slot in 0..3 {
                 for i in 0..6 {
                     let moved = |by: f64| {

@@ -69,6 +69,9 @@ pub struct SparseConfig {
 pub struct ImageAdjustmentConfig {
     /// Whether the last adjustment is followed by one to the images.
     pub enabled: bool,
+    /// Fewest keyframes: a smaller map does not show what distortion its calibration has left, and images see what a wrong camera sees more
+    /// sharply than places do. Range [0, 1000000].
+    pub min_keyframes: usize,
     /// Iterations. Range [1, 1000].
     pub max_iterations: usize,
     /// Smallest correlation of a patch with what a keyframe shows where its point is projected; below, only the place at which it was
@@ -89,6 +92,7 @@ impl Default for ImageAdjustmentConfig {
         let usual = LikenessConfig::default();
         Self {
             enabled: true,
+            min_keyframes: 20,
             max_iterations: 5,
             min_correlation: 0.8,
             noise: usual.noise,

@@ -74,7 +74,7 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
         let adjustment = adjust_all(map, fragment, &lens, config);
         map.apply(Change::Adjusted(adjustment));
     }
-    if config.images.enabled {
+    if config.images.enabled && num_keyframes >= config.images.min_keyframes {
         let adjustment = adjust_all_to_images(map, fragment, &lens, config);
         map.apply(Change::Adjusted(adjustment));
     }

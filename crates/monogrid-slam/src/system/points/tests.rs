@@ -222,3 +222,17 @@ fn images_correct_places_that_are_all_wrong_alike() {
     let by_places = left(&config);
     assert!(by_places > 0.8 * turned, "{by_places} of {turned}");
 }
+
+#[test]
+fn only_a_map_that_can_show_its_camera_is_adjusted_to_images() {
+    let finished = |enabled: bool, min_keyframes: usize| {
+        let mut slam = with_keyframes(small_demo());
+        slam.setup.config.sparse.images.enabled = enabled;
+        slam.setup.config.sparse.images.min_keyframes = min_keyframes;
+        slam.finish();
+        poses(&slam)
+    };
+    let without = finished(false, 0);
+    assert_eq!(finished(true, without.len() + 1), without);
+    assert_ne!(finished(true, without.len()), without);
+}
