@@ -244,14 +244,7 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         final_radius_px: 1.0, 100.0;
         final_max_keyframes: 0.0, 5000.0;
     }));
-    all.extend(limits!("slam.sparse.images", slam.sparse.images, {
-        min_keyframes: 0.0, 1_000_000.0;
-        max_iterations: 1.0, 1000.0;
-        min_correlation: -1.0, 1.0;
-        noise: 0.01, 100.0;
-        kernel: 0.01, 255.0;
-        independent_pixels: 0.0, 64.0;
-    }));
+    all.extend(image_limits(slam));
     all.extend(limits!("slam.fragments", slam.fragments, {
         min_lost_secs: 0.01, 1_000_000.0;
         max_apart: 0.0, 1000.0;
@@ -334,6 +327,18 @@ fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
     }));
     all.extend(similarity_limits(slam));
     all
+}
+
+#[rustfmt::skip]
+fn image_limits(slam: &SlamConfig) -> [Limit; 6] {
+    limits!("slam.sparse.images", slam.sparse.images, {
+        min_keyframes: 0.0, 1_000_000.0;
+        max_iterations: 1.0, 1000.0;
+        min_correlation: -1.0, 1.0;
+        noise: 0.01, 100.0;
+        kernel: 0.01, 255.0;
+        independent_pixels: 0.0, 64.0;
+    })
 }
 
 #[rustfmt::skip]

@@ -112,6 +112,26 @@ mod tests {
         Edges(problem.observations.iter().enumerate().map(edge).collect())
     }
 
+    fn state(problem: &BundleProblem) -> State {
+        State {
+            camera_from_world: (problem.keyframes.iter())
+                .map(|k| k.camera_from_world)
+                .collect(),
+            inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
+        }
+    }
+
+    /// Where the point of an observation is projected to.
+    fn pixel(problem: &BundleProblem, i: usize, state: &State) -> Vec2 {
+        let observation = &problem.observations[i];
+        let anchor = &problem.points[observation.point];
+        let in_host =
+            problem.pinhole.unproject(&anchor.pixel) / state.inverse_depths[observation.point];
+        let in_world = state.camera_from_world[anchor.host].inverse() * in_host;
+        let seen = state.camera_from_world[observation.keyframe] * in_world;
+        problem.pinhole.project(&seen)
+    }
+
     #[test]
     fn the_normal_equations_hold_the_gradient_of_the_cost() {
         let problem = problem();
@@ -121,10 +141,7 @@ mod tests {
             kernel: crate::RobustKernel::None,
             ..BundleConfig::default()
         };
-        let state = State {
-            camera_from_world: (problem.keyframes.iter().map(|k| k.camera_from_world)).collect(),
-            inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
-        };
+        let state = state(&problem);
         for appearance in [None, Some(&edges as &dyn Appearance)] {
             let window = Window::new(&problem, &layout, appearance, &config);
             let cost = |state: &State| window.cost(state, &window.active);
@@ -170,23 +187,10 @@ mod tests {
         let edges = edges(&problem);
         let layout = Layout::new(&problem);
         let config = BundleConfig::default();
-        let state = State {
-            camera_from_world: (problem.keyframes.iter().map(|k| k.camera_from_world)).collect(),
-            inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
-        };
+        let state = state(&problem);
         let normal =
             |appearance| Window::new(&problem, &layout, appearance, &config).linearise(&state);
         let (without, with) = (normal(None), normal(Some(&edges as &dyn Appearance)));
-        // the pixels of observations by one unknown, by differences
-        let pixel = |i: usize, state: &State| {
-            let observation = &problem.observations[i];
-            let anchor = &problem.points[observation.point];
-            let in_host =
-                problem.pinhole.unproject(&anchor.pixel) / state.inverse_depths[observation.point];
-            let in_world = state.camera_from_world[anchor.host].inverse() * in_host;
-            let seen = state.camera_from_world[observation.keyframe] * in_world;
-            problem.pinhole.project(&seen)
-        };
         let step = 1e-6;
         for point in 0..problem.points.len() {
             let mut sums = [0.0; 2];
@@ -197,17 +201,17 @@ mod tests {
                 let by_depth = |by: f64| {
                     let mut moved = state.clone();
                     moved.inverse_depths[point] += by;
-                    pixel(i, &moved)
+                    pixel(&problem, i, &moved)
                 };
                 let by_turn = |by: f64| {
                     let mut moved = state.clone();
                     let turn = Se3::exp(&Vec6::new(0.0, 0.0, 0.0, 0.0, by, 0.0));
                     moved.camera_from_world[2] = turn * moved.camera_from_world[2];
-                    pixel(i, &moved)
+                    pixel(&problem, i, &moved)
                 };
                 let j_depth = (by_depth(step) - by_depth(-step)) / (2.0 * step);
                 let j_turn = (by_turn(step) - by_turn(-step)) / (2.0 * step);
-                let slope = edges.slope(i, &pixel(i, &state));
+                let slope = edges.slope(i, &pixel(&problem, i, &state));
                 let information = slope.map_or(Matrix2::zeros(), |slope| slope.information);
                 sums[0] += j_depth.dot(&(information * j_depth));
                 sums[1] += j_turn.dot(&(information * j_depth));
