@@ -81,6 +81,7 @@ mod combine;
 mod decay;
 mod error;
 mod evidence;
+mod for_avx2;
 mod integrate;
 mod io;
 mod key;

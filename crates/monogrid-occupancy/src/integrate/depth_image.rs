@@ -1,6 +1,7 @@
 //! A complete depth image as a range image: pixel by pixel in their order, without a list of measurements.
 
-use super::image::{PIXELS_PER_CELL, RangeImage, RangeModel, WIDEST_SLOPE};
+use super::chunks::{RangeModel, WIDEST_SLOPE};
+use super::image::{Filling, PIXELS_PER_CELL, RangeImage};
 use crate::scan::{DepthImage, Scan, ScanData};
 use crate::sensor::table::TableSet;
 
@@ -52,21 +53,21 @@ pub(super) fn range_image(
     };
     let extent = [bound(f32::min), bound(f32::max)];
     let finest = PIXELS_PER_CELL * mean_range / resolution;
-    let mut image = RangeImage::empty(axes, extent, native, finest);
+    let mut filling = Filling::new(axes, extent, native, finest);
+    let image = &filling.image;
     let step = camera.fx.abs() / f64::from(image.focal[0]) / SAMPLES_PER_PIXEL;
     let column_of: Vec<u32> = columns.iter().map(|&u| image.column_of(u)).collect();
     let row_of: Vec<u32> = rows.iter().map(|&v| image.row_of(v)).collect();
     let mut model = RangeModel::new(scan, resolution);
     depths.each([step.max(1.0) as usize; 2], |x, y, range, sigma| {
         let (range, sigma) = model.range_and_sigma(range, sigma);
-        image.vote(
+        filling.vote(
             (row_of[y] + column_of[x]) as usize,
             range,
             tables.prepare(range, sigma),
         );
     });
-    image.finish(count);
-    Some((vec![image], count))
+    Some((vec![filling.finish(count)], count))
 }
 
 /// A depth image with the slopes of its columns and rows.

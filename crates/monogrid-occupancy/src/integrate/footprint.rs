@@ -1,10 +1,8 @@
 //! The updates of the cells of a brick by the rule `fused`, and bounds of those of a whole cube.
 
 use super::image::{HOLE, RangeImage, RangeImages};
-use super::kernel::{
-    FlatTables, Kernel, KernelImage, Placed, TableRow, Weights, bits_of, cells_of, evidence,
-    index_of,
-};
+use super::kernel::{FlatTables, Kernel, Placed, Weights, bits_of, cells_of, evidence, index_of};
+use super::kernel_image::KernelImage;
 use super::octants::{Cube, Octants, View};
 use super::windows::Windows;
 use crate::key::BRICK_CELLS;
@@ -42,7 +40,7 @@ impl Footprints {
                 .iter()
                 .map(|image| kernel_image(image, tables))
                 .collect(),
-            tables: flatten(tables),
+            tables: flatten(tables, images.obstacle_weight),
             free: tables.first().map_or(0, |table| table.free),
             images,
         }
@@ -68,7 +66,6 @@ impl Footprints {
             return Weights {
                 single: 1.0,
                 by_hits: std::array::from_fn(|i| 1.0 / (i + 1) as f32),
-                obstacle: 0,
             };
         };
         let image = &self.images.images[index];
@@ -80,7 +77,6 @@ impl Footprints {
         Weights {
             single: weight(8),
             by_hits: std::array::from_fn(|i| weight(i + 1) / (i + 1) as f32),
-            obstacle: self.images.obstacle_weight,
         }
     }
 
@@ -218,36 +214,38 @@ impl Footprints {
     }
 }
 
-fn flatten(tables: &[EvidenceTable]) -> FlatTables {
+fn flatten(tables: &[EvidenceTable], obstacle: i32) -> FlatTables {
     let mut flat = FlatTables::default();
     for table in tables {
-        flat.rows.push(TableRow {
-            inv_step: table.inv_step as f32,
-            last: (table.entries.len() + 1) as f32,
-            base: flat.entries.len() as f32,
-        });
-        flat.entries.push(i32::from(table.free));
-        flat.entries
-            .extend(table.entries.iter().map(|&entry| i32::from(entry)));
-        flat.entries.push(0);
+        flat.push(table.inv_step as f32, table.free, &table.entries, obstacle);
     }
     flat
 }
 
 fn kernel_image(image: &RangeImage, tables: &[EvidenceTable]) -> KernelImage {
-    let near = image.pixels.iter().map(|pixel| match pixel.range {
+    let starts: Vec<f32> = tables.iter().map(|table| table.start as f32).collect();
+    let near = |range, start| match range {
         HOLE => f32::NEG_INFINITY,
-        range => range + tables[usize::from(pixel.table)].start as f32,
-    });
-    let table_of_pixel = image.pixels.iter().map(|pixel| pixel.table);
+        range => range + start,
+    };
+    let near: Vec<f32> = if image.tables.is_empty() {
+        let start = starts.first().copied().unwrap_or(0.0);
+        image
+            .ranges
+            .iter()
+            .map(|&range| near(range, start))
+            .collect()
+    } else {
+        let pixels = image.ranges.iter().zip(&image.tables);
+        pixels
+            .map(|(&range, &table)| near(range, starts[usize::from(table)]))
+            .collect()
+    };
     KernelImage::new(
         [image.width, image.height],
         [image.focal, image.center],
-        near,
-        match tables {
-            [_] => None,
-            _ => Some(table_of_pixel.collect()),
-        },
+        &near,
+        &image.tables,
     )
 }
 

@@ -3,6 +3,7 @@
 //! The scalar kernel here defines the result; `kernel_avx2` computes the same bits eight cells at
 //! a time.
 
+use super::kernel_image::KernelImage;
 use super::octants::Octants;
 use crate::key::{BRICK_CELLS, BRICK_EDGE};
 
@@ -34,67 +35,53 @@ pub(crate) fn cell_in_brick(octant: u8, cell: [usize; 3]) -> [usize; 3] {
     std::array::from_fn(|axis| usize::from(octant >> axis & 1) * OCTANT_EDGE + cell[axis])
 }
 
-/// An image as the kernel needs it: with a border of one pixel without a measurement, for all that lies outside.
-#[derive(Clone, Debug)]
-pub(crate) struct KernelImage {
-    /// Pixels per row.
-    pub stride: usize,
-    /// Last column and row.
-    pub last: [f32; 2],
-    /// Pixels per unit of slope, along u and v.
-    pub focal: [f32; 2],
-    /// Pixel of slope 0, plus one half: truncation then finds the nearest pixel.
-    pub center: [f32; 2],
-    /// Range at which the table of each pixel begins, in map units; minus infinity without a measurement, which lies behind every
-    /// table.
-    pub near: Vec<f32>,
-    /// Table of each pixel; empty if all have the first.
-    pub tables: Vec<u16>,
-}
-
-impl KernelImage {
-    /// The image of so many columns and rows of [`KernelImage::near`] and, unless all have the first, tables. `center` is the
-    /// pixel of slope 0.
-    pub(crate) fn new(
-        [width, height]: [usize; 2],
-        [focal, center]: [[f32; 2]; 2],
-        near: impl IntoIterator<Item = f32>,
-        tables: Option<Vec<u16>>,
-    ) -> Self {
-        let size = [width, height];
-        Self {
-            stride: width + 2,
-            last: size.map(|edge| (edge + 1) as f32),
-            focal,
-            center: center.map(|c| c + 1.5),
-            near: with_border(size, near, f32::NEG_INFINITY),
-            tables: tables.map_or(Vec::new(), |tables| with_border(size, tables, 0)),
-        }
-    }
-}
-
-/// The rows with one pixel more on each side.
-fn with_border<T: Copy>(
-    [width, height]: [usize; 2],
-    pixels: impl IntoIterator<Item = T>,
-    border: T,
-) -> Vec<T> {
-    let mut all = vec![border; (width + 2) * (height + 2)];
-    let mut pixels = pixels.into_iter();
-    for row in all.chunks_exact_mut(width + 2).skip(1).take(height) {
-        for (place, pixel) in row[1..=width].iter_mut().zip(&mut pixels) {
-            *place = pixel;
-        }
-    }
-    all
-}
-
 /// All tables one after the other, each as: free update, entries, 0.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FlatTables {
     pub entries: Vec<i32>,
+    /// What the entries add to the sum of a footprint.
+    pub gains: Vec<i32>,
     /// At least one.
     pub rows: Vec<TableRow>,
+    /// Whether all say the same of free space.
+    pub one_free: bool,
+}
+
+impl FlatTables {
+    /// Adds a table; in a footprint of several samples one for an obstacle counts `obstacle` times in addition.
+    pub(crate) fn push(&mut self, inv_step: f32, free: i16, entries: &[i16], obstacle: i32) {
+        self.rows.push(TableRow {
+            inv_step,
+            last: (entries.len() + 1) as f32,
+            base: self.entries.len() as f32,
+        });
+        let entries = [free].into_iter().chain(entries.iter().copied()).chain([0]);
+        for entry in entries.map(i32::from) {
+            self.entries.push(entry);
+            self.gains.push(sum::gain(entry, obstacle));
+        }
+        self.one_free = self
+            .rows
+            .iter()
+            .all(|row| self.entries[row.base as usize] == self.entries[0]);
+    }
+}
+
+/// Samples of a footprint in one number: the sum of their evidence, and in the lowest bits how many said anything.
+pub(crate) mod sum {
+    /// Bits for the number of samples, at most eight.
+    pub(crate) const HIT_BITS: u32 = 4;
+
+    /// What a sample adds, of which one for an obstacle counts `obstacle` times in addition.
+    pub(crate) fn gain(sample: i32, obstacle: i32) -> i32 {
+        (sample + sample.max(0) * obstacle) << HIT_BITS | i32::from(sample != 0)
+    }
+
+    /// The sum, and how many said anything.
+    #[inline]
+    pub(crate) fn parts(sum: i32) -> (i32, usize) {
+        (sum >> HIT_BITS, (sum & ((1 << HIT_BITS) - 1)) as usize)
+    }
 }
 
 /// Where a table is in the flat tables; whole numbers are below 2^24, those that `f32` has.
@@ -115,8 +102,6 @@ pub(crate) struct Weights {
     pub single: f32,
     /// By the number of samples that hit, less one.
     pub by_hits: [f32; 8],
-    /// How often a sample for an obstacle counts in addition, in a footprint of several.
-    pub obstacle: i32,
 }
 
 /// Where a brick lies, in the axes of an image, and how far it counts.
@@ -137,10 +122,18 @@ pub(crate) struct Placed {
 impl Placed {
     /// Centre of a cell: the way along z, and then that along x and y; the order of the operations is part of the result.
     #[inline]
-    fn center(&self, cell: [usize; 3]) -> [f32; 3] {
+    pub(super) fn center(&self, cell: [usize; 3]) -> [f32; 3] {
         let [x, y, z] = cell.map(|c| c as f32);
         let ([sx, sy, _], layer) = (self.steps, self.layer(z));
         std::array::from_fn(|i| layer[i] + (x * sx[i] + y * sy[i]))
+    }
+
+    /// Whether all cells certainly count.
+    #[inline]
+    pub(super) fn is_within_range(&self) -> bool {
+        let first = self.first.iter().map(|c| c * c).sum::<f32>().sqrt();
+        // A diagonal of eight cells is less than fourteen.
+        first + 14.0 * self.cell < self.max_range
     }
 
     /// Centre of the first cell of a layer.
@@ -213,37 +206,29 @@ impl Kernel<'_> {
         let v = y * inverse * self.image.focal[1] + self.image.center[1];
         let width = brick.cell * self.image.focal[0] * inverse;
         if width <= SINGLE_SAMPLE_PX {
-            return evidence(self.sample(u, v, range), weights.single);
+            return evidence(self.tables.entries[self.entry(u, v, range)], weights.single);
         }
         if width <= FOUR_SAMPLES_PX {
-            let (sum, hits) = self.sum(&FOUR_SAMPLES, [u, v], width, range, weights.obstacle);
+            let (sum, hits) = self.sum(&FOUR_SAMPLES, [u, v], width, range);
             // Four samples that hit stand for as much as eight.
             return evidence(2 * sum, weights.by_hits[(2 * hits).saturating_sub(1)]);
         }
-        let (sum, hits) = self.sum(&EIGHT_SAMPLES, [u, v], width, range, weights.obstacle);
+        let (sum, hits) = self.sum(&EIGHT_SAMPLES, [u, v], width, range);
         evidence(sum, weights.by_hits[hits.saturating_sub(1)])
     }
 
     /// Sum of the samples' evidence, and how many said anything.
     #[inline]
-    fn sum(
-        &self,
-        samples: &[[f32; 2]],
-        [u, v]: [f32; 2],
-        width: f32,
-        range: f32,
-        obstacle: i32,
-    ) -> (i32, usize) {
-        samples.iter().fold((0, 0), |(sum, hits), [du, dv]| {
-            let sample = self.sample(u + du * width, v + dv * width, range);
-            let gained = sample + sample.max(0) * obstacle;
-            (sum + gained, hits + usize::from(sample != 0))
-        })
+    fn sum(&self, samples: &[[f32; 2]], [u, v]: [f32; 2], width: f32, range: f32) -> (i32, usize) {
+        let gain = |[du, dv]: &[f32; 2]| {
+            self.tables.gains[self.entry(u + du * width, v + dv * width, range)]
+        };
+        sum::parts(samples.iter().map(gain).sum())
     }
 
-    /// Evidence of the pixel that holds `(u, v)`; 0 if it says nothing.
+    /// The entry of the tables for the pixel that holds `(u, v)`.
     #[inline]
-    fn sample(&self, u: f32, v: f32, range: f32) -> i32 {
+    fn entry(&self, u: f32, v: f32, range: f32) -> usize {
         let [column, row] = [u, v].map(|c| c.max(0.0));
         let [last_column, last_row] = self.image.last;
         let row = row.min(last_row) as usize;
@@ -252,7 +237,7 @@ impl Kernel<'_> {
         let row = &self.tables.rows[table];
         let offset = (range - self.image.near[pixel]) * row.inv_step + 1.0;
         let position = offset.max(0.0).min(row.last) as u32;
-        self.tables.entries[(row.base as u32 + position) as usize]
+        (row.base as u32 + position) as usize
     }
 }
 
@@ -298,31 +283,28 @@ pub(crate) mod tests {
             state = state.wrapping_mul(1664525).wrapping_add(1013904223);
             (state >> 8) as f32 / (1 << 24) as f32
         };
-        let mut entries = Vec::new();
-        let mut rows = Vec::new();
-        for length in [7_i32, 300, 40] {
-            rows.push(TableRow {
-                inv_step: 100.0 + length as f32,
-                last: length as f32 + 1.0,
-                base: entries.len() as f32,
-            });
-            entries.push(-2458);
-            entries.extend((0..length).map(|i| i * 37 % 9000 - 2000));
-            entries.push(0);
+        let mut tables = FlatTables::default();
+        for length in [7_i16, 300, 40] {
+            let entries: Vec<i16> = (0..length).map(|i| i * 37 % 9000 - 2000).collect();
+            tables.push(
+                100.0 + f32::from(length),
+                -2458,
+                &entries,
+                (seed % 3) as i32,
+            );
         }
-        let tables = FlatTables { entries, rows };
         let (width, height) = (40, 30);
         let near = (0..width * height).map(|_| match unit() {
             0.75.. => f32::NEG_INFINITY,
             _ => 1.0 + unit(),
         });
         let near: Vec<f32> = near.collect();
-        let of_pixels = (0..near.len()).map(|_| (unit() * 3.0) as u16).collect();
+        let of_pixels: Vec<u16> = (0..near.len()).map(|_| (unit() * 3.0) as u16).collect();
         let view = [[30.0, 31.0], [18.7, 13.3]];
-        let image = KernelImage::new([width, height], view, near, Some(of_pixels));
+        let image = KernelImage::new([width, height], view, &near, &of_pixels);
         let bricks = (0..200)
             .map(|i| {
-                let cell = if i % 2 == 0 { 0.01 } else { 0.13 };
+                let cell = [0.01, 0.06, 0.13][i % 3];
                 let (sin, cos) = (unit() * 6.0).sin_cos();
                 let brick = Placed {
                     first: [unit() * 3.0 - 1.5, unit() * 3.0 - 1.5, unit() * 3.0 - 0.3],
@@ -338,7 +320,6 @@ pub(crate) mod tests {
                 let weights = Weights {
                     single: 1.0 + unit(),
                     by_hits: std::array::from_fn(|h| (1.0 + unit()) / (h + 1) as f32),
-                    obstacle: i % 3,
                 };
                 (brick, weights)
             })

@@ -54,25 +54,27 @@ impl Windows {
         // Nothing is uniformly free if measurements of different uncertainty say different things.
         let free = tables.tables().first().map_or(0, |t| t.free);
         let one_free_value = tables.tables().iter().all(|t| t.free == free);
-        let reach: Vec<(f32, f32)> = tables
+        let free_range = if one_free_value {
+            max_range
+        } else {
+            f32::NEG_INFINITY
+        };
+        let reaches: Vec<Reach> = tables
             .tables()
             .iter()
-            .map(|t| (t.start as f32, t.end() as f32))
+            .map(|t| Reach {
+                start: t.start as f32,
+                end: t.end() as f32,
+                free_range,
+                max_range,
+            })
             .collect();
-        let mut bounds = Bounds::with_capacity(4 * image.pixels.len());
-        for pixel in &image.pixels {
-            if pixel.range == HOLE {
-                bounds.push(f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY);
-                continue;
+        let mut bounds = Bounds::with_capacity(4 * image.ranges.len());
+        match (&image.tables[..], reaches.first()) {
+            ([], Some(reach)) => bounds.push_all(&image.ranges, |_| *reach),
+            (tables, _) => {
+                bounds.push_all(&image.ranges, |i| reaches[usize::from(tables[i])]);
             }
-            let (start, end) = reach[usize::from(pixel.table)];
-            let clear = pixel.range + start;
-            let free = if one_free_value {
-                clear.min(max_range)
-            } else {
-                f32::NEG_INFINITY
-            };
-            bounds.push(free, clear, (pixel.range + end).min(max_range));
         }
         Self::from_pixels([image.width, image.height], bounds)
     }
@@ -182,12 +184,53 @@ impl Bounds {
         }
     }
 
-    #[inline]
+    /// Adds pixels of these ranges, of which each has its table's reach.
+    fn push_all(&mut self, ranges: &[f32], reach_of: impl Fn(usize) -> Reach) {
+        let each = |of: &mut Vec<f32>, bound: fn(f32, Reach) -> f32, of_hole: f32| {
+            let bounds = ranges.iter().zip(0..).map(|(&range, i)| match range {
+                HOLE => of_hole,
+                range => bound(range, reach_of(i)),
+            });
+            of.extend(bounds);
+        };
+        let Self {
+            free_until,
+            clear_until,
+            changes_until,
+        } = self;
+        each(
+            free_until,
+            |range, reach| lower(range + reach.start, reach.free_range),
+            f32::NEG_INFINITY,
+        );
+        each(
+            clear_until,
+            |range, reach| range + reach.start,
+            f32::INFINITY,
+        );
+        each(
+            changes_until,
+            |range, reach| lower(range + reach.end, reach.max_range),
+            f32::NEG_INFINITY,
+        );
+    }
+
+    #[cfg(test)]
     fn push(&mut self, free_until: f32, clear_until: f32, changes_until: f32) {
         self.free_until.push(free_until);
         self.clear_until.push(clear_until);
         self.changes_until.push(changes_until);
     }
+}
+
+/// What a table says, relative to the measured range.
+#[derive(Clone, Copy)]
+struct Reach {
+    start: f32,
+    end: f32,
+    /// Free space counts up to here at most.
+    free_range: f32,
+    max_range: f32,
 }
 
 /// The smaller of two, as the vector instructions choose it: the second where they cannot be compared.

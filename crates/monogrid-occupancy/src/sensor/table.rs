@@ -201,18 +201,31 @@ impl TableSet {
     /// `range` and `sigma` are positive and finite, in map units.
     #[inline]
     pub(crate) fn prepare(&mut self, range: f32, sigma: f32) -> u16 {
-        let needs_range = match self.model {
-            SensorModel::Thrun {
-                form: ThrunForm::Thesis,
-                ..
-            } => range < THESIS_TAIL_SIGMAS * sigma,
-            _ => !self.model.is_shift_invariant() && range < FAR_SIGMAS * sigma,
-        };
+        let needs_range = range < self.far_sigmas() * sigma;
         let ratio_bin = if needs_range { bin(range / sigma) } else { 0 };
         let bins = (bin(sigma), ratio_bin);
         match self.last {
             Some((last, index)) if last == bins => index,
             _ => self.prepare_bins(bins),
+        }
+    }
+
+    /// Index of the table for measurements at any range, if they have one.
+    #[inline]
+    pub(crate) fn prepare_for_all(&mut self, sigma: f32) -> Option<u16> {
+        (self.far_sigmas() == 0.0).then(|| self.prepare(f32::MAX, sigma))
+    }
+
+    /// Ranges of so many sigmas are far enough not to matter.
+    #[inline]
+    fn far_sigmas(&self) -> f32 {
+        match self.model {
+            SensorModel::Thrun {
+                form: ThrunForm::Thesis,
+                ..
+            } => THESIS_TAIL_SIGMAS,
+            _ if self.model.is_shift_invariant() => 0.0,
+            _ => FAR_SIGMAS,
         }
     }
 

@@ -8,6 +8,7 @@
 use super::packed::{self, PackedBrick};
 use super::pool::{Payload, Pool};
 use crate::evidence::{Limits, UNKNOWN};
+use crate::for_avx2::for_avx2;
 use crate::key::BRICK_CELLS;
 
 const EMPTY: u64 = u64::MAX;
@@ -94,9 +95,7 @@ impl Shard {
     /// The slot of a brick, inserted as uniform unknown if it was absent.
     #[inline]
     pub(crate) fn find_or_insert(&mut self, packed: u64, hash: u64) -> SlotIndex {
-        if self.len * 4 >= self.slots.len() * 3 {
-            self.grow();
-        }
+        self.reserve(1);
         let mut index = self.start(hash);
         loop {
             let slot = &mut self.slots[index];
@@ -113,6 +112,22 @@ impl Shard {
                 return SlotIndex(index as u32);
             }
             index = (index + 1) & (self.slots.len() - 1);
+        }
+    }
+
+    /// Makes room for so many bricks: the slots of those that are inserted next stay valid.
+    #[inline]
+    pub(crate) fn reserve(&mut self, bricks: usize) {
+        while (self.len + bricks - 1) * 4 >= self.slots.len() * 3 {
+            self.grow();
+        }
+    }
+
+    /// Fetches the payload of a brick, if it has one.
+    #[inline]
+    pub(crate) fn prefetch(&self, slot: SlotIndex) {
+        if let BrickRef::Mixed(payload) = self.contents(slot) {
+            self.pool.get(payload).prefetch();
         }
     }
 
@@ -284,18 +299,13 @@ impl Shard {
         updates: &[i16; BRICK_CELLS],
         limits: Limits,
     ) -> bool {
-        let mut changed = 0;
-        for (value, &update) in self.payload_mut(slot).0.iter_mut().zip(updates) {
-            let updated = if update == 0 {
-                *value
-            } else {
-                limits.updated(*value, update)
-            };
-            changed |= *value ^ updated;
-            *value = updated;
+        let cells = &mut self.payload_mut(slot).0;
+        let [changed, differs] = update_cells(cells, updates, limits);
+        if !differs {
+            let value = cells[0];
+            self.set_uniform(slot, value);
         }
-        self.collapse(slot);
-        changed != 0
+        changed
     }
 
     /// All bricks, tombstones included, in no particular order: packed key, revision, contents.
@@ -329,6 +339,29 @@ impl Shard {
     /// Bytes allocated for the directory.
     pub(crate) fn directory_bytes(&self) -> usize {
         self.slots.capacity() * Self::SLOT_BYTES
+    }
+}
+
+for_avx2! {
+    /// An update per cell, where 0 leaves the cell alone; whether anything changed, and whether not all are equal then.
+    fn update_cells(
+        cells: &mut [i16; BRICK_CELLS],
+        updates: &[i16; BRICK_CELLS],
+        limits: Limits,
+    ) -> [bool; 2] {
+        let updated = |value, update| match update {
+            0 => value,
+            update => limits.updated(value, update),
+        };
+        let first = updated(cells[0], updates[0]);
+        let (mut changed, mut differs) = (0, 0);
+        for (value, &update) in cells.iter_mut().zip(updates) {
+            let updated = updated(*value, update);
+            changed |= *value ^ updated;
+            differs |= first ^ updated;
+            *value = updated;
+        }
+        [changed, differs].map(|bits| bits != 0)
     }
 }
 
@@ -395,5 +428,37 @@ mod tests {
             }
         }
         assert_eq!(shard.find(10_000, hash(10_000)), None);
+    }
+
+    #[test]
+    fn slots_stay_valid_until_the_room_that_was_made_is_used() {
+        let mut shard = Shard::default();
+        for first in (0..4000_u64).step_by(8) {
+            shard.reserve(8);
+            let keys = first..first + 8;
+            let slots: Vec<_> = keys
+                .clone()
+                .map(|key| shard.find_or_insert(key, hash(key)))
+                .collect();
+            assert!(
+                keys.zip(slots)
+                    .all(|(key, slot)| shard.find(key, hash(key)) == Some(slot))
+            );
+        }
+    }
+
+    #[test]
+    fn a_brick_whose_cells_become_equal_holds_no_payload() {
+        let limits = Limits::new(-2.0, 3.5, 0.5).unwrap();
+        let mut shard = Shard::default();
+        let slot = shard.find_or_insert(5, hash(5));
+        let mut updates = [-8000; BRICK_CELLS];
+        updates[300] = 0;
+        assert!(shard.update_each(slot, &updates, limits));
+        assert!(matches!(shard.contents(slot), BrickRef::Mixed(_)));
+        assert!(!shard.update_each(slot, &[0; BRICK_CELLS], limits));
+        assert!(shard.update_each(slot, &[-9000; BRICK_CELLS], limits));
+        assert_eq!(shard.contents(slot), BrickRef::Uniform(limits.min));
+        assert!(!shard.update_each(slot, &[-1; BRICK_CELLS], limits));
     }
 }
