@@ -32,6 +32,10 @@ struct List {
 
 /// A brick in free space.
 const FREE: u32 = 1;
+/// Visits whose bricks are fetched together.
+const AHEAD: usize = 8;
+/// Of so few bricks of a shard most are in a cache of the core.
+const CACHED: usize = 32;
 /// A ray crosses at most 22 cells of a brick.
 const MOST_CELLS: usize = 24;
 /// Free space so short before the obstacle is walked with it: looking for its bricks costs more.
@@ -199,17 +203,32 @@ impl<'a> ShardWriter<'a> {
     /// Takes the visits of a batch in the shard `index`.
     pub(crate) fn apply(&mut self, shard: &mut Shard, visits: &Visits, index: usize) {
         let mut words = &visits.lists[index].words[..];
-        while let [low, high, word, rest @ ..] = words {
-            let key = u64::from(*high) << 32 | u64::from(*low);
-            let slot = shard.find_or_insert(key, hash(key));
-            words = rest;
-            if word & FREE == 0 {
-                let (updates, rest) = rest.split_at((word >> 1) as usize);
+        let mut next: Vec<(u64, SlotIndex, u32, &[u32])> = Vec::with_capacity(AHEAD);
+        // Beams come in any order, and so do bricks: the next ones are fetched side by side before they are changed.
+        let ahead = if shard.payloads() > CACHED { AHEAD } else { 1 };
+        while !words.is_empty() {
+            next.clear();
+            shard.reserve(ahead);
+            while let [low, high, word, rest @ ..] = words
+                && next.len() < ahead
+            {
+                let key = u64::from(*high) << 32 | u64::from(*low);
+                let slot = shard.find_or_insert(key, hash(key));
+                if ahead > 1 {
+                    shard.prefetch(slot);
+                }
+                let count = if word & FREE == 0 { word >> 1 } else { 0 };
+                let (updates, rest) = rest.split_at(count as usize);
+                next.push((key, slot, *word, updates));
                 words = rest;
-                self.update(shard, slot, updates);
-            } else {
-                let beam = &visits.beams[(word >> 1) as usize];
-                self.clear(shard, slot, key, beam);
+            }
+            for &(key, slot, word, updates) in &next {
+                if word & FREE == 0 {
+                    self.update(shard, slot, updates);
+                } else {
+                    let beam = &visits.beams[(word >> 1) as usize];
+                    self.clear(shard, slot, key, beam);
+                }
             }
         }
     }
