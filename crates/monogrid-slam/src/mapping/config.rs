@@ -250,7 +250,7 @@ pub struct FillConfig {
     /// Default 0.01. Range [0.000001, 10].
     pub relative_sigma: f64,
     /// Weight of a point of the outline before the plane, where one behind it has 1: frames, skirtings and switches stand a centimetre or
-    /// two before the wall that they outline. Default 0.1. Range [0.001, 1].
+    /// two before the wall that they outline. Default 0.25. Range [0.001, 1].
     pub front_weight: f64,
     /// Neighbouring depths whose errors count as one in the uncertainty of the fit. Default 100. Range [1,
     /// 1000000].
@@ -278,7 +278,7 @@ impl Default for FillConfig {
             min_offered_share: 0.3,
             max_behind_share: 0.05,
             relative_sigma: 0.01,
-            front_weight: 0.1,
+            front_weight: 0.25,
             correlated_points: 100.0,
             max_witnesses: 24,
             tolerance: 0.03,

@@ -74,12 +74,11 @@ pub(crate) fn adjust_all_to_images(
     let settings = BundleConfig {
         max_iterations: config.images.max_iterations,
         min_relative_decrease: FINAL_DECREASE,
-        rejection_rounds: 0,
         ..bundle_settings(config)
     };
     adjust_by(map, fragment, free.collect(), lens, config, &|problem| {
         let identities = (problem.keyframes.as_slice(), problem.points.as_slice());
-        let looks = Looks::new(map, &problem.bundle, identities, lens, &config.images);
+        let looks = Looks::new(map, &problem.bundle, identities, &config.images);
         adjust_to_images(&problem.bundle, &looks, &settings)
     })
 }

@@ -31,16 +31,6 @@ impl LeftLens {
         &self.pinhole
     }
 
-    /// Where is seen what the pinhole sees at a pixel.
-    pub fn seen(&self, ideal: Vec2) -> Vec2 {
-        if self.radial == 0.0 {
-            return ideal;
-        }
-        let ray = self.pinhole.unproject(&ideal).xy();
-        let bent = ray * (1.0 + self.radial * ray.norm_squared());
-        self.pinhole.project(&Vec3::new(bent.x, bent.y, 1.0))
-    }
-
     /// Where the pinhole sees what is seen at a pixel.
     pub fn ideal(&self, pixel: Vec2) -> Vec2 {
         if self.radial == 0.0 {
@@ -74,11 +64,9 @@ mod tests {
                 let bent = ideal * (1.0 + radial * ideal.norm_squared());
                 let seen = pinhole.project(&Vec3::new(bent.x, bent.y, 1.0));
                 assert!((seen - pixel).norm() < 1e-6, "{pixel} {seen}");
-                assert!((lens.seen(lens.ideal(pixel)) - pixel).norm() < 1e-6);
             }
         }
         let pixel = Vec2::new(3.0, 4.0);
         assert_eq!(LeftLens::of_pinhole(&pinhole).ideal(pixel), pixel);
-        assert_eq!(LeftLens::of_pinhole(&pinhole).seen(pixel), pixel);
     }
 }

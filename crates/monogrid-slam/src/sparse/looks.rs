@@ -1,6 +1,6 @@
 //! How points look in the keyframes that see them, for an adjustment to the images themselves.
 
-use super::{ImageAdjustmentConfig, LeftLens};
+use super::ImageAdjustmentConfig;
 use crate::KeyframeId;
 use crate::map::Map;
 use monogrid_features::{Likeness, LikenessConfig, patch_warp};
@@ -25,8 +25,8 @@ struct Look {
     likeness: Likeness,
     /// The keyframe's image around the point; all images at once would not fit.
     piece: Image<u8>,
-    /// To the pixels of the piece from those of the pinhole: what a lens bends does not change within it.
-    piece_from_ideal: Vec2,
+    /// The pixel of the image that is the first of the piece.
+    corner: Vec2,
 }
 
 impl Looks {
@@ -35,7 +35,6 @@ impl Looks {
         map: &Map,
         problem: &BundleProblem,
         (keyframes, points): (&[KeyframeId], &[usize]),
-        lens: &LeftLens,
         config: &ImageAdjustmentConfig,
     ) -> Self {
         let observations = &problem.observations;
@@ -63,9 +62,9 @@ impl Looks {
             };
             for i in seen {
                 let (likeness, place) = (likenesses[i].take(), projected(problem, i));
-                looks[i] = likeness.zip(place).and_then(|(likeness, ideal)| {
-                    Look::new(likeness, &image, (ideal, lens.seen(ideal)), config)
-                });
+                looks[i] = likeness
+                    .zip(place)
+                    .and_then(|(likeness, place)| Look::new(likeness, &image, place, config));
             }
         }
         Self {
@@ -76,16 +75,15 @@ impl Looks {
 }
 
 impl Look {
-    /// A patch in an image, where a point is projected to a pixel of the pinhole and seen at a pixel of the image; `None` where the
-    /// image shows something else.
+    /// A patch in an image, where a point is projected to; `None` where the image shows something else.
     fn new(
         likeness: Likeness,
         image: &Image<u8>,
-        (ideal, seen): (Vec2, Vec2),
+        place: Vec2,
         config: &ImageAdjustmentConfig,
     ) -> Option<Self> {
         let half = 0.5 * (SIDE as f64 - 1.0);
-        let corner = (seen - Vec2::repeat(half)).map(f64::round);
+        let corner = (place - Vec2::repeat(half)).map(f64::round);
         let fits = |at: f64, size: usize| at >= 0.0 && at + SIDE as f64 <= size as f64;
         // NaN does not fit
         if !fits(corner.x, image.width()) || !fits(corner.y, image.height()) {
@@ -93,11 +91,11 @@ impl Look {
         }
         let (left, top) = (corner.x as usize, corner.y as usize);
         let piece = Image::from_fn(SIDE, SIDE, |x, y| image.at(left + x, top + y));
-        let correlation = likeness.correlation(&piece, &(seen - corner))?;
+        let correlation = likeness.correlation(&piece, &(place - corner))?;
         (correlation >= config.min_correlation).then_some(Self {
             likeness,
             piece,
-            piece_from_ideal: seen - corner - ideal,
+            corner,
         })
     }
 }
@@ -107,7 +105,7 @@ impl Appearance for Looks {
         let Some(look) = &self.looks[observation] else {
             return 0.0;
         };
-        let pixel = pixel + look.piece_from_ideal;
+        let pixel = pixel - look.corner;
         let cost = look.likeness.cost(&look.piece, &pixel, &self.config);
         // nothing is gained by leaving the piece
         cost.unwrap_or_else(|| self.config.largest_cost())
@@ -115,7 +113,7 @@ impl Appearance for Looks {
 
     fn slope(&self, observation: usize, pixel: &Vec2) -> Option<PixelSlope> {
         let look = self.looks[observation].as_ref()?;
-        let pixel = pixel + look.piece_from_ideal;
+        let pixel = pixel - look.corner;
         let slope = look.likeness.slope(&look.piece, &pixel, &self.config)?;
         Some(PixelSlope {
             gradient: slope.gradient,

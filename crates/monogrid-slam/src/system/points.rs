@@ -68,14 +68,14 @@ pub(super) fn adjust_whole(setup: &Setup, map: &mut Map, fragment: FragmentId) {
         let adjustment = adjust_all(map, fragment, &pinhole, config);
         map.apply(Change::Adjusted(adjustment));
     }
-    let lens = LeftLens::new(&setup.pinhole, setup.left_radial);
     if setup.left_radial != 0.0 {
-        // points are looked for in the images as they are, so this comes after it
+        // points are looked for in the images as they are, so this comes last
+        let lens = LeftLens::new(&setup.pinhole, setup.left_radial);
         let adjustment = adjust_all(map, fragment, &lens, config);
         map.apply(Change::Adjusted(adjustment));
-    }
-    if config.images.enabled && num_keyframes >= config.images.min_keyframes {
-        let adjustment = adjust_all_to_images(map, fragment, &lens, config);
+    } else if config.images.enabled && num_keyframes >= config.images.min_keyframes {
+        // images see what is wrong with a camera more sharply than places do, so this is for a camera of which nothing is left
+        let adjustment = adjust_all_to_images(map, fragment, &pinhole, config);
         map.apply(Change::Adjusted(adjustment));
     }
     let poses = world_from_keyframes(map, fragment, num_keyframes, &setup.pinhole);

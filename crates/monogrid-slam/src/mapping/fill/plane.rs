@@ -13,7 +13,7 @@ const ASYMMETRIC_FITS: usize = 4;
 /// Fits after these to the points near the surface.
 const NARROW_FITS: usize = 3;
 /// How near: so many times the spread of what lies behind it.
-const NARROW_REACH: f64 = 1.5;
+const NARROW_REACH: f64 = 2.0;
 /// Least spread of points around a surface, in standard deviations.
 const LEAST_SPREAD: f64 = 0.1;
 
