@@ -15,7 +15,8 @@
 //! pixel of a region gets the depth of the plane whose outline is nearest inside the region.
 //!
 //! A plane is believed if most of the outline lies on it or before it. An outline *behind* the plane
-//! contradicts it: a plain surface cannot be seen through. It holds inside of the hull of the points of the outline
+//! contradicts it: a plain surface cannot be seen through. What outlines a wall often stands a centimetre or two before it, frames, skirtings
+//! and switches, so the surface is the hindmost layer of the points on the plane. It holds inside of the hull of the points of the outline
 //! that lie on it ([`hull`]): beyond, nobody has seen that the surface goes on; a wall that is continued behind the next one
 //! was most of the false walls. The uncertainty of a filled pixel grows with
 //! its distance from the outline as the covariance of the fit says, so far extrapolation fails the same
@@ -57,12 +58,7 @@ pub fn fill_plain_regions(
 ) -> Vec<Measurement> {
     let regions = Regions::new(image, measured, config);
     let borders = borders(&regions, measured, config);
-    let mut planes: Vec<Option<Plane>> = borders
-        .iter()
-        .enumerate()
-        .map(|(region, border)| fit_plane(border, region as u64, config))
-        .collect();
-    share_planes(measured, &borders, &mut planes, config);
+    let planes = planes_of_regions(measured, &borders, config);
     let held: Vec<Option<(Plane, Hull)>> = planes
         .into_iter()
         .zip(&borders)
@@ -111,45 +107,85 @@ const EIGHT_DIRECTIONS: [(i32, i32); 8] = [
     (-1, -1),
 ];
 
-/// Gives a region a plane that is seen in many places, if its outline agrees with that as well as with
-/// its own: the tiles of a floor share one plane, the bricks of a wall another.
-fn share_planes(
-    measured: &[Measurement],
-    borders: &[Border],
-    planes: &mut [Option<Plane>],
-    config: &FillConfig,
-) {
-    let mut pool = planes_of_image(measured, config);
-    pool.extend(planes.iter().flatten().cloned());
-    // the best supported first; equal support in the order of the regions
-    pool.sort_by_key(|plane| std::cmp::Reverse(plane.inliers));
-    pool.truncate(config.max_offered);
-    for (border, own) in borders.iter().zip(planes) {
-        let own_score = own.as_ref().map_or(0, |p| border.count(p).score());
-        let best = pool
-            .iter()
-            .map(|plane| (border.count(plane), plane))
-            .filter(|(count, _)| {
-                count.is_believable(config.min_inliers_offered, config.min_offered_share, config)
-            })
-            // the first of equal ones
-            .rev()
-            .max_by_key(|(count, _)| count.score());
-        if let Some((count, plane)) = best
-            && 5 * count.score() >= 4 * own_score
-        {
-            *own = Some(plane.clone());
+/// A plane, by which outlines judge, and the surface that it stands for, which lies a little behind where frames and skirtings outline
+/// it: judged by that, too little would contradict.
+#[derive(Clone, Debug)]
+struct Candidate {
+    plane: Plane,
+    surface: Plane,
+}
+
+impl Candidate {
+    fn new(plane: Plane, points: &Border, config: &FillConfig) -> Self {
+        Self {
+            surface: points.surface(&plane, config),
+            plane,
         }
     }
 }
 
+/// The surface of each region: its own plane's, or one that is seen in many places, if its outline agrees with that as well as with
+/// its own: the tiles of a floor share one plane, the bricks of a wall another.
+fn planes_of_regions(
+    measured: &[Measurement],
+    borders: &[Border],
+    config: &FillConfig,
+) -> Vec<Option<Plane>> {
+    let regions = borders.iter().enumerate();
+    let own: Vec<Option<Candidate>> = regions
+        .map(|(region, border)| {
+            let plane = fit_plane(border, region as u64, config)?;
+            Some(Candidate::new(plane, border, config))
+        })
+        .collect();
+    let image = some_of(measured, config);
+    let mut pool: Vec<Candidate> = planes_of_image(measured, config)
+        .into_iter()
+        .map(|plane| Candidate::new(plane, &image, config))
+        .collect();
+    pool.extend(own.iter().flatten().cloned());
+    // the best supported first; equal support in the order of the regions
+    pool.sort_by_key(|candidate| std::cmp::Reverse(candidate.plane.inliers));
+    pool.truncate(config.max_offered);
+    let borders = borders.iter().zip(&own);
+    borders
+        .map(|(border, own)| {
+            let own_score = own
+                .as_ref()
+                .map_or(0, |own| border.count(&own.plane).score());
+            let best = pool
+                .iter()
+                .map(|offered| (border.count(&offered.plane), offered))
+                .filter(|(count, _)| {
+                    count.is_believable(
+                        config.min_inliers_offered,
+                        config.min_offered_share,
+                        config,
+                    )
+                })
+                // the first of equal ones
+                .rev()
+                .max_by_key(|(count, _)| count.score())
+                .filter(|(count, _)| 5 * count.score() >= 4 * own_score);
+            let best = best.map(|(_, offered)| offered).or(own.as_ref())?;
+            Some(best.surface.clone())
+        })
+        .collect()
+}
+
+/// Measurements of the whole image, evenly spread.
+fn some_of(measured: &[Measurement], config: &FillConfig) -> Border {
+    let stride = measured.len().div_ceil(MAX_IMAGE_POINTS).max(1);
+    let mut some = Border::default();
+    for point in measured.iter().step_by(stride) {
+        some.push(point, config);
+    }
+    some
+}
+
 /// Planes that much of the whole image lies on, one after the other.
 pub(super) fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> Vec<Plane> {
-    let stride = measured.len().div_ceil(MAX_IMAGE_POINTS).max(1);
-    let mut left = Border::default();
-    for point in measured.iter().step_by(stride) {
-        left.push(point, config);
-    }
+    let mut left = some_of(measured, config);
     let min_inliers = (left.len() as f64 * MIN_IMAGE_SHARE) as usize;
     let mut planes = Vec::new();
     for round in 0..MAX_IMAGE_PLANES {

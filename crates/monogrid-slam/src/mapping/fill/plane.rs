@@ -8,7 +8,7 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// Points that a candidate is judged by, at most.
 const MAX_JUDGES: usize = 300;
-/// Fits of the best candidate in which sides differ, each to the points on the one before.
+/// Fits in which sides differ, each to the points on the one before.
 const ASYMMETRIC_FITS: usize = 4;
 /// Fits after these to the points near the surface.
 const NARROW_FITS: usize = 3;
@@ -94,13 +94,13 @@ impl Plane {
     }
 
     /// The points of another plane, as certain as this one.
-    fn through_points_of(self, other: &Self) -> Self {
+    fn through_points_of(&self, other: &Self) -> Self {
         let [x, y] = self.center;
         let [a, b, _] = other.coefficients.into();
         let c = other.coefficients.dot(&other.row(x, y));
         Self {
             coefficients: Vector3::new(a, b, c),
-            ..self
+            ..self.clone()
         }
     }
 
@@ -155,6 +155,11 @@ impl Border {
         let plane = best_plane(&self.points, seed, samples, score, config)?;
         self.points.retain(|point| !plane.explains(point));
         Some(plane)
+    }
+
+    /// The surface that one of its planes stands for, as certain as that plane.
+    pub fn surface(&self, plane: &Plane, config: &FillConfig) -> Plane {
+        settled(&self.points, plane, config).unwrap_or_else(|| plane.clone())
     }
 
     /// Where the points of the outline on a plane are, px.
@@ -223,14 +228,20 @@ fn best_plane(
         }
     }
     let (_, mut plane) = best?;
-    for round in 0..=ASYMMETRIC_FITS {
-        // sides mean something once the plane is a fit and not a guess by three points
-        let side_of = (round > 0).then_some(&plane);
-        plane = fitted(&within(points, &plane, 2.0), side_of, config)?;
+    for _ in 0..2 {
+        plane = fitted(&within(points, &plane, 2.0), None, config)?;
     }
-    // what is left before the plane stands before the surface; what is left behind it is noise, which is as large on either side
-    let reach = NARROW_REACH * spread_behind(points, &plane);
+    Some(plane)
+}
+
+/// The surface that a plane through its outline stands for. What stands before it, frames and skirtings, is left out by fits that weigh what is
+/// before them less; what then lies behind is noise, which is as large on either side.
+fn settled(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> Option<Plane> {
     let mut surface = plane.clone();
+    for _ in 0..ASYMMETRIC_FITS {
+        surface = fitted(&within(points, &surface, 2.0), Some(&surface), config)?;
+    }
+    let reach = NARROW_REACH * spread_behind(points, &surface);
     for _ in 0..NARROW_FITS {
         let near = within(points, &surface, reach);
         if near.len() < config.min_inliers {
