@@ -100,14 +100,14 @@ fn a_wall_lies_behind_the_frames_and_skirtings_that_outline_it() {
         errors.sum::<f64>() / filled.len() as f64
     };
     let default = FillConfig::default().front_weight;
-    // one of three points; where sides are the same, its share of the distance
+    // one of three points; where sides are the same, it draws the plane
     let symmetric = error(|k| k % 3 > 0, 1.0);
-    assert!((0.0025..0.004).contains(&symmetric), "{symmetric}");
+    assert!((0.0015..0.004).contains(&symmetric), "{symmetric}");
     let behind = error(|k| k % 3 > 0, default);
     assert!(behind.abs() < 0.001, "{behind}");
-    // where nothing stands before it, noise does not move it
+    // where nothing stands before it, noise moves it by half its deviation at most, though this has no peak to come back to
     let alone = error(|_| true, default);
-    assert!(alone.abs() < 0.0005, "{alone}");
+    assert!(alone.abs() < 0.0015, "{alone}");
 }
 
 #[test]
