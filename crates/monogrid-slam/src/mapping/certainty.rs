@@ -5,10 +5,10 @@
 //! be multiplied by. Keyframes share errors, since the same images measured them, and agree better with each other than with
 //! the truth: [`SHARED_ERRORS`]. Measured depth has one factor for the whole map, and filled depth has one.
 
-use super::KeyframeCamera;
 use super::agreement::{View, witnesses};
 use super::refine::for_each_keyframe;
 use super::scan::{Depths, KeptDepths};
+use super::{KeyframeCamera, MappingConfig};
 use crate::store::Measurements;
 use monogrid_geometry::{Sim3, Vec2};
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -51,6 +51,21 @@ impl Certainty {
         least: 0.0,
         most: f32::INFINITY,
     };
+
+    /// As the settings ask for it.
+    pub fn asked_for(
+        views: &[Option<View>],
+        camera: &KeyframeCamera,
+        config: &MappingConfig,
+        threads: usize,
+    ) -> Self {
+        if config.sigma_from_agreement {
+            let most = config.filter.max_agreed_sigma as f32;
+            Self::of_views(views, camera, most, threads)
+        } else {
+            Self::UNCHANGED
+        }
+    }
 
     /// From how well keyframes with poses agree; 1 where too little is seen twice. Depths are less certain than `most` at most.
     pub fn of_views(

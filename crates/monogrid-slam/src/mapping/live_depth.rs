@@ -212,12 +212,7 @@ impl LiveDepth {
     /// What of a keyframe is mapped; nothing where nothing was found.
     fn ready(&self, index: usize) -> KeyframeScan {
         let (near, _) = self.views(index, COMPARED);
-        let certainty = if self.config.sigma_from_agreement {
-            let max_relative_sigma = self.config.filter.max_agreed_sigma as f32;
-            Certainty::of_views(&near, &self.camera, max_relative_sigma, 1)
-        } else {
-            Certainty::UNCHANGED
-        };
+        let certainty = Certainty::asked_for(&near, &self.camera, &self.config, 1);
         let (views, middle) = self.views(index, MAX_HELD);
         let found = self.work[index].found.as_ref();
         let depths = found.map(|found| {

@@ -79,12 +79,7 @@ pub(crate) fn final_scans_of(
         found
     };
     let views = views(&found);
-    let certainty = if config.sigma_from_agreement {
-        let max_relative_sigma = config.filter.max_agreed_sigma as f32;
-        Certainty::of_views(&views, camera, max_relative_sigma, threads)
-    } else {
-        Certainty::UNCHANGED
-    };
+    let certainty = Certainty::asked_for(&views, camera, config, threads);
     for_each_keyframe(count, threads, |index| {
         let depths = found[index].certain(certainty, &views, index, camera, &config.fusion);
         depths.joined(keyframes.id(index), camera, store)
