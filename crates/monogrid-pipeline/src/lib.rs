@@ -33,7 +33,7 @@
 //!
 //! Frames: images are those of the camera (grey, 0 to 255), poses and maps are in the world of the run (the first keyframe's
 //! camera) until [`Finished::maps_in`] brings them elsewhere; [`Finished::maps`] is z up. Times are nanoseconds.
-//! The same images and settings give the same bits, for any number of threads.
+//! The same images and settings give the same bits, for any number of threads, unless frames are read at [`Pace::Real`].
 #![deny(missing_docs)]
 
 pub mod clock;

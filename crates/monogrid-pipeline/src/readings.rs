@@ -1,4 +1,5 @@
-//! An inertial sensor that is read while the camera is: an image is tracked when the readings have come to its time.
+//! An inertial sensor that is read while the camera is: an image is tracked when the readings have come to its time, or the next
+//! image has.
 
 use crate::source::ReadFrame;
 use monogrid_slam::FrameReport;

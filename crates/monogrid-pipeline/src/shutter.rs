@@ -3,7 +3,8 @@
 //! Rows are read one after the other, so each shows the scene a little later than the one before it. A pixel has moved on by its
 //! velocity times the time between its row and the middle one; it is put back there. The velocity is that of the picture
 //! around it, measured by corners that are followed to the image before and the image after: whatever the depth, and
-//! without a pose, so that everything that comes after sees an ordinary camera whose pose is that of the middle row.
+//! without a pose, so that everything that comes after sees an ordinary camera whose pose is that of the middle row: the start
+//! too, when no pose is known that a model of the shutter could use.
 
 use crate::preparation::{Unusable, each_channel};
 use crate::source::ReadFrame;

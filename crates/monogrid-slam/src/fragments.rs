@@ -2,6 +2,11 @@
 //!
 //! The first map is fragment 0, the *main map*. A later fragment has a world of its own (the camera of its
 //! first keyframe, of unknown place and scale) until its keyframes are recognised in another one.
+//!
+//! A fragment never moves another one: what compares poses (sparse layer, known views, graph) stays within one. Frames in a fragment
+//! that is apart have no pose in the map, odometry waits there as in a loss, and trajectory and maps hold the main map only. While
+//! the camera runs that is the first one, so that what others were told keeps its frame; in the end a fragment that is much
+//! larger becomes the main map. What stays apart is kept, and a later session can still join it.
 
 use crate::KeyframeId;
 use serde::{Deserialize, Serialize};

@@ -1,5 +1,8 @@
 //! Start from two views: features are followed from reference frames until the camera has moved
 //! sideways enough since one of them for a relative pose; then that becomes the first keyframe.
+//!
+//! Two views give a first pose only: views from all the time since the reference are adjusted together with the points, and the start waits
+//! until their depths are certain. A new reference is added when the camera has moved on, since features of the first get lost.
 
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};

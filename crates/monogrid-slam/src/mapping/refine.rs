@@ -1,4 +1,8 @@
 //! Better depth of all keyframes, when the poses are known in the end.
+//!
+//! In this order: dense depth beside that of the filter (`dense`) → both made better by the images around (`refine_depth`) → what is
+//! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
+//! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`).
 
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;

@@ -1,4 +1,6 @@
 //! From the depth of a keyframe to the measurements that are mapped.
+//!
+//! What is not precise enough is left out here and not by the depth filter: recordings keep all depth, for maps by other rules.
 
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
 use crate::store::{Kept, Measurements, Store};

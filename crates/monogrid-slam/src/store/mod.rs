@@ -7,6 +7,8 @@
 //! * a value that follows from others ([`Store::derive`]), such as the pyramid of an image, is made again.
 //!
 //! The file holds what a running system works with and nothing that a later one needs: what survives the process is the recording.
+//!
+//! Depth at the final poses and what is mapped of each keyframe are kept here too, so that the end of a run needs a few of them at a time.
 
 mod packed;
 mod scratch;

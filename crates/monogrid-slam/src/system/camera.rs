@@ -1,4 +1,4 @@
-//! Where the camera is, and what is done while that is not known.
+//! Where the camera is, and what is done while that is not known: what the next frame needs, and a later session does not.
 
 use super::doubt::Doubt;
 use super::loss::Loss;

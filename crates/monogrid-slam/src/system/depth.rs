@@ -1,4 +1,7 @@
-//! Depth of keyframes: refined with every frame, handed on to the next keyframe, and brought back.
+//! Depth of keyframes: refined with frames, handed on to the next keyframe, and brought back.
+//!
+//! A new keyframe takes over propagated depth and is observed in older keyframes at once: their baselines are longer than those
+//! of the frames to come.
 
 use super::camera::Active;
 use super::setup::Setup;

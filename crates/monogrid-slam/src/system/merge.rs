@@ -1,4 +1,7 @@
 //! Maps of several runs as one, as far as they show the same places.
+//!
+//! A keyframe has its camera with it in the graph, in the memory of places, in scans and in recordings, so that runs may have different
+//! ones. Tracking, the depth filter and the sparse layer know one camera, so a map of several cannot be continued.
 
 use super::points::adjust_whole;
 use super::sessions::{restored, stored};

@@ -4,7 +4,8 @@
 //! process: one frame
 //!   -> begin            the first keyframe, once `start` has found one
 //!   -> tracking         each frame on the keyframe in use
-//!        believed:       -> keyframes    what the frame is for
+//!        believed:       -> missed       frames of a loss that has ended, tracked backwards
+//!                        -> keyframes    what the frame is for
 //!                        -> depth        refine the keyframe
 //!           -> change    or leave it     -> reactivate   for one that is known
 //!                                        -> points       for the frame, placed by the sparse layer

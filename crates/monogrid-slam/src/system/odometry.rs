@@ -3,6 +3,8 @@
 //! Two transforms, as robots keep them apart (REP 105): `odom_from_camera` adds up what was tracked from
 //! frame to frame and never jumps; `map_from_odom` takes what loops, optimisation and relocalisation
 //! correct ([`crate::FrameReport::map_from_odom`]).
+//!
+//! A step has the length that the unit of its keyframe says at the time, since a single camera has no other.
 
 use crate::map::{Map, Record};
 use monogrid_geometry::Se3;

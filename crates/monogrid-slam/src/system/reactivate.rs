@@ -1,5 +1,8 @@
 //! Tracking goes on with a keyframe that exists already: where the camera stays in a known place, the number
 //! of keyframes does not grow.
+//!
+//! The closest keyframe on which the frame can be tracked takes over. Its depth is refined further and published again when it has
+//! become better. Where tracking and the poses disagree there is a new keyframe instead: a loop is measured, not hidden.
 
 use super::camera::Active;
 use super::depth::stored_depth;

@@ -5,6 +5,9 @@
 //! on beside what it did not write. A single output *file* that exists is replaced with `--force` only. Nothing
 //! that the call reads is ever written to or removed, with `--force` neither, whatever name or link leads to it.
 //! Every file appears whole or not at all.
+//!
+//! What is read is known by device and inode, so that no link leads to it. The manifest is locked while a process writes, and a lock ends
+//! with its process. In a folder of output folders (`batch`) each has its manifest and is checked when it is written to.
 
 mod file;
 mod folder;

@@ -1,4 +1,7 @@
 //! The frame in which results are written.
+//!
+//! It is one similarity, `map_from_world`: of the scene, an inertial sensor, `--up`, `--align`, or the earlier session. Poses are
+//! brought to it before the map is built: a finished map is never resampled.
 
 use super::sensed::SensedFrame;
 use crate::failure::{Classify, Failure};

@@ -1,4 +1,8 @@
 //! `--memory-limit`: keyframes get the room that everything else leaves.
+//!
+//! That is looked at with every keyframe. Before the last adjustment, which takes much itself, what only more frames would need is given
+//! back (`Slam::conclude`); what comes after the final depth (colours, clouds, report) takes one keyframe after the other. What grows
+//! with the path all the same is small: corners and descriptors, points, edges.
 
 use crate::memory;
 use crate::usage::rss_bytes;

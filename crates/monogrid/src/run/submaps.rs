@@ -1,4 +1,6 @@
 //! `--submaps`: finished keyframes in files that never change, and where the graph has them.
+//!
+//! They hold the records of the recording and are written beside it; commands read either (`sessions::Source`).
 
 use super::recorder::{keyframe_record, loaded};
 use crate::failure::{Classify, Failure};

@@ -4,6 +4,9 @@
 //! Each says where one fragment lies in the other, with its scale. A single one may be wrong (rooms that look
 //! alike): fragments are joined when several keyframes agree, one of them aligned directly, and more of them
 //! than contradict.
+//!
+//! The fragment that began later is moved by one similarity, and with its keyframes all that is known relative to them. Sightings that
+//! were aligned become loops. The first keyframes of a random start, whose shape is not reliable yet, never decide.
 
 use super::state::KeyframeGraph;
 use crate::graph::job::Joined;

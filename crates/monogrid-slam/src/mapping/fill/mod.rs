@@ -21,6 +21,8 @@
 //! was most of the false walls. The uncertainty of a filled pixel grows with
 //! its distance from the outline as the covariance of the fit says, so far extrapolation fails the same
 //! limit as any imprecise measurement.
+//!
+//! Filled depth is for maps alone: it never enters tracking.
 
 mod hull;
 mod plane;

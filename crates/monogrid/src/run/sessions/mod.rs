@@ -1,4 +1,6 @@
 //! A run that goes on with the map of an earlier one.
+//!
+//! It records everything again: the folder of the earlier run is only read.
 
 mod source;
 mod stored;

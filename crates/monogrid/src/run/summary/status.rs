@@ -1,4 +1,6 @@
 //! How a run ended.
+//!
+//! A run that loses track in its last frames has done its job, one that never recovers has not.
 
 use crate::failure::Outcome;
 use crate::run::RunSettings;
