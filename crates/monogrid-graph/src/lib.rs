@@ -10,6 +10,7 @@
 //! robust cost.
 #![deny(missing_docs)]
 
+mod blocks;
 pub mod bundle;
 mod damping;
 pub mod g2o;
@@ -17,7 +18,6 @@ mod kernel;
 pub mod pose_graph;
 mod pose_only;
 mod reprojection;
-mod sparse;
 mod tangent;
 
 pub use kernel::RobustKernel;

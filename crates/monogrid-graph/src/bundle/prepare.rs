@@ -1,8 +1,8 @@
 //! Checks of a problem, and the orders in which the solver walks through it.
 
-use super::system::sparse_pattern;
+use super::system::pattern;
 use super::{BundleConfig, BundleError, BundleProblem, Observation, PoseFreedom};
-use crate::sparse::BlockPattern;
+use crate::blocks::BlockPattern;
 use std::ops::Range;
 
 fn index(
@@ -209,8 +209,8 @@ pub(super) struct Layout {
     pub blocks: Vec<(usize, usize)>,
     /// The poses that each point depends on.
     pub fans: FanLayout,
-    /// The places of the blocks of the reduced system, where it is sparse.
-    pub sparse: Option<BlockPattern<6>>,
+    /// The places of the blocks of the reduced system.
+    pub pattern: BlockPattern<6>,
 }
 
 /// Marks what has no entry in [`FanLayout`].
@@ -244,7 +244,7 @@ impl Layout {
         };
         let fans = FanLayout::new(problem, &slot_of_keyframe);
         Self {
-            sparse: sparse_pattern(&fans, free_keyframes.len()),
+            pattern: pattern(&fans, free_keyframes.len()),
             pair_of_observation: problem.observations.iter().map(find).collect(),
             blocks: blocks(&pairs, &slot_of_keyframe, free_keyframes.len()),
             fans,

@@ -1,11 +1,7 @@
 //! A step: elimination of the points, the solution of the reduced system and back-substitution.
 
 use super::linear::{Normal, State, Window};
-use super::system::{DIAGONAL_FLOOR, held_directions, reduce, solve_sparse};
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::{factor, solve};
-use faer::prelude::ReborrowMut;
-use faer::{Conj, MatMut, Spec};
+use super::system::{DIAGONAL_FLOOR, held_directions, reduce, solve_poses};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// A step of all unknowns.
@@ -24,10 +20,7 @@ pub(super) fn solve_step(
     state: &State,
     lambda: f64,
 ) -> Option<Step> {
-    let poses = match &window.layout.sparse {
-        Some(pattern) => solve_sparse(window, normal, state, lambda, pattern)?,
-        None => solve_dense(window, normal, state, lambda)?,
-    };
+    let poses = solve_poses(window, normal, state, lambda)?;
     if !poses.iter().all(|x| x.is_finite()) {
         return None;
     }
@@ -58,50 +51,17 @@ pub(super) fn solve_step(
     })
 }
 
-/// Solves the reduced system with a dense factor; `None` where it is not positive definite.
-fn solve_dense(
-    window: &Window,
-    normal: &Normal,
-    state: &State,
-    lambda: f64,
-) -> Option<DVector<f64>> {
-    let n = normal.b_poses.len();
-    let mut s = DMatrix::zeros(n, n);
-    let b = reduce(window, normal, state, lambda, &mut s);
-    if n == 0 { Some(b) } else { solve_system(s, &b) }
-}
-
-/// Solves a positive definite system of which the lower triangle is given; `None` where it is not. The system of a long run is large: its
-/// factor takes its place.
-fn solve_system(mut s: DMatrix<f64>, b: &DVector<f64>) -> Option<DVector<f64>> {
-    let (n, par) = (s.nrows(), faer::get_global_parallelism());
-    let mut factor = MatMut::from_column_major_slice_mut(s.as_mut_slice(), n, n);
-    let needed = factor::cholesky_in_place_scratch::<f64>(n, par, Spec::default());
-    let mut memory = MemBuffer::new(needed);
-    let stack = MemStack::new(&mut memory);
-    let is_regular = factor::LltRegularization::default();
-    factor::cholesky_in_place(factor.rb_mut(), is_regular, par, stack, Spec::default()).ok()?;
-    let mut x = b.clone();
-    let unknowns = MatMut::from_column_major_slice_mut(x.as_mut_slice(), n, 1);
-    let mut memory = MemBuffer::new(solve::solve_in_place_scratch::<f64>(n, 1, par));
-    let stack = MemStack::new(&mut memory);
-    solve::solve_in_place_with_conj(factor.as_ref(), Conj::No, unknowns, par, stack);
-    Some(x)
-}
-
 /// Inverse of the reduced system without damping: the covariance of all free poses.
 pub(super) fn pose_covariance(
     window: &Window,
     normal: &Normal,
     state: &State,
 ) -> Option<DMatrix<f64>> {
-    let n = normal.b_poses.len();
-    let mut s = DMatrix::zeros(n, n);
-    reduce(window, normal, state, 0.0, &mut s);
+    let (s, _) = reduce(window, normal, state, 0.0);
+    let mut s = window.layout.pattern.dense(&s);
     if s.is_empty() {
         return Some(s);
     }
-    s.fill_upper_triangle_with_lower_triangle();
     let diagonal = window.diagonal(normal);
     let scale = diagonal.map(|h| 1.0 / h.max(DIAGONAL_FLOOR).sqrt());
     for c in 0..s.ncols() {

@@ -27,7 +27,6 @@ mod solver;
 mod uncertainty;
 
 use crate::RobustKernel;
-use crate::sparse;
 use monogrid_geometry::{Mat7, Sim3};
 use std::collections::BTreeMap;
 pub use uncertainty::GraphUncertainty;

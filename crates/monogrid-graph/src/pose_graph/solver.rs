@@ -1,8 +1,8 @@
 //! Levenberg-Marquardt with graduated kernels on a pose graph.
 
 use super::linear::Terms;
-use super::sparse::BlockPattern;
 use super::{GraphOutcome, PoseGraph, PoseGraphConfig, PoseGraphError, PoseGraphReport};
+use crate::blocks::BlockPattern;
 use crate::damping::Damping;
 use monogrid_geometry::{Sim3, Vec7};
 
@@ -25,7 +25,7 @@ pub(super) fn optimise(
     let mut iterations = 0;
     let mut outcome = GraphOutcome::NothingToDo;
     if slot.iter().any(Option::is_some) {
-        let pattern = pattern(&terms, &slot).ok_or(PoseGraphError::Singular)?;
+        let pattern = pattern(&terms, &slot);
         let problem = Problem {
             terms: &terms,
             slot: &slot,
@@ -106,7 +106,7 @@ fn root(part: &mut [usize], mut k: usize) -> usize {
 }
 
 /// Pattern of the normal equations of the free nodes.
-pub(super) fn pattern(terms: &Terms, slot: &[Option<usize>]) -> Option<BlockPattern> {
+pub(super) fn pattern(terms: &Terms, slot: &[Option<usize>]) -> BlockPattern {
     let pairs: Vec<_> = terms
         .ends
         .iter()
@@ -198,7 +198,7 @@ impl Problem<'_> {
         let (mut residuals, mut new_residuals) = (Vec::new(), Vec::new());
         let mut cost = terms.evaluate(poses, width, &mut residuals);
         let (mut h, mut damped) = (pattern.zeros(), pattern.zeros());
-        let mut factor = pattern.factor().ok_or(PoseGraphError::Singular)?;
+        let mut factor = pattern.factor();
         for _ in 0..max_iterations {
             let b = terms.linearise(poses, &residuals, width, self.slot, pattern, &mut h);
             let diagonal = pattern.diagonal(&h);
@@ -208,7 +208,7 @@ impl Problem<'_> {
                     damping.lambda * diagonal[c] + DIAGONAL_FLOOR
                 });
                 let is_definite = pattern.factorise(&damped, &mut factor);
-                let step = is_definite.and_then(|()| pattern.solve(&factor, &b));
+                let step = is_definite.map(|()| pattern.solve(&factor, &b));
                 if let Some(step) = step.filter(|s| is_small(s)) {
                     let predicted = predicted_decrease(&step, &b, &diagonal, damping.lambda);
                     let candidate = self.apply(poses, &step);

@@ -2,8 +2,8 @@
 
 use super::linear::Terms;
 use super::solver::{free_slots, pattern};
-use super::sparse::{BlockPattern, Factor};
 use super::{PoseGraph, PoseGraphError};
+use crate::blocks::{BlockPattern, Factor};
 use monogrid_geometry::{Mat7, Sim3};
 use std::collections::BTreeMap;
 
@@ -26,13 +26,13 @@ impl GraphUncertainty {
         let system = if free == 0 {
             None
         } else {
-            let pattern = pattern(&terms, &slot).ok_or(PoseGraphError::Singular)?;
+            let pattern = pattern(&terms, &slot);
             let poses = graph.poses();
             let mut residuals = Vec::new();
             terms.evaluate(&poses, 1.0, &mut residuals);
             let mut h = pattern.zeros();
             terms.linearise(&poses, &residuals, 1.0, &slot, &pattern, &mut h);
-            let mut factor = pattern.factor().ok_or(PoseGraphError::Singular)?;
+            let mut factor = pattern.factor();
             pattern
                 .factorise(&h, &mut factor)
                 .ok_or(PoseGraphError::Singular)?;
@@ -87,7 +87,6 @@ impl GraphUncertainty {
         };
         let wanted: Vec<_> = given.iter().map(|&(slot, _)| slot).collect();
         let blocks = pattern.solve_blocks(factor, given, &wanted);
-        let blocks = blocks.ok_or(PoseGraphError::Singular)?;
         let signed = given.iter().zip(blocks).map(|(&(_, sign), x)| x * sign);
         let sum: Mat7 = signed.sum();
         Ok((sum + sum.transpose()) * 0.5)
