@@ -125,6 +125,7 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_correlation: -1.0, 1.0;
         degraded_good_of_visible: 0.0, 1.0;
         doubtful_residual: 1.0, 1000.0;
+        doubtful_sigma: 1.0, 1000.0;
         doubtful_frames: 0.0, 1000.0;
         surprising_motion: 0.0, 1000.0;
         surprising_log_gain: 0.0, 1000.0;

@@ -1,7 +1,7 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
 use crate::{
-    FragmentConfig, FragmentId, KeyframeConfig, PointTrackingConfig, RefinementConfig,
+    FragmentConfig, FragmentId, KeyframeConfig, LostReason, PointTrackingConfig, RefinementConfig,
     TrackingConfig, TrackingState,
 };
 use monogrid_inertial::EstimateConfig;
@@ -46,10 +46,36 @@ pub(crate) fn demand(evidence: &DoubtEvidence, config: &TrackingConfig) -> Deman
     }
 }
 
-/// Whether a frame agrees so much worse with its keyframe than usual (root mean square residuals, grey levels) that its pose is to
-/// be doubted; before it is known what is usual, none is.
-pub(crate) fn is_doubtful(residual_rms: f32, usual: Option<f32>, config: &TrackingConfig) -> bool {
-    usual.is_some_and(|usual| residual_rms > config.doubtful_residual * usual)
+/// How well a frame holds on to its keyframe.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Hold {
+    /// Root mean square residual, grey levels.
+    pub residual_rms: f64,
+    /// Largest standard deviation of the pose, median depths or rad; infinite where some motion leaves the picture as it is.
+    pub sigma: f64,
+}
+
+/// Why the pose of a frame is to be doubted that passed all other tests: it agrees so much worse with its keyframe than is usual, or hangs
+/// on so much less. Before it is known what is usual, none is.
+pub(crate) fn doubt_about(
+    frame: &Hold,
+    usual_residual_rms: Option<f64>,
+    usual_sigma: Option<f64>,
+    config: &TrackingConfig,
+) -> Option<LostReason> {
+    let exceeds =
+        |value: f64, usual: Option<f64>, times: f64| usual.is_some_and(|u| value > times * u);
+    if exceeds(
+        frame.residual_rms,
+        usual_residual_rms,
+        config.doubtful_residual,
+    ) {
+        Some(LostReason::Doubtful)
+    } else if exceeds(frame.sigma, usual_sigma, config.doubtful_sigma) {
+        Some(LostReason::Loose)
+    } else {
+        None
+    }
 }
 
 /// Whether a few points that agree are enough to let a pose by alignment stand; else all points are asked. What is weak
@@ -216,6 +242,34 @@ mod tests {
             assert_eq!(state_at_points(by_pixels, false), near);
             assert_eq!(state_at_points(by_pixels, true), far);
         }
+    }
+
+    #[test]
+    fn a_frame_is_doubted_that_agrees_much_worse_than_usual_or_hangs_on_much_less() {
+        let config = TrackingConfig {
+            doubtful_residual: 1.5,
+            doubtful_sigma: 3.0,
+            ..TrackingConfig::default()
+        };
+        let doubt = |residual_rms, sigma| {
+            let frame = Hold {
+                residual_rms,
+                sigma,
+            };
+            doubt_about(&frame, Some(4.0), Some(0.001), &config)
+        };
+        assert_eq!(doubt(6.0, 0.003), None);
+        assert_eq!(doubt(6.01, 0.003), Some(LostReason::Doubtful));
+        assert_eq!(doubt(6.0, 0.00301), Some(LostReason::Loose));
+        assert_eq!(doubt(0.0, f64::INFINITY), Some(LostReason::Loose));
+        let worst = Hold {
+            residual_rms: 100.0,
+            sigma: f64::INFINITY,
+        };
+        assert_eq!(doubt_about(&worst, None, None, &config), None);
+        let known = |residual, sigma| doubt_about(&worst, residual, sigma, &config);
+        assert_eq!(known(Some(4.0), None), Some(LostReason::Doubtful));
+        assert_eq!(known(None, Some(0.001)), Some(LostReason::Loose));
     }
 
     #[test]

@@ -14,7 +14,7 @@ pub enum TrackingState {
     /// The pose is believed.
     Good,
     /// The pose is believed, but less: grey values of frame and keyframe do not agree well enough to refine depth, or much
-    /// worse than those of the frames before ([`LostReason::Doubtful`]).
+    /// worse than those of the frames before ([`LostReason::Doubtful`]), or hold the pose much less ([`LostReason::Loose`]).
     Degraded,
     /// The pose is believed, but only within a fragment of which it is not known where it lies in the main map.
     Fragment,
@@ -60,6 +60,8 @@ pub enum LostReason {
     Repeated,
     /// The grey values agree with the keyframe much worse than those of the frames before did.
     Doubtful,
+    /// The grey values hold the pose much less than those of the frames before did: before a plain wall the camera may slide.
+    Loose,
 }
 
 impl fmt::Display for LostReason {
@@ -75,6 +77,7 @@ impl fmt::Display for LostReason {
             Self::NotRecognised => "not recognised in the map",
             Self::Repeated => "repeated image",
             Self::Doubtful => "grey values agree much worse than before",
+            Self::Loose => "grey values hold the pose much less than before",
         })
     }
 }

@@ -123,7 +123,7 @@ impl Slam {
         let attempt = Attempt {
             keyframe: active.id,
             tracked: track_on_active(&self.setup, &self.map, active, last, frame),
-            is_doubtful: false,
+            doubt: None,
         };
         if attempt.tracked.state != TrackingState::Good {
             return false;

@@ -2,87 +2,163 @@
 //!
 //! Where little but a plain wall is in view, turning and moving sideways look alike: the camera slides, what comes into view gets
 //! its depth from wrong poses, and frames agree less and less with keyframes that were made of them, each by itself well enough to
-//! be believed.
+//! be believed. Before they disagree, the little that is in view holds the pose less than is usual.
 
-use crate::TrackingConfig;
-use crate::policy::is_doubtful;
+use crate::policy::{Hold, doubt_about};
+use crate::{LostReason, TrackingConfig};
+use monogrid_alignment::Alignment;
+use monogrid_geometry::Mat6;
 use std::collections::VecDeque;
 
-/// Frames that say what residuals are usual, at most and at least: those on the first keyframe agree with it better than any later ones.
+/// Frames that say what is usual, at most.
 const MAX_FRAMES: usize = 200;
-const MIN_FRAMES: usize = 100;
+/// At least for residuals: frames on the first keyframe agree with it better than any later ones.
+const MIN_RESIDUALS: usize = 100;
+/// At least for standard deviations.
+const MIN_SIGMAS: usize = 50;
 
-/// How well the last frames agreed with their keyframes.
+/// How well the last frames held on to their keyframes.
 #[derive(Debug, Default)]
 pub(super) struct Doubt {
-    /// Root mean square residuals, grey levels.
-    residuals: VecDeque<f32>,
-    /// Frames for which a doubt lasts.
-    remaining: usize,
+    last: VecDeque<Hold>,
+    /// Why one of the last frames was doubted, and the frames for which that doubt lasts.
+    lasting: Option<(LostReason, usize)>,
 }
 
 impl Doubt {
-    /// Whether a frame with this root mean square residual, grey levels, is to be doubted after those before it.
-    pub(super) fn judge(&mut self, residual_rms: f32, config: &TrackingConfig) -> bool {
-        if is_doubtful(residual_rms, self.usual(), config) {
-            // the first frames on a keyframe agree with it, whether it is right or not
-            self.remaining = config.doubtful_frames;
-        } else {
-            self.remaining = self.remaining.saturating_sub(1);
+    /// Why a frame with this alignment is to be doubted after those before it, if it is.
+    pub(super) fn judge(
+        &mut self,
+        alignment: &Alignment,
+        config: &TrackingConfig,
+    ) -> Option<LostReason> {
+        let frame = Hold {
+            residual_rms: f64::from(alignment.residual_rms),
+            sigma: alignment.covariance.as_ref().map_or(f64::INFINITY, sigma),
+        };
+        let usual_residual_rms = self.usual(MIN_RESIDUALS, |hold| hold.residual_rms);
+        let usual_sigma = self.usual(MIN_SIGMAS, |hold| hold.sigma);
+        let doubt = doubt_about(&frame, usual_residual_rms, usual_sigma, config);
+        // the first frames on a keyframe agree with it, whether it is right or not
+        let anew = doubt.map(|reason| (reason, config.doubtful_frames));
+        let rest = |(reason, frames): (LostReason, usize)| {
+            let left = frames.saturating_sub(1);
+            (left > 0).then_some((reason, left))
+        };
+        self.lasting = anew.or_else(|| self.lasting.and_then(rest));
+        self.last.push_back(frame);
+        if self.last.len() > MAX_FRAMES {
+            self.last.pop_front();
         }
-        self.residuals.push_back(residual_rms);
-        if self.residuals.len() > MAX_FRAMES {
-            self.residuals.pop_front();
-        }
-        self.remaining > 0
+        self.lasting.map(|(reason, _)| reason)
     }
 
-    /// Median of the last residuals, grey levels; `None` before there are enough.
-    fn usual(&self) -> Option<f32> {
-        let mut residuals: Vec<f32> = self.residuals.iter().copied().collect();
-        if residuals.len() < MIN_FRAMES {
+    /// Median over the last frames; `None` before there are enough.
+    fn usual(&self, min_frames: usize, value: impl Fn(&Hold) -> f64) -> Option<f64> {
+        if self.last.len() < min_frames {
             return None;
         }
-        let middle = residuals.len() / 2;
-        let (_, median, _) = residuals.select_nth_unstable_by(middle, f32::total_cmp);
+        let mut values: Vec<f64> = self.last.iter().map(value).collect();
+        let middle = values.len() / 2;
+        let (_, median, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
         Some(*median)
     }
+}
+
+/// The largest standard deviation of a place or of an orientation, in its worst direction.
+fn sigma(covariance: &Mat6) -> f64 {
+    if !covariance.iter().all(|value| value.is_finite()) {
+        return f64::INFINITY;
+    }
+    let worst = |first: usize| {
+        let block = covariance.fixed_view::<3, 3>(first, first);
+        block.symmetric_eigenvalues().max()
+    };
+    worst(0).max(worst(3)).max(0.0).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tracker::tests::perfect;
+    use monogrid_geometry::Vec6;
 
-    fn judged(residuals: impl IntoIterator<Item = f32>) -> Vec<bool> {
-        let config = TrackingConfig {
+    fn config() -> TrackingConfig {
+        TrackingConfig {
             doubtful_residual: 1.5,
+            doubtful_sigma: 3.0,
             doubtful_frames: 3,
             ..TrackingConfig::default()
+        }
+    }
+
+    /// Which frames are doubted, with these residuals and standard deviations.
+    fn judged(frames: impl IntoIterator<Item = (f32, f64)>) -> Vec<Option<LostReason>> {
+        let (mut doubt, config) = (Doubt::default(), config());
+        let judge = |(residual_rms, sigma): (f32, f64)| {
+            let alignment = Alignment {
+                residual_rms,
+                covariance: Some(Mat6::identity() * sigma.powi(2)),
+                ..perfect(1000)
+            };
+            doubt.judge(&alignment, &config)
         };
-        let mut doubt = Doubt::default();
-        let residuals = residuals.into_iter();
-        residuals.map(|r| doubt.judge(r, &config)).collect()
+        frames.into_iter().map(judge).collect()
     }
 
     #[test]
     fn a_frame_that_agrees_much_worse_than_others_is_doubted_and_so_are_some_after_it() {
         let mut residuals = vec![4.0; 130];
         residuals.extend([6.1, 4.0, 4.0, 4.0, 6.0]);
-        let judged = judged(residuals);
-        assert!(judged[..130].iter().all(|is_doubtful| !is_doubtful));
-        assert_eq!(judged[130..], [true, true, true, false, false]);
+        let judged = judged(residuals.into_iter().map(|r| (r, 0.001)));
+        assert!(judged[..130].iter().all(Option::is_none));
+        let doubted = Some(LostReason::Doubtful);
+        assert_eq!(judged[130..], [doubted, doubted, doubted, None, None]);
+    }
+
+    #[test]
+    fn a_frame_that_holds_on_much_less_is_doubted_and_so_are_some_after_it() {
+        let mut sigmas = vec![0.001; 60];
+        sigmas.extend([0.0031, 0.001, 0.001, 0.001, 0.003]);
+        let judged = judged(sigmas.into_iter().map(|sigma| (4.0, sigma)));
+        assert!(judged[..60].iter().all(Option::is_none));
+        let doubted = Some(LostReason::Loose);
+        assert_eq!(judged[60..], [doubted, doubted, doubted, None, None]);
+    }
+
+    #[test]
+    fn the_last_doubt_says_why() {
+        let mut frames = vec![(4.0, 0.001); 130];
+        frames.extend([(6.1, 0.001), (4.0, 0.0031), (4.0, 0.001)]);
+        let doubts = [LostReason::Doubtful, LostReason::Loose, LostReason::Loose];
+        assert_eq!(judged(frames)[130..], doubts.map(Some));
     }
 
     #[test]
     fn the_first_frames_say_nothing_of_what_is_usual() {
-        assert!(!judged((0..100).map(|k| if k == 99 { 40.0 } else { 4.0 }))[99]);
-        assert!(judged((0..101).map(|k| if k == 100 { 40.0 } else { 4.0 }))[100]);
+        let last = |frames: usize, last: (f32, f64)| {
+            let frame = |k| if k + 1 == frames { last } else { (4.0, 0.001) };
+            judged((0..frames).map(frame))[frames - 1]
+        };
+        assert_eq!(last(100, (40.0, 0.001)), None);
+        assert_eq!(last(101, (40.0, 0.001)), Some(LostReason::Doubtful));
+        assert_eq!(last(50, (4.0, 1.0)), None);
+        assert_eq!(last(51, (4.0, 1.0)), Some(LostReason::Loose));
     }
 
     #[test]
     fn what_lasts_becomes_usual() {
-        let judged = judged((0..400).map(|k| if k < 200 { 4.0 } else { 7.0 }));
-        assert!(judged[200] && judged[299]);
-        assert!(!judged[399]);
+        let judged = judged((0..400).map(|k| (if k < 200 { 4.0 } else { 7.0 }, 0.001)));
+        assert!(judged[200].is_some() && judged[299].is_some());
+        assert_eq!(judged[399], None);
+    }
+
+    #[test]
+    fn the_worst_direction_counts() {
+        let variances = Vec6::new(1.0, 2.0, 9.0, 4.0, 1.0, 1.0);
+        assert!((sigma(&Mat6::from_diagonal(&variances)) - 3.0).abs() < 1e-12);
+        let turning = Vec6::new(1.0, 2.0, 3.0, 16.0, 1.0, 1.0);
+        assert!((sigma(&Mat6::from_diagonal(&turning)) - 4.0).abs() < 1e-12);
+        assert_eq!(sigma(&Mat6::repeat(f64::NAN)), f64::INFINITY);
     }
 }

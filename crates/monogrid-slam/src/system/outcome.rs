@@ -24,8 +24,8 @@ pub(super) struct FrameOutcome {
 pub(super) struct Attempt {
     pub keyframe: KeyframeId,
     pub tracked: Tracked,
-    /// Whether it agrees with its keyframe much worse than frames before it did with theirs.
-    pub is_doubtful: bool,
+    /// Why its pose is to be doubted after the frames before it, if it is.
+    pub doubt: Option<LostReason>,
 }
 
 /// How a frame got its pose, or why it has none.
@@ -118,9 +118,9 @@ fn report_attempt(attempt: &Attempt, report: &mut FrameReport) {
     let alignment = &attempt.tracked.alignment;
     report.state = attempt.tracked.state;
     report.reason = attempt.tracked.reason;
-    if attempt.is_doubtful && report.state == TrackingState::Good {
+    if attempt.doubt.is_some() && report.state == TrackingState::Good {
         report.state = TrackingState::Degraded;
-        report.reason = Some(LostReason::Doubtful);
+        report.reason = attempt.doubt;
     }
     report.residual = alignment.residual_rms;
     report.good_share = alignment.good_of_visible;

@@ -206,8 +206,8 @@ impl Slam {
             Some(attempt) if attempt.is_believed() => attempt,
             attempt => return self.find_back(frame, attempt),
         };
-        let residual = attempt.tracked.alignment.residual_rms;
-        attempt.is_doubtful = (self.camera.doubt).judge(residual, &self.setup.config.tracking);
+        let tracking = &self.setup.config.tracking;
+        attempt.doubt = (self.camera.doubt).judge(&attempt.tracked.alignment, tracking);
         let motion = attempt.tracked.alignment.motion;
         let place = self
             .map

@@ -26,7 +26,7 @@ pub(super) fn track_frame(
     Some(Attempt {
         keyframe: active.id,
         tracked: doubt(setup, tracked, camera.lost_in_a_row),
-        is_doubtful: false,
+        doubt: None,
     })
 }
 

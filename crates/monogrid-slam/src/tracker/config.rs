@@ -47,8 +47,10 @@ pub struct TrackingConfig {
     /// Degraded below this share of good points of the visible ones. Range [0, 1].
     pub degraded_good_of_visible: f32,
     /// Reported as degraded where the residual is more than so many times the median of the last 200 frames: the camera may have
-    /// slid before a plain wall, whatever else it sees. Range [1, 1000].
-    pub doubtful_residual: f32,
+    /// slid before a plain wall, whatever else it sees (range [1, 1000]),
+    pub doubtful_residual: f64,
+    /// and where the largest standard deviation of the pose is more than so many times that of these. Range [1, 1000].
+    pub doubtful_sigma: f64,
     /// Frames for which that doubt lasts at least, this one counted. Range [0, 1000].
     pub doubtful_frames: usize,
     /// Largest difference from where the motion of the last frames leads (norm of the twist, median depths and
@@ -145,6 +147,7 @@ impl Default for TrackingConfig {
             min_correlation: 0.4,
             degraded_good_of_visible: 0.7,
             doubtful_residual: 1.5,
+            doubtful_sigma: 3.5,
             doubtful_frames: 5,
             surprising_motion: 0.2,
             surprising_log_gain: 0.2,

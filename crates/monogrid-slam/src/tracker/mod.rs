@@ -268,11 +268,11 @@ pub(crate) fn extrapolate(frame_from_last: &Se3, interval_ns: i64, next_interval
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// Of a frame that shows all points where they should be.
-    pub(super) fn perfect(num_points: usize) -> Alignment {
+    pub(crate) fn perfect(num_points: usize) -> Alignment {
         Alignment {
             motion: Motion::from_pose(Se3::identity()),
             residual_rms: 2.0,
