@@ -110,8 +110,8 @@ fn factorise_block<const B: usize>(block: &mut Block<B>) -> Option<()> {
         if pivot <= 0.0 || !pivot.is_finite() {
             return None;
         }
-        for r in 0..B {
-            block[k][r] = if r < k { 0.0 } else { block[k][r] / pivot };
+        for (r, value) in block[k].iter_mut().enumerate() {
+            *value = if r < k { 0.0 } else { *value / pivot };
         }
         let done = block[k];
         for (c, column) in block.iter_mut().enumerate().skip(k + 1) {
