@@ -2,6 +2,7 @@
 
 use super::{Picture, colour, shrink};
 use monogrid_occupancy::{MapError, Occupancy, OccupancyMap};
+use std::collections::BTreeMap;
 
 /// One occupied cell, z up.
 #[derive(Debug, Clone, Copy)]
@@ -91,7 +92,8 @@ pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Pict
     shrink(&canvas.picture, OVERSAMPLING)
 }
 
-/// Where to cut so that one looks into the room in which the camera moved: somewhat above its path.
+/// Where to cut so that one looks into the room in which the camera moved: somewhat above its path, or below the ceiling where that
+/// leaves more to be seen.
 pub fn dollhouse_cut(cubes: &[Cube], path: &[[f64; 3]]) -> Option<f64> {
     let highest = path.iter().map(|p| p[2]).max_by(f64::total_cmp)?;
     let mut heights: Vec<f64> = cubes.iter().map(|cube| cube.center[2]).collect();
@@ -99,7 +101,42 @@ pub fn dollhouse_cut(cubes: &[Cube], path: &[[f64; 3]]) -> Option<f64> {
     let cut = highest + 0.15 * (highest - floor).max(0.0);
     // a camera that looks up from the floor must not lose everything that it saw
     let kept = cubes.iter().filter(|cube| cube.center[2] <= cut).count();
-    (2 * kept >= cubes.len()).then_some(cut)
+    if 2 * kept >= cubes.len() {
+        Some(cut)
+    } else {
+        below_ceiling(cubes, highest)
+    }
+}
+
+/// A ceiling is at most so many cells thick below its densest layer,
+const CEILING_CELLS: i64 = 12;
+/// and holds at least this share of the cells.
+const CEILING_SHARE: f64 = 0.25;
+
+/// Below the layer above `height` that holds most cells, where that is a ceiling: thin, and much of the map.
+fn below_ceiling(cubes: &[Cube], height: f64) -> Option<f64> {
+    let sizes = cubes.iter().map(|cube| cube.size);
+    let cell = sizes.min_by(f64::total_cmp)?;
+    let area = |cube: &Cube| (cube.size / cell).powi(2);
+    let mut layers: BTreeMap<i64, f64> = BTreeMap::new();
+    for cube in cubes {
+        let layer = ((cube.center[2] - height) / cell).floor() as i64;
+        *layers.entry(layer).or_default() += area(cube);
+    }
+    let above = layers.range(1..);
+    let (&densest, &most) = above.max_by(|a, b| a.1.total_cmp(b.1))?;
+    let is_ceiling = |layer: i64| layers.get(&layer).is_some_and(|area| *area >= 0.1 * most);
+    let mut lowest = densest;
+    while lowest > 0 && is_ceiling(lowest - 1) {
+        lowest -= 1;
+    }
+    let highest = densest + CEILING_CELLS;
+    let ceiling: f64 = layers.range(lowest..=highest).map(|(_, area)| area).sum();
+    let all: f64 = cubes.iter().map(area).sum();
+    let is_thin = lowest > 0 && densest - lowest <= CEILING_CELLS;
+    // a centre may lie on the border of its layer
+    let cut = height + (lowest as f64 - 0.25) * cell;
+    (is_thin && ceiling >= CEILING_SHARE * all).then_some(cut)
 }
 
 fn height_range(cubes: &[Cube]) -> (f64, f64) {
@@ -345,5 +382,21 @@ mod tests {
         let cut = dollhouse_cut(&cubes, &[[0.0, 0.0, 6.0]]).unwrap();
         assert!((6.0..8.0).contains(&cut), "{cut}");
         assert_eq!(dollhouse_cut(&cubes, &[[0.0, 0.0, 1.0]]), None);
+    }
+
+    #[test]
+    fn a_ceiling_that_is_most_of_the_map_is_cut_off_below() {
+        let layer = |z: usize, side: usize| {
+            (0..side * side).map(move |k| cube((k % side) as f64, (k / side) as f64, z as f64))
+        };
+        // a wall of thirty layers and a ceiling of two
+        let wall =
+            (0..30).flat_map(|z| (0..20).map(move |x| cube(f64::from(x), 0.0, f64::from(z))));
+        let room: Vec<Cube> = wall.chain(layer(30, 30)).chain(layer(31, 30)).collect();
+        let cut = dollhouse_cut(&room, &[[0.0, 0.0, 10.0]]).unwrap();
+        assert!((29.0..30.0).contains(&cut), "{cut}");
+        // a street of high fronts has none
+        let street: Vec<Cube> = (0..30).flat_map(|z| layer(z, 5)).collect();
+        assert_eq!(dollhouse_cut(&street, &[[0.0, 0.0, 5.0]]), None);
     }
 }
