@@ -3,7 +3,7 @@
 //! Sampling proposes several essential matrices (five points) and a homography (four points); every
 //! motion they allow is refined by bundle adjustment and compared on the same robust cost. The best
 //! is believed only if it is clearly better than any other, if the matches have parallax that no
-//! rotation explains, and if the direction of translation is well determined. `algorithms.md` 2.3.
+//! rotation explains, and if the direction of translation is well determined.
 
 mod five_point;
 mod homography;
