@@ -21,9 +21,17 @@ pub(super) fn solve_step(
     lambda: f64,
 ) -> Option<Step> {
     let poses = solve_poses(window, normal, state, lambda)?;
-    if !poses.iter().all(|x| x.is_finite()) {
-        return None;
-    }
+    let is_finite = poses.iter().all(|x| x.is_finite());
+    is_finite.then(|| back_substitute(window, normal, lambda, poses))
+}
+
+/// The step that a step of the poses leaves to the points.
+pub(super) fn back_substitute(
+    window: &Window,
+    normal: &Normal,
+    lambda: f64,
+    poses: DVector<f64>,
+) -> Step {
     let diagonal = window.diagonal(normal);
     let mut predicted = 0.0;
     for i in 0..poses.len() {
@@ -44,11 +52,11 @@ pub(super) fn solve_step(
         *inverse_depth = step;
         predicted += 0.5 * step * (lambda * h * step + normal.b_points[point]);
     }
-    Some(Step {
+    Step {
         poses,
         inverse_depths,
         predicted,
-    })
+    }
 }
 
 /// Inverse of the reduced system without damping: the covariance of all free poses.

@@ -40,12 +40,11 @@ impl Doubt {
         let usual_sigma = self.usual(MIN_SIGMAS, |hold| hold.sigma);
         let doubt = doubt_about(&frame, usual_residual_rms, usual_sigma, config);
         // the first frames on a keyframe agree with it, whether it is right or not
-        let anew = doubt.map(|reason| (reason, config.doubtful_frames));
-        let rest = |(reason, frames): (LostReason, usize)| {
-            let left = frames.saturating_sub(1);
-            (left > 0).then_some((reason, left))
+        let lasting = match (doubt, self.lasting) {
+            (Some(reason), _) => Some((reason, config.doubtful_frames)),
+            (None, lasting) => lasting.map(|(reason, frames)| (reason, frames - 1)),
         };
-        self.lasting = anew.or_else(|| self.lasting.and_then(rest));
+        self.lasting = lasting.filter(|(_, frames)| *frames > 0);
         self.last.push_back(frame);
         if self.last.len() > MAX_FRAMES {
             self.last.pop_front();
@@ -144,6 +143,23 @@ mod tests {
         assert_eq!(last(101, (40.0, 0.001)), Some(LostReason::Doubtful));
         assert_eq!(last(50, (4.0, 1.0)), None);
         assert_eq!(last(51, (4.0, 1.0)), Some(LostReason::Loose));
+    }
+
+    #[test]
+    fn doubt_that_lasts_for_no_frame_is_none() {
+        let config = TrackingConfig {
+            doubtful_frames: 0,
+            ..config()
+        };
+        let mut doubt = Doubt::default();
+        for k in 0..101 {
+            let alignment = Alignment {
+                residual_rms: if k == 100 { 40.0 } else { 4.0 },
+                covariance: Some(Mat6::identity()),
+                ..perfect(1000)
+            };
+            assert_eq!(doubt.judge(&alignment, &config), None);
+        }
     }
 
     #[test]

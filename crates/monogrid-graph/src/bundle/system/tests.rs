@@ -1,6 +1,6 @@
 use crate::bundle::linear::{State, Window};
 use crate::bundle::prepare::Layout;
-use crate::bundle::schur::solve_step;
+use crate::bundle::schur::{back_substitute, solve_step};
 use crate::bundle::system::reduce;
 use crate::bundle::{
     AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
@@ -68,10 +68,15 @@ fn a_step_is_that_of_the_dense_system() {
     let normal = window.linearise(&state);
     let step = solve_step(&window, &normal, &state, 1e-3).unwrap();
     let (s, b) = reduce(&window, &normal, &state, 1e-3);
-    let dense = layout.pattern.dense(&s).cholesky().unwrap().solve(&b);
-    let size = dense.norm();
+    let poses = layout.pattern.dense(&s).cholesky().unwrap().solve(&b);
+    let dense = back_substitute(&window, &normal, 1e-3, poses);
+    let size = dense.poses.norm();
     assert!(size > 1e-3, "{size}");
-    assert!((&step.poses - &dense).norm() < 1e-9 * size);
+    assert!((&step.poses - &dense.poses).norm() < 1e-9 * size);
+    for (a, b) in step.inverse_depths.iter().zip(&dense.inverse_depths) {
+        assert!((a - b).abs() < 1e-9, "{a} {b}");
+    }
+    assert!((step.predicted / dense.predicted - 1.0).abs() < 1e-9);
 }
 
 #[test]
