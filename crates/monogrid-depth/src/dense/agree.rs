@@ -29,11 +29,13 @@ struct Opinions {
     squares: f32,
     /// Those that see through the point.
     against: usize,
+    /// Those that see something before it: covered, as it may be, or wrong.
+    before: usize,
 }
 
 impl DenseDepth {
-    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within `config.tolerance`, and no more
-    /// of them see through, with the variance of the own costs, of the disagreement at the pixel, and of the disagreement that
+    /// The depth of the pixels that at least `config.min_agreeing` witnesses confirm to within `config.tolerance` (one less where they agree
+    /// closely) and are not outvoted by others, with the variance of the own costs, of the disagreement at the pixel, and of the disagreement that
     /// all pixels share. It is not the mean with that of the witnesses: a mean agrees with what it is made of, and how far keyframes
     /// disagree is what tells the uncertainty of the map.
     ///
@@ -52,9 +54,7 @@ impl DenseDepth {
                 }
                 let point = camera.unproject(&Vec2::new(x as f64, y as f64)) / f64::from(idepth);
                 let opinions = heard(&point, witnesses, &camera, config, &mut differences);
-                let is_held = opinions.agreeing >= config.min_agreeing
-                    && opinions.against <= opinions.agreeing;
-                if is_held {
+                if opinions.is_held(config) {
                     let own = self.sigma.at(x, y) / idepth;
                     agreed.idepth.set(x, y, idepth);
                     let variance = 0.5 * own * own + opinions.spread();
@@ -72,6 +72,16 @@ impl DenseDepth {
 }
 
 impl Opinions {
+    /// Whether enough witnesses agree and they are not outvoted: what sees through the point counts as one, what sees something before it as a
+    /// half. One witness less will do if none sees through the point and the others agree twice as closely.
+    fn is_held(&self, config: &DenseConfig) -> bool {
+        let tolerance = 0.5 * config.tolerance as f32;
+        let is_close = self.squares <= self.agreeing as f32 * tolerance * tolerance;
+        let missing = usize::from(self.against == 0 && is_close);
+        let needed = config.min_agreeing.saturating_sub(missing).max(1);
+        self.agreeing >= needed && 2 * self.agreeing >= 2 * self.against + self.before
+    }
+
     /// Variance of the differences, with the own one of 0.
     fn spread(&self) -> f32 {
         let count = self.agreeing as f32 + 1.0;
@@ -100,6 +110,8 @@ fn heard(
             opinions.squares += difference * difference;
         } else if difference < 0.0 {
             opinions.against += 1;
+        } else {
+            opinions.before += 1;
         }
     }
     opinions
@@ -141,5 +153,44 @@ impl Differences {
         });
         let at = COMPARABLE * (bin.unwrap_or(0) as f32 + 0.5) / BINS as f32;
         (at / 2.0_f32.sqrt()).max(MIN_SHARED_SIGMA)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depth_is_held_by_two_that_agree_or_by_one_that_agrees_closely_and_never_outvoted() {
+        let config = DenseConfig::default();
+        let held = |agreeing: usize, difference: f32, [against, before]: [usize; 2]| {
+            let opinions = Opinions {
+                agreeing,
+                sum: agreeing as f32 * difference,
+                squares: agreeing as f32 * difference * difference,
+                against,
+                before,
+            };
+            opinions.is_held(&config)
+        };
+        assert!(!held(0, 0.0, [0, 0]));
+        // within half the tolerance of 2 %, and none sees through it
+        assert!(held(1, 0.009, [0, 0]) && !held(1, 0.011, [0, 0]));
+        assert!(!held(1, 0.001, [1, 0]));
+        assert!(held(1, 0.001, [0, 2]) && !held(1, 0.001, [0, 3]));
+        assert!(held(2, 0.019, [0, 0]) && held(2, 0.019, [2, 0]));
+        assert!(!held(2, 0.019, [3, 0]) && !held(2, 0.019, [2, 1]));
+        assert!(held(4, 0.019, [3, 2]) && !held(4, 0.019, [3, 3]));
+        let three = DenseConfig {
+            min_agreeing: 3,
+            ..config
+        };
+        let opinions = |agreeing, against| Opinions {
+            agreeing,
+            against,
+            ..Opinions::default()
+        };
+        assert!(opinions(2, 0).is_held(&three) && !opinions(2, 1).is_held(&three));
+        assert!(!opinions(1, 0).is_held(&three) && opinions(3, 1).is_held(&three));
     }
 }

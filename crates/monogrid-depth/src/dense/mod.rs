@@ -55,7 +55,8 @@ pub struct DenseConfig {
     pub min_contrast: f64,
     /// Relative difference of two depths of one surface. Default 0.02. Range [0.0001, 0.1].
     pub tolerance: f64,
-    /// Other keyframes that must have the same depth. Default 2. Range [1, 100].
+    /// Other keyframes that must have the same depth; one less is enough where none sees through the point and the depths differ by less than half
+    /// the tolerance. Default 2. Range [1, 100].
     pub min_agreeing: usize,
 }
 

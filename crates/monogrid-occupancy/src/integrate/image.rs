@@ -7,6 +7,7 @@ use super::IntegrationConfig;
 use super::chunks::Chunk;
 use super::depth_image::range_image;
 use super::samples::point_images;
+use super::slope::band_by_slope;
 use super::windows::higher;
 use crate::error::MapError;
 use crate::for_avx2::for_avx2;
@@ -17,7 +18,7 @@ use crate::sensor::table::{KnownTables, TableSet};
 pub(super) const PIXELS_PER_CELL: f64 = 2.5;
 /// Ranges that differ by less than this share of themselves are of one surface. A tenth would join
 /// furniture with the wall behind it at a range where nothing is.
-const ONE_SURFACE: f32 = 0.05;
+pub(super) const ONE_SURFACE: f32 = 0.05;
 /// Slopes that an image spans at least, along each of its axes.
 pub(crate) const NARROWEST_SLOPES: f64 = 1e-3;
 /// Most pixels of one image.
@@ -85,10 +86,15 @@ impl RangeImages {
             axes.map(|axis| std::array::from_fn(|i| (0..3).map(|j| rotation[i][j] * axis[j]).sum()))
         };
         let found = range_image(scan, in_world(FORWARD), resolution, &mut tables);
-        let (images, points) = match found {
+        let (mut images, points) = match found {
             Some(found) => found,
             None => point_images(scan, config, resolution, threads, in_world, &mut tables),
         };
+        if config.band_by_slope && tables.has_automatic_band() {
+            for image in &mut images {
+                band_by_slope(image, &mut tables, resolution);
+            }
+        }
         Ok(Self {
             origin: scan.world_from_sensor.translation,
             images,

@@ -34,6 +34,7 @@ pub(crate) mod rays;
 mod samples;
 mod search;
 pub(crate) mod settled;
+mod slope;
 mod visits;
 pub(crate) mod windows;
 mod writer;
@@ -79,6 +80,9 @@ pub struct IntegrationConfig {
     /// only if all of it is; but false measurements gain as well, and noise where cells are not larger
     /// than it. Default 1, for range sensors.
     pub obstacle_weight: u8,
+    /// Rule `fused`, automatic thickness: whether the band is as long along each line of sight as the cells that the surface passes through
+    /// there, by its slope in the image, instead of a cell's diagonal. Default false.
+    pub band_by_slope: bool,
     /// What the uncertainty of an inverse depth is taken for. Default: propagated to the range.
     pub sigma_mode: SigmaMode,
 }
@@ -93,6 +97,7 @@ impl Default for IntegrationConfig {
             update_max: 1.2,
             cutoff_log_odds: 0.02,
             obstacle_weight: 1,
+            band_by_slope: false,
             sigma_mode: SigmaMode::default(),
         }
     }

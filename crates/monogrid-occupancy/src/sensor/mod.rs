@@ -194,6 +194,38 @@ impl SensorModel {
         }
     }
 
+    /// The band of an automatic thickness: so many standard deviations, and the least length.
+    pub(crate) fn automatic_band(&self) -> Option<(f64, f64)> {
+        match *self {
+            Self::Ideal {
+                buffer: Buffer::Auto { sigmas, min },
+            }
+            | Self::Thrun {
+                buffer: Buffer::Auto { sigmas, min },
+                ..
+            } => Some((sigmas, min)),
+            _ => None,
+        }
+    }
+
+    /// The model with another least length of an automatic band.
+    pub(crate) fn with_least_band(self, min: f64) -> Self {
+        let with = |buffer| match buffer {
+            Buffer::Auto { sigmas, .. } => Buffer::Auto { sigmas, min },
+            Buffer::Fixed(length) => Buffer::Fixed(length),
+        };
+        match self {
+            Self::Ideal { buffer } => Self::Ideal {
+                buffer: with(buffer),
+            },
+            Self::Thrun { buffer, form } => Self::Thrun {
+                buffer: with(buffer),
+                form,
+            },
+            other => other,
+        }
+    }
+
     /// Probability that the cell at `range` on the ray is occupied, exact in `f64`.
     ///
     /// `range`, `measured_range` and `sigma` are positive and in map units. The result is in

@@ -367,7 +367,9 @@ mod tests {
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {
             assert!(10 * scan.num_pixels > 9 * last[scan.id as usize].num_pixels);
-            assert!(share_right(scan, 1.0) > 0.99);
+            // what a single neighbour confirms, until the others are there, is now and then wrong
+            assert!(share_right(scan, 1.0) > 0.98);
+            assert!(share_right(&last[scan.id as usize], 1.0) > 0.99);
         }
         // the filter has too little to be mapped, and nothing right
         let measured = &keyframes[1].pixels;

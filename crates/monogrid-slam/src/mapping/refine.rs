@@ -114,7 +114,12 @@ impl Found {
         let pixels = final_pixels(keyframes, index, dense, camera, config);
         let image = keyframes.image(index);
         let id = keyframes.id(index);
-        let depths = Depths::new(id, &pixels, image.as_deref(), camera, config);
+        // how certain a plane is, keyframes tell together
+        let limit = match config.sigma_from_agreement {
+            true => config.fill.max_stated_sigma,
+            false => config.filter.max_relative_sigma,
+        };
+        let depths = Depths::new(id, &pixels, image.as_deref(), camera, (config, limit));
         Self::new(depths, keyframes.world_from_keyframe(index), camera, store)
     }
 

@@ -86,7 +86,8 @@ impl KeyframeScan {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let depths = Depths::new(id, pixels, image, camera, config);
+        let limit = config.filter.max_relative_sigma;
+        let depths = Depths::new(id, pixels, image, camera, (config, limit));
         depths.joined(id, camera, &Store::default())
     }
 
@@ -164,20 +165,19 @@ pub(super) struct Depths {
 }
 
 impl Depths {
-    /// The measurements that pass the filter, and depth on the plain surfaces between them.
+    /// The measurements that pass the filter, and depth on the plain surfaces between them, of at most that relative standard deviation.
     pub fn new(
         id: KeyframeId,
         pixels: &[DepthPixel],
         image: Option<&Image<u8>>,
         camera: &KeyframeCamera,
-        config: &MappingConfig,
+        (config, max_filled_sigma): (&MappingConfig, f64),
     ) -> Self {
         let mut measured = measured(id, pixels, camera, &config.filter);
         measured.shrink_to_fit();
-        let limit = config.filter.max_relative_sigma;
         let mut filled = match image {
             Some(image) if config.fill.enabled => {
-                fill_plain_regions(image, &measured, limit, &config.fill)
+                fill_plain_regions(image, &measured, max_filled_sigma, &config.fill)
             }
             _ => Vec::new(),
         };

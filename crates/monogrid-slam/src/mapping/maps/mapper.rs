@@ -55,6 +55,7 @@ impl Mapper {
             cutoff_log_odds: config.tail_log_odds as f32,
             // Depth from video has false measurements enough: they would gain as well.
             obstacle_weight: 0,
+            band_by_slope: config.band_by_slope,
             sigma_mode: match config.sigma_mode {
                 SigmaMode::Range => OccupancySigmaMode::Range,
                 SigmaMode::RawInverseDepth => OccupancySigmaMode::RawInverseDepth,
@@ -210,6 +211,8 @@ impl Mapper {
         // A range sensor, unlike depth from video, measures few obstacles that are not there.
         let integration = IntegrationConfig {
             obstacle_weight: IntegrationConfig::default().obstacle_weight,
+            // nor are its points as dense as an image
+            band_by_slope: false,
             ..self.integration.clone()
         };
         integrate(map, &scan, &integration, self.threads).map(|report| report.points)
