@@ -193,9 +193,13 @@ mod tests {
         for (normal, turned, expected) in [
             // a wall along the axes, looked at straight and under 45 degrees
             ([0.0, 0.0, 1.0], 0.0, 1.0),
-            ([0.0, 0.0, 1.0], 0.785_398_2, 2.0_f32.sqrt()),
+            ([0.0, 0.0, 1.0], std::f64::consts::FRAC_PI_4, 2.0_f32.sqrt()),
             // a wall across the axes, looked at straight: cells on edge
-            ([root, 0.0, root], 0.785_398_2, 2.0_f32.sqrt()),
+            (
+                [root, 0.0, root],
+                std::f64::consts::FRAC_PI_4,
+                2.0_f32.sqrt(),
+            ),
             ([root, 0.0, root], 0.0, 2.0),
         ] {
             let image = plane(normal, 2.0, turned);
