@@ -308,8 +308,8 @@ pub struct MappingConfig {
     pub auto_resolution: bool,
     /// Inverse sensor model. Default `thrun`.
     pub sensor_model: SensorModelKind,
-    /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of a cell's diagonal and
-    /// `buffer_sigmas` standard deviations. Default `"auto"`. Range [0.000001, 1000000].
+    /// Thickness L of the occupied band of `ideal` and `thrun`, or `"auto"`: the larger of the way through the cells of the surface (a cell's
+    /// diagonal, or `band_by_slope`) and `buffer_sigmas` standard deviations. Default `"auto"`. Range [0.000001, 1000000].
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence against the
     /// obstacle). Default 2.1; docs/sensor-parameters.md derives it. Range [0.862, 100].
