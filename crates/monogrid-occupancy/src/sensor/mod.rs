@@ -160,22 +160,13 @@ impl SensorModel {
     /// The model for a map with cells of edge `resolution`: fills in what "auto" leaves open.
     #[must_use]
     pub fn at_resolution(self, resolution: f64) -> Self {
-        let with_diagonal = |buffer| match buffer {
-            Buffer::Auto { sigmas, min } => Buffer::Auto {
-                sigmas,
-                min: min.max(3_f64.sqrt() * resolution),
-            },
-            Buffer::Fixed(length) => Buffer::Fixed(length),
-        };
         match self {
             Self::None => Self::None,
-            Self::Ideal { buffer } => Self::Ideal {
-                buffer: with_diagonal(buffer),
-            },
-            Self::Thrun { buffer, form } => Self::Thrun {
-                buffer: with_diagonal(buffer),
-                form,
-            },
+            Self::Ideal { .. } | Self::Thrun { .. } => {
+                let diagonal = 3_f64.sqrt() * resolution;
+                let least = |(_, min): (f64, f64)| self.with_least_band(min.max(diagonal));
+                self.automatic_band().map_or(self, least)
+            }
             Self::Andert {
                 significance,
                 p_min,
