@@ -46,7 +46,7 @@ pub use config::{ConfigError, DepthConfig, FrameChoice, GradientSelection, Varia
 pub use dense::{DenseConfig, DenseDepth, Witness, dense_depth};
 pub use host::{HostError, HostFrame};
 pub use map::{DepthMap, DepthState};
-pub use multi_view::{MultiViewConfig, SourceView, refine_depth};
+pub use multi_view::{MultiViewConfig, SourceView, epipolar_misfits, refine_depth};
 pub use observe::{DepthBand, StereoFrame};
 pub use packed::PackedDepth;
 pub use pixels::{PixelDepth, PixelFilter};

@@ -14,8 +14,11 @@
 //! A pixel that its sources do not agree about has no new depth. Half of the pixels take the mean of their
 //! neighbours where these agree.
 
+mod misfit;
 mod search;
 mod sight;
+
+pub use misfit::epipolar_misfits;
 
 use crate::PixelDepth;
 use crate::config::{ConfigError, Limit, first_outside};
@@ -135,11 +138,7 @@ pub fn refine_depth(
     sources: &[SourceView],
     config: &MultiViewConfig,
 ) -> (Vec<PixelDepth>, usize) {
-    let projections: Vec<Projection> = sources
-        .iter()
-        .filter(|s| s.image.width() == image.width() && s.image.height() == image.height())
-        .map(|source| Projection::new(source, camera))
-        .collect();
+    let projections = Projection::of_sources(image, camera, sources);
     let mut search = search::Search::new(image, &projections, config);
     let is_first = |p: &PixelDepth| !config.interpolate || (p.x ^ p.y).is_multiple_of(2);
     let mut refined: Vec<Option<PixelDepth>> = pixels

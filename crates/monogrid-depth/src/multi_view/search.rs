@@ -20,7 +20,7 @@ const MAX_COST: f32 = 0.7;
 /// Patches of less contrast (root of the sum of squares, grey levels) have no depth to find.
 const MIN_CONTRAST: f32 = 8.0;
 /// Contrast below which a patch of a source counts as noise, grey levels.
-const NOISE_CONTRAST: f32 = 4.0;
+pub(super) const NOISE_CONTRAST: f32 = 4.0;
 
 /// Refines the pixels of one keyframe, one after the other.
 pub(super) struct Search<'a> {
@@ -28,11 +28,11 @@ pub(super) struct Search<'a> {
     projections: &'a [Projection<'a>],
     config: &'a MultiViewConfig,
     /// Of the present pixel, largest disparity first.
-    sights: Vec<Sight<'a>>,
+    pub sights: Vec<Sight<'a>>,
 }
 
 /// The surroundings of a pixel in the keyframe: mean 0, norm 1.
-struct Patch([f32; SAMPLES]);
+pub(super) struct Patch([f32; SAMPLES]);
 
 /// What one iteration found.
 struct Normal {
@@ -77,7 +77,7 @@ impl<'a> Search<'a> {
     }
 
     /// Finds the sources that see the pixel with the largest disparity; `None` if there are not two.
-    fn find_sights(&mut self, pixel: &PixelDepth) -> Option<()> {
+    pub fn find_sights(&mut self, pixel: &PixelDepth) -> Option<()> {
         let direction = gradient_direction(self.image, pixel)?;
         let at = [f64::from(pixel.x), f64::from(pixel.y)];
         let idepth = f64::from(pixel.idepth);
@@ -193,11 +193,7 @@ impl<'a> Search<'a> {
             }
             normal.agreeing += usize::from(correlation > self.config.min_correlation as f32);
             // what a gain explains is no residual
-            let slope_gain = patch.dot(&slope);
-            for ((v, s), p) in value.iter_mut().zip(&mut slope).zip(&patch.0) {
-                *v -= gain * p;
-                *s -= slope_gain * p;
-            }
+            let [value, slope] = [value, slope].map(|values| patch.without(values));
             let (jr, jj, rr) = (
                 dot(&slope, &value),
                 dot(&slope, &slope),
@@ -231,7 +227,7 @@ impl Normal {
 
 impl Patch {
     /// `None` at the border of the image, without contrast, or without depth.
-    fn around(image: &Image<u8>, pixel: &PixelDepth) -> Option<Self> {
+    pub fn around(image: &Image<u8>, pixel: &PixelDepth) -> Option<Self> {
         let (x, y) = (i32::from(pixel.x), i32::from(pixel.y));
         let (width, height) = (image.width() as i32, image.height() as i32);
         let is_inside = x >= 2 && y >= 2 && x < width - 2 && y < height - 2;
@@ -246,8 +242,17 @@ impl Patch {
         (contrast >= MIN_CONTRAST).then(|| Self(values.map(|v| v / contrast)))
     }
 
-    fn dot(&self, values: &[f32; SAMPLES]) -> f32 {
+    pub fn dot(&self, values: &[f32; SAMPLES]) -> f32 {
         dot(&self.0, values)
+    }
+
+    /// What a gain of the patch does not explain of values.
+    pub fn without(&self, mut values: [f32; SAMPLES]) -> [f32; SAMPLES] {
+        let gain = self.dot(&values);
+        for (value, patch) in values.iter_mut().zip(&self.0) {
+            *value -= gain * patch;
+        }
+        values
     }
 }
 
@@ -279,14 +284,14 @@ fn cost_at(sight: &Sight, idepth: f64, patch: &Patch) -> f32 {
 }
 
 /// Takes the mean away.
-fn center(values: &mut [f32; SAMPLES]) {
+pub(super) fn center(values: &mut [f32; SAMPLES]) {
     let mean = sum(values) / SAMPLES as f32;
     for value in values {
         *value -= mean;
     }
 }
 
-fn norm(values: &[f32; SAMPLES]) -> f32 {
+pub(super) fn norm(values: &[f32; SAMPLES]) -> f32 {
     dot(values, values).sqrt()
 }
 
@@ -301,7 +306,7 @@ fn sum(values: &[f32; SAMPLES]) -> f32 {
     (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
 }
 
-fn dot(a: &[f32; SAMPLES], b: &[f32; SAMPLES]) -> f32 {
+pub(super) fn dot(a: &[f32; SAMPLES], b: &[f32; SAMPLES]) -> f32 {
     let mut products = [0.0; SAMPLES];
     for ((product, a), b) in products.iter_mut().zip(a).zip(b) {
         *product = a * b;

@@ -42,7 +42,21 @@ pub(super) struct Projection<'a> {
 }
 
 impl<'a> Projection<'a> {
-    pub fn new(source: &SourceView<'a>, camera: &Pinhole) -> Self {
+    /// Of those that are of the size of `image`.
+    pub fn of_sources(
+        image: &Image<u8>,
+        camera: &Pinhole,
+        sources: &[SourceView<'a>],
+    ) -> Vec<Self> {
+        let size = [image.width(), image.height()];
+        sources
+            .iter()
+            .filter(|source| [source.image.width(), source.image.height()] == size)
+            .map(|source| Self::new(source, camera))
+            .collect()
+    }
+
+    fn new(source: &SourceView<'a>, camera: &Pinhole) -> Self {
         // in units of the keyframe: projections do not depend on those of the source, sizes shall not either
         let mut pose = source.source_from_keyframe;
         pose.translation /= pose.scale;
@@ -145,7 +159,12 @@ impl<'a> Sight<'a> {
     pub fn center(&self, idepth: f64) -> Option<[f64; 2]> {
         let p = self.ray + self.projection.translation * idepth;
         let at = [p.x / p.z, p.y / p.z];
-        (p.z > 0.0 && is_inside(at, self.projection.image)).then_some(at)
+        (p.z > 0.0 && self.shows(at)).then_some(at)
+    }
+
+    /// Whether the source shows the patch around a point.
+    pub fn shows(&self, at: [f64; 2]) -> bool {
+        is_inside(at, self.projection.image)
     }
 
     /// Motion of [`Sight::center`] per unit of ln(rho), px.
@@ -159,7 +178,7 @@ impl<'a> Sight<'a> {
         ]
     }
 
-    /// Grey values of the patch around a point that [`Sight::center`] gave, or within a pixel of it.
+    /// Grey values of the patch around a point that [`Sight::shows`], or within a pixel of one.
     pub fn values(&self, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
         let image = self.projection.image;
         let (x, y) = (x as f32, y as f32);

@@ -51,6 +51,8 @@ pub(super) struct View {
     pub depths: KeptDepths,
     pub blocks: Arc<Blocks>,
     pub world_from_keyframe: Sim3,
+    /// How far across epipolar lines other images show its patches, px ([`monogrid_depth::epipolar_misfits`]).
+    pub misfits: Arc<[f32]>,
 }
 
 impl Blocks {
@@ -280,6 +282,7 @@ mod tests {
                 depths: KeptDepths::new(&Store::default(), depths.clone()),
                 blocks: Arc::new(Blocks::new(depths, camera)),
                 world_from_keyframe,
+                misfits: Arc::new([]),
             }
         }
     }

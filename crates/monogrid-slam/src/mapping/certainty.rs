@@ -3,7 +3,8 @@
 //! Where two keyframes see the same surface, the difference of their depths over its standard deviation is a standard normal number
 //! if the deviations are right. The median of its absolute value over that of a normal (0.6745) is then what deviations have to
 //! be multiplied by. Keyframes share errors, since the same images measured them, and agree better with each other than with
-//! the truth: [`SHARED_ERRORS`]. Measured depth has one factor for the whole map, and filled depth has one.
+//! the truth. How much better, images tell that do not fit across epipolar lines, where no depth hides it: [`shared_errors`]. Measured depth
+//! has one factor for the whole map, and filled depth has one.
 
 use super::agreement::{View, witnesses};
 use super::refine::for_each_keyframe;
@@ -14,9 +15,16 @@ use monogrid_geometry::{Sim3, Vec2};
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
 
-/// How much farther the truth is than another keyframe: 1.6 to 3.2 in two rendered rooms, a rendered sequence with an exact
-/// truth and two real ones with a depth camera (`docs/studies.md`).
-const SHARED_ERRORS: f32 = 2.2;
+/// How much farther the truth is than another keyframe, for each px that patches are off across their epipolar lines (robust deviation). The middle of
+/// the errors alone would have 3.3 to 5.3 in six rendered sequences, of which one has a rolling shutter and one blur as well, and two real ones with a
+/// depth camera; this much makes two standard deviations hold nine tenths, since errors have tails (`docs/studies.md`).
+const SHARED_PER_PX: f32 = 6.0;
+/// What it is taken for: depths that share nothing would be as far from the truth as from each other.
+const SHARED_ERRORS: std::ops::RangeInclusive<f32> = 0.8..=4.5;
+/// The same where too few patches tell: of real videos.
+const USUAL_SHARED_ERRORS: f32 = 2.2;
+/// Fewest patches that tell it.
+const MIN_PATCHES: usize = 50;
 /// Factors beyond these say that something else is wrong.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.0;
 /// Relative deviation that always remains: of the camera's model and of the pixels' size.
@@ -99,14 +107,15 @@ impl Certainty {
             }
             compared
         });
+        let shared = shared_errors(views);
         let (mut measured, mut filled) = (Vec::new(), Vec::new());
         for mut of_keyframe in compared {
             measured.append(&mut of_keyframe.measured);
             filled.append(&mut of_keyframe.filled);
         }
         Self {
-            measured: factor(&mut measured),
-            filled: factor(&mut filled),
+            measured: factor(&mut measured, shared),
+            filled: factor(&mut filled, shared),
             least: LEAST_RELATIVE_SIGMA,
             most,
         }
@@ -143,13 +152,28 @@ impl Certainty {
     }
 }
 
-fn factor(differences: &mut [f32]) -> f32 {
+/// How much farther the truth is than another keyframe, by how far patches are off across their epipolar lines.
+fn shared_errors(views: &[Option<View>]) -> f32 {
+    let misfits = views.iter().flatten().flat_map(|view| view.misfits.iter());
+    let mut misfits: Vec<f32> = misfits.map(|px| px.abs()).collect();
+    if misfits.len() < MIN_PATCHES {
+        return USUAL_SHARED_ERRORS;
+    }
+    (SHARED_PER_PX * robust_deviation(&mut misfits))
+        .clamp(*SHARED_ERRORS.start(), *SHARED_ERRORS.end())
+}
+
+fn factor(differences: &mut [f32], shared: f32) -> f32 {
     if differences.len() < MIN_COMPARED {
         return 1.0;
     }
-    let middle = differences.len() / 2;
-    let median = *differences.select_nth_unstable_by(middle, f32::total_cmp).1;
-    (SHARED_ERRORS * median / NORMAL_MEDIAN).clamp(*FACTORS.start(), *FACTORS.end())
+    (shared * robust_deviation(differences)).clamp(*FACTORS.start(), *FACTORS.end())
+}
+
+/// The standard deviation of normal numbers with the median of these absolute values, of which there is one.
+fn robust_deviation(magnitudes: &mut [f32]) -> f32 {
+    let middle = magnitudes.len() / 2;
+    *magnitudes.select_nth_unstable_by(middle, f32::total_cmp).1 / NORMAL_MEDIAN
 }
 
 /// Absolute differences in standard deviations.
@@ -294,19 +318,45 @@ mod tests {
             .collect()
     }
 
+    fn views(keyframes: &[(Depths, Sim3)], misfits: &[f32]) -> Vec<Option<View>> {
+        let view = |(depths, pose): &(Depths, Sim3)| {
+            Some(View {
+                misfits: misfits.into(),
+                ..View::in_memory(depths, *pose, &CAMERA)
+            })
+        };
+        keyframes.iter().map(view).collect()
+    }
+
     fn certainty(keyframes: &[(Depths, Sim3)]) -> Certainty {
-        let keyframes = keyframes.iter();
-        let views: Vec<Option<View>> = keyframes
-            .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
-            .collect();
-        Certainty::of_views(&views, &CAMERA, 0.05, 2)
+        Certainty::of_views(&views(keyframes, &[]), &CAMERA, 0.05, 2)
+    }
+
+    #[test]
+    fn the_truth_is_farther_than_keyframes_where_patches_are_farther_from_their_lines() {
+        let keyframes = wall(0.01, 0.01);
+        // with a median of 0.2 px: a robust deviation of 0.3 px
+        let misfits = [-0.9, 0.2, -0.2, 0.1, 0.2, -0.1, 0.5, 0.2, -0.2];
+        let factor = |scale: f32| {
+            let misfits = misfits.map(|px| scale * px);
+            Certainty::of_views(&views(&keyframes, &misfits), &CAMERA, 0.05, 2).measured
+        };
+        let usual = certainty(&keyframes).measured / USUAL_SHARED_ERRORS;
+        let expected = SHARED_PER_PX * 0.2 / NORMAL_MEDIAN;
+        assert!((factor(1.0) / usual - expected).abs() < 1e-4);
+        assert!((factor(1.5) / usual - 1.5 * expected).abs() < 1e-4);
+        assert!((factor(0.01) / usual - SHARED_ERRORS.start()).abs() < 1e-4);
+        assert!((factor(9.0) - (SHARED_ERRORS.end() * usual).min(*FACTORS.end())).abs() < 1e-4);
+        // 48 of them say nothing
+        let few = Certainty::of_views(&views(&keyframes, &misfits[..8]), &CAMERA, 0.05, 2);
+        assert!((few.measured / usual - USUAL_SHARED_ERRORS).abs() < 1e-4);
     }
 
     #[test]
     fn deviations_become_those_of_the_differences() {
         for (errors, said, expected) in [(0.01, 0.01, 1.0), (0.01, 0.02, 0.5), (0.012, 0.01, 1.2)] {
             let found = certainty(&wall(errors, said));
-            let factor = found.measured / SHARED_ERRORS;
+            let factor = found.measured / USUAL_SHARED_ERRORS;
             assert!(
                 (factor / expected - 1.0).abs() < 0.05,
                 "{errors} {said}: {factor}"

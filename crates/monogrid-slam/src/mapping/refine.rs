@@ -13,7 +13,7 @@ use super::scan::{Depths, KeptDepths};
 use super::{FusionConfig, KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
 use crate::DepthPixel;
 use crate::store::{Kept, Store};
-use monogrid_depth::{DenseDepth, PixelDepth, SourceView, refine_depth};
+use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
 use std::borrow::Cow;
@@ -111,7 +111,7 @@ impl Found {
         (camera, config): (&KeyframeCamera, &MappingConfig),
         store: &Store,
     ) -> Self {
-        let pixels = final_pixels(keyframes, index, dense, camera, config);
+        let Refined { pixels, misfits } = final_pixels(keyframes, index, dense, camera, config);
         let image = keyframes.image(index);
         let id = keyframes.id(index);
         // how certain a plane is, keyframes tell together
@@ -120,23 +120,28 @@ impl Found {
             false => config.filter.max_relative_sigma,
         };
         let depths = Depths::new(id, &pixels, image.as_deref(), camera, (config, limit));
-        Self::new(depths, keyframes.world_from_keyframe(index), camera, store)
+        let known = keyframes.world_from_keyframe(index);
+        Self::new(depths, known.zip(Some(misfits.into())), camera, store)
     }
 
+    /// `known`: its pose, and how far its patches are beside epipolar lines.
     fn new(
         depths: Depths,
-        world_from_keyframe: Option<Sim3>,
+        known: Option<(Sim3, Arc<[f32]>)>,
         camera: &KeyframeCamera,
         store: &Store,
     ) -> Self {
-        let blocks = world_from_keyframe.map(|_| Arc::new(Blocks::new(&depths, camera)));
+        let blocks = known
+            .is_some()
+            .then(|| Arc::new(Blocks::new(&depths, camera)));
         let depths = KeptDepths::new(store, depths);
-        let view = world_from_keyframe.zip(blocks);
+        let view = known.zip(blocks);
         Self {
-            view: view.map(|(world_from_keyframe, blocks)| View {
+            view: view.map(|((world_from_keyframe, misfits), blocks)| View {
                 depths: depths.clone(),
                 blocks,
                 world_from_keyframe,
+                misfits,
             }),
             depths,
         }
@@ -156,8 +161,9 @@ impl Found {
             depths.filled.retain(|_| kept.next().unwrap_or(true));
             depths.filled.shrink_to_fit();
         }
-        let pose = self.view.as_ref().map(|view| view.world_from_keyframe);
-        Self::new(depths, pose, camera, self.depths.store())
+        let view = self.view.as_ref();
+        let known = view.map(|view| (view.world_from_keyframe, view.misfits.clone()));
+        Self::new(depths, known, camera, self.depths.store())
     }
 
     /// Its depths, as certain as they are, each fused with those of others that agree; `views[index]` is its own view.
@@ -177,6 +183,12 @@ impl Found {
     }
 }
 
+/// Depth of a keyframe, and how far its patches are beside epipolar lines, px.
+struct Refined<'a> {
+    pixels: Cow<'a, [DepthPixel]>,
+    misfits: Vec<f32>,
+}
+
 /// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
 fn final_pixels<'a>(
     keyframes: &'a dyn Keyframes,
@@ -184,22 +196,19 @@ fn final_pixels<'a>(
     dense: Option<&DenseDepth>,
     camera: &KeyframeCamera,
     config: &MappingConfig,
-) -> Cow<'a, [DepthPixel]> {
+) -> Refined<'a> {
     let pixels = keyframes.pixels(index);
     let pixels = match dense {
         Some(dense) => Cow::Owned(merged(&pixels, dense, camera)),
         None => pixels,
     };
     if config.refine.enabled {
-        Cow::Owned(refined_pixels(
-            keyframes,
-            index,
-            &pixels,
-            camera,
-            &config.refine,
-        ))
+        refined(keyframes, index, pixels, camera, &config.refine)
     } else {
-        pixels
+        Refined {
+            pixels,
+            misfits: Vec::new(),
+        }
     }
 }
 
@@ -215,8 +224,9 @@ pub fn refined_depths(
     threads: usize,
 ) -> Vec<Vec<DepthPixel>> {
     for_each_keyframe(keyframes.len(), threads, |index| {
-        let pixels = keyframes[index].pixels;
-        refined_pixels(&keyframes, index, pixels, camera, config)
+        let pixels = keyframes[index].pixels.into();
+        let refined = refined(&keyframes, index, pixels, camera, config);
+        refined.pixels.into_owned()
     })
 }
 
@@ -251,15 +261,18 @@ pub(super) fn for_each_keyframe<T: Send>(
 }
 
 /// Depths of one keyframe, refined by the others; as they were without an image.
-fn refined_pixels(
+fn refined<'a>(
     keyframes: &dyn Keyframes,
     index: usize,
-    pixels: &[DepthPixel],
+    pixels: Cow<'a, [DepthPixel]>,
     camera: &KeyframeCamera,
     config: &RefineConfig,
-) -> Vec<DepthPixel> {
+) -> Refined<'a> {
     let Some(image) = keyframes.image(index) else {
-        return pixels.to_vec();
+        return Refined {
+            pixels,
+            misfits: Vec::new(),
+        };
     };
     let near: Vec<(Cow<Image<u8>>, Sim3)> = near(keyframes, index, config)
         .into_iter()
@@ -269,16 +282,23 @@ fn refined_pixels(
         .collect();
     let sources = source_views(&near);
     let pixels: Vec<PixelDepth> = pixels.iter().map(PixelDepth::from).collect();
-    let (refined, _) = refine_depth(&image, &camera.pinhole, &pixels, &sources, &config.stereo);
-    refined
-        .into_iter()
-        .map(|pixel| DepthPixel {
+    let (pinhole, stereo) = (&camera.pinhole, &config.stereo);
+    let (refined, _) = refine_depth(&image, pinhole, &pixels, &sources, stereo);
+    Refined {
+        misfits: epipolar_misfits(&image, pinhole, &refined, &sources, stereo),
+        pixels: refined.into_iter().map(DepthPixel::from).collect(),
+    }
+}
+
+impl From<PixelDepth> for DepthPixel {
+    fn from(pixel: PixelDepth) -> Self {
+        Self {
             x: pixel.x,
             y: pixel.y,
             idepth: pixel.idepth,
             idepth_var: pixel.idepth_var,
-        })
-        .collect()
+        }
+    }
 }
 
 impl From<&DepthPixel> for PixelDepth {
