@@ -56,7 +56,7 @@ impl<'a> Projection<'a> {
             .collect()
     }
 
-    fn new(source: &SourceView<'a>, camera: &Pinhole) -> Self {
+    pub fn new(source: &SourceView<'a>, camera: &Pinhole) -> Self {
         // in units of the keyframe: projections do not depend on those of the source, sizes shall not either
         let mut pose = source.source_from_keyframe;
         pose.translation /= pose.scale;

@@ -285,3 +285,43 @@ fn settings_outside_their_range_are_named() {
             .contains("max_search")
     );
 }
+
+#[test]
+fn what_lies_beside_epipolar_lines_is_seen_whatever_the_depth() {
+    let poses = [
+        pose(0.5, 0.0, 0.0, 0.0, 1.0),
+        pose(-0.4, 0.0, 0.0, 0.0, 1.0),
+    ];
+    let misfit = |tilt: f64, error: f64| {
+        // the images are of cameras that look a little lower than is believed
+        let tilted = Sim3::new(
+            1.0,
+            Rotation::from_scaled_axis(Vec3::x() * tilt),
+            Vec3::zeros(),
+        );
+        let images: Vec<Image<u8>> = poses
+            .iter()
+            .map(|pose| view(&(tilted * *pose), 0.9, 7.0))
+            .collect();
+        let sources: Vec<SourceView> = images
+            .iter()
+            .zip(poses)
+            .map(|(image, source_from_keyframe)| SourceView {
+                image,
+                source_from_keyframe,
+            })
+            .collect();
+        let keyframe = view(&Sim3::identity(), 1.0, 0.0);
+        let pixels = depths(0.03, |_, _| error);
+        let config = MultiViewConfig::default();
+        let found = epipolar_misfits(&keyframe, &camera(), &pixels, &sources, &config);
+        assert!(found.len() > 100, "{}", found.len());
+        median(found.into_iter().map(|px| f64::from(px.abs())).collect())
+    };
+    assert!(misfit(0.0, 0.0) < 0.05);
+    let tilt = 0.4 / camera().fy;
+    for error in [0.0, 0.02, -0.02] {
+        let found = misfit(tilt, error);
+        assert!((found - 0.4).abs() < 0.06, "{error}: {found}");
+    }
+}

@@ -312,7 +312,7 @@ pub struct MappingConfig {
     /// diagonal, or `band_by_slope`) and `buffer_sigmas` standard deviations. Default `"auto"`. Range [0.000001, 1000000].
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence against the
-    /// obstacle). Default 2.1; docs/sensor-parameters.md derives it. Range [0.862, 100].
+    /// obstacle). Default 2.25; docs/sensor-parameters.md derives it. Range [0.862, 100].
     pub buffer_sigmas: f64,
     /// Whether, with rule `fused` and an automatic `buffer`, the band is at least as long along each line of sight as the cells that the surface
     /// passes through there, by its slope in the image, instead of a cell's diagonal: walls that are looked at straight get thinner,
@@ -410,7 +410,7 @@ impl Default for MappingConfig {
             auto_resolution: true,
             sensor_model: SensorModelKind::Thrun,
             buffer: AutoLength::Auto,
-            buffer_sigmas: 2.1,
+            buffer_sigmas: 2.25,
             band_by_slope: true,
             thrun_form: ThrunFormKind::Exact,
             significance: AutoLength::Auto,
