@@ -31,6 +31,8 @@ fn run(source: &Path, out: &Path, more: &[&str]) -> std::process::Output {
         out.display().to_string(),
         "--json".to_owned(),
     ]);
+    // poses are the same whatever the maps
+    args.extend(["--set".to_owned(), "mapping.quality=fast".to_owned()]);
     args.extend(more.iter().map(|s| (*s).to_owned()));
     monogrid(args)
 }

@@ -38,7 +38,8 @@ fn a_phone_video_with_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("desk");
     let output = program()
-        .args(["run", "--json", "--max-frames", "400", "--out"])
+        .args(["run", "--json", "--set", "mapping.quality=fast"])
+        .args(["--max-frames", "400", "--out"])
         .args([&out, &video])
         .output()
         .unwrap();
@@ -80,7 +81,8 @@ fn a_wrong_calibration_is_noticed_while_the_map_grows() {
     let calibration = dir.path().join("calibration.txt");
     fs::write(&calibration, "300 300 319.5 239.5 640 480\n").unwrap();
     let output = program()
-        .args(["run", "--json", "--max-frames", "220", "--calibration"])
+        .args(["run", "--json", "--set", "mapping.quality=fast"])
+        .args(["--max-frames", "220", "--calibration"])
         .args([&calibration, &kitchen])
         .arg("--out")
         .arg(dir.path().join("out"))

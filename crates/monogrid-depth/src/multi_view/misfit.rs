@@ -41,8 +41,11 @@ pub fn epipolar_misfits(
         |p: &&PixelDepth| (u32::from(p.x) * 7 + u32::from(p.y) * 13).is_multiple_of(STRIDE);
     let mut found = Vec::new();
     for pixel in pixels.iter().filter(chosen) {
-        let patch = Patch::around(image, pixel);
-        if let Some((patch, ())) = patch.zip(search.find_sights(pixel)) {
+        // also tells pixels at the border from those that have neighbours
+        let Some(patch) = Patch::around(image, pixel) else {
+            continue;
+        };
+        if search.find_sights(pixel).is_some() {
             let across = |sight| Some(across(sight, pixel.idepth.into(), &patch)? as f32);
             found.extend(search.sights.iter().filter_map(across));
         }
