@@ -335,8 +335,9 @@ pub struct MappingConfig {
     /// -0.2 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
     /// rest says little (docs/sensor-parameters.md).
     pub update_limits: [f64; 2],
-    /// Updates smaller than this (log-odds) behind the obstacle end the ray. The models stay above 1/2 far
-    /// behind it: 0.02 makes walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.6. Range [0, 1].
+    /// Updates smaller than this (log-odds) behind the obstacle end the ray. The models stay above 1/2 far behind it: 0.02 makes
+    /// walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.9: against 0.6, a quarter to a half fewer cells are occupied behind walls, where no ray ever
+    /// clears them, and 1 % less of the surfaces is observed. Range [0, 1].
     pub tail_log_odds: f64,
     /// Lowest and highest stored log-odds, [-7.99, -0.001] and [0.001, 7.99]. Default -2 and 3.5, OctoMap's.
     pub clamp: [f32; 2],
@@ -419,7 +420,7 @@ impl Default for MappingConfig {
             andert_form: AndertFormKind::Monocular,
             integration: IntegrationKind::Fused,
             update_limits: [-0.2, 1.2],
-            tail_log_odds: 0.6,
+            tail_log_odds: 0.9,
             clamp: [-2.0, 3.5],
             occupancy_threshold: 0.5,
             max_range: 10.0,
