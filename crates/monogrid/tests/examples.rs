@@ -33,7 +33,7 @@ fn assert_mapped(output: &Output, map: &Path) {
     let info = monogrid([Path::new("info"), map, Path::new("--json")]);
     assert_eq!(code(&info), 0, "{}", stderr(&info));
     assert!(
-        json(&info)["cells_occupied"].as_u64().unwrap() > 1000,
+        json(&info)["cells_occupied"].as_u64().unwrap() > 800,
         "{}",
         json(&info)
     );
