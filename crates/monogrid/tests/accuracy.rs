@@ -10,7 +10,7 @@
 
 mod common;
 
-use common::{code, json, monogrid, stderr};
+use common::{WITHOUT_DENSE_DEPTH, code, json, monogrid, stderr};
 use std::path::{Path, PathBuf};
 
 /// The folder with recorded sequences; `None`, said loudly, when it is absent.
@@ -31,8 +31,8 @@ fn run(source: &Path, out: &Path, more: &[&str]) -> std::process::Output {
         out.display().to_string(),
         "--json".to_owned(),
     ]);
-    // poses are the same whatever the maps
-    args.extend(["--set".to_owned(), "mapping.quality=fast".to_owned()]);
+    // poses are the same whatever the maps, but for what is up
+    args.extend(WITHOUT_DENSE_DEPTH.map(str::to_owned));
     args.extend(more.iter().map(|s| (*s).to_owned()));
     monogrid(args)
 }

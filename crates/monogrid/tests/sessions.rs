@@ -3,7 +3,9 @@
 
 mod common;
 
-use common::{assert_fails, code, files, json, monogrid, small_sequence, stderr};
+use common::{
+    WITHOUT_DENSE_DEPTH, assert_fails, code, files, json, monogrid, small_sequence, stderr,
+};
 use monogrid_datasets::{Dataset, SourceOptions, encode_png, read_gray, read_trajectory};
 use monogrid_evaluation::{StampedPose, TrajectoryConfig, evaluate_trajectory};
 use monogrid_image::Image;
@@ -19,8 +21,7 @@ fn run(source: &Path, out: &Path, more: &[&str]) -> Output {
         out.display().to_string(),
         "--json".to_owned(),
     ]);
-    // what is told of sessions does not depend on dense depth, which takes a third of the time
-    args.extend(["--set".to_owned(), "mapping.quality=fast".to_owned()]);
+    args.extend(WITHOUT_DENSE_DEPTH.map(str::to_owned));
     args.extend(more.iter().map(|s| (*s).to_owned()));
     monogrid(args)
 }

@@ -3,7 +3,9 @@
 
 mod common;
 
-use common::{assert_fails, code, json, monogrid, program, small_sequence, stderr};
+use common::{
+    WITHOUT_DENSE_DEPTH, assert_fails, code, json, monogrid, program, small_sequence, stderr,
+};
 use monogrid_datasets::{
     ReadOptions, RecordedKeyframe, Recording, decode_jpeg_rgb, encode_png, encode_png_rgb,
     read_gray,
@@ -38,7 +40,8 @@ fn a_phone_video_with_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("desk");
     let output = program()
-        .args(["run", "--json", "--set", "mapping.quality=fast"])
+        .args(["run", "--json"])
+        .args(WITHOUT_DENSE_DEPTH)
         .args(["--max-frames", "400", "--out"])
         .args([&out, &video])
         .output()
@@ -81,7 +84,8 @@ fn a_wrong_calibration_is_noticed_while_the_map_grows() {
     let calibration = dir.path().join("calibration.txt");
     fs::write(&calibration, "300 300 319.5 239.5 640 480\n").unwrap();
     let output = program()
-        .args(["run", "--json", "--set", "mapping.quality=fast"])
+        .args(["run", "--json"])
+        .args(WITHOUT_DENSE_DEPTH)
         .args(["--max-frames", "220", "--calibration"])
         .args([&calibration, &kitchen])
         .arg("--out")

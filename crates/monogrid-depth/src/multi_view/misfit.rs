@@ -69,10 +69,12 @@ fn across(sight: &Sight, idepth: f64, patch: &Patch) -> Option<f64> {
         let by_along = difference(values([a - 0.5, c]), values([a + 0.5, c]));
         let by_across = difference(values([a, c - 0.5]), values([a, c + 0.5]));
         let [residual, by_along, by_across] = [value, by_along, by_across].map(centered);
-        if patch.dot(&residual) < MIN_CORRELATION * norm(&residual).max(NOISE_CONTRAST) {
+        let gain = patch.dot(&residual);
+        if gain < MIN_CORRELATION * norm(&residual).max(NOISE_CONTRAST) {
             return None;
         }
-        let [r, j, k] = [residual, by_along, by_across].map(|values| patch.without(values));
+        let r = patch.without(gain, residual);
+        let [j, k] = [by_along, by_across].map(|slope| patch.without(patch.dot(&slope), slope));
         let (jj, kk, jk) = (dot64(&j, &j), dot64(&k, &k), dot64(&j, &k));
         let determinant = jj * kk - jk * jk;
         if jj.min(kk) < MIN_DERIVATIVE_SQ || determinant < MIN_INDEPENDENCE * jj * kk {

@@ -193,7 +193,8 @@ impl<'a> Search<'a> {
             }
             normal.agreeing += usize::from(correlation > self.config.min_correlation as f32);
             // what a gain explains is no residual
-            let [value, slope] = [value, slope].map(|values| patch.without(values));
+            let value = patch.without(gain, value);
+            let slope = patch.without(patch.dot(&slope), slope);
             let (jr, jj, rr) = (
                 dot(&slope, &value),
                 dot(&slope, &slope),
@@ -246,9 +247,8 @@ impl Patch {
         dot(&self.0, values)
     }
 
-    /// What a gain of the patch does not explain of values.
-    pub fn without(&self, mut values: [f32; SAMPLES]) -> [f32; SAMPLES] {
-        let gain = self.dot(&values);
+    /// What is left of values without so much of the patch.
+    pub fn without(&self, gain: f32, mut values: [f32; SAMPLES]) -> [f32; SAMPLES] {
         for (value, patch) in values.iter_mut().zip(&self.0) {
             *value -= gain * patch;
         }

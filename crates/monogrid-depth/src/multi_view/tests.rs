@@ -87,6 +87,14 @@ fn relative_error(p: &PixelDepth) -> f64 {
     f64::from(p.idepth) / wall(p.x.into(), p.y.into()) - 1.0
 }
 
+fn sources<'a>(images: &'a [Image<u8>], poses: &[Sim3]) -> Vec<SourceView<'a>> {
+    let source = |(image, pose): (&'a Image<u8>, &Sim3)| SourceView {
+        image,
+        source_from_keyframe: *pose,
+    };
+    images.iter().zip(poses).map(source).collect()
+}
+
 fn refined(
     pixels: &[PixelDepth],
     images: &[Image<u8>],
@@ -94,14 +102,7 @@ fn refined(
     config: &MultiViewConfig,
 ) -> (Vec<PixelDepth>, usize) {
     let keyframe = view(&Sim3::identity(), 1.0, 0.0);
-    let sources: Vec<SourceView> = images
-        .iter()
-        .zip(poses)
-        .map(|(image, pose)| SourceView {
-            image,
-            source_from_keyframe: *pose,
-        })
-        .collect();
+    let sources = sources(images, poses);
     refine_depth(&keyframe, &camera(), pixels, &sources, config)
 }
 
@@ -315,14 +316,7 @@ fn what_lies_beside_epipolar_lines_is_seen_whatever_the_depth() {
             .iter()
             .map(|pose| view_of(fine, &(tilted * *pose), 0.9, 7.0))
             .collect();
-        let sources: Vec<SourceView> = images
-            .iter()
-            .zip(poses)
-            .map(|(image, source_from_keyframe)| SourceView {
-                image,
-                source_from_keyframe,
-            })
-            .collect();
+        let sources = sources(&images, &poses);
         let keyframe = view_of(fine, &Sim3::identity(), 1.0, 0.0);
         let pixels = depths(0.03, |_, _| error);
         let config = MultiViewConfig::default();

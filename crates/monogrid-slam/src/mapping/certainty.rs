@@ -16,7 +16,7 @@ use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
 
 /// How much farther the truth is than another keyframe, for each px that patches are off across their epipolar lines (robust deviation). The middle of
-/// the errors alone would have 3.3 to 5.3 in six rendered sequences, of which one has a rolling shutter and one blur as well, and two real ones with a
+/// the errors alone would have 3.4 to 5.3 in six rendered sequences, of which one has a rolling shutter and one blur as well, and two real ones with a
 /// depth camera; this much makes two standard deviations hold nine tenths, since errors have tails (`docs/studies.md`).
 const SHARED_PER_PX: f32 = 6.0;
 /// What it is taken for: depths that share nothing would be as far from the truth as from each other.

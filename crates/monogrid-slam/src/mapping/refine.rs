@@ -189,6 +189,16 @@ struct Refined<'a> {
     misfits: Vec<f32>,
 }
 
+impl<'a> Refined<'a> {
+    /// Depth as it was.
+    fn unchanged(pixels: Cow<'a, [DepthPixel]>) -> Self {
+        Self {
+            pixels,
+            misfits: Vec::new(),
+        }
+    }
+}
+
 /// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
 fn final_pixels<'a>(
     keyframes: &'a dyn Keyframes,
@@ -205,10 +215,7 @@ fn final_pixels<'a>(
     if config.refine.enabled {
         refined(keyframes, index, pixels, camera, &config.refine)
     } else {
-        Refined {
-            pixels,
-            misfits: Vec::new(),
-        }
+        Refined::unchanged(pixels)
     }
 }
 
@@ -269,10 +276,7 @@ fn refined<'a>(
     config: &RefineConfig,
 ) -> Refined<'a> {
     let Some(image) = keyframes.image(index) else {
-        return Refined {
-            pixels,
-            misfits: Vec::new(),
-        };
+        return Refined::unchanged(pixels);
     };
     let near: Vec<(Cow<Image<u8>>, Sim3)> = near(keyframes, index, config)
         .into_iter()

@@ -16,6 +16,9 @@ pub fn monogrid<A: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = A>) ->
     program().args(args).output().expect("the program starts")
 }
 
+/// Options of runs whose subject is no map: dense depth takes a third of the time of a short one.
+pub const WITHOUT_DENSE_DEPTH: [&str; 2] = ["--set", "mapping.quality=fast"];
+
 /// Exit code; a panic or a signal gives -1.
 pub fn code(output: &Output) -> i32 {
     output.status.code().unwrap_or(-1)
