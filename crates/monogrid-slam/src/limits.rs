@@ -433,6 +433,22 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
         min_tolerance: 0.0, 1.0;
         min_support: 1.0, 1000.0;
     }));
+    all.extend(limits!("mapping.completion", mapping.completion, {
+        max_witnesses: 0.0, 1000.0;
+        min_support: 1.0, 1000.0;
+        tolerance: 0.0001, 1.0;
+        max_against: 0.0, 1000.0;
+        max_difference: 0.0, 1000.0;
+    }));
+    all.extend(limits!("mapping.envelope", mapping.envelope, {
+        max_planes: 0.0, 1000.0;
+        min_share: 0.0001, 1.0;
+        reach: 0.0001, 1.0;
+        max_behind_share: 0.0, 1.0;
+        min_plain_share: 0.001, 1.0;
+        min_other_share: 0.001, 1.0;
+        max_extent: 0.0, 100.0;
+    }));
     all.extend(limits!("mapping.fill", mapping.fill, {
         max_gradient: 0.01, 255.0;
         min_area_px: 1.0, 1_000_000_000.0;

@@ -23,8 +23,10 @@ mod band;
 mod body;
 mod cell;
 mod certainty;
+mod completion;
 mod config;
 mod dense;
+mod envelope;
 mod fill;
 mod fusion;
 mod live_depth;
@@ -34,16 +36,19 @@ mod refine;
 mod scan;
 #[cfg(test)]
 mod test_wall;
+mod transfer;
 mod upright;
 
 pub use band::navigation_band;
 pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
+pub use completion::CompletionConfig;
 pub use config::{
     AndertFormKind, AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig,
     IntegrationKind, MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
     SigmaMode, ThrunFormKind,
 };
+pub use envelope::EnvelopeConfig;
 pub use fill::fill_plain_regions;
 pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,

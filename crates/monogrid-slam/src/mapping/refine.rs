@@ -2,11 +2,14 @@
 //!
 //! In this order: dense depth beside that of the filter (`dense`) → both made better by the images around (`refine_depth`) → what is
 //! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
-//! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`).
+//! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
+//! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them (`envelope`).
 
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
+use super::completion::completed;
 use super::dense::{dense_depths, merged};
+use super::envelope::{Cloud, enclosed};
 use super::fusion::fused;
 use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
@@ -16,6 +19,7 @@ use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
+use monogrid_occupancy::DepthPixel as Measurement;
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -84,9 +88,55 @@ pub(crate) fn final_scans_of(
     };
     let views = views(&found);
     let certainty = Certainty::asked_for(&views, camera, config, threads);
-    for_each_keyframe(count, threads, |index| {
+    let found = for_each_keyframe(count, threads, |index| {
         let depths = found[index].certain(certainty, &views, index, camera, &config.fusion);
+        found[index].with_depths(depths, camera)
+    });
+    drop(views);
+    let found = completed_by_others(found, keyframes, camera, config, threads);
+    let found = enclosed_by_planes(found, keyframes, camera, config, threads);
+    for_each_keyframe(count, threads, |index| {
+        let depths = Certainty::UNCHANGED.apply(&found[index].depths);
         depths.joined(keyframes.id(index), camera, store)
+    })
+}
+
+/// Depth where keyframes have none, from those that see the same.
+fn completed_by_others(
+    found: Vec<Found>,
+    keyframes: &dyn Keyframes,
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+) -> Vec<Found> {
+    if config.completion.max_witnesses == 0 {
+        return found;
+    }
+    let views = views(&found);
+    for_each_keyframe(found.len(), threads, |index| {
+        let added = completed(keyframes, &views, index, camera, &config.completion);
+        found[index].with_filled(&added, camera)
+    })
+}
+
+/// Depth of large planes beyond what was measured of them.
+fn enclosed_by_planes(
+    found: Vec<Found>,
+    keyframes: &dyn Keyframes,
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+) -> Vec<Found> {
+    if config.envelope.max_planes == 0 {
+        return found;
+    }
+    let views = views(&found);
+    let clouds = for_each_keyframe(found.len(), threads, |index| {
+        Cloud::new(views[index].as_ref(), camera, &config.fill)
+    });
+    for_each_keyframe(found.len(), threads, |index| {
+        let added = enclosed(keyframes, (&views, &clouds), index, camera, config);
+        found[index].with_filled(&added, camera)
     })
 }
 
@@ -161,9 +211,23 @@ impl Found {
             depths.filled.retain(|_| kept.next().unwrap_or(true));
             depths.filled.shrink_to_fit();
         }
+        self.with_depths(depths, camera)
+    }
+
+    /// With other depths.
+    fn with_depths(&self, depths: Depths, camera: &KeyframeCamera) -> Self {
         let view = self.view.as_ref();
         let known = view.map(|view| (view.world_from_keyframe, view.misfits.clone()));
         Self::new(depths, known, camera, self.depths.store())
+    }
+
+    /// With further depths, which were not measured, at pixels that have none.
+    fn with_filled(&self, added: &[Measurement], camera: &KeyframeCamera) -> Self {
+        let mut depths = Certainty::UNCHANGED.apply(&self.depths);
+        depths.filled.extend_from_slice(added);
+        depths.filled.sort_unstable_by_key(|p| (p.y, p.x));
+        depths.filled.shrink_to_fit();
+        self.with_depths(depths, camera)
     }
 
     /// Its depths, as certain as they are, each fused with those of others that agree; `views[index]` is its own view.

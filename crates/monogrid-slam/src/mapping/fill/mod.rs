@@ -32,9 +32,9 @@ use super::FillConfig;
 use hull::Hull;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
-pub(super) use plane::Plane;
-use plane::{Border, fit_plane};
-use regions::{NO_REGION, Regions};
+use plane::fit_plane;
+pub(super) use plane::{Border, Plane};
+pub(super) use regions::{NO_REGION, Regions};
 
 /// Measurements of the whole image that planes are looked for in, at most.
 const MAX_IMAGE_POINTS: usize = 4000;
@@ -59,7 +59,7 @@ pub fn fill_plain_regions(
     config: &FillConfig,
 ) -> Vec<Measurement> {
     let regions = Regions::new(image, measured, config);
-    let borders = borders(&regions, measured, config);
+    let borders = region_borders(&regions, measured, config);
     let planes = planes_of_regions(measured, &borders, config);
     let held: Vec<Option<(Plane, Hull)>> = planes
         .into_iter()
@@ -75,7 +75,7 @@ pub fn fill_plain_regions(
 
 /// The measurements along the outline of each region. One on the edge between two regions belongs to
 /// both.
-fn borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
+pub(super) fn region_borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
     let mut borders = vec![Border::default(); regions.count];
     for point in measured {
         let mut found: [u32; 16] = [NO_REGION; 16];
@@ -98,7 +98,7 @@ fn borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> 
     borders
 }
 
-const EIGHT_DIRECTIONS: [(i32, i32); 8] = [
+pub(super) const EIGHT_DIRECTIONS: [(i32, i32); 8] = [
     (1, 0),
     (-1, 0),
     (0, 1),

@@ -5,10 +5,10 @@ use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 
 /// The label of pixels that belong to no region.
-pub(super) const NO_REGION: u32 = u32::MAX;
+pub(in crate::mapping) const NO_REGION: u32 = u32::MAX;
 
 /// Plain regions of an image.
-pub(super) struct Regions {
+pub(in crate::mapping) struct Regions {
     pub width: usize,
     pub height: usize,
     /// Region of each pixel, row-major.
@@ -31,15 +31,20 @@ impl Regions {
                 plain[y * width + x] = false;
             }
         }
-        let core = eroded(&plain, width, height);
+        Self::of_pixels(&plain, (width, height), config.min_area_px)
+    }
+
+    /// The regions of these pixels, row-major, of at least so many.
+    pub fn of_pixels(pixels: &[bool], (width, height): (usize, usize), min_area: usize) -> Self {
+        let core = eroded(pixels, width, height);
         let mut this = Self {
             width,
             height,
             labels: vec![NO_REGION; width * height],
             count: 0,
         };
-        this.connect(&core, config.min_area_px);
-        this.grow_by_one(&plain);
+        this.connect(&core, min_area);
+        this.grow_by_one(pixels);
         this
     }
 

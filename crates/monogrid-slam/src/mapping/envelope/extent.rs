@@ -1,0 +1,124 @@
+//! Where a plane was measured, and how far other places are from there.
+
+/// Cells along the longer side of what was measured.
+const CELLS: f64 = 100.0;
+/// Room around it, as a share of that side.
+const MARGIN: f64 = 0.5;
+/// Fewest points in the 3x3 cells around one that count as measured.
+const MIN_POINTS: u16 = 2;
+
+/// Distances from where a plane was measured, in a grid.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Extent {
+    first: [f64; 2],
+    cell: f64,
+    columns: usize,
+    rows: usize,
+    distances: Vec<f32>,
+}
+
+impl Extent {
+    /// Of points in a plane.
+    pub fn of(points: &[[f64; 2]]) -> Self {
+        let bound = |start: f64, pick: fn(f64, f64) -> f64| {
+            [0, 1].map(|k| points.iter().map(|p| p[k]).fold(start, pick))
+        };
+        let (low, high) = (bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max));
+        let side = f64::max(high[0] - low[0], high[1] - low[1]);
+        if !(side > 0.0 && side.is_finite()) {
+            return Self::default();
+        }
+        let cell = side / CELLS;
+        let margin = MARGIN * side;
+        let cells = |k: usize| ((high[k] - low[k] + 2.0 * margin) / cell).ceil() as usize + 1;
+        let mut this = Self {
+            first: low.map(|low| low - margin),
+            cell,
+            columns: cells(0),
+            rows: cells(1),
+            distances: Vec::new(),
+        };
+        this.distances = this.start(points);
+        this.spread();
+        this
+    }
+
+    /// Distance of a place from the nearest cell that was measured; infinite far beyond.
+    pub fn distance(&self, place: [f64; 2]) -> f64 {
+        let found = self.index(place).map(|index| self.distances[index]);
+        f64::from(found.unwrap_or(f32::INFINITY))
+    }
+
+    fn index(&self, place: [f64; 2]) -> Option<usize> {
+        let [x, y] = [0, 1].map(|k| (place[k] - self.first[k]) / self.cell);
+        let is_inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
+        is_inside.then(|| y as usize * self.columns + x as usize)
+    }
+
+    /// 0 in the cells that were measured, infinite in others.
+    fn start(&self, points: &[[f64; 2]]) -> Vec<f32> {
+        let mut counts = vec![0_u16; self.columns * self.rows];
+        for index in points.iter().filter_map(|point| self.index(*point)) {
+            counts[index] = counts[index].saturating_add(1);
+        }
+        let around = |index: usize| -> u16 {
+            let (x, y) = (index % self.columns, index / self.columns);
+            let columns = x.saturating_sub(1)..(x + 2).min(self.columns);
+            let rows = y.saturating_sub(1)..(y + 2).min(self.rows);
+            let row = |y: usize| &counts[y * self.columns..][columns.clone()];
+            rows.flat_map(row).fold(0, |sum, n| sum.saturating_add(*n))
+        };
+        let is_measured = |index: usize| counts[index] > 0 && around(index) >= MIN_POINTS;
+        let start = |index: usize| if is_measured(index) { 0.0 } else { f32::INFINITY };
+        (0..counts.len()).map(start).collect()
+    }
+
+    /// Distances by steps to the eight neighbours (Rosenfeld and Pfaltz, 1968): once from the first cell to the last, once back.
+    fn spread(&mut self) {
+        let (columns, rows) = (self.columns as isize, self.rows as isize);
+        let steps = [(-1, 0), (-1, -1), (0, -1), (1, -1)];
+        let length = |(dx, dy): (isize, isize)| {
+            (self.cell * ((dx * dx + dy * dy) as f64).sqrt()) as f32
+        };
+        let lengths = steps.map(length);
+        for (sign, order) in [(1, false), (-1, true)] {
+            for at in 0..columns * rows {
+                let at = if order { columns * rows - 1 - at } else { at };
+                let (x, y) = (at % columns, at / columns);
+                for ((dx, dy), length) in steps.iter().zip(lengths) {
+                    let (x, y) = (x + sign * dx, y + sign * dy);
+                    if (0..columns).contains(&x) && (0..rows).contains(&y) {
+                        let beside = self.distances[(y * columns + x) as usize] + length;
+                        let own = &mut self.distances[at as usize];
+                        *own = own.min(beside);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distances_are_those_of_the_nearest_measured_place() {
+        // a square of four by four, and one point by itself
+        let square = (0..41).flat_map(|x| (0..41).map(move |y| [x, y].map(|k| 0.1 * f64::from(k))));
+        let mut points: Vec<[f64; 2]> = square.collect();
+        points.push([5.5, 2.0]);
+        let extent = Extent::of(&points);
+        let near = |place, expected: f64| {
+            let found = extent.distance(place);
+            assert!((found - expected).abs() < 0.1 + 0.08 * expected, "{place:?}: {found}");
+        };
+        near([2.0, 2.0], 0.0);
+        near([5.0, 2.0], 1.0);
+        near([5.0, 5.0], std::f64::consts::SQRT_2);
+        near([2.0, -2.0], 2.0);
+        assert!(extent.distance([100.0, 0.0]).is_infinite());
+        assert!(Extent::of(&[[1.0, 1.0]]).distance([1.0, 1.0]).is_infinite());
+        assert!(Extent::of(&[]).distance([0.0, 0.0]).is_infinite());
+    }
+}

@@ -1,0 +1,271 @@
+//! Large planes that keyframes around one share, and which of them bound its view.
+
+use super::EnvelopeConfig;
+use super::extent::Extent;
+use crate::mapping::agreement::View;
+use crate::mapping::fill::{Plane, planes_of_image};
+use crate::mapping::{FillConfig, KeyframeCamera};
+use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
+use monogrid_occupancy::DepthPixel as Measurement;
+use nalgebra::{Matrix3, SymmetricEigen};
+
+/// Points of a keyframe, at most.
+const MAX_POINTS: usize = 600;
+/// Depths of a keyframe in which planes are looked for, at most.
+const MAX_DEPTHS: usize = 4000;
+/// A point is behind a plane that is so far behind it, as a share of its range.
+const BEHIND: f64 = 0.05;
+/// Relative standard deviation of the depth of a point.
+const RELATIVE_SIGMA: f64 = 0.01;
+/// Fewest points of a plane.
+const MIN_POINTS: usize = 20;
+/// Fits, each to the points on the plane before.
+const NUM_FITS: usize = 4;
+
+/// Some of what a keyframe sees.
+#[derive(Clone, Debug, Default)]
+pub(in crate::mapping) struct Cloud {
+    points: Vec<Point>,
+    /// Planes that much of it lies on.
+    planes: Vec<Hypothesis>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    in_world: Vec3,
+    /// Distance from who sees it.
+    range: f64,
+}
+
+/// A plane that a keyframe sees: `normal . x = offset`.
+#[derive(Clone, Copy, Debug)]
+struct Hypothesis {
+    normal: Vec3,
+    offset: f64,
+}
+
+impl Hypothesis {
+    fn has(&self, point: &Point, reach: f64) -> bool {
+        (self.normal.dot(&point.in_world) - self.offset).abs() <= reach * point.range
+    }
+}
+
+impl Cloud {
+    /// Of a keyframe; nothing without a pose.
+    pub fn new(view: Option<&View>, camera: &KeyframeCamera, fill: &FillConfig) -> Self {
+        let Some(view) = view else {
+            return Self::default();
+        };
+        let kinds = view.depths.kinds();
+        let total: usize = kinds.iter().map(|kind| kind.0.len()).sum();
+        let some = |most: usize| {
+            let stride = total.div_ceil(most).max(1);
+            let all = kinds.iter().flat_map(|kind| kind.0.iter());
+            all.step_by(stride).copied()
+        };
+        let depths: Vec<Measurement> = some(MAX_DEPTHS).collect();
+        let center = view.world_from_keyframe.translation;
+        let in_world = |x: f64, y: f64, idepth: f64| {
+            view.world_from_keyframe * (camera.pinhole.unproject(&Vec2::new(x, y)) / idepth)
+        };
+        let point = |p: Measurement| {
+            let in_world = in_world(p.x.into(), p.y.into(), p.idepth.into());
+            let range = (in_world - center).norm();
+            Point { in_world, range }
+        };
+        let hypothesis = |plane: &Plane| {
+            // by three points of it
+            let [x, y] = plane.middle();
+            let at = |x: f64, y: f64| {
+                let (idepth, _) = plane.at(x, y);
+                (idepth > 0.0).then(|| in_world(x, y, idepth))
+            };
+            let (a, b, c) = (at(x, y)?, at(x + 5.0, y)?, at(x, y + 5.0)?);
+            let normal = (b - a).cross(&(c - a)).try_normalize(1e-12)?;
+            let offset = normal.dot(&a);
+            Some(Hypothesis { normal, offset })
+        };
+        let planes = planes_of_image(&depths, fill);
+        Self {
+            points: some(MAX_POINTS).map(point).collect(),
+            planes: planes.iter().filter_map(hypothesis).collect(),
+        }
+    }
+}
+
+/// A plane of several keyframes.
+#[derive(Clone, Debug)]
+pub(super) struct SharedPlane {
+    /// Towards the keyframe whose view it bounds.
+    normal: Vec3,
+    offset: f64,
+    middle: Vec3,
+    /// Directions in the plane.
+    axes: [Vec3; 2],
+    /// Of its height at (u, v, 1) from the middle along the axes.
+    covariance: Matrix3<f64>,
+    extent: Extent,
+}
+
+/// The planes that bound what is seen from `center`: large ones, which nothing lies behind.
+pub(super) fn bounding_planes(
+    clouds: &[&Cloud],
+    center: &Vec3,
+    config: &EnvelopeConfig,
+) -> Vec<SharedPlane> {
+    let mut planes = large_planes(clouds, center, config);
+    let points = || clouds.iter().flat_map(|cloud| &cloud.points);
+    let total = points().count() as f64;
+    planes.retain(|plane| {
+        let is_behind = |p: &&Point| plane.height(&p.in_world) < -BEHIND * p.range;
+        let behind = points().filter(is_behind).count();
+        behind as f64 <= config.max_behind_share * total
+    });
+    planes
+}
+
+/// Planes with much of the depth of several keyframes: that which a keyframe sees and most of it lies on, fitted to all, then the next
+/// without its points.
+fn large_planes(clouds: &[&Cloud], center: &Vec3, config: &EnvelopeConfig) -> Vec<SharedPlane> {
+    let mut left: Vec<Vec<Point>> = clouds.iter().map(|cloud| cloud.points.clone()).collect();
+    let total: usize = left.iter().map(Vec::len).sum();
+    let min_count = f64::max(config.min_share * total as f64, MIN_POINTS as f64) as usize;
+    let count = |points: &[Vec<Point>], hypothesis: &Hypothesis| -> usize {
+        let has = |point: &&Point| hypothesis.has(point, config.reach);
+        points.iter().flatten().filter(has).count()
+    };
+    let hypotheses = clouds.iter().flat_map(|cloud| &cloud.planes);
+    let mut scored: Vec<(usize, Hypothesis)> =
+        hypotheses.map(|h| (count(&left, h), *h)).collect();
+    let mut planes = Vec::new();
+    while planes.len() < config.max_planes {
+        // the first of equal ones
+        let best = scored.iter().enumerate().rev().max_by_key(|(_, h)| h.0);
+        let Some((best, (score, hypothesis))) = best.map(|(index, best)| (index, *best)) else {
+            break;
+        };
+        if score < min_count {
+            break;
+        }
+        scored.swap_remove(best);
+        let Some(plane) = SharedPlane::through(&left, hypothesis, center, config) else {
+            continue;
+        };
+        let plane_itself = plane.as_hypothesis();
+        let mut taken: Vec<Vec<Point>> = Vec::new();
+        for points in &mut left {
+            let is_on = |point: &Point| plane_itself.has(point, config.reach);
+            let (on, off) = points.iter().partition(|point| is_on(point));
+            *points = off;
+            taken.push(on);
+        }
+        for (score, hypothesis) in &mut scored {
+            *score -= count(&taken, hypothesis);
+        }
+        planes.push(plane);
+    }
+    planes
+}
+
+impl SharedPlane {
+    /// The plane that the points on a hypothesis lie on.
+    fn through(
+        points: &[Vec<Point>],
+        mut hypothesis: Hypothesis,
+        center: &Vec3,
+        config: &EnvelopeConfig,
+    ) -> Option<Self> {
+        let mut plane = None;
+        for _ in 0..NUM_FITS {
+            let on: Vec<Vec<Point>> = points
+                .iter()
+                .map(|points| {
+                    let on = points.iter().filter(|p| hypothesis.has(p, config.reach));
+                    on.copied().collect()
+                })
+                .collect();
+            let fitted = Self::fitted(&on, center)?;
+            hypothesis = fitted.as_hypothesis();
+            plane = Some((fitted, on));
+        }
+        let (mut plane, on) = plane?;
+        let in_plane = on.iter().flatten().map(|p| plane.in_plane(&p.in_world));
+        plane.extent = Extent::of(&in_plane.collect::<Vec<_>>());
+        Some(plane)
+    }
+
+    /// Total least squares. The points of one keyframe are off together: each keyframe counts as one point as certain as those.
+    fn fitted(points: &[Vec<Point>], center: &Vec3) -> Option<Self> {
+        let all = || points.iter().flatten();
+        let weight = |point: &Point| 1.0 / (RELATIVE_SIGMA * point.range).powi(2);
+        let count = all().count();
+        let num_keyframes = points.iter().filter(|p| p.len() >= MIN_POINTS).count();
+        if count < MIN_POINTS {
+            return None;
+        }
+        let total: f64 = all().map(weight).sum();
+        let middle = all().map(|p| p.in_world * weight(p)).sum::<Vec3>() / total;
+        let scatter = all().map(|p| {
+            let off = p.in_world - middle;
+            off * off.transpose() * weight(p)
+        });
+        let eigen = SymmetricEigen::new(scatter.sum::<Matrix3<f64>>());
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+        let [least, u, v] = order;
+        let axis = |index: usize| -> Vec3 { eigen.eigenvectors.column(index).into() };
+        let side = axis(least).dot(&(center - middle)).signum();
+        let normal = axis(least) * side;
+        let correlated = count as f64 / num_keyframes.max(1) as f64;
+        let variances = [eigen.eigenvalues[u], eigen.eigenvalues[v], total]
+            .map(|information| correlated / information.max(1e-12));
+        Some(Self {
+            normal,
+            offset: normal.dot(&middle),
+            middle,
+            axes: [axis(u), axis(v)],
+            covariance: Matrix3::from_diagonal(&variances.into()),
+            extent: Extent::default(),
+        })
+    }
+
+    fn as_hypothesis(&self) -> Hypothesis {
+        Hypothesis {
+            normal: self.normal,
+            offset: self.offset,
+        }
+    }
+
+    fn height(&self, in_world: &Vec3) -> f64 {
+        self.normal.dot(in_world) - self.offset
+    }
+
+    fn in_plane(&self, in_world: &Vec3) -> [f64; 2] {
+        let off = in_world - self.middle;
+        self.axes.map(|axis| axis.dot(&off))
+    }
+
+    /// (a, b, c) of its inverse depth `a x + b y + c` at a pixel of a keyframe, in the keyframe's units: with the ray r of the pixel,
+    /// `normal . (s R r / d + t) = offset`.
+    pub fn idepth(&self, world_from_keyframe: &Sim3, pinhole: &Pinhole) -> Vec3 {
+        let rotation = world_from_keyframe.rotation.to_rotation_matrix();
+        let height = self.offset - self.normal.dot(&world_from_keyframe.translation);
+        let of_ray = rotation.transpose() * self.normal * (world_from_keyframe.scale / height);
+        let (a, b) = (of_ray.x / pinhole.fx, of_ray.y / pinhole.fy);
+        Vec3::new(a, b, of_ray.z - a * pinhole.cx - b * pinhole.cy)
+    }
+
+    /// How uncertain the distance of a point on the plane is, seen from `center`.
+    pub fn relative_sigma(&self, point: &Vec3, center: &Vec3) -> f64 {
+        let [u, v] = self.in_plane(point);
+        let row = Vec3::new(u, v, 1.0);
+        let height = row.dot(&(self.covariance * row)).sqrt();
+        let distance = self.height(center).abs().max(f64::MIN_POSITIVE);
+        (height / distance).hypot(RELATIVE_SIGMA)
+    }
+
+    /// How far a point on the plane is from where the plane was measured.
+    pub fn distance_beyond(&self, point: &Vec3) -> f64 {
+        self.extent.distance(self.in_plane(point))
+    }
+}
