@@ -7,10 +7,9 @@
 use super::agreement::{View, witnesses};
 use super::certainty::Certainty;
 use super::scan::{Depths, KeptDepths};
+use super::transfer::{Seen, Transfer};
 use super::{FusionConfig, KeyframeCamera};
-use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
-use nalgebra::Matrix3;
 
 /// The depths of keyframe `index`, each fused with those of other keyframes that agree, as certain as they are; as they are for one
 /// without a pose.
@@ -25,10 +24,8 @@ pub(super) fn fused(
     let Some(this) = &views[index] else {
         return depths;
     };
-    let means = |pixels: Vec<Measurement>| -> Vec<Mean> {
-        let means = pixels.into_iter().map(|pixel| Mean::of(pixel, camera));
-        means.collect()
-    };
+    let means =
+        |pixels: Vec<Measurement>| -> Vec<Mean> { pixels.into_iter().map(Mean::of).collect() };
     let (mut measured, mut filled) = (means(depths.measured), means(depths.filled));
     let witnesses = witnesses(views, index, camera, config.max_witnesses);
     let mut grid = Grid::new(camera);
@@ -36,9 +33,9 @@ pub(super) fn fused(
     for other in witnesses.into_iter().filter_map(|w| views[w].as_ref()) {
         grid.fill(&other.depths, certainty);
         let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
-        let other_from_this = Affine::new(&other_from_this);
+        let other_from_this = Transfer::new(&other_from_this, camera);
         for mean in measured.iter_mut().chain(&mut filled) {
-            mean.hear(&grid, &other_from_this, camera, &tolerance);
+            mean.hear(&grid, &other_from_this, &tolerance);
         }
     }
     let taken = |means: Vec<Mean>| -> Vec<Measurement> {
@@ -54,8 +51,6 @@ pub(super) fn fused(
 /// A pixel and what is known of its point.
 struct Mean {
     pixel: Measurement,
-    /// The point, in the frame of the keyframe.
-    point: Vec3,
     /// Of the ratios of inverse depths to that of the pixel, by their weights.
     sum_of_ratios: f32,
     weights: f32,
@@ -67,12 +62,10 @@ struct Mean {
 
 impl Mean {
     /// Of the pixel alone.
-    fn of(pixel: Measurement, camera: &KeyframeCamera) -> Self {
-        let at = Vec2::new(pixel.x.into(), pixel.y.into());
+    fn of(pixel: Measurement) -> Self {
         let weight = (pixel.idepth / pixel.sigma_idepth).powi(2);
         Self {
             pixel,
-            point: camera.pinhole.unproject(&at) / f64::from(pixel.idepth),
             sum_of_ratios: weight,
             weights: weight,
             support: 1,
@@ -81,20 +74,13 @@ impl Mean {
     }
 
     /// Takes what a keyframe says of the point.
-    fn hear(
-        &mut self,
-        grid: &Grid,
-        other_from_this: &Affine,
-        camera: &KeyframeCamera,
-        tolerance: &Tolerance,
-    ) {
-        let seen = other_from_this.linear * self.point + other_from_this.translation;
-        if seen.z <= 1e-9 {
+    fn hear(&mut self, grid: &Grid, other_from_this: &Transfer, tolerance: &Tolerance) {
+        let Measurement { x, y, idepth, .. } = self.pixel;
+        let Some(seen) = other_from_this.of(x.into(), y.into(), idepth) else {
             return;
-        }
-        let expected = (1.0 / seen.z) as f32;
+        };
         let sigma = self.pixel.sigma_idepth / self.pixel.idepth;
-        match grid.confirming(&camera.pinhole.project(&seen), expected, sigma, tolerance) {
+        match grid.confirming(&seen, sigma, tolerance) {
             Answer::Nothing => {}
             Answer::Other => self.is_looked_at = true,
             Answer::Same { ratio, sigma } => {
@@ -148,21 +134,6 @@ impl Tolerance {
     }
 }
 
-/// A similarity as a matrix and a vector, for many points.
-struct Affine {
-    linear: Matrix3<f64>,
-    translation: Vec3,
-}
-
-impl Affine {
-    fn new(similarity: &Sim3) -> Self {
-        Self {
-            linear: similarity.rotation.to_rotation_matrix().into_inner() * similarity.scale,
-            translation: similarity.translation,
-        }
-    }
-}
-
 /// The depths of a keyframe by their place in its image.
 struct Grid {
     width: usize,
@@ -192,20 +163,16 @@ impl Grid {
         }
     }
 
-    /// The depth next to a place, of the 3x3 pixels around it, that agrees with the expected one.
-    fn confirming(&self, place: &Vec2, expected: f32, sigma: f32, tolerance: &Tolerance) -> Answer {
-        let (x, y) = (place.x + 0.5, place.y + 0.5);
-        let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
-        if !is_inside {
-            return Answer::Nothing;
-        }
-        let (x, y) = (x as usize, y as usize);
+    /// The depth next to where a point is seen, of the 3x3 pixels around it, that agrees with it.
+    fn confirming(&self, seen: &Seen, sigma: f32, tolerance: &Tolerance) -> Answer {
+        let (x, y) = seen.pixel();
+        let expected = seen.idepth;
         // no other pixel is nearer than this one
         let middle = self.answer(y * self.width + x, expected, sigma, tolerance);
         if matches!(middle, Answer::Same { .. }) {
             return middle;
         }
-        let (right, below) = ((place.x - x as f64) as f32, (place.y - y as f64) as f32);
+        let (right, below) = (seen.x - x as f32, seen.y - y as f32);
         let mut answer = middle;
         let mut nearest = f32::INFINITY;
         for row in y.saturating_sub(1)..(y + 2).min(self.height) {
@@ -249,7 +216,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_geometry::{Pinhole, Rotation};
+    use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
         pinhole: Pinhole {

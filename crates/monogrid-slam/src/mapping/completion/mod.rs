@@ -16,7 +16,7 @@ use super::agreement::{View, witnesses};
 use super::dense::at_full_size;
 use super::posed::Keyframes;
 use super::transfer::{DepthImage, Transfer};
-use brightness::{Brightness, mean_around};
+use brightness::{Brightness, smooth_at};
 use layers::{Candidate, Layers};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -152,7 +152,7 @@ impl Witness<'_> {
             candidate.through += 1;
         } else if ratio <= 1.0 + tolerance {
             candidate.same += 1;
-            let grey = mean_around(self.image, (column, row));
+            let grey = smooth_at(self.image, seen.x, seen.y);
             let is_alike = self.brightness.is_some_and(|brightness| {
                 brightness.difference(candidate.grey, grey) < config.max_difference as f32
             });

@@ -1,7 +1,7 @@
 //! Where a plane was measured, and how far other places are from there.
 
 /// Cells along the longer side of what was measured.
-const CELLS: f64 = 100.0;
+const CELLS: f64 = 40.0;
 /// Room around it, as a share of that side.
 const MARGIN: f64 = 0.5;
 /// Fewest points in the 3x3 cells around one that count as measured.
@@ -23,7 +23,10 @@ impl Extent {
         let bound = |start: f64, pick: fn(f64, f64) -> f64| {
             [0, 1].map(|k| points.iter().map(|p| p[k]).fold(start, pick))
         };
-        let (low, high) = (bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max));
+        let (low, high) = (
+            bound(f64::INFINITY, f64::min),
+            bound(f64::NEG_INFINITY, f64::max),
+        );
         let side = f64::max(high[0] - low[0], high[1] - low[1]);
         if !(side > 0.0 && side.is_finite()) {
             return Self::default();
@@ -69,7 +72,13 @@ impl Extent {
             rows.flat_map(row).fold(0, |sum, n| sum.saturating_add(*n))
         };
         let is_measured = |index: usize| counts[index] > 0 && around(index) >= MIN_POINTS;
-        let start = |index: usize| if is_measured(index) { 0.0 } else { f32::INFINITY };
+        let start = |index: usize| {
+            if is_measured(index) {
+                0.0
+            } else {
+                f32::INFINITY
+            }
+        };
         (0..counts.len()).map(start).collect()
     }
 
@@ -77,9 +86,8 @@ impl Extent {
     fn spread(&mut self) {
         let (columns, rows) = (self.columns as isize, self.rows as isize);
         let steps = [(-1, 0), (-1, -1), (0, -1), (1, -1)];
-        let length = |(dx, dy): (isize, isize)| {
-            (self.cell * ((dx * dx + dy * dy) as f64).sqrt()) as f32
-        };
+        let length =
+            |(dx, dy): (isize, isize)| (self.cell * ((dx * dx + dy * dy) as f64).sqrt()) as f32;
         let lengths = steps.map(length);
         for (sign, order) in [(1, false), (-1, true)] {
             for at in 0..columns * rows {
@@ -105,13 +113,17 @@ mod tests {
     #[test]
     fn distances_are_those_of_the_nearest_measured_place() {
         // a square of four by four, and one point by itself
-        let square = (0..41).flat_map(|x| (0..41).map(move |y| [x, y].map(|k| 0.1 * f64::from(k))));
+        let square =
+            (0..81).flat_map(|x| (0..81).map(move |y| [x, y].map(|k| 0.05 * f64::from(k))));
         let mut points: Vec<[f64; 2]> = square.collect();
         points.push([5.5, 2.0]);
         let extent = Extent::of(&points);
         let near = |place, expected: f64| {
             let found = extent.distance(place);
-            assert!((found - expected).abs() < 0.1 + 0.08 * expected, "{place:?}: {found}");
+            assert!(
+                (found - expected).abs() < 0.2 + 0.08 * expected,
+                "{place:?}: {found}"
+            );
         };
         near([2.0, 2.0], 0.0);
         near([5.0, 2.0], 1.0);

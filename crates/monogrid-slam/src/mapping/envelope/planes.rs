@@ -10,7 +10,7 @@ use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, SymmetricEigen};
 
 /// Points of a keyframe, at most.
-const MAX_POINTS: usize = 600;
+const MAX_POINTS: usize = 1000;
 /// Depths of a keyframe in which planes are looked for, at most.
 const MAX_DEPTHS: usize = 4000;
 /// A point is behind a plane that is so far behind it, as a share of its range.
@@ -135,8 +135,7 @@ fn large_planes(clouds: &[&Cloud], center: &Vec3, config: &EnvelopeConfig) -> Ve
         points.iter().flatten().filter(has).count()
     };
     let hypotheses = clouds.iter().flat_map(|cloud| &cloud.planes);
-    let mut scored: Vec<(usize, Hypothesis)> =
-        hypotheses.map(|h| (count(&left, h), *h)).collect();
+    let mut scored: Vec<(usize, Hypothesis)> = hypotheses.map(|h| (count(&left, h), *h)).collect();
     let mut planes = Vec::new();
     while planes.len() < config.max_planes {
         // the first of equal ones

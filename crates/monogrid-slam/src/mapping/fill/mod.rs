@@ -75,7 +75,11 @@ pub fn fill_plain_regions(
 
 /// The measurements along the outline of each region. One on the edge between two regions belongs to
 /// both.
-pub(super) fn region_borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
+pub(super) fn region_borders(
+    regions: &Regions,
+    measured: &[Measurement],
+    config: &FillConfig,
+) -> Vec<Border> {
     let mut borders = vec![Border::default(); regions.count];
     for point in measured {
         let mut found: [u32; 16] = [NO_REGION; 16];
