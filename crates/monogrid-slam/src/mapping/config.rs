@@ -58,7 +58,8 @@ pub enum IntegrationKind {
 pub enum MapQuality {
     /// The depth of the filter, refined.
     Fast,
-    /// And dense depth: more of the surfaces and of the free space, for three times the work.
+    /// And dense depth, depth from other keyframes, and large planes beyond what was measured: more of the surfaces and of the free space, for four
+    /// times the work.
     #[serde(alias = "dense")]
     Default,
 }
@@ -299,7 +300,7 @@ impl Default for FillConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct MappingConfig {
     /// How much is done for the depth of final maps: `fast` refines the depth of the filter, `default` makes depth of all pixels
-    /// beside it, for three times the work. Default `default`.
+    /// beside it and completes it (`dense`, `completion`, `envelope`), for four times the work. Default `default`.
     pub quality: MapQuality,
     /// Edge of a cell. Default 0.05. Range [0.000001, 1000000].
     pub resolution: f64,

@@ -78,26 +78,50 @@ pub(crate) fn final_scans_of(
         done.fetch_add(1, Ordering::Relaxed);
         found
     });
-    let found = if config.fill.max_witnesses > 0 {
-        let views = views(&found);
-        for_each_keyframe(count, threads, |index| {
-            found[index].without_contradicted(&views, index, camera, config)
-        })
-    } else {
-        found
+    // each step takes what the one before has found, which is then given up
+    let found = not_contradicted(found, camera, config, threads);
+    let found = agreed_upon(found, camera, config, threads);
+    let found = match config.quality {
+        MapQuality::Default => {
+            let found = completed_by_others(found, keyframes, camera, config, threads);
+            enclosed_by_planes(found, keyframes, camera, config, threads)
+        }
+        MapQuality::Fast => found,
     };
-    let views = views(&found);
-    let certainty = Certainty::asked_for(&views, camera, config, threads);
-    let found = for_each_keyframe(count, threads, |index| {
-        let depths = found[index].certain(certainty, &views, index, camera, &config.fusion);
-        found[index].with_depths(depths, camera)
-    });
-    drop(views);
-    let found = completed_by_others(found, keyframes, camera, config, threads);
-    let found = enclosed_by_planes(found, keyframes, camera, config, threads);
     for_each_keyframe(count, threads, |index| {
         let depths = Certainty::UNCHANGED.apply(&found[index].depths);
         depths.joined(keyframes.id(index), camera, store)
+    })
+}
+
+/// Without filled depth that other keyframes contradict.
+fn not_contradicted(
+    found: Vec<Found>,
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+) -> Vec<Found> {
+    if config.fill.max_witnesses == 0 {
+        return found;
+    }
+    let views = views(&found);
+    for_each_keyframe(found.len(), threads, |index| {
+        found[index].without_contradicted(&views, index, camera, config)
+    })
+}
+
+/// As certain as keyframes agree, and the mean of those that do.
+fn agreed_upon(
+    found: Vec<Found>,
+    camera: &KeyframeCamera,
+    config: &MappingConfig,
+    threads: usize,
+) -> Vec<Found> {
+    let views = views(&found);
+    let certainty = Certainty::asked_for(&views, camera, config, threads);
+    for_each_keyframe(found.len(), threads, |index| {
+        let depths = found[index].certain(certainty, &views, index, camera, &config.fusion);
+        found[index].with_depths(depths, camera)
     })
 }
 
@@ -434,17 +458,13 @@ mod tests {
     use crate::KeyframeId;
     use crate::MemoryConfig;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{CompletionConfig, FillConfig, FusionConfig};
+    use crate::mapping::{FillConfig, FusionConfig};
     use monogrid_geometry::{Rotation, Vec3};
 
     fn config() -> MappingConfig {
         MappingConfig {
             quality: MapQuality::Fast,
             sigma_from_agreement: false,
-            completion: CompletionConfig {
-                max_witnesses: 0,
-                ..CompletionConfig::default()
-            },
             fusion: FusionConfig {
                 max_witnesses: 0,
                 ..FusionConfig::default()

@@ -5,6 +5,7 @@ use crate::mapping::KeyframeCamera;
 use crate::mapping::scan::KeptDepths;
 use crate::mapping::transfer::{DepthImage, Transfer};
 use monogrid_image::Image;
+use monogrid_occupancy::DepthPixel as Measurement;
 
 /// Surfaces on a line of sight that are told apart.
 const MAX_LAYERS: usize = 3;
@@ -50,8 +51,10 @@ impl Layers {
     /// Adds the first surface that a keyframe has on each line of sight; inverse depths that differ by more than this share are of two.
     pub fn hear(&mut self, depths: &KeptDepths, this_from_other: &Transfer, tolerance: f32) {
         self.nearest.fill([0.0; 2]);
+        // at half the size two pixels of four are enough
+        let is_even = |pixel: &&Measurement| (pixel.x + pixel.y) % 2 == 0;
         for kind in depths.kinds() {
-            for pixel in &kind.0 {
+            for pixel in kind.0.iter().filter(is_even) {
                 let seen = this_from_other.of(pixel.x.into(), pixel.y.into(), pixel.idepth);
                 let Some(seen) = seen else { continue };
                 let (x, y) = seen.pixel();
