@@ -248,9 +248,9 @@ impl Found {
     /// With further depths, which were not measured, at pixels that have none.
     fn with_filled(&self, added: &[Measurement], camera: &KeyframeCamera) -> Self {
         let mut depths = Certainty::UNCHANGED.apply(&self.depths);
+        depths.filled.reserve_exact(added.len());
         depths.filled.extend_from_slice(added);
         depths.filled.sort_unstable_by_key(|p| (p.y, p.x));
-        depths.filled.shrink_to_fit();
         self.with_depths(depths, camera)
     }
 

@@ -78,7 +78,7 @@ impl Layers {
 
     /// Those that so many keyframes have, where a pixel has no depth.
     pub fn candidates(
-        &self,
+        self,
         mine: &DepthImage,
         image: &Image<u8>,
         min_support: usize,
@@ -94,8 +94,8 @@ impl Layers {
                 let has_support =
                     |layer: &&Layer| layer.support > 0 && usize::from(layer.support) >= min_support;
                 candidates.extend(layers.iter().filter(has_support).map(|layer| Candidate {
-                    column,
-                    row,
+                    column: column as u16,
+                    row: row as u16,
                     idepth: layer.idepth(),
                     // that of a typical one, as in the fusion
                     relative_sigma: (f32::from(layer.support) / layer.weights).sqrt(),
@@ -125,8 +125,8 @@ fn join(layers: &mut [Layer; MAX_LAYERS], idepth: f32, weight: f32, tolerance: f
 /// A depth that a pixel of half the image may have.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
-    pub column: usize,
-    pub row: usize,
+    pub column: u16,
+    pub row: u16,
     pub idepth: f32,
     pub relative_sigma: f32,
     /// Brightness there.
@@ -142,6 +142,6 @@ pub(super) struct Candidate {
 impl Candidate {
     /// Its place in the full image.
     pub fn place(&self) -> [f32; 2] {
-        [self.column, self.row].map(|at| 2.0 * at as f32 + 0.5)
+        [self.column, self.row].map(|at| 2.0 * f32::from(at) + 0.5)
     }
 }

@@ -76,6 +76,7 @@ pub(super) fn completed(
     }
     let mut mine = DepthImage::new(camera);
     mine.show(&this.depths);
+    let size = (layers.width, layers.height);
     let mut candidates = layers.candidates(&mine, &image, config.min_support);
     let mut theirs = DepthImage::new(camera);
     for (other, view) in &others {
@@ -98,7 +99,7 @@ pub(super) fn completed(
         }
     }
     candidates.retain(|candidate| is_believed(candidate, config));
-    at_pixels_without(&mine, candidates, (layers.width, layers.height))
+    at_pixels_without(&mine, candidates, size)
 }
 
 /// Whether enough keyframes have that depth.
@@ -170,7 +171,7 @@ fn at_pixels_without(
     let mut idepths = Image::filled(width, height, 0.0_f32);
     let mut sigmas = Image::filled(width, height, 0.0_f32);
     for candidate in candidates {
-        let (x, y) = (candidate.column, candidate.row);
+        let (x, y) = (candidate.column.into(), candidate.row.into());
         if candidate.idepth > idepths.at(x, y) {
             idepths.set(x, y, candidate.idepth);
             sigmas.set(x, y, candidate.relative_sigma);

@@ -15,7 +15,7 @@ mod planes;
 mod tests;
 
 use super::agreement::{View, witnesses};
-use super::fill::{Border, EIGHT_DIRECTIONS, NO_REGION, Regions, region_borders};
+use super::fill::{EIGHT_DIRECTIONS, NO_REGION, Regions, regions_beside};
 use super::posed::Keyframes;
 use super::transfer::DepthImage;
 use super::{KeyframeCamera, MappingConfig};
@@ -96,12 +96,14 @@ pub(super) fn enclosed(
     }
     let envelope = Envelope::new(&planes, view.world_from_keyframe, camera, config);
     let [measured, filled] = view.depths.kinds();
-    let mut known: Vec<Measurement> = measured.0.iter().chain(&filled.0).copied().collect();
-    let num_before = known.len();
+    let mut known = measured.0.clone();
+    known.reserve_exact(filled.0.len());
+    known.extend_from_slice(&filled.0);
     let plain = Regions::new(&image, &known, &config.fill);
-    envelope.fill_plain(&plain, &mut known);
-    envelope.fill_others(&plain, &mut known);
-    known.split_off(num_before)
+    let mut added = envelope.of_plain(&plain, &known);
+    let mut others = envelope.of_others(&plain, [&known, &added]);
+    added.append(&mut others);
+    added
 }
 
 /// The planes that bound the view of a keyframe.
@@ -145,66 +147,66 @@ impl<'a> Envelope<'a> {
         expected > 0.0 && (idepth / expected - 1.0).abs() <= 2.0 * FLATNESS
     }
 
-    /// Adds depth of the plain regions whose outline lies on the envelope.
-    fn fill_plain(&self, regions: &Regions, known: &mut Vec<Measurement>) {
+    /// Depth of the plain regions whose outline lies on the envelope.
+    fn of_plain(&self, regions: &Regions, known: &[Measurement]) -> Vec<Measurement> {
         let mut shown = DepthImage::new(self.camera);
         shown.add(known);
         let min_share = self.config.envelope.min_plain_share;
-        let borders = region_borders(regions, known, &self.config.fill);
-        let allowed: Vec<Vec<bool>> = borders
+        let allowed: Vec<Vec<bool>> = outlines(regions, [known, &[]])
             .iter()
-            .map(|border| {
-                if !self.holds(border, min_share) {
+            .map(|outline| {
+                if !self.holds(outline, min_share) {
                     return Vec::new();
                 }
                 let is_allowed = |plane| {
-                    let points = self.points_on(plane, border);
+                    let points = self.points_on(plane, outline);
                     !is_line(&points) || !self.goes_on_beyond(plane, &points, &shown)
                 };
                 (0..self.planes.len()).map(is_allowed).collect()
             })
             .collect();
-        self.fill(regions, &allowed, known);
+        self.filled(regions, &allowed)
     }
 
-    /// Adds depth of the regions of all other pixels without depth whose outline lies on the envelope.
-    fn fill_others(&self, plain: &Regions, known: &mut Vec<Measurement>) {
+    /// Depth of the regions of all other pixels without depth whose outline lies on the envelope.
+    fn of_others(&self, plain: &Regions, known: [&[Measurement]; 2]) -> Vec<Measurement> {
         let mut is_left: Vec<bool> = plain.labels.iter().map(|l| *l == NO_REGION).collect();
-        for pixel in known.iter() {
+        for pixel in known.into_iter().flatten() {
             is_left[usize::from(pixel.y) * plain.width + usize::from(pixel.x)] = false;
         }
         let size = (plain.width, plain.height);
         let regions = Regions::of_pixels(&is_left, size, self.config.fill.min_area_px);
         let min_share = self.config.envelope.min_other_share;
-        let borders = region_borders(&regions, known, &self.config.fill);
-        let allowed: Vec<Vec<bool>> = borders
+        let allowed: Vec<Vec<bool>> = outlines(&regions, known)
             .iter()
-            .map(|border| vec![self.holds(border, min_share); self.planes.len()])
+            .map(|outline| vec![self.holds(outline, min_share); self.planes.len()])
             .collect();
-        self.fill(&regions, &allowed, known);
+        self.filled(&regions, &allowed)
     }
 
     /// Whether so much of the outline of a region lies on the envelope, and little behind it.
-    fn holds(&self, border: &Border, min_share: f64) -> bool {
+    fn holds(&self, outline: &[OutlinePoint], min_share: f64) -> bool {
         let (mut on, mut behind) = (0_usize, 0_usize);
-        for point in border.points() {
-            if let Some((_, expected)) = self.nearest(point.x, point.y) {
-                let gap = (point.idepth / expected - 1.0) / FLATNESS;
+        for point in outline {
+            let [x, y] = point.place();
+            if let Some((_, expected)) = self.nearest(x, y) {
+                let gap = (f64::from(point.idepth) / expected - 1.0) / FLATNESS;
                 on += usize::from(gap.abs() <= 2.0);
                 behind += usize::from(gap < -2.5);
             }
         }
-        let (total, fill) = (border.len() as f64, &self.config.fill);
+        let (total, fill) = (outline.len() as f64, &self.config.fill);
         on >= fill.min_inliers_offered
             && on as f64 >= min_share * total
             && behind as f64 <= fill.max_behind_share * total
     }
 
     /// The points of an outline on a plane.
-    fn points_on(&self, plane: usize, border: &Border) -> Vec<[f64; 2]> {
-        let points = border.points().iter();
-        let on_plane = points.filter(|p| self.is_on(plane, [p.x, p.y], p.idepth));
-        on_plane.map(|p| [p.x, p.y]).collect()
+    fn points_on(&self, plane: usize, outline: &[OutlinePoint]) -> Vec<[f64; 2]> {
+        let on_plane = outline
+            .iter()
+            .filter(|p| self.is_on(plane, p.place(), p.idepth.into()));
+        on_plane.map(OutlinePoint::place).collect()
     }
 
     /// Whether what is known beside points of an outline is on the plane for the most part.
@@ -223,8 +225,9 @@ impl<'a> Envelope<'a> {
         2 * on >= total
     }
 
-    /// Adds the depth of the nearest plane at the pixels of regions where it is allowed and near what was measured of it.
-    fn fill(&self, regions: &Regions, allowed: &[Vec<bool>], known: &mut Vec<Measurement>) {
+    /// The depth of the nearest plane at the pixels of regions where it is allowed and near what was measured of it.
+    fn filled(&self, regions: &Regions, allowed: &[Vec<bool>]) -> Vec<Measurement> {
+        let mut filled = Vec::new();
         let most = self.config.filter.max_agreed_sigma;
         for (index, label) in regions.labels.iter().enumerate() {
             let Some(allowed) = allowed.get(*label as usize).filter(|a| !a.is_empty()) else {
@@ -244,7 +247,7 @@ impl<'a> Envelope<'a> {
             let sigma = plane.relative_sigma(&point, &center);
             let reach = self.config.envelope.max_extent * (point - center).norm();
             if sigma <= most && plane.distance_beyond(&point) <= reach {
-                known.push(Measurement {
+                filled.push(Measurement {
                     x: x as u16,
                     y: y as u16,
                     idepth: idepth as f32,
@@ -252,7 +255,34 @@ impl<'a> Envelope<'a> {
                 });
             }
         }
+        filled
     }
+}
+
+/// A pixel with depth on the outline of a region.
+#[derive(Clone, Copy, Debug)]
+struct OutlinePoint {
+    x: u16,
+    y: u16,
+    idepth: f32,
+}
+
+impl OutlinePoint {
+    fn place(&self) -> [f64; 2] {
+        [self.x.into(), self.y.into()]
+    }
+}
+
+/// What is known on the outline of each region.
+fn outlines(regions: &Regions, known: [&[Measurement]; 2]) -> Vec<Vec<OutlinePoint>> {
+    let mut outlines = vec![Vec::new(); regions.count];
+    for pixel in known.into_iter().flatten() {
+        let Measurement { x, y, idepth, .. } = *pixel;
+        for label in regions_beside(regions, pixel) {
+            outlines[label as usize].push(OutlinePoint { x, y, idepth });
+        }
+    }
+    outlines
 }
 
 /// Whether points of an image lie along one line.

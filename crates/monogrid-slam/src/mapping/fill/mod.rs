@@ -32,8 +32,8 @@ use super::FillConfig;
 use hull::Hull;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
-use plane::fit_plane;
-pub(super) use plane::{Border, Plane};
+pub(super) use plane::Plane;
+use plane::{Border, fit_plane};
 pub(super) use regions::{NO_REGION, Regions};
 
 /// Measurements of the whole image that planes are looked for in, at most.
@@ -59,7 +59,7 @@ pub fn fill_plain_regions(
     config: &FillConfig,
 ) -> Vec<Measurement> {
     let regions = Regions::new(image, measured, config);
-    let borders = region_borders(&regions, measured, config);
+    let borders = borders(&regions, measured, config);
     let planes = planes_of_regions(measured, &borders, config);
     let held: Vec<Option<(Plane, Hull)>> = planes
         .into_iter()
@@ -73,33 +73,38 @@ pub fn fill_plain_regions(
     fill(&regions, &held, max_relative_sigma, config)
 }
 
-/// The measurements along the outline of each region. One on the edge between two regions belongs to
-/// both.
-pub(super) fn region_borders(
-    regions: &Regions,
-    measured: &[Measurement],
-    config: &FillConfig,
-) -> Vec<Border> {
+/// The measurements along the outline of each region.
+fn borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
     let mut borders = vec![Border::default(); regions.count];
     for point in measured {
-        let mut found: [u32; 16] = [NO_REGION; 16];
-        let mut num_found = 0;
-        for offset in BORDER_OFFSETS_PX {
-            for (dx, dy) in EIGHT_DIRECTIONS {
-                let (x, y) = (
-                    i32::from(point.x) + dx * offset,
-                    i32::from(point.y) + dy * offset,
-                );
-                let label = regions.at(x, y);
-                if label != NO_REGION && !found[..num_found].contains(&label) {
-                    found[num_found] = label;
-                    num_found += 1;
-                    borders[label as usize].push(point, config);
-                }
-            }
+        for label in regions_beside(regions, point) {
+            borders[label as usize].push(point, config);
         }
     }
     borders
+}
+
+/// The regions on whose outline a measurement is. One on the edge between two regions belongs to both.
+pub(super) fn regions_beside(
+    regions: &Regions,
+    point: &Measurement,
+) -> impl Iterator<Item = u32> + use<> {
+    let mut found: [u32; 16] = [NO_REGION; 16];
+    let mut num_found = 0;
+    for offset in BORDER_OFFSETS_PX {
+        for (dx, dy) in EIGHT_DIRECTIONS {
+            let (x, y) = (
+                i32::from(point.x) + dx * offset,
+                i32::from(point.y) + dy * offset,
+            );
+            let label = regions.at(x, y);
+            if label != NO_REGION && !found[..num_found].contains(&label) {
+                found[num_found] = label;
+                num_found += 1;
+            }
+        }
+    }
+    found.into_iter().take(num_found)
 }
 
 pub(super) const EIGHT_DIRECTIONS: [(i32, i32); 8] = [

@@ -20,9 +20,9 @@ const LEAST_SPREAD: f64 = 0.1;
 /// A measurement on an outline.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::mapping) struct BorderPoint {
-    pub x: f64,
-    pub y: f64,
-    pub idepth: f64,
+    x: f64,
+    y: f64,
+    idepth: f64,
     sigma: f64,
     /// Standard deviation of its distance from a plane.
     deviation: f64,
@@ -30,13 +30,13 @@ pub(in crate::mapping) struct BorderPoint {
 
 /// The measurements along the outline of a region.
 #[derive(Clone, Debug, Default)]
-pub(in crate::mapping) struct Border {
+pub(super) struct Border {
     points: Vec<BorderPoint>,
 }
 
 /// How an outline judges a plane.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::mapping) struct Count {
+pub(super) struct Count {
     on_plane: usize,
     behind: usize,
     total: usize,
@@ -133,11 +133,6 @@ impl Border {
             sigma,
             deviation: (own * own + flatness * flatness).sqrt(),
         });
-    }
-
-    /// Its points.
-    pub fn points(&self) -> &[BorderPoint] {
-        &self.points
     }
 
     /// Number of points.
