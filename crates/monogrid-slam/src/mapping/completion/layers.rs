@@ -52,7 +52,7 @@ impl Layers {
     pub fn hear(&mut self, depths: &KeptDepths, this_from_other: &Transfer, tolerance: f32) {
         self.nearest.fill([0.0; 2]);
         // at half the size two pixels of four are enough
-        let is_even = |pixel: &&Measurement| (pixel.x + pixel.y) % 2 == 0;
+        let is_even = |pixel: &&Measurement| (pixel.x + pixel.y).is_multiple_of(2);
         for kind in depths.kinds() {
             for pixel in kind.0.iter().filter(is_even) {
                 let seen = this_from_other.of(pixel.x.into(), pixel.y.into(), pixel.idepth);
