@@ -94,6 +94,18 @@ pub(crate) fn final_scans_of(
     })
 }
 
+/// A step of each keyframe beside what was found of all; that is then given up.
+fn each(
+    found: Vec<Found>,
+    threads: usize,
+    step: impl Fn(&Found, &[Option<View>], usize) -> Found + Sync,
+) -> Vec<Found> {
+    let views = views(&found);
+    for_each_keyframe(found.len(), threads, |index| {
+        step(&found[index], &views, index)
+    })
+}
+
 /// Without filled depth that other keyframes contradict.
 fn not_contradicted(
     found: Vec<Found>,
@@ -104,9 +116,8 @@ fn not_contradicted(
     if config.fill.max_witnesses == 0 {
         return found;
     }
-    let views = views(&found);
-    for_each_keyframe(found.len(), threads, |index| {
-        found[index].without_contradicted(&views, index, camera, config)
+    each(found, threads, |this, views, index| {
+        this.without_contradicted(views, index, camera, config)
     })
 }
 
@@ -117,15 +128,14 @@ fn agreed_upon(
     config: &MappingConfig,
     threads: usize,
 ) -> Vec<Found> {
-    let views = views(&found);
-    let certainty = Certainty::asked_for(&views, camera, config, threads);
-    for_each_keyframe(found.len(), threads, |index| {
-        let depths = found[index].certain(certainty, &views, index, camera, &config.fusion);
-        found[index].with_depths(depths, camera)
+    let certainty = Certainty::asked_for(&views(&found), camera, config, threads);
+    each(found, threads, |this, views, index| {
+        let depths = this.certain(certainty, views, index, camera, &config.fusion);
+        this.with_depths(depths, camera)
     })
 }
 
-/// Depth where keyframes have none, from those that see the same.
+/// With depth where keyframes have none, from those that see the same.
 fn completed_by_others(
     found: Vec<Found>,
     keyframes: &dyn Keyframes,
@@ -136,14 +146,13 @@ fn completed_by_others(
     if config.completion.max_witnesses == 0 {
         return found;
     }
-    let views = views(&found);
-    for_each_keyframe(found.len(), threads, |index| {
-        let added = completed(keyframes, &views, index, camera, &config.completion);
-        found[index].with_filled(&added, camera)
+    each(found, threads, |this, views, index| {
+        let added = completed(keyframes, views, index, camera, &config.completion);
+        this.with_filled(&added, camera)
     })
 }
 
-/// Depth of large planes beyond what was measured of them.
+/// With depth of large planes beyond what was measured of them.
 fn enclosed_by_planes(
     found: Vec<Found>,
     keyframes: &dyn Keyframes,
@@ -154,13 +163,12 @@ fn enclosed_by_planes(
     if config.envelope.max_planes == 0 {
         return found;
     }
-    let views = views(&found);
     let clouds = for_each_keyframe(found.len(), threads, |index| {
-        Cloud::new(views[index].as_ref(), camera, &config.fill)
+        Cloud::new(found[index].view.as_ref(), camera, &config.fill)
     });
-    for_each_keyframe(found.len(), threads, |index| {
-        let added = enclosed(keyframes, (&views, &clouds), index, camera, config);
-        found[index].with_filled(&added, camera)
+    each(found, threads, |this, views, index| {
+        let added = enclosed(keyframes, (views, &clouds), index, camera, config);
+        this.with_filled(&added, camera)
     })
 }
 
