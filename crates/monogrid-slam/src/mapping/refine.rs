@@ -19,7 +19,6 @@ use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
-use monogrid_occupancy::DepthPixel as Measurement;
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -78,98 +77,107 @@ pub(crate) fn final_scans_of(
         done.fetch_add(1, Ordering::Relaxed);
         found
     });
-    // each step takes what the one before has found, which is then given up
-    let found = not_contradicted(found, camera, config, threads);
-    let found = agreed_upon(found, camera, config, threads);
-    let found = match config.quality {
-        MapQuality::Default => {
-            let found = completed_by_others(found, keyframes, camera, config, threads);
-            enclosed_by_planes(found, keyframes, camera, config, threads)
-        }
-        MapQuality::Fast => found,
+    let work = Work {
+        keyframes,
+        camera,
+        config,
+        threads,
     };
-    for_each_keyframe(count, threads, |index| {
-        let depths = Certainty::UNCHANGED.apply(&found[index].depths);
-        depths.joined(keyframes.id(index), camera, store)
-    })
-}
-
-/// A step of each keyframe beside what was found of all; that is then given up.
-fn each(
-    found: Vec<Found>,
-    threads: usize,
-    step: impl Fn(&Found, &[Option<View>], usize) -> Found + Sync,
-) -> Vec<Found> {
-    let views = views(&found);
-    for_each_keyframe(found.len(), threads, |index| {
-        step(&found[index], &views, index)
-    })
-}
-
-/// Without filled depth that other keyframes contradict.
-fn not_contradicted(
-    found: Vec<Found>,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-    threads: usize,
-) -> Vec<Found> {
-    if config.fill.max_witnesses == 0 {
-        return found;
+    let keep = |this: &Found, depths: Depths, _: usize| this.with_depths(depths, camera);
+    let hand_over =
+        |_: &Found, depths: Depths, index| depths.joined(keyframes.id(index), camera, store);
+    let found = work.not_contradicted(found);
+    match config.quality {
+        MapQuality::Fast => work.agreed_upon(found, hand_over),
+        MapQuality::Default => {
+            let found = work.agreed_upon(found, keep);
+            let found = work.completed_by_others(found, keep);
+            work.enclosed_by_planes(found, hand_over)
+        }
     }
-    each(found, threads, |this, views, index| {
-        this.without_contradicted(views, index, camera, config)
-    })
 }
 
-/// As certain as keyframes agree, and the mean of those that do.
-fn agreed_upon(
-    found: Vec<Found>,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
+/// The steps that keyframes take together; each gives up what the one before has found.
+struct Work<'a> {
+    keyframes: &'a dyn Keyframes,
+    camera: &'a KeyframeCamera,
+    config: &'a MappingConfig,
     threads: usize,
-) -> Vec<Found> {
-    let certainty = Certainty::asked_for(&views(&found), camera, config, threads);
-    each(found, threads, |this, views, index| {
-        let depths = this.certain(certainty, views, index, camera, &config.fusion);
-        this.with_depths(depths, camera)
-    })
 }
 
-/// With depth where keyframes have none, from those that see the same.
-fn completed_by_others(
-    found: Vec<Found>,
-    keyframes: &dyn Keyframes,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-    threads: usize,
-) -> Vec<Found> {
-    if config.completion.max_witnesses == 0 {
-        return found;
+impl Work<'_> {
+    /// A step of each keyframe beside what was found of all.
+    fn each<T: Send>(
+        &self,
+        found: Vec<Found>,
+        step: impl Fn(&Found, &[Option<View>], usize) -> T + Sync,
+    ) -> Vec<T> {
+        let views = views(&found);
+        for_each_keyframe(found.len(), self.threads, |index| {
+            step(&found[index], &views, index)
+        })
     }
-    each(found, threads, |this, views, index| {
-        let added = completed(keyframes, views, index, camera, &config.completion);
-        this.with_filled(&added, camera)
-    })
-}
 
-/// With depth of large planes beyond what was measured of them.
-fn enclosed_by_planes(
-    found: Vec<Found>,
-    keyframes: &dyn Keyframes,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-    threads: usize,
-) -> Vec<Found> {
-    if config.envelope.max_planes == 0 {
-        return found;
+    /// Without filled depth that other keyframes contradict.
+    fn not_contradicted(&self, found: Vec<Found>) -> Vec<Found> {
+        if self.config.fill.max_witnesses == 0 {
+            return found;
+        }
+        self.each(found, |this, views, index| {
+            this.without_contradicted(views, index, self.camera, self.config)
+        })
     }
-    let clouds = for_each_keyframe(found.len(), threads, |index| {
-        Cloud::new(found[index].view.as_ref(), camera, &config.fill)
-    });
-    each(found, threads, |this, views, index| {
-        let added = enclosed(keyframes, (views, &clouds), index, camera, config);
-        this.with_filled(&added, camera)
-    })
+
+    /// As certain as keyframes agree, and the mean of those that do.
+    fn agreed_upon<T: Send>(
+        &self,
+        found: Vec<Found>,
+        then: impl Fn(&Found, Depths, usize) -> T + Sync,
+    ) -> Vec<T> {
+        let (camera, config) = (self.camera, self.config);
+        let certainty = Certainty::asked_for(&views(&found), camera, config, self.threads);
+        self.each(found, |this, views, index| {
+            let depths = this.certain(certainty, views, index, camera, &config.fusion);
+            then(this, depths, index)
+        })
+    }
+
+    /// With depth where keyframes have none, from those that see the same.
+    fn completed_by_others(
+        &self,
+        found: Vec<Found>,
+        then: impl Fn(&Found, Depths, usize) -> Found + Sync,
+    ) -> Vec<Found> {
+        let config = &self.config.completion;
+        if config.max_witnesses == 0 {
+            return found;
+        }
+        self.each(found, |this, views, index| {
+            let added = completed(self.keyframes, views, index, self.camera, config);
+            then(this, this.depths.depths().with_filled(added), index)
+        })
+    }
+
+    /// With depth of large planes beyond what was measured of them.
+    fn enclosed_by_planes<T: Send>(
+        &self,
+        found: Vec<Found>,
+        then: impl Fn(&Found, Depths, usize) -> T + Sync,
+    ) -> Vec<T> {
+        let (camera, config) = (self.camera, self.config);
+        if config.envelope.max_planes == 0 {
+            return self.each(found, |this, _, index| {
+                then(this, this.depths.depths(), index)
+            });
+        }
+        let clouds = for_each_keyframe(found.len(), self.threads, |index| {
+            Cloud::new(found[index].view.as_ref(), camera, &config.fill)
+        });
+        self.each(found, |this, views, index| {
+            let added = enclosed(self.keyframes, (views, &clouds), index, camera, config);
+            then(this, this.depths.depths().with_filled(added), index)
+        })
+    }
 }
 
 fn views(found: &[Found]) -> Vec<Option<View>> {
@@ -237,7 +245,7 @@ impl Found {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let mut depths = Certainty::UNCHANGED.apply(&self.depths);
+        let mut depths = self.depths.depths();
         if let Some(kept) = kept(views, index, camera, &config.fill) {
             let mut kept = kept.into_iter();
             depths.filled.retain(|_| kept.next().unwrap_or(true));
@@ -251,15 +259,6 @@ impl Found {
         let view = self.view.as_ref();
         let known = view.map(|view| (view.world_from_keyframe, view.misfits.clone()));
         Self::new(depths, known, camera, self.depths.store())
-    }
-
-    /// With further depths, which were not measured, at pixels that have none.
-    fn with_filled(&self, added: &[Measurement], camera: &KeyframeCamera) -> Self {
-        let mut depths = Certainty::UNCHANGED.apply(&self.depths);
-        depths.filled.reserve_exact(added.len());
-        depths.filled.extend_from_slice(added);
-        depths.filled.sort_unstable_by_key(|p| (p.y, p.x));
-        self.with_depths(depths, camera)
     }
 
     /// Its depths, as certain as they are, each fused with those of others that agree; `views[index]` is its own view.

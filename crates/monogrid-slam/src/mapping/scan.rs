@@ -185,6 +185,14 @@ impl Depths {
         Self { measured, filled }
     }
 
+    /// With further depths, which were not measured, at pixels that have none.
+    pub fn with_filled(mut self, added: Vec<Measurement>) -> Self {
+        self.filled.reserve_exact(added.len());
+        self.filled.extend(added);
+        self.filled.sort_unstable_by_key(|p| (p.y, p.x));
+        self
+    }
+
     /// Both together.
     pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera, store: &Store) -> KeyframeScan {
         let num_filled = self.filled.len();
@@ -211,6 +219,12 @@ impl KeptDepths {
             measured: store.keep(Measurements(depths.measured)),
             filled: store.keep(Measurements(depths.filled)),
         }
+    }
+
+    /// A copy of both.
+    pub fn depths(&self) -> Depths {
+        let [measured, filled] = self.kinds().map(|kind| kind.0.clone());
+        Depths { measured, filled }
     }
 
     /// What keeps them.

@@ -90,7 +90,8 @@ fn inverse_matrix(pinhole: &Pinhole) -> Matrix3<f64> {
 #[derive(Clone, Debug)]
 pub(super) struct DepthImage {
     pub width: usize,
-    idepths: Vec<f32>,
+    /// Row-major; 0 where there is none.
+    pub idepths: Vec<f32>,
 }
 
 impl DepthImage {

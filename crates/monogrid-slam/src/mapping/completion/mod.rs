@@ -15,7 +15,7 @@ use super::KeyframeCamera;
 use super::agreement::{View, witnesses};
 use super::dense::at_full_size;
 use super::posed::Keyframes;
-use super::transfer::{DepthImage, Transfer};
+use super::transfer::{DepthImage, Seen, Transfer};
 use brightness::{Brightness, smooth_at};
 use layers::{Candidate, Layers};
 use monogrid_image::Image;
@@ -85,17 +85,23 @@ pub(super) fn completed(
         };
         theirs.show(&view.depths);
         let other_from_this = view.world_from_keyframe.inverse() * this.world_from_keyframe;
-        let transfer = Transfer::new(&other_from_this, camera);
         let witness = Witness {
-            brightness: Brightness::between(&image, &their_image, |x, y| {
-                confirmed(&mine, &theirs, &transfer, (x, y), config.tolerance as f32)
-            }),
             depth: &theirs,
-            image: &their_image,
-            transfer,
+            other_from_this: Transfer::new(&other_from_this, camera),
+            tolerance: config.tolerance as f32,
+        };
+        let brightness = Brightness::between(&image, &their_image, |x, y| {
+            let seen = witness.confirmed(x, y, mine.at(x, y))?;
+            Some((seen.x, seen.y))
+        });
+        let is_alike = |candidate: &Candidate, seen: &Seen| {
+            let grey = smooth_at(&their_image, seen.x, seen.y);
+            brightness.is_some_and(|brightness| {
+                brightness.difference(candidate.grey, grey) < config.max_difference as f32
+            })
         };
         for candidate in &mut candidates {
-            witness.judge(candidate, config);
+            witness.judge(candidate, is_alike);
         }
     }
     candidates.retain(|candidate| is_believed(candidate, config));
@@ -110,54 +116,43 @@ fn is_believed(candidate: &Candidate, config: &CompletionConfig) -> bool {
         && f64::from(candidate.through) <= config.max_against * same as f64
 }
 
-/// Where another keyframe shows a pixel whose depth it has as well.
-fn confirmed(
-    mine: &DepthImage,
-    theirs: &DepthImage,
-    other_from_this: &Transfer,
-    (x, y): (usize, usize),
-    tolerance: f32,
-) -> Option<(f32, f32)> {
-    let idepth = mine.at(x, y);
-    if idepth <= 0.0 {
-        return None;
-    }
-    let seen = other_from_this.of(x as f32, y as f32, idepth)?;
-    let (column, row) = seen.pixel();
-    let ratio = theirs.at(column, row) / seen.idepth;
-    ((ratio - 1.0).abs() <= tolerance).then_some((seen.x, seen.y))
-}
-
-/// A keyframe that judges candidates of another.
+/// A keyframe that says what it has of the points of another.
 struct Witness<'a> {
     depth: &'a DepthImage,
-    image: &'a Image<u8>,
-    transfer: Transfer,
-    /// From the other keyframe to this one.
-    brightness: Option<Brightness>,
+    other_from_this: Transfer,
+    /// Inverse depths that differ by this share of them are of two surfaces.
+    tolerance: f32,
 }
 
 impl Witness<'_> {
-    fn judge(&self, candidate: &mut Candidate, config: &CompletionConfig) {
-        let [x, y] = candidate.place();
-        let Some(seen) = self.transfer.of(x, y, candidate.idepth) else {
-            return;
-        };
+    /// Where it shows a pixel, and its inverse depth there over that of the pixel's point; `None` where it has none.
+    fn ratio(&self, x: f32, y: f32, idepth: f32) -> Option<(Seen, f32)> {
+        let seen = self.other_from_this.of(x, y, idepth)?;
         let (column, row) = seen.pixel();
         let idepth = self.depth.at(column, row);
+        (idepth > 0.0).then(|| (seen, idepth / seen.idepth))
+    }
+
+    /// Where it shows a pixel whose inverse depth it has as well; 0 is none.
+    fn confirmed(&self, x: usize, y: usize, idepth: f32) -> Option<Seen> {
         if idepth <= 0.0 {
-            return;
+            return None;
         }
-        let (ratio, tolerance) = (idepth / seen.idepth, config.tolerance as f32);
-        if ratio < 1.0 - tolerance {
+        let (seen, ratio) = self.ratio(x as f32, y as f32, idepth)?;
+        ((ratio - 1.0).abs() <= self.tolerance).then_some(seen)
+    }
+
+    /// Its voice on a candidate.
+    fn judge(&self, candidate: &mut Candidate, is_alike: impl Fn(&Candidate, &Seen) -> bool) {
+        let [x, y] = candidate.place();
+        let Some((seen, ratio)) = self.ratio(x, y, candidate.idepth) else {
+            return;
+        };
+        if ratio < 1.0 - self.tolerance {
             candidate.through += 1;
-        } else if ratio <= 1.0 + tolerance {
+        } else if ratio <= 1.0 + self.tolerance {
             candidate.same += 1;
-            let grey = smooth_at(self.image, seen.x, seen.y);
-            let is_alike = self.brightness.is_some_and(|brightness| {
-                brightness.difference(candidate.grey, grey) < config.max_difference as f32
-            });
-            candidate.alike += u16::from(is_alike);
+            candidate.alike += u16::from(is_alike(candidate, &seen));
         }
     }
 }

@@ -96,12 +96,13 @@ pub(super) fn enclosed(
     }
     let envelope = Envelope::new(&planes, view.world_from_keyframe, camera, config);
     let [measured, filled] = view.depths.kinds();
-    let mut known = measured.0.clone();
-    known.reserve_exact(filled.0.len());
-    known.extend_from_slice(&filled.0);
-    let plain = Regions::new(&image, &known, &config.fill);
-    let mut added = envelope.of_plain(&plain, &known);
-    let mut others = envelope.of_others(&plain, [&known, &added]);
+    let plain = Regions::new(&image, measured.0.iter().chain(&filled.0), &config.fill);
+    let mut shown = DepthImage::new(camera);
+    shown.add(&measured.0);
+    shown.add(&filled.0);
+    let mut added = envelope.of_plain(&plain, &shown);
+    shown.add(&added);
+    let mut others = envelope.of_others(&plain, &shown);
     added.append(&mut others);
     added
 }
@@ -148,11 +149,9 @@ impl<'a> Envelope<'a> {
     }
 
     /// Depth of the plain regions whose outline lies on the envelope.
-    fn of_plain(&self, regions: &Regions, known: &[Measurement]) -> Vec<Measurement> {
-        let mut shown = DepthImage::new(self.camera);
-        shown.add(known);
+    fn of_plain(&self, regions: &Regions, shown: &DepthImage) -> Vec<Measurement> {
         let min_share = self.config.envelope.min_plain_share;
-        let allowed: Vec<Vec<bool>> = outlines(regions, [known, &[]])
+        let allowed: Vec<Vec<bool>> = outlines(regions, shown)
             .iter()
             .map(|outline| {
                 if !self.holds(outline, min_share) {
@@ -160,7 +159,7 @@ impl<'a> Envelope<'a> {
                 }
                 let is_allowed = |plane| {
                     let points = self.points_on(plane, outline);
-                    !is_line(&points) || !self.goes_on_beyond(plane, &points, &shown)
+                    !is_line(&points) || !self.goes_on_beyond(plane, &points, shown)
                 };
                 (0..self.planes.len()).map(is_allowed).collect()
             })
@@ -169,15 +168,15 @@ impl<'a> Envelope<'a> {
     }
 
     /// Depth of the regions of all other pixels without depth whose outline lies on the envelope.
-    fn of_others(&self, plain: &Regions, known: [&[Measurement]; 2]) -> Vec<Measurement> {
-        let mut is_left: Vec<bool> = plain.labels.iter().map(|l| *l == NO_REGION).collect();
-        for pixel in known.into_iter().flatten() {
-            is_left[usize::from(pixel.y) * plain.width + usize::from(pixel.x)] = false;
-        }
+    fn of_others(&self, plain: &Regions, shown: &DepthImage) -> Vec<Measurement> {
+        let pixels = plain.labels.iter().zip(&shown.idepths);
+        let is_left: Vec<bool> = pixels
+            .map(|(label, idepth)| *label == NO_REGION && *idepth <= 0.0)
+            .collect();
         let size = (plain.width, plain.height);
         let regions = Regions::of_pixels(&is_left, size, self.config.fill.min_area_px);
         let min_share = self.config.envelope.min_other_share;
-        let allowed: Vec<Vec<bool>> = outlines(&regions, known)
+        let allowed: Vec<Vec<bool>> = outlines(&regions, shown)
             .iter()
             .map(|outline| vec![self.holds(outline, min_share); self.planes.len()])
             .collect();
@@ -273,13 +272,20 @@ impl OutlinePoint {
     }
 }
 
-/// What is known on the outline of each region.
-fn outlines(regions: &Regions, known: [&[Measurement]; 2]) -> Vec<Vec<OutlinePoint>> {
+/// What is shown on the outline of each region.
+fn outlines(regions: &Regions, shown: &DepthImage) -> Vec<Vec<OutlinePoint>> {
     let mut outlines = vec![Vec::new(); regions.count];
-    for pixel in known.into_iter().flatten() {
-        let Measurement { x, y, idepth, .. } = *pixel;
-        for label in regions_beside(regions, pixel) {
-            outlines[label as usize].push(OutlinePoint { x, y, idepth });
+    for (index, idepth) in shown.idepths.iter().enumerate() {
+        if *idepth <= 0.0 {
+            continue;
+        }
+        let (x, y) = ((index % shown.width) as u16, (index / shown.width) as u16);
+        for label in regions_beside(regions, x, y) {
+            outlines[label as usize].push(OutlinePoint {
+                x,
+                y,
+                idepth: *idepth,
+            });
         }
     }
     outlines

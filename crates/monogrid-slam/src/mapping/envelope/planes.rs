@@ -65,25 +65,16 @@ impl Cloud {
         };
         let depths: Vec<Measurement> = some(MAX_DEPTHS).collect();
         let center = view.world_from_keyframe.translation;
-        let in_world = |x: f64, y: f64, idepth: f64| {
-            view.world_from_keyframe * (camera.pinhole.unproject(&Vec2::new(x, y)) / idepth)
-        };
         let point = |p: Measurement| {
-            let in_world = in_world(p.x.into(), p.y.into(), p.idepth.into());
+            let ray = camera.pinhole.unproject(&Vec2::new(p.x.into(), p.y.into()));
+            let in_world = view.world_from_keyframe * (ray / f64::from(p.idepth));
             let range = (in_world - center).norm();
             Point { in_world, range }
         };
         let hypothesis = |plane: &Plane| {
-            // by three points of it
-            let [x, y] = plane.middle();
-            let at = |x: f64, y: f64| {
-                let (idepth, _) = plane.at(x, y);
-                (idepth > 0.0).then(|| in_world(x, y, idepth))
-            };
-            let (a, b, c) = (at(x, y)?, at(x + 5.0, y)?, at(x, y + 5.0)?);
-            let normal = (b - a).cross(&(c - a)).try_normalize(1e-12)?;
-            let offset = normal.dot(&a);
-            Some(Hypothesis { normal, offset })
+            let (normal, middle) = plane.in_world(&camera.pinhole, &view.world_from_keyframe);
+            let offset = normal.dot(&middle);
+            offset.is_finite().then_some(Hypothesis { normal, offset })
         };
         let planes = planes_of_image(&depths, fill);
         Self {

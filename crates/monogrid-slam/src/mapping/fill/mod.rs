@@ -77,27 +77,24 @@ pub fn fill_plain_regions(
 fn borders(regions: &Regions, measured: &[Measurement], config: &FillConfig) -> Vec<Border> {
     let mut borders = vec![Border::default(); regions.count];
     for point in measured {
-        for label in regions_beside(regions, point) {
+        for label in regions_beside(regions, point.x, point.y) {
             borders[label as usize].push(point, config);
         }
     }
     borders
 }
 
-/// The regions on whose outline a measurement is. One on the edge between two regions belongs to both.
+/// The regions on whose outline a pixel is. One on the edge between two regions belongs to both.
 pub(super) fn regions_beside(
     regions: &Regions,
-    point: &Measurement,
+    x: u16,
+    y: u16,
 ) -> impl Iterator<Item = u32> + use<> {
     let mut found: [u32; 16] = [NO_REGION; 16];
     let mut num_found = 0;
     for offset in BORDER_OFFSETS_PX {
         for (dx, dy) in EIGHT_DIRECTIONS {
-            let (x, y) = (
-                i32::from(point.x) + dx * offset,
-                i32::from(point.y) + dy * offset,
-            );
-            let label = regions.at(x, y);
+            let label = regions.at(i32::from(x) + dx * offset, i32::from(y) + dy * offset);
             if label != NO_REGION && !found[..num_found].contains(&label) {
                 found[num_found] = label;
                 num_found += 1;

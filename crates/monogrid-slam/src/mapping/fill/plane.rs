@@ -1,6 +1,7 @@
 //! Planes through the outline of a region.
 
 use super::FillConfig;
+use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, Vector3};
 use rand_xoshiro::SplitMix64;
@@ -91,6 +92,23 @@ impl Plane {
     /// The mean of the pixels that it was fitted to.
     pub fn middle(&self) -> [f64; 2] {
         self.center
+    }
+
+    /// Its normal, towards the keyframe, and the point at its middle, both in the world. With the inverse depth `a x + b y + c` of
+    /// the pixel, `N X = 1` holds on the plane for `N = (a fx, b fy, a cx + b cy + c)`. Not finite for a plane through the camera.
+    pub fn in_world(&self, pinhole: &Pinhole, world_from_keyframe: &Sim3) -> (Vec3, Vec3) {
+        let [a, b, c] = self.affine();
+        let normal = Vec3::new(
+            a * pinhole.fx,
+            b * pinhole.fy,
+            a * pinhole.cx + b * pinhole.cy + c,
+        );
+        let [x, y] = self.middle();
+        let ray = pinhole.unproject(&Vec2::new(x, y));
+        (
+            world_from_keyframe.rotation * -normal.normalize(),
+            *world_from_keyframe * (ray / ray.dot(&normal)),
+        )
     }
 
     /// The points of another plane, as certain as this one.

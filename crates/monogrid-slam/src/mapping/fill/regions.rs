@@ -22,7 +22,11 @@ impl Regions {
     ///
     /// Pixels connect over their *core*: those whose eight neighbours are plain too. A gap of two pixels
     /// in a faint edge therefore does not join the surfaces on both sides.
-    pub fn new(image: &Image<u8>, measured: &[Measurement], config: &FillConfig) -> Self {
+    pub fn new<'a>(
+        image: &Image<u8>,
+        measured: impl IntoIterator<Item = &'a Measurement>,
+        config: &FillConfig,
+    ) -> Self {
         let (width, height) = (image.width(), image.height());
         let mut plain = plain_pixels(image, config.max_gradient);
         for point in measured {

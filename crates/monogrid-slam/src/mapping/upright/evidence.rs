@@ -2,9 +2,9 @@
 
 use super::UprightConfig;
 use super::segments::segments;
-use crate::mapping::fill::{Plane, planes_of_image};
+use crate::mapping::fill::planes_of_image;
 use crate::mapping::{FillConfig, ImageOf, KeyframeScan};
-use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
+use monogrid_geometry::{Sim3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// A keyframe as the search for up needs it.
@@ -61,9 +61,13 @@ impl Evidence {
             let (pose, camera) = (&view.world_from_keyframe, &view.scan.camera);
             this.poses.push(*pose);
             let points: usize = planes.iter().map(|plane| plane.inliers).sum();
-            let patches = planes.iter().map(|plane| Patch {
-                weight: plane.inliers as f64 / points as f64,
-                ..patch(plane, &camera.pinhole, pose)
+            let patches = planes.iter().map(|plane| {
+                let (normal_in_world, middle_in_world) = plane.in_world(&camera.pinhole, pose);
+                Patch {
+                    normal_in_world,
+                    middle_in_world,
+                    weight: plane.inliers as f64 / points as f64,
+                }
             });
             // a plane through the camera has no place
             let is_finite = |p: &Patch| (p.normal_in_world + p.middle_in_world).norm().is_finite();
@@ -86,23 +90,5 @@ impl Evidence {
             }));
         }
         this
-    }
-}
-
-/// The plane in the world. With the inverse depth `a x + b y + c` of the pixel, `N X = 1` holds on the plane for
-/// `N = (a fx, b fy, a cx + b cy + c)`.
-fn patch(plane: &Plane, pinhole: &Pinhole, pose: &Sim3) -> Patch {
-    let [a, b, c] = plane.affine();
-    let normal = Vec3::new(
-        a * pinhole.fx,
-        b * pinhole.fy,
-        a * pinhole.cx + b * pinhole.cy + c,
-    );
-    let [x, y] = plane.middle();
-    let ray = pinhole.unproject(&Vec2::new(x, y));
-    Patch {
-        normal_in_world: pose.rotation * -normal.normalize(),
-        middle_in_world: *pose * (ray / ray.dot(&normal)),
-        weight: 0.0,
     }
 }
