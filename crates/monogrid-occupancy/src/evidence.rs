@@ -88,6 +88,19 @@ impl Limits {
         prior.saturating_add(delta).clamp(self.min, self.max)
     }
 
+    /// How measurements change cells within these limits.
+    pub(crate) fn rule(self, updates_to_belief: [u8; 2]) -> UpdateRule {
+        let bound = |updates: u8| match updates {
+            // farther than any limit
+            0 => i32::from(i16::MAX),
+            updates => i32::from(updates),
+        };
+        UpdateRule {
+            limits: self,
+            bounds: updates_to_belief.map(bound),
+        }
+    }
+
     /// As OctoMap: exactly at the threshold counts as occupied.
     #[inline]
     pub(crate) fn occupancy(self, value: i16) -> Occupancy {
@@ -98,6 +111,35 @@ impl Limits {
         } else {
             Occupancy::Free
         }
+    }
+}
+
+/// How a measurement changes a cell: within the limits of the map, and no farther than so many times the update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct UpdateRule {
+    pub limits: Limits,
+    /// Multiples of an update that a cell is brought to at most, by updates for free and for occupied.
+    bounds: [i32; 2],
+}
+
+impl UpdateRule {
+    /// `value` after one measurement, which cannot take back what others said in its own sense.
+    #[inline(always)]
+    pub(crate) fn updated(self, value: i16, delta: i16) -> i16 {
+        let Limits { min, max, .. } = self.limits;
+        let prior = if value == UNKNOWN {
+            0
+        } else {
+            i32::from(value)
+        };
+        let delta = i32::from(delta);
+        let [least, most] = self.bounds.map(|bound| delta * bound);
+        let after = if delta < 0 {
+            prior.min((prior + delta).max(least))
+        } else {
+            prior.max((prior + delta).min(most))
+        };
+        after.clamp(min.into(), max.into()) as i16
     }
 }
 
@@ -123,11 +165,41 @@ mod tests {
     }
 
     #[test]
+    fn equal_measurements_bring_a_cell_to_what_they_say_and_no_farther() {
+        let rule = Limits::new(-2.0, 3.5, 0.5).unwrap().rule([10, 3]);
+        let after = |times: usize, delta: i16, from: i16| {
+            (0..times).fold(from, |value, _| rule.updated(value, delta))
+        };
+        assert_eq!(
+            [1, 2, 3, 9].map(|n| after(n, 1000, UNKNOWN)),
+            [1000, 2000, 3000, 3000]
+        );
+        assert_eq!(
+            [1, 10, 11].map(|n| after(n, -50, UNKNOWN)),
+            [-50, -500, -500]
+        );
+        // what others said stays where a measurement says less in the same sense
+        assert_eq!(after(5, 100, 2000), 2000);
+        assert_eq!(after(5, -50, -4000), -4000);
+        // against it, it counts as ever, up to its own belief
+        assert_eq!(after(2, -500, 2000), 1000);
+        assert_eq!(after(99, -500, 2000), -5000);
+        // the limits of the map are above all
+        assert_eq!(after(99, 12_000, 0), rule.limits.max);
+        assert_eq!(rule.updated(20_000, -1), rule.limits.max);
+    }
+
+    #[test]
     fn one_update_starts_an_unknown_cell_at_zero_and_clamps() {
         let limits = Limits::new(-2.0, 3.5, 0.5).unwrap();
         assert_eq!(limits.updated(UNKNOWN, 100), 100);
         assert_eq!(limits.updated(UNKNOWN, i16::MAX), limits.max);
         assert_eq!(limits.updated(limits.max, i16::MIN + 1), limits.min);
+        let rule = limits.rule([0, 0]);
+        for (value, delta) in [(UNKNOWN, 100), (UNKNOWN, i16::MAX), (3000, -500)] {
+            assert_eq!(rule.updated(value, delta), limits.updated(value, delta));
+        }
+        assert_eq!(rule.updated(limits.max, i16::MIN + 1), limits.min);
         assert_eq!(limits.occupancy(UNKNOWN), Occupancy::Unknown);
         assert_eq!(limits.occupancy(0), Occupancy::Occupied);
         assert_eq!(limits.occupancy(-1), Occupancy::Free);

@@ -206,6 +206,13 @@ struct Expected {
     is_edge_case: bool,
 }
 
+/// How many updates bring a cell to what is stated of it.
+fn updates(config: &IntegrationConfig) -> [f64; 2] {
+    config
+        .updates_to_belief
+        .map(|updates| f64::from(updates.max(1)))
+}
+
 struct Definition {
     camera_from_world: Similarity,
     measured: BTreeMap<(i32, i32), Measured>,
@@ -227,22 +234,37 @@ impl Definition {
         let Some(measured) = self.measured.get(&(at[0] as i32, at[1] as i32)) else {
             return (0.0, is_edge_case);
         };
-        let limits = (
-            f64::from(self.config.update_min),
-            f64::from(self.config.update_max),
-        );
+        let (low, high) = (self.config.update_min, self.config.update_max);
+        let [free, occupied] = updates(&self.config);
+        let limits = (free * f64::from(low), occupied * f64::from(high));
         let model = self.config.model.at_resolution(self.cell);
         let Measured { range: z, sigma } = *measured;
         let value = model.log_odds(range, z, sigma, limits);
+        let share = 1.0 / if value < 0.0 { free } else { occupied };
         let cutoff = f64::from(self.config.cutoff_log_odds);
         let is_behind = range > z;
-        is_edge_case |=
-            value != 0.0 && value.abs() < LITTLE && (!is_behind || value.abs() > 0.5 * cutoff);
+        is_edge_case |= value != 0.0
+            && (share * value).abs() < LITTLE
+            && (!is_behind || value.abs() > 0.5 * cutoff);
         if is_behind && value.abs() < cutoff {
             (0.0, is_edge_case)
         } else {
-            (value, is_edge_case)
+            (share * value, is_edge_case)
         }
+    }
+
+    /// A cell after one more update.
+    fn after(&self, value: f64, update: f64) -> f64 {
+        let [free, occupied] = self.config.updates_to_belief.map(|updates| match updates {
+            0 => f64::INFINITY,
+            updates => f64::from(updates),
+        });
+        let after = match update {
+            u if u < 0.0 => value.min((value + u).max(free * u)),
+            u if u > 0.0 => value.max((value + u).min(occupied * u)),
+            _ => value,
+        };
+        after.clamp(-2.0, 3.5)
     }
 
     fn cell(&self, key: VoxelKey) -> Expected {
@@ -303,18 +325,23 @@ impl Definition {
 #[test]
 fn fused_is_its_definition_on_a_dense_grid_to_the_accuracy_of_the_tables() {
     let models = [
-        SensorModel::default(),
-        SensorModel::Thrun {
-            buffer: Buffer::Fixed(0.15),
-            form: ThrunForm::Exact,
-        },
-        SensorModel::ANDERT,
+        (SensorModel::default(), [0, 0]),
+        (
+            SensorModel::Thrun {
+                buffer: Buffer::Fixed(0.15),
+                form: ThrunForm::Exact,
+            },
+            [0, 0],
+        ),
+        (SensorModel::ANDERT, [0, 0]),
+        (SensorModel::default(), [15, 3]),
     ];
-    for (case, model) in models.into_iter().enumerate() {
+    for (case, (model, updates_to_belief)) in models.into_iter().enumerate() {
         // Cells so small that the camera's own pixels are used.
         for cell in [0.03, 0.04].into_iter().skip(usize::from(case > 0)) {
             let config = IntegrationConfig {
                 model,
+                updates_to_belief,
                 ..IntegrationConfig::default()
             };
             let mut random = Random(100 + case as u64);
@@ -358,10 +385,15 @@ fn fused_is_its_definition_on_a_dense_grid_to_the_accuracy_of_the_tables() {
                             continue;
                         };
                         // Clamped when written: errors of the scans add up at most.
-                        let expected = all
-                            .iter()
-                            .fold(0.0, |value: f64, e| (value + e.update).clamp(-2.0, 3.5));
-                        let bound = all.iter().map(|e| e.bound).sum::<f64>();
+                        let updates = definitions.iter().zip(&all);
+                        let expected = updates.fold(0.0, |value, (d, e)| d.after(value, e.update));
+                        // What is stated is steeper than what is written at most.
+                        let steeper = if updates_to_belief == [0, 0] {
+                            1.0
+                        } else {
+                            3.0
+                        };
+                        let bound = steeper * all.iter().map(|e| e.bound).sum::<f64>();
                         let error = (found - expected).abs();
                         assert!(
                             error <= bound,

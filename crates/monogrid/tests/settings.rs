@@ -134,7 +134,12 @@ fn the_documented_ranges_are_those_that_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let ranges = documented();
     // made of two numbers or of one per level
-    let lists = ["update_limits", "clamp", "max_iterations"];
+    let lists = [
+        "update_limits",
+        "updates_to_belief",
+        "clamp",
+        "max_iterations",
+    ];
     let mut attempts: Vec<(String, String, bool)> = Vec::new();
     for (name, value) in effective(folder.path()) {
         let leaf = name.rsplit('.').next().unwrap();

@@ -41,7 +41,7 @@ impl Walk<'_> {
         spare: &mut Vec<Visits>,
     ) -> usize {
         let batches = self.batches(measured);
-        let (limits, revision) = (map.limits, map.revision);
+        let (rule, revision) = (self.beams.tables.rule(map.limits), map.revision);
         let queue = Mutex::new(Queue::new(&mut map.shards, std::mem::take(spare)));
         let run = || {
             let mut done = None;
@@ -60,7 +60,7 @@ impl Walk<'_> {
                         visits.collect(self.beams, beams, self.beginnings, self.only);
                     }
                     Job::Apply(index, shard, batches) => {
-                        let mut writer = ShardWriter::new(&self.beams.tables, limits, revision);
+                        let mut writer = ShardWriter::new(&self.beams.tables, rule, revision);
                         for visits in batches {
                             writer.apply(shard, visits, *index);
                         }

@@ -75,7 +75,7 @@ impl Prepared {
         let writer = Writer {
             footprints: &self.footprints,
             resolution: self.resolution,
-            limits,
+            rule: self.footprints.images.tables.rule(limits),
             revision,
         };
         for &(key, update) in &self.tasks[index] {
@@ -292,7 +292,8 @@ mod tests {
                         let update = footprints.cell_evidence(center, cell, &weights);
                         if update != 0 {
                             let key = brick.cell(x + 8 * y + 64 * z);
-                            let value = map.limits.updated(map.evidence(key), update);
+                            let rule = map.limits.rule(config.updates_to_belief);
+                            let value = rule.updated(map.evidence(key), update);
                             let log_odds = crate::evidence::log_odds_from_evidence(value);
                             map.set_log_odds(key, Some(log_odds)).unwrap();
                         }

@@ -75,6 +75,10 @@ pub struct IntegrationConfig {
     /// Behind the obstacle, evidence smaller than this (log-odds, not negative) is not written.
     /// Default 0.02.
     pub cutoff_log_odds: f32,
+    /// How many equal updates bring a cell to the log-odds that the model states, for free and for occupied; none brings it
+    /// farther, as measurements share errors. 0: the first one does, and they add up without end, as if all were independent.
+    /// Default 0 for both, for range sensors.
+    pub updates_to_belief: [u8; 2],
     /// Rule `fused`: how often, beyond once, a measurement of an obstacle counts among those in the
     /// footprint of a coarse cell, 0 to 3. A coarse cell is occupied if anything in it is, and free
     /// only if all of it is; but false measurements gain as well, and noise where cells are not larger
@@ -96,6 +100,7 @@ impl Default for IntegrationConfig {
             update_min: -0.4,
             update_max: 1.2,
             cutoff_log_odds: 0.02,
+            updates_to_belief: [0, 0],
             obstacle_weight: 1,
             band_by_slope: false,
             sigma_mode: SigmaMode::default(),
@@ -141,6 +146,7 @@ impl IntegrationConfig {
             min: f64::from(self.update_min),
             max: f64::from(self.update_max),
             cutoff: f64::from(self.cutoff_log_odds),
+            to_belief: self.updates_to_belief,
         }
     }
 }

@@ -231,7 +231,7 @@ mod tests {
     fn walk_everything(map: &mut OccupancyMap, scan: &Scan, config: &IntegrationConfig) {
         let beams = Beams::new(map, scan, config).unwrap();
         map.revision += 1;
-        let (limits, revision) = (map.limits, map.revision);
+        let (rule, revision) = (beams.tables.rule(map.limits), map.revision);
         for measured in &beams.measured {
             let beam = beams.beam(measured);
             beam.ray.for_each_brick(|key, _| {
@@ -242,7 +242,7 @@ mod tests {
                 beam.ray.walk(entry, |index, range| {
                     let delta = beam.evidence_at(range, beams.tables.table(beam.table));
                     if delta != 0 {
-                        cells[index] = limits.updated(cells[index], delta);
+                        cells[index] = rule.updated(cells[index], delta);
                     }
                 });
                 shard.touch(slot, revision);

@@ -8,7 +8,7 @@
 use super::beam::{Beam, Beams, Beginnings, Measured};
 use super::ray::{CellVisitor, TIME_BITS};
 use super::rays::BrickFilter;
-use crate::evidence::Limits;
+use crate::evidence::UpdateRule;
 use crate::key::{BRICK_CELLS, BrickKey};
 use crate::sensor::table::{EvidenceTable, TableSet};
 use crate::storage::{BrickRef, SHARDS, Shard, SlotIndex, hash, shard_of};
@@ -185,16 +185,16 @@ impl CellVisitor for Visitor<'_> {
 /// Step 2 for one shard.
 pub(crate) struct ShardWriter<'a> {
     tables: &'a TableSet,
-    limits: Limits,
+    rule: UpdateRule,
     revision: u32,
     free_visits: u32,
 }
 
 impl<'a> ShardWriter<'a> {
-    pub(crate) fn new(tables: &'a TableSet, limits: Limits, revision: u32) -> Self {
+    pub(crate) fn new(tables: &'a TableSet, rule: UpdateRule, revision: u32) -> Self {
         Self {
             tables,
-            limits,
+            rule,
             revision,
             free_visits: 0,
         }
@@ -239,16 +239,16 @@ impl<'a> ShardWriter<'a> {
         if free == 0 {
             return;
         }
-        if shard.contents(slot) == BrickRef::Uniform(self.limits.min) && free < 0 {
+        if shard.contents(slot) == BrickRef::Uniform(self.rule.limits.min) && free < 0 {
             return;
         }
-        let limits = self.limits;
+        let rule = self.rule;
         let cells = &mut shard.payload_mut(slot).0;
         let entry = beam
             .ray
             .enter_from(BrickKey::unpack(key), beam.settled_until);
         beam.ray.walk(entry, |index, _| {
-            cells[index] = limits.updated(cells[index], free);
+            cells[index] = rule.updated(cells[index], free);
         });
         shard.touch(slot, self.revision);
         // Saturated bricks spare all later free rays: look for them now and then.
@@ -260,8 +260,8 @@ impl<'a> ShardWriter<'a> {
 
     /// A brick in which the beam meets more than free space.
     fn update(&self, shard: &mut Shard, slot: SlotIndex, updates: &[u32]) {
-        let limits = self.limits;
-        if shard.contents(slot) == BrickRef::Uniform(limits.min)
+        let rule = self.rule;
+        if shard.contents(slot) == BrickRef::Uniform(rule.limits.min)
             && updates.iter().all(|update| (*update as i16) < 0)
         {
             return;
@@ -269,7 +269,7 @@ impl<'a> ShardWriter<'a> {
         let cells = &mut shard.payload_mut(slot).0;
         for update in updates {
             let cell = &mut cells[(update >> 16) as usize % BRICK_CELLS];
-            *cell = limits.updated(*cell, *update as i16);
+            *cell = rule.updated(*cell, *update as i16);
         }
         shard.touch(slot, self.revision);
     }

@@ -4,7 +4,7 @@ use super::footprint::Footprints;
 use super::kernel::Weights;
 use super::octants::Cube;
 use super::search::{Update, relative_center};
-use crate::evidence::Limits;
+use crate::evidence::UpdateRule;
 use crate::key::{BRICK_CELLS, BrickKey};
 use crate::storage::{BrickRef, Shard, hash};
 
@@ -12,7 +12,7 @@ use crate::storage::{BrickRef, Shard, hash};
 pub(crate) struct Writer<'a> {
     pub footprints: &'a Footprints,
     pub resolution: f64,
-    pub limits: Limits,
+    pub rule: UpdateRule,
     pub revision: u32,
 }
 
@@ -29,7 +29,7 @@ impl Writer<'_> {
             let free = self.footprints.free_evidence(&weights);
             if free != 0 {
                 let slot = shard.find_or_insert(key, hash(key));
-                if shard.update_all(slot, free, self.limits) {
+                if shard.update_all(slot, free, self.rule) {
                     shard.touch(slot, self.revision);
                 }
             }
@@ -40,7 +40,7 @@ impl Writer<'_> {
             return;
         }
         let slot = shard.find_or_insert(key, hash(key));
-        if shard.update_each(slot, &updates, self.limits) {
+        if shard.update_each(slot, &updates, self.rule) {
             shard.touch(slot, self.revision);
         }
     }
@@ -49,7 +49,7 @@ impl Writer<'_> {
     fn is_settled(&self, shard: &Shard, key: u64) -> bool {
         shard
             .find(key, hash(key))
-            .is_some_and(|slot| shard.contents(slot) == BrickRef::Uniform(self.limits.min))
+            .is_some_and(|slot| shard.contents(slot) == BrickRef::Uniform(self.rule.limits.min))
     }
 
     /// Updates of the 512 cells of a brick with centre `center` relative to the sensor; whether

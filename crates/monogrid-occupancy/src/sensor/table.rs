@@ -1,8 +1,8 @@
 //! Tables of evidence over `range - measured_range`, one per bin of sigma.
 //!
 //! A bin is a value of the exponent and the five highest mantissa bits of sigma as `f32`, so the
-//! sigma of a table is within 1.6 % of the measurement's. An entry holds the model's limited
-//! log-odds at its centre; entries are sigma/64 wide. Models that also depend on how uncertain
+//! sigma of a table is within 1.6 % of the measurement's. An entry holds the limited update by the
+//! model's log-odds at its centre; entries are sigma/64 wide. Models that also depend on how uncertain
 //! the range is relative to itself get one table per bin of sigma and of `range / sigma`. The
 //! tests bound the difference to the exact model.
 
@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{SensorModel, ThrunForm};
 use crate::error::MapError;
-use crate::evidence::evidence_from_log_odds;
+use crate::evidence::{Limits, UpdateRule, evidence_from_log_odds};
 use crate::integrate::IntegrationConfig;
 
 /// Bits of an `f32` dropped by its bin.
@@ -34,8 +34,24 @@ const MAX_KNOWN: usize = 1024;
 pub(crate) struct UpdateLimits {
     pub min: f64,
     pub max: f64,
-    /// Behind the obstacle, evidence smaller than this ends the ray.
+    /// Behind the obstacle, log-odds smaller than this end the ray.
     pub cutoff: f64,
+    /// So many updates bring a cell to the log-odds that a measurement states, for free and for occupied; 0: one does.
+    pub to_belief: [u8; 2],
+}
+
+impl UpdateLimits {
+    /// The update by a measurement of these log-odds.
+    fn update(&self, stated: f64) -> f64 {
+        let updates = self.to_belief[usize::from(stated > 0.0)].max(1);
+        (stated / f64::from(updates)).clamp(self.min, self.max)
+    }
+
+    /// Stated log-odds beyond which updates are the same.
+    fn stated(&self) -> (f64, f64) {
+        let [free, occupied] = self.to_belief.map(|updates| f64::from(updates.max(1)));
+        (free * self.min, occupied * self.max)
+    }
 }
 
 /// Evidence of one measurement as a function of `range - measured_range`.
@@ -67,24 +83,21 @@ impl EvidenceTable {
         let front = -(reach + 3.0 * sigma).min(z);
         let step = (sigma / ENTRIES_PER_SIGMA).max((reach - front) / MAX_ENTRIES);
         let count = ((reach - front) / step).ceil().max(1.0) as usize;
-        let at = |x: f64| {
+        let stated = |x: f64| {
             let range = (z + x).max(1e-6 * z);
-            let log_odds = match model {
+            match model {
                 SensorModel::None => 0.0,
-                _ => model.log_odds(range, z, sigma, (limits.min, limits.max)),
-            };
-            evidence_from_log_odds(log_odds)
+                _ => model.log_odds(range, z, sigma, limits.stated()),
+            }
         };
-        let mut entries: Vec<i16> = (0..count)
-            .map(|i| at(front + (i as f64 + 0.5) * step))
+        let update = |stated: f64| evidence_from_log_odds(limits.update(stated));
+        let all: Vec<f64> = (0..count)
+            .map(|i| stated(front + (i as f64 + 0.5) * step))
             .collect();
-        let cutoff = evidence_from_log_odds(limits.cutoff).unsigned_abs().max(1);
-        let kept = entries
-            .iter()
-            .rposition(|&e| e.unsigned_abs() >= cutoff)
-            .map_or(0, |last| last + 1);
-        entries.truncate(kept);
-        let free = at(front - sigma);
+        let counts = |&stated: &f64| stated.abs() >= limits.cutoff && update(stated) != 0;
+        let kept = all.iter().rposition(counts).map_or(0, |last| last + 1);
+        let mut entries: Vec<i16> = all[..kept].iter().map(|stated| update(*stated)).collect();
+        let free = update(stated(front - sigma));
         let first = entries.iter().position(|&e| e != free).unwrap_or(kept);
         entries.drain(..first);
         Self {
@@ -294,6 +307,11 @@ impl TableSet {
         }
     }
 
+    /// How its updates change cells within the limits of a map.
+    pub(crate) fn rule(&self, limits: Limits) -> UpdateRule {
+        limits.rule(self.limits.to_belief)
+    }
+
     #[inline]
     pub(crate) fn table(&self, index: u16) -> &EvidenceTable {
         &self.tables[usize::from(index)]
@@ -337,6 +355,7 @@ mod tests {
         min: -0.6,
         max: 1.2,
         cutoff: 0.02,
+        to_belief: [0, 0],
     };
 
     #[test]
@@ -352,7 +371,7 @@ mod tests {
             let wide = UpdateLimits {
                 min: -2.0,
                 max: 3.5,
-                cutoff: 0.02,
+                ..DEFAULT
             };
             let worst = worst_difference(model, wide, &sigmas);
             assert!(worst < 0.08, "{model:?}: {worst}");
@@ -370,10 +389,37 @@ mod tests {
         let limits = UpdateLimits {
             min: -0.9,
             max: 3.5,
-            cutoff: 0.02,
+            ..DEFAULT
         };
         let worst = worst_difference(model, limits, &[0.02, 0.11, 0.4]);
         assert!(worst < 0.04, "{worst}");
+    }
+
+    #[test]
+    fn a_share_of_what_is_stated_is_written_where_that_is_not_cut_off() {
+        let limits = UpdateLimits {
+            min: -0.4,
+            max: 1.2,
+            cutoff: 0.9,
+            to_belief: [15, 3],
+        };
+        let model = SensorModel::Thrun {
+            buffer: Buffer::Fixed(0.1),
+            form: ThrunForm::Exact,
+        };
+        let mut set = TableSet::new(model, limits).unwrap();
+        let sigma = bin_center(bin(0.02));
+        let index = set.prepare(2.0, sigma as f32);
+        let table = set.table(index);
+        let stated = |x: f64| model.log_odds(2.0 + x, 2.0, sigma, (-20.0, 20.0));
+        for (x, share) in [(-0.09, 15.0), (-0.06, 15.0), (0.0, 3.0), (0.04, 3.0)] {
+            let written = f64::from(log_odds_from_evidence(table.lookup(x)));
+            let expected = (stated(x) / share).clamp(-0.4, 1.2);
+            assert!((written - expected).abs() < 0.01, "{x}: {written}");
+        }
+        assert_eq!(table.lookup(-1.0), evidence_from_log_odds(-0.4));
+        let last = table.end();
+        assert!((stated(last) - 0.9).abs() < 0.03 && table.lookup(last + 1e-4) == 0);
     }
 
     #[test]

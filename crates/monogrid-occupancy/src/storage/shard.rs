@@ -7,7 +7,7 @@
 
 use super::packed::{self, PackedBrick};
 use super::pool::{Payload, Pool};
-use crate::evidence::{Limits, UNKNOWN};
+use crate::evidence::{UNKNOWN, UpdateRule};
 use crate::for_avx2::for_avx2;
 use crate::key::BRICK_CELLS;
 
@@ -272,17 +272,17 @@ impl Shard {
     }
 
     /// The same update for all cells of a brick; returns whether anything changed.
-    pub(crate) fn update_all(&mut self, slot: SlotIndex, delta: i16, limits: Limits) -> bool {
+    pub(crate) fn update_all(&mut self, slot: SlotIndex, delta: i16, rule: UpdateRule) -> bool {
         match self.contents(slot) {
             BrickRef::Uniform(value) => {
-                let updated = limits.updated(value, delta);
+                let updated = rule.updated(value, delta);
                 self.slots[slot.0 as usize].contents = uniform_word(updated);
                 updated != value
             }
             BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                 let mut changed = 0;
                 for value in &mut self.payload_mut(slot).0 {
-                    let updated = limits.updated(*value, delta);
+                    let updated = rule.updated(*value, delta);
                     changed |= *value ^ updated;
                     *value = updated;
                 }
@@ -297,10 +297,10 @@ impl Shard {
         &mut self,
         slot: SlotIndex,
         updates: &[i16; BRICK_CELLS],
-        limits: Limits,
+        rule: UpdateRule,
     ) -> bool {
         let cells = &mut self.payload_mut(slot).0;
-        let [changed, differs] = update_cells(cells, updates, limits);
+        let [changed, differs] = update_cells(cells, updates, rule);
         if !differs {
             let value = cells[0];
             self.set_uniform(slot, value);
@@ -347,11 +347,11 @@ for_avx2! {
     fn update_cells(
         cells: &mut [i16; BRICK_CELLS],
         updates: &[i16; BRICK_CELLS],
-        limits: Limits,
+        rule: UpdateRule,
     ) -> [bool; 2] {
         let updated = |value, update| match update {
             0 => value,
-            update => limits.updated(value, update),
+            update => rule.updated(value, update),
         };
         let first = updated(cells[0], updates[0]);
         let (mut changed, mut differs) = (0, 0);
@@ -368,6 +368,7 @@ for_avx2! {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evidence::Limits;
     use crate::storage::hash;
     use std::collections::BTreeMap;
 
@@ -399,7 +400,7 @@ mod tests {
                     cells.fill(value);
                 }
                 1 => {
-                    shard.update_all(slot, -2458, limits);
+                    shard.update_all(slot, -2458, limits.rule([0, 0]));
                     cells
                         .iter_mut()
                         .for_each(|c| *c = limits.updated(*c, -2458));
@@ -454,11 +455,11 @@ mod tests {
         let slot = shard.find_or_insert(5, hash(5));
         let mut updates = [-8000; BRICK_CELLS];
         updates[300] = 0;
-        assert!(shard.update_each(slot, &updates, limits));
+        assert!(shard.update_each(slot, &updates, limits.rule([0, 0])));
         assert!(matches!(shard.contents(slot), BrickRef::Mixed(_)));
-        assert!(!shard.update_each(slot, &[0; BRICK_CELLS], limits));
-        assert!(shard.update_each(slot, &[-9000; BRICK_CELLS], limits));
+        assert!(!shard.update_each(slot, &[0; BRICK_CELLS], limits.rule([0, 0])));
+        assert!(shard.update_each(slot, &[-9000; BRICK_CELLS], limits.rule([0, 0])));
         assert_eq!(shard.contents(slot), BrickRef::Uniform(limits.min));
-        assert!(!shard.update_each(slot, &[-1; BRICK_CELLS], limits));
+        assert!(!shard.update_each(slot, &[-1; BRICK_CELLS], limits.rule([0, 0])));
     }
 }

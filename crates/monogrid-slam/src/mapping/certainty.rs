@@ -18,15 +18,15 @@ use std::sync::Arc;
 /// How much farther the truth is than another keyframe, for each px that patches are off across their epipolar lines (robust deviation). The middle of
 /// the errors alone would have 3.4 to 5.3 in six rendered sequences, of which one has a rolling shutter and one blur as well, and two real ones with a
 /// depth camera; this much makes two standard deviations hold nine tenths, since errors have tails (`docs/studies.md`).
-const SHARED_PER_PX: f32 = 6.0;
+const SHARED_PER_PX: f32 = 7.5;
 /// What it is taken for: depths that share nothing would be as far from the truth as from each other.
-const SHARED_ERRORS: std::ops::RangeInclusive<f32> = 0.8..=4.5;
+const SHARED_ERRORS: std::ops::RangeInclusive<f32> = 1.0..=5.6;
 /// The same where too few patches tell: of real videos.
-const USUAL_SHARED_ERRORS: f32 = 2.2;
+const USUAL_SHARED_ERRORS: f32 = 2.75;
 /// Fewest patches that tell it.
 const MIN_PATCHES: usize = 50;
 /// Factors beyond these say that something else is wrong.
-const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.0;
+const FACTORS: std::ops::RangeInclusive<f32> = 0.25..=3.75;
 /// Relative deviation that always remains: of the camera's model and of the pixels' size.
 const LEAST_RELATIVE_SIGMA: f32 = 0.003;
 /// Every so many pixels of a keyframe are compared.

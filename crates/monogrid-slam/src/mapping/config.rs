@@ -116,9 +116,8 @@ pub struct DepthFilterConfig {
     /// measurement smears its surface along the ray (in the demo world 3.6 times the true number of occupied
     /// cells at 0.1, 1.4 times at 0.035). Range [0.000001, inf].
     pub max_relative_sigma: f64,
-    /// The same for all depth of final maps, once `mapping.sigma_from_agreement` has set it. Default 0.03:
-    /// against 0.05, walls are thinner (in red-kitchen MCC rises from 0.70 to 0.715) and 2 % less of the surfaces
-    /// is observed. Range [0.000001, inf].
+    /// The same for all depth of final maps, once `mapping.sigma_from_agreement` has set it. Default 0.035:
+    /// with more, walls of real recordings get thicker, with less, fewer of the surfaces are observed. Range [0.000001, inf].
     pub max_agreed_sigma: f64,
     /// Measurements among the 3x3 pixels around one (itself included) that must agree with it within two
     /// standard deviations; 0 and 1 keep all. Default 6: against 4, MCC rises from 0.71 to 0.72 in the demo
@@ -133,7 +132,7 @@ impl Default for DepthFilterConfig {
     fn default() -> Self {
         Self {
             max_relative_sigma: 0.035,
-            max_agreed_sigma: 0.03,
+            max_agreed_sigma: 0.035,
             min_support: 6,
             skip_keyframes: 0,
         }
@@ -313,7 +312,7 @@ pub struct MappingConfig {
     /// diagonal, or `band_by_slope`) and `buffer_sigmas` standard deviations. Default `"auto"`. Range [0.000001, 1000000].
     pub buffer: AutoLength,
     /// Thickness in standard deviations where `buffer` is automatic (below 0.861, a hit is evidence against the
-    /// obstacle). Default 2.25; docs/sensor-parameters.md derives it. Range [0.862, 100].
+    /// obstacle). Default 1.7; docs/sensor-parameters.md derives it. Range [0.862, 100].
     pub buffer_sigmas: f64,
     /// Whether, with rule `fused` and an automatic `buffer`, the band is at least as long along each line of sight as the cells that the surface
     /// passes through there, by its slope in the image, instead of a cell's diagonal: walls that are looked at straight get thinner,
@@ -333,14 +332,19 @@ pub struct MappingConfig {
     /// How measurements are combined. Default `fused`.
     pub integration: IntegrationKind,
     /// Limits of one update, log-odds, [-100, -0.000001] and [0.000001, 100]: a single ray must not decide. Default
-    /// -0.2 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
+    /// -0.4 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
     /// rest says little (docs/sensor-parameters.md).
     pub update_limits: [f64; 2],
-    /// Updates smaller than this (log-odds) behind the obstacle end the ray. The models stay above 1/2 far behind it: 0.02 makes
-    /// walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.9: against 0.6, a quarter to a half fewer cells are occupied behind walls, where no ray ever
+    /// How many equal updates bring a cell to what the sensor model says of it, for free and for occupied; none brings it farther, since
+    /// keyframes share their errors. 0: the first one does, and they add up without end, as if all were independent, and so they do with `andert`. Default 15 and 3
+    /// (docs/sensor-parameters.md). Range [0, 255].
+    pub updates_to_belief: [u8; 2],
+    /// Where the model states less than these log-odds behind the obstacle, the ray ends. The models stay above 1/2 far behind it: 0.02 makes
+    /// walls 4.8 sigma thick, 0.4 makes them 3.3. Default 0.8: against 0.6, a quarter fewer cells are occupied behind walls, where no ray ever
     /// clears them, and 1 % less of the surfaces is observed. Range [0, 1].
     pub tail_log_odds: f64,
-    /// Lowest and highest stored log-odds, [-7.99, -0.001] and [0.001, 7.99]. Default -2 and 3.5, OctoMap's.
+    /// Lowest and highest stored log-odds, [-7.99, -0.001] and [0.001, 7.99]. Default -4 and 3.5; OctoMap's are -2 and 3.5, but what many
+    /// keyframes see through is free in 99 of 100 cells.
     pub clamp: [f32; 2],
     /// Cells at least this likely are occupied. Default 0.5. Range [0.001, 0.999].
     pub occupancy_threshold: f64,
@@ -416,7 +420,7 @@ impl Default for MappingConfig {
             auto_resolution: true,
             sensor_model: SensorModelKind::Thrun,
             buffer: AutoLength::Auto,
-            buffer_sigmas: 2.25,
+            buffer_sigmas: 1.7,
             band_by_slope: true,
             thrun_form: ThrunFormKind::Exact,
             significance: AutoLength::Auto,
@@ -424,9 +428,10 @@ impl Default for MappingConfig {
             andert_p_min: 0.3,
             andert_form: AndertFormKind::Monocular,
             integration: IntegrationKind::Fused,
-            update_limits: [-0.2, 1.2],
-            tail_log_odds: 0.9,
-            clamp: [-2.0, 3.5],
+            update_limits: [-0.4, 1.2],
+            updates_to_belief: [15, 3],
+            tail_log_odds: 0.8,
+            clamp: [-4.0, 3.5],
             occupancy_threshold: 0.5,
             max_range: 10.0,
             local_radius: 3.0,
@@ -466,6 +471,8 @@ impl MappingConfig {
             significance: AutoLength::Fixed(0.02),
             integration: IntegrationKind::Rays,
             update_limits: [certain, -certain],
+            updates_to_belief: [0, 0],
+            clamp: [-2.0, 3.5],
             tail_log_odds: 0.02,
             // The thesis names no limit; but points of a random start lie at any distance, and their free
             // rays would fill the memory. The median depth is 1 there.

@@ -145,6 +145,7 @@ fn count_hits(
     let config = MappingConfig {
         // too little for a step of evidence
         update_limits: [-1e-9, HIT],
+        updates_to_belief: [0, 0],
         tail_log_odds: HIT,
         clamp: [-7.9, 7.9],
         ..mapper.config().clone()

@@ -1,7 +1,8 @@
 //! One scan into one map.
 
 use super::super::{
-    AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, ScanPixels, SigmaMode,
+    AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, ScanPixels,
+    SensorModelKind, SigmaMode,
 };
 use monogrid_geometry::{Rotation, Sim3, Vec3, nalgebra::Matrix3};
 use monogrid_occupancy::{
@@ -53,6 +54,11 @@ impl Mapper {
             update_min: config.update_limits[0] as f32,
             update_max: config.update_limits[1] as f32,
             cutoff_log_odds: config.tail_log_odds as f32,
+            updates_to_belief: match config.sensor_model {
+                // states the probabilities of single measurements
+                SensorModelKind::Andert => [0, 0],
+                _ => config.updates_to_belief,
+            },
             // Depth from video has false measurements enough: they would gain as well.
             obstacle_weight: 0,
             band_by_slope: config.band_by_slope,
