@@ -92,7 +92,8 @@ fn a_hole_has_the_depth_of_keyframes_that_see_the_same() {
     for pixel in &found {
         assert!(is_hole(pixel.x.into(), pixel.y.into()) && is_wall(pixel));
         let sigma = pixel.sigma_idepth / pixel.idepth;
-        assert!((sigma - 0.01).abs() < 1e-4, "{sigma}");
+        // less certain than the 1 % that those have
+        assert!((sigma - 0.013).abs() < 1e-4, "{sigma}");
     }
     // one alone may be wrong
     assert_eq!(completed_first(&taken(2, with_hole), &config), []);
