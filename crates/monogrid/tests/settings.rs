@@ -129,23 +129,24 @@ fn documented() -> BTreeMap<String, (bool, f64, f64, bool)> {
     ranges
 }
 
+/// Settings made of two numbers or of one per level.
+const LISTS: [&str; 4] = [
+    "update_limits",
+    "updates_to_belief",
+    "clamp",
+    "max_iterations",
+];
+
 #[test]
 fn the_documented_ranges_are_those_that_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let ranges = documented();
-    // made of two numbers or of one per level
-    let lists = [
-        "update_limits",
-        "updates_to_belief",
-        "clamp",
-        "max_iterations",
-    ];
     let mut attempts: Vec<(String, String, bool)> = Vec::new();
     for (name, value) in effective(folder.path()) {
         let leaf = name.rsplit('.').next().unwrap();
         if name == "seed" || matches!(value, Value::Array(_)) || name.contains(".robust.") {
             assert!(
-                name == "seed" || name.contains("robust") || lists.contains(&leaf),
+                name == "seed" || name.contains("robust") || LISTS.contains(&leaf),
                 "{name}"
             );
             continue;
