@@ -306,9 +306,11 @@ mod tests {
     #[test]
     fn the_search_the_free_bricks_and_the_threads_change_nothing() {
         for (everywhere, resolution) in [(false, 0.05), (false, 0.13), (true, 0.07), (true, 0.2)] {
-            for max_range in [100.0, 0.8] {
+            for (max_range, updates_to_belief) in [(100.0, [0, 0]), (0.8, [0, 0]), (100.0, [15, 3])]
+            {
                 let config = IntegrationConfig {
                     max_range,
+                    updates_to_belief,
                     ..IntegrationConfig::default()
                 };
                 let maps = [0, 1, 2, 3].map(|threads| {

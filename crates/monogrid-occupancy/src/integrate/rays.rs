@@ -260,10 +260,16 @@ mod tests {
             (state >> 40) as f32 / (1 << 24) as f32
         };
         // The first sensor of the second case is where eight cells meet.
-        for (resolution, threads, y) in [(0.08, 1, 0.21), (0.05, 3, 0.0)] {
+        let cases = [
+            (0.08, 1, 0.21, [0, 0]),
+            (0.05, 3, 0.0, [0, 0]),
+            (0.05, 2, 0.21, [15, 3]),
+        ];
+        for (resolution, threads, y, updates_to_belief) in cases {
             let config = IntegrationConfig {
                 rule: IntegrationRule::Rays,
                 update_min: -2.0,
+                updates_to_belief,
                 ..IntegrationConfig::default()
             };
             let new_map = || OccupancyMap::new(MapConfig::with_resolution(resolution)).unwrap();

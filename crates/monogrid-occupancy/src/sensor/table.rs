@@ -43,14 +43,20 @@ pub(crate) struct UpdateLimits {
 impl UpdateLimits {
     /// The update by a measurement of these log-odds.
     fn update(&self, stated: f64) -> f64 {
-        let updates = self.to_belief[usize::from(stated > 0.0)].max(1);
-        (stated / f64::from(updates)).clamp(self.min, self.max)
+        let [free, occupied] = self.updates();
+        let updates = if stated > 0.0 { occupied } else { free };
+        (stated / updates).clamp(self.min, self.max)
     }
 
     /// Stated log-odds beyond which updates are the same.
     fn stated(&self) -> (f64, f64) {
-        let [free, occupied] = self.to_belief.map(|updates| f64::from(updates.max(1)));
+        let [free, occupied] = self.updates();
         (free * self.min, occupied * self.max)
+    }
+
+    /// How many updates say what is stated, for free and for occupied.
+    fn updates(&self) -> [f64; 2] {
+        self.to_belief.map(|updates| f64::from(updates.max(1)))
     }
 }
 
