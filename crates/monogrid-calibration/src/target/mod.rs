@@ -5,6 +5,7 @@
 //! lens.
 
 mod board;
+mod family;
 mod fit;
 mod tags;
 

@@ -5,10 +5,8 @@
 //! part of the grid will do.
 
 use super::board::{BoardSize, BoardView, Crossing, Direction, crossings, next_crossings};
+use super::family::TagFamily;
 use super::fit::homography;
-use calib_targets_aruco::{
-    GrayImageView, MarkerCell, Matcher, ScanDecodeConfig, builtins, decode_marker_in_cell,
-};
 use monogrid_geometry::Vec2;
 use monogrid_image::GrayImage;
 use std::collections::BTreeMap;
@@ -22,12 +20,6 @@ pub struct TagGrid {
     pub spacing: f64,
 }
 
-/// The family of the tags, by the name that OpenCV has for it.
-const FAMILY: &str = "DICT_APRILTAG_36h11";
-
-/// Wrong bits of a tag that are put right: two tags differ in eleven.
-const MAX_WRONG_BITS: u8 = 2;
-
 /// Widths of the black border of a tag, in bits: Kalibr's tags have 2, others 1.
 const BORDERS: [usize; 2] = [2, 1];
 
@@ -36,9 +28,6 @@ const MIN_TAGS: usize = 4;
 
 /// Shortest side of a tag, px: fewer than two for a bit cannot be read.
 const MIN_SIDE_PX: f64 = 14.0;
-
-/// Samples along a tag that is read.
-const READ_PX: f32 = 100.0;
 
 /// Crossings that are tried along an edge: those of the pattern of a tag lie before its next corner.
 const MAX_TRIED: usize = 4;
@@ -53,16 +42,11 @@ struct Tag {
 #[must_use]
 pub fn find_tags(image: &GrayImage, grid: &TagGrid) -> Option<BoardView> {
     let bytes: Vec<u8> = image.as_slice().iter().map(|v| *v as u8).collect();
-    let view = GrayImageView {
-        width: image.width(),
-        height: image.height(),
-        data: &bytes,
-    };
-    let matcher = Matcher::new(builtins::builtin_dictionary(FAMILY)?, MAX_WRONG_BITS);
+    let family = TagFamily::tag36h11();
     let crossings = crossings(&bytes, (image.width(), image.height()))?;
     let quads = quads(&crossings);
     let found = (crossings.as_slice(), quads.as_slice());
-    let seen = BORDERS.map(|border| tags_of(&view, found, border, &matcher, grid));
+    let seen = BORDERS.map(|border| tags_of(image, found, border, &family, grid));
     let tags = seen.into_iter().max_by_key(BTreeMap::len)?;
     let tags: Vec<Tag> = tags.into_values().collect();
     if tags.len() < MIN_TAGS {
@@ -114,34 +98,28 @@ fn is_large(corners: &[Vec2; 4]) -> bool {
 
 /// The tags among the quads by number; of several with one number, none can be trusted but the best read.
 fn tags_of(
-    image: &GrayImageView<'_>,
+    image: &GrayImage,
     (crossings, quads): (&[Crossing], &[[usize; 4]]),
     border: usize,
-    matcher: &Matcher,
+    family: &TagFamily,
     grid: &TagGrid,
 ) -> BTreeMap<usize, Tag> {
-    let config = ScanDecodeConfig::default()
-        .with_border_bits(border)
-        .with_inset_frac(0.0);
-    let mut tags: BTreeMap<usize, (u8, Tag)> = BTreeMap::new();
+    let mut tags: BTreeMap<usize, (u32, Tag)> = BTreeMap::new();
     for quad in quads {
-        let corners = quad.map(|k| crossings[k].pixel);
-        let points = corners.map(|c| [c.x as f32, c.y as f32].into());
-        let cell = MarkerCell::new(Default::default(), points);
-        let Some(read) = decode_marker_in_cell(image, &cell, READ_PX, &config, matcher) else {
+        let mut corners = quad.map(|k| crossings[k].pixel);
+        let Some(read) = family.read(image, &corners, border) else {
             continue;
         };
-        let number = read.id as usize;
-        if read.inverted || number >= grid.size.columns * grid.size.rows {
+        let number = read.number;
+        if number >= grid.size.columns * grid.size.rows {
             continue;
         }
-        let mut corners = corners;
-        corners.rotate_left(usize::from(read.rotation));
+        corners.rotate_left(read.first_corner);
         let is_better = tags
             .get(&number)
-            .is_none_or(|(wrong, _)| read.hamming < *wrong);
+            .is_none_or(|(wrong, _)| read.wrong_bits < *wrong);
         if is_better {
-            tags.insert(number, (read.hamming, Tag { number, corners }));
+            tags.insert(number, (read.wrong_bits, Tag { number, corners }));
         }
     }
     tags.into_iter()
