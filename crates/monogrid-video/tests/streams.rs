@@ -1,6 +1,8 @@
 //! A phone as camera: MJPEG from a server on this machine.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests")]
 
+use monogrid_datasets::encode_jpeg;
+use monogrid_image::Image;
 use monogrid_video::{Video, VideoError};
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -8,11 +10,7 @@ use std::thread::JoinHandle;
 
 /// A grey JPEG image of one colour.
 fn jpeg(level: u8) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95)
-        .encode(&[level; 16 * 8], 16, 8, image::ExtendedColorType::L8)
-        .unwrap();
-    bytes
+    encode_jpeg(&Image::filled(16, 8, level), 95)
 }
 
 /// Answers one request with these bytes; returns the address, and later the request.

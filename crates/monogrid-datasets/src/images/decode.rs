@@ -1,25 +1,32 @@
-//! Images recognised by content: PNG, JPEG, PGM/PPM; 8 and 16 bits; grey or colour.
+//! Images recognised by content: PNG, JPEG, PBM/PGM/PPM; 8 and 16 bits; grey or colour.
 
 use super::jpeg;
+use super::raster::{Raster, Samples, decode_png, decode_pnm};
 use crate::{DatasetError, read_file};
-use image::{DynamicImage, ImageFormat};
 use monogrid_image::{GrayImage, Image, Mask};
-use std::io::Cursor;
 use std::path::Path;
 
 /// Longest side that is decoded, px: a header that claims more is taken for corruption.
 pub(super) const MAX_SIDE: usize = 16384;
 
 /// Most pixels that are decoded: twice those of an 8K video.
-const MAX_PIXELS: usize = 1 << 26;
+pub(super) const MAX_PIXELS: usize = 1 << 26;
 
 /// Most memory that a decoder may ask for, bytes.
-const MAX_DECODE_BYTES: u64 = 4 * MAX_PIXELS as u64;
+const MAX_DECODE_BYTES: usize = 4 * MAX_PIXELS;
+
+/// What the first bytes of an image announce.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Jpeg,
+    Png,
+    Pnm,
+}
 
 /// Reads an image as ITU-601 luma in [0, 255].
 ///
 /// # Errors
-/// When the file cannot be read, is not a PNG, JPEG, PGM or PPM, or is not complete and undamaged
+/// When the file cannot be read, is not a PNG, JPEG, PBM, PGM or PPM, or is not complete and undamaged
 /// (a partly decoded image is never returned).
 pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
     decode_gray(&read_image_file(path)?, path)
@@ -30,10 +37,10 @@ pub fn read_gray(path: &Path) -> Result<GrayImage, DatasetError> {
 /// # Errors
 /// As [`read_gray`].
 pub fn decode_gray(bytes: &[u8], path: &Path) -> Result<GrayImage, DatasetError> {
-    if sniff(bytes, path)? == ImageFormat::Jpeg {
+    if sniff(bytes, path)? == Format::Jpeg {
         return Ok(decode_jpeg_luma(bytes, MAX_PIXELS, path)?.map(f32::from));
     }
-    to_gray(&decode_dynamic(bytes, path)?, path)
+    to_gray(&decode_raster(bytes, path)?, path)
 }
 
 /// Decodes a JPEG image to its 8-bit luma (ITU-601); `path` is only for messages.
@@ -59,16 +66,16 @@ pub fn decode_jpeg_luma(
 /// As [`read_gray`].
 pub fn read_rgb(path: &Path) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
     let bytes = read_image_file(path)?;
-    let image = if sniff(&bytes, path)? == ImageFormat::Jpeg {
+    let image = if sniff(&bytes, path)? == Format::Jpeg {
         decode_jpeg_rgb(&bytes, MAX_PIXELS, path)?
     } else {
-        match decode_dynamic(&bytes, path)? {
-            image if !image.color().has_color() => None,
-            image => {
-                let (width, height) = (image.width() as usize, image.height() as usize);
-                Image::from_vec(width, height, triples(&image.into_rgb8().into_raw()))
-            }
-        }
+        let raster = decode_raster(&bytes, path)?;
+        let to_byte = 255.0 / f32::from(raster.white);
+        let rgb = |pixel: &[f32]| [0, 1, 2].map(|k| (pixel[k] * to_byte).round() as u8);
+        let has_colour = raster.has_colour();
+        has_colour
+            .then(|| Image::from_vec(raster.width, raster.height, raster.map(rgb)))
+            .flatten()
     };
     Ok(image.filter(has_colour))
 }
@@ -110,100 +117,54 @@ pub(super) fn read_image_file(path: &Path) -> Result<Vec<u8>, DatasetError> {
 }
 
 /// The format that the first bytes announce.
-fn sniff(bytes: &[u8], path: &Path) -> Result<ImageFormat, DatasetError> {
-    let format = match bytes {
-        [] => return Err(DatasetError::image(path, "the file is empty")),
-        [0xff, 0xd8, ..] => ImageFormat::Jpeg,
-        [0x89, b'P', b'N', b'G', ..] => ImageFormat::Png,
-        [b'P', b'1'..=b'7', ..] => ImageFormat::Pnm,
-        _ => {
-            return Err(DatasetError::image(
-                path,
-                "its content is no format that we know",
-            ));
-        }
-    };
-    Ok(format)
+fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
+    match bytes {
+        [] => Err(DatasetError::image(path, "the file is empty")),
+        [0xff, 0xd8, ..] => Ok(Format::Jpeg),
+        [0x89, b'P', b'N', b'G', ..] => Ok(Format::Png),
+        [b'P', b'1'..=b'6', ..] => Ok(Format::Pnm),
+        _ => Err(DatasetError::image(
+            path,
+            "its content is no format that we know",
+        )),
+    }
 }
 
 /// Decodes anything but JPEG without converting it.
-pub(super) fn decode_dynamic(bytes: &[u8], path: &Path) -> Result<DynamicImage, DatasetError> {
-    let format = sniff(bytes, path)?;
-    decode_within(bytes, format, [MAX_SIDE; 2], MAX_DECODE_BYTES)
-        .map_err(|e| DatasetError::image(path, e.to_string()))
+pub(super) fn decode_raster(bytes: &[u8], path: &Path) -> Result<Raster, DatasetError> {
+    let decoded = match sniff(bytes, path)? {
+        Format::Pnm => decode_pnm(bytes),
+        Format::Png | Format::Jpeg => decode_png(bytes, [MAX_SIDE; 2], MAX_DECODE_BYTES),
+    };
+    decoded.map_err(|e| DatasetError::image(path, e))
 }
 
 /// An 8-bit grey PNG of the given size; `None` for anything else, for which nothing is allocated.
 pub(crate) fn decode_png_luma8(bytes: &[u8], width: usize, height: usize) -> Option<Image<u8>> {
     // the decoder wants some rows beside the image
-    let max_bytes = 2 * width.checked_mul(height)? as u64 + (1 << 20);
-    match decode_within(bytes, ImageFormat::Png, [width, height], max_bytes).ok()? {
-        DynamicImage::ImageLuma8(image) if image.height() as usize == height => {
-            Image::from_vec(width, height, image.into_raw())
+    let max_bytes = 2 * width.checked_mul(height)? + (1 << 20);
+    let raster = decode_png(bytes, [width, height], max_bytes).ok()?;
+    match raster.samples {
+        Samples::Bytes(samples) if raster.channels == 1 && raster.height == height => {
+            Image::from_vec(raster.width, height, samples)
         }
         _ => None,
     }
 }
 
-/// Decodes unless an image claims to be larger, or the decoder would need more memory.
-fn decode_within(
-    bytes: &[u8],
-    format: ImageFormat,
-    [max_width, max_height]: [usize; 2],
-    max_bytes: u64,
-) -> image::ImageResult<DynamicImage> {
-    let mut reader = image::ImageReader::with_format(Cursor::new(bytes), format);
-    let mut limits = image::Limits::default();
-    limits.max_image_width = u32::try_from(max_width).ok();
-    limits.max_image_height = u32::try_from(max_height).ok();
-    limits.max_alloc = Some(max_bytes);
-    reader.limits(limits);
-    reader.decode()
-}
-
 /// Luma of every pixel type; transparency is ignored.
-fn to_gray(image: &DynamicImage, path: &Path) -> Result<GrayImage, DatasetError> {
-    // 65535 / 257 = 255
-    const FROM_16_BIT: f32 = 1.0 / 257.0;
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let data: Vec<f32> = match image {
-        DynamicImage::ImageLuma8(i) => i.as_raw().iter().map(|&v| f32::from(v)).collect(),
-        DynamicImage::ImageLumaA8(i) => i.pixels().map(|p| f32::from(p.0[0])).collect(),
-        DynamicImage::ImageRgb8(i) => i.pixels().map(|p| luma(p.0.map(f32::from))).collect(),
-        DynamicImage::ImageRgba8(i) => i
-            .pixels()
-            .map(|p| luma([p.0[0], p.0[1], p.0[2]].map(f32::from)))
-            .collect(),
-        DynamicImage::ImageLuma16(i) => i
-            .as_raw()
-            .iter()
-            .map(|&v| f32::from(v) * FROM_16_BIT)
-            .collect(),
-        DynamicImage::ImageLumaA16(i) => i
-            .pixels()
-            .map(|p| f32::from(p.0[0]) * FROM_16_BIT)
-            .collect(),
-        other => other
-            .to_rgb16()
-            .pixels()
-            .map(|p| luma(p.0.map(f32::from)) * FROM_16_BIT)
-            .collect(),
+fn to_gray(raster: &Raster, path: &Path) -> Result<GrayImage, DatasetError> {
+    let to_byte = 255.0 / f32::from(raster.white);
+    let data = if raster.has_colour() {
+        raster.map(|pixel| luma([pixel[0], pixel[1], pixel[2]]) * to_byte)
+    } else {
+        raster.map(|pixel| pixel[0] * to_byte)
     };
-    pixels(width, height, data, path)
+    Image::from_vec(raster.width, raster.height, data)
+        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }
 
 /// ITU-601 luma.
 fn luma([r, g, b]: [f32; 3]) -> f32 {
     0.299 * r + 0.587 * g + 0.114 * b
-}
-
-fn pixels(
-    width: usize,
-    height: usize,
-    data: Vec<f32>,
-    path: &Path,
-) -> Result<GrayImage, DatasetError> {
-    Image::from_vec(width, height, data)
-        .filter(|i| !i.as_slice().is_empty())
-        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }

@@ -1,10 +1,10 @@
 //! Depth images and the camera that took them.
 
-use super::decode::{decode_dynamic, read_image_file};
+use super::decode::{decode_raster, read_image_file};
+use super::raster::Samples;
 use crate::calibration::camera_from_numbers;
 use crate::text::{data_lines, numbers, read_text};
 use crate::{DatasetError, pose_from_numbers};
-use image::DynamicImage;
 use monogrid_geometry::{Camera, Se3};
 use monogrid_image::Image;
 use std::path::Path;
@@ -115,21 +115,21 @@ pub fn decode_depth(
             "a JPEG, whose 8 bits cannot hold depth; depth must be a 16-bit PNG",
         ));
     }
-    let DynamicImage::ImageLuma16(image) = decode_dynamic(bytes, path)? else {
+    let raster = decode_raster(bytes, path)?;
+    let (1, Samples::Words(samples)) = (raster.channels, raster.samples) else {
         return Err(DatasetError::image(
             path,
             "not one channel of 16 bits, which depth must have",
         ));
     };
     let metres_per_unit = 1.0 / units_per_metre;
-    let data = image
-        .as_raw()
-        .iter()
-        .map(|&v| match v {
+    let data = samples
+        .into_iter()
+        .map(|v| match v {
             0 | u16::MAX => f32::NAN,
             v => (f64::from(v) * metres_per_unit) as f32,
         })
         .collect();
-    Image::from_vec(image.width() as usize, image.height() as usize, data)
+    Image::from_vec(raster.width, raster.height, data)
         .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }

@@ -1,18 +1,18 @@
 //! Encoding of images as PNG and JPEG, in memory.
 
-use image::codecs::jpeg::JpegEncoder;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use jpeg_encoder::SamplingFactor;
 use monogrid_image::Image;
+use png::{BitDepth, ColorType};
 
 /// An 8-bit grey PNG.
 #[must_use]
 pub fn encode_png(image: &Image<u8>) -> Vec<u8> {
+    let size = (image.width(), image.height());
     encode(
         image.as_slice(),
-        image.width(),
-        image.height(),
-        ExtendedColorType::L8,
+        size,
+        ColorType::Grayscale,
+        BitDepth::Eight,
     )
 }
 
@@ -20,7 +20,12 @@ pub fn encode_png(image: &Image<u8>) -> Vec<u8> {
 #[must_use]
 pub fn encode_jpeg(image: &Image<u8>, quality: u8) -> Vec<u8> {
     let size = (image.width(), image.height());
-    encode_lossy(image.as_slice(), size, ExtendedColorType::L8, quality)
+    encode_lossy(
+        image.as_slice(),
+        size,
+        jpeg_encoder::ColorType::Luma,
+        quality,
+    )
 }
 
 /// An 8-bit colour JPEG; `quality` is 1 to 100. Sides up to 65,535 px.
@@ -28,18 +33,19 @@ pub fn encode_jpeg(image: &Image<u8>, quality: u8) -> Vec<u8> {
 pub fn encode_jpeg_rgb(image: &Image<[u8; 3]>, quality: u8) -> Vec<u8> {
     let bytes = image.as_slice().as_flattened();
     let size = (image.width(), image.height());
-    encode_lossy(bytes, size, ExtendedColorType::Rgb8, quality)
+    encode_lossy(bytes, size, jpeg_encoder::ColorType::Rgb, quality)
 }
 
 fn encode_lossy(
     bytes: &[u8],
     (width, height): (usize, usize),
-    color: ExtendedColorType,
+    color: jpeg_encoder::ColorType,
     quality: u8,
 ) -> Vec<u8> {
     let mut out = Vec::with_capacity(bytes.len() / 4 + 1024);
-    let encoder = JpegEncoder::new_with_quality(&mut out, quality);
-    let written = encoder.write_image(bytes, width as u32, height as u32, color);
+    let mut encoder = jpeg_encoder::Encoder::new(&mut out, quality);
+    encoder.set_sampling_factor(SamplingFactor::F_1_1);
+    let written = encoder.encode(bytes, width as u16, height as u16, color);
     debug_assert!(written.is_ok(), "writing into memory failed: {written:?}");
     out
 }
@@ -47,36 +53,35 @@ fn encode_lossy(
 /// A 16-bit grey PNG, for depth.
 #[must_use]
 pub fn encode_png_16(image: &Image<u16>) -> Vec<u8> {
-    // the encoder expects samples in native byte order
-    let bytes: Vec<u8> = image
-        .as_slice()
-        .iter()
-        .flat_map(|v| v.to_ne_bytes())
-        .collect();
-    encode(
-        &bytes,
-        image.width(),
-        image.height(),
-        ExtendedColorType::L16,
-    )
+    let bytes = image.as_slice().iter().flat_map(|v| v.to_be_bytes());
+    let bytes: Vec<u8> = bytes.collect();
+    let size = (image.width(), image.height());
+    encode(&bytes, size, ColorType::Grayscale, BitDepth::Sixteen)
 }
 
 /// An 8-bit colour PNG.
 #[must_use]
 pub fn encode_png_rgb(image: &Image<[u8; 3]>) -> Vec<u8> {
-    encode(
-        image.as_slice().as_flattened(),
-        image.width(),
-        image.height(),
-        ExtendedColorType::Rgb8,
-    )
+    let bytes = image.as_slice().as_flattened();
+    let size = (image.width(), image.height());
+    encode(bytes, size, ColorType::Rgb, BitDepth::Eight)
 }
 
-fn encode(bytes: &[u8], width: usize, height: usize, color: ExtendedColorType) -> Vec<u8> {
+fn encode(
+    bytes: &[u8],
+    (width, height): (usize, usize),
+    colour: ColorType,
+    depth: BitDepth,
+) -> Vec<u8> {
     let mut out = Vec::with_capacity(bytes.len() / 2 + 1024);
-    let encoder =
-        PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive);
-    let written = encoder.write_image(bytes, width as u32, height as u32, color);
+    let mut encoder = png::Encoder::new(&mut out, width as u32, height as u32);
+    encoder.set_color(colour);
+    encoder.set_depth(depth);
+    encoder.set_compression(png::Compression::Fast);
+    encoder.set_filter(png::Filter::Adaptive);
+    let written = encoder
+        .write_header()
+        .and_then(|mut writer| writer.write_image_data(bytes));
     debug_assert!(written.is_ok(), "writing into memory failed: {written:?}");
     out
 }

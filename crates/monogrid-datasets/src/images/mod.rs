@@ -5,6 +5,7 @@ mod depth;
 mod encode;
 mod exif;
 mod jpeg;
+mod raster;
 mod register;
 
 pub(crate) use decode::decode_png_luma8;
