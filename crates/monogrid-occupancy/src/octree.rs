@@ -410,15 +410,15 @@ fn visit_brick(
     Ok(())
 }
 
-struct Collect(Vec<Leaf>);
+struct EachLeaf<F>(F);
 
-impl TreeVisitor for Collect {
+impl<F: FnMut(Leaf)> TreeVisitor for EachLeaf<F> {
     fn inner(&mut self, _: i16, _: &[Node; 8]) -> Result<(), MapError> {
         Ok(())
     }
 
     fn leaf(&mut self, leaf: Leaf) -> Result<(), MapError> {
-        self.0.push(leaf);
+        (self.0)(leaf);
         Ok(())
     }
 }
@@ -463,10 +463,17 @@ impl OccupancyMap {
     /// # Errors
     /// A cell beyond OctoMap's 16-bit keys.
     pub fn octree_leaves(&self) -> Result<Vec<Leaf>, MapError> {
-        let octree = Octree::new(self, View::Evidence)?;
-        let mut collect = Collect(Vec::with_capacity(octree.counts.leaves));
-        octree.visit(&mut collect)?;
-        Ok(collect.0)
+        let mut leaves = Vec::new();
+        self.for_each_leaf(|leaf| leaves.push(leaf))?;
+        Ok(leaves)
+    }
+
+    /// Tells of each leaf of the pruned octree, in OctoMap's depth-first order.
+    ///
+    /// # Errors
+    /// A cell beyond OctoMap's 16-bit keys.
+    pub fn for_each_leaf(&self, tell: impl FnMut(Leaf)) -> Result<(), MapError> {
+        Octree::new(self, View::Evidence)?.visit(&mut EachLeaf(tell))
     }
 }
 

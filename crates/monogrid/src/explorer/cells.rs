@@ -50,13 +50,11 @@ impl Cells {
     /// The known cells of a map.
     pub fn new(map: &OccupancyMap) -> Result<Self, MapError> {
         let (mut occupied, mut free) = (Vec::new(), Vec::new());
-        for leaf in map.octree_leaves()? {
-            match map.state_of(leaf.first) {
-                Occupancy::Occupied => occupied.push(Cube::new(&leaf)),
-                Occupancy::Free => free.push(Cube::new(&leaf)),
-                Occupancy::Unknown => {}
-            }
-        }
+        map.for_each_leaf(|leaf| match map.state_of(leaf.first) {
+            Occupancy::Occupied => occupied.push(Cube::new(&leaf)),
+            Occupancy::Free => free.push(Cube::new(&leaf)),
+            Occupancy::Unknown => {}
+        })?;
         let mut level = 0;
         while occupied.len() > MAX_CUBES {
             level += 1;

@@ -16,15 +16,16 @@ pub struct Cube {
 /// Occupied leaves as cubes.
 pub fn occupied_cubes(map: &OccupancyMap) -> Result<Vec<Cube>, MapError> {
     let resolution = map.resolution();
-    Ok(map
-        .octree_leaves()?
-        .into_iter()
-        .filter(|leaf| map.state_of(leaf.first) == Occupancy::Occupied)
-        .map(|leaf| Cube {
-            center: leaf.center(resolution),
-            size: f64::from(leaf.edge_cells) * resolution,
-        })
-        .collect())
+    let mut cubes = Vec::new();
+    map.for_each_leaf(|leaf| {
+        if map.state_of(leaf.first) == Occupancy::Occupied {
+            cubes.push(Cube {
+                center: leaf.center(resolution),
+                size: f64::from(leaf.edge_cells) * resolution,
+            });
+        }
+    })?;
+    Ok(cubes)
 }
 
 /// How the map is looked at.
@@ -149,7 +150,7 @@ fn height_range(cubes: &[Cube]) -> (f64, f64) {
 struct Canvas {
     picture: Picture,
     /// Distance from the viewer, smaller is nearer.
-    depth: Vec<f64>,
+    depth: Vec<f32>,
     /// Rows: right, up, away from the viewer.
     axes: [[f64; 3]; 3],
     pixels_per_unit: f64,
@@ -204,7 +205,7 @@ impl Canvas {
             .min(height as f64 / (margin * (up.1 - up.0)).max(1e-9));
         Self {
             picture: Picture::filled(width, height, BACKGROUND),
-            depth: vec![f64::INFINITY; width * height],
+            depth: vec![f32::INFINITY; width * height],
             axes,
             pixels_per_unit,
             centre: [0.5 * (right.0 + right.1), 0.5 * (up.0 + up.1)],
@@ -281,7 +282,7 @@ impl Canvas {
                 if !((0.0..=1.0).contains(&s) && (0.0..=1.0).contains(&t)) {
                     continue;
                 }
-                let depth = origin[2] + s * a[2] + t * b[2];
+                let depth = (origin[2] + s * a[2] + t * b[2]) as f32;
                 let index = y * width + x;
                 if depth < self.depth[index] {
                     self.depth[index] = depth;
@@ -295,7 +296,7 @@ impl Canvas {
     fn shade_depth_steps(&mut self) {
         let (width, height) = (self.picture.width(), self.picture.height());
         // a step of a twentieth of the picture counts as deep
-        let strength = 20.0 * self.pixels_per_unit / width as f64;
+        let strength = (20.0 * self.pixels_per_unit / width as f64) as f32;
         for y in 2..height.saturating_sub(2) {
             for x in 2..width.saturating_sub(2) {
                 let own = self.depth[y * width + x];
@@ -303,7 +304,7 @@ impl Canvas {
                     continue;
                 }
                 let neighbours = [(x - 2, y), (x + 2, y), (x, y - 2), (x, y + 2)];
-                let step: f64 = neighbours
+                let step: f32 = neighbours
                     .iter()
                     .map(|&(nx, ny)| (own - self.depth[ny * width + nx]).max(0.0))
                     .filter(|step| step.is_finite())
@@ -311,7 +312,7 @@ impl Canvas {
                     .sum();
                 let pixel = self.picture.at(x, y);
                 self.picture
-                    .set(x, y, colour::shade(pixel, 1.0 - 0.16 * step));
+                    .set(x, y, colour::shade(pixel, 1.0 - 0.16 * f64::from(step)));
             }
         }
     }

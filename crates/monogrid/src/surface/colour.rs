@@ -11,6 +11,9 @@ use std::hash::{BuildHasherDefault, Hasher};
 /// Measurements that are looked at, at most; of more, they are taken evenly.
 const MAX_POINTS: usize = 3_000_000;
 
+/// Measurements of a cell that count: their sums fit 16 bits.
+const MAX_PER_CELL: u16 = 255;
+
 /// The colour of what nobody has seen.
 const UNKNOWN: [u8; 3] = [128; 3];
 
@@ -28,8 +31,8 @@ pub struct ColouredScan<'a> {
 /// Mean colours of cells; only ever asked by key.
 #[derive(Clone, Debug)]
 pub struct CellColours {
-    /// Sums of red, green and blue, and the number of measurements.
-    sums: HashMap<VoxelKey, [u32; 4], BuildHasherDefault<CellHasher>>,
+    /// Sums of red, green and blue, and the number of measurements, of which the first are enough.
+    sums: HashMap<VoxelKey, [u16; 4], BuildHasherDefault<CellHasher>>,
     /// Whether any of them was seen in colour.
     has_colour: bool,
 }
@@ -95,8 +98,11 @@ impl CellColours {
 
     fn add(&mut self, key: VoxelKey, colour: [u8; 3]) {
         let sums = self.sums.entry(key).or_default();
+        if sums[3] == MAX_PER_CELL {
+            return;
+        }
         for (sum, value) in sums.iter_mut().zip(colour.into_iter().chain([1])) {
-            *sum += u32::from(value);
+            *sum += u16::from(value);
         }
     }
 
@@ -122,11 +128,11 @@ impl CellColours {
 
     /// The mean of what was measured in the cells so far away along each axis.
     fn mean_within(&self, cell: VoxelKey, reach: std::ops::RangeInclusive<i32>) -> Option<[u8; 3]> {
-        let mut sums = [0; 4];
+        let mut sums = [0_u32; 4];
         for (x, y, z) in offsets(reach) {
             let key = VoxelKey::new(cell.x + x, cell.y + y, cell.z + z);
             for (sum, value) in sums.iter_mut().zip(self.sums.get(&key).unwrap_or(&[0; 4])) {
-                *sum += value;
+                *sum += u32::from(*value);
             }
         }
         let [red, green, blue, count] = sums;
