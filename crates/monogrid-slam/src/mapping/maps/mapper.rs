@@ -259,8 +259,8 @@ impl Mapper {
         map_from_world: &Sim3,
         done: &AtomicUsize,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
-        /// Keyframes that are in memory, and counted, at once.
-        const COUNTED: usize = 16;
+        /// Keyframes that are in memory, and counted, at once, per thread: twice as many as are integrated together.
+        const COUNTED: usize = 4;
         let mut map = self.empty_map()?;
         let mut num_filled = 0;
         let posed: Vec<(&KeyframeScan, Sim3)> = scans
@@ -272,7 +272,7 @@ impl Mapper {
             })
             .collect();
         let mut points = 0;
-        for some in posed.chunks(COUNTED) {
+        for some in posed.chunks(COUNTED * self.threads) {
             let pixels: Vec<ScanPixels> = some.iter().map(|(scan, _)| scan.pixels()).collect();
             let scans: Vec<Scan> = some
                 .iter()
