@@ -21,6 +21,7 @@ mod keyframe;
 mod limits;
 mod map;
 pub mod mapping;
+mod median;
 mod policy;
 mod report;
 mod sparse;

@@ -1,6 +1,7 @@
 //! How the first keyframe gets its depth: from a depth image, at random, or from two views.
 
 use crate::frame::{BufferedFrame, Frame};
+use crate::median::median;
 use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};
 use monogrid_depth::{DepthMap, HostFrame};
@@ -157,9 +158,7 @@ fn from_seed_depth(
     if known.len() < config.tracking.min_points {
         return None;
     }
-    let middle = known.len() / 2;
-    let (_, median, _) = known.select_nth_unstable_by(middle, f32::total_cmp);
-    let unit = *median;
+    let unit = median(&mut known)?;
     let mut depth = DepthMap::empty(host, &config.depth);
     depth.initialize_from_depth(
         &seed_depth.map(|z| z / unit),

@@ -6,6 +6,7 @@
 
 use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
+use crate::median::median;
 use crate::sparse::corner_settings;
 use crate::start::{StartOutcome, Started, host_of};
 use crate::{InitializationConfig, LostReason, Scale, SlamConfig, SparseConfig};
@@ -409,12 +410,12 @@ impl Reference {
             .zip(variances)
             .filter_map(|(d, v)| v.map(|v| v.sqrt() / d))
             .collect();
-        let uncertainty = median(&mut relative).ok_or(LostReason::AmbiguousStart)?;
+        let uncertainty = positive_median(&mut relative).ok_or(LostReason::AmbiguousStart)?;
         if uncertainty > settings.max_relative_sigma {
             return Err(LostReason::NotEnoughParallax);
         }
-        let scale =
-            median(&mut solution.inverse_depths.clone()).ok_or(LostReason::AmbiguousStart)?;
+        let scale = positive_median(&mut solution.inverse_depths.clone())
+            .ok_or(LostReason::AmbiguousStart)?;
         Ok(chosen
             .iter()
             .zip(&solution.camera_from_world[1..])
@@ -502,12 +503,9 @@ impl Reference {
     }
 }
 
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    values
-        .get(values.len() / 2)
-        .copied()
-        .filter(|m| m.is_finite() && *m > 0.0)
+/// The median, where it is one of a positive quantity.
+fn positive_median(values: &mut [f64]) -> Option<f64> {
+    median(values).filter(|m| m.is_finite() && *m > 0.0)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! How large cells should be where the scale is not known: from what keyframes see and how precisely.
 
 use super::{MappingConfig, UprightView};
+use crate::median::median;
 use serde::Serialize;
 
 /// Edge of a cell over the median depth: 5 cm in a room that is seen from 2.5 m.
@@ -109,11 +110,6 @@ fn rounded(edge: f64) -> Option<f64> {
         // a literal gives the same number on every machine
         .filter_map(|step| format!("{step}e{exponent}").parse::<f64>().ok())
         .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

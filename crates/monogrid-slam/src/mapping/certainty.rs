@@ -9,9 +9,10 @@
 use super::agreement::{View, witnesses};
 use super::refine::for_each_keyframe;
 use super::scan::{Depths, KeptDepths};
+use super::transfer::Transfer;
 use super::{KeyframeCamera, MappingConfig};
+use crate::median::median;
 use crate::store::Measurements;
-use monogrid_geometry::{Sim3, Vec2};
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
 
@@ -102,7 +103,8 @@ impl Certainty {
                 if let Some(this) = this.as_ref().filter(|_| witnesses[index].contains(&other)) {
                     let other_from_this =
                         witness.world_from_keyframe.inverse() * this.world_from_keyframe;
-                    compared.compare(&sampled[index], &theirs, &other_from_this, camera);
+                    let other_from_this = Transfer::new(&other_from_this, camera);
+                    compared.compare(&sampled[index], &theirs, &other_from_this);
                 }
             }
             compared
@@ -172,8 +174,7 @@ fn factor(differences: &mut [f32], shared: f32) -> f32 {
 
 /// The standard deviation of normal numbers with the median of these absolute values, of which there is one.
 fn robust_deviation(magnitudes: &mut [f32]) -> f32 {
-    let middle = magnitudes.len() / 2;
-    *magnitudes.select_nth_unstable_by(middle, f32::total_cmp).1 / NORMAL_MEDIAN
+    median(magnitudes).map_or(f32::NAN, |median| median / NORMAL_MEDIAN)
 }
 
 /// Absolute differences in standard deviations.
@@ -189,8 +190,7 @@ impl Compared {
         &mut self,
         mine: &Depths,
         [measured, filled]: &[Rows; 2],
-        other_from_this: &Sim3,
-        camera: &KeyframeCamera,
+        other_from_this: &Transfer,
     ) {
         let kinds = [
             (&mut self.measured, &mine.measured, measured),
@@ -198,8 +198,8 @@ impl Compared {
         ];
         for (differences, mine, theirs) in kinds {
             differences.extend(mine.iter().filter_map(|pixel| {
-                let (expected, at) = seen_from(pixel, other_from_this, camera)?;
-                difference(pixel, expected, theirs.at(at)?)
+                let seen = other_from_this.of(pixel.x.into(), pixel.y.into(), pixel.idepth)?;
+                difference(pixel, seen.idepth, theirs.at(seen.pixel())?)
             }));
         }
     }
@@ -210,31 +210,6 @@ fn sampled(depths: &KeptDepths) -> Depths {
     let some = |pixels: Arc<Measurements>| pixels.0.iter().step_by(STRIDE).copied().collect();
     let [measured, filled] = depths.kinds().map(some);
     Depths { measured, filled }
-}
-
-/// The inverse depth that a pixel has in another keyframe, and its pixel there.
-fn seen_from(
-    pixel: &Measurement,
-    other_from_this: &Sim3,
-    camera: &KeyframeCamera,
-) -> Option<(f32, (u16, u16))> {
-    let at = Vec2::new(pixel.x.into(), pixel.y.into());
-    let point = *other_from_this * (camera.pinhole.unproject(&at) / f64::from(pixel.idepth));
-    if point.z <= 1e-9 {
-        return None;
-    }
-    let seen = camera.pinhole.project(&point);
-    let inside = seen.x > -0.5
-        && seen.y > -0.5
-        && seen.x < camera.width as f64 - 0.5
-        && seen.y < camera.height as f64 - 0.5;
-    let nearest = || {
-        (
-            seen.x.round().max(0.0) as u16,
-            seen.y.round().max(0.0) as u16,
-        )
-    };
-    inside.then(|| ((1.0 / point.z) as f32, nearest()))
 }
 
 /// Row-major depths, and where each row begins.
@@ -253,10 +228,9 @@ impl Rows {
     }
 
     /// The depth at a pixel of the image.
-    fn at(&self, (x, y): (u16, u16)) -> Option<&Measurement> {
-        let y = usize::from(y);
+    fn at(&self, (x, y): (usize, usize)) -> Option<&Measurement> {
         let row = &self.pixels.0[self.starts[y]..self.starts[y + 1]];
-        let found = row.binary_search_by_key(&x, |pixel| pixel.x);
+        let found = row.binary_search_by_key(&x, |pixel| pixel.x.into());
         found.ok().map(|index| &row[index])
     }
 }
@@ -271,7 +245,7 @@ fn difference(pixel: &Measurement, expected: f32, other: &Measurement) -> Option
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_geometry::{Pinhole, Rotation, Vec3};
+    use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
         pinhole: Pinhole {

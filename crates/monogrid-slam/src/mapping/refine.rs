@@ -15,6 +15,7 @@ use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
 use super::{FusionConfig, KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
 use crate::DepthPixel;
+use crate::median::median;
 use crate::store::{Kept, Store};
 use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refine_depth};
 use monogrid_geometry::Sim3;
@@ -454,9 +455,7 @@ fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
         .map(|p| p.idepth)
         .filter(|d| *d > 0.0 && d.is_finite())
         .collect();
-    let middle = idepths.len() / 2;
-    (!idepths.is_empty())
-        .then(|| f64::from(*idepths.select_nth_unstable_by(middle, f32::total_cmp).1))
+    median(&mut idepths).map(f64::from)
 }
 
 #[cfg(test)]

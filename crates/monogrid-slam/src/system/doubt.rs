@@ -4,6 +4,7 @@
 //! its depth from wrong poses, and frames agree less and less with keyframes that were made of them, each by itself well enough to
 //! be believed. Before they disagree, the little that is in view holds the pose less than is usual.
 
+use crate::median::median;
 use crate::policy::{Hold, doubt_about};
 use crate::{LostReason, TrackingConfig};
 use monogrid_alignment::Alignment;
@@ -58,9 +59,7 @@ impl Doubt {
             return None;
         }
         let mut values: Vec<f64> = self.last.iter().map(value).collect();
-        let middle = values.len() / 2;
-        let (_, median, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-        Some(*median)
+        median(&mut values)
     }
 }
 

@@ -9,6 +9,7 @@ use crate::frame::Frame;
 use crate::map::{
     Exposure, FinishedKeyframe, KeyframeImage, Map, MapKeyframe, NewKeyframe, Published, View,
 };
+use crate::median::median;
 use crate::policy::{KeyframeEvidence, RefinementEvidence, is_new_keyframe, is_refining};
 use crate::sparse::dense_links;
 use crate::store::Store;
@@ -197,11 +198,7 @@ fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
             .iter()
             .map(|p| p.idepth_var / (p.idepth * p.idepth))
             .collect();
-        let middle = all.len() / 2;
-        if all.is_empty() {
-            return f64::INFINITY;
-        }
-        f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1)
+        median(&mut all).map_or(f64::INFINITY, f64::from)
     };
     better.len() as f64 > known.len() as f64 * MORE_PIXELS
         || relative_variance(better) < relative_variance(known) * LESS_VARIANCE

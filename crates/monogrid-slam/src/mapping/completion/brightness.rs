@@ -1,5 +1,6 @@
 //! Whether two keyframes show the same.
 
+use crate::median::median;
 use monogrid_image::Image;
 
 /// Every so many pixels in both directions tell how bright images are.
@@ -64,8 +65,7 @@ impl Brightness {
 fn medians(pairs: &[[f32; 2]]) -> [f32; 2] {
     [0, 1].map(|k| {
         let mut values: Vec<f32> = pairs.iter().map(|pair| pair[k]).collect();
-        let middle = values.len() / 2;
-        *values.select_nth_unstable_by(middle, f32::total_cmp).1
+        median(&mut values).unwrap_or(f32::NAN)
     })
 }
 

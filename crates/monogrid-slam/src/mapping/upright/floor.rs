@@ -2,6 +2,7 @@
 
 use super::UprightConfig;
 use super::evidence::Evidence;
+use crate::median::median;
 use monogrid_geometry::Vec3;
 
 /// Largest angle between up and the normal of a level plane, degrees.
@@ -30,7 +31,8 @@ struct Level {
 
 /// Looks for it among the planes that face up.
 pub(super) fn floor(evidence: &Evidence, up: &Vec3, config: &UprightConfig) -> Option<Floor> {
-    let camera = median(evidence.poses.iter().map(|p| p.translation.dot(up)))?;
+    let heights = evidence.poses.iter().map(|p| p.translation.dot(up));
+    let camera = median(&mut heights.collect::<Vec<f64>>())?;
     let mut levels: Vec<Level> = evidence
         .patches
         .iter()
@@ -68,10 +70,4 @@ fn weighted_median(sorted: &[Level], half: f64) -> f64 {
     };
     let middle = sorted.iter().find(reaches_half).or(sorted.last());
     middle.map_or(f64::NAN, |level| level.height)
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
