@@ -15,7 +15,7 @@ cd "$(dirname "$0")/.."
 . scripts/common.sh
 data=$shared/data
 parts=(sequences accuracy thesis solver demo depth worlds paths sweep engine queries octomap live speed room loops
-  kidnap fragments sessions odometry survey)
+  kidnap fragments sessions odometry survey size)
 
 mode=full
 case ${1:-full} in
@@ -255,6 +255,8 @@ part_speed() {
   speed_row 0,1 2
   speed_row 0 1
 }
+
+part_size() { verbatim scripts/size.py; }
 
 part_room() {
   room living-room
