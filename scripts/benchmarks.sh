@@ -256,7 +256,7 @@ part_speed() {
   speed_row 0 1
 }
 
-part_size() { verbatim scripts/size.py; }
+part_size() { scripts/size.py; }
 
 part_room() {
   room living-room

@@ -72,8 +72,7 @@ pub(super) fn decode_png(
     let (colour, depth) = reader.output_color_type();
     let is_wide = depth == png::BitDepth::Sixteen;
     let samples = if is_wide {
-        let pairs = samples.as_chunks().0.iter();
-        Samples::Words(pairs.map(|pair| u16::from_be_bytes(*pair)).collect())
+        Samples::Words(big_endian(&samples).collect())
     } else {
         Samples::Bytes(samples)
     };
@@ -105,19 +104,10 @@ pub(super) fn decode_pnm(bytes: &[u8]) -> Result<Raster, String> {
     let samples = match kind {
         b'1' => words.digits(count).map(Samples::Bytes),
         b'2' | b'3' => words.samples(count, white),
-        // a row begins with a byte of its own, and one is black
         b'4' => words.binary().and_then(|bytes| bits(bytes, width, height)),
-        _ if white <= 255 => words.binary().and_then(|bytes| {
-            let bytes = bytes.get(..count)?.iter();
-            Some(Samples::Bytes(
-                bytes.map(|byte| (*byte).min(white as u8)).collect(),
-            ))
-        }),
-        _ => words.binary().and_then(|bytes| {
-            let pairs = bytes.get(..2 * count)?.as_chunks().0.iter();
-            let words = pairs.map(|pair| u16::from_be_bytes(*pair).min(white));
-            Some(Samples::Words(words.collect()))
-        }),
+        _ => words
+            .binary()
+            .and_then(|bytes| limited(bytes, count, white)),
     };
     Ok(Raster {
         width,
@@ -139,6 +129,23 @@ fn check_size(width: usize, height: usize, [widest, highest]: [usize; 2]) -> Res
     Ok(())
 }
 
+/// Samples of one byte or of two, by the value of white; more than that is white.
+fn limited(bytes: &[u8], count: usize, white: u16) -> Option<Samples> {
+    Some(if let Ok(white) = u8::try_from(white) {
+        let samples = bytes.get(..count)?.iter();
+        Samples::Bytes(samples.map(|sample| (*sample).min(white)).collect())
+    } else {
+        let samples = big_endian(bytes.get(..2 * count)?);
+        Samples::Words(samples.map(|sample| sample.min(white)).collect())
+    })
+}
+
+fn big_endian(bytes: &[u8]) -> impl Iterator<Item = u16> {
+    let pairs = bytes.as_chunks().0.iter();
+    pairs.map(|pair| u16::from_be_bytes(*pair))
+}
+
+/// Samples of one bit: a row begins with a byte of its own, and one is black.
 fn bits(bytes: &[u8], width: usize, height: usize) -> Option<Samples> {
     let stride = width.div_ceil(8);
     let rows = bytes.get(..stride * height)?.chunks_exact(stride);

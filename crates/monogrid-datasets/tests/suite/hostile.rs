@@ -1,7 +1,9 @@
 //! Random damage to every decoder of images and text: errors, never panics.
 
-use super::images::{colour, gray, jpeg};
-use monogrid_datasets::{decode_depth, decode_gray, encode_png, encode_png_16, parse_trajectory};
+use super::images::{colour, gray};
+use monogrid_datasets::{
+    decode_depth, decode_gray, encode_jpeg_rgb, encode_png, encode_png_16, parse_trajectory,
+};
 use monogrid_image::Image;
 use proptest::prelude::*;
 use std::path::Path;
@@ -10,7 +12,7 @@ fn samples() -> Vec<Vec<u8>> {
     let mut pgm = b"P5\n20 10\n255\n".to_vec();
     pgm.extend_from_slice(gray(20, 10).as_slice());
     vec![
-        jpeg(&colour(48, 40), 80),
+        encode_jpeg_rgb(&colour(48, 40), 80),
         encode_png(&gray(24, 20)),
         encode_png_16(&Image::from_fn(9, 7, |x, y| (x * 1000 + y) as u16)),
         pgm,

@@ -34,10 +34,6 @@ fn luma([r, g, b]: [u8; 3]) -> f32 {
     0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)
 }
 
-pub fn jpeg(image: &Image<[u8; 3]>, quality: u8) -> Vec<u8> {
-    encode_jpeg_rgb(image, quality)
-}
-
 #[test]
 fn gray_png_and_pgm_are_exact() {
     let image = gray(37, 23);
@@ -137,7 +133,7 @@ fn pgm_with_another_maximum_is_scaled_to_255() {
 #[test]
 fn jpeg_luma_agrees_with_an_rgb_decode() {
     for (width, height) in [(64, 48), (61, 47), (8, 8), (1, 1), (17, 33)] {
-        let bytes = jpeg(&colour(width, height), 92);
+        let bytes = encode_jpeg_rgb(&colour(width, height), 92);
         let decoded = decode_gray(&bytes, path()).expect("decodes");
         let rgb = decode_jpeg_rgb(&bytes, width * height, path()).expect("decodes");
         let rgb = rgb.expect("has colour");
@@ -158,7 +154,11 @@ fn a_truncated_image_is_an_error_at_every_length() {
     let full_gray = gray(40, 32);
     let mut pgm = b"P5\n40 32\n255\n".to_vec();
     pgm.extend_from_slice(full_gray.as_slice());
-    for bytes in [jpeg(&colour(40, 32), 80), encode_png(&full_gray), pgm] {
+    for bytes in [
+        encode_jpeg_rgb(&colour(40, 32), 80),
+        encode_png(&full_gray),
+        pgm,
+    ] {
         let whole = decode_gray(&bytes, path()).expect("the whole file decodes");
         for length in 0..bytes.len() {
             if let Ok(image) = decode_gray(&bytes[..length], path()) {
@@ -172,9 +172,9 @@ fn a_truncated_image_is_an_error_at_every_length() {
 
 #[test]
 fn a_jpeg_cut_in_the_middle_is_not_rescued_by_a_thumbnail_end_marker() {
-    let whole = jpeg(&colour(64, 64), 85);
+    let whole = encode_jpeg_rgb(&colour(64, 64), 85);
     // an APP1 segment that holds a whole JPEG, as cameras store their thumbnails
-    let thumbnail = jpeg(&colour(8, 8), 50);
+    let thumbnail = encode_jpeg_rgb(&colour(8, 8), 50);
     let mut bytes = whole[..2].to_vec();
     bytes.extend_from_slice(&[0xff, 0xe1]);
     bytes.extend_from_slice(&((thumbnail.len() + 2) as u16).to_be_bytes());
@@ -232,7 +232,10 @@ fn depth_is_in_metres_and_unknown_where_the_sensor_saw_nothing() {
             "{value} instead of {expected}"
         );
     }
-    for bytes in [encode_png(&gray(5, 5)), jpeg(&colour(16, 16), 90)] {
+    for bytes in [
+        encode_png(&gray(5, 5)),
+        encode_jpeg_rgb(&colour(16, 16), 90),
+    ] {
         let error = decode_depth(&bytes, 5000.0, path()).expect_err("8 bits");
         assert!(error.to_string().contains("16"), "{error}");
     }
