@@ -1,14 +1,13 @@
 //! Where the first depth of a keyframe comes from.
 
 use crate::map::{DepthMap, DepthState, Hypothesis};
+use monogrid_geometry::Rng;
 use monogrid_image::GrayImage;
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 impl DepthMap {
     /// Random inverse depths in [0.5, 1.5] with variance 0.125 (LSD-SLAM's start).
     pub fn initialize_random(&mut self, seed: u64) {
-        let mut words = SplitMix64::seed_from_u64(seed);
+        let mut words = Rng::new(seed);
         self.initialize_with(|_, _| {
             Some(Hypothesis {
                 // the upper 24 bits, as many as a fraction has

@@ -17,7 +17,6 @@ mod describe;
 mod flow;
 mod place;
 mod polynomial;
-mod rng;
 #[cfg(test)]
 mod test_images;
 mod track;
@@ -30,12 +29,12 @@ pub use describe::{
     PlaceConfig, PlaceIndex,
 };
 pub use flow::{FlowConfig, FlowField, FlowSample};
+pub use monogrid_geometry::Rng;
 pub use place::{
     DepthLookup, FabMap, FabMapConfig, InverseDepth, KeptCorners, LoopMatch, PlaceBelief,
     PlaceBeliefs, PlaceCorners, PlaceMemory, PlaceMemoryConfig, PlaceVocabulary, Relocalisation,
     Support, TrainingError, VocabularyConfig, VocabularyError, VocabularyProgress,
 };
-pub use rng::Rng;
 pub use track::{
     Likeness, LikenessConfig, LikenessSlope, PatchFit, PatchSearchConfig, ReferencePatch,
     TrackConfig, TrackOutcome, find_patch, finest_pixel, level_pixel, patch_warp, track_points,

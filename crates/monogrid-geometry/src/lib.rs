@@ -13,6 +13,7 @@
 mod alignment;
 mod camera;
 mod distortion;
+mod rng;
 mod se3;
 mod shutter;
 mod sim3;
@@ -22,6 +23,7 @@ pub use alignment::{AlignmentError, SimilarityFit, align_similarity};
 pub use camera::{Camera, CameraError, Pinhole};
 pub use distortion::Distortion;
 pub use nalgebra;
+pub use rng::Rng;
 pub use se3::{NotARotation, Se3};
 pub use shutter::ReadoutDirection;
 pub use sim3::Sim3;

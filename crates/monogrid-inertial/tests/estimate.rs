@@ -1,16 +1,15 @@
 //! Scale, gravity, biases and gaps of simulated motions that are known exactly.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
+use monogrid_geometry::Rng;
 use monogrid_geometry::{Rotation, Se3, Vec3, rotation_exp, rotation_log};
 use monogrid_inertial::{
     EstimateConfig, GRAVITY_M_S2, Imu, ImuNoise, ImuSample, NotDetermined, Observation, estimate,
 };
-use rand_xoshiro::Xoshiro256PlusPlus;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 const SCALE: f64 = 2.5;
 
-struct Random(Xoshiro256PlusPlus);
+struct Random(Rng);
 
 impl Random {
     fn normal(&mut self) -> f64 {
@@ -130,7 +129,7 @@ fn ten_seconds_of_a_hand_give_scale_and_gravity_as_surely_as_is_said() {
     let (mut scales, mut tilts) = (0.0, 0.0);
     let seeds = 8;
     for seed in 0..seeds {
-        let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+        let mut random = Random(Rng::new(seed));
         let imu = readings(10.0, &mut random);
         let frames = observe(0.0, 9.9, (0, first_part()), &mut random);
         let found = estimate(&imu, &frames, &EstimateConfig::default()).unwrap();
@@ -190,7 +189,7 @@ fn exact_measurements_give_exact_answers() {
 #[test]
 fn two_blind_seconds_are_bridged_and_doubted() {
     for seed in 0..2 {
-        let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(100 + seed));
+        let mut random = Random(Rng::new(100 + seed));
         let imu = readings(14.0, &mut random);
         let mut frames = observe(0.0, 8.0, (0, first_part()), &mut random);
         frames.extend(blind(8.0, 10.0));
@@ -217,7 +216,7 @@ fn two_blind_seconds_are_bridged_and_doubted() {
 
 #[test]
 fn readings_that_begin_late_and_end_early_serve_as_far_as_they_go() {
-    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(300));
+    let mut random = Random(Rng::new(300));
     let all = readings(14.0, &mut random);
     let is_there = |s: &&ImuSample| (1_000_000_000..11_000_000_000).contains(&s.timestamp_ns);
     let samples = all.samples().iter().filter(is_there).copied().collect();
@@ -243,7 +242,7 @@ fn readings_that_begin_late_and_end_early_serve_as_far_as_they_go() {
 #[test]
 fn what_is_seen_after_a_blind_stretch_finds_its_place_and_unit() {
     for seed in 0..2 {
-        let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(200 + seed));
+        let mut random = Random(Rng::new(200 + seed));
         let imu = readings(17.0, &mut random);
         let unit = 0.7;
         let other = (unit, (pose(10.0) * imu_from_camera()).inverse());
@@ -276,7 +275,7 @@ fn what_is_seen_after_a_blind_stretch_finds_its_place_and_unit() {
 
 #[test]
 fn a_camera_that_stands_knows_gravity_but_no_scale() {
-    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(7));
+    let mut random = Random(Rng::new(7));
     let tilt: Rotation = pose(0.0).rotation;
     let samples = (0..1200).map(|k| ImuSample {
         timestamp_ns: k * 5_000_000,
@@ -284,7 +283,7 @@ fn a_camera_that_stands_knows_gravity_but_no_scale() {
         specific_force: tilt.inverse() * Vec3::z() * GRAVITY_M_S2 + random.vector(0.03),
     });
     let imu = Imu::new(samples.collect(), ImuNoise::default(), imu_from_camera());
-    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(8));
+    let mut random = Random(Rng::new(8));
     let frames: Vec<Observation> = (0..170)
         .map(|k| Observation {
             timestamp_ns: k * 1_000_000_000 / 30,
@@ -310,7 +309,7 @@ fn a_camera_that_stands_knows_gravity_but_no_scale() {
 
 #[test]
 fn a_sensor_with_its_axes_reversed_is_no_scale() {
-    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(9));
+    let mut random = Random(Rng::new(9));
     let imu = readings(10.0, &mut random);
     let reversed = imu.samples().iter().map(|s| ImuSample {
         specific_force: -s.specific_force,

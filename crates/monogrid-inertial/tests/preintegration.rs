@@ -1,11 +1,10 @@
 //! Preintegration against brute force: fine integration, differences, many noisy copies.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
+use monogrid_geometry::Rng;
 use monogrid_geometry::nalgebra::{SMatrix, SVector};
 use monogrid_geometry::{Rotation, Se3, Vec3, rotation_exp, rotation_log};
 use monogrid_inertial::{Bias, GRAVITY_M_S2, Imu, ImuNoise, ImuSample, Preintegrated};
-use rand_xoshiro::Xoshiro256PlusPlus;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 const RATE_HZ: f64 = 200.0;
 
@@ -139,7 +138,7 @@ fn the_change_with_the_bias_is_that_of_differences() {
 fn noisy_readings_scatter_as_the_covariance_says() {
     let noise = ImuNoise::default();
     let clean = Preintegrated::between(&clean(101), 0, 500_000_000, &Bias::default()).unwrap();
-    let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
+    let mut random = Rng::new(5);
     let mut normal = move || {
         // twelve uniform numbers have variance 1
         (0..12)

@@ -1,12 +1,12 @@
 //! Sequences in an archive: what they need is unpacked to a temporary folder, which goes with the data set.
 
 use crate::{DatasetError, open_file};
-use flate2::read::GzDecoder;
+use flate2::read::{DeflateDecoder, GzDecoder};
+use rawzip::{CompressionMethod, FileReader, RECOMMENDED_BUFFER_SIZE, ZipArchive, ZipEntry};
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 use tempfile::TempDir;
-use zip::ZipArchive;
 
 /// Endings of the files of a sequence; nothing else is unpacked.
 const USEFUL: [&str; 14] = [
@@ -132,16 +132,46 @@ struct Unpacking<'a> {
 impl Unpacking<'_> {
     fn zip(&mut self, file: File) -> Result<(), DatasetError> {
         let archive = self.archive;
-        let damaged = |e: zip::result::ZipError| damaged(archive, &e);
-        let mut zip = ZipArchive::new(io::BufReader::new(file)).map_err(damaged)?;
-        for index in 0..zip.len() {
-            let mut entry = zip.by_index(index).map_err(damaged)?;
-            let name = PathBuf::from(entry.name().map_err(damaged)?.as_ref());
-            if entry.is_file() {
-                self.file(&name, &mut entry)?;
+        let damaged = |e: rawzip::Error| damaged(archive, &e);
+        let mut buffer = vec![0; RECOMMENDED_BUFFER_SIZE];
+        let zip = ZipArchive::from_file(file, &mut buffer).map_err(damaged)?;
+        let mut entries = zip.entries(&mut buffer);
+        while let Some(entry) = entries.next_entry().map_err(damaged)? {
+            if entry.is_dir() || entry.mode().is_symlink() {
+                continue;
             }
+            let name = entry.file_path();
+            let name = PathBuf::from(String::from_utf8_lossy(name.as_ref()).as_ref());
+            // who does not know the key sees noise
+            let method = match entry.flags().is_encrypted() {
+                false => entry.compression_method(),
+                true => return Err(self::damaged(archive, &"its files are encrypted")),
+            };
+            let packed = zip.get_entry(entry.wayfinder()).map_err(damaged)?;
+            self.packed_file(&name, &packed, method)?;
         }
         Ok(())
+    }
+
+    /// Unpacks one file of a zip file, whose bytes must be those that went in.
+    fn packed_file(
+        &mut self,
+        name: &Path,
+        packed: &ZipEntry<'_, FileReader>,
+        method: CompressionMethod,
+    ) -> Result<(), DatasetError> {
+        let bytes = packed.reader();
+        match method {
+            CompressionMethod::STORE => self.file(name, &mut packed.verifying_reader(bytes)),
+            CompressionMethod::DEFLATE => {
+                let inflated = DeflateDecoder::new(bytes);
+                self.file(name, &mut packed.verifying_reader(inflated))
+            }
+            other => {
+                let what = format!("method {} of packing is not known", other.as_u16());
+                Err(damaged(self.archive, &what))
+            }
+        }
     }
 
     fn tar(&mut self, bytes: impl Read) -> Result<(), DatasetError> {

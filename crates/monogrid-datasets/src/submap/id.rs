@@ -1,7 +1,6 @@
 //! Names that follow from content.
 
 use super::ENDING;
-use sha2::{Digest, Sha256};
 use std::fmt;
 
 /// The SHA-256 of a submap's directory, which holds the SHA-256 of each of its blocks: one name for all that is in it, which can be
@@ -13,7 +12,7 @@ pub struct SubmapId(pub(super) Hash);
 pub(super) type Hash = [u8; 32];
 
 pub(super) fn hash_of(bytes: &[u8]) -> Hash {
-    Sha256::digest(bytes).into()
+    hmac_sha256::Hash::hash(bytes)
 }
 
 impl SubmapId {

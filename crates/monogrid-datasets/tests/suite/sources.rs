@@ -483,3 +483,33 @@ fn archives_that_are_no_sequences() {
         );
     }
 }
+
+#[test]
+fn a_zip_file_whose_content_is_not_what_went_in_is_refused() {
+    let root = folder();
+    let whole = root.path().join("whole.zip");
+    let mut zip = zip::ZipWriter::new(fs::File::create(&whole).expect("writable"));
+    let stored =
+        zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    zip.start_file("1.png", stored).expect("an entry");
+    std::io::Write::write_all(&mut zip, &encode_png(&gray(8, 6))).expect("writable");
+    zip.finish().expect("writable");
+    assert!(open(&whole).is_ok());
+    let whole = fs::read(&whole).expect("readable");
+    let central = whole
+        .windows(4)
+        .position(|four| four == b"PK\x01\x02")
+        .expect("a directory");
+    let refused = |at: usize, value: u8| {
+        let mut bytes = whole.clone();
+        bytes[at] ^= value;
+        let path = root.path().join("changed.zip");
+        fs::write(&path, bytes).expect("writable");
+        open(&path).expect_err("changed").to_string()
+    };
+    // its flags, its method, a byte of the image
+    assert!(refused(central + 8, 1).contains("encrypted"));
+    assert!(refused(central + 10, 12).contains("method 12"));
+    let error = refused(central - 10, 1);
+    assert!(error.contains("unpack"), "{error}");
+}

@@ -4,13 +4,13 @@
 use super::images::gray;
 use super::mutations::{Tried, mutations};
 use super::recording::{keyframe, pixels, pose, session};
+use hmac_sha256::Hash;
 use monogrid_datasets::{
     BuiltSubmap, ColourRecord, Continuation, DepthRevision, EndRecord, FragmentKeyframe,
     KeyframeLink, PoseSnapshot, ReadOptions, Record, RecordedCamera, Recording, RecordingWriter,
     SUBMAP_TABLE, SubmapBuilder, SubmapEntry, SubmapId, SubmapReader, SubmapTable,
 };
 use monogrid_geometry::{Pinhole, Sim3};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{Cursor, Read, Seek, SeekFrom};
@@ -360,12 +360,12 @@ fn repair(bytes: &mut [u8]) {
     while at + 57 <= end {
         let (offset, stored) = (number(bytes, at + 8, 8), number(bytes, at + 16, 4));
         let block = bytes.get(offset..offset.saturating_add(stored));
-        if let Some(hash) = block.map(Sha256::digest) {
+        if let Some(hash) = block.map(|block| Hash::hash(block)) {
             bytes[at + 25..at + 57].copy_from_slice(&hash);
         }
         at += 57;
     }
-    let hash = Sha256::digest(&bytes[begin..end]);
+    let hash = Hash::hash(&bytes[begin..end]);
     bytes[end + 16..end + 48].copy_from_slice(&hash);
 }
 

@@ -15,9 +15,8 @@ use crate::statistics::median;
 use crate::truth::{TruthError, TruthGrid};
 use astar::{Path, Planner};
 use grid::DistanceGrid;
+use monogrid_geometry::Rng;
 use monogrid_occupancy::{Occupancy, OccupancyMap};
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 
 /// Settings of [`evaluate_paths`].
@@ -335,8 +334,8 @@ fn sample_pairs(
         .filter(|i| planner.component(*i) != 0)
         .collect();
     let min_distance_sq = (config.min_distance / cell).powi(2);
-    let mut words = SplitMix64::seed_from_u64(config.seed);
-    let mut draw = || free[((u128::from(words.next_u64()) * free.len() as u128) >> 64) as usize];
+    let mut rng = Rng::new(config.seed);
+    let mut draw = || free[rng.below(free.len())];
     let mut pairs = Vec::with_capacity(config.pairs);
     // A cramped truth may hold few such pairs; do not look for them forever.
     for _ in 0..config.pairs.saturating_mul(200) {

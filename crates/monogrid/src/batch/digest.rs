@@ -1,9 +1,9 @@
 //! What files hold: SHA-256 of their content, as `sha256sum` says it, and a quicker stamp of names, sizes and times.
 
 use super::task::Task;
+use hmac_sha256::Hash;
 use monogrid_datasets::{Dataset, SourceOptions};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{self, Read};
@@ -37,13 +37,13 @@ pub struct OutputRecord {
 
 /// SHA-256 of bytes, hexadecimal.
 pub fn sha256_of(bytes: &[u8]) -> String {
-    hexadecimal(&Sha256::digest(bytes))
+    hexadecimal(&Hash::hash(bytes))
 }
 
 /// SHA-256 of a file, hexadecimal.
 pub fn sha256_of_file(path: &Path) -> io::Result<String> {
     let mut file = fs::File::open(path)?;
-    let mut hash = Sha256::new();
+    let mut hash = Hash::new();
     let mut buffer = vec![0; 1 << 18];
     loop {
         match file.read(&mut buffer) {

@@ -1,11 +1,10 @@
 //! Planes through the outline of a region.
 
 use super::FillConfig;
+use monogrid_geometry::Rng;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, Vector3};
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// Points that a candidate is judged by, at most.
 const MAX_JUDGES: usize = 300;
@@ -233,10 +232,10 @@ fn best_plane(
 ) -> Option<Plane> {
     let stride = points.len().div_ceil(MAX_JUDGES);
     let judges: Vec<BorderPoint> = points.iter().step_by(stride).copied().collect();
-    let mut words = SplitMix64::seed_from_u64(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
+    let mut rng = Rng::new(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
     let mut best: Option<(i64, Plane)> = None;
     for _ in 0..samples {
-        let triple = [(); 3].map(|()| points[(words.next_u64() % points.len() as u64) as usize]);
+        let triple = [(); 3].map(|()| points[(rng.next_u64() % points.len() as u64) as usize]);
         let Some(plane) = through(&triple) else {
             continue;
         };
