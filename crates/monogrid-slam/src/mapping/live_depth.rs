@@ -1,15 +1,18 @@
 //! Better depth of keyframes while a run goes on.
 //!
 //! The same steps as for the final maps (module `refine`), one keyframe and one step at a time: dense depth by the images of its
-//! neighbours → what of it they confirm → filled depth that they do not contradict → one depth from all that see the same. A keyframe
-//! takes a step when the [`AHEAD`] keyframes after it are as far, so that neighbours on both sides have their say, and its depth is
-//! ready when four more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
+//! neighbours → what of it they confirm → filled depth that they do not contradict → one depth from all that see the same → depth where it has
+//! none from these → walls, floor and ceiling beyond what was measured of them. A keyframe takes a step when the [`AHEAD`] keyframes after
+//! it are as far, so that neighbours on both sides have their say, and its depth is ready when six more are finished. Who has no time for all of them leaves out some: keyframes are taken in their order, and where more than
 //! [`MAX_BEHIND`] wait, the newest are, the others when there is nothing else to do.
 
 use super::agreement::View;
 use super::certainty::Certainty;
+use super::completion::completed;
 use super::dense::{agreed, neighbours, stereo};
+use super::envelope::{Cloud, enclosed};
 use super::refine::Found;
+use super::scan::Depths;
 use super::{KeptKeyframes, KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::store::{Kept, KeptDense};
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
@@ -37,15 +40,48 @@ enum Stage {
     Found,
     /// Without filled depth that they contradict.
     Checked,
+    /// As certain as they agree, and fused with theirs.
+    Agreed,
+    /// With depth that they have and it has not.
+    Completed,
     /// Handed over.
     Ready,
 }
 
-/// What was found of a keyframe.
-#[derive(Clone, Debug, Default)]
+/// What was found of a keyframe. What it had at each stage is kept, since neighbours that are behind compare theirs with it.
+#[derive(Debug, Default)]
 struct Work {
     stage: Stage,
+    /// When it is `Found`, and when it is `Checked`.
     found: Option<Found>,
+    agreed: Option<Found>,
+    completed: Option<(Found, Cloud)>,
+}
+
+impl Work {
+    fn found(&self) -> Option<&Found> {
+        self.found.as_ref()
+    }
+
+    fn agreed(&self) -> Option<&Found> {
+        self.agreed.as_ref()
+    }
+
+    fn completed(&self) -> Option<&Found> {
+        self.completed.as_ref().map(|(found, _)| found)
+    }
+
+    fn cloud(&self) -> Option<&Cloud> {
+        self.completed.as_ref().map(|(_, cloud)| cloud)
+    }
+
+    /// Leaves what was found; who was not handed over begins again.
+    fn forget(&mut self) {
+        (self.found, self.agreed, self.completed) = (None, None, None);
+        if self.stage != Stage::Ready {
+            self.stage = Stage::Waiting;
+        }
+    }
 }
 
 /// What a step has done.
@@ -121,7 +157,9 @@ impl LiveDepth {
             Stage::Waiting => self.match_images(index, poses),
             Stage::Matched => self.find(index, poses),
             Stage::Found => self.check(index),
-            Stage::Checked => Step::Better(self.ready(index)),
+            Stage::Checked => self.agree(index),
+            Stage::Agreed => self.complete(index, poses),
+            Stage::Completed => Step::Better(self.enclose(index, poses)),
             Stage::Ready => return Step::Idle,
         };
         let stage = &mut self.work[index].stage;
@@ -131,7 +169,14 @@ impl LiveDepth {
 
     /// The keyframe that takes a step: the one that is nearest to its end, else one that waits.
     fn next(&self) -> Option<usize> {
-        [Stage::Checked, Stage::Found, Stage::Matched]
+        let begun = [
+            Stage::Completed,
+            Stage::Agreed,
+            Stage::Checked,
+            Stage::Found,
+            Stage::Matched,
+        ];
+        begun
             .into_iter()
             .find_map(|stage| self.all_ready_for_more(stage).next())
             .or_else(|| self.next_waiting())
@@ -199,38 +244,79 @@ impl LiveDepth {
 
     /// Leaves out filled depth that others contradict.
     fn check(&mut self, index: usize) -> Step {
-        let (views, middle) = self.views(index, MAX_HELD);
         if let Some(found) = &self.work[index].found
             && self.config.fill.max_witnesses > 0
         {
-            let checked = found.without_contradicted(&views, middle, &self.camera, &self.config);
+            let views = self.views(MAX_HELD, index, Work::found);
+            let checked = found.without_contradicted(&views, index, &self.camera, &self.config);
             self.work[index].found = Some(checked);
         }
         Step::Worked
     }
 
-    /// What of a keyframe is mapped; nothing where nothing was found.
-    fn ready(&self, index: usize) -> KeyframeScan {
-        let (near, _) = self.views(index, COMPARED);
-        let certainty = Certainty::asked_for(&near, &self.camera, &self.config, 1);
-        let (views, middle) = self.views(index, MAX_HELD);
-        let found = self.work[index].found.as_ref();
-        let depths = found.map(|found| {
-            found.certain(certainty, &views, middle, &self.camera, &self.config.fusion)
-        });
-        let keyframe = &self.keyframes[index];
-        let store = keyframe.pixels.store();
-        let depths = depths.unwrap_or_default();
-        depths.joined(keyframe.id, &self.camera, store)
+    /// Makes its depth as certain as others agree, and fuses it with theirs.
+    fn agree(&mut self, index: usize) -> Step {
+        if let Some(found) = &self.work[index].found {
+            let (camera, config) = (&self.camera, &self.config);
+            let near = self.views(COMPARED, index, Work::found);
+            let certainty = Certainty::asked_for(&near, camera, config, 1);
+            let views = self.views(MAX_HELD, index, Work::found);
+            let depths = found.certain(certainty, &views, index, camera, &config.fusion);
+            self.work[index].agreed = Some(found.with_depths(depths, camera));
+        }
+        Step::Worked
     }
 
-    /// What was found of the keyframes around one, and where that one is among them.
-    fn views(&self, index: usize, reach: usize) -> (Vec<Option<View>>, usize) {
-        let Range { start, end } =
-            index.saturating_sub(reach)..(index + reach + 1).min(self.work.len());
-        let views = self.work[start..end].iter();
-        let views = views.map(|work| work.found.as_ref()?.view.clone());
-        (views.collect(), index - start)
+    /// Takes over depth that others have and it has not.
+    fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
+        if let Some(agreed) = &self.work[index].agreed {
+            let (camera, config) = (&self.camera, &self.config);
+            let mut depths = agreed.depths();
+            if config.completion.max_witnesses > 0 {
+                let views = self.views(MAX_HELD, index, Work::agreed);
+                let keyframes = self.kept(poses);
+                let added = completed(&keyframes, &views, index, camera, &config.completion);
+                depths = depths.with_filled(added);
+            }
+            let completed = agreed.with_depths(depths, camera);
+            let cloud = Cloud::new(completed.view.as_ref(), camera, &config.fill);
+            self.work[index].completed = Some((completed, cloud));
+        }
+        Step::Worked
+    }
+
+    /// What of a keyframe is mapped: with walls, floor and ceiling beyond what was measured; nothing where nothing was found.
+    fn enclose(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
+        let (camera, config) = (&self.camera, &self.config);
+        let mut depths = Depths::default();
+        if let Some(completed) = self.work[index].completed() {
+            depths = completed.depths();
+            if config.envelope.max_planes > 0 {
+                let views = self.views(MAX_HELD, index, Work::completed);
+                let cloud = |other: usize| self.work[other].cloud();
+                let keyframes = self.kept(poses);
+                let added = enclosed(&keyframes, (&views, cloud), index, camera, config);
+                depths = depths.with_filled(added);
+            }
+        }
+        let keyframe = &self.keyframes[index];
+        depths.joined(keyframe.id, camera, keyframe.pixels.store())
+    }
+
+    /// What keyframes have at a stage, by their index, of those around one.
+    fn views(
+        &self,
+        reach: usize,
+        index: usize,
+        at_stage: impl Fn(&Work) -> Option<&Found>,
+    ) -> Vec<Option<View>> {
+        let around = index.saturating_sub(reach)..=index + reach;
+        let work = self.work.iter().enumerate();
+        work.map(|(other, work)| match around.contains(&other) {
+            true => at_stage(work)?.view.clone(),
+            false => None,
+        })
+        .collect()
     }
 
     /// Leaves what was found of a keyframe; one that was not handed over begins again.
@@ -238,11 +324,7 @@ impl LiveDepth {
         self.held.retain(|held| *held != id);
         if let Ok(index) = self.index(id) {
             self.dense[index] = None;
-            let work = &mut self.work[index];
-            work.found = None;
-            if work.stage != Stage::Ready {
-                work.stage = Stage::Waiting;
-            }
+            self.work[index].forget();
         }
     }
 
@@ -266,7 +348,9 @@ impl Stage {
             Self::Waiting => Self::Matched,
             Self::Matched => Self::Found,
             Self::Found => Self::Checked,
-            Self::Checked | Self::Ready => Self::Ready,
+            Self::Checked => Self::Agreed,
+            Self::Agreed => Self::Completed,
+            Self::Completed | Self::Ready => Self::Ready,
         }
     }
 }
@@ -276,7 +360,7 @@ mod tests {
     use super::*;
     use crate::Keyframe;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{CompletionConfig, EnvelopeConfig, PosedKeyframe, final_scans};
+    use crate::mapping::{PosedKeyframe, final_scans};
     use monogrid_geometry::{Rotation, Sim3, Vec3};
 
     fn place(id: KeyframeId) -> f64 {
@@ -340,14 +424,14 @@ mod tests {
     }
 
     #[test]
-    fn a_keyframe_is_ready_when_four_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
-        let (count, snapshot) = (9, poses(9));
+    fn a_keyframe_is_ready_when_six_more_are_finished_with_depth_as_good_as_that_of_final_maps() {
+        let (count, snapshot) = (11, poses(11));
         let mut live = live();
         let mut ready = Vec::new();
         for id in 0..count {
             live.add(keyframe(id).into());
             let scans = rest(&mut live, &snapshot);
-            let expected: Vec<KeyframeId> = id.checked_sub(4).into_iter().collect();
+            let expected: Vec<KeyframeId> = id.checked_sub(6).into_iter().collect();
             assert_eq!(ids(&scans), expected);
             ready.extend(scans);
         }
@@ -362,22 +446,14 @@ mod tests {
                 world_from_keyframe: snapshot.in_main_map(keyframe.id).copied(),
             })
             .collect();
-        // what others see of its surfaces, and where walls meet, a keyframe gets at the end
-        let config = MappingConfig {
-            completion: CompletionConfig {
-                max_witnesses: 0,
-                ..CompletionConfig::default()
-            },
-            envelope: EnvelopeConfig {
-                max_planes: 0,
-                ..EnvelopeConfig::default()
-            },
-            ..MappingConfig::default()
-        };
+        let config = MappingConfig::default();
         let last = final_scans(&posed, &CAMERA, &config, 2);
         // the first one has neighbours on one side, of which too few confirm it
         for scan in &ready[1..] {
-            assert!(10 * scan.num_pixels > 9 * last[scan.id as usize].num_pixels);
+            // the newest are seen from one side only when they take their steps
+            let share = if scan.id < 4 { 0.95 } else { 0.8 };
+            let all = last[scan.id as usize].num_pixels as f64;
+            assert!(scan.num_pixels as f64 > share * all, "{}", scan.id);
             // what a single neighbour confirms, until the others are there, is now and then wrong
             assert!(share_right(scan, 1.0) > 0.98);
             assert!(share_right(&last[scan.id as usize], 1.0) > 0.99);
@@ -400,6 +476,18 @@ mod tests {
         assert_eq!(next(&three), Some(5));
         let four = [(4..6, Stage::Checked), (6..9, Stage::Found)];
         assert_eq!(next(&four), Some(4));
+        let last_steps = [
+            (0..1, Stage::Completed),
+            (1..4, Stage::Agreed),
+            (4..9, Stage::Checked),
+        ];
+        assert_eq!(next(&last_steps), Some(1));
+        let last_step = [
+            (0..2, Stage::Completed),
+            (2..4, Stage::Agreed),
+            (4..9, Stage::Checked),
+        ];
+        assert_eq!(next(&last_step), Some(0));
         assert_eq!(next(&[(0..9, Stage::Ready)]), None);
         // there is none after the last one
         assert_eq!(next(&[(0..8, Stage::Ready)]), None);
@@ -429,7 +517,7 @@ mod tests {
 
     #[test]
     fn what_is_kept_is_bounded_and_other_depth_begins_again() {
-        let count = MAX_HELD as KeyframeId + 6;
+        let count = MAX_HELD as KeyframeId + 8;
         let snapshot = poses(count);
         let mut live = live();
         for id in 0..count {
@@ -441,7 +529,7 @@ mod tests {
         assert!(num_held(&live) <= MAX_HELD && num_dense(&live) == MAX_HELD);
         // one that nothing is kept of is ready all the same
         assert!(live.has_handed_over(0) && live.work[0].found.is_none());
-        let revised = live.keyframes.len() - 6;
+        let revised = live.keyframes.len() - 8;
         live.add(keyframe(revised as KeyframeId).into());
         assert!(!live.has_handed_over(revised as KeyframeId));
         assert_eq!(live.keyframes.len(), count as usize);

@@ -155,7 +155,7 @@ impl Work<'_> {
         }
         self.each(found, |this, views, index| {
             let added = completed(self.keyframes, views, index, self.camera, config);
-            then(this, this.depths.depths().with_filled(added), index)
+            then(this, this.depths().with_filled(added), index)
         })
     }
 
@@ -167,16 +167,15 @@ impl Work<'_> {
     ) -> Vec<T> {
         let (camera, config) = (self.camera, self.config);
         if config.envelope.max_planes == 0 {
-            return self.each(found, |this, _, index| {
-                then(this, this.depths.depths(), index)
-            });
+            return self.each(found, |this, _, index| then(this, this.depths(), index));
         }
         let clouds = for_each_keyframe(found.len(), self.threads, |index| {
             Cloud::new(found[index].view.as_ref(), camera, &config.fill)
         });
         self.each(found, |this, views, index| {
-            let added = enclosed(self.keyframes, (views, &clouds), index, camera, config);
-            then(this, this.depths.depths().with_filled(added), index)
+            let cloud = |other: usize| clouds.get(other);
+            let added = enclosed(self.keyframes, (views, cloud), index, camera, config);
+            then(this, this.depths().with_filled(added), index)
         })
     }
 }
@@ -246,7 +245,7 @@ impl Found {
         camera: &KeyframeCamera,
         config: &MappingConfig,
     ) -> Self {
-        let mut depths = self.depths.depths();
+        let mut depths = self.depths();
         if let Some(kept) = kept(views, index, camera, &config.fill) {
             let mut kept = kept.into_iter();
             depths.filled.retain(|_| kept.next().unwrap_or(true));
@@ -255,8 +254,13 @@ impl Found {
         self.with_depths(depths, camera)
     }
 
+    /// Its depths.
+    pub fn depths(&self) -> Depths {
+        self.depths.depths()
+    }
+
     /// With other depths.
-    fn with_depths(&self, depths: Depths, camera: &KeyframeCamera) -> Self {
+    pub fn with_depths(&self, depths: Depths, camera: &KeyframeCamera) -> Self {
         let view = self.view.as_ref();
         let known = view.map(|view| (view.world_from_keyframe, view.misfits.clone()));
         Self::new(depths, known, camera, self.depths.store())

@@ -74,11 +74,11 @@ impl Default for EnvelopeConfig {
     }
 }
 
-/// Depth of the regions of keyframe `index` that have none, where large planes bound its view; `views[index]` is its own view. None without pose
-/// or image.
-pub(super) fn enclosed(
+/// Depth of the regions of keyframe `index` that have none, where large planes bound its view; `views[index]` is its own view, `cloud` what each
+/// keyframe sees. None without pose or image.
+pub(super) fn enclosed<'a>(
     keyframes: &dyn Keyframes,
-    (views, clouds): (&[Option<View>], &[Cloud]),
+    (views, cloud): (&[Option<View>], impl Fn(usize) -> Option<&'a Cloud>),
     index: usize,
     camera: &KeyframeCamera,
     config: &MappingConfig,
@@ -88,7 +88,7 @@ pub(super) fn enclosed(
     };
     let mut around = witnesses(views, index, camera, MAX_WITNESSES);
     around.push(index);
-    let clouds: Vec<&Cloud> = around.iter().map(|other| &clouds[*other]).collect();
+    let clouds: Vec<&Cloud> = around.into_iter().filter_map(cloud).collect();
     let center = view.world_from_keyframe.translation;
     let planes = bounding_planes(&clouds, &center, &config.envelope);
     if planes.is_empty() {

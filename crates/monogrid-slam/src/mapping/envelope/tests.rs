@@ -66,7 +66,7 @@ fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Mea
     let clouds = [Cloud::new(views[0].as_ref(), &CAMERA, &config.fill)];
     let mut added = enclosed(
         &keyframes.as_slice(),
-        (&views, &clouds),
+        (&views, |index| clouds.get(index)),
         0,
         &CAMERA,
         &config,
