@@ -1,9 +1,9 @@
 //! Messages as they lie in a recording, and what is in them.
 
 use crate::bag::TopicKind;
-use byteorder::{BigEndian, LittleEndian};
 use monogrid_messages::RosMessage;
 use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::cdr::{self, ByteOrder};
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, RegionOfInterest};
 use monogrid_messages::std_msgs::Header;
 use std::sync::Arc;
@@ -31,7 +31,7 @@ pub struct Raw {
 /// An image.
 pub fn image(message: &Raw) -> Result<Image, String> {
     match message.wire {
-        Wire::Cdr => cdr(&message.data),
+        Wire::Cdr => of_cdr(&message.data),
         Wire::Ros1 => Fields(&message.data)
             .image()
             .ok_or_else(|| too_short(message)),
@@ -41,7 +41,7 @@ pub fn image(message: &Raw) -> Result<Image, String> {
 /// An image file.
 pub fn compressed_image(message: &Raw) -> Result<CompressedImage, String> {
     match message.wire {
-        Wire::Cdr => cdr(&message.data),
+        Wire::Cdr => of_cdr(&message.data),
         Wire::Ros1 => Fields(&message.data)
             .compressed_image()
             .ok_or_else(|| too_short(message)),
@@ -51,7 +51,7 @@ pub fn compressed_image(message: &Raw) -> Result<CompressedImage, String> {
 /// A calibration.
 pub fn camera_info(message: &Raw) -> Result<CameraInfo, String> {
     match message.wire {
-        Wire::Cdr => cdr(&message.data),
+        Wire::Cdr => of_cdr(&message.data),
         Wire::Ros1 => Fields(&message.data)
             .camera_info()
             .ok_or_else(|| too_short(message)),
@@ -65,24 +65,23 @@ fn too_short(message: &Raw) -> String {
     )
 }
 
-fn cdr<M: RosMessage>(data: &[u8]) -> Result<M, String> {
+fn of_cdr<M: RosMessage>(data: &[u8]) -> Result<M, String> {
     let Some((&[_, order, _, _], body)) = data.split_first_chunk() else {
         return Err(format!(
             "a message of {} bytes has no encapsulation",
             data.len()
         ));
     };
-    let read = match order {
-        1 => cdr_encoding::from_bytes::<M, LittleEndian>(body),
-        0 => cdr_encoding::from_bytes::<M, BigEndian>(body),
+    let order = match order {
+        1 => ByteOrder::Little,
+        0 => ByteOrder::Big,
         other => {
             return Err(format!(
                 "encapsulation {other} is not supported, expected plain CDR (0 or 1)"
             ));
         }
     };
-    read.map(|(message, _)| message)
-        .map_err(|error| error.to_string())
+    cdr::from_bytes(body, order).map_err(|error| error.to_string())
 }
 
 /// Fields of ROS 1, from the front; none when there are no more bytes.

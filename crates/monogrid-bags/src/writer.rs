@@ -1,10 +1,9 @@
 //! Messages into MCAP files, as Foxglove, Rerun and rosbag2 read them.
 
-use byteorder::LittleEndian;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{McapError, WriteOptions, Writer};
-use monogrid_messages::{RosMessage, definition};
+use monogrid_messages::{RosMessage, cdr, definition};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
@@ -54,7 +53,7 @@ impl<W: Write> McapWriter<W> {
         time_ns: i64,
         message: &M,
     ) -> io::Result<()> {
-        let body = cdr_encoding::to_vec::<M, LittleEndian>(message).map_err(io::Error::other)?;
+        let body = cdr::to_vec(message).map_err(io::Error::other)?;
         let (channel_id, sequence) = self.channel::<M>(topic)?;
         let time = u64::try_from(time_ns).unwrap_or(0);
         let header = MessageHeader {
