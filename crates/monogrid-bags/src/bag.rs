@@ -3,7 +3,7 @@
 use crate::convert::{camera_of, gray_image, gray_of_compressed};
 use crate::error::BagError;
 use crate::message::{Raw, camera_info, compressed_image, image};
-use crate::{db3, mcap_file, ros1};
+use crate::{db3, mcap, ros1};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
 use monogrid_messages::sensor_msgs::CameraInfo;
@@ -249,7 +249,7 @@ impl Bag {
         let files = self.files.clone().into_iter();
         Box::new(files.flat_map(|(path, format)| {
             let messages = match format {
-                Format::Mcap => mcap_file::messages(&path),
+                Format::Mcap => mcap::messages(&path),
                 Format::Db3 => db3::messages(&path),
                 Format::Ros1 => ros1::messages(&path),
             };

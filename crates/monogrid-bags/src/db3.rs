@@ -53,17 +53,7 @@ fn message((number, values): Row, topics: &Topics) -> Result<Raw, String> {
     };
     let found = topic.integer().and_then(|topic| topics.get(&topic));
     let (topic, kind) = found.ok_or_else(|| format!("message {number} has no topic"))?;
-    Ok(Raw {
-        topic: Arc::clone(topic),
-        kind: *kind,
-        log_ns: time
-            .integer()
-            .ok_or_else(|| format!("message {number} has no time"))?,
-        wire: Wire::Cdr,
-        data: if *kind == TopicKind::Other {
-            Vec::new()
-        } else {
-            data.clone()
-        },
-    })
+    let time = time.integer();
+    let log_ns = time.ok_or_else(|| format!("message {number} has no time"))?;
+    Ok(Raw::new(topic, *kind, log_ns, Wire::Cdr, data))
 }

@@ -22,12 +22,12 @@ mod chunks;
 pub mod convert;
 mod db3;
 mod error;
-mod mcap_file;
+mod fields;
+mod mcap;
 mod message;
 mod ros1;
 mod sqlite;
-mod writer;
 
 pub use bag::{Bag, Images, Topic, TopicKind, is_bag};
 pub use error::BagError;
-pub use writer::McapWriter;
+pub use mcap::McapWriter;

@@ -1,9 +1,10 @@
 //! Messages as they lie in a recording, and what is in them.
 
 use crate::bag::TopicKind;
-use byteorder::{BigEndian, LittleEndian};
+use crate::fields::Fields;
 use monogrid_messages::RosMessage;
 use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::cdr::{self, ByteOrder};
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, RegionOfInterest};
 use monogrid_messages::std_msgs::Header;
 use std::sync::Arc;
@@ -25,13 +26,27 @@ pub struct Raw {
     /// When it was recorded.
     pub log_ns: i64,
     pub wire: Wire,
+    /// Nothing of topics that nobody looks at.
     pub data: Vec<u8>,
+}
+
+impl Raw {
+    pub fn new(topic: &Arc<str>, kind: TopicKind, log_ns: i64, wire: Wire, data: &[u8]) -> Self {
+        let is_kept = kind != TopicKind::Other;
+        Self {
+            topic: Arc::clone(topic),
+            kind,
+            log_ns,
+            wire,
+            data: if is_kept { data.to_vec() } else { Vec::new() },
+        }
+    }
 }
 
 /// An image.
 pub fn image(message: &Raw) -> Result<Image, String> {
     match message.wire {
-        Wire::Cdr => cdr(&message.data),
+        Wire::Cdr => of_cdr(&message.data),
         Wire::Ros1 => Fields(&message.data)
             .image()
             .ok_or_else(|| too_short(message)),
@@ -41,7 +56,7 @@ pub fn image(message: &Raw) -> Result<Image, String> {
 /// An image file.
 pub fn compressed_image(message: &Raw) -> Result<CompressedImage, String> {
     match message.wire {
-        Wire::Cdr => cdr(&message.data),
+        Wire::Cdr => of_cdr(&message.data),
         Wire::Ros1 => Fields(&message.data)
             .compressed_image()
             .ok_or_else(|| too_short(message)),
@@ -51,7 +66,7 @@ pub fn compressed_image(message: &Raw) -> Result<CompressedImage, String> {
 /// A calibration.
 pub fn camera_info(message: &Raw) -> Result<CameraInfo, String> {
     match message.wire {
-        Wire::Cdr => cdr(&message.data),
+        Wire::Cdr => of_cdr(&message.data),
         Wire::Ros1 => Fields(&message.data)
             .camera_info()
             .ok_or_else(|| too_short(message)),
@@ -65,57 +80,37 @@ fn too_short(message: &Raw) -> String {
     )
 }
 
-fn cdr<M: RosMessage>(data: &[u8]) -> Result<M, String> {
+fn of_cdr<M: RosMessage>(data: &[u8]) -> Result<M, String> {
     let Some((&[_, order, _, _], body)) = data.split_first_chunk() else {
         return Err(format!(
             "a message of {} bytes has no encapsulation",
             data.len()
         ));
     };
-    let read = match order {
-        1 => cdr_encoding::from_bytes::<M, LittleEndian>(body),
-        0 => cdr_encoding::from_bytes::<M, BigEndian>(body),
+    let order = match order {
+        1 => ByteOrder::Little,
+        0 => ByteOrder::Big,
         other => {
             return Err(format!(
                 "encapsulation {other} is not supported, expected plain CDR (0 or 1)"
             ));
         }
     };
-    read.map(|(message, _)| message)
-        .map_err(|error| error.to_string())
+    cdr::from_bytes(body, order).map_err(|error| error.to_string())
 }
 
-/// Fields of ROS 1, from the front; none when there are no more bytes.
-struct Fields<'a>(&'a [u8]);
-
+/// Fields of messages of ROS 1.
 impl Fields<'_> {
-    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (bytes, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*bytes)
-    }
-
-    fn u32(&mut self) -> Option<u32> {
-        self.take().map(u32::from_le_bytes)
-    }
-
     fn f64s<const N: usize>(&mut self) -> Option<[f64; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
-            *value = f64::from_le_bytes(self.take()?);
+            *value = f64::from_le_bytes(self.array()?);
         }
         Some(values)
     }
 
-    fn bytes(&mut self) -> Option<Vec<u8>> {
-        let length = self.u32()? as usize;
-        let (bytes, rest) = self.0.split_at_checked(length)?;
-        self.0 = rest;
-        Some(bytes.to_vec())
-    }
-
-    fn text(&mut self) -> Option<String> {
-        Some(String::from_utf8_lossy(&self.bytes()?).into_owned())
+    fn string(&mut self) -> Option<String> {
+        Some(String::from_utf8_lossy(self.bytes()?).into_owned())
     }
 
     fn header(&mut self) -> Option<Header> {
@@ -125,7 +120,7 @@ impl Fields<'_> {
         let stamp = Time { sec, nanosec };
         Some(Header {
             stamp,
-            frame_id: self.text()?,
+            frame_id: self.string()?,
         })
     }
 
@@ -134,18 +129,18 @@ impl Fields<'_> {
             header: self.header()?,
             height: self.u32()?,
             width: self.u32()?,
-            encoding: self.text()?,
-            is_bigendian: self.take::<1>()?[0],
+            encoding: self.string()?,
+            is_bigendian: self.u8()?,
             step: self.u32()?,
-            data: self.bytes()?,
+            data: self.bytes()?.to_vec(),
         })
     }
 
     fn compressed_image(mut self) -> Option<CompressedImage> {
         Some(CompressedImage {
             header: self.header()?,
-            format: self.text()?,
-            data: self.bytes()?,
+            format: self.string()?,
+            data: self.bytes()?.to_vec(),
         })
     }
 
@@ -154,7 +149,7 @@ impl Fields<'_> {
             header: self.header()?,
             height: self.u32()?,
             width: self.u32()?,
-            distortion_model: self.text()?,
+            distortion_model: self.string()?,
             d: {
                 let count = self.u32()?;
                 (0..count)
@@ -171,7 +166,7 @@ impl Fields<'_> {
                 y_offset: self.u32()?,
                 height: self.u32()?,
                 width: self.u32()?,
-                do_rectify: self.take::<1>()?[0] != 0,
+                do_rectify: self.u8()? != 0,
             },
         })
     }

@@ -1,8 +1,9 @@
 //! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
 
 use crate::bag::{Messages, TopicKind};
-use crate::chunks::{InChunks, Records};
+use crate::chunks::{self, InChunks, Records, unpacked};
 use crate::error::BagError;
+use crate::fields::Fields;
 use crate::message::{Raw, Wire};
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
@@ -13,9 +14,6 @@ use std::sync::Arc;
 
 /// What a file begins with.
 pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
-
-/// Most bytes of a record, and of what is in a chunk.
-const MAX_BYTES: usize = 1 << 30;
 
 const MESSAGE: u8 = 2;
 const CHUNK: u8 = 5;
@@ -52,7 +50,7 @@ impl Records for Ros1Messages {
         }
         let compression = fields.text("compression").unwrap_or_default();
         let size = fields.u32("size").ok_or("a chunk does not say its size")?;
-        let records = decompressed(&compression, &data, size as usize)?;
+        let records = decompressed(&compression, &data, u64::from(size))?;
         let mut rest = records.as_slice();
         while !rest.is_empty() {
             let cut = || "a chunk ends within a record".to_owned();
@@ -91,18 +89,9 @@ impl Ros1Messages {
                     .and_then(|time| <[u8; 8]>::try_from(time).ok());
                 let [a, b, c, d, nanoseconds @ ..] = time.ok_or("a message without a time")?;
                 let seconds = u32::from_le_bytes([a, b, c, d]);
-                messages.push_back(Raw {
-                    topic: Arc::clone(topic),
-                    kind: *kind,
-                    log_ns: i64::from(seconds) * 1_000_000_000
-                        + i64::from(u32::from_le_bytes(nanoseconds)),
-                    wire: Wire::Ros1,
-                    data: if *kind == TopicKind::Other {
-                        Vec::new()
-                    } else {
-                        data.to_vec()
-                    },
-                });
+                let log_ns =
+                    i64::from(seconds) * 1_000_000_000 + i64::from(u32::from_le_bytes(nanoseconds));
+                messages.push_back(Raw::new(topic, *kind, log_ns, Wire::Ros1, data));
             }
             _ => {}
         }
@@ -120,22 +109,8 @@ fn block(input: &mut impl Read) -> Result<Option<Vec<u8>>, String> {
     }
     let cut = |error: io::Error| format!("a record cannot be read: {error}");
     input.read_exact(&mut length[1..]).map_err(cut)?;
-    let length = u32::from_le_bytes(length) as usize;
-    if length > MAX_BYTES {
-        return Err(format!(
-            "a record claims {length} bytes, expected at most {MAX_BYTES}"
-        ));
-    }
-    // grows with what is there, not with what is claimed
-    let mut bytes = Vec::new();
-    input
-        .take(length as u64)
-        .read_to_end(&mut bytes)
-        .map_err(cut)?;
-    if bytes.len() != length {
-        return Err("the file ends within a record".to_owned());
-    }
-    Ok(Some(bytes))
+    let length = u32::from_le_bytes(length);
+    chunks::block(input, u64::from(length)).map(Some)
 }
 
 /// Fields `name=value`, each behind its length.
@@ -144,14 +119,12 @@ struct Header<'a>(&'a [u8]);
 
 impl<'a> Header<'a> {
     fn value(self, name: &str) -> Option<&'a [u8]> {
-        let mut rest = self.0;
-        while let Some((length, after)) = rest.split_first_chunk() {
-            let (field, behind) = after.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+        let mut rest = Fields(self.0);
+        while let Some(field) = rest.bytes() {
             let equals = field.iter().position(|byte| *byte == b'=')?;
             if &field[..equals] == name.as_bytes() {
                 return Some(&field[equals + 1..]);
             }
-            rest = behind;
         }
         None
     }
@@ -169,38 +142,14 @@ impl<'a> Header<'a> {
     }
 }
 
-/// What is in a chunk of so many bytes.
-fn decompressed(compression: &str, data: &[u8], size: usize) -> Result<Vec<u8>, String> {
-    if size > MAX_BYTES {
-        return Err(format!(
-            "a chunk claims {size} bytes, expected at most {MAX_BYTES}"
-        ));
-    }
-    let failed =
-        |error: io::Error| format!("a chunk cannot be decompressed ({compression}): {error}");
-    let mut out = Vec::new();
-    let limit = size as u64 + 1;
+/// The records of a chunk.
+fn decompressed(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
     match compression {
-        "none" => out.extend_from_slice(data),
-        "bz2" => {
-            let decoder = bzip2::read::BzDecoder::new(data);
-            decoder.take(limit).read_to_end(&mut out).map_err(failed)?;
-        }
-        "lz4" => {
-            let decoder = lz4_flex::frame::FrameDecoder::new(data);
-            decoder.take(limit).read_to_end(&mut out).map_err(failed)?;
-        }
-        other => {
-            return Err(format!(
-                "compression {other:?} is not supported, expected none, bz2 or lz4"
-            ));
-        }
+        "none" => unpacked(compression, data, size),
+        "bz2" => unpacked(compression, bzip2::read::BzDecoder::new(data), size),
+        "lz4" => unpacked(compression, lz4_flex::frame::FrameDecoder::new(data), size),
+        other => Err(format!(
+            "compression {other:?} is not supported, expected none, bz2 or lz4"
+        )),
     }
-    if out.len() != size {
-        return Err(format!(
-            "a chunk holds {} bytes, expected {size}",
-            out.len()
-        ));
-    }
-    Ok(out)
 }

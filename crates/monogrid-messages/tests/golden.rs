@@ -1,8 +1,8 @@
 //! The messages on the wire are those of another program: `golden/write.py` made the files with the package `rosbags`.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
-use byteorder::LittleEndian;
 use monogrid_messages::builtin_interfaces::Time;
+use monogrid_messages::cdr::{ByteOrder, from_bytes, to_vec};
 use monogrid_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue, WARN};
 use monogrid_messages::geometry_msgs::{
     Covariance, Point, Pose, PoseStamped, PoseWithCovariance, Quaternion, Transform,
@@ -30,10 +30,13 @@ fn is_as_others_write_it<M: RosMessage + PartialEq + Debug>(message: &M) {
     let file = std::fs::read(format!("{folder}/{}.cdr", M::NAME)).unwrap();
     let (encapsulation, body) = file.split_at(4);
     assert_eq!(encapsulation, ENCAPSULATION, "{}", M::NAME);
-    let (read, length): (M, usize) = cdr_encoding::from_bytes::<M, LittleEndian>(body).unwrap();
-    assert_eq!((&read, length), (message, body.len()));
-    let written = cdr_encoding::to_vec::<M, LittleEndian>(message).unwrap();
-    assert_eq!(written, body, "{}", M::NAME);
+    assert_eq!(&from_bytes::<M>(body, ByteOrder::Little).unwrap(), message);
+    assert_eq!(to_vec(message).unwrap(), body, "{}", M::NAME);
+    // all of them are read, and what is cut off is an error
+    for end in 0..body.len() {
+        assert!(from_bytes::<M>(&body[..end], ByteOrder::Little).is_err());
+        let _ = from_bytes::<M>(&body[..end], ByteOrder::Big);
+    }
     // the definition describes these bytes, all of them
     if let Some(text) = definition::<M>() {
         let described = Described::of(&text);
