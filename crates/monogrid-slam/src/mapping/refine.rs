@@ -13,7 +13,7 @@ use super::envelope::{Cloud, enclosed};
 use super::fusion::fused;
 use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
-use super::{FusionConfig, KeyframeCamera, KeyframeScan, MapQuality, MappingConfig, RefineConfig};
+use super::{FusionConfig, KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
 use crate::DepthPixel;
 use crate::median::median;
 use crate::store::{Kept, Store};
@@ -66,10 +66,11 @@ pub(crate) fn final_scans_of(
     threads: usize,
     (store, done): (&Store, &AtomicUsize),
 ) -> Vec<KeyframeScan> {
-    let count = keyframes.len();
-    let dense = match config.quality {
-        MapQuality::Default => dense_depths(keyframes, camera, &config.dense, threads, store),
-        MapQuality::Fast => vec![None; count],
+    let config = &*config.at_its_quality();
+    let (count, is_dense) = (keyframes.len(), config.quality.has_dense_depth());
+    let dense = match is_dense {
+        true => dense_depths(keyframes, camera, &config.dense, threads, store),
+        false => vec![None; count],
     };
     let found = for_each_keyframe(count, threads, |index| {
         let dense = dense[index].as_ref().and_then(Kept::get);
@@ -88,14 +89,12 @@ pub(crate) fn final_scans_of(
     let hand_over =
         |_: &Found, depths: Depths, index| depths.joined(keyframes.id(index), camera, store);
     let found = work.not_contradicted(found);
-    match config.quality {
-        MapQuality::Fast => work.agreed_upon(found, hand_over),
-        MapQuality::Default => {
-            let found = work.agreed_upon(found, keep);
-            let found = work.completed_by_others(found, keep);
-            work.enclosed_by_planes(found, hand_over)
-        }
+    if !is_dense {
+        return work.agreed_upon(found, hand_over);
     }
+    let found = work.agreed_upon(found, keep);
+    let found = work.completed_by_others(found, keep);
+    work.enclosed_by_planes(found, hand_over)
 }
 
 /// The steps that keyframes take together; each gives up what the one before has found.
@@ -468,7 +467,7 @@ mod tests {
     use crate::KeyframeId;
     use crate::MemoryConfig;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{FillConfig, FusionConfig};
+    use crate::mapping::{FillConfig, FusionConfig, MapQuality};
     use monogrid_geometry::{Rotation, Vec3};
 
     fn config() -> MappingConfig {

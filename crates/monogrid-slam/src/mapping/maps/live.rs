@@ -3,7 +3,7 @@
 use super::global::GlobalMap;
 use super::mapper::{MapStats, Mapper};
 use crate::mapping::live_depth::{LiveDepth, Step};
-use crate::mapping::{KeyframeCamera, KeyframeScan, MapQuality, MappingConfig};
+use crate::mapping::{KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::{MapError, OccupancyMap};
@@ -212,7 +212,7 @@ impl LiveMaps {
         let Waiting::Keyframe(keyframe, camera) = keyframe else {
             return;
         };
-        if config.quality == MapQuality::Default && config.dense.live {
+        if config.quality.has_dense_depth() && config.dense.live {
             self.depth
                 .get_or_insert_with(|| LiveDepth::new(config.clone(), *camera))
                 .add(keyframe.clone());
