@@ -24,6 +24,13 @@ impl Pinhole {
         Self { fx, fy, cx, cy }
     }
 
+    /// A camera with square pixels that looks along the middle of its image.
+    #[must_use]
+    pub fn centred(focal_px: f64, width: usize, height: usize) -> Self {
+        let [cx, cy] = [width, height].map(|length| 0.5 * (length as f64 - 1.0));
+        Self::new(focal_px, focal_px, cx, cy)
+    }
+
     /// Pixel of a point in the camera frame; meaningful only for `z > 0`.
     #[must_use]
     #[inline]
