@@ -285,10 +285,8 @@ const LEAST_SHARE: f64 = 1e-4;
 fn extent(places: &[Vec3]) -> f64 {
     let count = places.len().max(1) as f64;
     let middle = places.iter().sum::<Vec3>() / count;
-    let squares: f64 = places
-        .iter()
-        .map(|place| (place - middle).norm_squared())
-        .sum();
+    let squares = places.iter().map(|place| (place - middle).norm_squared());
+    let squares: f64 = squares.sum();
     (squares / count).sqrt()
 }
 
