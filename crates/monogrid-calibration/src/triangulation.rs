@@ -154,10 +154,8 @@ fn check(
 }
 
 fn parallax_deg(sightings: &[View], point: &Vec3) -> f64 {
-    let rays: Vec<Vec3> = sightings
-        .iter()
-        .map(|s| point - s.camera_from_world.inverse().translation)
-        .collect();
+    let ray = |view: &View| point - view.camera_from_world.inverse().translation;
+    let rays: Vec<Vec3> = sightings.iter().map(ray).collect();
     let mut largest = 0.0f64;
     for (i, a) in rays.iter().enumerate() {
         for b in &rays[..i] {
