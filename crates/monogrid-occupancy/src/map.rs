@@ -347,13 +347,9 @@ impl OccupancyMap {
     }
 
     fn sorted_bricks(&self, keep: impl Fn(u32, BrickRef) -> bool) -> Vec<BrickKey> {
-        let mut packed: Vec<u64> = self
-            .shards
-            .iter()
-            .flat_map(Shard::bricks)
-            .filter(|(_, revision, contents)| keep(*revision, *contents))
-            .map(|(key, _, _)| key)
-            .collect();
+        let bricks = self.shards.iter().flat_map(Shard::bricks);
+        let kept = bricks.filter(|(_, revision, contents)| keep(*revision, *contents));
+        let mut packed: Vec<u64> = kept.map(|(key, _, _)| key).collect();
         packed.sort_unstable();
         packed.into_iter().map(BrickKey::unpack).collect()
     }

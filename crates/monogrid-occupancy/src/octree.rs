@@ -344,16 +344,15 @@ impl<'a> Octree<'a> {
 
 /// The level above a sorted level.
 fn parents(below: &[(u64, Node)]) -> Vec<(u64, Node)> {
-    below
-        .chunk_by(|a, b| a.0 >> 3 == b.0 >> 3)
-        .map(|siblings| {
-            let mut children = [Node::Unknown; 8];
-            for &(code, node) in siblings {
-                children[(code & 7) as usize] = node;
-            }
-            (siblings[0].0 >> 3, Node::parent(children))
-        })
-        .collect()
+    let families = below.chunk_by(|a, b| a.0 >> 3 == b.0 >> 3);
+    let parent = |siblings: &[(u64, Node)]| {
+        let mut children = [Node::Unknown; 8];
+        for &(code, node) in siblings {
+            children[(code & 7) as usize] = node;
+        }
+        (siblings[0].0 >> 3, Node::parent(children))
+    };
+    families.map(parent).collect()
 }
 
 fn visit_brick(
