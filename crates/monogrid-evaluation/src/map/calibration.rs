@@ -65,10 +65,8 @@ pub(crate) fn calibration(groups: &[ScoreGroup]) -> Calibration {
         bin.sum_probability += p * (positives + negatives);
     }
     let mean = |sum: f64| (cells > 0).then(|| sum / cells as f64);
-    let gap: f64 = bins
-        .iter()
-        .map(|b| (b.sum_probability - b.positives as f64).abs())
-        .sum();
+    let gap = |bin: &Bin| (bin.sum_probability - bin.positives as f64).abs();
+    let gap: f64 = bins.iter().map(gap).sum();
     Calibration {
         brier: mean(square),
         negative_log_likelihood: mean(log),

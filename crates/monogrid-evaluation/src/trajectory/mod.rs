@@ -16,6 +16,7 @@ pub use wrong::{WrongPose, WrongPoseConfig};
 
 use crate::statistics::ErrorSummary;
 use align::align;
+use monogrid_geometry::median::median;
 use monogrid_geometry::{AlignmentError, Se3, Sim3, Vec3};
 use serde::Serialize;
 
@@ -357,10 +358,7 @@ fn tilt_deg(pairs: &[PosePair]) -> f64 {
     let tilt =
         |p: &PosePair| up_in_camera(&p.est_from_camera).angle(&up_in_camera(&p.gt_from_camera));
     let mut tilts: Vec<f64> = pairs.iter().map(tilt).collect();
-    tilts.sort_by(f64::total_cmp);
-    tilts
-        .get(tilts.len() / 2)
-        .map_or(0.0, |tilt| tilt.to_degrees())
+    median(&mut tilts).map_or(0.0, f64::to_degrees)
 }
 
 fn path_length(pairs: &[PosePair]) -> f64 {
