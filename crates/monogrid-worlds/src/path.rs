@@ -236,10 +236,8 @@ impl CameraPath {
 pub fn look_at(eye: &Vec3, target: &Vec3) -> Se3 {
     let forward = (target - eye).try_normalize(1e-9).unwrap_or_else(Vec3::x);
     // straight up or down any heading will do
-    let right = forward
-        .cross(&Vec3::z())
-        .try_normalize(1e-6)
-        .unwrap_or_else(Vec3::x);
+    let right = forward.cross(&Vec3::z()).try_normalize(1e-6);
+    let right = right.unwrap_or_else(Vec3::x);
     let down = forward.cross(&right);
     let matrix = Mat3::from_columns(&[right, down, forward]);
     Se3::new(

@@ -78,8 +78,6 @@ fn vertex_normals(mesh: &TriangleMesh) -> Vec<P3> {
             normals[*k as usize] += normal;
         }
     }
-    normals
-        .into_iter()
-        .map(|n| n.try_normalize(1e-20).unwrap_or_else(P3::z))
-        .collect()
+    let unit = |normal: P3| normal.try_normalize(1e-20).unwrap_or_else(P3::z);
+    normals.into_iter().map(unit).collect()
 }

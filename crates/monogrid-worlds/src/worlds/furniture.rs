@@ -172,16 +172,14 @@ pub(super) fn bookshelf(
 /// Covers to choose from: half printed, half plain.
 fn book_covers(s: &mut Scene, seed: u64) -> Vec<MaterialId> {
     let mut random = Random::new(seed ^ 0xB00C);
-    (0..14)
-        .map(|k| {
-            let tone = random.range(0.06, 0.75);
-            if k % 3 == 0 {
-                s.plain(tone)
-            } else {
-                s.fitted(patterns::spine(tone, seed + k))
-            }
-        })
-        .collect()
+    let cover = |k| {
+        let tone = random.range(0.06, 0.75);
+        match k % 3 {
+            0 => s.plain(tone),
+            _ => s.fitted(patterns::spine(tone, seed + k)),
+        }
+    };
+    (0..14).map(cover).collect()
 }
 
 /// One board of books: standing, some leaning, gaps, a lying pile or a pot now and then.
