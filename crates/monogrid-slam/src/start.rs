@@ -149,12 +149,8 @@ fn from_seed_depth(
     if !seed_depth.same_size(frame.image()) {
         return None;
     }
-    let mut known: Vec<f32> = seed_depth
-        .as_slice()
-        .iter()
-        .copied()
-        .filter(|z| z.is_finite() && *z > 0.0)
-        .collect();
+    let depths = seed_depth.as_slice().iter().copied();
+    let mut known: Vec<f32> = depths.filter(|z| z.is_finite() && *z > 0.0).collect();
     if known.len() < config.tracking.min_points {
         return None;
     }

@@ -227,14 +227,10 @@ impl Map {
 
     /// Frames with a pose in a fragment.
     pub(crate) fn num_frames_in(&self, fragment: FragmentId) -> usize {
-        let keyframes = self
-            .frames
-            .records
-            .iter()
-            .filter_map(|r| self.keyframe_of(r));
-        keyframes
-            .filter(|id| self[*id].fragment == fragment)
-            .count()
+        let records = self.frames.records.iter();
+        let keyframes = records.filter_map(|record| self.keyframe_of(record));
+        let in_fragment = keyframes.filter(|id| self[*id].fragment == fragment);
+        in_fragment.count()
     }
 
     fn keyframe_of(&self, record: &Record) -> Option<KeyframeId> {
@@ -276,10 +272,8 @@ impl Map {
         let known = self[next.keyframe].world_from_camera(&end.frame_from_next);
         let keyframe_from_world = self[visit.keyframe].world_from_keyframe.inverse();
         let tracked = end.frame_from_keyframe.inverse().translation;
-        Some(Stretch::of(
-            &tracked,
-            &(keyframe_from_world * known.translation),
-        ))
+        let adjusted = keyframe_from_world * known.translation;
+        Some(Stretch::of(&tracked, &adjusted))
     }
 
     /// The correction over the time of a visit, whose ways are stretched; none where tracking was lost at its end.

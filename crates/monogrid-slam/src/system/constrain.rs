@@ -141,13 +141,12 @@ pub(super) fn graph_job(
 
 /// Keyframes that share points with those used last.
 fn newly_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
-    let Some(newest) = map.newest().filter(|_| setup.config.sparse.enabled) else {
+    let sparse = &setup.config.sparse;
+    let Some(newest) = map.newest().filter(|_| sparse.enabled) else {
         return Vec::new();
     };
     let recent = map.recent_in(newest.fragment);
-    let window = recent
-        .len()
-        .saturating_sub(setup.config.sparse.window_newest);
+    let window = recent.len().saturating_sub(sparse.window_newest);
     shared_points(map, &recent[window..], &setup.config.graph.sparse_edges)
 }
 
@@ -156,12 +155,10 @@ fn all_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
     if !setup.config.sparse.enabled {
         return Vec::new();
     }
-    let adjusted = map.grown_fragments();
+    let grown = map.grown_fragments();
     let keyframes = map.keyframes().iter();
-    let adjusted: Vec<KeyframeId> = keyframes
-        .filter(|keyframe| adjusted.contains(&keyframe.fragment))
-        .map(|keyframe| keyframe.id)
-        .collect();
+    let adjusted = keyframes.filter(|keyframe| grown.contains(&keyframe.fragment));
+    let adjusted: Vec<KeyframeId> = adjusted.map(|keyframe| keyframe.id).collect();
     shared_points(map, &adjusted, &setup.config.graph.sparse_edges)
 }
 

@@ -40,11 +40,8 @@ impl Slam {
 
     /// The same with all fragments that are apart, at the end.
     pub(super) fn join_all_by_inertia(&mut self) {
-        let apart = self
-            .map
-            .fragments()
-            .into_iter()
-            .filter(|f| f.joined.is_none());
+        let fragments = self.map.fragments().into_iter();
+        let apart = fragments.filter(|fragment| fragment.joined.is_none());
         for fragment in apart.map(|fragment| fragment.id).collect::<Vec<_>>() {
             self.join_fragment_by_inertia(fragment);
         }
