@@ -130,10 +130,8 @@ pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
 
 /// Positions of the camera.
 pub fn path_of(poses: &[TimedPose]) -> Vec<[f64; 3]> {
-    poses
-        .iter()
-        .map(|pose| pose.world_from_camera.translation.into())
-        .collect()
+    let position = |pose: &TimedPose| pose.world_from_camera.translation.into();
+    poses.iter().map(position).collect()
 }
 
 /// Poses in what is the map in the end, as they were reported frame by frame.
