@@ -216,10 +216,7 @@ impl Camera {
         if point_in_camera.z.is_nan() || point_in_camera.z <= 0.0 {
             return None;
         }
-        let ideal = Vec2::new(
-            point_in_camera.x / point_in_camera.z,
-            point_in_camera.y / point_in_camera.z,
-        );
+        let ideal = point_in_camera.xy() / point_in_camera.z;
         let distorted = self.distortion.distort(&ideal)?;
         Some(Vec2::new(
             self.pinhole.fx * distorted.x + self.pinhole.cx,

@@ -103,6 +103,12 @@ impl Se3 {
         ad
     }
 
+    /// The same rotation, with a translation that is as many times as long.
+    #[must_use]
+    pub fn stretched(&self, factor: f64) -> Self {
+        Self::new(self.rotation, self.translation * factor)
+    }
+
     /// The rotation as a matrix.
     #[must_use]
     pub fn rotation_matrix(&self) -> Mat3 {
