@@ -1,7 +1,6 @@
 //! A large scene cut into pieces that are adjusted one by one.
 
 use crate::adjust::{Scene, Sighting};
-use monogrid_geometry::Se3;
 use monogrid_geometry::median::median;
 
 /// Fewest views that see a point of a piece.
@@ -70,8 +69,8 @@ impl Scene {
         for point in &mut self.points {
             *point *= scale;
         }
-        let shrunk = |pose: &Se3| Se3::new(pose.rotation, pose.translation * scale);
-        self.poses = self.poses.iter().map(shrunk).collect();
+        let poses = self.poses.iter();
+        self.poses = poses.map(|pose| pose.stretched(scale)).collect();
         true
     }
 }

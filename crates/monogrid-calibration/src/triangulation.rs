@@ -113,11 +113,8 @@ fn linear(sightings: &[View], pinhole: &Pinhole) -> Result<Vec3, TriangulationEr
     let eigen = gram.symmetric_eigen();
     let homogeneous = eigen.eigenvectors.column(eigen.eigenvalues.imin());
     let point = homogeneous.fixed_rows::<3>(0) / homogeneous[3];
-    if point.iter().all(|v| v.is_finite() && v.abs() < 1e9) {
-        Ok(point)
-    } else {
-        Err(TriangulationError::Parallel)
-    }
+    let is_near = point.iter().all(|v| v.is_finite() && v.abs() < 1e9);
+    is_near.then_some(point).ok_or(TriangulationError::Parallel)
 }
 
 /// Normal equations of the reprojection error.

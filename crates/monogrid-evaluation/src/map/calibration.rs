@@ -46,11 +46,8 @@ pub(crate) fn calibration(groups: &[ScoreGroup]) -> Calibration {
     let mut bins = [Bin::default(); BINS];
     let (mut cells, mut square, mut log) = (0_u64, 0.0, 0.0);
     for group in groups {
-        let (p, positives, negatives) = (
-            group.probability,
-            group.positives as f64,
-            group.negatives as f64,
-        );
+        let p = group.probability;
+        let (positives, negatives) = (group.positives as f64, group.negatives as f64);
         cells += group.positives + group.negatives;
         square += positives * (1.0 - p).powi(2) + negatives * p.powi(2);
         if group.positives > 0 {

@@ -257,12 +257,8 @@ impl TruthGrid {
         let Some((first, last)) = map.key_bounds() else {
             return Err(TruthError::NothingKnown);
         };
-        let mut grid = Self::new(
-            map.resolution(),
-            first.to_array(),
-            last.to_array(),
-            max_cells,
-        )?;
+        let [first, last] = [first, last].map(VoxelKey::to_array);
+        let mut grid = Self::new(map.resolution(), first, last, max_cells)?;
         for cell in map.cells() {
             grid.set(cell.key.to_array(), cell.state);
         }

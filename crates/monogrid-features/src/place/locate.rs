@@ -143,11 +143,8 @@ fn with_scale(
         return None;
     }
     let scale = median(&mut ratios)?;
-    Some(Sim3::new(
-        scale,
-        b_from_a.rotation,
-        b_from_a.translation * scale,
-    ))
+    let translation = b_from_a.translation * scale;
+    Some(Sim3::new(scale, b_from_a.rotation, translation))
 }
 
 /// Whether a fit has enough inliers, spread over the image, and a small covariance.
