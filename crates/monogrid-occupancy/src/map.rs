@@ -70,11 +70,8 @@ impl OccupancyMap {
         if !(resolution.is_finite() && resolution > 1e-9 && resolution < 1e9) {
             return Err(MapError::Resolution { value: resolution });
         }
-        let limits = Limits::new(
-            config.clamp_min,
-            config.clamp_max,
-            config.occupancy_threshold,
-        )?;
+        let (low, high) = (config.clamp_min, config.clamp_max);
+        let limits = Limits::new(low, high, config.occupancy_threshold)?;
         Ok(Self {
             inv_resolution: 1.0 / resolution,
             limits,

@@ -74,10 +74,9 @@ pub(crate) fn child_index(parent: [usize; 3], octant: usize, edge_bits: u32) -> 
 
 #[inline]
 fn cell_node(value: i16) -> Node {
-    if value == UNKNOWN {
-        Node::Unknown
-    } else {
-        Node::Leaf(value)
+    match value {
+        UNKNOWN => Node::Unknown,
+        _ => Node::Leaf(value),
     }
 }
 

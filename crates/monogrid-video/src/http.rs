@@ -1,5 +1,6 @@
 //! MJPEG over HTTP (`multipart/x-mixed-replace`): what apps that make a phone a camera serve.
 
+use crate::error::endless_header;
 use crate::turn::Turn;
 use crate::{Colour, MAX_PIXELS, Opened, VideoError, VideoFrame};
 use monogrid_datasets::decode_jpeg_luma;
@@ -100,10 +101,7 @@ fn read_header(reader: &mut impl BufRead) -> std::io::Result<Vec<String>> {
         }
         lines.push(line);
     }
-    Err(Error::new(
-        ErrorKind::InvalidData,
-        "a header that does not end",
-    ))
+    Err(endless_header())
 }
 
 /// The value of a header line, in lower case.

@@ -15,10 +15,8 @@ const MAX_HEADER_BYTES: usize = 64 << 10;
 
 /// OctoMap's own clamps: logit(0.1192) and logit(0.971).
 pub(crate) fn octomap_clamps() -> (f32, f32) {
-    (
-        log_odds_from_probability(0.1192) as f32,
-        log_odds_from_probability(0.971) as f32,
-    )
+    let clamp = |probability| log_odds_from_probability(probability) as f32;
+    (clamp(0.1192), clamp(0.971))
 }
 
 /// Fields of a header that matter.
