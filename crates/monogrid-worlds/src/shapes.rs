@@ -32,11 +32,9 @@ impl Scene {
         let [x0, y0, z0] = min;
         let [x1, y1, z1] = max;
         let p = |x, y, z| P3::new(x, y, z);
-        let (dx, dy, dz) = (
-            p(x1 - x0, 0.0, 0.0),
-            p(0.0, y1 - y0, 0.0),
-            p(0.0, 0.0, z1 - z0),
-        );
+        let dx = p(x1 - x0, 0.0, 0.0);
+        let dy = p(0.0, y1 - y0, 0.0);
+        let dz = p(0.0, 0.0, z1 - z0);
         // pictures upright: v runs down
         self.quad(p(x0, y0, z1), -dz, dx, faces.front);
         self.transpose_last();
@@ -74,12 +72,8 @@ impl Scene {
     /// edge centred on the origin.
     pub fn panel(&mut self, width: f32, height: f32, material: MaterialId) {
         let corner = P3::new(-0.5 * width, 0.0, height);
-        self.quad(
-            corner,
-            P3::new(0.0, 0.0, -height),
-            P3::new(width, 0.0, 0.0),
-            material,
-        );
+        let (down, along) = (P3::new(0.0, 0.0, -height), P3::new(width, 0.0, 0.0));
+        self.quad(corner, down, along, material);
         self.transpose_last();
     }
 
