@@ -156,10 +156,8 @@ fn from_seed_depth(
     }
     let unit = median(&mut known)?;
     let mut depth = DepthMap::empty(host, &config.depth);
-    depth.initialize_from_depth(
-        &seed_depth.map(|z| z / unit),
-        config.initialization.seed_relative_sigma,
-    );
+    let sigma = config.initialization.seed_relative_sigma;
+    depth.initialize_from_depth(&seed_depth.map(|z| z / unit), sigma);
     (depth.num_known() >= config.tracking.min_points).then(|| Started {
         keyframe: frame.clone(),
         depth,

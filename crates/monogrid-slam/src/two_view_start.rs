@@ -405,14 +405,12 @@ impl Reference {
         }
         let scale = positive_median(&mut solution.inverse_depths.clone())
             .ok_or(LostReason::AmbiguousStart)?;
-        Ok(chosen
-            .iter()
-            .zip(&solution.camera_from_world[1..])
-            .map(|(&view, pose)| PosedView {
-                offset: self.views[view].offset,
-                frame_from_reference: Se3::new(pose.rotation, pose.translation * scale),
-            })
-            .collect())
+        let posed = |(&view, pose): (&usize, &Se3)| PosedView {
+            offset: self.views[view].offset,
+            frame_from_reference: pose.stretched(scale),
+        };
+        let poses = &solution.camera_from_world[1..];
+        Ok(chosen.iter().zip(poses).map(posed).collect())
     }
 
     /// The reference fixed, the last view at a fixed distance from it.

@@ -200,11 +200,7 @@ pub(super) fn handover(left: Tie<'_>, found: Tie<'_>) -> Handover {
     let unit = newer.keyframe.world_from_keyframe.scale / older.keyframe.world_from_keyframe.scale;
     let newer_from_frame = newer.motion.frame_from_keyframe.inverse();
     let older_from_frame = older.motion.frame_from_keyframe.inverse();
-    let in_older = Se3::new(
-        newer_from_frame.rotation,
-        newer_from_frame.translation * unit,
-    );
-    let rigid = older_from_frame * in_older.inverse();
+    let rigid = older_from_frame * newer_from_frame.stretched(unit).inverse();
     let of_newer = in_keyframe(newer.covariance, &newer_from_frame);
     Handover {
         i: older.keyframe.id,

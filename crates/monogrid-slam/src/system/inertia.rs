@@ -103,11 +103,8 @@ impl Place {
         // the first part has neither rotation nor translation
         let unit = 1.0 / main.metric_from_part.scale;
         let metric = &fragment.metric_from_part;
-        let main_from_fragment = Sim3::new(
-            metric.scale * unit,
-            metric.rotation,
-            metric.translation * unit,
-        );
+        let (scale, translation) = (metric.scale * unit, metric.translation * unit);
+        let main_from_fragment = Sim3::new(scale, metric.rotation, translation);
         Some(Self {
             main_from_fragment,
             evidence: PlaceEvidence {

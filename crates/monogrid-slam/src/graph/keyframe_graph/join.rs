@@ -137,10 +137,7 @@ impl KeyframeGraph {
 
     /// The two fragments of a sighting, the older first.
     pub(super) fn pair_of(&self, sighting: &Sighting) -> (FragmentId, FragmentId) {
-        let (a, b) = (
-            self.fragment_of(sighting.other),
-            self.fragment_of(sighting.own),
-        );
+        let [a, b] = [sighting.other, sighting.own].map(|id| self.fragment_of(id));
         (a.min(b), a.max(b))
     }
 
