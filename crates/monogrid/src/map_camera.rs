@@ -172,7 +172,7 @@ fn scene(slam: &Slam, guess: &Intrinsics, taken_out: &TakenOut) -> Scene {
     for keyframe in slam.keyframes() {
         if let Some(pose) = snapshot.in_main_map(keyframe.id) {
             // units do not change what is seen
-            let world_from_camera = Se3::new(pose.rotation, pose.translation);
+            let world_from_camera = pose.to_se3();
             let view = View {
                 index: scene.poses.len(),
                 world_from_camera,

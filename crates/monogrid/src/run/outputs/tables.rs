@@ -107,10 +107,8 @@ pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
 
 /// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
 fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
-    all_in_map(
-        &z_up_from_camera_world(),
-        &tracked.run.slam.trajectory_in(id),
-    )
+    let trajectory = tracked.run.slam.trajectory_in(id);
+    all_in_map(&z_up_from_camera_world(), &trajectory)
 }
 
 fn all_in_map(map_from_world: &Sim3, trajectory: &[TrajectoryPose]) -> Vec<TimedPose> {
