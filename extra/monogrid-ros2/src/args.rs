@@ -102,12 +102,7 @@ impl FrameArgs {
 }
 
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let number = |part: &str| {
-        part.trim()
-            .parse()
-            .ok()
-            .filter(|number: &f64| number.is_finite())
-    };
+    let number = |part: &str| part.trim().parse().ok().filter(|v: &f64| v.is_finite());
     let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
     let numbers = numbers.and_then(|numbers| numbers.try_into().ok());
     numbers.ok_or_else(|| format!("expected {N} numbers with commas between them"))
@@ -147,20 +142,14 @@ fn scale(text: &str) -> Result<f64, String> {
 
 fn readout(text: &str) -> Result<f64, String> {
     let [ms] = numbers(text)?;
-    if ms.abs() <= 1000.0 {
-        Ok(ms)
-    } else {
-        Err(format!("{ms} ms is not between -1000 and 1000 ms"))
-    }
+    let allowed = Some(ms).filter(|ms: &f64| ms.abs() <= 1000.0);
+    allowed.ok_or_else(|| format!("{ms} ms is not between -1000 and 1000 ms"))
 }
 
 fn period(text: &str) -> Result<f64, String> {
     let [seconds] = numbers(text)?;
-    if (0.05..=3600.0).contains(&seconds) {
-        Ok(seconds)
-    } else {
-        Err(format!("{seconds} s is not between 0.05 and 3600 s"))
-    }
+    let allowed = Some(seconds).filter(|seconds| (0.05..=3600.0).contains(seconds));
+    allowed.ok_or_else(|| format!("{seconds} s is not between 0.05 and 3600 s"))
 }
 
 #[cfg(test)]
