@@ -136,14 +136,11 @@ fn unit_of(triples: &[Triple], down: &Vec3) -> Result<f64, NotDetermined> {
 
 /// Standard deviation of positions, in the unit of the path.
 fn noise_of(triples: &[Triple], down: &Vec3, unit: f64) -> f64 {
-    let squares: f64 = triples
-        .iter()
-        .map(|t| ((t.seen - t.expected(down) / unit) * t.secs).norm_squared())
-        .sum();
+    let square = |t: &Triple| ((t.seen - t.expected(down) / unit) * t.secs).norm_squared();
+    let squares: f64 = triples.iter().map(square).sum();
     // a second difference has six times the variance of a position
-    (squares / (18.0 * triples.len().max(1) as f64))
-        .sqrt()
-        .max(f64::MIN_POSITIVE)
+    let variance = squares / (18.0 * triples.len().max(1) as f64);
+    variance.sqrt().max(f64::MIN_POSITIVE)
 }
 
 /// States of the frames of a part as it lies; `None` for the others.

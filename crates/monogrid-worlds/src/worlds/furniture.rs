@@ -346,13 +346,12 @@ pub(super) fn plant(
 /// Turned vase.
 pub(super) fn vase(s: &mut Scene, height: f32, material: MaterialId) {
     let h = height;
-    let profile: Vec<[f32; 2]> = (0..=16)
-        .map(|k| {
-            let t = k as f32 / 16.0;
-            let radius = 0.26 + 0.20 * (3.9 * t - 0.9).sin() - 0.05 * t;
-            [0.6 * h * radius.max(0.05), h * (1.0 - t)]
-        })
-        .collect();
+    let ring = |k| {
+        let t = k as f32 / 16.0;
+        let radius = 0.26 + 0.20 * (3.9 * t - 0.9).sin() - 0.05 * t;
+        [0.6 * h * radius.max(0.05), h * (1.0 - t)]
+    };
+    let profile: Vec<[f32; 2]> = (0..=16).map(ring).collect();
     s.lathe(&profile, 28, material);
 }
 

@@ -59,13 +59,13 @@ pub fn summary(
 fn component(written: &Written) -> Value {
     let mut recordings = written.recordings.clone();
     recordings.sort_unstable();
-    let recordings = recordings.iter();
-    let recordings =
-        recordings.map(|(number, keyframes)| json!({ "number": number, "keyframes": keyframes }));
+    let said = recordings
+        .iter()
+        .map(|(number, keyframes)| json!({ "number": number, "keyframes": keyframes }));
     json!({
         "recording": format!("{}recording.mgk", written.place),
         "scale": written.facts["scale"],
-        "recordings": recordings.collect::<Vec<Value>>(),
+        "recordings": said.collect::<Vec<Value>>(),
     })
 }
 
