@@ -226,10 +226,8 @@ impl Problem<'_> {
     fn rows_by_point(&self) -> Vec<Vec<Row>> {
         let mut rows: Vec<Vec<Row>> = self.scene.points.iter().map(|_| Vec::new()).collect();
         for sighting in &self.scene.sightings {
-            if let (Some(row), Some(rows)) =
-                (self.linearise(sighting), rows.get_mut(sighting.point))
-            {
-                rows.push(row);
+            if let Some(rows) = rows.get_mut(sighting.point) {
+                rows.extend(self.linearise(sighting));
             }
         }
         rows

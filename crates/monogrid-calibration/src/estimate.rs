@@ -215,11 +215,8 @@ fn opinion(window: &Window, prior: &Prior, config: &EstimateConfig) -> Option<Op
             continue;
         };
         let adjusted = adjust(scene, prior, &config.adjust);
-        let score: f64 = adjusted
-            .chi2
-            .iter()
-            .map(|c| (INLIER_CHI2 - c).max(0.0))
-            .sum();
+        let score = |chi2: &f64| (INLIER_CHI2 - chi2).max(0.0);
+        let score: f64 = adjusted.chi2.iter().map(score).sum();
         if best.as_ref().is_none_or(|(most, _)| score > *most) {
             best = Some((score, adjusted));
         }

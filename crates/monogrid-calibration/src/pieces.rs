@@ -1,7 +1,7 @@
 //! A large scene cut into pieces that are adjusted one by one.
 
 use crate::adjust::{Scene, Sighting};
-use monogrid_geometry::Se3;
+use monogrid_geometry::median::median;
 
 /// Fewest views that see a point of a piece.
 const MIN_VIEWS_OF_POINT: usize = 3;
@@ -60,22 +60,17 @@ impl Scene {
 
     /// Brings the median depth to one; false where no point lies in front.
     fn normalise(&mut self) -> bool {
-        let mut depths: Vec<f64> = self
-            .points
-            .iter()
-            .map(|p| p.z)
-            .filter(|z| *z > 0.0)
-            .collect();
-        depths.sort_unstable_by(f64::total_cmp);
-        let Some(median) = depths.get(depths.len() / 2) else {
+        let depths = self.points.iter().map(|p| p.z);
+        let mut in_front: Vec<f64> = depths.filter(|z| *z > 0.0).collect();
+        let Some(median) = median(&mut in_front) else {
             return false;
         };
         let scale = 1.0 / median;
         for point in &mut self.points {
             *point *= scale;
         }
-        let shrunk = |pose: &Se3| Se3::new(pose.rotation, pose.translation * scale);
-        self.poses = self.poses.iter().map(shrunk).collect();
+        let poses = self.poses.iter();
+        self.poses = poses.map(|pose| pose.stretched(scale)).collect();
         true
     }
 }

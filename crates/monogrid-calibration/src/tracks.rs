@@ -1,6 +1,7 @@
 //! Corners followed through a video, in windows of some twenty views.
 
 use monogrid_features::{CornerConfig, TrackConfig, detect_corners, track_points};
+use monogrid_geometry::median::median;
 use monogrid_geometry::{ReadoutDirection, Vec2};
 use monogrid_image::{GrayImage, Pyramid};
 use std::collections::BTreeSet;
@@ -260,13 +261,9 @@ impl TrackCollector {
 
     /// Whether the newest frame is far enough from the newest view to become one.
     fn has_moved(&self) -> bool {
-        let mut moves: Vec<f64> = self
-            .followed
-            .iter()
-            .map(|followed| (followed.now - followed.in_view).norm())
-            .collect();
-        moves.sort_unstable_by(f64::total_cmp);
-        let median = moves.get(moves.len() / 2).copied().unwrap_or(0.0);
+        let followed = self.followed.iter();
+        let moves = followed.map(|followed| (followed.now - followed.in_view).norm());
+        let median = median(&mut moves.collect::<Vec<f64>>()).unwrap_or(0.0);
         let longer = self.open.size.0.max(self.open.size.1) as f64;
         let survivors = self.followed.len() as f64 / self.begun_with.max(1) as f64;
         median >= self.config.view_step * longer || survivors < self.config.min_survivors

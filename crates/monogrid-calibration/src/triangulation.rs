@@ -113,11 +113,8 @@ fn linear(sightings: &[View], pinhole: &Pinhole) -> Result<Vec3, TriangulationEr
     let eigen = gram.symmetric_eigen();
     let homogeneous = eigen.eigenvectors.column(eigen.eigenvalues.imin());
     let point = homogeneous.fixed_rows::<3>(0) / homogeneous[3];
-    if point.iter().all(|v| v.is_finite() && v.abs() < 1e9) {
-        Ok(point)
-    } else {
-        Err(TriangulationError::Parallel)
-    }
+    let is_near = point.iter().all(|v| v.is_finite() && v.abs() < 1e9);
+    is_near.then_some(point).ok_or(TriangulationError::Parallel)
 }
 
 /// Normal equations of the reprojection error.
@@ -154,10 +151,8 @@ fn check(
 }
 
 fn parallax_deg(sightings: &[View], point: &Vec3) -> f64 {
-    let rays: Vec<Vec3> = sightings
-        .iter()
-        .map(|s| point - s.camera_from_world.inverse().translation)
-        .collect();
+    let ray = |view: &View| point - view.camera_from_world.inverse().translation;
+    let rays: Vec<Vec3> = sightings.iter().map(ray).collect();
     let mut largest = 0.0f64;
     for (i, a) in rays.iter().enumerate() {
         for b in &rays[..i] {

@@ -1,6 +1,7 @@
 //! What would hurt tracking, seen in the images alone: blur, exposure jumps, repeated frames, lack of
 //! texture, a camera that stands still.
 
+use monogrid_geometry::median::median;
 use monogrid_image::{GradientImage, GrayImage, Resize, resize_area};
 
 /// Limits above which a frame or a sequence is remarked on.
@@ -168,15 +169,13 @@ fn brightness_gain(before: &GrayImage, after: &GrayImage) -> Option<f32> {
         let rows = by * image.height() / BLOCKS..(by + 1) * image.height() / BLOCKS;
         mean(rows.flat_map(|y| image.row(y)[columns.clone()].iter().copied()))
     };
-    let mut ratios: Vec<f32> = (0..BLOCKS * BLOCKS)
+    let ratios = (0..BLOCKS * BLOCKS)
         .map(|i| (i % BLOCKS, i / BLOCKS))
         .map(|(bx, by)| (block(before, bx, by), block(after, bx, by)))
         // black and saturated blocks do not follow the exposure
         .filter(|(a, b)| a.min(*b) > 8.0 && a.max(*b) < 250.0)
-        .map(|(a, b)| b / a)
-        .collect();
-    ratios.sort_by(f32::total_cmp);
-    ratios.get(ratios.len() / 2).copied()
+        .map(|(a, b)| b / a);
+    median(&mut ratios.collect::<Vec<f32>>())
 }
 
 fn mean(values: impl Iterator<Item = f32>) -> f32 {
@@ -232,7 +231,7 @@ impl SequenceCheck {
             let hits = frames.iter().enumerate().filter(|(_, f)| condition(f));
             hits.map(|(i, _)| i).collect::<Vec<_>>()
         };
-        let median_blur = median(frames.iter().map(|f| f.blur));
+        let median_blur = median_of(frames.iter().map(|f| f.blur));
         let is_jump = |gain: f32| gain.max(1.0 / gain) >= config.exposure_jump;
         let jumps = frames.iter().enumerate();
         Self {
@@ -245,7 +244,7 @@ impl SequenceCheck {
             plain: positions(&|f| f.textured_share < config.min_textured_share),
             overexposed: positions(&|f| f.saturated_share > config.max_saturated_share),
             median_blur,
-            median_textured_share: median(frames.iter().map(|f| f.textured_share)),
+            median_textured_share: median_of(frames.iter().map(|f| f.textured_share)),
             is_still: frames.len() >= MIN_STILL_FRAMES
                 && frames.iter().all(|f| f.change < config.still_change),
         }
@@ -295,8 +294,6 @@ impl SequenceCheck {
     }
 }
 
-fn median(values: impl Iterator<Item = f32>) -> f32 {
-    let mut sorted: Vec<f32> = values.collect();
-    sorted.sort_by(f32::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+fn median_of(values: impl Iterator<Item = f32>) -> f32 {
+    median(&mut values.collect::<Vec<f32>>()).unwrap_or(0.0)
 }

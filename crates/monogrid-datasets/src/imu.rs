@@ -3,6 +3,7 @@
 use crate::calibration::sensor_yaml;
 use crate::text::{numbers, read_text};
 use crate::{DatasetError, parse_seconds, write_atomically};
+use monogrid_geometry::median::median;
 use monogrid_geometry::{Se3, Vec3};
 use monogrid_inertial::{GRAVITY_M_S2, ImuNoise, ImuSample};
 use std::fmt::Write;
@@ -141,22 +142,18 @@ struct Columns {
 }
 
 fn fields(line: &str) -> impl Iterator<Item = &str> {
-    let separator = if line.contains([',', ';']) {
-        [',', ';']
-    } else {
-        [' ', '\t']
+    let separator = match line.contains([',', ';']) {
+        true => [',', ';'],
+        false => [' ', '\t'],
     };
-    line.split(separator)
-        .map(str::trim)
-        .filter(|field| !field.is_empty())
+    let fields = line.split(separator).map(str::trim);
+    fields.filter(|field| !field.is_empty())
 }
 
 impl Columns {
     fn find(text: &str, path: &Path) -> Result<Self, DatasetError> {
-        let first = text
-            .lines()
-            .find(|line| !line.trim().is_empty())
-            .unwrap_or("");
+        let mut lines = text.lines();
+        let first = lines.find(|line| !line.trim().is_empty()).unwrap_or("");
         let header = first.trim_start_matches('#').trim();
         if numbers(header).is_some() || header.is_empty() {
             return Ok(Self {
@@ -274,17 +271,11 @@ enum TimeUnit {
 impl TimeUnit {
     /// The one in which sensors give 5 to 2000 readings per second.
     fn of(rows: &[Row], path: &Path) -> Result<Self, DatasetError> {
-        let times: Vec<f64> = rows
-            .iter()
-            .filter_map(|row| row.time.parse().ok())
-            .collect();
-        let mut intervals: Vec<f64> = times
-            .windows(2)
-            .map(|pair| (pair[1] - pair[0]).abs())
-            .filter(|i| *i > 0.0)
-            .collect();
-        intervals.sort_by(f64::total_cmp);
-        let median = intervals.get(intervals.len() / 2).copied().unwrap_or(0.0);
+        let times = rows.iter().filter_map(|row| row.time.parse().ok());
+        let times: Vec<f64> = times.collect();
+        let intervals = times.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        let mut intervals: Vec<f64> = intervals.filter(|i| *i > 0.0).collect();
+        let median = median(&mut intervals).unwrap_or(0.0);
         let units = [
             (Self::Seconds, 1.0),
             (Self::Milliseconds, 1e3),
@@ -334,8 +325,7 @@ impl TimeUnit {
 /// Whether forces are in units of gravity; the sensor feels gravity most of the time.
 fn is_force_in_g(rows: &[Row], path: &Path) -> Result<bool, DatasetError> {
     let mut norms: Vec<f64> = rows.iter().map(|row| row.force.norm()).collect();
-    norms.sort_by(f64::total_cmp);
-    let median = norms[norms.len() / 2];
+    let median = median(&mut norms).unwrap_or(0.0);
     match median {
         0.7..=1.4 => Ok(true),
         6.5..=14.0 => Ok(false),

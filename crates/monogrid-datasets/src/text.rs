@@ -23,8 +23,6 @@ pub(crate) fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
 
 /// Numbers separated by blanks, commas or tabs; `None` when one of them is not a number.
 pub(crate) fn numbers(line: &str) -> Option<Vec<f64>> {
-    line.split([' ', '\t', ',', ';'])
-        .filter(|s| !s.is_empty())
-        .map(|s| s.parse().ok())
-        .collect()
+    let fields = line.split([' ', '\t', ',', ';']).filter(|s| !s.is_empty());
+    fields.map(|s| s.parse().ok()).collect()
 }

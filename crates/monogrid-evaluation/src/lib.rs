@@ -38,5 +38,5 @@ pub use trajectory::{
 };
 pub use truth::{
     CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid, View,
-    cells_in_view, truth_from_depth_images, truth_from_points, truth_from_triangles,
+    cells_in_view, truth_from_depth_images, truth_from_points, truth_from_triangles, whole_ratio,
 };

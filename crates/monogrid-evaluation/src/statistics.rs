@@ -45,11 +45,10 @@ impl ErrorSummary {
 pub fn median(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let n = sorted.len();
-    match n {
+    match sorted.len() {
         0 => None,
-        _ if n % 2 == 1 => Some(sorted[n / 2]),
-        _ => Some(0.5 * (sorted[n / 2 - 1] + sorted[n / 2])),
+        n if n % 2 == 1 => Some(sorted[n / 2]),
+        n => Some(0.5 * (sorted[n / 2 - 1] + sorted[n / 2])),
     }
 }
 

@@ -119,11 +119,8 @@ fn step(
     let x = normal.cholesky()?.solve(&right);
     let rotation = rotation_exp(&Vec3::new(x[3], x[4], x[5]));
     let (scale, moved) = (x[6].exp(), Vec3::new(x[0], x[1], x[2]));
-    Some(Sim3::new(
-        scale,
-        rotation,
-        middle + moved - scale * (rotation * middle),
-    ))
+    let translation = middle + moved - scale * (rotation * middle);
+    Some(Sim3::new(scale, rotation, translation))
 }
 
 /// Mean distance, at most a cell each.

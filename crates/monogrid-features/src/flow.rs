@@ -5,6 +5,7 @@
 //! over their surroundings.
 
 use monogrid_geometry::Vec2;
+use monogrid_geometry::median::median;
 use nalgebra::{SMatrix, SVector};
 
 /// Where something is, and how it moves there.
@@ -198,12 +199,10 @@ impl Plane {
     }
 
     fn median_residual(&self, samples: &[FlowSample]) -> f64 {
-        let mut residuals: Vec<f64> = samples
-            .iter()
-            .map(|sample| (sample.velocity - self.velocity(&sample.pixel)).norm())
-            .collect();
-        let middle = residuals.len() / 2;
-        *residuals.select_nth_unstable_by(middle, f64::total_cmp).1
+        let residual =
+            |sample: &FlowSample| (sample.velocity - self.velocity(&sample.pixel)).norm();
+        let mut residuals: Vec<f64> = samples.iter().map(residual).collect();
+        median(&mut residuals).unwrap_or(f64::NAN)
     }
 
     fn basis(&self, pixel: &Vec2) -> SMatrix<f64, 2, NUM_PLANE> {

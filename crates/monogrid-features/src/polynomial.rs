@@ -44,12 +44,8 @@ fn roots_in_unit_interval(coefficients: &[f64]) -> Vec<f64> {
     if coefficients.len() < 2 {
         return Vec::new();
     }
-    let derivative: Vec<f64> = coefficients
-        .iter()
-        .enumerate()
-        .skip(1)
-        .map(|(power, c)| power as f64 * c)
-        .collect();
+    let terms = coefficients.iter().enumerate().skip(1);
+    let derivative: Vec<f64> = terms.map(|(power, c)| power as f64 * c).collect();
     let turning_points = roots_in_unit_interval(&derivative);
     let mut roots = Vec::with_capacity(coefficients.len());
     let (mut low, mut at_low) = (-1.0, evaluate(coefficients, -1.0));

@@ -24,6 +24,13 @@ impl Pinhole {
         Self { fx, fy, cx, cy }
     }
 
+    /// A camera with square pixels that looks along the middle of its image.
+    #[must_use]
+    pub fn centred(focal_px: f64, width: usize, height: usize) -> Self {
+        let [cx, cy] = [width, height].map(|length| 0.5 * (length as f64 - 1.0));
+        Self::new(focal_px, focal_px, cx, cy)
+    }
+
     /// Pixel of a point in the camera frame; meaningful only for `z > 0`.
     #[must_use]
     #[inline]
@@ -209,10 +216,7 @@ impl Camera {
         if point_in_camera.z.is_nan() || point_in_camera.z <= 0.0 {
             return None;
         }
-        let ideal = Vec2::new(
-            point_in_camera.x / point_in_camera.z,
-            point_in_camera.y / point_in_camera.z,
-        );
+        let ideal = point_in_camera.xy() / point_in_camera.z;
         let distorted = self.distortion.distort(&ideal)?;
         Some(Vec2::new(
             self.pinhole.fx * distorted.x + self.pinhole.cx,

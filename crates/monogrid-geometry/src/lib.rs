@@ -13,6 +13,7 @@
 mod alignment;
 mod camera;
 mod distortion;
+pub mod median;
 mod rng;
 mod se3;
 mod shutter;

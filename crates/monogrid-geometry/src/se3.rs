@@ -38,13 +38,11 @@ impl TryFrom<[f64; 7]> for Se3 {
     fn try_from([tx, ty, tz, qx, qy, qz, qw]: [f64; 7]) -> Result<Self, NotARotation> {
         let quaternion = nalgebra::Quaternion::new(qw, qx, qy, qz);
         let length = quaternion.norm();
-        if (length - 1.0).abs() < 1e-6 {
-            // as it is: to normalise would change its last bits
-            let rotation = Rotation::new_unchecked(quaternion);
-            Ok(Self::new(rotation, Vec3::new(tx, ty, tz)))
-        } else {
-            Err(NotARotation { length })
-        }
+        let is_rotation = (length - 1.0).abs() < 1e-6;
+        // as it is: to normalise would change its last bits
+        let rotation = Rotation::new_unchecked(quaternion);
+        let pose = Self::new(rotation, Vec3::new(tx, ty, tz));
+        is_rotation.then_some(pose).ok_or(NotARotation { length })
     }
 }
 
@@ -103,6 +101,12 @@ impl Se3 {
         ad.fixed_view_mut::<3, 3>(0, 3)
             .copy_from(&(hat(&self.translation) * r));
         ad
+    }
+
+    /// The same rotation, with a translation that is as many times as long.
+    #[must_use]
+    pub fn stretched(&self, factor: f64) -> Self {
+        Self::new(self.rotation, self.translation * factor)
     }
 
     /// The rotation as a matrix.

@@ -83,11 +83,8 @@ pub fn write(graph: &PoseGraph) -> String {
         for r in 0..7 {
             values.extend((r..7).map(|c| edge.information[(r, c)]));
         }
-        line(
-            &mut out,
-            &format!("EDGE_SIM3:QUAT {} {}", edge.i, edge.j),
-            &values,
-        );
+        let tag = format!("EDGE_SIM3:QUAT {} {}", edge.i, edge.j);
+        line(&mut out, &tag, &values);
     }
     out
 }
@@ -104,7 +101,7 @@ pub fn write_rigid(graph: &PoseGraph) -> String {
     fixed(&mut out, graph);
     for edge in graph.edges() {
         let scale = graph.pose(edge.i).map_or(1.0, |pose| pose.scale);
-        let measured = Se3::new(edge.i_from_j.rotation, edge.i_from_j.translation * scale);
+        let measured = edge.i_from_j.to_se3().stretched(scale);
         let mut values = numbers(&Sim3::from(measured));
         values.truncate(7);
         // A translation that is longer by the scale has less information by its square.
@@ -121,11 +118,8 @@ pub fn write_rigid(graph: &PoseGraph) -> String {
         for r in 0..6 {
             values.extend((r..6).map(|c| information[(r, c)]));
         }
-        line(
-            &mut out,
-            &format!("EDGE_SE3:QUAT {} {}", edge.i, edge.j),
-            &values,
-        );
+        let tag = format!("EDGE_SE3:QUAT {} {}", edge.i, edge.j);
+        line(&mut out, &tag, &values);
     }
     out
 }

@@ -1,6 +1,6 @@
 //! The reprojection residual of a point anchored in a host keyframe, and its derivatives.
 
-use monogrid_geometry::{Pinhole, Vec2, Vec3, Vec6};
+use monogrid_geometry::{Mat3, Pinhole, Vec2, Vec3, Vec6};
 use nalgebra::{Matrix2x3, Matrix2x6};
 
 /// Depth below which a point counts as not in front of the camera, relative to its distance.
@@ -46,11 +46,7 @@ pub(crate) fn pose_jacobian(projection: &Matrix2x3<f64>, q: &Vec3, d: f64) -> Ma
 
 /// `Ad' w` for the rigid transform with this rotation matrix and translation.
 #[inline]
-pub(crate) fn adjoint_transpose(
-    rotation: &monogrid_geometry::Mat3,
-    translation: &Vec3,
-    w: &Vec6,
-) -> Vec6 {
+pub(crate) fn adjoint_transpose(rotation: &Mat3, translation: &Vec3, w: &Vec6) -> Vec6 {
     let v = Vec3::new(w[0], w[1], w[2]);
     let u = Vec3::new(w[3], w[4], w[5]) - translation.cross(&v);
     let (v, u) = (rotation.tr_mul(&v), rotation.tr_mul(&u));

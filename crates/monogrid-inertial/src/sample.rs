@@ -81,11 +81,8 @@ impl Imu {
     /// Adds readings as they come; late ones go where they belong, and of those of a time that is known already the earlier counts.
     pub fn add(&mut self, samples: &[ImuSample]) {
         for sample in samples.iter().filter(|sample| is_finite(sample)) {
-            let place = self
-                .samples
-                .partition_point(|s| s.timestamp_ns < sample.timestamp_ns);
-            let known = self.samples.get(place);
-            if known.is_none_or(|known| known.timestamp_ns != sample.timestamp_ns) {
+            let time = |sample: &ImuSample| sample.timestamp_ns;
+            if let Err(place) = self.samples.binary_search_by_key(&time(sample), time) {
                 self.samples.insert(place, *sample);
             }
         }

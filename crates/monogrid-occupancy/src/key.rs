@@ -28,6 +28,16 @@ impl VoxelKey {
         Self { x, y, z }
     }
 
+    /// The first cell of an octant of the cube that begins here; the octants have edges of `half` cells.
+    #[inline]
+    pub(crate) const fn of_octant(self, octant: i32, half: i32) -> Self {
+        Self::new(
+            self.x + (octant & 1) * half,
+            self.y + (octant >> 1 & 1) * half,
+            self.z + (octant >> 2) * half,
+        )
+    }
+
     /// The cell that holds `point_in_map`; `None` for a point that is not finite or lies beyond
     /// the addressable range of 8.4 million cells from the origin.
     #[must_use]

@@ -70,11 +70,8 @@ impl OccupancyMap {
         if !(resolution.is_finite() && resolution > 1e-9 && resolution < 1e9) {
             return Err(MapError::Resolution { value: resolution });
         }
-        let limits = Limits::new(
-            config.clamp_min,
-            config.clamp_max,
-            config.occupancy_threshold,
-        )?;
+        let (low, high) = (config.clamp_min, config.clamp_max);
+        let limits = Limits::new(low, high, config.occupancy_threshold)?;
         Ok(Self {
             inv_resolution: 1.0 / resolution,
             limits,
@@ -347,13 +344,9 @@ impl OccupancyMap {
     }
 
     fn sorted_bricks(&self, keep: impl Fn(u32, BrickRef) -> bool) -> Vec<BrickKey> {
-        let mut packed: Vec<u64> = self
-            .shards
-            .iter()
-            .flat_map(Shard::bricks)
-            .filter(|(_, revision, contents)| keep(*revision, *contents))
-            .map(|(key, _, _)| key)
-            .collect();
+        let bricks = self.shards.iter().flat_map(Shard::bricks);
+        let kept = bricks.filter(|(_, revision, contents)| keep(*revision, *contents));
+        let mut packed: Vec<u64> = kept.map(|(key, _, _)| key).collect();
         packed.sort_unstable();
         packed.into_iter().map(BrickKey::unpack).collect()
     }

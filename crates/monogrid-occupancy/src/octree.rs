@@ -74,10 +74,9 @@ pub(crate) fn child_index(parent: [usize; 3], octant: usize, edge_bits: u32) -> 
 
 #[inline]
 fn cell_node(value: i16) -> Node {
-    if value == UNKNOWN {
-        Node::Unknown
-    } else {
-        Node::Leaf(value)
+    match value {
+        UNKNOWN => Node::Unknown,
+        _ => Node::Leaf(value),
     }
 }
 
@@ -344,16 +343,15 @@ impl<'a> Octree<'a> {
 
 /// The level above a sorted level.
 fn parents(below: &[(u64, Node)]) -> Vec<(u64, Node)> {
-    below
-        .chunk_by(|a, b| a.0 >> 3 == b.0 >> 3)
-        .map(|siblings| {
-            let mut children = [Node::Unknown; 8];
-            for &(code, node) in siblings {
-                children[(code & 7) as usize] = node;
-            }
-            (siblings[0].0 >> 3, Node::parent(children))
-        })
-        .collect()
+    let families = below.chunk_by(|a, b| a.0 >> 3 == b.0 >> 3);
+    let parent = |siblings: &[(u64, Node)]| {
+        let mut children = [Node::Unknown; 8];
+        for &(code, node) in siblings {
+            children[(code & 7) as usize] = node;
+        }
+        (siblings[0].0 >> 3, Node::parent(children))
+    };
+    families.map(parent).collect()
 }
 
 fn visit_brick(

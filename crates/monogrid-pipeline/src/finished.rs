@@ -139,13 +139,12 @@ impl Finished {
     /// nothing to map. `done` grows with every keyframe, for those who wait.
     #[must_use]
     pub fn final_scans(&self, done: &AtomicUsize) -> Vec<KeyframeScan> {
-        let Some(Ok(maps)) = &self.maps else {
-            return Vec::new();
-        };
-        if self.localise_only {
-            return Vec::new();
+        match &self.maps {
+            Some(Ok(maps)) if !self.localise_only => {
+                let config = maps.mapper().config();
+                self.slam.final_scans(config, self.threads, done)
+            }
+            _ => Vec::new(),
         }
-        let config = maps.mapper().config();
-        self.slam.final_scans(config, self.threads, done)
     }
 }

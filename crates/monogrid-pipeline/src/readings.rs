@@ -30,13 +30,9 @@ impl LiveReadings {
     /// Takes a frame, which waits if readings until its time are missing; the one to track now: this one, or the one that has waited,
     /// for which the next image is the end of waiting.
     pub(crate) fn take_frame(&mut self, frame: ReadFrame) -> Option<ReadFrame> {
-        let is_early = self
-            .newest_ns
-            .is_some_and(|newest_ns| newest_ns < frame.timestamp_ns);
-        if is_early {
-            self.waiting.replace(frame)
-        } else {
-            Some(frame)
+        match self.newest_ns {
+            Some(newest_ns) if newest_ns < frame.timestamp_ns => self.waiting.replace(frame),
+            _ => Some(frame),
         }
     }
 

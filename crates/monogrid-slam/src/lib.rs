@@ -11,6 +11,8 @@
 //! bits for any number of threads.
 #![deny(missing_docs)]
 
+use monogrid_geometry::median;
+
 mod config;
 mod depth_step;
 mod fragments;
@@ -21,7 +23,6 @@ mod keyframe;
 mod limits;
 mod map;
 pub mod mapping;
-mod median;
 mod policy;
 mod report;
 mod sparse;

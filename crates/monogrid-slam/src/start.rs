@@ -149,21 +149,15 @@ fn from_seed_depth(
     if !seed_depth.same_size(frame.image()) {
         return None;
     }
-    let mut known: Vec<f32> = seed_depth
-        .as_slice()
-        .iter()
-        .copied()
-        .filter(|z| z.is_finite() && *z > 0.0)
-        .collect();
+    let depths = seed_depth.as_slice().iter().copied();
+    let mut known: Vec<f32> = depths.filter(|z| z.is_finite() && *z > 0.0).collect();
     if known.len() < config.tracking.min_points {
         return None;
     }
     let unit = median(&mut known)?;
     let mut depth = DepthMap::empty(host, &config.depth);
-    depth.initialize_from_depth(
-        &seed_depth.map(|z| z / unit),
-        config.initialization.seed_relative_sigma,
-    );
+    let sigma = config.initialization.seed_relative_sigma;
+    depth.initialize_from_depth(&seed_depth.map(|z| z / unit), sigma);
     (depth.num_known() >= config.tracking.min_points).then(|| Started {
         keyframe: frame.clone(),
         depth,

@@ -314,14 +314,9 @@ impl Reference {
 
     /// Median way of the features that are still followed, as a share of the image width.
     fn displacement(&self) -> f64 {
-        let mut moves: Vec<f64> = self
-            .points
-            .iter()
-            .zip(&self.tracks)
-            .filter_map(|(point, track)| track.map(|(pixel, _)| (pixel - point).norm()))
-            .collect();
-        moves.sort_unstable_by(f64::total_cmp);
-        let median = moves.get(moves.len() / 2).copied().unwrap_or(0.0);
+        let pairs = self.points.iter().zip(&self.tracks);
+        let moves = pairs.filter_map(|(point, track)| Some(((*track)?.0 - point).norm()));
+        let median = median(&mut moves.collect::<Vec<f64>>()).unwrap_or(0.0);
         median / self.frame.image().width() as f64
     }
 
@@ -334,12 +329,9 @@ impl Reference {
         settings: &InitializationConfig,
     ) -> Result<Vec<PosedView>, LostReason> {
         let (indices, motion) = self.relative_pose(pinhole, seed)?;
-        let points: Vec<(usize, f64)> = indices
-            .iter()
-            .zip(&motion.points)
-            .filter_map(|(&i, point)| point.map(|p| (i, p.idepth)))
-            .filter(|(_, idepth)| *idepth > 0.0)
-            .collect();
+        let points = indices.iter().zip(&motion.points);
+        let points = points.filter_map(|(&i, point)| point.map(|p| (i, p.idepth)));
+        let points: Vec<(usize, f64)> = points.filter(|(_, idepth)| *idepth > 0.0).collect();
         let chosen = self.chosen_views();
         let mut poses = Vec::with_capacity(chosen.len());
         let mut guess = Se3::identity();
@@ -404,26 +396,21 @@ impl Reference {
             .covariance
             .as_ref()
             .map_or(&[][..], |c| c.inverse_depth_variances.as_slice());
-        let mut relative: Vec<f64> = solution
-            .inverse_depths
-            .iter()
-            .zip(variances)
-            .filter_map(|(d, v)| v.map(|v| v.sqrt() / d))
-            .collect();
+        let pairs = solution.inverse_depths.iter().zip(variances);
+        let relative = pairs.filter_map(|(d, v)| v.map(|v| v.sqrt() / d));
+        let mut relative: Vec<f64> = relative.collect();
         let uncertainty = positive_median(&mut relative).ok_or(LostReason::AmbiguousStart)?;
         if uncertainty > settings.max_relative_sigma {
             return Err(LostReason::NotEnoughParallax);
         }
         let scale = positive_median(&mut solution.inverse_depths.clone())
             .ok_or(LostReason::AmbiguousStart)?;
-        Ok(chosen
-            .iter()
-            .zip(&solution.camera_from_world[1..])
-            .map(|(&view, pose)| PosedView {
-                offset: self.views[view].offset,
-                frame_from_reference: Se3::new(pose.rotation, pose.translation * scale),
-            })
-            .collect())
+        let posed = |(&view, pose): (&usize, &Se3)| PosedView {
+            offset: self.views[view].offset,
+            frame_from_reference: pose.stretched(scale),
+        };
+        let poses = &solution.camera_from_world[1..];
+        Ok(chosen.iter().zip(poses).map(posed).collect())
     }
 
     /// The reference fixed, the last view at a fixed distance from it.

@@ -1,5 +1,7 @@
 //! The one error type of this crate.
 
+use std::io::{Error, ErrorKind};
+
 /// What is wrong with a video, camera or stream; every message names it, what was found and what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -72,6 +74,10 @@ pub enum VideoError {
     },
 }
 
+pub(crate) fn endless_header() -> Error {
+    Error::new(ErrorKind::InvalidData, "a header that does not end")
+}
+
 impl VideoError {
     /// Whether reading can go on after this error: only one frame is lost.
     #[must_use]
@@ -80,14 +86,10 @@ impl VideoError {
     }
 
     pub(crate) fn io(video: &str, source: std::io::Error) -> Self {
-        if source.kind() == std::io::ErrorKind::NotFound {
-            return Self::Missing {
-                video: video.to_owned(),
-            };
-        }
-        Self::Io {
-            video: video.to_owned(),
-            source,
+        let video = video.to_owned();
+        match source.kind() {
+            ErrorKind::NotFound => Self::Missing { video },
+            _ => Self::Io { video, source },
         }
     }
 

@@ -171,11 +171,10 @@ impl Process {
     fn failure(&mut self) -> VideoError {
         drop(self.child.kill());
         let message = self.messages.take().and_then(|m| m.join().ok());
+        let message = message.filter(|message| !message.is_empty());
         VideoError::Ffmpeg {
             video: self.name.clone(),
-            message: message
-                .filter(|m| !m.is_empty())
-                .unwrap_or_else(|| "it wrote no frame".to_owned()),
+            message: message.unwrap_or_else(|| "it wrote no frame".to_owned()),
         }
     }
 }

@@ -1,9 +1,10 @@
 //! MJPEG over HTTP (`multipart/x-mixed-replace`): what apps that make a phone a camera serve.
 
+use crate::error::endless_header;
 use crate::turn::Turn;
 use crate::{Colour, MAX_PIXELS, Opened, VideoError, VideoFrame};
 use monogrid_datasets::decode_jpeg_luma;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -73,10 +74,8 @@ pub(crate) fn open(address: &str) -> Result<Option<Opened>, VideoError> {
 }
 
 fn connect(target: &str) -> std::io::Result<TcpStream> {
-    let address = target
-        .to_socket_addrs()?
-        .next()
-        .ok_or_else(|| std::io::Error::new(std::io::ErrorKind::AddrNotAvailable, "no such host"))?;
+    let no_host = || Error::new(ErrorKind::AddrNotAvailable, "no such host");
+    let address = target.to_socket_addrs()?.next().ok_or_else(no_host)?;
     let stream = TcpStream::connect_timeout(&address, TIMEOUT)?;
     stream.set_read_timeout(Some(TIMEOUT))?;
     stream.set_write_timeout(Some(TIMEOUT))?;
@@ -94,7 +93,7 @@ fn read_header(reader: &mut impl BufRead) -> std::io::Result<Vec<String>> {
             .read_until(b'\n', &mut line)?
             == 0
         {
-            return Err(std::io::ErrorKind::UnexpectedEof.into());
+            return Err(ErrorKind::UnexpectedEof.into());
         }
         let line = String::from_utf8_lossy(&line).trim().to_owned();
         if line.is_empty() {
@@ -102,10 +101,7 @@ fn read_header(reader: &mut impl BufRead) -> std::io::Result<Vec<String>> {
         }
         lines.push(line);
     }
-    Err(std::io::Error::new(
-        std::io::ErrorKind::InvalidData,
-        "a header that does not end",
-    ))
+    Err(endless_header())
 }
 
 /// The value of a header line, in lower case.
@@ -137,7 +133,7 @@ impl<R: BufRead> MjpegFrames<R> {
             Some(bytes) if bytes <= MAX_IMAGE_BYTES => {
                 self.reader.by_ref().take(bytes).read_to_end(&mut image)?;
                 if (image.len() as u64) < bytes {
-                    return Err(std::io::ErrorKind::UnexpectedEof.into());
+                    return Err(ErrorKind::UnexpectedEof.into());
                 }
             }
             _ => self.read_to_end_marker(&mut image)?,
@@ -149,7 +145,7 @@ impl<R: BufRead> MjpegFrames<R> {
         while !image.ends_with(&[0xff, 0xd9]) {
             let left = MAX_IMAGE_BYTES.saturating_sub(image.len() as u64);
             if self.reader.by_ref().take(left).read_until(0xd9, image)? == 0 {
-                return Err(std::io::ErrorKind::UnexpectedEof.into());
+                return Err(ErrorKind::UnexpectedEof.into());
             }
         }
         Ok(())
@@ -163,7 +159,7 @@ impl<R: BufRead> Iterator for MjpegFrames<R> {
         let jpeg = match self.next_image() {
             Ok(jpeg) => jpeg,
             // the server has closed the stream
-            Err(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => return None,
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => return None,
             Err(e) => return Some(Err(VideoError::io(&self.name, e))),
         };
         let arrival = self.begin.elapsed();

@@ -3,6 +3,7 @@
 //! The reader is our own because a pipe may end within a frame, which must be told
 //! from the end, and because the size in the header comes from outside.
 
+use crate::error::endless_header;
 use crate::turn::Turn;
 use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS, VideoError, VideoFrame};
 use std::io::{BufRead, Read};
@@ -156,10 +157,7 @@ fn read_line(reader: &mut impl BufRead) -> std::io::Result<Option<Vec<u8>>> {
         return Ok(None);
     }
     if line.pop() != Some(b'\n') {
-        return Err(std::io::Error::new(
-            std::io::ErrorKind::InvalidData,
-            "a header that does not end",
-        ));
+        return Err(endless_header());
     }
     Ok(Some(line))
 }

@@ -103,17 +103,11 @@ impl Jitter {
     /// Displacement in the world and rotation about the camera's axes at a time.
     #[must_use]
     pub fn at(&self, secs: f64) -> Se3 {
-        let value = |axis: usize| -> f64 {
-            self.axes[axis]
-                .iter()
-                .map(|t| t.amplitude * (TAU * t.frequency_hz * secs + t.phase_rad).sin())
-                .sum()
-        };
+        let wave = |t: &Tone| t.amplitude * (TAU * t.frequency_hz * secs + t.phase_rad).sin();
+        let value = |axis: usize| -> f64 { self.axes[axis].iter().map(wave).sum() };
         let rotation = Vec3::new(value(3), value(4), value(5));
-        Se3::new(
-            rotation_exp(&rotation),
-            Vec3::new(value(0), value(1), value(2)),
-        )
+        let translation = Vec3::new(value(0), value(1), value(2));
+        Se3::new(rotation_exp(&rotation), translation)
     }
 }
 

@@ -267,16 +267,18 @@ fn hemisphere(sectors: usize, rings: usize) -> Vec<P3> {
         .collect()
 }
 
+/// Two directions that are orthogonal to a normal and to each other.
+pub(crate) fn across(normal: &P3) -> [P3; 2] {
+    let is_steep = normal.z.abs() < 0.7;
+    let helper = if is_steep { P3::z() } else { P3::x() };
+    let a = normal.cross(&helper).normalize();
+    [a, normal.cross(&a)]
+}
+
 /// Mean of what the surfaces around reflect towards a point.
 fn gather(world: &World, hemisphere: &[P3], ambient: f32, point: &P3, normal: &P3) -> f32 {
     let origin = point + normal * LIFT_M;
-    let helper = if normal.z.abs() < 0.7 {
-        P3::z()
-    } else {
-        P3::x()
-    };
-    let a = normal.cross(&helper).normalize();
-    let b = normal.cross(&a);
+    let [a, b] = across(normal);
     let mut sum = 0.0;
     for local in hemisphere {
         let direction = a * local.x + b * local.y + normal * local.z;

@@ -74,11 +74,7 @@ impl<const N: usize> Packet<N> {
     #[inline]
     #[must_use]
     pub fn direction(&self, lane: usize) -> P3 {
-        P3::new(
-            self.direction[0][lane],
-            self.direction[1][lane],
-            self.direction[2][lane],
-        )
+        P3::from_fn(|axis, _| self.direction[axis][lane])
     }
 
     /// Finds the nearest hits. Returns which rays found something nearer than before.

@@ -236,16 +236,12 @@ impl CameraPath {
 pub fn look_at(eye: &Vec3, target: &Vec3) -> Se3 {
     let forward = (target - eye).try_normalize(1e-9).unwrap_or_else(Vec3::x);
     // straight up or down any heading will do
-    let right = forward
-        .cross(&Vec3::z())
-        .try_normalize(1e-6)
-        .unwrap_or_else(Vec3::x);
+    let right = forward.cross(&Vec3::z()).try_normalize(1e-6);
+    let right = right.unwrap_or_else(Vec3::x);
     let down = forward.cross(&right);
     let matrix = Mat3::from_columns(&[right, down, forward]);
-    Se3::new(
-        Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix)),
-        *eye,
-    )
+    let rotation = Rotation3::from_matrix_unchecked(matrix);
+    Se3::new(Rotation::from_rotation_matrix(&rotation), *eye)
 }
 
 /// Segment and position in it of a progress in [0, 1] over `count` control points.
@@ -255,24 +251,26 @@ fn segment(count: usize, progress: f64) -> (usize, f64) {
     (k, position - k as f64)
 }
 
+/// The four points of segment `k`; beyond an end stands the mirror image of the point inside it.
+fn around<T: Copy>(points: &[T], k: usize, mirror: impl Fn(&T, &T) -> T) -> [T; 4] {
+    let last = points.len() - 1;
+    let before = match k {
+        0 => mirror(&points[0], &points[1]),
+        _ => points[k - 1],
+    };
+    let after = points.get(k + 2).copied();
+    let after = after.unwrap_or_else(|| mirror(&points[last], &points[last - 1]));
+    [before, points[k], points[k + 1], after]
+}
+
 /// Uniform cubic B-spline; mirrored ends, so that it starts and ends on the first and last point.
 fn spline(points: &[Vec3], progress: f64) -> Vec3 {
     let (k, s) = segment(points.len(), progress);
-    let last = points.len() - 1;
-    let before = if k == 0 {
-        2.0 * points[0] - points[1]
-    } else {
-        points[k - 1]
-    };
-    let after = if k + 2 > last {
-        2.0 * points[last] - points[last - 1]
-    } else {
-        points[k + 2]
-    };
+    let [before, from, to, after] = around(points, k, |end, inner| 2.0 * end - inner);
     let (s2, s3) = (s * s, s * s * s);
     (before * (1.0 - s).powi(3)
-        + points[k] * (3.0 * s3 - 6.0 * s2 + 4.0)
-        + points[k + 1] * (-3.0 * s3 + 3.0 * s2 + 3.0 * s + 1.0)
+        + from * (3.0 * s3 - 6.0 * s2 + 4.0)
+        + to * (-3.0 * s3 + 3.0 * s2 + 3.0 * s + 1.0)
         + after * s3)
         / 6.0
 }
@@ -280,26 +278,14 @@ fn spline(points: &[Vec3], progress: f64) -> Vec3 {
 /// Cumulative cubic B-spline on SE(3) (Lovegrove et al. 2013, equations 3 and 4).
 fn pose_spline(knots: &[Se3], progress: f64) -> Se3 {
     let (k, s) = segment(knots.len(), progress);
-    let last = knots.len() - 1;
-    let mirror = |end: &Se3, inner: &Se3| *end * inner.inverse() * *end;
-    let before = if k == 0 {
-        mirror(&knots[0], &knots[1])
-    } else {
-        knots[k - 1]
-    };
-    let after = if k + 2 > last {
-        mirror(&knots[last], &knots[last - 1])
-    } else {
-        knots[k + 2]
-    };
+    let chain = around(knots, k, |end, inner| *end * inner.inverse() * *end);
     let (s2, s3) = (s * s, s * s * s);
     let weights = [
         (5.0 + 3.0 * s - 3.0 * s2 + s3) / 6.0,
         (1.0 + 3.0 * s + 3.0 * s2 - 2.0 * s3) / 6.0,
         s3 / 6.0,
     ];
-    let chain = [before, knots[k], knots[k + 1], after];
-    let mut pose = before;
+    let mut pose = chain[0];
     for (i, weight) in weights.iter().enumerate() {
         let step: Vec6 = (chain[i].inverse() * chain[i + 1]).log();
         pose = pose * Se3::exp(&(step * *weight));

@@ -5,6 +5,7 @@
 
 use super::bvh::P3;
 use super::packet::Packet;
+use super::texture::between;
 use super::world::World;
 use monogrid_geometry::nalgebra::Matrix3;
 use monogrid_geometry::{Camera, Se3, Vec2, Vec3};
@@ -266,14 +267,8 @@ impl Cell {
     /// Direction at an offset from the centre, px.
     #[inline]
     fn at(&self, offset: [f32; 2]) -> [f32; 2] {
-        let (fx, fy) = (offset[0] + 0.5, offset[1] + 0.5);
-        let [a, b, c, d] = self.corners;
-        let mix = |k: usize| {
-            let top = a[k] + fx * (b[k] - a[k]);
-            let bottom = c[k] + fx * (d[k] - c[k]);
-            top + fy * (bottom - top)
-        };
-        [mix(0), mix(1)]
+        let place = offset.map(|along| along + 0.5);
+        [0, 1].map(|k| between(self.corners.map(|corner| corner[k]), place))
     }
 }
 

@@ -151,20 +151,16 @@ struct Placement(Vec<Pose>);
 /// A pose on the floor: position and heading (rad, counter-clockwise seen from above).
 #[must_use]
 pub fn place(x: f32, y: f32, z: f32, heading_rad: f32) -> Pose {
-    Isometry3::from_parts(
-        Translation3::new(x, y, z),
-        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad),
-    )
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad);
+    Isometry3::from_parts(Translation3::new(x, y, z), turn)
 }
 
 /// A pose with a rotation about any axis (rad).
 #[must_use]
 pub fn place_tilted(x: f32, y: f32, z: f32, rotation_rad: [f32; 3]) -> Pose {
     let [roll, pitch, yaw] = rotation_rad;
-    Isometry3::from_parts(
-        Translation3::new(x, y, z),
-        UnitQuaternion::from_euler_angles(roll, pitch, yaw),
-    )
+    let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+    Isometry3::from_parts(Translation3::new(x, y, z), turn)
 }
 
 impl Scene {

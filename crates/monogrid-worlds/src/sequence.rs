@@ -70,12 +70,7 @@ fn pinhole(width: usize, height: usize, focal_px: f64) -> Camera {
     Camera {
         width,
         height,
-        pinhole: Pinhole::new(
-            focal_px,
-            focal_px,
-            0.5 * (width as f64 - 1.0),
-            0.5 * (height as f64 - 1.0),
-        ),
+        pinhole: Pinhole::centred(focal_px, width, height),
         distortion: Distortion::None,
     }
 }
@@ -318,12 +313,11 @@ impl SynthSequence {
             return vec![self.path.world_from_camera(secs)];
         }
         let height = self.config.camera.height;
-        (0..height)
-            .map(|row| {
-                let part = (row as f64 + 0.5) / height as f64 - 0.5;
-                self.path.world_from_camera(secs + part * readout_secs)
-            })
-            .collect()
+        let pose = |row| {
+            let part = (row as f64 + 0.5) / height as f64 - 0.5;
+            self.path.world_from_camera(secs + part * readout_secs)
+        };
+        (0..height).map(pose).collect()
     }
 
     /// Cars are where the camera has come to, however fast that is; who walks has a pace of their own.
@@ -333,12 +327,11 @@ impl SynthSequence {
             let pose = super::worlds::mover_pose(&self.world, secs);
             (mover.as_ref(), pose)
         });
-        cars.chain(walker)
-            .map(|(world, world_from_mover)| Mover {
-                world,
-                world_from_mover,
-            })
-            .collect()
+        let mover = |(world, world_from_mover)| Mover {
+            world,
+            world_from_mover,
+        };
+        cars.chain(walker).map(mover).collect()
     }
 }
 

@@ -32,11 +32,9 @@ impl Scene {
         let [x0, y0, z0] = min;
         let [x1, y1, z1] = max;
         let p = |x, y, z| P3::new(x, y, z);
-        let (dx, dy, dz) = (
-            p(x1 - x0, 0.0, 0.0),
-            p(0.0, y1 - y0, 0.0),
-            p(0.0, 0.0, z1 - z0),
-        );
+        let dx = p(x1 - x0, 0.0, 0.0);
+        let dy = p(0.0, y1 - y0, 0.0);
+        let dz = p(0.0, 0.0, z1 - z0);
         // pictures upright: v runs down
         self.quad(p(x0, y0, z1), -dz, dx, faces.front);
         self.transpose_last();
@@ -74,12 +72,8 @@ impl Scene {
     /// edge centred on the origin.
     pub fn panel(&mut self, width: f32, height: f32, material: MaterialId) {
         let corner = P3::new(-0.5 * width, 0.0, height);
-        self.quad(
-            corner,
-            P3::new(0.0, 0.0, -height),
-            P3::new(width, 0.0, 0.0),
-            material,
-        );
+        let (down, along) = (P3::new(0.0, 0.0, -height), P3::new(width, 0.0, 0.0));
+        self.quad(corner, down, along, material);
         self.transpose_last();
     }
 
@@ -135,12 +129,8 @@ impl Scene {
     /// Sphere around the origin.
     pub fn sphere(&mut self, radius: f32, material: MaterialId) {
         self.patch(40, 20, material, move |u, v| {
-            let (longitude, latitude) = (TAU * u, FRAC_PI_2 - PI * v);
-            P3::new(
-                latitude.cos() * longitude.cos(),
-                latitude.cos() * longitude.sin(),
-                latitude.sin(),
-            ) * radius
+            let latitude = FRAC_PI_2 - PI * v;
+            on_ring(latitude.cos(), u, latitude.sin()) * radius
         });
         self.flip_last();
     }
@@ -157,7 +147,7 @@ impl Scene {
             let f = position - k as f32;
             let r = profile[k][0] + f * (profile[k + 1][0] - profile[k][0]);
             let z = profile[k][1] + f * (profile[k + 1][1] - profile[k][1]);
-            P3::new(r * (TAU * u).cos(), r * (TAU * u).sin(), z)
+            on_ring(r, u, z)
         });
         self.flip_last();
     }
@@ -173,13 +163,7 @@ impl Scene {
     /// Horizontal disc at a height, seen from above.
     pub fn disc(&mut self, radius: f32, z: f32, material: MaterialId) {
         let segments = if radius < 0.05 { 12 } else { 32 };
-        self.patch(segments, 1, material, move |u, v| {
-            P3::new(
-                v * radius * (TAU * u).cos(),
-                v * radius * (TAU * u).sin(),
-                z,
-            )
-        });
+        self.patch(segments, 1, material, move |u, v| on_ring(v * radius, u, z));
         self.flip_last();
     }
 
@@ -192,11 +176,7 @@ impl Scene {
     pub fn torus(&mut self, radius: f32, thickness: f32, material: MaterialId) {
         self.patch(36, 12, material, move |u, v| {
             let ring = radius + thickness * (TAU * v).cos();
-            P3::new(
-                ring * (TAU * u).cos(),
-                ring * (TAU * u).sin(),
-                thickness * (TAU * v).sin(),
-            )
+            on_ring(ring, u, thickness * (TAU * v).sin())
         });
     }
 
@@ -236,6 +216,11 @@ impl Scene {
             }
         }
     }
+}
+
+/// The point of a ring around z after so much of a turn.
+fn on_ring(radius: f32, turn: f32, z: f32) -> P3 {
+    P3::new(radius * (TAU * turn).cos(), radius * (TAU * turn).sin(), z)
 }
 
 /// Moves a point on the surface of a box onto the rounded surface around its core.

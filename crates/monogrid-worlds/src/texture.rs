@@ -23,6 +23,14 @@ struct Level {
 /// Scale between stored texels and albedo.
 const TEXEL_SCALE: f32 = 1.0 / 65535.0;
 
+/// What lies between the values at the corners of a square, row by row.
+#[inline]
+pub(crate) fn between([a, b, c, d]: [f32; 4], [x, y]: [f32; 2]) -> f32 {
+    let top = a + x * (b - a);
+    let bottom = c + x * (d - c);
+    top + y * (bottom - top)
+}
+
 impl Level {
     #[inline]
     fn texel(&self, x: i32, y: i32) -> f32 {
@@ -38,9 +46,7 @@ impl Level {
         let (fx, fy) = (x - ix as f32, y - iy as f32);
         let (a, b) = (self.texel(ix, iy), self.texel(ix + 1, iy));
         let (c, d) = (self.texel(ix, iy + 1), self.texel(ix + 1, iy + 1));
-        let top = a + fx * (b - a);
-        let bottom = c + fx * (d - c);
-        top + fy * (bottom - top)
+        between([a, b, c, d], [fx, fy])
     }
 
     fn halved(&self) -> Self {

@@ -106,11 +106,8 @@ impl World {
             }
         }
         let bvh = Bvh::new(&triangles);
-        let shading = bvh
-            .source_ids()
-            .iter()
-            .map(|&id| shading[id as usize])
-            .collect();
+        let ids = bvh.source_ids().iter();
+        let shading = ids.map(|&id| shading[id as usize]).collect();
         let surfaces = scene.materials.iter().map(Surface::from).collect();
         let mut world = Self {
             name: name.to_owned(),

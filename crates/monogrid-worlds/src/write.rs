@@ -180,13 +180,9 @@ fn depth_units(sequence: &SynthSequence) -> u32 {
 
 /// 16-bit depth, 0 where there is none.
 fn encode_depth(depth: &GrayImage, units_per_m: u32) -> monogrid_image::Image<u16> {
-    depth.map(|z| {
-        let units = (z * units_per_m as f32).round();
-        if (1.0..=65_535.0).contains(&units) {
-            units as u16
-        } else {
-            0
-        }
+    depth.map(|z| match (z * units_per_m as f32).round() {
+        units @ 1.0..=65_535.0 => units as u16,
+        _ => 0,
     })
 }
 

@@ -189,12 +189,8 @@ pub fn memory(text: &str) -> Result<u64, String> {
         let number: f64 = upper.strip_suffix(unit)?.trim().parse().ok()?;
         Some(number * bytes)
     });
-    let bytes = found.ok_or_else(expected)?;
-    if (1e6..=1e15).contains(&bytes) {
-        Ok(bytes as u64)
-    } else {
-        Err(expected())
-    }
+    let allowed = found.filter(|bytes| (1e6..=1e15).contains(bytes));
+    allowed.map(|bytes| bytes as u64).ok_or_else(expected)
 }
 
 /// Most pixels of a working image: tracking keeps some hundred bytes for each.

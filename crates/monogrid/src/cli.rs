@@ -63,15 +63,15 @@ fn with_view(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
 
 /// All commands; `-1` after an option is its value, so that the option says what is wrong with it.
 pub fn command() -> clap::Command {
-    fn with_numbers(command: clap::Command) -> clap::Command {
-        let takes_values = |arg: &clap::Arg| arg.get_action().takes_values();
-        let command = command.mut_args(|arg| match takes_values(&arg) {
-            true => arg.allow_negative_numbers(true),
-            false => arg,
-        });
-        command.mut_subcommands(with_numbers)
-    }
     with_numbers(Cli::command())
+}
+
+fn with_numbers(command: clap::Command) -> clap::Command {
+    let command = command.mut_args(|arg| match arg.get_action().takes_values() {
+        true => arg.allow_negative_numbers(true),
+        false => arg,
+    });
+    command.mut_subcommands(with_numbers)
 }
 
 const EXIT_CODES: &str = "\

@@ -107,12 +107,8 @@ impl RunConfig {
     pub fn recorded(text: &str) -> Option<Self> {
         let content = with_explicit_resolution(text.parse().ok()?);
         let named = content.get("profile").cloned();
-        let profile = named
-            .map(Value::try_into)
-            .transpose()
-            .ok()?
-            .unwrap_or_default();
-        let mut table = Table::try_from(Self::of(profile)).ok()?;
+        let profile = named.map(Value::try_into).transpose().ok()?;
+        let mut table = Table::try_from(Self::of(profile.unwrap_or_default())).ok()?;
         merge(&mut table, content);
         Self::from_table(&table, &|error| error).ok()
     }
@@ -224,9 +220,7 @@ fn merge(base: &mut Table, over: Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
             (Some(Value::Table(inner)), Value::Table(over)) => merge(inner, over),
-            (_, value) => {
-                base.insert(key, value);
-            }
+            (_, value) => drop(base.insert(key, value)),
         }
     }
 }

@@ -116,14 +116,13 @@ pub fn thesis_figures() -> Vec<Figure> {
 }
 
 fn gaussian(mean: f64, sigma: f64, from: f64, to: f64) -> Vec<[f64; 2]> {
-    (0..=POINTS)
-        .map(|i| {
-            let r = from + (to - from) * i as f64 / POINTS as f64;
-            let q = (r - mean) / sigma;
-            let norm = sigma * (2.0 * std::f64::consts::PI).sqrt();
-            [r, (-0.5 * q * q).exp() / norm]
-        })
-        .collect()
+    let point = |i| {
+        let r = from + (to - from) * i as f64 / POINTS as f64;
+        let q = (r - mean) / sigma;
+        let norm = sigma * (2.0 * std::f64::consts::PI).sqrt();
+        [r, (-0.5 * q * q).exp() / norm]
+    };
+    (0..=POINTS).map(point).collect()
 }
 
 fn gaussian_figures() -> Vec<Figure> {

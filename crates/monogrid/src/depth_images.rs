@@ -49,10 +49,10 @@ pub fn depth_calibration(
 ) -> Result<DepthCalibration, Failure> {
     match file {
         Some(path) => DepthCalibration::read(path).bad_input(),
-        None => Ok(dataset
-            .depth_calibration()
-            .bad_input()?
-            .unwrap_or_else(|| DepthCalibration::registered(*colour))),
+        None => {
+            let own = dataset.depth_calibration().bad_input()?;
+            Ok(own.unwrap_or_else(|| DepthCalibration::registered(*colour)))
+        }
     }
 }
 

@@ -111,10 +111,9 @@ impl Kept {
     }
 
     fn keep(&mut self, frame: usize) {
-        if let Ok(place) = self
-            .recent
-            .binary_search_by_key(&frame, |(index, _)| *index)
-            && let Some((_, colour)) = self.recent.remove(place)
+        let recent = &mut self.recent;
+        if let Ok(place) = recent.binary_search_by_key(&frame, |(index, _)| *index)
+            && let Some((_, colour)) = recent.remove(place)
         {
             self.recent_bytes -= colour.num_bytes();
             self.keyframes.insert(frame, colour);

@@ -172,7 +172,7 @@ fn scene(slam: &Slam, guess: &Intrinsics, taken_out: &TakenOut) -> Scene {
     for keyframe in slam.keyframes() {
         if let Some(pose) = snapshot.in_main_map(keyframe.id) {
             // units do not change what is seen
-            let world_from_camera = Se3::new(pose.rotation, pose.translation);
+            let world_from_camera = pose.to_se3();
             let view = View {
                 index: scene.poses.len(),
                 world_from_camera,
@@ -242,14 +242,10 @@ impl Motion {
 
     /// The poses of the frames before and after one, where they follow it at once.
     fn around(&self, frame_index: usize) -> Option<[TrajectoryPose; 2]> {
-        let at = self
-            .poses
-            .binary_search_by_key(&frame_index, |pose| pose.frame_index)
-            .ok()?;
-        let around = [
-            *self.poses.get(at.checked_sub(1)?)?,
-            *self.poses.get(at + 1)?,
-        ];
+        let poses = &self.poses;
+        let at = poses.binary_search_by_key(&frame_index, |pose| pose.frame_index);
+        let at = at.ok()?;
+        let around = [*poses.get(at.checked_sub(1)?)?, *poses.get(at + 1)?];
         let [before, after] = around.map(|pose| pose.timestamp_ns as f64);
         (after - before <= MAX_GAP * self.interval_ns).then_some(around)
     }

@@ -69,11 +69,8 @@ impl Inertial {
             timestamp_ns: sample.timestamp_ns.saturating_add(offset_ns),
             ..*sample
         });
-        let imu = Imu::new(
-            samples.collect(),
-            file.noise.unwrap_or_default(),
-            imu_from_camera,
-        );
+        let noise = file.noise.unwrap_or_default();
+        let imu = Imu::new(samples.collect(), noise, imu_from_camera);
         let noise = noise_said(file.noise);
         Ok(Some(Self {
             facts: ImuFacts::of(imu.samples()),
@@ -112,10 +109,8 @@ fn mounted(body_from_imu: Option<Se3>, body_from_camera: Option<Se3>) -> (Se3, S
         _ => "mounted as the files of sensor and camera say",
     };
     let known = |pose: Option<Se3>| pose.unwrap_or_else(Se3::identity);
-    (
-        known(body_from_imu).inverse() * known(body_from_camera),
-        said.to_owned(),
-    )
+    let imu_from_camera = known(body_from_imu).inverse() * known(body_from_camera);
+    (imu_from_camera, said.to_owned())
 }
 
 fn noise_said(noise: Option<ImuNoise>) -> String {

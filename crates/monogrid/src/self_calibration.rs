@@ -241,9 +241,8 @@ impl OwnCalibration {
 pub fn interval_ns(times_ns: &[i64]) -> f64 {
     let mut intervals: Vec<i64> = times_ns.windows(2).map(|t| t[1] - t[0]).collect();
     intervals.sort_unstable();
-    intervals
-        .get(intervals.len() / 2)
-        .map_or(0.0, |ns| *ns as f64)
+    let median = intervals.get(intervals.len() / 2);
+    median.map_or(0.0, |ns| *ns as f64)
 }
 
 /// The windows of a video at working size; the images are of this size, and a rolling shutter runs this way over them.

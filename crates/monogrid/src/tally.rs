@@ -2,6 +2,19 @@
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+/// A bar that is drawn so many times per second, or never.
+pub fn bar(count: usize, template: &str, hz: Option<u8>) -> ProgressBar {
+    let target = hz.map_or_else(
+        ProgressDrawTarget::hidden,
+        ProgressDrawTarget::stderr_with_hz,
+    );
+    let bar = ProgressBar::with_draw_target(Some(count as u64), target);
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}
+
 /// Counts what is done, on standard error.
 #[derive(Debug)]
 pub struct Tally {
@@ -11,16 +24,8 @@ pub struct Tally {
 impl Tally {
     /// Over so many things; the bar is only drawn on a terminal.
     pub fn new(count: usize, of: &str, is_shown: bool) -> Self {
-        let target = if is_shown {
-            ProgressDrawTarget::stderr_with_hz(4)
-        } else {
-            ProgressDrawTarget::hidden()
-        };
-        let bar = ProgressBar::with_draw_target(Some(count as u64), target);
         let template = format!("{{bar:30}} {{pos}}/{{len}} {of} · {{elapsed}} gone, {{eta}} to go");
-        if let Ok(style) = ProgressStyle::with_template(&template) {
-            bar.set_style(style);
-        }
+        let bar = bar(count, &template, is_shown.then_some(4));
         Self { bar }
     }
 

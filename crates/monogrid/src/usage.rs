@@ -17,10 +17,8 @@ pub fn peak_rss_bytes() -> Option<u64> {
 
 /// Resident memory now, bytes; `None` where the system does not say.
 pub fn rss_bytes() -> Option<u64> {
-    bytes_in(
-        &std::fs::read_to_string("/proc/self/status").ok()?,
-        "VmRSS:",
-    )
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    bytes_in(&status, "VmRSS:")
 }
 
 /// Largest resident memory that the `status` of a process says, bytes.

@@ -6,6 +6,7 @@ use crate::frame_colours::FrameColours;
 use monogrid_geometry::{Camera, ReadoutDirection};
 use monogrid_image::GrayImage;
 use monogrid_video::{Video, VideoError, is_recording};
+use std::ffi::OsStr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -50,11 +51,11 @@ pub fn is_video(source: &Path) -> bool {
     if name == "-" || name.contains("://") || name.starts_with("/dev/video") {
         return true;
     }
-    let ending = source
-        .extension()
-        .map(|e| e.to_string_lossy().to_lowercase());
-    let is_file =
-        source.is_file() && ending.is_some_and(|ending| !NO_VIDEOS.contains(&ending.as_str()));
+    let may_be_video = |ending: &OsStr| {
+        let ending = ending.to_string_lossy().to_lowercase();
+        !NO_VIDEOS.contains(&ending.as_str())
+    };
+    let is_file = source.is_file() && source.extension().is_some_and(may_be_video);
     is_file || source.is_dir() && is_recording(source)
 }
 
@@ -125,16 +126,16 @@ impl VideoSource {
     /// A name for people and folders: that of the file, camera or host.
     pub fn name(&self) -> String {
         let path = self.path.to_string_lossy();
-        let name = match path.split_once("://") {
-            Some((_, address)) => address.split(['/', ':', '?']).next().map(str::to_owned),
-            None if path == "-" => Some("stdin".to_owned()),
-            None => self
-                .path
-                .file_stem()
-                .map(|n| n.to_string_lossy().into_owned()),
+        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
+        let name: &str = match path.split_once("://") {
+            Some((_, address)) => address.split(['/', ':', '?']).next().unwrap_or_default(),
+            None if path == "-" => "stdin",
+            None => &stem,
         };
-        name.filter(|name| !name.is_empty())
-            .unwrap_or_else(|| "video".to_owned())
+        Some(name)
+            .filter(|name| !name.is_empty())
+            .unwrap_or("video")
+            .to_owned()
     }
 
     /// The frames to use, in order; their colours go to `colours`. A stream has them only once.

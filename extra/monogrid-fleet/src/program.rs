@@ -208,10 +208,8 @@ impl Run {
 
     fn code(&mut self) -> anyhow::Result<u8> {
         let status = self.child.wait()?;
-        Ok(status
-            .code()
-            .and_then(|code| u8::try_from(code).ok())
-            .unwrap_or(1))
+        let code = status.code().and_then(|code| u8::try_from(code).ok());
+        Ok(code.unwrap_or(1))
     }
 }
 

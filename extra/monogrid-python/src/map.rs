@@ -407,12 +407,10 @@ impl OccupancyMap {
         of: impl Fn(&occupancy::OccupancyMap, [f64; 3]) -> T + Send + Sync,
     ) -> PyResult<Bound<'py, PyArray1<T>>> {
         let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
-        let points = (rows(&array, "points")?, array.py());
+        let (points, py) = (rows(&array, "points")?, array.py());
         let map = &self.map;
-        let values = points
-            .1
-            .detach(|| points.0.iter().map(|point| of(map, *point)).collect());
-        Ok(vector(points.1, values))
+        let values = py.detach(|| points.iter().map(|point| of(map, *point)).collect());
+        Ok(vector(py, values))
     }
 
     /// The cells between two corners, by default all that are known; none of an empty map.
@@ -455,10 +453,8 @@ fn similarity(rows: &[[f64; 4]; 4]) -> Similarity {
 
 /// The pixels of a depth image that have a depth.
 fn depth_pixels(depth: &[f32], width: usize, relative_sigma: f32) -> Vec<DepthPixel> {
-    let known = depth
-        .iter()
-        .enumerate()
-        .filter(|(_, z)| z.is_finite() && **z > 0.0);
+    let all = depth.iter().enumerate();
+    let known = all.filter(|(_, z)| z.is_finite() && **z > 0.0);
     let pixel = |(k, z): (usize, &f32)| DepthPixel {
         x: (k % width) as u16,
         y: (k / width) as u16,
@@ -481,10 +477,8 @@ impl DistanceField {
         let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
         let points = rows(&array, "points")?;
         let distance = |point: &[f64; 3]| self.field.distance(*point).unwrap_or(f64::INFINITY);
-        Ok(vector(
-            py,
-            py.detach(|| points.iter().map(distance).collect()),
-        ))
+        let distances = py.detach(|| points.iter().map(distance).collect());
+        Ok(vector(py, distances))
     }
 
     fn gradient<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {

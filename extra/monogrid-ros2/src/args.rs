@@ -102,15 +102,10 @@ impl FrameArgs {
 }
 
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let wrong = || format!("expected {N} numbers with commas between them");
-    let numbers = text.split(',').map(|part| part.trim().parse::<f64>());
-    let numbers: Vec<f64> = numbers.collect::<Result<_, _>>().map_err(|_| wrong())?;
-    let numbers: [f64; N] = numbers.try_into().map_err(|_| wrong())?;
-    if numbers.iter().all(|number| number.is_finite()) {
-        Ok(numbers)
-    } else {
-        Err(wrong())
-    }
+    let number = |part: &str| part.trim().parse().ok().filter(|v: &f64| v.is_finite());
+    let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
+    let numbers = numbers.and_then(|numbers| numbers.try_into().ok());
+    numbers.ok_or_else(|| format!("expected {N} numbers with commas between them"))
 }
 
 fn six_numbers(text: &str) -> Result<[f64; 6], String> {
@@ -119,13 +114,10 @@ fn six_numbers(text: &str) -> Result<[f64; 6], String> {
 
 fn band(text: &str) -> Result<[f64; 2], String> {
     let [low, high] = numbers(text)?;
-    if low < high {
-        Ok([low, high])
-    } else {
-        Err(format!(
-            "the lower height ({low}) is not below the upper one ({high})"
-        ))
-    }
+    let is_band = low < high;
+    is_band
+        .then_some([low, high])
+        .ok_or_else(|| format!("the lower height ({low}) is not below the upper one ({high})"))
 }
 
 /// Smallest and largest scale that is believed, m.
@@ -136,15 +128,11 @@ const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// # Errors
 /// A scale that is none.
 pub fn checked_scale(metres_per_unit: f64) -> Result<f64, String> {
-    if SCALES.contains(&metres_per_unit) {
-        Ok(metres_per_unit)
-    } else {
-        Err(format!(
-            "metres_per_unit is {metres_per_unit}, expected {} to {}",
-            SCALES.start(),
-            SCALES.end()
-        ))
-    }
+    let scale = Some(metres_per_unit).filter(|scale| SCALES.contains(scale));
+    scale.ok_or_else(|| {
+        let (least, most) = (SCALES.start(), SCALES.end());
+        format!("metres_per_unit is {metres_per_unit}, expected {least} to {most}")
+    })
 }
 
 fn scale(text: &str) -> Result<f64, String> {
@@ -154,20 +142,14 @@ fn scale(text: &str) -> Result<f64, String> {
 
 fn readout(text: &str) -> Result<f64, String> {
     let [ms] = numbers(text)?;
-    if ms.abs() <= 1000.0 {
-        Ok(ms)
-    } else {
-        Err(format!("{ms} ms is not between -1000 and 1000 ms"))
-    }
+    let allowed = Some(ms).filter(|ms: &f64| ms.abs() <= 1000.0);
+    allowed.ok_or_else(|| format!("{ms} ms is not between -1000 and 1000 ms"))
 }
 
 fn period(text: &str) -> Result<f64, String> {
     let [seconds] = numbers(text)?;
-    if (0.05..=3600.0).contains(&seconds) {
-        Ok(seconds)
-    } else {
-        Err(format!("{seconds} s is not between 0.05 and 3600 s"))
-    }
+    let allowed = Some(seconds).filter(|seconds| (0.05..=3600.0).contains(seconds));
+    allowed.ok_or_else(|| format!("{seconds} s is not between 0.05 and 3600 s"))
 }
 
 #[cfg(test)]

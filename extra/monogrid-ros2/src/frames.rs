@@ -115,10 +115,7 @@ impl Frames {
 
     /// last_from_this of the robot, m, from that of the camera in units of the world.
     fn base_step(&self, camera: &Se3) -> Se3 {
-        let metric = Se3::new(
-            camera.rotation,
-            camera.translation * self.map_from_world.scale,
-        );
+        let metric = camera.stretched(self.map_from_world.scale);
         self.base_from_camera * metric * self.base_from_camera.inverse()
     }
 }

@@ -2,7 +2,7 @@
 
 use anyhow::Context as _;
 use monogrid_messages::RosMessage;
-use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::dds::rustdds::{DomainParticipantBuilder, Topic};
 use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
     Context, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile,
@@ -117,6 +117,13 @@ impl RosNode {
         name.with_context(|| format!("{topic:?} is no name of a topic"))
     }
 
+    /// A topic with messages of this type.
+    fn topic<M: RosMessage>(&self, topic: &str, profile: &QosProfile) -> anyhow::Result<Topic> {
+        let type_name = MessageTypeName::new(M::PACKAGE, M::NAME);
+        let name = self.name_of(topic)?;
+        Ok(self.node.create_topic(&name, type_name, profile)?)
+    }
+
     /// Begins to publish.
     ///
     /// # Errors
@@ -126,11 +133,8 @@ impl RosNode {
         topic: &str,
         quality: Quality,
     ) -> anyhow::Result<Publisher<M>> {
-        let type_name = MessageTypeName::new(M::PACKAGE, M::NAME);
         let profile = quality.profile();
-        let topic = self
-            .node
-            .create_topic(&self.name_of(topic)?, type_name, &profile)?;
+        let topic = self.topic::<M>(topic, &profile)?;
         Ok(self.node.create_publisher(&topic, Some(profile))?)
     }
 
@@ -143,11 +147,8 @@ impl RosNode {
         topic: &str,
         quality: Quality,
     ) -> anyhow::Result<Subscription<M>> {
-        let type_name = MessageTypeName::new(M::PACKAGE, M::NAME);
         let profile = quality.profile();
-        let topic = self
-            .node
-            .create_topic(&self.name_of(topic)?, type_name, &profile)?;
+        let topic = self.topic::<M>(topic, &profile)?;
         Ok(self.node.create_subscription(&topic, Some(profile))?)
     }
 

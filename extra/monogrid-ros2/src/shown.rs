@@ -70,11 +70,8 @@ fn band_in_map(map: &OccupancyMap, seen: &Seen) -> [f64; 2] {
     let mut heights: Vec<f64> = occupied
         .map(|cell| cell.key.center(map.resolution())[2])
         .collect();
-    let cameras: Vec<f64> = seen
-        .path
-        .iter()
-        .map(|(_, pose)| pose.translation.z)
-        .collect();
+    let path = seen.path.iter();
+    let cameras: Vec<f64> = path.map(|(_, pose)| pose.translation.z).collect();
     if cameras.is_empty() {
         return navigation_band(&mut heights, &[0.0], false);
     }

@@ -76,11 +76,8 @@ impl PosePublisher {
             stamp: header.stamp,
             frame_id: self.names.base.clone(),
         };
-        let transforms = vec![transform_of(
-            parent,
-            &header.frame_id,
-            &self.base_from_camera,
-        )];
+        let transform = transform_of(parent, &header.frame_id, &self.base_from_camera);
+        let transforms = vec![transform];
         // a network that fails now says so in the diagnostics, which then do not come
         let _ = self.tf_static.publish(TFMessage { transforms });
     }

@@ -14,6 +14,7 @@ pub use fit::LensModel;
 pub use tags::{TagGrid, find_tags};
 
 use fit::{Fit, fit, on_board};
+use monogrid_geometry::median::median;
 use monogrid_geometry::{Camera, Vec2};
 use monogrid_image::GrayImage;
 use std::collections::BTreeMap;
@@ -159,10 +160,8 @@ impl BoardCollector {
         *self.num_of_size.entry(view.size).or_default() += 1;
         let distance = |other: &BoardView| mean_distance(&view, other) / longer;
         let is_still = before.is_none_or(|before| distance(&before) <= self.config.max_motion);
-        let is_new = self
-            .kept
-            .iter()
-            .all(|kept| distance(kept) >= self.config.min_change);
+        let least = self.config.min_change;
+        let is_new = self.kept.iter().all(|kept| distance(kept) >= least);
         if is_still && is_new {
             self.kept.push(view.clone());
         }
@@ -281,10 +280,8 @@ pub fn calibrate(
         Some(model) => vec![model],
         None => vec![LensModel::RadialTangential, LensModel::Equidistant],
     };
-    let mut fits: Vec<Candidate> = models
-        .into_iter()
-        .filter_map(|model| Candidate::of(views, size, model, config))
-        .collect();
+    let fit = |model| Candidate::of(views, size, model, config);
+    let mut fits: Vec<Candidate> = models.into_iter().filter_map(fit).collect();
     // the simpler files and the first of both models unless the other explains clearly more
     fits.sort_by(|a, b| a.charged_px().total_cmp(&b.charged_px()));
     let not_determined = |relative_sigma| TargetError::NotDetermined { relative_sigma };
@@ -325,9 +322,7 @@ impl Candidate {
             views: views.to_vec(),
         };
         let rms: Vec<f64> = first.errors().iter().map(|errors| rms_of(errors)).collect();
-        let mut sorted = rms.clone();
-        sorted.sort_by(f64::total_cmp);
-        let limit = config.max_error_ratio * sorted[sorted.len() / 2];
+        let limit = config.max_error_ratio * median(&mut rms.clone())?;
         let good = views.iter().zip(&rms).filter(|(_, rms)| **rms <= limit);
         let good: Vec<BoardView> = good.map(|(view, _)| view.clone()).collect();
         if good.len() == views.len() || good.len() < MIN_VIEWS {

@@ -157,6 +157,5 @@ fn misfit(view: &BoardView) -> Option<f64> {
         let seen = to_pixel * place.push(1.0);
         (seen.xy() / seen.z - pixel).norm_squared()
     };
-    let sum: f64 = pairs().map(error).sum();
-    sum.is_finite().then_some(sum)
+    Some(pairs().map(error).sum()).filter(|sum: &f64| sum.is_finite())
 }

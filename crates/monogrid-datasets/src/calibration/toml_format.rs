@@ -134,12 +134,9 @@ pub(super) fn format(camera: &Camera, readout_ms: Option<f64>) -> String {
         camera.height,
         model_name(&camera.distortion),
     );
-    let values: Vec<String> = camera
-        .distortion
-        .parameters()
-        .iter()
-        .map(|(_, value)| format!("{value:?}"))
-        .collect();
+    let parameters = camera.distortion.parameters();
+    let values = parameters.iter().map(|(_, value)| format!("{value:?}"));
+    let values: Vec<String> = values.collect();
     if !values.is_empty() {
         // writing into a string cannot fail
         let _ = writeln!(text, "distortion = [{}]", values.join(", "));

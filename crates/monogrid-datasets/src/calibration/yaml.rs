@@ -134,13 +134,10 @@ struct SlamKeys<'a> {
 impl<'a> SlamKeys<'a> {
     fn find(yaml: &'a Yaml<'a>) -> Option<Self> {
         let candidates = [["Camera.", "Camera."], ["Camera1.", "Camera."], ["", ""]];
-        let found = candidates
+        let prefixes = candidates
             .into_iter()
             .find(|[prefix, _]| yaml.number(&format!("{prefix}fx")).is_some())?;
-        Some(Self {
-            yaml,
-            prefixes: found,
-        })
+        Some(Self { yaml, prefixes })
     }
 
     fn intrinsic(&self, key: &str) -> Option<f64> {

@@ -155,10 +155,9 @@ pub(crate) fn decode_png_luma8(bytes: &[u8], width: usize, height: usize) -> Opt
 /// Luma of every pixel type; transparency is ignored.
 fn to_gray(raster: &Raster, path: &Path) -> Result<GrayImage, DatasetError> {
     let to_byte = 255.0 / f32::from(raster.white);
-    let data = if raster.has_colour() {
-        raster.map(|pixel| luma([pixel[0], pixel[1], pixel[2]]) * to_byte)
-    } else {
-        raster.map(|pixel| pixel[0] * to_byte)
+    let data = match raster.has_colour() {
+        true => raster.map(|pixel| luma([pixel[0], pixel[1], pixel[2]]) * to_byte),
+        false => raster.map(|pixel| pixel[0] * to_byte),
     };
     Image::from_vec(raster.width, raster.height, data)
         .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))

@@ -95,10 +95,8 @@ pub(super) fn decode_pnm(bytes: &[u8]) -> Result<Raster, String> {
     check_size(width, height, [MAX_SIDE; 2])?;
     let is_bitmap = matches!(kind, b'1' | b'4');
     let white = if is_bitmap { 1 } else { number()? };
-    let white = u16::try_from(white)
-        .ok()
-        .filter(|white| *white > 0)
-        .ok_or("the value of white must be 1 to 65535")?;
+    let white = u16::try_from(white).ok().filter(|white| *white > 0);
+    let white = white.ok_or("the value of white must be 1 to 65535")?;
     let channels = if matches!(kind, b'3' | b'6') { 3 } else { 1 };
     let count = width * height * channels;
     let samples = match kind {

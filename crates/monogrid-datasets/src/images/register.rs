@@ -61,10 +61,8 @@ impl DepthRegistration {
     /// image has another size than its calibration.
     #[must_use]
     pub fn register(&self, depth: &Image<f32>) -> Option<Image<f32>> {
-        let (w, h) = (
-            self.calibration.camera.width,
-            self.calibration.camera.height,
-        );
+        let camera = &self.calibration.camera;
+        let (w, h) = (camera.width, camera.height);
         if depth.width() != w || depth.height() != h {
             return None;
         }

@@ -174,8 +174,7 @@ fn encode_poses(snapshot: &PoseSnapshot, out: &mut Bytes) -> Option<u32> {
     out.u32(u32::try_from(snapshot.poses.len()).ok()?);
     for (id, pose) in &snapshot.poses {
         out.u32(*id);
-        let numbers = numbers_of_pose(pose);
-        numbers.into_iter().for_each(|v| out.f64(v));
+        numbers_of_pose(pose).into_iter().for_each(|v| out.f64(v));
     }
     Some(KIND_POSES)
 }

@@ -40,27 +40,27 @@ enum Kind {
     TarGz,
 }
 
+/// What endings of names say.
+const KINDS: [(&str, Kind); 4] = [
+    (".zip", Kind::Zip),
+    (".tar", Kind::Tar),
+    (".tar.gz", Kind::TarGz),
+    (".tgz", Kind::TarGz),
+];
+
 fn kind_of(path: &Path) -> Option<Kind> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-    let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
-    if ends(&[".zip"]) {
-        Some(Kind::Zip)
-    } else if ends(&[".tar"]) {
-        Some(Kind::Tar)
-    } else {
-        ends(&[".tar.gz", ".tgz"]).then_some(Kind::TarGz)
-    }
+    let said = KINDS.iter().find(|(ending, _)| name.ends_with(ending));
+    said.map(|(_, kind)| *kind)
 }
 
 /// Name of an archive without its ending.
 pub(super) fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let lower = name.to_ascii_lowercase();
-    let endings = [".zip", ".tar", ".tar.gz", ".tgz"];
-    let length = endings
-        .iter()
-        .find_map(|e| lower.strip_suffix(e))
-        .map_or(name.len(), str::len);
+    let mut endings = KINDS.iter().map(|(ending, _)| ending);
+    let stem = endings.find_map(|ending| lower.strip_suffix(ending));
+    let length = stem.map_or(name.len(), str::len);
     name.get(..length).unwrap_or(&name).to_owned()
 }
 

@@ -100,12 +100,10 @@ fn find_images(root: &Path) -> Result<Images, DatasetError> {
 /// Image files directly in a folder, in natural order.
 fn images_in(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let entries = std::fs::read_dir(folder).map_err(|e| DatasetError::io("read", folder, e))?;
-    let mut named: Vec<(String, PathBuf)> = entries
-        .filter_map(Result::ok)
-        .map(|e| e.path())
-        .filter_map(|p| Some((p.file_name()?.to_string_lossy().into_owned(), p)))
-        .filter(|(name, path)| is_frame_name(name) && path.is_file())
-        .collect();
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let named = paths.filter_map(|p| Some((p.file_name()?.to_string_lossy().into_owned(), p)));
+    let is_frame = |(name, path): &(String, PathBuf)| is_frame_name(name) && path.is_file();
+    let mut named: Vec<(String, PathBuf)> = named.filter(is_frame).collect();
     named.sort_by(|a, b| natural_order(&a.0, &b.0));
     Ok(named.into_iter().map(|(_, path)| path).collect())
 }

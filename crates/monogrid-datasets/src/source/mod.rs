@@ -177,10 +177,9 @@ impl Dataset {
         &self,
         image_size: Option<(usize, usize)>,
     ) -> Result<Option<Calibration>, DatasetError> {
-        self.calibration_path
-            .as_ref()
-            .map(|path| Calibration::read(path, image_size))
-            .transpose()
+        let path = self.calibration_path.as_ref();
+        let calibration = path.map(|path| Calibration::read(path, image_size));
+        calibration.transpose()
     }
 
     /// The calibration of the depth camera that lies in the source; `None` when there is none.
@@ -188,24 +187,19 @@ impl Dataset {
     /// # Errors
     /// When the file exists and cannot be understood.
     pub fn depth_calibration(&self) -> Result<Option<DepthCalibration>, DatasetError> {
-        self.depth_calibration_path
-            .as_ref()
-            .map(|path| DepthCalibration::read(path))
-            .transpose()
+        let path = self.depth_calibration_path.as_ref();
+        path.map(|path| DepthCalibration::read(path)).transpose()
     }
 
     /// Median time between frames, seconds; `None` for a single frame.
     #[must_use]
     pub fn frame_interval_secs(&self) -> Option<f64> {
-        let mut intervals: Vec<i64> = self
-            .frames
-            .windows(2)
-            .map(|pair| pair[1].timestamp_ns.saturating_sub(pair[0].timestamp_ns))
-            .collect();
+        let length =
+            |pair: &[FrameEntry]| pair[1].timestamp_ns.saturating_sub(pair[0].timestamp_ns);
+        let mut intervals: Vec<i64> = self.frames.windows(2).map(length).collect();
         intervals.sort_unstable();
-        intervals
-            .get(intervals.len() / 2)
-            .map(|&ns| ns as f64 * 1e-9)
+        let median = intervals.get(intervals.len() / 2);
+        median.map(|&ns| ns as f64 * 1e-9)
     }
 
     /// The depth image nearest in time to a frame, if it is near enough to be its own.
@@ -213,14 +207,11 @@ impl Dataset {
     /// Near enough: within [`SourceOptions::depth_association`] frame intervals.
     #[must_use]
     pub fn depth_of_frame(&self, timestamp_ns: i64) -> Option<&DepthEntry> {
-        let after = self
-            .depths
-            .partition_point(|d| d.timestamp_ns < timestamp_ns);
-        let distance = |d: &&DepthEntry| d.timestamp_ns.abs_diff(timestamp_ns);
-        let nearest = self.depths[after.saturating_sub(1)..]
-            .iter()
-            .take(2)
-            .min_by_key(distance)?;
+        let depths = &self.depths;
+        let after = depths.partition_point(|depth| depth.timestamp_ns < timestamp_ns);
+        let around = depths[after.saturating_sub(1)..].iter().take(2);
+        let distance = |depth: &&DepthEntry| depth.timestamp_ns.abs_diff(timestamp_ns);
+        let nearest = around.min_by_key(distance)?;
         let limit_secs = self.options.depth_association * self.frame_interval_secs().unwrap_or(0.0);
         (distance(&nearest) as f64 * 1e-9 <= limit_secs).then_some(nearest)
     }

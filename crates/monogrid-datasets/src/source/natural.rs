@@ -31,10 +31,8 @@ pub fn natural_order(a: &str, b: &str) -> Ordering {
 
 /// The digits at the start, without zeros in front, and what follows them.
 fn digit_run(text: &[u8]) -> (&[u8], &[u8]) {
-    let end = text
-        .iter()
-        .position(|b| !b.is_ascii_digit())
-        .unwrap_or(text.len());
+    let end = text.iter().position(|b| !b.is_ascii_digit());
+    let end = end.unwrap_or(text.len());
     let start = text[..end].iter().position(|&b| b != b'0').unwrap_or(end);
     (&text[start..end], &text[end..])
 }

@@ -360,7 +360,7 @@ fn repair(bytes: &mut [u8]) {
     while at + 57 <= end {
         let (offset, stored) = (number(bytes, at + 8, 8), number(bytes, at + 16, 4));
         let block = bytes.get(offset..offset.saturating_add(stored));
-        if let Some(hash) = block.map(|block| Hash::hash(block)) {
+        if let Some(hash) = block.map(Hash::hash) {
             bytes[at + 25..at + 57].copy_from_slice(&hash);
         }
         at += 57;

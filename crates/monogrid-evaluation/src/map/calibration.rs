@@ -46,11 +46,8 @@ pub(crate) fn calibration(groups: &[ScoreGroup]) -> Calibration {
     let mut bins = [Bin::default(); BINS];
     let (mut cells, mut square, mut log) = (0_u64, 0.0, 0.0);
     for group in groups {
-        let (p, positives, negatives) = (
-            group.probability,
-            group.positives as f64,
-            group.negatives as f64,
-        );
+        let p = group.probability;
+        let (positives, negatives) = (group.positives as f64, group.negatives as f64);
         cells += group.positives + group.negatives;
         square += positives * (1.0 - p).powi(2) + negatives * p.powi(2);
         if group.positives > 0 {
@@ -65,10 +62,8 @@ pub(crate) fn calibration(groups: &[ScoreGroup]) -> Calibration {
         bin.sum_probability += p * (positives + negatives);
     }
     let mean = |sum: f64| (cells > 0).then(|| sum / cells as f64);
-    let gap: f64 = bins
-        .iter()
-        .map(|b| (b.sum_probability - b.positives as f64).abs())
-        .sum();
+    let gap = |bin: &Bin| (bin.sum_probability - bin.positives as f64).abs();
+    let gap: f64 = bins.iter().map(gap).sum();
     Calibration {
         brier: mean(square),
         negative_log_likelihood: mean(log),

@@ -101,17 +101,16 @@ pub struct RocPoint {
 
 /// The curve at the thesis' 26 thresholds, in their order.
 pub(crate) fn roc_26(groups: &[ScoreGroup]) -> Vec<RocPoint> {
-    (0..NUM_THRESHOLDS)
-        .map(|i| {
-            let threshold = i as f64 / (NUM_THRESHOLDS - 1) as f64;
-            let counts = Contingency::at(groups, threshold);
-            RocPoint {
-                threshold,
-                tpr: counts.recall(),
-                fpr: ratio(counts.fp, counts.fp + counts.tn),
-            }
-        })
-        .collect()
+    let point = |i| {
+        let threshold = i as f64 / (NUM_THRESHOLDS - 1) as f64;
+        let counts = Contingency::at(groups, threshold);
+        RocPoint {
+            threshold,
+            tpr: counts.recall(),
+            fpr: ratio(counts.fp, counts.fp + counts.tn),
+        }
+    };
+    (0..NUM_THRESHOLDS).map(point).collect()
 }
 
 /// Area under the straight lines between the points of a curve, completed with (0, 0) and (1, 1);

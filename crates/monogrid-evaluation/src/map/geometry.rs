@@ -105,10 +105,9 @@ fn sample(keys: &[[i32; 3]], max: usize) -> Vec<[i32; 3]> {
 }
 
 fn distances(keys: &[[i32; 3]], tree: &CellTree, resolution: f64) -> Vec<f64> {
-    keys.iter()
-        .filter_map(|key| tree.distance_sq(*key))
-        .map(|distance_sq| (distance_sq as f64).sqrt() * resolution)
-        .collect()
+    let squares = keys.iter().filter_map(|key| tree.distance_sq(*key));
+    let distances = squares.map(|distance_sq| (distance_sq as f64).sqrt() * resolution);
+    distances.collect()
 }
 
 fn mean(values: &[f64]) -> Option<f64> {

@@ -1,7 +1,7 @@
 //! Lookup of the cells in view.
 
 use super::MapEvaluationError;
-use crate::truth::{CellCounts, TruthGrid};
+use crate::truth::{CellCounts, TruthGrid, whole_ratio};
 use monogrid_occupancy::Occupancy;
 
 /// The cells in view, by keys of the truth; without a view all cells are.
@@ -15,10 +15,7 @@ pub(crate) struct InView<'a> {
 impl<'a> InView<'a> {
     pub fn new(grid: Option<&'a TruthGrid>, truth: f64) -> Result<Self, MapEvaluationError> {
         let view = grid.map_or(truth, TruthGrid::resolution);
-        let factor = (view / truth).round();
-        if factor < 1.0 || (view / truth - factor).abs() > 1e-6 * factor {
-            return Err(MapEvaluationError::View { view, truth });
-        }
+        let factor = whole_ratio(view, truth).ok_or(MapEvaluationError::View { view, truth })?;
         Ok(Self {
             grid,
             factor: factor as i32,
@@ -35,11 +32,9 @@ impl<'a> InView<'a> {
     pub fn counts(&self, truth: &TruthGrid) -> Option<CellCounts> {
         self.grid?;
         let mut counts = CellCounts::default();
-        for cell in truth.cells() {
-            let key = truth.global(cell);
-            if self.contains(key) {
-                counts.add(truth.state_at(cell));
-            }
+        let is_in_view = |cell: &_| self.contains(truth.global(*cell));
+        for cell in truth.cells().filter(is_in_view) {
+            counts.add(truth.state_at(cell));
         }
         Some(counts)
     }

@@ -196,10 +196,8 @@ impl<'a> MapEvaluator<'a> {
     pub fn evaluate(&self, estimate: &OccupancyMap) -> Result<MapReport, MapEvaluationError> {
         check_resolution(estimate, self.truth)?;
         let pass = self.pass_over(estimate);
-        let observed = pass
-            .slices
-            .iter()
-            .fold(CellCounts::default(), |sum, s| sum.plus(&s.observed));
+        let slices = pass.slices.iter();
+        let observed = slices.fold(CellCounts::default(), |sum, s| sum.plus(&s.observed));
         let ssd_per_slice = sums_of_squares(&pass.slices, &self.counts_per_layer);
         let ssd_total: f64 = ssd_per_slice.iter().sum();
         let scores = pass.scores.into_sorted();
@@ -313,15 +311,12 @@ fn probability(log_odds: f32) -> f64 {
 
 /// Adds to every slice what the cells that were not observed differ by: half where the truth is known.
 fn sums_of_squares(slices: &[Slice], layers: &[CellCounts]) -> Vec<f64> {
-    slices
-        .iter()
-        .zip(layers)
-        .map(|(slice, all)| {
-            let known = all.free + all.occupied;
-            let seen = slice.observed.free + slice.observed.occupied;
-            slice.squares + 0.25 * (known - seen) as f64
-        })
-        .collect()
+    let sum = |(slice, all): (&Slice, &CellCounts)| {
+        let known = all.free + all.occupied;
+        let seen = slice.observed.free + slice.observed.occupied;
+        slice.squares + 0.25 * (known - seen) as f64
+    };
+    slices.iter().zip(layers).map(sum).collect()
 }
 
 /// The scores that each policy ranks.

@@ -398,10 +398,8 @@ fn compare(
 }
 
 fn least_distance(grid: &DistanceGrid, cells: &[usize]) -> f32 {
-    cells
-        .iter()
-        .map(|i| grid.at(*i))
-        .fold(f32::INFINITY, f32::min)
+    let distances = cells.iter().map(|i| grid.at(*i));
+    distances.fold(f32::INFINITY, f32::min)
 }
 
 fn stats<'a>(outcomes: impl Iterator<Item = &'a Outcome>) -> PathStats {

@@ -2,7 +2,7 @@
 
 use super::astar::Planner;
 use super::grid::{DistanceGrid, index_in};
-use super::{MAX_CELLS, coarse_states};
+use super::{MAX_CELLS, coarse_states, least_distance};
 use monogrid_occupancy::{Occupancy, OccupancyMap};
 use serde::Serialize;
 
@@ -124,11 +124,7 @@ pub fn plan_path(
     let path = planner
         .plan(start, goal)
         .ok_or(PlanError::NotConnected(radius))?;
-    let least = path
-        .cells
-        .iter()
-        .map(|i| grid.at(*i))
-        .fold(f32::INFINITY, f32::min);
+    let least = least_distance(&grid, &path.cells);
     Ok(PlannedPath {
         points: turns(&path.cells, &grid)
             .map(|i| area.centre(grid.cell(i)))

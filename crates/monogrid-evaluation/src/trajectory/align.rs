@@ -55,10 +55,8 @@ fn along_a_line(
 pub(super) fn align_poses(pairs: &[PosePair], radius: f64, with_scale: bool) -> Option<Sim3> {
     /// The scale depends on the rotation, which depends on the scale.
     const ROUNDS: usize = 5;
-    let source: Vec<Vec3> = pairs
-        .iter()
-        .map(|p| p.est_from_camera.translation)
-        .collect();
+    let source = pairs.iter().map(|pair| pair.est_from_camera.translation);
+    let source: Vec<Vec3> = source.collect();
     let target: Vec<Vec3> = pairs.iter().map(|p| p.gt_from_camera.translation).collect();
     let moments = Moments::of(pairs, &source, &target);
     let mut turn = nearest_rotation(&moments.turns)?;

@@ -21,11 +21,8 @@ pub struct PosePair {
 pub(crate) fn seconds(timestamp_ns: i64) -> f64 {
     let sign = if timestamp_ns < 0 { "-" } else { "" };
     let magnitude = timestamp_ns.unsigned_abs();
-    let text = format!(
-        "{sign}{}.{:09}",
-        magnitude / 1_000_000_000,
-        magnitude % 1_000_000_000
-    );
+    let (whole, rest) = (magnitude / 1_000_000_000, magnitude % 1_000_000_000);
+    let text = format!("{sign}{whole}.{rest:09}");
     // A decimal number always parses; the quotient is the same number to within one rounding.
     text.parse().unwrap_or(timestamp_ns as f64 / 1e9)
 }
@@ -34,10 +31,9 @@ pub(crate) fn seconds(timestamp_ns: i64) -> f64 {
 /// when it is farther than `max_difference` or there are none.
 pub(crate) fn nearest_within(sorted: &[f64], time: f64, max_difference: f64) -> Option<usize> {
     let after = sorted.partition_point(|&t| t <= time);
-    let gap_before = after
-        .checked_sub(1)
-        .map_or(f64::INFINITY, |i| time - sorted[i]);
-    let gap_after = sorted.get(after).map_or(f64::INFINITY, |t| t - time);
+    let (earlier, later) = sorted.split_at(after);
+    let gap_before = earlier.last().map_or(f64::INFINITY, |t| time - t);
+    let gap_after = later.first().map_or(f64::INFINITY, |t| t - time);
     if gap_after < gap_before {
         (gap_after <= max_difference).then_some(after)
     } else {

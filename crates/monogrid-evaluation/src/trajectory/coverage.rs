@@ -8,11 +8,9 @@ use crate::statistics::median;
 /// taken for frames without a pose, so that an estimate with many gaps is not thought to be slow.
 /// Zero for fewer than two poses.
 pub(crate) fn frame_interval_secs(sorted_estimate: &[StampedPose]) -> f64 {
-    let mut intervals: Vec<f64> = sorted_estimate
-        .windows(2)
-        .map(|w| seconds(w[1].0) - seconds(w[0].0))
-        .filter(|interval| *interval > 0.0)
-        .collect();
+    let pairs = sorted_estimate.windows(2);
+    let intervals = pairs.map(|pair| seconds(pair[1].0) - seconds(pair[0].0));
+    let mut intervals: Vec<f64> = intervals.filter(|interval| *interval > 0.0).collect();
     intervals.sort_by(f64::total_cmp);
     let Some(&short) = intervals.get(intervals.len() / 10) else {
         return 0.0;

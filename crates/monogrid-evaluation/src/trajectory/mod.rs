@@ -16,6 +16,7 @@ pub use wrong::{WrongPose, WrongPoseConfig};
 
 use crate::statistics::ErrorSummary;
 use align::align;
+use monogrid_geometry::median::median;
 use monogrid_geometry::{AlignmentError, Se3, Sim3, Vec3};
 use serde::Serialize;
 
@@ -319,18 +320,14 @@ fn checked_and_sorted(
 
 /// The pose of the camera in the true world: its scale acts on the position only.
 fn apply(gt_from_est: &Sim3, est_from_camera: &Se3) -> Se3 {
-    Se3::new(
-        gt_from_est.rotation * est_from_camera.rotation,
-        *gt_from_est * est_from_camera.translation,
-    )
+    let rotation = gt_from_est.rotation * est_from_camera.rotation;
+    Se3::new(rotation, *gt_from_est * est_from_camera.translation)
 }
 
 fn position_errors(pairs: &[PosePair], aligned: &[Se3]) -> Vec<f64> {
-    pairs
-        .iter()
-        .zip(aligned)
-        .map(|(p, a)| (a.translation - p.gt_from_camera.translation).norm())
-        .collect()
+    let pairs = pairs.iter().zip(aligned);
+    let errors = pairs.map(|(p, a)| (a.translation - p.gt_from_camera.translation).norm());
+    errors.collect()
 }
 
 /// Lengths of the translations, and angles in degrees, of
@@ -343,10 +340,8 @@ fn relative_errors(pairs: &[PosePair], aligned: &[Se3]) -> (Vec<f64>, Vec<f64>) 
             let gt_motion = gt[0].gt_from_camera.inverse() * gt[1].gt_from_camera;
             let est_motion = est[0].inverse() * est[1];
             let error = gt_motion.inverse() * est_motion;
-            (
-                error.translation.norm(),
-                error.rotation.angle().to_degrees(),
-            )
+            let turn = error.rotation.angle();
+            (error.translation.norm(), turn.to_degrees())
         })
         .unzip()
 }
@@ -357,10 +352,7 @@ fn tilt_deg(pairs: &[PosePair]) -> f64 {
     let tilt =
         |p: &PosePair| up_in_camera(&p.est_from_camera).angle(&up_in_camera(&p.gt_from_camera));
     let mut tilts: Vec<f64> = pairs.iter().map(tilt).collect();
-    tilts.sort_by(f64::total_cmp);
-    tilts
-        .get(tilts.len() / 2)
-        .map_or(0.0, |tilt| tilt.to_degrees())
+    median(&mut tilts).map_or(0.0, f64::to_degrees)
 }
 
 fn path_length(pairs: &[PosePair]) -> f64 {

@@ -128,14 +128,10 @@ fn truth_spread(window: &[PosePair]) -> f64 {
 /// Umeyama, equation (42): tr(D S) / var(estimate). Unlike the rotation it is also defined for
 /// motion along a line.
 fn umeyama_scale(window: &[PosePair]) -> f64 {
-    let mean_estimate = mean(
-        window.iter().map(|p| p.est_from_camera.translation),
-        window.len(),
-    );
-    let mean_truth = mean(
-        window.iter().map(|p| p.gt_from_camera.translation),
-        window.len(),
-    );
+    let estimate = window.iter().map(|p| p.est_from_camera.translation);
+    let mean_estimate = mean(estimate, window.len());
+    let truth = window.iter().map(|p| p.gt_from_camera.translation);
+    let mean_truth = mean(truth, window.len());
     let mut covariance = Mat3::zeros();
     let mut var_estimate = 0.0;
     for pair in window {

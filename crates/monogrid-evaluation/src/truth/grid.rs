@@ -257,12 +257,8 @@ impl TruthGrid {
         let Some((first, last)) = map.key_bounds() else {
             return Err(TruthError::NothingKnown);
         };
-        let mut grid = Self::new(
-            map.resolution(),
-            first.to_array(),
-            last.to_array(),
-            max_cells,
-        )?;
+        let [first, last] = [first, last].map(VoxelKey::to_array);
+        let mut grid = Self::new(map.resolution(), first, last, max_cells)?;
         for cell in map.cells() {
             grid.set(cell.key.to_array(), cell.state);
         }
@@ -273,10 +269,8 @@ impl TruthGrid {
         let mut cell = [0; 3];
         for axis in 0..3 {
             let offset = i64::from(key[axis]) - i64::from(self.first[axis]);
-            if offset < 0 || offset >= self.size[axis] as i64 {
-                return None;
-            }
-            cell[axis] = offset as usize;
+            let offset = usize::try_from(offset).ok();
+            cell[axis] = offset.filter(|offset| *offset < self.size[axis])?;
         }
         Some(cell)
     }
@@ -326,6 +320,14 @@ impl TruthGrid {
         let shift = (x & 3) * 2;
         *byte = (*byte & !(3 << shift)) | (code << shift);
     }
+}
+
+/// How many cells of an edge of `fine` make one of `coarse`, where that is a whole number.
+#[must_use]
+pub fn whole_ratio(coarse: f64, fine: f64) -> Option<f64> {
+    let ratio = coarse / fine;
+    let whole = ratio.round();
+    (whole >= 1.0 && (ratio - whole).abs() <= 1e-6 * whole).then_some(whole)
 }
 
 fn code_of(state: Occupancy) -> u8 {

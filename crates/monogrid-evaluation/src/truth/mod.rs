@@ -11,7 +11,7 @@ mod view;
 mod voxelize;
 
 pub use depth_images::{CarveConfig, PosedDepth, truth_from_depth_images};
-pub use grid::{CellCounts, TruthGrid};
+pub use grid::{CellCounts, TruthGrid, whole_ratio};
 pub use view::{View, cells_in_view};
 pub use voxelize::Triangle;
 

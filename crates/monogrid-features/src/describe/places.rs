@@ -144,11 +144,8 @@ impl PlaceIndex {
         config: &PlaceConfig,
         is_allowed: impl Fn(u64) -> bool,
     ) -> Vec<PlaceCandidate> {
-        let num_allowed = self
-            .places
-            .keys()
-            .filter(|place| is_allowed(**place))
-            .count();
+        let allowed = self.places.keys().filter(|place| is_allowed(**place));
+        let num_allowed = allowed.count();
         let mut candidates: BTreeMap<u64, PlaceCandidate> = BTreeMap::new();
         let mut seen = vec![u32::MAX; self.entries.len()];
         for (query_idx, descriptor) in descriptors.iter().enumerate() {

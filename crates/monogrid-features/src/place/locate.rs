@@ -6,6 +6,7 @@ use super::search::{FeatureGrid, Pair, SearchArea, search};
 use super::support::cell_of;
 use super::view::Landmark;
 use crate::{DescriptorMatch, Feature, PointPixel, absolute_pose};
+use monogrid_geometry::median::median;
 use monogrid_geometry::{Pinhole, Sim3, Vec2};
 
 /// One side of a comparison: corners, with landmarks for those whose depth is known.
@@ -138,16 +139,12 @@ fn with_scale(
             is_close.then(|| backward.point.z / point.z)
         })
         .collect();
-    ratios.sort_by(f64::total_cmp);
     if ratios.len() < config.pose.min_inliers / 2 {
         return None;
     }
-    let scale = ratios[ratios.len() / 2];
-    Some(Sim3::new(
-        scale,
-        b_from_a.rotation,
-        b_from_a.translation * scale,
-    ))
+    let scale = median(&mut ratios)?;
+    let translation = b_from_a.translation * scale;
+    Some(Sim3::new(scale, b_from_a.rotation, translation))
 }
 
 /// Whether a fit has enough inliers, spread over the image, and a small covariance.
@@ -157,10 +154,8 @@ pub(super) fn is_determined(
     size: (usize, usize),
     config: &PlaceMemoryConfig,
 ) -> bool {
-    let inliers = correspondences
-        .iter()
-        .zip(&fit.inliers)
-        .filter_map(|(c, is_inlier)| is_inlier.then_some(c));
+    let judged = correspondences.iter().zip(&fit.inliers);
+    let inliers = judged.filter_map(|(c, is_inlier)| is_inlier.then_some(c));
     let mut cells = std::collections::BTreeSet::new();
     let mut depths: Vec<f64> = Vec::new();
     for c in inliers {
@@ -174,8 +169,7 @@ pub(super) fn is_determined(
             depths.push(depth);
         }
     }
-    depths.sort_by(f64::total_cmp);
-    let Some(median_depth) = depths.get(depths.len() / 2) else {
+    let Some(median_depth) = median(&mut depths) else {
         return false;
     };
     let sigma = |from: usize| {

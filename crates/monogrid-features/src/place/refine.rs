@@ -82,15 +82,11 @@ pub(super) fn refine(
             }
         }
     }
-    let inliers: Vec<bool> = correspondences
-        .iter()
-        .map(|c| is_inlier(c, &pose, freedom))
-        .collect();
-    let kept: Vec<Correspondence> = correspondences
-        .iter()
-        .zip(&inliers)
-        .filter_map(|(c, is_inlier)| is_inlier.then_some(*c))
-        .collect();
+    let inliers = correspondences.iter().map(|c| is_inlier(c, &pose, freedom));
+    let inliers: Vec<bool> = inliers.collect();
+    let judged = correspondences.iter().zip(&inliers);
+    let kept = judged.filter_map(|(c, is_inlier)| is_inlier.then_some(*c));
+    let kept: Vec<Correspondence> = kept.collect();
     let system = accumulate(&kept, &pose, f64::INFINITY);
     let mut covariance = system.locked(freedom).cholesky()?.inverse();
     if freedom == Freedom::Rigid {

@@ -71,11 +71,11 @@ impl DepthLookup {
                 near.extend(self.depths.at(x as usize, y as usize));
             }
         }
+        let num_near = near.len();
         near.sort_by(|a, b| a.idepth.total_cmp(&b.idepth));
-        let median = near.get(near.len() / 2)?.idepth;
+        let median = near.get(num_near / 2)?.idepth;
         near.retain(|d| (d.idepth - median).abs() < SAME_SURFACE * median);
-        let share = near.len() * 4;
-        if near.len() < MIN_DEPTHS || share < 3 * self.count_near(cx, cy) {
+        if near.len() < MIN_DEPTHS || 4 * near.len() < 3 * num_near {
             return None;
         }
         // neighbours share their errors: the variance of one, not of a mean
@@ -85,18 +85,6 @@ impl DepthLookup {
             idepth: median,
             idepth_var,
         })
-    }
-
-    fn count_near(&self, cx: i64, cy: i64) -> usize {
-        let (w, h) = (self.depths.width() as i64, self.depths.height() as i64);
-        let rows = (cy - WINDOW).max(0)..(cy + WINDOW + 1).min(h);
-        rows.map(|y| {
-            let columns = (cx - WINDOW).max(0)..(cx + WINDOW + 1).min(w);
-            columns
-                .filter(|x| self.depths.at(*x as usize, y as usize).is_some())
-                .count()
-        })
-        .sum()
     }
 }
 

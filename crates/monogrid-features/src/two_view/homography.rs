@@ -40,18 +40,14 @@ pub(super) fn decompose(homography: &Mat3, a: &[Vec3], b: &[Vec3]) -> Vec<Se3> {
     if 2 * in_front.count() < a.len().min(b.len()) {
         h = -h;
     }
-    let (s1, s3) = (
-        svd.singular_values[0] / svd.singular_values[1],
-        svd.singular_values[2] / svd.singular_values[1],
-    );
+    let s1 = svd.singular_values[0] / svd.singular_values[1];
+    let s3 = svd.singular_values[2] / svd.singular_values[1];
     if s1 - s3 < 1e-6 || !s1.is_finite() || !s3.is_finite() {
         return Vec::new();
     }
     let [v1, v2, v3] = [0, 1, 2].map(|i| v_t.row(i).transpose());
-    let (p, q) = (
-        (1.0 - s3 * s3).max(0.0).sqrt(),
-        (s1 * s1 - 1.0).max(0.0).sqrt(),
-    );
+    let p = (1.0 - s3 * s3).max(0.0).sqrt();
+    let q = (s1 * s1 - 1.0).max(0.0).sqrt();
     let denominator = (s1 * s1 - s3 * s3).sqrt();
     [1.0, -1.0]
         .into_iter()

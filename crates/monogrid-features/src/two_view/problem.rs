@@ -1,7 +1,7 @@
 //! The matches of two views in the form that every step needs.
 
 use super::Match;
-use monogrid_geometry::{Mat3, Pinhole, Rotation, Vec2, Vec3};
+use monogrid_geometry::{Mat3, Pinhole, Rotation, Vec2, Vec3, median};
 
 /// Matches as pixels and as bearings with `z = 1`.
 pub(super) struct Problem<'a> {
@@ -63,9 +63,5 @@ impl<'a> Problem<'a> {
 
 /// Median by total order; NaN for an empty list.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    median::median(&mut values).unwrap_or(f64::NAN)
 }

@@ -30,10 +30,8 @@ pub(super) fn rank<'a>(
 ) -> Vec<Ranked<'a>> {
     let refined: &'a [Refined] = refined;
     let evaluate = |sigma_px: f64| -> Vec<Ranked<'a>> {
-        let mut ranked: Vec<Ranked<'a>> = refined
-            .iter()
-            .map(|r| evaluate_motion(problem, r, sigma_px))
-            .collect();
+        let evaluate = |r| evaluate_motion(problem, r, sigma_px);
+        let mut ranked: Vec<Ranked<'a>> = refined.iter().map(evaluate).collect();
         ranked.sort_by(|a, b| a.cost_per_match.total_cmp(&b.cost_per_match));
         ranked
     };

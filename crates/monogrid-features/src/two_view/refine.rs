@@ -272,10 +272,8 @@ fn settle_idepth(problem: &Problem, pose: &Se3, index: usize, idepth: &mut f64) 
 fn moved(pose: &Se3, step: &Vec5) -> Se3 {
     let basis = tangent_basis(&pose.translation);
     let direction = pose.translation + basis * Vec2::new(step[3], step[4]);
-    Se3::new(
-        rotation_exp(&Vec3::new(step[0], step[1], step[2])) * pose.rotation,
-        direction / direction.norm(),
-    )
+    let turn = rotation_exp(&Vec3::new(step[0], step[1], step[2]));
+    Se3::new(turn * pose.rotation, direction / direction.norm())
 }
 
 /// Damped normal equations with the inverse depths eliminated.

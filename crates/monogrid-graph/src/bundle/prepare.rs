@@ -38,6 +38,14 @@ fn value(
     })
 }
 
+fn finite(what: impl Fn() -> String, number: f64) -> Result<(), BundleError> {
+    value(what, number, true, "finite")
+}
+
+fn positive(what: impl Fn() -> String, number: f64) -> Result<(), BundleError> {
+    value(what, number, number > 0.0, "positive")
+}
+
 /// Checks every index and number, so that the solver need not.
 pub(super) fn validate(problem: &BundleProblem, config: &BundleConfig) -> Result<(), BundleError> {
     validate_config(config)?;
@@ -55,12 +63,7 @@ pub(super) fn validate(problem: &BundleProblem, config: &BundleConfig) -> Result
         "a positive number of pixels",
     )?;
     let centre = p.cx + p.cy;
-    value(
-        || "principal point (cx + cy)".into(),
-        centre,
-        true,
-        "finite",
-    )?;
+    finite(|| "principal point (cx + cy)".into(), centre)?;
     validate_keyframes(problem)?;
     validate_points(problem)?;
     validate_observations(problem)
@@ -76,33 +79,13 @@ fn validate_points(problem: &BundleProblem) -> Result<(), BundleError> {
             problem.keyframes.len(),
         )?;
         let sum = point.pixel.sum();
-        value(
-            || format!("pixel of point {i} (x + y)"),
-            sum,
-            true,
-            "finite",
-        )?;
-        let d = point.inverse_depth;
-        value(
-            || format!("inverse depth of point {i}"),
-            d,
-            d > 0.0,
-            "positive",
-        )?;
+        finite(|| format!("pixel of point {i} (x + y)"), sum)?;
+        let idepth = point.inverse_depth;
+        positive(|| format!("inverse depth of point {i}"), idepth)?;
         if let Some(prior) = point.prior {
-            value(
-                || format!("prior inverse depth of point {i}"),
-                prior.mean,
-                true,
-                "finite",
-            )?;
-            let sigma = prior.sigma;
-            value(
-                || format!("prior sigma of point {i}"),
-                sigma,
-                sigma > 0.0,
-                "positive",
-            )?;
+            let mean = prior.mean;
+            finite(|| format!("prior inverse depth of point {i}"), mean)?;
+            positive(|| format!("prior sigma of point {i}"), prior.sigma)?;
         }
     }
     Ok(())
@@ -115,19 +98,9 @@ fn validate_observations(problem: &BundleProblem) -> Result<(), BundleError> {
         index(name, "keyframe", o.keyframe, keyframes)?;
         index(name, "point", o.point, points)?;
         let sum = o.pixel.sum();
-        value(
-            || format!("pixel of observation {i} (x + y)"),
-            sum,
-            true,
-            "finite",
-        )?;
+        finite(|| format!("pixel of observation {i} (x + y)"), sum)?;
         let weight = o.inv_sigma_px;
-        value(
-            || format!("inverse sigma of observation {i}"),
-            weight,
-            weight > 0.0,
-            "positive",
-        )?;
+        positive(|| format!("inverse sigma of observation {i}"), weight)?;
     }
     Ok(())
 }
@@ -141,17 +114,10 @@ fn validate_config(config: &BundleConfig) -> Result<(), BundleError> {
         kernel,
         "a positive threshold",
     )?;
-    let damping = config.initial_damping;
-    value(
-        || "initial_damping".into(),
-        damping,
-        damping > 0.0,
-        "positive",
-    )?;
-    let gate = config.inlier_chi2;
-    value(|| "inlier_chi2".into(), gate, gate > 0.0, "positive")?;
+    positive(|| "initial_damping".into(), config.initial_damping)?;
+    positive(|| "inlier_chi2".into(), config.inlier_chi2)?;
     let (low, high) = config.inverse_depth_range;
-    value(|| "lower inverse depth".into(), low, low > 0.0, "positive")?;
+    positive(|| "lower inverse depth".into(), low)?;
     value(
         || "upper inverse depth".into(),
         high,
@@ -262,10 +228,8 @@ fn pair(problem: &BundleProblem, observation: &Observation) -> (usize, usize) {
 
 fn pairs(problem: &BundleProblem) -> Vec<(usize, usize)> {
     let observations = problem.observations.iter();
-    let mut pairs: Vec<_> = observations
-        .map(|o| pair(problem, o))
-        .filter(|(h, k)| h != k)
-        .collect();
+    let pairs = observations.map(|observation| pair(problem, observation));
+    let mut pairs: Vec<_> = pairs.filter(|(host, observer)| host != observer).collect();
     pairs.sort_unstable();
     pairs.dedup();
     pairs.shrink_to_fit();

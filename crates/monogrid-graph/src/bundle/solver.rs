@@ -20,12 +20,9 @@ pub(super) fn solve(
     let mut window = Window::new(problem, &layout, appearance, config);
     let (low, high) = config.inverse_depth_range;
     let clamped = |p: &super::AnchoredPoint| p.inverse_depth.clamp(low, high);
+    let poses = problem.keyframes.iter().map(|k| k.camera_from_world);
     let mut state = State {
-        camera_from_world: problem
-            .keyframes
-            .iter()
-            .map(|k| k.camera_from_world)
-            .collect(),
+        camera_from_world: poses.collect(),
         inverse_depths: problem.points.iter().map(clamped).collect(),
     };
     let everything = window.active.clone();

@@ -20,10 +20,8 @@ pub(super) fn pattern(fans: &FanLayout, num_slots: usize) -> BlockPattern<6> {
             }
         }
     }
-    let pairs: Vec<(usize, usize)> = (0..n * n)
-        .filter(|at| is_there[*at])
-        .map(|at| (at / n, at % n))
-        .collect();
+    let there = (0..n * n).filter(|at| is_there[*at]);
+    let pairs: Vec<(usize, usize)> = there.map(|at| (at / n, at % n)).collect();
     BlockPattern::new(n, &pairs)
 }
 

@@ -77,10 +77,8 @@ impl<'a> Terms<'a> {
     pub(super) fn edge_fits(&self, poses: &[Sim3]) -> Vec<EdgeFit> {
         let fit = |(edge, e): (usize, &GraphEdge)| {
             let chi2 = self.chi2(edge, poses);
-            EdgeFit {
-                chi2,
-                weight: e.kernel.weight(chi2),
-            }
+            let weight = e.kernel.weight(chi2);
+            EdgeFit { chi2, weight }
         };
         self.edges.iter().enumerate().map(fit).collect()
     }

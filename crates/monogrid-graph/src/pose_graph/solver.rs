@@ -107,12 +107,9 @@ fn root(part: &mut [usize], mut k: usize) -> usize {
 
 /// Pattern of the normal equations of the free nodes.
 pub(super) fn pattern(terms: &Terms, slot: &[Option<usize>]) -> BlockPattern {
-    let pairs: Vec<_> = terms
-        .ends
-        .iter()
-        .copied()
-        .filter_map(|(i, j)| Some((slot[i]?, slot[j]?)))
-        .collect();
+    let ends = terms.ends.iter();
+    let pairs = ends.filter_map(|(i, j)| Some((slot[*i]?, slot[*j]?)));
+    let pairs: Vec<_> = pairs.collect();
     BlockPattern::new(slot.iter().flatten().count(), &pairs)
 }
 

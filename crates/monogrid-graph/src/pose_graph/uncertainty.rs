@@ -56,11 +56,9 @@ impl GraphUncertainty {
         let (slot_i, world_from_i) = self.node(i)?;
         let (slot_j, _) = self.node(j)?;
         // i_from_j = T_i^-1 T_j moves by Ad(T_i^-1) (d_j - d_i)
-        let given: Vec<_> = [(slot_j, 1.0), (slot_i, -1.0)]
-            .into_iter()
-            .filter_map(|(slot, sign)| Some((slot?, sign)))
-            .collect();
-        let in_world = self.quadratic(&given)?;
+        let given = [(slot_j, 1.0), (slot_i, -1.0)].into_iter();
+        let given = given.filter_map(|(slot, sign)| Some((slot?, sign)));
+        let in_world = self.quadratic(&given.collect::<Vec<_>>())?;
         let adjoint = world_from_i.inverse().adjoint();
         Ok(adjoint * in_world * adjoint.transpose())
     }

@@ -95,10 +95,8 @@ fn seen_in(problem: &Problem, part: usize) -> Vec<(i64, Se3)> {
 
 fn triple(problem: &Problem, imu: &Imu, frames: [(i64, Se3); 3], bias: &Bias) -> Option<Triple> {
     let [a, b, c] = frames;
-    let (first, second) = (
-        Preintegrated::between(imu, a.0, b.0, bias)?,
-        Preintegrated::between(imu, b.0, c.0, bias)?,
-    );
+    let first = Preintegrated::between(imu, a.0, b.0, bias)?;
+    let second = Preintegrated::between(imu, b.0, c.0, bias)?;
     let difference = |of: &dyn Fn(&Se3) -> Vec3| {
         (of(&c.1) - of(&b.1)) / second.secs - (of(&b.1) - of(&a.1)) / first.secs
     };
@@ -123,34 +121,26 @@ impl Triple {
 
 /// Metres per unit of a part: what was seen is regressed on what was measured, whose errors are small.
 fn unit_of(triples: &[Triple], down: &Vec3) -> Result<f64, NotDetermined> {
-    let sums = triples.iter().map(|t| {
-        (
-            t.seen.dot(&t.expected(down)),
-            t.expected(down).norm_squared(),
-        )
+    let sums = triples.iter().map(|triple| {
+        let expected = triple.expected(down);
+        (triple.seen.dot(&expected), expected.norm_squared())
     });
     let (both, measured) = sums.fold((0.0, 0.0), |sum, of| (sum.0 + of.0, sum.1 + of.1));
     let unit = measured / both;
     if !unit.is_finite() {
         return Err(NotDetermined::Singular);
     }
-    if unit > 0.0 {
-        Ok(unit)
-    } else {
-        Err(NotDetermined::Contradiction)
-    }
+    let positive = Some(unit).filter(|unit| *unit > 0.0);
+    positive.ok_or(NotDetermined::Contradiction)
 }
 
 /// Standard deviation of positions, in the unit of the path.
 fn noise_of(triples: &[Triple], down: &Vec3, unit: f64) -> f64 {
-    let squares: f64 = triples
-        .iter()
-        .map(|t| ((t.seen - t.expected(down) / unit) * t.secs).norm_squared())
-        .sum();
+    let square = |t: &Triple| ((t.seen - t.expected(down) / unit) * t.secs).norm_squared();
+    let squares: f64 = triples.iter().map(square).sum();
     // a second difference has six times the variance of a position
-    (squares / (18.0 * triples.len().max(1) as f64))
-        .sqrt()
-        .max(f64::MIN_POSITIVE)
+    let variance = squares / (18.0 * triples.len().max(1) as f64);
+    variance.sqrt().max(f64::MIN_POSITIVE)
 }
 
 /// States of the frames of a part as it lies; `None` for the others.
@@ -204,10 +194,7 @@ fn place_of(
         .find(|&k| known[k].is_some())
         .ok_or(NotDetermined::Singular)?;
     let start = known[last].ok_or(NotDetermined::Singular)?;
-    let (from, to) = (
-        problem.observations[last].timestamp_ns,
-        problem.observations[first].timestamp_ns,
-    );
+    let [from, to] = [last, first].map(|k| problem.observations[k].timestamp_ns);
     let between = Preintegrated::between(imu, from, to, bias).ok_or(NotDetermined::Singular)?;
     let (rotation, _, position) = between.predict(start, down, bias);
     let (_, seen) = problem.observations[first]
@@ -217,11 +204,8 @@ fn place_of(
     let turn = world_from_camera.rotation * seen.rotation.inverse();
     // gravity as the part has it, which turns with it
     let unit = unit_of(&triples(problem, imu, part, bias), &(turn.inverse() * down))?;
-    let place = Sim3::new(
-        unit,
-        turn,
-        world_from_camera.translation - turn * seen.translation * unit,
-    );
+    let translation = world_from_camera.translation - turn * seen.translation * unit;
+    let place = Sim3::new(unit, turn, translation);
     let frames = seen_frames(problem, part, &place);
     Ok((place, frames))
 }

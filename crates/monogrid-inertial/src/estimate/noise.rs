@@ -2,6 +2,7 @@
 
 use super::problem::{Problem, States};
 use monogrid_geometry::Vec3;
+use monogrid_geometry::median::median;
 
 /// Takes the errors of positions and orientations that the states leave.
 ///
@@ -28,16 +29,12 @@ const LEAST_ROTATION_SIGMA: f64 = 1e-4;
 /// Standard deviation per axis of white noise with the same low frequencies. Errors far beyond the others do not count.
 fn effective_sigma(errors: &[Vec3]) -> f64 {
     let mut squares: Vec<f64> = errors.iter().map(Vec3::norm_squared).collect();
-    squares.sort_by(f64::total_cmp);
-    let median = squares.get(squares.len() / 2).copied().unwrap_or(0.0);
+    let median = median(&mut squares).unwrap_or(0.0);
     // a Gaussian vector is beyond three times its median length once in 20 000
     let is_usual = |error: &Vec3| error.norm_squared() <= 9.0 * median;
-    let usual: f64 = errors
-        .iter()
-        .filter(|e| is_usual(e))
-        .map(Vec3::norm_squared)
-        .sum();
-    let count = errors.iter().filter(|e| is_usual(e)).count().max(1) as f64;
+    let usual = errors.iter().filter(|error| is_usual(error));
+    let count = usual.clone().count().max(1) as f64;
+    let usual: f64 = usual.map(Vec3::norm_squared).sum();
     let neighbours = errors.windows(2).filter(|pair| pair.iter().all(is_usual));
     let product: f64 = neighbours.map(|pair| pair[0].dot(&pair[1])).sum();
     let correlation = (product / usual.max(f64::MIN_POSITIVE)).clamp(0.0, 0.98);

@@ -237,13 +237,11 @@ impl Problem {
     /// Longest distance between the last frame of a part and the first of another, m.
     pub(super) fn way_between_parts(&self, states: &States) -> f64 {
         let seen = self.observations.iter().zip(&states.frames);
-        let seen: Vec<(usize, Vec3)> = seen
-            .filter_map(|(o, frame)| Some((o.seen?.0, frame.2)))
-            .collect();
+        let seen = seen.filter_map(|(o, frame)| Some((o.seen?.0, frame.2)));
+        let seen: Vec<(usize, Vec3)> = seen.collect();
         let changes = seen.windows(2).filter(|pair| pair[0].0 != pair[1].0);
-        changes
-            .map(|pair| (pair[1].1 - pair[0].1).norm())
-            .fold(0.0, f64::max)
+        let ways = changes.map(|pair| (pair[1].1 - pair[0].1).norm());
+        ways.fold(0.0, f64::max)
     }
 
     /// Root mean square of the acceleration, m/s².
@@ -285,10 +283,8 @@ const LEAST_SHARE: f64 = 1e-4;
 fn extent(places: &[Vec3]) -> f64 {
     let count = places.len().max(1) as f64;
     let middle = places.iter().sum::<Vec3>() / count;
-    let squares: f64 = places
-        .iter()
-        .map(|place| (place - middle).norm_squared())
-        .sum();
+    let squares = places.iter().map(|place| (place - middle).norm_squared());
+    let squares: f64 = squares.sum();
     (squares / count).sqrt()
 }
 

@@ -49,11 +49,8 @@ pub(super) fn scatter(problem: &mut Problem, states: &States) -> Scatter {
 /// The same frames, those of a stretch of each part as if nothing had been seen.
 fn without(observations: &[Observation], stretch: usize) -> Vec<Observation> {
     let part_of = |o: &Observation| o.seen.map(|seen| seen.0);
-    let num_parts = observations
-        .iter()
-        .filter_map(part_of)
-        .max()
-        .map_or(0, |last| last + 1);
+    let last = observations.iter().filter_map(part_of).max();
+    let num_parts = last.map_or(0, |last| last + 1);
     let mut sizes = vec![0; num_parts];
     for part in observations.iter().filter_map(part_of) {
         sizes[part] += 1;

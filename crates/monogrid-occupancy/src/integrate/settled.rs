@@ -455,13 +455,8 @@ impl Contents {
 }
 
 /// The eight halves of a cube.
-fn for_octants(first: VoxelKey, level: u32, mut visit: impl FnMut(VoxelKey)) {
+fn for_octants(first: VoxelKey, level: u32, visit: impl FnMut(VoxelKey)) {
     let half = 1 << (level - 1);
-    for octant in 0..8 {
-        visit(VoxelKey::new(
-            first.x + (octant & 1) * half,
-            first.y + (octant >> 1 & 1) * half,
-            first.z + (octant >> 2) * half,
-        ));
-    }
+    let octants = (0..8).map(|octant| first.of_octant(octant, half));
+    octants.for_each(visit);
 }

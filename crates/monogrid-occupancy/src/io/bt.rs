@@ -4,6 +4,7 @@
 use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::header::{self, Cube, TREE_DEPTH, octomap_clamps, read_array};
+use super::write_error;
 use crate::error::MapError;
 use crate::likelihood::FREE;
 use crate::map::OccupancyMap;
@@ -29,13 +30,6 @@ pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
         octree.visit(&mut writer)?;
     }
     out.flush().map_err(write_error)
-}
-
-fn write_error(source: std::io::Error) -> MapError {
-    MapError::Io {
-        action: "writing the map",
-        source,
-    }
 }
 
 struct BtWriter<'a, W: Write> {

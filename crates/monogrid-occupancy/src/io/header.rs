@@ -1,7 +1,8 @@
 //! The text header that OctoMap's two formats share, and the cube writer of their readers.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 
+use super::read_error;
 use crate::error::MapError;
 use crate::evidence::{evidence_from_log_odds, log_odds_from_probability};
 use crate::key::{BRICK_EDGE, BrickKey, VoxelKey};
@@ -14,10 +15,8 @@ const MAX_HEADER_BYTES: usize = 64 << 10;
 
 /// OctoMap's own clamps: logit(0.1192) and logit(0.971).
 pub(crate) fn octomap_clamps() -> (f32, f32) {
-    (
-        log_odds_from_probability(0.1192) as f32,
-        log_odds_from_probability(0.971) as f32,
-    )
+    let clamp = |probability| log_odds_from_probability(probability) as f32;
+    (clamp(0.1192), clamp(0.971))
 }
 
 /// Fields of a header that matter.
@@ -112,16 +111,9 @@ pub(crate) fn read_array<const N: usize>(
     format: &'static str,
 ) -> Result<[u8; N], MapError> {
     let mut bytes = [0; N];
-    input.read_exact(&mut bytes).map_err(|source| {
-        if source.kind() == ErrorKind::UnexpectedEof {
-            MapError::format(format, "the file ends in the middle of the tree")
-        } else {
-            MapError::Io {
-                action: "reading the map",
-                source,
-            }
-        }
-    })?;
+    let cut = || MapError::format(format, "the file ends in the middle of the tree");
+    let read = input.read_exact(&mut bytes);
+    read.map_err(|error| read_error(error, cut))?;
     Ok(bytes)
 }
 
@@ -161,13 +153,8 @@ impl Cube {
     }
 
     pub(crate) fn child(self, octant: i32) -> Self {
-        let half = self.edge_cells() / 2;
         Self {
-            first: VoxelKey::new(
-                self.first.x + (octant & 1) * half,
-                self.first.y + (octant >> 1 & 1) * half,
-                self.first.z + (octant >> 2) * half,
-            ),
+            first: self.first.of_octant(octant, self.edge_cells() / 2),
             depth: self.depth + 1,
         }
     }

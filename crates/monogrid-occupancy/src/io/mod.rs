@@ -14,3 +14,24 @@ pub use compact::{MGO_MAGIC, read_mgo, write_mgo};
 pub use named::{MapFormat, read_map};
 pub use ot::{read_ot, write_ot};
 pub use save::save_atomically;
+
+use crate::error::MapError;
+use std::io::{Error, ErrorKind};
+
+fn write_error(source: Error) -> MapError {
+    MapError::Io {
+        action: "writing the map",
+        source,
+    }
+}
+
+/// A short file is damaged, as `cut` says.
+fn read_error(source: Error, cut: impl FnOnce() -> MapError) -> MapError {
+    match source.kind() {
+        ErrorKind::UnexpectedEof => cut(),
+        _ => MapError::Io {
+            action: "reading the map",
+            source,
+        },
+    }
+}

@@ -4,6 +4,7 @@
 use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::header::{self, Cube, TREE_DEPTH, read_array};
+use super::write_error;
 use crate::error::MapError;
 use crate::evidence::log_odds_from_evidence;
 use crate::map::OccupancyMap;
@@ -23,13 +24,6 @@ pub fn write_ot(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
     header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
     octree.visit(&mut OtWriter { out: &mut out })?;
     out.flush().map_err(write_error)
-}
-
-fn write_error(source: std::io::Error) -> MapError {
-    MapError::Io {
-        action: "writing the map",
-        source,
-    }
 }
 
 struct OtWriter<'a, W: Write> {

@@ -316,13 +316,11 @@ impl KeyframeMap {
 
 /// The groups that hold the bricks, sorted.
 fn groups_of(bricks: &[u64]) -> Vec<u64> {
-    let mut groups: Vec<u64> = bricks
-        .iter()
-        .map(|&key| {
-            let BrickKey { x, y, z } = BrickKey::unpack(key);
-            BrickKey::new(x >> GROUP_LEVEL, y >> GROUP_LEVEL, z >> GROUP_LEVEL).pack()
-        })
-        .collect();
+    let group = |key: &u64| {
+        let BrickKey { x, y, z } = BrickKey::unpack(*key);
+        BrickKey::new(x >> GROUP_LEVEL, y >> GROUP_LEVEL, z >> GROUP_LEVEL).pack()
+    };
+    let mut groups: Vec<u64> = bricks.iter().map(group).collect();
     groups.sort_unstable();
     groups.dedup();
     groups

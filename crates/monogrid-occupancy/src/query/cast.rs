@@ -90,13 +90,8 @@ impl OccupancyMap {
         let Some((index, range, value)) = found else {
             return RayHit::Nothing;
         };
-        hit_at(
-            brick,
-            index,
-            range,
-            self.limits.occupancy(value),
-            self.resolution(),
-        )
+        let state = self.limits.occupancy(value);
+        hit_at(brick, index, range, state, self.resolution())
     }
 }
 
@@ -135,11 +130,8 @@ pub(crate) fn ray_for_query(
         && max_range >= 0.0
         && cells.iter().all(|c| c.abs() < limit);
     is_usable.then(|| {
-        Ray::new(
-            cells,
-            direction.map(|c| c / norm),
-            max_range * inv_resolution,
-        )
+        let direction = direction.map(|c| c / norm);
+        Ray::new(cells, direction, max_range * inv_resolution)
     })
 }
 

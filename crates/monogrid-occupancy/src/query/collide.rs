@@ -116,10 +116,7 @@ fn any_cell(
     touches: impl Fn(VoxelKey, i32) -> bool,
 ) -> bool {
     let inv_edge = 1.0 / map.cell_edge();
-    let (first, last) = (
-        key_of_clamped(low, inv_edge),
-        key_of_clamped(high, inv_edge),
-    );
+    let [first, last] = [low, high].map(|corner| key_of_clamped(corner, inv_edge));
     let (low, high) = (first.brick(), last.brick());
     let span = |a: i32, b: i32| (i64::from(b) - i64::from(a) + 1).max(0) as u128;
     let volume = span(low.x, high.x) * span(low.y, high.y) * span(low.z, high.z);

@@ -136,10 +136,8 @@ pub(crate) fn choose(
     config: &GraphConfig,
 ) -> Vec<KeyframeId> {
     let least = config.min_nearest_overlap.min(config.min_overlap);
-    let mut rated: Vec<(KeyframeId, f64, f64)> = others
-        .iter()
-        .filter_map(|other| rate(own, other, least, config))
-        .collect();
+    let rate = |other| rate(own, other, least, config);
+    let mut rated: Vec<(KeyframeId, f64, f64)> = others.iter().filter_map(rate).collect();
     rated.sort_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
     let near: Vec<KeyframeId> = rated
         .iter()

@@ -132,14 +132,6 @@ impl Stretch {
     }
 }
 
-/// A pose relative to a keyframe with the way to it as many times as long.
-fn stretched(frame_from_keyframe: &Se3, factor: f64) -> Se3 {
-    Se3::new(
-        frame_from_keyframe.rotation,
-        frame_from_keyframe.translation * factor,
-    )
-}
-
 /// What is known now about the end of a visit: the pose of its last frame relative to the next keyframe
 /// differs from the tracked one.
 struct Correction {
@@ -184,7 +176,7 @@ impl Map {
         };
         let scale = self.get(keyframe)?.world_from_keyframe.scale;
         let step = last_from_keyframe * this.frame_from_keyframe.inverse();
-        Some(Se3::new(step.rotation, step.translation * scale))
+        Some(step.stretched(scale))
     }
 
     /// The frames of a fragment, in its world, in the order of time, with everything known now.
@@ -227,14 +219,10 @@ impl Map {
 
     /// Frames with a pose in a fragment.
     pub(crate) fn num_frames_in(&self, fragment: FragmentId) -> usize {
-        let keyframes = self
-            .frames
-            .records
-            .iter()
-            .filter_map(|r| self.keyframe_of(r));
-        keyframes
-            .filter(|id| self[*id].fragment == fragment)
-            .count()
+        let records = self.frames.records.iter();
+        let keyframes = records.filter_map(|record| self.keyframe_of(record));
+        let in_fragment = keyframes.filter(|id| self[*id].fragment == fragment);
+        in_fragment.count()
     }
 
     fn keyframe_of(&self, record: &Record) -> Option<KeyframeId> {
@@ -259,7 +247,7 @@ impl Map {
         self.frames.records.iter().filter_map(move |record| {
             let keyframe = self.keyframe_of(record)?;
             let factor = factors.get(record.visit).copied().unwrap_or(1.0);
-            let frame_from_keyframe = stretched(&record.frame_from_keyframe, factor);
+            let frame_from_keyframe = record.frame_from_keyframe.stretched(factor);
             let tracked = self[keyframe].world_from_camera(&frame_from_keyframe);
             let correction = corrections.get(record.visit);
             let pose = match correction.and_then(Option::as_ref) {
@@ -276,16 +264,14 @@ impl Map {
         let known = self[next.keyframe].world_from_camera(&end.frame_from_next);
         let keyframe_from_world = self[visit.keyframe].world_from_keyframe.inverse();
         let tracked = end.frame_from_keyframe.inverse().translation;
-        Some(Stretch::of(
-            &tracked,
-            &(keyframe_from_world * known.translation),
-        ))
+        let adjusted = keyframe_from_world * known.translation;
+        Some(Stretch::of(&tracked, &adjusted))
     }
 
     /// The correction over the time of a visit, whose ways are stretched; none where tracking was lost at its end.
     fn correction(&self, visit: &Visit, next: &Visit, factor: f64) -> Option<Correction> {
         let end = visit.end.as_ref()?;
-        let frame_from_keyframe = stretched(&end.frame_from_keyframe, factor);
+        let frame_from_keyframe = end.frame_from_keyframe.stretched(factor);
         let tracked = self[visit.keyframe].world_from_camera(&frame_from_keyframe);
         let adjusted = self[next.keyframe].world_from_camera(&end.frame_from_next);
         Some(Correction {
@@ -358,7 +344,7 @@ mod tests {
         // the camera's place is stretched, whatever its turn
         let pose = Se3::exp(&Vec6::new(0.1, -0.2, 0.3, 0.2, 0.1, -0.3));
         let place = |pose: Se3| pose.inverse().translation;
-        assert!((place(stretched(&pose, 1.5)) - place(pose) * 1.5).norm() < 1e-12);
+        assert!((place(pose.stretched(1.5)) - place(pose) * 1.5).norm() < 1e-12);
     }
 
     #[test]

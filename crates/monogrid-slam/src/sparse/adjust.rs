@@ -154,11 +154,9 @@ fn window(map: &Map, newest: &MapKeyframe, config: &SparseConfig) -> Vec<Keyfram
             *shared.entry(id).or_default() += 1;
         }
     }
-    let mut covisible: Vec<(usize, KeyframeId)> = shared
-        .into_iter()
-        .filter(|(_, count)| *count >= config.min_shared_points)
-        .map(|(id, count)| (count, id))
-        .collect();
+    let shared = shared.into_iter();
+    let many = shared.filter(|(_, count)| *count >= config.min_shared_points);
+    let mut covisible: Vec<(usize, KeyframeId)> = many.map(|(id, count)| (count, id)).collect();
     covisible.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
     let mut ids = recent.to_vec();
     ids.extend(
@@ -189,10 +187,9 @@ impl Problem {
     ) -> Option<Self> {
         let is_free = |id: KeyframeId| free.binary_search(&id).is_ok();
         let seen: BTreeSet<usize> = free.iter().flat_map(|id| map[*id].points.all()).collect();
-        let points: Vec<usize> = seen
-            .into_iter()
-            .filter(|index| map.points()[*index].is_shared())
-            .collect();
+        let seen = seen.into_iter();
+        let shared = seen.filter(|index| map.points()[*index].is_shared());
+        let points: Vec<usize> = shared.collect();
         let mut slots: BTreeMap<KeyframeId, usize> = free.iter().map(|id| (*id, 0)).collect();
         for &i in &points {
             let point = &map.points()[i];

@@ -130,10 +130,8 @@ fn by_keyframe(
     let mut order: Vec<usize> = (0..observations.len()).collect();
     order.sort_by_key(|i| keyframe(&observations[*i]));
     let same = |a: &usize, b: &usize| keyframe(&observations[*a]) == keyframe(&observations[*b]);
-    let together = order.chunk_by(same);
-    together
-        .map(|seen| (keyframe(&observations[seen[0]]), seen.to_vec()))
-        .collect()
+    let seen_by = |seen: &[usize]| (keyframe(&observations[seen[0]]), seen.to_vec());
+    order.chunk_by(same).map(seen_by).collect()
 }
 
 /// Where the point of an observation is projected to.

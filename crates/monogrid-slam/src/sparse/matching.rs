@@ -299,10 +299,8 @@ impl PointView<'_> {
         if !is_inside(&pixel, self.size) {
             return None;
         }
-        let (a, b): (Vec3, Vec3) = (
-            position - world_from_host.translation,
-            position - self.centre,
-        );
+        let a: Vec3 = position - world_from_host.translation;
+        let b: Vec3 = position - self.centre;
         let ratio = a.norm() / b.norm();
         let cosine = a.dot(&b) / (a.norm() * b.norm());
         (ratio < self.max_ratio && ratio > 1.0 / self.max_ratio && cosine > self.min_cosine)

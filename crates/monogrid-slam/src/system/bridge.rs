@@ -80,11 +80,8 @@ fn seen_by_start(setup: &Setup, started: &Started, known: &[&Known]) -> Vec<Se3>
     let config = &setup.config.tracking;
     let samples = tracking_samples(&started.depth, config);
     let reference = reference(setup, &started.keyframe.pyramid, &samples);
-    let mut last = Last::moving(
-        &started.keyframe,
-        started.first_step.inverse(),
-        started.first_interval_ns(),
-    );
+    let (step, interval_ns) = (started.first_step.inverse(), started.first_interval_ns());
+    let mut last = Last::moving(&started.keyframe, step, interval_ns);
     let mut seen = Vec::new();
     let lost = started.earlier.iter().rev();
     let lost = lost.map(|frame| (setup.restored(frame), false));
@@ -140,10 +137,8 @@ impl Fit {
         );
 
         let mean = |of: fn(&KnownTwice) -> Vec3| twice.iter().map(of).sum::<Vec3>() / n;
-        let (map_mean, start_mean) = (
-            mean(|t| t.in_map.translation),
-            mean(|t| t.in_start.translation),
-        );
+        let map_mean = mean(|t| t.in_map.translation);
+        let start_mean = mean(|t| t.in_start.translation);
         let extent = |of: fn(&KnownTwice) -> Vec3, mean: Vec3| {
             rms(twice.iter().map(|t| (of(t) - mean).norm_squared()), 1.0)
         };

@@ -141,13 +141,12 @@ pub(super) fn graph_job(
 
 /// Keyframes that share points with those used last.
 fn newly_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
-    let Some(newest) = map.newest().filter(|_| setup.config.sparse.enabled) else {
+    let sparse = &setup.config.sparse;
+    let Some(newest) = map.newest().filter(|_| sparse.enabled) else {
         return Vec::new();
     };
     let recent = map.recent_in(newest.fragment);
-    let window = recent
-        .len()
-        .saturating_sub(setup.config.sparse.window_newest);
+    let window = recent.len().saturating_sub(sparse.window_newest);
     shared_points(map, &recent[window..], &setup.config.graph.sparse_edges)
 }
 
@@ -156,12 +155,10 @@ fn all_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
     if !setup.config.sparse.enabled {
         return Vec::new();
     }
-    let adjusted = map.grown_fragments();
+    let grown = map.grown_fragments();
     let keyframes = map.keyframes().iter();
-    let adjusted: Vec<KeyframeId> = keyframes
-        .filter(|keyframe| adjusted.contains(&keyframe.fragment))
-        .map(|keyframe| keyframe.id)
-        .collect();
+    let adjusted = keyframes.filter(|keyframe| grown.contains(&keyframe.fragment));
+    let adjusted: Vec<KeyframeId> = adjusted.map(|keyframe| keyframe.id).collect();
     shared_points(map, &adjusted, &setup.config.graph.sparse_edges)
 }
 
@@ -203,11 +200,7 @@ pub(super) fn handover(left: Tie<'_>, found: Tie<'_>) -> Handover {
     let unit = newer.keyframe.world_from_keyframe.scale / older.keyframe.world_from_keyframe.scale;
     let newer_from_frame = newer.motion.frame_from_keyframe.inverse();
     let older_from_frame = older.motion.frame_from_keyframe.inverse();
-    let in_older = Se3::new(
-        newer_from_frame.rotation,
-        newer_from_frame.translation * unit,
-    );
-    let rigid = older_from_frame * in_older.inverse();
+    let rigid = older_from_frame * newer_from_frame.stretched(unit).inverse();
     let of_newer = in_keyframe(newer.covariance, &newer_from_frame);
     Handover {
         i: older.keyframe.id,

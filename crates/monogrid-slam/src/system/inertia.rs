@@ -40,11 +40,8 @@ impl Slam {
 
     /// The same with all fragments that are apart, at the end.
     pub(super) fn join_all_by_inertia(&mut self) {
-        let apart = self
-            .map
-            .fragments()
-            .into_iter()
-            .filter(|f| f.joined.is_none());
+        let fragments = self.map.fragments().into_iter();
+        let apart = fragments.filter(|fragment| fragment.joined.is_none());
         for fragment in apart.map(|fragment| fragment.id).collect::<Vec<_>>() {
             self.join_fragment_by_inertia(fragment);
         }
@@ -106,11 +103,8 @@ impl Place {
         // the first part has neither rotation nor translation
         let unit = 1.0 / main.metric_from_part.scale;
         let metric = &fragment.metric_from_part;
-        let main_from_fragment = Sim3::new(
-            metric.scale * unit,
-            metric.rotation,
-            metric.translation * unit,
-        );
+        let (scale, translation) = (metric.scale * unit, metric.translation * unit);
+        let main_from_fragment = Sim3::new(scale, metric.rotation, translation);
         Some(Self {
             main_from_fragment,
             evidence: PlaceEvidence {

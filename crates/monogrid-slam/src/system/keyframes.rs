@@ -194,11 +194,8 @@ fn is_worth_a_revision(known: &[DepthPixel], better: &[DepthPixel]) -> bool {
     const MORE_PIXELS: f64 = 1.05;
     const LESS_VARIANCE: f64 = 0.9;
     let relative_variance = |pixels: &[DepthPixel]| {
-        let mut all: Vec<f32> = pixels
-            .iter()
-            .map(|p| p.idepth_var / (p.idepth * p.idepth))
-            .collect();
-        median(&mut all).map_or(f64::INFINITY, f64::from)
+        let all = pixels.iter().map(|p| p.idepth_var / (p.idepth * p.idepth));
+        median(&mut all.collect::<Vec<f32>>()).map_or(f64::INFINITY, f64::from)
     };
     better.len() as f64 > known.len() as f64 * MORE_PIXELS
         || relative_variance(better) < relative_variance(known) * LESS_VARIANCE

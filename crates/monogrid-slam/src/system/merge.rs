@@ -168,11 +168,8 @@ fn shown_by(stored: &StoredKeyframe, camera: &KeyframeCamera) -> StoredKeyframe 
     let last = [image.width(), image.height()].map(|side| side.saturating_sub(1) as f64);
     shown.pinhole = camera.pinhole;
     shown.keyframe.image = Image::from_fn(camera.width, camera.height, |x, y| {
-        let pixel = seen_by(
-            &stored.pinhole,
-            &camera.pinhole,
-            Vec2::new(x as f64, y as f64),
-        );
+        let pixel = Vec2::new(x as f64, y as f64);
+        let pixel = seen_by(&stored.pinhole, &camera.pinhole, pixel);
         let [x, y] = [pixel.x.clamp(0.0, last[0]), pixel.y.clamp(0.0, last[1])];
         bilinear(&image, x as f32, y as f32).map_or(0, |value| value.round() as u8)
     });

@@ -18,11 +18,8 @@ pub(super) fn adjust_points(setup: &Setup, map: &mut Map, depth: &DepthMap) -> O
     let (id, fragment) = (newest.id, newest.fragment);
 
     let registration = register(map, &setup.pinhole, config);
-    let seen: Vec<Vec2> = registration
-        .inliers
-        .iter()
-        .map(|(_, pixel)| *pixel)
-        .collect();
+    let inliers = registration.inliers.iter();
+    let seen: Vec<Vec2> = inliers.map(|(_, pixel)| *pixel).collect();
     let (searched, found) = (registration.searched, registration.found);
     map.apply(Change::Registered(registration));
 

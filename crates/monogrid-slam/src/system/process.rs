@@ -279,13 +279,11 @@ impl Slam {
 
 /// Fragments that became a part of another, by identity.
 fn joined(events: &[Event]) -> Vec<FragmentId> {
-    let mut ids: Vec<FragmentId> = events
-        .iter()
-        .filter_map(|event| match event {
-            Event::Joined(fragment) => Some(fragment.id),
-            _ => None,
-        })
-        .collect();
+    let joined = |event: &Event| match event {
+        Event::Joined(fragment) => Some(fragment.id),
+        _ => None,
+    };
+    let mut ids: Vec<FragmentId> = events.iter().filter_map(joined).collect();
     ids.sort_unstable();
     ids
 }

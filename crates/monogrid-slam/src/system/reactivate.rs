@@ -119,13 +119,9 @@ fn candidates(
                 ..KeyframeEvidence::default()
             };
             let score = keyframe_score(&evidence, &setup.config.keyframes);
-            let pose = Se3::new(
-                candidate_from_frame.rotation,
-                candidate_from_frame.translation,
-            );
             (score < config.max_predicted_score).then_some(Candidate {
                 id: keyframe.id,
-                frame_from_candidate: pose.inverse(),
+                frame_from_candidate: candidate_from_frame.to_se3().inverse(),
                 score,
             })
         })

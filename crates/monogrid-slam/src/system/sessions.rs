@@ -97,13 +97,11 @@ impl Slam {
 
 /// A map as it is kept; `pinhole_of` says the camera of a keyframe.
 pub(super) fn stored(map: &Map, pinhole_of: impl Fn(KeyframeId) -> Pinhole) -> StoredMap {
-    let keyframes = map.keyframes().iter();
+    let stored = |keyframe: &MapKeyframe| stored_keyframe(keyframe, pinhole_of(keyframe.id));
     StoredMap {
         scale: map.scale(),
         pose_revision: map.snapshot().revision,
-        keyframes: keyframes
-            .filter_map(|keyframe| stored_keyframe(keyframe, pinhole_of(keyframe.id)))
-            .collect(),
+        keyframes: map.keyframes().iter().filter_map(stored).collect(),
         edges: stored_edges(map),
         points: stored_points(map).collect(),
     }
@@ -148,16 +146,14 @@ fn stored_keyframe(keyframe: &MapKeyframe, pinhole: Pinhole) -> Option<StoredKey
 }
 
 fn stored_point(point: &SparsePoint, is_finished: impl Fn(KeyframeId) -> bool) -> StoredPoint {
-    let observations = point.observations.iter();
+    let seen = point.observations.iter();
+    let seen = seen.filter(|observation| is_finished(observation.keyframe));
     StoredPoint {
         host: point.host,
         pixel: point.pixel.into(),
         idepth: point.idepth,
         prior: [point.prior_idepth, point.prior_sigma],
-        observations: observations
-            .filter(|o| is_finished(o.keyframe))
-            .map(|o| (o.keyframe, o.pixel.into()))
-            .collect(),
+        observations: seen.map(|o| (o.keyframe, o.pixel.into())).collect(),
     }
 }
 

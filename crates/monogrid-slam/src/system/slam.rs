@@ -125,12 +125,8 @@ impl Slam {
         let imu = Arc::clone(self.setup.imu.as_ref()?);
         let config = self.setup.config.inertial.clone();
         let is_metric = self.scale() == Scale::Metric;
-        Some(InertialPath::new(
-            imu,
-            &self.trajectory(),
-            config,
-            is_metric,
-        ))
+        let path = InertialPath::new(imu, &self.trajectory(), config, is_metric);
+        Some(path)
     }
 
     /// What the calibration has left of the radial distortion of the lens in the images: a ray at `x` from the axis, in focal lengths, is

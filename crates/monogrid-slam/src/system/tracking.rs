@@ -98,13 +98,8 @@ pub(super) fn track_on_other(
 /// The points of a keyframe that frames are tracked on.
 pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthSample]) -> Reference {
     let levels = &setup.config.tracking.alignment;
-    Reference::new(
-        keyframe,
-        &setup.pinhole,
-        samples,
-        levels.finest_level,
-        levels.coarsest_level,
-    )
+    let (finest, coarsest) = (levels.finest_level, levels.coarsest_level);
+    Reference::new(keyframe, &setup.pinhole, samples, finest, coarsest)
 }
 
 /// A pose that is doubtful for other reasons than its residuals must be convincing to count.

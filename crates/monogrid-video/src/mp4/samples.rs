@@ -67,10 +67,10 @@ impl Samples {
                 *sample_count as usize,
                 u64::from(*sample_count) * u64::from(sample_size.get()),
             ),
-            StszBox::Variable { entry_sizes } => (
-                entry_sizes.len(),
-                entry_sizes.iter().map(|&bytes| u64::from(bytes)).sum(),
-            ),
+            StszBox::Variable { entry_sizes } => {
+                let bytes = entry_sizes.iter().map(|&bytes| u64::from(bytes));
+                (entry_sizes.len(), bytes.sum())
+            }
         };
         if bytes > file_bytes {
             return Err(format!(

@@ -1,6 +1,7 @@
 //! Light on meshes of others, per vertex: an even sky dimmed by what is near.
 
 use super::super::bvh::{Bvh, P3};
+use super::super::lighting::across;
 use super::super::world::TriangleMesh;
 use super::MeshLighting;
 use rayon::prelude::*;
@@ -25,10 +26,8 @@ pub(crate) fn vertex_light(mesh: &TriangleMesh, bvh: &Bvh, lighting: MeshLightin
         .map(|(vertex, normal)| {
             let point = P3::from(*vertex);
             // nobody says which side is the outside: the more open one is
-            let (front, back) = (
-                openness(bvh, &point, normal, reach_m),
-                openness(bvh, &point, &-normal, reach_m),
-            );
+            let front = openness(bvh, &point, normal, reach_m);
+            let back = openness(bvh, &point, &-normal, reach_m);
             let (open, outward) = if front >= back {
                 (front, *normal)
             } else {
@@ -43,13 +42,7 @@ pub(crate) fn vertex_light(mesh: &TriangleMesh, bvh: &Bvh, lighting: MeshLightin
 
 /// Share of the cosine-weighted hemisphere in which nothing is within reach, softened by distance.
 fn openness(bvh: &Bvh, point: &P3, normal: &P3, reach_m: f32) -> f32 {
-    let helper = if normal.z.abs() < 0.7 {
-        P3::z()
-    } else {
-        P3::x()
-    };
-    let a = normal.cross(&helper).normalize();
-    let b = normal.cross(&a);
+    let [a, b] = across(normal);
     let origin = point + normal * (1e-3 * reach_m);
     let mut open = 0.0;
     for k in 0..RAYS {
@@ -78,8 +71,6 @@ fn vertex_normals(mesh: &TriangleMesh) -> Vec<P3> {
             normals[*k as usize] += normal;
         }
     }
-    normals
-        .into_iter()
-        .map(|n| n.try_normalize(1e-20).unwrap_or_else(P3::z))
-        .collect()
+    let unit = |normal: P3| normal.try_normalize(1e-20).unwrap_or_else(P3::z);
+    normals.into_iter().map(unit).collect()
 }

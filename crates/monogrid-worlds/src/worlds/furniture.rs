@@ -172,16 +172,14 @@ pub(super) fn bookshelf(
 /// Covers to choose from: half printed, half plain.
 fn book_covers(s: &mut Scene, seed: u64) -> Vec<MaterialId> {
     let mut random = Random::new(seed ^ 0xB00C);
-    (0..14)
-        .map(|k| {
-            let tone = random.range(0.06, 0.75);
-            if k % 3 == 0 {
-                s.plain(tone)
-            } else {
-                s.fitted(patterns::spine(tone, seed + k))
-            }
-        })
-        .collect()
+    let cover = |k| {
+        let tone = random.range(0.06, 0.75);
+        match k % 3 {
+            0 => s.plain(tone),
+            _ => s.fitted(patterns::spine(tone, seed + k)),
+        }
+    };
+    (0..14).map(cover).collect()
 }
 
 /// One board of books: standing, some leaning, gaps, a lying pile or a pot now and then.
@@ -348,13 +346,12 @@ pub(super) fn plant(
 /// Turned vase.
 pub(super) fn vase(s: &mut Scene, height: f32, material: MaterialId) {
     let h = height;
-    let profile: Vec<[f32; 2]> = (0..=16)
-        .map(|k| {
-            let t = k as f32 / 16.0;
-            let radius = 0.26 + 0.20 * (3.9 * t - 0.9).sin() - 0.05 * t;
-            [0.6 * h * radius.max(0.05), h * (1.0 - t)]
-        })
-        .collect();
+    let ring = |k| {
+        let t = k as f32 / 16.0;
+        let radius = 0.26 + 0.20 * (3.9 * t - 0.9).sin() - 0.05 * t;
+        [0.6 * h * radius.max(0.05), h * (1.0 - t)]
+    };
+    let profile: Vec<[f32; 2]> = (0..=16).map(ring).collect();
     s.lathe(&profile, 28, material);
 }
 

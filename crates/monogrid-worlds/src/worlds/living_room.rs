@@ -76,10 +76,8 @@ fn blank_large_surfaces(s: &mut Scene) {
     }
     let total: f32 = areas.iter().sum();
     let is_plain = |s: &Scene, id: MaterialId| s.materials[id].texture.is_none();
-    let mut plain: f32 = (0..areas.len())
-        .filter(|&id| is_plain(s, id))
-        .map(|id| areas[id])
-        .sum();
+    let plain = (0..areas.len()).filter(|&id| is_plain(s, id));
+    let mut plain: f32 = plain.map(|id| areas[id]).sum();
     let mut order: Vec<MaterialId> = (0..areas.len()).filter(|&id| !is_plain(s, id)).collect();
     order.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]).then(a.cmp(&b)));
     for id in order {
@@ -424,12 +422,9 @@ fn pictures(s: &mut Scene, m: &Palette) {
 }
 
 fn leaning_picture(s: &mut Scene, m: &Palette) {
-    s.object_at(
-        "leaning picture",
-        place_tilted(5.75, 4.93, 0.855, [-0.12, 0.0, 0.0]),
-        |s| {
-            let image = s.fitted(patterns::landscape(87));
-            f::picture(s, 0.25, 0.35, image, m.white);
-        },
-    );
+    let pose = place_tilted(5.75, 4.93, 0.855, [-0.12, 0.0, 0.0]);
+    s.object_at("leaning picture", pose, |s| {
+        let image = s.fitted(patterns::landscape(87));
+        f::picture(s, 0.25, 0.35, image, m.white);
+    });
 }

@@ -331,14 +331,13 @@ fn on_lane(distance_m: f64, to_the_left_m: f64) -> ([f64; 2], f64) {
 /// Along the right lane, looking ahead.
 pub(super) fn way() -> Vec<Waypoint> {
     let count = WAY_M as usize;
-    (0..=count)
-        .map(|k| {
-            let at_m = WAY_M * k as f64 / count as f64;
-            let ([x, y], _) = on_lane(at_m, 0.0);
-            let ([a, b], _) = on_lane(at_m + 9.0, 0.0);
-            ([x, y, EYE_M], [a, b, EYE_M - 0.2])
-        })
-        .collect()
+    let waypoint = |k| {
+        let at_m = WAY_M * k as f64 / count as f64;
+        let ([x, y], _) = on_lane(at_m, 0.0);
+        let ([a, b], _) = on_lane(at_m + 9.0, 0.0);
+        ([x, y, EYE_M], [a, b, EYE_M - 0.2])
+    };
+    (0..=count).map(waypoint).collect()
 }
 
 /// Paints of the cars that drive, in the order of [`traffic`].

@@ -118,12 +118,17 @@ pub fn stamp(task: &Task) -> io::Result<String> {
     let mut text = String::new();
     for (name, path) in files_of(task)? {
         let metadata = fs::metadata(&path)?;
-        let changed = metadata.modified().ok();
-        let changed = changed.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-        let nanoseconds = changed.map_or(0, |since| since.as_nanos());
-        let _ = writeln!(text, "{name}\t{}\t{nanoseconds}", metadata.len());
+        let (length, changed) = (metadata.len(), changed_ns(&metadata));
+        let _ = writeln!(text, "{name}\t{length}\t{changed}");
     }
     Ok(sha256_of(text.as_bytes()))
+}
+
+/// When a file was changed last, ns since 1970; 0 where the system does not say.
+pub fn changed_ns(metadata: &fs::Metadata) -> u128 {
+    let changed = metadata.modified().ok();
+    let changed = changed.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    changed.map_or(0, |since| since.as_nanos())
 }
 
 /// What a task reads, content included.

@@ -3,7 +3,7 @@
 use crate::cli::command;
 use crate::failure::Failure;
 use std::collections::BTreeSet;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 /// An option.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub fn parse_key(text: &str, place: &str) -> Result<Key, Failure> {
             "{place}: `{name}` cannot be said of a recording of a batch"
         )));
     }
-    if !options_of_run().contains(name) {
+    if !OPTIONS_OF_RUN.contains(name) {
         return Err(Failure::input(format!(
             "{place}: `{name}` is no option of `monogrid run`; expected KEY=VALUE, such as max-frames=300, or name=NAME"
         )));
@@ -52,17 +52,13 @@ pub fn parse_key(text: &str, place: &str) -> Result<Key, Failure> {
 }
 
 /// The long names of the options of `monogrid run`.
-fn options_of_run() -> &'static BTreeSet<String> {
-    static NAMES: OnceLock<BTreeSet<String>> = OnceLock::new();
-    NAMES.get_or_init(|| {
-        let run = command();
-        let options = run.find_subcommand("run").into_iter();
-        let options = options.flat_map(clap::Command::get_arguments);
-        options
-            .filter_map(|option| option.get_long().map(str::to_owned))
-            .collect()
-    })
-}
+static OPTIONS_OF_RUN: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
+    let run = command();
+    let options = run.find_subcommand("run").into_iter();
+    let options = options.flat_map(clap::Command::get_arguments);
+    let names = options.filter_map(clap::Arg::get_long);
+    names.map(str::to_owned).collect()
+});
 
 impl Key {
     /// As an argument of the command line.

@@ -182,10 +182,7 @@ fn checked_name(name: &str, place: &str) -> Result<String, Failure> {
 /// A name of a folder made of the name of a source.
 pub fn safe_name(text: &str) -> String {
     let kept = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let name: String = text
-        .chars()
-        .map(|c| if kept(c) { c } else { '-' })
-        .collect();
+    let name = text.replace(|c| !kept(c), "-");
     let mut name = name.trim_matches('.').to_owned();
     while name.len() > MAX_NAME_BYTES {
         name.pop();

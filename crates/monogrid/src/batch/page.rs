@@ -85,44 +85,29 @@ fn colour(class: Class) -> &'static str {
 
 /// How many there are of each class, the best first.
 fn counts(records: &[TaskRecord]) -> Vec<(Class, usize)> {
-    let count = |class: Class| {
-        records
-            .iter()
-            .filter(|record| record.class == class)
-            .count()
-    };
-    let all = Class::all().iter().map(|class| (*class, count(*class)));
+    let all = Class::all().iter().map(|class| {
+        let of_class = records.iter().filter(|record| record.class == *class);
+        (*class, of_class.count())
+    });
     all.filter(|(_, count)| *count > 0).collect()
 }
 
 fn ribbon(records: &[TaskRecord]) -> Vec<(f64, &'static str, String)> {
-    let share = |count: usize| count as f64 / records.len().max(1) as f64;
-    counts(records)
-        .into_iter()
-        .map(|(class, count)| {
-            (
-                share(count),
-                colour(class),
-                format!("{count} {}", class.name()),
-            )
-        })
-        .collect()
+    let stripe = |(class, count): (Class, usize)| {
+        let share = count as f64 / records.len().max(1) as f64;
+        (share, colour(class), format!("{count} {}", class.name()))
+    };
+    counts(records).into_iter().map(stripe).collect()
 }
 
 fn totals(records: &[TaskRecord]) -> String {
-    let said: Vec<String> = counts(records)
-        .into_iter()
-        .map(|(class, count)| format!("{count} {}", class.name()))
-        .collect();
-    let frames: u64 = records
-        .iter()
-        .filter_map(|r| Some(r.metrics.as_ref()?.frames))
-        .sum();
-    let hours = records
-        .iter()
-        .filter_map(|record| record.cpu_s)
-        .sum::<f64>()
-        / 3600.0;
+    let counts = counts(records).into_iter();
+    let said = counts.map(|(class, count)| format!("{count} {}", class.name()));
+    let said: Vec<String> = said.collect();
+    let metrics = records.iter().filter_map(|record| record.metrics.as_ref());
+    let frames: u64 = metrics.map(|metrics| metrics.frames).sum();
+    let seconds = records.iter().filter_map(|record| record.cpu_s);
+    let hours = seconds.sum::<f64>() / 3600.0;
     let said = said.join(", ");
     format!(
         "{} recordings: {said}. {frames} frames, {} hours of CPU time.",
@@ -283,15 +268,13 @@ fn linked(record: &TaskRecord, link: &str) -> String {
 
 /// As addresses hold it: what has a meaning in them is written as bytes.
 pub fn percent_encoded(path: &str) -> String {
-    let mut text = String::new();
-    for byte in path.bytes() {
+    let encoded = |byte: u8| {
         if byte.is_ascii_alphanumeric() || b"/-_.~".contains(&byte) {
-            text.push(char::from(byte));
-        } else {
-            let _ = write!(text, "%{byte:02X}");
+            return char::from(byte).to_string();
         }
-    }
-    text
+        format!("%{byte:02X}")
+    };
+    path.bytes().map(encoded).collect()
 }
 
 fn cards(ordered: &[&TaskRecord], runs: &Path, link: &str) -> String {

@@ -32,13 +32,10 @@ pub struct Task {
 pub fn tasks(listed: &[Listed], of_all: &[Key]) -> Result<Vec<Task>, Failure> {
     let names = names(listed)?;
     let mut seen = BTreeSet::new();
-    let mut tasks = Vec::new();
-    for (listed, name) in listed.iter().zip(names) {
-        if seen.insert(name.clone()) {
-            tasks.push(task(listed, name, of_all)?);
-        }
-    }
-    Ok(tasks)
+    let named = listed.iter().zip(names);
+    let new = named.filter(|(_, name)| seen.insert(name.clone()));
+    new.map(|(listed, name)| task(listed, name, of_all))
+        .collect()
 }
 
 /// A name for each, the same for those that are the same: what was said, else the name of the source. Where several sources have
@@ -56,10 +53,8 @@ fn names(listed: &[Listed]) -> Result<Vec<String>, Failure> {
     };
     let mut lines: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for one in listed {
-        lines
-            .entry(own(one).to_lowercase())
-            .or_default()
-            .insert(line(one));
+        let name = own(one).to_lowercase();
+        lines.entry(name).or_default().insert(line(one));
     }
     let name = |one: &Listed| {
         let is_alone = lines

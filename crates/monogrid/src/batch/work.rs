@@ -74,8 +74,7 @@ impl Job<'_> {
         let is_same = match (&record.input, stamp(task)) {
             (Some(input), Ok(stamp)) => input.stamp == stamp,
             // what could not be read cannot be read now
-            (None, Err(_)) => true,
-            _ => false,
+            (input, stamp) => input.is_none() && stamp.is_err(),
         };
         is_same.then_some(record)
     }
@@ -182,9 +181,7 @@ impl Job<'_> {
         arguments.extend(task.options.iter().map(OsString::from));
         arguments.extend(["--threads".into(), self.threads.to_string().into()]);
         arguments.extend(["--out".into(), self.run_folder(task).into()]);
-        if self.force {
-            arguments.push("--force".into());
-        }
+        arguments.extend(self.force.then(|| "--force".into()));
         arguments.extend(["--".into(), task.source.clone().into()]);
         arguments
     }

@@ -354,10 +354,8 @@ fn outcome_of(classes: &[Class]) -> CommandResult {
         Class::Killed,
         Class::NoSpace,
     ];
-    let failed = classes
-        .iter()
-        .filter(|class| faults.contains(class))
-        .count();
+    let failed = classes.iter().filter(|class| faults.contains(class));
+    let failed = failed.count();
     if classes.contains(&Class::Interrupted) || INTERRUPTED.load(Ordering::Relaxed) {
         Ok(Ended::Interrupted)
     } else if failed > 0 {

@@ -67,12 +67,10 @@ fn board_size(text: &str) -> Result<BoardSize, String> {
     let side = |text: &str| text.parse().ok().filter(|n| (3..=100).contains(n));
     let sides = text.split_once(['x', 'X']);
     let sides = sides.and_then(|(a, b)| side(a).zip(side(b)));
-    sides
-        .and_then(|(a, b)| BoardSize::new(a, b))
-        .ok_or_else(|| {
-            "expected the numbers of inner corners on both sides, from 3 to 100, such as 9x6"
-                .to_owned()
-        })
+    let size = sides.and_then(|(a, b)| BoardSize::new(a, b));
+    let expected =
+        "expected the numbers of inner corners on both sides, from 3 to 100, such as 9x6";
+    size.ok_or_else(|| expected.to_owned())
 }
 
 /// Numbers of tags: along a row, and of rows.

@@ -99,14 +99,13 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
 }
 
 fn true_poses(sequence: &SynthSequence) -> Vec<TimedPose> {
-    (0..sequence.len())
-        .filter_map(|k| {
-            Some(TimedPose {
-                timestamp_ns: sequence.timestamp_ns(k)?,
-                world_from_camera: sequence.world_from_camera(k)?,
-            })
+    let pose = |k| {
+        Some(TimedPose {
+            timestamp_ns: sequence.timestamp_ns(k)?,
+            world_from_camera: sequence.world_from_camera(k)?,
         })
-        .collect()
+    };
+    (0..sequence.len()).filter_map(pose).collect()
 }
 
 /// The global map against the voxelised surfaces of the world; `None` without a map.

@@ -94,10 +94,10 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
     let is_recording = Source::is_at(&args.estimate);
     let source = is_recording.then_some(&args.estimate);
     let mut recorded = match source.or(args.recording.as_ref()) {
-        Some(path) => Some(Recorded::read(
-            path,
-            &Align::parse(args.align.as_deref(), Up::default())?,
-        )?),
+        Some(path) => {
+            let align = Align::parse(args.align.as_deref(), Up::default())?;
+            Some(Recorded::read(path, &align)?)
+        }
         None if args.align.is_some() => {
             return Err(Failure::input(
                 "--align brings the poses of a recording to a frame: give the recording instead of \

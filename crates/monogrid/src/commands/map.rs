@@ -422,12 +422,8 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         let depth = folder.read(entry)?;
         points += watch
             .time(|| {
-                let scan = KeyframeScan::from_depth_image(
-                    scans,
-                    &depth,
-                    folder.pinhole(),
-                    mapper.config(),
-                );
+                let (pinhole, config) = (folder.pinhole(), mapper.config());
+                let scan = KeyframeScan::from_depth_image(scans, &depth, pinhole, config);
                 let map_from_camera = map_from_world * pose.with_scale(1.0);
                 mapper.integrate(&mut map, &scan, &map_from_camera)
             })

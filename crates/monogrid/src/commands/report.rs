@@ -30,19 +30,15 @@ pub fn execute(args: &ReportArgs) -> CommandResult {
     if left_out > 0 {
         eprintln!("warning: {left_out} recordings have no task.json that is understood");
     }
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| args.batch.join("report"));
+    let beside = || args.batch.join("report");
+    let out = args.out.clone().unwrap_or_else(beside);
     let inputs = Inputs::default()
         .and("what is known of the recordings", &tasks)
         .and_all("what is known of a recording", task_files(&tasks, &records));
     let folder = OutputFolder::replace(&out, args.force, &inputs)?;
     let runs = args.batch.join("runs");
-    let real = args
-        .batch
-        .canonicalize()
-        .while_running("the batch is gone")?;
+    let real = args.batch.canonicalize();
+    let real = real.while_running("the batch is gone")?;
     let is_beside = out
         .parent()
         .and_then(|parent| parent.canonicalize().ok())
@@ -76,10 +72,8 @@ fn records(tasks: &Path) -> Result<(Vec<TaskRecord>, usize), Failure> {
     })?;
     let mut folders: Vec<PathBuf> = entries.iter().map(std::fs::DirEntry::path).collect();
     folders.sort();
-    let found: Vec<_> = folders
-        .iter()
-        .map(|folder| TaskRecord::read(folder))
-        .collect();
+    let found = folders.iter().map(|folder| TaskRecord::read(folder));
+    let found: Vec<_> = found.collect();
     let left_out = found.iter().filter(|record| record.is_none()).count();
     Ok((found.into_iter().flatten().collect(), left_out))
 }

@@ -269,22 +269,18 @@ fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)
 /// All that is read, and so must not be written.
 fn inputs(args: &RunArgs, input: &Input, config: &RunConfig) -> Inputs {
     let seed_depth = args.seed_depth.iter().filter(|depth| *depth != "dataset");
+    let earlier = args.continue_from.iter().flat_map(|run| files_of(run));
+    let mount = &args.input.imu_from_camera;
     let mut inputs = Inputs::of("the source", &args.source)
         .and_all("the calibration", &args.input.calibration)
         .and_all("the mask", &args.input.mask)
         .and_all("the run to continue", &args.continue_from)
-        .and_all(
-            "the run to continue",
-            args.continue_from.iter().flat_map(|run| files_of(run)),
-        )
+        .and_all("the run to continue", earlier)
         .and_all("the depth to start with", seed_depth)
         .and_all("the calibration of depth images", &args.depth_calibration)
         .and_all("the settings", &args.config)
         .and_all("the inertial readings", &args.input.imu)
-        .and_all(
-            "the mount of the inertial sensor",
-            &args.input.imu_from_camera,
-        )
+        .and_all("the mount of the inertial sensor", mount)
         .and("the vocabulary", &config.slam.graph.places.vocabulary)
         .and_named("the reference", args.align.as_deref());
     if let Images::Files(dataset) = &input.images {

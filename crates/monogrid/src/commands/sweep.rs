@@ -20,7 +20,7 @@ use crate::sweep::slam_rate::{self, Rate, RateJob};
 use crate::tally::Tally;
 use crate::usage::peak_rss_bytes;
 use clap::Args;
-use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid};
+use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid, whole_ratio};
 use monogrid_slam::mapping::KeyframeScan;
 use serde::Serialize;
 use std::io::IsTerminal;
@@ -188,10 +188,8 @@ impl Sweep<'_> {
             out: self.out,
             name: &named.name,
         };
-        let entries: Vec<Entry> = plan::models()
-            .into_iter()
-            .map(|model| Entry { model, resolution })
-            .collect();
+        let entry = |model| Entry { model, resolution };
+        let entries: Vec<Entry> = plan::models().into_iter().map(entry).collect();
         let stamp = self.stamp(named)?;
         let fingerprint =
             |entry: &Entry| format!("{stamp}{:?}", entry.model.mapping(entry.resolution));
@@ -213,12 +211,9 @@ impl Sweep<'_> {
         let Some(finest) = self.finest_truth else {
             return Ok(None);
         };
-        let ratio = resolution / finest.resolution();
-        let factor = ratio.round();
-        if factor < 1.0 || (ratio - factor).abs() > 1e-6 * factor {
-            return Ok(None);
-        }
-        finest.coarsened(factor as u32).map(Some).bad_input()
+        let factor = whole_ratio(resolution, finest.resolution());
+        let truth = factor.map(|factor| finest.coarsened(factor as u32));
+        truth.transpose().bad_input()
     }
 
     fn write_truth_slices(&self, truth: &TruthGrid) -> Result<(), Failure> {

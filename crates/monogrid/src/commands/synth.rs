@@ -5,6 +5,7 @@ use super::{print_json, use_threads};
 use crate::args::{JsonArg, positive, readout_ms, size};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::output::{Inputs, OutputFolder};
+use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use monogrid_datasets::{Calibration, read_trajectory};
 use monogrid_evaluation::TruthConfig;
@@ -211,11 +212,9 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
 }
 
 /// Whether a world is asked for by the name of a mesh file.
-fn is_mesh(world: &Path) -> bool {
-    world
-        .extension()
-        .map(|e| e.to_string_lossy().to_ascii_lowercase())
-        .is_some_and(|e| e == "ply" || e == "obj")
+pub(super) fn is_mesh(world: &Path) -> bool {
+    let extension = world.extension().unwrap_or_default();
+    extension.eq_ignore_ascii_case("ply") || extension.eq_ignore_ascii_case("obj")
 }
 
 /// Refuses worlds that cannot be, before the output folder is touched.
@@ -268,13 +267,9 @@ fn recorded_path(args: &SynthArgs) -> Result<Option<CameraPath>, Failure> {
         return Ok(None);
     };
     let poses = read_trajectory(file).bad_input()?;
-    CameraPath::recorded(&poses, RECORDED_KNOTS_HZ)
-        .map(Some)
-        .map_err(|error| {
-            Failure::Input(
-                anyhow::Error::from(error).context(format!("trajectory {}", file.display())),
-            )
-        })
+    let path = CameraPath::recorded(&poses, RECORDED_KNOTS_HZ)
+        .with_context(|| format!("trajectory {}", file.display()));
+    path.map(Some).map_err(Failure::Input)
 }
 
 fn world(args: &SynthArgs) -> Result<World, Failure> {
@@ -300,12 +295,7 @@ fn camera(args: &SynthArgs) -> Result<Camera, Failure> {
     Ok(Camera {
         width,
         height,
-        pinhole: Pinhole::new(
-            focal_px,
-            focal_px,
-            0.5 * (width as f64 - 1.0),
-            0.5 * (height as f64 - 1.0),
-        ),
+        pinhole: Pinhole::centred(focal_px, width, height),
         ..demo
     })
 }
@@ -326,10 +316,9 @@ fn effects(args: &SynthArgs) -> EffectsConfig {
         NoiseArg::Demo => EffectsConfig::demo(),
         NoiseArg::Harsh => EffectsConfig::harsh(),
     };
+    let readout_secs = args.rolling_shutter.map(|ms| ms / 1e3);
     EffectsConfig {
-        readout_secs: args
-            .rolling_shutter
-            .map_or(effects.readout_secs, |ms| ms / 1e3),
+        readout_secs: readout_secs.unwrap_or(effects.readout_secs),
         ..effects
     }
 }

@@ -1,11 +1,13 @@
 //! `monogrid truth`: a ground-truth map of a mesh, a point cloud, a built-in world or posed depth.
 
 use super::posed_depth::PosedDepthFolder;
+use super::synth::is_mesh;
 use super::{bytes, print_json};
 use crate::args::{ForceArg, JsonArg, positive};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
+use crate::run::outputs::path_of;
 use clap::Args;
 use monogrid_datasets::read_trajectory;
 use monogrid_evaluation::{
@@ -98,10 +100,8 @@ pub fn execute(args: &TruthArgs) -> CommandResult {
         Kind::Mesh => from_mesh(args)?,
         Kind::World(name) => from_world(args, &name)?,
     };
-    let map = made
-        .grid
-        .to_map()
-        .while_running("the map cannot be built")?;
+    let map = made.grid.to_map();
+    let map = map.while_running("the map cannot be built")?;
     let file_bytes = mapfile::save(&map, &output, format)?;
     for warning in &made.warnings {
         eprintln!("warning: {warning}");
@@ -161,14 +161,10 @@ enum Kind {
 
 impl Kind {
     fn of(source: &Path) -> Result<Self, Failure> {
-        let is_mesh = source
-            .extension()
-            .map(|e| e.to_string_lossy().to_ascii_lowercase())
-            .is_some_and(|e| e == "ply" || e == "obj");
         if source.is_dir() {
             return Ok(Self::Folder);
         }
-        if is_mesh {
+        if is_mesh(source) {
             return Ok(Self::Mesh);
         }
         match source.to_str() {
@@ -283,11 +279,7 @@ pub fn triangles_of(mesh: &TriangleMesh, source: &Path) -> Result<Vec<Triangle>,
 }
 
 fn positions(trajectory: &Path) -> Result<Vec<[f64; 3]>, Failure> {
-    let poses = read_trajectory(trajectory).bad_input()?;
-    Ok(poses
-        .iter()
-        .map(|pose| pose.world_from_camera.translation.into())
-        .collect())
+    Ok(path_of(&read_trajectory(trajectory).bad_input()?))
 }
 
 /// Where the camera of a built-in world is carried along.
@@ -325,10 +317,8 @@ fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
         .every
         .unwrap_or_else(|| posed.len().div_ceil(MAX_DEPTH_IMAGES));
     let used: Vec<_> = posed.into_iter().step_by(every).collect();
-    let depths = used
-        .iter()
-        .map(|(entry, _)| folder.read(entry))
-        .collect::<Result<Vec<_>, _>>()?;
+    let depths = used.iter().map(|(entry, _)| folder.read(entry));
+    let depths = depths.collect::<Result<Vec<_>, _>>()?;
     let (width, height) = folder.size();
     let images: Vec<PosedDepth> = used
         .iter()

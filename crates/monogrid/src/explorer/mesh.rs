@@ -83,15 +83,13 @@ impl Shown {
         let triangles = self.triangles.iter().map(new).filter(is_one);
         // two walls of a thin one may fall together
         let unique: BTreeMap<[u32; 3], [u32; 3]> = triangles.map(|t| (sorted(t), t)).collect();
+        let vertices = sums.iter().map(|s| [0, 1, 2].map(|k| (s[k] / s[6]) as f32));
+        let colours = sums
+            .iter()
+            .map(|s| [3, 4, 5].map(|k| (s[k] / s[6]).round() as u8));
         Self {
-            vertices: sums
-                .iter()
-                .map(|s| [0, 1, 2].map(|k| (s[k] / s[6]) as f32))
-                .collect(),
-            colours: sums
-                .iter()
-                .map(|s| [3, 4, 5].map(|k| (s[k] / s[6]).round() as u8))
-                .collect(),
+            vertices: vertices.collect(),
+            colours: colours.collect(),
             triangles: unique.into_values().collect(),
         }
     }

@@ -77,11 +77,10 @@ impl Inputs {
     /// These and all files of a sequence.
     #[must_use]
     pub fn and_files_of(self, dataset: &Dataset) -> Self {
-        self.and_all("an image", dataset.frames.iter().map(|frame| &frame.path))
-            .and_all(
-                "a depth image",
-                dataset.depths.iter().map(|depth| &depth.path),
-            )
+        let images = dataset.frames.iter().map(|frame| &frame.path);
+        let depths = dataset.depths.iter().map(|depth| &depth.path);
+        self.and_all("an image", images)
+            .and_all("a depth image", depths)
             .and_all("the reference trajectory", &dataset.ground_truth)
             .and_all("the calibration", &dataset.calibration_path)
             .and_all("the calibration", &dataset.depth_calibration_path)

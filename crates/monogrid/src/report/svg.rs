@@ -69,11 +69,9 @@ impl Plot {
         let opening = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" "
         );
-        self.render().replacen("<svg ", &opening, 1).replacen(
-            '>',
-            &format!("><style>{STYLE}</style>"),
-            1,
-        )
+        let style = format!("><style>{STYLE}</style>");
+        let svg = self.render().replacen("<svg ", &opening, 1);
+        svg.replacen('>', &style, 1)
     }
 
     /// The points of all curves: one line each.
@@ -263,11 +261,9 @@ fn draw_series(
 fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
     let raw = (range[1] - range[0]) / count as f64;
     let magnitude = 10f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0]
-        .into_iter()
-        .map(|factor| factor * magnitude)
-        .find(|step| *step >= raw)
-        .unwrap_or(10.0 * magnitude);
+    let steps = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * magnitude);
+    let step = steps.into_iter().find(|step| *step >= raw);
+    let step = step.unwrap_or(10.0 * magnitude);
     let first = (range[0] / step).ceil() as i64;
     let last = (range[1] / step).floor() as i64;
     (first..=last).map(|i| i as f64 * step).collect()

@@ -111,10 +111,9 @@ impl Up {
             "first-camera" => return Ok(Self::FirstCamera),
             _ => {}
         }
-        let numbers: Vec<f64> = argument
-            .split(',')
-            .filter_map(|number| number.trim().parse().ok())
-            .collect();
+        let numbers = argument.split(',');
+        let numbers = numbers.filter_map(|number| number.trim().parse().ok());
+        let numbers: Vec<f64> = numbers.collect();
         let direction = Vec3::from_row_slice(numbers.get(..3).unwrap_or(&[0.0; 3]));
         let is_direction = numbers.len() == 3
             && argument.split(',').count() == 3
@@ -348,10 +347,9 @@ pub fn in_map(map_from_world: &Sim3, world_from_camera: &Se3) -> Se3 {
 }
 
 fn fit(trajectory: &[(i64, Se3)], poses: &[TimedPose]) -> Result<TrajectoryReport, String> {
-    let estimate: Vec<StampedPose> = trajectory
-        .iter()
-        .map(|(timestamp_ns, pose)| stamped(*timestamp_ns, *pose))
-        .collect();
+    let trajectory = trajectory.iter();
+    let estimate = trajectory.map(|(timestamp_ns, pose)| stamped(*timestamp_ns, *pose));
+    let estimate: Vec<StampedPose> = estimate.collect();
     evaluate_trajectory(&estimate, &stamped_all(poses), &TrajectoryConfig::default())
         .map_err(|error| error.to_string())
 }

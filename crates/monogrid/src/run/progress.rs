@@ -1,7 +1,8 @@
 //! Progress on standard error: a bar on a terminal, a line now and then elsewhere.
 
 use super::frames::{FrameFate, FrameRow};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use crate::tally;
+use indicatif::ProgressBar;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
@@ -121,20 +122,11 @@ pub fn watched<T>(
 }
 
 fn bar(count: usize, of: &str, show: bool) -> ProgressBar {
-    let target = if show {
-        ProgressDrawTarget::stderr_with_hz(8)
-    } else {
-        ProgressDrawTarget::hidden()
-    };
-    let bar = ProgressBar::with_draw_target(Some(count as u64), target);
     let template = match count {
         0 => format!("{{spinner}} {{pos}} {of} · {{msg}}"),
         _ => format!("{{bar:30}} {{pos}}/{{len}} {of} · {{msg}}"),
     };
-    if let Ok(style) = ProgressStyle::with_template(&template) {
-        bar.set_style(style);
-    }
-    bar
+    tally::bar(count, &template, show.then_some(8))
 }
 
 /// How long the rest will take if it goes on as until now; empty where that cannot be known.

@@ -197,14 +197,10 @@ fn save_pictures(folder: &OutputFolder, keyframe: &Keyframe) -> Result<(), Failu
     let measured: Vec<Measured> = measured(keyframe).collect();
     let [image, depth, uncertainty] = picture_names(keyframe.id);
     folder.write(&image, encode_png(&keyframe.image))?;
-    folder.write(
-        &depth,
-        encode_png_rgb(&depth_picture(&keyframe.image, &measured)),
-    )?;
-    folder.write(
-        &uncertainty,
-        encode_png_rgb(&uncertainty_picture(&keyframe.image, &measured)),
-    )
+    let depths = depth_picture(&keyframe.image, &measured);
+    folder.write(&depth, encode_png_rgb(&depths))?;
+    let uncertainties = uncertainty_picture(&keyframe.image, &measured);
+    folder.write(&uncertainty, encode_png_rgb(&uncertainties))
 }
 
 /// The depths of a keyframe as its pictures need them.

@@ -148,11 +148,8 @@ fn judged(
 fn bridged(found: &Estimate, observations: &[Observation]) -> Vec<TimedPose> {
     /// Largest standard deviation of a position, m.
     const MAX_SIGMA_M: f64 = 0.1;
-    let blind: BTreeSet<i64> = observations
-        .iter()
-        .filter(|o| o.seen.is_none())
-        .map(|o| o.timestamp_ns)
-        .collect();
+    let blind = observations.iter().filter(|o| o.seen.is_none());
+    let blind: BTreeSet<i64> = blind.map(|o| o.timestamp_ns).collect();
     let is_bridged =
         |fix: &&Fix| blind.contains(&fix.timestamp_ns) && fix.position_sigma_m <= MAX_SIGMA_M;
     let metres = found.parts[0].metric_from_part.scale;

@@ -103,14 +103,11 @@ impl Submaps {
 
     /// Takes better depth of a keyframe.
     pub fn revised(&mut self, keyframe: &KeptKeyframe) {
-        match self.open.get_mut(&keyframe.id) {
-            Some(open) => {
-                open.keyframe = keyframe.clone();
-                open.revision = keyframe.revision;
-            }
-            None => {
-                self.better.insert(keyframe.id, keyframe.clone());
-            }
+        if let Some(open) = self.open.get_mut(&keyframe.id) {
+            open.keyframe = keyframe.clone();
+            open.revision = keyframe.revision;
+        } else {
+            self.better.insert(keyframe.id, keyframe.clone());
         }
     }
 
@@ -171,9 +168,8 @@ impl Submaps {
     /// Says where all submaps are now.
     fn write_table(&self, snapshot: &PoseSnapshot) -> Result<(), Failure> {
         let world = |id| snapshot.in_main_map(id).copied();
-        let placed = self
-            .closed
-            .iter()
+        let closed = self.closed.iter();
+        let placed = closed
             .map(|closed| SubmapEntry::placed((closed.id, closed.bytes), &closed.poses, world));
         let table = SubmapTable {
             pose_revision: Some(snapshot.revision),

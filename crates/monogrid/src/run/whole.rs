@@ -357,10 +357,8 @@ type KnownPath = BTreeMap<i64, [f64; 3]>;
 fn path_by_time(poses: &[TimedPose], results_from_reference: &Sim3) -> KnownPath {
     let place =
         |pose: &TimedPose| (*results_from_reference * pose.world_from_camera.translation).into();
-    poses
-        .iter()
-        .map(|pose| (pose.timestamp_ns, place(pose)))
-        .collect()
+    let placed = poses.iter().map(|pose| (pose.timestamp_ns, place(pose)));
+    placed.collect()
 }
 
 impl Paths {

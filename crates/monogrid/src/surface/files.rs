@@ -87,12 +87,8 @@ fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> anyhow::Re
     let vertices: Vec<u8> = surface.vertices.iter().flat_map(bytes_of).collect();
     let normals: Vec<u8> = surface.normals.iter().flat_map(bytes_of).collect();
     let colours: Vec<u8> = mesh.colours.iter().flat_map(linear_colour).collect();
-    let indices: Vec<u8> = surface
-        .triangles
-        .iter()
-        .flatten()
-        .flat_map(|i| i.to_le_bytes())
-        .collect();
+    let indices = surface.triangles.iter().flatten();
+    let indices: Vec<u8> = indices.flat_map(|index| index.to_le_bytes()).collect();
     let parts = [vertices, normals, colours, indices];
     let mut description =
         serde_json::to_vec(&description(mesh, unit, &parts.each_ref().map(Vec::len)))?;

@@ -1,6 +1,7 @@
 //! What a sweep reads, and the folder that it writes to.
 
 use super::pictures::PictureOrders;
+use crate::batch::digest::changed_ns;
 use crate::failure::Failure;
 use crate::output::{Inputs, OutputFolder};
 use crate::recorded::Recorded;
@@ -70,10 +71,8 @@ pub fn orders(
     const AROUND: f64 = 3.0;
     // the thesis shows maps of 16 mm
     let distance = |r: &f64| (r.ln() - 0.016_f64.ln()).abs();
-    let nearest = resolutions
-        .iter()
-        .copied()
-        .min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let all = resolutions.iter().copied();
+    let nearest = all.min_by(|a, b| distance(a).total_cmp(&distance(b)));
     let (low, high) = match truth {
         Some(truth) => {
             let first = truth.center(truth.first_key());
@@ -101,10 +100,6 @@ pub fn orders(
 pub fn file_stamp(path: &Path) -> Result<String, Failure> {
     let metadata = std::fs::metadata(path)
         .map_err(|error| Failure::input(format!("{} cannot be read: {error}", path.display())))?;
-    let changed = metadata
-        .modified()
-        .ok()
-        .and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok())
-        .map_or(0, |since| since.as_nanos());
-    Ok(format!("{} {} {changed}; ", path.display(), metadata.len()))
+    let (length, changed) = (metadata.len(), changed_ns(&metadata));
+    Ok(format!("{} {length} {changed}; ", path.display()))
 }

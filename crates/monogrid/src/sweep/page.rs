@@ -97,10 +97,8 @@ impl Writer<'_> {
     }
 
     fn table(&mut self, page: &mut Page, folder: &str, table: &Table) -> Result<(), Failure> {
-        self.file(
-            &format!("{folder}{}.csv", table.file),
-            table.csv().as_bytes(),
-        )?;
+        let name = format!("{folder}{}.csv", table.file);
+        self.file(&name, table.csv().as_bytes())?;
         self.markdown.push_str(&table.markdown());
         page.subheading(&table.title);
         page.number_table(&table.header, &table.rows);
@@ -167,10 +165,8 @@ impl Writer<'_> {
             let png = self.picture(result, record, PictureKind::View)?;
             Some((png, model.caption()))
         };
-        let all: Vec<(Vec<u8>, String)> = PictureOrders::viewed()
-            .into_iter()
-            .filter_map(picture)
-            .collect();
+        let viewed = PictureOrders::viewed().into_iter();
+        let all: Vec<(Vec<u8>, String)> = viewed.filter_map(picture).collect();
         if all.is_empty() {
             return;
         }

@@ -209,15 +209,11 @@ fn view(
 
 /// Whether all six neighbours hide a cell.
 fn is_enclosed(key: VoxelKey, is_likely: &impl Fn(VoxelKey) -> bool) -> bool {
-    let [x, y, z] = key.to_array();
-    [
-        [x - 1, y, z],
-        [x + 1, y, z],
-        [x, y - 1, z],
-        [x, y + 1, z],
-        [x, y, z - 1],
-        [x, y, z + 1],
-    ]
-    .into_iter()
-    .all(|neighbour| is_likely(VoxelKey::from_array(neighbour)))
+    (0..3).all(|axis| {
+        [-1, 1].into_iter().all(|step| {
+            let mut neighbour = key.to_array();
+            neighbour[axis] += step;
+            is_likely(VoxelKey::from_array(neighbour))
+        })
+    })
 }

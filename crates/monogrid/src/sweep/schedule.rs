@@ -5,8 +5,8 @@ use super::plan::Entry;
 use super::record::{MapRecord, MapResult};
 use crate::failure::Failure;
 use crate::tally::Tally;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 /// How a sweep is carried out.
@@ -60,7 +60,7 @@ pub fn run(
     }
     Ok(records
         .into_iter()
-        .filter_map(|record| record.into_inner().ok().flatten())
+        .filter_map(|record| record.into_inner().ok()?)
         .collect())
 }
 
@@ -118,8 +118,6 @@ fn in_parallel(
 }
 
 /// A poisoned lock only means that another worker failed, which is reported by its join.
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

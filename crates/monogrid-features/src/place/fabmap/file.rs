@@ -214,13 +214,7 @@ impl Reader<'_> {
 
 /// CRC-32 as in Ethernet and PNG (polynomial 0xEDB88320, reflected).
 fn crc32(bytes: &[u8]) -> u32 {
-    let mut crc = u32::MAX;
-    for byte in bytes {
-        crc ^= u32::from(*byte);
-        for _ in 0..8 {
-            let carry = crc & 1;
-            crc = (crc >> 1) ^ (0xEDB8_8320 & carry.wrapping_neg());
-        }
-    }
-    !crc
+    let shifted = |crc: u32, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg());
+    let with_byte = |crc, byte: &u8| (0..8).fold(crc ^ u32::from(*byte), shifted);
+    !bytes.iter().fold(u32::MAX, with_byte)
 }

@@ -127,12 +127,9 @@ impl FabMap {
             let ln_samples: Vec<f64> = samples.map(|s| query.ln_likelihood(s)).collect();
             ln_sum(&ln_samples) - (ln_samples.len() as f64).ln()
         } + self.config.p_new.ln();
-        let mut known: Vec<(u64, f64)> = self
-            .places
-            .iter()
-            .filter(|(place, _)| is_allowed(**place))
-            .map(|(place, words)| (*place, query.ln_likelihood(words)))
-            .collect();
+        let allowed = self.places.iter().filter(|(place, _)| is_allowed(**place));
+        let known = allowed.map(|(place, words)| (*place, query.ln_likelihood(words)));
+        let mut known: Vec<(u64, f64)> = known.collect();
         let ln_prior = ((1.0 - self.config.p_new) / known.len().max(1) as f64).ln();
         for (_, ln_p) in &mut known {
             *ln_p += ln_prior;

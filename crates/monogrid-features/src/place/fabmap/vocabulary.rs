@@ -158,11 +158,9 @@ impl PlaceVocabulary {
 
     /// The different words of an image, ascending.
     pub(super) fn words_of(&self, descriptors: &[Descriptor]) -> Vec<u16> {
-        let mut words: Vec<u16> = descriptors
-            .iter()
-            .filter_map(|d| nearest(&self.words, d))
-            .filter_map(|(word, _)| u16::try_from(word).ok())
-            .collect();
+        let nearest = descriptors.iter().filter_map(|d| nearest(&self.words, d));
+        let words = nearest.filter_map(|(word, _)| u16::try_from(word).ok());
+        let mut words: Vec<u16> = words.collect();
         words.sort_unstable();
         words.dedup();
         words

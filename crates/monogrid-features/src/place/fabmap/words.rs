@@ -4,14 +4,8 @@ use crate::{Descriptor, Rng};
 
 /// Index of the nearest word and its distance, the smallest index on ties; `None` without words.
 pub(super) fn nearest(words: &[Descriptor], descriptor: &Descriptor) -> Option<(usize, u32)> {
-    let mut best = None;
-    for (i, word) in words.iter().enumerate() {
-        let distance = word.distance(descriptor);
-        if best.is_none_or(|(_, least)| distance < least) {
-            best = Some((i, distance));
-        }
-    }
-    best
+    let distances = words.iter().map(|word| word.distance(descriptor));
+    distances.enumerate().min_by_key(|(_, distance)| *distance)
 }
 
 /// Median of binary descriptors: each bit as most of them have it (of equally many, zero), which is the

@@ -16,14 +16,11 @@ impl Clamps {
     /// 0 unknown, 1 and 2 the clamps, 3 anything else.
     #[inline]
     fn class(self, value: i16) -> usize {
-        if value == UNKNOWN {
-            0
-        } else if value == self.min {
-            1
-        } else if value == self.max {
-            2
-        } else {
-            3
+        match value {
+            UNKNOWN => 0,
+            _ if value == self.min => 1,
+            _ if value == self.max => 2,
+            _ => 3,
         }
     }
 }

@@ -12,10 +12,11 @@
 mod bricks;
 mod coder;
 
-use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
+use std::io::{BufReader, BufWriter, Read, Write};
 
 use self::bricks::{Clamps, Model};
 use self::coder::{Decoder, Encoder};
+use super::{read_error, write_error};
 use crate::error::MapError;
 use crate::evidence::UNKNOWN;
 use crate::key::{BRICK_CELLS, BrickKey};
@@ -65,13 +66,6 @@ pub fn write_mgo(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapErro
         out.write_all(&bytes).map_err(write_error)?;
     }
     out.flush().map_err(write_error)
-}
-
-fn write_error(source: std::io::Error) -> MapError {
-    MapError::Io {
-        action: "writing the map",
-        source,
-    }
 }
 
 fn clamps(map: &OccupancyMap) -> Clamps {
@@ -240,16 +234,10 @@ fn words<const N: usize>(bytes: &[u8]) -> [u32; N] {
 }
 
 fn read_exact(input: &mut impl Read, bytes: &mut [u8]) -> Result<(), MapError> {
-    input.read_exact(bytes).map_err(|source| {
-        if source.kind() == ErrorKind::UnexpectedEof {
-            damaged("the file ends before its last brick")
-        } else {
-            MapError::Io {
-                action: "reading the map",
-                source,
-            }
-        }
-    })
+    let cut = || damaged("the file ends before its last brick");
+    input
+        .read_exact(bytes)
+        .map_err(|error| read_error(error, cut))
 }
 
 fn read_array<const N: usize>(input: &mut impl Read) -> Result<[u8; N], MapError> {

@@ -69,13 +69,8 @@ impl KeyframeGraph {
         let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
             return false;
         };
-        let kernel = self.doubted();
-        self.set_edge(
-            (i, j, EdgeKind::Odometry),
-            handover.i_from_j,
-            information,
-            kernel,
-        );
+        let (key, kernel) = ((i, j, EdgeKind::Odometry), self.doubted());
+        self.set_edge(key, handover.i_from_j, information, kernel);
         true
     }
 

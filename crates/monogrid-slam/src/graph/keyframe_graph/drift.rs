@@ -79,10 +79,8 @@ impl KeyframeGraph {
     pub(super) fn way(&self, i: KeyframeId, j: KeyframeId) -> Way {
         let path = path_between(|id| self.poses.parent_of(id), i, j);
         let position = |id: KeyframeId| self.pose(id).translation;
-        let in_world: f64 = path
-            .windows(2)
-            .map(|pair| (position(pair[1]) - position(pair[0])).norm())
-            .sum();
+        let length = |pair: &[KeyframeId]| (position(pair[1]) - position(pair[0])).norm();
+        let in_world: f64 = path.windows(2).map(length).sum();
         Way {
             steps: path.len().saturating_sub(1) as f64,
             length: in_world / self.pose(j).scale,

@@ -24,12 +24,8 @@ impl KeyframeGraph {
             return;
         };
         let key = (odometry.parent, odometry.keyframe, EdgeKind::Odometry);
-        self.set_edge(
-            key,
-            odometry.parent_from_keyframe,
-            information,
-            RobustKernel::None,
-        );
+        let measured = odometry.parent_from_keyframe;
+        self.set_edge(key, measured, information, RobustKernel::None);
     }
 
     /// Covariance of a motion `[v, w]` as one of a similarity `[v, w, s]`: tracking does not measure scale.
@@ -88,12 +84,8 @@ impl KeyframeGraph {
         };
         self.stats.constraints += 1;
         self.edges.remove(&(i, j, EdgeKind::Odometry));
-        self.set_edge(
-            (i, j, EdgeKind::Direct),
-            constraint.b_from_a,
-            information,
-            kernel,
-        );
+        let key = (i, j, EdgeKind::Direct);
+        self.set_edge(key, constraint.b_from_a, information, kernel);
     }
 
     /// Information of a relative pose when the errors that its residuals do not show are counted too.

@@ -137,23 +137,17 @@ impl KeyframeGraph {
 
     /// The two fragments of a sighting, the older first.
     pub(super) fn pair_of(&self, sighting: &Sighting) -> (FragmentId, FragmentId) {
-        let (a, b) = (
-            self.fragment_of(sighting.other),
-            self.fragment_of(sighting.own),
-        );
+        let [a, b] = [sighting.other, sighting.own].map(|id| self.fragment_of(id));
         (a.min(b), a.max(b))
     }
 
     /// What a sighting says: the pose of the other of its two fragments in `fragment`.
     fn fragment_from_other(&self, fragment: FragmentId, sighting: &Sighting) -> Sim3 {
-        let world_from = |id: KeyframeId| self.pose(id);
-        let others_from_owns = world_from(sighting.other)
-            * sighting.other_from_own
-            * world_from(sighting.own).inverse();
-        if self.fragment_of(sighting.other) == fragment {
-            others_from_owns
-        } else {
-            others_from_owns.inverse()
+        let [other, own] = [sighting.other, sighting.own].map(|id| self.pose(id));
+        let others_from_owns = other * sighting.other_from_own * own.inverse();
+        match self.fragment_of(sighting.other) == fragment {
+            true => others_from_owns,
+            false => others_from_owns.inverse(),
         }
     }
 
@@ -186,10 +180,9 @@ impl KeyframeGraph {
         };
         let (into, from) = self.pair_of(first);
         let into_from_fragment = self.fragment_from_other(into, first);
-        self.joining.sightings = std::mem::take(&mut self.joining.sightings)
-            .into_iter()
-            .filter(|s| self.pair_of(s) != (into, from))
-            .collect();
+        let sightings = std::mem::take(&mut self.joining.sightings).into_iter();
+        let others = sightings.filter(|sighting| self.pair_of(sighting) != (into, from));
+        self.joining.sightings = others.collect();
         let poses = &mut self.poses;
         for (pose, fragment) in poses
             .world_from_keyframe

@@ -101,15 +101,12 @@ impl KeyframeGraph {
     fn consistent_pairs(&self) -> Vec<Consistent> {
         let mut pairs: BTreeMap<(FragmentId, FragmentId), Vec<&Sighting>> = BTreeMap::new();
         for sighting in &self.joining.sightings {
-            pairs
-                .entry(self.pair_of(sighting))
-                .or_default()
-                .push(sighting);
+            let pair = self.pair_of(sighting);
+            pairs.entry(pair).or_default().push(sighting);
         }
-        let pairs = pairs.into_iter();
-        pairs
-            .map(|(fragments, sightings)| self.consistent(fragments, &sightings))
-            .collect()
+        let pairs = pairs.iter();
+        let consistent = pairs.map(|(pair, sightings)| self.consistent(*pair, sightings));
+        consistent.collect()
     }
 
     /// Divides the sightings of two fragments.

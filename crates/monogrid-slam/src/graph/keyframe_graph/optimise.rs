@@ -176,12 +176,10 @@ impl KeyframeGraph {
     fn everything_in(&self, fragment: FragmentId) -> (Vec<KeyframeId>, Vec<EdgeKey>) {
         let all = self.poses.fragment.iter().enumerate();
         let ids = all.filter(|(_, f)| **f == fragment);
+        let ids = ids.map(|(id, _)| id as KeyframeId);
         let keys = self.edges.iter().map(|(key, _)| *key);
         let keys = keys.filter(|key| self.fragment_of(key.0) == fragment);
-        (
-            ids.map(|(id, _)| id as KeyframeId).collect(),
-            keys.collect(),
-        )
+        (ids.collect(), keys.collect())
     }
 
     /// The edges of the keyframes of a window and of its border, with their keyframes, in order.

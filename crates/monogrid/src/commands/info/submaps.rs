@@ -3,7 +3,8 @@
 use crate::commands::{bytes, print_json};
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{
-    Scale, SubmapReader, SubmapTable, format_seconds, is_submap, is_submap_table, submap_table_in,
+    Scale, SubmapEntry, SubmapReader, SubmapTable, format_seconds, is_submap, is_submap_table,
+    submap_table_in,
 };
 use serde::Serialize;
 use std::path::Path;
@@ -55,14 +56,14 @@ impl Submaps {
     fn of_table(file: &Path) -> Result<Self, Failure> {
         let folder = file.parent().unwrap_or(Path::new(""));
         let table = SubmapTable::read(file).bad_input()?;
-        let mut submaps = Vec::with_capacity(table.submaps.len());
-        for entry in &table.submaps {
-            submaps.push(Submap {
+        let submap = |entry: &SubmapEntry| {
+            Ok(Submap {
                 is_placed: Some(entry.world_from_submap.is_some()),
                 moved: Some(entry.moved.len()),
                 ..Submap::read(&folder.join(entry.file.file_name()))?
-            });
-        }
+            })
+        };
+        let submaps = table.submaps.iter().map(submap).collect::<Result<_, _>>()?;
         Ok(Self::of("submaps of a run", submaps))
     }
 

@@ -89,11 +89,10 @@ pub fn write_component(
     parts: &[Part],
 ) -> Result<Written, Failure> {
     let reference = component.world_of.map(|index| &parts[index]);
-    let recordings: Vec<(usize, usize)> = parts
+    let counts = parts
         .iter()
-        .map(|part| (part.number, component.num_of(part)))
-        .filter(|(_, count)| *count > 0)
-        .collect();
+        .map(|part| (part.number, component.num_of(part)));
+    let recordings: Vec<(usize, usize)> = counts.filter(|(_, count)| *count > 0).collect();
     let sessions = sessions(component, parts);
     let is_metric = reference.is_some_and(Part::is_metric);
     let session = session(component, reference, parts);

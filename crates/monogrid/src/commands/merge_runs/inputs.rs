@@ -51,13 +51,10 @@ impl Part {
 
     /// Whether lengths of its results are metres.
     pub fn is_metric(&self) -> bool {
-        let in_frame = matches!(
-            self.earlier.frame,
-            Some(Align::Map {
-                is_metric: true,
-                ..
-            })
-        );
+        let in_frame = match self.earlier.frame {
+            Some(Align::Map { is_metric, .. }) => is_metric,
+            _ => false,
+        };
         in_frame || self.earlier.session.scale == Scale::Metric
     }
 
@@ -101,10 +98,10 @@ fn checksum(keyframes: &[StoredKeyframe]) -> u32 {
 /// Reads all recordings. What is joined lies in the world of the first of them: those in metres come first, then those that know where up
 /// is, then those with most keyframes; checksums decide about the rest.
 pub fn read_parts(paths: &[PathBuf]) -> Result<Vec<Part>, Failure> {
-    let mut parts = Vec::with_capacity(paths.len());
-    for (number, path) in (1..).zip(paths) {
-        parts.push(Part::read(number, path)?);
-    }
+    let parts = (1..)
+        .zip(paths)
+        .map(|(number, path)| Part::read(number, path));
+    let mut parts = parts.collect::<Result<Vec<Part>, _>>()?;
     parts.sort_by_key(|part| {
         (
             !part.is_metric(),

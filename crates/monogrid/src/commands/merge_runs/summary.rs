@@ -59,14 +59,13 @@ pub fn summary(
 fn component(written: &Written) -> Value {
     let mut recordings = written.recordings.clone();
     recordings.sort_unstable();
-    let recordings: Vec<Value> = recordings
+    let said = recordings
         .iter()
-        .map(|(number, keyframes)| json!({ "number": number, "keyframes": keyframes }))
-        .collect();
+        .map(|(number, keyframes)| json!({ "number": number, "keyframes": keyframes }));
     json!({
         "recording": format!("{}recording.mgk", written.place),
         "scale": written.facts["scale"],
-        "recordings": recordings,
+        "recordings": said.collect::<Vec<Value>>(),
     })
 }
 
@@ -99,11 +98,9 @@ pub fn print_summary(out: &Path, summary: &Value) {
     }
     for component in summary["components"].as_array().into_iter().flatten() {
         let recordings = component["recordings"].as_array();
-        let numbers: Vec<String> = recordings
-            .into_iter()
-            .flatten()
-            .map(|recording| recording["number"].to_string())
-            .collect();
+        let recordings = recordings.into_iter().flatten();
+        let numbers = recordings.map(|recording| recording["number"].to_string());
+        let numbers: Vec<String> = numbers.collect();
         println!(
             "{}: {} (scale {})",
             out.join(component["recording"].as_str().unwrap_or_default())

@@ -194,11 +194,8 @@ fn write_recording(
     };
     for keyframe in recording.keyframes {
         if let Some(pose) = keyframe.world_from_keyframe {
-            let pose = Sim3::new(
-                pose.scale * factor,
-                pose.rotation,
-                pose.translation * factor,
-            );
+            let (scale, translation) = (pose.scale * factor, pose.translation * factor);
+            let pose = Sim3::new(scale, pose.rotation, translation);
             poses.poses.push((keyframe.id, pose));
         }
         append(&mut writer, keyframe, session.camera()).while_running(doing)?;

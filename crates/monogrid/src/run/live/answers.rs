@@ -108,11 +108,8 @@ impl Shown {
     }
 
     fn news(&self, known: &Known, (since, from): (u64, usize), has_ended: bool) -> News {
-        let mut changed: Vec<_> = known
-            .keyframes
-            .values()
-            .filter(|(version, _)| *version > since)
-            .collect();
+        let all = known.keyframes.values();
+        let mut changed: Vec<_> = all.filter(|(version, _)| *version > since).collect();
         changed.sort_by_key(|(version, _)| *version);
         let is_all = changed.len() <= MAX_KEYFRAMES;
         changed.truncate(MAX_KEYFRAMES);

@@ -267,9 +267,8 @@ impl Viewer {
 
     /// A copy of an image, if a browser wants to see one now.
     pub fn wanted(&mut self, image: &GrayImage) -> Option<Arc<GrayImage>> {
-        let is_due = self
-            .last_image
-            .is_none_or(|last| last.elapsed() >= IMAGE_EVERY);
+        let last = self.last_image;
+        let is_due = last.is_none_or(|last| last.elapsed() >= IMAGE_EVERY);
         if !is_due || !is_recent(lock(&self.live.asked).news) {
             return None;
         }

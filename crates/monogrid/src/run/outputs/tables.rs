@@ -107,10 +107,8 @@ pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
 
 /// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
 fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
-    all_in_map(
-        &z_up_from_camera_world(),
-        &tracked.run.slam.trajectory_in(id),
-    )
+    let trajectory = tracked.run.slam.trajectory_in(id);
+    all_in_map(&z_up_from_camera_world(), &trajectory)
 }
 
 fn all_in_map(map_from_world: &Sim3, trajectory: &[TrajectoryPose]) -> Vec<TimedPose> {
@@ -130,10 +128,8 @@ pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
 
 /// Positions of the camera.
 pub fn path_of(poses: &[TimedPose]) -> Vec<[f64; 3]> {
-    poses
-        .iter()
-        .map(|pose| pose.world_from_camera.translation.into())
-        .collect()
+    let position = |pose: &TimedPose| pose.world_from_camera.translation.into();
+    poses.iter().map(position).collect()
 }
 
 /// Poses in what is the map in the end, as they were reported frame by frame.

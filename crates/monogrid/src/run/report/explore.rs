@@ -66,12 +66,10 @@ fn errors(tracked: &Tracked, input: &ReportInput) -> Vec<f32> {
         return Vec::new();
     }
     let poses = tracked.run.trajectory.iter().zip(input.errors);
-    let by_frame: BTreeMap<usize, f64> = poses
-        .filter_map(|(pose, error)| Some((pose.frame_index, (*error)?)))
-        .collect();
-    let rows = tracked.rows.iter();
-    rows.map(|row| by_frame.get(&row.index).map_or(-1.0, |error| *error as f32))
-        .collect()
+    let known = poses.filter_map(|(pose, error)| Some((pose.frame_index, (*error)?)));
+    let by_frame: BTreeMap<usize, f64> = known.collect();
+    let error = |row: &FrameRow| by_frame.get(&row.index).map_or(-1.0, |error| *error as f32);
+    tracked.rows.iter().map(error).collect()
 }
 
 /// Loops of the graph, as positions of keyframes.

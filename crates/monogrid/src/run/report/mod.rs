@@ -198,14 +198,11 @@ fn error_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
 }
 
 fn path_length(path: &[[f64; 3]]) -> f64 {
-    path.windows(2)
-        .map(|pair| {
-            (0..3)
-                .map(|i| (pair[1][i] - pair[0][i]).powi(2))
-                .sum::<f64>()
-                .sqrt()
-        })
-        .sum()
+    let length = |pair: &[[f64; 3]]| {
+        let squares = (0..3).map(|i| (pair[1][i] - pair[0][i]).powi(2));
+        squares.sum::<f64>().sqrt()
+    };
+    path.windows(2).map(length).sum()
 }
 
 fn path_plot(input: &ReportInput) -> Plot {

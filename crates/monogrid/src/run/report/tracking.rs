@@ -42,14 +42,12 @@ pub(super) fn state(row: &FrameRow) -> State {
 
 /// Stretches of equal state as (first row, row after the last).
 fn stretches(rows: &[FrameRow]) -> Vec<(usize, usize)> {
-    let mut out: Vec<(usize, usize)> = Vec::new();
-    for i in 0..rows.len() {
-        match out.last_mut() {
-            Some((first, end)) if state(&rows[*first]) == state(&rows[i]) => *end = i + 1,
-            _ => out.push((i, i + 1)),
-        }
-    }
-    out
+    let alike = rows.chunk_by(|a, b| state(a) == state(b));
+    let stretches = alike.scan(0, |end, rows| {
+        *end += rows.len();
+        Some((*end - rows.len(), *end))
+    });
+    stretches.collect()
 }
 
 /// Coloured stretches over the frames: share of the width, colour, description.

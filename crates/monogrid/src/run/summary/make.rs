@@ -9,6 +9,7 @@ use crate::run::align::MapFrame;
 use crate::run::frames::{FrameFate, FrameRow};
 use crate::run::sessions::sessions;
 use crate::run::threads::Tracked;
+use monogrid_datasets::RecordedSession;
 use monogrid_slam::mapping::Maps;
 use monogrid_slam::{KeyframeId, Scale, Slam};
 use std::collections::BTreeSet;
@@ -103,12 +104,10 @@ pub fn is_metric(tracked: &Tracked, frame: &MapFrame) -> bool {
 /// Parts of the map, by their oldest keyframes.
 fn num_parts(slam: &Slam) -> usize {
     let poses = slam.snapshot();
-    let in_map = slam.keyframes().into_iter().map(|keyframe| keyframe.id);
-    let all = slam.parts();
-    let parts: BTreeSet<KeyframeId> = in_map
-        .filter(|id| poses.in_main_map(*id).is_some())
-        .map(|id| all[id as usize])
-        .collect();
+    let all = slam.keyframes().into_iter().map(|keyframe| keyframe.id);
+    let in_map = all.filter(|id| poses.in_main_map(*id).is_some());
+    let part_of = slam.parts();
+    let parts: BTreeSet<KeyframeId> = in_map.map(|id| part_of[id as usize]).collect();
     parts.len()
 }
 
@@ -121,13 +120,12 @@ fn session_summaries(
     settings: &RunSettings,
     tracked: &Tracked,
 ) -> Vec<SessionSummary> {
-    sessions(&tracked.run.slam, settings.earlier(), &input.name)
-        .into_iter()
-        .map(|session| SessionSummary {
-            source: session.source,
-            first_keyframe: session.first_keyframe,
-        })
-        .collect()
+    let sessions = sessions(&tracked.run.slam, settings.earlier(), &input.name);
+    let summary = |session: RecordedSession| SessionSummary {
+        source: session.source,
+        first_keyframe: session.first_keyframe,
+    };
+    sessions.into_iter().map(summary).collect()
 }
 
 /// CPU seconds of the stages: the CPU time of tracking, depth and graph together, divided as the wall

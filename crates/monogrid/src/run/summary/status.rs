@@ -88,11 +88,8 @@ const LOST_FOR_GOOD_FRAMES: usize = 10;
 /// Whether the last second of a run has poses in the map, and what it has instead.
 fn end_of(rows: &[FrameRow]) -> End {
     let processed: Vec<&FrameRow> = rows.iter().filter(|row| row.report().is_some()).collect();
-    let num_lost = processed
-        .iter()
-        .rev()
-        .take_while(|row| row.has_no_place())
-        .count();
+    let newest_first = processed.iter().rev();
+    let num_lost = newest_first.take_while(|row| row.has_no_place()).count();
     let tail = &processed[processed.len() - num_lost..];
     let span_secs = match (tail.first(), tail.last()) {
         (Some(first), Some(last)) => (last.timestamp_ns - first.timestamp_ns) as f64 * 1e-9,

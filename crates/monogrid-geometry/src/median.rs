@@ -1,13 +1,14 @@
 //! The value in the middle.
 
 /// The upper median of numbers, which are put into another order; `None` of none.
-pub(crate) fn median<T: Real>(values: &mut [T]) -> Option<T> {
+pub fn median<T: Real>(values: &mut [T]) -> Option<T> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, T::total_cmp).1)
 }
 
 /// Numbers in an order that holds NaN as well.
-pub(crate) trait Real: Copy {
+pub trait Real: Copy {
+    /// The order.
     fn total_cmp(&self, other: &Self) -> std::cmp::Ordering;
 }
 
