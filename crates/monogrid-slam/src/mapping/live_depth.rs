@@ -17,7 +17,6 @@ use super::{KeptKeyframes, KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::store::{Kept, KeptDense};
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
 use std::collections::VecDeque;
-use std::ops::Range;
 
 /// Later keyframes that must be as far as one that takes a step.
 const AHEAD: usize = 1;
@@ -362,6 +361,7 @@ mod tests {
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
     use crate::mapping::{PosedKeyframe, final_scans};
     use monogrid_geometry::{Rotation, Sim3, Vec3};
+    use std::ops::Range;
 
     fn place(id: KeyframeId) -> f64 {
         0.12 * f64::from(id)
