@@ -24,7 +24,7 @@ pub use alignment::{AlignmentError, SimilarityFit, align_similarity};
 pub use camera::{Camera, CameraError, Pinhole};
 pub use distortion::Distortion;
 pub use nalgebra;
-pub use rng::Rng;
+pub use rng::{Rng, mix};
 pub use se3::{NotARotation, Se3};
 pub use shutter::ReadoutDirection;
 pub use sim3::Sim3;

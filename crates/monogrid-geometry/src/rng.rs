@@ -1,5 +1,18 @@
 //! The seeded random numbers of every sampling step.
 
+/// What the state grows by with each word: odd, near the golden ratio of 64 bits.
+const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// Mixes the bits of a word: what SplitMix64 gives in this state.
+#[inline]
+#[must_use]
+pub fn mix(state: u64) -> u64 {
+    let mut word = state.wrapping_add(STEP);
+    word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    word ^ (word >> 31)
+}
+
 /// SplitMix64 (Steele, Lea and Flood, 2014), which gives the same on every platform.
 #[derive(Clone, Debug)]
 pub struct Rng {
@@ -15,11 +28,9 @@ impl Rng {
 
     /// The next 64 random bits.
     pub fn next_u64(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut word = self.state;
-        word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        word ^ (word >> 31)
+        let word = mix(self.state);
+        self.state = self.state.wrapping_add(STEP);
+        word
     }
 
     /// Uniform in [0, 1).

@@ -38,11 +38,13 @@ impl TryFrom<[f64; 7]> for Se3 {
     fn try_from([tx, ty, tz, qx, qy, qz, qw]: [f64; 7]) -> Result<Self, NotARotation> {
         let quaternion = nalgebra::Quaternion::new(qw, qx, qy, qz);
         let length = quaternion.norm();
-        let is_rotation = (length - 1.0).abs() < 1e-6;
-        // as it is: to normalise would change its last bits
-        let rotation = Rotation::new_unchecked(quaternion);
-        let pose = Self::new(rotation, Vec3::new(tx, ty, tz));
-        is_rotation.then_some(pose).ok_or(NotARotation { length })
+        if (length - 1.0).abs() < 1e-6 {
+            // as it is: to normalise would change its last bits
+            let rotation = Rotation::new_unchecked(quaternion);
+            Ok(Self::new(rotation, Vec3::new(tx, ty, tz)))
+        } else {
+            Err(NotARotation { length })
+        }
     }
 }
 

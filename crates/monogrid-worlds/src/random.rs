@@ -1,15 +1,7 @@
 //! Seeded random numbers without state: every value is a function of a seed and a counter, so that
 //! frames and pixels can be computed in any order and on any number of threads.
 
-/// Mixes the bits of a 64-bit word (the finaliser of SplitMix64, Steele et al. 2014).
-#[inline]
-#[must_use]
-pub fn mix(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
-}
+pub use monogrid_geometry::mix;
 
 /// Hash of two words.
 #[inline]

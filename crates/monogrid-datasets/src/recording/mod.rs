@@ -191,7 +191,9 @@ impl Record {
         let header = format::parse_record_header(header)?;
         let is_whole = payload.len() == header.payload_bytes as usize
             && crc32fast::hash(payload) == header.payload_crc;
-        let decode = || format::decode_record(header.kind, payload, true);
-        is_whole.then(decode)?.ok()?
+        if !is_whole {
+            return None;
+        }
+        format::decode_record(header.kind, payload, true).ok()?
     }
 }

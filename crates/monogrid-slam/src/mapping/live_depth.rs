@@ -8,11 +8,9 @@
 
 use super::agreement::View;
 use super::certainty::Certainty;
-use super::completion::completed;
 use super::dense::{agreed, neighbours, stereo};
-use super::envelope::{Cloud, enclosed};
+use super::envelope::Cloud;
 use super::refine::Found;
-use super::scan::Depths;
 use super::{KeptKeyframes, KeyframeCamera, KeyframeScan, MappingConfig};
 use crate::store::{Kept, KeptDense};
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
@@ -270,15 +268,11 @@ impl LiveDepth {
     fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
         if let Some(agreed) = &self.work[index].agreed {
             let (camera, config) = (&self.camera, &self.config);
-            let mut depths = agreed.depths();
-            if config.completion.max_witnesses > 0 {
-                let views = self.views(MAX_HELD, index, Work::agreed);
-                let keyframes = self.kept(poses);
-                let added = completed(&keyframes, &views, index, camera, &config.completion);
-                depths = depths.with_filled(added);
-            }
+            let views = self.views(MAX_HELD, index, Work::agreed);
+            let keyframes = self.kept(poses);
+            let depths = agreed.completed(&keyframes, &views, index, camera, &config.completion);
             let completed = agreed.with_depths(depths, camera);
-            let cloud = Cloud::new(completed.view.as_ref(), camera, &config.fill);
+            let cloud = Cloud::new(completed.view.as_ref(), camera, config);
             self.work[index].completed = Some((completed, cloud));
         }
         Step::Worked
@@ -287,18 +281,13 @@ impl LiveDepth {
     /// What of a keyframe is mapped: with walls, floor and ceiling beyond what was measured; nothing where nothing was found.
     fn enclose(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
         let (camera, config) = (&self.camera, &self.config);
-        let mut depths = Depths::default();
-        if let Some(completed) = self.work[index].completed() {
-            depths = completed.depths();
-            if config.envelope.max_planes > 0 {
-                let views = self.views(MAX_HELD, index, Work::completed);
-                let cloud = |other: usize| self.work[other].cloud();
-                let keyframes = self.kept(poses);
-                let added = enclosed(&keyframes, (&views, cloud), index, camera, config);
-                depths = depths.with_filled(added);
-            }
-        }
+        let depths = self.work[index].completed().map(|completed| {
+            let views = self.views(MAX_HELD, index, Work::completed);
+            let around = (&*views, |other: usize| self.work[other].cloud());
+            completed.enclosed(&self.kept(poses), around, index, camera, config)
+        });
         let keyframe = &self.keyframes[index];
+        let depths = depths.unwrap_or_default();
         depths.joined(keyframe.id, camera, keyframe.pixels.store())
     }
 

@@ -13,7 +13,9 @@ use super::envelope::{Cloud, enclosed};
 use super::fusion::fused;
 use super::posed::{Keyframes, PosedKeyframe};
 use super::scan::{Depths, KeptDepths};
-use super::{FusionConfig, KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
+use super::{
+    CompletionConfig, FusionConfig, KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig,
+};
 use crate::DepthPixel;
 use crate::median::median;
 use crate::store::{Kept, Store};
@@ -149,12 +151,9 @@ impl Work<'_> {
         then: impl Fn(&Found, Depths, usize) -> Found + Sync,
     ) -> Vec<Found> {
         let config = &self.config.completion;
-        if config.max_witnesses == 0 {
-            return found;
-        }
         self.each(found, |this, views, index| {
-            let added = completed(self.keyframes, views, index, self.camera, config);
-            then(this, this.depths().with_filled(added), index)
+            let depths = this.completed(self.keyframes, views, index, self.camera, config);
+            then(this, depths, index)
         })
     }
 
@@ -165,16 +164,13 @@ impl Work<'_> {
         then: impl Fn(&Found, Depths, usize) -> T + Sync,
     ) -> Vec<T> {
         let (camera, config) = (self.camera, self.config);
-        if config.envelope.max_planes == 0 {
-            return self.each(found, |this, _, index| then(this, this.depths(), index));
-        }
         let clouds = for_each_keyframe(found.len(), self.threads, |index| {
-            Cloud::new(found[index].view.as_ref(), camera, &config.fill)
+            Cloud::new(found[index].view.as_ref(), camera, config)
         });
         self.each(found, |this, views, index| {
-            let cloud = |other: usize| clouds.get(other);
-            let added = enclosed(self.keyframes, (views, cloud), index, camera, config);
-            then(this, this.depths().with_filled(added), index)
+            let around = (views, |other: usize| clouds.get(other));
+            let depths = this.enclosed(self.keyframes, around, index, camera, config);
+            then(this, depths, index)
         })
     }
 }
@@ -279,6 +275,32 @@ impl Found {
             0 => depths,
             _ => fused(views, index, depths, certainty, camera, config),
         }
+    }
+
+    /// Its depths, with those that others have and it has not; `views[index]` is its own view.
+    pub fn completed(
+        &self,
+        keyframes: &dyn Keyframes,
+        views: &[Option<View>],
+        index: usize,
+        camera: &KeyframeCamera,
+        config: &CompletionConfig,
+    ) -> Depths {
+        let added = completed(keyframes, views, index, camera, config);
+        self.depths().with_filled(added)
+    }
+
+    /// Its depths, with large planes beyond what was measured of them; views and clouds as [`enclosed`] takes them.
+    pub fn enclosed<'a>(
+        &self,
+        keyframes: &dyn Keyframes,
+        around: (&[Option<View>], impl Fn(usize) -> Option<&'a Cloud>),
+        index: usize,
+        camera: &KeyframeCamera,
+        config: &MappingConfig,
+    ) -> Depths {
+        let added = enclosed(keyframes, around, index, camera, config);
+        self.depths().with_filled(added)
     }
 }
 

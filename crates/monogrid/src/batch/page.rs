@@ -268,13 +268,15 @@ fn linked(record: &TaskRecord, link: &str) -> String {
 
 /// As addresses hold it: what has a meaning in them is written as bytes.
 pub fn percent_encoded(path: &str) -> String {
-    let encoded = |byte: u8| {
+    let mut text = String::new();
+    for byte in path.bytes() {
         if byte.is_ascii_alphanumeric() || b"/-_.~".contains(&byte) {
-            return char::from(byte).to_string();
+            text.push(char::from(byte));
+        } else {
+            let _ = write!(text, "%{byte:02X}");
         }
-        format!("%{byte:02X}")
-    };
-    path.bytes().map(encoded).collect()
+    }
+    text
 }
 
 fn cards(ordered: &[&TaskRecord], runs: &Path, link: &str) -> String {

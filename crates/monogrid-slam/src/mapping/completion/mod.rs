@@ -60,6 +60,9 @@ pub(super) fn completed(
     camera: &KeyframeCamera,
     config: &CompletionConfig,
 ) -> Vec<Measurement> {
+    if config.max_witnesses == 0 {
+        return Vec::new();
+    }
     let (Some(this), Some(image)) = (&views[index], keyframes.image(index)) else {
         return Vec::new();
     };

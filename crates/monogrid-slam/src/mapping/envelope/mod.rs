@@ -83,6 +83,9 @@ pub(super) fn enclosed<'a>(
     camera: &KeyframeCamera,
     config: &MappingConfig,
 ) -> Vec<Measurement> {
+    if config.envelope.max_planes == 0 {
+        return Vec::new();
+    }
     let (Some(view), Some(image)) = (&views[index], keyframes.image(index)) else {
         return Vec::new();
     };

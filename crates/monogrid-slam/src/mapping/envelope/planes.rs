@@ -4,7 +4,7 @@ use super::EnvelopeConfig;
 use super::extent::Extent;
 use crate::mapping::agreement::View;
 use crate::mapping::fill::{Plane, planes_of_image};
-use crate::mapping::{FillConfig, KeyframeCamera};
+use crate::mapping::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, SymmetricEigen};
@@ -51,9 +51,9 @@ impl Hypothesis {
 }
 
 impl Cloud {
-    /// Of a keyframe; nothing without a pose.
-    pub fn new(view: Option<&View>, camera: &KeyframeCamera, fill: &FillConfig) -> Self {
-        let Some(view) = view else {
+    /// Of a keyframe; nothing without a pose, or where nobody looks for planes.
+    pub fn new(view: Option<&View>, camera: &KeyframeCamera, config: &MappingConfig) -> Self {
+        let Some(view) = view.filter(|_| config.envelope.max_planes > 0) else {
             return Self::default();
         };
         let kinds = view.depths.kinds();
@@ -76,7 +76,7 @@ impl Cloud {
             let offset = normal.dot(&middle);
             offset.is_finite().then_some(Hypothesis { normal, offset })
         };
-        let planes = planes_of_image(&depths, fill);
+        let planes = planes_of_image(&depths, &config.fill);
         Self {
             points: some(MAX_POINTS).map(point).collect(),
             planes: planes.iter().filter_map(hypothesis).collect(),

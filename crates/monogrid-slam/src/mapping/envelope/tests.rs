@@ -63,7 +63,7 @@ fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Mea
         world_from_keyframe: Some(pose),
     }];
     let config = MappingConfig::default();
-    let clouds = [Cloud::new(views[0].as_ref(), &CAMERA, &config.fill)];
+    let clouds = [Cloud::new(views[0].as_ref(), &CAMERA, &config)];
     let mut added = enclosed(
         &keyframes.as_slice(),
         (&views, |index| clouds.get(index)),
