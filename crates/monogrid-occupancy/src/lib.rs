@@ -93,6 +93,7 @@ mod query;
 mod scan;
 mod sensor;
 mod storage;
+mod unseen;
 
 pub use combine::{CellCounts, MapDifference};
 pub use decay::{Decay, DecayConfig};
@@ -119,3 +120,4 @@ pub use scan::{
     DepthImage, DepthPixel, DepthScan, PointScan, PoseSigma, Scan, ScanData, SigmaMode, Similarity,
 };
 pub use sensor::{AndertForm, Buffer, SensorModel, Significance, ThrunForm, normal_cdf};
+pub use unseen::{CameraView, UnseenLimits};

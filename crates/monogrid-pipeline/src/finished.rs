@@ -3,8 +3,10 @@
 use crate::pipeline::PipelineError;
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::MapError;
-use monogrid_slam::mapping::{KeyframeScan, LiveMaps, Maps, camera_paths};
-use monogrid_slam::{MapSize, PoseSnapshot, SensedFrame, Slam, TrackedFrame, TrajectoryPose};
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, LiveMaps, Maps, camera_paths};
+use monogrid_slam::{
+    KeyframeId, MapSize, PoseSnapshot, SensedFrame, Slam, TrackedFrame, TrajectoryPose,
+};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
@@ -111,6 +113,8 @@ impl Finished {
         if scans.is_empty() {
             return Ok(None);
         }
+        let cameras: Vec<(KeyframeId, KeyframeCamera)> =
+            scans.iter().map(|scan| (scan.id, scan.camera)).collect();
         let mapper = match edge {
             Some(edge) => live.mapper().with_resolution(edge),
             None => live.mapper().clone(),
@@ -121,6 +125,11 @@ impl Finished {
             scans.into_iter().for_each(|scan| live.revise(scan));
         }
         let mut maps = live.finish(&self.poses, map_from_world, camera, self.threads, done)?;
+        let posed = cameras.iter().filter_map(|(id, camera)| {
+            let pose = self.poses.in_main_map(*id)?;
+            Some((*camera, *map_from_world * *pose))
+        });
+        mapper.forget_unseen(&mut maps.global, posed)?;
         let mut frames = earlier.to_vec();
         frames.extend(self.slam.tracked_frames());
         let paths = camera_paths(&frames, |id| self.poses.in_main_map(id), map_from_world);

@@ -449,6 +449,10 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
         min_other_share: 0.001, 1.0;
         max_extent: 0.0, 100.0;
     }));
+    all.extend(limits!("mapping.unseen", mapping.unseen, {
+        max_behind: 0.0, 1000.0;
+        max_beside: 0.0, 100.0;
+    }));
     all.extend(limits!("mapping.fill", mapping.fill, {
         max_gradient: 0.01, 255.0;
         min_area_px: 1.0, 1_000_000_000.0;

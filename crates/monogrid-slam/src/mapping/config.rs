@@ -400,10 +400,32 @@ pub struct MappingConfig {
     pub fill: FillConfig,
     /// Walls, floor and ceiling beyond what was measured.
     pub envelope: EnvelopeConfig,
+    /// Cells that no keyframe can see.
+    pub unseen: UnseenConfig,
     /// Up and the floor.
     pub upright: UprightConfig,
     /// The surface as triangles.
     pub mesh: MeshConfig,
+}
+
+/// Occupied cells of final maps that keyframes have in their images and none can see are unknown again: depth that is too far puts surfaces
+/// behind others.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct UnseenConfig {
+    /// A cell is seen past an occupied one at most this many cells before it; 0: all cells stay. Default 5. Range [0, 1000].
+    pub max_behind: f64,
+    /// So is a cell this many cells, along an axis, beside a free one that is seen past no occupied cell. Default 6. Range [0, 100].
+    pub max_beside: u32,
+}
+
+impl Default for UnseenConfig {
+    fn default() -> Self {
+        Self {
+            max_behind: 5.0,
+            max_beside: 6,
+        }
+    }
 }
 
 /// The surface between occupied and free cells as a mesh.
@@ -463,6 +485,7 @@ impl Default for MappingConfig {
             completion: CompletionConfig::default(),
             fill: FillConfig::default(),
             envelope: EnvelopeConfig::default(),
+            unseen: UnseenConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
         }
@@ -519,6 +542,10 @@ impl MappingConfig {
             envelope: EnvelopeConfig {
                 max_planes: 0,
                 ..EnvelopeConfig::default()
+            },
+            unseen: UnseenConfig {
+                max_behind: 0.0,
+                ..UnseenConfig::default()
             },
             ..Self::default()
         }

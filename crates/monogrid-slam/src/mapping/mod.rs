@@ -13,7 +13,8 @@
 //! the graph: keyframes of which some measurement moved by at least `follow_threshold` cells, or that got other depth, are moved in a second
 //! map, one per step, which takes the place of the first when all are done. As long as there are no readers nothing is integrated. At the end all that
 //! is pending is done on all threads, with depth refined, or made dense, at the final poses ([`final_scans`]); the final maps do
-//! not depend on how far the live ones had come.
+//! not depend on how far the live ones had come. Where no keyframe can see it, what *global* has for occupied is unknown again
+//! ([`Mapper::forget_unseen`]).
 //!
 //! Maps are z up ([`z_up_from_camera_world`]) unless the caller gives another frame, such as that in which the scene is
 //! level ([`upright()`]).
@@ -46,7 +47,7 @@ pub use completion::CompletionConfig;
 pub use config::{
     AndertFormKind, AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig,
     IntegrationKind, MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
-    SigmaMode, ThrunFormKind,
+    SigmaMode, ThrunFormKind, UnseenConfig,
 };
 pub use envelope::EnvelopeConfig;
 pub use fill::fill_plain_regions;

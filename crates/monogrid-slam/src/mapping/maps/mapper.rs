@@ -6,9 +6,9 @@ use super::super::{
 };
 use monogrid_geometry::{Rotation, Sim3, Vec3, nalgebra::Matrix3};
 use monogrid_occupancy::{
-    DepthPixel as Measurement, DepthScan, IntegrationConfig, IntegrationRule, MapError,
+    CameraView, DepthPixel as Measurement, DepthScan, IntegrationConfig, IntegrationRule, MapError,
     OccupancyMap, PointScan, PoseSigma, Scan, ScanData, SigmaMode as OccupancySigmaMode,
-    Similarity, integrate, integrate_scans,
+    Similarity, UnseenLimits, integrate, integrate_scans,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -129,6 +129,27 @@ impl Mapper {
             }
         }
         Ok(())
+    }
+
+    /// Makes occupied cells of a finished map unknown that none of these keyframes can see (`unseen`).
+    ///
+    /// # Errors
+    /// A map that would exceed its memory.
+    pub fn forget_unseen(
+        &self,
+        map: &mut OccupancyMap,
+        map_from_keyframes: impl Iterator<Item = (KeyframeCamera, Sim3)>,
+    ) -> Result<(), MapError> {
+        let config = &self.config.unseen;
+        if config.max_behind <= 0.0 {
+            return Ok(());
+        }
+        let views: Vec<CameraView> = map_from_keyframes.map(camera_view).collect();
+        let limits = UnseenLimits {
+            max_behind: config.max_behind,
+            max_beside: config.max_beside as i32,
+        };
+        map.forget_unseen(&views, &limits, self.threads).map(|_| ())
     }
 
     /// A scan at a pose as the occupancy map takes it.
@@ -287,6 +308,17 @@ impl Mapper {
             keyframes: posed.len(),
         };
         Ok((map, stats))
+    }
+}
+
+/// A keyframe in the types of the occupancy crate.
+fn camera_view((camera, map_from_keyframe): (KeyframeCamera, Sim3)) -> CameraView {
+    let pinhole = &camera.pinhole;
+    CameraView {
+        world_from_camera: similarity(&map_from_keyframe),
+        size: [camera.width as u32, camera.height as u32],
+        focal: [pinhole.fx, pinhole.fy],
+        principal: [pinhole.cx, pinhole.cy],
     }
 }
 
