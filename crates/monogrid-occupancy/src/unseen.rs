@@ -31,6 +31,8 @@ pub struct CameraView {
 pub struct UnseenLimits {
     /// A cell is seen past an occupied cell at most this far before it: surfaces are thick, and lines of sight graze them. In cells.
     pub max_behind: f64,
+    /// Or this far, as a share of the range: so far may the two be off against each other.
+    pub max_behind_share: f64,
     /// Along an axis, a cell this near to a free one that is seen past no occupied cell at all is its surface. In cells.
     pub max_beside: i32,
 }
@@ -109,14 +111,15 @@ impl Sight {
         center[2] > -radius && self.edges.iter().all(|edge| dot(*edge, center) >= -radius)
     }
 
-    /// Whether nothing is occupied on the line of sight to a point, but for its last stretch.
-    fn sees(&self, point: [f64; 3], last: f64, snapshot: &Snapshot) -> bool {
+    /// Whether nothing is occupied on the line of sight to a point, but for its last stretch, as long as is said for its range.
+    fn sees(&self, point: [f64; 3], last: impl Fn(f64) -> f64, snapshot: &Snapshot) -> bool {
         let origin = self.view.world_from_camera.translation;
         let way: [f64; 3] = std::array::from_fn(|i| point[i] - origin[i]);
-        let range = dot(way, way).sqrt() - last;
-        range <= 0.0
+        let range = dot(way, way).sqrt();
+        let clear = range - last(range);
+        clear <= 0.0
             || !matches!(
-                snapshot.cast_ray(origin, way, range, UnknownCells::PassThrough),
+                snapshot.cast_ray(origin, way, clear, UnknownCells::PassThrough),
                 RayHit::Occupied { .. }
             )
     }
@@ -179,20 +182,26 @@ impl<'a> Looking<'a> {
         for key in occupied {
             let center = key.center(self.snapshot.resolution());
             let is_shown = self.sights.iter().any(|sight| sight.shows(center, 0.0));
-            if is_shown && !self.is_seen(key, self.limits.max_behind) && !self.is_beside_seen(key) {
+            if is_shown && !self.is_seen(key, true) && !self.is_beside_seen(key) {
                 unseen.push(key);
             }
         }
         unseen
     }
 
-    /// Whether a view sees a cell past all that is occupied farther than so many cells before it.
-    fn is_seen(&mut self, key: VoxelKey, past: f64) -> bool {
+    /// Whether a view sees a cell past nothing that is occupied, or as a surface: past what may be its own thickness.
+    fn is_seen(&mut self, key: VoxelKey, as_surface: bool) -> bool {
         let cell = self.snapshot.resolution();
         let center = key.center(cell);
-        let seeing = self.sights.iter().position(|sight| {
-            sight.shows(center, 0.0) && sight.sees(center, past * cell, self.snapshot)
-        });
+        let limits = self.limits;
+        let last = |range: f64| {
+            let behind = (limits.max_behind * cell).max(limits.max_behind_share * range);
+            if as_surface { behind } else { 0.0 }
+        };
+        let seeing = self
+            .sights
+            .iter()
+            .position(|sight| sight.shows(center, 0.0) && sight.sees(center, last, self.snapshot));
         if let Some(index) = seeing {
             self.sights[..=index].rotate_right(1);
         }
@@ -217,7 +226,7 @@ impl<'a> Looking<'a> {
         if let Some(known) = self.free.get(&key) {
             return *known;
         }
-        let is_seen = self.is_seen(key, 0.0);
+        let is_seen = self.is_seen(key, false);
         self.free.insert(key, is_seen);
         is_seen
     }
@@ -261,6 +270,7 @@ mod tests {
 
     const LIMITS: UnseenLimits = UnseenLimits {
         max_behind: 5.0,
+        max_behind_share: 0.04,
         max_beside: 4,
     };
 
@@ -284,6 +294,15 @@ mod tests {
         let views = [view_at(0.05)];
         let behind = |z: i32| forgotten(&[[0, 0, z]], &views);
         assert_eq!([21, 22, 24, 25, 27, 30].map(behind), [0, 0, 0, 1, 1, 1]);
+        // far away walls are as thick as what is off there
+        let off = UnseenLimits {
+            max_behind_share: 0.3,
+            ..LIMITS
+        };
+        let mut map = wall();
+        let key = VoxelKey::new(0, 0, 27);
+        map.set_log_odds(key, Some(2.0)).unwrap();
+        assert_eq!(map.forget_unseen(&views, &off, 1).unwrap(), 0);
         // neither is what stands before it, or what is in no image
         assert_eq!(
             forgotten(&[[3, 3, 10], [200, 0, 30], [0, 0, -30]], &views),

@@ -451,6 +451,7 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
     }));
     all.extend(limits!("mapping.unseen", mapping.unseen, {
         max_behind: 0.0, 1000.0;
+        max_behind_share: 0.0, 1.0;
         max_beside: 0.0, 100.0;
     }));
     all.extend(limits!("mapping.fill", mapping.fill, {

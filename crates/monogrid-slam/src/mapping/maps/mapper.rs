@@ -147,6 +147,7 @@ impl Mapper {
         let views: Vec<CameraView> = map_from_keyframes.map(camera_view).collect();
         let limits = UnseenLimits {
             max_behind: config.max_behind,
+            max_behind_share: config.max_behind_share,
             max_beside: config.max_beside as i32,
         };
         map.forget_unseen(&views, &limits, self.threads).map(|_| ())
