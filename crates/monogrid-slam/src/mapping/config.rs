@@ -415,7 +415,7 @@ pub struct MappingConfig {
 pub struct UnseenConfig {
     /// A cell is seen past an occupied one at most this many cells before it; 0: all cells stay. Default 5. Range [0, 1000].
     pub max_behind: f64,
-    /// Or at most this share of the range before it, where that is more. Default 0.04. Range [0, 1].
+    /// Or at most this share of the range before it, where that is more. Default 0.03. Range [0, 1].
     pub max_behind_share: f64,
     /// So is a cell this many cells, along an axis, beside a free one that is seen past no occupied cell. Default 6. Range [0, 100].
     pub max_beside: u32,
@@ -425,7 +425,7 @@ impl Default for UnseenConfig {
     fn default() -> Self {
         Self {
             max_behind: 5.0,
-            max_behind_share: 0.04,
+            max_behind_share: 0.03,
             max_beside: 6,
         }
     }
