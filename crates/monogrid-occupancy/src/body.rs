@@ -3,6 +3,7 @@
 use crate::error::MapError;
 use crate::key::VoxelKey;
 use crate::map::OccupancyMap;
+use crate::scan::dot;
 
 impl OccupancyMap {
     /// Makes the cells whose centres lie within `radius` of a path, and those that the path's points lie in, as free as
@@ -42,15 +43,14 @@ impl OccupancyMap {
 fn distance_to_line(point: &[f64; 3], start: &[f64; 3], end: &[f64; 3]) -> f64 {
     let along: [f64; 3] = std::array::from_fn(|i| end[i] - start[i]);
     let from_start: [f64; 3] = std::array::from_fn(|i| point[i] - start[i]);
-    let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let length_sq = dot(&along, &along);
+    let length_sq = dot(along, along);
     let share = if length_sq > 0.0 {
-        (dot(&along, &from_start) / length_sq).clamp(0.0, 1.0)
+        (dot(along, from_start) / length_sq).clamp(0.0, 1.0)
     } else {
         0.0
     };
     let offset: [f64; 3] = std::array::from_fn(|i| from_start[i] - share * along[i]);
-    dot(&offset, &offset).sqrt()
+    dot(offset, offset).sqrt()
 }
 
 #[cfg(test)]

@@ -15,6 +15,12 @@ pub struct Similarity {
     pub translation: [f64; 3],
 }
 
+/// The inner product.
+#[inline]
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
 impl Similarity {
     /// The transform that changes nothing.
     pub const IDENTITY: Self = Self {
@@ -72,7 +78,6 @@ impl Similarity {
     #[must_use]
     pub fn is_valid(&self) -> bool {
         let r = &self.rotation;
-        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         let orthonormal = (0..3)
             .all(|i| (0..3).all(|j| (dot(r[i], r[j]) - f64::from(u8::from(i == j))).abs() < 1e-3));
         let cross = [

@@ -6,11 +6,11 @@
 use crate::error::MapError;
 use crate::evidence::Occupancy;
 use crate::integrate::parallel::for_each;
-use crate::key::{BRICK_EDGE, BrickKey, VoxelKey};
+use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 use crate::map::OccupancyMap;
 use crate::query::cast::{RayHit, UnknownCells};
 use crate::query::snapshot::Snapshot;
-use crate::scan::Similarity;
+use crate::scan::{Similarity, dot};
 use std::collections::BTreeMap;
 
 /// A pinhole camera at a pose; it looks along +z.
@@ -56,8 +56,15 @@ impl OccupancyMap {
             .into_iter()
             .map(|brick| (brick, Vec::new()))
             .collect();
+        let map = &*self;
         for_each(&mut bricks, threads, |_, (brick, unseen)| {
-            *unseen = Looking::at(*brick, &snapshot, &sights, limits).unseen();
+            let [first, last] = [0, BRICK_CELLS - 1].map(|index| brick.cell(index));
+            let occupied = map.keys_in_key_box(first, last, Occupancy::Occupied);
+            unseen.extend(occupied);
+            if !unseen.is_empty() {
+                let mut looking = Looking::at(*brick, &snapshot, &sights, limits);
+                unseen.retain(|key| looking.is_unseen(*key));
+            }
         });
         let mut count = 0;
         for key in bricks.into_iter().flat_map(|(_, unseen)| unseen) {
@@ -125,10 +132,6 @@ impl Sight {
     }
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
 /// The six directions along the axes.
 const ALONG_AXES: [[i32; 3]; 6] = [
     [1, 0, 0],
@@ -141,7 +144,6 @@ const ALONG_AXES: [[i32; 3]; 6] = [
 
 /// The views that have a brick and what is beside it in their images.
 struct Looking<'a> {
-    brick: BrickKey,
     snapshot: &'a Snapshot,
     limits: &'a UnseenLimits,
     /// The one that saw the last cell comes first: it will see the next.
@@ -164,7 +166,6 @@ impl<'a> Looking<'a> {
         let radius = (3_f64.sqrt() * half + f64::from(limits.max_beside)) * cell;
         let near = sights.iter().filter(|sight| sight.shows(center, radius));
         Self {
-            brick,
             snapshot,
             limits,
             sights: near.collect(),
@@ -172,21 +173,12 @@ impl<'a> Looking<'a> {
         }
     }
 
-    /// The occupied cells that are in an image and that none of the views can see.
-    fn unseen(mut self) -> Vec<VoxelKey> {
-        let cells = (0..crate::key::BRICK_CELLS).map(|index| self.brick.cell(index));
-        let occupied: Vec<VoxelKey> = cells
-            .filter(|key| self.snapshot.state_of(*key) == Occupancy::Occupied)
-            .collect();
-        let mut unseen = Vec::new();
-        for key in occupied {
-            let center = key.center(self.snapshot.resolution());
-            let is_shown = self.sights.iter().any(|sight| sight.shows(center, 0.0));
-            if is_shown && !self.is_seen(key, true) && !self.is_beside_seen(key) {
-                unseen.push(key);
-            }
-        }
-        unseen
+    /// Whether an occupied cell of the brick is in an image and none of the views can see it.
+    fn is_unseen(&mut self, key: VoxelKey) -> bool {
+        let center = key.center(self.snapshot.resolution());
+        !self.is_seen(key, true)
+            && self.sights.iter().any(|sight| sight.shows(center, 0.0))
+            && !self.is_beside_seen(key)
     }
 
     /// Whether a view sees a cell past nothing that is occupied, or as a surface: past what may be its own thickness.
