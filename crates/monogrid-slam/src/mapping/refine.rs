@@ -358,33 +358,36 @@ pub fn refined_depths(
     })
 }
 
-/// Results of independent work in their order, on several threads: each takes every n-th, since neighbours
-/// cost about the same.
+/// Results of independent work in their order, on several threads: each takes the next that nobody has begun.
 pub(super) fn for_each_keyframe<T: Send>(
     count: usize,
     threads: usize,
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
-    let threads = threads.clamp(1, count.max(1));
-    let of_thread =
-        |thread: usize| -> Vec<T> { (thread..count).step_by(threads).map(&work).collect() };
-    let mut parts: Vec<std::vec::IntoIter<T>> = thread::scope(|scope| {
-        let of_thread = &of_thread;
-        let others: Vec<_> = (1..threads)
-            .map(|thread| scope.spawn(move || of_thread(thread)))
-            .collect();
-        let first = of_thread(0);
-        let rest = others.into_iter().enumerate().map(|(i, other)| {
-            // a thread that failed: its share again, here
-            other.join().unwrap_or_else(|_| of_thread(i + 1))
-        });
-        std::iter::once(first)
-            .chain(rest)
-            .map(Vec::into_iter)
+    let next = AtomicUsize::new(0);
+    let of_thread = || -> Vec<(usize, T)> {
+        std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed))
+            .take_while(|index| *index < count)
+            .map(|index| (index, work(index)))
             .collect()
+    };
+    let mut results: Vec<Option<T>> = std::iter::repeat_with(|| None).take(count).collect();
+    thread::scope(|scope| {
+        let others: Vec<_> = (1..threads.min(count))
+            .map(|_| scope.spawn(of_thread))
+            .collect();
+        let first = of_thread();
+        let rest = others
+            .into_iter()
+            .flat_map(|other| other.join().unwrap_or_default());
+        for (index, result) in first.into_iter().chain(rest) {
+            results[index] = Some(result);
+        }
     });
-    (0..count)
-        .filter_map(|index| parts[index % threads].next())
+    // what a thread had that failed: again, here
+    let results = results.into_iter().enumerate();
+    results
+        .map(|(index, result)| result.unwrap_or_else(|| work(index)))
         .collect()
 }
 

@@ -1,11 +1,18 @@
 //! Points looked for once more when all poses are known: in every keyframe that should see them.
 
 use super::SparseConfig;
-use super::matching::{PointSearch, SearchImage, Which, find_in_image};
+use super::matching::{PointSearch, SearchImage, Which, find_in_images};
 use crate::FragmentId;
-use crate::map::{Map, Observation};
+use crate::map::{Map, MapKeyframe, Observation};
 use monogrid_features::PatchSearchConfig;
 use monogrid_geometry::Pinhole;
+use monogrid_image::Pyramid;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Keyframes in which points are looked for at the same time. All others are made ready once for so many, and the pyramids of these are
+/// in memory.
+const BLOCK: usize = 16;
 
 /// Where keyframes of a fragment see points that were not found in them before: those that were anchored later, and
 /// those that the poses of their time had elsewhere.
@@ -15,32 +22,56 @@ pub(crate) fn find_again(
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<(usize, Observation)> {
-    let mut seen = Vec::new();
-    for keyframe in map.in_fragment(fragment) {
-        let Some(pyramid) = keyframe.pyramid() else {
-            continue;
-        };
-        let image = SearchImage {
-            pyramid: &pyramid,
-            fragment,
-            camera_from_world: keyframe.camera_from_world,
-        };
-        let search = PointSearch {
-            patch: PatchSearchConfig {
-                radius_px: config.final_radius_px,
-                ..PatchSearchConfig::default()
-            },
-            which: Which::NotSeenBy(keyframe.id),
-            max_points: config.max_searched_points,
-            from_newest: false,
-        };
-        let found = find_in_image(map, &image, &search, pinhole, config).found;
+    let keyframes: Vec<&MapKeyframe> = map.in_fragment(fragment).collect();
+    let blocks = keyframes.chunks(BLOCK);
+    blocks
+        .flat_map(|block| find_in_block(map, block, pinhole, config))
+        .collect()
+}
+
+/// The same for some of the keyframes.
+fn find_in_block(
+    map: &Map,
+    keyframes: &[&MapKeyframe],
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Vec<(usize, Observation)> {
+    let ready: Vec<(&MapKeyframe, Arc<Pyramid>)> = keyframes
+        .par_iter()
+        .filter_map(|keyframe| Some((*keyframe, keyframe.pyramid()?)))
+        .collect();
+    let searches: Vec<(SearchImage, PointSearch)> = ready
+        .iter()
+        .map(|(keyframe, pyramid)| search_in(keyframe, pyramid, config))
+        .collect();
+    let found = find_in_images(map, &searches, pinhole, config);
+    let found = ready.iter().zip(found).flat_map(|((keyframe, _), found)| {
         let keyframe = keyframe.id;
-        seen.extend(
-            found
-                .into_iter()
-                .map(|(point, pixel)| (point, Observation { keyframe, pixel })),
-        );
-    }
-    seen
+        let seen = move |(point, pixel)| (point, Observation { keyframe, pixel });
+        found.into_iter().map(seen)
+    });
+    found.collect()
+}
+
+/// How points are looked for in a keyframe.
+fn search_in<'a>(
+    keyframe: &MapKeyframe,
+    pyramid: &'a Pyramid,
+    config: &SparseConfig,
+) -> (SearchImage<'a>, PointSearch) {
+    let image = SearchImage {
+        pyramid,
+        fragment: keyframe.fragment,
+        camera_from_world: keyframe.camera_from_world,
+    };
+    let search = PointSearch {
+        patch: PatchSearchConfig {
+            radius_px: config.final_radius_px,
+            ..PatchSearchConfig::default()
+        },
+        which: Which::NotSeenBy(keyframe.id),
+        max_points: config.max_searched_points,
+        from_newest: false,
+    };
+    (image, search)
 }

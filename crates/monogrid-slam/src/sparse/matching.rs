@@ -105,73 +105,122 @@ pub(crate) fn find_in_image(
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Search {
-    let visible = visible_in(map, image, search.which, pinhole, config);
-    let size = size_of(image.pyramid);
-    let chosen = spread(&visible, map.points(), size, search.max_points, config);
-    let wanted: Vec<Wanted> = chosen
-        .iter()
-        .filter_map(|&(point, predicted)| {
-            let source = patch_source(map, &map.points()[point], search.from_newest, pinhole)?;
-            Some(Wanted {
-                point,
-                predicted,
-                source,
-            })
-        })
-        .collect();
+    let wanted = wanted_in(map, (0, image), search, pinhole, config);
+    let pixels = find_wanted(&wanted, &[(image, search)], pinhole);
     Search {
-        num_searched: chosen.len(),
-        found: find_wanted(&wanted, image, search, pinhole),
+        num_searched: wanted.len(),
+        found: found_of(&wanted, pixels),
     }
 }
+
+/// The same in several images: indices of points, and where each image shows them. What keyframes show is made ready once for all
+/// images, not once for each.
+pub(super) fn find_in_images(
+    map: &Map,
+    searches: &[(SearchImage<'_>, PointSearch)],
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Vec<Vec<(usize, Vec2)>> {
+    let images: Vec<ImageSearch> = searches.iter().map(|(image, how)| (image, how)).collect();
+    let wanted: Vec<Wanted> = images
+        .iter()
+        .enumerate()
+        .flat_map(|(index, (image, how))| wanted_in(map, (index, image), how, pinhole, config))
+        .collect();
+    let mut pixels = find_wanted(&wanted, &images, pinhole).into_iter();
+    let mut found = vec![Vec::new(); searches.len()];
+    for these in wanted.chunk_by(|a, b| a.image == b.image) {
+        found[these[0].image] = found_of(these, pixels.by_ref().take(these.len()));
+    }
+    found
+}
+
+/// An image, and how points are looked for in it.
+type ImageSearch<'a> = (&'a SearchImage<'a>, &'a PointSearch);
 
 /// A point that is looked for.
 struct Wanted<'a> {
     point: usize,
+    /// Index of the image in which it is looked for.
+    image: usize,
     predicted: Vec2,
-    source: PatchSource<'a>,
+    /// None where no keyframe shows it well enough.
+    source: Option<PatchSource<'a>>,
+}
+
+/// The points that are looked for in an image, spread over it.
+fn wanted_in<'a>(
+    map: &'a Map,
+    (index, image): (usize, &SearchImage<'_>),
+    search: &PointSearch,
+    pinhole: &Pinhole,
+    config: &SparseConfig,
+) -> Vec<Wanted<'a>> {
+    let visible = visible_in(map, image, search.which, pinhole, config);
+    let size = size_of(image.pyramid);
+    let chosen = spread(&visible, map.points(), size, search.max_points, config);
+    let wanted = |(point, predicted)| Wanted {
+        point,
+        image: index,
+        predicted,
+        source: patch_source(map, &map.points()[point], search.from_newest, pinhole),
+    };
+    chosen.into_iter().map(wanted).collect()
+}
+
+/// The points that were found, and where.
+fn found_of(
+    wanted: &[Wanted<'_>],
+    pixels: impl IntoIterator<Item = Option<Vec2>>,
+) -> Vec<(usize, Vec2)> {
+    let found = wanted.iter().zip(pixels);
+    found
+        .filter_map(|(wanted, pixel)| Some((wanted.point, pixel?)))
+        .collect()
 }
 
 /// Keyframes of which patches are taken at the same time: as many pyramids are in memory.
 const MAX_SOURCES: usize = 8;
 
-/// Those of the points that are found, in their order.
+/// Where each of the points is found in its image.
 fn find_wanted(
     wanted: &[Wanted<'_>],
-    image: &SearchImage<'_>,
-    search: &PointSearch,
+    images: &[ImageSearch<'_>],
     pinhole: &Pinhole,
-) -> Vec<(usize, Vec2)> {
-    let sources: BTreeMap<KeyframeId, &MapKeyframe> = wanted
-        .iter()
-        .map(|wanted| (wanted.source.keyframe.id, wanted.source.keyframe))
+) -> Vec<Option<Vec2>> {
+    let sources = wanted.iter().filter_map(|wanted| wanted.source.as_ref());
+    let sources: BTreeMap<KeyframeId, &MapKeyframe> = sources
+        .map(|source| (source.keyframe.id, source.keyframe))
         .collect();
     let sources: Vec<&MapKeyframe> = sources.into_values().collect();
-    let mut found: Vec<Option<(usize, Vec2)>> = vec![None; wanted.len()];
+    let mut found = vec![None; wanted.len()];
     for some in sources.chunks(MAX_SOURCES) {
         let pyramids: BTreeMap<KeyframeId, Arc<Pyramid>> = some
-            .iter()
+            .par_iter()
             .filter_map(|keyframe| Some((keyframe.id, keyframe.pyramid()?)))
             .collect();
         let wanted = wanted.par_iter().zip(found.par_iter_mut());
         wanted.for_each(|(wanted, found)| {
-            if let Some(pyramid) = pyramids.get(&wanted.source.keyframe.id) {
-                *found = find_one(wanted, pyramid, image, search, pinhole);
+            let source = wanted.source.as_ref();
+            if let Some((source, pyramid)) =
+                source.and_then(|source| Some((source, pyramids.get(&source.keyframe.id)?)))
+            {
+                let (image, search) = images[wanted.image];
+                *found = find_one(source, pyramid, image, (&wanted.predicted, search), pinhole);
             }
         });
     }
-    found.into_iter().flatten().collect()
+    found
 }
 
-/// Where an image shows a point that looks as it does in a keyframe with this pyramid.
+/// Where an image shows, around a place, a point that looks as it does in a keyframe with this pyramid.
 fn find_one(
-    wanted: &Wanted<'_>,
+    source: &PatchSource<'_>,
     pyramid: &Pyramid,
     image: &SearchImage<'_>,
-    search: &PointSearch,
+    (predicted, search): (&Vec2, &PointSearch),
     pinhole: &Pinhole,
-) -> Option<(usize, Vec2)> {
-    let source = &wanted.source;
+) -> Option<Vec2> {
     let image_from_source = image.camera_from_world * source.keyframe.camera_from_world.inverse();
     let warp = patch_warp(pinhole, &source.pixel, source.idepth, &image_from_source)?;
     // the search wants offsets in the reference from offsets in the current image
@@ -180,10 +229,10 @@ fn find_one(
         &source.pixel,
         &warp,
         image.pyramid,
-        &wanted.predicted,
+        predicted,
         &search.patch,
     );
-    outcome.pixel().map(|pixel| (wanted.point, pixel))
+    outcome.pixel()
 }
 
 /// Where the patch of a point is taken from.
