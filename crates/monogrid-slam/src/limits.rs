@@ -449,10 +449,10 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
         min_other_share: 0.001, 1.0;
         max_extent: 0.0, 100.0;
     }));
-    all.extend(limits!("mapping.unseen", mapping.unseen, {
-        max_behind: 0.0, 1000.0;
-        max_behind_share: 0.0, 1.0;
-        max_beside: 0.0, 100.0;
+    all.extend(limits!("mapping.rims", mapping.rims, {
+        relative_sigma: 0.0, 1.0;
+        width: 0.0, 100.0;
+        min_step: 0.001, 0.999;
     }));
     all.extend(limits!("mapping.fill", mapping.fill, {
         max_gradient: 0.01, 255.0;
@@ -475,10 +475,15 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
     all
 }
 
-/// What is up, and the surface.
+/// Which cells stay, what is up, and the surface.
 #[rustfmt::skip]
 fn scene_limits(mapping: &MappingConfig) -> Vec<Limit> {
     let mut all = Vec::new();
+    all.extend(limits!("mapping.unseen", mapping.unseen, {
+        max_behind: 0.0, 1000.0;
+        max_behind_share: 0.0, 1.0;
+        max_beside: 0.0, 100.0;
+    }));
     all.extend(limits!("mapping.upright", mapping.upright, {
         roll_sigma_deg: 1.0, 180.0;
         pitch_deg: -90.0, 90.0;

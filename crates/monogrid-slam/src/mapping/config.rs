@@ -1,6 +1,6 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
-use super::{CompletionConfig, EnvelopeConfig, UprightConfig};
+use super::{CompletionConfig, EnvelopeConfig, RimConfig, UprightConfig};
 use crate::ConfigError;
 use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{AndertForm, Buffer, MapConfig, SensorModel, Significance, ThrunForm};
@@ -400,6 +400,8 @@ pub struct MappingConfig {
     pub fill: FillConfig,
     /// Walls, floor and ceiling beyond what was measured.
     pub envelope: EnvelopeConfig,
+    /// Depth at the rims of what is nearer.
+    pub rims: RimConfig,
     /// Cells that no keyframe can see.
     pub unseen: UnseenConfig,
     /// Up and the floor.
@@ -488,6 +490,7 @@ impl Default for MappingConfig {
             completion: CompletionConfig::default(),
             fill: FillConfig::default(),
             envelope: EnvelopeConfig::default(),
+            rims: RimConfig::default(),
             unseen: UnseenConfig::default(),
             upright: UprightConfig::default(),
             mesh: MeshConfig::default(),
@@ -545,6 +548,10 @@ impl MappingConfig {
             envelope: EnvelopeConfig {
                 max_planes: 0,
                 ..EnvelopeConfig::default()
+            },
+            rims: RimConfig {
+                relative_sigma: 0.0,
+                ..RimConfig::default()
             },
             unseen: UnseenConfig {
                 max_behind: 0.0,

@@ -288,7 +288,8 @@ impl LiveDepth {
         });
         let keyframe = &self.keyframes[index];
         let depths = depths.unwrap_or_default();
-        depths.joined(keyframe.id, camera, keyframe.pixels.store())
+        let (rims, store) = (&self.config.rims, keyframe.pixels.store());
+        depths.joined(keyframe.id, camera, rims, store)
     }
 
     /// What keyframes have at a stage, by their index, of those around one.

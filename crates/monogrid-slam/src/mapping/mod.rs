@@ -34,6 +34,7 @@ mod live_depth;
 mod maps;
 mod posed;
 mod refine;
+mod rims;
 mod scan;
 #[cfg(test)]
 mod test_wall;
@@ -58,6 +59,7 @@ pub(crate) use posed::KeptKeyframes;
 pub use posed::{ImageOf, PosedKeyframe};
 pub(crate) use refine::final_scans_of;
 pub use refine::{final_scans, final_scans_counted, refined_depths};
+pub use rims::RimConfig;
 pub use scan::{KeyframeCamera, KeyframeScan, ScanPixels};
 pub use upright::{
     Floor, Upright, UprightConfig, UprightView, floor_below, level_from_world, upright,

@@ -3,7 +3,8 @@
 //! In this order: dense depth beside that of the filter (`dense`) → both made better by the images around (`refine_depth`) → what is
 //! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
 //! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
-//! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them (`envelope`).
+//! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them (`envelope`) → less
+//! certain beside what is farther (`rims`).
 
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
@@ -88,8 +89,9 @@ pub(crate) fn final_scans_of(
         threads,
     };
     let keep = |this: &Found, depths: Depths, _: usize| this.with_depths(depths, camera);
-    let hand_over =
-        |_: &Found, depths: Depths, index| depths.joined(keyframes.id(index), camera, store);
+    let hand_over = |_: &Found, depths: Depths, index| {
+        depths.joined(keyframes.id(index), camera, &config.rims, store)
+    };
     let found = work.not_contradicted(found);
     if !is_dense {
         return work.agreed_upon(found, hand_over);

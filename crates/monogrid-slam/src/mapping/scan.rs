@@ -2,6 +2,7 @@
 //!
 //! What is not precise enough is left out here and not by the depth filter: recordings keep all depth, for maps by other rules.
 
+use super::rims::{RimConfig, uncertain_at_rims};
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
 use crate::store::{Kept, Measurements, Store};
 use crate::{DepthPixel, KeyframeId};
@@ -88,7 +89,7 @@ impl KeyframeScan {
     ) -> Self {
         let limit = config.filter.max_relative_sigma;
         let depths = Depths::new(id, pixels, image, camera, (config, limit));
-        depths.joined(id, camera, &Store::default())
+        depths.joined(id, camera, &config.rims, &Store::default())
     }
 
     /// A scan of these measurements, row-major, in units of the keyframe; `num_filled` of them were not measured. They stay in memory.
@@ -193,12 +194,19 @@ impl Depths {
         self
     }
 
-    /// Both together.
-    pub fn joined(self, id: KeyframeId, camera: &KeyframeCamera, store: &Store) -> KeyframeScan {
-        let num_filled = self.filled.len();
-        let mut pixels = self.measured;
+    /// Both together as they are mapped: less certain at the rims of what is nearer.
+    pub fn joined(
+        self,
+        id: KeyframeId,
+        camera: &KeyframeCamera,
+        rims: &RimConfig,
+        store: &Store,
+    ) -> KeyframeScan {
+        let depths = uncertain_at_rims(self, camera, rims);
+        let num_filled = depths.filled.len();
+        let mut pixels = depths.measured;
         pixels.reserve_exact(num_filled);
-        pixels.extend(self.filled);
+        pixels.extend(depths.filled);
         if num_filled > 0 {
             pixels.sort_unstable_by_key(|p| (p.y, p.x));
         }
