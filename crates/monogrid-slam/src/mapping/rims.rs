@@ -101,7 +101,7 @@ fn take_lowest(values: &mut [f32], count: usize, stride: usize) {
 mod tests {
     use super::*;
     use crate::store::Store;
-    use monogrid_geometry::Pinhole;
+    use monogrid_geometry::{Pinhole, Rng};
     use monogrid_occupancy::DepthPixel as Measurement;
 
     const SIZE: (usize, usize) = (160, 40);
@@ -165,12 +165,13 @@ mod tests {
     #[test]
     fn the_lowest_around_is_that_of_a_search() {
         let mut depths = Depths::default();
-        let mut state = 5u32;
+        let mut rng = Rng::new(5);
         for y in 0..SIZE.1 {
             for x in 0..SIZE.0 {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                if state >> 29 == 0 {
-                    depths.measured.push(pixel(x, y, 1.0 + (state >> 8) as f32));
+                if rng.below(8) == 0 {
+                    depths
+                        .measured
+                        .push(pixel(x, y, 1.0 + rng.uniform() as f32));
                 }
             }
         }

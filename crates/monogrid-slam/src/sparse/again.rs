@@ -45,12 +45,12 @@ fn find_in_block(
         .map(|(keyframe, pyramid)| search_in(keyframe, pyramid, config))
         .collect();
     let found = find_in_images(map, &searches, pinhole, config);
-    let found = ready.iter().zip(found).flat_map(|((keyframe, _), found)| {
-        let keyframe = keyframe.id;
-        let seen = move |(point, pixel)| (point, Observation { keyframe, pixel });
-        found.into_iter().map(seen)
+    let seen = found.into_iter().map(|found| {
+        let keyframe = ready[found.image].0.id;
+        let pixel = found.pixel;
+        (found.point, Observation { keyframe, pixel })
     });
-    found.collect()
+    seen.collect()
 }
 
 /// How points are looked for in a keyframe.

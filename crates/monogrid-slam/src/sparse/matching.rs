@@ -105,95 +105,98 @@ pub(crate) fn find_in_image(
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Search {
-    let wanted = wanted_in(map, (0, image), search, pinhole, config);
-    let pixels = find_wanted(&wanted, &[(image, search)], pinhole);
+    let chosen = chosen_in(map, image, search, pinhole, config);
+    let wanted = wanted_in(map, (0, &chosen), search, pinhole);
+    let found = find_wanted(&wanted, &[(image, search)], pinhole);
     Search {
-        num_searched: wanted.len(),
-        found: found_of(&wanted, pixels),
+        num_searched: chosen.len(),
+        found: found
+            .iter()
+            .map(|found| (found.point, found.pixel))
+            .collect(),
     }
 }
 
-/// The same in several images: indices of points, and where each image shows them. What keyframes show is made ready once for all
-/// images, not once for each.
+/// The same in several images, one after the other. What keyframes show is made ready once for all images, not once for each.
 pub(super) fn find_in_images(
     map: &Map,
     searches: &[(SearchImage<'_>, PointSearch)],
     pinhole: &Pinhole,
     config: &SparseConfig,
-) -> Vec<Vec<(usize, Vec2)>> {
+) -> Vec<Found> {
     let images: Vec<ImageSearch> = searches.iter().map(|(image, how)| (image, how)).collect();
-    let wanted: Vec<Wanted> = images
-        .iter()
-        .enumerate()
-        .flat_map(|(index, (image, how))| wanted_in(map, (index, image), how, pinhole, config))
-        .collect();
-    let mut pixels = find_wanted(&wanted, &images, pinhole).into_iter();
-    let mut found = vec![Vec::new(); searches.len()];
-    for these in wanted.chunk_by(|a, b| a.image == b.image) {
-        found[these[0].image] = found_of(these, pixels.by_ref().take(these.len()));
-    }
-    found
+    let wanted_in = |(index, (image, search)): (usize, &ImageSearch)| {
+        let chosen = chosen_in(map, image, search, pinhole, config);
+        wanted_in(map, (index, &chosen), search, pinhole)
+    };
+    let wanted: Vec<Wanted> = images.iter().enumerate().flat_map(wanted_in).collect();
+    find_wanted(&wanted, &images, pinhole)
 }
 
 /// An image, and how points are looked for in it.
 type ImageSearch<'a> = (&'a SearchImage<'a>, &'a PointSearch);
 
-/// A point that is looked for.
-struct Wanted<'a> {
-    point: usize,
-    /// Index of the image in which it is looked for.
-    image: usize,
-    predicted: Vec2,
-    /// None where no keyframe shows it well enough.
-    source: Option<PatchSource<'a>>,
+/// A point that was found.
+pub(super) struct Found {
+    /// Index of the image that shows it.
+    pub image: usize,
+    /// Index of the point.
+    pub point: usize,
+    /// Where it is there.
+    pub pixel: Vec2,
 }
 
-/// The points that are looked for in an image, spread over it.
-fn wanted_in<'a>(
-    map: &'a Map,
-    (index, image): (usize, &SearchImage<'_>),
+/// A point that is looked for.
+struct Wanted<'a> {
+    /// Index of the image in which it is looked for.
+    image: usize,
+    point: usize,
+    predicted: Vec2,
+    source: PatchSource<'a>,
+}
+
+/// The points of its fragment that an image should show, spread over it, and where.
+fn chosen_in(
+    map: &Map,
+    image: &SearchImage<'_>,
     search: &PointSearch,
     pinhole: &Pinhole,
     config: &SparseConfig,
-) -> Vec<Wanted<'a>> {
+) -> Vec<(usize, Vec2)> {
     let visible = visible_in(map, image, search.which, pinhole, config);
     let size = size_of(image.pyramid);
-    let chosen = spread(&visible, map.points(), size, search.max_points, config);
-    let wanted = |(point, predicted)| Wanted {
-        point,
-        image: index,
-        predicted,
-        source: patch_source(map, &map.points()[point], search.from_newest, pinhole),
-    };
-    chosen.into_iter().map(wanted).collect()
+    spread(&visible, map.points(), size, search.max_points, config)
 }
 
-/// The points that were found, and where.
-fn found_of(
-    wanted: &[Wanted<'_>],
-    pixels: impl IntoIterator<Item = Option<Vec2>>,
-) -> Vec<(usize, Vec2)> {
-    let found = wanted.iter().zip(pixels);
-    found
-        .filter_map(|(wanted, pixel)| Some((wanted.point, pixel?)))
-        .collect()
+/// Those of the points chosen in an image that a keyframe shows.
+fn wanted_in<'a>(
+    map: &'a Map,
+    (image, chosen): (usize, &[(usize, Vec2)]),
+    search: &PointSearch,
+    pinhole: &Pinhole,
+) -> Vec<Wanted<'a>> {
+    let wanted = |&(point, predicted): &(usize, Vec2)| {
+        Some(Wanted {
+            image,
+            point,
+            predicted,
+            source: patch_source(map, &map.points()[point], search.from_newest, pinhole)?,
+        })
+    };
+    chosen.iter().filter_map(wanted).collect()
 }
 
 /// Keyframes of which patches are taken at the same time: as many pyramids are in memory.
 const MAX_SOURCES: usize = 8;
 
-/// Where each of the points is found in its image.
-fn find_wanted(
-    wanted: &[Wanted<'_>],
-    images: &[ImageSearch<'_>],
-    pinhole: &Pinhole,
-) -> Vec<Option<Vec2>> {
-    let sources = wanted.iter().filter_map(|wanted| wanted.source.as_ref());
-    let sources: BTreeMap<KeyframeId, &MapKeyframe> = sources
-        .map(|source| (source.keyframe.id, source.keyframe))
+/// Those of the points that are found, in their order.
+fn find_wanted(wanted: &[Wanted<'_>], images: &[ImageSearch<'_>], pinhole: &Pinhole) -> Vec<Found> {
+    let sources: BTreeMap<KeyframeId, &MapKeyframe> = wanted
+        .iter()
+        .map(|wanted| (wanted.source.keyframe.id, wanted.source.keyframe))
         .collect();
     let sources: Vec<&MapKeyframe> = sources.into_values().collect();
-    let mut found = vec![None; wanted.len()];
+    let mut found: Vec<Option<Found>> = wanted.iter().map(|_| None).collect();
     for some in sources.chunks(MAX_SOURCES) {
         let pyramids: BTreeMap<KeyframeId, Arc<Pyramid>> = some
             .par_iter()
@@ -201,26 +204,22 @@ fn find_wanted(
             .collect();
         let wanted = wanted.par_iter().zip(found.par_iter_mut());
         wanted.for_each(|(wanted, found)| {
-            let source = wanted.source.as_ref();
-            if let Some((source, pyramid)) =
-                source.and_then(|source| Some((source, pyramids.get(&source.keyframe.id)?)))
-            {
-                let (image, search) = images[wanted.image];
-                *found = find_one(source, pyramid, image, (&wanted.predicted, search), pinhole);
+            if let Some(pyramid) = pyramids.get(&wanted.source.keyframe.id) {
+                *found = find_one(wanted, pyramid, images[wanted.image], pinhole);
             }
         });
     }
-    found
+    found.into_iter().flatten().collect()
 }
 
-/// Where an image shows, around a place, a point that looks as it does in a keyframe with this pyramid.
+/// Where an image shows a point that looks as it does in a keyframe with this pyramid.
 fn find_one(
-    source: &PatchSource<'_>,
+    wanted: &Wanted<'_>,
     pyramid: &Pyramid,
-    image: &SearchImage<'_>,
-    (predicted, search): (&Vec2, &PointSearch),
+    (image, search): ImageSearch<'_>,
     pinhole: &Pinhole,
-) -> Option<Vec2> {
+) -> Option<Found> {
+    let source = &wanted.source;
     let image_from_source = image.camera_from_world * source.keyframe.camera_from_world.inverse();
     let warp = patch_warp(pinhole, &source.pixel, source.idepth, &image_from_source)?;
     // the search wants offsets in the reference from offsets in the current image
@@ -229,10 +228,14 @@ fn find_one(
         &source.pixel,
         &warp,
         image.pyramid,
-        predicted,
+        &wanted.predicted,
         &search.patch,
     );
-    outcome.pixel()
+    outcome.pixel().map(|pixel| Found {
+        image: wanted.image,
+        point: wanted.point,
+        pixel,
+    })
 }
 
 /// Where the patch of a point is taken from.
