@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Accuracy on the sequences of ../shared/data: five runs with `--seed i --start i`, median and worst.
 #
-#   scripts/accuracy.sh [PROFILE] [SEQUENCE...]       PROFILE: default or thesis
+#   scripts/accuracy.sh [PROFILE] [SEQUENCE...]       PROFILE: default, fast or thesis
 #
 # BIN: another binary; RUNS: other than 5; MAX_FRAMES: of each run; RESULTS: a folder in which finished runs are found again when
 # the script is started a second time. Prints one row per sequence: ATE (m), scale drift, coverage, rotation error per frame.

@@ -14,7 +14,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
 data=$shared/data
-parts=(sequences accuracy thesis solver demo depth worlds paths sweep engine queries octomap live speed room loops
+parts=(sequences accuracy small thesis solver demo depth worlds paths sweep engine queries octomap live speed room loops
   kidnap fragments sessions odometry survey size)
 
 mode=full
@@ -111,6 +111,13 @@ part_sequences() {
 }
 
 part_accuracy() { scripts/accuracy.sh default "${accuracy[@]}"; }
+
+# A small computer: poses, and speed with two cores and with one.
+part_small() {
+  scripts/accuracy.sh fast "${accuracy[@]}"
+  echo
+  speed_table fast
+}
 
 part_thesis() { scripts/accuracy.sh thesis "${thesis[@]}"; }
 
@@ -227,34 +234,36 @@ part_live() {
   example slam live_maps "$results/$speed_sequence-plain/recording.mgk" "$data/$speed_sequence" frames=100
 }
 
-# One line of the table of speed: CORES THREADS, the median of the runs by frames per second.
+# One line of the table of speed: PROFILE CORES THREADS, the median of the runs by frames per second.
 speed_row() {
-  local rows=$results/speed-$2.rows run=$results/speed-run seed=()
+  local rows=$results/speed-$1-$3.rows run=$results/speed-run seed=()
   if [ "$speed_sequence" = red-kitchen ]; then seed=(--seed-depth dataset); fi
   touch "$rows"
   while [ "$(wc -l <"$rows")" -lt "$speed_runs" ]; do
     rm -f "$run.exit"
-    bin=taskset kept_run "$run" -c "$1" "$BIN" run "$data/$speed_sequence" --resolution 0.02 --threads "$2" \
+    bin=taskset kept_run "$run" -c "$2" "$BIN" run "$data/$speed_sequence" --profile "$1" --resolution 0.02 --threads "$3" \
       ${seed[0]:+"${seed[@]}"}
     echo "$(value "$run.json" frames_per_second) $(value "$run.json" peak_rss_bytes) $(value "$run.json" keyframes)" \
       "$(value "$run.json" frames) $(value "$run.json" tracking) $(value "$run.json" depth) $(value "$run.json" seconds graph)" \
       "$(value "$run.json" mapping) $(value "$run.json" reading) $(value "$run.json" graph_wait_ms)" >>"$rows"
   done
-  sort -g "$rows" | awk -v threads="$2" '{ row[NR] = $0 } END {
+  sort -g "$rows" | awk -v threads="$3" '{ row[NR] = $0 } END {
     split(row[int((NR + 1) / 2)], x, " "); split(row[1], low, " "); split(row[NR], high, " ")
     printf "| %d | %.1f (%.1f to %.1f) | %.0f MB | %.1f | %.1f | %.1f | %.1f | %.1f | %.1f | %.0f ms |\n", threads, x[1], low[1], high[1],
       x[2] / 1e6, x[2] / 1e6 / x[3], 1e3 * x[5] / x[4], 1e3 * x[6] / x[4], 1e3 * x[7] / x[4], 1e3 * x[8] / x[4], 1e3 * x[9] / x[4], x[10]
   }'
 }
 
-part_speed() {
+speed_table() { # PROFILE
   echo "$speed_sequence with mapping at 2 cm and all output files; CPU in ms per frame"
   echo
   echo '| threads | frames per second, median (range) | memory | MB per keyframe | tracking | depth | graph | mapping | reading | longest wait for the graph |'
   echo '|---|---|---|---|---|---|---|---|---|---|'
-  speed_row 0,1 2
-  speed_row 0 1
+  speed_row "$1" 0,1 2
+  speed_row "$1" 0 1
 }
+
+part_speed() { speed_table default; }
 
 part_size() { scripts/size.py; }
 

@@ -339,25 +339,19 @@ pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
     }
     let columns = area_weights(image.width, size.width);
     let rows = area_weights(image.height, size.height);
-    let mut horizontal = Image::filled(size.width, image.height, 0.0f32);
-    for y in 0..image.height {
-        let source = image.row(y);
-        for (x, out) in horizontal.row_mut(y).iter_mut().enumerate() {
-            let (start, weights) = &columns[x];
-            *out = weights
-                .iter()
-                .zip(&source[*start..])
-                .map(|(w, v)| w * v)
-                .sum();
-        }
-    }
     let mut output = Image::filled(size.width, size.height, 0.0f32);
-    for (y, (start, weights)) in rows.iter().enumerate() {
+    // down before across: whole rows are added, and fewer are left
+    let mut line = vec![0.0f32; image.width];
+    for (y, (first, weights)) in rows.iter().enumerate() {
+        line.fill(0.0);
         for (k, weight) in weights.iter().enumerate() {
-            let source = &horizontal.data[(start + k) * size.width..][..size.width];
-            for (out, value) in output.row_mut(y).iter_mut().zip(source) {
-                *out += weight * value;
+            for (sum, value) in line.iter_mut().zip(image.row(first + k)) {
+                *sum += weight * value;
             }
+        }
+        for (out, (first, weights)) in output.row_mut(y).iter_mut().zip(&columns) {
+            let covered = weights.iter().zip(&line[*first..]);
+            *out = covered.map(|(w, v)| w * v).sum();
         }
     }
     output

@@ -8,8 +8,8 @@ use std::sync::Arc;
 /// How the working size is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WorkingSize {
-    /// At most about as many pixels as 640x480, never larger than the input.
-    Automatic,
+    /// At most about this many pixels in the shape of the input, never larger than it.
+    Pixels(usize),
     /// Exactly this size; a different aspect ratio crops the longer side.
     Exact {
         /// Width, px.
@@ -19,22 +19,22 @@ pub enum WorkingSize {
     },
 }
 
-/// Pixels of the automatic working size.
-const AUTOMATIC_PIXELS: f64 = 640.0 * 480.0;
-
 impl WorkingSize {
+    /// As many pixels as 640x480.
+    pub const AUTOMATIC: Self = Self::Pixels(640 * 480);
+
     /// The working size for images of the given size.
     #[must_use]
     pub fn resolve(self, width: usize, height: usize) -> (usize, usize) {
         match self {
             Self::Exact { width, height } => (width, height),
-            Self::Automatic => {
-                let pixels = (width * height) as f64;
+            Self::Pixels(budget) => {
+                let (budget, pixels) = (budget as f64, (width * height) as f64);
                 // up to 20 % above the budget the loss of sharpness costs more than the pixels
-                if pixels <= 1.2 * AUTOMATIC_PIXELS {
+                if pixels <= 1.2 * budget {
                     return (width, height);
                 }
-                let factor = (AUTOMATIC_PIXELS / pixels).sqrt();
+                let factor = (budget / pixels).sqrt();
                 let even = |x: usize| (((x as f64 * factor) / 2.0).round() as usize * 2).max(16);
                 (even(width), even(height))
             }

@@ -55,7 +55,7 @@ impl Default for Settings {
             mapping: MappingConfig::default(),
             seed: 0,
             threads: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-            working_size: WorkingSize::Automatic,
+            working_size: WorkingSize::AUTOMATIC,
             mask: None,
             photometric: Photometric::default(),
             readout_ms: 0.0,

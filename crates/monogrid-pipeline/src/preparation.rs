@@ -226,7 +226,7 @@ mod tests {
         };
         let preparation = Preparation::new(
             &camera,
-            WorkingSize::Automatic,
+            WorkingSize::AUTOMATIC,
             None,
             Photometric::default(),
         );

@@ -322,7 +322,7 @@ mod tests {
             pinhole: Pinhole::new(30.0, 30.0, 19.5, 14.5),
             distortion: Distortion::None,
         };
-        let size = WorkingSize::Automatic;
+        let size = WorkingSize::AUTOMATIC;
         Preparation::new(&camera, size, None, Photometric::default())
     }
 

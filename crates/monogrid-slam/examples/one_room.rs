@@ -81,7 +81,7 @@ fn working_size(options: &Options) -> WorkingSize {
             width: w.parse().unwrap(),
             height: h.parse().unwrap(),
         },
-        None => WorkingSize::Automatic,
+        None => WorkingSize::AUTOMATIC,
     }
 }
 

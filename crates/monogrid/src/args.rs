@@ -21,13 +21,15 @@ pub struct ForceArg {
     pub force: bool,
 }
 
-/// One of the two complete configurations.
+/// One of the complete configurations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Profile {
     /// The best we know
     #[default]
     Default,
+    /// For small computers: images of 400x300 pixels, maps of quality `fast`
+    Fast,
     /// LSD-SLAM and the mapping rules of the thesis
     Thesis,
 }
@@ -37,6 +39,7 @@ impl Profile {
     pub fn name(self) -> &'static str {
         match self {
             Self::Default => "default",
+            Self::Fast => "fast",
             Self::Thesis => "thesis",
         }
     }
@@ -125,7 +128,7 @@ pub struct SourceArgs {
     /// Frame rate of a folder of images without timestamps [default: 30]
     #[arg(long, value_name = "N", value_parser = positive, help_heading = "Input")]
     pub fps: Option<f64>,
-    /// Working size of the images [default: about as many pixels as 640x480]
+    /// Working size of the images [default: about as many pixels as 640x480, or 400x300 with --profile fast]
     #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Input")]
     pub size: Option<(usize, usize)>,
     /// Image of the size of the input, black where pixels must be ignored

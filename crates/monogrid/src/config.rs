@@ -3,14 +3,21 @@
 use crate::args::{AutoOr, IntegrationArg, MappingArgs, Profile, SensorModelArg};
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::read_file;
+use monogrid_image::WorkingSize;
 use monogrid_slam::SlamConfig;
-use monogrid_slam::mapping::{AutoLength, IntegrationKind, MappingConfig, SensorModelKind};
+use monogrid_slam::mapping::{
+    AutoLength, IntegrationKind, MapQuality, MappingConfig, SensorModelKind,
+};
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 use std::path::Path;
 use toml::{Table, Value};
 
 /// First line of every `config.toml` that we write.
 const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
+
+/// Pixels of working images: from 64x64 to those of a large photograph.
+const WORKING_PIXELS: RangeInclusive<usize> = 4096..=(1 << 26);
 
 /// Everything that decides the result of a run, besides its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +27,8 @@ pub struct RunConfig {
     pub profile: Profile,
     /// Seed of everything random.
     pub seed: u64,
+    /// About how many pixels the images have that are worked with; smaller ones stay as they are.
+    pub working_pixels: usize,
     /// Tracking and depth.
     pub slam: SlamConfig,
     /// Occupancy maps.
@@ -31,11 +40,22 @@ impl RunConfig {
     pub fn of(profile: Profile) -> Self {
         let (slam, mapping) = match profile {
             Profile::Default => (SlamConfig::default(), MappingConfig::default()),
+            Profile::Fast => (
+                SlamConfig::default(),
+                MappingConfig {
+                    quality: MapQuality::Fast,
+                    ..MappingConfig::default()
+                },
+            ),
             Profile::Thesis => (SlamConfig::thesis(), MappingConfig::thesis()),
         };
         Self {
             profile,
             seed: 0,
+            working_pixels: match profile {
+                Profile::Fast => 400 * 300,
+                Profile::Default | Profile::Thesis => 640 * 480,
+            },
             slam,
             mapping,
         }
@@ -57,7 +77,7 @@ impl RunConfig {
             None => None,
             Some(value) => Some(value.clone().try_into::<Profile>().map_err(|_| {
                 Failure::input(format!(
-                    "profile is {value} in {}, expected \"default\" or \"thesis\"",
+                    "profile is {value} in {}, expected \"default\", \"fast\" or \"thesis\"",
                     file.unwrap_or(Path::new("")).display()
                 ))
             })?),
@@ -172,8 +192,21 @@ impl RunConfig {
 
     /// Checks the ranges of all settings.
     pub fn validate(&self) -> Result<(), Failure> {
+        if !WORKING_PIXELS.contains(&self.working_pixels) {
+            return Err(Failure::input(format!(
+                "working_pixels is {}, allowed are {} to {}",
+                self.working_pixels,
+                WORKING_PIXELS.start(),
+                WORKING_PIXELS.end()
+            )));
+        }
         self.slam.validate().map_err(Failure::input)?;
         self.mapping.validate().map_err(Failure::input)
+    }
+
+    /// The size of working images, where no option gives it.
+    pub fn working_size(&self) -> WorkingSize {
+        WorkingSize::Pixels(self.working_pixels)
     }
 
     /// The content of `config.toml`.
@@ -274,8 +307,8 @@ mod tests {
     }
 
     #[test]
-    fn both_profiles_round_trip_through_their_file() {
-        for profile in [Profile::Default, Profile::Thesis] {
+    fn profiles_round_trip_through_their_file() {
+        for profile in [Profile::Default, Profile::Fast, Profile::Thesis] {
             let config = RunConfig::of(profile);
             config.validate().unwrap();
             let dir = tempfile::tempdir().unwrap();
@@ -287,6 +320,18 @@ mod tests {
             RunConfig::of(Profile::Default).slam,
             RunConfig::of(Profile::Thesis).slam
         );
+    }
+
+    #[test]
+    fn the_fast_profile_is_the_default_with_fewer_pixels_and_quicker_maps() {
+        let mut fast = RunConfig::of(Profile::Fast);
+        assert_eq!(fast.working_size().resolve(640, 480), (400, 300));
+        assert_eq!(fast.mapping.quality, MapQuality::Fast);
+        let default = RunConfig::of(Profile::Default);
+        fast.profile = default.profile;
+        fast.working_pixels = default.working_pixels;
+        fast.mapping.quality = default.mapping.quality;
+        assert_eq!(fast, default);
     }
 
     #[test]
@@ -367,7 +412,7 @@ mod tests {
         }
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.toml");
-        for bad in ["[mapping]\nx = 1", "profile = \"fast\"", "nonsense"] {
+        for bad in ["[mapping]\nx = 1", "profile = \"quick\"", "nonsense"] {
             std::fs::write(&path, bad).unwrap();
             let failure = RunConfig::resolve(None, Some(&path), &[]).unwrap_err();
             assert!(message(&failure).contains("c.toml"));

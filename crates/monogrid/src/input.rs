@@ -118,11 +118,11 @@ pub struct Input {
 }
 
 impl Input {
-    /// Opens a source.
-    pub fn open(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+    /// Opens a source. Its images are worked with at the `usual` size, where the arguments say no other.
+    pub fn open(source: &Path, args: &SourceArgs, usual: WorkingSize) -> Result<Self, Failure> {
         check_topic(source, args)?;
         if is_video(source) {
-            return Self::open_video(source, args);
+            return Self::open_video(source, args, usual);
         }
         let options = SourceOptions {
             fps: args.fps,
@@ -160,7 +160,7 @@ impl Input {
             dataset.vignette_path.as_deref(),
         )
         .bad_input()?;
-        let preparation = preparation(&known, args, photometric)?;
+        let preparation = preparation(&known, (args, usual), photometric)?;
         let inertial = Inertial::open(args, Some(&dataset), known.body_from_camera)?;
         let mut warnings = dataset.warnings.clone();
         warnings.extend(known.warnings);
@@ -178,7 +178,7 @@ impl Input {
     }
 
     /// Opens a video, camera or stream.
-    fn open_video(source: &Path, args: &SourceArgs) -> Result<Self, Failure> {
+    fn open_video(source: &Path, args: &SourceArgs, usual: WorkingSize) -> Result<Self, Failure> {
         let video = VideoSource::open(source, args)?;
         let size = video.size;
         let given = args
@@ -201,7 +201,7 @@ impl Input {
             OwnCalibration::from_images(images(), size, &Expected::ORDINARY)
                 .ok_or_else(|| no_calibration("no calibration, and the video does not show it"))
         })?;
-        let preparation = preparation(&known, args, Photometric::default())?;
+        let preparation = preparation(&known, (args, usual), Photometric::default())?;
         Ok(Self {
             name: video.name(),
             preparation: preparation.with_readout_direction(video.direction),
@@ -216,7 +216,7 @@ impl Input {
     }
 
     /// A built-in world.
-    pub fn rendered(sequence: SynthSequence) -> Self {
+    pub fn rendered(sequence: SynthSequence, size: WorkingSize) -> Self {
         let frames = (0..sequence.len())
             .map(|index| FrameEntry {
                 index,
@@ -231,12 +231,7 @@ impl Input {
             frames,
             interpretation: String::new(),
             own_calibration: None,
-            preparation: Preparation::new(
-                &camera,
-                WorkingSize::Automatic,
-                None,
-                Photometric::default(),
-            ),
+            preparation: Preparation::new(&camera, size, None, Photometric::default()),
             is_shutter_known: true,
             inertial: None,
             warnings: Vec::new(),
@@ -498,13 +493,13 @@ fn no_calibration(reason: &str) -> Failure {
 /// From images of this camera to working images.
 fn preparation(
     known: &KnownCamera,
-    args: &SourceArgs,
+    (args, usual): (&SourceArgs, WorkingSize),
     photometric: Photometric,
 ) -> Result<Preparation, Failure> {
     let camera = &known.camera;
     let mask = user_mask(args.mask.as_deref(), (camera.width, camera.height))?;
     let size = match args.size {
-        None => WorkingSize::Automatic,
+        None => usual,
         Some((width, height)) => WorkingSize::Exact { width, height },
     };
     let preparation = Preparation::new(camera, size, mask.as_ref(), photometric)

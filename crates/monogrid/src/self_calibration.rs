@@ -251,7 +251,7 @@ pub fn windows_of(
     (size, direction): ((usize, usize), ReadoutDirection),
     max_windows: usize,
 ) -> Vec<Window> {
-    let (width, height) = WorkingSize::Automatic.resolve(size.0, size.1);
+    let (width, height) = WorkingSize::AUTOMATIC.resolve(size.0, size.1);
     let mut collector = TrackCollector::new(CollectorConfig {
         direction,
         ..CollectorConfig::default()
@@ -276,7 +276,7 @@ pub fn estimate(
     expected: &Expected,
     centre_freedom: f64,
 ) -> Estimate {
-    let working = WorkingSize::Automatic.resolve(size.0, size.1);
+    let working = WorkingSize::AUTOMATIC.resolve(size.0, size.1);
     let prior = expected.prior(working, centre_freedom);
     let ordinary = EstimateConfig::default();
     let config = EstimateConfig {

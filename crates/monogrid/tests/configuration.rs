@@ -138,11 +138,14 @@ fn the_manual_says_what_the_comments_say() {
     let mapping = Table::try_from(MappingConfig::default()).unwrap();
     let mut manual = String::from(
         "# Configuration\n\n\
-         A run is decided by its input and these settings. They come from, later ones win: the profile (`--profile default`\n\
-         or `thesis`), a file (`--config FILE`, TOML), `--set KEY=VALUE` (e.g. `--set mapping.resolution=0.02`), and the\n\
+         A run is decided by its input and these settings. They come from, later ones win: the profile (`--profile default`,\n\
+         `fast` or `thesis`), a file (`--config FILE`, TOML), `--set KEY=VALUE` (e.g. `--set mapping.resolution=0.02`), and the\n\
          options of the command line. Every run writes what it used into `config.toml`, which can be given to `--config`.\n\
          Unknown keys and values outside their range are errors. The defaults below are those of the profile `default`.\n\n\
-         At the top level stand `profile` (`\"default\"` or `\"thesis\"`) and `seed` (of everything random, default 0).\n",
+         At the top level stand `profile` (`\"default\"`, `\"fast\"` or `\"thesis\"`), `seed` (of everything random, default 0) and\n\n\
+         | key | default | meaning |\n|---|---|---|\n\
+         | `working_pixels` | `307200` | About how many pixels the images have that are worked with, where `--size` does not say it; smaller \
+         ones stay as they are. Default 307200 (640x480), in the profile `fast` 120000 (400x300). Range [4096, 67108864]. |\n",
     );
     section(&mut manual, "mapping", "MappingConfig", &mapping, &structs);
     section(&mut manual, "slam", "SlamConfig", &slam, &structs);

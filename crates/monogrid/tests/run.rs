@@ -353,6 +353,35 @@ fn an_aligned_run_is_in_the_frame_of_the_reference() {
 }
 
 #[test]
+fn images_have_as_many_pixels_as_is_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let few = dir.path().join("few");
+    let settings = ["--profile", "fast", "--set", "working_pixels=19200"];
+    let output = run(
+        small_sequence(),
+        &few,
+        &[&settings[..], &["--json"]].concat(),
+    );
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let summary = json(&output);
+    assert_eq!(summary["profile"], "fast");
+    assert_eq!(summary["working_size"], serde_json::json!([160, 120]));
+    assert!(summary["points"].as_u64().unwrap() > 100, "{summary}");
+    // the same settings from a file; an option wins
+    let config = few.join("config.toml");
+    let again = dir.path().join("again");
+    let options = ["--config", config.to_str().unwrap(), "--size", "240x180"];
+    let output = run(
+        small_sequence(),
+        &again,
+        &[&options[..], &["--json"]].concat(),
+    );
+    let summary = json(&output);
+    assert_eq!(summary["profile"], "fast");
+    assert_eq!(summary["working_size"], serde_json::json!([240, 180]));
+}
+
+#[test]
 fn damaged_frames_in_the_middle_are_survived() {
     let dir = tempfile::tempdir().unwrap();
     let source = dir.path().join("source");

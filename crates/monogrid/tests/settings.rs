@@ -124,7 +124,9 @@ fn documented() -> BTreeMap<String, (bool, f64, f64, bool)> {
             high.parse().unwrap(),
             range[end..].starts_with(']'),
         );
-        ranges.insert(format!("{section}.{key}"), range);
+        // a key of the top level has no section
+        let name = format!("{section}.{key}");
+        ranges.insert(name.trim_start_matches('.').to_owned(), range);
     }
     ranges
 }

@@ -1,6 +1,7 @@
 //! Settings of tracking and mapping from a file.
 
 use anyhow::{Context, bail};
+use monogrid_image::WorkingSize;
 use monogrid_pipeline::Settings;
 use monogrid_slam::SlamConfig;
 use monogrid_slam::mapping::MappingConfig;
@@ -13,6 +14,7 @@ use std::path::Path;
 struct ConfigFile {
     profile: Option<String>,
     seed: u64,
+    working_pixels: Option<usize>,
     slam: SlamConfig,
     mapping: MappingConfig,
 }
@@ -40,6 +42,9 @@ fn parse_settings(text: &str) -> anyhow::Result<Settings> {
         slam: file.slam,
         mapping: file.mapping,
         seed: file.seed,
+        working_size: file
+            .working_pixels
+            .map_or(WorkingSize::AUTOMATIC, WorkingSize::Pixels),
         ..Settings::default()
     })
 }

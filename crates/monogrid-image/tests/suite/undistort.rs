@@ -84,7 +84,7 @@ fn input_image(camera: &Camera) -> GrayImage {
 }
 
 const SIZES: [WorkingSize; 5] = [
-    WorkingSize::Automatic,
+    WorkingSize::AUTOMATIC,
     WorkingSize::Exact {
         width: 640,
         height: 480,
@@ -150,7 +150,7 @@ fn valid_pixels_show_what_the_literal_model_says() {
 #[test]
 fn the_mask_is_the_literal_one_eroded_by_three_pixels() {
     for camera in cameras() {
-        let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+        let undistorter = Undistorter::new(&camera, WorkingSize::AUTOMATIC, None);
         let (width, height) = undistorter.size();
         assert_eq!((width, height), (752, 480));
         // distance of the source to the border of the input, negative outside
@@ -187,7 +187,7 @@ fn the_mask_is_the_literal_one_eroded_by_three_pixels() {
 fn without_distortion_everything_is_valid_and_unchanged() {
     let camera = camera(Distortion::None);
     let image = input_image(&camera);
-    let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+    let undistorter = Undistorter::new(&camera, WorkingSize::AUTOMATIC, None);
     assert_eq!(undistorter.apply(&image), Some(image));
     assert_eq!(undistorter.pinhole(), &camera.pinhole);
     assert!(undistorter.mask().as_slice().iter().all(|&m| m == 255));
@@ -195,7 +195,7 @@ fn without_distortion_everything_is_valid_and_unchanged() {
 
 #[test]
 fn an_image_of_another_size_is_refused() {
-    let undistorter = Undistorter::new(&camera(RADTAN), WorkingSize::Automatic, None);
+    let undistorter = Undistorter::new(&camera(RADTAN), WorkingSize::AUTOMATIC, None);
     for (width, height) in [(751, 480), (752, 481), (480, 752), (0, 0)] {
         assert_eq!(
             undistorter.apply(&GrayImage::filled(width, height, 0.0)),
@@ -218,7 +218,7 @@ fn a_mask_of_the_user_is_carried_over() {
     });
     for camera in cameras() {
         for size in [
-            WorkingSize::Automatic,
+            WorkingSize::AUTOMATIC,
             WorkingSize::Exact {
                 width: 376,
                 height: 240,
@@ -253,7 +253,7 @@ fn a_fisheye_keeps_a_field_of_view_that_a_pinhole_can_show() {
     // 190 degrees across: a pinhole that shows all of it does not exist
     let pinhole = Pinhole::new(226.0, 226.0, 375.5, 239.5);
     let wide = Camera::try_new(752, 480, pinhole, FISHEYE).expect("a camera");
-    let undistorter = Undistorter::new(&wide, WorkingSize::Automatic, None);
+    let undistorter = Undistorter::new(&wide, WorkingSize::AUTOMATIC, None);
     let half_angle = (375.5 / undistorter.pinhole().fx).atan().to_degrees();
     assert!((45.0..=65.0).contains(&half_angle), "{half_angle}");
     let output = undistorter.apply(&input_image(&wide)).expect("size");
@@ -268,6 +268,16 @@ fn a_fisheye_keeps_a_field_of_view_that_a_pinhole_can_show() {
 }
 
 #[test]
+fn fewer_pixels_are_asked_for_and_images_that_have_no_more_stay() {
+    let size = WorkingSize::Pixels(120_000);
+    assert_eq!(size.resolve(640, 480), (400, 300));
+    assert_eq!(size.resolve(1920, 1080), (462, 260));
+    // a fifth above is no reason to resample
+    assert_eq!(size.resolve(440, 320), (440, 320));
+    assert_eq!(size.resolve(320, 240), (320, 240));
+}
+
+#[test]
 fn the_automatic_size_keeps_the_aspect_ratio_and_the_budget() {
     for (width, height) in [
         (640, 480),
@@ -278,7 +288,7 @@ fn the_automatic_size_keeps_the_aspect_ratio_and_the_budget() {
         (4000, 3000),
         (20, 5000),
     ] {
-        let (w, h) = WorkingSize::Automatic.resolve(width, height);
+        let (w, h) = WorkingSize::AUTOMATIC.resolve(width, height);
         assert!(w <= width.max(16) && h <= height);
         assert!((w * h) as f64 <= 1.25 * 640.0 * 480.0, "{w}x{h}");
         let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
@@ -293,7 +303,7 @@ fn the_automatic_size_keeps_the_aspect_ratio_and_the_budget() {
             height as f64 / 2.0,
         );
         if let Ok(camera) = Camera::try_new(width, height, pinhole, Distortion::None) {
-            let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+            let undistorter = Undistorter::new(&camera, WorkingSize::AUTOMATIC, None);
             assert_eq!(undistorter.size(), (w, h));
         }
     }

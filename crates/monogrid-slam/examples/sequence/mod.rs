@@ -22,7 +22,7 @@ pub struct Sequence {
 impl Sequence {
     /// Opens a folder, with working images of the usual size.
     pub fn open(folder: impl AsRef<Path>) -> Self {
-        Self::open_with_size(folder, WorkingSize::Automatic)
+        Self::open_with_size(folder, WorkingSize::AUTOMATIC)
     }
 
     pub fn open_with_size(folder: impl AsRef<Path>, size: WorkingSize) -> Self {

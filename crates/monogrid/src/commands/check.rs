@@ -8,7 +8,7 @@ use crate::input::{Images, Input};
 use crate::readings::{ImuFacts, Inertial};
 use clap::Args;
 use monogrid_datasets::{CheckConfig, FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, WorkingSize};
 use monogrid_pipeline::Unusable;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -79,7 +79,7 @@ fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
 
 /// Reads all frames and reports.
 pub fn execute(args: &CheckArgs) -> CommandResult {
-    let input = Input::open(&args.source, &args.input)?;
+    let input = Input::open(&args.source, &args.input, WorkingSize::AUTOMATIC)?;
     let seen = Seen::all(&input);
     let report = CheckReport::new(&input, &seen);
     if args.json.json {

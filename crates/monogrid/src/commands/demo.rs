@@ -19,8 +19,9 @@ use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{
     DepthReport, MapEvaluationConfig, MapReport, TruthConfig, evaluate_map, truth_from_triangles,
 };
+use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::mapping::Maps;
-use monogrid_worlds::SynthSequence;
+use monogrid_worlds::{Renderer, SynthSequence};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -76,7 +77,7 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
         path: "the exact truth".into(),
         poses,
     };
-    let input = Input::rendered(sequence);
+    let input = Input::rendered(sequence, config.working_size());
     eprintln!(
         "rendering and tracking {} frames as a hand-held camera would see them",
         input.frames.len()
@@ -128,11 +129,15 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<DepthReport>
     let Images::Rendered(sequence) = &input.images else {
         return Ok(None);
     };
+    let (width, height) = input.preparation.size();
+    let pinhole = *input.preparation.pinhole();
+    let working = Camera::try_new(width, height, pinhole, Distortion::None);
+    let renderer = Renderer::new(&working.map_err(Failure::running)?, 1.0);
     let mut comparison = DepthComparison::new();
     for keyframe in tracked.run.slam.keyframes() {
         let pose = tracked.run.poses.in_main_map(keyframe.id);
-        let (Some(pose), Some(true_depth), Some(keyframe)) =
-            (pose, sequence.depth(keyframe.frame_index), keyframe.load())
+        let true_depth = sequence.depth_through(&renderer, keyframe.frame_index);
+        let (Some(pose), Some(true_depth), Some(keyframe)) = (pose, true_depth, keyframe.load())
         else {
             continue;
         };

@@ -68,7 +68,7 @@ impl PosedDepthFolder {
                 ))
             })?,
         };
-        let undistorter = Undistorter::new(&camera, WorkingSize::Automatic, None);
+        let undistorter = Undistorter::new(&camera, WorkingSize::AUTOMATIC, None);
         let (width, height) = undistorter.size();
         let pinhole = *undistorter.pinhole();
         Ok(Self {

@@ -223,7 +223,7 @@ fn alignment(args: &RunArgs, earlier: Option<&Earlier>) -> Result<Align, Failure
 /// The source, with images of the size of the continued run; a camera that nobody gave is refined.
 fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result<Input, Failure> {
     let Some(earlier) = earlier else {
-        let mut input = Input::open(&args.source, &args.input)?;
+        let mut input = Input::open(&args.source, &args.input, config.working_size())?;
         let is_own = input.own_calibration.is_some() && args.input.fov.is_none();
         if args.refine_calibration && !input.is_repeatable() {
             return Err(Failure::input(
@@ -238,7 +238,7 @@ fn open(args: &RunArgs, earlier: Option<&Earlier>, config: &RunConfig) -> Result
     let mut source = args.input.clone();
     let size = (earlier.session.width, earlier.session.height);
     source.size = source.size.or(Some(size));
-    let mut input = Input::open(&args.source, &source)?;
+    let mut input = Input::open(&args.source, &source, config.working_size())?;
     earlier.check_camera(&input)?;
     input.warnings.extend(earlier.warnings.iter().cloned());
     Ok(input)

@@ -4,6 +4,7 @@ use super::evaluate_map::{in_view, load_truth};
 use super::{print_json, use_threads};
 use crate::args::{JsonArg, Profile, SourceArgs, positive};
 
+use crate::config::RunConfig;
 use crate::depth_images::dataset_seed_depth;
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::input::Input;
@@ -19,7 +20,7 @@ use crate::sweep::schedule::{self, Resources};
 use crate::sweep::slam_rate::{self, Rate, RateJob};
 use crate::tally::Tally;
 use crate::usage::peak_rss_bytes;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid, whole_ratio};
 use monogrid_slam::mapping::KeyframeScan;
 use serde::Serialize;
@@ -273,11 +274,8 @@ fn rates(
         max_frames: Some(args.slam_frames),
         ..SourceArgs::default()
     };
-    let input = Input::open(source, &input_args)?;
-    let profile = match named.recorded.session.profile.as_str() {
-        "thesis" => Profile::Thesis,
-        _ => Profile::Default,
-    };
+    let profile = Profile::from_str(&named.recorded.session.profile, false).unwrap_or_default();
+    let input = Input::open(source, &input_args, RunConfig::of(profile).working_size())?;
     let job = RateJob {
         seed_depth: dataset_seed_depth(&input, None)?,
         input: &input,
