@@ -265,6 +265,11 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
             "--set {setting}: expected KEY=VALUE, e.g. mapping.resolution=0.02"
         )));
     };
+    if key.trim() == "profile" {
+        return Err(Failure::input(format!(
+            "--set {setting}: a profile is all settings at once; choose it with --profile NAME, or with `profile = \"NAME\"` in a file"
+        )));
+    }
     let text = text.trim();
     let value = format!("value = {text}")
         .parse::<Table>()
@@ -404,6 +409,7 @@ mod tests {
             ("maping.resolution=0.1", "`maping`"),
             ("mapping.resolution", "KEY=VALUE"),
             ("mapping.resolution=wide", "mapping.resolution=wide"),
+            ("profile=thesis", "--profile"),
         ] {
             let failure = RunConfig::resolve(None, None, &[setting.to_owned()]).unwrap_err();
             let text = message(&failure);

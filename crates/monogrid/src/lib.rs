@@ -58,7 +58,7 @@ pub use monogrid_video as video;
 
 pub use monogrid_datasets::Calibration;
 pub use monogrid_geometry::{Camera, Distortion, Pinhole};
-pub use monogrid_image::{GrayImage, Mask};
+pub use monogrid_image::{GrayImage, Mask, WorkingSize};
 pub use monogrid_occupancy::OccupancyMap;
 pub use monogrid_pipeline::{Event, Finished, Pipeline, PipelineError, Settings, Unusable};
 pub use monogrid_slam::{FrameReport, LostReason, TrackingState, TrajectoryPose};

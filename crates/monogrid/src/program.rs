@@ -72,9 +72,29 @@ pub fn settings(
     let config = resolved.map_err(failure::Failure::into_error)?;
     config.validate().map_err(failure::Failure::into_error)?;
     Ok(Settings {
+        working_size: config.working_size(),
         slam: config.slam,
         mapping: config.mapping,
         seed: config.seed,
         ..Settings::default()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use monogrid_image::WorkingSize;
+
+    #[test]
+    fn settings_of_a_program_of_ones_own_say_how_many_pixels_are_worked_with()
+    -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+        let folder = tempfile::tempdir()?;
+        let file = folder.path().join("config.toml");
+        std::fs::write(&file, "profile = \"fast\"\n")?;
+        let fast = super::settings(Some(&file), &[])?;
+        assert_eq!(fast.working_size, WorkingSize::Pixels(120_000));
+        let fewer = super::settings(None, &["working_pixels=5000".to_owned()])?;
+        assert_eq!(fewer.working_size, WorkingSize::Pixels(5000));
+        assert!(super::settings(None, &["working_pixels=5".to_owned()]).is_err());
+        Ok(())
+    }
 }

@@ -196,7 +196,7 @@ class Imu:
 class Slam:
     """Images of one camera in, poses and a growing map out. The same images and settings give the same bytes.
 
-    imu: a sensor whose readings come by `push_imu`: the map becomes level and metric when they are sure enough. mask: uint8, shape (height, width), 0 where pixels must be ignored. config: a `config.toml`. settings: changes of it, as
+    imu: a sensor whose readings come by `push_imu`: the map becomes level and metric when they are sure enough. mask: uint8, shape (height, width), 0 where pixels must be ignored. config: a `config.toml`, e.g. one that says `profile = "fast"` for a small computer. settings: changes of it, as
     `["mapping.resolution=0.02"]`.
     """
 
