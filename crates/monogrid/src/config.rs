@@ -41,7 +41,7 @@ impl RunConfig {
         let (slam, mapping) = match profile {
             Profile::Default => (SlamConfig::default(), MappingConfig::default()),
             Profile::Fast => (
-                SlamConfig::default(),
+                waiting_longer(SlamConfig::default()),
                 MappingConfig {
                     quality: MapQuality::Fast,
                     ..MappingConfig::default()
@@ -216,6 +216,12 @@ impl RunConfig {
     }
 }
 
+/// In smaller images the start takes longer to be sure of: as many more frames wait for it as fit in the same memory.
+fn waiting_longer(mut slam: SlamConfig) -> SlamConfig {
+    slam.initialization.max_buffered_frames *= 2;
+    slam
+}
+
 /// What is wrong, and which setting it is.
 fn in_one_line(error: &toml::de::Error) -> String {
     error.to_string().trim().replace('\n', " ")
@@ -328,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_profile_is_the_default_with_fewer_pixels_and_quicker_maps() {
+    fn the_fast_profile_is_the_default_with_fewer_pixels_quicker_maps_and_more_time_to_start() {
         let mut fast = RunConfig::of(Profile::Fast);
         assert_eq!(fast.working_size().resolve(640, 480), (400, 300));
         assert_eq!(fast.mapping.quality, MapQuality::Fast);
@@ -336,6 +342,9 @@ mod tests {
         fast.profile = default.profile;
         fast.working_pixels = default.working_pixels;
         fast.mapping.quality = default.mapping.quality;
+        let buffered = &mut fast.slam.initialization.max_buffered_frames;
+        assert_eq!(*buffered, 600);
+        *buffered = default.slam.initialization.max_buffered_frames;
         assert_eq!(fast, default);
     }
 
