@@ -3,6 +3,7 @@
 use crate::{GrayImage, Image, Mask, Resize, resize_area};
 use monogrid_geometry::{Camera, Distortion, Pinhole, Vec2};
 use std::borrow::Cow;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 /// How the working size is chosen.
@@ -20,8 +21,12 @@ pub enum WorkingSize {
 }
 
 impl WorkingSize {
+    /// Pixels of [`Self::AUTOMATIC`].
+    pub const AUTOMATIC_PIXELS: usize = 640 * 480;
     /// As many pixels as 640x480.
-    pub const AUTOMATIC: Self = Self::Pixels(640 * 480);
+    pub const AUTOMATIC: Self = Self::Pixels(Self::AUTOMATIC_PIXELS);
+    /// Pixels that may be asked for: tracking keeps some hundred bytes for each.
+    pub const ALLOWED_PIXELS: RangeInclusive<usize> = 4096..=4_000_000;
 
     /// The working size for images of the given size.
     #[must_use]

@@ -1,6 +1,7 @@
 //! Arguments that several commands share, and how their values are understood.
 
 use clap::{Args, ValueEnum};
+use monogrid_image::WorkingSize;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -196,8 +197,8 @@ pub fn memory(text: &str) -> Result<u64, String> {
     allowed.map(|bytes| bytes as u64).ok_or_else(expected)
 }
 
-/// Most pixels of a working image: tracking keeps some hundred bytes for each.
-const MAX_PIXELS: usize = 4_000_000;
+/// Most pixels of a working image.
+const MAX_PIXELS: usize = *WorkingSize::ALLOWED_PIXELS.end();
 
 /// Width and height of an image.
 pub fn size(text: &str) -> Result<(usize, usize), String> {

@@ -9,15 +9,11 @@ use monogrid_slam::mapping::{
     AutoLength, IntegrationKind, MapQuality, MappingConfig, SensorModelKind,
 };
 use serde::{Deserialize, Serialize};
-use std::ops::RangeInclusive;
 use std::path::Path;
 use toml::{Table, Value};
 
 /// First line of every `config.toml` that we write.
 const CONFIG_MARKER: &str = "# effective configuration of a monogrid run";
-
-/// Pixels of working images: from 64x64 to those of a large photograph.
-const WORKING_PIXELS: RangeInclusive<usize> = 4096..=(1 << 26);
 
 /// Everything that decides the result of a run, besides its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,27 +34,27 @@ pub struct RunConfig {
 impl RunConfig {
     /// The complete configuration of a profile.
     pub fn of(profile: Profile) -> Self {
-        let (slam, mapping) = match profile {
-            Profile::Default => (SlamConfig::default(), MappingConfig::default()),
-            Profile::Fast => (
-                waiting_longer(SlamConfig::default()),
-                MappingConfig {
-                    quality: MapQuality::Fast,
-                    ..MappingConfig::default()
-                },
-            ),
-            Profile::Thesis => (SlamConfig::thesis(), MappingConfig::thesis()),
-        };
-        Self {
+        let mut config = Self {
             profile,
             seed: 0,
-            working_pixels: match profile {
-                Profile::Fast => 400 * 300,
-                Profile::Default | Profile::Thesis => 640 * 480,
-            },
-            slam,
-            mapping,
+            working_pixels: WorkingSize::AUTOMATIC_PIXELS,
+            slam: SlamConfig::default(),
+            mapping: MappingConfig::default(),
+        };
+        match profile {
+            Profile::Default => {}
+            Profile::Fast => {
+                config.working_pixels = 400 * 300;
+                config.mapping.quality = MapQuality::Fast;
+                // in smaller images the start takes longer to be sure of; as many more of them fit in the same memory
+                config.slam.initialization.max_buffered_frames *= 2;
+            }
+            Profile::Thesis => {
+                config.slam = SlamConfig::thesis();
+                config.mapping = MappingConfig::thesis();
+            }
         }
+        config
     }
 
     /// The configuration of a profile with the values of a file and of `key=value` settings in place.
@@ -192,12 +188,13 @@ impl RunConfig {
 
     /// Checks the ranges of all settings.
     pub fn validate(&self) -> Result<(), Failure> {
-        if !WORKING_PIXELS.contains(&self.working_pixels) {
+        let allowed = WorkingSize::ALLOWED_PIXELS;
+        if !allowed.contains(&self.working_pixels) {
+            let pixels = self.working_pixels;
             return Err(Failure::input(format!(
-                "working_pixels is {}, allowed are {} to {}",
-                self.working_pixels,
-                WORKING_PIXELS.start(),
-                WORKING_PIXELS.end()
+                "working_pixels is {pixels}, allowed are {} to {}",
+                allowed.start(),
+                allowed.end()
             )));
         }
         self.slam.validate().map_err(Failure::input)?;
@@ -214,12 +211,6 @@ impl RunConfig {
         let body = toml::to_string(self).map_err(Failure::running)?;
         Ok(format!("{CONFIG_MARKER}\n{body}"))
     }
-}
-
-/// In smaller images the start takes longer to be sure of: as many more frames wait for it as fit in the same memory.
-fn waiting_longer(mut slam: SlamConfig) -> SlamConfig {
-    slam.initialization.max_buffered_frames *= 2;
-    slam
 }
 
 /// What is wrong, and which setting it is.

@@ -145,7 +145,7 @@ fn the_manual_says_what_the_comments_say() {
          At the top level stand `profile` (`\"default\"`, `\"fast\"` or `\"thesis\"`), `seed` (of everything random, default 0) and\n\n\
          | key | default | meaning |\n|---|---|---|\n\
          | `working_pixels` | `307200` | About how many pixels the images have that are worked with, where `--size` does not say it; smaller \
-         ones stay as they are. Default 307200 (640x480), in the profile `fast` 120000 (400x300). Range [4096, 67108864]. |\n",
+         ones stay as they are. Default 307200 (640x480), in the profile `fast` 120000 (400x300). Range [4096, 4000000]. |\n",
     );
     section(&mut manual, "mapping", "MappingConfig", &mapping, &structs);
     section(&mut manual, "slam", "SlamConfig", &slam, &structs);

@@ -38,13 +38,20 @@ fn parse_settings(text: &str) -> anyhow::Result<Settings> {
     }
     file.slam.validate().map_err(anyhow::Error::msg)?;
     file.mapping.validate().map_err(anyhow::Error::msg)?;
+    let allowed = WorkingSize::ALLOWED_PIXELS;
+    let pixels = file.working_pixels.unwrap_or(WorkingSize::AUTOMATIC_PIXELS);
+    if !allowed.contains(&pixels) {
+        bail!(
+            "working_pixels is {pixels}, allowed are {} to {}",
+            allowed.start(),
+            allowed.end()
+        );
+    }
     Ok(Settings {
         slam: file.slam,
         mapping: file.mapping,
         seed: file.seed,
-        working_size: file
-            .working_pixels
-            .map_or(WorkingSize::AUTOMATIC, WorkingSize::Pixels),
+        working_size: WorkingSize::Pixels(pixels),
         ..Settings::default()
     })
 }
@@ -52,15 +59,20 @@ fn parse_settings(text: &str) -> anyhow::Result<Settings> {
 #[cfg(test)]
 mod tests {
     use super::parse_settings;
+    use monogrid_image::WorkingSize;
 
     #[test]
     fn settings_are_taken_or_refused_with_their_name() {
         let settings = parse_settings("seed = 7\n[mapping]\nresolution = 0.1\n").unwrap();
         assert_eq!((settings.seed, settings.mapping.resolution), (7, 0.1));
+        assert_eq!(settings.working_size, WorkingSize::AUTOMATIC);
+        let small = parse_settings("working_pixels = 120000\n").unwrap();
+        assert_eq!(small.working_size, WorkingSize::Pixels(120_000));
         for (text, named) in [
             ("[mapping]\nresolution = -1.0\n", "resolution"),
             ("[mapping]\nresolutio = 0.1\n", "resolutio"),
             ("profile = \"thesis\"\n", "thesis"),
+            ("working_pixels = 0\n", "working_pixels"),
         ] {
             let error = parse_settings(text).unwrap_err();
             assert!(format!("{error:#}").contains(named), "{error:#}");
