@@ -7,7 +7,7 @@ use super::settled::{BeamTiles, Settled};
 use crate::error::MapError;
 use crate::key::BRICK_LIMIT;
 use crate::map::OccupancyMap;
-use crate::scan::Scan;
+use crate::scan::{PointScan, Scan, ScanData};
 use crate::sensor::table::{EvidenceTable, TableSet};
 
 /// The measurements of a scan in cell units, as small as they can be: beams are made of them when
@@ -15,7 +15,10 @@ use crate::sensor::table::{EvidenceTable, TableSet};
 pub(crate) struct Beams {
     /// Place of the sensor.
     pub origin: [f64; 3],
+    /// In the order in which they are integrated, see [`integration_order`].
     pub measured: Vec<Measured>,
+    /// So many of them come first.
+    pub first_share: usize,
     pub extent: Extent,
     pub tables: TableSet,
     resolution: f64,
@@ -56,8 +59,8 @@ pub(crate) struct Beam {
     pub table: u16,
     /// Range in fixed point at which the first entry of the table begins.
     table_start: i64,
-    /// Entries per unit of fixed-point range.
-    entries_per_range: f64,
+    /// Entries in 2^64 units of fixed-point range.
+    entries_per_range: u64,
     /// Bricks that the ray leaves before this time lie wholly in free space.
     pub free_until: i64,
 }
@@ -76,17 +79,25 @@ impl Beams {
         let mut tables = map.known_tables.set(config, resolution)?;
         let pose = &scan.world_from_sensor;
         let mut extent = Extent::EMPTY;
-        let mut measured = Vec::with_capacity(scan.len());
-        measured.extend((0..scan.len()).filter_map(|index| {
-            let found = scan.measurement(index, config.sigma_mode)?;
+        let (order, first_share) = integration_order(scan);
+        let mut measured = Vec::with_capacity(order.len());
+        let per_metre = 1.0 / resolution;
+        let mut num_first = 0;
+        for (place, index) in order.into_iter().enumerate() {
+            let Some(found) = scan.measurement(index as usize, config.sigma_mode) else {
+                continue;
+            };
+            num_first += usize::from(place < first_share);
             let range = found.range * pose.scale;
             let sigma = total_sigma(found.sigma * pose.scale, range, scan, resolution);
             let table = tables.prepare(range as f32, sigma as f32);
             let evidence = tables.table(table);
-            let table_start = (range + evidence.start) / resolution;
-            let length = (range + evidence.end()).min(config.max_range) / resolution;
-            let measured = Measured {
-                direction: pose.rotate(found.point.map(|c| c / found.range)),
+            let table_start = (range + evidence.start) * per_metre;
+            let length = (range + evidence.end()).min(config.max_range) * per_metre;
+            let ([x, y, z], per_range) = (found.point, 1.0 / found.range);
+            let per_depth = 1.0 / z;
+            let beam = Measured {
+                direction: pose.rotate(found.point.map(|c| c * per_range)),
                 table_start,
                 length,
                 // Certain free space is what takes cells down.
@@ -95,15 +106,16 @@ impl Beams {
                 } else {
                     0.0
                 },
-                slopes: [0, 1].map(|i| (found.point[i] / found.point[2]) as f32),
+                slopes: [x, y].map(|c| (c * per_depth) as f32),
                 table,
             };
-            extent.add(&measured, found.point[2] > 0.0);
-            Some(measured)
-        }));
+            extent.add(&beam, z > 0.0);
+            measured.push(beam);
+        }
         Ok(Self {
             origin: origin_in_cells(map, scan)?,
             measured,
+            first_share: num_first,
             extent,
             tables,
             resolution,
@@ -114,16 +126,66 @@ impl Beams {
     #[inline]
     pub(crate) fn beam(&self, measured: &Measured) -> Beam {
         let table = self.tables.table(measured.table);
-        let per_range = self.resolution / (1_u64 << RANGE_BITS) as f64;
+        let per_range = self.resolution * 2_f64.powi(64 - RANGE_BITS as i32);
         Beam {
             ray: Ray::new(self.origin, measured.direction, measured.length),
             settled_until: 0,
             table: measured.table,
             table_start: fixed(measured.table_start, RANGE_BITS),
-            entries_per_range: table.inv_step * per_range,
+            entries_per_range: (table.inv_step * per_range) as u64,
             free_until: fixed(measured.free, TIME_BITS),
         }
     }
+}
+
+/// Shares of a scan. After the first, settled space is looked for again: it has settled most of it.
+const SHARES: usize = 8;
+/// Tiles of directions along an edge of the square onto which they are mapped.
+const DIRECTION_TILES: usize = 64;
+
+/// The measurements of a scan in the order of their integration, and how many of them come first.
+///
+/// Pixels are taken as they come. The points of a cloud have no order of their own: every eighth is of one share, which so has points
+/// of all directions, and in a share neighbours follow one another, row by row of tiles, so that a beam finds in the cache what the
+/// last ones changed. With all of them in one share, many misses in a row would undo the hits of coarse cells.
+fn integration_order(scan: &Scan) -> (Vec<u32>, usize) {
+    let first_share = scan.len().div_ceil(SHARES);
+    let ScanData::Points(PointScan { points, .. }) = scan.data else {
+        return ((0..scan.len() as u32).collect(), first_share);
+    };
+    let tiles: Vec<_> = points.iter().map(|p| direction_tile(*p) as u16).collect();
+    let bucket = |(index, tile): (usize, &u16)| {
+        (index % SHARES) * DIRECTION_TILES * DIRECTION_TILES + usize::from(*tile)
+    };
+    let mut places = vec![0_u32; SHARES * DIRECTION_TILES * DIRECTION_TILES];
+    for tile in tiles.iter().enumerate() {
+        places[bucket(tile)] += 1;
+    }
+    let mut next = 0;
+    for count in &mut places {
+        next += std::mem::replace(count, next);
+    }
+    let mut order = vec![0; points.len()];
+    for tile in tiles.iter().enumerate() {
+        let place = &mut places[bucket(tile)];
+        order[*place as usize] = tile.0 as u32;
+        *place += 1;
+    }
+    (order, first_share)
+}
+
+/// The tile of a direction: the octahedron around the sensor, unfolded to a square. Any tile, if it is none.
+#[inline]
+fn direction_tile([x, y, z]: [f32; 3]) -> usize {
+    let scale = 1.0 / (x.abs() + y.abs() + z.abs());
+    let (u, v) = (x * scale, y * scale);
+    let (u, v) = if z < 0.0 {
+        ((1.0 - v.abs()).copysign(u), (1.0 - u.abs()).copysign(v))
+    } else {
+        (u, v)
+    };
+    let tile = |c: f32| ((c + 1.0) * (0.5 * DIRECTION_TILES as f32)) as usize;
+    tile(v).min(DIRECTION_TILES - 1) * DIRECTION_TILES + tile(u).min(DIRECTION_TILES - 1)
 }
 
 impl Extent {
@@ -174,8 +236,8 @@ impl Beam {
         if behind_start < 0 {
             return table.free;
         }
-        let at = (behind_start as f64 * self.entries_per_range) as usize;
-        table.entries.get(at).copied().unwrap_or(0)
+        let at = u128::from(behind_start as u64) * u128::from(self.entries_per_range) >> 64;
+        table.entries.get(at as usize).copied().unwrap_or(0)
     }
 }
 
@@ -226,7 +288,57 @@ pub(crate) fn origin_in_cells(map: &OccupancyMap, scan: &Scan) -> Result<[f64; 3
 pub(crate) fn total_sigma(sigma: f64, range: f64, scan: &Scan, resolution: f64) -> f64 {
     let pose = scan.pose_sigma;
     let rotation = range * pose.rotation_rad;
-    (sigma * sigma + pose.translation * pose.translation + rotation * rotation)
-        .sqrt()
-        .max(0.01 * resolution)
+    let of_pose_sq = pose.translation * pose.translation + rotation * rotation;
+    let total = if of_pose_sq > 0.0 {
+        (sigma * sigma + of_pose_sq).sqrt()
+    } else {
+        sigma
+    };
+    total.max(0.01 * resolution)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::Similarity;
+
+    #[test]
+    fn points_are_taken_in_eight_shares_of_all_directions_each_by_direction() {
+        let mut state = 7_u64;
+        let mut unit = move || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 40) as f32 / (1 << 23) as f32 - 1.0
+        };
+        let mut points: Vec<[f32; 3]> = (0..20_003).map(|_| [unit(), unit(), unit()]).collect();
+        points[77] = [0.0; 3];
+        points[78] = [f32::NAN, 1.0, f32::INFINITY];
+        let scan = Scan::of_points(0, Similarity::IDENTITY, &points, &[0.01]);
+        let (order, num_first) = integration_order(&scan);
+        let mut all = order.clone();
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..points.len() as u32));
+        assert_eq!(num_first, 2501);
+        let share_of = |index: &u32| index % 8;
+        let place = |index: &u32| {
+            (
+                share_of(index),
+                direction_tile(points[*index as usize]),
+                *index,
+            )
+        };
+        assert!(order.is_sorted_by_key(place));
+        assert_eq!(share_of(&order[num_first - 1]), 0);
+        assert_eq!(share_of(&order[num_first]), 1);
+        // Neighbours in the order are neighbours on the sphere.
+        let cos_between = |a: u32, b: u32| {
+            let [a, b] = [a, b].map(|index| points[index as usize]);
+            let dot = |p: [f32; 3], q: [f32; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
+            dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()
+        };
+        let is_near = |pair: &&[u32]| cos_between(pair[0], pair[1]) > 0.95;
+        let near = order.windows(2).filter(is_near).count();
+        assert!(near > order.len() * 9 / 10, "{near} of {}", order.len());
+    }
 }

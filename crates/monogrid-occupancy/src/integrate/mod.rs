@@ -1,7 +1,8 @@
 //! From scans to evidence: the integration rules.
 //!
 //! - [`IntegrationRule::Rays`]: every measurement updates every cell that its ray crosses, in the
-//!   order of the measurements; clamped at each write. The thesis' rule, exact, the reference.
+//!   order of the pixels, of points by their directions; clamped at each write. The thesis' rule,
+//!   exact, the reference.
 //! - [`IntegrationRule::Fused`]: one update per cell and scan, from the measurements in the
 //!   cell's footprint.
 //!

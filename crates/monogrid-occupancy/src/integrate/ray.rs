@@ -23,8 +23,8 @@ pub(crate) struct Ray {
     sign: [i32; 3],
     first: [i64; 3],
     step: [i64; 3],
-    /// Crossings per unit of time, for estimates.
-    inv_step: [f64; 3],
+    /// Crossings in 2^64 units of time, rounded down: they give one crossing too few at most.
+    inv_step: [u64; 3],
     /// Range of the start cell's centre along the ray.
     range_at_start: i64,
     /// Range gained by one step along each axis.
@@ -74,7 +74,7 @@ impl Ray {
             sign: [1; 3],
             first: [0; 3],
             step: [0; 3],
-            inv_step: [0.0; 3],
+            inv_step: [0; 3],
             range_at_start: 0,
             range_step: [0; 3],
             end: fixed(length.clamp(0.0, MAX_CELLS), TIME_BITS),
@@ -96,7 +96,8 @@ impl Ray {
                 to_plane * per_cell
             };
             ray.first[axis] = (first.min(NEVER) as i64 & !3) | axis as i64;
-            ray.inv_step[axis] = speed / (1_u64 << TIME_BITS) as f64;
+            let per_time = speed * (1_u64 << (64 - TIME_BITS)) as f64;
+            ray.inv_step[axis] = (per_time as u64).saturating_sub(1);
             ray.range_step[axis] = fixed(speed, RANGE_BITS);
             range += (0.5 - fraction) * direction[axis];
         }
@@ -211,12 +212,9 @@ impl Ray {
             return least;
         }
         let elapsed = time - self.first[axis];
-        let mut crossings = ((elapsed as f64 * self.inv_step[axis]) as i64 + 1).clamp(least, most);
-        // The estimate can be off by one; the integers decide.
-        while crossings > least && (crossings - 1) * self.step[axis] > elapsed {
-            crossings -= 1;
-        }
-        while crossings < most && crossings * self.step[axis] <= elapsed {
+        let estimate = (u128::from(elapsed as u64) * u128::from(self.inv_step[axis])) >> 64;
+        let mut crossings = (estimate as i64 + 1).clamp(least, most);
+        if crossings < most && crossings * self.step[axis] <= elapsed {
             crossings += 1;
         }
         crossings
@@ -241,31 +239,40 @@ impl Ray {
             mut range,
             stop,
         } = entry;
-        let index_step: [isize; 3] =
-            std::array::from_fn(|axis| self.sign[axis] as isize * (1 << (3 * axis)));
+        let index_step = self.index_step();
+        let range_step = self.range_step_by_axis();
         loop {
             let time = x.min(y).min(z);
             if stop_at(index % BRICK_CELLS, range) || time >= stop {
                 return;
             }
-            // Exactly one axis has this time. Masks instead of branches: which axis comes next
-            // cannot be predicted.
-            let (mx, my, mz) = (
-                -i64::from(x == time),
-                -i64::from(y == time),
-                -i64::from(z == time),
-            );
-            x += self.step[0] & mx;
-            y += self.step[1] & my;
-            z += self.step[2] & mz;
-            range +=
-                (self.range_step[0] & mx) | (self.range_step[1] & my) | (self.range_step[2] & mz);
-            index = index.wrapping_add_signed(
-                (index_step[0] & mx as isize)
-                    | (index_step[1] & my as isize)
-                    | (index_step[2] & mz as isize),
-            );
+            self.advance(time, [&mut x, &mut y, &mut z]);
+            let axis = (time & 3) as usize;
+            range += range_step[axis];
+            index = index.wrapping_add_signed(index_step[axis]);
         }
+    }
+
+    /// Exactly one axis has the time of the next crossing. Masks instead of branches: which axis comes
+    /// next cannot be predicted.
+    #[inline]
+    fn advance(&self, time: i64, next: [&mut i64; 3]) {
+        for (next, step) in next.into_iter().zip(self.step) {
+            *next += step & -i64::from(*next == time);
+        }
+    }
+
+    /// What a step along an axis adds to the position in the brick; nobody asks for the fourth.
+    #[inline]
+    fn index_step(&self) -> [isize; 4] {
+        let [x, y, z] = self.sign.map(|sign| sign as isize);
+        [x, y << 3, z << 6, 0]
+    }
+
+    #[inline]
+    fn range_step_by_axis(&self) -> [i64; 4] {
+        let [x, y, z] = self.range_step;
+        [x, y, z, 0]
     }
 
     /// Visits every cell from the one in which the ray is at the time `from` to its end.
@@ -284,43 +291,40 @@ impl Ray {
         let mut key = BrickKey::new(cell[0] >> 3, cell[1] >> 3, cell[2] >> 3).pack();
         let key_step: [i64; 3] =
             std::array::from_fn(|axis| i64::from(self.sign[axis]) << (42 - 21 * axis));
-        // Positions in the brick have a guard bit each: set for falling positions, clear for others
-        // while the ray is in the brick, so that the step out of it turns the bit.
-        let inside = (0..3).fold(0, |bits, axis| {
-            bits | u32::from(self.sign[axis] < 0) << (4 * axis + 3)
+        let (index_step, range_step) = (self.index_step(), self.range_step_by_axis());
+        let mut index = (0..3).fold(0, |index, axis| {
+            index | ((cell[axis] & 7) as usize) << (3 * axis)
         });
-        let mut place = (0..3).fold(inside, |place, axis| {
-            place | ((cell[axis] & 7) as u32) << (4 * axis)
+        // Times at which the ray leaves the brick along each axis.
+        let mut leaves: [i64; 3] = std::array::from_fn(|axis| {
+            let place = i64::from(cell[axis] & 7);
+            let cells = if self.sign[axis] > 0 {
+                7 - place
+            } else {
+                place
+            };
+            next[axis] + cells * self.step[axis]
         });
-        let place_step: [u32; 3] =
-            std::array::from_fn(|axis| (self.sign[axis] << (4 * axis)) as u32);
+        let mut stop = leaves.into_iter().fold(self.end, i64::min);
         let [mut x, mut y, mut z] = next;
         loop {
             let time = x.min(y).min(z);
-            let index = place & 7 | place >> 1 & 0o70 | place >> 2 & 0o700;
-            visitor.cell(index as usize, range);
-            if time >= self.end {
+            visitor.cell(index % BRICK_CELLS, range);
+            let axis = (time & 3) as usize;
+            if time >= stop {
                 visitor.leave_brick(key);
-                return;
-            }
-            let [mx, my, mz] = [x, y, z].map(|next| -i64::from(next == time));
-            x += self.step[0] & mx;
-            y += self.step[1] & my;
-            z += self.step[2] & mz;
-            range +=
-                (self.range_step[0] & mx) | (self.range_step[1] & my) | (self.range_step[2] & mz);
-            place = place.wrapping_add(
-                (place_step[0] & mx as u32)
-                    | (place_step[1] & my as u32)
-                    | (place_step[2] & mz as u32),
-            );
-            let left = (place ^ inside) & 0x888;
-            if left != 0 {
-                visitor.leave_brick(key);
-                place ^= left;
-                let axis = (left.trailing_zeros() / 4) as usize;
+                if time >= self.end || axis > 2 {
+                    return;
+                }
                 key = key.wrapping_add_signed(key_step[axis]);
+                leaves[axis] += i64::from(BRICK_EDGE) * self.step[axis];
+                stop = leaves.into_iter().fold(self.end, i64::min);
+                // Enters the next brick on its other side.
+                index = index.wrapping_add_signed(-8 * index_step[axis]);
             }
+            self.advance(time, [&mut x, &mut y, &mut z]);
+            range += range_step[axis];
+            index = index.wrapping_add_signed(index_step[axis]);
         }
     }
 }

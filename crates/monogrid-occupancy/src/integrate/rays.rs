@@ -1,8 +1,8 @@
 //! The rule `rays`: every measurement updates every cell that its ray crosses.
 //!
 //! Flow: measurements -> rays in cell units (`beam`) -> in batches (`batches`), the rays' updates are
-//! handed to the shards of their bricks, and each shard takes them ray by ray in the order of the
-//! measurements (`visits`). Rays begin where the first cell lies that they could change (`settled`).
+//! handed to the shards of their bricks, and each shard takes them ray by ray in the order in which
+//! `beam` has them (`visits`). Rays begin where the first cell lies that they could change (`settled`).
 
 use super::batches::Walk;
 use super::beam::{Beams, Beginnings};
@@ -13,9 +13,6 @@ use crate::error::MapError;
 use crate::key::{BRICK_EDGE, BrickKey};
 use crate::map::OccupancyMap;
 use crate::scan::Scan;
-
-/// Share of the beams after which settled space is looked for again: they have settled most of it.
-const FIRST_SHARE: usize = 8;
 
 /// Bricks to which an integration is restricted, sorted by packed key.
 pub(crate) type BrickFilter<'a> = Option<&'a [u64]>;
@@ -99,7 +96,7 @@ fn integrate_prepared(
             .as_ref()
             .map(|tiles| Beginnings::find(map, tiles, threads));
         let last = match beginnings {
-            Some(_) if first == 0 => all.len().div_ceil(FIRST_SHARE),
+            Some(_) if first == 0 && beams.first_share > 0 => beams.first_share,
             _ => all.len(),
         };
         let walk = Walk {

@@ -204,7 +204,7 @@ impl<'a> ShardWriter<'a> {
     pub(crate) fn apply(&mut self, shard: &mut Shard, visits: &Visits, index: usize) {
         let mut words = &visits.lists[index].words[..];
         let mut next: Vec<(u64, SlotIndex, u32, &[u32])> = Vec::with_capacity(AHEAD);
-        // Beams come in any order, and so do bricks: the next ones are fetched side by side before they are changed.
+        // The next bricks are fetched side by side before they are changed.
         let ahead = if shard.payloads() > CACHED { AHEAD } else { 1 };
         while !words.is_empty() {
             next.clear();
@@ -242,14 +242,8 @@ impl<'a> ShardWriter<'a> {
         if shard.contents(slot) == BrickRef::Uniform(self.rule.limits.min) && free < 0 {
             return;
         }
-        let rule = self.rule;
         let cells = &mut shard.payload_mut(slot).0;
-        let entry = beam
-            .ray
-            .enter_from(BrickKey::unpack(key), beam.settled_until);
-        beam.ray.walk(entry, |index, _| {
-            cells[index] = rule.updated(cells[index], free);
-        });
+        add_along(cells, beam, BrickKey::unpack(key), self.rule, free);
         shard.touch(slot, self.revision);
         // Saturated bricks spare all later free rays: look for them now and then.
         self.free_visits += 1;
@@ -273,4 +267,20 @@ impl<'a> ShardWriter<'a> {
         }
         shard.touch(slot, self.revision);
     }
+}
+
+/// Adds the same evidence to all cells of a brick that a beam crosses. A function of its own: what its loop needs has room in
+/// registers.
+#[inline(never)]
+fn add_along(
+    cells: &mut [i16; BRICK_CELLS],
+    beam: &Beam,
+    brick: BrickKey,
+    rule: UpdateRule,
+    evidence: i16,
+) {
+    let entry = beam.ray.enter_from(brick, beam.settled_until);
+    beam.ray.walk(entry, |index, _| {
+        cells[index] = rule.updated(cells[index], evidence);
+    });
 }
