@@ -39,11 +39,7 @@ impl Grey for u16 {
 
     #[inline]
     fn by_corner(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
-        let pair = |row: usize| i32x8::new(std::array::from_fn(|place| cells[place][row]));
-        let left = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat(0xFFFF));
-        let right = |pairs: i32x8| f32x8::from_i32x8((pairs >> 16) & i32x8::splat(0xFFFF));
-        let (above, below) = (pair(0), pair(1));
-        [left(above), right(above), left(below), right(below)]
+        corners_of_pairs::<16>(cells)
     }
 }
 
@@ -58,12 +54,17 @@ impl Grey for u8 {
 
     #[inline]
     fn by_corner(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
-        let pair = |row: usize| i32x8::new(std::array::from_fn(|place| cells[place][row]));
-        let left = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat(0x00FF));
-        let right = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat(0xFF00)) * (1.0 / 256.0);
-        let (above, below) = (pair(0), pair(1));
-        [left(above), right(above), left(below), right(below)]
+        corners_of_pairs::<8>(cells)
     }
+}
+
+/// Of pairs of numbers of so many bits, the left one in the lower bits.
+#[inline]
+fn corners_of_pairs<const BITS: i32>(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
+    let pairs = |row: usize| i32x8::new(cells.map(|cell| cell[row]));
+    let corner = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat((1 << BITS) - 1));
+    let (above, below) = (pairs(0), pairs(1));
+    [above, above >> BITS, below, below >> BITS].map(corner)
 }
 
 /// The image at the first `N` of eight places `(x, y)`, px; the caller keeps them inside.

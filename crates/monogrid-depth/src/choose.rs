@@ -24,6 +24,28 @@ pub(crate) struct Choice<'f, 'a> {
     pub(crate) predicted_var: f32,
 }
 
+/// The frame with the smallest predicted variance (or the first usable one), of those of which `consider` says no
+/// reason why not; the last reason if there is none.
+#[inline(always)]
+fn best_of<'f, 'a>(
+    frames: &'f [Prepared<'a>],
+    config: &DepthConfig,
+    consider: impl Fn(&'f Prepared<'a>) -> Result<Choice<'f, 'a>, PixelOutcome>,
+) -> Result<Choice<'f, 'a>, PixelOutcome> {
+    let mut best: Result<Choice<'f, 'a>, PixelOutcome> = Err(PixelOutcome::BaselineTooShort);
+    for prepared in frames {
+        match (consider(prepared), &best) {
+            (Ok(choice), _) if config.frame_choice == FrameChoice::First => return Ok(choice),
+            (Ok(choice), Ok(before)) if choice.predicted_var < before.predicted_var => {
+                best = Ok(choice);
+            }
+            (considered, Err(_)) => best = considered,
+            _ => {}
+        }
+    }
+    best
+}
+
 impl DepthBand<'_> {
     /// Whether a pixel that failed is left alone in this frame; at most for `2^longest` frames.
     pub(crate) fn waits(
@@ -76,50 +98,24 @@ impl DepthBand<'_> {
         let (idepth, var) = (self.idepth[pixel.i], self.var[pixel.i]);
         // what an observation costs at least, whatever the direction of its line
         let least_px = self.photo_px[pixel.i] + config.floor_px * config.floor_px;
-        let mut best: Option<Choice<'f, 'a>> = None;
-        let mut reason = PixelOutcome::BaselineTooShort;
-        for prepared in frames {
+        best_of(frames, config, |prepared| {
             let alpha_sq = prepared.geometry.alpha_sq(pixel.x, pixel.y, idepth);
             if alpha_sq * least_px >= worth {
-                reason = PixelOutcome::NoGain;
-                continue;
+                return Err(PixelOutcome::NoGain);
             }
-            let choice = match self.consider(pixel, prepared, idepth, config) {
-                Ok(choice) => choice,
-                Err(why) => {
-                    reason = why;
-                    continue;
-                }
-            };
+            let choice = self.consider(pixel, prepared, idepth, config)?;
             if choice.predicted_var >= worth {
-                reason = PixelOutcome::NoGain;
-                continue;
+                return Err(PixelOutcome::NoGain);
             }
-            let position = choice.line.position(idepth);
-            if choice
-                .line
-                .clip((position, position), self.size(), FRAME_BORDER)
-                .is_none()
-            {
-                reason = PixelOutcome::OutOfImage;
-                continue;
-            }
+            let place = choice.line.position(idepth);
+            let clipped = (choice.line).clip((place, place), self.size(), FRAME_BORDER);
+            clipped.ok_or(PixelOutcome::OutOfImage)?;
             let length = 2.0 * config.search_sigmas * var.sqrt() / choice.alpha;
             if length > config.max_update_search_px && !config.crop_to_far_end {
-                reason = PixelOutcome::SearchTooLong;
-                continue;
+                return Err(PixelOutcome::SearchTooLong);
             }
-            if config.frame_choice == FrameChoice::First {
-                return Ok(choice);
-            }
-            if best
-                .as_ref()
-                .is_none_or(|b| choice.predicted_var < b.predicted_var)
-            {
-                best = Some(choice);
-            }
-        }
-        best.ok_or(reason)
+            Ok(choice)
+        })
     }
 
     /// The frame with the longest baseline whose whole segment is short enough to search.
@@ -131,41 +127,20 @@ impl DepthBand<'_> {
     ) -> Result<Choice<'f, 'a>, PixelOutcome> {
         /// Inverse depth at which the geometry of an unknown pixel is judged: the keyframe's mean.
         const ASSUMED_IDEPTH: f32 = 1.0;
-        let mut best: Option<Choice<'f, 'a>> = None;
-        let mut reason = PixelOutcome::BaselineTooShort;
-        for prepared in frames {
-            let choice = match self.consider(pixel, prepared, ASSUMED_IDEPTH, config) {
-                Ok(choice) => choice,
-                Err(why) => {
-                    reason = why;
-                    continue;
-                }
-            };
+        best_of(frames, config, |prepared| {
+            let choice = self.consider(pixel, prepared, ASSUMED_IDEPTH, config)?;
             if choice.predicted_var > config.max_var {
-                reason = PixelOutcome::BaselineTooShort;
-                continue;
+                return Err(PixelOutcome::BaselineTooShort);
             }
             let near = choice.line.limit_in_front(self.near_limit, 0.3);
             let all = (0.0, choice.line.position(near));
-            let Some((from, to)) = choice.line.clip(all, self.size(), FRAME_BORDER) else {
-                reason = PixelOutcome::OutOfImage;
-                continue;
-            };
+            let clipped = choice.line.clip(all, self.size(), FRAME_BORDER);
+            let (from, to) = clipped.ok_or(PixelOutcome::OutOfImage)?;
             if to - from > config.max_create_search_px && !config.crop_to_far_end {
-                reason = PixelOutcome::SearchTooLong;
-                continue;
+                return Err(PixelOutcome::SearchTooLong);
             }
-            if config.frame_choice == FrameChoice::First {
-                return Ok(choice);
-            }
-            if best
-                .as_ref()
-                .is_none_or(|b| choice.predicted_var < b.predicted_var)
-            {
-                best = Some(choice);
-            }
-        }
-        best.ok_or(reason)
+            Ok(choice)
+        })
     }
 
     /// Geometry of one frame for one pixel at the assumed inverse depth, or why it is of no use.
@@ -177,10 +152,8 @@ impl DepthBand<'_> {
         idepth: f32,
         config: &DepthConfig,
     ) -> Result<Choice<'f, 'a>, PixelOutcome> {
-        let line = prepared
-            .geometry
-            .line(pixel.x, pixel.y)
-            .ok_or(PixelOutcome::BaselineTooShort)?;
+        let line = prepared.geometry.line(pixel.x, pixel.y);
+        let line = line.ok_or(PixelOutcome::BaselineTooShort)?;
         let ratio = line.depth_ratio(idepth);
         if ratio < 1.0 / config.max_scale_change || ratio > config.max_scale_change {
             return Err(PixelOutcome::ScaleChange);
@@ -203,9 +176,8 @@ impl DepthBand<'_> {
             // the patch of five samples has about twice the information of its centre
             _ => config.photometric_factor * self.noise_var / (2.0 * along_sq),
         };
-        let geometric = prepared
-            .uncertainty
-            .geometric(idepth, inv_cos_sq, config.variance);
+        let uncertainty = &prepared.uncertainty;
+        let geometric = uncertainty.geometric(idepth, inv_cos_sq, config.variance);
         let floor = config.floor_px * config.floor_px;
         let predicted_var = alpha * alpha * (photo_px + geometric + floor);
         let inv_norm = 1.0 / norm_sq.sqrt();

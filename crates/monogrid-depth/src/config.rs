@@ -277,7 +277,13 @@ impl DepthConfig {
             ("propagation_relative_sigma", self.propagation_relative_sigma, 0.0, 1.0),
             ("validity_max", f32::from(self.validity_max), 1.0, 255.0),
         ];
-        first_outside(limits.into_iter().map(Limit::from))
+        // as they are written: 0.1 in single precision is 0.1
+        let written = |v: f32| v.to_string().parse().unwrap_or(f64::NAN);
+        let limits = limits.map(|(name, value, min, max)| {
+            let [value, min, max] = [value, min, max].map(written);
+            Limit(name, value, min, max)
+        });
+        first_outside(limits)
     }
 }
 
@@ -298,29 +304,19 @@ pub struct ConfigError {
 /// A setting and its smallest and largest allowed value.
 pub(crate) struct Limit(pub &'static str, pub f64, pub f64, pub f64);
 
-impl From<(&'static str, f32, f32, f32)> for Limit {
-    fn from((name, value, min, max): (&'static str, f32, f32, f32)) -> Self {
-        // as they are written: 0.1 in single precision is 0.1
-        let [value, min, max] =
-            [value, min, max].map(|v| v.to_string().parse().unwrap_or(f64::NAN));
-        Self(name, value, min, max)
-    }
-}
-
 /// The first setting outside its range.
 pub(crate) fn first_outside(limits: impl IntoIterator<Item = Limit>) -> Result<(), ConfigError> {
-    for Limit(name, value, min, max) in limits {
-        // NaN is in no range
-        if !(min..=max).contains(&value) {
-            return Err(ConfigError {
-                name,
-                value,
-                min,
-                max,
-            });
-        }
-    }
-    Ok(())
+    let mut limits = limits.into_iter();
+    // NaN is in no range
+    let outside = limits.find(|Limit(_, value, min, max)| !(min..=max).contains(&value));
+    outside.map_or(Ok(()), |Limit(name, value, min, max)| {
+        Err(ConfigError {
+            name,
+            value,
+            min,
+            max,
+        })
+    })
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ pub(crate) struct FrameGeometry {
     /// Principal point of the keyframe.
     principal: [f32; 2],
     /// Focal length, px (mean of both axes).
-    focal: f32,
+    pub(crate) focal: f32,
 }
 
 /// The epipolar line of one pixel in a frame.
@@ -43,27 +43,15 @@ impl FrameGeometry {
         let k = Mat3::new(
             pinhole.fx, 0.0, pinhole.cx, 0.0, pinhole.fy, pinhole.cy, 0.0, 0.0, 1.0,
         );
-        let k_inv = Mat3::new(
-            1.0 / pinhole.fx,
-            0.0,
-            -pinhole.cx / pinhole.fx,
-            0.0,
-            1.0 / pinhole.fy,
-            -pinhole.cy / pinhole.fy,
-            0.0,
-            0.0,
-            1.0,
-        );
+        let [x, y] = [-pinhole.cx / pinhole.fx, -pinhole.cy / pinhole.fy];
+        let [inv_fx, inv_fy] = [1.0 / pinhole.fx, 1.0 / pinhole.fy];
+        let k_inv = Mat3::new(inv_fx, 0.0, x, 0.0, inv_fy, y, 0.0, 0.0, 1.0);
         let pose = &frame.frame_from_keyframe;
         let h = k * pose.rotation_matrix() * k_inv;
         let t = k * pose.translation;
         let centre = pose.inverse().translation;
-        let mut homography = [0.0; 9];
-        for (i, value) in homography.iter_mut().enumerate() {
-            *value = h[(i / 3, i % 3)] as f32;
-        }
         Self {
-            homography,
+            homography: std::array::from_fn(|i| h[(i / 3, i % 3)] as f32),
             translation: [t.x as f32, t.y as f32, t.z as f32],
             centre: [
                 (pinhole.fx * centre.x) as f32,
@@ -73,11 +61,6 @@ impl FrameGeometry {
             principal: [pinhole.cx as f32, pinhole.cy as f32],
             focal: (0.5 * (pinhole.fx + pinhole.fy)) as f32,
         }
-    }
-
-    /// Focal length, px.
-    pub(crate) fn focal(&self) -> f32 {
-        self.focal
     }
 
     /// Direction (not normalised) of the epipolar line in the keyframe: towards the frame's centre.
@@ -93,11 +76,7 @@ impl FrameGeometry {
     #[inline]
     fn at_infinity(&self, x: f32, y: f32) -> [f32; 3] {
         let m = &self.homography;
-        [
-            m[0] * x + m[1] * y + m[2],
-            m[3] * x + m[4] * y + m[5],
-            m[6] * x + m[7] * y + m[8],
-        ]
+        [0, 3, 6].map(|row| m[row] * x + m[row + 1] * y + m[row + 2])
     }
 
     /// `alpha²` of keyframe pixel `(x, y)` at inverse depth `idepth`: the square of
@@ -141,11 +120,7 @@ impl FrameGeometry {
     pub(crate) fn stretch(&self, line: &EpipolarLine, idepth: f32, direction: [f32; 2]) -> f32 {
         let m = &self.homography;
         let [dx, dy] = direction;
-        let v = [
-            m[0] * dx + m[1] * dy,
-            m[3] * dx + m[4] * dy,
-            m[6] * dx + m[7] * dy,
-        ];
+        let v = [0, 3, 6].map(|row| m[row] * dx + m[row + 1] * dy);
         let inv_hz = 1.0 / line.depth_ratio(idepth);
         let [u, w] = line.pixel(line.position(idepth));
         // derivative of h_x / h_z
@@ -195,10 +170,7 @@ impl EpipolarLine {
     /// Pixel in the frame at a position on the line.
     #[inline]
     pub(crate) fn pixel(&self, position: f32) -> [f32; 2] {
-        [
-            self.infinity[0] + position * self.direction[0],
-            self.infinity[1] + position * self.direction[1],
-        ]
+        [0, 1].map(|axis| self.infinity[axis] + position * self.direction[axis])
     }
 
     /// The part of `[from, to]` whose pixels lie inside the image shrunk by `border` px.

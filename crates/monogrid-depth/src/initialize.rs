@@ -1,6 +1,7 @@
 //! Where the first depth of a keyframe comes from.
 
-use crate::map::{DepthMap, DepthState, Hypothesis};
+use crate::PixelDepth;
+use crate::map::{DepthMap, Hypothesis};
 use monogrid_geometry::Rng;
 use monogrid_image::GrayImage;
 
@@ -8,27 +9,14 @@ impl DepthMap {
     /// Random inverse depths in [0.5, 1.5] with variance 0.125 (LSD-SLAM's start).
     pub fn initialize_random(&mut self, seed: u64) {
         let mut words = Rng::new(seed);
-        self.initialize_with(|_, _| {
-            Some(Hypothesis {
-                // the upper 24 bits, as many as a fraction has
-                idepth: 0.5 + (words.next_u64() >> 40) as f32 / (1u32 << 24) as f32,
-                var: 0.125,
-                prior_var: f32::INFINITY,
-                validity: 20,
-            })
-        });
+        // the upper 24 bits, as many as a fraction has
+        let mut fraction = || (words.next_u64() >> 40) as f32 / (1u32 << 24) as f32;
+        self.initialize_with(|_, _| Some(newly_made(0.5 + fraction(), 0.125)));
     }
 
     /// The same inverse depth (1/u) and variance (1/u²) at every candidate.
     pub fn initialize_constant(&mut self, idepth: f32, idepth_var: f32) {
-        self.initialize_with(|_, _| {
-            Some(Hypothesis {
-                idepth,
-                var: idepth_var,
-                prior_var: f32::INFINITY,
-                validity: 20,
-            })
-        });
+        self.initialize_with(|_, _| Some(newly_made(idepth, idepth_var)));
     }
 
     /// Inverse depth of every candidate from an image of depths `z` in u (NaN, infinite or not
@@ -64,20 +52,15 @@ impl DepthMap {
         &mut self,
         mut hypothesis: impl FnMut(usize, usize) -> Option<Hypothesis>,
     ) -> usize {
-        let w = self.host.width();
         let mut num_known = 0;
-        for y in 0..self.host.height() {
-            for &x in self.candidates.row(y) {
-                let i = y * w + usize::from(x);
-                match hypothesis(usize::from(x), y) {
-                    Some(h) => {
-                        self.arrays.set(i, h);
-                        self.smooth_idepth[i] = h.idepth;
-                        self.smooth_var[i] = h.var;
-                        num_known += 1;
-                    }
-                    None => self.arrays.clear(i),
+        let candidates: Vec<_> = self.all_candidates().collect();
+        for (x, y, i) in candidates {
+            match hypothesis(x, y) {
+                Some(known) => {
+                    self.set(i, known);
+                    num_known += 1;
                 }
+                None => self.arrays.clear(i),
             }
         }
         num_known
@@ -86,39 +69,38 @@ impl DepthMap {
     /// Sets one pixel, for starts that bring their own depth (triangulated points); `false` when it
     /// is not a candidate or the values are not usable. Validity above `mature_validity` counts as
     /// confirmed.
-    pub fn seed_pixel(&mut self, x: usize, y: usize, state: DepthState) -> bool {
-        let DepthState::Known {
-            idepth,
-            idepth_var,
-            validity,
-        } = state
-        else {
-            return false;
-        };
-        let usable = idepth.is_finite() && idepth_var > 0.0 && idepth_var.is_finite();
-        if !usable || !self.is_candidate(x, y) {
-            return false;
-        }
-        let i = y * self.host.width() + x;
-        self.arrays.set(
-            i,
-            Hypothesis {
+    pub fn seed_pixel(&mut self, pixel: &PixelDepth) -> bool {
+        let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+        let (idepth, var) = (pixel.idepth, pixel.idepth_var);
+        let usable = idepth.is_finite() && var > 0.0 && var.is_finite();
+        let is_seeded = usable && self.is_candidate(x, y);
+        if is_seeded {
+            let seed = Hypothesis {
                 idepth,
-                var: idepth_var,
-                prior_var: idepth_var,
-                validity,
-            },
-        );
-        self.smooth_idepth[i] = idepth;
-        self.smooth_var[i] = idepth_var;
-        true
+                var,
+                prior_var: var,
+                validity: pixel.validity,
+            };
+            self.set(y * self.host.width() + x, seed);
+        }
+        is_seeded
+    }
+}
+
+/// A hypothesis that no earlier keyframe knew.
+fn newly_made(idepth: f32, var: f32) -> Hypothesis {
+    Hypothesis {
+        idepth,
+        var,
+        prior_var: f32::INFINITY,
+        validity: 20,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DepthConfig, GradientSelection, HostError, HostFrame, PixelFilter};
+    use crate::{DepthConfig, GradientSelection, HostFrame, PixelFilter};
     use monogrid_geometry::Pinhole;
     use monogrid_image::Mask;
     use std::sync::Arc;
@@ -178,15 +160,19 @@ mod tests {
     #[test]
     fn seeds_are_refused_off_the_candidates_and_when_not_finite() {
         let mut map = DepthMap::empty(host(), &DepthConfig::default());
-        let seed = |idepth| DepthState::Known {
-            idepth,
-            idepth_var: 0.01,
-            validity: 30,
+        let mut is_seeded = |x, y, idepth| {
+            map.seed_pixel(&PixelDepth {
+                x,
+                y,
+                idepth,
+                idepth_var: 0.01,
+                validity: 30,
+            })
         };
-        assert!(map.seed_pixel(31, 10, seed(0.7)));
-        assert!(!map.seed_pixel(30, 10, seed(0.7)));
-        assert!(!map.seed_pixel(32, 10, seed(f32::NAN)));
-        assert!(!map.seed_pixel(1000, 1000, seed(0.7)));
+        assert!(is_seeded(31, 10, 0.7));
+        assert!(!is_seeded(30, 10, 0.7));
+        assert!(!is_seeded(32, 10, f32::NAN));
+        assert!(!is_seeded(1000, 1000, 0.7));
         assert_eq!(map.num_known(), 1);
     }
 
@@ -195,10 +181,12 @@ mod tests {
         let image = GrayImage::filled(64, 48, 1.0);
         let pinhole = Pinhole::new(60.0, 60.0, 31.5, 23.5);
         let mask = Mask::filled(64, 40, 255);
-        let error = HostFrame::new(image.clone(), mask, pinhole).expect_err("sizes differ");
-        assert!(matches!(error, HostError::MaskSize { .. }));
+        assert!(HostFrame::new(image.clone(), mask, pinhole).is_none());
         let bad = Pinhole::new(f64::NAN, 60.0, 31.5, 23.5);
-        let error = HostFrame::new(image, Mask::filled(64, 48, 255), bad).expect_err("no focal");
-        assert!(matches!(error, HostError::Intrinsics { .. }));
+        let mask = Mask::filled(64, 48, 255);
+        assert!(HostFrame::new(image.clone(), mask.clone(), bad).is_none());
+        let small = GrayImage::filled(15, 48, 1.0);
+        assert!(HostFrame::new(small, Mask::filled(15, 48, 255), pinhole).is_none());
+        assert!(HostFrame::new(image, mask, pinhole).is_some());
     }
 }

@@ -10,6 +10,7 @@
 //! fraction of a pixel as the minimum of an interpolated SSD is.
 
 use crate::bilinear::bilinear;
+use crate::stats::PixelOutcome;
 use monogrid_image::GrayImage;
 use wide::f32x8;
 
@@ -57,16 +58,9 @@ impl Patch {
     ) -> Self {
         let offset = (LANE - (RADIUS + 1) as f32) * step;
         let [x, y] = [0, 1].map(|axis| pixel[axis] + offset * direction[axis]);
-        Self::from_samples(&bilinear(image, x, y), remove_mean)
-    }
-
-    fn from_samples(samples: &[f32; SAMPLES], remove_mean: bool) -> Self {
-        let mut values = [0.0; PATCH];
-        let mut slopes = [0.0; PATCH];
-        for k in 0..PATCH {
-            values[k] = samples[k + 1];
-            slopes[k] = 0.5 * (samples[k + 2] - samples[k]);
-        }
+        let samples: [f32; SAMPLES] = bilinear(image, x, y);
+        let mut values = std::array::from_fn(|k| samples[k + 1]);
+        let mut slopes = std::array::from_fn(|k| 0.5 * (samples[k + 2] - samples[k]));
         if remove_mean {
             subtract_mean(&mut values);
             subtract_mean(&mut slopes);
@@ -117,14 +111,10 @@ impl Walk<'_> {
     /// no number is converted to an integer on the way.
     fn fill(&self, from: f32, values: &mut [f32]) {
         const ONE: f32 = 65536.0;
-        let fixed = |axis: usize| {
-            let start = self.origin[axis] + from * self.direction[axis];
-            (
-                (start * ONE) as i32,
-                (self.direction[axis] * ONE).round() as i32,
-            )
-        };
-        let ((mut u, step_u), (mut v, step_v)) = (fixed(0), fixed(1));
+        let start = |axis| ((self.origin[axis] + from * self.direction[axis]) * ONE) as i32;
+        let step = |axis: usize| (self.direction[axis] * ONE).round() as i32;
+        let (mut u, mut v) = (start(0), start(1));
+        let (step_u, step_v) = (step(0), step(1));
         let w = self.image.width();
         let data = self.image.as_slice();
         for value in values.iter_mut() {
@@ -153,14 +143,6 @@ pub(crate) struct LineMatch {
     pub(crate) ssd: f32,
 }
 
-/// Why there is no match.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum NoMatch {
-    AtIntervalEnd,
-    Ambiguous,
-    NotConverged,
-}
-
 /// Best position in `[from, from + num_steps]` in steps of 1 px.
 ///
 /// `noise_ssd` is the SSD that noise alone would cause: a better best does not make the second best
@@ -171,7 +153,7 @@ pub(crate) fn search(
     from: f32,
     num_steps: usize,
     ambiguity: (f32, f32),
-) -> Result<LineMatch, NoMatch> {
+) -> Result<LineMatch, PixelOutcome> {
     let num = num_steps.min(MAX_STEPS) + 1;
     // most searches are short, and clearing the long buffers would take longer than they do
     if num <= SHORT {
@@ -193,7 +175,7 @@ fn search_in(
     from: f32,
     (values, costs): (&mut [f32], &mut [f32]),
     ambiguity: (f32, f32),
-) -> Result<LineMatch, NoMatch> {
+) -> Result<LineMatch, PixelOutcome> {
     walk.fill(from - RADIUS as f32, values);
     fill_costs(patch, values, costs);
     let (mut best, mut best_cost) = (0, f32::INFINITY);
@@ -203,12 +185,12 @@ fn search_in(
         }
     }
     if best == 0 || best + 1 == costs.len() {
-        return Err(NoMatch::AtIntervalEnd);
+        return Err(PixelOutcome::AtIntervalEnd);
     }
     let (ratio, noise_ssd) = ambiguity;
     let limit = ratio * best_cost.max(noise_ssd);
     if has_rival(costs, best, limit) {
-        return Err(NoMatch::Ambiguous);
+        return Err(PixelOutcome::Ambiguous);
     }
     Ok(LineMatch {
         position: from + best as f32,
@@ -271,7 +253,7 @@ pub(crate) fn refine(
     walk: &Walk<'_>,
     start: f32,
     max_move: f32,
-) -> Result<LineMatch, NoMatch> {
+) -> Result<LineMatch, PixelOutcome> {
     let inv_information = 1.0 / patch.information.max(1e-6);
     let mut position = start;
     for _ in 0..MAX_ITERATIONS {
@@ -282,14 +264,14 @@ pub(crate) fn refine(
         // a step beyond a pixel leaves the range where the patch is linear
         position += step.clamp(-1.0, 1.0);
         if (position - start).abs() > max_move {
-            return Err(NoMatch::NotConverged);
+            return Err(PixelOutcome::NotConverged);
         }
     }
     let (step, ssd) = newton_step(patch, walk, position, inv_information);
     if step.abs() < 10.0 * CONVERGED_PX {
         Ok(LineMatch { position, ssd })
     } else {
-        Err(NoMatch::NotConverged)
+        Err(PixelOutcome::NotConverged)
     }
 }
 
@@ -404,12 +386,12 @@ mod tests {
         });
         let patch = Patch::new(&stripes, [60.0, 30.0], [1.0, 0.0], 1.0, false);
         let ambiguous = search(&patch, &walk(&stripes, 30.0), 50.0, 40, (1.5, 1.0));
-        assert_eq!(ambiguous, Err(NoMatch::Ambiguous));
+        assert_eq!(ambiguous, Err(PixelOutcome::Ambiguous));
         // the truth lies two pixels before the interval
         let image = shifted(0.0);
         let patch = Patch::new(&image, [60.0, 30.0], [1.0, 0.0], 1.0, false);
         let outside = search(&patch, &walk(&image, 30.0), 62.0, 2, (1.5, 1.0));
-        assert_eq!(outside, Err(NoMatch::AtIntervalEnd));
+        assert_eq!(outside, Err(PixelOutcome::AtIntervalEnd));
     }
 
     #[test]

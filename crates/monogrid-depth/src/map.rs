@@ -1,8 +1,9 @@
 //! The depth of one keyframe as a structure of arrays.
 
-use crate::HostFrame;
 use crate::config::{DepthConfig, GradientSelection};
 use crate::stats::ObserveStats;
+use crate::{HostFrame, PixelDepth};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Width of the border without hypotheses, px: the patch reaches so far.
@@ -11,22 +12,6 @@ pub(crate) const BORDER: usize = 6;
 const MIN_NOISE_VAR: f32 = 1.0 / 6.0;
 /// Blocked pixels have at most this many in `failures`.
 pub(crate) const MAX_FAILURES: u8 = 100;
-
-/// What is known about one keyframe pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum DepthState {
-    /// No hypothesis.
-    Unknown,
-    /// A Gaussian over inverse depth.
-    Known {
-        /// Mean, 1/u.
-        idepth: f32,
-        /// Variance, 1/u², honest and unsmoothed.
-        idepth_var: f32,
-        /// Confirmation by observations; grows with successes, 0 when never confirmed.
-        validity: u8,
-    },
-}
 
 /// Per-pixel state, all row-major. A pixel is known when `var > 0`.
 #[derive(Clone, Debug, Default)]
@@ -54,6 +39,13 @@ pub(crate) struct Hypothesis {
     pub(crate) var: f32,
     pub(crate) prior_var: f32,
     pub(crate) validity: u8,
+}
+
+/// A hypothesis that was found for a pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct FoundDepth {
+    pub(crate) index: usize,
+    pub(crate) hypothesis: Hypothesis,
 }
 
 impl Arrays {
@@ -96,27 +88,26 @@ pub(crate) struct Candidates {
 impl Candidates {
     fn select(host: &HostFrame, config: &DepthConfig) -> Self {
         let (w, h) = (host.width(), host.height());
-        let mut this = Self {
-            starts: vec![0; h + 1],
-            columns: Vec::new(),
-        };
+        let mut this = Self::default();
         let min_sq = config.min_gradient * config.min_gradient;
         for y in 0..h {
-            if y >= BORDER && y + BORDER < h {
-                let (gx, gy) = (host.gradient.gx.row(y), host.gradient.gy.row(y));
-                let (dilated, mask) = (host.max_gradient.row(y), host.mask.row(y));
-                for x in BORDER..w - BORDER {
-                    let strong = match config.selection {
-                        GradientSelection::Own => gx[x] * gx[x] + gy[x] * gy[x] >= min_sq,
-                        GradientSelection::Dilated => dilated[x] >= config.min_gradient,
-                    };
-                    if strong && mask[x] != 0 {
-                        this.columns.push(x as u16);
-                    }
+            this.starts.push(this.columns.len());
+            if y < BORDER || y + BORDER >= h {
+                continue;
+            }
+            let (gx, gy) = (host.gradient.gx.row(y), host.gradient.gy.row(y));
+            let (dilated, mask) = (host.max_gradient.row(y), host.mask.row(y));
+            for x in BORDER..w - BORDER {
+                let strong = match config.selection {
+                    GradientSelection::Own => gx[x] * gx[x] + gy[x] * gy[x] >= min_sq,
+                    GradientSelection::Dilated => dilated[x] >= config.min_gradient,
+                };
+                if strong && mask[x] != 0 {
+                    this.columns.push(x as u16);
                 }
             }
-            this.starts[y + 1] = this.columns.len();
         }
+        this.starts.push(this.columns.len());
         this
     }
 
@@ -125,8 +116,16 @@ impl Candidates {
         &self.columns[self.starts[y]..self.starts[y + 1]]
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.columns.len()
+    /// Column, row and index of each candidate of some rows.
+    pub(crate) fn in_rows(
+        &self,
+        rows: Range<usize>,
+        width: usize,
+    ) -> impl Iterator<Item = (usize, usize, usize)> {
+        rows.flat_map(move |y| {
+            let columns = self.row(y).iter().map(|x| usize::from(*x));
+            columns.map(move |x| (x, y, y * width + x))
+        })
     }
 }
 
@@ -172,34 +171,45 @@ impl DepthMap {
             && u16::try_from(x).is_ok_and(|x| self.candidates.row(y).binary_search(&x).is_ok())
     }
 
+    /// The candidates of all rows.
+    pub(crate) fn all_candidates(&self) -> impl Iterator<Item = (usize, usize, usize)> {
+        let rows = 0..self.host.height();
+        self.candidates.in_rows(rows, self.host.width())
+    }
+
+    /// Writes a hypothesis into a pixel, which is not smoothed yet.
+    pub(crate) fn set(&mut self, index: usize, hypothesis: Hypothesis) {
+        self.arrays.set(index, hypothesis);
+        self.smooth_idepth[index] = hypothesis.idepth;
+        self.smooth_var[index] = hypothesis.var;
+    }
+
     /// The keyframe this depth belongs to.
     #[must_use]
     pub fn host(&self) -> &Arc<HostFrame> {
         &self.host
     }
 
-    /// What is known about pixel `(x, y)`; unknown outside the image.
+    /// The hypothesis of pixel `(x, y)`, honest and unsmoothed; `None` without one and outside the image.
     #[must_use]
-    pub fn state(&self, x: usize, y: usize) -> DepthState {
+    pub fn at(&self, x: usize, y: usize) -> Option<PixelDepth> {
         if x >= self.host.width() || y >= self.host.height() {
-            return DepthState::Unknown;
+            return None;
         }
         let i = y * self.host.width() + x;
-        if self.arrays.var[i] > 0.0 {
-            DepthState::Known {
-                idepth: self.arrays.idepth[i],
-                idepth_var: self.arrays.var[i],
-                validity: self.arrays.validity[i],
-            }
-        } else {
-            DepthState::Unknown
-        }
+        (self.arrays.var[i] > 0.0).then(|| PixelDepth {
+            x: x as u16,
+            y: y as u16,
+            idepth: self.arrays.idepth[i],
+            idepth_var: self.arrays.var[i],
+            validity: self.arrays.validity[i],
+        })
     }
 
     /// Number of pixels that can carry a depth.
     #[must_use]
     pub fn num_candidates(&self) -> usize {
-        self.candidates.len()
+        self.candidates.columns.len()
     }
 
     /// Number of pixels with a hypothesis.
@@ -236,15 +246,10 @@ impl DepthMap {
         for values in [&mut self.arrays.idepth, &mut self.smooth_idepth] {
             values.iter_mut().for_each(|v| *v *= factor);
         }
-        let arrays = &mut self.arrays;
-        for values in [
-            &mut arrays.var,
-            &mut arrays.prior_var,
-            &mut arrays.floor_var,
-            &mut self.smooth_var,
-        ] {
-            values.iter_mut().for_each(|v| *v *= factor_sq);
-        }
+        let (arrays, smooth_var) = (&mut self.arrays, &mut self.smooth_var);
+        let own = arrays.var.iter_mut().chain(&mut arrays.prior_var);
+        let vars = own.chain(&mut arrays.floor_var).chain(smooth_var);
+        vars.for_each(|var| *var *= factor_sq);
     }
 
     /// Median inverse depth of all known pixels, 1/u.

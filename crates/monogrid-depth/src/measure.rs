@@ -2,10 +2,10 @@
 
 use crate::choose::{Choice, FRAME_BORDER};
 use crate::config::{DepthConfig, FrameChoice};
-use crate::line_match::{LineMatch, NoMatch, PATCH, Patch, Walk, refine, search};
+use crate::line_match::{LineMatch, PATCH, Patch, Walk, refine, search};
 use crate::observe::{DepthBand, Pixel};
 use crate::stats::PixelOutcome;
-use crate::variance::{MatchEvidence, match_variance};
+use crate::variance::match_variance;
 
 /// A search interval no longer than this is left to the refinement alone, px.
 const REFINE_ONLY_PX: f32 = 2.5;
@@ -52,35 +52,25 @@ impl DepthBand<'_> {
         if self.host.mask.at((u + 0.5) as usize, (v + 0.5) as usize) == 0 {
             return Err(PixelOutcome::OutOfImage);
         }
-        let idepth = choice
-            .line
-            .idepth(found.position)
-            .ok_or(PixelOutcome::NotConverged)?;
+        let idepth = choice.line.idepth(found.position);
+        let idepth = idepth.ok_or(PixelOutcome::NotConverged)?;
         // the texture that was matched lies `centroid` beside the pixel; on an oblique surface its
         // depth differs by slope * distance, in px of the line: times position (d / alpha)
         let offset_px = patch.centroid * step;
-        let evidence = MatchEvidence {
-            information: patch.information,
-            ssd: found.ssd,
-            noise_var: self.noise_var,
-            geometric: choice.prepared.uncertainty.geometric(
-                idepth.max(0.0),
-                choice.inv_cos_sq,
-                config.variance,
-            ),
-            slope_px: config.slope_per_px * offset_px * idepth / choice.alpha,
-        };
-        let variance = match_variance(&evidence, config);
+        let slope_px = config.slope_per_px * offset_px * idepth / choice.alpha;
+        let (inv_cos_sq, model) = (choice.inv_cos_sq, config.variance);
+        let uncertainty = &choice.prepared.uncertainty;
+        let geometric = uncertainty.geometric(idepth.max(0.0), inv_cos_sq, model);
+        let differences = (found.ssd, self.noise_var);
+        let variance = match_variance(patch.information, differences, geometric, slope_px, config);
         let alpha_sq = choice.alpha * choice.alpha;
-        Ok((
-            Observation {
-                idepth,
-                var: alpha_sq * variance.total,
-                shared_var: alpha_sq * variance.shared,
-                photo_px: variance.photometric,
-            },
-            residual,
-        ))
+        let observation = Observation {
+            idepth,
+            var: alpha_sq * variance.total,
+            shared_var: alpha_sq * variance.shared,
+            photo_px: variance.photometric,
+        };
+        Ok((observation, residual))
     }
 
     /// Search (when the interval is long) and refinement.
@@ -109,38 +99,27 @@ impl DepthBand<'_> {
             (line.position(prior), half.max(1.0))
         } else {
             let mut segment = (wanted.0 - MARGIN_PX, wanted.1 + MARGIN_PX);
-            let longest = if config.crop_to_far_end {
-                config.max_create_search_px
-            } else {
-                config.max_create_search_px.max(config.max_update_search_px)
-            } + 2.0 * MARGIN_PX;
-            segment.1 = segment.1.min(segment.0 + longest);
-            let (from, to) = line
-                .clip(segment, self.size(), FRAME_BORDER + 2.0)
-                .ok_or(PixelOutcome::OutOfImage)?;
+            let mut longest = config.max_create_search_px;
+            if !config.crop_to_far_end {
+                longest = longest.max(config.max_update_search_px);
+            }
+            segment.1 = segment.1.min(segment.0 + (longest + 2.0 * MARGIN_PX));
+            let clipped = line.clip(segment, self.size(), FRAME_BORDER + 2.0);
+            let (from, to) = clipped.ok_or(PixelOutcome::OutOfImage)?;
             let num_steps = (to - from).max(0.0) as usize;
             if num_steps < 2 {
                 return Err(PixelOutcome::OutOfImage);
             }
             let noise_ssd = PATCH as f32 * self.noise_var;
             let ambiguity = (config.ambiguity_ratio, noise_ssd);
-            let found = search(patch, &walk, from, num_steps, ambiguity).map_err(outcome_of)?;
+            let found = search(patch, &walk, from, num_steps, ambiguity)?;
             (found.position, MAX_REFINE_PX)
         };
         // the refinement may read `max_move` and the patch beyond the start
         let reach = (start - max_move, start + max_move);
-        match line.clip(reach, self.size(), FRAME_BORDER - 0.5) {
-            Some(inside) if inside == reach => {}
-            _ => return Err(PixelOutcome::OutOfImage),
+        if line.clip(reach, self.size(), FRAME_BORDER - 0.5) != Some(reach) {
+            return Err(PixelOutcome::OutOfImage);
         }
-        refine(patch, &walk, start, max_move).map_err(outcome_of)
-    }
-}
-
-fn outcome_of(reason: NoMatch) -> PixelOutcome {
-    match reason {
-        NoMatch::AtIntervalEnd => PixelOutcome::AtIntervalEnd,
-        NoMatch::Ambiguous => PixelOutcome::Ambiguous,
-        NoMatch::NotConverged => PixelOutcome::NotConverged,
+        refine(patch, &walk, start, max_move)
     }
 }

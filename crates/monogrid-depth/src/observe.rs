@@ -63,6 +63,7 @@ impl DepthMap {
     pub fn bands(&mut self, rows_per_band: usize) -> Vec<DepthBand<'_>> {
         let rows = rows_per_band.max(1);
         let len = rows * self.host.width();
+        let height = self.host.height();
         let Arrays {
             idepth,
             var,
@@ -72,26 +73,20 @@ impl DepthMap {
             validity,
             failures,
         } = &mut self.arrays;
-        let (host, candidates) = (&*self.host, &self.candidates);
-        let mut floats = idepth
-            .chunks_mut(len)
-            .zip(var.chunks_mut(len))
-            .zip(prior_var.chunks_mut(len))
-            .zip(floor_var.chunks_mut(len))
-            .zip(photo_px.chunks_mut(len));
-        let mut bytes = validity.chunks_mut(len).zip(failures.chunks_mut(len));
-        let mut bands = Vec::with_capacity(host.height().div_ceil(rows));
-        let mut first_row = 0;
-        while let (Some(f), Some((validity, failures))) = (floats.next(), bytes.next()) {
-            let ((((idepth, var), prior_var), floor_var), photo_px) = f;
-            let num_rows = rows.min(host.height() - first_row);
-            bands.push(DepthBand {
-                host,
-                candidates,
+        let floats = [idepth, var, prior_var, floor_var, photo_px];
+        let mut floats = floats.map(|values| values.chunks_mut(len));
+        let mut bytes = [validity, failures].map(|values| values.chunks_mut(len));
+        let bands = (0..height).step_by(rows).map(|first_row| {
+            let floats = floats.each_mut().map(|f| f.next().unwrap_or_default());
+            let [idepth, var, prior_var, floor_var, photo_px] = floats;
+            let [validity, failures] = bytes.each_mut().map(|b| b.next().unwrap_or_default());
+            DepthBand {
+                host: &self.host,
+                candidates: &self.candidates,
                 noise_var: self.noise_var,
                 near_limit: self.near_limit,
                 first_row,
-                num_rows,
+                num_rows: rows.min(height - first_row),
                 idepth,
                 var,
                 prior_var,
@@ -99,10 +94,9 @@ impl DepthMap {
                 photo_px,
                 validity,
                 failures,
-            });
-            first_row += num_rows;
-        }
-        bands
+            }
+        });
+        bands.collect()
     }
 
     /// Observes all rows on the calling thread, and learns the noise from them.
@@ -173,10 +167,9 @@ impl DepthBand<'_> {
 
 /// A number that differs between neighbours and advances with the frames.
 pub(crate) fn phase(pixel: Pixel, id: u32) -> u32 {
-    (pixel.x as u32)
-        .wrapping_mul(7)
-        .wrapping_add((pixel.y as u32).wrapping_mul(13))
-        .wrapping_add(id)
+    let [x, y] = [pixel.x, pixel.y].map(|c| c as u32);
+    id.wrapping_add(x.wrapping_mul(7))
+        .wrapping_add(y.wrapping_mul(13))
 }
 
 fn prepare<'a>(
@@ -188,23 +181,19 @@ fn prepare<'a>(
         let gain_ok = f.gain.is_finite() && f.gain > 0.0 && f.bias.is_finite();
         f.image.same_size(&host.image) && gain_ok && f.frame_from_keyframe.is_finite()
     };
-    frames
-        .iter()
-        .filter(usable)
-        .map(|frame| {
-            let geometry = FrameGeometry::new(frame, &host.pinhole);
-            let rotation_px = geometry.focal() * frame.pose_sigma_rot;
-            let uncertainty = LineUncertainty {
+    let prepared = frames.iter().filter(usable).map(|frame| {
+        let geometry = FrameGeometry::new(frame, &host.pinhole);
+        let rotation_px = geometry.focal * frame.pose_sigma_rot;
+        Prepared {
+            frame: *frame,
+            uncertainty: LineUncertainty {
                 constant_sq: rotation_px * rotation_px
                     + config.line_sigma_px * config.line_sigma_px,
-                per_idepth: geometry.focal() * frame.pose_sigma_trans,
+                per_idepth: geometry.focal * frame.pose_sigma_trans,
                 residual_rms: frame.residual_rms,
-            };
-            Prepared {
-                frame: *frame,
-                geometry,
-                uncertainty,
-            }
-        })
-        .collect()
+            },
+            geometry,
+        }
+    });
+    prepared.collect()
 }

@@ -1,5 +1,6 @@
 //! The depth of a keyframe that is out of use, small, until it is used again.
 
+use crate::map::Hypothesis;
 use crate::{DepthConfig, DepthMap, HostFrame};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -54,23 +55,19 @@ impl DepthMap {
     #[must_use]
     pub fn packed(&self) -> PackedDepth {
         let mut pixels = Vec::with_capacity(self.num_known());
-        let (width, arrays) = (self.host.width(), &self.arrays);
-        for y in 0..self.host.height() {
-            for &x in self.candidates.row(y) {
-                let i = y * width + usize::from(x);
-                if arrays.var[i] > 0.0 {
-                    pixels.push(PackedPixel {
-                        x,
-                        y: y as u16,
-                        idepth: arrays.idepth[i],
-                        var: arrays.var[i],
-                        prior_var: upper_half(arrays.prior_var[i]),
-                        floor_var: upper_half(arrays.floor_var[i]),
-                        photo_px: upper_half(arrays.photo_px[i]),
-                        validity: arrays.validity[i],
-                    });
-                }
-            }
+        let arrays = &self.arrays;
+        let is_known = |candidate: &(_, _, usize)| arrays.var[candidate.2] > 0.0;
+        for (x, y, i) in self.all_candidates().filter(is_known) {
+            pixels.push(PackedPixel {
+                x: x as u16,
+                y: y as u16,
+                idepth: arrays.idepth[i],
+                var: arrays.var[i],
+                prior_var: upper_half(arrays.prior_var[i]),
+                floor_var: upper_half(arrays.floor_var[i]),
+                photo_px: upper_half(arrays.photo_px[i]),
+                validity: arrays.validity[i],
+            });
         }
         pixels.shrink_to_fit();
         PackedDepth {
@@ -93,14 +90,15 @@ impl DepthMap {
                 continue;
             }
             let i = y * width + x;
-            depth.arrays.idepth[i] = pixel.idepth;
-            depth.arrays.var[i] = pixel.var;
-            depth.arrays.prior_var[i] = from_upper_half(pixel.prior_var);
+            let hypothesis = Hypothesis {
+                idepth: pixel.idepth,
+                var: pixel.var,
+                prior_var: from_upper_half(pixel.prior_var),
+                validity: pixel.validity,
+            };
+            depth.set(i, hypothesis);
             depth.arrays.floor_var[i] = from_upper_half(pixel.floor_var);
             depth.arrays.photo_px[i] = from_upper_half(pixel.photo_px);
-            depth.arrays.validity[i] = pixel.validity;
-            depth.smooth_idepth[i] = pixel.idepth;
-            depth.smooth_var[i] = pixel.var;
         }
         depth.noise_var = packed.noise_var;
         depth.noise_measured = packed.noise_measured;
@@ -110,10 +108,9 @@ impl DepthMap {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 mod tests {
     use super::*;
-    use crate::DepthState;
+    use crate::PixelDepth;
     use monogrid_geometry::Pinhole;
     use monogrid_image::{GrayImage, Mask};
 
@@ -128,12 +125,13 @@ mod tests {
         let config = DepthConfig::default();
         let mut depth = DepthMap::empty(host(), &config);
         for (x, y) in [(10, 10), (20, 31), (50, 40), (33, 7)] {
-            let state = DepthState::Known {
-                idepth: 0.5 + x as f32 * 0.01,
-                idepth_var: 1e-3 * y as f32,
+            assert!(depth.seed_pixel(&PixelDepth {
+                x,
+                y,
+                idepth: 0.5 + f32::from(x) * 0.01,
+                idepth_var: 1e-3 * f32::from(y),
                 validity: x as u8,
-            };
-            assert!(depth.seed_pixel(x, y, state));
+            }));
         }
         let packed = depth.packed();
         assert_eq!(packed.num_known(), 4);
@@ -141,7 +139,7 @@ mod tests {
         let back = DepthMap::unpacked(host(), &packed, &config);
         for y in 0..48 {
             for x in 0..64 {
-                assert_eq!(depth.state(x, y), back.state(x, y));
+                assert_eq!(depth.at(x, y), back.at(x, y));
             }
         }
         let (a, b) = (&depth.arrays.prior_var, &back.arrays.prior_var);

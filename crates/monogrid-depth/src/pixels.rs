@@ -13,7 +13,7 @@ pub struct PixelDepth {
     pub idepth: f32,
     /// Its variance, 1/u².
     pub idepth_var: f32,
-    /// Confirmation by observations.
+    /// Confirmation by observations; grows with successes, 0 when never confirmed.
     pub validity: u8,
 }
 

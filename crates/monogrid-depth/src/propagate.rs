@@ -5,23 +5,10 @@
 
 use crate::HostFrame;
 use crate::config::DepthConfig;
-use crate::map::{BORDER, DepthMap, Hypothesis};
+use crate::map::{BORDER, DepthMap, FoundDepth, Hypothesis};
 use monogrid_geometry::{Se3, Vec2, Vec3};
 use std::ops::Range;
 use std::sync::Arc;
-
-/// What happened to the hypotheses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct PropagationStats {
-    /// Known pixels of the old keyframe.
-    pub source: usize,
-    /// Of them, those that project into the new keyframe.
-    pub projected: usize,
-    /// Pixels of the new keyframe that got a depth.
-    pub target: usize,
-    /// Pixels where two surfaces met and one was dropped.
-    pub conflicts: usize,
-}
 
 /// One hypothesis warped into the new keyframe.
 #[derive(Clone, Copy, Debug)]
@@ -50,17 +37,8 @@ pub struct WarpedDepth {
     heads: Vec<u32>,
     warped: Vec<Warped>,
     width: usize,
-    stats: PropagationStats,
     noise_var: f32,
     noise_measured: bool,
-}
-
-/// Depths of some rows of the next keyframe.
-#[derive(Debug)]
-pub struct MergedRows {
-    /// With the indices of their pixels.
-    found: Vec<(usize, Hypothesis)>,
-    conflicts: usize,
 }
 
 impl DepthMap {
@@ -72,61 +50,45 @@ impl DepthMap {
         target: Arc<HostFrame>,
         target_from_source: &Se3,
         config: &DepthConfig,
-    ) -> (Self, PropagationStats) {
+    ) -> Self {
         let mut target = Self::empty(target, config);
         let warped = self.warped(target_from_source);
         let all = warped.merged(&target, 0..target.host.height(), config);
-        let stats = target.take_over(&warped, vec![all], config);
-        (target, stats)
+        target.take_over(&warped, &[all], config);
+        target
     }
 
     /// Takes over what another keyframe knew, from all rows.
     pub fn take_over(
         &mut self,
         warped: &WarpedDepth,
-        rows: Vec<MergedRows>,
+        rows: &[Vec<FoundDepth>],
         config: &DepthConfig,
-    ) -> PropagationStats {
-        let mut stats = warped.stats;
+    ) {
         self.noise_var = warped.noise_var;
         self.noise_measured = warped.noise_measured;
-        for merged in rows {
-            stats.target += merged.found.len();
-            stats.conflicts += merged.conflicts;
-            for (i, hypothesis) in merged.found {
-                self.arrays.set(i, hypothesis);
-                self.smooth_idepth[i] = hypothesis.idepth;
-                self.smooth_var[i] = hypothesis.var;
-            }
+        for found in rows.iter().flatten() {
+            self.set(found.index, found.hypothesis);
         }
         self.limit_search(config);
-        stats
     }
 
     /// Warps every known pixel into an image of the same camera and sorts it into lists per nearest pixel there.
     #[must_use]
     pub fn warped(&self, target_from_source: &Se3) -> WarpedDepth {
         let (w, h) = (self.host.width(), self.host.height());
-        let mut stats = PropagationStats::default();
         let mut heads = vec![NONE; w * h];
-        let mut warped: Vec<Warped> = Vec::with_capacity(self.candidates.len());
+        let mut warped: Vec<Warped> = Vec::with_capacity(self.num_candidates());
         let rotation = target_from_source.rotation_matrix();
         let translation = target_from_source.translation;
-        for y in 0..h {
-            for &x in self.candidates.row(y) {
-                let i = y * w + usize::from(x);
-                if self.arrays.var[i] <= 0.0 || self.arrays.idepth[i] <= 0.0 {
-                    continue;
-                }
-                stats.source += 1;
-                let pixel = Vec2::new(f64::from(x), y as f64);
-                let ray = rotation * self.host.pinhole.unproject(&pixel);
-                let idepth = f64::from(self.arrays.idepth[i]);
-                let Some(mut moved) = warp(&ray, &translation, idepth, &self.host) else {
-                    continue;
-                };
+        for (x, y, i) in self.all_candidates() {
+            if self.arrays.var[i] <= 0.0 || self.arrays.idepth[i] <= 0.0 {
+                continue;
+            }
+            let ray = rotation * self.host.pinhole.unproject(&Vec2::new(x as f64, y as f64));
+            let idepth = f64::from(self.arrays.idepth[i]);
+            if let Some(mut moved) = warp(&ray, &translation, idepth, &self.host) {
                 let (tx, ty) = ((moved.x + 0.5) as usize, (moved.y + 0.5) as usize);
-                stats.projected += 1;
                 moved.var *= self.arrays.var[i];
                 moved.validity = self.arrays.validity[i];
                 moved.next = heads[ty * w + tx];
@@ -138,7 +100,6 @@ impl DepthMap {
             heads,
             warped,
             width: w,
-            stats,
             noise_var: self.noise_var,
             noise_measured: self.noise_measured,
         }
@@ -153,23 +114,41 @@ impl WarpedDepth {
         target: &DepthMap,
         rows: Range<usize>,
         config: &DepthConfig,
-    ) -> MergedRows {
-        let mut merged = MergedRows {
-            found: Vec::new(),
-            conflicts: 0,
-        };
+    ) -> Vec<FoundDepth> {
+        let mut found = Vec::new();
         let mut nearby = Vec::with_capacity(MAX_CANDIDATES);
-        for y in rows.start..rows.end.min(target.host.height()) {
-            for &x in target.candidates.row(y) {
-                let x = usize::from(x);
-                let lists = (self.heads.as_slice(), self.warped.as_slice());
-                collect_nearby((x, y), self.width, lists, config, &mut nearby);
-                if let Some(hypothesis) = merge((x, y), &nearby, config, &mut merged.conflicts) {
-                    merged.found.push((y * self.width + x, hypothesis));
+        let rows = rows.start..rows.end.min(target.host.height());
+        for (x, y, index) in target.candidates.in_rows(rows, self.width) {
+            self.collect_nearby((x, y), config, &mut nearby);
+            if let Some(hypothesis) = merge((x, y), &nearby, config) {
+                found.push(FoundDepth { index, hypothesis });
+            }
+        }
+        found
+    }
+
+    /// The warped hypotheses less than a pixel from `(x, y)` (or of the pixel itself).
+    fn collect_nearby(
+        &self,
+        (x, y): (usize, usize),
+        config: &DepthConfig,
+        nearby: &mut Vec<Warped>,
+    ) {
+        nearby.clear();
+        let radius = usize::from(config.propagate_subpixel);
+        for yy in y - radius..=y + radius {
+            for xx in x - radius..=x + radius {
+                let mut index = self.heads[yy * self.width + xx];
+                while index != NONE && nearby.len() < MAX_CANDIDATES {
+                    let candidate = self.warped[index as usize];
+                    index = candidate.next;
+                    let gaps = [candidate.x - x as f32, candidate.y - y as f32];
+                    if gaps.iter().all(|gap| gap.abs() < 1.0) {
+                        nearby.push(candidate);
+                    }
                 }
             }
         }
-        merged
     }
 }
 
@@ -198,32 +177,6 @@ fn warp(ray: &Vec3, translation: &Vec3, idepth: f64, camera: &HostFrame) -> Opti
     })
 }
 
-/// The warped hypotheses less than a pixel from `(x, y)` (or of the pixel itself).
-fn collect_nearby(
-    (x, y): (usize, usize),
-    width: usize,
-    (heads, warped): (&[u32], &[Warped]),
-    config: &DepthConfig,
-    nearby: &mut Vec<Warped>,
-) {
-    nearby.clear();
-    let radius = usize::from(config.propagate_subpixel);
-    for yy in y - radius..=y + radius {
-        for xx in x - radius..=x + radius {
-            let mut index = heads[yy * width + xx];
-            while index != NONE && nearby.len() < MAX_CANDIDATES {
-                let candidate = warped[index as usize];
-                index = candidate.next;
-                let close =
-                    (candidate.x - x as f32).abs() < 1.0 && (candidate.y - y as f32).abs() < 1.0;
-                if close {
-                    nearby.push(candidate);
-                }
-            }
-        }
-    }
-}
-
 /// Bilinear weight of a hypothesis for the pixel.
 fn tent(candidate: &Warped, x: f32, y: f32) -> f32 {
     (1.0 - (candidate.x - x).abs()) * (1.0 - (candidate.y - y).abs())
@@ -237,14 +190,9 @@ fn same_surface(a: &Warped, b: &Warped) -> bool {
 }
 
 /// The surface seen at the pixel, interpolated to its centre.
-fn merge(
-    (x, y): (usize, usize),
-    nearby: &[Warped],
-    config: &DepthConfig,
-    conflicts: &mut usize,
-) -> Option<Hypothesis> {
+fn merge((x, y): (usize, usize), nearby: &[Warped], config: &DepthConfig) -> Option<Hypothesis> {
     let (x, y) = (x as f32, y as f32);
-    let seed = visible_seed(nearby, (x, y), config, conflicts)?;
+    let seed = visible_seed(nearby, (x, y), config)?;
     let (mut sum_w, mut sum_d, mut sum_v, mut sum_ww) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
     let (mut offset_x, mut offset_y, mut tents) = (0.0f32, 0.0f32, 0.0f32);
     let mut validity = 0.0f32;
@@ -283,40 +231,29 @@ fn visible_seed<'a>(
     nearby: &'a [Warped],
     (x, y): (f32, f32),
     config: &DepthConfig,
-    conflicts: &mut usize,
 ) -> Option<&'a Warped> {
+    let weight = |c: &Warped| (tent(c, x, y) + 0.01) * (1.0 + f32::from(c.validity));
     let support = |of: &Warped| -> f32 {
-        nearby
-            .iter()
-            .filter(|c| same_surface(of, c))
-            .map(|c| (tent(c, x, y) + 0.01) * (1.0 + f32::from(c.validity)))
-            .sum()
+        let surface = nearby.iter().filter(|c| same_surface(of, c));
+        surface.map(weight).sum()
     };
     let first = nearby.first()?;
     if nearby.iter().all(|c| same_surface(first, c)) {
         // one surface: its best known member decides who belongs to it
         return nearby.iter().min_by(|a, b| a.var.total_cmp(&b.var));
     }
-    *conflicts += 1;
-    let total: f32 = nearby
-        .iter()
-        .map(|c| (tent(c, x, y) + 0.01) * (1.0 + f32::from(c.validity)))
-        .sum();
-    nearby
-        .iter()
-        .filter(|c| support(c) >= config.occlusion_support * total)
+    let total: f32 = nearby.iter().map(weight).sum();
+    let candidates = nearby.iter();
+    let supported = |c: &&Warped| support(c) >= config.occlusion_support * total;
+    let visible = candidates.clone().filter(supported);
+    visible
         .max_by(|a, b| a.idepth.total_cmp(&b.idepth))
-        .or_else(|| {
-            nearby
-                .iter()
-                .max_by(|a, b| support(a).total_cmp(&support(b)))
-        })
+        .or_else(|| candidates.max_by(|a, b| support(a).total_cmp(&support(b))))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::DepthState;
     use monogrid_geometry::{Pinhole, Rotation};
     use monogrid_image::{GrayImage, Mask};
 
@@ -356,11 +293,8 @@ mod tests {
         let config = DepthConfig::default();
         let mut map = DepthMap::empty(textured(), &config);
         map.initialize_constant(0.9, 1e-3);
-        let (next, stats) = map.propagate(textured(), &Se3::identity(), &config);
-        assert_eq!(
-            (stats.source, stats.target),
-            (map.num_known(), map.num_known())
-        );
+        let next = map.propagate(textured(), &Se3::identity(), &config);
+        assert_eq!(next.num_known(), map.num_known());
         for p in next.pixels(crate::PixelFilter::default()) {
             assert!((p.idepth - 0.9).abs() < 1e-6 && p.validity == 20);
             assert!(p.idepth_var < 1.2e-3 && p.idepth_var > 0.9e-3, "{p:?}");
@@ -376,17 +310,17 @@ mod tests {
             Rotation::from_euler_angles(0.01, -0.02, 0.03),
             Vec3::new(0.02, 0.01, 0.05),
         );
-        let (whole, stats) = map.propagate(textured(), &pose, &config);
-        assert!(stats.target > 1000);
+        let whole = map.propagate(textured(), &pose, &config);
+        assert!(whole.num_known() > 1000);
         for band in [1, 7, SIZE.1 + 5] {
             let mut next = DepthMap::empty(textured(), &config);
             let warped = map.warped(&pose);
             let rows = (0..SIZE.1).step_by(band);
             let rows = rows.map(|y| warped.merged(&next, y..y + band, &config));
-            let rows = rows.collect();
-            assert_eq!(next.take_over(&warped, rows, &config), stats);
+            let rows: Vec<_> = rows.collect();
+            next.take_over(&warped, &rows, &config);
             for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y))) {
-                assert_eq!(next.state(x, y), whole.state(x, y), "{x} {y}");
+                assert_eq!(next.at(x, y), whole.at(x, y), "{x} {y}");
             }
         }
     }
@@ -407,7 +341,7 @@ mod tests {
         );
         let mut world = Se3::identity();
         for _ in 0..20 {
-            map = map.propagate(textured(), &step, &config).0;
+            map = map.propagate(textured(), &step, &config);
             world = step * world;
         }
         let back = world.inverse();
@@ -446,16 +380,14 @@ mod tests {
     #[test]
     fn the_nearer_surface_hides_the_other_but_a_lone_outlier_does_not() {
         let config = DepthConfig::default();
-        let mut conflicts = 0;
         let surface = [at(1.0, 40, 9.8), at(1.01, 40, 10.3), at(0.5, 40, 10.1)];
-        let front = merge((10, 10), &surface, &config, &mut conflicts).expect("visible");
+        let front = merge((10, 10), &surface, &config).expect("visible");
         assert!((front.idepth - 1.0).abs() < 0.02, "{front:?}");
         let outlier = [at(1.0, 0, 9.8), at(0.5, 40, 10.2), at(0.505, 40, 10.1)];
-        let back = merge((10, 10), &outlier, &config, &mut conflicts).expect("visible");
+        let back = merge((10, 10), &outlier, &config).expect("visible");
         assert!((back.idepth - 0.5).abs() < 0.02, "{back:?}");
-        assert_eq!(conflicts, 2);
         // LSD-SLAM's rule
-        let thesis = merge((10, 10), &outlier, &DepthConfig::thesis(), &mut conflicts);
+        let thesis = merge((10, 10), &outlier, &DepthConfig::thesis());
         assert!((thesis.expect("visible").idepth - 1.0).abs() < 0.02);
     }
 
@@ -465,13 +397,10 @@ mod tests {
         let mut map = DepthMap::empty(textured(), &config);
         map.initialize_constant(1.0, 1e-3);
         let through = Se3::new(Rotation::identity(), Vec3::new(0.0, 0.0, -1.5));
-        assert_eq!(
-            map.propagate(textured(), &through, &config).0.num_known(),
-            0
-        );
+        assert_eq!(map.propagate(textured(), &through, &config).num_known(), 0);
         let away = Se3::new(Rotation::identity(), Vec3::new(5.0, 0.0, 0.0));
-        let (next, stats) = map.propagate(textured(), &away, &config);
-        assert_eq!((next.num_known(), stats.projected), (0, 0));
-        assert_eq!(next.state(40, 40), DepthState::Unknown);
+        let next = map.propagate(textured(), &away, &config);
+        assert_eq!(next.num_known(), 0);
+        assert_eq!(next.at(40, 40), None);
     }
 }

@@ -2,28 +2,11 @@
 
 use crate::DepthMap;
 use crate::config::DepthConfig;
-use crate::map::{Arrays, Candidates, Hypothesis};
+use crate::map::{Arrays, Candidates, FoundDepth, Hypothesis};
 use wide::f32x8;
 
 /// Neighbours on either side.
 const RADIUS: usize = 2;
-
-/// What regularisation did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct RegularizeStats {
-    /// Pixels with a smoothed value.
-    pub smoothed: usize,
-    /// Pixels dropped for lack of support in their neighbourhood.
-    pub removed: usize,
-}
-
-impl RegularizeStats {
-    /// Adds the counters of the next band.
-    pub fn merge(&mut self, other: &Self) {
-        self.smoothed += other.smoothed;
-        self.removed += other.removed;
-    }
-}
 
 /// Rows whose smoothed values are computed; reads the whole map, writes its own rows.
 #[derive(Debug)]
@@ -37,90 +20,73 @@ pub struct RegularizeBand<'a> {
     smooth_var: &'a mut [f32],
 }
 
-/// A pixel without depth and the hypothesis that its neighbours give it.
-#[derive(Clone, Copy, Debug)]
-pub struct FilledHole {
-    index: usize,
-    hypothesis: Hypothesis,
-}
-
 impl DepthMap {
     /// Bands for [`RegularizeBand::regularize`]; call [`DepthMap::remove_unsupported`] after all.
     pub fn regularize_bands(&mut self, rows_per_band: usize) -> Vec<RegularizeBand<'_>> {
         let rows = rows_per_band.max(1);
         let (width, height) = (self.host.width(), self.host.height());
         let (arrays, candidates) = (&self.arrays, &self.candidates);
-        self.smooth_idepth
-            .chunks_mut(rows * width)
-            .zip(self.smooth_var.chunks_mut(rows * width))
-            .enumerate()
-            .map(|(band, (smooth_idepth, smooth_var))| RegularizeBand {
-                arrays,
-                candidates,
-                width,
-                first_row: band * rows,
-                num_rows: rows.min(height - band * rows),
-                smooth_idepth,
-                smooth_var,
-            })
-            .collect()
+        let smooth_vars = self.smooth_var.chunks_mut(rows * width);
+        let smooth = self.smooth_idepth.chunks_mut(rows * width).zip(smooth_vars);
+        let bands = smooth.enumerate();
+        let bands = bands.map(|(band, (smooth_idepth, smooth_var))| RegularizeBand {
+            arrays,
+            candidates,
+            width,
+            first_row: band * rows,
+            num_rows: rows.min(height - band * rows),
+            smooth_idepth,
+            smooth_var,
+        });
+        bands.collect()
     }
 
     /// Drops the pixels that the last regularisation left without a smoothed value.
     pub fn remove_unsupported(&mut self, config: &DepthConfig) {
-        let w = self.host.width();
-        for y in 0..self.host.height() {
-            for &x in self.candidates.row(y) {
-                let i = y * w + usize::from(x);
-                if self.arrays.var[i] > 0.0 && self.smooth_var[i] <= 0.0 {
-                    self.arrays.clear(i);
-                }
+        let rows = 0..self.host.height();
+        let candidates = self.candidates.in_rows(rows, self.host.width());
+        candidates.for_each(|(_, _, i)| {
+            if self.arrays.var[i] > 0.0 && self.smooth_var[i] <= 0.0 {
+                self.arrays.clear(i);
             }
-        }
+        });
         self.limit_search(config);
     }
 
     /// Smooths all rows on the calling thread and drops what has no support.
-    pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
-        let mut stats = RegularizeStats::default();
+    pub fn regularize(&mut self, config: &DepthConfig) {
         for mut band in self.regularize_bands(self.host.height()) {
-            stats.merge(&band.regularize(config));
+            band.regularize(config);
         }
         self.remove_unsupported(config);
-        stats
     }
 
     /// Candidate pixels of some rows without depth, but with confirmed neighbours, with the neighbours' depth, a
     /// variance that covers their spread and no confirmation. Reads only, so that rows can be searched side by
     /// side; [`DepthMap::fill`] stores what was found.
     #[must_use]
-    pub fn holes(&self, rows: std::ops::Range<usize>, config: &DepthConfig) -> Vec<FilledHole> {
-        let w = self.host.width();
+    pub fn holes(&self, rows: std::ops::Range<usize>, config: &DepthConfig) -> Vec<FoundDepth> {
+        let rows = rows.start..rows.end.min(self.host.height());
+        let candidates = self.candidates.in_rows(rows, self.host.width());
         let mut found = Vec::new();
-        for y in rows.start..rows.end.min(self.host.height()) {
-            for &x in self.candidates.row(y) {
-                let x = usize::from(x);
-                let index = y * w + x;
-                if self.arrays.var[index] > 0.0 || self.arrays.failures[index] > 2 {
-                    continue;
-                }
-                if let Some(hypothesis) = self.hole(x, y, config) {
-                    found.push(FilledHole { index, hypothesis });
-                }
+        candidates.for_each(|(x, y, index)| {
+            if self.arrays.var[index] <= 0.0
+                && self.arrays.failures[index] <= 2
+                && let Some(hypothesis) = self.hole(x, y, config)
+            {
+                found.push(FoundDepth { index, hypothesis });
             }
-        }
+        });
         found
     }
 
     /// Stores what [`DepthMap::holes`] found.
-    pub fn fill(&mut self, holes: &[FilledHole]) {
-        for FilledHole { index, hypothesis } in holes {
+    pub fn fill(&mut self, holes: &[FoundDepth]) {
+        for hole in holes {
             // what failed before may fail again: its failures keep counting
-            let failures = self.arrays.failures[*index];
-            self.arrays.set(*index, *hypothesis);
-            self.arrays.failures[*index] = failures;
-            self.smooth_idepth[*index] = hypothesis.idepth;
-            self.smooth_var[*index] = hypothesis.var;
+            let failures = self.arrays.failures[hole.index];
+            self.set(hole.index, hole.hypothesis);
+            self.arrays.failures[hole.index] = failures;
         }
     }
 
@@ -180,16 +146,15 @@ impl DepthMap {
         const ENOUGH: u32 = 1000;
         let mut bins = [0u32; BINS];
         let mut total = 0u32;
-        let w = self.host.width();
-        for y in 0..self.host.height() {
-            let row = y * w..(y + 1) * w;
-            let (validity, idepth) = (&self.arrays.validity[row.clone()], &self.arrays.idepth[row]);
-            let columns = self.candidates.row(y).iter().map(|x| usize::from(*x));
-            for x in columns.filter(|x| validity[*x] >= 10) {
-                bins[((idepth[x] * BINS_PER_UNIT).max(0.0) as usize).min(BINS - 1)] += 1;
+        let Arrays {
+            validity, idepth, ..
+        } = &self.arrays;
+        self.all_candidates().for_each(|(_, _, i)| {
+            if validity[i] >= 10 {
+                bins[((idepth[i] * BINS_PER_UNIT).max(0.0) as usize).min(BINS - 1)] += 1;
                 total += 1;
             }
-        }
+        });
         self.near_limit = config.max_idepth;
         if total < ENOUGH {
             return;
@@ -205,62 +170,40 @@ impl DepthMap {
     }
 }
 
-/// Validities of a band and the rows beside it as numbers that can be summed in lanes.
-struct Validity {
-    /// Index of the first value in the map.
-    first: usize,
-    values: Vec<f32>,
-}
-
 impl RegularizeBand<'_> {
     /// Computes the smoothed values of the band's rows.
-    pub fn regularize(&mut self, config: &DepthConfig) -> RegularizeStats {
-        let mut stats = RegularizeStats::default();
+    pub fn regularize(&mut self, config: &DepthConfig) {
         let candidates = self.candidates;
         let first_needed = self.first_row.saturating_sub(RADIUS) * self.width;
         let end = (self.first_row + self.num_rows + RADIUS) * self.width;
         let validity = &self.arrays.validity;
-        let validity = Validity {
-            first: first_needed,
-            // converted once, not once for each of the 25 pixels that look at it
-            values: validity[first_needed..end.min(validity.len())]
-                .iter()
-                .map(|v| f32::from(*v))
-                .collect(),
-        };
+        let needed = validity[first_needed..end.min(validity.len())].iter();
+        // converted once, not once for each of the 25 pixels that look at it
+        let validity: Vec<f32> = needed.map(|v| f32::from(*v)).collect();
+        let validity = (first_needed, validity.as_slice());
         for row in 0..self.num_rows {
             let y = self.first_row + row;
             for &x in candidates.row(y) {
                 let x = usize::from(x);
                 let out = row * self.width + x;
-                if self.arrays.var[y * self.width + x] <= 0.0 {
-                    self.smooth_var[out] = 0.0;
-                    continue;
-                }
-                match self.smoothed(x, y, &validity, config) {
-                    Some((idepth, var)) => {
-                        self.smooth_idepth[out] = idepth;
-                        self.smooth_var[out] = var;
-                        stats.smoothed += 1;
-                    }
-                    None => {
-                        self.smooth_var[out] = 0.0;
-                        stats.removed += 1;
-                    }
+                self.smooth_var[out] = 0.0;
+                if self.arrays.var[y * self.width + x] > 0.0
+                    && let Some(smoothed) = self.smoothed((x, y), validity, config)
+                {
+                    (self.smooth_idepth[out], self.smooth_var[out]) = smoothed;
                 }
             }
         }
-        stats
     }
 
     /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by
-    /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid.
+    /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid. The validities of the band and the
+    /// rows beside it begin at the index `first` of the map.
     #[inline]
     fn smoothed(
         &self,
-        x: usize,
-        y: usize,
-        validity: &Validity,
+        (x, y): (usize, usize),
+        (first, validity): (usize, &[f32]),
         config: &DepthConfig,
     ) -> Option<(f32, f32)> {
         let arrays = self.arrays;
@@ -276,7 +219,7 @@ impl RegularizeBand<'_> {
             let start = (y + dy - RADIUS) * w + x - RADIUS;
             let vars = f32x8::new(*lanes(&arrays.var, start)?);
             let gaps = f32x8::new(*lanes(&arrays.idepth, start)?) - idepth_lanes;
-            let validities = f32x8::new(*lanes(&validity.values, start - validity.first)?);
+            let validities = f32x8::new(*lanes(validity, start - first)?);
             let known = vars.simd_gt(f32x8::ZERO) & COLUMN_USED.simd_gt(f32x8::ZERO);
             let used = known & (gaps * gaps).simd_le(var_lanes + vars);
             let weights = used & (f32x8::ONE / (vars + slope_sq * (COLUMN_SQ + row_sq)));
@@ -489,16 +432,9 @@ mod tests {
         let x = usize::from(map.candidates.row(20)[10]);
         map.arrays.clear(20 * 64 + x);
         assert_eq!(map.fill_holes(&config), 1);
-        let crate::DepthState::Known {
-            idepth,
-            idepth_var,
-            validity,
-        } = map.state(x, 20)
-        else {
-            panic!("not filled");
-        };
-        assert!((idepth - 0.8).abs() < 1e-5 && validity == 0);
-        assert!(idepth_var > 1e-4);
+        let filled = map.at(x, 20).expect("filled");
+        assert!((filled.idepth - 0.8).abs() < 1e-5 && filled.validity == 0);
+        assert!(filled.idepth_var > 1e-4);
     }
 
     #[test]
@@ -509,8 +445,8 @@ mod tests {
         let before = map.num_known();
         let x = usize::from(map.candidates.row(20)[10]);
         map.arrays.idepth[20 * 64 + x] = 1.3;
-        assert_eq!(map.regularize(&config).removed, 1);
-        assert_eq!(map.state(x, 20), crate::DepthState::Unknown);
+        map.regularize(&config);
+        assert_eq!(map.at(x, 20), None);
         assert_eq!(map.num_known(), before - 1);
     }
 }

@@ -38,13 +38,10 @@ pub enum PixelOutcome {
     Dropped,
 }
 
-/// Number of variants of [`PixelOutcome`].
-const NUM_OUTCOMES: usize = 16;
-
 /// Counters of one call of [`crate::DepthBand::observe`]; add them up in the order of the bands.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ObserveStats {
-    counts: [u32; NUM_OUTCOMES],
+    counts: [u32; PixelOutcome::Dropped as usize + 1],
     /// Sum over accepted matches of the mean squared patch difference, grey levels².
     pub residual_sq_sum: f64,
     /// Number of accepted matches in `residual_sq_sum`.

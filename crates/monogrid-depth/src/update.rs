@@ -87,16 +87,11 @@ impl DepthBand<'_> {
         if innovation * innovation > limit * (var + observation.var) {
             return self.doubt(pixel, PixelOutcome::Inconsistent, config);
         }
-        let max_validity = f32::from(config.validity_max)
-            + config.validity_per_gradient
-                * self
-                    .host
-                    .max_gradient
-                    .at(pixel.x as usize, pixel.y as usize);
+        let gradient = (self.host.max_gradient).at(pixel.x as usize, pixel.y as usize);
+        let max_validity = f32::from(config.validity_max) + config.validity_per_gradient * gradient;
+        let max_validity = self.validity[i].max(max_validity.min(255.0) as u8);
         let validity = self.validity[i].saturating_add(config.validity_gain);
-        self.validity[i] = validity
-            .min(max_validity.min(255.0) as u8)
-            .max(self.validity[i]);
+        self.validity[i] = validity.min(max_validity);
         self.failures[i] = 0;
         self.photo_px[i] = observation.photo_px;
         // [SDVO13] Eq. (13)
@@ -131,22 +126,15 @@ impl DepthBand<'_> {
         self.var[i] *= config.failure_inflation;
         self.failures[i] = self.failures[i].saturating_add(1).min(MAX_FAILURES);
         // a contradiction is only counted against the hypothesis by LSD when it is also unlikely
-        let loss =
-            if outcome == PixelOutcome::Inconsistent && config.frame_choice == FrameChoice::First {
-                0
-            } else {
-                config.validity_loss
-            };
+        let loss = match (outcome, config.frame_choice) {
+            (PixelOutcome::Inconsistent, FrameChoice::First) => 0,
+            _ => config.validity_loss,
+        };
         let exhausted = self.validity[i] < loss;
         self.validity[i] = self.validity[i].saturating_sub(loss);
-        let hopeless = match config.frame_choice {
-            FrameChoice::First => self.var[i] > config.max_var,
-            FrameChoice::Predicted => self.var[i] > config.max_var || exhausted,
-        };
-        if hopeless {
-            self.var[i] = 0.0;
-            self.validity[i] = 0;
-            self.photo_px[i] = 0.0;
+        let drops_exhausted = config.frame_choice == FrameChoice::Predicted;
+        if self.var[i] > config.max_var || (drops_exhausted && exhausted) {
+            (self.var[i], self.validity[i], self.photo_px[i]) = (0.0, 0, 0.0);
             return PixelOutcome::Dropped;
         }
         outcome

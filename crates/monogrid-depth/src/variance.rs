@@ -30,13 +30,6 @@ pub(crate) struct LineUncertainty {
 }
 
 impl LineUncertainty {
-    /// Variance of the displacement, px².
-    #[inline]
-    pub(crate) fn variance_px(&self, idepth: f32) -> f32 {
-        let translation = self.per_idepth * idepth;
-        self.constant_sq + translation * translation
-    }
-
     /// Geometric variance along the line: a displacement `e` of the line moves the match by
     /// `<g, e> / <g, l>`, [SDVO13] Eq. (8).
     #[inline]
@@ -46,48 +39,43 @@ impl LineUncertainty {
                 let sigma = 0.25 * (1.0 + self.residual_rms);
                 sigma * sigma * inv_cos_sq
             }
-            VarianceModel::Honest => self.variance_px(idepth) * inv_cos_sq,
+            VarianceModel::Honest => {
+                let translation = self.per_idepth * idepth;
+                (self.constant_sq + translation * translation) * inv_cos_sq
+            }
         }
     }
 }
 
-/// What is known about a match before its variance is put together.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct MatchEvidence {
-    /// Sum of squared slopes of the patch, (grey levels per px)².
-    pub(crate) information: f32,
-    /// Sum of squared differences at the match, grey levels².
-    pub(crate) ssd: f32,
-    /// Expected variance of one difference, grey levels².
-    pub(crate) noise_var: f32,
-    /// Geometric variance, px².
-    pub(crate) geometric: f32,
-    /// How far the depth of the matched texture may be from the pixel's, px along the line.
-    pub(crate) slope_px: f32,
-}
-
-/// Puts the parts together.
+/// Puts the parts together: of the sum of squared slopes of the patch, (grey levels per px)²; the sum of squared
+/// differences at the match and the expected variance of one, grey levels²; the geometric variance, px²; and how
+/// far the depth of the matched texture may be from the pixel's, px along the line.
 #[inline]
-pub(crate) fn match_variance(evidence: &MatchEvidence, config: &DepthConfig) -> MatchVariance {
-    let information = evidence.information.max(1e-3);
+pub(crate) fn match_variance(
+    information: f32,
+    (ssd, noise_var): (f32, f32),
+    geometric: f32,
+    slope_px: f32,
+    config: &DepthConfig,
+) -> MatchVariance {
+    let information = information.max(1e-3);
     match config.variance {
         VarianceModel::Lsd => {
             let photometric = 4.0 * config.sensor_sigma * config.sensor_sigma / information;
             MatchVariance {
-                total: 0.05 + evidence.geometric + photometric,
+                total: 0.05 + geometric + photometric,
                 shared: 0.0,
                 photometric,
             }
         }
         VarianceModel::Honest => {
             let freedom = (PATCH - 1) as f32;
-            let noise_var =
-                (PRIOR_FREEDOM * evidence.noise_var + evidence.ssd) / (PRIOR_FREEDOM + freedom);
+            let noise_var = (PRIOR_FREEDOM * noise_var + ssd) / (PRIOR_FREEDOM + freedom);
             let photometric = config.photometric_factor * noise_var / information;
-            let slope = evidence.slope_px * evidence.slope_px;
+            let slope = slope_px * slope_px;
             let floor = config.floor_px * config.floor_px;
             MatchVariance {
-                total: photometric + evidence.geometric + slope + floor,
+                total: photometric + geometric + slope + floor,
                 shared: 0.5 * photometric + slope + floor,
                 photometric,
             }

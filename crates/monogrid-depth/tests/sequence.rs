@@ -58,7 +58,7 @@ fn run(views: &[View], config: &DepthConfig) -> (Vec<Quality>, DepthMap) {
     for n in 1..views.len() {
         if n % FRAMES_PER_KEYFRAME == 0 {
             finished.push(quality(&map, &views[keyframe].depth, 10));
-            map = map.propagate(new_host(n), &relative(n, keyframe), config).0;
+            map = map.propagate(new_host(n), &relative(n, keyframe), config);
             old.insert(0, keyframe);
             old.truncate(3);
             keyframe = n;
@@ -136,7 +136,7 @@ fn ten_forced_keyframes_keep_density_and_scale() {
         let next = if k % 2 == 0 { start - 2 } else { start };
         let pose = views[next].world_from_camera.inverse() * views[at].world_from_camera;
         let next_host = host(views[next].image.clone(), pinhole_of(SIZE));
-        map = map.propagate(next_host, &pose, &config).0;
+        map = map.propagate(next_host, &pose, &config);
         map.fill_holes(&config);
         map.regularize(&config);
         at = next;

@@ -1,7 +1,6 @@
 //! Space that is free because something has moved through it.
 
 use crate::error::MapError;
-use crate::key::VoxelKey;
 use crate::map::OccupancyMap;
 use crate::scan::dot;
 
@@ -20,15 +19,10 @@ impl OccupancyMap {
             }
             let low = self.clamped_key(std::array::from_fn(|i| start[i].min(end[i]) - radius));
             let high = self.clamped_key(std::array::from_fn(|i| start[i].max(end[i]) + radius));
-            for x in low.x..=high.x {
-                for y in low.y..=high.y {
-                    for z in low.z..=high.z {
-                        let key = VoxelKey { x, y, z };
-                        let centre = key.center(self.resolution());
-                        if distance_to_line(&centre, &start, end) <= radius {
-                            self.set_log_odds(key, free)?;
-                        }
-                    }
+            for key in low.to(high) {
+                let centre = key.center(self.resolution());
+                if distance_to_line(&centre, &start, end) <= radius {
+                    self.set_log_odds(key, free)?;
                 }
             }
             if let Some(key) = self.key(*end) {

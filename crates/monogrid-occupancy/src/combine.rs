@@ -7,7 +7,7 @@ use crate::evidence::{Occupancy, UNKNOWN, log_odds_from_evidence};
 use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 use crate::map::{MapConfig, OccupancyMap};
 use crate::scan::Similarity;
-use crate::storage::{BrickRef, Shard};
+use crate::storage::BrickRef;
 
 /// Cell sizes closer than this are the same: files round them.
 const SAME_RESOLUTION: f64 = 1e-6;
@@ -51,9 +51,7 @@ impl OccupancyMap {
         for key in self.bricks() {
             match self.brick(key) {
                 BrickRef::Uniform(value) => add(value, BRICK_CELLS as u64),
-                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
-                    self.brick_values(key).iter().for_each(|v| add(*v, 1));
-                }
+                _ => self.brick_values(key).iter().for_each(|v| add(*v, 1)),
             }
         }
         counts
@@ -83,11 +81,7 @@ impl OccupancyMap {
     /// The memory budget is exhausted.
     pub fn cropped(&self, low: [f64; 3], high: [f64; 3]) -> Result<Self, MapError> {
         let (first, last) = (self.clamped_key(low), self.clamped_key(high));
-        self.filtered(first, last, |key| {
-            let key = key.to_array();
-            let (first, last) = (first.to_array(), last.to_array());
-            (0..3).all(|axis| (first[axis]..=last[axis]).contains(&key[axis]))
-        })
+        self.filtered(first, last, |key| key.is_within(first, last))
     }
 
     /// The cells whose centres are at most `radius` from a point, with the settings of this map.
@@ -99,8 +93,8 @@ impl OccupancyMap {
         let last = self.clamped_key(center.map(|c| c + radius));
         self.filtered(first, last, |key| {
             let cell = key.center(self.resolution());
-            let offset: [f64; 3] = std::array::from_fn(|axis| cell[axis] - center[axis]);
-            offset.iter().map(|c| c * c).sum::<f64>() <= radius * radius
+            let offset = (0..3).map(|axis| cell[axis] - center[axis]);
+            offset.map(|c| c * c).sum::<f64>() <= radius * radius
         })
     }
 
@@ -155,14 +149,13 @@ impl OccupancyMap {
         let limits = self.limits;
         // A uniform brick of the other map may break up one of this map, or the other way round.
         let (own_payloads, own_bricks) = self.brick_counts();
-        let packed: usize = self.shards.iter().map(Shard::packed_bricks).sum();
+        let packed: usize = self.shards.iter().map(|shard| shard.packed_len).sum();
         let new_payloads = (own_bricks - own_payloads).min(payloads) + payloads + packed;
         self.check_budget(bricks, new_payloads)?;
         self.revision += 1;
         for key in other.bricks() {
-            if let (BrickRef::Uniform(own), BrickRef::Uniform(added)) =
-                (self.brick(key), other.brick(key))
-            {
+            let bricks = (self.brick(key), other.brick(key));
+            if let (BrickRef::Uniform(own), BrickRef::Uniform(added)) = bricks {
                 self.set_brick_uniform(key, limits.updated(own, added));
                 continue;
             }
@@ -190,13 +183,12 @@ impl OccupancyMap {
         target_from_source: &Similarity,
         resolution: f64,
     ) -> Result<Self, MapError> {
-        if !target_from_source.is_valid() {
-            return Err(MapError::Config {
-                field: "target_from_source.scale (or its rotation)",
-                value: target_from_source.scale,
-                allowed: "a positive scale and an orthonormal rotation",
-            });
-        }
+        MapError::unless(
+            target_from_source.is_valid(),
+            "target_from_source.scale (or its rotation)",
+            target_from_source.scale,
+            "a positive scale and an orthonormal rotation",
+        )?;
         let mut target = Self::new(MapConfig {
             resolution,
             ..self.config().clone()
@@ -206,8 +198,8 @@ impl OccupancyMap {
         for brick in self.bricks_reached(target_from_source, &target) {
             let cells = std::array::from_fn(|index| {
                 let center = brick.cell(index).center(resolution);
-                self.key(source_from_target.transform(center))
-                    .map_or(UNKNOWN, |key| self.evidence(key))
+                let key = self.key(source_from_target.transform(center));
+                key.map_or(UNKNOWN, |key| self.evidence(key))
             });
             target.put_brick(brick, &cells)?;
         }
@@ -227,18 +219,12 @@ impl OccupancyMap {
             let low = brick.first_cell().to_array();
             let center = low.map(|c| f64::from(c) * self.resolution() + 0.5 * edge);
             let center = target_from_source.transform(center);
-            let corner = |sign: f64| -> [f64; 3] {
-                std::array::from_fn(|axis| center[axis] + sign * reach[axis])
+            let corner = |sign: f64| {
+                let corner = std::array::from_fn(|axis| center[axis] + sign * reach[axis]);
+                target.key(corner).map(VoxelKey::brick)
             };
-            let (Some(first), Some(last)) = (target.key(corner(-1.0)), target.key(corner(1.0)))
-            else {
-                continue;
-            };
-            let (first, last) = (first.brick(), last.brick());
-            for x in first.x..=last.x {
-                for y in first.y..=last.y {
-                    reached.extend((first.z..=last.z).map(|z| BrickKey::new(x, y, z)));
-                }
+            if let (Some(first), Some(last)) = (corner(-1.0), corner(1.0)) {
+                reached.extend(first.to(last));
             }
         }
         reached
@@ -257,13 +243,10 @@ impl OccupancyMap {
         bricks.sort_unstable();
         bricks.dedup();
         for key in bricks {
-            for (old, new) in self
-                .brick_values(key)
-                .into_iter()
-                .zip(after.brick_values(key))
-            {
+            let values = self.brick_values(key).into_iter();
+            for (old, new) in values.zip(after.brick_values(key)) {
                 match (self.limits.occupancy(old), after.limits.occupancy(new)) {
-                    (Occupancy::Unknown, Occupancy::Unknown) => continue,
+                    (Occupancy::Unknown, Occupancy::Unknown) => {}
                     (Occupancy::Unknown, _) => result.only_after += 1,
                     (_, Occupancy::Unknown) => result.only_before += 1,
                     (Occupancy::Free, Occupancy::Occupied) => result.free_to_occupied += 1,

@@ -17,7 +17,7 @@ use crate::evidence::{UNKNOWN, evidence_from_log_odds};
 use crate::integrate::parallel::for_each;
 use crate::key::BRICK_CELLS;
 use crate::map::OccupancyMap;
-use crate::storage::{BrickRef, Shard, hash};
+use crate::storage::{BrickRef, Shard, SlotIndex, hash};
 
 /// Settings of [`Decay`].
 #[derive(Clone, Debug, PartialEq)]
@@ -71,24 +71,13 @@ impl Decay {
     /// # Errors
     /// A setting outside its documented range.
     pub fn new(config: DecayConfig, loaded: Option<Arc<OccupancyMap>>) -> Result<Self, MapError> {
-        let fail = |field, value, allowed| {
-            Err(MapError::Config {
-                field,
-                value,
-                allowed,
-            })
-        };
         // Written so that NaN fails.
-        if config.half_life_scans.is_nan() || config.half_life_scans <= 0.0 {
-            return fail("half_life_scans", config.half_life_scans, "positive");
-        }
-        if config.period_scans == 0 {
-            return fail("period_scans", 0.0, "at least 1");
-        }
-        if !(0.0..=7.99).contains(&config.forget_log_odds) {
-            let value = f64::from(config.forget_log_odds);
-            return fail("forget_log_odds", value, "0 to 7.99");
-        }
+        let half_life = config.half_life_scans;
+        MapError::unless(half_life > 0.0, "half_life_scans", half_life, "positive")?;
+        MapError::unless(config.period_scans > 0, "period_scans", 0.0, "at least 1")?;
+        let forget = config.forget_log_odds;
+        let is_storable = (0.0..=7.99).contains(&forget);
+        MapError::unless(is_storable, "forget_log_odds", forget, "0 to 7.99")?;
         Ok(Self {
             config,
             loaded,
@@ -106,13 +95,11 @@ impl Decay {
         map: &mut OccupancyMap,
         threads: usize,
     ) -> Result<usize, MapError> {
-        if let Some(loaded) = &self.loaded
-            && loaded.resolution().to_bits() != map.resolution().to_bits()
-        {
-            return Err(MapError::ResolutionMismatch {
-                left: map.resolution(),
-                right: loaded.resolution(),
-            });
+        if let Some(loaded) = &self.loaded {
+            let (left, right) = (map.resolution(), loaded.resolution());
+            if left.to_bits() != right.to_bits() {
+                return Err(MapError::ResolutionMismatch { left, right });
+            }
         }
         if self.pending + 1 < self.config.period_scans {
             self.pending += 1;
@@ -128,26 +115,24 @@ impl Decay {
         let periods = f64::from(self.config.period_scans) / self.config.half_life_scans;
         let relaxation = Relaxation {
             kept: (0.5_f64.powf(periods) * f64::from(1 << KEPT_BITS)) as i32,
-            forget: i32::from(evidence_from_log_odds(f64::from(
-                self.config.forget_log_odds,
-            ))),
+            forget: evidence_from_log_odds(self.config.forget_log_odds.into()).into(),
         };
         let loaded = |index: usize| self.loaded.as_ref().map(|map| &map.shards[index]);
-        let new_payloads = (map.shards.iter().enumerate())
-            .map(|(index, shard)| most_new_payloads(shard, loaded(index)))
-            .sum();
-        map.check_budget(0, new_payloads)?;
+        let shards = map.shards.iter().enumerate();
+        let new_payloads = shards.map(|(index, shard)| most_new_payloads(shard, loaded(index)));
+        map.check_budget(0, new_payloads.sum())?;
         map.revision += 1;
         let revision = map.revision;
         let changed = AtomicUsize::new(0);
         for_each(&mut map.shards, threads, |index, shard| {
-            let bricks: Vec<(u64, u32, BrickRef)> = shard.bricks().collect();
-            for (key, _, contents) in bricks {
-                if relaxation.relax(shard, key, contents, loaded(index)) {
+            let keys: Vec<u64> = shard.bricks().map(|brick| brick.0).collect();
+            for key in keys {
+                let Some(slot) = shard.find(key, hash(key)) else {
+                    continue;
+                };
+                if relaxation.relax(shard, slot, contents_in(loaded(index), key), loaded(index)) {
                     changed.fetch_add(1, Ordering::Relaxed);
-                    if let Some(slot) = shard.find(key, hash(key)) {
-                        shard.touch(slot, revision);
-                    }
+                    shard.touch(slot, revision);
                 }
             }
         });
@@ -157,9 +142,8 @@ impl Decay {
 
 /// Contents of a brick in a shard of the loaded map.
 fn contents_in(loaded: Option<&Shard>, key: u64) -> BrickRef {
-    loaded
-        .and_then(|shard| Some(shard.contents(shard.find(key, hash(key))?)))
-        .unwrap_or(BrickRef::Uniform(UNKNOWN))
+    let known = loaded.and_then(|shard| Some(shard.contents(shard.find(key, hash(key))?)));
+    known.unwrap_or(BrickRef::UNKNOWN)
 }
 
 /// Upper bound of the payloads that a pass can need.
@@ -197,18 +181,15 @@ impl Relaxation {
         }
     }
 
-    /// Relaxes a brick; whether anything changed.
+    /// Relaxes a brick towards `rest`, of the shard that was loaded; whether anything changed.
     fn relax(
         &self,
         shard: &mut Shard,
-        key: u64,
-        contents: BrickRef,
+        slot: SlotIndex,
+        rest: BrickRef,
         loaded: Option<&Shard>,
     ) -> bool {
-        let Some(slot) = shard.find(key, hash(key)) else {
-            return false;
-        };
-        let rest = contents_in(loaded, key);
+        let contents = shard.contents(slot);
         if let (BrickRef::Uniform(value), BrickRef::Uniform(rest)) = (contents, rest) {
             let relaxed = self.value(value, rest);
             if relaxed != value {

@@ -131,4 +131,27 @@ impl MapError {
             reason: reason.into(),
         }
     }
+
+    /// What became of reading or writing, of which `action` says what was being done.
+    pub(crate) fn io(action: &'static str) -> impl FnOnce(std::io::Error) -> Self {
+        move |source| Self::Io { action, source }
+    }
+
+    /// Fails unless a setting is in its documented range.
+    pub(crate) fn unless(
+        is_allowed: bool,
+        field: &'static str,
+        value: impl Into<f64>,
+        allowed: &'static str,
+    ) -> Result<(), Self> {
+        if is_allowed {
+            return Ok(());
+        }
+        let value = value.into();
+        Err(Self::Config {
+            field,
+            value,
+            allowed,
+        })
+    }
 }

@@ -31,11 +31,40 @@ impl VoxelKey {
     /// The first cell of an octant of the cube that begins here; the octants have edges of `half` cells.
     #[inline]
     pub(crate) const fn of_octant(self, octant: i32, half: i32) -> Self {
-        Self::new(
-            self.x + (octant & 1) * half,
-            self.y + (octant >> 1 & 1) * half,
-            self.z + (octant >> 2) * half,
-        )
+        self.moved([
+            (octant & 1) * half,
+            (octant >> 1 & 1) * half,
+            (octant >> 2) * half,
+        ])
+    }
+
+    /// The cell so many cells away.
+    #[inline]
+    pub(crate) const fn moved(self, [x, y, z]: [i32; 3]) -> Self {
+        Self::new(self.x + x, self.y + y, self.z + z)
+    }
+
+    /// The cell so many cells away along an axis.
+    #[inline]
+    pub(crate) fn along(self, axis: usize, by: i32) -> Self {
+        let mut way = [0; 3];
+        way[axis] = by;
+        self.moved(way)
+    }
+
+    /// The cells of the box up to `last`, both inclusive: x fastest, then y, then z.
+    #[inline]
+    pub(crate) fn to(self, last: Self) -> impl Iterator<Item = Self> {
+        let row = move |y, z| (self.x..=last.x).map(move |x| Self::new(x, y, z));
+        (self.z..=last.z).flat_map(move |z| (self.y..=last.y).flat_map(move |y| row(y, z)))
+    }
+
+    /// Whether the cell is in a box, its first and last cell inclusive.
+    #[inline]
+    pub(crate) fn is_within(self, first: Self, last: Self) -> bool {
+        (first.x..=last.x).contains(&self.x)
+            && (first.y..=last.y).contains(&self.y)
+            && (first.z..=last.z).contains(&self.z)
     }
 
     /// The cell that holds `point_in_map`; `None` for a point that is not finite or lies beyond
@@ -68,11 +97,7 @@ impl VoxelKey {
     #[must_use]
     #[inline]
     pub const fn brick(self) -> BrickKey {
-        BrickKey {
-            x: self.x >> 3,
-            y: self.y >> 3,
-            z: self.z >> 3,
-        }
+        BrickKey::new(self.x >> 3, self.y >> 3, self.z >> 3)
     }
 
     /// Position inside the brick: x fastest, then y, then z.
@@ -117,32 +142,42 @@ impl BrickKey {
     #[must_use]
     #[inline]
     pub const fn first_cell(self) -> VoxelKey {
-        VoxelKey::new(
-            self.x * BRICK_EDGE,
-            self.y * BRICK_EDGE,
-            self.z * BRICK_EDGE,
-        )
+        let Self { x, y, z } = self;
+        VoxelKey::new(x * BRICK_EDGE, y * BRICK_EDGE, z * BRICK_EDGE)
     }
 
     /// The cell at position `index` (see [`VoxelKey::index_in_brick`]).
     #[must_use]
     #[inline]
     pub const fn cell(self, index: usize) -> VoxelKey {
-        let first = self.first_cell();
         let index = index as i32;
-        VoxelKey::new(
-            first.x + (index & 7),
-            first.y + ((index >> 3) & 7),
-            first.z + (index >> 6),
-        )
+        let inside = [index & 7, (index >> 3) & 7, index >> 6];
+        self.first_cell().moved(inside)
+    }
+
+    /// The bricks of the box up to `last`, both inclusive, in the order of their keys.
+    pub(crate) fn to(self, last: Self) -> impl Iterator<Item = Self> {
+        let column = move |x, y| (self.z..=last.z).map(move |z| Self::new(x, y, z));
+        (self.x..=last.x).flat_map(move |x| (self.y..=last.y).flat_map(move |y| column(x, y)))
+    }
+
+    /// The number of bricks of that box.
+    pub(crate) fn num_to(self, last: Self) -> u128 {
+        let span = |a: i32, b: i32| (i64::from(b) - i64::from(a) + 1).max(0) as u128;
+        span(self.x, last.x) * span(self.y, last.y) * span(self.z, last.z)
+    }
+
+    /// Whether the brick is in a box, its first and last brick inclusive.
+    pub(crate) fn is_within(self, first: Self, last: Self) -> bool {
+        let cell = self.first_cell();
+        cell.is_within(first.first_cell(), last.first_cell())
     }
 
     /// Whether the brick can be addressed at all.
     #[must_use]
     pub fn is_addressable(self) -> bool {
-        [self.x, self.y, self.z]
-            .iter()
-            .all(|c| (-BRICK_LIMIT..BRICK_LIMIT).contains(c))
+        let range = -BRICK_LIMIT..BRICK_LIMIT;
+        [self.x, self.y, self.z].iter().all(|c| range.contains(c))
     }
 
     /// 21 bits per axis, x highest: the order of packed keys is that of `(x, y, z)`.

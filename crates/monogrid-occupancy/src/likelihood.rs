@@ -1,9 +1,6 @@
 //! The maximum-likelihood form of a map: every known cell is either free or occupied, without degrees.
 
-#[cfg(test)]
-use crate::error::MapError;
 use crate::evidence::{Limits, Occupancy, UNKNOWN};
-use crate::key::BRICK_CELLS;
 use crate::map::OccupancyMap;
 use crate::storage::{BrickRef, Shard, pool::Payload};
 
@@ -21,57 +18,50 @@ pub(crate) fn classified(limits: Limits, value: i16) -> i16 {
 }
 
 impl OccupancyMap {
-    /// The map with every known cell replaced by one of two values: what the figures below are
-    /// compared with.
-    #[cfg(test)]
-    pub(crate) fn maximum_likelihood(&self) -> Result<OccupancyMap, MapError> {
-        let mut likely = OccupancyMap::new(self.config().clone())?;
-        for key in self.bricks() {
-            match self.brick(key) {
-                BrickRef::Uniform(value) => {
-                    likely.set_brick_uniform(key, classified(self.limits, value));
-                }
-                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
-                    let values = self.brick_values(key);
-                    likely.set_brick(key, &values.map(|v| classified(self.limits, v)));
-                }
-            }
-        }
-        Ok(likely)
-    }
-
     /// Bytes that the bricks of this map would need if every known cell were only free or occupied:
     /// more bricks are uniform then. The spare memory of [`OccupancyMap::bytes_in_memory`] is not
     /// counted. Visits every cell of the bricks that are not uniform.
     #[must_use]
     pub fn maximum_likelihood_bytes(&self) -> usize {
         let directories: usize = self.shards.iter().map(Shard::directory_bytes).sum();
-        let mixed: usize = self
-            .shards
-            .iter()
-            .map(|shard| {
-                shard
-                    .bricks()
-                    .filter(|(_, _, contents)| match *contents {
-                        BrickRef::Uniform(_) => false,
-                        contents => self.stays_mixed(&shard.values(contents)),
-                    })
-                    .count()
-            })
-            .sum();
-        directories + mixed * size_of::<Payload>()
-    }
-
-    fn stays_mixed(&self, values: &[i16; BRICK_CELLS]) -> bool {
-        let first = classified(self.limits, values[0]);
-        values.iter().any(|v| classified(self.limits, *v) != first)
+        let stays_mixed = |shard: &Shard, contents: BrickRef| {
+            let class = |value| classified(self.limits, value);
+            let values = shard.values(contents);
+            values.iter().any(|value| class(*value) != class(values[0]))
+        };
+        let num_mixed = |shard: &Shard| {
+            let bricks = shard.bricks().map(|(_, _, contents)| contents);
+            let mixed = bricks.filter(|contents| !matches!(contents, BrickRef::Uniform(_)));
+            mixed.filter(|mixed| stays_mixed(shard, *mixed)).count()
+        };
+        directories + self.shards.iter().map(num_mixed).sum::<usize>() * size_of::<Payload>()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MapConfig, VoxelKey};
+    use crate::{MapConfig, MapError, VoxelKey};
+
+    impl OccupancyMap {
+        /// The map with every known cell replaced by one of two values: what the figures are
+        /// compared with.
+        fn maximum_likelihood(&self) -> Result<OccupancyMap, MapError> {
+            let mut likely = OccupancyMap::new(self.config().clone())?;
+            for key in self.bricks() {
+                match self.brick(key) {
+                    BrickRef::Uniform(value) => {
+                        likely.set_brick_uniform(key, classified(self.limits, value));
+                    }
+                    BrickRef::Mixed(_) | BrickRef::Packed(_) => {
+                        let values = self.brick_values(key);
+                        likely.set_brick(key, &values.map(|v| classified(self.limits, v)));
+                    }
+                }
+            }
+            Ok(likely)
+        }
+    }
 
     #[test]
     fn degrees_cost_memory_and_classes_do_not() {

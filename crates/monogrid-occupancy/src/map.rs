@@ -5,7 +5,7 @@ use crate::evidence::{Limits, Occupancy, UNKNOWN, evidence_from_log_odds, log_od
 use crate::integrate::parallel::for_each;
 use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
 use crate::sensor::table::KnownTables;
-use crate::storage::{BrickRef, SHARDS, Shard, hash, shard_of};
+use crate::storage::{BrickRef, SHARDS, Shard, SlotIndex, hash, shard_of};
 
 /// Settings of a map.
 #[derive(Clone, Debug, PartialEq)]
@@ -104,8 +104,8 @@ impl OccupancyMap {
     #[must_use]
     #[inline]
     pub fn state(&self, point_in_map: [f64; 3]) -> Occupancy {
-        VoxelKey::from_point(point_in_map, self.inv_resolution)
-            .map_or(Occupancy::Unknown, |key| self.state_of(key))
+        let key = VoxelKey::from_point(point_in_map, self.inv_resolution);
+        key.map_or(Occupancy::Unknown, |key| self.state_of(key))
     }
 
     /// What is known about a cell.
@@ -128,36 +128,47 @@ impl OccupancyMap {
         (value != UNKNOWN).then(|| log_odds_from_evidence(value))
     }
 
+    /// Where a brick is, if it was ever touched.
+    #[inline]
+    pub(crate) fn slot(&self, packed: u64) -> Option<(&Shard, SlotIndex)> {
+        let hash = hash(packed);
+        let shard = &self.shards[shard_of(hash)];
+        Some((shard, shard.find(packed, hash)?))
+    }
+
+    /// Changes a brick, which is inserted if it was absent.
+    fn change_brick(&mut self, key: BrickKey, change: impl FnOnce(&mut Shard, SlotIndex)) {
+        let packed = key.pack();
+        let hash = hash(packed);
+        let shard = &mut self.shards[shard_of(hash)];
+        let slot = shard.find_or_insert(packed, hash);
+        change(shard, slot);
+        shard.touch(slot, self.revision);
+    }
+
     /// Stored evidence of a cell, or [`UNKNOWN`].
     #[inline]
     pub(crate) fn evidence(&self, key: VoxelKey) -> i16 {
-        let packed = key.brick().pack();
-        let hash = hash(packed);
-        let shard = &self.shards[shard_of(hash)];
-        shard
-            .find(packed, hash)
-            .map_or(UNKNOWN, |slot| shard.value(slot, key.index_in_brick()))
+        let slot = self.slot(key.brick().pack());
+        slot.map_or(UNKNOWN, |(shard, slot)| {
+            shard.value(slot, key.index_in_brick())
+        })
     }
 
     /// Contents of a brick; uniform unknown if it was never touched.
     #[inline]
     pub(crate) fn brick(&self, key: BrickKey) -> BrickRef {
-        let packed = key.pack();
-        let hash = hash(packed);
-        let shard = &self.shards[shard_of(hash)];
-        shard
-            .find(packed, hash)
-            .map_or(BrickRef::Uniform(UNKNOWN), |slot| shard.contents(slot))
+        let slot = self.slot(key.pack());
+        slot.map_or(BrickRef::UNKNOWN, |(shard, slot)| shard.contents(slot))
     }
 
     /// The payload of a brick that has one.
     #[inline]
     pub(crate) fn payload(&self, key: BrickKey) -> Option<&[i16; BRICK_CELLS]> {
-        match self.brick(key) {
+        let (shard, slot) = self.slot(key.pack())?;
+        match shard.contents(slot) {
             BrickRef::Uniform(_) | BrickRef::Packed(_) => None,
-            BrickRef::Mixed(payload) => {
-                Some(self.shards[shard_of(hash(key.pack()))].payload(payload))
-            }
+            BrickRef::Mixed(payload) => Some(shard.payload(payload)),
         }
     }
 
@@ -169,7 +180,10 @@ impl OccupancyMap {
 
     /// Evidence of the 512 cells of a brick.
     pub(crate) fn brick_values(&self, key: BrickKey) -> [i16; BRICK_CELLS] {
-        self.shards[shard_of(hash(key.pack()))].values(self.brick(key))
+        let slot = self.slot(key.pack());
+        slot.map_or([UNKNOWN; BRICK_CELLS], |(shard, slot)| {
+            shard.values(shard.contents(slot))
+        })
     }
 
     /// Sets the log-odds of a cell (`None`: unknown), saturating only at the storable range of
@@ -178,7 +192,7 @@ impl OccupancyMap {
     /// # Errors
     /// The memory budget is exhausted.
     pub fn set_log_odds(&mut self, key: VoxelKey, log_odds: Option<f32>) -> Result<(), MapError> {
-        let value = log_odds.map_or(UNKNOWN, |l| evidence_from_log_odds(f64::from(l)));
+        let value = evidence_or_unknown(log_odds);
         self.modify(key, |_| value)
     }
 
@@ -194,14 +208,8 @@ impl OccupancyMap {
         if !brick.is_addressable() {
             return Ok(());
         }
-        let mut values = [UNKNOWN; BRICK_CELLS];
-        for (index, value) in values.iter_mut().enumerate() {
-            if let Some(log_odds) = log_odds(brick.cell(index)) {
-                *value = evidence_from_log_odds(f64::from(log_odds));
-            }
-        }
-        let is_unknown = values.iter().all(|value| *value == UNKNOWN);
-        if is_unknown && self.brick(brick) == BrickRef::Uniform(UNKNOWN) {
+        let values = std::array::from_fn(|i| evidence_or_unknown(log_odds(brick.cell(i))));
+        if values == [UNKNOWN; BRICK_CELLS] && self.brick(brick) == BrickRef::UNKNOWN {
             return Ok(());
         }
         if !self.has_payload(brick) {
@@ -226,12 +234,7 @@ impl OccupancyMap {
         if !key.brick().is_addressable() {
             return Ok(());
         }
-        let packed = key.brick().pack();
-        let hash = hash(packed);
-        let shard = &mut self.shards[shard_of(hash)];
-        let old = shard
-            .find(packed, hash)
-            .map_or(UNKNOWN, |slot| shard.value(slot, key.index_in_brick()));
+        let old = self.evidence(key);
         let new = change(old);
         if new == old {
             return Ok(());
@@ -241,26 +244,23 @@ impl OccupancyMap {
             self.check_budget(1, 1)?;
         }
         self.revision += 1;
-        let shard = &mut self.shards[shard_of(hash)];
-        let slot = shard.find_or_insert(packed, hash);
-        shard.payload_mut(slot).0[key.index_in_brick()] = new;
-        shard.touch(slot, self.revision);
-        // A brick can only have become uniform if its other corner agrees: spares the scan.
-        if shard.value(slot, 0) == new && shard.value(slot, BRICK_CELLS - 1) == new {
-            shard.collapse(slot);
-        }
+        self.change_brick(key.brick(), |shard, slot| {
+            let cells = &mut shard.payload_mut(slot).0;
+            cells[key.index_in_brick()] = new;
+            // A brick can only have become uniform if its other corner agrees: spares the scan.
+            if cells[0] == new && cells[BRICK_CELLS - 1] == new {
+                shard.collapse(slot);
+            }
+        });
         Ok(())
     }
 
     /// Replaces all cells of a brick.
     pub(crate) fn set_brick(&mut self, key: BrickKey, values: &[i16; BRICK_CELLS]) {
-        let packed = key.pack();
-        let hash = hash(packed);
-        let shard = &mut self.shards[shard_of(hash)];
-        let slot = shard.find_or_insert(packed, hash);
-        shard.payload_mut(slot).0 = *values;
-        shard.collapse(slot);
-        shard.touch(slot, self.revision);
+        self.change_brick(key, |shard, slot| {
+            shard.payload_mut(slot).0 = *values;
+            shard.collapse(slot);
+        });
     }
 
     /// Makes a cube of `edge` cells (1, 2 or 4, aligned to its edge) equal.
@@ -270,37 +270,25 @@ impl OccupancyMap {
         edge: i32,
         value: i16,
     ) -> Result<(), MapError> {
-        let packed = first.brick().pack();
-        let hash = hash(packed);
         if !self.has_payload(first.brick()) {
             self.check_budget(1, 1)?;
         }
-        let shard = &mut self.shards[shard_of(hash)];
-        let slot = shard.find_or_insert(packed, hash);
-        let cells = shard.payload_mut(slot);
-        for z in 0..edge {
-            for y in 0..edge {
-                for x in 0..edge {
-                    let cell = VoxelKey::new(first.x + x, first.y + y, first.z + z);
-                    cells.0[cell.index_in_brick()] = value;
-                }
+        let last = first.moved([edge - 1; 3]);
+        self.change_brick(first.brick(), |shard, slot| {
+            let cells = &mut shard.payload_mut(slot).0;
+            for cell in first.to(last) {
+                cells[cell.index_in_brick()] = value;
             }
-        }
-        if cells.0[0] == value && cells.0[BRICK_CELLS - 1] == value {
-            shard.collapse(slot);
-        }
-        shard.touch(slot, self.revision);
+            if cells[0] == value && cells[BRICK_CELLS - 1] == value {
+                shard.collapse(slot);
+            }
+        });
         Ok(())
     }
 
     /// Makes all cells of a brick equal.
     pub(crate) fn set_brick_uniform(&mut self, key: BrickKey, value: i16) {
-        let packed = key.pack();
-        let hash = hash(packed);
-        let shard = &mut self.shards[shard_of(hash)];
-        let slot = shard.find_or_insert(packed, hash);
-        shard.set_uniform(slot, value);
-        shard.touch(slot, self.revision);
+        self.change_brick(key, |shard, slot| shard.set_uniform(slot, value));
     }
 
     /// Fails if the map could exceed its budget after gaining bricks and payloads.
@@ -310,18 +298,22 @@ impl OccupancyMap {
         new_payloads: usize,
     ) -> Result<(), MapError> {
         // A directory can double when it grows, and the old half is alive while it does.
-        let per_brick = Shard::SLOT_BYTES * 4;
-        let growth = new_bricks
-            .saturating_mul(per_brick)
-            .saturating_add(new_payloads.saturating_mul(BRICK_CELLS * size_of::<i16>()));
-        let needed_bytes = self.bytes_in_memory().saturating_add(growth);
-        if needed_bytes > self.config.memory_budget_bytes {
-            return Err(MapError::MemoryBudget {
-                needed_bytes,
-                budget_bytes: self.config.memory_budget_bytes,
-            });
+        let bricks = new_bricks.saturating_mul(Shard::SLOT_BYTES * 4);
+        let payloads = new_payloads.saturating_mul(BRICK_CELLS * size_of::<i16>());
+        let growth = bricks.saturating_add(payloads);
+        self.check_bytes(self.bytes_in_memory().saturating_add(growth))
+    }
+
+    /// Fails if what needs so many bytes exceeds the budget.
+    pub(crate) fn check_bytes(&self, needed_bytes: usize) -> Result<(), MapError> {
+        let budget_bytes = self.config.memory_budget_bytes;
+        if needed_bytes <= budget_bytes {
+            return Ok(());
         }
-        Ok(())
+        Err(MapError::MemoryBudget {
+            needed_bytes,
+            budget_bytes,
+        })
     }
 
     /// Changes with every modification; see [`OccupancyMap::bricks_changed_since`].
@@ -333,7 +325,7 @@ impl OccupancyMap {
     /// Bricks that hold at least one known cell, in the order of their keys.
     #[must_use]
     pub fn bricks(&self) -> Vec<BrickKey> {
-        self.sorted_bricks(|_, contents| contents != BrickRef::Uniform(UNKNOWN))
+        self.sorted_bricks(|_, contents| contents != BrickRef::UNKNOWN)
     }
 
     /// Bricks changed after `revision`, in the order of their keys, those that became unknown
@@ -362,12 +354,11 @@ impl OccupancyMap {
     /// Number of bricks whose values differ, packed or not, and of all bricks.
     #[must_use]
     pub fn brick_counts(&self) -> (usize, usize) {
+        let mixed = |shard: &Shard| shard.payloads() + shard.packed_len;
+        let shards = self.shards.iter();
         (
-            self.shards
-                .iter()
-                .map(|s| s.payloads() + s.packed_bricks())
-                .sum(),
-            self.shards.iter().map(Shard::len).sum(),
+            shards.clone().map(mixed).sum(),
+            shards.map(|shard| shard.len).sum(),
         )
     }
 
@@ -417,9 +408,8 @@ impl OccupancyMap {
                 }
                 BrickRef::Mixed(_) | BrickRef::Packed(_) => {
                     let values = self.brick_values(key);
-                    (0..BRICK_CELLS)
-                        .filter(|&i| values[i] != UNKNOWN)
-                        .for_each(|i| extend(key.cell(i)));
+                    let known = (0..BRICK_CELLS).filter(|&i| values[i] != UNKNOWN);
+                    known.for_each(|i| extend(key.cell(i)));
                 }
             }
         }
@@ -430,21 +420,20 @@ impl OccupancyMap {
     #[must_use]
     pub fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
         let (low, high) = self.key_bounds()?;
-        let resolution = self.resolution();
-        Some((
-            low.to_array().map(|c| f64::from(c) * resolution),
-            high.to_array().map(|c| f64::from(c + 1) * resolution),
-        ))
+        let corner = |key: VoxelKey| key.to_array().map(|c| f64::from(c) * self.resolution());
+        Some((corner(low), corner(high.moved([1; 3]))))
     }
 
     /// Whether no cell is known.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.shards
-            .iter()
-            .flat_map(Shard::bricks)
-            .all(|(_, _, contents)| contents == BrickRef::Uniform(UNKNOWN))
+        let mut bricks = self.shards.iter().flat_map(Shard::bricks);
+        bricks.all(|(_, _, contents)| contents == BrickRef::UNKNOWN)
     }
+}
+
+fn evidence_or_unknown(log_odds: Option<f32>) -> i16 {
+    log_odds.map_or(UNKNOWN, |l| evidence_from_log_odds(f64::from(l)))
 }
 
 /// Maps are equal when every cell has the same evidence and cells have the same size; history,
@@ -453,9 +442,7 @@ impl PartialEq for OccupancyMap {
     fn eq(&self, other: &Self) -> bool {
         self.resolution().to_bits() == other.resolution().to_bits()
             && self.bricks() == other.bricks()
-            && self
-                .bricks()
-                .into_iter()
+            && (self.bricks().into_iter())
                 .all(|key| self.brick_values(key) == other.brick_values(key))
     }
 }

@@ -1,19 +1,21 @@
 //! The map seen as OctoMap's pruned octree, without ever building one.
 //!
-//! A brick is the subtree of 8 x 8 x 8 cells at OctoMap's level 3. Above bricks, nodes are kept
-//! as sorted lists of Morton codes, one list per level: some bytes per brick, nothing per cell.
-//! Eight known leaves of equal value under one parent are one leaf (pruning); the value of an
-//! inner node is the largest value below it.
+//! The Morton code of a node is that of its parent and three bits for the octant (bit 0 x, bit 1 y,
+//! bit 2 z, as OctoMap). A brick is the subtree of 8 x 8 x 8 cells at OctoMap's level 3. Above bricks,
+//! nodes are kept as lists sorted by their codes, one list per level: some bytes per brick, nothing
+//! per cell. Eight known leaves of equal value under one parent are one leaf (pruning); the value of
+//! an inner node is the largest value below it.
 
 use crate::error::MapError;
-use crate::evidence::UNKNOWN;
-use crate::key::{BRICK_CELLS, BrickKey, VoxelKey};
+use crate::evidence::{UNKNOWN, log_odds_from_evidence};
+use crate::io::header::Cube;
+use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 use crate::likelihood::classified;
 use crate::map::OccupancyMap;
 use crate::storage::BrickRef;
 
 /// Levels above bricks in OctoMap's tree of 16-bit keys: 13, of 16 in all.
-pub(crate) const LEVELS_ABOVE_BRICKS: usize = 13;
+const LEVELS_ABOVE_BRICKS: usize = 13;
 /// Bricks of an OctoMap tree have indices in `-4096..4096`.
 const OCTOMAP_BRICK_LIMIT: i32 = 4096;
 
@@ -27,104 +29,81 @@ pub(crate) enum Node {
 }
 
 impl Node {
-    /// The parent of eight children.
-    fn parent(children: [Node; 8]) -> Node {
-        let mut largest = None;
-        let mut prunable = true;
-        for child in children {
-            let value = match child {
-                Node::Unknown => None,
-                Node::Leaf(value) | Node::Inner(value) => Some(value),
-            };
-            prunable &= matches!(child, Node::Leaf(_)) && child == children[0];
-            largest = largest.max(value);
-        }
-        match largest {
-            None => Node::Unknown,
-            Some(value) if prunable => Node::Leaf(value),
-            Some(value) => Node::Inner(value),
+    fn of_cell(value: i16) -> Self {
+        match value {
+            UNKNOWN => Self::Unknown,
+            _ => Self::Leaf(value),
         }
     }
 
-    pub(crate) fn value(self) -> Option<i16> {
+    /// The parent of eight children, which count if it has any.
+    fn parent(children: &[Self; 8], counts: &mut TreeCounts) -> Self {
+        let is_leaf = matches!(children[0], Self::Leaf(_)) && children == &[children[0]; 8];
+        match children.iter().filter_map(|child| child.value()).max() {
+            None => Self::Unknown,
+            Some(value) if is_leaf => Self::Leaf(value),
+            Some(value) => {
+                children.iter().for_each(|child| counts.add(*child));
+                Self::Inner(value)
+            }
+        }
+    }
+
+    fn value(self) -> Option<i16> {
         match self {
-            Node::Unknown => None,
-            Node::Leaf(value) | Node::Inner(value) => Some(value),
+            Self::Unknown => None,
+            Self::Leaf(value) | Self::Inner(value) => Some(value),
         }
     }
 }
 
-/// The subtree of one brick: nodes of 4, of 2 and of 1 cells' edge below the root, each level
-/// stored with x fastest.
-pub(crate) struct BrickTree {
-    pub root: Node,
-    pub fours: [Node; 8],
-    pub twos: [Node; 64],
-    pub cells: [i16; BRICK_CELLS],
-}
-
-/// Child `octant` (bit 0 x, bit 1 y, bit 2 z, as OctoMap) of node `(x, y, z)`, in a level of
-/// `2^edge_bits` nodes per axis.
-#[inline]
-pub(crate) fn child_index(parent: [usize; 3], octant: usize, edge_bits: u32) -> usize {
-    (parent[0] * 2 + (octant & 1))
-        | ((parent[1] * 2 + ((octant >> 1) & 1)) << edge_bits)
-        | ((parent[2] * 2 + (octant >> 2)) << (2 * edge_bits))
-}
-
-#[inline]
-fn cell_node(value: i16) -> Node {
-    match value {
-        UNKNOWN => Node::Unknown,
-        _ => Node::Leaf(value),
+/// Places in a brick of cells in the order of their Morton codes.
+const CELL_OF_CODE: [usize; BRICK_CELLS] = {
+    let mut cells = [0; BRICK_CELLS];
+    let mut code = 0;
+    while code < BRICK_CELLS as i32 {
+        let four = VoxelKey::new(0, 0, 0).of_octant(code >> 6, 4);
+        let cell = four.of_octant(code >> 3 & 7, 2).of_octant(code & 7, 1);
+        cells[code as usize] = cell.index_in_brick();
+        code += 1;
     }
+    cells
+};
+
+/// The subtree of one brick: nodes of 4, of 2 and of 1 cells' edge below the root, in the order of
+/// their codes.
+struct BrickTree {
+    root: Node,
+    fours: [Node; 8],
+    twos: [Node; 64],
+    cells: [Node; BRICK_CELLS],
 }
 
 impl BrickTree {
-    pub(crate) fn new(cells: [i16; BRICK_CELLS]) -> Self {
-        let twos = std::array::from_fn(|i| {
-            let at = [i & 3, (i >> 2) & 3, i >> 4];
-            Node::parent(std::array::from_fn(|o| {
-                cell_node(cells[child_index(at, o, 3)])
-            }))
-        });
-        let fours: [Node; 8] = std::array::from_fn(|i| {
-            let at = [i & 1, (i >> 1) & 1, i >> 2];
-            Node::parent(std::array::from_fn(|o| twos[child_index(at, o, 2)]))
-        });
+    /// Counts the nodes below the root.
+    fn new(cells: &[i16; BRICK_CELLS], counts: &mut TreeCounts) -> Self {
+        let cells = CELL_OF_CODE.map(|cell| Node::of_cell(cells[cell]));
+        let parent = |children: &[Node], i: usize, counts: &mut TreeCounts| {
+            Node::parent(&children.as_chunks().0[i], counts)
+        };
+        let twos = std::array::from_fn(|i| parent(&cells, i, counts));
+        let fours = std::array::from_fn(|i| parent(&twos, i, counts));
         Self {
-            root: Node::parent(fours),
+            root: Node::parent(&fours, counts),
             fours,
             twos,
             cells,
         }
     }
 
-    /// Nodes and leaves of the subtree, the root included.
-    fn counts(&self) -> TreeCounts {
-        let mut counts = TreeCounts::default();
-        counts.add(self.root);
-        if !matches!(self.root, Node::Inner(_)) {
-            return counts;
+    /// The children of a node of 8, 4 or 2 cells' edge.
+    fn children(&self, edge_cells: i32, code: u64) -> [Node; 8] {
+        let code = code as usize;
+        match edge_cells {
+            2 => self.cells.as_chunks().0[code % 64],
+            4 => self.twos.as_chunks().0[code % 8],
+            _ => self.fours,
         }
-        for (i, &four) in self.fours.iter().enumerate() {
-            counts.add(four);
-            if !matches!(four, Node::Inner(_)) {
-                continue;
-            }
-            let at = [i & 1, (i >> 1) & 1, i >> 2];
-            for octant in 0..8 {
-                let j = child_index(at, octant, 2);
-                counts.add(self.twos[j]);
-                if matches!(self.twos[j], Node::Inner(_)) {
-                    let at = [j & 3, (j >> 2) & 3, j >> 4];
-                    for octant in 0..8 {
-                        counts.add(cell_node(self.cells[child_index(at, octant, 3)]));
-                    }
-                }
-            }
-        }
-        counts
     }
 }
 
@@ -158,15 +137,14 @@ impl Leaf {
     #[must_use]
     pub fn center(&self, resolution: f64) -> [f64; 3] {
         let half = f64::from(self.edge_cells) * 0.5;
-        self.first
-            .to_array()
-            .map(|c| (f64::from(c) + half) * resolution)
+        let first = self.first.to_array();
+        first.map(|c| (f64::from(c) + half) * resolution)
     }
 
     /// Log-odds of the cells.
     #[must_use]
     pub fn log_odds(&self) -> f32 {
-        crate::evidence::log_odds_from_evidence(self.evidence)
+        log_odds_from_evidence(self.evidence)
     }
 }
 
@@ -177,23 +155,6 @@ fn morton(key: BrickKey) -> u64 {
         (0..LEVELS_ABOVE_BRICKS).fold(0, |m, b| m | ((bits >> b & 1) << (3 * b)))
     };
     spread(key.x) | (spread(key.y) << 1) | (spread(key.z) << 2)
-}
-
-/// The inverse of [`morton`].
-fn brick_of_morton(code: u64) -> BrickKey {
-    let gather = |axis: usize| {
-        let bits = (0..LEVELS_ABOVE_BRICKS).fold(0, |c, b| c | ((code >> (3 * b + axis) & 1) << b));
-        bits as i32 - OCTOMAP_BRICK_LIMIT
-    };
-    BrickKey::new(gather(0), gather(1), gather(2))
-}
-
-/// What a walk over the pruned tree meets, in OctoMap's depth-first order.
-pub(crate) trait TreeVisitor {
-    /// A node with its eight children; called for inner nodes before their children.
-    fn inner(&mut self, value: i16, children: &[Node; 8]) -> Result<(), MapError>;
-    /// A leaf.
-    fn leaf(&mut self, leaf: Leaf) -> Result<(), MapError>;
 }
 
 /// What a walk shows of the evidence of a cell.
@@ -213,8 +174,9 @@ impl View {
         }
     }
 
-    fn brick(self, map: &OccupancyMap, key: BrickKey) -> BrickTree {
-        BrickTree::new(map.brick_values(key).map(|value| self.of(map, value)))
+    fn brick(self, map: &OccupancyMap, key: BrickKey, counts: &mut TreeCounts) -> BrickTree {
+        let cells = map.brick_values(key).map(|value| self.of(map, value));
+        BrickTree::new(&cells, counts)
     }
 }
 
@@ -232,193 +194,119 @@ impl<'a> Octree<'a> {
     /// # Errors
     /// A brick beyond OctoMap's 16-bit keys.
     pub(crate) fn new(map: &'a OccupancyMap, view: View) -> Result<Self, MapError> {
-        let mut counts = TreeCounts::default();
-        let mut bricks = Vec::new();
+        let mut octree = Self {
+            map,
+            view,
+            levels: Vec::new(),
+            counts: TreeCounts::default(),
+        };
+        let counts = &mut octree.counts;
+        let mut nodes = Vec::new();
         for key in map.bricks() {
-            if [key.x, key.y, key.z]
-                .iter()
-                .any(|c| !(-OCTOMAP_BRICK_LIMIT..OCTOMAP_BRICK_LIMIT).contains(c))
-            {
+            let range = -OCTOMAP_BRICK_LIMIT..OCTOMAP_BRICK_LIMIT;
+            if ![key.x, key.y, key.z].iter().all(|c| range.contains(c)) {
                 return Err(MapError::OutOfOctomapRange {
                     cell: key.first_cell().to_array(),
                 });
             }
             let root = match map.brick(key) {
-                BrickRef::Uniform(value) => cell_node(view.of(map, value)),
-                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
-                    let tree = view.brick(map, key);
-                    if let Node::Inner(_) = tree.root {
-                        let inside = tree.counts();
-                        counts.nodes += inside.nodes;
-                        counts.leaves += inside.leaves;
-                    }
-                    tree.root
-                }
+                BrickRef::Uniform(value) => Node::of_cell(view.of(map, value)),
+                BrickRef::Mixed(_) | BrickRef::Packed(_) => view.brick(map, key, counts).root,
             };
             if root != Node::Unknown {
-                bricks.push((morton(key), root));
+                nodes.push((morton(key), root));
             }
         }
-        bricks.sort_unstable_by_key(|(code, _)| *code);
-        let mut levels = vec![bricks];
+        nodes.sort_unstable_by_key(|(code, _)| *code);
         for _ in 0..LEVELS_ABOVE_BRICKS {
-            let below = levels.last().map_or(&[][..], Vec::as_slice);
-            levels.push(parents(below));
+            let parent = |siblings: &[(u64, Node)]| {
+                let node = Node::parent(&family(siblings), counts);
+                (siblings[0].0 >> 3, node)
+            };
+            let parents = nodes.chunk_by(are_siblings).map(parent).collect();
+            octree.levels.push(std::mem::replace(&mut nodes, parents));
         }
-        let mut octree = Self {
-            map,
-            view,
-            levels,
-            counts,
-        };
-        octree.count_above_bricks();
+        octree.levels.push(nodes);
+        let root = octree.root();
+        octree.counts.add(root);
         Ok(octree)
-    }
-
-    /// Adds the nodes that are not inside mixed bricks: all whose parent is inner.
-    fn count_above_bricks(&mut self) {
-        for level in 0..=LEVELS_ABOVE_BRICKS {
-            for (i, &(code, node)) in self.levels[level].iter().enumerate() {
-                let is_mixed_brick = level == 0 && matches!(node, Node::Inner(_));
-                let exists = level == LEVELS_ABOVE_BRICKS || {
-                    let above = &self.levels[level + 1];
-                    above
-                        .binary_search_by_key(&(code >> 3), |(c, _)| *c)
-                        .is_ok_and(|p| matches!(above[p].1, Node::Inner(_)))
-                };
-                debug_assert!(i < self.levels[level].len());
-                if exists && !is_mixed_brick {
-                    self.counts.add(node);
-                }
-            }
-        }
     }
 
     /// The node at the top, unknown for an empty map.
     pub(crate) fn root(&self) -> Node {
-        self.levels[LEVELS_ABOVE_BRICKS]
-            .first()
-            .map_or(Node::Unknown, |(_, node)| *node)
+        let top = self.levels[LEVELS_ABOVE_BRICKS].first();
+        top.map_or(Node::Unknown, |(_, node)| *node)
     }
 
-    /// Walks the tree depth first, children in OctoMap's order.
-    pub(crate) fn visit(&self, visitor: &mut impl TreeVisitor) -> Result<(), MapError> {
-        self.visit_node(LEVELS_ABOVE_BRICKS, 0, self.root(), visitor)
+    /// Walks the tree depth first, children in OctoMap's order: tells of each node, and before its
+    /// children of those that an inner one has.
+    pub(crate) fn visit<F>(&self, tell: &mut F) -> Result<(), MapError>
+    where
+        F: FnMut(Leaf, Option<&[Node; 8]>) -> Result<(), MapError>,
+    {
+        self.visit_node(Cube::ROOT, 0, self.root(), None, tell)
     }
 
-    fn visit_node(
+    /// `brick` is the one that holds the node, if that is smaller than one.
+    fn visit_node<F>(
         &self,
-        level: usize,
+        cube: Cube,
         code: u64,
         node: Node,
-        visitor: &mut impl TreeVisitor,
-    ) -> Result<(), MapError> {
-        match node {
-            Node::Unknown => Ok(()),
-            Node::Leaf(evidence) => visitor.leaf(Leaf {
-                first: brick_of_morton(code << (3 * level)).first_cell(),
-                edge_cells: 8 << level,
-                evidence,
-            }),
-            Node::Inner(_) if level == 0 => {
-                let key = brick_of_morton(code);
-                visit_brick(key, &self.view.brick(self.map, key), visitor)
-            }
-            Node::Inner(value) => {
-                let below = &self.levels[level - 1];
-                let start = below.partition_point(|(c, _)| *c < code << 3);
-                let mut children = [Node::Unknown; 8];
-                for &(c, child) in below[start..].iter().take_while(|(c, _)| c >> 3 == code) {
-                    children[(c & 7) as usize] = child;
-                }
-                visitor.inner(value, &children)?;
-                for (octant, &child) in children.iter().enumerate() {
-                    self.visit_node(level - 1, code << 3 | octant as u64, child, visitor)?;
-                }
-                Ok(())
-            }
+        brick: Option<&BrickTree>,
+        tell: &mut F,
+    ) -> Result<(), MapError>
+    where
+        F: FnMut(Leaf, Option<&[Node; 8]>) -> Result<(), MapError>,
+    {
+        let Some(evidence) = node.value() else {
+            return Ok(());
+        };
+        let edge = cube.edge_cells();
+        let leaf = Leaf {
+            first: cube.first,
+            edge_cells: edge as u32,
+            evidence,
+        };
+        if let Node::Leaf(_) = node {
+            return tell(leaf, None);
         }
-    }
-}
-
-/// The level above a sorted level.
-fn parents(below: &[(u64, Node)]) -> Vec<(u64, Node)> {
-    let families = below.chunk_by(|a, b| a.0 >> 3 == b.0 >> 3);
-    let parent = |siblings: &[(u64, Node)]| {
-        let mut children = [Node::Unknown; 8];
-        for &(code, node) in siblings {
-            children[(code & 7) as usize] = node;
+        let own = (edge == BRICK_EDGE).then(|| {
+            let key = cube.first.brick();
+            self.view.brick(self.map, key, &mut TreeCounts::default())
+        });
+        let brick = own.as_ref().or(brick);
+        let children = match brick {
+            Some(brick) => brick.children(edge, code),
+            None => self.children(LEVELS_ABOVE_BRICKS - cube.depth as usize, code),
+        };
+        tell(leaf, Some(&children))?;
+        for (octant, child) in (0..).zip(children) {
+            let code = code << 3 | octant as u64;
+            self.visit_node(cube.child(octant), code, child, brick, tell)?;
         }
-        (siblings[0].0 >> 3, Node::parent(children))
-    };
-    families.map(parent).collect()
-}
-
-fn visit_brick(
-    key: BrickKey,
-    tree: &BrickTree,
-    visitor: &mut impl TreeVisitor,
-) -> Result<(), MapError> {
-    let first = key.first_cell();
-    let leaf = |at: [usize; 3], edge: u32, evidence: i16| Leaf {
-        first: VoxelKey::new(
-            first.x + at[0] as i32 * edge as i32,
-            first.y + at[1] as i32 * edge as i32,
-            first.z + at[2] as i32 * edge as i32,
-        ),
-        edge_cells: edge,
-        evidence,
-    };
-    let Some(value) = tree.root.value() else {
-        return Ok(());
-    };
-    visitor.inner(value, &tree.fours)?;
-    for (i, &four) in tree.fours.iter().enumerate() {
-        let at = [i & 1, (i >> 1) & 1, i >> 2];
-        match four {
-            Node::Unknown => {}
-            Node::Leaf(evidence) => visitor.leaf(leaf(at, 4, evidence))?,
-            Node::Inner(value) => {
-                let children = std::array::from_fn(|o| tree.twos[child_index(at, o, 2)]);
-                visitor.inner(value, &children)?;
-                for (octant, &two) in children.iter().enumerate() {
-                    let j = child_index(at, octant, 2);
-                    let at = [j & 3, (j >> 2) & 3, j >> 4];
-                    match two {
-                        Node::Unknown => {}
-                        Node::Leaf(evidence) => visitor.leaf(leaf(at, 2, evidence))?,
-                        Node::Inner(value) => {
-                            let cells: [Node; 8] = std::array::from_fn(|o| {
-                                cell_node(tree.cells[child_index(at, o, 3)])
-                            });
-                            visitor.inner(value, &cells)?;
-                            for (octant, &cell) in cells.iter().enumerate() {
-                                if let Node::Leaf(evidence) = cell {
-                                    let k = child_index(at, octant, 3);
-                                    let at = [k & 7, (k >> 3) & 7, k >> 6];
-                                    visitor.leaf(leaf(at, 1, evidence))?;
-                                }
-                            }
-                        }
-                    }
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
-struct EachLeaf<F>(F);
-
-impl<F: FnMut(Leaf)> TreeVisitor for EachLeaf<F> {
-    fn inner(&mut self, _: i16, _: &[Node; 8]) -> Result<(), MapError> {
         Ok(())
     }
 
-    fn leaf(&mut self, leaf: Leaf) -> Result<(), MapError> {
-        (self.0)(leaf);
-        Ok(())
+    /// The children of an inner node above bricks.
+    fn children(&self, level: usize, code: u64) -> [Node; 8] {
+        let below = &self.levels[level - 1];
+        let start = below.partition_point(|(c, _)| *c < code << 3);
+        family(below[start..].chunk_by(are_siblings).next().unwrap_or(&[]))
     }
+}
+
+fn are_siblings(a: &(u64, Node), b: &(u64, Node)) -> bool {
+    a.0 >> 3 == b.0 >> 3
+}
+
+/// Eight children by octant, of which some are known.
+fn family(siblings: &[(u64, Node)]) -> [Node; 8] {
+    let mut children = [Node::Unknown; 8];
+    for &(code, node) in siblings {
+        children[(code & 7) as usize] = node;
+    }
+    children
 }
 
 impl OccupancyMap {
@@ -442,18 +330,15 @@ impl OccupancyMap {
     /// bricks plus that of known cells in mixed ones. Visits every brick.
     #[must_use]
     pub fn leaf_count(&self) -> usize {
-        self.octree_leaf_count().unwrap_or_else(|_| {
-            self.bricks()
-                .into_iter()
-                .map(|key| match self.brick(key) {
-                    BrickRef::Uniform(_) => 1,
-                    BrickRef::Mixed(_) | BrickRef::Packed(_) => {
-                        let values = self.brick_values(key);
-                        values.iter().filter(|v| **v != UNKNOWN).count()
-                    }
-                })
-                .sum()
-        })
+        let leaves = |key| match self.brick(key) {
+            BrickRef::Uniform(_) => 1,
+            BrickRef::Mixed(_) | BrickRef::Packed(_) => {
+                let values = self.brick_values(key);
+                values.iter().filter(|v| **v != UNKNOWN).count()
+            }
+        };
+        let exact = self.octree_leaf_count();
+        exact.unwrap_or_else(|_| self.bricks().into_iter().map(leaves).sum())
     }
 
     /// All leaves of the pruned octree in OctoMap's depth-first order.
@@ -470,8 +355,13 @@ impl OccupancyMap {
     ///
     /// # Errors
     /// A cell beyond OctoMap's 16-bit keys.
-    pub fn for_each_leaf(&self, tell: impl FnMut(Leaf)) -> Result<(), MapError> {
-        Octree::new(self, View::Evidence)?.visit(&mut EachLeaf(tell))
+    pub fn for_each_leaf(&self, mut tell: impl FnMut(Leaf)) -> Result<(), MapError> {
+        Octree::new(self, View::Evidence)?.visit(&mut |node, children| {
+            if children.is_none() {
+                tell(node);
+            }
+            Ok(())
+        })
     }
 }
 
@@ -481,14 +371,7 @@ mod tests {
     use crate::map::MapConfig;
 
     #[test]
-    fn morton_codes_round_trip_and_sort_as_octomap_walks() {
-        for key in [
-            BrickKey::new(0, 0, 0),
-            BrickKey::new(-1, 4095, -4096),
-            BrickKey::new(17, -300, 2),
-        ] {
-            assert_eq!(brick_of_morton(morton(key)), key);
-        }
+    fn morton_codes_sort_as_octomap_walks() {
         let origin = morton(BrickKey::new(0, 0, 0));
         assert_eq!(morton(BrickKey::new(1, 0, 0)), origin + 1);
         assert_eq!(morton(BrickKey::new(0, 1, 0)), origin + 2);

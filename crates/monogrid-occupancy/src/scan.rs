@@ -44,8 +44,7 @@ impl Similarity {
     #[must_use]
     #[inline]
     pub fn rotate(&self, v: [f64; 3]) -> [f64; 3] {
-        self.rotation
-            .map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+        self.rotation.map(|row| dot(row, v))
     }
 
     /// The transformed point.
@@ -61,16 +60,13 @@ impl Similarity {
     pub fn inverse(&self) -> Self {
         let r = self.rotation;
         let rotation = std::array::from_fn(|i| std::array::from_fn(|j| r[j][i]));
-        let scale = 1.0 / self.scale;
-        let unscaled = Self {
-            scale,
+        let mut inverse = Self {
+            scale: 1.0 / self.scale,
             rotation,
             translation: [0.0; 3],
         };
-        Self {
-            translation: unscaled.transform(self.translation).map(|t| -t),
-            ..unscaled
-        }
+        inverse.translation = inverse.transform(self.translation).map(|t| -t);
+        inverse
     }
 
     /// Whether all numbers are finite, the scale positive and the rotation orthonormal to 1e-3
@@ -278,21 +274,15 @@ impl Scan<'_> {
             })
         };
         if !self.world_from_sensor.is_valid() {
+            let pose = self.world_from_sensor;
             return fail(format!(
-                "world_from_sensor {:?} is not a finite similarity with positive scale",
-                self.world_from_sensor
+                "world_from_sensor {pose:?} is not a finite similarity with positive scale"
             ));
         }
-        let PoseSigma {
-            translation,
-            rotation_rad,
-        } = self.pose_sigma;
-        if !(translation >= 0.0 && rotation_rad >= 0.0 && (translation + rotation_rad).is_finite())
-        {
-            return fail(format!(
-                "pose uncertainty {:?} is negative",
-                self.pose_sigma
-            ));
+        let sigma = self.pose_sigma;
+        let (position, rotation) = (sigma.translation, sigma.rotation_rad);
+        if !(position >= 0.0 && rotation >= 0.0 && (position + rotation).is_finite()) {
+            return fail(format!("pose uncertainty {sigma:?} is negative"));
         }
         let (sigmas, camera) = match self.data {
             ScanData::Points(scan) => (scan.sigmas.len(), None),
@@ -420,7 +410,7 @@ fn measured_point(point: [f32; 3], sigma: f32) -> Option<Measurement> {
 /// The measurement, if it is finite and has a length and an uncertainty.
 #[inline]
 fn usable(point: [f64; 3], sigma: f64) -> Option<Measurement> {
-    let range = (point[0] * point[0] + point[1] * point[1] + point[2] * point[2]).sqrt();
+    let range = dot(point, point).sqrt();
     // Written so that NaN fails.
     let usable = range > 1e-9 && range < 1e9 && sigma > 0.0 && sigma < 1e9;
     usable.then_some(Measurement {

@@ -51,16 +51,13 @@ impl OccupancyMap {
     ) -> Result<usize, MapError> {
         let snapshot = Snapshot::new(self);
         let sights: Vec<Sight> = views.iter().map(Sight::new).collect();
-        let mut bricks: Vec<(BrickKey, Vec<VoxelKey>)> = self
-            .bricks()
-            .into_iter()
-            .map(|brick| (brick, Vec::new()))
-            .collect();
+        let bricks = self.bricks().into_iter();
+        let mut bricks: Vec<(BrickKey, Vec<VoxelKey>)> =
+            bricks.map(|brick| (brick, Vec::new())).collect();
         let map = &*self;
         for_each(&mut bricks, threads, |_, (brick, unseen)| {
             let [first, last] = [0, BRICK_CELLS - 1].map(|index| brick.cell(index));
-            let occupied = map.keys_in_key_box(first, last, Occupancy::Occupied);
-            unseen.extend(occupied);
+            unseen.extend(map.keys_in_key_box(first, last, Occupancy::Occupied));
             if !unseen.is_empty() {
                 let mut looking = Looking::at(*brick, &snapshot, &sights, limits);
                 unseen.retain(|key| looking.is_unseen(*key));
@@ -85,15 +82,10 @@ struct Sight {
 
 impl Sight {
     fn new(view: &CameraView) -> Self {
-        let CameraView {
-            size,
-            focal,
-            principal,
-            ..
-        } = *view;
         // slopes of the left, right, upper and lower edge
-        let low = [0, 1].map(|i| (-0.5 - principal[i]) / focal[i]);
-        let high = [0, 1].map(|i| (f64::from(size[i]) - 0.5 - principal[i]) / focal[i]);
+        let slope = |i: usize, edge: f64| (edge - view.principal[i]) / view.focal[i];
+        let low = [0, 1].map(|i| slope(i, -0.5));
+        let high = [0, 1].map(|i| slope(i, f64::from(view.size[i]) - 0.5));
         let edges = [
             [1.0, 0.0, -low[0]],
             [-1.0, 0.0, high[0]],
@@ -131,16 +123,6 @@ impl Sight {
             )
     }
 }
-
-/// The six directions along the axes.
-const ALONG_AXES: [[i32; 3]; 6] = [
-    [1, 0, 0],
-    [-1, 0, 0],
-    [0, 1, 0],
-    [0, -1, 0],
-    [0, 0, 1],
-    [0, 0, -1],
-];
 
 /// The views that have a brick and what is beside it in their images.
 struct Looking<'a> {
@@ -190,10 +172,9 @@ impl<'a> Looking<'a> {
             let behind = (limits.max_behind * cell).max(limits.max_behind_share * range);
             if as_surface { behind } else { 0.0 }
         };
-        let seeing = self
-            .sights
-            .iter()
-            .position(|sight| sight.shows(center, 0.0) && sight.sees(center, last, self.snapshot));
+        let sees = |sight: &&Sight| sight.sees(center, last, self.snapshot);
+        let mut sights = self.sights.iter();
+        let seeing = sights.position(|sight| sight.shows(center, 0.0) && sees(sight));
         if let Some(index) = seeing {
             self.sights[..=index].rotate_right(1);
         }
@@ -204,10 +185,9 @@ impl<'a> Looking<'a> {
     fn is_beside_seen(&mut self, key: VoxelKey) -> bool {
         let reach = 1..=self.limits.max_beside;
         reach.into_iter().any(|steps| {
-            ALONG_AXES.iter().any(|[x, y, z]| {
-                let beside = VoxelKey::new(key.x + steps * x, key.y + steps * y, key.z + steps * z);
-                self.is_free_and_seen(beside)
-            })
+            let ways = (0..3).flat_map(|axis| [(axis, steps), (axis, -steps)]);
+            let mut beside = ways.map(|(axis, by)| key.along(axis, by));
+            beside.any(|key| self.is_free_and_seen(key))
         })
     }
 
@@ -356,9 +336,9 @@ mod tests {
             let any = |key, past| views.iter().any(|view| sees(view, key, past).1);
             let is_shown = views.iter().any(|view| sees(view, key, 0.0).0);
             let beside = (1..=4).any(|steps| {
-                ALONG_AXES.iter().any(|axis| {
-                    let [x, y, z] = axis.map(|c| c * steps);
-                    let free = VoxelKey::new(key.x + x, key.y + y, key.z + z);
+                let mut ways = (0..3).flat_map(|axis| [(axis, steps), (axis, -steps)]);
+                ways.any(|(axis, by)| {
+                    let free = key.along(axis, by);
                     map.state_of(free) == Occupancy::Free && any(free, 0.0)
                 })
             });

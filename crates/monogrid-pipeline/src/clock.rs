@@ -5,33 +5,28 @@ use std::time::Duration;
 /// CPU time of all threads of this process.
 #[must_use]
 pub fn process_cpu() -> Duration {
-    clock(Clock::Process)
+    cpu(true)
 }
 
 /// CPU time of the calling thread.
 #[must_use]
 pub fn thread_cpu() -> Duration {
-    clock(Clock::Thread)
-}
-
-enum Clock {
-    Process,
-    Thread,
+    cpu(false)
 }
 
 #[cfg(unix)]
-fn clock(clock: Clock) -> Duration {
+fn cpu(of_process: bool) -> Duration {
     use rustix::time::{ClockId, clock_gettime};
-    let time = clock_gettime(match clock {
-        Clock::Process => ClockId::ProcessCPUTime,
-        Clock::Thread => ClockId::ThreadCPUTime,
+    let time = clock_gettime(match of_process {
+        true => ClockId::ProcessCPUTime,
+        false => ClockId::ThreadCPUTime,
     });
     Duration::new(time.tv_sec.max(0) as u64, time.tv_nsec.max(0) as u32)
 }
 
 /// Without such a clock: wall time since the first call, an upper bound for one thread.
 #[cfg(not(unix))]
-fn clock(_: Clock) -> Duration {
+fn cpu(_: bool) -> Duration {
     use std::sync::OnceLock;
     use std::time::Instant;
     static START: OnceLock<Instant> = OnceLock::new();

@@ -3,10 +3,8 @@
 use crate::pipeline::PipelineError;
 use monogrid_geometry::{Sim3, Vec3};
 use monogrid_occupancy::MapError;
-use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan, LiveMaps, Maps, camera_paths};
-use monogrid_slam::{
-    KeyframeId, MapSize, PoseSnapshot, SensedFrame, Slam, TrackedFrame, TrajectoryPose,
-};
+use monogrid_slam::mapping::{KeyframeScan, LiveMaps, Maps, camera_paths};
+use monogrid_slam::{MapSize, PoseSnapshot, SensedFrame, Slam, TrackedFrame, TrajectoryPose};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
@@ -64,7 +62,8 @@ impl Finished {
         self.maps_around_camera(&sensed.unwrap_or(self.map_from_world))
     }
 
-    /// The same in the frame given by `map_from_world`.
+    /// The same in the frame given by `map_from_world`; the local map is around where the camera was last. Where the
+    /// camera was is free. The second call has none.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -74,27 +73,14 @@ impl Finished {
     ) -> Result<Option<Maps>, PipelineError> {
         let last = self.trajectory.last();
         let camera = last.map(|pose| *map_from_world * pose.world_from_camera.translation);
-        self.maps_in(map_from_world, camera)
-    }
-
-    /// The final maps in the frame given by `map_from_world`; the local one is around `camera`, which is in that
-    /// frame. Where the camera was is free in both. The second call has none.
-    ///
-    /// # Errors
-    /// A map that would exceed its memory.
-    pub fn maps_in(
-        &mut self,
-        map_from_world: &Sim3,
-        camera: Option<Vec3>,
-    ) -> Result<Option<Maps>, PipelineError> {
         let done = AtomicUsize::new(0);
         let scans = self.final_scans(&done);
         self.maps_of(scans, map_from_world, camera, (&[], None), &done)
     }
 
-    /// As [`Self::maps_in`], of measurements that are at hand: [`Self::final_scans`]. Where the camera was in the frames of
-    /// `earlier` sessions is free too; cells have the edge of the settings, or `edge`. `done` grows with every keyframe
-    /// that is put in its place, for those who wait.
+    /// As [`Self::maps_around_camera`] with the local map around `camera`, which is in the same frame, of measurements that
+    /// are at hand: [`Self::final_scans`]. Where the camera was in the frames of `earlier` sessions is free too; cells have
+    /// the edge of the settings, or `edge`. `done` grows with every keyframe that is put in its place, for those who wait.
     ///
     /// # Errors
     /// A map that would exceed its memory.
@@ -106,15 +92,11 @@ impl Finished {
         (earlier, edge): (&[TrackedFrame], Option<f64>),
         done: &AtomicUsize,
     ) -> Result<Option<Maps>, PipelineError> {
-        let Some(maps) = self.maps.take() else {
+        let live = self.maps.take().transpose()?;
+        let Some(mut live) = live.filter(|_| !scans.is_empty()) else {
             return Ok(None);
         };
-        let mut live = maps?;
-        if scans.is_empty() {
-            return Ok(None);
-        }
-        let cameras: Vec<(KeyframeId, KeyframeCamera)> =
-            scans.iter().map(|scan| (scan.id, scan.camera)).collect();
+        let cameras: Vec<_> = scans.iter().map(|scan| (scan.id, scan.camera)).collect();
         let mapper = match edge {
             Some(edge) => live.mapper().with_resolution(edge),
             None => live.mapper().clone(),

@@ -32,7 +32,7 @@
 //! length or without end in one more thread, [`Pipeline::run`] puts both together.
 //!
 //! Frames: images are those of the camera (grey, 0 to 255), poses and maps are in the world of the run (the first keyframe's
-//! camera) until [`Finished::maps_in`] brings them elsewhere; [`Finished::maps`] is z up. Times are nanoseconds.
+//! camera) until [`Finished::maps_around_camera`] brings them elsewhere; [`Finished::maps`] is z up. Times are nanoseconds.
 //! The same images and settings give the same bits, for any number of threads, unless frames are read at [`Pace::Real`].
 #![deny(missing_docs)]
 

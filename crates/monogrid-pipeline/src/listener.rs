@@ -60,9 +60,8 @@ pub(crate) struct Listening {
 impl Listening {
     pub(crate) fn start(listener: Box<dyn Listener>) -> std::io::Result<Self> {
         let (events, heard) = sync_channel(EVENTS_AHEAD);
-        let thread = thread::Builder::new()
-            .name("listener".into())
-            .spawn(move || hear_all(listener, &heard))?;
+        let builder = thread::Builder::new().name("listener".into());
+        let thread = builder.spawn(move || hear_all(listener, &heard))?;
         Ok(Self { events, thread })
     }
 

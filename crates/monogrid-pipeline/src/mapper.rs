@@ -36,9 +36,8 @@ pub(crate) struct MapperThread {
 impl MapperThread {
     pub(crate) fn start(maps: LiveMaps, camera: KeyframeCamera) -> std::io::Result<Self> {
         let (messages, received) = sync_channel(EVENTS_AHEAD);
-        let thread = thread::Builder::new()
-            .name("mapper".into())
-            .spawn(move || grow_maps(&received, maps, &camera))?;
+        let builder = thread::Builder::new().name("mapper".into());
+        let thread = builder.spawn(move || grow_maps(&received, maps, &camera))?;
         Ok(Self { messages, thread })
     }
 
@@ -109,16 +108,14 @@ fn grow_maps(messages: &Receiver<Message>, mut maps: LiveMaps, camera: &Keyframe
 
 /// Brings the maps to the frame that an inertial sensor makes of `base`.
 fn be_level(maps: &mut LiveMaps, path: &InertialPath, base: &Sim3) -> Result<(), MapError> {
-    if !maps.is_read() {
-        return Ok(());
+    if maps.is_read()
+        && let Ok(sensed) = path.sensed(base)
+        && sensed.is_another(maps.map_from_world())
+    {
+        return maps.bring_to(sensed.map_from_world);
     }
-    match path.sensed(base) {
-        Ok(sensed) if sensed.is_another(maps.map_from_world()) => {
-            maps.bring_to(sensed.map_from_world)
-        }
-        // nothing new, or nothing certain yet
-        _ => Ok(()),
-    }
+    // nothing new, or nothing certain yet
+    Ok(())
 }
 
 fn take_event(maps: &mut LiveMaps, event: &Event, camera: &KeyframeCamera) -> Result<(), MapError> {

@@ -14,9 +14,7 @@ use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::mapping::{
     KeyframeCamera, LiveMaps, MapReader, Mapper, MappingConfig, z_up_from_camera_world,
 };
-use monogrid_slam::{
-    Effort, Event, FrameInput, FrameReport, Purpose, Slam, SlamConfig, StoredMap, Told,
-};
+use monogrid_slam::{Effort, FrameInput, FrameReport, Purpose, Slam, SlamConfig, StoredMap, Told};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -135,16 +133,15 @@ impl Pipeline {
         let mask = preparation.mask().clone();
         let localise_only = matches!(earlier, Some((_, Purpose::LocaliseOnly)));
         let (slam, seed) = (settings.slam, settings.seed);
-        let slam = match earlier {
-            None => Slam::new(slam, pinhole, mask, seed)
-                .map_err(|error| PipelineError::Settings(error.to_string()))?,
+        let refused = |error: &dyn ToString| PipelineError::Settings(error.to_string());
+        let mut slam = match earlier {
+            None => Slam::new(slam, pinhole, mask, seed).map_err(|error| refused(&error))?,
             Some((map, purpose)) => Slam::continue_from(slam, pinhole, mask, seed, map, purpose)
-                .map_err(|error| PipelineError::Settings(error.to_string()))?,
+                .map_err(|error| refused(&error))?,
         };
-        let slam = match settings.imu {
-            Some(imu) => slam.with_imu(imu),
-            None => slam,
-        };
+        if let Some(imu) = settings.imu {
+            slam = slam.with_imu(imu);
+        }
         let camera = KeyframeCamera::new(pinhole, preparation.size());
         let mapper = Mapper::new(settings.mapping, settings.threads);
         let maps = LiveMaps::new(mapper, settings.map_from_world)?;
@@ -161,9 +158,7 @@ impl Pipeline {
             num_frames: 0,
             localise_only,
         };
-        for event in pipeline.slam.events() {
-            pipeline.tell_mapper(event);
-        }
+        pipeline.tell();
         Ok(pipeline)
     }
 
@@ -178,10 +173,8 @@ impl Pipeline {
         }
         let listening = Listening::start(Box::new(listener))?;
         if self.num_frames == 0 {
-            self.slam
-                .events()
-                .iter()
-                .for_each(|event| listening.tell(event));
+            let events = self.slam.events().iter();
+            events.for_each(|event| listening.tell(event));
         }
         self.listeners.push(listening);
         Ok(())
@@ -294,21 +287,16 @@ impl Pipeline {
         frame: ReadFrame,
         told: &mut Told<'_>,
     ) -> Option<Result<FrameReport, Unusable>> {
-        Some(match frame.image? {
-            Ok(image) => {
-                let frame = FrameInput {
-                    index: frame.index,
-                    timestamp_ns: frame.timestamp_ns,
-                    image,
-                    seed_depth: None,
-                };
-                Ok(self.track_telling(frame, told))
-            }
-            Err(unusable) => {
-                self.pass_over();
-                Err(unusable)
-            }
-        })
+        let image = frame.image?.inspect_err(|_| self.pass_over());
+        Some(image.map(|image| {
+            let frame = FrameInput {
+                index: frame.index,
+                timestamp_ns: frame.timestamp_ns,
+                image,
+                seed_depth: None,
+            };
+            self.track_telling(frame, told)
+        }))
     }
 
     /// Takes a working image, with depth to start with if there is some.
@@ -348,11 +336,10 @@ impl Pipeline {
         let preparation = self.preparation.clone();
         read_ahead(source, &preparation, Reading::default(), |frame| {
             let index = frame.index;
-            let heard = match self.track_read(frame, &mut |_| Effort::Whole) {
-                Some(outcome) => heard(index, outcome.as_ref()),
-                None => ControlFlow::Continue(()),
-            };
-            heard.map_continue(|()| ReadOn::AsBefore)
+            if let Some(outcome) = self.track_read(frame, &mut |_| Effort::Whole) {
+                heard(index, outcome.as_ref())?;
+            }
+            ControlFlow::Continue(ReadOn::AsBefore)
         })?;
         Ok(())
     }
@@ -393,20 +380,17 @@ impl Pipeline {
             ..
         } = self;
         let mut cpu = Cpu::default();
-        let mut failed = None;
+        let mut listened = Ok(());
+        let run = Run {
+            slam: &slam,
+            num_frames,
+        };
         for listener in listeners {
-            match listener.join(Run {
-                slam: &slam,
-                num_frames,
-            }) {
-                Ok(time) => cpu.listening += time,
-                Err(error) => failed = failed.or(Some(error)),
-            }
+            let time = listener.join(run).map(|time| cpu.listening += time);
+            listened = listened.and(time);
         }
         let mapped = mapper.join().ok_or(PipelineError::Failed("mapper"));
-        if let Some(error) = failed {
-            return Err(PipelineError::Listener(error));
-        }
+        listened.map_err(PipelineError::Listener)?;
         let (maps, mapping) = mapped?;
         cpu.mapping = mapping;
         let map_size = slam.map_size();
@@ -427,16 +411,11 @@ impl Pipeline {
     /// Tells everybody what the last call has changed.
     fn tell(&self) {
         for event in self.slam.events() {
-            self.listeners
-                .iter()
-                .for_each(|listener| listener.tell(event));
-            self.tell_mapper(event);
-        }
-    }
-
-    fn tell_mapper(&self, event: &Event) {
-        if !self.localise_only {
-            self.mapper.tell(event);
+            let listeners = self.listeners.iter();
+            listeners.for_each(|listener| listener.tell(event));
+            if !self.localise_only {
+                self.mapper.tell(event);
+            }
         }
     }
 }

@@ -94,12 +94,9 @@ impl Preparation {
     /// When the pixels of the working image are read; `None` where all are read at once.
     pub(crate) fn shutter(&self) -> Option<Shutter> {
         let readout_ns = self.readout_ns?;
-        Some(Shutter::new(
-            (readout_ns, self.direction),
-            &self.camera,
-            self.pinhole(),
-            self.size(),
-        ))
+        let readout = (readout_ns, self.direction);
+        let (camera, pinhole) = (&self.camera, self.pinhole());
+        Some(Shutter::new(readout, camera, pinhole, self.size()))
     }
 
     /// The same for another camera with images of the same size.
@@ -199,10 +196,7 @@ impl Preparer {
         image: GrayImage,
         must_be_used: bool,
     ) -> Result<GrayImage, Unusable> {
-        let repeats = |previous: &GrayImage| {
-            previous.same_size(&image) && previous.as_slice() == image.as_slice()
-        };
-        if !must_be_used && self.previous.as_ref().is_some_and(repeats) {
+        if !must_be_used && self.previous.as_ref() == Some(&image) {
             return Err(Unusable::Repeats);
         }
         let prepared = preparation.apply(&image)?;

@@ -178,10 +178,9 @@ impl Rectifier {
         };
         let pyramid = Pyramid::new(image.clone(), NUM_LEVELS);
         let timestamp_ns = frame.timestamp_ns;
-        let (away, towards) = match &self.newest {
-            Some(newest) => self.moved(newest, &pyramid, timestamp_ns),
-            None => (Vec::new(), Vec::new()),
-        };
+        let newest = self.newest.as_ref();
+        let moved = newest.map(|newest| self.moved(newest, &pyramid, timestamp_ns));
+        let (away, towards) = moved.unwrap_or_default();
         self.rectify_newest(&away);
         self.newest = Some(Newest {
             pyramid,
@@ -197,11 +196,8 @@ impl Rectifier {
         if self.frames.len() > MAX_WAITING {
             self.rectify_newest(&[]);
         }
-        match self
-            .newest
-            .as_mut()
-            .and_then(|newest| newest.place.as_mut())
-        {
+        let newest = self.newest.as_mut();
+        match newest.and_then(|newest| newest.place.as_mut()) {
             Some(0) => return None,
             Some(place) => *place -= usize::from(!self.frames.is_empty()),
             None => {}
@@ -228,7 +224,7 @@ impl Rectifier {
     ) -> (Vec<FlowSample>, Vec<FlowSample>) {
         let interval_ns = next_ns - newest.timestamp_ns;
         if !(1..=MAX_GAP_NS).contains(&interval_ns) {
-            return (Vec::new(), Vec::new());
+            return Default::default();
         }
         let config = CornerConfig {
             max_corners: MAX_CORNERS,

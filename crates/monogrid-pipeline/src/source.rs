@@ -37,10 +37,8 @@ pub trait FrameSource: Send {
 
 impl<I: Iterator<Item = SourceFrame> + Send> FrameSource for I {
     fn num_frames(&self) -> Option<usize> {
-        match self.size_hint() {
-            (low, Some(high)) if low == high => Some(low),
-            _ => None,
-        }
+        let (low, high) = self.size_hint();
+        high.filter(|high| *high == low)
     }
 
     fn next_frame(&mut self) -> Option<SourceFrame> {
@@ -279,11 +277,9 @@ impl<S: FrameSource> Reader<'_, S> {
     }
 
     fn read_all(&mut self, sender: &SyncSender<ReadFrame>) {
-        while let Some(frame) = self.next() {
-            if sender.send(frame).is_err() {
-                return;
-            }
-        }
+        while let Some(frame) = self.next()
+            && sender.send(frame).is_ok()
+        {}
     }
 
     /// Each frame at its own time.

@@ -2,9 +2,7 @@
 
 use crate::TrackingConfig;
 use monogrid_alignment::DepthSample;
-use monogrid_depth::{
-    DepthConfig, DepthMap, FilledHole, MergedRows, ObserveStats, PixelFilter, StereoFrame,
-};
+use monogrid_depth::{DepthConfig, DepthMap, FoundDepth, ObserveStats, PixelFilter, StereoFrame};
 use monogrid_geometry::Se3;
 use rayon::prelude::*;
 
@@ -40,18 +38,18 @@ pub(crate) fn propagate(
     let (next, warped) = rayon::join(make_next, || depth.warped(next_from_keyframe));
     let mut next = next?;
     let num_bands = next.host().height().div_ceil(BAND_ROWS);
-    let rows: Vec<MergedRows> = (0..num_bands)
+    let rows: Vec<Vec<FoundDepth>> = (0..num_bands)
         .into_par_iter()
         .map(|band| warped.merged(&next, band * BAND_ROWS..(band + 1) * BAND_ROWS, config))
         .collect();
-    next.take_over(&warped, rows, config);
+    next.take_over(&warped, &rows, config);
     Some(next)
 }
 
 /// Fills holes, smooths, and drops what its neighbourhood does not support.
 pub(crate) fn regularize(depth: &mut DepthMap, config: &DepthConfig) {
     let num_bands = depth.host().height().div_ceil(BAND_ROWS);
-    let holes: Vec<Vec<FilledHole>> = (0..num_bands)
+    let holes: Vec<Vec<FoundDepth>> = (0..num_bands)
         .into_par_iter()
         .map(|band| depth.holes(band * BAND_ROWS..(band + 1) * BAND_ROWS, config))
         .collect();

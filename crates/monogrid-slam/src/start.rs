@@ -105,9 +105,7 @@ impl Start {
 
 /// The host of a frame; `None` for sizes the depth filter cannot work with.
 pub(crate) fn host_of(frame: &Frame, pinhole: &Pinhole, mask: &Mask) -> Option<Arc<HostFrame>> {
-    HostFrame::new(frame.image().clone(), mask.clone(), *pinhole)
-        .ok()
-        .map(Arc::new)
+    HostFrame::new(frame.image().clone(), mask.clone(), *pinhole).map(Arc::new)
 }
 
 /// Random depth in the first frame that has texture.

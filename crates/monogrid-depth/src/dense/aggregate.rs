@@ -56,15 +56,6 @@ struct Way {
     least: u8,
 }
 
-impl Way {
-    fn new(planes: usize) -> Self {
-        Self {
-            costs: vec![WALL; planes + 2],
-            least: 0,
-        }
-    }
-}
-
 /// Four directions: from the left and from the three pixels of the row above, or all of that turned around.
 struct Pass<'a> {
     volume: &'a CostVolume,
@@ -92,9 +83,13 @@ impl Pass<'_> {
     /// Tells of each pixel and what the steps of the ways along the four directions cost there, by plane.
     fn run(&self, mut tell: impl FnMut(usize, &[u8])) {
         let (width, planes) = (self.volume.width, self.volume.idepths.len());
-        let start = vec![Way::new(planes); width];
+        let way = Way {
+            costs: vec![WALL; planes + 2],
+            least: 0,
+        };
+        let start = vec![way.clone(); width];
         let mut rows = ABOVE.map(|shift| (shift, start.clone(), start.clone()));
-        let mut left = [Way::new(planes), Way::new(planes)];
+        let mut left = [way.clone(), way];
         let mut steps = vec![0; planes];
         for row in 0..self.volume.height {
             for column in 0..width {
@@ -120,41 +115,25 @@ impl Pass<'_> {
 
     /// From the pixel before to this one, or the first pixel of a way.
     fn step(&self, pixel: usize, before: Option<(usize, &Way)>, next: &mut Way, steps: &mut [u8]) {
-        match before {
-            Some((before, from)) => self.go_on(pixel, before, from, next, steps),
-            None => self.begin(pixel, next),
-        }
-    }
-
-    /// The first pixel of a way.
-    fn begin(&self, pixel: usize, next: &mut Way) {
-        let costs = self.volume.at(pixel);
-        next.costs[1..=costs.len()].copy_from_slice(costs);
-        next.least = costs.iter().copied().min().unwrap_or(WALL);
-    }
-
-    /// From one pixel to the next.
-    fn go_on(&self, pixel: usize, before: usize, from: &Way, next: &mut Way, steps: &mut [u8]) {
         let planes = steps.len();
+        let costs = self.volume.at(pixel);
+        let to = &mut next.costs[1..=planes];
+        let Some((before, from)) = before else {
+            to.copy_from_slice(costs);
+            next.least = costs.iter().copied().min().unwrap_or(WALL);
+            return;
+        };
         let small = self.config.small_step_cost.min(MAX_STEP_COST) as u8;
         let grey = self.image.as_slice();
         let gradient = (grey[pixel] - grey[before]).abs();
         let jump = self.config.jump_cost.min(MAX_STEP_COST);
         let jump = f32::from(jump) / (1.0 + gradient / HALVING_GREY);
         let jump = from.least + (jump as u8).max(small);
-        let costs = self.volume.at(pixel);
         let mut least = WALL;
-        let same = &from.costs[1..=planes];
         let (lower, higher) = (&from.costs[..planes], &from.costs[2..planes + 2]);
-        let to = &mut next.costs[1..=planes];
-        for (((((to, cost), same), lower), higher), sum) in to
-            .iter_mut()
-            .zip(costs)
-            .zip(same)
-            .zip(lower)
-            .zip(higher)
-            .zip(steps)
-        {
+        let from_planes = from.costs[1..=planes].iter().zip(lower).zip(higher);
+        let to = to.iter_mut().zip(costs).zip(steps);
+        for (((to, cost), sum), ((same, lower), higher)) in to.zip(from_planes) {
             let beside = (*lower).min(*higher).saturating_add(small);
             let step = (*same).min(jump).min(beside) - from.least;
             *to = *cost + step;

@@ -82,22 +82,14 @@ impl DenseConfig {
     /// # Errors
     /// The first value outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        let [small_step, jump] = [self.small_step_cost, self.jump_cost].map(f64::from);
+        let most = f64::from(MAX_STEP_COST);
         first_outside([
             Limit("max_planes", self.max_planes as f64, 24.0, 512.0),
             Limit("step_px", self.step_px, 0.05, 100.0),
             Limit("grey_sigma", self.grey_sigma, 0.01, 100.0),
-            Limit(
-                "small_step_cost",
-                self.small_step_cost.into(),
-                0.0,
-                MAX_STEP_COST.into(),
-            ),
-            Limit(
-                "jump_cost",
-                self.jump_cost.into(),
-                0.0,
-                MAX_STEP_COST.into(),
-            ),
+            Limit("small_step_cost", small_step, 0.0, most),
+            Limit("jump_cost", jump, 0.0, most),
             Limit("min_uniqueness", self.min_uniqueness, 0.0, 10.0),
             Limit("min_contrast", self.min_contrast, 0.0, 60.0),
             Limit("tolerance", self.tolerance, 0.0001, 0.1),
@@ -138,11 +130,8 @@ pub fn dense_depth(
     config: &DenseConfig,
 ) -> Option<DenseDepth> {
     let half = half_size(&image.map(f32::from));
-    let sources: Vec<Source> = sources
-        .iter()
-        .filter(|s| s.image.same_size(image))
-        .map(|s| Source::new(s.image, &s.source_from_keyframe, &camera.half()))
-        .collect();
+    let sources = sources.iter().filter(|s| s.image.same_size(image));
+    let sources: Vec<Source> = sources.map(|s| Source::new(s, &camera.half())).collect();
     if half.width().min(half.height()) < MIN_EDGE_PX {
         return None;
     }

@@ -36,7 +36,7 @@ impl CostVolume {
         let (width, height) = (image.width(), image.height());
         let windows = Windows::new(&image, config);
         let mut strips: Vec<Strip> = sources.iter().map(|_| Strip::new(width)).collect();
-        let mut best = Best::new(width);
+        let mut best = Best(std::array::from_fn(|_| vec![f32::INFINITY; padded(width)]));
         let planes = idepths.len();
         // by row, plane and column, as they are found
         let mut costs = vec![MAX_COST; width * height * planes];
@@ -44,14 +44,16 @@ impl CostVolume {
             let warps: Vec<WarpOfPlane<'_>> = sources.iter().map(|s| s.at(*idepth)).collect();
             strips.iter_mut().for_each(Strip::clear);
             for y in 0..height {
-                best.clear();
+                best.0.iter_mut().for_each(|b| b.fill(f32::INFINITY));
+                // the row in the middle of the windows that end with this one
+                let middle = y.checked_sub(RADIUS).filter(|middle| *middle >= RADIUS);
                 for (strip, warp) in strips.iter_mut().zip(&warps) {
                     strip.take_row(y, warp, &windows);
-                    if let Some(middle) = middle_row(y) {
+                    if let Some(middle) = middle {
                         strip.compare(middle, &windows, &mut best);
                     }
                 }
-                if let Some(middle) = middle_row(y) {
+                if let Some(middle) = middle {
                     let row = (middle * planes + k) * width;
                     best.costs(&mut costs[row + RADIUS..row + width - RADIUS]);
                 }
@@ -73,22 +75,15 @@ impl CostVolume {
     }
 }
 
-/// The row in the middle of the windows that end with a row.
-fn middle_row(last: usize) -> Option<usize> {
-    last.checked_sub(RADIUS).filter(|middle| *middle >= RADIUS)
-}
-
 /// From costs by plane and column to costs by column and plane, row by row.
 fn by_pixel(costs: &mut [u8], width: usize, planes: usize) {
     let mut of_row = vec![0; width * planes];
     for row in costs.chunks_exact_mut(width * planes) {
         of_row.copy_from_slice(row);
         for (x, pixel) in row.chunks_exact_mut(planes).enumerate() {
-            let of_planes = of_row[x..].iter().step_by(width);
-            pixel
-                .iter_mut()
-                .zip(of_planes)
-                .for_each(|(to, of)| *to = *of);
+            for (to, of) in pixel.iter_mut().zip(of_row[x..].iter().step_by(width)) {
+                *to = *of;
+            }
         }
     }
 }
@@ -235,9 +230,8 @@ impl Strip {
             let cost = f32x8::ONE - correlation + unseen;
             let before = f32x8::new(*first);
             *first = before.fast_min(cost).to_array();
-            *second = f32x8::new(*second)
-                .fast_min(before.fast_max(cost))
-                .to_array();
+            let later = f32x8::new(*second).fast_min(before.fast_max(cost));
+            *second = later.to_array();
         }
     }
 }
@@ -269,14 +263,6 @@ fn times_window(x: i32x8) -> i32x8 {
 struct Best([Vec<f32>; 2]);
 
 impl Best {
-    fn new(width: usize) -> Self {
-        Self(std::array::from_fn(|_| vec![f32::INFINITY; padded(width)]))
-    }
-
-    fn clear(&mut self) {
-        self.0.iter_mut().for_each(|b| b.fill(f32::INFINITY));
-    }
-
     /// The cost by the two best sources, or by the only one.
     fn costs(&self, costs: &mut [u8]) {
         let [first, second] = &self.0;

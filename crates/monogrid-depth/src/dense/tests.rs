@@ -138,13 +138,21 @@ fn ramp(width: usize, height: usize) -> Image<u8> {
     Image::from_fn(2 * width, 2 * height, |x, y| (x / 2 * 4 + y / 2 * 3) as u8)
 }
 
+fn source(image: &Image<u8>, source_from_keyframe: Sim3, camera: &Pinhole) -> Source {
+    let view = SourceView {
+        image,
+        source_from_keyframe,
+    };
+    Source::new(&view, camera)
+}
+
 #[test]
 fn sources_are_warped_as_their_pixels_are_projected() {
     // a width that is no multiple of the pixels that are looked up together
     let camera = Pinhole::new(40.0, 42.0, 22.0, 14.5);
     let turned = Rotation::from_euler_angles(0.02, -0.05, 0.03);
     let pose = Sim3::new(1.5, turned, Vec3::new(0.3, -0.1, 0.05));
-    let source = Source::new(&ramp(45, 30), &pose, &camera);
+    let source = source(&ramp(45, 30), pose, &camera);
     let (mut grey, mut unseen) = (vec![0; padded(45)], vec![0.0; padded(45)]);
     let mut seen = 0;
     for (idepth, y) in [0.2, 1.1]
@@ -211,7 +219,7 @@ fn costs_are_those_of_windows_compared_one_by_one() {
     let image = picture(0.0, true);
     let sources: Vec<Source> = EYES[..3]
         .iter()
-        .map(|eye| Source::new(&picture(*eye, true), &at(*eye), &camera))
+        .map(|eye| source(&picture(*eye, true), at(*eye), &camera))
         .collect();
     let half = half_size(&image.map(f32::from));
     let idepths = vec![0.3, 0.4, 0.55];

@@ -1,7 +1,9 @@
 //! Sources projected onto planes parallel to the keyframe's image.
 
 use crate::bilinear::bilinear;
-use monogrid_geometry::{Pinhole, Sim3, Vec3};
+use crate::multi_view::SourceView;
+use crate::projection::Projection;
+use monogrid_geometry::Pinhole;
 use monogrid_image::Image;
 use wide::{f32x8, i16x8};
 
@@ -20,56 +22,35 @@ pub(super) fn padded(width: usize) -> usize {
     width.next_multiple_of(LANES) + LANES
 }
 
-/// A source at the size of the sweep: a pixel `x` of inverse depth `rho` is seen at
-/// `pi(K R K^-1 (x, y, 1) + rho K t / s)` with `s R, t` the source from the keyframe.
+/// A source at the size of the sweep.
 #[derive(Debug)]
 pub(super) struct Source {
     /// Sums of 2x2 pixels: as exact as means, and half as long to look up.
     image: Image<u16>,
-    /// K R K^-1, by columns.
-    columns: [Vec3; 3],
-    /// K t / s.
-    translation: Vec3,
+    projection: Projection,
 }
 
 impl Source {
     /// Of a full image, with the camera of the half one.
-    pub fn new(image: &Image<u8>, source_from_keyframe: &Sim3, camera: &Pinhole) -> Self {
-        let to_pixels = |p: Vec3| {
-            Vec3::new(
-                camera.fx * p.x + camera.cx * p.z,
-                camera.fy * p.y + camera.cy * p.z,
-                p.z,
-            )
-        };
-        let of_ray = |ray: Vec3| to_pixels(source_from_keyframe.rotation * ray);
+    pub fn new(source: &SourceView, camera: &Pinhole) -> Self {
         Self {
-            image: sums_of_four(image),
-            columns: [
-                of_ray(Vec3::new(1.0 / camera.fx, 0.0, 0.0)),
-                of_ray(Vec3::new(0.0, 1.0 / camera.fy, 0.0)),
-                of_ray(Vec3::new(
-                    -camera.cx / camera.fx,
-                    -camera.cy / camera.fy,
-                    1.0,
-                )),
-            ],
-            translation: to_pixels(source_from_keyframe.translation / source_from_keyframe.scale),
+            image: sums_of_four(source.image),
+            projection: Projection::new(&source.source_from_keyframe, camera),
         }
     }
 
     /// Where a pixel of that inverse depth is seen, px; `None` behind the source.
-    pub fn project(&self, [x, y]: [f64; 2], idepth: f64) -> Option<[f64; 2]> {
-        let [column_x, column_y, column_1] = &self.columns;
-        let p = column_x * x + column_y * y + column_1 + self.translation * idepth;
+    pub fn project(&self, pixel: [f64; 2], idepth: f64) -> Option<[f64; 2]> {
+        let p = self.projection.ray(pixel) + self.projection.translation * idepth;
         (p.z > f64::from(NEAREST)).then(|| [p.x / p.z, p.y / p.z])
     }
 
     /// The source as it would look from the keyframe if all of it had that inverse depth.
     pub fn at(&self, idepth: f32) -> WarpOfPlane<'_> {
-        let first = self.columns[2] + self.translation * f64::from(idepth);
+        let [step, row_step, column_1] = self.projection.columns;
+        let first = column_1 + self.projection.translation * f64::from(idepth);
         let [step, row_step, first] =
-            [self.columns[0], self.columns[1], first].map(|v| [v.x as f32, v.y as f32, v.z as f32]);
+            [step, row_step, first].map(|v| [v.x as f32, v.y as f32, v.z as f32]);
         WarpOfPlane {
             image: &self.image,
             first,
@@ -106,7 +87,7 @@ impl WarpOfPlane<'_> {
     pub fn row(&self, y: usize, grey: &mut [i16], unseen: &mut [f32]) {
         let last = [self.image.width(), self.image.height()]
             .map(|edge| f32x8::splat((edge as f32 - 1.001).max(0.0)));
-        let (margin, nearest) = (f32x8::splat(MARGIN_PX), f32x8::splat(NEAREST));
+        let [margin, beside, nearest] = [MARGIN_PX, -BESIDE_PX, NEAREST].map(f32x8::splat);
         let start = std::array::from_fn(|i| self.first[i] + y as f32 * self.row_step[i]);
         let start: [f32x8; 3] = start.map(f32x8::splat);
         let step = self.step.map(f32x8::splat);
@@ -117,13 +98,9 @@ impl WarpOfPlane<'_> {
             let [px, py, pz]: [f32x8; 3] = std::array::from_fn(|i| start[i] + x * step[i]);
             let inverse = f32x8::ONE / pz.fast_max(nearest);
             let (u, v) = (px * inverse, py * inverse);
-            let is_seen = pz.simd_gt(nearest)
-                & u.simd_ge(margin)
-                & v.simd_ge(margin)
-                & u.simd_le(last[0] - margin)
-                & v.simd_le(last[1] - margin);
+            let is_seen = pz.simd_gt(nearest) & are_inside([u, v], last, margin);
             let inside = |at: f32x8, last: f32x8| at.fast_max(f32x8::ZERO).fast_min(last);
-            if is_seen.none() && !is_beside(u, v, last) {
+            if is_seen.none() && are_inside([u, v], last, beside).none() {
                 grey.fill(0);
                 unseen.fill(f32::INFINITY);
                 continue;
@@ -131,20 +108,17 @@ impl WarpOfPlane<'_> {
             let sums: [f32; LANES] = bilinear(self.image, inside(u, last[0]), inside(v, last[1]));
             let rounded = (f32x8::new(sums) + f32x8::HALF).fast_trunc_int();
             *grey = i16x8::from_i32x8_truncate(rounded).to_array();
-            *unseen = is_seen
-                .select(f32x8::ZERO, f32x8::splat(f32::INFINITY))
-                .to_array();
+            let infinite = f32x8::splat(f32::INFINITY);
+            *unseen = is_seen.select(f32x8::ZERO, infinite).to_array();
         }
     }
 }
 
-/// Whether one of these places is not far outside of an image, whose last pixels are given.
+/// Which places are in an image, whose last pixels are given, and at least so far from its border.
 #[inline]
-fn is_beside(u: f32x8, v: f32x8, last: [f32x8; 2]) -> bool {
-    let beside = f32x8::splat(BESIDE_PX);
-    let is_beside = u.simd_ge(-beside)
-        & v.simd_ge(-beside)
-        & u.simd_le(last[0] + beside)
-        & v.simd_le(last[1] + beside);
-    is_beside.any()
+fn are_inside([u, v]: [f32x8; 2], last: [f32x8; 2], margin: f32x8) -> f32x8 {
+    u.simd_ge(margin)
+        & v.simd_ge(margin)
+        & u.simd_le(last[0] - margin)
+        & v.simd_le(last[1] - margin)
 }

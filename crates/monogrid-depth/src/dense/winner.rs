@@ -47,9 +47,8 @@ fn winner(
         return None;
     }
     let [before, least, after] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
-    let others = sums[..best.saturating_sub(SAME_MINIMUM)]
-        .iter()
-        .chain(&sums[(best + SAME_MINIMUM + 1).min(planes)..]);
+    let lower = sums[..best.saturating_sub(SAME_MINIMUM)].iter();
+    let others = lower.chain(&sums[(best + SAME_MINIMUM + 1).min(planes)..]);
     let rival = others.min().map_or(f32::INFINITY, |s| f32::from(*s));
     if rival < least * (1.0 + config.min_uniqueness as f32) {
         return None;
@@ -69,13 +68,11 @@ fn without_rims(depth: DenseDepth, image: &GrayImage) -> DenseDepth {
     let reach = RADIUS + 1;
     let is_rim = |x: usize, y: usize| {
         let own = depth.idepth.at(x, y);
-        let rows = y.saturating_sub(reach)..(y + reach + 1).min(height);
+        let mut rows = y.saturating_sub(reach)..(y + reach + 1).min(height);
         let columns = x.saturating_sub(reach)..(x + reach + 1).min(width);
         let other = |d: &f32| *d <= 0.0 || (d / own - 1.0).abs() > ONE_SURFACE;
-        is_plain(image, x, y)
-            && rows
-                .into_iter()
-                .any(|row| depth.idepth.row(row)[columns.clone()].iter().any(other))
+        let has_other = |y| depth.idepth.row(y)[columns.clone()].iter().any(other);
+        is_plain(image, x, y) && rows.any(has_other)
     };
     let mut kept = depth.clone();
     for y in 0..height {

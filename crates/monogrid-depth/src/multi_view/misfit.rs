@@ -5,7 +5,7 @@
 //! the depth has taken up along, which includes what keyframes share since the same images made their depths.
 
 use super::search::{NOISE_CONTRAST, Patch, Search, center, dot, norm};
-use super::sight::{Projection, SAMPLES, Sight};
+use super::sight::{Projected, SAMPLES, Sight};
 use super::{MultiViewConfig, SourceView};
 use crate::PixelDepth;
 use monogrid_geometry::Pinhole;
@@ -35,7 +35,7 @@ pub fn epipolar_misfits(
     sources: &[SourceView],
     config: &MultiViewConfig,
 ) -> Vec<f32> {
-    let projections = Projection::of_sources(image, camera, sources);
+    let projections = Projected::of_sources(image, camera, sources);
     let mut search = Search::new(image, &projections, config);
     let chosen =
         |p: &&PixelDepth| (u32::from(p.x) * 7 + u32::from(p.y) * 13).is_multiple_of(STRIDE);

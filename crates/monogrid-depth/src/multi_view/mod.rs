@@ -25,7 +25,7 @@ use crate::config::{ConfigError, Limit, first_outside};
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_image::Image;
 use serde::{Deserialize, Serialize};
-use sight::Projection;
+use sight::Projected;
 
 /// Another keyframe.
 #[derive(Clone, Copy, Debug)]
@@ -103,16 +103,12 @@ impl MultiViewConfig {
     /// # Errors
     /// The first value outside its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        let (min_px, max_px) = (self.min_disparity_px, self.max_disparity_px);
         first_outside([
             Limit("max_sources", self.max_sources as f64, 2.0, 100.0),
             Limit("search_sources", self.search_sources as f64, 1.0, 100.0),
-            Limit("min_disparity_px", self.min_disparity_px, 0.1, 1000.0),
-            Limit(
-                "max_disparity_px",
-                self.max_disparity_px,
-                self.min_disparity_px,
-                10_000.0,
-            ),
+            Limit("min_disparity_px", min_px, 0.1, 1000.0),
+            Limit("max_disparity_px", max_px, min_px, 10_000.0),
             Limit("search_sigmas", self.search_sigmas, 0.01, 100.0),
             Limit("min_search", self.min_search, 0.0001, 0.499),
             Limit("max_search", self.max_search, self.min_search, 0.499),
@@ -138,13 +134,11 @@ pub fn refine_depth(
     sources: &[SourceView],
     config: &MultiViewConfig,
 ) -> (Vec<PixelDepth>, usize) {
-    let projections = Projection::of_sources(image, camera, sources);
+    let projections = Projected::of_sources(image, camera, sources);
     let mut search = search::Search::new(image, &projections, config);
     let is_first = |p: &PixelDepth| !config.interpolate || (p.x ^ p.y).is_multiple_of(2);
-    let mut refined: Vec<Option<PixelDepth>> = pixels
-        .iter()
-        .map(|p| if is_first(p) { search.refine(p) } else { None })
-        .collect();
+    let mut refine_first = |p| if is_first(p) { search.refine(p) } else { None };
+    let mut refined: Vec<Option<PixelDepth>> = pixels.iter().map(&mut refine_first).collect();
     let first = Raster::new(image, &refined);
     for (pixel, refined) in pixels.iter().zip(&mut refined) {
         if !is_first(pixel) {
@@ -152,12 +146,9 @@ pub fn refine_depth(
         }
     }
     let num_refined = refined.iter().flatten().count();
-    let depths = pixels
-        .iter()
-        .zip(refined)
-        .map(|(pixel, refined)| refined.unwrap_or(*pixel))
-        .collect();
-    (depths, num_refined)
+    let depths = pixels.iter().zip(refined);
+    let depths = depths.map(|(pixel, refined)| refined.unwrap_or(*pixel));
+    (depths.collect(), num_refined)
 }
 
 /// Refined depths by pixel: inverse depth and variance; 0 where there is none.
@@ -191,17 +182,14 @@ impl Raster {
         ];
         let (mut count, mut idepth, mut variance) = (0.0, 0.0, 0.0);
         let (mut lowest, mut highest) = (f32::INFINITY, f32::NEG_INFINITY);
-        for [d, v] in around
-            .into_iter()
-            .flatten()
-            .filter_map(|i| self.depths.get(i).copied())
-            .filter(|[d, _]| *d > 0.0)
-        {
+        let indices = around.into_iter().flatten();
+        let depths = indices.filter_map(|i| self.depths.get(i));
+        for [d, v] in depths.filter(|[d, _]| *d > 0.0) {
             count += 1.0;
             idepth += d;
             variance += v;
-            lowest = lowest.min(d);
-            highest = highest.max(d);
+            lowest = lowest.min(*d);
+            highest = highest.max(*d);
         }
         (idepth, variance) = (idepth / count, variance / count);
         let agree = (highest - lowest).powi(2) <= 4.0 * 2.0 * variance

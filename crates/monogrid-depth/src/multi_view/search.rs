@@ -1,7 +1,7 @@
 //! The inverse depth that the sources agree about.
 
 use super::MultiViewConfig;
-use super::sight::{PATTERN, Projection, SAMPLES, Sight};
+use super::sight::{PATTERN, Projected, SAMPLES, Sight};
 use crate::PixelDepth;
 use monogrid_image::Image;
 
@@ -25,7 +25,7 @@ pub(super) const NOISE_CONTRAST: f32 = 4.0;
 /// Refines the pixels of one keyframe, one after the other.
 pub(super) struct Search<'a> {
     image: &'a Image<u8>,
-    projections: &'a [Projection<'a>],
+    projections: &'a [Projected<'a>],
     config: &'a MultiViewConfig,
     /// Of the present pixel, largest disparity first.
     pub sights: Vec<Sight<'a>>,
@@ -35,6 +35,7 @@ pub(super) struct Search<'a> {
 pub(super) struct Patch([f32; SAMPLES]);
 
 /// What one iteration found.
+#[derive(Default)]
 struct Normal {
     /// Sum of squares of the derivative of ln(rho), by the variance of the residuals.
     hessian: f64,
@@ -50,7 +51,7 @@ struct Normal {
 impl<'a> Search<'a> {
     pub fn new(
         image: &'a Image<u8>,
-        projections: &'a [Projection<'a>],
+        projections: &'a [Projected<'a>],
         config: &'a MultiViewConfig,
     ) -> Self {
         Self {
@@ -65,13 +66,10 @@ impl<'a> Search<'a> {
     pub fn refine(&mut self, pixel: &PixelDepth) -> Option<PixelDepth> {
         let patch = Patch::around(self.image, pixel)?;
         self.find_sights(pixel)?;
-        let (idepth, variance) = match self.confirm(pixel, &patch) {
-            Some(found) => found,
-            None => {
-                let (start, step) = self.best_of_range(pixel, &patch)?;
-                self.iterate(start, 1.5 * step, 2, &patch)?
-            }
-        };
+        let (idepth, variance) = self.confirm(pixel, &patch).or_else(|| {
+            let (start, step) = self.best_of_range(pixel, &patch)?;
+            self.iterate(start, 1.5 * step, 2, &patch)
+        })?;
         let variance = variance + self.config.relative_sigma.powi(2);
         Some(fused(pixel, idepth, variance * idepth * idepth))
     }
@@ -81,18 +79,15 @@ impl<'a> Search<'a> {
         let direction = gradient_direction(self.image, pixel)?;
         let at = [f64::from(pixel.x), f64::from(pixel.y)];
         let idepth = f64::from(pixel.idepth);
-        self.sights.clear();
-        self.sights.extend(
-            self.projections
-                .iter()
-                .filter_map(|p| Sight::new(p, at, idepth, direction, self.config)),
-        );
+        let sights = &mut self.sights;
+        sights.clear();
+        let seen = |source| Sight::new(source, at, idepth, direction, self.config);
+        sights.extend(self.projections.iter().filter_map(seen));
         // stable: equal ones in the order of the sources
-        self.sights
-            .sort_by(|a, b| b.disparity.total_cmp(&a.disparity));
-        self.sights.truncate(self.config.max_sources);
-        self.sights.iter_mut().for_each(Sight::lay_out_patch);
-        (self.sights.len() >= 2).then_some(())
+        sights.sort_by(|a, b| b.disparity.total_cmp(&a.disparity));
+        sights.truncate(self.config.max_sources);
+        sights.iter_mut().for_each(Sight::lay_out_patch);
+        (sights.len() >= 2).then_some(())
     }
 
     /// Most depths are right to within a pixel, and all sources say so: these need no search.
@@ -115,10 +110,8 @@ impl<'a> Search<'a> {
         let at = |index: usize| idepth * (1.0 + step * (index as f64 - steps as f64));
         let mut costs = [f32::INFINITY; 2 * MAX_STEPS + 1];
         for (index, cost) in costs.iter_mut().enumerate().take(2 * steps + 1) {
-            *cost = sights
-                .iter()
-                .map(|sight| cost_at(sight, at(index), patch))
-                .sum();
+            let costs = sights.iter().map(|sight| cost_at(sight, at(index), patch));
+            *cost = costs.sum();
         }
         let best = (0..=2 * steps).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
         if best == 0 || best == 2 * steps {
@@ -160,22 +153,15 @@ impl<'a> Search<'a> {
 
     /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
     fn normal_equation(&self, idepth: f64, patch: &Patch) -> Normal {
-        let mut normal = Normal {
-            hessian: 0.0,
-            gradient: 0.0,
-            gains: 0.0,
-            used: 0,
-            agreeing: 0,
-        };
+        let mut normal = Normal::default();
         for sight in &self.sights {
             let Some([x, y]) = sight.center(idepth) else {
                 continue;
             };
             // one pixel along the epipolar line
             let motion = sight.motion(idepth);
-            let length = (motion[0] * motion[0] + motion[1] * motion[1])
-                .sqrt()
-                .max(1e-3);
+            let length_sq: f64 = motion[0] * motion[0] + motion[1] * motion[1];
+            let length = length_sq.sqrt().max(1e-3);
             let half = [0.5 * motion[0] / length, 0.5 * motion[1] / length];
             let before = sight.values([x - half[0], y - half[1]]);
             let after = sight.values([x + half[0], y + half[1]]);
@@ -195,13 +181,10 @@ impl<'a> Search<'a> {
             // what a gain explains is no residual
             let value = patch.without(gain, value);
             let slope = patch.without(patch.dot(&slope), slope);
-            let (jr, jj, rr) = (
-                dot(&slope, &value),
-                dot(&slope, &slope),
-                dot(&value, &value),
-            );
+            let (jr, jj) = (dot(&slope, &value), dot(&slope, &slope));
+            let rr = f64::from(dot(&value, &value));
             let freedom = (SAMPLES - 3) as f64;
-            let variance = (f64::from(rr) / freedom).max(self.config.grey_sigma.powi(2));
+            let variance = (rr / freedom).max(self.config.grey_sigma.powi(2));
             let (hessian, gradient) = (f64::from(jj) / variance, f64::from(jr) / variance);
             if hessian > 0.0 {
                 normal.hessian += hessian;

@@ -2,7 +2,8 @@
 
 use super::{MultiViewConfig, SourceView};
 use crate::bilinear::bilinear;
-use monogrid_geometry::{Pinhole, Vec2, Vec3};
+use crate::projection::Projection;
+use monogrid_geometry::{Pinhole, Vec3};
 use monogrid_image::Image;
 use wide::f32x8;
 
@@ -31,51 +32,28 @@ const MARGIN_PX: f64 = 6.0;
 /// Sources that show a pixel smaller or larger than this are not compared.
 const SIZE: std::ops::RangeInclusive<f64> = 0.6..=1.7;
 
-/// The way from a pixel and its inverse depth to a source.
+/// A source and the way to it from a pixel and its inverse depth.
 #[derive(Debug)]
-pub(super) struct Projection<'a> {
+pub(super) struct Projected<'a> {
     pub image: &'a Image<u8>,
-    /// K R K^-1, by columns.
-    columns: [Vec3; 3],
-    /// K t / s.
-    translation: Vec3,
+    projection: Projection,
 }
 
-impl<'a> Projection<'a> {
+impl<'a> Projected<'a> {
     /// Of those that are of the size of `image`.
     pub fn of_sources(
         image: &Image<u8>,
         camera: &Pinhole,
         sources: &[SourceView<'a>],
     ) -> Vec<Self> {
-        let size = [image.width(), image.height()];
-        sources
-            .iter()
-            .filter(|source| [source.image.width(), source.image.height()] == size)
-            .map(|source| Self::new(source, camera))
-            .collect()
+        let same_size = sources.iter().filter(|s| s.image.same_size(image));
+        same_size.map(|source| Self::new(source, camera)).collect()
     }
 
     pub fn new(source: &SourceView<'a>, camera: &Pinhole) -> Self {
-        // in units of the keyframe: projections do not depend on those of the source, sizes shall not either
-        let mut pose = source.source_from_keyframe;
-        pose.translation /= pose.scale;
-        let to_pixels = |p: Vec3| {
-            Vec3::new(
-                camera.fx * p.x + camera.cx * p.z,
-                camera.fy * p.y + camera.cy * p.z,
-                p.z,
-            )
-        };
-        let of_ray = |ray: Vec3| to_pixels(pose.rotation * ray);
         Self {
             image: source.image,
-            columns: [
-                of_ray(Vec3::new(1.0 / camera.fx, 0.0, 0.0)),
-                of_ray(Vec3::new(0.0, 1.0 / camera.fy, 0.0)),
-                of_ray(camera.unproject(&Vec2::zeros())),
-            ],
-            translation: to_pixels(pose.translation),
+            projection: Projection::new(&source.source_from_keyframe, camera),
         }
     }
 }
@@ -83,7 +61,9 @@ impl<'a> Projection<'a> {
 /// A source as one pixel sees it.
 #[derive(Debug)]
 pub(super) struct Sight<'a> {
-    projection: &'a Projection<'a>,
+    image: &'a Image<u8>,
+    /// K t / s.
+    translation: Vec3,
     /// K R K^-1 (x, y, 1).
     ray: Vec3,
     /// Motion in the source per px of the keyframe, along x and y.
@@ -98,21 +78,22 @@ impl<'a> Sight<'a> {
     /// `None` where the source does not see the pixel, from too far or near, or without disparity.
     /// `direction` is the unit gradient.
     pub fn new(
-        projection: &'a Projection<'a>,
-        [x, y]: [f64; 2],
+        source: &Projected<'a>,
+        pixel: [f64; 2],
         idepth: f64,
         direction: [f64; 2],
         config: &MultiViewConfig,
     ) -> Option<Self> {
-        let [column_x, column_y, column_1] = &projection.columns;
-        let ray = column_x * x + column_y * y + column_1;
-        let shift = projection.translation * idepth;
+        let (image, translation) = (source.image, source.projection.translation);
+        let [column_x, column_y, _] = &source.projection.columns;
+        let ray = source.projection.ray(pixel);
+        let shift = translation * idepth;
         let p = ray + shift;
         if !SIZE.contains(&p.z) {
             return None;
         }
         let at = [p.x / p.z, p.y / p.z];
-        if !is_inside(at, projection.image) {
+        if !is_inside(at, image) {
             return None;
         }
         // derivative of (p.x / p.z, p.y / p.z)
@@ -133,7 +114,8 @@ impl<'a> Sight<'a> {
         ];
         let disparity = (in_keyframe[0] * direction[0] + in_keyframe[1] * direction[1]).abs();
         (disparity >= config.min_disparity_px).then_some(Self {
-            projection,
+            image,
+            translation,
             ray,
             axes,
             offsets: [[f32x8::ZERO; 2]; 2],
@@ -157,34 +139,30 @@ impl<'a> Sight<'a> {
 
     /// Where the pixel would be seen; `None` near the border and outside.
     pub fn center(&self, idepth: f64) -> Option<[f64; 2]> {
-        let p = self.ray + self.projection.translation * idepth;
+        let p = self.ray + self.translation * idepth;
         let at = [p.x / p.z, p.y / p.z];
         (p.z > 0.0 && self.shows(at)).then_some(at)
     }
 
     /// Whether the source shows the patch around a point.
     pub fn shows(&self, at: [f64; 2]) -> bool {
-        is_inside(at, self.projection.image)
+        is_inside(at, self.image)
     }
 
     /// Motion of [`Sight::center`] per unit of ln(rho), px.
     pub fn motion(&self, idepth: f64) -> [f64; 2] {
-        let shift = self.projection.translation * idepth;
+        let shift = self.translation * idepth;
         let p = self.ray + shift;
-        let at = [p.x / p.z, p.y / p.z];
-        [
-            (shift.x - at[0] * shift.z) / p.z,
-            (shift.y - at[1] * shift.z) / p.z,
-        ]
+        let (x, y) = (p.x / p.z, p.y / p.z);
+        [(shift.x - x * shift.z) / p.z, (shift.y - y * shift.z) / p.z]
     }
 
     /// Grey values of the patch around a point that [`Sight::shows`], or within a pixel of one.
     pub fn values(&self, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
-        let image = self.projection.image;
         let (x, y) = (x as f32, y as f32);
         let mut values = [0.0; SAMPLES];
         for (values, [dx, dy]) in values.chunks_exact_mut(GROUP).zip(&self.offsets) {
-            values.copy_from_slice(&bilinear::<GROUP, _>(image, x + *dx, y + *dy));
+            values.copy_from_slice(&bilinear::<GROUP, _>(self.image, x + *dx, y + *dy));
         }
         values
     }

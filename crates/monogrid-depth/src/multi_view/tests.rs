@@ -243,7 +243,7 @@ fn motion_of_the_match_is_the_derivative_by_the_logarithm() {
             image: &image,
             source_from_keyframe: pose,
         };
-        let projection = Projection::new(&source, &camera());
+        let projection = sight::Projected::new(&source, &camera());
         let idepth = wall(80.0, 60.0);
         let config = MultiViewConfig {
             min_disparity_px: 0.1,

@@ -1,7 +1,7 @@
 //! A tiny renderer for tests: the inside of a textured room with boxes, exact depth and pose.
 #![allow(dead_code)]
 
-use monogrid_depth::{DepthMap, DepthState, HostFrame};
+use monogrid_depth::{DepthMap, HostFrame, PixelDepth};
 use monogrid_geometry::{Pinhole, Rotation, Se3, Vec2, Vec3};
 use monogrid_image::{GrayImage, Mask};
 use std::sync::Arc;
@@ -231,17 +231,14 @@ pub fn quality(map: &DepthMap, depth: &GrayImage, min_validity: u8) -> Quality {
                 continue;
             }
             textured += 1;
-            let DepthState::Known {
-                idepth,
-                idepth_var,
-                validity,
-            } = map.state(x, y)
+            let Some(PixelDepth {
+                idepth, idepth_var, ..
+            }) = map
+                .at(x, y)
+                .filter(|known| known.validity >= min_validity && known.idepth > 0.0)
             else {
                 continue;
             };
-            if validity < min_validity || idepth <= 0.0 {
-                continue;
-            }
             let truth = 1.0 / f64::from(depth.at(x, y));
             let error = f64::from(idepth) - truth;
             relative.push(error / truth);

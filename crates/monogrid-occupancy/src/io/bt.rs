@@ -8,7 +8,7 @@ use super::write_error;
 use crate::error::MapError;
 use crate::likelihood::FREE;
 use crate::map::OccupancyMap;
-use crate::octree::{Leaf, Node, Octree, TreeVisitor, View};
+use crate::octree::{Node, Octree, View};
 
 const TITLE: &str = "# Octomap OcTree binary file";
 const FORMAT: &str = ".bt";
@@ -22,41 +22,24 @@ pub fn write_bt(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
     let octree = Octree::new(map, View::Likely)?;
     let mut out = BufWriter::new(out);
     header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
-    let mut writer = BtWriter { out: &mut out };
+    let mut write = |children: &[Node; 8]| {
+        let codes = children.map(|child| match child {
+            Node::Unknown => 0,
+            Node::Leaf(FREE) => 1,
+            Node::Leaf(_) => 2,
+            Node::Inner(_) => 3,
+        });
+        let bits = (0..8).fold(0_u16, |bits, octant| bits | codes[octant] << (2 * octant));
+        out.write_all(&bits.to_le_bytes()).map_err(write_error)
+    };
     if let Node::Leaf(value) = octree.root() {
         // The format has no bits for the root itself: a root of eight equal leaves.
-        writer.inner(value, &[Node::Leaf(value); 8])?;
+        write(&[Node::Leaf(value); 8])?;
     } else {
-        octree.visit(&mut writer)?;
+        // Leaves are bits of their parents.
+        octree.visit(&mut |_, children| children.map_or(Ok(()), &mut write))?;
     }
     out.flush().map_err(write_error)
-}
-
-struct BtWriter<'a, W: Write> {
-    out: &'a mut W,
-}
-
-impl<W: Write> TreeVisitor for BtWriter<'_, W> {
-    fn inner(&mut self, _: i16, children: &[Node; 8]) -> Result<(), MapError> {
-        let bits = children
-            .iter()
-            .enumerate()
-            .fold(0_u16, |bits, (octant, child)| {
-                let code = match child {
-                    Node::Unknown => 0,
-                    Node::Leaf(FREE) => 1,
-                    Node::Leaf(_) => 2,
-                    Node::Inner(_) => 3,
-                };
-                bits | (code << (2 * octant))
-            });
-        self.out.write_all(&bits.to_le_bytes()).map_err(write_error)
-    }
-
-    fn leaf(&mut self, _: Leaf) -> Result<(), MapError> {
-        // Leaves are bits of their parents.
-        Ok(())
-    }
 }
 
 /// Reads OctoMap's `.bt`; free and occupied cells get OctoMap's clamps -2 and 3.511.

@@ -3,29 +3,20 @@
 use std::io::{BufWriter, Write};
 
 use crate::error::MapError;
-use crate::evidence::{Occupancy, log_odds_from_evidence, probability_from_log_odds};
+use crate::evidence::{Occupancy, probability_from_log_odds};
 use crate::key::VoxelKey;
 use crate::map::OccupancyMap;
 
 fn write_error(source: std::io::Error) -> MapError {
-    MapError::Io {
-        action: "writing the point cloud",
-        source,
-    }
+    MapError::io("writing the point cloud")(source)
 }
 
 fn occupied_points(map: &OccupancyMap) -> impl Iterator<Item = (VoxelKey, [f32; 4])> + '_ {
-    map.bricks().into_iter().flat_map(move |brick| {
-        let values = map.brick_values(brick);
-        (0..values.len())
-            .filter(move |&i| map.limits.occupancy(values[i]) == Occupancy::Occupied)
-            .map(move |i| {
-                let key = brick.cell(i);
-                let [x, y, z] = key.center(map.resolution());
-                let log_odds = f64::from(log_odds_from_evidence(values[i]));
-                let point = [x, y, z, probability_from_log_odds(log_odds)];
-                (key, point.map(|v| v as f32))
-            })
+    let occupied = map.cells().filter(|cell| cell.state == Occupancy::Occupied);
+    occupied.map(move |cell| {
+        let [x, y, z] = cell.key.center(map.resolution());
+        let point = [x, y, z, probability_from_log_odds(cell.log_odds.into())];
+        (cell.key, point.map(|v| v as f32))
     })
 }
 

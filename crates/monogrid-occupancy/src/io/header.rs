@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use super::read_error;
 use crate::error::MapError;
 use crate::evidence::{evidence_from_log_odds, log_odds_from_probability};
-use crate::key::{BRICK_EDGE, BrickKey, VoxelKey};
+use crate::key::{BRICK_EDGE, VoxelKey};
 use crate::map::{MapConfig, OccupancyMap};
 
 /// Depth of OctoMap's trees.
@@ -20,6 +20,7 @@ pub(crate) fn octomap_clamps() -> (f32, f32) {
 }
 
 /// Fields of a header that matter.
+#[derive(Default)]
 pub(crate) struct Header {
     pub id: String,
     pub size: u64,
@@ -38,10 +39,7 @@ pub(crate) fn write(
         "{title}\n# (feel free to add / change comments, but leave the first line as it is!)\n#\n\
          id OcTree\nsize {nodes}\nres {resolution}\ndata\n"
     )
-    .map_err(|source| MapError::Io {
-        action: "writing the map header",
-        source,
-    })
+    .map_err(MapError::io("writing the map header"))
 }
 
 /// Reads up to and including the line `data`.
@@ -58,11 +56,7 @@ pub(crate) fn read(
             format!("the first line is {first:?}, expected {title:?}"),
         ));
     }
-    let mut header = Header {
-        id: String::new(),
-        size: 0,
-        resolution: 0.0,
-    };
+    let mut header = Header::default();
     loop {
         let line = read_line(input, format, &mut budget)?;
         let mut words = line.split_whitespace();
@@ -168,14 +162,9 @@ impl Cube {
         }
         let bricks = (edge / BRICK_EDGE) as usize;
         map.check_budget(bricks.pow(3), 0)?;
-        let first = self.first.brick();
-        for x in 0..bricks as i32 {
-            for y in 0..bricks as i32 {
-                for z in 0..bricks as i32 {
-                    let key = BrickKey::new(first.x + x, first.y + y, first.z + z);
-                    map.set_brick_uniform(key, value);
-                }
-            }
+        let last = self.first.moved([edge - 1; 3]);
+        for key in self.first.brick().to(last.brick()) {
+            map.set_brick_uniform(key, value);
         }
         Ok(())
     }

@@ -19,19 +19,13 @@ use crate::error::MapError;
 use std::io::{Error, ErrorKind};
 
 fn write_error(source: Error) -> MapError {
-    MapError::Io {
-        action: "writing the map",
-        source,
-    }
+    MapError::io("writing the map")(source)
 }
 
 /// A short file is damaged, as `cut` says.
 fn read_error(source: Error, cut: impl FnOnce() -> MapError) -> MapError {
     match source.kind() {
         ErrorKind::UnexpectedEof => cut(),
-        _ => MapError::Io {
-            action: "reading the map",
-            source,
-        },
+        _ => MapError::io("reading the map")(source),
     }
 }

@@ -98,10 +98,8 @@ pub fn read_map(
     let budget =
         READ_BUDGET_BYTES.saturating_add(READ_BUDGET_PER_BYTE.saturating_mul(length_bytes));
     let budget = usize::try_from(budget).unwrap_or(usize::MAX);
-    let start = input.fill_buf().map_err(|source| MapError::Io {
-        action: "reading a map",
-        source,
-    })?;
+    let start = input.fill_buf();
+    let start = start.map_err(MapError::io("reading a map"))?;
     let (map, format) = if start.starts_with(b"# Octomap OcTree binary file") {
         (read_bt(input, budget), MapFormat::Bt)
     } else if start.starts_with(b"# Octomap OcTree file") {

@@ -6,9 +6,8 @@ use std::io::{BufReader, BufWriter, Read, Write};
 use super::header::{self, Cube, TREE_DEPTH, read_array};
 use super::write_error;
 use crate::error::MapError;
-use crate::evidence::log_odds_from_evidence;
 use crate::map::OccupancyMap;
-use crate::octree::{Leaf, Node, Octree, TreeVisitor, View};
+use crate::octree::{Node, Octree, View};
 
 const TITLE: &str = "# Octomap OcTree file";
 const FORMAT: &str = ".ot";
@@ -22,34 +21,15 @@ pub fn write_ot(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapError
     let octree = Octree::new(map, View::Evidence)?;
     let mut out = BufWriter::new(out);
     header::write(&mut out, TITLE, octree.counts.nodes, map.resolution())?;
-    octree.visit(&mut OtWriter { out: &mut out })?;
-    out.flush().map_err(write_error)
-}
-
-struct OtWriter<'a, W: Write> {
-    out: &'a mut W,
-}
-
-impl<W: Write> OtWriter<'_, W> {
-    fn node(&mut self, evidence: i16, children: u8) -> Result<(), MapError> {
-        let [a, b, c, d] = log_odds_from_evidence(evidence).to_le_bytes();
-        self.out
-            .write_all(&[a, b, c, d, children])
-            .map_err(write_error)
-    }
-}
-
-impl<W: Write> TreeVisitor for OtWriter<'_, W> {
-    fn inner(&mut self, value: i16, children: &[Node; 8]) -> Result<(), MapError> {
+    octree.visit(&mut |node, children| {
+        let [a, b, c, d] = node.log_odds().to_le_bytes();
         let mask = (0..8).fold(0, |mask, octant| {
-            mask | (u8::from(children[octant] != Node::Unknown) << octant)
+            let is_known = children.is_some_and(|children| children[octant] != Node::Unknown);
+            mask | u8::from(is_known) << octant
         });
-        self.node(value, mask)
-    }
-
-    fn leaf(&mut self, leaf: Leaf) -> Result<(), MapError> {
-        self.node(leaf.evidence, 0)
-    }
+        out.write_all(&[a, b, c, d, mask]).map_err(write_error)
+    })?;
+    out.flush().map_err(write_error)
 }
 
 /// Reads OctoMap's `.ot` (ids `OcTree` and `ColorOcTree`, whose colours are dropped).

@@ -307,10 +307,8 @@ impl KeyframeMap {
         if keyframe.groups.get().is_none() {
             self.seen_by(keyframe)?;
         }
-        Ok(keyframe
-            .groups
-            .get()
-            .is_none_or(|own| intersect(own, groups)))
+        let own = keyframe.groups.get();
+        Ok(own.is_none_or(|own| intersect(own, groups)))
     }
 }
 

@@ -126,11 +126,9 @@ impl Update {
             }
             Stage::Looking { left, dirty } => {
                 if let Some(id) = left.pop() {
-                    if let Some(old) = front.keyframes.get(&id) {
-                        dirty.extend(front.seen_by(old)?);
-                    }
-                    if let Some(Some(new)) = self.changed.get(&id) {
-                        dirty.extend(front.seen_by(new)?);
+                    let new = self.changed.get(&id).and_then(Option::as_ref);
+                    for keyframe in front.keyframes.get(&id).into_iter().chain(new) {
+                        dirty.extend(front.seen_by(keyframe)?);
                     }
                 }
                 if left.is_empty() {
@@ -185,7 +183,7 @@ impl Building {
         map.check_budget(dirty.len(), 0)?;
         map.revision += 1;
         for key in dirty.iter().map(|&key| BrickKey::unpack(key)) {
-            if map.brick(key) != BrickRef::Uniform(UNKNOWN) {
+            if map.brick(key) != BrickRef::UNKNOWN {
                 map.set_brick_uniform(key, UNKNOWN);
             }
         }
@@ -245,10 +243,7 @@ impl Building {
         };
         let known = front.keyframes.range(after..).next().map(|(id, _)| *id);
         let other = changed.range(after..).next().map(|(id, _)| *id);
-        match (known, other) {
-            (Some(a), Some(b)) => Some(a.min(b)),
-            (a, b) => a.or(b),
-        }
+        known.into_iter().chain(other).min()
     }
 
     /// Marks what was built anew as newer than anything in the first map, also bricks that are unknown
@@ -259,15 +254,12 @@ impl Building {
             Extent::Some { dirty, .. } => dirty,
             Extent::All => {
                 for key in front.bricks() {
-                    if self.map.brick(key) == BrickRef::Uniform(UNKNOWN) {
+                    if self.map.brick(key) == BrickRef::UNKNOWN {
                         self.map.set_brick_uniform(key, UNKNOWN);
                     }
                 }
-                let shards = self.map.shards.iter();
-                shards
-                    .flat_map(Shard::bricks)
-                    .map(|brick| brick.0)
-                    .collect()
+                let bricks = self.map.shards.iter().flat_map(Shard::bricks);
+                bricks.map(|brick| brick.0).collect()
             }
         };
         for &key in &bricks {

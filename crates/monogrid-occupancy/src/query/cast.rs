@@ -4,7 +4,7 @@ use crate::evidence::{Occupancy, UNKNOWN};
 use crate::integrate::ray::{MAX_CELLS, RANGE_BITS, Ray};
 use crate::key::{BRICK_EDGE, BRICK_LIMIT, BrickKey, VoxelKey};
 use crate::map::OccupancyMap;
-use crate::storage::{BrickRef, hash, shard_of};
+use crate::storage::BrickRef;
 
 /// Where a ray cast ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,78 +50,81 @@ impl OccupancyMap {
         max_range: f64,
         unknown: UnknownCells,
     ) -> RayHit {
-        let Some(ray) = ray_for_query(origin, direction, max_range, self.inv_resolution) else {
-            return RayHit::Invalid;
-        };
-        let mut hit = RayHit::Nothing;
-        ray.any_brick(|packed| {
-            hit = self.hit_in_brick(&ray, packed, unknown);
-            hit != RayHit::Nothing
-        });
-        hit
+        let way = [origin, direction];
+        first_hit(way, max_range, self.inv_resolution, |ray, packed| {
+            self.hit_in_brick(ray, packed, unknown)
+        })
     }
 
     fn hit_in_brick(&self, ray: &Ray, packed: u64, unknown: UnknownCells) -> RayHit {
-        let hash = hash(packed);
-        let shard = &self.shards[shard_of(hash)];
-        let contents = shard
-            .find(packed, hash)
-            .map_or(BrickRef::Uniform(UNKNOWN), |slot| shard.contents(slot));
-        let stops = |value: i16| match self.limits.occupancy(value) {
-            Occupancy::Occupied => true,
-            Occupancy::Unknown => unknown == UnknownCells::Stop,
-            Occupancy::Free => false,
+        let way = (ray, BrickKey::unpack(packed), self.resolution());
+        let state = |value| self.limits.occupancy(value);
+        let stops = |value| unknown.stop_at(state(value));
+        let of_uniform = |value| {
+            if !stops(value) {
+                return RayHit::Nothing;
+            }
+            first_in_brick(way, |_| true, |_| state(value))
         };
-        let brick = BrickKey::unpack(packed);
-        let found = match contents {
-            BrickRef::Uniform(value) => stops(value).then(|| {
-                let entry = ray.enter(brick);
-                (entry.index, entry.range, value)
-            }),
+        let Some((shard, slot)) = self.slot(packed) else {
+            return of_uniform(UNKNOWN);
+        };
+        match shard.contents(slot) {
+            BrickRef::Uniform(value) => of_uniform(value),
             BrickRef::Mixed(payload) => {
                 let cells = shard.payload(payload);
-                first_in_brick(ray, brick, |index| cells[index], stops)
+                first_in_brick(way, |i| stops(cells[i]), |i| state(cells[i]))
             }
             BrickRef::Packed(word) => {
                 let cells = shard.packed(word);
-                first_in_brick(ray, brick, |index| cells.value(index), stops)
+                first_in_brick(way, |i| stops(cells.value(i)), |i| state(cells.value(i)))
             }
-        };
-        let Some((index, range, value)) = found else {
-            return RayHit::Nothing;
-        };
-        let state = self.limits.occupancy(value);
-        hit_at(brick, index, range, state, self.resolution())
+        }
     }
 }
 
-/// The first cell of a brick along a ray that stops it: its index, range and evidence.
+impl UnknownCells {
+    /// Whether a cell is an obstacle, or stops a ray.
+    #[inline]
+    pub(crate) fn stop_at(self, state: Occupancy) -> bool {
+        match state {
+            Occupancy::Occupied => true,
+            Occupancy::Unknown => self == Self::Stop,
+            Occupancy::Free => false,
+        }
+    }
+}
+
+/// The stop at the first cell of a brick, by its index, that stops a ray, of the state that is said.
 #[inline]
-fn first_in_brick(
-    ray: &Ray,
-    brick: BrickKey,
-    value_of: impl Fn(usize) -> i16,
-    stops: impl Fn(i16) -> bool,
-) -> Option<(usize, i64, i16)> {
-    let mut found = None;
+pub(crate) fn first_in_brick(
+    (ray, brick, resolution): (&Ray, BrickKey, f64),
+    stops: impl Fn(usize) -> bool,
+    state: impl Fn(usize) -> Occupancy,
+) -> RayHit {
+    let mut hit = RayHit::Nothing;
     ray.walk_until(ray.enter(brick), |index, range| {
-        let value = value_of(index);
-        let stop = stops(value);
+        let stop = stops(index);
         if stop {
-            found = Some((index, range, value));
+            let key = brick.cell(index);
+            let range = range as f64 / (1_u64 << RANGE_BITS) as f64 * resolution;
+            hit = match state(index) {
+                Occupancy::Unknown => RayHit::Unknown { key, range },
+                _ => RayHit::Occupied { key, range },
+            };
         }
         stop
     });
-    found
+    hit
 }
 
-/// The ray of a query, if it is usable.
-pub(crate) fn ray_for_query(
-    origin: [f64; 3],
-    direction: [f64; 3],
+/// What `hit_in_brick` says of the first brick, by its packed key, that stops the ray from an origin along a direction.
+pub(crate) fn first_hit(
+    [origin, direction]: [[f64; 3]; 2],
     max_range: f64,
     inv_resolution: f64,
-) -> Option<Ray> {
+    mut hit_in_brick: impl FnMut(&Ray, u64) -> RayHit,
+) -> RayHit {
     let norm = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
     let cells = origin.map(|c| c * inv_resolution);
     let limit = f64::from(BRICK_LIMIT * BRICK_EDGE) - 2.0 * MAX_CELLS;
@@ -129,25 +132,15 @@ pub(crate) fn ray_for_query(
         && norm.is_finite()
         && max_range >= 0.0
         && cells.iter().all(|c| c.abs() < limit);
-    is_usable.then(|| {
-        let direction = direction.map(|c| c / norm);
-        Ray::new(cells, direction, max_range * inv_resolution)
-    })
-}
-
-/// A stop at a cell of a brick, `range` in fixed point.
-pub(crate) fn hit_at(
-    brick: BrickKey,
-    index: usize,
-    range: i64,
-    state: Occupancy,
-    resolution: f64,
-) -> RayHit {
-    let key = brick.cell(index);
-    let range = range as f64 / (1_u64 << RANGE_BITS) as f64 * resolution;
-    if state == Occupancy::Unknown {
-        RayHit::Unknown { key, range }
-    } else {
-        RayHit::Occupied { key, range }
+    if !is_usable {
+        return RayHit::Invalid;
     }
+    let direction = direction.map(|c| c / norm);
+    let ray = Ray::new(cells, direction, max_range * inv_resolution);
+    let mut hit = RayHit::Nothing;
+    ray.any_brick(|packed| {
+        hit = hit_in_brick(&ray, packed);
+        hit != RayHit::Nothing
+    });
+    hit
 }

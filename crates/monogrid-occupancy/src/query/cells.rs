@@ -1,4 +1,4 @@
-//! Cells in a box, in a fixed order; coarser levels.
+//! Cells in a box, in a fixed order; many cells at once; coarser levels.
 
 use crate::evidence::{Occupancy, UNKNOWN, log_odds_from_evidence};
 use crate::key::{BRICK_EDGE, BRICK_LIMIT, BrickKey, VoxelKey};
@@ -24,19 +24,17 @@ impl OccupancyMap {
         first: VoxelKey,
         last: VoxelKey,
     ) -> impl Iterator<Item = Cell> + '_ {
-        self.bricks_in_key_box(first, last)
-            .into_iter()
-            .flat_map(move |brick| {
-                let values = self.brick_values(brick);
-                (0..values.len())
-                    .filter(move |&i| values[i] != UNKNOWN)
-                    .map(move |i| Cell {
-                        key: brick.cell(i),
-                        log_odds: log_odds_from_evidence(values[i]),
-                        state: self.limits.occupancy(values[i]),
-                    })
+        let bricks = self.bricks_in_key_box(first, last).into_iter();
+        let cells = bricks.flat_map(move |brick| {
+            let values = self.brick_values(brick);
+            let known = (0..values.len()).filter(move |&i| values[i] != UNKNOWN);
+            known.map(move |i| Cell {
+                key: brick.cell(i),
+                log_odds: log_odds_from_evidence(values[i]),
+                state: self.limits.occupancy(values[i]),
             })
-            .filter(move |cell| is_inside(cell.key, first, last))
+        });
+        cells.filter(move |cell| cell.key.is_within(first, last))
     }
 
     /// Known cells that touch the box between two corners in map coordinates; the order of
@@ -60,14 +58,7 @@ impl OccupancyMap {
         first: VoxelKey,
         last: VoxelKey,
     ) -> impl Iterator<Item = (VoxelKey, Occupancy)> + '_ {
-        (first.z..=last.z).flat_map(move |z| {
-            (first.y..=last.y).flat_map(move |y| {
-                (first.x..=last.x).map(move |x| {
-                    let key = VoxelKey::new(x, y, z);
-                    (key, self.state_of(key))
-                })
-            })
-        })
+        first.to(last).map(|key| (key, self.state_of(key)))
     }
 
     /// Cells of one state with keys from `first` to `last`, both inclusive, unknown ones too if
@@ -78,28 +69,20 @@ impl OccupancyMap {
         last: VoxelKey,
         state: Occupancy,
     ) -> impl Iterator<Item = VoxelKey> + '_ {
-        let (low, high) = (first.brick(), last.brick());
         // Unknown cells are mostly where there is no brick at all.
-        let (known, all) = if state == Occupancy::Unknown {
-            let column = move |x| (low.y..=high.y).map(move |y| (x, y));
-            let all = (low.x..=high.x)
-                .flat_map(column)
-                .flat_map(move |(x, y)| (low.z..=high.z).map(move |z| BrickKey::new(x, y, z)));
-            (None, Some(all))
-        } else {
-            (Some(self.bricks_in_key_box(first, last)), None)
+        let (known, all) = match state {
+            Occupancy::Unknown => (Vec::new(), Some(first.brick().to(last.brick()))),
+            _ => (self.bricks_in_key_box(first, last), None),
         };
-        known
-            .into_iter()
-            .flatten()
-            .chain(all.into_iter().flatten())
-            .flat_map(move |brick| {
-                let values = self.brick_values(brick);
-                (0..values.len())
-                    .filter(move |&i| self.limits.occupancy(values[i]) == state)
-                    .map(move |i| brick.cell(i))
-            })
-            .filter(move |key| is_inside(*key, first, last))
+        let bricks = known.into_iter().chain(all.into_iter().flatten());
+        let keys = bricks.flat_map(move |brick| {
+            let values = self.brick_values(brick);
+            let is_asked = move |i: &usize| self.limits.occupancy(values[*i]) == state;
+            (0..values.len())
+                .filter(is_asked)
+                .map(move |i| brick.cell(i))
+        });
+        keys.filter(move |key| key.is_within(first, last))
     }
 
     /// The cell of a point, moved to the nearest addressable one; NaN counts as 0.
@@ -110,29 +93,38 @@ impl OccupancyMap {
     /// Bricks with a known cell that overlap a box of cells, in the order of their keys.
     pub(crate) fn bricks_in_key_box(&self, first: VoxelKey, last: VoxelKey) -> Vec<BrickKey> {
         let (low, high) = (first.brick(), last.brick());
-        let span = |a: i32, b: i32| (i64::from(b) - i64::from(a) + 1).max(0) as u128;
-        let volume = span(low.x, high.x) * span(low.y, high.y) * span(low.z, high.z);
-        let known = |key: &BrickKey| self.brick(*key) != BrickRef::Uniform(UNKNOWN);
         // A small box is looked up brick by brick, a large one filters the directory.
-        if volume <= self.brick_counts().1 as u128 {
-            let mut bricks = Vec::new();
-            for x in low.x..=high.x {
-                for y in low.y..=high.y {
-                    for z in low.z..=high.z {
-                        bricks.push(BrickKey::new(x, y, z));
-                    }
-                }
-            }
-            bricks.retain(known);
-            return bricks;
+        if low.num_to(high) <= self.brick_counts().1 as u128 {
+            let is_known = |key: &BrickKey| self.brick(*key) != BrickRef::UNKNOWN;
+            return low.to(high).filter(is_known).collect();
         }
         let mut bricks = self.bricks();
-        bricks.retain(|b| {
-            (low.x..=high.x).contains(&b.x)
-                && (low.y..=high.y).contains(&b.y)
-                && (low.z..=high.z).contains(&b.z)
-        });
+        bricks.retain(|brick| brick.is_within(low, high));
         bricks
+    }
+
+    /// States of many points, written to `states` (as long as `points`); faster than one by one
+    /// because the memory accesses of 16 points overlap.
+    ///
+    /// If the lengths differ, the surplus of the longer slice is left alone.
+    pub fn states(&self, points_in_map: &[[f64; 3]], states: &mut [Occupancy]) {
+        /// Points whose directory look-ups are under way together.
+        const LANES: usize = 16;
+        for (points, states) in points_in_map.chunks(LANES).zip(states.chunks_mut(LANES)) {
+            let mut keys = [None; LANES];
+            for (lane, point) in keys.iter_mut().zip(points) {
+                let key = VoxelKey::from_point(*point, self.inv_resolution);
+                *lane = key.map(|key| (key.brick().pack(), key.index_in_brick()));
+            }
+            let mut slots = [None; LANES];
+            for (slot, key) in slots.iter_mut().zip(keys) {
+                *slot = key.and_then(|(packed, index)| Some((self.slot(packed)?, index)));
+            }
+            for (state, slot) in states.iter_mut().zip(slots).take(points.len()) {
+                let value = slot.map_or(UNKNOWN, |((shard, slot), index)| shard.value(slot, index));
+                *state = self.limits.occupancy(value);
+            }
+        }
     }
 
     /// State of the cube of `2^level` cells' edge (aligned to it, as an octree node) that holds a
@@ -146,22 +138,16 @@ impl OccupancyMap {
         };
         let level = level.min(20);
         let first = VoxelKey::from_array(key.to_array().map(|c| c >> level << level));
-        let edge = (1 << level) - 1;
-        let last = VoxelKey::new(first.x + edge, first.y + edge, first.z + edge);
+        let last = first.moved([(1 << level) - 1; 3]);
         let mut largest = UNKNOWN;
         for brick in self.bricks_in_key_box(first, last) {
-            let in_brick = match self.brick(brick) {
-                BrickRef::Uniform(value) => value,
-                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
-                    let values = self.brick_values(brick);
-                    (0..values.len())
-                        .filter(|&i| is_inside(brick.cell(i), first, last))
-                        .map(|i| values[i])
-                        .max()
-                        .unwrap_or(UNKNOWN)
-                }
-            };
-            largest = largest.max(in_brick);
+            if let BrickRef::Uniform(value) = self.brick(brick) {
+                largest = largest.max(value);
+                continue;
+            }
+            let values = self.brick_values(brick);
+            let inside = (0..values.len()).filter(|&i| brick.cell(i).is_within(first, last));
+            largest = inside.map(|i| values[i]).fold(largest, i16::max);
         }
         self.limits.occupancy(largest)
     }
@@ -174,10 +160,4 @@ pub(crate) fn key_of_clamped(point: [f64; 3], inv_resolution: f64) -> VoxelKey {
         let scaled = (c * inv_resolution).floor();
         scaled.clamp(-limit, limit - 1.0) as i32
     }))
-}
-
-fn is_inside(key: VoxelKey, first: VoxelKey, last: VoxelKey) -> bool {
-    (first.x..=last.x).contains(&key.x)
-        && (first.y..=last.y).contains(&key.y)
-        && (first.z..=last.z).contains(&key.z)
 }

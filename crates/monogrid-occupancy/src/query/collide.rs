@@ -3,7 +3,7 @@
 use super::cast::UnknownCells;
 use super::cells::key_of_clamped;
 use crate::evidence::Occupancy;
-use crate::key::{BRICK_EDGE, BrickKey, VoxelKey};
+use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 use crate::map::OccupancyMap;
 use crate::storage::BrickRef;
 
@@ -26,7 +26,7 @@ impl States for OccupancyMap {
 
     fn may_stop(&self, brick: BrickKey, unknown: UnknownCells) -> bool {
         match self.brick(brick) {
-            BrickRef::Uniform(value) => stops(self.limits.occupancy(value), unknown),
+            BrickRef::Uniform(value) => unknown.stop_at(self.limits.occupancy(value)),
             BrickRef::Mixed(_) | BrickRef::Packed(_) => true,
         }
     }
@@ -60,14 +60,6 @@ impl OccupancyMap {
     }
 }
 
-fn stops(state: Occupancy, unknown: UnknownCells) -> bool {
-    match state {
-        Occupancy::Occupied => true,
-        Occupancy::Unknown => unknown == UnknownCells::Stop,
-        Occupancy::Free => false,
-    }
-}
-
 pub(crate) fn sphere(
     map: &impl States,
     center: [f64; 3],
@@ -81,16 +73,14 @@ pub(crate) fn sphere(
     let high = center.map(|c| c + radius);
     // Distance of the centre to a cube, squared.
     let touches = |first: VoxelKey, edge_cells: i32| {
-        let first = first.to_array();
-        let distance_sq: f64 = (0..3)
-            .map(|axis| {
-                let near = f64::from(first[axis]) * map.cell_edge();
-                let far = f64::from(first[axis] + edge_cells) * map.cell_edge();
-                let gap = (near - center[axis]).max(center[axis] - far).max(0.0);
-                gap * gap
-            })
-            .sum();
-        distance_sq <= radius * radius
+        let axes = first.to_array().into_iter().zip(center);
+        let gaps_sq = axes.map(|(first, center)| {
+            let near = f64::from(first) * map.cell_edge();
+            let far = f64::from(first + edge_cells) * map.cell_edge();
+            let gap = (near - center).max(center - far).max(0.0);
+            gap * gap
+        });
+        gaps_sq.sum::<f64>() <= radius * radius
     };
     any_cell(map, low, high, unknown, touches)
 }
@@ -118,25 +108,18 @@ fn any_cell(
     let inv_edge = 1.0 / map.cell_edge();
     let [first, last] = [low, high].map(|corner| key_of_clamped(corner, inv_edge));
     let (low, high) = (first.brick(), last.brick());
-    let span = |a: i32, b: i32| (i64::from(b) - i64::from(a) + 1).max(0) as u128;
-    let volume = span(low.x, high.x) * span(low.y, high.y) * span(low.z, high.z);
     let collides_in = |brick: BrickKey| {
         map.may_stop(brick, unknown)
             && touches(brick.first_cell(), BRICK_EDGE)
             && any_cell_in_brick(map, brick, (first, last), unknown, &touches)
     };
     // A box larger than the map is asked through the bricks that there are.
-    if unknown == UnknownCells::PassThrough && volume > map.known_bricks() as u128 {
-        return map.stopping_bricks().into_iter().any(|b| {
-            (low.x..=high.x).contains(&b.x)
-                && (low.y..=high.y).contains(&b.y)
-                && (low.z..=high.z).contains(&b.z)
-                && collides_in(b)
-        });
+    let is_large = low.num_to(high) > map.known_bricks() as u128;
+    if unknown == UnknownCells::PassThrough && is_large {
+        let mut bricks = map.stopping_bricks().into_iter();
+        return bricks.any(|brick| brick.is_within(low, high) && collides_in(brick));
     }
-    (low.x..=high.x).any(|x| {
-        (low.y..=high.y).any(|y| (low.z..=high.z).any(|z| collides_in(BrickKey::new(x, y, z))))
-    })
+    low.to(high).any(collides_in)
 }
 
 fn any_cell_in_brick(
@@ -146,13 +129,13 @@ fn any_cell_in_brick(
     unknown: UnknownCells,
     touches: &impl Fn(VoxelKey, i32) -> bool,
 ) -> bool {
-    let (start, end) = (brick.first_cell(), brick.cell(crate::key::BRICK_CELLS - 1));
-    (start.z.max(first.z)..=end.z.min(last.z)).any(|z| {
-        (start.y.max(first.y)..=end.y.min(last.y)).any(|y| {
-            (start.x.max(first.x)..=end.x.min(last.x)).any(|x| {
-                let key = VoxelKey::new(x, y, z);
-                stops(map.cell_state(key), unknown) && touches(key, 1)
-            })
-        })
-    })
+    let (start, end) = (brick.first_cell(), brick.cell(BRICK_CELLS - 1));
+    let start = VoxelKey::new(
+        start.x.max(first.x),
+        start.y.max(first.y),
+        start.z.max(first.z),
+    );
+    let end = VoxelKey::new(end.x.min(last.x), end.y.min(last.y), end.z.min(last.z));
+    let mut cells = start.to(end);
+    cells.any(|key| unknown.stop_at(map.cell_state(key)) && touches(key, 1))
 }

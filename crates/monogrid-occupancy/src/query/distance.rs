@@ -11,7 +11,6 @@ use std::hash::{BuildHasherDefault, Hasher};
 
 use super::cast::UnknownCells;
 use crate::error::MapError;
-use crate::evidence::Occupancy;
 use crate::integrate::parallel;
 use crate::key::{BRICK_CELLS, BRICK_EDGE, BrickKey, VoxelKey};
 use crate::map::OccupancyMap;
@@ -95,13 +94,8 @@ impl DistanceField {
         threads: usize,
     ) -> Result<Self, MapError> {
         let reach = (config.max_distance * map.inv_resolution).floor();
-        if !(1.0..=MAX_REACH).contains(&reach) {
-            return Err(MapError::Config {
-                field: "max_distance",
-                value: config.max_distance,
-                allowed: "1 to 181 cells",
-            });
-        }
+        let (is_allowed, distance) = ((1.0..=MAX_REACH).contains(&reach), config.max_distance);
+        MapError::unless(is_allowed, "max_distance", distance, "1 to 181 cells")?;
         let mut field = Self {
             resolution: map.resolution(),
             inv_resolution: map.inv_resolution,
@@ -206,11 +200,7 @@ impl DistanceField {
     }
 
     fn obstacles_of(&self, map: &OccupancyMap, key: BrickKey) -> [u64; 8] {
-        let is_obstacle = |value| match map.limits.occupancy(value) {
-            Occupancy::Occupied => true,
-            Occupancy::Unknown => self.unknown == UnknownCells::Stop,
-            Occupancy::Free => false,
-        };
+        let is_obstacle = |value| self.unknown.stop_at(map.limits.occupancy(value));
         match map.brick(key) {
             BrickRef::Uniform(value) if is_obstacle(value) => [!0; 8],
             BrickRef::Uniform(_) => [0; 8],
@@ -246,7 +236,7 @@ impl DistanceField {
             // Where unknown cells are obstacles, bricks without a known cell keep the distance 0.
             let is_open = self.unknown == UnknownCells::PassThrough
                 || self.obstacles.contains_key(&key.pack())
-                || map.brick(*key) != BrickRef::Uniform(crate::evidence::UNKNOWN);
+                || map.brick(*key) != BrickRef::UNKNOWN;
             if is_open {
                 *squares = self.squares(axis, *key);
             }
@@ -254,14 +244,12 @@ impl DistanceField {
         let mut changed = Vec::new();
         for (key, squares) in results {
             let layer = &mut self.layers[axis];
-            let is_same = layer.get(&key.pack()) == squares.as_ref();
-            if is_same {
-                continue;
-            }
-            changed.push(key);
-            match squares {
-                Some(squares) => drop(layer.insert(key.pack(), squares)),
-                None => drop(layer.remove(&key.pack())),
+            if layer.get(&key.pack()) != squares.as_ref() {
+                changed.push(key);
+                match squares {
+                    Some(squares) => layer.insert(key.pack(), squares),
+                    None => layer.remove(&key.pack()),
+                };
             }
         }
         changed
@@ -303,12 +291,11 @@ impl DistanceField {
                 brick = (offset, self.before(axis, shifted(key, axis, offset)));
             }
             let inside = position.rem_euclid(BRICK_EDGE) as usize;
-            let row = brick.1.as_ref().map(|squares| {
-                let row: [i16; LINES] =
-                    std::array::from_fn(|line| squares[index_of(axis, inside, line)]);
-                row
-            });
-            rows.push(row.filter(|row| row.iter().any(|square| *square != FAR)));
+            let of_lines = |squares: &Squares| {
+                std::array::from_fn(|line| squares[index_of(axis, inside, line)])
+            };
+            let row = brick.1.as_ref().map(of_lines);
+            rows.push(row.filter(|row| *row != [FAR; LINES]));
         }
         rows
     }
@@ -318,27 +305,21 @@ impl DistanceField {
         if axis > 0 {
             let squares = self.layers[axis - 1].get(&key.pack());
             let untouched = self.untouched();
-            return match squares {
-                Some(squares) => Some(**squares),
-                None => (untouched != FAR).then_some([untouched; BRICK_CELLS]),
-            };
+            let untouched = || (untouched != FAR).then_some([untouched; BRICK_CELLS]);
+            return squares.map(|squares| **squares).or_else(untouched);
         }
         let obstacles = self.obstacles.get(&key.pack());
         let obstacles = obstacles.copied().unwrap_or(self.untouched_obstacles());
         (obstacles != [0; 8]).then(|| {
-            std::array::from_fn(|cell| {
-                if obstacles[cell / 64] >> (cell % 64) & 1 == 1 {
-                    0
-                } else {
-                    FAR
-                }
+            std::array::from_fn(|cell| match obstacles[cell / 64] >> (cell % 64) & 1 {
+                1 => 0,
+                _ => FAR,
             })
         })
     }
 }
 
-fn shifted(key: BrickKey, axis: usize, offset: i32) -> BrickKey {
-    let mut key = key;
+fn shifted(mut key: BrickKey, axis: usize, offset: i32) -> BrickKey {
     match axis {
         0 => key.x += offset,
         1 => key.y += offset,

@@ -35,20 +35,18 @@ impl OccupancyMap {
     /// # Errors
     /// Map and surface together need more than the memory budget of the map.
     pub fn surface_mesh(&self, min_faces: usize) -> Result<SurfaceMesh, MapError> {
-        let budget_bytes = self.config().memory_budget_bytes;
         let map_bytes = self.bytes_in_memory();
-        let mut net = Net::new(self);
+        let mut net = Net {
+            map: self,
+            threshold: log_odds_from_probability(self.config().occupancy_threshold) as f32,
+            index: HashMap::new(),
+            mesh: SurfaceMesh::default(),
+        };
         let mut quads = Vec::new();
         for cell in self.cells() {
             if cell.state == Occupancy::Occupied {
                 net.faces_of(cell.key, &mut quads);
-                let needed_bytes = map_bytes + BYTES_PER_FACE * quads.len();
-                if needed_bytes > budget_bytes {
-                    return Err(MapError::MemoryBudget {
-                        needed_bytes,
-                        budget_bytes,
-                    });
-                }
+                self.check_bytes(map_bytes + BYTES_PER_FACE * quads.len())?;
             }
         }
         let kept = large_pieces(net.mesh.vertices.len(), &quads, min_faces);
@@ -64,21 +62,12 @@ struct Net<'a> {
     mesh: SurfaceMesh,
 }
 
-impl<'a> Net<'a> {
-    fn new(map: &'a OccupancyMap) -> Self {
-        Self {
-            map,
-            threshold: log_odds_from_probability(map.config().occupancy_threshold) as f32,
-            index: HashMap::new(),
-            mesh: SurfaceMesh::default(),
-        }
-    }
-
+impl Net<'_> {
     /// The faces between an occupied cell and free ones, as four vertices each.
     fn faces_of(&mut self, cell: VoxelKey, quads: &mut Vec<[u32; 4]>) {
         for axis in 0..3 {
             for side in [-1, 1] {
-                let beside = moved(cell, axis, side);
+                let beside = cell.along(axis, side);
                 if self.map.state_of(beside) != Occupancy::Free {
                     continue;
                 }
@@ -89,7 +78,7 @@ impl<'a> Net<'a> {
                 if side < 0 {
                     around.reverse();
                 }
-                quads.push(around.map(|[du, dv]| self.vertex(moved(moved(low, u, du), v, dv))));
+                quads.push(around.map(|[du, dv]| self.vertex(low.along(u, du).along(v, dv))));
             }
         }
     }
@@ -114,11 +103,8 @@ impl<'a> Net<'a> {
     fn middle_of_crossings(&self, cube: VoxelKey) -> [f64; 3] {
         let corner = |i: usize| [i & 1, i >> 1 & 1, i >> 2].map(|bit| bit as i32);
         let values: [Option<f32>; 8] = std::array::from_fn(|i| {
-            let [x, y, z] = corner(i);
-            let key = VoxelKey::new(cube.x + x, cube.y + y, cube.z + z);
-            self.map
-                .log_odds_of(key)
-                .map(|value| value - self.threshold)
+            let log_odds = self.map.log_odds_of(cube.moved(corner(i)));
+            log_odds.map(|value| value - self.threshold)
         });
         let (mut sum, mut count) = ([0.0; 3], 0.0);
         for (i, axis) in (0..8).flat_map(|i| (0..3).map(move |axis| (i, axis))) {
@@ -205,20 +191,13 @@ fn large_pieces(num_vertices: usize, quads: &[[u32; 4]], min_faces: usize) -> Ve
 struct Pieces(Vec<u32>);
 
 impl Pieces {
-    fn root(&self, mut vertex: u32) -> u32 {
-        while self.0[vertex as usize] != vertex {
-            vertex = self.0[vertex as usize];
-        }
-        vertex
-    }
-
     fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root_shortened(a), self.root_shortened(b));
+        let (a, b) = (self.root(a), self.root(b));
         self.0[a.max(b) as usize] = a.min(b);
     }
 
     /// The root; the way there becomes half as long.
-    fn root_shortened(&mut self, mut vertex: u32) -> u32 {
+    fn root(&mut self, mut vertex: u32) -> u32 {
         while self.0[vertex as usize] != vertex {
             let next = self.0[vertex as usize];
             self.0[vertex as usize] = self.0[next as usize];
@@ -226,12 +205,6 @@ impl Pieces {
         }
         vertex
     }
-}
-
-fn moved(key: VoxelKey, axis: usize, by: i32) -> VoxelKey {
-    let mut cell = key.to_array();
-    cell[axis] += by;
-    VoxelKey::new(cell[0], cell[1], cell[2])
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {

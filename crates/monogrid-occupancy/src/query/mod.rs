@@ -1,6 +1,5 @@
 //! Questions to a map: cells in a box, rays, collisions, distances, surfaces, projections.
 
-pub(crate) mod batch;
 pub(crate) mod cast;
 pub(crate) mod cells;
 pub(crate) mod collide;

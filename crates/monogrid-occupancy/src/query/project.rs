@@ -1,7 +1,7 @@
 //! A map seen from above, as ground robots plan on it.
 
 use crate::evidence::{Occupancy, UNKNOWN};
-use crate::key::{BRICK_EDGE, BrickKey};
+use crate::key::BRICK_EDGE;
 use crate::map::OccupancyMap;
 
 /// Columns of cells seen from above: x to the right, y up, the origin at the lower left.
@@ -63,10 +63,7 @@ impl OccupancyMap {
             width: width as usize,
             height: height as usize,
             resolution: self.resolution(),
-            origin: [
-                x_min as f64 * self.resolution(),
-                y_min as f64 * self.resolution(),
-            ],
+            origin: [x_min, y_min].map(|index| index as f64 * self.resolution()),
             columns,
         })
     }
@@ -78,24 +75,16 @@ impl OccupancyMap {
         in_band: impl Fn(i32) -> bool,
         mut visit: impl FnMut(i32, i32, Occupancy),
     ) {
-        let layers = |brick: &BrickKey| {
-            let first = brick.first_cell().z;
-            (0..BRICK_EDGE)
-                .filter(|z| in_band(first + z))
-                .collect::<Vec<i32>>()
-        };
         for brick in self.bricks() {
-            let layers = layers(&brick);
+            let first = brick.first_cell().z;
+            let layers: Vec<i32> = (0..BRICK_EDGE).filter(|z| in_band(first + z)).collect();
             if layers.is_empty() {
                 continue;
             }
             let values = self.brick_values(brick);
             for column in 0..64 {
-                let largest = layers
-                    .iter()
-                    .map(|z| values[column + 64 * *z as usize])
-                    .max();
-                if let Some(largest) = largest.filter(|v| *v != UNKNOWN) {
+                let of_column = layers.iter().map(|z| values[column + 64 * *z as usize]);
+                if let Some(largest) = of_column.max().filter(|v| *v != UNKNOWN) {
                     let cell = brick.cell(column);
                     visit(cell.x, cell.y, self.limits.occupancy(largest));
                 }
@@ -148,14 +137,14 @@ impl Projection {
         let first = self.first_column();
         let shift = [begin[0] - first[0], begin[1] - first[1]];
         let column = |x: i64, y: i64| {
-            let inside =
-                (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
-            let index = inside.then(|| (y * self.width as i64 + x) as usize);
-            index.map_or(Occupancy::Unknown, |index| self.columns[index])
+            let (own_width, own_height) = (self.width as i64, self.height as i64);
+            if !(0..own_width).contains(&x) || !(0..own_height).contains(&y) {
+                return Occupancy::Unknown;
+            }
+            self.columns[(y * own_width + x) as usize]
         };
-        let rows = 0..height as i64;
-        let columns =
-            rows.flat_map(|y| (0..width as i64).map(move |x| column(x + shift[0], y + shift[1])));
+        let row = |y: i64| (0..width as i64).map(move |x| column(x + shift[0], y + shift[1]));
+        let columns = (0..height as i64).flat_map(row);
         Self {
             width,
             height,
@@ -193,6 +182,7 @@ impl Projection {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::BrickKey;
     use crate::key::VoxelKey;
     use crate::map::MapConfig;
 

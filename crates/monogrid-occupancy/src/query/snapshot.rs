@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use super::cast::{RayHit, UnknownCells, hit_at, ray_for_query};
+use super::cast::{RayHit, UnknownCells, first_hit, first_in_brick};
 use super::collide::{self, States};
 use crate::evidence::Occupancy;
 use crate::integrate::ray::Ray;
@@ -53,32 +53,31 @@ impl Masks {
         let known: u32 = self.known.iter().map(|w| w.count_ones()).sum();
         let occupied: u32 = self.occupied.iter().map(|w| w.count_ones()).sum();
         let all = BRICK_CELLS as u32;
-        let mut flags = 0;
-        if known < all {
-            flags |= HAS_UNKNOWN;
-        }
-        if occupied > 0 {
-            flags |= HAS_OCCUPIED;
-        }
-        (
-            flags,
-            known == 0 || occupied == all || (known == all && occupied == 0),
-        )
+        let has = |flag: u32, is_there: bool| if is_there { flag } else { 0 };
+        let flags = has(HAS_UNKNOWN, known < all) | has(HAS_OCCUPIED, occupied > 0);
+        let is_uniform = known == 0 || occupied == all || (known == all && occupied == 0);
+        (flags, is_uniform)
     }
 
     #[inline]
     fn state(&self, index: usize) -> Occupancy {
         let bit = |words: &[u64; 8]| words[index / 64] >> (index % 64) & 1;
-        state_of_bits(bit(&self.known), bit(&self.occupied))
+        match (bit(&self.known), bit(&self.occupied)) {
+            (0, _) => Occupancy::Unknown,
+            (_, 0) => Occupancy::Free,
+            _ => Occupancy::Occupied,
+        }
     }
-}
 
-#[inline]
-fn state_of_bits(known: u64, occupied: u64) -> Occupancy {
-    match (known, occupied) {
-        (0, _) => Occupancy::Unknown,
-        (_, 0) => Occupancy::Free,
-        _ => Occupancy::Occupied,
+    fn first_hit(&self, way: (&Ray, BrickKey, f64), unknown: UnknownCells) -> RayHit {
+        let mut stops = self.occupied;
+        if unknown == UnknownCells::Stop {
+            for (stop, known) in stops.iter_mut().zip(&self.known) {
+                *stop |= !known;
+            }
+        }
+        let stops = |index| stops[index / 64] >> (index % 64) & 1 == 1;
+        first_in_brick(way, stops, |index| self.state(index))
     }
 }
 
@@ -114,15 +113,12 @@ impl Block {
             let index = index_in_block(packed);
             is_changed[index] = true;
             let state = |value| map.limits.occupancy(value);
-            let masks = match map.brick(BrickKey::unpack(packed)) {
-                BrickRef::Uniform(value) => {
-                    put(index, word_of_state(state(value)), None);
-                    continue;
-                }
-                BrickRef::Mixed(_) | BrickRef::Packed(_) => {
-                    Masks::new(&map.brick_values(BrickKey::unpack(packed)), state)
-                }
-            };
+            let key = BrickKey::unpack(packed);
+            if let BrickRef::Uniform(value) = map.brick(key) {
+                put(index, word_of_state(state(value)), None);
+                continue;
+            }
+            let masks = Masks::new(&map.brick_values(key), state);
             match masks.summary() {
                 (_, true) => put(index, word_of_state(masks.state(0)), None),
                 (flags, false) => put(index, flags, Some(&masks)),
@@ -227,11 +223,10 @@ impl Snapshot {
     /// Bytes allocated, those shared with copies included.
     #[must_use]
     pub fn bytes_in_memory(&self) -> usize {
-        let blocks = self.blocks.iter();
-        let masks: usize = blocks
-            .map(|b| b.masks.capacity() * size_of::<Masks>())
-            .sum();
-        self.blocks.len() * (size_of::<Block>() + 8) + masks + self.directory.len() * 4
+        let masks: usize = self.blocks.iter().map(|b| b.masks.capacity()).sum();
+        self.blocks.len() * (size_of::<Block>() + 8)
+            + masks * size_of::<Masks>()
+            + self.directory.len() * 4
     }
 
     fn read(&mut self, map: &OccupancyMap, bricks: Vec<BrickKey>) {
@@ -287,8 +282,8 @@ impl Snapshot {
     #[must_use]
     #[inline]
     pub fn state(&self, point_in_map: [f64; 3]) -> Occupancy {
-        VoxelKey::from_point(point_in_map, self.inv_resolution)
-            .map_or(Occupancy::Unknown, |key| self.state_of(key))
+        let key = VoxelKey::from_point(point_in_map, self.inv_resolution);
+        key.map_or(Occupancy::Unknown, |key| self.state_of(key))
     }
 
     /// What is known about a cell.
@@ -337,64 +332,24 @@ impl Snapshot {
         max_range: f64,
         unknown: UnknownCells,
     ) -> RayHit {
-        let Some(ray) = ray_for_query(origin, direction, max_range, self.inv_resolution) else {
-            return RayHit::Invalid;
-        };
         let stopping = stopping_flags(unknown);
-        let mut hit = RayHit::Nothing;
         let mut block_key = !0;
         let mut block = None;
-        ray.any_brick(|packed| {
+        let way = [origin, direction];
+        first_hit(way, max_range, self.inv_resolution, |ray, packed| {
             if packed & !IN_BLOCK != block_key {
                 block_key = packed & !IN_BLOCK;
                 block = self.block(packed);
             }
             let word = block.map_or(HAS_UNKNOWN, |b| b.words[index_in_block(packed)]);
             if word & stopping == 0 {
-                return false;
+                return RayHit::Nothing;
             }
-            let masks = block.and_then(|b| b.masks_of(word));
-            hit = self.hit_in_brick(&ray, packed, word, masks, unknown);
-            hit != RayHit::Nothing
-        });
-        hit
-    }
-
-    fn hit_in_brick(
-        &self,
-        ray: &Ray,
-        packed: u64,
-        word: u32,
-        masks: Option<&Masks>,
-        unknown: UnknownCells,
-    ) -> RayHit {
-        let brick = BrickKey::unpack(packed);
-        let entry = ray.enter(brick);
-        let Some(masks) = masks else {
-            return hit_at(
-                brick,
-                entry.index,
-                entry.range,
-                state_of_word(word),
-                self.resolution,
-            );
-        };
-        let mut stops = masks.occupied;
-        if unknown == UnknownCells::Stop {
-            for (stop, known) in stops.iter_mut().zip(&masks.known) {
-                *stop |= !known;
+            let way = (ray, BrickKey::unpack(packed), self.resolution);
+            match block.and_then(|b| b.masks_of(word)) {
+                Some(masks) => masks.first_hit(way, unknown),
+                None => first_in_brick(way, |_| true, |_| state_of_word(word)),
             }
-        }
-        let mut found = None;
-        ray.walk_until(entry, |index, range| {
-            let stop = stops[index / 64] >> (index % 64) & 1 == 1;
-            if stop {
-                found = Some((index, range));
-            }
-            stop
-        });
-        found.map_or(RayHit::Nothing, |(index, range)| {
-            hit_at(brick, index, range, masks.state(index), self.resolution)
         })
     }
 
@@ -425,9 +380,8 @@ impl States for Snapshot {
 
     fn may_stop(&self, brick: BrickKey, unknown: UnknownCells) -> bool {
         let packed = brick.pack();
-        let word = self
-            .block(packed)
-            .map_or(HAS_UNKNOWN, |b| b.words[index_in_block(packed)]);
+        let block = self.block(packed);
+        let word = block.map_or(HAS_UNKNOWN, |b| b.words[index_in_block(packed)]);
         word & stopping_flags(unknown) != 0
     }
 

@@ -159,62 +159,42 @@ impl SensorModel {
 
     /// The model for a map with cells of edge `resolution`: fills in what "auto" leaves open.
     #[must_use]
-    pub fn at_resolution(self, resolution: f64) -> Self {
+    pub fn at_resolution(mut self, resolution: f64) -> Self {
+        if let Self::Andert {
+            significance: Significance::Auto { cell, .. },
+            ..
+        } = &mut self
+        {
+            *cell = resolution;
+        }
+        if let Some(Buffer::Auto { min, .. }) = self.buffer_mut() {
+            *min = min.max(3_f64.sqrt() * resolution);
+        }
+        self
+    }
+
+    /// The band of the ideal and of Thrun's model.
+    fn buffer_mut(&mut self) -> Option<&mut Buffer> {
         match self {
-            Self::None => Self::None,
-            Self::Ideal { .. } | Self::Thrun { .. } => {
-                let diagonal = 3_f64.sqrt() * resolution;
-                let least = |(_, min): (f64, f64)| self.with_least_band(min.max(diagonal));
-                self.automatic_band().map_or(self, least)
-            }
-            Self::Andert {
-                significance,
-                p_min,
-                form,
-            } => Self::Andert {
-                significance: match significance {
-                    Significance::Auto { gain, .. } => Significance::Auto {
-                        gain,
-                        cell: resolution,
-                    },
-                    Significance::Fixed(value) => Significance::Fixed(value),
-                },
-                p_min,
-                form,
-            },
+            Self::Ideal { buffer } | Self::Thrun { buffer, .. } => Some(buffer),
+            Self::None | Self::Andert { .. } => None,
         }
     }
 
     /// The band of an automatic thickness: so many standard deviations, and the least length.
-    pub(crate) fn automatic_band(&self) -> Option<(f64, f64)> {
-        match *self {
-            Self::Ideal {
-                buffer: Buffer::Auto { sigmas, min },
-            }
-            | Self::Thrun {
-                buffer: Buffer::Auto { sigmas, min },
-                ..
-            } => Some((sigmas, min)),
-            _ => None,
+    pub(crate) fn automatic_band(mut self) -> Option<(f64, f64)> {
+        match *self.buffer_mut()? {
+            Buffer::Auto { sigmas, min } => Some((sigmas, min)),
+            Buffer::Fixed(_) => None,
         }
     }
 
     /// The model with another least length of an automatic band.
-    pub(crate) fn with_least_band(self, min: f64) -> Self {
-        let with = |buffer| match buffer {
-            Buffer::Auto { sigmas, .. } => Buffer::Auto { sigmas, min },
-            Buffer::Fixed(length) => Buffer::Fixed(length),
-        };
-        match self {
-            Self::Ideal { buffer } => Self::Ideal {
-                buffer: with(buffer),
-            },
-            Self::Thrun { buffer, form } => Self::Thrun {
-                buffer: with(buffer),
-                form,
-            },
-            other => other,
+    pub(crate) fn with_least_band(mut self, length: f64) -> Self {
+        if let Some(Buffer::Auto { min, .. }) = self.buffer_mut() {
+            *min = length;
         }
+        self
     }
 
     /// Probability that the cell at `range` on the ray is occupied, exact in `f64`.
@@ -293,15 +273,8 @@ impl SensorModel {
     /// The first field found outside its range.
     pub fn validate(&self) -> Result<(), MapError> {
         let positive = |field, value: f64| {
-            if value > 0.0 && value.is_finite() {
-                Ok(())
-            } else {
-                Err(MapError::Config {
-                    field,
-                    value,
-                    allowed: "positive and finite",
-                })
-            }
+            let is_allowed = value > 0.0 && value.is_finite();
+            MapError::unless(is_allowed, field, value, "positive and finite")
         };
         match *self {
             Self::None => Ok(()),
@@ -318,15 +291,8 @@ impl SensorModel {
                     Significance::Fixed(value) => positive("significance", value)?,
                     Significance::Auto { gain, .. } => positive("significance.gain", gain)?,
                 }
-                if p_min > 0.0 && p_min < 0.5 {
-                    Ok(())
-                } else {
-                    Err(MapError::Config {
-                        field: "p_min",
-                        value: p_min,
-                        allowed: "between 0 and 0.5",
-                    })
-                }
+                let is_allowed = p_min > 0.0 && p_min < 0.5;
+                MapError::unless(is_allowed, "p_min", p_min, "between 0 and 0.5")
             }
         }
     }

@@ -97,9 +97,8 @@ impl EvidenceTable {
             }
         };
         let update = |stated: f64| evidence_from_log_odds(limits.update(stated));
-        let all: Vec<f64> = (0..count)
-            .map(|i| stated(front + (i as f64 + 0.5) * step))
-            .collect();
+        let all = (0..count).map(|i| stated(front + (i as f64 + 0.5) * step));
+        let all: Vec<f64> = all.collect();
         let counts = |&stated: &f64| stated.abs() >= limits.cutoff && update(stated) != 0;
         let kept = all.iter().rposition(counts).map_or(0, |last| last + 1);
         let mut entries: Vec<i16> = all[..kept].iter().map(|stated| update(*stated)).collect();
@@ -117,17 +116,6 @@ impl EvidenceTable {
     /// Distance behind the measured range at which the table ends.
     pub(crate) fn end(&self) -> f64 {
         self.start + self.entries.len() as f64 / self.inv_step
-    }
-
-    /// Evidence at `range - measured_range = x`; 0 behind the band.
-    #[cfg(test)]
-    pub(crate) fn lookup(&self, x: f64) -> i16 {
-        let offset = (x - self.start) * self.inv_step;
-        if offset < 0.0 {
-            self.free
-        } else {
-            self.entries.get(offset as usize).copied().unwrap_or(0)
-        }
     }
 }
 
@@ -174,15 +162,15 @@ impl KnownTables {
             known.tables.clear();
         }
         let make = || {
-            let sigma = bin_center(bins.sigma);
+            let sigma = bin_center(bins.sigma, BIN_SHIFT);
             let model = match bins.band {
                 0 => model,
-                band => model.with_least_band(band_center(band)),
+                band => model.with_least_band(bin_center(band, BAND_SHIFT)),
             };
             let ratio = if bins.ratio == 0 {
                 1e3 + model.reach_behind(sigma) / sigma
             } else {
-                bin_center(bins.ratio)
+                bin_center(bins.ratio, BIN_SHIFT)
             };
             EvidenceTable::new(&model, sigma, ratio * sigma, limits)
         };
@@ -202,26 +190,18 @@ pub(crate) struct TableSet {
     last: Option<(Bins, u16)>,
 }
 
-fn bin(value: f32) -> u32 {
-    value.to_bits() >> BIN_SHIFT
+fn bin(value: f32, shift: u32) -> u32 {
+    value.to_bits() >> shift
 }
 
-fn bin_center(bin: u32) -> f64 {
-    f64::from(f32::from_bits(bin << BIN_SHIFT | 1 << (BIN_SHIFT - 1)))
+fn bin_center(bin: u32, shift: u32) -> f64 {
+    f64::from(f32::from_bits(bin << shift | 1 << (shift - 1)))
 }
 
 /// Bins of sigma that share one table where there is one for each band too: 13 % of it.
 const COARSER: u32 = 4;
 /// Bits of an `f32` dropped by the bin of a band, which is a quarter of an octave wide.
 const BAND_SHIFT: u32 = 21;
-
-fn band_bin(length: f32) -> u32 {
-    length.to_bits() >> BAND_SHIFT
-}
-
-fn band_center(bin: u32) -> f64 {
-    f64::from(f32::from_bits(bin << BAND_SHIFT | 1 << (BAND_SHIFT - 1)))
-}
 
 impl TableSet {
     /// An empty set for a model that is already at its resolution.
@@ -247,9 +227,10 @@ impl TableSet {
     #[inline]
     pub(crate) fn prepare(&mut self, range: f32, sigma: f32) -> u16 {
         let needs_range = range < self.far_sigmas() * sigma;
+        let ratio = || bin(range / sigma, BIN_SHIFT);
         let bins = Bins {
-            sigma: bin(sigma),
-            ratio: if needs_range { bin(range / sigma) } else { 0 },
+            sigma: bin(sigma, BIN_SHIFT),
+            ratio: if needs_range { ratio() } else { 0 },
             band: 0,
         };
         match self.last {
@@ -299,13 +280,13 @@ impl TableSet {
     /// Index of a table for the measurements of another one, with a band at least as long as given instead of the model's own.
     pub(crate) fn with_band(&mut self, index: u16, length: f32) -> u16 {
         let bins = self.bins_of_tables[usize::from(index)];
-        let sigma = bin_center(bins.sigma);
+        let sigma = bin_center(bins.sigma, BIN_SHIFT);
         match self.model.automatic_band() {
             // long enough by the uncertainty alone
             Some((sigmas, min)) if sigmas * sigma < min.max(length.into()) => {
                 self.prepare_bins(Bins {
                     sigma: bins.sigma / COARSER * COARSER + COARSER / 2,
-                    band: band_bin(length),
+                    band: bin(length, BAND_SHIFT),
                     ..bins
                 })
             }
@@ -335,13 +316,25 @@ mod tests {
     use crate::evidence::log_odds_from_evidence;
     use crate::sensor::{Buffer, Significance};
 
+    impl EvidenceTable {
+        /// Evidence at `range - measured_range = x`; 0 behind the band.
+        fn lookup(&self, x: f64) -> i16 {
+            let offset = (x - self.start) * self.inv_step;
+            if offset < 0.0 {
+                self.free
+            } else {
+                self.entries.get(offset as usize).copied().unwrap_or(0)
+            }
+        }
+    }
+
     fn worst_difference(model: SensorModel, limits: UpdateLimits, sigmas: &[f64]) -> f64 {
         let mut set = TableSet::new(model, limits).unwrap();
         let z = 40.0;
         let mut worst: f64 = 0.0;
         for &sigma in sigmas {
             // Compared at the bin's own sigma: the error of the table alone.
-            let sigma = bin_center(bin(sigma as f32));
+            let sigma = bin_center(bin(sigma as f32, BIN_SHIFT), BIN_SHIFT);
             let index = set.prepare(z as f32, sigma as f32);
             let table = set.table(index);
             for i in -4000..4000 {
@@ -414,7 +407,7 @@ mod tests {
             form: ThrunForm::Exact,
         };
         let mut set = TableSet::new(model, limits).unwrap();
-        let sigma = bin_center(bin(0.02));
+        let sigma = bin_center(bin(0.02, BIN_SHIFT), BIN_SHIFT);
         let index = set.prepare(2.0, sigma as f32);
         let table = set.table(index);
         let stated = |x: f64| model.log_odds(2.0 + x, 2.0, sigma, (-20.0, 20.0));
@@ -432,7 +425,7 @@ mod tests {
     fn a_bin_is_within_two_percent_of_every_sigma_in_it() {
         for i in 0..2000 {
             let sigma = 1e-4 * 1.005_f64.powi(i);
-            let ratio = bin_center(bin(sigma as f32)) / sigma;
+            let ratio = bin_center(bin(sigma as f32, BIN_SHIFT), BIN_SHIFT) / sigma;
             assert!((0.984..1.016).contains(&ratio), "{sigma} {ratio}");
         }
     }
@@ -456,8 +449,8 @@ mod tests {
         ] {
             let mut set = TableSet::new(model, DEFAULT).unwrap();
             for ratio in [3.0, 5.0, 10.0, 30.0, 200.0] {
-                let sigma = bin_center(bin(0.05));
-                let ratio = bin_center(bin(ratio));
+                let sigma = bin_center(bin(0.05, BIN_SHIFT), BIN_SHIFT);
+                let ratio = bin_center(bin(ratio, BIN_SHIFT), BIN_SHIFT);
                 let z = ratio * sigma;
                 let index = set.prepare(z as f32, sigma as f32);
                 let table = set.table(index);

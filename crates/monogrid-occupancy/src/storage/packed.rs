@@ -19,65 +19,51 @@ const UNPACKED_WORDS: usize = BRICK_CELLS * size_of::<i16>() / size_of::<u64>();
 const MAX_VALUES: usize = 256;
 const PLANES_BITS: u32 = 4;
 
-/// The values that occur in a brick in the order of their first cells, and the index per cell.
-struct Palette {
-    values: Vec<i16>,
-    index_of_cell: [u8; BRICK_CELLS],
-}
-
-impl Palette {
-    /// `None` if there are too many values.
-    fn new(cells: &[i16; BRICK_CELLS]) -> Option<Self> {
-        const SLOTS: usize = 1024;
-        // Open addressing: index plus one.
-        let mut slots = [0_u16; SLOTS];
-        let mut values: Vec<i16> = Vec::with_capacity(16);
-        let mut index_of_cell = [0; BRICK_CELLS];
-        for (cell, &value) in index_of_cell.iter_mut().zip(cells) {
-            let mut slot = (value as u16).wrapping_mul(0x9e37) as usize >> 6;
-            *cell = loop {
-                match usize::from(slots[slot]) {
-                    0 if values.len() == MAX_VALUES => return None,
-                    0 => {
-                        values.push(value);
-                        slots[slot] = values.len() as u16;
-                        break (values.len() - 1) as u8;
-                    }
-                    found if values[found - 1] == value => break (found - 1) as u8,
-                    _ => slot = (slot + 1) % SLOTS,
+/// The values that occur in a brick in the order of their first cells, and the index per cell; `None` if there are
+/// too many values.
+fn palette(cells: &[i16; BRICK_CELLS]) -> Option<(Vec<i16>, [u8; BRICK_CELLS])> {
+    const SLOTS: usize = 1024;
+    // Open addressing: index plus one.
+    let mut slots = [0_u16; SLOTS];
+    let mut values: Vec<i16> = Vec::with_capacity(16);
+    let mut index_of_cell = [0; BRICK_CELLS];
+    for (cell, &value) in index_of_cell.iter_mut().zip(cells) {
+        let mut slot = (value as u16).wrapping_mul(0x9e37) as usize >> 6;
+        *cell = loop {
+            match usize::from(slots[slot]) {
+                0 if values.len() == MAX_VALUES => return None,
+                0 => {
+                    values.push(value);
+                    slots[slot] = values.len() as u16;
+                    break (values.len() - 1) as u8;
                 }
-            };
-        }
-        Some(Self {
-            values,
-            index_of_cell,
-        })
+                found if values[found - 1] == value => break (found - 1) as u8,
+                _ => slot = (slot + 1) % SLOTS,
+            }
+        };
     }
-
-    /// Bits of an index.
-    fn planes(&self) -> usize {
-        (self.values.len().max(2) - 1).ilog2() as usize + 1
-    }
+    Some((values, index_of_cell))
 }
 
 /// Appends a brick to `words`; `false`, and nothing appended, if it would not become smaller.
 pub(crate) fn pack(cells: &[i16; BRICK_CELLS], words: &mut Vec<u64>) -> bool {
-    let Some(palette) = Palette::new(cells) else {
+    let Some((values, index_of_cell)) = palette(cells) else {
         return false;
     };
-    let planes = palette.planes();
-    let head = (palette.values.len() + 1).div_ceil(LANES);
+    // Bits of an index.
+    let planes = (values.len().max(2) - 1).ilog2() as usize + 1;
+    let head = (values.len() + 1).div_ceil(LANES);
     if head + planes * (BRICK_CELLS / GROUP) >= UNPACKED_WORDS {
         return false;
     }
     let first = words.len();
     words.resize(first + head, 0);
-    let sizes = (palette.values.len() << PLANES_BITS | planes) as u16;
-    let values = palette.values.iter().map(|&v| v as u16);
+    let sizes = (values.len() << PLANES_BITS | planes) as u16;
+    let values = values.into_iter().map(|value| value as u16);
     for (lane, bits) in std::iter::once(sizes).chain(values).enumerate() {
         words[first + lane / LANES] |= u64::from(bits) << (lane % LANES * 16);
     }
-    for group in palette.index_of_cell.chunks_exact(GROUP) {
+    for group in index_of_cell.chunks_exact(GROUP) {
         for plane in 0..planes {
             let bits = group.iter().enumerate();
             words.push(bits.fold(0, |word, (cell, index)| {

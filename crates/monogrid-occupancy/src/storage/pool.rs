@@ -44,8 +44,8 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
-    /// A payload filled with `value`.
-    pub(crate) fn allocate(&mut self, value: i16) -> u32 {
+    /// A payload that holds what `fill` writes into it.
+    pub(crate) fn insert(&mut self, fill: impl FnOnce(&mut [i16; BRICK_CELLS])) -> u32 {
         let index = self.free.pop().unwrap_or_else(|| {
             if self.used as usize == self.chunks.len() * CHUNK {
                 let chunk = vec![Payload([UNKNOWN; BRICK_CELLS]); CHUNK];
@@ -54,7 +54,7 @@ impl Pool {
             self.used += 1;
             self.used - 1
         });
-        self.get_mut(index).0.fill(value);
+        fill(&mut self.get_mut(index).0);
         index
     }
 
@@ -70,13 +70,6 @@ impl Pool {
     #[inline]
     pub(crate) fn get_mut(&mut self, index: u32) -> &mut Payload {
         &mut self.chunks[index as usize / CHUNK][index as usize % CHUNK]
-    }
-
-    /// A payload with these values.
-    pub(crate) fn insert(&mut self, payload: &Payload) -> u32 {
-        let index = self.allocate(0);
-        self.get_mut(index).0 = payload.0;
-        index
     }
 
     /// Payloads in use.

@@ -24,6 +24,10 @@ pub(crate) enum BrickRef {
     Packed(u32),
 }
 
+impl BrickRef {
+    pub(crate) const UNKNOWN: Self = Self::Uniform(UNKNOWN);
+}
+
 /// Position in a directory; valid until the next insertion into the same shard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SlotIndex(pub u32);
@@ -57,20 +61,28 @@ const fn uniform_word(value: i16) -> u32 {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Shard {
     slots: Vec<Slot>,
-    len: usize,
+    /// Bricks in the directory.
+    pub(crate) len: usize,
     pool: Pool,
     /// Words of the packed bricks, and of those that were given a payload since.
     packed: Vec<u64>,
-    packed_len: usize,
+    /// Packed bricks.
+    pub(crate) packed_len: usize,
 }
 
 impl Shard {
     /// Bytes per directory slot, for budgets.
     pub(crate) const SLOT_BYTES: usize = size_of::<Slot>();
 
+    /// The place in the directory, which is not empty, of a brick, or of the next that is free.
     #[inline]
-    fn start(&self, hash: u64) -> usize {
-        (hash >> 27) as usize & (self.slots.len() - 1)
+    fn place(&self, packed: u64, hash: u64) -> usize {
+        let mask = self.slots.len() - 1;
+        let mut index = (hash >> 27) as usize & mask;
+        while ![packed, EMPTY].contains(&self.slots[index].key) {
+            index = (index + 1) & mask;
+        }
+        index
     }
 
     /// The slot of a brick, if it is in the directory.
@@ -79,40 +91,24 @@ impl Shard {
         if self.slots.is_empty() {
             return None;
         }
-        let mut index = self.start(hash);
-        loop {
-            let key = self.slots[index].key;
-            if key == packed {
-                return Some(SlotIndex(index as u32));
-            }
-            if key == EMPTY {
-                return None;
-            }
-            index = (index + 1) & (self.slots.len() - 1);
-        }
+        let index = self.place(packed, hash);
+        (self.slots[index].key == packed).then_some(SlotIndex(index as u32))
     }
 
     /// The slot of a brick, inserted as uniform unknown if it was absent.
     #[inline]
     pub(crate) fn find_or_insert(&mut self, packed: u64, hash: u64) -> SlotIndex {
         self.reserve(1);
-        let mut index = self.start(hash);
-        loop {
-            let slot = &mut self.slots[index];
-            if slot.key == packed {
-                return SlotIndex(index as u32);
-            }
-            if slot.key == EMPTY {
-                *slot = Slot {
-                    key: packed,
-                    revision: 0,
-                    contents: uniform_word(UNKNOWN),
-                };
-                self.len += 1;
-                return SlotIndex(index as u32);
-            }
-            index = (index + 1) & (self.slots.len() - 1);
+        let index = self.place(packed, hash);
+        if self.slots[index].key == EMPTY {
+            self.slots[index] = Slot {
+                key: packed,
+                revision: 0,
+                contents: uniform_word(UNKNOWN),
+            };
+            self.len += 1;
         }
+        SlotIndex(index as u32)
     }
 
     /// Makes room for so many bricks: the slots of those that are inserted next stay valid.
@@ -140,10 +136,7 @@ impl Shard {
         };
         let old = std::mem::replace(&mut self.slots, vec![empty; capacity]);
         for slot in old.into_iter().filter(|s| s.key != EMPTY) {
-            let mut index = self.start(super::hash(slot.key));
-            while self.slots[index].key != EMPTY {
-                index = (index + 1) & (capacity - 1);
-            }
+            let index = self.place(slot.key, super::hash(slot.key));
             self.slots[index] = slot;
         }
     }
@@ -203,7 +196,7 @@ impl Shard {
         let payload = match self.contents(slot) {
             BrickRef::Mixed(payload) => payload,
             BrickRef::Uniform(value) => {
-                let payload = self.pool.allocate(value);
+                let payload = self.pool.insert(|cells| cells.fill(value));
                 self.slots[slot.0 as usize].contents = payload;
                 payload
             }
@@ -214,7 +207,8 @@ impl Shard {
 
     #[cold]
     fn unpack(&mut self, slot: SlotIndex, word: u32) -> u32 {
-        let payload = self.pool.insert(&Payload(self.packed(word).values()));
+        let values = self.packed(word).values();
+        let payload = self.pool.insert(|cells| *cells = values);
         self.slots[slot.0 as usize].contents = payload;
         self.packed_len -= 1;
         payload
@@ -246,7 +240,7 @@ impl Shard {
                 packed_len += 1;
                 PACKED | first as u32
             } else {
-                pool.insert(&Payload(self.values(slot.contents())))
+                pool.insert(|cells| *cells = self.values(slot.contents()))
             };
         }
         words.shrink_to_fit();
@@ -310,25 +304,13 @@ impl Shard {
 
     /// All bricks, tombstones included, in no particular order: packed key, revision, contents.
     pub(crate) fn bricks(&self) -> impl Iterator<Item = (u64, u32, BrickRef)> + '_ {
-        self.slots
-            .iter()
-            .filter(|s| s.key != EMPTY)
-            .map(|s| (s.key, s.revision, s.contents()))
-    }
-
-    /// Bricks in the directory.
-    pub(crate) fn len(&self) -> usize {
-        self.len
+        let used = self.slots.iter().filter(|s| s.key != EMPTY);
+        used.map(|s| (s.key, s.revision, s.contents()))
     }
 
     /// Bricks with a payload, packed ones not counted.
     pub(crate) fn payloads(&self) -> usize {
         self.pool.len()
-    }
-
-    /// Packed bricks.
-    pub(crate) fn packed_bricks(&self) -> usize {
-        self.packed_len
     }
 
     /// Bytes allocated for the directory and the payloads.
@@ -391,7 +373,7 @@ mod tests {
             let cells = oracle.entry(key).or_insert([UNKNOWN; BRICK_CELLS]);
             if step % 1500 == 700 {
                 shard.pack();
-                most_packed = most_packed.max(shard.packed_bricks());
+                most_packed = most_packed.max(shard.packed_len);
             }
             match random() % 4 {
                 0 => {
@@ -414,12 +396,12 @@ mod tests {
                 }
             }
         }
-        assert_eq!(shard.len(), oracle.len());
+        assert_eq!(shard.len, oracle.len());
         let mixed = oracle
             .values()
             .filter(|c| c.iter().any(|v| *v != c[0]))
             .count();
-        let own = shard.payloads() + shard.packed_bricks();
+        let own = shard.payloads() + shard.packed_len;
         assert_eq!(own, mixed, "uniform bricks hold no payload");
         assert!(most_packed > 50, "{most_packed} packed");
         for (key, cells) in oracle {

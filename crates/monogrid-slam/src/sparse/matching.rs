@@ -3,7 +3,7 @@
 use super::SparseConfig;
 use crate::map::{Map, MapKeyframe, Observation, SparsePoint};
 use crate::{FragmentId, KeyframeId};
-use monogrid_depth::{DepthMap, DepthState};
+use monogrid_depth::DepthMap;
 use monogrid_features::{PatchSearchConfig, find_patch, patch_warp};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
 use monogrid_image::Pyramid;
@@ -407,11 +407,8 @@ pub(super) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)>
             if x < 0 || y < 0 || x >= host.width() as i32 || y >= host.height() as i32 {
                 continue;
             }
-            if let DepthState::Known {
-                idepth, idepth_var, ..
-            } = depth.state(x as usize, y as usize)
-            {
-                known.push((idepth, idepth_var));
+            if let Some(pixel) = depth.at(x as usize, y as usize) {
+                known.push((pixel.idepth, pixel.idepth_var));
             }
         }
     }

@@ -11,7 +11,7 @@ use crate::frame::Frame;
 use crate::map::{Map, MapKeyframe, NUM_LEVELS};
 use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
-use monogrid_depth::{DepthMap, DepthState, HostFrame, PackedDepth, StereoFrame};
+use monogrid_depth::{DepthMap, HostFrame, PackedDepth, PixelDepth, StereoFrame};
 use monogrid_geometry::{Mat6, Se3, Vec3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
@@ -173,12 +173,13 @@ pub(super) fn sampled_depth(
 ) -> Option<DepthMap> {
     let mut depth = DepthMap::empty(host(setup, image)?, &setup.config.depth);
     for sample in samples {
-        let state = DepthState::Known {
+        depth.seed_pixel(&PixelDepth {
+            x: sample.x,
+            y: sample.y,
             idepth: sample.idepth,
             idepth_var: sample.idepth_var,
             validity: setup.config.depth.mature_validity,
-        };
-        depth.seed_pixel(sample.x.into(), sample.y.into(), state);
+        });
     }
     Some(depth)
 }
@@ -193,12 +194,13 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
         // publication has made the variance larger; errors that all pixels share stay in a part of it
         let shared = (publication.relative_sigma * pixel.idepth).powi(2);
         let own = (pixel.idepth_var - shared).max(0.1 * pixel.idepth_var);
-        let state = DepthState::Known {
+        depth.seed_pixel(&PixelDepth {
+            x: pixel.x,
+            y: pixel.y,
             idepth: pixel.idepth,
             idepth_var: own / publication.sigma_factor.powi(2),
             validity,
-        };
-        depth.seed_pixel(pixel.x.into(), pixel.y.into(), state);
+        });
     }
     regularize(&mut depth, config);
     Some(depth)
@@ -207,7 +209,7 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
 /// The image of a keyframe as its depth needs it; `None` when it is too small or of another size.
 fn host(setup: &Setup, image: GrayImage) -> Option<Arc<HostFrame>> {
     let host = HostFrame::new(image, setup.mask.clone(), setup.pinhole);
-    host.ok().map(Arc::new)
+    host.map(Arc::new)
 }
 
 /// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.

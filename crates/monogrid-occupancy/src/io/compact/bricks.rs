@@ -2,32 +2,12 @@
 //! difference to them is small. The same code encodes and decodes.
 
 use super::coder::{Bit, Coder};
-use crate::evidence::UNKNOWN;
+use crate::evidence::{Limits, UNKNOWN};
 use crate::key::BRICK_CELLS;
-
-/// Values that a map clamps at are as frequent as "unknown" and get words of their own.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Clamps {
-    pub min: i16,
-    pub max: i16,
-}
-
-impl Clamps {
-    /// 0 unknown, 1 and 2 the clamps, 3 anything else.
-    #[inline]
-    fn class(self, value: i16) -> usize {
-        match value {
-            UNKNOWN => 0,
-            _ if value == self.min => 1,
-            _ if value == self.max => 2,
-            _ => 3,
-        }
-    }
-}
 
 /// What was learned from the bricks of a chunk.
 pub(super) struct Model {
-    clamps: Clamps,
+    limits: Limits,
     uniform: Bit,
     /// Equal to the neighbour in x; by its class and which of the other two equal it.
     same_x: [Bit; 16],
@@ -40,12 +20,14 @@ pub(super) struct Model {
     /// Trees of eight bits: upper and lower half of the difference to the neighbours' mean.
     upper: [Bit; 256],
     lower: [[Bit; 256]; 3],
+    /// The last brick: its packed key and its cells.
+    last: Option<(u64, [i16; BRICK_CELLS])>,
 }
 
 impl Model {
-    pub(super) fn new(clamps: Clamps) -> Self {
+    pub(super) fn new(limits: Limits) -> Self {
         Self {
-            clamps,
+            limits,
             uniform: Bit::NEW,
             same_x: [Bit::NEW; 16],
             same_y: [Bit::NEW; 8],
@@ -53,19 +35,29 @@ impl Model {
             class: [[Bit::NEW; 4]; 4],
             upper: [Bit::NEW; 256],
             lower: [[Bit::NEW; 256]; 3],
+            last: None,
         }
     }
 
-    /// Encodes `cells`, or decodes into them. `below` is the brick below in z, if it was the last
-    /// one coded.
+    /// Encodes the cells of a brick, or decodes into them.
     pub(super) fn brick(
         &mut self,
         coder: &mut impl Coder,
+        packed: u64,
         cells: &mut [i16; BRICK_CELLS],
-        below: Option<&[i16; BRICK_CELLS]>,
     ) {
+        self.cells(coder, packed, cells);
+        self.last = Some((packed, *cells));
+    }
+
+    fn cells(&mut self, coder: &mut impl Coder, packed: u64, cells: &mut [i16; BRICK_CELLS]) {
         let is_uniform = cells.iter().all(|c| *c == cells[0]);
-        let under = |index: usize| below.map_or(UNKNOWN, |b| b[index + BRICK_CELLS - 64]);
+        // Keys ascend in z.
+        let below = self.last.take().filter(|(key, _)| key + 1 == packed);
+        let under = |index: usize| {
+            let below = below.as_ref();
+            below.map_or(UNKNOWN, |(_, b)| b[index + BRICK_CELLS - 64])
+        };
         if coder.bit(&mut self.uniform, is_uniform) {
             let z = under(0);
             cells[0] = self.value(coder, cells[0], [z; 3]);
@@ -85,21 +77,32 @@ impl Model {
         }
     }
 
+    /// 0 unknown, 1 and 2 the values that a map clamps at, which are as frequent and get words of their own, 3 anything else.
+    #[inline]
+    fn class(&self, value: i16) -> usize {
+        match value {
+            UNKNOWN => 0,
+            _ if value == self.limits.min => 1,
+            _ if value == self.limits.max => 2,
+            _ => 3,
+        }
+    }
+
     #[inline]
     fn value(&mut self, coder: &mut impl Coder, value: i16, [x, y, z]: [i16; 3]) -> i16 {
-        let class_x = self.clamps.class(x);
+        let class_x = self.class(x);
         let context = class_x << 2 | usize::from(x == y) << 1 | usize::from(x == z);
         if coder.bit(&mut self.same_x[context], value == x) {
             return x;
         }
         if y != x {
-            let context = self.clamps.class(y) << 1 | usize::from(y == z);
+            let context = self.class(y) << 1 | usize::from(y == z);
             if coder.bit(&mut self.same_y[context], value == y) {
                 return y;
             }
         }
         if z != x && z != y {
-            let context = self.clamps.class(z);
+            let context = self.class(z);
             if coder.bit(&mut self.same_z[context], value == z) {
                 return z;
             }
@@ -115,11 +118,11 @@ impl Model {
         class_x: usize,
         neighbours: [i16; 3],
     ) -> i16 {
-        let wanted = self.clamps.class(value);
+        let wanted = self.class(value);
         match tree(coder, &mut self.class[class_x], 2, wanted) {
             0 => return UNKNOWN,
-            1 => return self.clamps.min,
-            2 => return self.clamps.max,
+            1 => return self.limits.min,
+            2 => return self.limits.max,
             _ => {}
         }
         let known = neighbours.iter().filter(|n| **n != UNKNOWN);
@@ -129,12 +132,8 @@ impl Model {
         let difference = value.wrapping_sub(mean);
         let zigzag = (difference << 1 ^ difference >> 15) as u16;
         let upper = tree(coder, &mut self.upper, 8, usize::from(zigzag >> 8));
-        let lower = tree(
-            coder,
-            &mut self.lower[upper.min(2)],
-            8,
-            usize::from(zigzag & 255),
-        );
+        let contexts = &mut self.lower[upper.min(2)];
+        let lower = tree(coder, contexts, 8, usize::from(zigzag & 255));
         let zigzag = (upper << 8 | lower) as u16;
         let difference = (zigzag >> 1) as i16 ^ -((zigzag & 1) as i16);
         mean.wrapping_add(difference)

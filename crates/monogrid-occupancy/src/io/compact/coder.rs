@@ -23,10 +23,41 @@ impl Bit {
     }
 }
 
-/// The last value of the part of an interval that stands for a zero.
-#[inline]
-fn cut(low: u32, high: u32, zero: Bit) -> u32 {
-    low + ((u64::from(high - low) * u64::from(zero.0)) >> PROBABILITY_BITS) as u32
+/// The numbers that the bits so far leave, both ends inclusive.
+struct Interval {
+    low: u32,
+    high: u32,
+}
+
+impl Interval {
+    const ALL: Self = Self {
+        low: 0,
+        high: u32::MAX,
+    };
+
+    /// The last value of the part that stands for a zero.
+    #[inline]
+    fn cut(&self, zero: Bit) -> u32 {
+        self.low
+            + ((u64::from(self.high - self.low) * u64::from(zero.0)) >> PROBABILITY_BITS) as u32
+    }
+
+    /// Keeps the part that stands for a bit, which is learned; bytes leave that both ends agree on.
+    #[inline]
+    fn keep(&mut self, context: &mut Bit, bit: bool, mut leave: impl FnMut(u8)) {
+        let middle = self.cut(*context);
+        if bit {
+            self.low = middle + 1;
+        } else {
+            self.high = middle;
+        }
+        context.learn(bit);
+        while (self.low ^ self.high) >> 24 == 0 {
+            leave((self.high >> 24) as u8);
+            self.low <<= 8;
+            self.high = self.high << 8 | 255;
+        }
+    }
 }
 
 /// What encodes or decodes bits: both sides run the same code over it.
@@ -36,24 +67,20 @@ pub(super) trait Coder {
 }
 
 pub(super) struct Encoder {
-    low: u32,
-    high: u32,
+    interval: Interval,
     pub(super) bytes: Vec<u8>,
 }
 
 impl Encoder {
     /// Appends to `bytes`.
     pub(super) fn new(bytes: Vec<u8>) -> Self {
-        Self {
-            low: 0,
-            high: u32::MAX,
-            bytes,
-        }
+        let interval = Interval::ALL;
+        Self { interval, bytes }
     }
 
     /// Ends the code with the bytes that tell the last interval apart.
     pub(super) fn finish(mut self) -> Vec<u8> {
-        self.bytes.extend(self.high.to_be_bytes());
+        self.bytes.extend(self.interval.high.to_be_bytes());
         self.bytes
     }
 }
@@ -61,67 +88,40 @@ impl Encoder {
 impl Coder for Encoder {
     #[inline]
     fn bit(&mut self, context: &mut Bit, bit: bool) -> bool {
-        let middle = cut(self.low, self.high, *context);
-        if bit {
-            self.low = middle + 1;
-        } else {
-            self.high = middle;
-        }
-        context.learn(bit);
-        while (self.low ^ self.high) >> 24 == 0 {
-            self.bytes.push((self.high >> 24) as u8);
-            self.low <<= 8;
-            self.high = self.high << 8 | 255;
-        }
+        let bytes = &mut self.bytes;
+        self.interval.keep(context, bit, |byte| bytes.push(byte));
         bit
     }
 }
 
 /// Reads zeros beyond the end of its bytes: damage gives wrong bits, never a failure.
 pub(super) struct Decoder<'a> {
-    low: u32,
-    high: u32,
+    interval: Interval,
     code: u32,
     bytes: std::slice::Iter<'a, u8>,
 }
 
 impl<'a> Decoder<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        let mut decoder = Self {
-            low: 0,
-            high: u32::MAX,
-            code: 0,
-            bytes: bytes.iter(),
-        };
-        for _ in 0..4 {
-            decoder.shift();
+        let mut bytes = bytes.iter();
+        let mut next = || bytes.next().copied().unwrap_or(0);
+        let code = u32::from_be_bytes([next(), next(), next(), next()]);
+        Self {
+            interval: Interval::ALL,
+            code,
+            bytes,
         }
-        decoder
-    }
-
-    #[inline]
-    fn shift(&mut self) {
-        let byte = self.bytes.next().copied().unwrap_or(0);
-        self.code = self.code << 8 | u32::from(byte);
     }
 }
 
 impl Coder for Decoder<'_> {
     #[inline]
     fn bit(&mut self, context: &mut Bit, _: bool) -> bool {
-        let middle = cut(self.low, self.high, *context);
-        let bit = self.code > middle;
-        if bit {
-            self.low = middle + 1;
-        } else {
-            self.high = middle;
-        }
-        context.learn(bit);
-        while (self.low ^ self.high) >> 24 == 0 {
-            self.low <<= 8;
-            self.high = self.high << 8 | 255;
-            self.shift();
-        }
+        let bit = self.code > self.interval.cut(*context);
+        self.interval.keep(context, bit, |_| {
+            let byte = self.bytes.next().copied().unwrap_or(0);
+            self.code = self.code << 8 | u32::from(byte);
+        });
         bit
     }
 }

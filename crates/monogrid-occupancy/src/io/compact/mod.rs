@@ -14,7 +14,7 @@ mod coder;
 
 use std::io::{BufReader, BufWriter, Read, Write};
 
-use self::bricks::{Clamps, Model};
+use self::bricks::Model;
 use self::coder::{Decoder, Encoder};
 use super::{read_error, write_error};
 use crate::error::MapError;
@@ -57,22 +57,17 @@ pub fn write_mgo(map: &OccupancyMap, out: &mut impl Write) -> Result<(), MapErro
     out.write_all(&header).map_err(write_error)?;
     for chunk in bricks.chunks(CHUNK_BRICKS) {
         let bytes = encode(map, chunk);
-        let mut header = Vec::with_capacity(CHUNK_HEADER_BYTES);
-        header.extend((chunk.len() as u32).to_le_bytes());
-        header.extend((bytes.len() as u32).to_le_bytes());
-        header.extend(crc32fast::hash(&bytes).to_le_bytes());
+        let sizes = [
+            chunk.len() as u32,
+            bytes.len() as u32,
+            crc32fast::hash(&bytes),
+        ];
+        let mut header = sizes.map(u32::to_le_bytes).concat();
         header.extend(crc32fast::hash(&header).to_le_bytes());
         out.write_all(&header).map_err(write_error)?;
         out.write_all(&bytes).map_err(write_error)?;
     }
     out.flush().map_err(write_error)
-}
-
-fn clamps(map: &OccupancyMap) -> Clamps {
-    Clamps {
-        min: map.limits.min,
-        max: map.limits.max,
-    }
 }
 
 fn encode(map: &OccupancyMap, bricks: &[BrickKey]) -> Vec<u8> {
@@ -84,13 +79,9 @@ fn encode(map: &OccupancyMap, bricks: &[BrickKey]) -> Vec<u8> {
         next = key.pack() + 1;
     }
     let mut encoder = Encoder::new(bytes);
-    let mut model = Model::new(clamps(map));
-    let mut last: Option<(u64, [i16; BRICK_CELLS])> = None;
+    let mut model = Model::new(map.limits);
     for key in bricks {
-        let mut cells = map.brick_values(*key);
-        let below = last.as_ref().filter(|(k, _)| k + 1 == key.pack());
-        model.brick(&mut encoder, &mut cells, below.map(|(_, cells)| cells));
-        last = Some((key.pack(), cells));
+        model.brick(&mut encoder, key.pack(), &mut map.brick_values(*key));
     }
     encoder.finish()
 }
@@ -168,13 +159,13 @@ fn read_header(input: &mut impl Read, budget: usize) -> Result<(MapConfig, u64),
             String::from_utf8_lossy(&header[..8])
         )));
     }
-    let [_, _, version, ..] = words::<{ HEADER_BYTES / 4 }>(&header);
+    let words = words::<{ HEADER_BYTES / 4 }>(&header);
+    let version = words[2];
     if version != VERSION {
         return Err(damaged(format!(
             "it has version {version}, this program reads version {VERSION}: use a newer program"
         )));
     }
-    let words = words::<{ HEADER_BYTES / 4 }>(&header);
     if crc32fast::hash(&header[..HEADER_BYTES - 4]) != words[13] {
         return Err(damaged("the checksum of its header differs"));
     }
@@ -208,14 +199,11 @@ fn decode(
         next_key = key + 1;
     }
     let mut decoder = Decoder::new(bytes);
-    let mut model = Model::new(clamps(map));
-    let mut last: Option<(u64, [i16; BRICK_CELLS])> = None;
+    let mut model = Model::new(map.limits);
     for key in keys {
         let mut cells = [UNKNOWN; BRICK_CELLS];
-        let below = last.as_ref().filter(|(k, _)| k + 1 == key);
-        model.brick(&mut decoder, &mut cells, below.map(|(_, cells)| cells));
+        model.brick(&mut decoder, key, &mut cells);
         map.put_brick(BrickKey::unpack(key), &cells)?;
-        last = Some((key, cells));
     }
     Ok(next_key)
 }
@@ -226,18 +214,14 @@ fn damaged(reason: impl Into<String>) -> MapError {
 
 /// The little-endian words of some bytes.
 fn words<const N: usize>(bytes: &[u8]) -> [u32; N] {
-    let mut words = [0; N];
-    for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<4>().0) {
-        *word = u32::from_le_bytes(*bytes);
-    }
-    words
+    let words = bytes.as_chunks().0;
+    std::array::from_fn(|i| u32::from_le_bytes(words[i]))
 }
 
 fn read_exact(input: &mut impl Read, bytes: &mut [u8]) -> Result<(), MapError> {
     let cut = || damaged("the file ends before its last brick");
-    input
-        .read_exact(bytes)
-        .map_err(|error| read_error(error, cut))
+    let read = input.read_exact(bytes);
+    read.map_err(|error| read_error(error, cut))
 }
 
 fn read_array<const N: usize>(input: &mut impl Read) -> Result<[u8; N], MapError> {
