@@ -37,6 +37,17 @@ impl<'a> Input<'a> {
     pub(crate) fn finite(&mut self) -> Option<f64> {
         self.f64().filter(|v| v.is_finite())
     }
+    pub(crate) fn numbers<const N: usize>(&mut self) -> Option<[f64; N]> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = self.f64()?;
+        }
+        Some(numbers)
+    }
+    pub(crate) fn finites<const N: usize>(&mut self) -> Option<[f64; N]> {
+        self.numbers()
+            .filter(|numbers: &[f64; N]| numbers.iter().all(|n| n.is_finite()))
+    }
     /// A number of elements, then the elements.
     pub(crate) fn list<T>(
         &mut self,

@@ -4,40 +4,22 @@
 use monogrid_geometry::median::median;
 use monogrid_image::{GradientImage, GrayImage, Resize, resize_area};
 
-/// Limits above which a frame or a sequence is remarked on.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CheckConfig {
-    /// Gradient from which a pixel counts as textured, grey levels per px.
-    pub min_gradient: f32,
-    /// Share of textured pixels below which a frame is called plain.
-    pub min_textured_share: f32,
-    /// Brightness ratio of successive frames, or its inverse, that is called a jump.
-    pub exposure_jump: f32,
-    /// Mean absolute difference to the predecessor below which a frame repeats it, grey levels.
-    /// Sensor noise alone is above 0.5; compressing the same picture twice is below.
-    pub repeat_difference: f32,
-    /// Blur above the sequence's median from which a frame is called blurred.
-    pub blur_above_median: f32,
-    /// Share of pixels at the upper end of the range from which a frame is called overexposed.
-    pub max_saturated_share: f32,
-    /// Mean absolute change of the coarse picture within 30 frames below which the camera stands still, grey levels.
-    /// A drone on the floor has 1.3, the slowest carried cameras 3.
-    pub still_change: f32,
-}
-
-impl Default for CheckConfig {
-    fn default() -> Self {
-        Self {
-            min_gradient: 5.0,
-            min_textured_share: 0.05,
-            exposure_jump: 1.1,
-            repeat_difference: 0.2,
-            blur_above_median: 0.1,
-            max_saturated_share: 0.2,
-            still_change: 2.0,
-        }
-    }
-}
+/// Gradient from which a pixel counts as textured, grey levels per px.
+const MIN_GRADIENT: f32 = 5.0;
+/// Share of textured pixels below which a frame is called plain.
+const MIN_TEXTURED_SHARE: f32 = 0.05;
+/// Brightness ratio of successive frames, or its inverse, that is called a jump.
+const EXPOSURE_JUMP: f32 = 1.1;
+/// Mean absolute difference to the predecessor below which a frame repeats it, grey levels.
+/// Sensor noise alone is above 0.5; compressing the same picture twice is below.
+const REPEAT_DIFFERENCE: f32 = 0.2;
+/// Blur above the sequence's median from which a frame is called blurred.
+const BLUR_ABOVE_MEDIAN: f32 = 0.1;
+/// Share of pixels at the upper end of the range from which a frame is called overexposed.
+const MAX_SATURATED_SHARE: f32 = 0.2;
+/// Mean absolute change of the coarse picture within 30 frames below which the camera stands still, grey levels.
+/// A drone on the floor has 1.3, the slowest carried cameras 3.
+const STILL_CHANGE: f32 = 2.0;
 
 /// What one frame looks like.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +44,6 @@ pub struct FrameCheck {
 /// Checks frames one after the other.
 #[derive(Clone, Debug, Default)]
 pub struct FrameChecker {
-    config: CheckConfig,
     previous: Option<GrayImage>,
     /// The coarse picture that others are compared with, and how many were.
     anchor: Option<(GrayImage, usize)>,
@@ -75,16 +56,6 @@ const COARSE_WIDTH: usize = 64;
 const FRAMES_PER_ANCHOR: usize = 30;
 
 impl FrameChecker {
-    /// A checker before the first frame.
-    #[must_use]
-    pub fn new(config: CheckConfig) -> Self {
-        Self {
-            config,
-            previous: None,
-            anchor: None,
-        }
-    }
-
     /// Checks the next frame.
     pub fn check(&mut self, image: &GrayImage) -> FrameCheck {
         let before = self.previous.as_ref().filter(|p| p.same_size(image));
@@ -92,27 +63,21 @@ impl FrameChecker {
         let check = FrameCheck {
             blur: blur(image),
             brightness: mean(image.as_slice().iter().copied()),
-            textured_share: share(&magnitude, |m| m >= self.config.min_gradient),
+            textured_share: share(&magnitude, |m| m >= MIN_GRADIENT),
             saturated_share: share(image, |v| v >= 253.0),
             gain: before.and_then(|p| brightness_gain(p, image)),
-            is_repeated: before
-                .is_some_and(|p| mean_difference(p, image) < self.config.repeat_difference),
+            is_repeated: before.is_some_and(|p| mean_difference(p, image) < REPEAT_DIFFERENCE),
             change: self.change(image),
         };
         self.previous = Some(image.clone());
         check
     }
-}
 
-impl FrameChecker {
     /// How much the coarse picture differs from the anchor.
     fn change(&mut self, image: &GrayImage) -> f32 {
-        let height = (COARSE_WIDTH * image.height()).div_ceil(image.width().max(1));
-        let size = Resize {
-            width: COARSE_WIDTH,
-            height,
-        };
-        let coarse = resize_area(image, size);
+        let (width, height) = (COARSE_WIDTH, COARSE_WIDTH * image.height());
+        let height = height.div_ceil(image.width().max(1));
+        let coarse = resize_area(image, Resize { width, height });
         match &mut self.anchor {
             Some((anchor, count)) if *count < FRAMES_PER_ANCHOR && anchor.same_size(&coarse) => {
                 *count += 1;
@@ -153,7 +118,8 @@ fn line_blur(lines: impl Iterator<Item = Vec<f32>>) -> f32 {
             lost += f64::from((sharp - blurred).max(0.0));
         }
     }
-    if variation > 0.0 {
+    let varies = variation > 0.0;
+    if varies {
         (1.0 - lost / variation) as f32
     } else {
         1.0
@@ -180,11 +146,7 @@ fn brightness_gain(before: &GrayImage, after: &GrayImage) -> Option<f32> {
 
 fn mean(values: impl Iterator<Item = f32>) -> f32 {
     let (sum, count) = values.fold((0.0f64, 0u64), |(s, n), v| (s + f64::from(v), n + 1));
-    if count == 0 {
-        0.0
-    } else {
-        (sum / count as f64) as f32
-    }
+    (sum / count.max(1) as f64) as f32
 }
 
 fn mean_difference(a: &GrayImage, b: &GrayImage) -> f32 {
@@ -226,71 +188,55 @@ const MIN_STILL_FRAMES: usize = 15;
 impl SequenceCheck {
     /// Gathers the checks of the frames of a sequence in their order.
     #[must_use]
-    pub fn new(frames: &[FrameCheck], config: &CheckConfig) -> Self {
+    pub fn new(frames: &[FrameCheck]) -> Self {
         let positions = |condition: &dyn Fn(&FrameCheck) -> bool| {
             let hits = frames.iter().enumerate().filter(|(_, f)| condition(f));
             hits.map(|(i, _)| i).collect::<Vec<_>>()
         };
         let median_blur = median_of(frames.iter().map(|f| f.blur));
-        let is_jump = |gain: f32| gain.max(1.0 / gain) >= config.exposure_jump;
+        let is_jump = |gain: &f32| gain.max(1.0 / gain) >= EXPOSURE_JUMP;
         let jumps = frames.iter().enumerate();
+        let jumps = jumps.filter_map(|(i, f)| Some((i, f.gain.filter(is_jump)?)));
+        let is_still = frames.iter().all(|f| f.change < STILL_CHANGE);
         Self {
             num_frames: frames.len(),
             repeated: positions(&|f| f.is_repeated),
-            exposure_jumps: jumps
-                .filter_map(|(i, f)| f.gain.filter(|&g| is_jump(g)).map(|g| (i, g)))
-                .collect(),
-            blurred: positions(&|f| f.blur > median_blur + config.blur_above_median),
-            plain: positions(&|f| f.textured_share < config.min_textured_share),
-            overexposed: positions(&|f| f.saturated_share > config.max_saturated_share),
+            exposure_jumps: jumps.collect(),
+            blurred: positions(&|f| f.blur > median_blur + BLUR_ABOVE_MEDIAN),
+            plain: positions(&|f| f.textured_share < MIN_TEXTURED_SHARE),
+            overexposed: positions(&|f| f.saturated_share > MAX_SATURATED_SHARE),
             median_blur,
             median_textured_share: median_of(frames.iter().map(|f| f.textured_share)),
-            is_still: frames.len() >= MIN_STILL_FRAMES
-                && frames.iter().all(|f| f.change < config.still_change),
+            is_still: frames.len() >= MIN_STILL_FRAMES && is_still,
         }
     }
 
     /// Sentences for people about what would hurt tracking; none when nothing would.
     #[must_use]
     pub fn findings(&self) -> Vec<String> {
-        let some = |count: usize, what: &str, first: Option<usize>| {
-            first.map(|first| {
-                format!(
-                    "{count} of {} frames {what}, first frame {first}",
-                    self.num_frames
-                )
-            })
+        let repeated = "repeat the picture before them (motion looks jerky)";
+        let jumping = "change in brightness abruptly (lock the exposure if you can)";
+        let blurred = "are clearly more blurred than the others (move slower, or more light)";
+        let plain = "have hardly any texture (tracking needs edges)";
+        let jumps: Vec<usize> = self.exposure_jumps.iter().map(|(i, _)| *i).collect();
+        let all = self.num_frames;
+        let finding = |(positions, what): (&[usize], &str)| {
+            let (count, first) = (positions.len(), positions.first()?);
+            Some(format!(
+                "{count} of {all} frames {what}, first frame {first}"
+            ))
         };
-        let list = |positions: &[usize], what: &str| {
-            some(positions.len(), what, positions.first().copied())
-        };
-        let jump = self.exposure_jumps.first().map(|&(i, _)| i);
-        [
-            list(
-                &self.repeated,
-                "repeat the picture before them (motion looks jerky)",
-            ),
-            some(
-                self.exposure_jumps.len(),
-                "change in brightness abruptly (lock the exposure if you can)",
-                jump,
-            ),
-            list(
-                &self.blurred,
-                "are clearly more blurred than the others (move slower, or more light)",
-            ),
-            list(
-                &self.plain,
-                "have hardly any texture (tracking needs edges)",
-            ),
-            list(&self.overexposed, "are overexposed"),
-            self.is_still.then(|| {
-                "the picture hardly changes: the camera stands still, and depth needs one that moves sideways".to_owned()
-            }),
-        ]
-        .into_iter()
-        .flatten()
-        .collect()
+        let lists: [(&[usize], &str); 5] = [
+            (&self.repeated, repeated),
+            (&jumps, jumping),
+            (&self.blurred, blurred),
+            (&self.plain, plain),
+            (&self.overexposed, "are overexposed"),
+        ];
+        let still = self.is_still.then(|| {
+            "the picture hardly changes: the camera stands still, and depth needs one that moves sideways".to_owned()
+        });
+        lists.into_iter().filter_map(finding).chain(still).collect()
     }
 }
 

@@ -7,11 +7,8 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum DatasetError {
     /// The source does not exist.
-    #[error("source not found: no file or folder at {path:?}; check the path")]
-    SourceMissing {
-        /// What was asked for.
-        path: PathBuf,
-    },
+    #[error("source not found: no file or folder at {0:?}; check the path")]
+    SourceMissing(PathBuf),
     /// The source exists, but is of a kind that is not an image sequence.
     #[error("{path:?} is {found}, expected {expected}")]
     SourceKind {
@@ -132,6 +129,14 @@ impl DatasetError {
             path: path.to_path_buf(),
             found: found.into(),
             expected: expected.into(),
+        }
+    }
+
+    pub(crate) fn no_frames(path: &Path, found: impl Into<String>, expected: &'static str) -> Self {
+        Self::NoFrames {
+            path: path.to_path_buf(),
+            found: found.into(),
+            expected,
         }
     }
 

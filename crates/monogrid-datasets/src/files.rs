@@ -37,11 +37,9 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, DatasetError> {
         .read_to_end(&mut bytes)
         .map_err(|e| DatasetError::io("read", path, e))?;
     if bytes.len() as u64 > max_bytes {
-        return Err(DatasetError::content(
-            path,
-            format!("more than {max_bytes} bytes"),
-            format!("a file of at most {max_bytes} bytes"),
-        ));
+        let found = format!("more than {max_bytes} bytes");
+        let expected = format!("a file of at most {max_bytes} bytes");
+        return Err(DatasetError::content(path, found, expected));
     }
     Ok(bytes)
 }

@@ -39,15 +39,18 @@ impl ImuFile {
         let columns = Columns::find(&text, path)?;
         let rows = rows(&text, path, &columns)?;
         let time = TimeUnit::of(&rows, path)?;
-        let force_in_g = is_force_in_g(&rows, path)?;
-        let (to_force, to_rate) = (
-            if force_in_g { GRAVITY_M_S2 } else { 1.0 },
-            if columns.in_degrees {
-                1f64.to_radians()
-            } else {
-                1.0
-            },
-        );
+        let (to_force, force_unit) = match is_force_in_g(&rows, path)? {
+            true => (GRAVITY_M_S2, "g"),
+            false => (1.0, "m/s²"),
+        };
+        let (to_rate, rate_unit) = match columns.in_degrees {
+            true => (1f64.to_radians(), "degrees per second"),
+            false => (1.0, "rad/s"),
+        };
+        let found = match columns.are_named {
+            true => "columns by their names",
+            false => "columns as time, gyroscope, accelerometer",
+        };
         let sample = |row: &Row| {
             Some(ImuSample {
                 timestamp_ns: time.nanoseconds(row.time)?,
@@ -58,32 +61,18 @@ impl ImuFile {
         let samples: Option<Vec<_>> = rows.iter().map(sample).collect();
         let samples = samples
             .ok_or_else(|| DatasetError::content(path, "times that are no numbers", "numbers"))?;
-        let ImuCalibration {
-            noise,
-            body_from_imu,
-        } = match path.parent().map(|folder| folder.join("sensor.yaml")) {
-            Some(yaml) if yaml.is_file() => ImuCalibration::of(&read_text(&yaml)?),
+        let calibration = match path.parent().map(|folder| folder.join("sensor.yaml")) {
+            Some(yaml) if yaml.is_file() => sensor_yaml(&read_text(&yaml)?),
             _ => ImuCalibration::default(),
         };
         Ok(Self {
             interpretation: format!(
-                "{}, time in {}, gyroscope in {}, accelerometer in {}",
-                if columns.are_named {
-                    "columns by their names"
-                } else {
-                    "columns as time, gyroscope, accelerometer"
-                },
-                time.name(),
-                if columns.in_degrees {
-                    "degrees per second"
-                } else {
-                    "rad/s"
-                },
-                if force_in_g { "g" } else { "m/s²" },
+                "{found}, time in {}, gyroscope in {rate_unit}, accelerometer in {force_unit}",
+                time.name
             ),
             samples,
-            noise,
-            body_from_imu,
+            noise: calibration.noise,
+            body_from_imu: calibration.body_from_imu,
             path: path.to_path_buf(),
         })
     }
@@ -104,23 +93,13 @@ impl ImuCalibration {
     /// # Errors
     /// When the file cannot be read, or says nothing about the sensor.
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
-        let found = Self::of(&read_text(path)?);
-        if found == Self::default() {
-            return Err(DatasetError::content(
-                path,
-                "neither noise nor place of an inertial sensor",
-                "gyroscope_noise_density, gyroscope_random_walk, accelerometer_noise_density, accelerometer_random_walk, T_BS",
-            ));
+        let said = sensor_yaml(&read_text(path)?);
+        if said == Self::default() {
+            let found = "neither noise nor place of an inertial sensor";
+            let expected = "gyroscope_noise_density, gyroscope_random_walk, accelerometer_noise_density, accelerometer_random_walk, T_BS";
+            return Err(DatasetError::content(path, found, expected));
         }
-        Ok(found)
-    }
-
-    fn of(yaml: &str) -> Self {
-        let (body_from_imu, noise) = sensor_yaml(yaml);
-        Self {
-            noise,
-            body_from_imu,
-        }
+        Ok(said)
     }
 }
 
@@ -166,56 +145,42 @@ impl Columns {
         }
         let names: Vec<String> = fields(header).map(str::to_lowercase).collect();
         Self::named(&names).ok_or_else(|| {
-            DatasetError::line(
-                path,
-                1,
-                first,
-                "names of columns for time, gyroscope x y z and accelerometer x y z, as `timestamp,gx,gy,gz,ax,ay,az`",
-            )
+            let expected = "names of columns for time, gyroscope x y z and accelerometer x y z, as `timestamp,gx,gy,gz,ax,ay,az`";
+            DatasetError::line(path, 1, first, expected)
         })
     }
 
     fn named(names: &[String]) -> Option<Self> {
         // `w_rs_s_x [rad s^-1]` is about x whatever its unit
-        let bare = |name: &String| {
+        let bare = |name: &str| {
             name.split(['[', '('])
                 .next()
                 .unwrap_or("")
                 .trim()
                 .to_owned()
         };
+        let has = |name: &str, parts: &[&str]| parts.iter().any(|part| name.contains(part));
         let is_rate = |name: &str| {
-            ["gyr", "angular", "rotation", "omega"]
-                .iter()
-                .any(|part| name.contains(part))
+            has(name, &["gyr", "angular", "rotation", "omega"])
                 || name.starts_with("w_")
                 || ["gx", "gy", "gz", "wx", "wy", "wz"].contains(&name)
         };
         let is_force = |name: &str| {
-            !is_rate(name)
-                && !["gravity", "user"].iter().any(|part| name.contains(part))
-                && name.starts_with('a')
+            !is_rate(name) && !has(name, &["gravity", "user"]) && name.starts_with('a')
                 || name.contains("linear_acceleration")
         };
         let find = |test: &dyn Fn(&str) -> bool| {
-            let axis = |axis: char| {
-                names
-                    .iter()
-                    .position(|name| test(&bare(name)) && bare(name).ends_with(axis))
-            };
+            let is_of = |name: &str, axis: char| test(name) && name.ends_with(axis);
+            let axis = |axis| names.iter().position(|name| is_of(&bare(name), axis));
             Some([axis('x')?, axis('y')?, axis('z')?])
         };
+        let is_time = |name: &String| has(name, &["time", "seconds"]) || name == "t";
         let rate = find(&is_rate)?;
-        let in_degrees = ["deg", "dps", "°"]
-            .iter()
-            .any(|unit| names[rate[0]].contains(unit));
         Some(Self {
-            time: names.iter().position(|name| {
-                name.contains("time") || name.contains("seconds") || name == "t"
-            })?,
+            time: names.iter().position(is_time)?,
             rate,
             force: find(&is_force)?,
-            in_degrees,
+            in_degrees: has(&names[rate[0]], &["deg", "dps", "°"]),
             are_named: true,
         })
     }
@@ -234,41 +199,43 @@ fn rows<'a>(text: &'a str, path: &Path, columns: &Columns) -> Result<Vec<Row<'a>
             force: vector(columns.force)?,
         })
     };
-    let lines = text
-        .lines()
-        .enumerate()
-        .skip(usize::from(columns.are_named));
+    let lines = (1..).zip(text.lines()).skip(usize::from(columns.are_named));
     let content =
         lines.filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with('#'));
-    let rows: Result<Vec<Row>, DatasetError> = content
-        .map(|(number, line)| {
-            row(line).ok_or_else(|| {
-                let expected = "a time and six numbers: gyroscope x y z, accelerometer x y z";
-                DatasetError::line(path, number + 1, line, expected)
-            })
+    let checked = |(number, line): (usize, &'a str)| {
+        row(line).ok_or_else(|| {
+            let expected = "a time and six numbers: gyroscope x y z, accelerometer x y z";
+            DatasetError::line(path, number, line, expected)
         })
-        .collect();
-    let rows = rows?;
+    };
+    let rows = content.map(checked).collect::<Result<Vec<Row>, _>>()?;
     if rows.len() < 2 {
-        return Err(DatasetError::content(
-            path,
-            format!("{} readings", rows.len()),
-            "a reading of gyroscope and accelerometer in each line",
-        ));
+        let expected = "a reading of gyroscope and accelerometer in each line";
+        let found = format!("{} readings", rows.len());
+        return Err(DatasetError::content(path, found, expected));
     }
     Ok(rows)
 }
 
 /// Unit of a time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum TimeUnit {
-    Seconds,
-    Milliseconds,
-    Microseconds,
-    Nanoseconds,
+struct TimeUnit {
+    name: &'static str,
+    nanoseconds: i64,
 }
 
+/// Units that are known.
+const TIME_UNITS: [TimeUnit; 4] = [
+    TimeUnit::new("seconds", 1_000_000_000),
+    TimeUnit::new("milliseconds", 1_000_000),
+    TimeUnit::new("microseconds", 1_000),
+    TimeUnit::new("nanoseconds", 1),
+];
+
 impl TimeUnit {
+    const fn new(name: &'static str, nanoseconds: i64) -> Self {
+        Self { name, nanoseconds }
+    }
+
     /// The one in which sensors give 5 to 2000 readings per second.
     fn of(rows: &[Row], path: &Path) -> Result<Self, DatasetError> {
         let times = rows.iter().filter_map(|row| row.time.parse().ok());
@@ -276,49 +243,26 @@ impl TimeUnit {
         let intervals = times.windows(2).map(|pair| (pair[1] - pair[0]).abs());
         let mut intervals: Vec<f64> = intervals.filter(|i| *i > 0.0).collect();
         let median = median(&mut intervals).unwrap_or(0.0);
-        let units = [
-            (Self::Seconds, 1.0),
-            (Self::Milliseconds, 1e3),
-            (Self::Microseconds, 1e6),
-            (Self::Nanoseconds, 1e9),
-        ];
-        let fits = |(_, per_second): &(Self, f64)| (0.0005..=0.2).contains(&(median / per_second));
-        units
-            .into_iter()
-            .find(fits)
-            .map(|(unit, _)| unit)
-            .ok_or_else(|| {
-                DatasetError::content(
-                    path,
-                    format!("a median of {median} between the times of readings"),
-                    "0.5 to 200 ms, in seconds, milliseconds, microseconds or nanoseconds",
-                )
-            })
-    }
-
-    fn nanoseconds(self, text: &str) -> Option<i64> {
-        let per_unit = match self {
-            Self::Seconds => return parse_seconds(text),
-            Self::Milliseconds => 1_000_000,
-            Self::Microseconds => 1_000,
-            Self::Nanoseconds => 1,
+        let fits = |unit: &Self| {
+            let per_second = (1_000_000_000 / unit.nanoseconds) as f64;
+            (0.0005..=0.2).contains(&(median / per_second))
         };
-        match text.parse::<i64>() {
-            Ok(whole) => whole.checked_mul(per_unit),
-            Err(_) => {
-                let ns = text.parse::<f64>().ok()? * per_unit as f64;
-                (ns.abs() < 9e18).then_some(ns.round() as i64)
-            }
-        }
+        TIME_UNITS.into_iter().find(fits).ok_or_else(|| {
+            let found = format!("a median of {median} between the times of readings");
+            let expected = "0.5 to 200 ms, in seconds, milliseconds, microseconds or nanoseconds";
+            DatasetError::content(path, found, expected)
+        })
     }
 
-    fn name(self) -> &'static str {
-        match self {
-            Self::Seconds => "seconds",
-            Self::Milliseconds => "milliseconds",
-            Self::Microseconds => "microseconds",
-            Self::Nanoseconds => "nanoseconds",
+    fn nanoseconds(&self, text: &str) -> Option<i64> {
+        if self.name == "seconds" {
+            return parse_seconds(text);
         }
+        if let Ok(whole) = text.parse::<i64>() {
+            return whole.checked_mul(self.nanoseconds);
+        }
+        let ns = text.parse::<f64>().ok()? * self.nanoseconds as f64;
+        (ns.abs() < 9e18).then_some(ns.round() as i64)
     }
 }
 
@@ -329,11 +273,12 @@ fn is_force_in_g(rows: &[Row], path: &Path) -> Result<bool, DatasetError> {
     match median {
         0.7..=1.4 => Ok(true),
         6.5..=14.0 => Ok(false),
-        _ => Err(DatasetError::content(
-            path,
-            format!("a median of {median:.3} of the accelerometer's readings"),
-            "about 9.81 (m/s²) or 1 (g): what the sensor measures with gravity in it",
-        )),
+        _ => {
+            let found = format!("a median of {median:.3} of the accelerometer's readings");
+            let expected =
+                "about 9.81 (m/s²) or 1 (g): what the sensor measures with gravity in it";
+            Err(DatasetError::content(path, found, expected))
+        }
     }
 }
 
@@ -362,16 +307,11 @@ pub fn write_imu(
     }
     write_atomically(&folder.join("data.csv"), text.as_bytes())?;
     let matrix = body_from_imu.rotation_matrix();
-    let rows = (0..3).map(|row| {
+    let rows = [0, 1, 2].map(|row| {
+        let [x, y, z] = [0, 1, 2].map(|column| matrix[(row, column)]);
         let t = body_from_imu.translation[row];
-        format!(
-            "{:.12}, {:.12}, {:.12}, {t:.12},",
-            matrix[(row, 0)],
-            matrix[(row, 1)],
-            matrix[(row, 2)]
-        )
+        format!("{x:.12}, {y:.12}, {z:.12}, {t:.12},")
     });
-    let rows: Vec<String> = rows.collect();
     let yaml = format!(
         "sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{}\n         0.0, 0.0, 0.0, 1.0]\nrate_hz: {rate_hz}\n\
          gyroscope_noise_density: {:e}\ngyroscope_random_walk: {:e}\naccelerometer_noise_density: {:e}\n\

@@ -81,22 +81,13 @@ impl<R: Read> ScansReader<R> {
         })
     }
 
-    /// Number of scans that the file announces.
-    #[must_use]
-    pub fn num_scans(&self) -> usize {
-        self.num_scans as usize
-    }
-
     fn read_scan(&mut self) -> Result<Scan, String> {
         let truncated = |_| "the file ends inside it".to_owned();
         let mut header = [0; SCAN_HEADER_BYTES as usize];
         self.input.read_exact(&mut header).map_err(truncated)?;
         self.remaining_bytes = self.remaining_bytes.saturating_sub(SCAN_HEADER_BYTES);
-        let (pose, count) = header.split_at(96);
-        let mut world_from_sensor = [0.0; 12];
-        for (value, bytes) in world_from_sensor.iter_mut().zip(pose.as_chunks::<8>().0) {
-            *value = f64::from_le_bytes(*bytes);
-        }
+        let (pose, count) = header.as_chunks::<8>();
+        let world_from_sensor: [f64; 12] = std::array::from_fn(|k| f64::from_le_bytes(pose[k]));
         let count = u64::from(u32::from_le_bytes([count[0], count[1], count[2], count[3]]));
         // checked before anything is allocated
         if count * POINT_BYTES > self.remaining_bytes {
@@ -108,23 +99,21 @@ impl<R: Read> ScansReader<R> {
         let mut bytes = vec![0; (count * POINT_BYTES) as usize];
         self.input.read_exact(&mut bytes).map_err(truncated)?;
         self.remaining_bytes -= count * POINT_BYTES;
-        let value =
-            |b: &[u8; 16], i: usize| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
-        let points = bytes
-            .as_chunks::<16>()
-            .0
-            .iter()
-            .map(|b| ScanPoint {
-                point_in_sensor: [value(b, 0), value(b, 4), value(b, 8)],
-                range_sigma: value(b, 12),
-            })
-            .collect();
         if world_from_sensor.iter().any(|v| !v.is_finite()) {
             return Err("its pose is not finite".to_owned());
         }
+        let point = |bytes: &[u8; 16]| {
+            let values = bytes.as_chunks::<4>().0;
+            let value = |k: usize| f32::from_le_bytes(values[k]);
+            ScanPoint {
+                point_in_sensor: [value(0), value(1), value(2)],
+                range_sigma: value(3),
+            }
+        };
+        let points = bytes.as_chunks::<16>().0.iter();
         Ok(Scan {
             world_from_sensor,
-            points,
+            points: points.map(point).collect(),
         })
     }
 }
@@ -141,11 +130,8 @@ impl<R: Read> Iterator for ScansReader<R> {
         Some(self.read_scan().map_err(|reason| {
             // nothing behind a broken scan can be trusted
             self.next_index = self.num_scans;
-            DatasetError::binary(
-                &self.path,
-                "scan file",
-                format!("scan {index} of {}: {reason}", self.num_scans),
-            )
+            let reason = format!("scan {index} of {}: {reason}", self.num_scans);
+            DatasetError::binary(&self.path, "scan file", reason)
         }))
     }
 }

@@ -63,13 +63,10 @@ fn scaled_digits(digits: impl Iterator<Item = u8>, shift: i32) -> Option<i128> {
 /// Seconds with nine decimals; [`parse_seconds`] gives the same nanoseconds back.
 #[must_use]
 pub fn format_seconds(timestamp_ns: i64) -> String {
+    let sign = if timestamp_ns < 0 { "-" } else { "" };
     let magnitude = i128::from(timestamp_ns).abs();
-    format!(
-        "{}{}.{:09}",
-        if timestamp_ns < 0 { "-" } else { "" },
-        magnitude / NANOS_PER_SECOND,
-        magnitude % NANOS_PER_SECOND
-    )
+    let (whole, rest) = (magnitude / NANOS_PER_SECOND, magnitude % NANOS_PER_SECOND);
+    format!("{sign}{whole}.{rest:09}")
 }
 
 #[cfg(test)]

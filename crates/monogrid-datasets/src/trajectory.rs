@@ -39,27 +39,19 @@ pub fn read_trajectory(path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
 pub fn parse_trajectory(text: &str, path: &Path) -> Result<Vec<TimedPose>, DatasetError> {
     let mut poses = Vec::new();
     for (number, line) in data_lines(text) {
-        let pose = if line.contains(',') {
-            parse_euroc_line(line)
-        } else {
-            parse_tum_line(line)
+        let pose = match line.contains(',') {
+            true => parse_euroc_line(line),
+            false => parse_tum_line(line),
         };
         poses.push(pose.ok_or_else(|| {
-            DatasetError::line(
-                path,
-                number,
-                line,
-                "timestamp tx ty tz qx qy qz qw with a unit quaternion, or EuRoC's \
-                 nanoseconds,x,y,z,qw,qx,qy,qz",
-            )
+            let expected = "timestamp tx ty tz qx qy qz qw with a unit quaternion, or EuRoC's \
+                            nanoseconds,x,y,z,qw,qx,qy,qz";
+            DatasetError::line(path, number, line, expected)
         })?);
     }
     if poses.is_empty() {
-        return Err(DatasetError::content(
-            path,
-            "no poses",
-            "lines of `timestamp tx ty tz qx qy qz qw`",
-        ));
+        let expected = "lines of `timestamp tx ty tz qx qy qz qw`";
+        return Err(DatasetError::content(path, "no poses", expected));
     }
     poses.sort_by_key(|p: &TimedPose| p.timestamp_ns);
     poses.dedup_by_key(|p| p.timestamp_ns);
@@ -79,21 +71,15 @@ pub fn parse_kitti(
     let mut poses = Vec::new();
     for (number, line) in data_lines(text) {
         let timestamp_ns = times_ns.get(poses.len()).copied().ok_or_else(|| {
-            DatasetError::content(
-                path,
-                format!("more poses than the {} frames", times_ns.len()),
-                "one pose per frame",
-            )
+            let found = format!("more poses than the {} frames", times_ns.len());
+            DatasetError::content(path, found, "one pose per frame")
         })?;
-        let world_from_camera = numbers(line)
-            .as_deref()
-            .and_then(pose_from_matrix)
-            .ok_or_else(|| {
-                DatasetError::line(path, number, line, "12 numbers, rows of a rigid 3x4 matrix")
-            })?;
+        let pose = numbers(line).and_then(|values| pose_from_matrix(&values));
+        let wrong =
+            || DatasetError::line(path, number, line, "12 numbers, rows of a rigid 3x4 matrix");
         poses.push(TimedPose {
             timestamp_ns,
-            world_from_camera,
+            world_from_camera: pose.ok_or_else(wrong)?,
         });
     }
     Ok(poses)
@@ -144,10 +130,9 @@ pub(crate) fn pose_from_numbers(values: &[f64]) -> Option<Se3> {
     let error = (quaternion.norm() - 1.0).abs();
     let is_unit = error <= QUATERNION_TOLERANCE;
     // what was written from memory comes back to the last bit, so that what is made of it does too
-    let rotation = if error <= ROUNDING {
-        Rotation::new_unchecked(quaternion)
-    } else {
-        Rotation::new_normalize(quaternion)
+    let rotation = match error <= ROUNDING {
+        true => Rotation::new_unchecked(quaternion),
+        false => Rotation::new_normalize(quaternion),
     };
     let pose = Se3::new(rotation, Vec3::new(tx, ty, tz));
     (is_unit && pose.is_finite()).then_some(pose)
@@ -182,18 +167,9 @@ pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<(), DatasetError> {
 fn pose_to_numbers(pose: &Se3) -> [f64; 7] {
     let q = pose.rotation.quaternion();
     let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
-    let t = pose.translation;
+    let (t, [i, j, k, w]) = (pose.translation, [q.i, q.j, q.k, q.w].map(|v| sign * v));
     // adding zero turns -0 into 0
-    [
-        t.x,
-        t.y,
-        t.z,
-        sign * q.i,
-        sign * q.j,
-        sign * q.k,
-        sign * q.w,
-    ]
-    .map(|v| v + 0.0)
+    [t.x, t.y, t.z, i, j, k, w].map(|v| v + 0.0)
 }
 
 /// Reads a Sim(3) file: one line `scale tx ty tz qx qy qz qw` (target_from_source).
@@ -213,12 +189,9 @@ pub fn read_sim3(path: &Path) -> Result<Sim3, DatasetError> {
     };
     sim3.ok_or_else(|| {
         let (number, line) = lines.first().copied().unwrap_or((1, ""));
-        DatasetError::line(
-            path,
-            number,
-            line,
-            "one line `scale tx ty tz qx qy qz qw` with a positive scale and a unit quaternion",
-        )
+        let expected =
+            "one line `scale tx ty tz qx qy qz qw` with a positive scale and a unit quaternion";
+        DatasetError::line(path, number, line, expected)
     })
 }
 
@@ -236,11 +209,10 @@ pub fn read_transform(path: &Path) -> Result<Se3, DatasetError> {
         _ => None,
     };
     transform.ok_or_else(|| {
-        DatasetError::content(
-            path,
-            format!("{} numbers that are no rigid transform", values.len()),
-            "tx ty tz qx qy qz qw with a unit quaternion, or a 3x4 or 4x4 matrix with a rotation",
-        )
+        let found = format!("{} numbers that are no rigid transform", values.len());
+        let expected =
+            "tx ty tz qx qy qz qw with a unit quaternion, or a 3x4 or 4x4 matrix with a rotation";
+        DatasetError::content(path, found, expected)
     })
 }
 

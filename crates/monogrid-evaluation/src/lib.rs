@@ -32,11 +32,10 @@ pub use paths::{
 pub use statistics::{ErrorSummary, median, robust_deviation};
 pub use surfaces::{OnSurfaces, SurfaceAlignment, align_to_surfaces};
 pub use trajectory::{
-    PosePair, ScaleWindowConfig, StampedPose, TrajectoryAlignment, TrajectoryConfig,
-    TrajectoryError, TrajectoryReport, WindowScale, WrongPose, WrongPoseConfig,
-    evaluate_trajectory,
+    PosePair, StampedPose, TrajectoryAlignment, TrajectoryConfig, TrajectoryError,
+    TrajectoryReport, WindowScale, WrongPose, WrongPoseConfig, evaluate_trajectory,
 };
 pub use truth::{
-    CarveConfig, CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid, View,
+    CellCounts, PosedDepth, Triangle, Truth, TruthConfig, TruthError, TruthGrid, View,
     cells_in_view, truth_from_depth_images, truth_from_points, truth_from_triangles, whole_ratio,
 };

@@ -54,10 +54,7 @@ pub fn median(values: &[f64]) -> Option<f64> {
 
 /// As [`median`], of values too many to be kept: they are made anew whenever they are looked at, seven times in all, always the same in
 /// the same order.
-pub(crate) fn median_of_many<I>(values: impl Fn() -> I) -> Option<f64>
-where
-    I: Iterator<Item = f64>,
-{
+pub(crate) fn median_of_many<I: Iterator<Item = f64>>(values: impl Fn() -> I) -> Option<f64> {
     let n = values().count();
     if n == 0 {
         return None;
@@ -68,26 +65,22 @@ where
     }
     let num_up_to_low = values().filter(|v| v.total_cmp(&low).is_le()).count();
     let above = values().filter(|v| v.total_cmp(&low).is_gt());
-    let high = above
-        .min_by(f64::total_cmp)
-        .filter(|_| num_up_to_low <= n / 2);
+    let next = above.min_by(f64::total_cmp);
+    let high = next.filter(|_| num_up_to_low <= n / 2);
     Some(0.5 * (low + high.unwrap_or(low)))
 }
 
 /// As [`robust_deviation`], of values that are made anew as in [`median_of_many`], which gave `centre`.
-pub(crate) fn robust_deviation_of_many<I>(values: impl Fn() -> I, centre: f64) -> Option<f64>
-where
-    I: Iterator<Item = f64>,
-{
+pub(crate) fn robust_deviation_of_many<I: Iterator<Item = f64>>(
+    values: impl Fn() -> I,
+    centre: f64,
+) -> Option<f64> {
     let deviations = || values().map(|v| (v - centre).abs());
     median_of_many(deviations).map(|mad| SIGMA_BY_MAD * mad)
 }
 
 /// The value that so many others come before: its bits are found sixteen at a time, by counting.
-fn ranked<I>(values: impl Fn() -> I, mut rank: usize) -> f64
-where
-    I: Iterator<Item = f64>,
-{
+fn ranked<I: Iterator<Item = f64>>(values: impl Fn() -> I, mut rank: usize) -> f64 {
     let mut prefix = 0;
     for shift in [48, 32, 16, 0] {
         let mut counts = vec![0_usize; 1 << 16];
@@ -115,11 +108,8 @@ fn place(value: f64) -> u64 {
 }
 
 fn value_at(place: u64) -> f64 {
-    f64::from_bits(if place & SIGN == 0 {
-        !place
-    } else {
-        place & !SIGN
-    })
+    let is_negative = place & SIGN == 0;
+    f64::from_bits(if is_negative { !place } else { place & !SIGN })
 }
 
 /// Standard deviation of a normal distribution by its median absolute deviation.

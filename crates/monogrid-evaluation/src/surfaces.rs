@@ -104,15 +104,11 @@ fn step(
             continue;
         };
         let arm = at - middle;
-        let turn = arm.cross(&slope);
         // change of the distance with translation, rotation and logarithm of the scale
-        let [jt, jr] = [slope, turn];
+        let [jt, jr] = [slope, arm.cross(&slope)];
         let row = SVector::from([jt.x, jt.y, jt.z, jr.x, jr.y, jr.z, arm.dot(&slope)]);
-        let weight = if distance > kernel {
-            kernel / distance
-        } else {
-            1.0
-        };
+        let is_far = distance > kernel;
+        let weight = if is_far { kernel / distance } else { 1.0 };
         normal += weight * row * row.transpose();
         right -= weight * distance * row;
     }
@@ -142,12 +138,9 @@ fn interpolated(field: &DistanceField, at: &Vec3, cell: f64) -> Option<(f64, Vec
         let far = Vec3::from_fn(|axis, _| f64::from(corner >> axis & 1));
         let center = (low + far + Vec3::repeat(0.5)) * cell;
         let value = field.distance(center.into())?;
-        let weight = |axis: usize| {
-            if far[axis] > 0.5 {
-                part[axis]
-            } else {
-                1.0 - part[axis]
-            }
+        let weight = |axis: usize| match far[axis] > 0.5 {
+            true => part[axis],
+            false => 1.0 - part[axis],
         };
         distance += value * weight(0) * weight(1) * weight(2);
         for axis in 0..3 {
@@ -159,9 +152,8 @@ fn interpolated(field: &DistanceField, at: &Vec3, cell: f64) -> Option<(f64, Vec
 }
 
 fn on_surfaces(points: &[Vec3], correction: &Sim3, field: &DistanceField, cell: f64) -> OnSurfaces {
-    let distances = points.iter();
-    let distances = distances.filter_map(|point| field.distance((*correction * *point).into()));
-    let mut distances: Vec<f64> = distances.collect();
+    let distance = |point: &Vec3| field.distance((*correction * *point).into());
+    let mut distances: Vec<f64> = points.iter().filter_map(distance).collect();
     distances.sort_by(f64::total_cmp);
     let near = distances.partition_point(|distance| *distance <= 1.01 * cell);
     OnSurfaces {

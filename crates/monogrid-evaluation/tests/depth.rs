@@ -188,13 +188,10 @@ fn bad_input_is_named() {
         .add_keyframe(&keyframe(6, &scene, 1.0, &wrong))
         .expect_err("zero variance");
     assert!(
-        matches!(error, DepthError::Estimate { x_px: 7, .. }),
+        matches!(error, DepthError::Estimate { estimate, .. } if estimate.x_px == 7),
         "{error}"
     );
-    assert!(matches!(
-        evaluator.finish(),
-        Err(DepthError::NoTruth { estimates: 0 })
-    ));
+    assert!(matches!(evaluator.finish(), Err(DepthError::NoTruth(0))));
 }
 
 #[test]

@@ -136,7 +136,7 @@ fn bad_input_is_named() {
     let nothing = truth_from_triangles(&[], &[[0.0; 3]], &config);
     assert_eq!(nothing, Err(TruthError::NothingKnown));
     let outside = truth_from_triangles(&room(), &[[0.6, 0.6, 0.613]], &config);
-    assert_eq!(outside, Err(TruthError::NoFreeCamera { cameras: 1 }));
+    assert_eq!(outside, Err(TruthError::NoFreeCamera(1)));
     let nan = [[[f64::NAN; 3]; 3]];
     assert!(matches!(
         truth_from_triangles(&nan, &[], &config),

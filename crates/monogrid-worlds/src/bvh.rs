@@ -88,9 +88,7 @@ impl Triangle {
 
     fn bounds(&self) -> Bounds {
         let mut bounds = Bounds::EMPTY;
-        for v in self.vertices() {
-            bounds.grow(&v);
-        }
+        self.vertices().iter().for_each(|v| bounds.grow(v));
         bounds
     }
 }
@@ -104,7 +102,7 @@ pub struct Hit {
     pub u: f32,
     /// Barycentric weight of the third vertex.
     pub v: f32,
-    /// Index of the triangle in the order of [`Bvh::triangles`].
+    /// Index of the triangle in the order of the leaves.
     pub triangle: u32,
 }
 
@@ -168,35 +166,15 @@ impl Bvh {
             })
             .collect();
         let mut nodes = Vec::with_capacity(2 * triangles.len() + 1);
-        if items.is_empty() {
-            nodes.push(Node {
-                bounds: Bounds::EMPTY,
-                first: 0,
-                count: 0,
-                axis: 0,
-            });
-        } else {
-            let tree = split(&mut items, 0, 0);
-            nodes.push(PLACEHOLDER);
-            flatten(&tree, 0, &mut nodes);
+        nodes.push(PLACEHOLDER);
+        if !items.is_empty() {
+            flatten(&split(&mut items, 0, 0), 0, &mut nodes);
         }
         Self {
             nodes,
             triangles: items.iter().map(|i| triangles[i.id as usize]).collect(),
             ids: items.iter().map(|i| i.id).collect(),
         }
-    }
-
-    /// The triangles, in the order of the leaves.
-    #[must_use]
-    pub fn triangles(&self) -> &[Triangle] {
-        &self.triangles
-    }
-
-    /// For each of [`Self::triangles`] its index in the list that the hierarchy was built from.
-    #[must_use]
-    pub fn source_ids(&self) -> &[u32] {
-        &self.ids
     }
 
     /// Whether there is nothing in it.
@@ -214,23 +192,6 @@ impl Bvh {
     /// Nearest hit with `t` in `(t_min, t_max)` of one ray.
     #[must_use]
     pub fn nearest(&self, origin: &P3, direction: &P3, t_min: f32, t_max: f32) -> Option<Hit> {
-        self.traverse::<false>(origin, direction, t_min, t_max)
-    }
-
-    /// Whether anything lies at `t` in `(t_min, t_max)`.
-    #[must_use]
-    pub fn is_blocked(&self, origin: &P3, direction: &P3, t_min: f32, t_max: f32) -> bool {
-        self.traverse::<true>(origin, direction, t_min, t_max)
-            .is_some()
-    }
-
-    fn traverse<const ANY: bool>(
-        &self,
-        origin: &P3,
-        direction: &P3,
-        t_min: f32,
-        t_max: f32,
-    ) -> Option<Hit> {
         if self.is_empty() {
             return None;
         }
@@ -255,9 +216,6 @@ impl Bvh {
             let first = node.first as usize;
             for index in first..first + usize::from(node.count) {
                 if let Some(hit) = self.intersect(index, origin, direction, t_min, limit) {
-                    if ANY {
-                        return Some(hit);
-                    }
                     limit = hit.t;
                     best = Some(hit);
                 }
@@ -319,27 +277,21 @@ const PLACEHOLDER: Node = Node {
 };
 
 fn flatten(tree: &Subtree, at: usize, nodes: &mut Vec<Node>) {
-    match tree {
-        Subtree::Leaf(bounds, first, count) => {
-            nodes[at] = Node {
-                bounds: *bounds,
-                first: *first as u32,
-                count: *count as u16,
-                axis: 0,
-            };
-        }
-        Subtree::Inner(bounds, axis, left, right) => {
-            let first = nodes.len();
-            nodes.extend([PLACEHOLDER; 2]);
-            nodes[at] = Node {
-                bounds: *bounds,
-                first: first as u32,
-                count: 0,
-                axis: *axis,
-            };
-            flatten(left, first, nodes);
-            flatten(right, first + 1, nodes);
-        }
+    let children = nodes.len();
+    let (bounds, first, count, axis) = match *tree {
+        Subtree::Leaf(bounds, first, count) => (bounds, first, count, 0),
+        Subtree::Inner(bounds, axis, ..) => (bounds, children, 0, axis),
+    };
+    nodes[at] = Node {
+        bounds,
+        first: first as u32,
+        count: count as u16,
+        axis,
+    };
+    if let Subtree::Inner(_, _, left, right) = tree {
+        nodes.extend([PLACEHOLDER; 2]);
+        flatten(left, children, nodes);
+        flatten(right, children + 1, nodes);
     }
 }
 
@@ -351,10 +303,10 @@ fn split(items: &mut [Item], offset: usize, depth: u32) -> Subtree {
         bounds.merge(&item.bounds);
         centres.grow(&P3::from(item.centre));
     }
-    let Some((axis, position)) = best_split(items, &bounds, &centres, depth) else {
+    let Some((axis, plane)) = best_split(items, &bounds, &centres, depth) else {
         return Subtree::Leaf(bounds, offset, items.len());
     };
-    let middle = partition(items, axis, position);
+    let middle = partition(items, axis, plane);
     let (left, right) = items.split_at_mut(middle);
     let build_left = |left| Box::new(split(left, offset, depth + 1));
     let build_right = |right| Box::new(split(right, offset + middle, depth + 1));
@@ -366,21 +318,11 @@ fn split(items: &mut [Item], offset: usize, depth: u32) -> Subtree {
     Subtree::Inner(bounds, axis as u16, left, right)
 }
 
-/// How to separate the items.
-#[derive(Clone, Copy)]
-enum SplitAt {
-    /// By centre below a plane.
-    Plane(f32),
-    /// Half of them to each side (no plane separates them well).
-    Median,
-}
+/// How to separate the items: along which axis, by centre below which plane; `None` puts half of them to each side, where
+/// no plane separates them well.
+type SplitAt = (usize, Option<f32>);
 
-fn best_split(
-    items: &[Item],
-    bounds: &Bounds,
-    centres: &Bounds,
-    depth: u32,
-) -> Option<(usize, SplitAt)> {
+fn best_split(items: &[Item], bounds: &Bounds, centres: &Bounds, depth: u32) -> Option<SplitAt> {
     let size = centres.size();
     let longest = (0..3).fold(0, |best, a| if size[a] > size[best] { a } else { best });
     if items.len() <= 1 {
@@ -388,7 +330,7 @@ fn best_split(
     }
     // the traversal stack holds 64 entries: halve exactly once the tree gets deep
     if depth > 32 || size[longest] <= 0.0 {
-        return (items.len() > MAX_LEAF).then_some((longest, SplitAt::Median));
+        return (items.len() > MAX_LEAF).then_some((longest, None));
     }
     let mut best = (f32::INFINITY, longest, 0.0);
     for (axis, &extent) in size.iter().enumerate() {
@@ -405,11 +347,11 @@ fn best_split(
     if split_cost >= items.len() as f32 && items.len() <= MAX_LEAF {
         return None;
     }
-    if best.0.is_finite() {
-        Some((best.1, SplitAt::Plane(best.2)))
+    Some(if best.0.is_finite() {
+        (best.1, Some(best.2))
     } else {
-        Some((longest, SplitAt::Median))
-    }
+        (longest, None)
+    })
 }
 
 /// Cheapest of the planes between the bins of one axis: (sum of area times count, plane).
@@ -449,9 +391,8 @@ fn best_plane(items: &[Item], axis: usize, min: f32, size: f32) -> (f32, f32) {
 }
 
 /// Reorders stably and returns how many went left; never 0 nor all.
-fn partition(items: &mut [Item], axis: usize, split: SplitAt) -> usize {
-    let half = items.len() / 2;
-    if let SplitAt::Plane(plane) = split {
+fn partition(items: &mut [Item], axis: usize, plane: Option<f32>) -> usize {
+    if let Some(plane) = plane {
         let (left, right): (Vec<Item>, Vec<Item>) =
             items.iter().partition(|item| item.centre[axis] < plane);
         if !left.is_empty() && !right.is_empty() {
@@ -465,7 +406,7 @@ fn partition(items: &mut [Item], axis: usize, split: SplitAt) -> usize {
             .total_cmp(&b.centre[axis])
             .then(a.id.cmp(&b.id))
     });
-    half
+    items.len() / 2
 }
 
 #[cfg(test)]
@@ -510,8 +451,6 @@ mod tests {
             let expected = linear(&bvh, &origin, &direction);
             let found = bvh.nearest(&origin, &direction, 0.0, f32::INFINITY);
             assert_eq!(found.map(|h| h.t), expected.map(|h| h.t));
-            let blocked = bvh.is_blocked(&origin, &direction, 0.0, f32::INFINITY);
-            assert_eq!(blocked, expected.is_some());
             hits += usize::from(expected.is_some());
         }
         assert!(hits > 300, "{hits}");

@@ -1,6 +1,6 @@
 //! What a real camera does to the light: gain, vignette, noise, gamma, quantisation, shutter.
 
-use super::random::{NormalTable, Random, mix2};
+use super::random::{NormalTable, Random, mix2, unit};
 use monogrid_image::GrayImage;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -23,23 +23,10 @@ impl Default for NoiseConfig {
     }
 }
 
-/// Change of exposure over time, as automatic exposure does.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExposureConfig {
-    /// Root mean square of the logarithm (base 2) of the gain. Default 0.2.
-    pub rms_stops: f64,
-    /// Shortest period of the change, s. Default 4.
-    pub shortest_period_secs: f64,
-}
-
-impl Default for ExposureConfig {
-    fn default() -> Self {
-        Self {
-            rms_stops: 0.2,
-            shortest_period_secs: 4.0,
-        }
-    }
-}
+/// Change of exposure, root mean square of the logarithm (base 2) of the gain.
+const EXPOSURE_RMS_STOPS: f64 = 0.2;
+/// Shortest period of this change, s.
+const EXPOSURE_PERIOD_SECS: f64 = 4.0;
 
 /// Which effects of a real camera are simulated; the default is a perfect camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,14 +35,12 @@ pub struct EffectsConfig {
     pub gamma: f32,
     /// Noise of the sensor. Default none.
     pub noise: Option<NoiseConfig>,
-    /// Change of exposure. Default none.
-    pub exposure: Option<ExposureConfig>,
+    /// Whether the exposure changes over time, as automatic exposure does. Default no.
+    pub has_auto_exposure: bool,
     /// Light lost in the corners, in [0, 1). Default 0.
     pub vignette: f32,
     /// Time that the shutter is open, s; 0 means no motion blur. Default 0.
     pub shutter_secs: f64,
-    /// Instants that are averaged over the open shutter. Default 5.
-    pub blur_samples: usize,
     /// Time between the first and the last row; 0 is a global shutter. Default 0.
     pub readout_secs: f64,
     /// Share of the frames that get lost (never one of the first 30). Default 0.
@@ -69,10 +54,9 @@ impl Default for EffectsConfig {
         Self {
             gamma: 2.2,
             noise: None,
-            exposure: None,
+            has_auto_exposure: false,
             vignette: 0.0,
             shutter_secs: 0.0,
-            blur_samples: 5,
             readout_secs: 0.0,
             drop_share: 0.0,
             has_mover: false,
@@ -86,7 +70,7 @@ impl EffectsConfig {
     pub fn demo() -> Self {
         Self {
             noise: Some(NoiseConfig::default()),
-            exposure: Some(ExposureConfig::default()),
+            has_auto_exposure: true,
             ..Self::default()
         }
     }
@@ -124,18 +108,15 @@ impl Sensor {
     #[must_use]
     pub fn new(config: EffectsConfig, seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0xE890);
-        let count = 4i32;
-        let tones = config.exposure.map_or_else(Vec::new, |exposure| {
-            (0..count)
-                .map(|k| {
-                    // periods from the shortest to eight times of it
-                    let octave = 3.0 * (f64::from(k) + f64::from(random.unit())) / f64::from(count);
-                    let period = exposure.shortest_period_secs * octave.exp2();
-                    let amplitude = exposure.rms_stops * (2.0 / f64::from(count)).sqrt();
-                    [amplitude, 1.0 / period, TAU * f64::from(random.unit())]
-                })
-                .collect()
-        });
+        let count = if config.has_auto_exposure { 4 } else { 0 };
+        let tone = |k: i32| {
+            // periods from the shortest to eight times of it
+            let octave = 3.0 * (f64::from(k) + f64::from(random.unit())) / f64::from(count);
+            let period = EXPOSURE_PERIOD_SECS * octave.exp2();
+            let amplitude = EXPOSURE_RMS_STOPS * (2.0 / f64::from(count)).sqrt();
+            [amplitude, 1.0 / period, TAU * f64::from(random.unit())]
+        };
+        let tones = (0..count).map(tone).collect();
         let inverse_gamma = 1.0 / config.gamma;
         let response = (0..=RESPONSE_STEPS)
             .map(|i| 255.0 * (i as f32 / RESPONSE_STEPS as f32).powf(inverse_gamma))
@@ -143,7 +124,7 @@ impl Sensor {
         Self {
             config,
             seed,
-            normal: NormalTable::new(),
+            normal: NormalTable::default(),
             tones,
             response,
         }
@@ -208,7 +189,7 @@ impl Sensor {
     #[must_use]
     pub fn is_kept(&self, index: usize) -> bool {
         let word = mix2(self.seed ^ 0xD209, index as u64);
-        index < 30 || super::random::unit(word) >= self.config.drop_share
+        index < 30 || unit(word) >= self.config.drop_share
     }
 }
 

@@ -71,20 +71,16 @@ pub struct Jitter {
 }
 
 impl Jitter {
-    /// The realisation that belongs to a seed, `strength` times as strong as the bands say.
+    /// The realisation that belongs to a seed.
     #[must_use]
-    pub fn new(bands: &[JitterBand], strength: f64, seed: u64) -> Self {
+    pub fn new(bands: &[JitterBand], seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0x4A17);
         let axes = std::array::from_fn(|axis| {
             let mut tones = Vec::new();
             for b in bands {
-                let rms = if axis < 3 {
-                    b.translation_rms_m
-                } else {
-                    b.rotation_rms_rad
-                };
+                let rms = [b.translation_rms_m, b.rotation_rms_rad][axis / 3];
                 // TONES sinusoids of amplitude a have a mean square of TONES a² / 2
-                let amplitude = strength * rms * (2.0 / TONES as f64).sqrt();
+                let amplitude = rms * (2.0 / TONES as f64).sqrt();
                 for k in 0..TONES {
                     // one per stratum of the octave: equal frequencies would add up
                     let octave = (k as f64 + f64::from(random.unit())) / TONES as f64;
@@ -117,7 +113,7 @@ mod tests {
 
     #[test]
     fn displacement_has_the_strength_that_was_asked_for() {
-        let jitter = Jitter::new(&HAND_JITTER, 1.0, 5);
+        let jitter = Jitter::new(&HAND_JITTER, 5);
         let count = 40_000;
         let mut squares = Vec3::zeros();
         for k in 0..count {

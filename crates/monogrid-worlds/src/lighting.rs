@@ -4,9 +4,10 @@
 //! The same sample directions serve every texel, so plain walls stay free of noise that a camera could
 //! track.
 
-use super::bvh::{Hit, P3};
-use super::packet::Packet;
-use super::scene::{AreaLight, Patch, Scene};
+use super::bvh::P3;
+use super::packet::{Packet, set_lane};
+use super::scene::{AreaLight, Patch, Scene, arc_lengths};
+use super::texture::between;
 use super::world::World;
 use rayon::prelude::*;
 use std::f32::consts::{PI, TAU};
@@ -21,9 +22,6 @@ pub struct LightingConfig {
     /// Sectors of the hemisphere, of four directions each, from which reflected light is gathered.
     /// Default 10.
     pub bounce_sectors: usize,
-    /// Light that comes from everywhere, relative to the mean direct light (stands for the bounces
-    /// after the first). Default 0.25.
-    pub ambient: f32,
 }
 
 impl Default for LightingConfig {
@@ -32,7 +30,6 @@ impl Default for LightingConfig {
             texel_m: 0.05,
             max_texels: 120_000,
             bounce_sectors: 10,
-            ambient: 0.25,
         }
     }
 }
@@ -45,19 +42,15 @@ impl LightingConfig {
             texel_m: 0.15,
             max_texels: 30_000,
             bounce_sectors: 4,
-            ..Self::default()
         }
     }
-}
 
-impl LightingConfig {
     /// The same with texels large enough for a scene.
     pub(super) fn fitted_to(self, scene: &Scene) -> Self {
         let area_m2: f32 = scene.patches.iter().map(Patch::area_m2).sum();
+        let fitting_m = (area_m2 / self.max_texels.max(1) as f32).sqrt();
         Self {
-            texel_m: self
-                .texel_m
-                .max((area_m2 / self.max_texels.max(1) as f32).sqrt()),
+            texel_m: self.texel_m.max(fitting_m),
             ..self
         }
     }
@@ -69,6 +62,8 @@ const RAYS: usize = 16;
 const LIFT_M: f32 = 0.003;
 /// Texels per side of a light map at most.
 const MAX_TEXELS: usize = 1024;
+/// Light that comes from everywhere, relative to the mean direct light (stands for the bounces after the first).
+const AMBIENT: f32 = 0.25;
 
 /// Irradiance on one patch.
 #[derive(Clone, Debug)]
@@ -81,14 +76,11 @@ pub(super) struct LightMap {
 impl LightMap {
     /// Number of texels along u and v for texels of a size.
     pub fn layout(patch: &Patch, texel_m: f32) -> (usize, usize) {
-        let length = |count: usize, point: &dyn Fn(usize) -> P3| -> f32 {
-            (1..count).map(|k| (point(k) - point(k - 1)).norm()).sum()
-        };
         let (columns, rows) = (patch.columns, patch.rows);
-        let along_u = length(columns, &|i| patch.points[(rows / 2) * columns + i]);
-        let along_v = length(rows, &|j| patch.points[j * columns + columns / 2]);
+        let along_u = arc_lengths(columns, |i| patch.points[(rows / 2) * columns + i]);
+        let along_v = arc_lengths(rows, |j| patch.points[j * columns + columns / 2]);
         let texels = |l: f32| ((l / texel_m).round() as usize + 1).min(MAX_TEXELS);
-        (texels(along_u), texels(along_v))
+        (texels(along_u[columns - 1]), texels(along_v[rows - 1]))
     }
 
     /// Bilinear value at a point in texels, clamped to the map.
@@ -103,8 +95,7 @@ impl LightMap {
         let k = iy * self.width + ix;
         let (a, b) = (self.values[k], self.values[k + right]);
         let (c, d) = (self.values[k + below], self.values[k + below + right]);
-        let top = a + fx * (b - a);
-        top + fy * (c + fx * (d - c) - top)
+        between([a, b, c, d], [fx, fy])
     }
 
     /// 3x3 binomial smoothing, borders repeated.
@@ -114,22 +105,13 @@ impl LightMap {
             let at = |i: usize| source[start + i * stride];
             0.5 * at(k) + 0.25 * (at(k.saturating_sub(1)) + at((k + 1).min(count - 1)))
         };
-        let mut rows = vec![0.0; w * h];
-        for y in 0..h {
-            for x in 0..w {
-                rows[y * w + x] = blur(&self.values, w, 1, y * w, x);
-            }
-        }
-        let mut values = vec![0.0; w * h];
-        for y in 0..h {
-            for x in 0..w {
-                values[y * w + x] = blur(&rows, h, w, x, y);
-            }
-        }
+        let along_row = |k: usize| blur(&self.values, w, 1, k / w * w, k % w);
+        let rows: Vec<f32> = (0..w * h).map(along_row).collect();
+        let along_column = |k: usize| blur(&rows, h, w, k % w, k / w);
         Self {
             width: w,
             height: h,
-            values,
+            values: (0..w * h).map(along_column).collect(),
         }
     }
 }
@@ -184,7 +166,7 @@ pub(super) fn bake(world: &mut World, scene: &Scene, config: &LightingConfig) {
         direct_light(world, &scene.lights, point, normal)
     });
     world.light_maps = direct.iter().map(LightMap::smoothed).collect();
-    let ambient = config.ambient * mean_light(world);
+    let ambient = AMBIENT * mean_light(world);
     let hemisphere = hemisphere(config.bounce_sectors, 4);
     // reflected light varies slowly: four times coarser texels suffice
     let bounced = fill(scene, 4.0 * config.texel_m, &|point, normal| {
@@ -215,7 +197,7 @@ fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) ->
         let area = light_normal.norm();
         let mut direction = [[0.0f32; RAYS]; 3];
         let mut weights = [0.0f32; RAYS];
-        for k in 0..RAYS {
+        for (k, weight) in weights.iter_mut().enumerate() {
             let u = ((k % 4) as f32 + 0.5) / 4.0;
             let v = ((k / 4) as f32 + 0.5) / 4.0;
             let to_light = light.corner + light.edge_u * u + light.edge_v * v - origin;
@@ -225,11 +207,9 @@ fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) ->
             if cos > 0.0 && cos_light > 0.0 {
                 // a lamp closer than its sample spacing would flare at single samples
                 let floor = area / RAYS as f32;
-                weights[k] = cos * cos_light * area / (RAYS as f32 * PI * r2.max(floor));
+                *weight = cos * cos_light * area / (RAYS as f32 * PI * r2.max(floor));
             }
-            for axis in 0..3 {
-                direction[axis][k] = to_light[axis];
-            }
+            set_lane(&mut direction, k, &to_light);
         }
         // far lamps of a large building are not worth their rays
         let reach: f32 = weights.iter().sum();
@@ -237,8 +217,7 @@ fn direct_light(world: &World, lights: &[AreaLight], point: &P3, normal: &P3) ->
             continue;
         }
         // t = 1 is the lamp itself
-        let mut packet = Packet::new(origin, direction, 0.995);
-        packet.trace(&world.bvh);
+        let packet = Packet::traced(origin, direction, 0.995, &world.bvh);
         for (k, weight) in weights.iter().enumerate() {
             if packet.hit(k).is_none() {
                 sum += weight * light.radiosity;
@@ -258,11 +237,8 @@ fn hemisphere(sectors: usize, rings: usize) -> Vec<P3> {
             let angle = TAU * turn / sectors as f32;
             let radius2 = (ring as f32 + 0.5) / rings as f32;
             let radius = radius2.sqrt();
-            P3::new(
-                radius * angle.cos(),
-                radius * angle.sin(),
-                (1.0 - radius2).sqrt(),
-            )
+            let (x, y) = (radius * angle.cos(), radius * angle.sin());
+            P3::new(x, y, (1.0 - radius2).sqrt())
         })
         .collect()
 }
@@ -289,8 +265,8 @@ fn gather(world: &World, hemisphere: &[P3], ambient: f32, point: &P3, normal: &P
         let shading = &world.shading[hit.triangle as usize];
         // inside of closed pieces is dark
         if shading.normal.dot(&direction) < 0.0 {
-            let surface = &world.surfaces[shading.material as usize];
-            sum += surface.albedo * (world.irradiance(shading, &hit) + ambient);
+            let material = &world.materials[shading.material as usize];
+            sum += material.albedo * (world.irradiance(shading, hit.u, hit.v) + ambient);
         }
     }
     sum / hemisphere.len().max(1) as f32
@@ -299,15 +275,11 @@ fn gather(world: &World, hemisphere: &[P3], ambient: f32, point: &P3, normal: &P
 /// Light and area of all triangles, at four points of each.
 fn lit_areas(world: &World) -> Vec<(f32, f64)> {
     let points = [[1.0 / 3.0; 2], [0.1, 0.1], [0.8, 0.1], [0.1, 0.8]];
-    let triangles = world.bvh.triangles().iter().enumerate();
+    let triangles = world.bvh.triangles.iter().zip(&world.shading);
     triangles
-        .flat_map(|(k, triangle)| {
+        .flat_map(|(triangle, shading)| {
             let area = f64::from(triangle.scaled_normal().norm());
-            points.map(|[u, v]| {
-                let (t, triangle) = (0.0, k as u32);
-                let hit = Hit { t, u, v, triangle };
-                (world.irradiance(&world.shading[k], &hit), area)
-            })
+            points.map(|[u, v]| (world.irradiance(shading, u, v), area))
         })
         .collect()
 }
@@ -326,11 +298,9 @@ fn bright_light(world: &World) -> f32 {
     areas.sort_by(|a, b| b.0.total_cmp(&a.0));
     let total: f64 = areas.iter().map(|a| a.1).sum();
     let mut covered = 0.0;
-    for (light, area) in &areas {
+    let exceeded = areas.iter().find(|(_, area)| {
         covered += area;
-        if covered >= 0.05 * total {
-            return *light;
-        }
-    }
-    0.0
+        covered >= 0.05 * total
+    });
+    exceeded.map_or(0.0, |(light, _)| *light)
 }

@@ -1,5 +1,6 @@
 //! Tileable gradient noise and its sums over octaves.
 
+use super::texture::between;
 use std::sync::LazyLock;
 
 /// Largest whole number that is not above `x`, without a call.
@@ -41,12 +42,9 @@ pub fn gradient_noise(x: f32, y: f32, period: [i32; 2], seed: u64) -> f32 {
     let (ix, iy) = (floor(x), floor(y));
     let (dx, dy) = (x - ix as f32, y - iy as f32);
     // rem_euclid is a division: most calls are inside the first period
-    let wrap = |k: i32, n: i32| {
-        if (0..n).contains(&k) {
-            k
-        } else {
-            k.rem_euclid(n)
-        }
+    let wrap = |k: i32, n: i32| match (0..n).contains(&k) {
+        true => k,
+        false => k.rem_euclid(n),
     };
     let (x0, y0) = (wrap(ix, period[0]), wrap(iy, period[1]));
     let (x1, y1) = (wrap(x0 + 1, period[0]), wrap(y0 + 1, period[1]));
@@ -58,9 +56,7 @@ pub fn gradient_noise(x: f32, y: f32, period: [i32; 2], seed: u64) -> f32 {
     let b = gradient(g, [x1, y0], seed, [dx - 1.0, dy]);
     let c = gradient(g, [x0, y1], seed, [dx, dy - 1.0]);
     let d = gradient(g, [x1, y1], seed, [dx - 1.0, dy - 1.0]);
-    let top = a + sx * (b - a);
-    let bottom = c + sx * (d - c);
-    top + sy * (bottom - top)
+    between([a, b, c, d], [sx, sy])
 }
 
 /// Sum of octaves of gradient noise whose amplitude falls by `gain` as the frequency doubles;
@@ -72,13 +68,9 @@ pub fn octaves(u: f32, v: f32, cells: [i32; 2], count: u32, gain: f32, seed: u64
     let (mut sum, mut amplitude) = (0.0, 1.0);
     let mut period = cells;
     for octave in 0..count {
-        let value = gradient_noise(
-            u * period[0] as f32,
-            v * period[1] as f32,
-            period,
-            seed.wrapping_add(u64::from(octave) * 7919),
-        );
-        sum += amplitude * value;
+        let (x, y) = (u * period[0] as f32, v * period[1] as f32);
+        let seed = seed.wrapping_add(u64::from(octave) * 7919);
+        sum += amplitude * gradient_noise(x, y, period, seed);
         amplitude *= gain;
         period = [period[0] * 2, period[1] * 2];
     }

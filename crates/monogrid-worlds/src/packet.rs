@@ -23,9 +23,9 @@ pub struct Packet<const N: usize> {
 const NOTHING: u32 = u32::MAX;
 
 impl<const N: usize> Packet<N> {
-    /// Rays from `origin` along `direction[axis][ray]`, up to `t_max` direction lengths.
+    /// Rays from `origin` along `direction[axis][ray]`, up to `t_max` direction lengths, and what they meet.
     #[must_use]
-    pub fn new(origin: P3, direction: [[f32; N]; 3], t_max: f32) -> Self {
+    pub fn traced(origin: P3, direction: [[f32; N]; 3], t_max: f32, bvh: &Bvh) -> Self {
         let mut inverse = [[0.0; N]; 3];
         let mut spread = [None; 3];
         for axis in 0..3 {
@@ -39,7 +39,7 @@ impl<const N: usize> Packet<N> {
             let same_side = low > 0.0 || high < 0.0;
             spread[axis] = same_side.then_some((low, high));
         }
-        Self {
+        let mut packet = Self {
             origin,
             direction,
             inverse,
@@ -48,7 +48,9 @@ impl<const N: usize> Packet<N> {
             v: [0.0; N],
             triangle: [NOTHING; N],
             spread,
-        }
+        };
+        packet.trace(bvh);
+        packet
     }
 
     /// Distance of a ray's nearest hit; its initial limit when there is none.
@@ -77,8 +79,8 @@ impl<const N: usize> Packet<N> {
         P3::from_fn(|axis, _| self.direction[axis][lane])
     }
 
-    /// Finds the nearest hits. Returns which rays found something nearer than before.
-    pub fn trace(&mut self, bvh: &Bvh) {
+    /// Finds the nearest hits.
+    fn trace(&mut self, bvh: &Bvh) {
         if bvh.is_empty() {
             return;
         }
@@ -199,6 +201,14 @@ impl<const N: usize> Packet<N> {
     }
 }
 
+/// Stores the direction of one ray of a packet.
+#[inline]
+pub(crate) fn set_lane<const N: usize>(direction: &mut [[f32; N]; 3], lane: usize, ray: &P3) {
+    for (component, value) in direction.iter_mut().zip(ray.iter()) {
+        component[lane] = *value;
+    }
+}
+
 /// The smaller number, without the care for NaN that keeps `f32::min` from becoming one instruction.
 #[inline]
 fn least(a: f32, b: f32) -> f32 {
@@ -249,8 +259,7 @@ mod tests {
                     component[lane] = *value;
                 }
             }
-            let mut packet = Packet::new(origin, direction, f32::INFINITY);
-            packet.trace(&bvh);
+            let packet = Packet::traced(origin, direction, f32::INFINITY, &bvh);
             for lane in 0..16 {
                 let single = bvh.nearest(&origin, &packet.direction(lane), 0.0, f32::INFINITY);
                 match (packet.hit(lane), single) {

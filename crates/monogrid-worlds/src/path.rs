@@ -1,6 +1,6 @@
 //! Where the camera is at any time: built-in motions, recorded trajectories, smoothly interpolated.
 
-use super::jitter::{CAR_JITTER, DRONE_JITTER, HAND_JITTER, Jitter};
+use super::jitter::{CAR_JITTER, DRONE_JITTER, HAND_JITTER, Jitter, JitterBand};
 use monogrid_datasets::TimedPose;
 use monogrid_geometry::nalgebra::Rotation3;
 use monogrid_geometry::{Mat3, Rotation, Se3, Vec3, Vec6};
@@ -22,28 +22,17 @@ pub enum Carrier {
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum PathError {
-    /// Not enough of it.
-    #[error("a camera path needs at least {needed} poses, found {found}")]
-    TooShort {
-        /// Found.
-        found: usize,
-        /// Needed.
-        needed: usize,
-    },
-    /// Times that do not increase.
+    /// Not enough of it: so many poses or waypoints.
+    #[error("a camera path needs at least 2 poses, found {0}")]
+    TooShort(usize),
+    /// Times that do not increase, first at this pose, counted from 0.
     #[error(
-        "pose {index} of the camera path is not later than the one before it; sort the file by time"
+        "pose {0} of the camera path is not later than the one before it; sort the file by time"
     )]
-    Unsorted {
-        /// First offending pose, counted from 0.
-        index: usize,
-    },
-    /// A pose that is not a number.
-    #[error("pose {index} of the camera path is not finite")]
-    NotFinite {
-        /// First offending pose, counted from 0.
-        index: usize,
-    },
+    Unsorted(usize),
+    /// Poses that are not numbers, first this one, counted from 0.
+    #[error("pose {0} of the camera path is not finite")]
+    NotFinite(usize),
 }
 
 /// A smooth camera motion from time 0 to [`Self::duration_secs`].
@@ -82,22 +71,19 @@ impl CameraPath {
         seed: u64,
     ) -> Result<Self, PathError> {
         if waypoints.len() < 2 {
-            return Err(PathError::TooShort {
-                found: waypoints.len(),
-                needed: 2,
-            });
+            return Err(PathError::TooShort(waypoints.len()));
         }
-        let jitter = match carrier {
-            Carrier::Hand => Some(Jitter::new(&HAND_JITTER, 1.0, seed)),
-            Carrier::Drone => Some(Jitter::new(&DRONE_JITTER, 1.0, seed)),
-            Carrier::Car => Some(Jitter::new(&CAR_JITTER, 1.0, seed)),
-            Carrier::Rails => None,
+        let bands: &[JitterBand] = match carrier {
+            Carrier::Hand => &HAND_JITTER,
+            Carrier::Drone => &DRONE_JITTER,
+            Carrier::Car => &CAR_JITTER,
+            Carrier::Rails => &[],
         };
         Ok(Self {
             kind: Kind::Scripted {
                 eyes: waypoints.iter().map(|w| Vec3::from(w.0)).collect(),
                 targets: waypoints.iter().map(|w| Vec3::from(w.1)).collect(),
-                jitter,
+                jitter: (!bands.is_empty()).then(|| Jitter::new(bands, seed)),
             },
             duration_secs,
             is_backwards: false,
@@ -111,17 +97,14 @@ impl CameraPath {
     /// With fewer than two poses, unsorted times, or poses that are not finite.
     pub fn recorded(poses: &[TimedPose], knots_hz: f64) -> Result<Self, PathError> {
         if poses.len() < 2 {
-            return Err(PathError::TooShort {
-                found: poses.len(),
-                needed: 2,
-            });
+            return Err(PathError::TooShort(poses.len()));
         }
         for (index, pose) in poses.iter().enumerate() {
             if !pose.world_from_camera.is_finite() {
-                return Err(PathError::NotFinite { index });
+                return Err(PathError::NotFinite(index));
             }
             if index > 0 && pose.timestamp_ns <= poses[index - 1].timestamp_ns {
-                return Err(PathError::Unsorted { index });
+                return Err(PathError::Unsorted(index));
             }
         }
         let start = poses[0].timestamp_ns;
@@ -147,24 +130,6 @@ impl CameraPath {
             duration_secs,
             is_backwards: false,
         })
-    }
-
-    /// The same motion, moved rigidly: recorded motions have a world of their own.
-    #[must_use]
-    pub fn moved(mut self, new_from_old: &Se3) -> Self {
-        match &mut self.kind {
-            Kind::Scripted { eyes, targets, .. } => {
-                for point in eyes.iter_mut().chain(targets) {
-                    *point = *new_from_old * *point;
-                }
-            }
-            Kind::Recorded { knots } => {
-                for knot in knots {
-                    *knot = *new_from_old * *knot;
-                }
-            }
-        }
-        self
     }
 
     /// The same poses, known to be a way from its end to its beginning: what else moves goes back too.
@@ -203,16 +168,11 @@ impl CameraPath {
                 jitter,
             } => {
                 let smooth = look_at(&spline(eyes, progress), &spline(targets, progress));
-                match jitter {
-                    None => smooth,
-                    Some(jitter) => {
-                        let shake = jitter.at(secs);
-                        Se3::new(
-                            smooth.rotation * shake.rotation,
-                            smooth.translation + shake.translation,
-                        )
-                    }
-                }
+                let Some(shake) = jitter.as_ref().map(|jitter| jitter.at(secs)) else {
+                    return smooth;
+                };
+                let rotation = smooth.rotation * shake.rotation;
+                Se3::new(rotation, smooth.translation + shake.translation)
             }
             Kind::Recorded { knots } => pose_spline(knots, progress),
         }
@@ -222,12 +182,8 @@ impl CameraPath {
     #[must_use]
     pub fn length_m(&self, rate_hz: f64) -> f64 {
         let count = (self.duration_secs * rate_hz) as usize;
-        (0..count)
-            .map(|k| {
-                let at = |k: usize| self.world_from_camera(k as f64 / rate_hz).translation;
-                (at(k + 1) - at(k)).norm()
-            })
-            .sum()
+        let at = |k: usize| self.world_from_camera(k as f64 / rate_hz).translation;
+        (0..count).map(|k| (at(k + 1) - at(k)).norm()).sum()
     }
 }
 
@@ -369,15 +325,12 @@ mod tests {
         };
         assert_eq!(
             CameraPath::recorded(&[pose(0)], 20.0).err(),
-            Some(PathError::TooShort {
-                found: 1,
-                needed: 2
-            })
+            Some(PathError::TooShort(1))
         );
         let unsorted = [pose(0), pose(5), pose(5)];
         assert_eq!(
             CameraPath::recorded(&unsorted, 20.0).err(),
-            Some(PathError::Unsorted { index: 2 })
+            Some(PathError::Unsorted(2))
         );
     }
 }

@@ -68,16 +68,6 @@ pub struct NormalTable {
 const QUANTILE_BITS: u32 = 14;
 
 impl NormalTable {
-    /// Computes the table.
-    #[must_use]
-    pub fn new() -> Self {
-        let count = 1usize << QUANTILE_BITS;
-        let quantiles = (0..count)
-            .map(|i| normal_quantile((i as f64 + 0.5) / count as f64) as f32)
-            .collect();
-        Self { quantiles }
-    }
-
     /// A standard normal number from a random word.
     #[inline]
     #[must_use]
@@ -88,7 +78,11 @@ impl NormalTable {
 
 impl Default for NormalTable {
     fn default() -> Self {
-        Self::new()
+        let count = 1usize << QUANTILE_BITS;
+        let quantiles = (0..count)
+            .map(|i| normal_quantile((i as f64 + 0.5) / count as f64) as f32)
+            .collect();
+        Self { quantiles }
     }
 }
 
@@ -141,7 +135,7 @@ mod tests {
 
     #[test]
     fn samples_have_the_right_mean_and_variance() {
-        let table = NormalTable::new();
+        let table = NormalTable::default();
         let count = 200_000u64;
         let (mut sum, mut squares) = (0.0f64, 0.0f64);
         for i in 0..count {

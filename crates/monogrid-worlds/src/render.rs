@@ -4,7 +4,7 @@
 //! picture does not depend on the number of threads.
 
 use super::bvh::P3;
-use super::packet::Packet;
+use super::packet::{Packet, set_lane};
 use super::texture::between;
 use super::world::World;
 use monogrid_geometry::nalgebra::Matrix3;
@@ -37,24 +37,6 @@ pub struct Rendered {
     pub depth: GrayImage,
 }
 
-/// Where the camera is while it takes a picture.
-#[derive(Clone, Copy, Debug)]
-pub enum Shutter<'a> {
-    /// All rows at once.
-    Global(Se3),
-    /// `world_from_camera` of every row (rolling shutter).
-    PerRow(&'a [Se3]),
-}
-
-impl Shutter<'_> {
-    fn pose(&self, row: usize) -> Se3 {
-        match self {
-            Self::Global(pose) => *pose,
-            Self::PerRow(poses) => poses.get(row).copied().unwrap_or_default(),
-        }
-    }
-}
-
 /// Something that moves through a world: a small world of its own and its pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Mover<'a> {
@@ -82,16 +64,13 @@ impl Renderer {
     #[must_use]
     pub fn new(camera: &Camera, gamma: f32) -> Self {
         let directions = |count_x: usize, count_y: usize, shift: f64| -> Vec<[f32; 2]> {
-            (0..count_x * count_y)
-                .into_par_iter()
-                .map(|k| {
-                    let (x, y) = (k % count_x, k / count_x);
-                    let pixel = Vec2::new(x as f64 + shift, y as f64 + shift);
-                    camera
-                        .unproject(&pixel)
-                        .map_or([f32::NAN; 2], |d| [d.x as f32, d.y as f32])
-                })
-                .collect()
+            let direction = |k: usize| {
+                let (x, y) = ((k % count_x) as f64, (k / count_x) as f64);
+                let ray = camera.unproject(&Vec2::new(x + shift, y + shift));
+                ray.map_or([f32::NAN; 2], |d| [d.x as f32, d.y as f32])
+            };
+            let pixels = (0..count_x * count_y).into_par_iter();
+            pixels.map(direction).collect()
         };
         Self {
             camera: *camera,
@@ -111,50 +90,50 @@ impl Renderer {
     /// Picture and depth from a pose, without any effect.
     #[must_use]
     pub fn render(&self, world: &World, world_from_camera: &Se3) -> Rendered {
-        let shutter = Shutter::Global(*world_from_camera);
-        let radiance = self.radiance(world, &[], shutter);
+        let poses = &[*world_from_camera];
+        let radiance = self.radiance(world, &[], poses);
         let inverse_gamma = 1.0 / self.gamma;
         Rendered {
             image: radiance.map(|v| 255.0 * v.clamp(0.0, 1.0).powf(inverse_gamma)),
-            depth: self.depth(world, &[], shutter),
+            depth: self.depth(world, &[], poses),
         }
     }
 
-    /// Mean linear radiance over each pixel; 1 is what the sensor can just hold at gain 1.
+    /// Mean linear radiance over each pixel; 1 is what the sensor can just hold at gain 1. `poses` (`world_from_camera`) has
+    /// one for all rows, or one for each (rolling shutter).
     #[must_use]
-    pub fn radiance(&self, world: &World, movers: &[Mover], shutter: Shutter) -> GrayImage {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let mut image = GrayImage::filled(width, height, 0.0);
-        image
-            .as_mut_slice()
-            .par_chunks_mut(width)
-            .enumerate()
-            .for_each(|(y, row)| {
-                let view = View::new(&shutter.pose(y), movers);
-                for x in (0..width).step_by(PIXELS) {
-                    self.shade_pixels(world, &view, x, y, &mut row[x..(x + PIXELS).min(width)]);
-                }
-            });
-        image
+    pub fn radiance(&self, world: &World, movers: &[Mover], poses: &[Se3]) -> GrayImage {
+        self.image(movers, poses, PIXELS, |view, x, y, pixels| {
+            self.shade_pixels(world, view, x, y, pixels);
+        })
     }
 
-    /// Exact depth (z, m) of the ray through the centre of each pixel; NaN where there is nothing.
+    /// Exact depth (z, m) of the ray through the centre of each pixel, NaN where there is nothing; `poses` as in [`Self::radiance`].
     #[must_use]
-    pub fn depth(&self, world: &World, movers: &[Mover], shutter: Shutter) -> GrayImage {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let mut depth = GrayImage::filled(width, height, f32::NAN);
-        depth
-            .as_mut_slice()
-            .par_chunks_mut(width)
-            .enumerate()
-            .for_each(|(y, row)| {
-                let view = View::new(&shutter.pose(y), movers);
-                for x in (0..width).step_by(RAYS) {
-                    let end = (x + RAYS).min(width);
-                    self.measure_pixels(world, &view, x, y, &mut row[x..end]);
-                }
-            });
-        depth
+    pub fn depth(&self, world: &World, movers: &[Mover], poses: &[Se3]) -> GrayImage {
+        self.image(movers, poses, RAYS, |view, x, y, pixels| {
+            self.measure_pixels(world, view, x, y, pixels);
+        })
+    }
+
+    /// An image that is drawn so many neighbouring pixels of a row at a time, of which the first is at (x, y).
+    fn image(
+        &self,
+        movers: &[Mover],
+        poses: &[Se3],
+        count: usize,
+        draw: impl Fn(&View, usize, usize, &mut [f32]) + Sync,
+    ) -> GrayImage {
+        let mut image = GrayImage::filled(self.camera.width, self.camera.height, 0.0);
+        let rows = image.as_mut_slice().par_chunks_mut(self.camera.width);
+        rows.enumerate().for_each(|(y, row)| {
+            let pose = poses.get(y).or(poses.first()).copied();
+            let view = View::new(&pose.unwrap_or_default(), movers);
+            for (k, pixels) in row.chunks_mut(count).enumerate() {
+                draw(&view, k * count, y, pixels);
+            }
+        });
+        image
     }
 
     /// Radiance of up to four neighbouring pixels of a row.
@@ -162,20 +141,22 @@ impl Renderer {
         let mut direction = [[0.0f32; RAYS]; 3];
         for pixel in 0..PIXELS {
             let column = (x + pixel).min(self.camera.width - 1);
-            let cell = self.cell(column, y);
+            let corners = self.corners(column, y);
             for (sample, offset) in SAMPLES.iter().enumerate() {
-                let ray = view.rotate(cell.at(*offset));
+                // direction at an offset from the centre
+                let place = offset.map(|along| along + 0.5);
+                let at = |axis: usize| between(corners.map(|corner| corner[axis]), place);
+                let ray = view.rotate([at(0), at(1)]);
                 set_lane(&mut direction, pixel * SAMPLES.len() + sample, &ray);
             }
         }
-        let mut packet = Packet::new(view.origin, direction, f32::INFINITY);
-        packet.trace(&world.bvh);
+        let packet = Packet::traced(view.origin, direction, f32::INFINITY, &world.bvh);
         let moved = view.trace_movers(&packet);
         for (pixel, value) in out.iter_mut().enumerate() {
-            let mut sum = 0.0;
-            for lane in pixel * SAMPLES.len()..(pixel + 1) * SAMPLES.len() {
-                sum += self.sample(world, view, &packet, &moved, lane);
-            }
+            let lanes = pixel * SAMPLES.len()..(pixel + 1) * SAMPLES.len();
+            let sum: f32 = lanes
+                .map(|lane| self.sample(world, view, &packet, &moved, lane))
+                .sum();
             // rays beyond the lens are NaN and hit nothing: black
             *value = sum * (1.0 / SAMPLES.len() as f32);
         }
@@ -216,19 +197,14 @@ impl Renderer {
             let ray = view.rotate(self.centres[y * self.camera.width + column]);
             set_lane(&mut direction, lane, &ray);
         }
-        let mut packet = Packet::new(view.origin, direction, f32::INFINITY);
-        packet.trace(&world.bvh);
+        let packet = Packet::traced(view.origin, direction, f32::INFINITY, &world.bvh);
         let moved = view.trace_movers(&packet);
         for (lane, value) in out.iter_mut().enumerate() {
-            let hit = packet
-                .hit(lane)
-                .map(|hit| (hit, world, &packet, &view.exact_origin));
-            let others = view.movers.iter().zip(&moved).filter_map(|(mover, rays)| {
-                Some((rays.hit(lane)?, mover.world, rays, &mover.exact_origin))
-            });
-            let nearest = hit
-                .into_iter()
+            let others = view.movers.iter().zip(&moved);
+            let others = others.map(|(mover, rays)| (mover.world, rays, &mover.exact_origin));
+            let nearest = std::iter::once((world, &packet, &view.exact_origin))
                 .chain(others)
+                .filter_map(|(world, rays, origin)| Some((rays.hit(lane)?, world, rays, origin)))
                 .min_by(|a, b| a.0.t.total_cmp(&b.0.t));
             *value = nearest.map_or(f32::NAN, |(hit, world, rays, origin)| {
                 exact_depth(world, origin, &rays.direction(lane), hit.triangle)
@@ -236,39 +212,11 @@ impl Renderer {
         }
     }
 
-    fn cell(&self, x: usize, y: usize) -> Cell {
+    /// Viewing directions at the corners of a pixel.
+    fn corners(&self, x: usize, y: usize) -> [[f32; 2]; 4] {
         let stride = self.camera.width + 1;
         let k = y * stride + x;
-        Cell {
-            corners: [
-                self.corners[k],
-                self.corners[k + 1],
-                self.corners[k + stride],
-                self.corners[k + stride + 1],
-            ],
-        }
-    }
-}
-
-/// Stores the direction of one ray of a packet.
-#[inline]
-fn set_lane(direction: &mut [[f32; RAYS]; 3], lane: usize, ray: &P3) {
-    for (component, value) in direction.iter_mut().zip(ray.iter()) {
-        component[lane] = *value;
-    }
-}
-
-/// Viewing directions at the corners of a pixel.
-struct Cell {
-    corners: [[f32; 2]; 4],
-}
-
-impl Cell {
-    /// Direction at an offset from the centre, px.
-    #[inline]
-    fn at(&self, offset: [f32; 2]) -> [f32; 2] {
-        let place = offset.map(|along| along + 0.5);
-        [0, 1].map(|k| between(self.corners.map(|corner| corner[k]), place))
+        [k, k + 1, k + stride, k + stride + 1].map(|k| self.corners[k])
     }
 }
 
@@ -337,9 +285,7 @@ impl<'a> View<'a> {
                     set_lane(&mut local, lane, &(mover.rotation * packet.direction(lane)));
                     farthest = farthest.max(packet.distance(lane));
                 }
-                let mut moved = Packet::new(mover.origin, local, farthest);
-                moved.trace(&mover.world.bvh);
-                moved
+                Packet::traced(mover.origin, local, farthest, &mover.world.bvh)
             })
             .collect()
     }

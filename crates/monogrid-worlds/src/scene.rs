@@ -46,20 +46,20 @@ impl Material {
     /// A textured surface whose tile spans `width` x `height` metres.
     #[must_use]
     pub fn tiled(texture: Texture, width: f32, height: f32) -> Self {
-        Self {
-            albedo: texture.mean(),
-            texture: Some((Arc::new(texture), Laying::Metres([width, height]))),
-            emission: 0.0,
-        }
+        Self::covered(texture, Laying::Metres([width, height]))
     }
 
     /// A picture that covers each patch once.
     #[must_use]
     pub fn fitted(texture: Texture) -> Self {
+        Self::covered(texture, Laying::Fit)
+    }
+
+    fn covered(texture: Texture, laying: Laying) -> Self {
+        let albedo = texture.mean();
         Self {
-            albedo: texture.mean(),
-            texture: Some((Arc::new(texture), Laying::Fit)),
-            emission: 0.0,
+            texture: Some((Arc::new(texture), laying)),
+            ..Self::plain(albedo)
         }
     }
 
@@ -138,15 +138,15 @@ pub struct Scene {
     pub lights: Vec<AreaLight>,
     /// Names of the objects, in the order in which they were begun.
     pub objects: Vec<String>,
-    placement: Placement,
+    /// Frame in which objects are placed, in the world.
+    outer: Pose,
+    /// Frame of what is added, in the world.
+    current: Pose,
     texture_shift: u32,
 }
 
 /// Rigid placement of a piece in the world.
 pub type Pose = Isometry3<f32>;
-
-#[derive(Clone, Debug, Default)]
-struct Placement(Vec<Pose>);
 
 /// A pose on the floor: position and heading (rad, counter-clockwise seen from above).
 #[must_use]
@@ -187,32 +187,27 @@ impl Scene {
 
     /// Begins an object: what is added from now on belongs to it.
     pub fn object(&mut self, name: &str) {
+        self.object_at(name, Pose::identity());
+    }
+
+    /// Begins an object placed at `pose`: what is added from now on belongs to it and is given in its frame.
+    pub fn object_at(&mut self, name: &str, pose: Pose) {
         self.objects.push(name.to_owned());
+        self.current = self.outer * pose;
     }
 
     /// Builds `parts` in a frame placed at `pose` of the current frame.
     pub fn at(&mut self, pose: Pose, parts: impl FnOnce(&mut Self)) {
-        let outer = self.placement.0.last().copied().unwrap_or_default();
-        self.placement.0.push(outer * pose);
+        let around = (self.outer, self.current);
+        self.current *= pose;
+        self.outer = self.current;
         parts(self);
-        self.placement.0.pop();
-    }
-
-    /// An object with its name, placed at `pose`.
-    pub fn object_at(&mut self, name: &str, pose: Pose, parts: impl FnOnce(&mut Self)) {
-        self.object(name);
-        self.at(pose, parts);
-    }
-
-    /// The current frame in the world.
-    #[must_use]
-    pub fn current_pose(&self) -> Pose {
-        self.placement.0.last().copied().unwrap_or_default()
+        (self.outer, self.current) = around;
     }
 
     /// Adds a lamp given in the current frame.
     pub fn light(&mut self, corner: P3, edge_u: P3, edge_v: P3, radiosity: f32) {
-        let pose = self.current_pose();
+        let pose = self.current;
         self.lights.push(AreaLight {
             corner: pose.transform_point(&corner.into()).coords,
             edge_u: pose.rotation * edge_u,
@@ -232,7 +227,7 @@ impl Scene {
         material: MaterialId,
         point: impl Fn(f32, f32) -> P3,
     ) {
-        let pose = self.current_pose();
+        let pose = self.current;
         let (nu, nv) = (columns.max(1), rows.max(1));
         let at = |u: f32, v: f32| pose.transform_point(&point(u, v).into()).coords;
         let mut points = Vec::with_capacity((nu + 1) * (nv + 1));
@@ -273,15 +268,11 @@ impl Scene {
         let (width, height) = texture.size();
         let (width, height) = (width as f32, height as f32);
         let fraction = |k: usize, n: usize| k as f32 / (n - 1) as f32;
-        let mut texels = Vec::with_capacity(points.len());
+        let cells = (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j)));
         match laying {
-            Laying::Fit => {
-                for j in 0..rows {
-                    for i in 0..columns {
-                        texels.push([fraction(i, columns) * width, fraction(j, rows) * height]);
-                    }
-                }
-            }
+            Laying::Fit => cells
+                .map(|(i, j)| [fraction(i, columns) * width, fraction(j, rows) * height])
+                .collect(),
             Laying::Metres([tile_u, tile_v]) => {
                 // arc lengths along the middle row and column: exact on flat and rolled surfaces
                 let along_u = arc_lengths(columns, |i| points[(rows / 2) * columns + i]);
@@ -290,22 +281,16 @@ impl Scene {
                 self.texture_shift = self.texture_shift.wrapping_add(1);
                 let shift = self.texture_shift as f32;
                 let start = [(0.618 * shift).fract(), (0.414 * shift).fract()];
-                for v in &along_v {
-                    for u in &along_u {
-                        texels.push([
-                            (u / tile_u + start[0]) * width,
-                            (v / tile_v + start[1]) * height,
-                        ]);
-                    }
-                }
+                let u = |i: usize| (along_u[i] / tile_u + start[0]) * width;
+                let v = |j: usize| (along_v[j] / tile_v + start[1]) * height;
+                cells.map(|(i, j)| [u(i), v(j)]).collect()
             }
         }
-        texels
     }
 }
 
 /// Cumulated distances of consecutive points.
-fn arc_lengths(count: usize, point: impl Fn(usize) -> P3) -> Vec<f32> {
+pub(super) fn arc_lengths(count: usize, point: impl Fn(usize) -> P3) -> Vec<f32> {
     let mut total = 0.0;
     let mut lengths = vec![0.0];
     for k in 1..count {
@@ -323,10 +308,9 @@ fn normal_of(at: &impl Fn(f32, f32) -> P3, u: f32, v: f32, nu: usize, nv: usize)
     for (cu, cv) in [(u, v), (inside(u, hu), inside(v, hv))] {
         let (u0, u1) = ((cu - hu).max(0.0), (cu + hu).min(1.0));
         let (v0, v1) = ((cv - hv).max(0.0), (cv + hv).min(1.0));
-        let normal = (at(u1, cv) - at(u0, cv)).cross(&(at(cu, v1) - at(cu, v0)));
-        let scale =
-            (at(u1, cv) - at(u0, cv)).norm_squared() + (at(cu, v1) - at(cu, v0)).norm_squared();
-        if normal.norm() > 1e-3 * scale {
+        let (by_u, by_v) = (at(u1, cv) - at(u0, cv), at(cu, v1) - at(cu, v0));
+        let normal = by_u.cross(&by_v);
+        if normal.norm() > 1e-3 * (by_u.norm_squared() + by_v.norm_squared()) {
             return normal.normalize();
         }
     }

@@ -3,9 +3,11 @@
 use super::effects::{EffectsConfig, Sensor};
 use super::lighting::LightingConfig;
 use super::path::{CameraPath, Carrier, PathError};
-use super::render::{Mover, Renderer, Shutter};
+use super::render::{Mover, Renderer};
 use super::world::World;
-use super::worlds::{Motion, WorldError, mover_world, path_of, traffic, traffic_worlds};
+use super::worlds::{
+    Motion, WorldError, mover_pose, mover_world, path_of, traffic, traffic_worlds,
+};
 use monogrid_geometry::{Camera, CameraError, Distortion, Pinhole, Se3};
 use monogrid_image::GrayImage;
 use std::sync::Arc;
@@ -65,6 +67,9 @@ impl SynthConfig {
 
 /// Frames of the demonstration.
 pub const DEMO_FRAMES: usize = 1500;
+
+/// Instants that are averaged over the open shutter.
+const BLUR_SAMPLES: usize = 5;
 
 fn pinhole(width: usize, height: usize, focal_px: f64) -> Camera {
     Camera {
@@ -232,7 +237,7 @@ impl SynthSequence {
     #[must_use]
     pub fn frame(&self, k: usize) -> Option<SynthFrame> {
         let index = *self.kept.get(k)?;
-        let secs = self.secs(index);
+        let secs = self.secs(k)?;
         Some(SynthFrame {
             index,
             timestamp_ns: self.timestamp_ns(k)?,
@@ -250,58 +255,46 @@ impl SynthSequence {
     /// The same as another camera at the same place sees it, whose rows are read at the same times.
     #[must_use]
     pub fn depth_through(&self, renderer: &Renderer, k: usize) -> Option<GrayImage> {
-        let secs = self.secs(*self.kept.get(k)?);
-        let movers = self.movers(secs);
-        let poses = self.row_poses(secs);
-        Some(renderer.depth(&self.world, &movers, shutter(&poses)))
+        let secs = self.secs(k)?;
+        Some(renderer.depth(&self.world, &self.movers(secs), &self.row_poses(secs)))
     }
 
     /// True pose of the `k`-th frame; `None` after the last.
     #[must_use]
     pub fn world_from_camera(&self, k: usize) -> Option<Se3> {
-        Some(self.path.world_from_camera(self.secs(*self.kept.get(k)?)))
+        Some(self.path.world_from_camera(self.secs(k)?))
     }
 
     /// Time of the `k`-th frame, ns; `None` after the last.
     #[must_use]
     pub fn timestamp_ns(&self, k: usize) -> Option<i64> {
-        Some((self.secs(*self.kept.get(k)?) * 1e9).round() as i64)
+        Some((self.secs(k)? * 1e9).round() as i64)
     }
 
-    fn secs(&self, index: usize) -> f64 {
-        index as f64 / self.config.fps
+    fn secs(&self, k: usize) -> Option<f64> {
+        Some(*self.kept.get(k)? as f64 / self.config.fps)
     }
 
     /// Mean light over the time that the shutter is open.
     fn radiance(&self, secs: f64) -> GrayImage {
         let effects = &self.config.effects;
-        let count = if effects.shutter_secs > 0.0 {
-            effects.blur_samples.max(2)
-        } else {
-            1
-        };
-        let mut sum: Option<GrayImage> = None;
-        for k in 0..count {
+        let is_blurred = effects.shutter_secs > 0.0;
+        let count = if is_blurred { BLUR_SAMPLES } else { 1 };
+        let at_instant = |k: usize| {
             let offset = ((k as f64 + 0.5) / count as f64 - 0.5) * effects.shutter_secs;
-            let movers = self.movers(secs + offset);
-            let poses = self.row_poses(secs + offset);
-            let image = self
-                .renderer
-                .radiance(&self.world, &movers, shutter(&poses));
-            match &mut sum {
-                None => sum = Some(image),
-                Some(sum) => {
-                    for (a, b) in sum.as_mut_slice().iter_mut().zip(image.as_slice()) {
-                        *a += b;
-                    }
-                }
-            }
+            let (movers, poses) = (self.movers(secs + offset), self.row_poses(secs + offset));
+            self.renderer.radiance(&self.world, &movers, &poses)
+        };
+        let mut mean = at_instant(0);
+        for k in 1..count {
+            let pixels = mean.as_mut_slice().iter_mut();
+            pixels
+                .zip(at_instant(k).as_slice())
+                .for_each(|(sum, value)| *sum += value);
         }
-        let mut mean = sum.unwrap_or_default();
         if count > 1 {
-            for value in mean.as_mut_slice() {
-                *value /= count as f32;
-            }
+            let pixels = mean.as_mut_slice().iter_mut();
+            pixels.for_each(|value| *value /= count as f32);
         }
         mean
     }
@@ -323,21 +316,12 @@ impl SynthSequence {
     /// Cars are where the camera has come to, however fast that is; who walks has a pace of their own.
     fn movers(&self, secs: f64) -> Vec<Mover<'_>> {
         let cars = self.traffic.iter().zip(traffic(self.path.progress(secs)));
-        let walker = self.mover.iter().map(|mover| {
-            let pose = super::worlds::mover_pose(&self.world, secs);
-            (mover.as_ref(), pose)
-        });
+        let walker = self.mover.as_deref();
+        let walker = walker.map(|mover| (mover, mover_pose(&self.world, secs)));
         let mover = |(world, world_from_mover)| Mover {
             world,
             world_from_mover,
         };
         cars.chain(walker).map(mover).collect()
-    }
-}
-
-fn shutter(poses: &[Se3]) -> Shutter<'_> {
-    match poses {
-        [one] => Shutter::Global(*one),
-        rows => Shutter::PerRow(rows),
     }
 }

@@ -1,7 +1,7 @@
 //! Shapes of furniture, each a few patches: boxes, rounded cushions, turned and folded pieces.
 
 use super::bvh::P3;
-use super::scene::{MaterialId, Scene};
+use super::scene::{Laying, MaterialId, Scene, place};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 /// Which faces of a box get which material.
@@ -25,13 +25,54 @@ impl From<MaterialId> for BoxFaces {
     }
 }
 
+/// A point or vector.
+pub(crate) fn p(x: f32, y: f32, z: f32) -> P3 {
+    P3::new(x, y, z)
+}
+
 impl Scene {
+    /// Rectangle of `x` times `y` at a height that is seen from above; `corner` has the smallest coordinates.
+    pub fn floor(&mut self, corner: [f32; 3], [x, y]: [f32; 2], material: MaterialId) {
+        self.quad(corner.into(), p(x, 0.0, 0.0), p(0.0, y, 0.0), material);
+    }
+
+    /// The same, seen from below.
+    pub fn ceiling(&mut self, corner: [f32; 3], [x, y]: [f32; 2], material: MaterialId) {
+        self.quad(corner.into(), p(0.0, y, 0.0), p(x, 0.0, 0.0), material);
+    }
+
+    /// A lamp of this shape that sheds its light downwards.
+    pub fn light_below(&mut self, corner: [f32; 3], [x, y]: [f32; 2], radiosity: f32) {
+        self.light(corner.into(), p(0.0, y, 0.0), p(x, 0.0, 0.0), radiosity);
+    }
+
+    /// A room from the origin to `size`: floor, ceiling and the walls at small x, large x, small y and large y.
+    pub fn room(
+        &mut self,
+        [x, y, z]: [f32; 3],
+        [floor, ceiling]: [MaterialId; 2],
+        [low_x, high_x, low_y, high_y]: [MaterialId; 4],
+    ) {
+        let (dx, dy, dz) = (p(x, 0.0, 0.0), p(0.0, y, 0.0), p(0.0, 0.0, z));
+        self.quad(P3::zeros(), dx, dy, floor);
+        self.quad(dz, dy, dx, ceiling);
+        self.quad(P3::zeros(), dy, dz, low_x);
+        self.quad(dx, dz, dy, high_x);
+        self.quad(P3::zeros(), dz, dx, low_y);
+        self.quad(dy, dx, dz, high_y);
+    }
+
+    /// Upright post around a place, as wide as twice `half`, between two heights.
+    pub fn post(&mut self, [x, y]: [f32; 2], half: f32, [z0, z1]: [f32; 2], material: MaterialId) {
+        let (min, max) = ([x - half, y - half, z0], [x + half, y + half, z1]);
+        self.cuboid(min, max, material);
+    }
+
     /// Box from `min` to `max` of the current frame.
     pub fn cuboid(&mut self, min: [f32; 3], max: [f32; 3], faces: impl Into<BoxFaces>) {
         let faces = faces.into();
         let [x0, y0, z0] = min;
         let [x1, y1, z1] = max;
-        let p = |x, y, z| P3::new(x, y, z);
         let dx = p(x1 - x0, 0.0, 0.0);
         let dy = p(0.0, y1 - y0, 0.0);
         let dz = p(0.0, 0.0, z1 - z0);
@@ -58,8 +99,8 @@ impl Scene {
         };
         let (width, height) = texture.size();
         let (tile_u, tile_v) = match laying {
-            super::scene::Laying::Metres([u, v]) => (u, v),
-            super::scene::Laying::Fit => (1.0, 1.0),
+            Laying::Metres([u, v]) => (u, v),
+            Laying::Fit => (1.0, 1.0),
         };
         // texels per unit differ between the axes: rescale while swapping
         let ratio_u = width as f32 / tile_u * tile_v / height as f32;
@@ -68,18 +109,24 @@ impl Scene {
         }
     }
 
-    /// Vertical picture of `width` x `height` in the plane y = 0 that is seen from -y, with its lower
-    /// edge centred on the origin.
-    pub fn panel(&mut self, width: f32, height: f32, material: MaterialId) {
-        let corner = P3::new(-0.5 * width, 0.0, height);
-        let (down, along) = (P3::new(0.0, 0.0, -height), P3::new(width, 0.0, 0.0));
-        self.quad(corner, down, along, material);
-        self.transpose_last();
+    /// Vertical picture of `width` x `height` that is seen from -y, with the middle of its lower edge at this place.
+    pub fn panel(&mut self, [x, y, z]: [f32; 3], width: f32, height: f32, material: MaterialId) {
+        self.at(place(x, y, z, 0.0), |s| {
+            let corner = p(-0.5 * width, 0.0, height);
+            s.quad(corner, p(0.0, 0.0, -height), p(width, 0.0, 0.0), material);
+            s.transpose_last();
+        });
     }
 
-    /// Box whose edges are rounded by `radius`, centred on the origin.
-    pub fn rounded_box(&mut self, size: [f32; 3], radius: f32, material: MaterialId) {
-        let half = P3::new(0.5 * size[0], 0.5 * size[1], 0.5 * size[2]);
+    /// Box around a centre whose edges are rounded by `radius`.
+    pub fn rounded_box(
+        &mut self,
+        [x, y, z]: [f32; 3],
+        size: [f32; 3],
+        radius: f32,
+        material: MaterialId,
+    ) {
+        let half = P3::from(size.map(|side| 0.5 * side));
         let radius = radius.min(half.min());
         let core = half - P3::repeat(radius);
         // the outer parts of the parameter range bend by 45 degrees, the middle is flat
@@ -92,14 +139,15 @@ impl Scene {
                 s / 0.2 * core[axis]
             }
         };
-        for axis in 0..3 {
-            for sign in [-1.0f32, 1.0] {
+        self.at(place(x, y, z, 0.0), |s| {
+            for (axis, sign) in (0..3).flat_map(|axis| [(axis, -1.0f32), (axis, 1.0)]) {
+                let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
                 let (first, second) = if sign > 0.0 {
-                    ((axis + 1) % 3, (axis + 2) % 3)
+                    (next, last)
                 } else {
-                    ((axis + 2) % 3, (axis + 1) % 3)
+                    (last, next)
                 };
-                self.patch(10, 10, material, |u, v| {
+                s.patch(10, 10, material, |u, v| {
                     let mut on_box = P3::zeros();
                     on_box[axis] = sign * half[axis];
                     on_box[first] = along(u, first);
@@ -107,7 +155,7 @@ impl Scene {
                     round_off(&on_box, &core, radius)
                 });
             }
-        }
+        });
     }
 
     /// Ellipsoid or, with `power` below 1, a body between ellipsoid and box (superquadric).
@@ -117,37 +165,38 @@ impl Scene {
         self.patch(28, 14, material, move |u, v| {
             let (longitude, latitude) = (TAU * u, FRAC_PI_2 - PI * v);
             let ring = bend(latitude.cos());
-            P3::new(
+            let (x, y) = (
                 a * ring * bend(longitude.cos()),
                 b * ring * bend(longitude.sin()),
-                c * bend(latitude.sin()),
-            )
+            );
+            p(x, y, c * bend(latitude.sin()))
         });
         self.flip_last();
     }
 
-    /// Sphere around the origin.
-    pub fn sphere(&mut self, radius: f32, material: MaterialId) {
-        self.patch(40, 20, material, move |u, v| {
-            let latitude = FRAC_PI_2 - PI * v;
-            on_ring(latitude.cos(), u, latitude.sin()) * radius
+    /// Sphere around a centre.
+    pub fn sphere(&mut self, [x, y, z]: [f32; 3], radius: f32, material: MaterialId) {
+        self.at(place(x, y, z, 0.0), |s| {
+            s.patch(40, 20, material, move |u, v| {
+                let latitude = FRAC_PI_2 - PI * v;
+                on_ring(latitude.cos(), u, latitude.sin()) * radius
+            });
         });
         self.flip_last();
     }
 
-    /// Turned body: the profile (radius, height) rotated about z; from top to bottom its outside is
-    /// the outside.
-    pub fn lathe(&mut self, profile: &[[f32; 2]], segments: usize, material: MaterialId) {
-        let Some(last) = profile.len().checked_sub(1).filter(|&n| n > 0) else {
+    /// Turned body: a profile, given by the radii and heights of its points, rotated about z; from top to bottom its
+    /// outside is the outside.
+    pub fn lathe(&mut self, radii: &[f32], heights: &[f32], segments: usize, material: MaterialId) {
+        let Some(last) = radii.len().checked_sub(1).filter(|&n| n > 0) else {
             return;
         };
         self.patch(segments, last, material, |u, v| {
             let position = v * last as f32;
             let k = (position as usize).min(last - 1);
             let f = position - k as f32;
-            let r = profile[k][0] + f * (profile[k + 1][0] - profile[k][0]);
-            let z = profile[k][1] + f * (profile[k + 1][1] - profile[k][1]);
-            on_ring(r, u, z)
+            let at = |of: &[f32]| of[k] + f * (of[k + 1] - of[k]);
+            on_ring(at(radii), u, at(heights))
         });
         self.flip_last();
     }
@@ -155,9 +204,10 @@ impl Scene {
     /// Upright cylinder on the origin, with lids.
     pub fn cylinder(&mut self, radius: f32, height: f32, material: MaterialId) {
         let segments = if radius < 0.05 { 12 } else { 32 };
-        self.lathe(&[[radius, height], [radius, 0.0]], segments, material);
+        self.lathe(&[radius; 2], &[height, 0.0], segments, material);
         self.disc(radius, height, material);
-        self.disc_below(radius, 0.0, material);
+        self.disc(radius, 0.0, material);
+        self.flip_last();
     }
 
     /// Horizontal disc at a height, seen from above.
@@ -167,16 +217,13 @@ impl Scene {
         self.flip_last();
     }
 
-    fn disc_below(&mut self, radius: f32, z: f32, material: MaterialId) {
-        self.disc(radius, z, material);
-        self.flip_last();
-    }
-
-    /// Ring around z with a round cross-section.
-    pub fn torus(&mut self, radius: f32, thickness: f32, material: MaterialId) {
-        self.patch(36, 12, material, move |u, v| {
-            let ring = radius + thickness * (TAU * v).cos();
-            on_ring(ring, u, thickness * (TAU * v).sin())
+    /// Ring around z at a height with a round cross-section.
+    pub fn torus(&mut self, height: f32, radius: f32, thickness: f32, material: MaterialId) {
+        self.at(place(0.0, 0.0, height, 0.0), |s| {
+            s.patch(36, 12, material, move |u, v| {
+                let ring = radius + thickness * (TAU * v).cos();
+                on_ring(ring, u, thickness * (TAU * v).sin())
+            });
         });
     }
 
@@ -203,7 +250,7 @@ impl Scene {
         self.patch((10.0 * folds) as usize, 6, material, move |u, v| {
             let wave = (TAU * folds * u + 0.8 * (3.0 * TAU * u).sin()).sin();
             let y = depth * wave * (0.6 + 0.4 * v);
-            P3::new((u - 0.5) * width * (1.0 - 0.04 * v), y, -height * v)
+            p((u - 0.5) * width * (1.0 - 0.04 * v), y, -height * v)
         });
         self.flip_last();
     }
@@ -220,7 +267,7 @@ impl Scene {
 
 /// The point of a ring around z after so much of a turn.
 fn on_ring(radius: f32, turn: f32, z: f32) -> P3 {
-    P3::new(radius * (TAU * turn).cos(), radius * (TAU * turn).sin(), z)
+    p(radius * (TAU * turn).cos(), radius * (TAU * turn).sin(), z)
 }
 
 /// Moves a point on the surface of a box onto the rounded surface around its core.

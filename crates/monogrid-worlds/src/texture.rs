@@ -97,16 +97,11 @@ impl Texture {
             height_log2,
             texels,
         }];
-        while let Some(last) = levels.last() {
-            if last.width_log2 == 0 && last.height_log2 == 0 {
-                break;
-            }
+        while let Some(last) = levels.last().filter(|level| level.texels.len() > 1) {
             let next = last.halved();
             levels.push(next);
         }
-        let mean = levels
-            .last()
-            .map_or(0.0, |level| level.texel(0, 0) * TEXEL_SCALE);
+        let mean = levels[levels.len() - 1].texel(0, 0) * TEXEL_SCALE;
         Self { levels, mean }
     }
 

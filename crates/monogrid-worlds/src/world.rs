@@ -3,20 +3,44 @@
 use super::bvh::{Bounds, Bvh, Hit, P3, Triangle};
 use super::lighting::{LightMap, LightingConfig, bake};
 use super::mesh::{MeshLighting, MeshModel, vertex_light};
-use super::scene::{Material, Scene};
-use super::texture::Texture;
-use std::sync::Arc;
+use super::scene::{Material, Patch, Scene};
+
+/// An affine function of the barycentric coordinates of a triangle, texels: its value at the first corner and its changes
+/// with u and v.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Texels {
+    base: [f32; 2],
+    by_u: [f32; 2],
+    by_v: [f32; 2],
+}
+
+impl Texels {
+    /// By its values at the corners.
+    fn of_corners([a, b, c]: [[f32; 2]; 3]) -> Self {
+        Self {
+            base: a,
+            by_u: [b[0] - a[0], b[1] - a[1]],
+            by_v: [c[0] - a[0], c[1] - a[1]],
+        }
+    }
+
+    #[inline]
+    fn at(&self, u: f32, v: f32, axis: usize) -> f32 {
+        self.base[axis] + u * self.by_u[axis] + v * self.by_v[axis]
+    }
+
+    /// Linear density on a triangle of half this area, texels per metre.
+    fn per_m(&self, area2: f32) -> f32 {
+        let [p, q] = [self.by_u, self.by_v];
+        ((p[0] * q[1] - p[1] * q[0]).abs() / area2).sqrt()
+    }
+}
 
 /// How bright a triangle is lit.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Light {
-    /// By a light map, at an affine function of the barycentric coordinates (texels).
-    Map {
-        map: u32,
-        base: [f32; 2],
-        by_u: [f32; 2],
-        by_v: [f32; 2],
-    },
+    /// By a light map.
+    Map(u32, Texels),
     /// By values at the three vertices.
     Vertices([f32; 3]),
 }
@@ -26,10 +50,8 @@ pub(super) enum Light {
 pub(super) struct Shading {
     pub material: u32,
     pub light: Light,
-    /// Texture coordinates, an affine function of the barycentric coordinates (texels).
-    pub texel: [f32; 2],
-    pub texel_by_u: [f32; 2],
-    pub texel_by_v: [f32; 2],
+    /// Texture coordinates.
+    pub texels: Texels,
     /// Linear texel density on the surface, texels per metre.
     pub texels_per_m: f32,
     /// Unit normal of the plane.
@@ -38,33 +60,14 @@ pub(super) struct Shading {
     pub tint: [f32; 3],
 }
 
-/// Reflectance and emission of a material as the inner loop wants them.
-#[derive(Clone, Debug)]
-pub(super) struct Surface {
-    pub albedo: f32,
-    pub texture: Option<Arc<Texture>>,
-    pub emission: f32,
-}
-
-impl From<&Material> for Surface {
-    fn from(material: &Material) -> Self {
-        Self {
-            albedo: material.albedo,
-            texture: material.texture.as_ref().map(|(t, _)| t.clone()),
-            emission: material.emission,
-        }
-    }
-}
-
 /// A closed or open place with everything in it, lit.
 #[derive(Clone, Debug)]
 pub struct World {
     name: String,
-    objects: Vec<String>,
     pub(super) bvh: Bvh,
     /// Shading of the triangles, in the order of the hierarchy.
     pub(super) shading: Vec<Shading>,
-    pub(super) surfaces: Vec<Surface>,
+    pub(super) materials: Vec<Material>,
     pub(super) light_maps: Vec<LightMap>,
     /// Factor that brings the picture of an averagely lit place to a mean grey.
     pub(super) exposure: f32,
@@ -79,15 +82,6 @@ pub struct TriangleMesh {
     pub triangles: Vec<[u32; 3]>,
     /// Reflectance in [0, 1] per vertex; empty when unknown.
     pub albedo: Vec<f32>,
-}
-
-/// How the surface of a world is divided.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfaceShares {
-    /// Area of all surfaces, m².
-    pub area_m2: f64,
-    /// Share of it that has no texture.
-    pub plain: f64,
 }
 
 impl World {
@@ -106,66 +100,44 @@ impl World {
             }
         }
         let bvh = Bvh::new(&triangles);
-        let ids = bvh.source_ids().iter();
-        let shading = ids.map(|&id| shading[id as usize]).collect();
-        let surfaces = scene.materials.iter().map(Surface::from).collect();
-        let mut world = Self {
-            name: name.to_owned(),
-            objects: scene.objects.clone(),
-            bvh,
-            shading,
-            surfaces,
-            light_maps: Vec::new(),
-            exposure: 1.0,
-        };
+        let shading = bvh.ids.iter().map(|&id| shading[id as usize]).collect();
+        let mut world = Self::unlit(name, bvh, shading, scene.materials.clone());
         bake(&mut world, scene, lighting);
         world
+    }
+
+    fn unlit(name: &str, bvh: Bvh, shading: Vec<Shading>, materials: Vec<Material>) -> Self {
+        Self {
+            name: name.to_owned(),
+            bvh,
+            shading,
+            materials,
+            light_maps: Vec::new(),
+            exposure: 1.0,
+        }
     }
 
     /// A mesh as a world.
     #[must_use]
     pub fn from_model(name: &str, model: &MeshModel, lighting: MeshLighting) -> Self {
         let mesh = &model.mesh;
-        let corners = |t: &[u32; 3]| t.map(|k| P3::from(mesh.vertices[k as usize]));
+        let triangle = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|k| P3::from(mesh.vertices[k as usize]));
+            Triangle::new(a, b, c)
+        };
+        let triangles = mesh.triangles.iter().map(triangle).enumerate();
         // triangles without area cannot be seen, and have no normal
-        let used: Vec<usize> = (0..mesh.triangles.len())
-            .filter(|&k| {
-                let [a, b, c] = corners(&mesh.triangles[k]);
-                Triangle::new(a, b, c).scaled_normal().norm() > 0.0
-            })
-            .collect();
-        let triangles: Vec<Triangle> = used
-            .iter()
-            .map(|&k| {
-                let [a, b, c] = corners(&mesh.triangles[k]);
-                Triangle::new(a, b, c)
-            })
-            .collect();
+        let (used, triangles): (Vec<usize>, Vec<Triangle>) = triangles
+            .filter(|(_, triangle)| triangle.scaled_normal().norm() > 0.0)
+            .unzip();
         let bvh = Bvh::new(&triangles);
         let light = vertex_light(mesh, &bvh, lighting);
-        let surfaces: Vec<Surface> = model.all_materials().iter().map(Surface::from).collect();
-        let shading = bvh
-            .source_ids()
-            .iter()
-            .map(|&id| {
-                mesh_shading(
-                    model,
-                    &surfaces,
-                    &light,
-                    used[id as usize],
-                    &triangles[id as usize],
-                )
-            })
-            .collect();
-        Self {
-            name: name.to_owned(),
-            objects: vec![name.to_owned()],
-            bvh,
-            shading,
-            surfaces,
-            light_maps: Vec::new(),
-            exposure: 1.0,
-        }
+        let materials = model.all_materials();
+        let shading = bvh.ids.iter().zip(&bvh.triangles).map(|(&id, triangle)| {
+            mesh_shading(model, &materials, &light, used[id as usize], triangle)
+        });
+        let shading = shading.collect();
+        Self::unlit(name, bvh, shading, materials)
     }
 
     /// Its name.
@@ -174,80 +146,43 @@ impl World {
         &self.name
     }
 
-    /// Names of the things in it.
-    #[must_use]
-    pub fn objects(&self) -> &[String] {
-        &self.objects
-    }
-
     /// Smallest and largest corner, m.
     #[must_use]
     pub fn bounds(&self) -> Bounds {
         self.bvh.bounds()
     }
 
-    /// The triangle hierarchy.
-    #[must_use]
-    pub fn bvh(&self) -> &Bvh {
-        &self.bvh
-    }
-
     /// First surface along a ray: distance in lengths of `direction`; `None` when it leaves the world.
     #[must_use]
     pub fn cast(&self, origin: [f64; 3], direction: [f64; 3]) -> Option<f64> {
-        let to_f32 = |v: [f64; 3]| P3::new(v[0] as f32, v[1] as f32, v[2] as f32);
-        self.bvh
-            .nearest(&to_f32(origin), &to_f32(direction), 0.0, f32::INFINITY)
-            .map(|hit| f64::from(hit.t))
+        let [origin, direction] = [origin, direction].map(|v| P3::from(v.map(|c| c as f32)));
+        let hit = self.bvh.nearest(&origin, &direction, 0.0, f32::INFINITY);
+        hit.map(|hit| f64::from(hit.t))
     }
 
     /// All triangles, for truth maps and files.
     #[must_use]
     pub fn mesh(&self) -> TriangleMesh {
         let mut mesh = TriangleMesh::default();
-        for (triangle, shading) in self.bvh.triangles().iter().zip(&self.shading) {
+        for (triangle, shading) in self.bvh.triangles.iter().zip(&self.shading) {
             let first = mesh.vertices.len() as u32;
-            for (k, vertex) in triangle.vertices().iter().enumerate() {
-                mesh.vertices.push([vertex.x, vertex.y, vertex.z]);
-                let surface = &self.surfaces[shading.material as usize];
-                mesh.albedo.push(surface.albedo * shading.tint[k]);
-            }
+            mesh.vertices
+                .extend(triangle.vertices().map(<[f32; 3]>::from));
+            let albedo = self.materials[shading.material as usize].albedo;
+            mesh.albedo.extend(shading.tint.map(|tint| albedo * tint));
             mesh.triangles.push([first, first + 1, first + 2]);
         }
         mesh
     }
 
-    /// Area of the surfaces and the share without texture.
-    #[must_use]
-    pub fn surface_shares(&self) -> SurfaceShares {
-        let (mut area_m2, mut plain) = (0.0, 0.0);
-        for (triangle, shading) in self.bvh.triangles().iter().zip(&self.shading) {
-            let area = 0.5 * f64::from(triangle.scaled_normal().norm());
-            area_m2 += area;
-            if self.surfaces[shading.material as usize].texture.is_none() {
-                plain += area;
-            }
-        }
-        SurfaceShares {
-            area_m2,
-            plain: plain / f64::max(area_m2, 1e-12),
-        }
-    }
-
-    /// Light that falls on a hit point, from the baked maps.
+    /// Light that falls on a point of a triangle, from the baked maps.
     #[inline]
-    pub(super) fn irradiance(&self, shading: &Shading, hit: &Hit) -> f32 {
+    pub(super) fn irradiance(&self, shading: &Shading, u: f32, v: f32) -> f32 {
         match &shading.light {
-            Light::Map {
-                map,
-                base,
-                by_u,
-                by_v,
-            } => self.light_maps[*map as usize].sample(
-                base[0] + hit.u * by_u[0] + hit.v * by_v[0],
-                base[1] + hit.u * by_u[1] + hit.v * by_v[1],
-            ),
-            Light::Vertices([a, b, c]) => a + hit.u * (b - a) + hit.v * (c - a),
+            Light::Map(map, texels) => {
+                self.light_maps[*map as usize].sample(texels.at(u, v, 0), texels.at(u, v, 1))
+            }
+            Light::Vertices([a, b, c]) => a + u * (b - a) + v * (c - a),
         }
     }
 
@@ -256,29 +191,28 @@ impl World {
     #[inline]
     pub(super) fn radiance(&self, hit: &Hit, footprint_m: f32) -> f32 {
         let shading = &self.shading[hit.triangle as usize];
-        let surface = &self.surfaces[shading.material as usize];
-        let albedo = match &surface.texture {
-            Some(texture) => texture.sample(
-                shading.texel[0] + hit.u * shading.texel_by_u[0] + hit.v * shading.texel_by_v[0],
-                shading.texel[1] + hit.u * shading.texel_by_u[1] + hit.v * shading.texel_by_v[1],
-                footprint_m * shading.texels_per_m,
-            ),
+        let material = &self.materials[shading.material as usize];
+        let albedo = match &material.texture {
+            Some((texture, _)) => {
+                let along = |axis| shading.texels.at(hit.u, hit.v, axis);
+                texture.sample(along(0), along(1), footprint_m * shading.texels_per_m)
+            }
             None => {
                 let [a, b, c] = shading.tint;
-                surface.albedo * (a + hit.u * (b - a) + hit.v * (c - a))
+                material.albedo * (a + hit.u * (b - a) + hit.v * (c - a))
             }
         };
-        if surface.emission > 0.0 {
-            return albedo * surface.emission / self.exposure;
+        if material.emission > 0.0 {
+            return albedo * material.emission / self.exposure;
         }
-        albedo * self.irradiance(shading, hit)
+        albedo * self.irradiance(shading, hit.u, hit.v)
     }
 }
 
 /// Shading of one triangle of a mesh.
 fn mesh_shading(
     model: &MeshModel,
-    surfaces: &[Surface],
+    materials: &[Material],
     light: &[f32],
     index: usize,
     triangle: &Triangle,
@@ -291,24 +225,17 @@ fn mesh_shading(
     let mut shading = Shading {
         material,
         light: Light::Vertices(at(light)),
-        texel: [0.0; 2],
-        texel_by_u: [0.0; 2],
-        texel_by_v: [0.0; 2],
+        texels: Texels::default(),
         texels_per_m: 0.0,
         normal: scaled_normal / area2,
         tint: at(&model.mesh.albedo),
     };
-    let texture = surfaces
-        .get(material as usize)
-        .and_then(|s| s.texture.as_ref());
-    if let (Some(texture), Some(uv)) = (texture, model.corner_uv.get(index)) {
+    let texture = materials[material as usize].texture.as_ref();
+    if let (Some((texture, _)), Some(uv)) = (texture, model.corner_uv.get(index)) {
         let (width, height) = texture.size();
-        let [a, b, c] = uv.map(|[u, v]| [u * width as f32, v * height as f32]);
-        shading.texel = a;
-        shading.texel_by_u = [b[0] - a[0], b[1] - a[1]];
-        shading.texel_by_v = [c[0] - a[0], c[1] - a[1]];
-        let [p, q] = [shading.texel_by_u, shading.texel_by_v];
-        shading.texels_per_m = ((p[0] * q[1] - p[1] * q[0]).abs() / area2).sqrt();
+        let in_texels = |[u, v]: [f32; 2]| [u * width as f32, v * height as f32];
+        shading.texels = Texels::of_corners(uv.map(in_texels));
+        shading.texels_per_m = shading.texels.per_m(area2);
     }
     shading
 }
@@ -317,54 +244,37 @@ fn mesh_shading(
 fn add_cell(
     triangles: &mut Vec<Triangle>,
     shading: &mut Vec<Shading>,
-    patch: &super::scene::Patch,
+    patch: &Patch,
     map: usize,
     layout: (usize, usize),
     [i, j]: [usize; 2],
 ) {
-    let corner = |a: usize, b: usize| (b * patch.columns + a, [a, b]);
-    let corners = [
-        corner(i, j),
-        corner(i + 1, j),
-        corner(i + 1, j + 1),
-        corner(i, j + 1),
-    ];
-    for [a, b, c] in [[0, 1, 2], [0, 2, 3]] {
-        let [a, b, c] = [corners[a], corners[b], corners[c]];
-        let triangle = Triangle::new(patch.points[a.0], patch.points[b.0], patch.points[c.0]);
+    let light_at = |[x, y]: [usize; 2]| {
+        [
+            x as f32 / (patch.columns - 1) as f32 * layout.0 as f32 - 0.5,
+            y as f32 / (patch.rows - 1) as f32 * layout.1 as f32 - 0.5,
+        ]
+    };
+    for [second, third] in [[[i + 1, j], [i + 1, j + 1]], [[i + 1, j + 1], [i, j + 1]]] {
+        let corners = [[i, j], second, third];
+        let points = corners.map(|[x, y]| y * patch.columns + x);
+        let [a, b, c] = points.map(|k| patch.points[k]);
+        let triangle = Triangle::new(a, b, c);
         let scaled_normal = triangle.scaled_normal();
         let area2 = scaled_normal.norm();
         if area2 < 1e-10 {
             continue;
         }
-        let light_at = |[x, y]: [usize; 2]| {
-            [
-                x as f32 / (patch.columns - 1) as f32 * layout.0 as f32 - 0.5,
-                y as f32 / (patch.rows - 1) as f32 * layout.1 as f32 - 0.5,
-            ]
-        };
-        let minus = |p: [f32; 2], q: [f32; 2]| [p[0] - q[0], p[1] - q[1]];
-        let base = light_at(a.1);
-        let texel = patch.texels[a.0];
-        let texel_by_u = minus(patch.texels[b.0], texel);
-        let texel_by_v = minus(patch.texels[c.0], texel);
-        let texel_area2 = (texel_by_u[0] * texel_by_v[1] - texel_by_u[1] * texel_by_v[0]).abs();
+        let texels = Texels::of_corners(points.map(|k| patch.texels[k]));
         let mut normal = scaled_normal / area2;
-        if normal.dot(&patch.normals[a.0]) < 0.0 {
+        if normal.dot(&patch.normals[points[0]]) < 0.0 {
             normal = -normal;
         }
         shading.push(Shading {
             material: patch.material as u32,
-            light: Light::Map {
-                map: map as u32,
-                base,
-                by_u: minus(light_at(b.1), base),
-                by_v: minus(light_at(c.1), base),
-            },
-            texel,
-            texel_by_u,
-            texel_by_v,
-            texels_per_m: (texel_area2 / area2).sqrt(),
+            light: Light::Map(map as u32, Texels::of_corners(corners.map(light_at))),
+            texels,
+            texels_per_m: texels.per_m(area2),
             normal,
             tint: [1.0; 3],
         });

@@ -51,9 +51,15 @@ pub fn write_tum_layout(
     }
     let units_per_m = depth_units(sequence);
     let depth_camera = write_calibrations(sequence.config(), units_per_m, folder)?;
-    let depth_coder = DepthCoder {
-        renderer: Renderer::new(&depth_camera, 1.0),
-        units_per_m,
+    let depth_renderer = Renderer::new(&depth_camera, 1.0);
+    let coded = |k: usize| {
+        let frame = sequence.frame(k)?;
+        let image = encode_png(&frame.image.map(|v| v as u8));
+        let has_depth = config.depth_every > 0 && k.is_multiple_of(config.depth_every);
+        let depth = has_depth.then(|| sequence.depth_through(&depth_renderer, k));
+        let depth = depth.flatten();
+        let depth = depth.map(|depth| encode_png_16(&encode_depth(&depth, units_per_m)));
+        Some((frame, image, depth))
     };
     if config.with_mesh {
         write_ply(&folder.join("mesh.ply"), &sequence.world().mesh())?;
@@ -63,22 +69,22 @@ pub fn write_tum_layout(
     let mut poses = Vec::with_capacity(sequence.len());
     for first in (0..sequence.len()).step_by(CHUNK) {
         let last = (first + CHUNK).min(sequence.len());
-        let frames: Vec<CodedFrame> = (first..last)
-            .into_par_iter()
-            .filter_map(|k| CodedFrame::new(sequence, k, config, &depth_coder))
-            .collect();
-        for frame in frames {
-            let time = format_seconds(frame.pose.timestamp_ns);
+        let frames: Vec<_> = (first..last).into_par_iter().filter_map(coded).collect();
+        for (frame, image, depth) in frames {
+            let time = format_seconds(frame.timestamp_ns);
             let name = format!("rgb/{:06}.png", frame.index);
-            write_atomically(&folder.join(&name), &frame.image)?;
+            write_atomically(&folder.join(&name), &image)?;
             // writing into a string cannot fail
             let _ = writeln!(colour_list, "{time} {name}");
-            if let Some(depth) = &frame.depth {
+            if let Some(depth) = depth {
                 let name = format!("depth/{:06}.png", frame.index);
-                write_atomically(&folder.join(&name), depth)?;
+                write_atomically(&folder.join(&name), &depth)?;
                 let _ = writeln!(depth_list, "{time} {name}");
             }
-            poses.push(frame.pose);
+            poses.push(TimedPose {
+                timestamp_ns: frame.timestamp_ns,
+                world_from_camera: frame.world_from_camera,
+            });
             progress(poses.len());
         }
     }
@@ -98,19 +104,11 @@ pub fn write_sequence_imu(
 ) -> Result<usize, DatasetError> {
     let folder = folder.join("mav0/imu0");
     std::fs::create_dir_all(&folder).map_err(|e| DatasetError::io("create", &folder, e))?;
-    let last = sequence
-        .len()
-        .checked_sub(1)
-        .and_then(|last| sequence.timestamp_ns(last));
+    let last = sequence.timestamp_ns(sequence.len().wrapping_sub(1));
     let until_secs = last.unwrap_or(0) as f64 * 1e-9 + AFTER_LAST_SECS;
     let samples = imu_samples(sequence.path(), config, sequence.config().seed, until_secs);
-    write_imu(
-        &folder,
-        &samples,
-        &config.noise,
-        &config.camera_from_imu,
-        config.rate_hz,
-    )?;
+    let (noise, pose) = (&config.noise, &config.camera_from_imu);
+    write_imu(&folder, &samples, noise, pose, config.rate_hz)?;
     Ok(samples.len())
 }
 
@@ -119,49 +117,6 @@ const AFTER_LAST_SECS: f64 = 0.05;
 
 /// Frames that are rendered and compressed side by side.
 const CHUNK: usize = 8;
-
-/// Makes depth images.
-struct DepthCoder {
-    renderer: Renderer,
-    units_per_m: u32,
-}
-
-impl DepthCoder {
-    fn code(&self, sequence: &SynthSequence, k: usize) -> Option<Vec<u8>> {
-        let depth = sequence.depth_through(&self.renderer, k)?;
-        Some(encode_png_16(&encode_depth(&depth, self.units_per_m)))
-    }
-}
-
-/// A frame as it goes to the disk.
-struct CodedFrame {
-    index: usize,
-    pose: TimedPose,
-    image: Vec<u8>,
-    depth: Option<Vec<u8>>,
-}
-
-impl CodedFrame {
-    fn new(
-        sequence: &SynthSequence,
-        k: usize,
-        config: &WriteConfig,
-        depth_coder: &DepthCoder,
-    ) -> Option<Self> {
-        let frame = sequence.frame(k)?;
-        let has_depth = config.depth_every > 0 && k.is_multiple_of(config.depth_every);
-        let depth = has_depth.then(|| depth_coder.code(sequence, k)).flatten();
-        Some(Self {
-            index: frame.index,
-            pose: TimedPose {
-                timestamp_ns: frame.timestamp_ns,
-                world_from_camera: frame.world_from_camera,
-            },
-            image: encode_png(&frame.image.map(|v| v as u8)),
-            depth,
-        })
-    }
-}
 
 fn write_text(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError> {
     write_atomically(&folder.join(name), text.as_bytes())
@@ -227,11 +182,8 @@ fn write_calibrations(
         }
     };
     let line = calibration_line(&depth_camera).unwrap_or_default();
-    write_text(
-        folder,
-        "calibration_depth.txt",
-        &format!("{line}{units_per_m}\n"),
-    )?;
+    let text = format!("{line}{units_per_m}\n");
+    write_text(folder, "calibration_depth.txt", &text)?;
     Ok(depth_camera)
 }
 
@@ -242,36 +194,29 @@ fn write_calibrations(
 pub fn write_ply(path: &Path, mesh: &TriangleMesh) -> Result<(), DatasetError> {
     let has_albedo = mesh.albedo.len() == mesh.vertices.len();
     write_atomically_with(path, |file| {
-        let mut header = format!(
+        let colours = match has_albedo {
+            true => "property uchar red\nproperty uchar green\nproperty uchar blue\n",
+            false => "",
+        };
+        let header = format!(
             "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\n\
-             property float y\nproperty float z\n",
-            mesh.vertices.len()
-        );
-        if has_albedo {
-            header.push_str("property uchar red\nproperty uchar green\nproperty uchar blue\n");
-        }
-        let _ = write!(
-            header,
-            "element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+             property float y\nproperty float z\n{colours}element face {}\n\
+             property list uchar int vertex_indices\nend_header\n",
+            mesh.vertices.len(),
             mesh.triangles.len()
         );
         let mut bytes = header.into_bytes();
         for (k, vertex) in mesh.vertices.iter().enumerate() {
-            for v in vertex {
-                bytes.extend_from_slice(&v.to_le_bytes());
-            }
+            bytes.extend(vertex.iter().flat_map(|v| v.to_le_bytes()));
             if has_albedo {
                 // as displayed: gamma 2.2, undone by the reader
                 let shown = mesh.albedo[k].clamp(0.0, 1.0).powf(1.0 / 2.2);
-                let grey = (255.0 * shown).round() as u8;
-                bytes.extend_from_slice(&[grey; 3]);
+                bytes.extend([(255.0 * shown).round() as u8; 3]);
             }
         }
         for triangle in &mesh.triangles {
             bytes.push(3);
-            for v in triangle {
-                bytes.extend_from_slice(&v.to_le_bytes());
-            }
+            bytes.extend(triangle.iter().flat_map(|v| v.to_le_bytes()));
         }
         file.write_all(&bytes)
     })

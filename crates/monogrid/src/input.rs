@@ -124,10 +124,7 @@ impl Input {
         if is_video(source) {
             return Self::open_video(source, args, usual);
         }
-        let options = SourceOptions {
-            fps: args.fps,
-            ..SourceOptions::default()
-        };
+        let options = SourceOptions { fps: args.fps };
         let dataset = Dataset::open(source, options).bad_input()?;
         let frames = selected(&dataset, args)?;
         let first = first_image(&frames)?;

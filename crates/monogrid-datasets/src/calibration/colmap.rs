@@ -1,9 +1,9 @@
 //! COLMAP's `cameras.txt`: `CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS...` in pixels, the corner of the
 //! top-left pixel at (0, 0); and `cameras.bin`, which says the same in little-endian numbers.
 
-use super::{Draft, fov, pixel_count, radial_tangential};
+use super::{equidistant, fov, pixel_count, radial_tangential};
 use crate::bytes::Input;
-use crate::{DatasetError, read_file};
+use crate::{Calibration, DatasetError, read_file};
 use monogrid_geometry::{Distortion, Pinhole};
 use std::path::Path;
 
@@ -50,14 +50,12 @@ fn first_camera(bytes: &[u8]) -> Option<String> {
 pub(super) fn is_camera(line: &str) -> bool {
     let mut words = line.split_whitespace();
     let has_number = words.next().is_some_and(|id| id.parse::<u64>().is_ok());
-    has_number
-        && words
-            .next()
-            .is_some_and(|model| model.starts_with(|c: char| c.is_ascii_uppercase()))
+    let is_model = |word: &str| word.starts_with(|c: char| c.is_ascii_uppercase());
+    has_number && words.next().is_some_and(is_model)
 }
 
 /// The first camera of the file.
-pub(super) fn parse(lines: &[(usize, &str)], path: &Path) -> Result<Draft, DatasetError> {
+pub(super) fn parse(lines: &[(usize, &str)], path: &Path) -> Result<Calibration, DatasetError> {
     let Some(&(number, line)) = lines.first() else {
         return Err(DatasetError::content(path, "no camera", MODELS));
     };
@@ -69,54 +67,34 @@ pub(super) fn parse(lines: &[(usize, &str)], path: &Path) -> Result<Draft, Datas
     let size = |text: &str| text.parse().ok().and_then(pixel_count);
     let (width, height) = size(width).zip(size(height)).ok_or_else(wrong)?;
     let parameters: Option<Vec<f64>> = parameters.iter().map(|p| p.parse().ok()).collect();
-    let (pinhole, distortion) = parameters
-        .and_then(|parameters| camera(model, &parameters))
-        .ok_or_else(wrong)?;
-    let mut draft = Draft::new((width, height), pinhole, distortion, "COLMAP cameras.txt");
-    draft
-        .notes
-        .push("half a pixel was subtracted from the principal point".to_owned());
+    let camera = parameters.and_then(|parameters| camera(model, &parameters));
+    let (pinhole, distortion) = camera.ok_or_else(wrong)?;
+    let mut draft = Calibration::draft((width, height), pinhole, distortion, "COLMAP cameras.txt");
+    draft.note("half a pixel was subtracted from the principal point");
     if lines.len() > 1 {
-        draft
-            .notes
-            .push(format!("the first of {} cameras is used", lines.len()));
+        draft.note(format!("the first of {} cameras is used", lines.len()));
     }
     Ok(draft)
 }
 
 /// Camera of a model with these parameters.
 fn camera(model: &str, parameters: &[f64]) -> Option<(Pinhole, Distortion)> {
-    let pinhole = |fx, fy, cx: f64, cy: f64| Pinhole::new(fx, fy, cx - 0.5, cy - 0.5);
-    Some(match (model, parameters) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => (pinhole(f, f, cx, cy), Distortion::None),
-        ("PINHOLE", &[fx, fy, cx, cy]) => (pinhole(fx, fy, cx, cy), Distortion::None),
-        ("SIMPLE_RADIAL", &[f, cx, cy, k1]) => (
-            pinhole(f, f, cx, cy),
-            radial_tangential([k1, 0.0, 0.0, 0.0, 0.0]),
-        ),
-        ("RADIAL", &[f, cx, cy, k1, k2]) => (
-            pinhole(f, f, cx, cy),
-            radial_tangential([k1, k2, 0.0, 0.0, 0.0]),
-        ),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => (
-            pinhole(fx, fy, cx, cy),
-            radial_tangential([k1, k2, p1, p2, 0.0]),
-        ),
-        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6])
-            if [k4, k5, k6] == [0.0; 3] =>
-        {
-            (
-                pinhole(fx, fy, cx, cy),
-                radial_tangential([k1, k2, p1, p2, k3]),
-            )
+    let has_one_focal = matches!(model, "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL");
+    let (fx, parameters) = parameters.split_first()?;
+    let (fy, parameters) = match has_one_focal {
+        true => (fx, parameters),
+        false => parameters.split_first()?,
+    };
+    let (&[cx, cy], lens) = parameters.split_first_chunk()?;
+    let distortion = match (model, lens) {
+        ("SIMPLE_PINHOLE" | "PINHOLE", []) => Distortion::None,
+        ("SIMPLE_RADIAL", [_]) | ("RADIAL", [_, _]) | ("OPENCV", [_, _, _, _]) => {
+            radial_tangential(lens)
         }
-        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => (
-            pinhole(fx, fy, cx, cy),
-            Distortion::Equidistant {
-                k: [k1, k2, k3, k4],
-            },
-        ),
-        ("FOV", &[fx, fy, cx, cy, omega]) => (pinhole(fx, fy, cx, cy), fov(omega)),
+        ("FULL_OPENCV", [_, _, _, _, _, rest @ ..]) if rest == [0.0; 3] => radial_tangential(lens),
+        ("OPENCV_FISHEYE", &[k1, k2, k3, k4]) => equidistant([k1, k2, k3, k4]),
+        ("FOV", &[omega]) => fov(omega),
         _ => return None,
-    })
+    };
+    Some((Pinhole::new(*fx, *fy, cx - 0.5, cy - 0.5), distortion))
 }

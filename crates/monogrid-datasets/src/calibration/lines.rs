@@ -1,8 +1,8 @@
 //! Calibration formats made of lines of numbers: one line, LSD-SLAM, DSO, KITTI.
 
-use super::{Draft, colmap, fov, pixel_count, radial_tangential, relative_or_pixels};
-use crate::DatasetError;
+use super::{colmap, equidistant, fov, pixel_count, radial_tangential, relative_or_pixels};
 use crate::text::{data_lines, numbers};
+use crate::{Calibration, DatasetError};
 use monogrid_geometry::{Camera, Distortion, Pinhole};
 use std::path::Path;
 
@@ -11,11 +11,11 @@ pub(super) fn parse(
     text: &str,
     path: &Path,
     image_size: Option<(usize, usize)>,
-) -> Result<Draft, DatasetError> {
+) -> Result<Calibration, DatasetError> {
     let (shutter, lines): (Vec<_>, Vec<_>) =
         data_lines(text).partition(|(_, line)| line.starts_with(ROLLING_SHUTTER));
     let readout_ms = shutter.first().map(|line| readout_ms(path, *line));
-    Ok(Draft {
+    Ok(Calibration {
         readout_ms: readout_ms.transpose()?,
         ..parse_camera(&lines, path, image_size)?
     })
@@ -36,13 +36,10 @@ fn parse_camera(
     lines: &[(usize, &str)],
     path: &Path,
     image_size: Option<(usize, usize)>,
-) -> Result<Draft, DatasetError> {
+) -> Result<Calibration, DatasetError> {
     let Some(&first) = lines.first() else {
-        return Err(DatasetError::content(
-            path,
-            "no numbers",
-            "fx fy cx cy width height in pixels",
-        ));
+        let expected = "fx fy cx cy width height in pixels";
+        return Err(DatasetError::content(path, "no numbers", expected));
     };
     let word = first.1.split_whitespace().next().unwrap_or("");
     if DSO_MODELS.iter().any(|m| m.eq_ignore_ascii_case(word)) {
@@ -63,13 +60,9 @@ fn parse_camera(
 }
 
 fn unknown(path: &Path, (number, line): (usize, &str)) -> DatasetError {
-    DatasetError::line(
-        path,
-        number,
-        line,
-        "fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height in pixels, a file of LSD-SLAM or DSO, or \
-         KITTI's calib.txt",
-    )
+    let expected = "fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height in pixels, a file of LSD-SLAM or DSO, or \
+                    KITTI's calib.txt";
+    DatasetError::line(path, number, line, expected)
 }
 
 /// A checked camera from one line of numbers in pixels.
@@ -83,38 +76,25 @@ pub(crate) fn camera_from_numbers(
 }
 
 /// `fx fy cx cy [omega | k1 k2 p1 p2 [k3]] width height`, in pixels.
-fn one_line(values: &[f64], path: &Path, line: (usize, &str)) -> Result<Draft, DatasetError> {
-    let (intrinsics, size) = values.split_at(values.len().saturating_sub(2));
-    let [width, height] = size else {
+fn one_line(values: &[f64], path: &Path, line: (usize, &str)) -> Result<Calibration, DatasetError> {
+    let &[ref intrinsics @ .., width, height] = values else {
         return Err(unknown(path, line));
     };
-    let size = image_size(*width, *height).ok_or_else(|| {
-        DatasetError::line(
-            path,
-            line.0,
-            line.1,
-            "the width and height of the image in pixels as the last two numbers",
-        )
+    let size = image_size(width, height).ok_or_else(|| {
+        let expected = "the width and height of the image in pixels as the last two numbers";
+        DatasetError::line(path, line.0, line.1, expected)
     })?;
-    let (pinhole, distortion) = match *intrinsics {
-        [fx, fy, cx, cy] => (Pinhole::new(fx, fy, cx, cy), Distortion::None),
-        [fx, fy, cx, cy, omega] => (Pinhole::new(fx, fy, cx, cy), fov(omega)),
-        [fx, fy, cx, cy, k1, k2, p1, p2] => (
-            Pinhole::new(fx, fy, cx, cy),
-            radial_tangential([k1, k2, p1, p2, 0.0]),
-        ),
-        [fx, fy, cx, cy, k1, k2, p1, p2, k3] => (
-            Pinhole::new(fx, fy, cx, cy),
-            radial_tangential([k1, k2, p1, p2, k3]),
-        ),
+    let &[fx, fy, cx, cy, ref lens @ ..] = intrinsics else {
+        return Err(unknown(path, line));
+    };
+    let distortion = match lens {
+        [omega] => fov(*omega),
+        [] | [_, _, _, _] | [_, _, _, _, _] => radial_tangential(lens),
         _ => return Err(unknown(path, line)),
     };
-    Ok(Draft::new(
-        size,
-        pinhole,
-        distortion,
-        "line of numbers in pixels",
-    ))
+    let pinhole = Pinhole::new(fx, fy, cx, cy);
+    let format = "line of numbers in pixels";
+    Ok(Calibration::draft(size, pinhole, distortion, format))
 }
 
 fn image_size(width: f64, height: f64) -> Option<(usize, usize)> {
@@ -124,52 +104,44 @@ fn image_size(width: f64, height: f64) -> Option<(usize, usize)> {
 /// The second line of LSD-SLAM's and DSO's files: `width height`.
 fn size_line(lines: &[(usize, &str)], path: &Path) -> Result<(usize, usize), DatasetError> {
     let Some(&(number, line)) = lines.get(1) else {
-        return Err(DatasetError::content(
-            path,
-            "one line",
-            "a second line with the width and height of the images",
-        ));
+        let expected = "a second line with the width and height of the images";
+        return Err(DatasetError::content(path, "one line", expected));
     };
-    match numbers(line).as_deref() {
+    let size = match numbers(line).as_deref() {
         Some([width, height]) => image_size(*width, *height),
         _ => None,
-    }
-    .ok_or_else(|| DatasetError::line(path, number, line, "width and height in pixels"))
+    };
+    size.ok_or_else(|| DatasetError::line(path, number, line, "width and height in pixels"))
 }
 
-/// Says what happens to the remaining lines of LSD-SLAM's and DSO's files.
-fn output_note(lines: &[(usize, &str)]) -> Option<String> {
-    (lines.len() > 2).then(|| {
-        "the rectification mode and output size in the file are not used (the working size is chosen \
-         by --size)"
-            .to_owned()
-    })
-}
-
-fn note_units(draft: &mut Draft, relative: bool, lines: &[(usize, &str)]) {
-    draft.notes.push(if relative {
-        "values are relative to the image size; half a pixel was subtracted from the principal point"
-            .to_owned()
-    } else {
-        "values are in pixels".to_owned()
+/// Says how the numbers of LSD-SLAM's and DSO's files are meant, and what happens to their remaining lines.
+fn note_units(draft: &mut Calibration, relative: bool, lines: &[(usize, &str)]) {
+    draft.note(match relative {
+        true => "values are relative to the image size; half a pixel was subtracted from the principal point",
+        false => "values are in pixels",
     });
-    draft.notes.extend(output_note(lines));
+    if lines.len() > 2 {
+        draft.note(
+            "the rectification mode and output size in the file are not used (the working size is chosen \
+             by --size)",
+        );
+    }
 }
 
 /// LSD-SLAM and PTAM: 5 numbers (FOV model) or 8 (OpenCV), then the size.
-fn parse_lsd(values: &[f64], lines: &[(usize, &str)], path: &Path) -> Result<Draft, DatasetError> {
+fn parse_lsd(
+    values: &[f64],
+    lines: &[(usize, &str)],
+    path: &Path,
+) -> Result<Calibration, DatasetError> {
     let size = size_line(lines, path)?;
     let intrinsics = [values[0], values[1], values[2], values[3]];
     let (pinhole, relative) = relative_or_pixels(intrinsics, size);
-    let (distortion, format) = match values[4..] {
-        [omega] => (fov(omega), "LSD-SLAM file, FOV (ATAN) model"),
-        [k1, k2, p1, p2] => (
-            radial_tangential([k1, k2, p1, p2, 0.0]),
-            "LSD-SLAM file, OpenCV model",
-        ),
-        _ => return Err(unknown(path, lines[0])),
+    let (distortion, format) = match &values[4..] {
+        [omega] => (fov(*omega), "LSD-SLAM file, FOV (ATAN) model"),
+        lens => (radial_tangential(lens), "LSD-SLAM file, OpenCV model"),
     };
-    let mut draft = Draft::new(size, pinhole, distortion, format);
+    let mut draft = Calibration::draft(size, pinhole, distortion, format);
     note_units(&mut draft, relative, lines);
     Ok(draft)
 }
@@ -178,18 +150,18 @@ fn parse_lsd(values: &[f64], lines: &[(usize, &str)], path: &Path) -> Result<Dra
 const DSO_MODELS: [&str; 5] = ["Pinhole", "FOV", "RadTan", "EquiDistant", "KannalaBrandt"];
 
 /// DSO: a model name and its numbers, then the size.
-fn parse_dso(model: &str, lines: &[(usize, &str)], path: &Path) -> Result<Draft, DatasetError> {
+fn parse_dso(
+    model: &str,
+    lines: &[(usize, &str)],
+    path: &Path,
+) -> Result<Calibration, DatasetError> {
     let (number, line) = lines[0];
     let size = size_line(lines, path)?;
     let values = numbers(line[model.len()..].trim()).unwrap_or_default();
     let wrong = || {
-        DatasetError::line(
-            path,
-            number,
-            line,
-            "Pinhole fx fy cx cy 0, FOV fx fy cx cy omega, or RadTan, EquiDistant or KannalaBrandt with \
-             fx fy cx cy and four coefficients",
-        )
+        let expected = "Pinhole fx fy cx cy 0, FOV fx fy cx cy omega, or RadTan, EquiDistant or KannalaBrandt with \
+                        fx fy cx cy and four coefficients";
+        DatasetError::line(path, number, line, expected)
     };
     let &[fx, fy, cx, cy, ref rest @ ..] = values.as_slice() else {
         return Err(wrong());
@@ -198,28 +170,22 @@ fn parse_dso(model: &str, lines: &[(usize, &str)], path: &Path) -> Result<Draft,
     let (distortion, format) = match (model.to_ascii_lowercase().as_str(), rest) {
         ("pinhole", [] | [_]) => (Distortion::None, "DSO file, Pinhole"),
         ("fov", &[omega]) => (fov(omega), "DSO file, FOV model"),
-        ("radtan", &[k1, k2, p1, p2]) => (
-            radial_tangential([k1, k2, p1, p2, 0.0]),
-            "DSO file, RadTan model",
-        ),
-        ("equidistant" | "kannalabrandt", &[k1, k2, k3, k4]) => (
-            Distortion::Equidistant {
-                k: [k1, k2, k3, k4],
-            },
-            "DSO file, equidistant (Kannala-Brandt) model",
-        ),
+        ("radtan", [_, _, _, _]) => (radial_tangential(rest), "DSO file, RadTan model"),
+        ("equidistant" | "kannalabrandt", &[k1, k2, k3, k4]) => {
+            let format = "DSO file, equidistant (Kannala-Brandt) model";
+            (equidistant([k1, k2, k3, k4]), format)
+        }
         _ => return Err(wrong()),
     };
-    let mut draft = Draft::new(size, pinhole, distortion, format);
+    let mut draft = Calibration::draft(size, pinhole, distortion, format);
     note_units(&mut draft, relative, lines);
     Ok(draft)
 }
 
 /// The first projection matrix of KITTI's `calib.txt`, with or without `P0:` in front.
 fn kitti_matrix(lines: &[(usize, &str)]) -> Option<[f64; 12]> {
-    let labelled = ["P0:", "P_rect_00:"]
-        .iter()
-        .find_map(|label| lines.iter().find_map(|(_, line)| line.strip_prefix(label)));
+    let of_label = |label: &str| lines.iter().find_map(|(_, line)| line.strip_prefix(label));
+    let labelled = of_label("P0:").or_else(|| of_label("P_rect_00:"));
     let line = labelled.or_else(|| lines.first().map(|l| l.1))?;
     numbers(line)?.try_into().ok()
 }
@@ -228,19 +194,12 @@ fn kitti(
     matrix: &[f64; 12],
     path: &Path,
     image_size: Option<(usize, usize)>,
-) -> Result<Draft, DatasetError> {
+) -> Result<Calibration, DatasetError> {
     let size = image_size.ok_or_else(|| {
-        DatasetError::content(
-            path,
-            "a KITTI projection matrix without the size of the images",
-            "images beside it, to take the size from",
-        )
+        let found = "a KITTI projection matrix without the size of the images";
+        DatasetError::content(path, found, "images beside it, to take the size from")
     })?;
     let pinhole = Pinhole::new(matrix[0], matrix[5], matrix[2], matrix[6]);
-    Ok(Draft::new(
-        size,
-        pinhole,
-        Distortion::None,
-        "KITTI calib.txt, first camera",
-    ))
+    let format = "KITTI calib.txt, first camera";
+    Ok(Calibration::draft(size, pinhole, Distortion::None, format))
 }

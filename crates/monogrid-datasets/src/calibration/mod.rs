@@ -93,11 +93,8 @@ impl Calibration {
         let model = match distortion {
             Distortion::None => "pinhole without distortion".to_owned(),
             other => {
-                let values: Vec<String> = other
-                    .parameters()
-                    .iter()
-                    .map(|(name, value)| format!("{name} = {value}"))
-                    .collect();
+                let value = |(name, value): &(_, f64)| format!("{name} = {value}");
+                let values: Vec<String> = other.parameters().iter().map(value).collect();
                 format!("{} ({})", model_name(&other), values.join(", "))
             }
         };
@@ -138,65 +135,51 @@ fn model_name(distortion: &Distortion) -> &'static str {
 /// Times from the first row to the last that a sensor can take, ms; negative where the image is upside down.
 const READOUT_MS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 
-/// A calibration before it is checked.
-struct Draft {
-    width: usize,
-    height: usize,
-    pinhole: Pinhole,
-    distortion: Distortion,
-    body_from_camera: Option<Se3>,
-    readout_ms: Option<f64>,
-    format: &'static str,
-    notes: Vec<String>,
-}
-
-impl Draft {
-    fn new(
-        size: (usize, usize),
+impl Calibration {
+    /// One that is not checked yet.
+    fn draft(
+        (width, height): (usize, usize),
         pinhole: Pinhole,
         distortion: Distortion,
         format: &'static str,
     ) -> Self {
         Self {
-            width: size.0,
-            height: size.1,
-            pinhole,
-            distortion,
+            camera: Camera {
+                width,
+                height,
+                pinhole,
+                distortion,
+            },
             body_from_camera: None,
             readout_ms: None,
             format,
             notes: Vec::new(),
+            path: PathBuf::new(),
         }
     }
 
-    fn check(mut self, path: &Path) -> Result<Calibration, DatasetError> {
-        if self.pinhole.fy < 0.0 {
+    fn note(&mut self, remark: impl Into<String>) {
+        self.notes.push(remark.into());
+    }
+
+    fn check(mut self, path: &Path) -> Result<Self, DatasetError> {
+        if self.camera.pinhole.fy < 0.0 {
             // ICL-NUIM's fy = -480: its world is left-handed, the rows still run downwards
-            self.pinhole.fy = -self.pinhole.fy;
-            self.notes.push(
+            self.camera.pinhole.fy = -self.camera.pinhole.fy;
+            self.note(
                 "fy was negative (a camera whose y axis points up); its absolute value is used with y \
-                 down, so a reference trajectory in the other convention is mirrored"
-                    .to_owned(),
+                 down, so a reference trajectory in the other convention is mirrored",
             );
         }
-        let camera = Camera::try_new(self.width, self.height, self.pinhole, self.distortion)
-            .map_err(|e| DatasetError::calibration(path, e.to_string()))?;
+        let valid = self.camera.validate();
+        valid.map_err(|e| DatasetError::calibration(path, e.to_string()))?;
         if let Some(ms) = self.readout_ms.filter(|ms| !READOUT_MS.contains(ms)) {
-            return Err(DatasetError::calibration(
-                path,
-                format!(
-                    "rolling_shutter_ms is {ms}, expected -100 to 100 milliseconds from the first row to the last"
-                ),
-            ));
+            let expected = "expected -100 to 100 milliseconds from the first row to the last";
+            let reason = format!("rolling_shutter_ms is {ms}, {expected}");
+            return Err(DatasetError::calibration(path, reason));
         }
-        Ok(Calibration {
-            camera,
-            body_from_camera: self.body_from_camera,
-            readout_ms: self.readout_ms,
-            format: self.format,
-            notes: self.notes,
-            path: path.to_path_buf(),
-        })
+        self.path = path.to_path_buf();
+        Ok(self)
     }
 }
 
@@ -212,10 +195,8 @@ fn relative_or_pixels(values: [f64; 4], (width, height): (usize, usize)) -> (Pin
         return (Pinhole::new(fx, fy, cx, cy), false);
     }
     let (w, h) = (width as f64, height as f64);
-    (
-        Pinhole::new(fx * w, fy * h, cx * w - 0.5, cy * h - 0.5),
-        true,
-    )
+    let pinhole = Pinhole::new(fx * w, fy * h, cx * w - 0.5, cy * h - 0.5);
+    (pinhole, true)
 }
 
 /// A size written as a number.
@@ -223,20 +204,25 @@ fn pixel_count(value: f64) -> Option<usize> {
     (value.fract() == 0.0 && (1.0..=1e6).contains(&value)).then_some(value as usize)
 }
 
-/// Radial-tangential without coefficients is a pinhole: nothing needs resampling then.
-fn radial_tangential([k1, k2, p1, p2, k3]: [f64; 5]) -> Distortion {
-    if [k1, k2, p1, p2, k3] == [0.0; 5] {
-        Distortion::None
-    } else {
-        Distortion::RadialTangential { k1, k2, p1, p2, k3 }
+/// Radial-tangential with the first of k1, k2, p1, p2, k3, the others 0; without coefficients it is a pinhole: nothing needs
+/// resampling then.
+fn radial_tangential(coefficients: &[f64]) -> Distortion {
+    let [k1, k2, p1, p2, k3] = std::array::from_fn(|i| coefficients.get(i).copied().unwrap_or(0.0));
+    match coefficients.iter().all(|k| *k == 0.0) {
+        true => Distortion::None,
+        false => Distortion::RadialTangential { k1, k2, p1, p2, k3 },
     }
 }
 
 /// FOV model, or none for omega = 0 (already rectified).
 fn fov(omega: f64) -> Distortion {
-    if omega == 0.0 {
-        Distortion::None
-    } else {
-        Distortion::Fov { omega }
+    match omega == 0.0 {
+        true => Distortion::None,
+        false => Distortion::Fov { omega },
     }
+}
+
+/// Kannala and Brandt's model with k1, k2, k3, k4.
+fn equidistant(k: [f64; 4]) -> Distortion {
+    Distortion::Equidistant { k }
 }

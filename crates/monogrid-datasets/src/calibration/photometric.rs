@@ -15,11 +15,9 @@ pub fn read_response(path: &Path) -> Result<Vec<f64>, DatasetError> {
         DatasetError::content(path, "something that is not a number", "256 numbers")
     })?;
     if values.len() != 256 || values.iter().any(|v| !v.is_finite()) {
-        return Err(DatasetError::content(
-            path,
-            format!("{} numbers", values.len()),
-            "256 finite numbers, the inverse response per grey level",
-        ));
+        let found = format!("{} numbers", values.len());
+        let expected = "256 finite numbers, the inverse response per grey level";
+        return Err(DatasetError::content(path, found, expected));
     }
     Ok(values)
 }

@@ -14,8 +14,8 @@
 //! rolling_shutter_ms = 24.5        # from the first row to the last; left out where all are read at once
 //! ```
 
-use super::{Draft, fov, model_name, radial_tangential};
-use crate::DatasetError;
+use super::{equidistant, fov, model_name, radial_tangential};
+use crate::{Calibration, DatasetError};
 use monogrid_geometry::{Camera, Distortion, Pinhole};
 use serde::Deserialize;
 use std::fmt::Write;
@@ -70,7 +70,7 @@ enum PixelCenter {
     Half,
 }
 
-pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
+pub(super) fn parse(text: &str, path: &Path) -> Result<Calibration, DatasetError> {
     let file: File = toml::from_str(text)
         .map_err(|e| DatasetError::calibration(path, e.to_string().trim_end().to_owned()))?;
     let (scale_x, scale_y) = match file.units {
@@ -89,12 +89,11 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
     );
     let distortion = match (file.model, file.distortion.as_slice()) {
         (Model::Pinhole, []) => Distortion::None,
-        (Model::RadialTangential, &[k1, k2, p1, p2]) => radial_tangential([k1, k2, p1, p2, 0.0]),
-        (Model::RadialTangential, &[k1, k2, p1, p2, k3]) => radial_tangential([k1, k2, p1, p2, k3]),
+        (Model::RadialTangential, lens @ ([_, _, _, _] | [_, _, _, _, _])) => {
+            radial_tangential(lens)
+        }
         (Model::Fov, &[omega]) => fov(omega),
-        (Model::Equidistant, &[k1, k2, k3, k4]) => Distortion::Equidistant {
-            k: [k1, k2, k3, k4],
-        },
+        (Model::Equidistant, &[k1, k2, k3, k4]) => equidistant([k1, k2, k3, k4]),
         (model, found) => {
             let expected = match model {
                 Model::Pinhole => "none for model = \"pinhole\" (name the model)",
@@ -102,24 +101,18 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<Draft, DatasetError> {
                 Model::Fov => "omega alone",
                 Model::Equidistant => "k1 k2 k3 k4",
             };
-            return Err(DatasetError::calibration(
-                path,
-                format!("distortion has {} values, expected {expected}", found.len()),
-            ));
+            let reason = format!("distortion has {} values, expected {expected}", found.len());
+            return Err(DatasetError::calibration(path, reason));
         }
     };
     let size = (file.width, file.height);
-    let mut draft = Draft::new(size, pinhole, distortion, "calibration.toml");
+    let mut draft = Calibration::draft(size, pinhole, distortion, "calibration.toml");
     draft.readout_ms = file.rolling_shutter_ms;
     if file.units == Units::Relative {
-        draft
-            .notes
-            .push("values are relative to the image size".to_owned());
+        draft.note("values are relative to the image size");
     }
     if file.pixel_center == PixelCenter::Half {
-        draft.notes.push(
-            "pixel centres at .5: half a pixel was subtracted from the principal point".to_owned(),
-        );
+        draft.note("pixel centres at .5: half a pixel was subtracted from the principal point");
     }
     Ok(draft)
 }

@@ -4,9 +4,9 @@
 //! dash per line), whatever their nesting. The first occurrence of a key counts, so the first camera
 //! of a chain is read.
 
-use super::{Draft, fov, pixel_count, radial_tangential};
-use crate::DatasetError;
+use super::{equidistant, fov, pixel_count, radial_tangential};
 use crate::trajectory::pose_from_matrix;
+use crate::{Calibration, DatasetError, ImuCalibration};
 use monogrid_geometry::{Distortion, Pinhole, Se3};
 use monogrid_inertial::ImuNoise;
 use std::path::Path;
@@ -15,42 +15,31 @@ pub(super) fn parse(
     text: &str,
     path: &Path,
     size_of_images: Option<(usize, usize)>,
-) -> Result<Draft, DatasetError> {
+) -> Result<Calibration, DatasetError> {
     let yaml = Yaml { text };
     if let Some(slam) = SlamKeys::find(&yaml) {
         return slam.parse(path, size_of_images);
     }
     let size = image_size(&yaml).ok_or_else(|| {
-        DatasetError::content(
-            path,
-            "no image size",
-            "resolution: [width, height], or image_width and image_height",
-        )
+        let expected = "resolution: [width, height], or image_width and image_height";
+        DatasetError::content(path, "no image size", expected)
     })?;
     let pinhole = intrinsics(&yaml).ok_or_else(|| {
-        DatasetError::content(
-            path,
-            "no intrinsics",
-            "intrinsics: [fx, fy, cx, cy], or a camera_matrix of 9 numbers",
-        )
+        let expected = "intrinsics: [fx, fy, cx, cy], or a camera_matrix of 9 numbers";
+        DatasetError::content(path, "no intrinsics", expected)
     })?;
     if let Some(model) = yaml.scalar("camera_model").filter(|m| *m != "pinhole") {
-        return Err(DatasetError::content(
-            path,
+        let (found, expected) = (
             format!("camera_model: {model}"),
             "pinhole (with any of the distortion models)",
-        ));
+        );
+        return Err(DatasetError::content(path, found, expected));
     }
-    let mut draft = Draft::new(size, pinhole, distortion(&yaml, path)?, "camera YAML");
+    let mut draft = Calibration::draft(size, pinhole, distortion(&yaml, path)?, "camera YAML");
     draft.body_from_camera = body_from_camera(&yaml);
-    if yaml
-        .text
-        .lines()
-        .any(|l| l.trim_start().starts_with("cam1:"))
-    {
-        draft
-            .notes
-            .push("the first camera of the chain is used".to_owned());
+    let mut lines = text.lines();
+    if lines.any(|line| line.trim_start().starts_with("cam1:")) {
+        draft.note("the first camera of the chain is used");
     }
     Ok(draft)
 }
@@ -72,36 +61,27 @@ fn intrinsics(yaml: &Yaml) -> Option<Pinhole> {
 }
 
 fn distortion(yaml: &Yaml, path: &Path) -> Result<Distortion, DatasetError> {
-    let Some(coefficients) = ["distortion_coefficients", "distortion_coeffs"]
-        .iter()
-        .find_map(|key| yaml.list(key))
-    else {
-        return Ok(Distortion::None);
-    };
-    let model = yaml
-        .scalar("distortion_model")
-        .unwrap_or("radial-tangential");
-    match (model, coefficients.as_slice()) {
-        (_, []) | ("none", _) => Ok(Distortion::None),
-        ("radial-tangential" | "radtan" | "plumb_bob", &[k1, k2, p1, p2]) => {
-            Ok(radial_tangential([k1, k2, p1, p2, 0.0]))
+    let coefficients = yaml.list("distortion_coefficients");
+    let coefficients = coefficients.or_else(|| yaml.list("distortion_coeffs"));
+    let coefficients = coefficients.unwrap_or_default();
+    let model = yaml.scalar("distortion_model");
+    let model = model.unwrap_or("radial-tangential");
+    Ok(match (model, coefficients.as_slice()) {
+        (_, []) | ("none", _) => Distortion::None,
+        ("radial-tangential" | "radtan" | "plumb_bob", lens) if matches!(lens.len(), 4 | 5) => {
+            radial_tangential(lens)
         }
-        ("radial-tangential" | "radtan" | "plumb_bob", &[k1, k2, p1, p2, k3]) => {
-            Ok(radial_tangential([k1, k2, p1, p2, k3]))
-        }
-        ("equidistant" | "equi" | "fisheye", &[k1, k2, k3, k4]) => Ok(Distortion::Equidistant {
-            k: [k1, k2, k3, k4],
-        }),
-        ("fov", &[omega]) => Ok(fov(omega)),
-        (model, values) => Err(DatasetError::content(
-            path,
-            format!(
+        ("equidistant" | "equi" | "fisheye", &[k1, k2, k3, k4]) => equidistant([k1, k2, k3, k4]),
+        ("fov", &[omega]) => fov(omega),
+        (model, values) => {
+            let found = format!(
                 "distortion_model {model} with {} coefficients",
                 values.len()
-            ),
-            "radial-tangential (4 or 5), equidistant (4) or fov (1)",
-        )),
-    }
+            );
+            let expected = "radial-tangential (4 or 5), equidistant (4) or fov (1)";
+            return Err(DatasetError::content(path, found, expected));
+        }
+    })
 }
 
 /// EuRoC's `T_BS`: the sensor's pose in the body, 4x4 row-major.
@@ -110,7 +90,7 @@ fn body_from_camera(yaml: &Yaml) -> Option<Se3> {
 }
 
 /// What EuRoC's `sensor.yaml` says of an inertial sensor: its pose in the body and its noise, as far as they are there.
-pub(crate) fn sensor_yaml(text: &str) -> (Option<Se3>, Option<ImuNoise>) {
+pub(crate) fn sensor_yaml(text: &str) -> ImuCalibration {
     let yaml = Yaml { text };
     let positive = |key| yaml.number(key).filter(|value| *value > 0.0);
     let noise = || {
@@ -121,7 +101,10 @@ pub(crate) fn sensor_yaml(text: &str) -> (Option<Se3>, Option<ImuNoise>) {
             accelerometer_walk: positive("accelerometer_random_walk")?,
         })
     };
-    (body_from_camera(&yaml), noise())
+    ImuCalibration {
+        noise: noise(),
+        body_from_imu: body_from_camera(&yaml),
+    }
 }
 
 /// The keys of ORB-SLAM (`Camera.fx`, version 3 `Camera1.fx`) or stella (`fx` below `Camera:`).
@@ -134,9 +117,8 @@ struct SlamKeys<'a> {
 impl<'a> SlamKeys<'a> {
     fn find(yaml: &'a Yaml<'a>) -> Option<Self> {
         let candidates = [["Camera.", "Camera."], ["Camera1.", "Camera."], ["", ""]];
-        let prefixes = candidates
-            .into_iter()
-            .find(|[prefix, _]| yaml.number(&format!("{prefix}fx")).is_some())?;
+        let fits = |[prefix, _]: &[&str; 2]| yaml.number(&format!("{prefix}fx")).is_some();
+        let prefixes = candidates.into_iter().find(fits)?;
         Some(Self { yaml, prefixes })
     }
 
@@ -157,45 +139,34 @@ impl<'a> SlamKeys<'a> {
         &self,
         path: &Path,
         size_of_images: Option<(usize, usize)>,
-    ) -> Result<Draft, DatasetError> {
+    ) -> Result<Calibration, DatasetError> {
         let incomplete = || {
-            DatasetError::content(
-                path,
-                "a camera of ORB-SLAM or stella without one of its numbers",
-                "fx, fy, cx, cy and the size (width and height, or cols and rows)",
-            )
+            let found = "a camera of ORB-SLAM or stella without one of its numbers";
+            let expected = "fx, fy, cx, cy and the size (width and height, or cols and rows)";
+            DatasetError::content(path, found, expected)
         };
         let required = |key| self.intrinsic(key).ok_or_else(incomplete);
-        let pinhole = Pinhole::new(
-            required("fx")?,
-            required("fy")?,
-            required("cx")?,
-            required("cy")?,
-        );
+        let (fx, fy) = (required("fx")?, required("fy")?);
+        let pinhole = Pinhole::new(fx, fy, required("cx")?, required("cy")?);
         let size = self.size().or(size_of_images).ok_or_else(incomplete)?;
         let k = |key| self.intrinsic(key).unwrap_or(0.0);
-        let model = ["Camera.type", "model", "Camera.model"]
-            .iter()
-            .find_map(|key| self.yaml.scalar(key))
-            .unwrap_or("PinHole")
-            .to_ascii_lowercase();
+        let mut keys = ["Camera.type", "model", "Camera.model"].iter();
+        let model = keys.find_map(|key| self.yaml.scalar(key));
+        let model = model.unwrap_or("PinHole").to_ascii_lowercase();
         let distortion = match model.as_str() {
             "pinhole" | "perspective" | "rectified" => {
-                radial_tangential([k("k1"), k("k2"), k("p1"), k("p2"), k("k3")])
+                radial_tangential(&["k1", "k2", "p1", "p2", "k3"].map(k))
             }
-            "kannalabrandt8" | "fisheye" => Distortion::Equidistant {
-                k: [k("k1"), k("k2"), k("k3"), k("k4")],
-            },
+            "kannalabrandt8" | "fisheye" => equidistant(["k1", "k2", "k3", "k4"].map(k)),
             _ => {
-                return Err(DatasetError::content(
-                    path,
-                    format!("camera model {model}"),
-                    "PinHole or KannalaBrandt8 (ORB-SLAM), perspective or fisheye (stella)",
-                ));
+                let found = format!("camera model {model}");
+                let expected =
+                    "PinHole or KannalaBrandt8 (ORB-SLAM), perspective or fisheye (stella)";
+                return Err(DatasetError::content(path, found, expected));
             }
         };
         let format = "camera YAML of ORB-SLAM or stella";
-        Ok(Draft::new(size, pinhole, distortion, format))
+        Ok(Calibration::draft(size, pinhole, distortion, format))
     }
 }
 
@@ -208,14 +179,10 @@ impl<'a> Yaml<'a> {
     fn after(&self, key: &str) -> Option<&'a str> {
         let mut offset = 0;
         for line in self.text.split_inclusive('\n') {
-            let rest = line
-                .trim_start()
-                .strip_prefix("- ")
-                .unwrap_or(line.trim_start());
-            if let Some(value) = rest
-                .strip_prefix(key)
-                .and_then(|r| r.trim_start().strip_prefix(':'))
-            {
+            let rest = line.trim_start();
+            let rest = rest.strip_prefix("- ").unwrap_or(rest);
+            let after_key = rest.strip_prefix(key).map(str::trim_start);
+            if let Some(value) = after_key.and_then(|rest| rest.strip_prefix(':')) {
                 return Some(&self.text[offset + line.len() - value.len()..]);
             }
             offset += line.len();
@@ -237,11 +204,8 @@ impl<'a> Yaml<'a> {
     /// The list of numbers of a key, or of the `data:` below it.
     fn list(&self, key: &str) -> Option<Vec<f64>> {
         let rest = self.after(key)?;
-        let without_comments: String = rest
-            .lines()
-            .map(|l| l.split('#').next().unwrap_or(""))
-            .flat_map(|l| [l, "\n"])
-            .collect();
+        let lines = rest.lines().map(|l| l.split('#').next().unwrap_or(""));
+        let without_comments: String = lines.flat_map(|l| [l, "\n"]).collect();
         let rest = without_comments.trim_start();
         let own_list = rest.starts_with('[') || rest.starts_with('-');
         let below = Yaml { text: rest };
@@ -251,19 +215,13 @@ impl<'a> Yaml<'a> {
             below.after("data")?.trim_start()
         };
         if let Some(flow) = body.strip_prefix('[') {
-            let inner = &flow[..flow.find(']')?];
-            return inner
-                .split(',')
-                .map(str::trim)
-                .filter(|s| !s.is_empty())
-                .map(|s| s.parse().ok())
-                .collect();
+            let items = flow[..flow.find(']')?].split(',').map(str::trim);
+            let items = items.filter(|item| !item.is_empty());
+            return items.map(|item| item.parse().ok()).collect();
         }
         // block style: leading lines `- number`
-        let values: Vec<f64> = body
-            .lines()
-            .map_while(|l| l.trim().strip_prefix('-')?.trim().parse().ok())
-            .collect();
+        let value = |line: &str| line.trim().strip_prefix('-')?.trim().parse().ok();
+        let values: Vec<f64> = body.lines().map_while(value).collect();
         (!values.is_empty()).then_some(values)
     }
 }

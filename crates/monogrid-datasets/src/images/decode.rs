@@ -54,10 +54,20 @@ pub fn decode_jpeg_luma(
     max_pixels: usize,
     path: &Path,
 ) -> Result<Image<u8>, DatasetError> {
-    let (width, height, luma) =
-        jpeg::decode_luma(bytes, max_pixels).map_err(|e| DatasetError::image(path, e))?;
-    Image::from_vec(width, height, luma)
-        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
+    let decoded = jpeg::decode_luma(bytes, max_pixels);
+    let (width, height, luma) = decoded.map_err(|e| DatasetError::image(path, e))?;
+    image_of(width, height, luma, path)
+}
+
+/// An image of pixels that must be there.
+pub(super) fn image_of<T: Copy>(
+    width: usize,
+    height: usize,
+    pixels: Vec<T>,
+    path: &Path,
+) -> Result<Image<T>, DatasetError> {
+    let image = Image::from_vec(width, height, pixels);
+    image.ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
 }
 
 /// Reads an image in colour; `None` where it has none: a grey file, or one whose pixels are all grey.
@@ -72,10 +82,8 @@ pub fn read_rgb(path: &Path) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
         let raster = decode_raster(&bytes, path)?;
         let to_byte = 255.0 / f32::from(raster.white);
         let rgb = |pixel: &[f32]| [0, 1, 2].map(|k| (pixel[k] * to_byte).round() as u8);
-        let has_colour = raster.has_colour();
-        has_colour
-            .then(|| Image::from_vec(raster.width, raster.height, raster.map(rgb)))
-            .flatten()
+        let image = || Image::from_vec(raster.width, raster.height, raster.map(rgb));
+        raster.has_colour().then(image).flatten()
     };
     Ok(image.filter(has_colour))
 }
@@ -90,11 +98,10 @@ pub fn decode_jpeg_rgb(
     path: &Path,
 ) -> Result<Option<Image<[u8; 3]>>, DatasetError> {
     let decoded = jpeg::decode_rgb(bytes, max_pixels).map_err(|e| DatasetError::image(path, e))?;
-    Ok(decoded.and_then(|(width, height, rgb)| Image::from_vec(width, height, triples(&rgb))))
-}
-
-fn triples(rgb: &[u8]) -> Vec<[u8; 3]> {
-    rgb.as_chunks().0.to_vec()
+    let image = |(width, height, rgb): (_, _, Vec<u8>)| {
+        Image::from_vec(width, height, rgb.as_chunks::<3>().0.to_vec())
+    };
+    Ok(decoded.and_then(image))
 }
 
 fn has_colour(image: &Image<[u8; 3]>) -> bool {
@@ -123,10 +130,10 @@ fn sniff(bytes: &[u8], path: &Path) -> Result<Format, DatasetError> {
         [0xff, 0xd8, ..] => Ok(Format::Jpeg),
         [0x89, b'P', b'N', b'G', ..] => Ok(Format::Png),
         [b'P', b'1'..=b'6', ..] => Ok(Format::Pnm),
-        _ => Err(DatasetError::image(
-            path,
-            "its content is no format that we know",
-        )),
+        _ => {
+            let reason = "its content is no format that we know";
+            Err(DatasetError::image(path, reason))
+        }
     }
 }
 
@@ -159,8 +166,7 @@ fn to_gray(raster: &Raster, path: &Path) -> Result<GrayImage, DatasetError> {
         true => raster.map(|pixel| luma([pixel[0], pixel[1], pixel[2]]) * to_byte),
         false => raster.map(|pixel| pixel[0] * to_byte),
     };
-    Image::from_vec(raster.width, raster.height, data)
-        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
+    image_of(raster.width, raster.height, data, path)
 }
 
 /// ITU-601 luma.

@@ -1,6 +1,6 @@
 //! Depth images and the camera that took them.
 
-use super::decode::{decode_raster, read_image_file};
+use super::decode::{decode_raster, image_of, read_image_file};
 use super::raster::Samples;
 use crate::calibration::camera_from_numbers;
 use crate::text::{data_lines, numbers, read_text};
@@ -46,46 +46,29 @@ impl DepthCalibration {
         let (camera_line, units_line) = match lines.as_slice() {
             [camera, units] | [camera, units, _] => (*camera, *units),
             other => {
-                return Err(DatasetError::content(
-                    path,
-                    format!("{} lines", other.len()),
-                    "a camera line, a line with the units per metre and optionally a pose",
-                ));
+                let found = format!("{} lines", other.len());
+                let expected =
+                    "a camera line, a line with the units per metre and optionally a pose";
+                return Err(DatasetError::content(path, found, expected));
             }
         };
         let values = numbers(camera_line.1).unwrap_or_default();
-        let camera = camera_from_numbers(&values, path, camera_line)?;
-        let units_per_metre = units_line
-            .1
-            .parse::<f64>()
-            .ok()
-            .filter(|u| u.is_finite() && *u > 0.0)
-            .ok_or_else(|| {
-                DatasetError::line(
-                    path,
-                    units_line.0,
-                    units_line.1,
-                    "units per metre, a positive number",
-                )
-            })?;
-        let colour_from_depth = match lines.get(2) {
-            None => Se3::identity(),
-            Some((number, line)) => numbers(line)
-                .as_deref()
-                .and_then(pose_from_numbers)
-                .ok_or_else(|| {
-                    DatasetError::line(
-                        path,
-                        *number,
-                        line,
-                        "tx ty tz qx qy qz qw, the pose of the depth camera in the colour camera",
-                    )
-                })?,
+        let wrong = |(number, line): (usize, &str), expected| {
+            DatasetError::line(path, number, line, expected)
+        };
+        let units: Option<f64> = units_line.1.parse().ok();
+        let units = units.filter(|u| u.is_finite() && *u > 0.0);
+        let pose_in_colour = |line: &(usize, &str)| {
+            let pose = numbers(line.1).and_then(|values| pose_from_numbers(&values));
+            let expected =
+                "tx ty tz qx qy qz qw, the pose of the depth camera in the colour camera";
+            pose.ok_or_else(|| wrong(*line, expected))
         };
         Ok(Self {
-            camera,
-            units_per_metre,
-            colour_from_depth,
+            camera: camera_from_numbers(&values, path, camera_line)?,
+            units_per_metre: units
+                .ok_or_else(|| wrong(units_line, "units per metre, a positive number"))?,
+            colour_from_depth: lines.get(2).map_or(Ok(Se3::identity()), pose_in_colour)?,
         })
     }
 }
@@ -110,26 +93,19 @@ pub fn decode_depth(
     path: &Path,
 ) -> Result<Image<f32>, DatasetError> {
     if bytes.starts_with(&[0xff, 0xd8]) {
-        return Err(DatasetError::image(
-            path,
-            "a JPEG, whose 8 bits cannot hold depth; depth must be a 16-bit PNG",
-        ));
+        let reason = "a JPEG, whose 8 bits cannot hold depth; depth must be a 16-bit PNG";
+        return Err(DatasetError::image(path, reason));
     }
     let raster = decode_raster(bytes, path)?;
     let (1, Samples::Words(samples)) = (raster.channels, raster.samples) else {
-        return Err(DatasetError::image(
-            path,
-            "not one channel of 16 bits, which depth must have",
-        ));
+        let reason = "not one channel of 16 bits, which depth must have";
+        return Err(DatasetError::image(path, reason));
     };
     let metres_per_unit = 1.0 / units_per_metre;
-    let data = samples
-        .into_iter()
-        .map(|v| match v {
-            0 | u16::MAX => f32::NAN,
-            v => (f64::from(v) * metres_per_unit) as f32,
-        })
-        .collect();
-    Image::from_vec(raster.width, raster.height, data)
-        .ok_or_else(|| DatasetError::image(path, "the image has no pixels"))
+    let depth = |v: u16| match v {
+        0 | u16::MAX => f32::NAN,
+        v => (f64::from(v) * metres_per_unit) as f32,
+    };
+    let data = samples.into_iter().map(depth).collect();
+    image_of(raster.width, raster.height, data, path)
 }

@@ -15,13 +15,10 @@ const FILM_DIAGONAL_MM: f64 = 43.267;
 #[must_use]
 pub fn exif_focal_px(path: &Path, (width, height): (usize, usize)) -> Option<f64> {
     let bytes = read_image_file(path).ok()?;
-    let exif = Reader::new()
-        .read_from_container(&mut Cursor::new(&bytes))
-        .ok()?;
-    let equivalent_mm = match &exif
-        .get_field(Tag::FocalLengthIn35mmFilm, In::PRIMARY)?
-        .value
-    {
+    let exif = Reader::new().read_from_container(&mut Cursor::new(&bytes));
+    let exif = exif.ok()?;
+    let field = exif.get_field(Tag::FocalLengthIn35mmFilm, In::PRIMARY)?;
+    let equivalent_mm = match &field.value {
         Value::Short(values) => f64::from(*values.first()?),
         Value::Long(values) => f64::from(*values.first()?),
         _ => return None,

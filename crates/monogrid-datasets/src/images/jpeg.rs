@@ -15,28 +15,17 @@ pub(super) type Decoded = (usize, usize, Vec<u8>);
 pub(super) fn decode_luma(bytes: &[u8], max_pixels: usize) -> Result<Decoded, String> {
     let components = components(bytes, max_pixels)?;
     let has_luma = matches!(components, Some(ColorSpace::YCbCr | ColorSpace::Luma));
-    let output = if has_luma {
-        ColorSpace::Luma
-    } else {
-        ColorSpace::RGB
+    let (width, height, luma) = match has_luma {
+        true => decode_as(bytes, ColorSpace::Luma)?,
+        false => {
+            let (width, height, rgb) = decode_as(bytes, ColorSpace::RGB)?;
+            let pixels = rgb.as_chunks().0.iter().copied();
+            (width, height, pixels.map(luma_of_rgb).collect())
+        }
     };
-    let (width, height, pixels) = decode_as(bytes, output)?;
-    let luma = if has_luma {
-        pixels
-    } else {
-        pixels
-            .as_chunks()
-            .0
-            .iter()
-            .copied()
-            .map(luma_of_rgb)
-            .collect()
-    };
-    if width * height == 0 || luma.len() != width * height {
-        return Err(format!(
-            "{} pixels decoded for {width}x{height}",
-            luma.len()
-        ));
+    let num_pixels = luma.len();
+    if width * height == 0 || num_pixels != width * height {
+        return Err(format!("{num_pixels} pixels decoded for {width}x{height}"));
     }
     Ok((width, height, luma))
 }
@@ -88,10 +77,8 @@ fn is_complete(bytes: &[u8]) -> bool {
     let mut position = 2;
     let mut in_scan = false;
     loop {
-        let Some(offset) = bytes
-            .get(position..)
-            .and_then(|rest| rest.iter().position(|&b| b == 0xff))
-        else {
+        let rest = bytes.get(position..).unwrap_or_default();
+        let Some(offset) = rest.iter().position(|&b| b == 0xff) else {
             return false;
         };
         position += offset + 1;

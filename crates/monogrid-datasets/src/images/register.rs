@@ -98,15 +98,11 @@ impl DepthRegistration {
             .map(|(ray, &z)| {
                 let point = rotation * (ray * f64::from(z)) + target_from_depth.translation;
                 let pixel = self.target.project(&point);
-                let inv_depth = if point.z > 1e-6 {
-                    1.0 / point.z
-                } else {
-                    f64::NAN
-                };
+                let is_ahead = point.z > 1e-6;
                 Vertex {
                     x: pixel.x,
                     y: pixel.y,
-                    inv_depth,
+                    inv_depth: if is_ahead { 1.0 / point.z } else { f64::NAN },
                 }
             })
             .collect()
@@ -129,10 +125,9 @@ fn draw_triangle(nearest: &mut Image<f32>, [a, b, c]: [Vertex; 3]) {
     if !sum.is_finite() || area <= 1e-12 {
         return;
     }
-    let Some((x0, x1)) = pixel_range(a.x, b.x, c.x, nearest.width()) else {
-        return;
-    };
-    let Some((y0, y1)) = pixel_range(a.y, b.y, c.y, nearest.height()) else {
+    let columns = pixel_range(a.x, b.x, c.x, nearest.width());
+    let rows = pixel_range(a.y, b.y, c.y, nearest.height());
+    let (Some((x0, x1)), Some((y0, y1))) = (columns, rows) else {
         return;
     };
     const EDGE: f64 = -1e-9;

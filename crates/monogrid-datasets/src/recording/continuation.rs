@@ -1,6 +1,6 @@
 //! What a later session needs to go on where a run ended, beside keyframes and poses.
 
-use super::format::Bytes;
+use super::format::{Bytes, numbers_of_pose, pose_of_numbers};
 use crate::bytes::Input;
 use crate::pose_from_numbers;
 use monogrid_geometry::{Se3, Sim3};
@@ -165,19 +165,18 @@ pub(super) fn encode(record: &Continuation, out: &mut Bytes) -> Option<()> {
         out.u32(edge.j);
         out.0.extend([edge.kind, edge.kernel]);
         out.f64(edge.kernel_parameter);
-        out.f64(edge.i_from_j.scale);
-        encode_pose(&edge.i_from_j.to_se3(), out);
-        edge.information.iter().for_each(|v| out.f64(*v));
+        out.numbers(numbers_of_pose(&edge.i_from_j));
+        out.numbers(edge.information);
     }
     out.count(record.points.len())?;
     for point in &record.points {
         out.u32(point.host);
-        let numbers = point.pixel.iter().chain(&point.idepth);
-        numbers.for_each(|v| out.f64(*v));
+        out.numbers(point.pixel);
+        out.numbers(point.idepth);
         out.count(point.observations.len())?;
         for (keyframe, pixel) in &point.observations {
             out.u32(*keyframe);
-            pixel.iter().for_each(|v| out.f64(*v));
+            out.numbers(*pixel);
         }
     }
     out.count(record.frames.len())?;
@@ -186,23 +185,16 @@ pub(super) fn encode(record: &Continuation, out: &mut Bytes) -> Option<()> {
         out.u64(frame.frame_index);
         out.u64(frame.timestamp_ns as u64);
         out.u32(frame.keyframe);
-        encode_pose(&frame.keyframe_from_frame, out);
+        let [_, rigid @ ..] = numbers_of_pose(&frame.keyframe_from_frame.with_scale(1.0));
+        out.numbers(rigid);
     }
     out.count(record.fragments.len())?;
     for member in &record.fragments {
         out.u32(member.keyframe);
         out.u32(member.fragment);
-        out.f64(member.fragment_from_keyframe.scale);
-        encode_pose(&member.fragment_from_keyframe.to_se3(), out);
+        out.numbers(numbers_of_pose(&member.fragment_from_keyframe));
     }
     Some(())
-}
-
-fn encode_pose(pose: &Se3, out: &mut Bytes) {
-    let (t, q) = (pose.translation, pose.rotation.quaternion());
-    [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
-        .into_iter()
-        .for_each(|v| out.f64(v));
 }
 
 pub(super) fn decode(input: &mut Input) -> Option<Continuation> {
@@ -225,10 +217,9 @@ pub(super) fn decode(input: &mut Input) -> Option<Continuation> {
         points: input.list(|input| {
             Some(RecordedPoint {
                 host: input.u32()?,
-                pixel: [input.finite()?, input.finite()?],
-                idepth: [input.finite()?, input.finite()?, input.finite()?],
-                observations: input
-                    .list(|input| Some((input.u32()?, [input.finite()?, input.finite()?])))?,
+                pixel: input.finites()?,
+                idepth: input.finites()?,
+                observations: input.list(|input| Some((input.u32()?, input.finites()?)))?,
             })
         })?,
         frames: input.list(|input| {
@@ -237,51 +228,35 @@ pub(super) fn decode(input: &mut Input) -> Option<Continuation> {
                 frame_index: input.u64()?,
                 timestamp_ns: input.u64()? as i64,
                 keyframe: input.u32()?,
-                keyframe_from_frame: decode_pose(input)?,
+                keyframe_from_frame: pose_from_numbers(&input.finites::<7>()?)?,
             })
         })?,
         // earlier versions end here
-        fragments: if input.is_empty() {
-            Vec::new()
-        } else {
-            input.list(|input| {
-                let (keyframe, fragment) = (input.u32()?, input.u32()?);
-                let scale = input.finite().filter(|scale| *scale > 0.0)?;
+        fragments: match input.is_empty() {
+            true => Vec::new(),
+            false => input.list(|input| {
                 Some(FragmentKeyframe {
-                    keyframe,
-                    fragment,
-                    fragment_from_keyframe: decode_pose(input)?.with_scale(scale),
+                    keyframe: input.u32()?,
+                    fragment: input.u32()?,
+                    fragment_from_keyframe: pose_of_numbers(&input.finites()?)?,
                 })
-            })?
+            })?,
         },
     })
 }
 
 fn decode_edge(input: &mut Input) -> Option<RecordedEdge> {
-    let (i, j) = (input.u32()?, input.u32()?);
-    let (kind, kernel) = (input.u8()?, input.u8()?);
-    let kernel_parameter = input.finite()?;
-    let scale = input.finite()?;
-    let i_from_j = decode_pose(input)?.with_scale(scale);
-    let mut information = [0.0; 28];
-    for value in &mut information {
-        *value = input.finite()?;
-    }
     Some(RecordedEdge {
-        i,
-        j,
-        kind,
-        kernel,
-        kernel_parameter,
-        i_from_j,
-        information,
+        i: input.u32()?,
+        j: input.u32()?,
+        kind: input.u8()?,
+        kernel: input.u8()?,
+        kernel_parameter: input.finite()?,
+        i_from_j: {
+            // one whose scale is none is dropped alone, not with all of the others
+            let [scale, rigid @ ..] = input.finites::<8>()?;
+            pose_from_numbers(&rigid)?.with_scale(scale)
+        },
+        information: input.finites()?,
     })
-}
-
-fn decode_pose(input: &mut Input) -> Option<Se3> {
-    let mut numbers = [0.0; 7];
-    for n in &mut numbers {
-        *n = input.finite()?;
-    }
-    pose_from_numbers(&numbers)
 }

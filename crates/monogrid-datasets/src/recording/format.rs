@@ -128,7 +128,7 @@ fn encode_session(session: &SessionInfo, out: &mut Bytes) -> u32 {
 
 pub(crate) fn encode_camera(camera: &RecordedCamera, out: &mut Bytes) {
     let Pinhole { fx, fy, cx, cy } = camera.pinhole;
-    [fx, fy, cx, cy].into_iter().for_each(|v| out.f64(v));
+    out.numbers([fx, fy, cx, cy]);
     out.u32(camera.width as u32);
     out.u32(camera.height as u32);
 }
@@ -143,18 +143,16 @@ fn encode_keyframe(keyframe: &KeyframeRecord, out: &mut Bytes) -> Option<u32> {
     match &keyframe.image {
         None => {
             out.0.push(IMAGE_NONE);
-            out.u32(0);
-            out.u32(0);
-            out.u32(0);
+            // neither width nor height nor bytes
+            [0; 3].into_iter().for_each(|none| out.u32(none));
         }
         Some(image) => {
             let (raw, png) = (image.as_slice(), encode_png(image));
             let is_smaller =
                 (1..raw.len()).contains(&png.len()) && image_is_plausible(raw.len(), png.len());
-            let (encoding, bytes) = if is_smaller {
-                (IMAGE_PNG, png.as_slice())
-            } else {
-                (IMAGE_RAW, raw)
+            let (encoding, bytes) = match is_smaller {
+                true => (IMAGE_PNG, png.as_slice()),
+                false => (IMAGE_RAW, raw),
             };
             out.0.push(encoding);
             out.u32(image.width() as u32);
@@ -171,10 +169,10 @@ fn encode_keyframe(keyframe: &KeyframeRecord, out: &mut Bytes) -> Option<u32> {
 
 fn encode_poses(snapshot: &PoseSnapshot, out: &mut Bytes) -> Option<u32> {
     out.u64(snapshot.revision);
-    out.u32(u32::try_from(snapshot.poses.len()).ok()?);
+    out.count(snapshot.poses.len())?;
     for (id, pose) in &snapshot.poses {
         out.u32(*id);
-        numbers_of_pose(pose).into_iter().for_each(|v| out.f64(v));
+        out.numbers(numbers_of_pose(pose));
     }
     Some(KIND_POSES)
 }
@@ -223,7 +221,7 @@ fn decode_session(input: &mut Input) -> Option<SessionInfo> {
 }
 
 pub(crate) fn decode_camera(input: &mut Input) -> Option<RecordedCamera> {
-    let [fx, fy, cx, cy] = [input.f64()?, input.f64()?, input.f64()?, input.f64()?];
+    let [fx, fy, cx, cy] = input.numbers()?;
     Some(RecordedCamera {
         pinhole: Pinhole::new(fx, fy, cx, cy),
         width: input.u32()? as usize,
@@ -236,26 +234,27 @@ fn decode_keyframe(
     camera: Option<RecordedCamera>,
     with_images: bool,
 ) -> Option<KeyframeRecord> {
-    let id = input.u32()?;
-    let frame_index = input.u64()?;
-    let timestamp_ns = input.u64()? as i64;
+    Some(KeyframeRecord {
+        id: input.u32()?,
+        frame_index: input.u64()?,
+        timestamp_ns: input.u64()? as i64,
+        camera,
+        image: decode_image(input, with_images)?,
+        pixels: input.pixels()?,
+    })
+}
+
+/// The image of a keyframe, if it has one that is asked for.
+fn decode_image(input: &mut Input, with_images: bool) -> Option<Option<Image<u8>>> {
     let encoding = input.u8()?;
     let (width, height) = (input.u32()? as usize, input.u32()? as usize);
     let bytes = input.blob()?;
-    let image = match encoding {
+    Some(match encoding {
         _ if !with_images => None,
         IMAGE_NONE => None,
         IMAGE_RAW => Some(raw_image(bytes, width, height)?),
         IMAGE_PNG => Some(png_image(bytes, width, height)?),
         _ => return None,
-    };
-    Some(KeyframeRecord {
-        id,
-        frame_index,
-        timestamp_ns,
-        camera,
-        image,
-        pixels: input.pixels()?,
     })
 }
 
@@ -302,12 +301,7 @@ fn decode_poses(input: &mut Input) -> Option<PoseSnapshot> {
     // 68 bytes each: no room is reserved for more than can be there
     let mut poses = Vec::with_capacity(count.min(input.len() / 68));
     for _ in 0..count {
-        let id = input.u32()?;
-        let mut numbers = [0.0; 8];
-        for n in &mut numbers {
-            *n = input.f64()?;
-        }
-        poses.push((id, pose_of_numbers(&numbers)?));
+        poses.push((input.u32()?, pose_of_numbers(&input.numbers()?)?));
     }
     Some(PoseSnapshot { revision, poses })
 }
@@ -346,17 +340,20 @@ impl Bytes {
     pub(crate) fn f64(&mut self, v: f64) {
         self.0.extend_from_slice(&v.to_le_bytes());
     }
+    pub(crate) fn numbers<const N: usize>(&mut self, numbers: [f64; N]) {
+        numbers.into_iter().for_each(|v| self.f64(v));
+    }
     pub(crate) fn count(&mut self, count: usize) -> Option<()> {
         self.u32(u32::try_from(count).ok()?);
         Some(())
     }
     pub(crate) fn blob(&mut self, bytes: &[u8]) -> Option<()> {
-        self.u32(u32::try_from(bytes.len()).ok()?);
+        self.count(bytes.len())?;
         self.0.extend_from_slice(bytes);
         Some(())
     }
     fn pixels(&mut self, pixels: &[DepthPixel]) -> Option<()> {
-        self.u32(u32::try_from(pixels.len()).ok()?);
+        self.count(pixels.len())?;
         self.0.reserve(pixels.len() * PIXEL_BYTES);
         for p in pixels {
             self.0.extend_from_slice(&p.x.to_le_bytes());

@@ -1,8 +1,8 @@
 //! Reading the records of a recording, whole or damaged.
 
 use super::format::{
-    FILE_HEADER_BYTES, FILE_MAGIC, FORMAT_VERSION, RECORD_HEADER_BYTES, RecordHeader, SYNC,
-    decode_record, parse_record_header,
+    FILE_HEADER_BYTES, FILE_MAGIC, FORMAT_VERSION, RECORD_HEADER_BYTES, SYNC, decode_record,
+    parse_record_header,
 };
 use super::{ReadOptions, Record};
 use crate::DatasetError;
@@ -73,20 +73,16 @@ impl<R: Read + Seek> RecordingReader<R> {
             input.read_exact(&mut header).map_err(io)?;
             header[..8] == FILE_MAGIC
         };
+        let unusable = |reason: String| DatasetError::binary(path, "recording", reason);
         if !is_ours {
-            return Err(DatasetError::binary(
-                path,
-                "recording",
-                "it does not start with `monogrid`, as .mgk files do",
-            ));
+            let reason = "it does not start with `monogrid`, as .mgk files do";
+            return Err(unusable(reason.to_owned()));
         }
         let version = u32::from_le_bytes([header[8], header[9], header[10], header[11]]);
         if version != FORMAT_VERSION {
-            return Err(DatasetError::binary(
-                path,
-                "recording",
-                format!("format version {version}, this program reads version {FORMAT_VERSION}"),
-            ));
+            return Err(unusable(format!(
+                "format version {version}, this program reads version {FORMAT_VERSION}"
+            )));
         }
         Ok(Self {
             input,
@@ -157,34 +153,28 @@ impl<R: Read + Seek> RecordingReader<R> {
         &mut self,
         start: u64,
     ) -> std::io::Result<Option<(u64, Result<Option<Record>, ()>)>> {
-        let Some(body) = start
-            .checked_add(RECORD_HEADER_BYTES as u64)
-            .filter(|&b| b <= self.length)
-        else {
+        let body = start.saturating_add(RECORD_HEADER_BYTES as u64);
+        if body > self.length {
             return Ok(None);
-        };
+        }
         let mut bytes = [0; RECORD_HEADER_BYTES];
         self.read(start, &mut bytes)?;
         let Some(header) = parse_record_header(&bytes) else {
             return Ok(None);
         };
-        let RecordHeader {
-            kind,
-            payload_bytes,
-            payload_crc,
-        } = header;
-        let end = body + u64::from(payload_bytes);
+        let end = body + u64::from(header.payload_bytes);
         // never allocates more than the file holds
         if end > self.length || self.refuted_bytes > self.length {
             return Ok(None);
         }
-        let mut payload = vec![0; payload_bytes as usize];
+        let mut payload = vec![0; header.payload_bytes as usize];
         self.read(body, &mut payload)?;
-        if crc32fast::hash(&payload) != payload_crc {
+        if crc32fast::hash(&payload) != header.payload_crc {
             self.refuted_bytes += end - start;
             return Ok(None);
         }
-        Ok(Some((end, decode_record(kind, &payload, self.with_images))))
+        let record = decode_record(header.kind, &payload, self.with_images);
+        Ok(Some((end, record)))
     }
 
     /// Moves to a position, within the buffer where that is possible.

@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 pub struct RecordingWriter {
     file: File,
     path: PathBuf,
-    bytes_written: u64,
 }
 
 impl RecordingWriter {
@@ -22,11 +21,8 @@ impl RecordingWriter {
     /// When the file cannot be written.
     pub fn create(path: &Path, session: &SessionInfo) -> Result<Self, DatasetError> {
         let file = File::create(path).map_err(|e| DatasetError::io("write", path, e))?;
-        let mut writer = Self {
-            file,
-            path: path.to_path_buf(),
-            bytes_written: 0,
-        };
+        let path = path.to_path_buf();
+        let mut writer = Self { file, path };
         writer.write(&file_header())?;
         writer.append(&Record::Session(session.clone()))?;
         Ok(writer)
@@ -62,9 +58,8 @@ impl RecordingWriter {
     /// When the disk is full.
     pub fn finish(mut self, end: EndRecord) -> Result<(), DatasetError> {
         self.append(&Record::End(end))?;
-        self.file
-            .sync_all()
-            .map_err(|e| DatasetError::io("write", &self.path, e))
+        let synced = self.file.sync_all();
+        synced.map_err(|e| DatasetError::io("write", &self.path, e))
     }
 
     /// Appends any record.
@@ -78,18 +73,9 @@ impl RecordingWriter {
         self.write(&bytes)
     }
 
-    /// Size of the file so far.
-    #[must_use]
-    pub fn bytes_written(&self) -> u64 {
-        self.bytes_written
-    }
-
     /// Straight to the operating system, so that nothing waits in a buffer of ours.
     fn write(&mut self, bytes: &[u8]) -> Result<(), DatasetError> {
-        self.file
-            .write_all(bytes)
-            .map_err(|e| DatasetError::io("write", &self.path, e))?;
-        self.bytes_written += bytes.len() as u64;
-        Ok(())
+        let written = self.file.write_all(bytes);
+        written.map_err(|e| DatasetError::io("write", &self.path, e))
     }
 }

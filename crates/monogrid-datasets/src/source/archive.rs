@@ -23,9 +23,11 @@ const MAX_FILES: usize = 1_000_000;
 /// An archive whose files were unpacked; they are deleted with it.
 #[derive(Debug)]
 pub(super) struct Unpacked {
+    archive: PathBuf,
     folder: TempDir,
     num_files: usize,
     num_bytes: u64,
+    max_bytes: u64,
 }
 
 /// Whether a file is called like an archive that can be unpacked.
@@ -72,31 +74,22 @@ impl Unpacked {
     pub(super) fn new(path: &Path) -> Result<Self, DatasetError> {
         let (file, length) = open_file(path)?;
         let folder = tempfile::tempdir().map_err(|e| DatasetError::io("write", path, e))?;
-        let mut unpacking = Unpacking {
-            archive: path,
-            folder: folder.path(),
+        let mut this = Self {
+            archive: path.to_path_buf(),
+            folder,
             num_files: 0,
             num_bytes: 0,
             max_bytes: length.saturating_mul(MAX_GROWTH),
         };
         match kind_of(path) {
-            Some(Kind::Zip) => unpacking.zip(file)?,
-            Some(Kind::TarGz) => unpacking.tar(GzDecoder::new(io::BufReader::new(file)))?,
-            Some(Kind::Tar) | None => unpacking.tar(file)?,
+            Some(Kind::Zip) => this.zip(file)?,
+            Some(Kind::TarGz) => this.tar(GzDecoder::new(io::BufReader::new(file)))?,
+            Some(Kind::Tar) | None => this.tar(file)?,
         }
-        let (num_files, num_bytes) = (unpacking.num_files, unpacking.num_bytes);
-        if num_files == 0 {
-            return Err(DatasetError::content(
-                path,
-                "no images",
-                "an archive of images",
-            ));
+        match this.num_files {
+            0 => Err(this.refused("no images", "an archive of images")),
+            _ => Ok(this),
         }
-        Ok(Self {
-            folder,
-            num_files,
-            num_bytes,
-        })
     }
 
     /// The folder of the sequence: the outermost one that holds more than another folder.
@@ -119,20 +112,14 @@ impl Unpacked {
             self.num_bytes as f64 / 1e6
         )
     }
-}
 
-struct Unpacking<'a> {
-    archive: &'a Path,
-    folder: &'a Path,
-    num_files: usize,
-    num_bytes: u64,
-    max_bytes: u64,
-}
+    fn refused(&self, found: impl Into<String>, expected: impl Into<String>) -> DatasetError {
+        DatasetError::content(&self.archive, found, expected)
+    }
 
-impl Unpacking<'_> {
     fn zip(&mut self, file: File) -> Result<(), DatasetError> {
-        let archive = self.archive;
-        let damaged = |e: rawzip::Error| damaged(archive, &e);
+        let archive = self.archive.clone();
+        let damaged = |e: rawzip::Error| damaged(&archive, &e);
         let mut buffer = vec![0; RECOMMENDED_BUFFER_SIZE];
         let zip = ZipArchive::from_file(file, &mut buffer).map_err(damaged)?;
         let mut entries = zip.entries(&mut buffer);
@@ -145,7 +132,7 @@ impl Unpacking<'_> {
             // who does not know the key sees noise
             let method = match entry.flags().is_encrypted() {
                 false => entry.compression_method(),
-                true => return Err(self::damaged(archive, &"its files are encrypted")),
+                true => return Err(self::damaged(&archive, &"its files are encrypted")),
             };
             let packed = zip.get_entry(entry.wayfinder()).map_err(damaged)?;
             self.packed_file(&name, &packed, method)?;
@@ -169,14 +156,14 @@ impl Unpacking<'_> {
             }
             other => {
                 let what = format!("method {} of packing is not known", other.as_u16());
-                Err(damaged(self.archive, &what))
+                Err(damaged(&self.archive, &what))
             }
         }
     }
 
     fn tar(&mut self, bytes: impl Read) -> Result<(), DatasetError> {
-        let archive = self.archive;
-        let damaged = |e: io::Error| damaged(archive, &e);
+        let archive = self.archive.clone();
+        let damaged = |e: io::Error| damaged(&archive, &e);
         // what is left out is read as well
         let bounded = bytes.take(self.max_bytes.saturating_add(1));
         let mut tar = tar::Archive::new(bounded);
@@ -192,37 +179,29 @@ impl Unpacking<'_> {
 
     /// Unpacks one file, if a sequence needs it; a name that leads elsewhere is left out, the first of two counts.
     fn file(&mut self, name: &Path, content: &mut impl Read) -> Result<(), DatasetError> {
-        let ending = name
-            .extension()
-            .map(|e| e.to_string_lossy().to_ascii_lowercase());
-        let is_useful = ending.is_some_and(|ending| USEFUL.contains(&ending.as_str()));
-        let stays_inside = name
-            .components()
-            .all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-        let path = self.folder.join(name);
+        let ending = name.extension().unwrap_or_default().to_string_lossy();
+        let is_useful = USEFUL.contains(&ending.to_ascii_lowercase().as_str());
+        let is_inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+        let stays_inside = name.components().all(is_inside);
+        let path = self.folder.path().join(name);
         if !is_useful || !stays_inside || path.exists() {
             return Ok(());
         }
         self.num_files += 1;
         let left = self.max_bytes - self.num_bytes;
         if self.num_files > MAX_FILES {
-            return Err(DatasetError::content(
-                self.archive,
-                format!("more than {MAX_FILES} files"),
-                "the images of one sequence",
-            ));
+            let found = format!("more than {MAX_FILES} files");
+            return Err(self.refused(found, "the images of one sequence"));
         }
         let write = |e| DatasetError::io("write", &path, e);
-        fs::create_dir_all(path.parent().unwrap_or(self.folder)).map_err(write)?;
+        fs::create_dir_all(path.parent().unwrap_or(&path)).map_err(write)?;
         let mut file = File::create_new(&path).map_err(write)?;
-        let num_bytes = io::copy(&mut content.take(left + 1), &mut file)
-            .map_err(|e| DatasetError::io("unpack", self.archive, e))?;
+        let copied = io::copy(&mut content.take(left + 1), &mut file);
+        let num_bytes = copied.map_err(|e| DatasetError::io("unpack", &self.archive, e))?;
         if num_bytes > left {
-            return Err(DatasetError::content(
-                self.archive,
-                format!("files of more than {} bytes", self.max_bytes),
-                format!("at most {MAX_GROWTH} times the size of the archive"),
-            ));
+            let found = format!("files of more than {} bytes", self.max_bytes);
+            let expected = format!("at most {MAX_GROWTH} times the size of the archive");
+            return Err(self.refused(found, expected));
         }
         self.num_bytes += num_bytes;
         Ok(())
@@ -230,9 +209,6 @@ impl Unpacking<'_> {
 }
 
 fn damaged(archive: &Path, error: &dyn std::fmt::Display) -> DatasetError {
-    DatasetError::content(
-        archive,
-        format!("an archive that cannot be read ({error})"),
-        "a whole zip, tar or tar.gz file",
-    )
+    let found = format!("an archive that cannot be read ({error})");
+    DatasetError::content(archive, found, "a whole zip, tar or tar.gz file")
 }

@@ -30,21 +30,14 @@ pub(super) fn open(
                 entries.push((timestamp_ns, camera.join("data").join(name)));
             }
             _ => {
-                return Err(DatasetError::line(
-                    &list,
-                    number,
-                    line,
-                    "integer nanoseconds, a comma and the name of an image in cam0/data",
-                ));
+                let expected = "integer nanoseconds, a comma and the name of an image in cam0/data";
+                return Err(DatasetError::line(&list, number, line, expected));
             }
         }
     }
     if entries.is_empty() {
-        return Err(DatasetError::NoFrames {
-            path: list,
-            found: "a list without lines".to_owned(),
-            expected: "lines of `nanoseconds,file name`",
-        });
+        let (found, expected) = ("a list without lines", "lines of `nanoseconds,file name`");
+        return Err(DatasetError::no_frames(&list, found, expected));
     }
     let existing = |p: PathBuf| p.is_file().then_some(p);
     Dataset::assemble(
@@ -53,11 +46,9 @@ pub(super) fn open(
             layout: Layout::Euroc,
             list,
             entries,
-            depths: Vec::new(),
             ground_truth: existing(mav0.join("state_groundtruth_estimate0/data.csv")),
             calibration_path: existing(camera.join("sensor.yaml")),
-            warnings: Vec::new(),
-            unpacked: None,
+            ..Parts::default()
         },
         options,
     )

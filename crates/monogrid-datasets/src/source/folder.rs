@@ -5,6 +5,7 @@ use super::{DEFAULT_FPS, Dataset, Layout, Parts, SourceOptions, natural_order};
 use crate::DatasetError;
 use crate::text::{data_lines, read_text};
 use crate::timestamp::parse_seconds;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -44,11 +45,9 @@ pub(super) fn open(root: &Path, options: SourceOptions) -> Result<Dataset, Datas
             layout,
             list: folder,
             entries,
-            depths: Vec::new(),
-            ground_truth: None,
-            calibration_path: None,
             warnings,
             unpacked,
+            ..Parts::default()
         },
         options,
     )
@@ -84,17 +83,13 @@ fn find_images(root: &Path) -> Result<Images, DatasetError> {
             ..find_images(&unpacked.root())?
         });
     }
-    let entries = std::fs::read_dir(root)
-        .map_err(|e| DatasetError::io("read", root, e))?
-        .count();
-    Err(DatasetError::NoFrames {
-        path: root.to_path_buf(),
-        found: match entries {
-            0 => "an empty folder".to_owned(),
-            n => format!("{n} files and folders, none of them an image or a list of images"),
-        },
-        expected: "PNG, JPEG, PGM or PPM images, rgb.txt, times.txt with images/, or mav0/",
-    })
+    let entries = std::fs::read_dir(root).map_err(|e| DatasetError::io("read", root, e))?;
+    let found = match entries.count() {
+        0 => "an empty folder".to_owned(),
+        n => format!("{n} files and folders, none of them an image or a list of images"),
+    };
+    let expected = "PNG, JPEG, PGM or PPM images, rgb.txt, times.txt with images/, or mav0/";
+    Err(DatasetError::no_frames(root, found, expected))
 }
 
 /// Image files directly in a folder, in natural order.
@@ -136,11 +131,9 @@ pub(super) fn timed_at_rate(
 ) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
     let fps = options.fps.unwrap_or(DEFAULT_FPS);
     if !(fps.is_finite() && (1e-3..=1e5).contains(&fps)) {
-        return Err(DatasetError::content(
-            source,
-            format!("{fps} frames per second"),
-            "a frame rate between 0.001 and 100000",
-        ));
+        let found = format!("{fps} frames per second");
+        let expected = "a frame rate between 0.001 and 100000";
+        return Err(DatasetError::content(source, found, expected));
     }
     if options.fps.is_none() {
         warnings.push(format!(
@@ -148,11 +141,8 @@ pub(super) fn timed_at_rate(
             source.display()
         ));
     }
-    Ok(images
-        .into_iter()
-        .enumerate()
-        .map(|(i, path)| ((i as f64 * 1e9 / fps).round() as i64, path))
-        .collect())
+    let timed = |(i, path): (usize, PathBuf)| ((i as f64 * 1e9 / fps).round() as i64, path);
+    Ok((0..).zip(images).map(timed).collect())
 }
 
 /// Frames with the times of a `times.txt`: a time per line (KITTI), or id, time and exposure (TUM
@@ -173,30 +163,25 @@ fn read_times(
         ));
     }
     // ids that are no file names still number the images when there is one for each
-    let ids_are_names = with_ids
-        && images.iter().any(|p| {
-            p.file_stem()
-                .is_some_and(|stem| parsed.iter().any(|(id, _)| stem == *id))
-        });
+    let is_id = |stem: &OsStr| parsed.iter().any(|(id, _)| stem == *id);
+    let is_named = |image: &PathBuf| image.file_stem().is_some_and(is_id);
+    let ids_are_names = with_ids && images.iter().any(is_named);
     if !ids_are_names && (!with_ids || parsed.len() == images.len()) {
-        let layout = if with_ids {
-            Layout::TumMonoVo
-        } else {
-            Layout::Kitti
+        let layout = match with_ids {
+            true => Layout::TumMonoVo,
+            false => Layout::Kitti,
         };
         let entries = parsed.iter().map(|p| p.1).zip(images).collect();
         return Ok((layout, entries));
     }
     let entries = pair_by_name(&parsed, images);
     if entries.is_empty() {
-        return Err(DatasetError::NoFrames {
-            path: times.to_path_buf(),
-            found: format!(
-                "{} ids, none of which is the name of an image",
-                parsed.len()
-            ),
-            expected: "ids that are file names without their ending",
-        });
+        let found = format!(
+            "{} ids, none of which is the name of an image",
+            parsed.len()
+        );
+        let expected = "ids that are file names without their ending";
+        return Err(DatasetError::no_frames(times, found, expected));
     }
     Ok((Layout::TumMonoVo, entries))
 }
@@ -223,16 +208,12 @@ fn parse_times<'a>(text: &'a str, times: &Path) -> Result<(bool, Times<'a>), Dat
 
 /// Times with the images that are called as their ids.
 fn pair_by_name(parsed: &[(&str, i64)], images: Vec<PathBuf>) -> Vec<(i64, PathBuf)> {
-    let mut by_stem: Vec<(String, PathBuf)> = images
-        .into_iter()
-        .filter_map(|p| Some((p.file_stem()?.to_string_lossy().into_owned(), p)))
-        .collect();
+    let stem = |p: PathBuf| Some((p.file_stem()?.to_string_lossy().into_owned(), p));
+    let mut by_stem: Vec<(String, PathBuf)> = images.into_iter().filter_map(stem).collect();
     by_stem.sort();
-    parsed
-        .iter()
-        .filter_map(|(id, time)| {
-            let found = by_stem.binary_search_by(|(stem, _)| stem.as_str().cmp(id));
-            found.ok().map(|i| (*time, by_stem[i].1.clone()))
-        })
-        .collect()
+    let entry = |(id, time): &(&str, i64)| {
+        let found = by_stem.binary_search_by(|(stem, _)| stem.as_str().cmp(id));
+        Some((*time, by_stem[found.ok()?].1.clone()))
+    };
+    parsed.iter().filter_map(entry).collect()
 }

@@ -39,7 +39,7 @@ pub struct DepthEntry {
 }
 
 /// How the sequence lies on disk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layout {
     /// `rgb.txt` (time, path), optionally `depth.txt` and `groundtruth.txt`.
     Tum,
@@ -50,6 +50,7 @@ pub enum Layout {
     /// `image_0` (or another camera) with `times.txt`.
     Kitti,
     /// Images in natural order of their names at a given rate.
+    #[default]
     Folder,
 }
 
@@ -68,25 +69,17 @@ impl Layout {
 }
 
 /// What the user may say about a source.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SourceOptions {
     /// Frames per second of sources without times, Hz; `None`: [`DEFAULT_FPS`], with a warning.
     pub fps: Option<f64>,
-    /// Fraction of a frame's interval within which a depth image belongs to a frame.
-    pub depth_association: f64,
 }
 
 /// Rate assumed for images without times, Hz.
 pub const DEFAULT_FPS: f64 = 30.0;
 
-impl Default for SourceOptions {
-    fn default() -> Self {
-        Self {
-            fps: None,
-            depth_association: 0.6,
-        }
-    }
-}
+/// Fraction of a frame's interval within which a depth image belongs to a frame.
+const DEPTH_ASSOCIATION: f64 = 0.6;
 
 /// An image sequence and what came with it.
 #[derive(Clone, Debug)]
@@ -115,7 +108,6 @@ pub struct Dataset {
     pub imu_path: Option<PathBuf>,
     /// What looked odd, in sentences for people.
     pub warnings: Vec<String>,
-    options: SourceOptions,
     /// What frames come from, where that was an archive.
     unpacked: Option<Arc<Unpacked>>,
 }
@@ -128,9 +120,7 @@ impl Dataset {
     /// parsed, or when most time stamps are duplicates.
     pub fn open(path: &Path, options: SourceOptions) -> Result<Self, DatasetError> {
         let metadata = std::fs::metadata(path).map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound => DatasetError::SourceMissing {
-                path: path.to_path_buf(),
-            },
+            std::io::ErrorKind::NotFound => DatasetError::SourceMissing(path.to_path_buf()),
             _ => DatasetError::io("read", path, e),
         })?;
         if metadata.is_file() && archive::is_archive(path) {
@@ -178,8 +168,8 @@ impl Dataset {
         image_size: Option<(usize, usize)>,
     ) -> Result<Option<Calibration>, DatasetError> {
         let path = self.calibration_path.as_ref();
-        let calibration = path.map(|path| Calibration::read(path, image_size));
-        calibration.transpose()
+        path.map(|path| Calibration::read(path, image_size))
+            .transpose()
     }
 
     /// The calibration of the depth camera that lies in the source; `None` when there is none.
@@ -204,7 +194,7 @@ impl Dataset {
 
     /// The depth image nearest in time to a frame, if it is near enough to be its own.
     ///
-    /// Near enough: within [`SourceOptions::depth_association`] frame intervals.
+    /// Near enough: within 0.6 frame intervals.
     #[must_use]
     pub fn depth_of_frame(&self, timestamp_ns: i64) -> Option<&DepthEntry> {
         let depths = &self.depths;
@@ -212,29 +202,17 @@ impl Dataset {
         let around = depths[after.saturating_sub(1)..].iter().take(2);
         let distance = |depth: &&DepthEntry| depth.timestamp_ns.abs_diff(timestamp_ns);
         let nearest = around.min_by_key(distance)?;
-        let limit_secs = self.options.depth_association * self.frame_interval_secs().unwrap_or(0.0);
+        let limit_secs = DEPTH_ASSOCIATION * self.frame_interval_secs().unwrap_or(0.0);
         (distance(&nearest) as f64 * 1e-9 <= limit_secs).then_some(nearest)
     }
 
     /// Sorts the entries by time, drops duplicates, numbers the frames and looks for companions.
     fn assemble(parts: Parts, options: SourceOptions) -> Result<Self, DatasetError> {
-        let Parts {
-            root,
-            layout,
-            list,
-            entries,
-            depths,
-            ground_truth,
-            calibration_path,
-            mut warnings,
-            unpacked,
-        } = parts;
-        if entries.is_empty() && depths.is_empty() {
-            return Err(DatasetError::NoFrames {
-                path: list,
-                found: "times or images, but not both".to_owned(),
-                expected: "a time for each image",
-            });
+        let (root, layout, list) = (parts.root, parts.layout, parts.list);
+        let (mut depths, mut warnings) = (parts.depths, parts.warnings);
+        if parts.entries.is_empty() && depths.is_empty() {
+            let (found, expected) = ("times or images, but not both", "a time for each image");
+            return Err(DatasetError::no_frames(&list, found, expected));
         }
         if options.fps.is_some() && layout != Layout::Folder {
             warnings.push(format!(
@@ -242,29 +220,27 @@ impl Dataset {
                 list.display()
             ));
         }
-        let frames = order_frames(&list, entries, &mut warnings)?;
+        let frames = order_frames(&list, parts.entries, &mut warnings)?;
         warn_missing(&list, &frames, &mut warnings)?;
-        let mut depths = depths;
         depths.sort_by_key(|d| d.timestamp_ns);
         let named = |names: &[&str]| names.iter().map(|n| root.join(n)).find(|p| p.is_file());
+        let truth = parts.ground_truth;
+        let truth = truth.or_else(|| named(&["groundtruth.txt", "gt.txt", "poses.txt"]));
+        let calibration = named(&["calibration.toml", "calibration.txt"]);
+        let calibration = calibration.or(parts.calibration_path);
         Ok(Self {
             name: source_name(&root),
             layout,
             frames,
             depths,
-            ground_truth: ground_truth
-                .or_else(|| named(&["groundtruth.txt", "gt.txt", "poses.txt"]))
-                .or_else(|| kitti_poses(&root, layout)),
-            calibration_path: named(&["calibration.toml", "calibration.txt"])
-                .or(calibration_path)
-                .or_else(|| named(&CALIBRATION_NAMES)),
+            ground_truth: truth.or_else(|| kitti_poses(&root, layout)),
+            calibration_path: calibration.or_else(|| named(&CALIBRATION_NAMES)),
             depth_calibration_path: named(&["calibration_depth.txt"]),
             response_path: named(&["pcalib.txt"]),
             vignette_path: named(&["vignette.png"]),
             imu_path: named(&IMU_NAMES),
             warnings,
-            options,
-            unpacked,
+            unpacked: parts.unpacked,
             root,
         })
     }
@@ -293,6 +269,7 @@ const CALIBRATION_NAMES: [&str; 8] = [
 const IMU_NAMES: [&str; 4] = ["mav0/imu0/data.csv", "imu0/data.csv", "imu.csv", "imu.txt"];
 
 /// What each layout finds before the common part.
+#[derive(Default)]
 struct Parts {
     root: PathBuf,
     layout: Layout,
@@ -337,15 +314,12 @@ fn order_frames(
             list.display()
         ));
     }
-    Ok(entries
-        .into_iter()
-        .enumerate()
-        .map(|(index, (timestamp_ns, path))| FrameEntry {
-            index,
-            timestamp_ns,
-            path,
-        })
-        .collect())
+    let frame = |(index, (timestamp_ns, path))| FrameEntry {
+        index,
+        timestamp_ns,
+        path,
+    };
+    Ok(entries.into_iter().enumerate().map(frame).collect())
 }
 
 /// Complains about listed images that do not exist: all of them is an error, some a warning (a run
@@ -356,34 +330,26 @@ fn warn_missing(
     warnings: &mut Vec<String>,
 ) -> Result<(), DatasetError> {
     let missing: Vec<&FrameEntry> = frames.iter().filter(|f| !f.path.is_file()).collect();
-    let Some(first) = missing.first() else {
+    let Some(first) = missing.first().map(|frame| frame.path.display()) else {
         return Ok(());
     };
-    if missing.len() == frames.len() {
-        return Err(DatasetError::NoFrames {
-            path: list.to_path_buf(),
-            found: format!(
-                "{} listed images of which none exists (first: {})",
-                frames.len(),
-                first.path.display()
-            ),
-            expected: "paths of existing images, relative to the folder of the list",
-        });
+    let all = frames.len();
+    if missing.len() == all {
+        let found = format!("{all} listed images of which none exists (first: {first})");
+        let expected = "paths of existing images, relative to the folder of the list";
+        return Err(DatasetError::no_frames(list, found, expected));
     }
     warnings.push(format!(
-        "{} of {} images listed in {} do not exist (first: {})",
+        "{} of {all} images listed in {} do not exist (first: {first})",
         missing.len(),
-        frames.len(),
-        list.display(),
-        first.path.display()
+        list.display()
     ));
     Ok(())
 }
 
 /// Name of the folder, also for `.` and `..`.
 fn source_name(root: &Path) -> String {
-    let named = |p: &Path| p.file_name().map(|n| n.to_string_lossy().into_owned());
-    named(root)
-        .or_else(|| root.canonicalize().ok().and_then(|p| named(&p)))
-        .unwrap_or_else(|| "source".to_owned())
+    let named = |p: &Path| Some(p.file_name()?.to_string_lossy().into_owned());
+    let name = named(root).or_else(|| named(&root.canonicalize().ok()?));
+    name.unwrap_or_else(|| "source".to_owned())
 }

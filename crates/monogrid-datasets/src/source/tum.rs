@@ -14,11 +14,8 @@ pub(super) fn open(
 ) -> Result<Dataset, DatasetError> {
     let entries = read_list(root, list)?;
     if entries.is_empty() {
-        return Err(DatasetError::NoFrames {
-            path: list.to_path_buf(),
-            found: "a list without lines".to_owned(),
-            expected: "lines of `timestamp path`",
-        });
+        let (found, expected) = ("a list without lines", "lines of `timestamp path`");
+        return Err(DatasetError::no_frames(list, found, expected));
     }
     assemble(root, list, entries, options)
 }
@@ -35,25 +32,19 @@ fn assemble(
     options: SourceOptions,
 ) -> Result<Dataset, DatasetError> {
     let depth_list = root.join("depth.txt");
-    let depths = if depth_list.is_file() {
-        read_list(root, &depth_list)?
-            .into_iter()
-            .map(|(timestamp_ns, path)| DepthEntry { timestamp_ns, path })
-            .collect()
-    } else {
-        Vec::new()
+    let depths = match depth_list.is_file() {
+        true => read_list(root, &depth_list)?,
+        false => Vec::new(),
     };
+    let depth = |(timestamp_ns, path)| DepthEntry { timestamp_ns, path };
     Dataset::assemble(
         Parts {
             root: root.to_path_buf(),
             layout: Layout::Tum,
             list: list.to_path_buf(),
             entries,
-            depths,
-            ground_truth: None,
-            calibration_path: None,
-            warnings: Vec::new(),
-            unpacked: None,
+            depths: depths.into_iter().map(depth).collect(),
+            ..Parts::default()
         },
         options,
     )
@@ -62,21 +53,17 @@ fn assemble(
 /// Lines of `timestamp path`; paths are relative to `root` and may contain blanks.
 pub(super) fn read_list(root: &Path, list: &Path) -> Result<Vec<(i64, PathBuf)>, DatasetError> {
     let text = read_text(list)?;
-    data_lines(&text)
-        .map(|(number, line)| {
-            let (time, path) = line
-                .split_once(|c: char| c.is_whitespace() || c == ',')
-                .unwrap_or((line, ""));
-            let path = path.trim();
-            match parse_seconds(time) {
-                Some(timestamp_ns) if !path.is_empty() => Ok((timestamp_ns, root.join(path))),
-                _ => Err(DatasetError::line(
-                    list,
-                    number,
-                    line,
-                    "a time in seconds and the path of an image",
-                )),
+    let entry = |(number, line): (usize, &str)| {
+        let words = line.split_once(|c: char| c.is_whitespace() || c == ',');
+        let (time, path) = words.unwrap_or((line, ""));
+        let path = path.trim();
+        match parse_seconds(time) {
+            Some(timestamp_ns) if !path.is_empty() => Ok((timestamp_ns, root.join(path))),
+            _ => {
+                let expected = "a time in seconds and the path of an image";
+                Err(DatasetError::line(list, number, line, expected))
             }
-        })
-        .collect()
+        }
+    };
+    data_lines(&text).map(entry).collect()
 }

@@ -21,18 +21,15 @@ pub(super) enum Codec {
 }
 
 impl Codec {
+    /// By their numbers in files.
+    const ALL: [Self; 3] = [Self::Plain, Self::Deflated, Self::Planes];
+
     pub(super) fn number(self) -> u8 {
-        match self {
-            Self::Plain => 0,
-            Self::Deflated => 1,
-            Self::Planes => 2,
-        }
+        self as u8
     }
 
     pub(super) fn of_number(number: u8) -> Option<Self> {
-        [Self::Plain, Self::Deflated, Self::Planes]
-            .into_iter()
-            .find(|codec| codec.number() == number)
+        Self::ALL.get(usize::from(number)).copied()
     }
 }
 

@@ -41,15 +41,14 @@ impl SubmapBuilder {
         let mut bytes = MAGIC.to_vec();
         bytes.extend(FORMAT_VERSION.to_le_bytes());
         bytes.resize(HEADER_BYTES as usize, 0);
-        let info = SubmapInfo {
-            camera: session.camera(),
-            scale: session.scale,
-            times_ns: None,
-            bounds: None,
-        };
         let mut this = Self {
             bytes,
-            info,
+            info: SubmapInfo {
+                camera: session.camera(),
+                scale: session.scale,
+                times_ns: None,
+                bounds: None,
+            },
             blocks: Vec::new(),
             poses: Vec::new(),
         };
@@ -132,27 +131,15 @@ impl SubmapBuilder {
             |p: &&DepthPixel| p.idepth > 0.0 && p.idepth_var.sqrt() <= MAX_SIGMA_WITHIN * p.idepth;
         let pinhole = &camera.pinhole;
         let points = pixels.iter().filter(is_known).map(|p| {
-            let (x, y) = (f64::from(p.x), f64::from(p.y));
-            let ray = [
-                (x - pinhole.cx) / pinhole.fx,
-                (y - pinhole.cy) / pinhole.fy,
-                1.0,
-            ];
-            *pose * (Vec3::from(ray) / f64::from(p.idepth))
+            let x = (f64::from(p.x) - pinhole.cx) / pinhole.fx;
+            let y = (f64::from(p.y) - pinhole.cy) / pinhole.fy;
+            *pose * (Vec3::new(x, y, 1.0) / f64::from(p.idepth))
         });
-        for point in std::iter::once(pose.translation).chain(points) {
-            let is_finite = point.iter().all(|v| v.is_finite());
-            if is_finite {
-                self.reach(point.into());
-            }
-        }
-    }
-
-    fn reach(&mut self, point: [f64; 3]) {
-        let [low, high] = self.info.bounds.get_or_insert([point; 2]);
-        for axis in 0..3 {
-            low[axis] = low[axis].min(point[axis]);
-            high[axis] = high[axis].max(point[axis]);
+        let points = std::iter::once(pose.translation).chain(points);
+        for point in points.filter(|point| point.iter().all(|v| v.is_finite())) {
+            let [low, high] = self.info.bounds.get_or_insert([point.into(); 2]);
+            *low = [0, 1, 2].map(|axis| low[axis].min(point[axis]));
+            *high = [0, 1, 2].map(|axis| high[axis].max(point[axis]));
         }
     }
 }

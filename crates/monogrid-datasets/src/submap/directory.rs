@@ -86,7 +86,7 @@ pub(super) fn encode(info: &SubmapInfo, blocks: &[SubmapBlock]) -> Option<Vec<u8
     times.into_iter().for_each(|time| out.u64(time as u64));
     out.0.push(u8::from(info.bounds.is_some()));
     let bounds = info.bounds.unwrap_or_default();
-    bounds.as_flattened().iter().for_each(|v| out.f64(*v));
+    bounds.into_iter().for_each(|corner| out.numbers(corner));
     out.count(blocks.len())?;
     for block in blocks {
         out.u32(block.kind);
@@ -130,10 +130,7 @@ fn decode_info(input: &mut Input) -> Option<SubmapInfo> {
     let has_times = flag(input)?;
     let times = [input.u64()? as i64, input.u64()? as i64];
     let has_bounds = flag(input)?;
-    let mut bounds = [[0.0; 3]; 2];
-    for value in bounds.as_flattened_mut() {
-        *value = input.finite()?;
-    }
+    let bounds = [input.finites()?, input.finites()?];
     Some(SubmapInfo {
         camera,
         scale,

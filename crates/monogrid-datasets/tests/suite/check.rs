@@ -1,6 +1,6 @@
 //! Findings on pictures whose faults are known.
 
-use monogrid_datasets::{CheckConfig, FrameCheck, FrameChecker, SequenceCheck, blur};
+use monogrid_datasets::{FrameCheck, FrameChecker, SequenceCheck, blur};
 use monogrid_image::GrayImage;
 
 /// A textured picture, shifted by `shift` pixels.
@@ -28,10 +28,9 @@ fn motion_blurred(length: usize) -> GrayImage {
 }
 
 fn check(images: &[GrayImage]) -> (Vec<FrameCheck>, SequenceCheck) {
-    let config = CheckConfig::default();
-    let mut checker = FrameChecker::new(config);
+    let mut checker = FrameChecker::default();
     let frames: Vec<FrameCheck> = images.iter().map(|i| checker.check(i)).collect();
-    let sequence = SequenceCheck::new(&frames, &config);
+    let sequence = SequenceCheck::new(&frames);
     (frames, sequence)
 }
 

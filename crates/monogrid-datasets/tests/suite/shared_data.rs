@@ -2,8 +2,8 @@
 //! README says.
 
 use monogrid_datasets::{
-    Calibration, CheckConfig, Dataset, DepthRegistration, FrameChecker, Layout, SourceOptions,
-    read_depth, read_gray, read_trajectory,
+    Calibration, Dataset, DepthRegistration, FrameChecker, Layout, SourceOptions, read_depth,
+    read_gray, read_trajectory,
 };
 use monogrid_geometry::Distortion;
 use std::path::PathBuf;
@@ -228,7 +228,7 @@ fn repeated_frames_of_the_kitchen_are_those_with_equal_files() {
     };
     let dataset = Dataset::open(&path, SourceOptions::default()).expect("opens");
     let frames = &dataset.frames[215..300];
-    let mut checker = FrameChecker::new(CheckConfig::default());
+    let mut checker = FrameChecker::default();
     let mut before = None;
     let mut repeats = 0;
     for frame in frames {

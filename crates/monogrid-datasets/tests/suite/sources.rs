@@ -47,10 +47,7 @@ fn plain_folder_in_natural_order_at_a_rate() {
         image(&root.path().join(name));
     }
     fs::write(root.path().join("notes.md"), "x").expect("writable");
-    let options = SourceOptions {
-        fps: Some(20.0),
-        ..Default::default()
-    };
+    let options = SourceOptions { fps: Some(20.0) };
     let dataset = Dataset::open(root.path(), options).expect("opens");
     assert_eq!(dataset.layout, Layout::Folder);
     assert_eq!(names(&dataset), ["f1.png", "f2.png", "f10.png"]);
@@ -63,10 +60,7 @@ fn plain_folder_in_natural_order_at_a_rate() {
     let interval = unset.frame_interval_secs().expect("frames");
     assert!((interval - 1.0 / DEFAULT_FPS).abs() < 1e-9);
     for fps in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let options = SourceOptions {
-            fps: Some(fps),
-            ..Default::default()
-        };
+        let options = SourceOptions { fps: Some(fps) };
         assert!(Dataset::open(root.path(), options).is_err(), "{fps}");
     }
 }
@@ -126,10 +120,7 @@ fn tum_layout_sorts_and_reports_disorder() {
     assert_eq!(depth_of(1_500_000_000), Some(1_510_000_000));
     assert_eq!(depth_of(3_000_000_000), Some(2_900_000_000));
     assert_eq!(depth_of(9_000_000_000), None);
-    let options = SourceOptions {
-        fps: Some(10.0),
-        ..Default::default()
-    };
+    let options = SourceOptions { fps: Some(10.0) };
     let with_rate = Dataset::open(root.path(), options).expect("opens");
     assert_eq!(times(&with_rate), times(&dataset));
     assert!(with_rate.warnings.iter().any(|w| w.contains("not used")));
@@ -256,7 +247,7 @@ fn missing_images_are_warned_about_and_an_error_when_all_are_missing() {
 fn bad_sources_are_explained() {
     let root = folder();
     let error = open(&root.path().join("nowhere")).expect_err("missing");
-    assert!(matches!(error, DatasetError::SourceMissing { .. }));
+    assert!(matches!(error, DatasetError::SourceMissing(_)));
     let error = open(root.path()).expect_err("empty").to_string();
     assert!(error.contains("an empty folder"), "{error}");
     fs::write(root.path().join("readme.md"), "").expect("writable");

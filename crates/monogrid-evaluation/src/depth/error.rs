@@ -1,5 +1,7 @@
 //! What can be wrong with the input of the depth evaluation.
 
+use super::DepthEstimate;
+
 /// Why depth could not be evaluated.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 #[non_exhaustive]
@@ -20,24 +22,19 @@ pub enum DepthError {
     },
     /// An estimate outside the image or without a usable number.
     #[error(
-        "keyframe {id}: the estimate at ({x_px}, {y_px}) lies outside {width}x{height} or its \
-         inverse depth {idepth} or variance {idepth_var} is not usable"
+        "keyframe {id}: the estimate at ({}, {}) lies outside {width}x{height} or its \
+         inverse depth {} or variance {} is not usable",
+        .estimate.x_px, .estimate.y_px, .estimate.idepth, .estimate.idepth_var
     )]
     Estimate {
         /// The keyframe.
         id: u64,
-        /// Column.
-        x_px: u32,
-        /// Row.
-        y_px: u32,
         /// Columns of the image.
         width: usize,
         /// Rows of the image.
         height: usize,
-        /// Inverse depth found.
-        idepth: f32,
-        /// Variance found; must be positive.
-        idepth_var: f32,
+        /// What was found.
+        estimate: DepthEstimate,
     },
     /// The keyframe's scale is not a positive number.
     #[error("keyframe {id}: scale {scale} is not a positive number")]
@@ -47,12 +44,9 @@ pub enum DepthError {
         /// What was found.
         scale: f64,
     },
-    /// Not one estimate where the truth is known.
+    /// Not one of so many estimates where the truth is known.
     #[error(
-        "none of the {estimates} depth estimates lies where the true depth is known; do the images belong together?"
+        "none of the {0} depth estimates lies where the true depth is known; do the images belong together?"
     )]
-    NoTruth {
-        /// Estimates looked at.
-        estimates: usize,
-    },
+    NoTruth(usize),
 }

@@ -199,7 +199,7 @@ impl Keyframe {
     }
 
     fn shares(&self, scale: f64) -> DepthShares {
-        shares([self].into_iter(), |_| scale)
+        shares_of_textured(std::slice::from_ref(self), |_| scale)
     }
 
     fn own_scale(&self) -> Option<f64> {
@@ -234,24 +234,19 @@ impl DepthEvaluator {
     /// is not positive.
     pub fn add_keyframe(&mut self, keyframe: &KeyframeDepth) -> Result<(), DepthError> {
         check(keyframe)?;
-        let gradient_pixels = keyframe
-            .true_depth
-            .iter()
-            .zip(keyframe.gradient)
-            .filter(|(depth, gradient)| is_known(**depth) && **gradient >= self.config.min_gradient)
+        let has_gradient = |gradient: f32| gradient >= self.config.min_gradient;
+        let pixels = keyframe.true_depth.iter().zip(keyframe.gradient);
+        let gradient_pixels = pixels
+            .filter(|(depth, gradient)| is_known(**depth) && has_gradient(**gradient))
             .count();
         let compare = |estimate: &DepthEstimate| {
             let index = estimate.y_px as usize * keyframe.width + estimate.x_px as usize;
             let true_depth = keyframe.true_depth[index];
-            let has_gradient = keyframe.gradient[index] >= self.config.min_gradient;
+            let is_textured = has_gradient(keyframe.gradient[index]);
             is_known(true_depth).then_some(Kept {
                 idepth: estimate.idepth,
                 idepth_var: estimate.idepth_var,
-                true_depth: if has_gradient {
-                    true_depth
-                } else {
-                    -true_depth
-                },
+                true_depth: if is_textured { true_depth } else { -true_depth },
             })
         };
         self.num_estimates += keyframe.estimates.len();
@@ -272,9 +267,7 @@ impl DepthEvaluator {
     pub fn finish(self) -> Result<DepthReport, DepthError> {
         let all = || self.keyframes.iter().flat_map(Keyframe::comparisons);
         let num_compared = self.keyframes.iter().map(|k| k.kept.len()).sum();
-        let no_truth = || DepthError::NoTruth {
-            estimates: self.num_estimates,
-        };
+        let no_truth = || DepthError::NoTruth(self.num_estimates);
         let fitted = median_of_many(|| all().map(|c| c.depth_ratio())).ok_or_else(no_truth)?;
         let scale = self.config.scale.unwrap_or(fitted);
         if !(scale > 0.0 && scale.is_finite()) {
@@ -290,15 +283,18 @@ impl DepthEvaluator {
         let share_of_estimates = |ratio: f64| {
             all().filter(|c| c.is_within(ratio, scale)).count() as f64 / num_compared as f64
         };
+        let known_pixels = self.keyframes.iter().map(|k| k.known_pixels).sum();
         Ok(DepthReport {
             scale,
             keyframes: self.keyframes.len(),
             estimates: num_compared,
             gradient_pixels: self.keyframes.iter().map(|k| k.gradient_pixels).sum(),
-            shares: shares(self.keyframes.iter(), |_| scale),
-            shares_own_scale: shares(self.keyframes.iter(), |k| k.own_scale().unwrap_or(scale)),
-            known_pixels: self.keyframes.iter().map(|k| k.known_pixels).sum(),
-            shares_of_known: shares_of_known(&self.keyframes, scale),
+            shares: shares_of_textured(&self.keyframes, |_| scale),
+            shares_own_scale: shares_of_textured(&self.keyframes, |k| {
+                k.own_scale().unwrap_or(scale)
+            }),
+            known_pixels,
+            shares_of_known: shares(all().map(|c| (c, scale)), known_pixels),
             estimates_within_3_percent: share_of_estimates(0.03),
             estimates_within_10_percent: share_of_estimates(0.1),
             bias: median_of_many(relative_depths).ok_or_else(no_truth)? - 1.0,
@@ -316,25 +312,21 @@ fn is_known(depth: f32) -> bool {
 
 fn check(keyframe: &KeyframeDepth) -> Result<(), DepthError> {
     let (id, width, height) = (keyframe.id, keyframe.width, keyframe.height);
-    for (image, found) in [
-        ("true depth", keyframe.true_depth.len()),
-        ("gradient image", keyframe.gradient.len()),
-    ] {
-        if found != width * height {
-            return Err(DepthError::Size {
-                id,
-                image,
-                found,
-                width,
-                height,
-            });
-        }
-    }
-    if !(keyframe.world_scale > 0.0 && keyframe.world_scale.is_finite()) {
-        return Err(DepthError::Scale {
+    let check_size = |image, found| match found == width * height {
+        true => Ok(()),
+        false => Err(DepthError::Size {
             id,
-            scale: keyframe.world_scale,
-        });
+            image,
+            found,
+            width,
+            height,
+        }),
+    };
+    check_size("true depth", keyframe.true_depth.len())?;
+    check_size("gradient image", keyframe.gradient.len())?;
+    let scale = keyframe.world_scale;
+    if !(scale > 0.0 && scale.is_finite()) {
+        return Err(DepthError::Scale { id, scale });
     }
     let is_good = |e: &DepthEstimate| {
         (e.x_px as usize) < width
@@ -345,60 +337,44 @@ fn check(keyframe: &KeyframeDepth) -> Result<(), DepthError> {
     };
     match keyframe.estimates.iter().find(|e| !is_good(e)) {
         None => Ok(()),
-        Some(e) => Err(DepthError::Estimate {
+        Some(estimate) => Err(DepthError::Estimate {
             id,
-            x_px: e.x_px,
-            y_px: e.y_px,
             width,
             height,
-            idepth: e.idepth,
-            idepth_var: e.idepth_var,
+            estimate: *estimate,
         }),
     }
 }
 
-/// Shares over the gradient pixels of `keyframes`, each with its scale; zero when there are none.
-fn shares<'a>(
-    keyframes: impl Iterator<Item = &'a Keyframe>,
-    scale_of: impl Fn(&Keyframe) -> f64,
-) -> DepthShares {
-    let (mut pixels, mut have, mut within_3, mut within_10) = (0, 0, 0, 0);
-    for keyframe in keyframes {
+/// Shares of the gradient pixels of `keyframes`, each with its scale.
+fn shares_of_textured(keyframes: &[Keyframe], scale_of: impl Fn(&Keyframe) -> f64) -> DepthShares {
+    let compared = keyframes.iter().flat_map(|keyframe| {
         let scale = scale_of(keyframe);
-        pixels += keyframe.gradient_pixels;
-        for c in keyframe.comparisons().filter(|c| c.has_gradient) {
-            have += 1;
-            within_3 += usize::from(c.is_within(0.03, scale));
-            within_10 += usize::from(c.is_within(0.1, scale));
-        }
-    }
-    let share = |count: usize| count as f64 / pixels.max(1) as f64;
-    DepthShares {
-        within_3_percent: share(within_3),
-        within_10_percent: share(within_10),
-        density: share(have),
-    }
+        let textured = keyframe.comparisons().filter(|c| c.has_gradient);
+        textured.map(move |c| (c, scale))
+    });
+    shares(compared, keyframes.iter().map(|k| k.gradient_pixels).sum())
 }
 
-/// Shares over all pixels with a true depth; zero when there are none.
-fn shares_of_known(keyframes: &[Keyframe], scale: f64) -> DepthShares {
-    let pixels: usize = keyframes.iter().map(|k| k.known_pixels).sum();
-    let share = |counts: &dyn Fn(&Comparison) -> bool| {
-        let of_keyframe = |k: &Keyframe| k.comparisons().filter(|c| counts(c)).count();
-        keyframes.iter().map(of_keyframe).sum::<usize>() as f64 / pixels.max(1) as f64
-    };
+/// Shares of so many pixels that have comparisons, each with its scale; zero when there are none.
+fn shares(compared: impl Iterator<Item = (Comparison, f64)>, pixels: usize) -> DepthShares {
+    let mut counts = [0; 3];
+    for (c, scale) in compared {
+        counts[0] += usize::from(c.is_within(0.03, scale));
+        counts[1] += usize::from(c.is_within(0.1, scale));
+        counts[2] += 1;
+    }
+    let [within_3_percent, within_10_percent, density] =
+        counts.map(|count| count as f64 / pixels.max(1) as f64);
     DepthShares {
-        within_3_percent: share(&|c| c.is_within(0.03, scale)),
-        within_10_percent: share(&|c| c.is_within(0.1, scale)),
-        density: share(&|_| true),
+        within_3_percent,
+        within_10_percent,
+        density,
     }
 }
 
 /// Of errors in standard deviations, which are made anew for each question.
-fn normalised_error<I>(errors: impl Fn() -> I) -> Option<NormalisedError>
-where
-    I: Iterator<Item = f64>,
-{
+fn normalised_error<I: Iterator<Item = f64>>(errors: impl Fn() -> I) -> Option<NormalisedError> {
     let median = median_of_many(&errors)?;
     let n = errors().count() as f64;
     let mean = errors().sum::<f64>() / n;
@@ -413,11 +389,8 @@ where
 }
 
 fn rmse_log(relative_depths: impl Iterator<Item = f64>) -> f64 {
-    let (mut sum, mut count) = (0.0, 0_usize);
-    for ratio in relative_depths {
-        sum += ratio.ln().powi(2);
-        count += 1;
-    }
+    let add = |(sum, count), ratio: f64| (sum + ratio.ln().powi(2), count + 1);
+    let (sum, count) = relative_depths.fold((0.0, 0_usize), add);
     (sum / count.max(1) as f64).sqrt()
 }
 

@@ -72,7 +72,8 @@ impl Contingency {
         let [tp, fp, tn, fn_] = [self.tp, self.fp, self.tn, self.fn_].map(|n| n as f64);
         // One root over both products, so that a perfect map scores exactly 1.
         let norm = (((tp + fp) * (tn + fn_)) * ((tp + fn_) * (tn + fp))).sqrt();
-        if norm > 0.0 {
+        let is_defined = norm > 0.0;
+        if is_defined {
             (tp * tn - fp * fn_) / norm
         } else {
             0.0
@@ -80,12 +81,9 @@ impl Contingency {
     }
 }
 
+/// 0 of nothing.
 fn ratio(part: u64, whole: u64) -> f64 {
-    if whole == 0 {
-        0.0
-    } else {
-        part as f64 / whole as f64
-    }
+    part as f64 / whole.max(1) as f64
 }
 
 /// One point of a ROC curve.
@@ -155,15 +153,10 @@ pub(crate) fn best_f1(groups: &[ScoreGroup]) -> (f64, f64) {
     for (index, group) in groups.iter().enumerate().rev() {
         tp += group.positives;
         fp += group.negatives;
-        let counts = Contingency {
-            tp,
-            fp,
-            tn: 0,
-            fn_: positives - tp,
-        };
-        if counts.f1() > best.1 {
+        let f1 = ratio(2 * tp, tp + fp + positives);
+        if f1 > best.1 {
             let below = index.checked_sub(1).map_or(0.0, |i| groups[i].probability);
-            best = (0.5 * (below + group.probability), counts.f1());
+            best = (0.5 * (below + group.probability), f1);
         }
     }
     best

@@ -1,7 +1,10 @@
 //! Distances between predicted and true surfaces.
 
+use super::in_view::InView;
 use super::nearest::CellTree;
 use crate::statistics::median;
+use crate::truth::TruthGrid;
+use monogrid_occupancy::Occupancy;
 use serde::Serialize;
 
 /// Distances between centres of cells, in map units (metres in a metric map).
@@ -43,20 +46,19 @@ pub(crate) struct TrueSurface {
 }
 
 impl TrueSurface {
-    /// Of the truly occupied `cells` of edge `resolution`, those in view are to be found. At most
-    /// `max_queries` cells of each set, evenly spread over their order, ask for their nearest neighbour.
-    pub fn new(
-        cells: Vec<[i32; 3]>,
-        is_in_view: impl Fn([i32; 3]) -> bool,
-        resolution: f64,
-        tolerance: f64,
-        max_queries: usize,
-    ) -> Self {
-        let in_view: Vec<[i32; 3]> = cells.iter().copied().filter(|k| is_in_view(*k)).collect();
+    /// Of the truly occupied cells, those in view are to be found. At most `max_queries` cells of each set, evenly spread over
+    /// their order, ask for their nearest neighbour.
+    pub fn new(truth: &TruthGrid, view: &InView, tolerance: f64, max_queries: usize) -> Self {
+        let cells: Vec<[i32; 3]> = truth.keys_in(Occupancy::Occupied).collect();
+        let in_view: Vec<[i32; 3]> = cells
+            .iter()
+            .copied()
+            .filter(|k| view.contains(*k))
+            .collect();
         Self {
             to_find: sample(&in_view, max_queries),
             tree: CellTree::new(cells),
-            resolution,
+            resolution: truth.resolution(),
             tolerance,
             max_queries,
         }
@@ -69,9 +71,8 @@ impl TrueSurface {
 
     /// How many of the cells are farther than `distance` (map units) from this surface.
     pub fn num_beyond(&self, cells: &[[i32; 3]], distance: f64) -> u64 {
-        // distances are multiples of the resolution but for rounding
-        let reach = distance * (1.0 + 1e-9);
         let distances = distances(cells, &self.tree, self.resolution);
+        let reach = at_least(distance);
         distances.iter().filter(|d| **d > reach).count() as u64
     }
 
@@ -80,23 +81,25 @@ impl TrueSurface {
         let from_predicted = sample(&predicted, self.max_queries);
         let to_truth = distances(&from_predicted, &self.tree, self.resolution);
         let to_predicted = distances(&self.to_find, &CellTree::new(predicted), self.resolution);
-        // Distances are multiples of the resolution but for rounding.
-        let reach = self.tolerance * (1.0 + 1e-9);
+        let (near, far) = (at_least(self.tolerance), at_least(3.0 * self.resolution));
         SurfaceDistances {
             accuracy_m: mean(&to_truth),
             accuracy_median_m: median(&to_truth),
             accuracy_p90_m: quantile(&to_truth, 0.9),
             accuracy_p95_m: quantile(&to_truth, 0.95),
-            accuracy_beyond_3_cells: share(&to_truth, from_predicted.len(), |d| {
-                d > 3.0 * self.resolution * (1.0 + 1e-9)
-            }),
-            accuracy_within_tolerance: share(&to_truth, from_predicted.len(), |d| d <= reach),
-            completeness: share(&to_predicted, self.to_find.len(), |d| d <= reach),
+            accuracy_beyond_3_cells: share(&to_truth, from_predicted.len(), |d| d > far),
+            accuracy_within_tolerance: share(&to_truth, from_predicted.len(), |d| d <= near),
+            completeness: share(&to_predicted, self.to_find.len(), |d| d <= near),
             completeness_m: mean(&to_predicted),
             occupied_ratio: None,
             tolerance_m: self.tolerance,
         }
     }
+}
+
+/// Distances are multiples of the resolution but for rounding.
+fn at_least(distance: f64) -> f64 {
+    distance * (1.0 + 1e-9)
 }
 
 fn sample(keys: &[[i32; 3]], max: usize) -> Vec<[i32; 3]> {

@@ -90,12 +90,13 @@ pub enum MapEvaluationError {
 }
 
 /// What one pass over the estimate collects.
+#[derive(Default)]
 struct Pass {
     scores: ScoreCounter,
     slices: Vec<Slice>,
     /// Predicted occupied cells; empty when nobody asks for distances.
     predicted: Vec<[i32; 3]>,
-    num_predicted: usize,
+    num_predicted: u64,
     outside: u64,
     occupied_outside: u64,
     /// Predicted occupied cells where the truth knows nothing, outside its box or inside.
@@ -156,12 +157,9 @@ impl<'a> MapEvaluator<'a> {
     ) -> Result<Self, MapEvaluationError> {
         let resolution = truth.resolution();
         let view = InView::new(config.in_view, resolution)?;
-        let counts_per_layer: Vec<CellCounts> = (0..truth.size()[2])
-            .map(|z| truth.layer_counts(z))
-            .collect();
-        let counts = counts_per_layer
-            .iter()
-            .fold(CellCounts::default(), |sum, layer| sum.plus(layer));
+        let layers = (0..truth.size()[2]).map(|z| truth.layer_counts(z));
+        let counts_per_layer: Vec<CellCounts> = layers.collect();
+        let counts = CellCounts::sum(&counts_per_layer);
         if counts.free == 0 || counts.occupied == 0 {
             return Err(MapEvaluationError::OneClass {
                 free: counts.free,
@@ -169,16 +167,8 @@ impl<'a> MapEvaluator<'a> {
             });
         }
         let tolerance = config.tolerance_m.unwrap_or_else(|| resolution.max(0.05));
-        let surface = (config.max_distance_queries > 0).then(|| {
-            let cells = truth.keys_in(Occupancy::Occupied);
-            TrueSurface::new(
-                cells.collect(),
-                |key| view.contains(key),
-                resolution,
-                tolerance,
-                config.max_distance_queries,
-            )
-        });
+        let queries = config.max_distance_queries;
+        let surface = (queries > 0).then(|| TrueSurface::new(truth, &view, tolerance, queries));
         Ok(Self {
             truth,
             counts,
@@ -196,43 +186,32 @@ impl<'a> MapEvaluator<'a> {
     pub fn evaluate(&self, estimate: &OccupancyMap) -> Result<MapReport, MapEvaluationError> {
         check_resolution(estimate, self.truth)?;
         let pass = self.pass_over(estimate);
-        let slices = pass.slices.iter();
-        let observed = slices.fold(CellCounts::default(), |sum, s| sum.plus(&s.observed));
+        let observed = CellCounts::sum(pass.slices.iter().map(|slice| &slice.observed));
         let ssd_per_slice = sums_of_squares(&pass.slices, &self.counts_per_layer);
         let ssd_total: f64 = ssd_per_slice.iter().sum();
         let scores = pass.scores.into_sorted();
         let groups = policy_groups(&scores, &self.counts, &observed);
-        let beyond = self.surface.as_ref().map_or(0, |surface| {
-            surface.num_beyond(&pass.occupied_unknown, MAX_BEYOND)
-        });
+        let surface = self.surface.as_ref();
+        let beyond = surface.map_or(0, |s| s.num_beyond(&pass.occupied_unknown, MAX_BEYOND));
+        let distances = surface.map(|s| s.distances(pass.predicted));
+        let thickness = surface.map(|s| Thickness::at(s.cells_to_find(), estimate, self.truth));
         let mut with_beyond = Contingency::at(&groups.observed, 0.5);
         with_beyond.fp += beyond;
-        let seen = pass.seen_in_view;
+        let (seen, in_view) = (pass.seen_in_view, self.counts_in_view);
         let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
         Ok(MapReport {
             policies: groups.map(|g| policy_report(g)),
             roc: groups.map(|g| classify::roc_26(g)),
             coverage_free: share(observed.free, self.counts.free),
             coverage_occupied: share(observed.occupied, self.counts.occupied),
-            coverage_free_in_view: self.counts_in_view.map(|v| share(seen.free, v.free)),
-            coverage_occupied_in_view: self
-                .counts_in_view
-                .map(|v| share(seen.occupied, v.occupied)),
+            coverage_free_in_view: in_view.map(|v| share(seen.free, v.free)),
+            coverage_occupied_in_view: in_view.map(|v| share(seen.occupied, v.occupied)),
             calibration: calibration::calibration(&groups.observed),
             surface: SurfaceDistances {
-                occupied_ratio: Some(share(pass.num_predicted as u64, self.counts.occupied)),
-                ..self
-                    .surface
-                    .as_ref()
-                    .map(|surface| surface.distances(pass.predicted))
-                    .unwrap_or_default()
+                occupied_ratio: Some(share(pass.num_predicted, self.counts.occupied)),
+                ..distances.unwrap_or_default()
             },
-            thickness: self
-                .surface
-                .as_ref()
-                .map_or_else(Thickness::default, |surface| {
-                    Thickness::at(surface.cells_to_find(), estimate, self.truth)
-                }),
+            thickness: thickness.unwrap_or_default(),
             ssd: ssd_total / ssd_per_slice.len().max(1) as f64,
             ssd_normalised: ssd_total / self.counts.total().max(1) as f64,
             ssd_per_slice,
@@ -240,7 +219,7 @@ impl<'a> MapEvaluator<'a> {
             truth: self.counts,
             observed: observed.total(),
             observed_outside: pass.outside,
-            predicted: pass.num_predicted as u64,
+            predicted: pass.num_predicted,
             predicted_outside: pass.occupied_outside,
             predicted_beyond: beyond,
             mcc_with_beyond: with_beyond.mcc(),
@@ -250,50 +229,32 @@ impl<'a> MapEvaluator<'a> {
     fn pass_over(&self, estimate: &OccupancyMap) -> Pass {
         let truth = self.truth;
         let mut pass = Pass {
-            scores: ScoreCounter::default(),
             slices: vec![Slice::default(); truth.size()[2]],
-            predicted: Vec::new(),
-            num_predicted: 0,
-            outside: 0,
-            occupied_outside: 0,
-            occupied_unknown: Vec::new(),
-            seen_in_view: CellCounts::default(),
+            ..Pass::default()
         };
         for cell in estimate.cells() {
             let key = cell.key.to_array();
-            if cell.log_odds > 0.0 {
-                pass.num_predicted += 1;
-                if self.surface.is_some() {
-                    pass.predicted.push(key);
-                }
+            let is_predicted = cell.log_odds > 0.0;
+            pass.num_predicted += u64::from(is_predicted);
+            if is_predicted && self.surface.is_some() {
+                pass.predicted.push(key);
             }
-            let Some(local) = truth.local(key) else {
+            let local = truth.local(key);
+            let state = local.map_or(Occupancy::Unknown, |local| truth.state_at(local));
+            if is_predicted && state == Occupancy::Unknown {
+                pass.occupied_unknown.push(key);
+            }
+            let Some(local) = local else {
                 pass.outside += 1;
-                pass.occupied_outside += u64::from(cell.log_odds > 0.0);
-                if cell.log_odds > 0.0 {
-                    pass.occupied_unknown.push(key);
-                }
+                pass.occupied_outside += u64::from(is_predicted);
                 continue;
             };
-            let state = truth.state_at(local);
-            let counts = pass.scores.at(cell.log_odds);
+            pass.scores.at(cell.log_odds).add(state);
             let slice = &mut pass.slices[local[2]];
             let value = match state {
-                Occupancy::Occupied => {
-                    counts.occupied += 1;
-                    1.0
-                }
-                Occupancy::Free => {
-                    counts.free += 1;
-                    0.0
-                }
-                Occupancy::Unknown => {
-                    counts.unknown += 1;
-                    if cell.log_odds > 0.0 {
-                        pass.occupied_unknown.push(key);
-                    }
-                    0.5
-                }
+                Occupancy::Occupied => 1.0,
+                Occupancy::Free => 0.0,
+                Occupancy::Unknown => 0.5,
             };
             slice.squares += (probability(cell.log_odds) - value).powi(2);
             slice.observed.add(state);
@@ -321,26 +282,20 @@ fn sums_of_squares(slices: &[Slice], layers: &[CellCounts]) -> Vec<f64> {
 
 /// The scores that each policy ranks.
 fn policy_groups(
-    scores: &[(f32, scores::ClassCounts)],
+    scores: &[(f32, CellCounts)],
     truth: &CellCounts,
     observed: &CellCounts,
 ) -> Policies<Vec<ScoreGroup>> {
-    let of_known: Vec<ScoreGroup> = scores
-        .iter()
-        .map(|(log_odds, counts)| ScoreGroup {
+    let groups = |negatives: fn(&CellCounts) -> u64| -> Vec<ScoreGroup> {
+        let group = |(log_odds, counts): &(f32, CellCounts)| ScoreGroup {
             probability: probability(*log_odds),
             positives: counts.occupied,
-            negatives: counts.free,
-        })
-        .collect();
-    let of_all: Vec<ScoreGroup> = scores
-        .iter()
-        .zip(&of_known)
-        .map(|((_, counts), group)| ScoreGroup {
-            negatives: counts.free + counts.unknown,
-            ..*group
-        })
-        .collect();
+            negatives: negatives(counts),
+        };
+        scores.iter().map(group).collect()
+    };
+    let of_known = groups(|counts| counts.free);
+    let of_all = groups(|counts| counts.free + counts.unknown);
     let unobserved = |probability: f64, negatives: u64| ScoreGroup {
         probability,
         positives: truth.occupied - observed.occupied,
@@ -378,11 +333,11 @@ fn policy_report(groups: &[ScoreGroup]) -> PolicyReport {
     }
 }
 
-fn histogram(scores: &[(f32, scores::ClassCounts)]) -> Vec<u64> {
+fn histogram(scores: &[(f32, CellCounts)]) -> Vec<u64> {
     let mut bins = vec![0; HISTOGRAM_BINS];
     for (log_odds, counts) in scores {
         let bin = (probability(*log_odds) * HISTOGRAM_BINS as f64) as usize;
-        bins[bin.min(HISTOGRAM_BINS - 1)] += counts.occupied + counts.free + counts.unknown;
+        bins[bin.min(HISTOGRAM_BINS - 1)] += counts.total();
     }
     bins
 }

@@ -3,35 +3,28 @@
 //! A map of half a billion cells has few distinct scores: everything that ranks or counts works on
 //! this table, and unobserved cells never have to be visited.
 
+use crate::truth::CellCounts;
 use std::collections::HashMap;
 
-/// Cells of one score, by what is true of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct ClassCounts {
-    pub occupied: u64,
-    pub free: u64,
-    pub unknown: u64,
-}
-
-/// Counts per distinct log-odds.
+/// Cells by what is true of them, per distinct log-odds.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ScoreCounter {
     slot_of_bits: HashMap<u32, usize>,
-    entries: Vec<(f32, ClassCounts)>,
+    entries: Vec<(f32, CellCounts)>,
     /// Bits and slot seen last: neighbouring cells often agree.
     last: Option<(u32, usize)>,
 }
 
 impl ScoreCounter {
     /// The counts of a score, to be increased.
-    pub fn at(&mut self, log_odds: f32) -> &mut ClassCounts {
+    pub fn at(&mut self, log_odds: f32) -> &mut CellCounts {
         // Zero and minus zero are one score.
         let log_odds = if log_odds == 0.0 { 0.0 } else { log_odds };
         let bits = log_odds.to_bits();
         let slot = match self.last {
             Some((last_bits, slot)) if last_bits == bits => slot,
             _ => *self.slot_of_bits.entry(bits).or_insert_with(|| {
-                self.entries.push((log_odds, ClassCounts::default()));
+                self.entries.push((log_odds, CellCounts::default()));
                 self.entries.len() - 1
             }),
         };
@@ -40,10 +33,9 @@ impl ScoreCounter {
     }
 
     /// All scores in ascending order.
-    pub fn into_sorted(self) -> Vec<(f32, ClassCounts)> {
-        let mut entries = self.entries;
-        entries.sort_by(|a, b| a.0.total_cmp(&b.0));
-        entries
+    pub fn into_sorted(mut self) -> Vec<(f32, CellCounts)> {
+        self.entries.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.entries
     }
 }
 

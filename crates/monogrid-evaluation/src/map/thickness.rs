@@ -30,16 +30,12 @@ pub struct Thickness {
 impl Thickness {
     /// At those of the truly occupied `cells` that lie beside free space.
     pub fn at(cells: &[[i32; 3]], estimate: &OccupancyMap, truth: &TruthGrid) -> Self {
-        let (mut thick, mut true_thick) = (Vec::new(), Vec::new());
-        for cell in cells {
-            let Some(crossing) = Crossing::of(*cell, truth) else {
-                continue;
-            };
-            if let Some(run) = crossing.run_in(estimate) {
-                thick.push(f64::from(run));
-                true_thick.push(f64::from(crossing.last - crossing.first + 1));
-            }
-        }
+        let runs = cells.iter().filter_map(|cell| {
+            let crossing = Crossing::of(*cell, truth)?;
+            let run = f64::from(crossing.run_in(estimate)?);
+            Some((run, f64::from(crossing.last - crossing.first + 1)))
+        });
+        let (thick, true_thick): (Vec<f64>, Vec<f64>) = runs.unzip();
         Self {
             thickness_cells: median(&thick),
             true_thickness_cells: median(&true_thick),

@@ -1,7 +1,7 @@
 //! Shortest paths over cells with 26 neighbours.
 
 use super::grid::DistanceGrid;
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// A path and its length in cells.
@@ -30,29 +30,9 @@ struct Node {
     is_closed: bool,
 }
 
-/// Entry of the queue: least estimate of the whole path first, then the one farther along.
-#[derive(Clone, Copy, PartialEq)]
-struct Open {
-    estimate: f32,
-    cost: f32,
-    index: u32,
-}
-
-impl Eq for Open {}
-
-impl Ord for Open {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let by_estimate = other.estimate.total_cmp(&self.estimate);
-        let by_cost = self.cost.total_cmp(&other.cost);
-        by_estimate.then(by_cost).then(other.index.cmp(&self.index))
-    }
-}
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
+/// Entry of the queue: least estimate of the whole path first, then the one farther along (cost), then by index. Both lengths are
+/// given by their bits, whose order is that of numbers that are not negative.
+type Open = (Reverse<u32>, u32, Reverse<u32>);
 
 /// Cells next to a blocked one are never used: it spares every look beyond the border.
 const MIN_CLEARANCE: f32 = 1.001;
@@ -89,13 +69,10 @@ impl<'a> Planner<'a> {
             search: self.search,
             ..Node::default()
         };
-        open.push(Open {
-            estimate: 0.0,
-            cost: 0.0,
-            index: start as u32,
-        });
-        while let Some(entry) = open.pop() {
-            let index = entry.index as usize;
+        open.push((Reverse(0), 0, Reverse(start as u32)));
+        while let Some((_, cost, Reverse(index))) = open.pop() {
+            let entry = (f32::from_bits(cost), index);
+            let index = index as usize;
             if self.nodes[index].is_closed {
                 continue;
             }
@@ -109,21 +86,26 @@ impl<'a> Planner<'a> {
     }
 
     /// Queues the neighbours that are reached for less than before.
-    fn expand(&mut self, open: &mut BinaryHeap<Open>, entry: Open, goal: [usize; 3]) {
-        let [x, y, z] = self.grid.cell(entry.index as usize);
+    fn expand(
+        &mut self,
+        open: &mut BinaryHeap<Open>,
+        (cost, parent): (f32, u32),
+        goal: [usize; 3],
+    ) {
+        let [x, y, z] = self.grid.cell(parent as usize);
         for step in &self.steps {
-            let index = entry.index.wrapping_add_signed(step.offset);
+            let index = parent.wrapping_add_signed(step.offset);
             if self.component[index as usize] == 0 {
                 continue;
             }
-            let cost = entry.cost + step.length;
+            let cost = cost + step.length;
             let node = &mut self.nodes[index as usize];
             if node.search == self.search && (node.is_closed || node.cost <= cost) {
                 continue;
             }
             *node = Node {
                 cost,
-                parent: entry.index,
+                parent,
                 search: self.search,
                 is_closed: false,
             };
@@ -132,11 +114,8 @@ impl<'a> Planner<'a> {
                 y.wrapping_add_signed(step.axes[1]),
                 z.wrapping_add_signed(step.axes[2]),
             ];
-            open.push(Open {
-                estimate: cost + distance_without_obstacles(cell, goal),
-                cost,
-                index,
-            });
+            let estimate = cost + distance_without_obstacles(cell, goal);
+            open.push((Reverse(estimate.to_bits()), cost.to_bits(), Reverse(index)));
         }
     }
 

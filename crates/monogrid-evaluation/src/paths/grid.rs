@@ -22,8 +22,7 @@ impl DistanceGrid {
             .map(|i| if is_blocked(i) { 0.0 } else { FAR_SQ })
             .collect();
         let strides = [1, size[0], size[0] * size[1]];
-        let longest = size.iter().copied().max().unwrap_or(0);
-        let mut line = Line::with_capacity(longest + 2);
+        let mut line = Line::default();
         for axis in 0..3 {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             for j in 0..size[v] {
@@ -64,6 +63,7 @@ pub fn index_in(size: [usize; 3], [x, y, z]: [usize; 3]) -> usize {
 }
 
 /// Scratch space of the one-dimensional transform.
+#[derive(Default)]
 struct Line {
     values: Vec<f32>,
     /// Positions of the parabolas of the lower envelope and where each begins.
@@ -72,35 +72,25 @@ struct Line {
 }
 
 impl Line {
-    fn with_capacity(length: usize) -> Self {
-        Self {
-            values: Vec::with_capacity(length),
-            apex: Vec::with_capacity(length),
-            begin: Vec::with_capacity(length),
-        }
-    }
-
     /// Replaces the values of a line by `min over q of (p - q)² + value(q)`, with a blocked cell
     /// beyond each end.
     fn transform(&mut self, cells: &mut [f32], first: usize, stride: usize, length: usize) {
         self.values.clear();
         self.values.push(0.0);
-        self.values
-            .extend((0..length).map(|i| cells[first + i * stride]));
-        self.values.push(0.0);
+        let line = (0..length).map(|i| cells[first + i * stride]);
+        self.values.extend(line.chain([0.0]));
         self.apex.clear();
         self.begin.clear();
         for q in 0..self.values.len() {
             let mut begin = f32::NEG_INFINITY;
             while let Some(&p) = self.apex.last() {
                 begin = self.crossing(p, q);
-                if self.begin.last().is_some_and(|b| begin <= *b) {
-                    self.apex.pop();
-                    self.begin.pop();
-                    begin = f32::NEG_INFINITY;
-                } else {
+                if self.begin.last().is_none_or(|b| begin > *b) {
                     break;
                 }
+                self.apex.pop();
+                self.begin.pop();
+                begin = f32::NEG_INFINITY;
             }
             self.apex.push(q);
             self.begin.push(begin);

@@ -182,30 +182,31 @@ pub fn evaluate_paths(
             max: MAX_CELLS,
         });
     }
-    let margin = config
-        .planning_margin
-        .unwrap_or_else(|| 3.0_f64.sqrt() * cell);
-    let clearances = Clearances::new(config.robot_radius, margin, cell);
+    let diagonal = 3.0_f64.sqrt() * cell;
+    let margin = config.planning_margin.unwrap_or(diagonal);
+    let clearances = Clearances {
+        plan: ((config.robot_radius + margin) / cell + 0.5) as f32,
+        collide: (config.robot_radius / cell + 0.5) as f32,
+    };
+    let [nx, ny, _] = coarse_truth.size();
     let in_truth = DistanceGrid::new(coarse_truth.size(), |i| {
-        state_at(&coarse_truth, i) != Occupancy::Free
+        coarse_truth.state_at([i % nx, i / nx % ny, i / nx / ny]) != Occupancy::Free
     });
     let mut truth_planner = Planner::new(&in_truth, clearances.plan);
     let pairs = sample_pairs(&in_truth, &truth_planner, config, cell)?;
     let index = |key| Some(in_truth.index(coarse_truth.local(key)?));
     let states = coarse_states(estimate, index, in_truth.len(), factor);
     let to_unobserved = DistanceGrid::new(in_truth.size, |i| states[i] == Occupancy::Unknown);
-    let routes: Vec<Route> = pairs
-        .into_iter()
-        .filter_map(|(start, goal)| {
-            let is_inside =
-                |cells: &[usize]| least_distance(&to_unobserved, cells) >= clearances.collide;
-            truth_planner.plan(start, goal).map(|path| Route {
-                are_ends_observed: is_inside(&[start, goal]),
-                is_path_observed: is_inside(&path.cells),
-                path,
-            })
+    let is_inside = |cells: &[usize]| least_distance(&to_unobserved, cells) >= clearances.collide;
+    let route = |(start, goal)| {
+        let path = truth_planner.plan(start, goal)?;
+        Some(Route {
+            are_ends_observed: is_inside(&[start, goal]),
+            is_path_observed: is_inside(&path.cells),
+            path,
         })
-        .collect();
+    };
+    let routes: Vec<Route> = pairs.into_iter().filter_map(route).collect();
     drop(truth_planner);
     let report = |is_blocked: &dyn Fn(Occupancy) -> bool| {
         let in_map = DistanceGrid::new(in_truth.size, |i| is_blocked(states[i]));
@@ -224,15 +225,6 @@ pub fn evaluate_paths(
 struct Clearances {
     plan: f32,
     collide: f32,
-}
-
-impl Clearances {
-    fn new(robot_radius: f64, margin: f64, cell: f64) -> Self {
-        Self {
-            plan: ((robot_radius + margin) / cell + 0.5) as f32,
-            collide: (robot_radius / cell + 0.5) as f32,
-        }
-    }
 }
 
 /// The shortest path of a pair in the truth.
@@ -258,38 +250,20 @@ struct PlanOnMap {
 }
 
 fn validate(config: &PathConfig) -> Result<(), PathError> {
-    let margin = config.planning_margin.unwrap_or(1.0);
+    let positive = |field, value: f64| (field, value, value > 0.0);
+    let not_negative = |field, value: f64| (field, value, value >= 0.0);
     let fields = [
-        (
-            "robot_radius",
-            config.robot_radius,
-            config.robot_radius > 0.0,
-        ),
-        (
-            "planning_cell",
-            config.planning_cell,
-            config.planning_cell > 0.0,
-        ),
-        ("planning_margin", margin, margin >= 0.0),
-        (
-            "min_distance",
-            config.min_distance,
-            config.min_distance >= 0.0,
-        ),
-        ("pairs", config.pairs as f64, config.pairs > 0),
+        positive("robot_radius", config.robot_radius),
+        positive("planning_cell", config.planning_cell),
+        not_negative("planning_margin", config.planning_margin.unwrap_or(1.0)),
+        not_negative("min_distance", config.min_distance),
+        positive("pairs", config.pairs as f64),
     ];
-    match fields
-        .iter()
-        .find(|(_, v, is_good)| !(*is_good && v.is_finite()))
-    {
-        Some(&(field, value, _)) => Err(PathError::Config { field, value }),
+    let is_wrong = |(_, value, is_good): &(_, f64, bool)| !(*is_good && value.is_finite());
+    match fields.into_iter().find(is_wrong) {
+        Some((field, value, _)) => Err(PathError::Config { field, value }),
         None => Ok(()),
     }
-}
-
-fn state_at(grid: &TruthGrid, index: usize) -> Occupancy {
-    let [nx, ny, _] = grid.size();
-    grid.state(grid.global([index % nx, index / nx % ny, index / nx / ny]))
 }
 
 /// States of cubes of `factor` cells along each axis: occupied when any of them is, else free when at least half are; `index` says
@@ -313,14 +287,12 @@ fn coarse_states(
         }
     }
     let half = factor.pow(3).div_ceil(2);
-    free.into_iter()
-        .zip(is_occupied)
-        .map(|(free, is_occupied)| match is_occupied {
-            true => Occupancy::Occupied,
-            false if free >= half => Occupancy::Free,
-            false => Occupancy::Unknown,
-        })
-        .collect()
+    let state = |(free, is_occupied): (u32, bool)| match is_occupied {
+        true => Occupancy::Occupied,
+        false if free >= half => Occupancy::Free,
+        false => Occupancy::Unknown,
+    };
+    free.into_iter().zip(is_occupied).map(state).collect()
 }
 
 /// Random pairs of places that are connected in the truth and far enough apart.
@@ -330,9 +302,8 @@ fn sample_pairs(
     config: &PathConfig,
     cell: f64,
 ) -> Result<Vec<(usize, usize)>, PathError> {
-    let free: Vec<usize> = (0..grid.len())
-        .filter(|i| planner.component(*i) != 0)
-        .collect();
+    let is_free = |i: &usize| planner.component(*i) != 0;
+    let free: Vec<usize> = (0..grid.len()).filter(is_free).collect();
     let min_distance_sq = (config.min_distance / cell).powi(2);
     let mut rng = Rng::new(config.seed);
     let mut draw = || free[rng.below(free.len())];
@@ -368,24 +339,22 @@ fn compare(
     cell: f64,
 ) -> PathReport {
     let mut planner = Planner::new(in_map, clearances.plan);
-    let outcomes: Vec<Outcome> = routes
-        .iter()
-        .map(|route| {
-            let cells = &route.path.cells;
-            let plan = planner.plan(cells[0], cells[cells.len() - 1]);
-            Outcome {
-                is_optimal_blocked: least_distance(in_map, cells) < clearances.collide,
-                plan: plan.map(|plan| {
-                    let distance = least_distance(in_truth, &plan.cells);
-                    PlanOnMap {
-                        length_ratio: plan.length / route.path.length,
-                        clearance: (f64::from(distance) - 0.5) * cell,
-                        collides: distance < clearances.collide,
-                    }
-                }),
-            }
-        })
-        .collect();
+    let outcome = |route: &Route| {
+        let cells = &route.path.cells;
+        let plan = planner.plan(cells[0], cells[cells.len() - 1]);
+        Outcome {
+            is_optimal_blocked: least_distance(in_map, cells) < clearances.collide,
+            plan: plan.map(|plan| {
+                let distance = least_distance(in_truth, &plan.cells);
+                PlanOnMap {
+                    length_ratio: plan.length / route.path.length,
+                    clearance: (f64::from(distance) - 0.5) * cell,
+                    collides: distance < clearances.collide,
+                }
+            }),
+        }
+    };
+    let outcomes: Vec<Outcome> = routes.iter().map(outcome).collect();
     let of = |is_counted: fn(&Route) -> bool| {
         let pairs = routes.iter().zip(&outcomes);
         stats(pairs.filter_map(|(route, outcome)| is_counted(route).then_some(outcome)))

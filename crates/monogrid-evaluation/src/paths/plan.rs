@@ -3,6 +3,7 @@
 use super::astar::Planner;
 use super::grid::{DistanceGrid, index_in};
 use super::{MAX_CELLS, coarse_states, least_distance};
+use crate::truth::cell_in_box;
 use monogrid_occupancy::{Occupancy, OccupancyMap};
 use serde::Serialize;
 
@@ -96,12 +97,12 @@ pub fn plan_path(
     }
     let area = Area::new(map, config.max_cells.min(MAX_CELLS)).ok_or(PlanError::Empty)?;
     let cell = area.cell;
-    let ends = [("start", from), ("goal", to)].map(|(end, point)| {
+    let index_of = |end, point| {
         let (low, high) = map.bounds().unwrap_or_default();
-        area.index_of(point)
-            .ok_or(PlanError::Outside { end, low, high })
-    });
-    let [start, goal] = [ends[0].clone()?, ends[1].clone()?];
+        let index = area.index_of(point);
+        index.ok_or(PlanError::Outside { end, low, high })
+    };
+    let (start, goal) = (index_of("start", from)?, index_of("goal", to)?);
     let states = coarse_states(map, |key| area.index(key), area.count(), area.factor);
     let grid = DistanceGrid::new(area.size, |i| match states[i] {
         Occupancy::Occupied => true,
@@ -121,14 +122,12 @@ pub fn plan_path(
             });
         }
     }
-    let path = planner
-        .plan(start, goal)
-        .ok_or(PlanError::NotConnected(radius))?;
+    let path = planner.plan(start, goal);
+    let path = path.ok_or(PlanError::NotConnected(radius))?;
     let least = least_distance(&grid, &path.cells);
+    let turns = turns(&path.cells, &grid);
     Ok(PlannedPath {
-        points: turns(&path.cells, &grid)
-            .map(|i| area.centre(grid.cell(i)))
-            .collect(),
+        points: turns.map(|i| area.centre(grid.cell(i))).collect(),
         length: path.length * cell,
         clearance: (f64::from(least) - half_diagonal) * cell,
         planning_cell: cell,
@@ -163,17 +162,15 @@ impl Area {
             let first = low.to_array().map(coarse);
             let last = high.to_array().map(coarse);
             let size = [0, 1, 2].map(|axis| (last[axis] - first[axis] + 1) as usize);
-            let count = size
-                .iter()
-                .try_fold(1usize, |all, side| all.checked_mul(*side));
-            count
-                .is_some_and(|count| count <= max_cells)
-                .then_some(Self {
-                    first,
-                    size,
-                    factor: factor as u32,
-                    cell: map.resolution() * f64::from(factor),
-                })
+            let mut sides = size.iter();
+            let count = sides.try_fold(1usize, |all, side| all.checked_mul(*side));
+            let is_small = count.is_some_and(|count| count <= max_cells);
+            is_small.then_some(Self {
+                first,
+                size,
+                factor: factor as u32,
+                cell: map.resolution() * f64::from(factor),
+            })
         })
     }
 
@@ -182,21 +179,14 @@ impl Area {
     }
 
     fn index(&self, key: [i32; 3]) -> Option<usize> {
-        let mut at = [0; 3];
-        for axis in 0..3 {
-            let offset =
-                usize::try_from(i64::from(key[axis]) - i64::from(self.first[axis])).ok()?;
-            at[axis] = (offset < self.size[axis]).then_some(offset)?;
-        }
-        Some(index_in(self.size, at))
+        let cell = cell_in_box(self.first, self.size, key)?;
+        Some(index_in(self.size, cell))
     }
 
     fn index_of(&self, point: [f64; 3]) -> Option<usize> {
         let key = point.map(|value| (value / self.cell).floor());
-        let fits = |value: &f64| value.abs() < f64::from(i32::MAX);
-        key.iter()
-            .all(fits)
-            .then(|| self.index(key.map(|value| value as i32)))?
+        let fits = key.iter().all(|value| value.abs() < f64::from(i32::MAX));
+        fits.then(|| self.index(key.map(|value| value as i32)))?
     }
 
     fn centre(&self, at: [usize; 3]) -> [f64; 3] {

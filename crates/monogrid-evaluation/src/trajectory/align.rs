@@ -16,28 +16,27 @@ pub(super) fn align(
     pairs: &[PosePair],
     alignment: TrajectoryAlignment,
 ) -> Result<Sim3, AlignmentError> {
-    let with_scale = match alignment {
-        TrajectoryAlignment::Sim3 => true,
-        TrajectoryAlignment::Se3 => false,
-        TrajectoryAlignment::None => return Ok(Sim3::identity()),
+    let Some(with_scale) = alignment.with_scale() else {
+        return Ok(Sim3::identity());
     };
-    let positions = |of: fn(&PosePair) -> Vec3| -> Vec<Vec3> { pairs.iter().map(of).collect() };
-    let source = positions(|p| p.est_from_camera.translation);
-    let target = positions(|p| p.gt_from_camera.translation);
-    match along_a_line(pairs, &source, &target, with_scale) {
-        Some(aligned) => Ok(aligned),
-        None => Ok(align_similarity(&source, &target, with_scale)?.target_from_source),
+    if let Some(aligned) = along_a_line(pairs, with_scale) {
+        return Ok(aligned);
     }
+    let (source, target): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().map(positions).unzip();
+    Ok(align_similarity(&source, &target, with_scale)?.target_from_source)
+}
+
+/// Of the camera in the estimate and in the truth.
+fn positions(pair: &PosePair) -> (Vec3, Vec3) {
+    (
+        pair.est_from_camera.translation,
+        pair.gt_from_camera.translation,
+    )
 }
 
 /// The transform for a true path along a line; `None` where it is none, or where nobody moves.
-fn along_a_line(
-    pairs: &[PosePair],
-    source: &[Vec3],
-    target: &[Vec3],
-    with_scale: bool,
-) -> Option<Sim3> {
-    let moments = Moments::of(pairs, source, target);
+fn along_a_line(pairs: &[PosePair], with_scale: bool) -> Option<Sim3> {
+    let moments = Moments::of(pairs);
     let spread = (moments.scatter.symmetric_eigenvalues()).map(|v| v.max(0.0).sqrt());
     let (longest, sum) = (spread.max(), spread.sum());
     let across = sum - longest - spread.min();
@@ -55,10 +54,7 @@ fn along_a_line(
 pub(super) fn align_poses(pairs: &[PosePair], radius: f64, with_scale: bool) -> Option<Sim3> {
     /// The scale depends on the rotation, which depends on the scale.
     const ROUNDS: usize = 5;
-    let source = pairs.iter().map(|pair| pair.est_from_camera.translation);
-    let source: Vec<Vec3> = source.collect();
-    let target: Vec<Vec3> = pairs.iter().map(|p| p.gt_from_camera.translation).collect();
-    let moments = Moments::of(pairs, &source, &target);
+    let moments = Moments::of(pairs);
     let mut turn = nearest_rotation(&moments.turns)?;
     for _ in 0..ROUNDS {
         let scale = moments.scale(&turn, with_scale)?;
@@ -83,18 +79,19 @@ struct Moments {
 }
 
 impl Moments {
-    fn of(pairs: &[PosePair], source: &[Vec3], target: &[Vec3]) -> Self {
+    fn of(pairs: &[PosePair]) -> Self {
         let n = pairs.len() as f64;
         let mut moments = Self {
-            mean_source: source.iter().sum::<Vec3>() / n,
-            mean_target: target.iter().sum::<Vec3>() / n,
+            mean_source: pairs.iter().map(|p| positions(p).0).sum::<Vec3>() / n,
+            mean_target: pairs.iter().map(|p| positions(p).1).sum::<Vec3>() / n,
             scatter: Mat3::zeros(),
             covariance: Mat3::zeros(),
             var_source: 0.0,
             turns: Mat3::zeros(),
         };
-        for ((pair, s), t) in pairs.iter().zip(source).zip(target) {
-            let (ds, dt) = (s - moments.mean_source, t - moments.mean_target);
+        for pair in pairs {
+            let (source, target) = positions(pair);
+            let (ds, dt) = (source - moments.mean_source, target - moments.mean_target);
             moments.scatter += dt * dt.transpose() / n;
             moments.covariance += dt * ds.transpose() / n;
             moments.var_source += ds.norm_squared() / n;

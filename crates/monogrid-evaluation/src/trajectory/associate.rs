@@ -57,16 +57,15 @@ pub(crate) fn associate(
         est_from_camera: estimate[i].1,
         gt_from_camera: truth[j].1,
     };
+    let nearest = |times: &[f64], time: f64| nearest_within(times, time, max_difference_secs);
     if estimate.len() > truth.len() {
-        let nearest = |j: usize| {
-            nearest_within(&estimate_times, truth_times[j], max_difference_secs).map(|i| pair(i, j))
-        };
-        (0..truth.len()).filter_map(nearest).collect()
+        let pairs = truth_times.iter().enumerate();
+        let pairs = pairs.filter_map(|(j, time)| Some(pair(nearest(&estimate_times, *time)?, j)));
+        pairs.collect()
     } else {
-        let nearest = |i: usize| {
-            nearest_within(&truth_times, estimate_times[i], max_difference_secs).map(|j| pair(i, j))
-        };
-        (0..estimate.len()).filter_map(nearest).collect()
+        let pairs = estimate_times.iter().enumerate();
+        let pairs = pairs.filter_map(|(i, time)| Some(pair(i, nearest(&truth_times, *time)?)));
+        pairs.collect()
     }
 }
 

@@ -25,15 +25,16 @@ pub(crate) fn with_truth(
     sorted_truth: &[StampedPose],
     frame_interval_secs: f64,
 ) -> Vec<i64> {
-    let times: Vec<f64> = sorted_truth.iter().map(|p| seconds(p.0)).collect();
-    let reach_secs = frame_interval_secs + 1e-6;
-    let mut known: Vec<i64> = frame_times_ns
-        .iter()
-        .copied()
-        .filter(|time| nearest_within(&times, seconds(*time), reach_secs).is_some())
-        .collect();
+    let mut known = near(frame_times_ns, sorted_truth, frame_interval_secs + 1e-6);
     known.sort_unstable();
     known
+}
+
+/// The times that have a pose at most so far away.
+fn near(times_ns: &[i64], sorted_poses: &[StampedPose], reach_secs: f64) -> Vec<i64> {
+    let times: Vec<f64> = sorted_poses.iter().map(|p| seconds(p.0)).collect();
+    let is_near = |time: &i64| nearest_within(&times, seconds(*time), reach_secs).is_some();
+    times_ns.iter().copied().filter(is_near).collect()
 }
 
 /// Share of the given times that have an estimated pose within half a frame interval.
@@ -45,14 +46,9 @@ pub(crate) fn coverage(
     if times_ns.is_empty() {
         return 0.0;
     }
-    let times: Vec<f64> = sorted_estimate.iter().map(|p| seconds(p.0)).collect();
     // A microsecond more, so that a true pose halfway between two frames belongs to both.
-    let reach_secs = 0.5 * frame_interval_secs + 1e-6;
-    let covered = times_ns
-        .iter()
-        .filter(|time| nearest_within(&times, seconds(**time), reach_secs).is_some())
-        .count();
-    covered as f64 / times_ns.len() as f64
+    let covered = near(times_ns, sorted_estimate, 0.5 * frame_interval_secs + 1e-6);
+    covered.len() as f64 / times_ns.len() as f64
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ mod scale_drift;
 mod wrong;
 
 pub use associate::{PosePair, StampedPose};
-pub use scale_drift::{ScaleWindowConfig, WindowScale};
+pub use scale_drift::WindowScale;
 pub use wrong::{WrongPose, WrongPoseConfig};
 
 use crate::statistics::ErrorSummary;
@@ -34,12 +34,9 @@ pub enum TrajectoryAlignment {
 }
 
 impl TrajectoryAlignment {
-    /// Poses that determine it, and something to compare.
-    fn fewest_poses(self) -> usize {
-        match self {
-            Self::None => 2,
-            Self::Sim3 | Self::Se3 => 3,
-        }
+    /// Whether the scale is adjusted too; `None` where nothing is.
+    fn with_scale(self) -> Option<bool> {
+        (self != Self::None).then_some(self == Self::Sim3)
     }
 }
 
@@ -56,8 +53,6 @@ pub struct TrajectoryConfig<'a> {
     /// Times of the frames of the source, nanoseconds, in any order: the coverage is that of the frames. Default:
     /// not known, and the coverage that of the true poses.
     pub frame_times_ns: Option<&'a [i64]>,
-    /// Windows of the scale drift.
-    pub windows: ScaleWindowConfig,
     /// Poses that count as wrong.
     pub wrong: WrongPoseConfig,
 }
@@ -69,7 +64,6 @@ impl Default for TrajectoryConfig<'_> {
             max_difference_secs: 0.01,
             frame_interval_secs: None,
             frame_times_ns: None,
-            windows: ScaleWindowConfig::default(),
             wrong: WrongPoseConfig::default(),
         }
     }
@@ -201,7 +195,8 @@ pub fn evaluate_trajectory(
     let estimate = checked_and_sorted(estimate, "estimated")?;
     let truth = checked_and_sorted(truth, "true")?;
     let pairs = associate::associate(&estimate, &truth, config.max_difference_secs);
-    let expected = config.alignment.fewest_poses();
+    // poses that determine it, and something to compare
+    let expected = config.alignment.with_scale().map_or(2, |_| 3);
     let too_few = || TrajectoryError::TooFewMatches {
         found: pairs.len(),
         expected,
@@ -213,15 +208,13 @@ pub fn evaluate_trajectory(
         return Err(too_few());
     }
     let gt_from_est = align(&pairs, config.alignment)?;
-    let aligned = pairs
-        .iter()
-        .map(|p| apply(&gt_from_est, &p.est_from_camera));
-    let aligned: Vec<Se3> = aligned.collect();
+    let apply_to = |p: &PosePair| apply(&gt_from_est, &p.est_from_camera);
+    let aligned: Vec<Se3> = pairs.iter().map(apply_to).collect();
     let ate = ErrorSummary::of(&position_errors(&pairs, &aligned)).ok_or_else(too_few)?;
     let (translations, rotations_deg) = relative_errors(&pairs, &aligned);
     let rpe_trans = ErrorSummary::of(&translations).ok_or_else(too_few)?;
     let rpe_rot_deg = ErrorSummary::of(&rotations_deg).ok_or_else(too_few)?;
-    let window_scales = scale_drift::window_scales(&pairs, &config.windows);
+    let window_scales = scale_drift::window_scales(&pairs);
     let wrong = wrong::wrong_poses(&pairs, config.alignment, &config.wrong);
     let frame_interval_secs = config
         .frame_interval_secs
@@ -260,50 +253,22 @@ pub fn evaluate_trajectory(
 }
 
 fn validate(config: &TrajectoryConfig) -> Result<(), TrajectoryError> {
-    let windows = &config.windows;
-    let interval = config.frame_interval_secs.unwrap_or(1.0);
-    let positive = "a positive number of seconds";
-    let checks = [
-        (
-            "max_difference_secs",
-            config.max_difference_secs,
-            config.max_difference_secs >= 0.0,
-            "0 or more seconds",
-        ),
-        ("frame_interval_secs", interval, interval > 0.0, positive),
-        (
-            "windows.length_secs",
-            windows.length_secs,
-            windows.length_secs > 0.0 && windows.length_secs.is_finite(),
-            positive,
-        ),
-        (
-            "wrong.path_share",
-            config.wrong.path_share,
-            config.wrong.path_share > 0.0,
-            "a positive number",
-        ),
-        (
-            "wrong.degrees",
-            config.wrong.degrees,
-            config.wrong.degrees > 0.0 && config.wrong.degrees <= 180.0,
-            "more than 0 and at most 180",
-        ),
-        (
-            "windows.stride_secs",
-            windows.stride_secs,
-            windows.stride_secs > 1e-6,
-            "more than a microsecond",
-        ),
-    ];
-    match checks.iter().find(|(_, _, is_good, _)| !is_good) {
-        Some(&(field, value, _, allowed)) => Err(TrajectoryError::Config {
+    let check = |field, value, is_good: bool, allowed| match is_good {
+        true => Ok(()),
+        false => Err(TrajectoryError::Config {
             field,
             value,
             allowed,
         }),
-        None => Ok(()),
-    }
+    };
+    let (gap, frame) = (config.max_difference_secs, config.frame_interval_secs);
+    check("max_difference_secs", gap, gap >= 0.0, "0 or more seconds")?;
+    let (frame, positive) = (frame.unwrap_or(1.0), "a positive number of seconds");
+    check("frame_interval_secs", frame, frame > 0.0, positive)?;
+    let (share, angle) = (config.wrong.path_share, config.wrong.degrees);
+    check("wrong.path_share", share, share > 0.0, "a positive number")?;
+    let (is_angle, allowed) = (angle > 0.0 && angle <= 180.0, "more than 0 and at most 180");
+    check("wrong.degrees", angle, is_angle, allowed)
 }
 
 fn checked_and_sorted(

@@ -15,44 +15,26 @@ pub struct WindowScale {
     pub scale: f64,
 }
 
-/// Which windows are cut and which of them count.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ScaleWindowConfig {
-    /// Length of a window, seconds. Default 3.
-    pub length_secs: f64,
-    /// From the start of one window to the start of the next, seconds. Default 2.
-    pub stride_secs: f64,
-    /// A window counts with at least so many matched poses. Default 10.
-    pub min_poses: usize,
-    /// The last window may be cut by the end of the data; it counts when its poses span at least
-    /// this share of `length_secs`, (0, 1]. Default 1/3.
-    pub min_span_ratio: f64,
-    /// A window in which the true camera hardly moves does not tell a scale. It counts when the
-    /// root mean square distance of its true positions from their mean is at least this share of
-    /// the median of that spread over all windows, [0, 1). Default 0.2.
-    pub min_spread_ratio: f64,
-}
-
-impl Default for ScaleWindowConfig {
-    fn default() -> Self {
-        Self {
-            length_secs: 3.0,
-            stride_secs: 2.0,
-            min_poses: 10,
-            min_span_ratio: 1.0 / 3.0,
-            min_spread_ratio: 0.2,
-        }
-    }
-}
+/// Length of a window, seconds.
+const LENGTH_SECS: f64 = 3.0;
+/// From the start of one window to the start of the next, seconds.
+const STRIDE_SECS: f64 = 2.0;
+/// A window counts with at least so many matched poses.
+const MIN_POSES: usize = 10;
+/// The last window may be cut by the end of the data; it counts when its poses span at least this share of its length.
+const MIN_SPAN_RATIO: f64 = 1.0 / 3.0;
+/// A window in which the true camera hardly moves does not tell a scale. It counts when the root mean square distance of its true
+/// positions from their mean is at least this share of the median of that spread over all windows.
+const MIN_SPREAD_RATIO: f64 = 0.2;
 
 /// Scale of every window that counts, in the order of time.
-pub(crate) fn window_scales(pairs: &[PosePair], config: &ScaleWindowConfig) -> Vec<WindowScale> {
-    let windows = cut(pairs, config);
+pub(crate) fn window_scales(pairs: &[PosePair]) -> Vec<WindowScale> {
+    let windows = cut(pairs);
     let spreads: Vec<f64> = windows.iter().map(|(_, w)| truth_spread(w)).collect();
     let Some(typical) = median(&spreads) else {
         return Vec::new();
     };
-    let min_spread = config.min_spread_ratio * typical;
+    let min_spread = MIN_SPREAD_RATIO * typical;
     windows
         .iter()
         .zip(&spreads)
@@ -71,67 +53,62 @@ pub(crate) fn scale_drift(scales: &[WindowScale]) -> f64 {
     }
     let largest = scales.iter().map(|w| w.scale).fold(0.0, f64::max);
     let smallest = scales.iter().map(|w| w.scale).fold(f64::INFINITY, f64::min);
-    if smallest > 0.0 {
-        // Infinity over infinity: every window collapsed.
-        let ratio = largest / smallest;
-        if ratio.is_nan() { f64::INFINITY } else { ratio }
-    } else {
-        f64::INFINITY
-    }
+    let ratio = largest / smallest;
+    // Infinity over infinity: every window collapsed.
+    let is_finite = smallest > 0.0 && !ratio.is_nan();
+    if is_finite { ratio } else { f64::INFINITY }
 }
 
 /// Windows with enough poses over enough time, each with its start in seconds after the first pose.
-fn cut<'a>(pairs: &'a [PosePair], config: &ScaleWindowConfig) -> Vec<(f64, &'a [PosePair])> {
+fn cut(pairs: &[PosePair]) -> Vec<(f64, &[PosePair])> {
     let Some(first) = pairs.first() else {
         return Vec::new();
     };
     let mut windows = Vec::new();
     let mut index = 0.0;
     loop {
-        let start_secs = index * config.stride_secs;
+        let start_secs = index * STRIDE_SECS;
         let since_first = |p: &PosePair| p.time_secs - first.time_secs;
         let begin = pairs.partition_point(|p| since_first(p) < start_secs);
-        let end = pairs.partition_point(|p| since_first(p) <= start_secs + config.length_secs);
+        let end = pairs.partition_point(|p| since_first(p) <= start_secs + LENGTH_SECS);
         let Some(next) = pairs.get(begin) else {
             return windows;
         };
         let window = &pairs[begin..end];
-        if is_counted(window, config) {
+        if is_counted(window) {
             windows.push((start_secs, window));
         }
         // A gap in the data holds no windows: go on with the first one that reaches past it.
-        let after_gap = ((since_first(next) - config.length_secs) / config.stride_secs).floor();
+        let after_gap = ((since_first(next) - LENGTH_SECS) / STRIDE_SECS).floor();
         index = f64::max(index + 1.0, after_gap);
     }
 }
 
-fn is_counted(window: &[PosePair], config: &ScaleWindowConfig) -> bool {
+fn is_counted(window: &[PosePair]) -> bool {
     let (Some(first), Some(last)) = (window.first(), window.last()) else {
         return false;
     };
     let span_secs = last.time_secs - first.time_secs;
-    window.len() >= config.min_poses && span_secs >= config.min_span_ratio * config.length_secs
+    window.len() >= MIN_POSES && span_secs >= MIN_SPAN_RATIO * LENGTH_SECS
 }
 
-fn mean(points: impl Iterator<Item = Vec3>, count: usize) -> Vec3 {
-    points.sum::<Vec3>() / count as f64
+fn mean(window: &[PosePair], point: fn(&PosePair) -> Vec3) -> Vec3 {
+    window.iter().map(point).sum::<Vec3>() / window.len() as f64
 }
 
 /// Root mean square distance of the true positions from their mean.
 fn truth_spread(window: &[PosePair]) -> f64 {
-    let positions = || window.iter().map(|p| p.gt_from_camera.translation);
-    let centre = mean(positions(), window.len());
-    let sum_sq: f64 = positions().map(|p| (p - centre).norm_squared()).sum();
+    let centre = mean(window, |p| p.gt_from_camera.translation);
+    let distance_sq = |p: &PosePair| (p.gt_from_camera.translation - centre).norm_squared();
+    let sum_sq: f64 = window.iter().map(distance_sq).sum();
     (sum_sq / window.len() as f64).sqrt()
 }
 
 /// Umeyama, equation (42): tr(D S) / var(estimate). Unlike the rotation it is also defined for
 /// motion along a line.
 fn umeyama_scale(window: &[PosePair]) -> f64 {
-    let estimate = window.iter().map(|p| p.est_from_camera.translation);
-    let mean_estimate = mean(estimate, window.len());
-    let truth = window.iter().map(|p| p.gt_from_camera.translation);
-    let mean_truth = mean(truth, window.len());
+    let mean_estimate = mean(window, |p| p.est_from_camera.translation);
+    let mean_truth = mean(window, |p| p.gt_from_camera.translation);
     let mut covariance = Mat3::zeros();
     let mut var_estimate = 0.0;
     for pair in window {
@@ -143,11 +120,8 @@ fn umeyama_scale(window: &[PosePair]) -> f64 {
     if var_estimate <= 0.0 || !covariance.iter().all(|x| x.is_finite()) {
         return f64::INFINITY;
     }
-    let sign = if covariance.determinant() < 0.0 {
-        -1.0
-    } else {
-        1.0
-    };
+    let is_mirrored = covariance.determinant() < 0.0;
+    let sign = if is_mirrored { -1.0 } else { 1.0 };
     // Sorted in descending order, so the last one takes the sign.
     let singular = covariance.svd(false, false).singular_values;
     (singular[0] + singular[1] + sign * singular[2]) / var_estimate
@@ -180,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_constant_scale_does_not_drift() {
-        let scales = window_scales(&pairs(700, |_| 2.5), &ScaleWindowConfig::default());
+        let scales = window_scales(&pairs(700, |_| 2.5));
         assert_eq!(scales.len(), 12, "windows start every 2 s, the last is cut");
         assert!(scales.iter().all(|w| (w.scale - 2.5).abs() < 1e-9));
         assert!((scale_drift(&scales) - 1.0).abs() < 1e-9);
@@ -189,7 +163,7 @@ mod tests {
     #[test]
     fn a_step_of_the_scale_is_seen_in_full() {
         let pairs = pairs(700, |t| if t < 11.0 { 1.0 } else { 3.0 });
-        let drift = scale_drift(&window_scales(&pairs, &ScaleWindowConfig::default()));
+        let drift = scale_drift(&window_scales(&pairs));
         assert!((drift - 3.0).abs() < 1e-9, "{drift}");
     }
 
@@ -212,18 +186,17 @@ mod tests {
     #[test]
     fn a_window_without_motion_does_not_count_and_a_collapsed_one_is_infinite() {
         let mut still = pairs(600, |_| 1.0);
-        let config = ScaleWindowConfig::default();
-        let all = window_scales(&still, &config).len();
+        let all = window_scales(&still).len();
         let hold = still[300];
         for pair in &mut still[240..360] {
             pair.gt_from_camera = hold.gt_from_camera;
         }
-        assert!(window_scales(&still, &config).len() < all);
+        assert!(window_scales(&still).len() < all);
         let mut collapsed = pairs(600, |_| 1.0);
         for pair in &mut collapsed[240..360] {
             pair.est_from_camera = Se3::identity();
         }
-        let scales = window_scales(&collapsed, &config);
+        let scales = window_scales(&collapsed);
         assert_eq!(scale_drift(&scales), f64::INFINITY);
     }
 
@@ -233,7 +206,7 @@ mod tests {
         for pair in &mut gap[150..] {
             pair.time_secs += 1e9;
         }
-        let scales = window_scales(&gap, &ScaleWindowConfig::default());
+        let scales = window_scales(&gap);
         assert!(scales.len() >= 4, "{scales:?}");
         assert!(scales.iter().all(|w| (w.scale - 2.0).abs() < 1e-6));
     }

@@ -43,10 +43,9 @@ pub(super) fn wrong_poses(
 ) -> Vec<WrongPose> {
     let max_distance = config.path_share * path_length(pairs);
     let radius = max_distance / config.degrees.to_radians();
-    let gt_from_est = match alignment {
-        TrajectoryAlignment::Sim3 => align_poses(pairs, radius, true),
-        TrajectoryAlignment::Se3 => align_poses(pairs, radius, false),
-        TrajectoryAlignment::None => Some(Sim3::identity()),
+    let gt_from_est = match alignment.with_scale() {
+        Some(with_scale) => align_poses(pairs, radius, with_scale),
+        None => Some(Sim3::identity()),
     };
     let measured = |pair: &PosePair| {
         let error = gt_from_est.as_ref().map(|gt_from_est| {

@@ -3,7 +3,7 @@
 use super::grid::{CLOSED, FREE, OCCUPIED, TruthGrid, UNKNOWN};
 
 /// What the fill found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct FillOutcome {
     /// Seeds that lie in free space.
     pub good_seeds: usize,
@@ -24,10 +24,7 @@ pub(crate) fn fill_free(
     if hole_cells > 0 {
         thicken_surfaces(grid, hole_cells);
     }
-    let mut outcome = FillOutcome {
-        good_seeds: 0,
-        reaches_border: false,
-    };
+    let mut outcome = FillOutcome::default();
     for seed in seeds {
         let Some(cell) = grid.local(*seed) else {
             continue;
@@ -81,15 +78,10 @@ fn cube(
     radius: usize,
     size: [usize; 3],
 ) -> impl Iterator<Item = [usize; 3]> + use<> {
-    let [x, y, z] = [0, 1, 2].map(|a| {
-        let last = (cell[a] + radius).min(size[a] - 1);
-        cell[a].saturating_sub(radius)..=last
-    });
-    z.flat_map(move |cz| {
-        let x = x.clone();
-        y.clone()
-            .flat_map(move |cy| x.clone().map(move |cx| [cx, cy, cz]))
-    })
+    let first = cell.map(|at| at.saturating_sub(radius));
+    let last: [usize; 3] = std::array::from_fn(|a| (cell[a] + radius).min(size[a] - 1));
+    let range = move |axis: usize| first[axis]..=last[axis];
+    range(2).flat_map(move |z| range(1).flat_map(move |y| range(0).map(move |x| [x, y, z])))
 }
 
 /// Fills row by row; returns whether a cell at the border was filled.
@@ -114,12 +106,8 @@ fn flood(grid: &mut TruthGrid, seed: [usize; 3]) -> bool {
         }
         reaches_border |= begin == 0 || end == nx;
         reaches_border |= y == 0 || y + 1 == ny || z == 0 || z + 1 == nz;
-        for (row_y, row_z) in [
-            (y.wrapping_sub(1), z),
-            (y + 1, z),
-            (y, z.wrapping_sub(1)),
-            (y, z + 1),
-        ] {
+        let (below, before) = (y.wrapping_sub(1), z.wrapping_sub(1));
+        for (row_y, row_z) in [(below, z), (y + 1, z), (y, before), (y, z + 1)] {
             if row_y < ny && row_z < nz {
                 push_runs(grid, begin..end, row_y, row_z, &mut stack);
             }

@@ -47,12 +47,14 @@ impl CellCounts {
         }
     }
 
-    pub(crate) fn plus(&self, other: &Self) -> Self {
-        Self {
-            free: self.free + other.free,
-            occupied: self.occupied + other.occupied,
-            unknown: self.unknown + other.unknown,
+    pub(crate) fn sum<'a>(parts: impl IntoIterator<Item = &'a Self>) -> Self {
+        let mut sum = Self::default();
+        for part in parts {
+            sum.free += part.free;
+            sum.occupied += part.occupied;
+            sum.unknown += part.unknown;
         }
+        sum
     }
 }
 
@@ -68,7 +70,7 @@ impl TruthGrid {
         max_cells: u64,
     ) -> Result<Self, TruthError> {
         if !(resolution.is_finite() && resolution > 0.0) {
-            return Err(TruthError::Resolution { value: resolution });
+            return Err(TruthError::Resolution(resolution));
         }
         let edges: [i64; 3] = std::array::from_fn(|a| i64::from(last[a]) - i64::from(first[a]) + 1);
         if edges.iter().any(|e| *e <= 0) {
@@ -146,9 +148,8 @@ impl TruthGrid {
     /// Number of cells in each state.
     #[must_use]
     pub fn counts(&self) -> CellCounts {
-        (0..self.size[2]).fold(CellCounts::default(), |sum, z| {
-            sum.plus(&self.layer_counts(z))
-        })
+        let layers: Vec<CellCounts> = (0..self.size[2]).map(|z| self.layer_counts(z)).collect();
+        CellCounts::sum(&layers)
     }
 
     /// Number of cells in each state in one layer of constant z, counted from the first.
@@ -182,23 +183,18 @@ impl TruthGrid {
     /// # Errors
     /// A factor of zero.
     pub fn coarsened(&self, factor: u32) -> Result<Self, TruthError> {
-        let Some(divisor) = i32::try_from(factor).ok().filter(|f| *f > 0) else {
-            return Err(TruthError::Factor { factor });
-        };
-        let last: [i32; 3] = std::array::from_fn(|a| self.first[a] + self.size[a] as i32 - 1);
-        let mut coarse = Self::new(
-            self.resolution * f64::from(factor),
-            self.first.map(|k| k.div_euclid(divisor)),
-            last.map(|k| k.div_euclid(divisor)),
-            u64::MAX,
-        )?;
-        let known =
-            [FREE, OCCUPIED].map(|code| self.cells_with(code).map(move |cell| (cell, code)));
-        for (cell, code) in known.into_iter().flatten() {
-            let key = self.global(cell).map(|k| k.div_euclid(divisor));
-            let target = [0, 1, 2].map(|a| (key[a] - coarse.first[a]) as usize);
-            if coarse.code(target) < code {
-                coarse.set_code(target, code);
+        let divisor = i32::try_from(factor).ok().filter(|f| *f > 0);
+        let divisor = divisor.ok_or(TruthError::Factor(factor))?;
+        let coarse_key = |cell| self.global(cell).map(|k| k.div_euclid(divisor));
+        let first = coarse_key([0; 3]);
+        let last = coarse_key(self.size.map(|edge| edge - 1));
+        let resolution = self.resolution * f64::from(factor);
+        let mut coarse = Self::new(resolution, first, last, u64::MAX)?;
+        // occupied after free: what is both stays occupied
+        for code in [FREE, OCCUPIED] {
+            for cell in self.cells_with(code) {
+                let key = coarse_key(cell);
+                coarse.set_code([0, 1, 2].map(|a| (key[a] - first[a]) as usize), code);
             }
         }
         Ok(coarse)
@@ -209,13 +205,12 @@ impl TruthGrid {
     /// # Errors
     /// A truth that is too large.
     pub fn with_cells_of(self, map: &OccupancyMap) -> Result<Self, TruthError> {
-        let ratio = map.resolution() / self.resolution;
-        let factor = ratio.round();
-        let is_whole = (ratio - factor).abs() < 1e-6 * factor;
-        if factor >= 2.0 && is_whole && factor < f64::from(u32::MAX) {
-            return self.coarsened(factor as u32);
+        match whole_ratio(map.resolution(), self.resolution) {
+            Some(factor) if (2.0..f64::from(u32::MAX)).contains(&factor) => {
+                self.coarsened(factor as u32)
+            }
+            _ => Ok(self),
         }
-        Ok(self)
     }
 
     /// The same cells as an occupancy map: free and occupied at its clamps.
@@ -254,9 +249,7 @@ impl TruthGrid {
     /// # Errors
     /// A map without known cells, or one whose box holds more than `max_cells`.
     pub fn from_map(map: &OccupancyMap, max_cells: u64) -> Result<Self, TruthError> {
-        let Some((first, last)) = map.key_bounds() else {
-            return Err(TruthError::NothingKnown);
-        };
+        let (first, last) = map.key_bounds().ok_or(TruthError::NothingKnown)?;
         let [first, last] = [first, last].map(VoxelKey::to_array);
         let mut grid = Self::new(map.resolution(), first, last, max_cells)?;
         for cell in map.cells() {
@@ -266,13 +259,7 @@ impl TruthGrid {
     }
 
     pub(crate) fn local(&self, key: [i32; 3]) -> Option<[usize; 3]> {
-        let mut cell = [0; 3];
-        for axis in 0..3 {
-            let offset = i64::from(key[axis]) - i64::from(self.first[axis]);
-            let offset = usize::try_from(offset).ok();
-            cell[axis] = offset.filter(|offset| *offset < self.size[axis])?;
-        }
-        Some(cell)
+        cell_in_box(self.first, self.size, key)
     }
 
     pub(crate) fn global(&self, cell: [usize; 3]) -> [i32; 3] {
@@ -328,6 +315,17 @@ pub fn whole_ratio(coarse: f64, fine: f64) -> Option<f64> {
     let ratio = coarse / fine;
     let whole = ratio.round();
     (whole >= 1.0 && (ratio - whole).abs() <= 1e-6 * whole).then_some(whole)
+}
+
+/// The cell of a key in a box of cells from `first`, counted from it; `None` outside.
+pub(crate) fn cell_in_box(first: [i32; 3], size: [usize; 3], key: [i32; 3]) -> Option<[usize; 3]> {
+    let mut cell = [0; 3];
+    for axis in 0..3 {
+        let offset = i64::from(key[axis]) - i64::from(first[axis]);
+        let offset = usize::try_from(offset).ok();
+        cell[axis] = offset.filter(|offset| *offset < size[axis])?;
+    }
+    Some(cell)
 }
 
 fn code_of(state: Occupancy) -> u8 {

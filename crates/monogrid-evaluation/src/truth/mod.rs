@@ -10,7 +10,8 @@ mod grid;
 mod view;
 mod voxelize;
 
-pub use depth_images::{CarveConfig, PosedDepth, truth_from_depth_images};
+pub use depth_images::{PosedDepth, truth_from_depth_images};
+pub(crate) use grid::cell_in_box;
 pub use grid::{CellCounts, TruthGrid, whole_ratio};
 pub use view::{View, cells_in_view};
 pub use voxelize::Triangle;
@@ -50,17 +51,11 @@ impl TruthConfig {
 #[non_exhaustive]
 pub enum TruthError {
     /// The resolution is not a positive number.
-    #[error("resolution is {value}, expected a positive length")]
-    Resolution {
-        /// What was found.
-        value: f64,
-    },
+    #[error("resolution is {0}, expected a positive length")]
+    Resolution(f64),
     /// A factor between resolutions that is not positive.
-    #[error("coarsening by a factor of {factor}, expected 1 or more")]
-    Factor {
-        /// What was found.
-        factor: u32,
-    },
+    #[error("coarsening by a factor of {0}, expected 1 or more")]
+    Factor(u32),
     /// A box without cells.
     #[error("the box from cell {first:?} to cell {last:?} is empty")]
     EmptyBox {
@@ -90,15 +85,12 @@ pub enum TruthError {
         /// What was found.
         point: [f64; 3],
     },
-    /// No camera position lies in free space.
+    /// None of so many camera positions lies in free space.
     #[error(
-        "none of the {cameras} camera positions lies in free space inside the surface; are the \
+        "none of the {0} camera positions lies in free space inside the surface; are the \
          trajectory and the surface in the same frame and unit?"
     )]
-    NoFreeCamera {
-        /// Positions given.
-        cameras: usize,
-    },
+    NoFreeCamera(usize),
     /// A depth image whose size does not match its camera.
     #[error("depth image {index} has {found} pixels, expected {width}x{height}")]
     ImageSize {
@@ -167,9 +159,7 @@ fn grid_around(
     config: &TruthConfig,
 ) -> Result<TruthGrid, TruthError> {
     if !(config.resolution.is_finite() && config.resolution > 0.0) {
-        return Err(TruthError::Resolution {
-            value: config.resolution,
-        });
+        return Err(TruthError::Resolution(config.resolution));
     }
     let mut low = [i32::MAX; 3];
     let mut high = [i32::MIN; 3];
@@ -184,10 +174,8 @@ fn grid_around(
             .ok_or(TruthError::Point { index, point })?
             .to_array();
         is_empty &= !is_surface;
-        for axis in 0..3 {
-            low[axis] = low[axis].min(key[axis] - margin);
-            high[axis] = high[axis].max(key[axis] + margin);
-        }
+        low = [0, 1, 2].map(|axis| low[axis].min(key[axis] - margin));
+        high = [0, 1, 2].map(|axis| high[axis].max(key[axis] + margin));
     }
     if is_empty {
         return Err(TruthError::NothingKnown);
@@ -228,9 +216,7 @@ fn filled(
     let seeds: Vec<[i32; 3]> = cameras.iter().filter_map(|c| grid.key(*c)).collect();
     let outcome = fill::fill_free(&mut grid, &seeds, config.hole_cells);
     if outcome.good_seeds == 0 {
-        return Err(TruthError::NoFreeCamera {
-            cameras: cameras.len(),
-        });
+        return Err(TruthError::NoFreeCamera(cameras.len()));
     }
     Ok(Truth {
         grid,

@@ -1,9 +1,8 @@
 //! Which cells the keyframes look at: without it, coverage blames a map for what nobody saw.
 
-use super::grid::{FREE, OCCUPIED, TruthGrid};
+use super::grid::{FREE, OCCUPIED, TruthGrid, UNKNOWN};
 use crate::line::cells_on_segment;
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
-use monogrid_occupancy::Occupancy;
 
 /// A camera that looks at the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,26 +31,23 @@ const RAY_SPACING_CELLS: f64 = 0.7;
 pub fn cells_in_view(truth: &TruthGrid, views: &[View], max_range: f64) -> TruthGrid {
     let mut seen = truth.clone();
     for cell in truth.cells() {
-        seen.set_code(cell, super::grid::UNKNOWN);
+        seen.set_code(cell, UNKNOWN);
     }
     for view in views {
         let origin = view.world_from_camera.translation;
-        for_each_ray(
-            view,
-            max_range / truth.resolution(),
-            |direction_in_camera| {
-                let end = view.world_from_camera * (direction_in_camera.normalize() * max_range);
-                cells_on_segment(origin.into(), end.into(), truth.resolution(), |key| {
-                    let Some(cell) = truth.local(key) else {
-                        // Cameras are inside the box, so the rest of the ray is outside.
-                        return false;
-                    };
-                    let is_occupied = truth.state(key) == Occupancy::Occupied;
-                    seen.set_code(cell, if is_occupied { OCCUPIED } else { FREE });
-                    !is_occupied
-                });
-            },
-        );
+        let range_cells = max_range / truth.resolution();
+        for_each_ray(view, range_cells, |direction_in_camera| {
+            let end = view.world_from_camera * (direction_in_camera.normalize() * max_range);
+            cells_on_segment(origin.into(), end.into(), truth.resolution(), |key| {
+                let Some(cell) = truth.local(key) else {
+                    // Cameras are inside the box, so the rest of the ray is outside.
+                    return false;
+                };
+                let is_occupied = truth.code(cell) == OCCUPIED;
+                seen.set_code(cell, if is_occupied { OCCUPIED } else { FREE });
+                !is_occupied
+            });
+        });
     }
     seen
 }
@@ -77,6 +73,7 @@ fn for_each_ray(view: &View, range_cells: f64, mut visit: impl FnMut(Vec3)) {
 mod tests {
     use super::*;
     use monogrid_geometry::Rotation;
+    use monogrid_occupancy::Occupancy;
 
     #[test]
     fn sees_the_frustum_up_to_the_first_surface_and_not_behind_it() {

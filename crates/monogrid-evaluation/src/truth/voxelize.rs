@@ -14,24 +14,17 @@ pub type Triangle = [[f64; 3]; 3];
 pub(crate) fn mark_triangle(grid: &mut TruthGrid, triangle: &Triangle) {
     let inv_resolution = 1.0 / grid.resolution();
     let corners = triangle.map(|p| Vec3::from(p) * inv_resolution);
-    let mut low = [i32::MAX; 3];
-    let mut high = [i32::MIN; 3];
-    for corner in &corners {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(corner[axis].floor() as i32);
-            high[axis] = high[axis].max(corner[axis].floor() as i32);
-        }
-    }
+    let triangle = SeparatingAxes::new(&corners);
     let (first, size) = (grid.first_key(), grid.size());
-    for axis in 0..3 {
-        low[axis] = low[axis].max(first[axis]);
-        high[axis] = high[axis].min(first[axis] + size[axis] as i32 - 1);
-        if low[axis] > high[axis] {
-            return;
-        }
+    let floor = |corner: &Vec3, axis: usize| corner[axis].floor() as i32;
+    let low = [0, 1, 2].map(|axis| floor(&triangle.low, axis).max(first[axis]));
+    let high = [0, 1, 2].map(|axis| {
+        let last = first[axis] + size[axis] as i32 - 1;
+        floor(&triangle.high, axis).min(last)
+    });
+    if (0..3).all(|axis| low[axis] <= high[axis]) {
+        mark_box(grid, &triangle, low, high);
     }
-    let separator = SeparatingAxes::new(&corners);
-    mark_box(grid, &separator, low, high);
 }
 
 /// Halves the box along its longest edge until single cells remain; drops boxes that the triangle

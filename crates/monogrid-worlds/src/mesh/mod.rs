@@ -4,13 +4,12 @@ mod light;
 mod obj;
 mod ply;
 
-use super::scene::{Laying, Material};
+use super::scene::Material;
 use super::texture::Texture;
 use super::world::{TriangleMesh, World};
 use monogrid_datasets::DatasetError;
 use monogrid_image::{GrayImage, Resize, resize_area};
 use std::path::Path;
-use std::sync::Arc;
 
 pub(super) use light::vertex_light;
 pub use ply::read_ply;
@@ -71,11 +70,10 @@ impl MeshModel {
                 mesh: read_ply(path)?,
                 ..Self::default()
             }),
-            _ => Err(DatasetError::content(
-                path,
-                "another extension",
-                "a mesh: .obj or .ply",
-            )),
+            _ => {
+                let expected = "a mesh: .obj or .ply";
+                Err(DatasetError::content(path, "another extension", expected))
+            }
         }
     }
 
@@ -90,12 +88,12 @@ impl MeshModel {
         if !self.materials.is_empty() {
             return self.materials.clone();
         }
-        let albedo = if self.mesh.albedo.is_empty() {
-            UNKNOWN_ALBEDO
-        } else {
+        let has_colours = !self.mesh.albedo.is_empty();
+        vec![Material::plain(if has_colours {
             1.0
-        };
-        vec![Material::plain(albedo)]
+        } else {
+            UNKNOWN_ALBEDO
+        })]
     }
 }
 
@@ -112,13 +110,11 @@ fn luma([r, g, b]: [f64; 3]) -> f64 {
 /// Sides of textures at most, texels.
 const MAX_TEXTURE_LOG2: u32 = 12;
 
-/// A picture as a texture: resampled to powers of two, grey values to reflectance.
-fn texture_of_image(image: &GrayImage) -> Arc<Texture> {
+/// A material covered with a picture that corner coordinates place: resampled to powers of two, grey values to reflectance.
+fn textured(image: &GrayImage) -> Material {
     let log2 = |n: usize| {
-        (n.max(1) as f32)
-            .log2()
-            .round()
-            .clamp(0.0, MAX_TEXTURE_LOG2 as f32) as u32
+        let exponent = (n.max(1) as f32).log2().round();
+        exponent.clamp(0.0, MAX_TEXTURE_LOG2 as f32) as u32
     };
     let (w, h) = (log2(image.width()), log2(image.height()));
     // area averaging only shrinks: enlarge by bilinear sampling in the texture's own function
@@ -128,21 +124,11 @@ fn texture_of_image(image: &GrayImage) -> Arc<Texture> {
     };
     let small = resize_area(image, size);
     let (sw, sh) = (small.width() as f32, small.height() as f32);
-    Arc::new(Texture::from_fn(w, h, |u, v| {
+    Material::fitted(Texture::from_fn(w, h, |u, v| {
         let x = (u * sw - 0.5).clamp(0.0, sw - 1.0);
         let y = (v * sh - 0.5).clamp(0.0, sh - 1.0);
         albedo_of_grey(monogrid_image::bilinear(&small, x, y).unwrap_or(0.0))
     }))
-}
-
-/// A material covered with a picture that corner coordinates place.
-fn textured(image: &GrayImage) -> Material {
-    let texture = texture_of_image(image);
-    Material {
-        albedo: texture.mean(),
-        texture: Some((texture, Laying::Fit)),
-        emission: 0.0,
-    }
 }
 
 #[cfg(test)]

@@ -25,9 +25,9 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
     };
     let text = plain_text(&file);
     if let Some(line) = text.lines().position(has_wild_index(&text)) {
+        let number = line + 1;
         return Err(bad(format!(
-            "an index that leads nowhere, in line {}",
-            line + 1
+            "an index that leads nowhere, in line {number}"
         )));
     }
     let (parts, materials) = load_obj_buf(&mut text.as_bytes(), &options, library)
@@ -43,18 +43,11 @@ pub(super) fn read(path: &Path) -> Result<MeshModel, DatasetError> {
     if model.mesh.albedo.len() != model.mesh.vertices.len() {
         model.mesh.albedo.clear();
     }
-    let has_texture = parts.iter().any(|part| !part.mesh.texcoords.is_empty());
-    if !has_texture {
+    if parts.iter().all(|part| part.mesh.texcoords.is_empty()) {
         model.corner_uv.clear();
     }
-    for material in &materials {
-        model.materials.push(read_material(material, folder)?);
-    }
-    if model.materials.is_empty() {
-        let has_colours = !model.mesh.albedo.is_empty();
-        let albedo = if has_colours { 1.0 } else { UNKNOWN_ALBEDO };
-        model.materials.push(Material::plain(albedo));
-    }
+    let materials = materials.iter().map(|m| read_material(m, folder));
+    model.materials = materials.collect::<Result<_, _>>()?;
     Ok(model)
 }
 
@@ -126,10 +119,9 @@ fn add_part(part: &tobj::Mesh, model: &mut MeshModel) -> Result<(), &'static str
 fn read_material(material: &tobj::Material, folder: &Path) -> Result<Material, DatasetError> {
     if let Some(name) = &material.diffuse_texture {
         // options come before the name, which may hold blanks
-        let name = if name.starts_with('-') {
-            name.rsplit(char::is_whitespace).next().unwrap_or(name)
-        } else {
-            name
+        let name = match name.starts_with('-') {
+            true => name.rsplit(char::is_whitespace).next().unwrap_or(name),
+            false => name,
         };
         return Ok(textured(&read_gray(&folder.join(name))?));
     }

@@ -54,12 +54,12 @@ fn read(file: impl BufRead) -> Result<TriangleMesh, String> {
         }
         match element.name.as_str() {
             "vertex" => {
-                let colour_unit = match element.get_property("red").map(|p| &p.property_type) {
-                    None => None,
-                    // colours are bytes, or fractions when of a floating type
-                    Some(PropertyType::Scalar(ScalarType::F32 | ScalarType::F64)) => Some(255.0),
-                    Some(_) => Some(1.0),
-                };
+                // colours are bytes, or fractions when of a floating type
+                let colour = element.get_property("red").map(|p| &p.property_type);
+                let colour_unit = colour.map(|colour| match colour {
+                    PropertyType::Scalar(ScalarType::F32 | ScalarType::F64) => 255.0,
+                    _ => 1.0,
+                });
                 let vertices: Vec<Vertex> = reader.next_element().map_err(reason)?;
                 add_vertices(&vertices, colour_unit, &mut mesh)?;
             }

@@ -2,10 +2,10 @@
 
 use super::furniture as f;
 use super::workplace::{self as w, Office};
-use crate::bvh::P3;
 use crate::patterns;
 use crate::random::Random;
-use crate::scene::{Material, MaterialId, Scene, place};
+use crate::scene::{Material, MaterialId, Pose, Scene, place};
+use crate::shapes::p;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Outer size of the corridor; its middle line is 18 x 14 m.
@@ -33,9 +33,8 @@ pub(super) fn scene() -> Scene {
         (ROOMS_X[0], 0.0, 0.0, "south room"),
         (ROOMS_X[1], OUTER_M[1], PI, "north room"),
     ] {
-        s.object_at(name, place(x, y, 0.0, heading), |s| {
-            room(s, &m, plaster, carpet);
-        });
+        s.object_at(name, place(x, y, 0.0, heading));
+        room(s, &m, plaster, carpet);
     }
     decoration(s, &m);
     lamps(s);
@@ -45,18 +44,12 @@ pub(super) fn scene() -> Scene {
 /// Walls with the two openings, floor and ceiling.
 fn shell(s: &mut Scene, [plaster, floor, ceiling]: [MaterialId; 3]) {
     s.object("corridor");
-    let p = P3::new;
     let [x, y] = OUTER_M;
     let up = p(0.0, 0.0, HEIGHT_M);
-    s.quad(P3::zeros(), p(x, 0.0, 0.0), p(0.0, y, 0.0), floor);
-    s.quad(
-        p(0.0, 0.0, HEIGHT_M),
-        p(0.0, y, 0.0),
-        p(x, 0.0, 0.0),
-        ceiling,
-    );
+    s.floor([0.0; 3], OUTER_M, floor);
+    s.ceiling([0.0, 0.0, HEIGHT_M], OUTER_M, ceiling);
     // outer walls, leaving the openings free
-    s.quad(P3::zeros(), p(0.0, y, 0.0), up, plaster);
+    s.quad(p(0.0, 0.0, 0.0), p(0.0, y, 0.0), up, plaster);
     s.quad(p(x, 0.0, 0.0), up, p(0.0, y, 0.0), plaster);
     for (wall_y, middle) in [(0.0, ROOMS_X[0]), (y, ROOMS_X[1])] {
         let (a, b) = (middle - 0.5 * OPENING_M, middle + 0.5 * OPENING_M);
@@ -71,43 +64,26 @@ fn shell(s: &mut Scene, [plaster, floor, ceiling]: [MaterialId; 3]) {
     }
     // the block inside
     s.object("block");
-    s.cuboid(
+    let (min, max) = (
         [WIDTH_M, WIDTH_M, 0.0],
         [x - WIDTH_M, y - WIDTH_M, HEIGHT_M],
-        plaster,
     );
+    s.cuboid(min, max, plaster);
 }
 
 /// Room of 6 x 4 m beyond the line y = 0, towards -y, open to the corridor.
 fn room(s: &mut Scene, m: &Office, plaster: MaterialId, carpet: MaterialId) {
-    let p = P3::new;
     let (half, depth, up) = (3.0, 4.0, p(0.0, 0.0, HEIGHT_M));
-    s.quad(
-        p(-half, -depth, 0.0),
-        p(2.0 * half, 0.0, 0.0),
-        p(0.0, depth, 0.0),
-        carpet,
-    );
-    s.quad(
-        p(-half, -depth, HEIGHT_M),
-        p(0.0, depth, 0.0),
-        p(2.0 * half, 0.0, 0.0),
-        plaster,
-    );
-    s.quad(p(-half, -depth, 0.0), up, p(2.0 * half, 0.0, 0.0), plaster);
-    s.quad(p(-half, -depth, 0.0), p(0.0, depth, 0.0), up, plaster);
-    s.quad(p(half, -depth, 0.0), up, p(0.0, depth, 0.0), plaster);
-    for side in [-1.0f32, 1.0] {
-        let (a, b) = (0.5 * OPENING_M, half);
-        s.cuboid(
-            [(side * a).min(side * b), -0.12, 0.0],
-            [(side * a).max(side * b), 0.0, HEIGHT_M],
-            plaster,
-        );
+    let (dx, dy) = (p(2.0 * half, 0.0, 0.0), p(0.0, depth, 0.0));
+    s.floor([-half, -depth, 0.0], [2.0 * half, depth], carpet);
+    s.ceiling([-half, -depth, HEIGHT_M], [2.0 * half, depth], plaster);
+    s.quad(p(-half, -depth, 0.0), up, dx, plaster);
+    s.quad(p(-half, -depth, 0.0), dy, up, plaster);
+    s.quad(p(half, -depth, 0.0), up, dy, plaster);
+    for (from, to) in [(-half, -0.5 * OPENING_M), (0.5 * OPENING_M, half)] {
+        s.cuboid([from, -0.12, 0.0], [to, 0.0, HEIGHT_M], plaster);
     }
-    s.at(place(-1.3, -3.4, 0.0, 0.0 + PI), |s| {
-        w::desk(s, m, 1.6, 420);
-    });
+    s.at(place(-1.3, -3.4, 0.0, PI), |s| w::desk(s, m, 1.6, 420));
     s.at(place(-1.3, -2.6, 0.0, 0.3), |s| w::office_chair(s, m));
     s.at(place(1.6, -3.82, 0.0, PI), |s| {
         f::bookshelf(s, 1.2, 2.0, 6, m.beech, 421);
@@ -125,10 +101,10 @@ fn room(s: &mut Scene, m: &Office, plaster: MaterialId, carpet: MaterialId) {
         w::file_cabinet(s, m, [0.46, 0.5, 1.3], 4);
     });
     s.at(place(0.0, -4.0, 1.3, PI), |s| {
-        f::picture(s, 0.9, 0.7, m.papers[0], m.dark);
+        f::picture(s, [0.9, 0.7], m.papers[0], m.dark);
     });
     s.at(place(-2.2, -4.0, 1.4, PI), |s| {
-        f::picture(s, 0.6, 0.8, m.papers[1], m.dark);
+        f::picture(s, [0.6, 0.8], m.papers[1], m.dark);
     });
     s.at(place(0.2, -1.9, 0.73, 0.3), |s| {
         f::magazines(s, &m.papers[..3], 423);
@@ -155,15 +131,8 @@ fn decoration(s: &mut Scene, m: &Office) {
         ([inner_x, inner_y], [-1.0, 0.0], inner_x - w_, PI),
         ([w_, inner_y], [0.0, -1.0], inner_y - w_, -FRAC_PI_2),
     ];
-    let mut images: Vec<MaterialId> = Vec::new();
-    for k in 0..9 {
-        let image = match k % 3 {
-            0 => patterns::painting(440 + k),
-            1 => patterns::landscape(440 + k),
-            _ => patterns::poster(440 + k),
-        };
-        images.push(s.fitted(image));
-    }
+    let kinds = [patterns::painting, patterns::landscape, patterns::poster];
+    let images: [MaterialId; 9] = std::array::from_fn(|k| s.fitted(kinds[k % 3](440 + k as u64)));
     for (k, (start, along, length, heading)) in walls.into_iter().enumerate() {
         let mut at = random.range(0.7, 1.2);
         while at < length - 0.7 {
@@ -182,50 +151,30 @@ fn decoration(s: &mut Scene, m: &Office) {
 }
 
 /// One thing at a wall, chosen at random.
-fn wall_piece(
-    s: &mut Scene,
-    m: &Office,
-    images: &[MaterialId],
-    pose: crate::scene::Pose,
-    random: &mut Random,
-) {
+fn wall_piece(s: &mut Scene, m: &Office, images: &[MaterialId], pose: Pose, random: &mut Random) {
     let kind = random.unit();
     let image = images[random.below(images.len())];
-    let (w, h) = (random.range(0.45, 0.9), random.range(0.5, 0.95));
+    let size = [random.range(0.45, 0.9), random.range(0.5, 0.95)];
     let seed = random.word();
     if kind < 0.25 {
-        s.object_at("door", pose, |s| f::door(s, 0.86, 2.05, m.beech, m.dark));
+        s.object_at("door", pose);
+        f::door(s, 0.86, 2.05, m.beech, m.dark);
     } else if kind < 0.62 {
-        s.object_at("picture", pose * place(0.0, 0.0, 1.2, 0.0), |s| {
-            f::picture(s, w, h, image, m.dark);
-        });
+        s.object_at("picture", pose * place(0.0, 0.0, 1.2, 0.0));
+        f::picture(s, size, image, m.dark);
     } else if kind < 0.72 {
-        s.object_at("notice board", pose * place(0.0, 0.0, 1.0, 0.0), |s| {
-            w::whiteboard(s, m, 1.0, 0.9, seed);
-        });
+        s.object_at("notice board", pose * place(0.0, 0.0, 1.0, 0.0));
+        w::whiteboard(s, m, 1.0, 0.9, seed);
     } else if kind < 0.82 {
-        s.object_at("cabinet", pose * place(0.0, -0.23, 0.0, 0.0), |s| {
-            w::file_cabinet(s, m, [0.5, 0.4, 1.1], 3);
-        });
+        s.object_at("cabinet", pose * place(0.0, -0.23, 0.0, 0.0));
+        w::file_cabinet(s, m, [0.5, 0.4, 1.1], 3);
     } else if kind < 0.92 {
-        s.object_at("plant", pose * place(0.0, -0.25, 0.0, 0.0), |s| {
-            f::plant(s, 1.2, 18, m.grey, m.leaf, seed);
-        });
+        s.object_at("plant", pose * place(0.0, -0.25, 0.0, 0.0));
+        f::plant(s, 1.2, 18, m.grey, m.leaf, seed);
     } else {
-        s.object_at("extinguisher", pose * place(0.0, -0.1, 0.6, 0.0), |s| {
-            s.lathe(
-                &[
-                    [0.0, 0.52],
-                    [0.03, 0.5],
-                    [0.03, 0.45],
-                    [0.075, 0.38],
-                    [0.075, 0.0],
-                    [0.0, 0.0],
-                ],
-                24,
-                m.grey,
-            );
-        });
+        s.object_at("extinguisher", pose * place(0.0, -0.1, 0.6, 0.0));
+        let radii = [0.0, 0.03, 0.03, 0.075, 0.075, 0.0];
+        s.lathe(&radii, &[0.52, 0.5, 0.45, 0.38, 0.0, 0.0], 24, m.grey);
     }
 }
 
@@ -243,8 +192,7 @@ fn lamps(s: &mut Scene) {
         spots.extend([(middle, along), (x - middle, along)]);
     }
     for (px, py) in spots {
-        s.object_at("corridor lamp", place(px, py, HEIGHT_M, 0.0), |s| {
-            w::ceiling_panel(s, [0.6, 0.6], glow, 9.0);
-        });
+        s.object_at("corridor lamp", place(px, py, HEIGHT_M, 0.0));
+        w::ceiling_panel(s, [0.6, 0.6], glow, 9.0);
     }
 }

@@ -1,9 +1,10 @@
 //! A machine hall of 30 x 30 x 12 m.
 
+use super::furniture::window;
 use super::workplace as w;
-use crate::bvh::P3;
 use crate::patterns;
 use crate::scene::{Material, MaterialId, Scene, place};
+use crate::shapes::p;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Inner size, m.
@@ -45,11 +46,10 @@ fn shell(s: &mut Scene) {
     let bricks = s.tiled(patterns::bricks(0.34, 24, 306), 4.2, 3.2);
     let plaster = s.plain(0.58);
     let ceiling = s.plain(0.45);
-    let p = P3::new;
     let (dx, dy) = (p(x, 0.0, 0.0), p(0.0, y, 0.0));
     let (low, high) = (p(0.0, 0.0, 4.5), p(0.0, 0.0, z - 4.5));
-    s.quad(P3::zeros(), dx, dy, concrete);
-    s.quad(p(0.0, 0.0, z), dy, dx, ceiling);
+    s.floor([0.0; 3], [x, y], concrete);
+    s.ceiling([0.0, 0.0, z], [x, y], ceiling);
     // bricks below, plaster above
     for (lift, height, material) in [(0.0, low, bricks), (4.5, high, plaster)] {
         s.quad(p(0.0, 0.0, lift), dy, height, material);
@@ -65,9 +65,8 @@ fn shell(s: &mut Scene) {
             (place(0.0, along, 6.0, FRAC_PI_2), "west window"),
             (place(x, along, 6.0, -FRAC_PI_2), "east window"),
         ] {
-            s.object_at(name, pose, |s| {
-                super::furniture::window(s, 4.5, 3.6, sky, frame, 14.0);
-            });
+            s.object_at(name, pose);
+            window(s, 4.5, 3.6, sky, frame, 14.0);
         }
     }
 }
@@ -81,49 +80,35 @@ fn machines(s: &mut Scene, m: &Palette) {
         (22.0, 20.5, PI + 0.2),
     ];
     for (k, (x, y, heading)) in spots.into_iter().enumerate() {
-        s.object_at(
-            &format!("machine {}", k + 1),
-            place(x, y, 0.0, heading),
-            |s| {
-                w::machine(s, m.steel, m.paint, m.dials, 310 + k as u64);
-            },
-        );
+        s.object_at("machine", place(x, y, 0.0, heading));
+        w::machine(s, m.steel, m.paint, m.dials, 310 + k as u64);
     }
-    for (k, (x, y, r, h)) in [
+    let spots = [
         (3.5, 26.0, 1.5, 6.5),
         (7.5, 27.0, 1.2, 5.0),
         (26.0, 26.5, 1.8, 7.5),
         (26.5, 3.5, 1.4, 5.5),
         (15.0, 27.0, 1.0, 4.0),
-    ]
-    .into_iter()
-    .enumerate()
-    {
+    ];
+    for (k, (x, y, r, h)) in spots.into_iter().enumerate() {
         let skin = if k % 2 == 0 { m.rust } else { m.steel };
-        s.object_at(
-            &format!("tank {}", k + 1),
-            place(x, y, 0.0, k as f32),
-            |s| w::tank(s, r, h, skin, m.dark),
-        );
+        s.object_at("tank", place(x, y, 0.0, k as f32));
+        w::tank(s, r, h, skin, m.dark);
     }
 }
 
 /// Racks along the walls, crates on the floor.
 fn stock(s: &mut Scene, m: &Palette) {
-    for (k, (x, y, heading)) in [
-        (10.0, 0.8, PI),
-        (18.0, 0.8, PI),
-        (0.9, 12.0, FRAC_PI_2),
-        (29.1, 14.0, -FRAC_PI_2),
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        s.object_at(&format!("rack {}", k + 1), place(x, y, 0.0, heading), |s| {
-            w::storage_rack(s, 6.0, 4.2, m.dark, m.wood, m.rust, 330 + k as u64);
-        });
+    for (seed, x, y, heading) in [
+        (330, 10.0, 0.8, PI),
+        (331, 18.0, 0.8, PI),
+        (332, 0.9, 12.0, FRAC_PI_2),
+        (333, 29.1, 14.0, -FRAC_PI_2),
+    ] {
+        s.object_at("rack", place(x, y, 0.0, heading));
+        w::storage_rack(s, 6.0, 4.2, m.dark, m.wood, m.rust, seed);
     }
-    for (k, (x, y, size)) in [
+    let crates = [
         (11.5, 13.5, 1.2),
         (12.6, 13.2, 0.9),
         (11.8, 14.7, 0.8),
@@ -131,21 +116,15 @@ fn stock(s: &mut Scene, m: &Palette) {
         (19.9, 15.6, 1.3),
         (4.0, 4.5, 1.0),
         (25.0, 14.0, 1.0),
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        s.object_at(
-            &format!("crate {}", k + 1),
-            place(x, y, 0.0, 0.7 * k as f32),
-            |s| w::crate_box(s, size, m.wood),
-        );
+    ];
+    for (k, (x, y, size)) in crates.into_iter().enumerate() {
+        s.object_at("crate", place(x, y, 0.0, 0.7 * k as f32));
+        w::crate_box(s, size, m.wood);
     }
 }
 
 /// Girders, crane and lamps.
 fn roof(s: &mut Scene, m: &Palette) {
-    let p = P3::new;
     for k in 0..6 {
         let y = 2.5 + 5.0 * k as f32;
         s.object("girder");
@@ -161,21 +140,19 @@ fn roof(s: &mut Scene, m: &Palette) {
     s.cuboid([0.0, 12.0, 8.6], [30.0, 12.5, 9.3], m.paint);
     s.cuboid([13.0, 11.8, 8.2], [14.4, 12.7, 9.5], m.steel);
     s.bar(p(13.7, 12.25, 8.2), p(13.7, 12.25, 5.5), 0.03, m.dark);
-    s.at(place(13.7, 12.25, 5.3, 0.0), |s| s.sphere(0.25, m.dark));
+    s.sphere([13.7, 12.25, 5.3], 0.25, m.dark);
     let glow = s.material(Material::plain(0.9).glowing(1.1));
     for i in 0..3 {
         for j in 0..3 {
             let pose = place(5.0 + 10.0 * i as f32, 5.0 + 10.0 * j as f32, 9.9, 0.0);
-            s.object_at("hall lamp", pose, |s| {
-                w::ceiling_panel(s, [1.4, 1.4], glow, 90.0);
-            });
+            s.object_at("hall lamp", pose);
+            w::ceiling_panel(s, [1.4, 1.4], glow, 90.0);
         }
     }
 }
 
 /// A gallery along the north wall with stairs, columns, pipes along the walls.
 fn galleries(s: &mut Scene, m: &Palette) {
-    let p = P3::new;
     s.object("gallery");
     s.cuboid([9.5, 27.2, 3.4], [23.5, 30.0, 3.6], m.paint);
     for k in 0..8 {
@@ -200,12 +177,8 @@ fn galleries(s: &mut Scene, m: &Palette) {
         s.bar(p(0.5, 29.7, z + 2.2), p(29.5, 29.7, z + 2.2), r, m.rust);
     }
     s.object("columns");
-    for (x, y) in [(10.0, 10.5), (20.0, 10.5), (10.0, 18.5), (20.0, 18.5)] {
-        s.cuboid(
-            [x - 0.25, y - 0.25, 0.0],
-            [x + 0.25, y + 0.25, 10.2],
-            m.steel,
-        );
-        s.cuboid([x - 0.5, y - 0.5, 0.0], [x + 0.5, y + 0.5, 0.4], m.paint);
+    for at in [[10.0, 10.5], [20.0, 10.5], [10.0, 18.5], [20.0, 18.5]] {
+        s.post(at, 0.25, [0.0, 10.2], m.steel);
+        s.post(at, 0.5, [0.0, 0.4], m.paint);
     }
 }

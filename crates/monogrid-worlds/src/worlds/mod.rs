@@ -12,6 +12,7 @@ mod street;
 mod workplace;
 
 use super::lighting::LightingConfig;
+use super::scene::Scene;
 use super::world::World;
 use living_room::Covering;
 
@@ -36,41 +37,57 @@ pub const WORLD_NAMES: [&str; 7] = [
 #[non_exhaustive]
 pub enum WorldError {
     /// No such world.
-    #[error("there is no built-in world {name:?}; there are {}", WORLD_NAMES.join(", "))]
-    UnknownName {
-        /// What was asked for.
-        name: String,
-    },
+    #[error("there is no built-in world {0:?}; there are {names}", names = WORLD_NAMES.join(", "))]
+    UnknownName(String),
 }
 
 impl World {
-    /// A built-in world, fully lit.
-    ///
-    /// # Errors
-    /// When there is none of that name.
-    pub fn by_name(name: &str) -> Result<Self, WorldError> {
-        Self::by_name_with(name, &LightingConfig::default())
-    }
-
     /// A built-in world with a choice of how carefully it is lit.
     ///
     /// # Errors
     /// When there is none of that name.
     pub fn by_name_with(name: &str, lighting: &LightingConfig) -> Result<Self, WorldError> {
-        let scene = match name {
-            "living-room" => living_room::scene(Covering::Patterned),
-            "blank-walls" => living_room::scene(Covering::Blank),
-            "office" => office::scene(),
-            "machine-hall" => machine_hall::scene(),
-            "corridor-loop" => corridor_loop::scene(),
-            "stairs" => stairs::scene(),
-            "street" => street::scene(),
-            _ => {
-                return Err(WorldError::UnknownName {
-                    name: name.to_owned(),
-                });
-            }
-        };
+        let scene = scene(name).ok_or_else(|| WorldError::UnknownName(name.to_owned()))?;
         Ok(Self::new(name, &scene, lighting))
+    }
+}
+
+fn scene(name: &str) -> Option<Scene> {
+    Some(match name {
+        "living-room" => living_room::scene(Covering::Patterned),
+        "blank-walls" => living_room::scene(Covering::Blank),
+        "office" => office::scene(),
+        "machine-hall" => machine_hall::scene(),
+        "corridor-loop" => corridor_loop::scene(),
+        "stairs" => stairs::scene(),
+        "street" => street::scene(),
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Patch;
+
+    #[test]
+    fn every_world_is_furnished_and_partly_plain() {
+        for name in WORLD_NAMES {
+            let scene = scene(name).expect("a world");
+            let area = |is_counted: &dyn Fn(&Patch) -> bool| {
+                let patches = scene.patches.iter().filter(|patch| is_counted(patch));
+                patches.map(Patch::area_m2).sum::<f32>()
+            };
+            let is_plain = |patch: &Patch| scene.materials[patch.material].texture.is_none();
+            let plain = area(&is_plain) / area(&|_| true);
+            let least_plain = if name == "blank-walls" {
+                0.70
+            } else {
+                1.0 / 3.0
+            };
+            assert!((least_plain..0.85).contains(&plain), "{name}: {plain}");
+            let num_objects = scene.objects.len();
+            assert!(num_objects >= 21, "{name}: {num_objects}");
+        }
     }
 }

@@ -1,7 +1,6 @@
 //! Somebody who walks through a world.
 
 use super::{stairs, street};
-use crate::bvh::P3;
 use crate::lighting::LightingConfig;
 use crate::patterns;
 use crate::scene::{Scene, place};
@@ -18,34 +17,16 @@ pub(crate) fn mover_world() -> World {
     let dark = s.plain(0.08);
     for x in [-0.10, 0.10] {
         s.at(place(x, 0.0, 0.0, 0.0), |s| {
-            s.lathe(
-                &[[0.08, 0.85], [0.06, 0.45], [0.05, 0.08], [0.07, 0.0]],
-                20,
-                dark,
-            );
+            let radii = [0.08, 0.06, 0.05, 0.07];
+            s.lathe(&radii, &[0.85, 0.45, 0.08, 0.0], 20, dark);
         });
     }
-    s.lathe(
-        &[
-            [0.06, 1.48],
-            [0.19, 1.40],
-            [0.20, 1.1],
-            [0.17, 0.95],
-            [0.22, 0.75],
-            [0.0, 0.74],
-        ],
-        28,
-        coat,
-    );
+    let radii = [0.06, 0.19, 0.20, 0.17, 0.22, 0.0];
+    s.lathe(&radii, &[1.48, 1.40, 1.1, 0.95, 0.75, 0.74], 28, coat);
     s.at(place(0.0, 0.0, 1.62, 0.0), |s| {
         s.cushion([0.09, 0.11, 0.13], 0.9, skin);
     });
-    s.light(
-        P3::new(-0.5, -0.5, 2.6),
-        P3::new(0.0, 1.0, 0.0),
-        P3::new(1.0, 0.0, 0.0),
-        6.0,
-    );
+    s.light_below([-0.5, -0.5, 2.6], [1.0; 2], 6.0);
     World::new("walker", &scene, &LightingConfig::quick())
 }
 
@@ -55,13 +36,8 @@ pub(crate) fn traffic_worlds(world: &World) -> Vec<World> {
         "street" => &street::PAINTS,
         _ => &[],
     };
-    let car = |paint: &f32| {
-        World::new(
-            "car",
-            &street::traffic_car(*paint),
-            &LightingConfig::quick(),
-        )
-    };
+    let quick = LightingConfig::quick();
+    let car = |paint: &f32| World::new("car", &street::traffic_car(*paint), &quick);
     paints.iter().map(car).collect()
 }
 

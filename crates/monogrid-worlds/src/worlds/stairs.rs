@@ -5,10 +5,10 @@
 
 use super::furniture as f;
 use super::workplace::{self as w, Office};
-use crate::bvh::P3;
 use crate::path::Waypoint;
 use crate::patterns;
 use crate::scene::{Material, MaterialId, Scene, place};
+use crate::shapes::p;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// Inner size of the staircase, m.
@@ -33,10 +33,6 @@ const RISE_M: f32 = 0.5 * STOREY_M;
 const RAIL_M: f32 = 0.95;
 /// Height of the eye above the steps, m.
 pub(super) const EYE_M: f64 = 1.5;
-
-fn p(x: f32, y: f32, z: f32) -> P3 {
-    P3::new(x, y, z)
-}
 
 /// What the staircase is made of.
 struct Materials {
@@ -68,7 +64,8 @@ pub(super) fn scene() -> Scene {
     let mut scene = Scene::default();
     let s = &mut scene;
     let m = Materials::new(s);
-    shell(s, &m);
+    s.object("staircase");
+    s.room(SIZE_M, [m.terrazzo, m.plaster], [m.plaster; 4]);
     for storey in 0..=STOREYS {
         let z = STOREY_M * storey as f32;
         s.at(place(0.0, 0.0, z, 0.0), |s| landing(s, &m, storey));
@@ -82,19 +79,6 @@ pub(super) fn scene() -> Scene {
     scene
 }
 
-/// Walls, ground and ceiling.
-fn shell(s: &mut Scene, m: &Materials) {
-    s.object("staircase");
-    let [x, y, z] = SIZE_M;
-    let (along_x, along_y, up) = (p(x, 0.0, 0.0), p(0.0, y, 0.0), p(0.0, 0.0, z));
-    s.quad(P3::zeros(), along_x, along_y, m.terrazzo);
-    s.quad(up, along_y, along_x, m.plaster);
-    s.quad(P3::zeros(), along_y, up, m.plaster);
-    s.quad(along_x, up, along_y, m.plaster);
-    s.quad(P3::zeros(), up, along_x, m.plaster);
-    s.quad(along_y, along_x, up, m.plaster);
-}
-
 /// What is at the floor of a storey: the slab, doors, a lamp, and things that people leave there.
 fn landing(s: &mut Scene, m: &Materials, storey: usize) {
     s.object("landing");
@@ -104,42 +88,30 @@ fn landing(s: &mut Scene, m: &Materials, storey: usize) {
         well_railing(s, m, y - 0.03);
     }
     if storey == STOREYS {
-        top_railing(s, m);
+        // no flight goes on in the west
+        let balusters: [f32; 13] = std::array::from_fn(|k| 0.06 + 0.12 * k as f32);
+        level_railing(s, m, FLIGHT_Y[0] - 0.03, [0.0, FLIGHT_M], &balusters);
     }
     let seed = 520 + 20 * storey as u64;
     for x in [0.85, 2.55] {
-        s.object_at("door", place(x, 0.0, 0.0, PI), |s| {
-            f::door(s, 0.9, 2.05, m.office.beech, m.office.dark);
-        });
+        s.object_at("door", place(x, 0.0, 0.0, PI));
+        f::door(s, 0.9, 2.05, m.office.beech, m.office.dark);
         let mat = s.fitted(patterns::rug(seed + x as u64));
-        s.object_at("door mat", place(x, 0.42, 0.0, 0.0), |s| {
-            s.cuboid([-0.32, -0.2, 0.0], [0.32, 0.2, 0.015], mat);
-        });
+        s.object_at("door mat", place(x, 0.42, 0.0, 0.0));
+        s.cuboid([-0.32, -0.2, 0.0], [0.32, 0.2, 0.015], mat);
     }
-    number_plate(s, m, seed);
-    belongings(s, m, storey, seed);
-    let height = if storey == STOREYS {
-        SIZE_M[2] - STOREY_M * STOREYS as f32
-    } else {
-        STOREY_M - SLAB_M
-    };
-    lamp(s, 1.0, height);
-}
-
-/// The number of the storey between its doors: a print that is another one on each floor.
-fn number_plate(s: &mut Scene, m: &Materials, seed: u64) {
+    // a print that is another one on each floor
     let print = s.fitted(patterns::poster(seed + 3));
-    s.object_at("storey plate", place(1.7, 0.0, 1.45, PI), |s| {
-        f::picture(s, 0.34, 0.42, print, m.office.dark);
-    });
-}
-
-/// A lamp at the ceiling.
-fn lamp(s: &mut Scene, y: f32, height: f32) {
+    s.object_at("storey plate", place(1.7, 0.0, 1.45, PI));
+    f::picture(s, [0.34, 0.42], print, m.office.dark);
+    belongings(s, m, storey, seed);
+    let height = match storey {
+        STOREYS => SIZE_M[2] - STOREY_M * STOREYS as f32,
+        _ => STOREY_M - SLAB_M,
+    };
     let glow = s.material(Material::plain(0.9).glowing(1.1));
-    s.object_at("lamp", place(0.5 * SIZE_M[0], y, height, 0.0), |s| {
-        w::ceiling_panel(s, [0.6, 0.6], glow, 9.0);
-    });
+    s.object_at("lamp", place(0.5 * SIZE_M[0], 1.0, height, 0.0));
+    w::ceiling_panel(s, [0.6, 0.6], glow, 9.0);
 }
 
 /// Letter boxes and a notice board below, a plant or a cupboard above.
@@ -147,25 +119,21 @@ fn belongings(s: &mut Scene, m: &Materials, storey: usize, seed: u64) {
     let east = -FRAC_PI_2;
     match storey {
         0 => {
-            s.object_at("letter boxes", place(SIZE_M[0], 1.1, 0.9, east), |s| {
-                s.at(place(0.0, -0.13, 0.0, 0.0), |s| {
-                    w::file_cabinet(s, &m.office, [1.2, 0.26, 0.9], 3);
-                });
+            s.object_at("letter boxes", place(SIZE_M[0], 1.1, 0.9, east));
+            s.at(place(0.0, -0.13, 0.0, 0.0), |s| {
+                w::file_cabinet(s, &m.office, [1.2, 0.26, 0.9], 3);
             });
-            s.object_at("notice board", place(0.0, 1.0, 1.1, FRAC_PI_2), |s| {
-                w::whiteboard(s, &m.office, 1.0, 0.8, seed);
-            });
+            s.object_at("notice board", place(0.0, 1.0, 1.1, FRAC_PI_2));
+            w::whiteboard(s, &m.office, 1.0, 0.8, seed);
         }
-        1 => s.object_at("plant", place(3.1, 1.55, 0.0, 0.0), |s| {
+        1 => {
+            s.object_at("plant", place(3.1, 1.55, 0.0, 0.0));
             f::plant(s, 1.1, 20, m.office.grey, m.office.leaf, seed);
-        }),
-        _ => s.object_at(
-            "shoe cupboard",
-            place(SIZE_M[0] - 0.17, 1.0, 0.0, east),
-            |s| {
-                w::file_cabinet(s, &m.office, [0.8, 0.32, 0.9], 2);
-            },
-        ),
+        }
+        _ => {
+            s.object_at("shoe cupboard", place(SIZE_M[0] - 0.17, 1.0, 0.0, east));
+            w::file_cabinet(s, &m.office, [0.8, 0.32, 0.9], 2);
+        }
     }
 }
 
@@ -177,30 +145,27 @@ fn half_landing(s: &mut Scene, m: &Materials, storey: usize) {
     well_railing(s, m, FLIGHT_Y[1] + 0.03);
     let seed = 600 + 20 * storey as u64;
     let view = s.material(Material::fitted(patterns::outdoors(seed)).glowing(0.95));
-    s.object_at("window", place(0.5 * x, y, 0.95, 0.0), |s| {
-        f::window(s, 1.3, 1.2, view, m.office.white, 6.0);
-    });
-    s.object_at("radiator", place(0.5 * x, y, 0.0, 0.0), |s| {
-        f::radiator(s, 1.0, 0.5, m.office.white);
-    });
+    s.object_at("window", place(0.5 * x, y, 0.95, 0.0));
+    f::window(s, 1.3, 1.2, view, m.office.white, 6.0);
+    s.object_at("radiator", place(0.5 * x, y, 0.0, 0.0));
+    f::radiator(s, 1.0, 0.5, m.office.white);
     let images = [patterns::landscape(seed + 1), patterns::painting(seed + 2)];
     let walls = [(0.0, FRAC_PI_2), (x, -FRAC_PI_2)];
     for (image, (wall_x, heading)) in images.into_iter().zip(walls) {
         let image = s.fitted(image);
-        s.object_at("picture", place(wall_x, 5.8, 1.15, heading), |s| {
-            f::picture(s, 0.7, 0.55, image, m.office.dark);
-        });
+        s.object_at("picture", place(wall_x, 5.8, 1.15, heading));
+        f::picture(s, [0.7, 0.55], image, m.office.dark);
     }
 }
 
 /// Both flights of a storey: up in the west to the north, up in the east to the south.
 fn flights(s: &mut Scene, m: &Materials) {
-    s.object_at("flight north", place(0.0, FLIGHT_Y[0], 0.0, 0.0), |s| {
-        flight(s, m);
-    });
+    s.object_at("flight north", place(0.0, FLIGHT_Y[0], 0.0, 0.0));
+    flight(s, m);
     // half a turn puts the outer side to the other wall
     let pose = place(SIZE_M[0], FLIGHT_Y[1], RISE_M, PI);
-    s.object_at("flight south", pose, |s| flight(s, m));
+    s.object_at("flight south", pose);
+    flight(s, m);
 }
 
 /// A flight up along +y from the origin, the wall at x = 0 and the well at x = [`FLIGHT_M`].
@@ -210,18 +175,26 @@ fn flight(s: &mut Scene, m: &Materials) {
         let (y, z) = (TREAD_M * k as f32, rise * k as f32);
         let across = p(FLIGHT_M, 0.0, 0.0);
         s.quad(p(0.0, y, z), across, p(0.0, 0.0, rise), m.riser);
-        s.quad(
-            p(0.0, y, z + rise),
-            across,
-            p(0.0, TREAD_M, 0.0),
-            m.terrazzo,
-        );
+        s.floor([0.0, y, z + rise], [FLIGHT_M, TREAD_M], m.terrazzo);
         let nose = [FLIGHT_M, y + 0.03, z + rise + 0.002];
         s.cuboid([0.0, y - 0.004, z + rise - 0.02], nose, m.steel);
     }
-    underside(s, m);
-    dado(s, m);
-    railing(s, m);
+    // the slab that carries the steps, closed towards the well by a cheek
+    slanting(s, [0.0, FLIGHT_M], [-SLAB_M, 0.0], m.plaster);
+    slanting(s, [FLIGHT_M - 0.03, FLIGHT_M], [-SLAB_M, 0.20], m.dado);
+    // a painted strip along the wall and the handrail on it
+    slanting(s, [0.0, 0.004], [0.1, 1.15], m.dado);
+    let along = p(0.0, FLIGHT_Y[1] - FLIGHT_Y[0], RISE_M);
+    let from = p(0.07, 0.0, RAIL_M + 0.1);
+    s.bar(from, from + along, 0.022, m.wood);
+    // balusters on the cheek with a handrail
+    let x = FLIGHT_M - 0.015;
+    for k in 0..2 * STEPS {
+        let foot = p(x, 0.0, 0.20) + along * ((k as f32 + 0.5) / (2 * STEPS) as f32);
+        s.bar(foot, foot + p(0.0, 0.0, RAIL_M - 0.1), 0.008, m.steel);
+    }
+    let from = p(x, 0.0, RAIL_M + 0.1);
+    s.bar(from, from + along, 0.025, m.wood);
 }
 
 /// A slanting box between x = `from` and x = `to`, along a flight, from `low` to `high` above the lower edge of its first riser.
@@ -237,49 +210,18 @@ fn slanting(s: &mut Scene, [from, to]: [f32; 2], [low, high]: [f32; 2], material
     s.quad(corner + along, up, across, material);
 }
 
-/// The slab that carries the steps, closed towards the well by a cheek.
-fn underside(s: &mut Scene, m: &Materials) {
-    slanting(s, [0.0, FLIGHT_M], [-SLAB_M, 0.0], m.plaster);
-    slanting(s, [FLIGHT_M - 0.03, FLIGHT_M], [-SLAB_M, 0.20], m.dado);
-}
-
-/// A painted strip along the wall and the handrail on it.
-fn dado(s: &mut Scene, m: &Materials) {
-    slanting(s, [0.0, 0.004], [0.1, 1.15], m.dado);
-    let along = p(0.0, FLIGHT_Y[1] - FLIGHT_Y[0], RISE_M);
-    let from = p(0.07, 0.0, RAIL_M + 0.1);
-    s.bar(from, from + along, 0.022, m.wood);
-}
-
-/// Balusters on the cheek with a handrail.
-fn railing(s: &mut Scene, m: &Materials) {
-    let x = FLIGHT_M - 0.015;
-    let along = p(0.0, FLIGHT_Y[1] - FLIGHT_Y[0], RISE_M);
-    for k in 0..2 * STEPS {
-        let foot = p(x, 0.0, 0.20) + along * ((k as f32 + 0.5) / (2 * STEPS) as f32);
-        s.bar(foot, foot + p(0.0, 0.0, RAIL_M - 0.1), 0.008, m.steel);
-    }
-    let from = p(x, 0.0, RAIL_M + 0.1);
-    s.bar(from, from + along, 0.025, m.wood);
-}
-
 /// The railing of a landing across the well at a y.
 fn well_railing(s: &mut Scene, m: &Materials, y: f32) {
     let (a, b) = (FLIGHT_M - 0.015, SIZE_M[0] - FLIGHT_M + 0.015);
-    s.bar(p(a, y, RAIL_M), p(b, y, RAIL_M), 0.025, m.wood);
-    for k in 0..3 {
-        let x = a + (b - a) * k as f32 / 2.0;
-        s.bar(p(x, y, 0.0), p(x, y, RAIL_M), 0.008, m.steel);
-    }
+    let balusters = [0.0, 1.0, 2.0].map(|k| a + (b - a) * k / 2.0);
+    level_railing(s, m, y, [a, b], &balusters);
 }
 
-/// The railing of the uppermost landing, where no flight goes on in the west.
-fn top_railing(s: &mut Scene, m: &Materials) {
-    let (y, end) = (FLIGHT_Y[0] - 0.03, FLIGHT_M);
-    s.bar(p(0.0, y, RAIL_M), p(end, y, RAIL_M), 0.025, m.wood);
-    for k in 0..13 {
-        let x = 0.06 + 0.12 * k as f32;
-        s.bar(p(x, y, 0.0), p(x, y, RAIL_M), 0.008, m.steel);
+/// A level railing at a y between two x, with balusters.
+fn level_railing(s: &mut Scene, m: &Materials, y: f32, [a, b]: [f32; 2], balusters: &[f32]) {
+    s.bar(p(a, y, RAIL_M), p(b, y, RAIL_M), 0.025, m.wood);
+    for x in balusters {
+        s.bar(p(*x, y, 0.0), p(*x, y, RAIL_M), 0.008, m.steel);
     }
 }
 
@@ -306,11 +248,10 @@ fn on_way(distance_m: f64) -> [f64; 3] {
     let [x, y, z] = match leg {
         0 => [west, south + rest, climbed(south + rest)],
         1 => [west + rest, north, rise],
-        2 => [
-            west + ACROSS_M,
-            north - rest,
-            2.0 * rise - climbed(north - rest),
-        ],
+        2 => {
+            let y = north - rest;
+            [west + ACROSS_M, y, 2.0 * rise - climbed(y)]
+        }
         _ => [west + ACROSS_M - rest, south, 2.0 * rise],
     };
     [x, y, z + f64::from(STOREY_M) * storey]

@@ -3,13 +3,14 @@
 //! The street runs along +x to a crossing and on along +y. Above the roofs is a glowing box, the sky: it has no texture, so nothing
 //! can be tracked on it, but it is a surface of the world, and depth images and truth maps have it.
 
-use crate::bvh::P3;
 use crate::path::Waypoint;
 use crate::patterns;
 use crate::random::Random;
 use crate::scene::{Material, MaterialId, Scene, place, place_tilted};
+use crate::shapes::p;
 use monogrid_geometry::{Rotation, Se3, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_2 as QUARTER_TURN, PI as HALF_TURN};
 
 /// Middle line of the houses' fronts: half of the distance between both sides, m.
 const FRONT_M: f32 = 8.0;
@@ -25,9 +26,14 @@ const DEPTH_M: f32 = 8.0;
 /// Height of the sky, m.
 const SKY_M: f32 = 16.0;
 
-fn p(x: f32, y: f32, z: f32) -> P3 {
-    P3::new(x, y, z)
-}
+/// Corners of the ground and the sky (x, y, m).
+const CORNERS_M: [[f32; 2]; 2] = [
+    [WEST_M - DEPTH_M - 1.0, ENDS_M[0] - DEPTH_M - 1.0],
+    [
+        SECOND_X + FRONT_M + DEPTH_M + 1.0,
+        ENDS_M[1] + DEPTH_M + 1.0,
+    ],
+];
 
 /// What houses and road are made of.
 struct Materials {
@@ -98,14 +104,8 @@ fn ground(s: &mut Scene, m: &Materials) {
     s.object("road");
     let [south, north] = ENDS_M;
     let asphalt = s.tiled(patterns::rough(0.20, 0.45, 24, 0.8, 706), 6.0, 6.0);
-    let (x0, y0) = (WEST_M - DEPTH_M - 1.0, south - DEPTH_M - 1.0);
-    let (x1, y1) = (SECOND_X + FRONT_M + DEPTH_M + 1.0, north + DEPTH_M + 1.0);
-    s.quad(
-        p(x0, y0, 0.0),
-        p(x1 - x0, 0.0, 0.0),
-        p(0.0, y1 - y0, 0.0),
-        asphalt,
-    );
+    let [[x0, y0], [x1, y1]] = CORNERS_M;
+    s.floor([x0, y0, 0.0], [x1 - x0, y1 - y0], asphalt);
     s.object("pavements");
     let (near, far) = (SECOND_X - KERB_M, SECOND_X + KERB_M);
     for (min, max) in [
@@ -120,17 +120,11 @@ fn ground(s: &mut Scene, m: &Materials) {
     s.object("markings");
     for k in 0..13 {
         let x = WEST_M + 2.0 + 5.5 * k as f32;
-        s.quad(
-            p(x, -0.07, 0.006),
-            p(2.5, 0.0, 0.0),
-            p(0.0, 0.14, 0.0),
-            m.light,
-        );
+        s.floor([x, -0.07, 0.006], [2.5, 0.14], m.light);
     }
     for k in 0..15 {
         let y = 9.0 + 5.5 * k as f32;
-        let x = SECOND_X - 0.07;
-        s.quad(p(x, y, 0.006), p(0.14, 0.0, 0.0), p(0.0, 2.5, 0.0), m.light);
+        s.floor([SECOND_X - 0.07, y, 0.006], [0.14, 2.5], m.light);
     }
 }
 
@@ -138,11 +132,7 @@ fn ground(s: &mut Scene, m: &Materials) {
 fn sky(s: &mut Scene) {
     s.object("sky");
     let glow = s.material(Material::plain(0.9).glowing(0.85));
-    let (x0, y0) = (WEST_M - DEPTH_M - 1.0, ENDS_M[0] - DEPTH_M - 1.0);
-    let (x1, y1) = (
-        SECOND_X + FRONT_M + DEPTH_M + 1.0,
-        ENDS_M[1] + DEPTH_M + 1.0,
-    );
+    let [[x0, y0], [x1, y1]] = CORNERS_M;
     let (along_x, along_y) = (p(x1 - x0, 0.0, 0.0), p(0.0, y1 - y0, 0.0));
     let (corner, up) = (p(x0, y0, 0.0), p(0.0, 0.0, SKY_M));
     s.quad(corner + up, along_y, along_x, glow);
@@ -153,16 +143,11 @@ fn sky(s: &mut Scene) {
     let z = SKY_M - 0.1;
     for k in 0..4 {
         let x = WEST_M + 20.5 * k as f32;
-        s.light(p(x, -10.0, z), p(0.0, 20.0, 0.0), p(20.5, 0.0, 0.0), 1.0);
+        s.light_below([x, -10.0, z], [20.5, 20.0], 1.0);
     }
     for k in 0..5 {
         let y = ENDS_M[0] + 22.4 * k as f32;
-        s.light(
-            p(SECOND_X - 10.0, y, z),
-            p(0.0, 22.4, 0.0),
-            p(20.0, 0.0, 0.0),
-            1.0,
-        );
+        s.light_below([SECOND_X - 10.0, y, z], [20.0, 22.4], 1.0);
     }
 }
 
@@ -172,7 +157,8 @@ fn row(s: &mut Scene, m: &Materials, length: f32, random: &mut Random) {
     let width = length / count;
     for k in 0..count as usize {
         let pose = place(width * (k as f32 + 0.5), random.range(0.0, 0.35), 0.0, 0.0);
-        s.object_at("house", pose, |s| house(s, m, width, random));
+        s.object_at("house", pose);
+        house(s, m, width, random);
     }
 }
 
@@ -203,7 +189,7 @@ fn house(s: &mut Scene, m: &Materials, width: f32, random: &mut Random) {
 
 /// A window in a wall at y = 0: glass in which the other side is seen as if printed, frame, sill.
 fn window(s: &mut Scene, m: &Materials, glass: MaterialId) {
-    s.at(place(0.0, -0.01, 0.0, 0.0), |s| s.panel(1.1, 1.5, glass));
+    s.panel([0.0, -0.01, 0.0], 1.1, 1.5, glass);
     for x in [-0.6, -0.03, 0.54] {
         s.cuboid([x, -0.06, 0.0], [x + 0.06, 0.0, 1.5], m.light);
     }
@@ -214,42 +200,42 @@ fn window(s: &mut Scene, m: &Materials, glass: MaterialId) {
 /// Parked cars, lamp posts and trees on both sides of both streets.
 fn roadside(s: &mut Scene, m: &Materials, random: &mut Random) {
     let paints = [0.05, 0.12, 0.35, 0.6, 0.75].map(|tone| s.plain(tone));
-    let spots = (0..9)
-        .map(|k| (WEST_M + 4.0 + 7.0 * k as f32, 0.0f32))
-        .chain((0..10).map(|k| (18.0 + 7.0 * k as f32, FRAC_PI_2)));
-    for (along, heading) in spots {
+    let first = (0..9).map(|k| (WEST_M + 4.0 + 7.0 * k as f32, 0.0f32));
+    let second = (0..10).map(|k| (18.0 + 7.0 * k as f32, FRAC_PI_2));
+    for (along, heading) in first.chain(second) {
         for side in [-1.0f32, 1.0] {
             let paint = paints[random.below(paints.len())];
             let (shift, is_taken) = (random.range(-0.8, 0.8), random.unit() < 0.7);
             let (has_tree, has_post) = (random.unit() < 0.35, random.unit() < 0.45);
-            let middle = if heading == 0.0 { 0.0 } else { SECOND_X };
             let at = |along: f32, across: f32| match heading == 0.0 {
                 true => place(along, across, 0.0, heading),
-                false => place(middle - across, along, 0.0, heading),
+                false => place(SECOND_X - across, along, 0.0, heading),
             };
             if is_taken {
                 let pose = at(along + shift, side * (KERB_M - 1.05));
-                s.object_at("parked car", pose, |s| car(s, paint, m.dark, m.light));
+                s.object_at("parked car", pose);
+                car(s, paint, m.dark, m.light);
             }
             if has_tree {
                 let pose = at(along + 3.4, side * (KERB_M + 0.7));
-                s.object_at("tree", pose, |s| tree(s, m, random));
+                s.object_at("tree", pose);
+                tree(s, m, random);
             }
             if has_post {
                 let pose = at(along + 1.5, side * (KERB_M + 0.4));
-                s.object_at("lamp post", pose, |s| post(s, m));
+                s.object_at("lamp post", pose);
+                post(s, m);
             }
         }
     }
 }
 
 fn tree(s: &mut Scene, m: &Materials, random: &mut Random) {
-    s.lathe(&[[0.09, 3.2], [0.12, 1.5], [0.17, 0.0]], 16, m.wood);
+    s.lathe(&[0.09, 0.12, 0.17], &[3.2, 1.5, 0.0], 16, m.wood);
     for _ in 0..4 {
         let (x, y) = (random.range(-0.7, 0.7), random.range(-0.6, 0.6));
-        s.at(place(x, y, random.range(3.2, 4.8), 0.0), |s| {
-            s.sphere(random.range(0.8, 1.2), m.leaves);
-        });
+        let (z, radius) = (random.range(3.2, 4.8), random.range(0.8, 1.2));
+        s.sphere([x, y, z], radius, m.leaves);
     }
 }
 
@@ -261,15 +247,9 @@ fn post(s: &mut Scene, m: &Materials) {
 
 /// A car around its own middle on the road, its front to +x; 4.2 m long.
 fn car(s: &mut Scene, paint: MaterialId, dark: MaterialId, light: MaterialId) {
-    s.at(place(0.0, 0.0, 0.58, 0.0), |s| {
-        s.rounded_box([4.2, 1.75, 0.62], 0.14, paint);
-    });
-    s.at(place(-0.25, 0.0, 1.10, 0.0), |s| {
-        s.rounded_box([2.3, 1.55, 0.62], 0.22, dark);
-    });
-    s.at(place(-0.3, 0.0, 1.42, 0.0), |s| {
-        s.rounded_box([1.6, 1.40, 0.08], 0.04, paint);
-    });
+    s.rounded_box([0.0, 0.0, 0.58], [4.2, 1.75, 0.62], 0.14, paint);
+    s.rounded_box([-0.25, 0.0, 1.10], [2.3, 1.55, 0.62], 0.22, dark);
+    s.rounded_box([-0.3, 0.0, 1.42], [1.6, 1.40, 0.08], 0.04, paint);
     for (x, y) in [(1.3, 0.82), (1.3, -0.66), (-1.3, 0.82), (-1.3, -0.66)] {
         s.at(place_tilted(x, y, 0.32, [FRAC_PI_2, 0.0, 0.0]), |s| {
             s.cylinder(0.32, 0.16, dark);
@@ -277,11 +257,8 @@ fn car(s: &mut Scene, paint: MaterialId, dark: MaterialId, light: MaterialId) {
     }
     for x in [-2.08, 2.08] {
         for y in [-0.62, 0.62] {
-            s.cuboid(
-                [x - 0.03, y - 0.16, 0.62],
-                [x + 0.03, y + 0.16, 0.76],
-                light,
-            );
+            let (min, max) = ([x - 0.03, y - 0.16, 0.62], [x + 0.03, y + 0.16, 0.76]);
+            s.cuboid(min, max, light);
         }
         s.cuboid([x - 0.04, -0.26, 0.42], [x + 0.04, 0.26, 0.53], light);
     }
@@ -294,12 +271,7 @@ pub(crate) fn traffic_car(paint: f32) -> Scene {
     s.object("car");
     let (paint, dark, light) = (s.plain(paint), s.plain(0.06), s.plain(0.75));
     car(s, paint, dark, light);
-    s.light(
-        p(-6.0, -6.0, 10.0),
-        p(0.0, 12.0, 0.0),
-        p(12.0, 0.0, 0.0),
-        1.0,
-    );
+    s.light_below([-6.0, -6.0, 10.0], [12.0; 2], 1.0);
     scene
 }
 
@@ -308,7 +280,7 @@ const TURN_M: f64 = 11.75;
 const TURN_X: f64 = 60.0;
 /// Where the way begins (x), and how long it is, m.
 const START_X: f64 = -4.0;
-pub(super) const WAY_M: f64 = 64.0 + 0.5 * std::f64::consts::PI * TURN_M + 55.0;
+pub(super) const WAY_M: f64 = 64.0 + QUARTER_TURN * TURN_M + 55.0;
 /// From the middle of a lane to the middle of the other, m.
 const LANES_M: f64 = 3.5;
 /// Height of the camera on the car, m.
@@ -317,8 +289,8 @@ const EYE_M: f64 = 1.6;
 /// A point of the lane, a distance after the start of the way, and its heading (rad); straight on before and after it.
 fn on_lane(distance_m: f64, to_the_left_m: f64) -> ([f64; 2], f64) {
     let straight = TURN_X - START_X;
-    let arc = 0.5 * std::f64::consts::PI * TURN_M;
-    let turned = ((distance_m - straight) / TURN_M).clamp(0.0, 0.5 * std::f64::consts::PI);
+    let arc = QUARTER_TURN * TURN_M;
+    let turned = ((distance_m - straight) / TURN_M).clamp(0.0, QUARTER_TURN);
     let radius = TURN_M - to_the_left_m;
     let centre = [TURN_X, TURN_M - 0.5 * LANES_M];
     let before = (distance_m - straight).min(0.0);
@@ -360,11 +332,7 @@ pub(crate) fn traffic(progress: f64) -> [Se3; PAINTS.len()] {
 /// Pose of a car on the lane of the camera, or on that to the left of it, where it comes back.
 fn on_road(distance_m: f64, to_the_left_m: f64) -> Se3 {
     let ([x, y], heading) = on_lane(distance_m, to_the_left_m);
-    let back = if to_the_left_m > 0.0 {
-        std::f64::consts::PI
-    } else {
-        0.0
-    };
+    let back = if to_the_left_m > 0.0 { HALF_TURN } else { 0.0 };
     let heading = Rotation::from_axis_angle(&Vec3::z_axis(), heading + back);
     Se3::new(heading, Vec3::new(x, y, 0.0))
 }

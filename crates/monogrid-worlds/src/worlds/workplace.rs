@@ -1,16 +1,11 @@
 //! Pieces of offices and halls, each around its own origin on the floor with its front towards -y.
 
 use super::furniture as f;
-use crate::bvh::P3;
 use crate::patterns;
 use crate::random::Random;
 use crate::scene::{Material, MaterialId, Scene, place, place_tilted};
-use crate::shapes::BoxFaces;
+use crate::shapes::{BoxFaces, p};
 use std::f32::consts::{FRAC_PI_2, TAU};
-
-fn p(x: f32, y: f32, z: f32) -> P3 {
-    P3::new(x, y, z)
-}
 
 /// Materials of an office.
 pub(super) struct Office {
@@ -19,33 +14,27 @@ pub(super) struct Office {
     pub dark: MaterialId,
     pub beech: MaterialId,
     pub cloth: MaterialId,
-    pub screens: Vec<MaterialId>,
-    pub papers: Vec<MaterialId>,
+    pub screens: [MaterialId; 3],
+    pub papers: [MaterialId; 4],
     pub leaf: MaterialId,
 }
 
 impl Office {
     /// Creates them, with pictures that depend on the seed.
     pub fn new(s: &mut Scene, seed: u64) -> Self {
+        let shown = [
+            patterns::landscape(seed + 3),
+            patterns::poster(seed + 5),
+            patterns::poster(seed + 6),
+        ];
         Self {
             white: s.plain(0.72),
             grey: s.plain(0.36),
             dark: s.plain(0.06),
             beech: s.tiled(patterns::wood(0.44, 0.5, seed + 1), 1.6, 0.8),
             cloth: s.tiled(patterns::fabric(0.17, 0.7, 48, seed + 2), 0.4, 0.4),
-            screens: (0..3)
-                .map(|k| {
-                    let shown = if k == 0 {
-                        patterns::landscape(seed + 3)
-                    } else {
-                        patterns::poster(seed + 4 + k)
-                    };
-                    s.material(Material::fitted(shown).glowing(0.7))
-                })
-                .collect(),
-            papers: (0..4)
-                .map(|k| s.fitted(patterns::poster(seed + 10 + k)))
-                .collect(),
+            screens: shown.map(|shown| s.material(Material::fitted(shown).glowing(0.7))),
+            papers: [10, 11, 12, 13].map(|k| s.fitted(patterns::poster(seed + k))),
             leaf: s.tiled(patterns::rough(0.16, 0.9, 5, 0.6, seed + 20), 0.15, 0.15),
         }
     }
@@ -65,142 +54,81 @@ pub(super) fn desk(s: &mut Scene, m: &Office, width: f32, seed: u64) {
         file_cabinet(s, m, [0.42, 0.58, 0.60], 3);
     });
     let screen = m.screens[random.below(m.screens.len())];
-    s.at(
-        place(
-            random.range(-0.3, 0.0),
-            0.18,
-            0.74,
-            random.range(-0.25, 0.25),
-        ),
-        |s| {
-            f::television(s, random_width(seed), screen, m.dark);
-        },
-    );
-    s.at(
-        place(
-            random.range(-0.3, -0.05),
-            -0.18,
-            0.74,
-            random.range(-0.1, 0.1),
-        ),
-        |s| {
-            s.cuboid([-0.22, -0.07, 0.0], [0.22, 0.07, 0.018], m.dark);
-            for row in 0..4 {
-                let y = -0.05 + 0.03 * row as f32;
-                s.cuboid([-0.2, y, 0.018], [0.2, y + 0.022, 0.026], m.grey);
-            }
-        },
-    );
-    let sheets: Vec<MaterialId> = (0..3)
-        .map(|_| m.papers[random.below(m.papers.len())])
-        .collect();
+    let (x, turn) = (random.range(-0.3, 0.0), random.range(-0.25, 0.25));
+    s.at(place(x, 0.18, 0.74, turn), |s| {
+        f::television(s, 0.48 + 0.12 * (seed % 3) as f32, screen, m.dark);
+    });
+    let (x, turn) = (random.range(-0.3, -0.05), random.range(-0.1, 0.1));
+    s.at(place(x, -0.18, 0.74, turn), |s| {
+        s.cuboid([-0.22, -0.07, 0.0], [0.22, 0.07, 0.018], m.dark);
+        for row in 0..4 {
+            let y = -0.05 + 0.03 * row as f32;
+            s.cuboid([-0.2, y, 0.018], [0.2, y + 0.022, 0.026], m.grey);
+        }
+    });
+    let sheets: [_; 3] = std::array::from_fn(|_| m.papers[random.below(m.papers.len())]);
     s.at(place(0.25 * width, -0.12, 0.74, 0.4), |s| {
         f::magazines(s, &sheets, seed);
     });
-    s.at(place(-half + 0.15, 0.1, 0.74, 1.0), |s| {
-        f::mug(
-            s,
-            if seed.is_multiple_of(2) {
-                m.white
-            } else {
-                m.dark
-            },
-        );
-    });
+    let mug = [m.white, m.dark][(seed % 2) as usize];
+    s.at(place(-half + 0.15, 0.1, 0.74, 1.0), |s| f::mug(s, mug));
     s.at(place(half - 0.12, 0.25, 0.74, 0.0), |s| {
         f::basket(s, 0.045, 0.11, m.dark);
     });
 }
 
-fn random_width(seed: u64) -> f32 {
-    0.48 + 0.12 * (seed % 3) as f32
-}
-
 /// Steel cabinet of drawers.
 pub(super) fn file_cabinet(s: &mut Scene, m: &Office, size: [f32; 3], drawers: usize) {
-    let faces = BoxFaces {
-        sides: m.grey,
-        front: m.grey,
-        top: m.grey,
-    };
-    f::cupboard(s, size, 1, drawers, faces, m.dark);
+    f::cupboard(s, size, 1, drawers, m.grey, m.dark);
 }
 
 /// Swivel chair on five castors.
 pub(super) fn office_chair(s: &mut Scene, m: &Office) {
     for k in 0..5 {
         let a = TAU * k as f32 / 5.0;
-        s.bar(
-            p(0.0, 0.0, 0.10),
-            p(0.28 * a.cos(), 0.28 * a.sin(), 0.07),
-            0.018,
-            m.dark,
-        );
-        s.at(place(0.28 * a.cos(), 0.28 * a.sin(), 0.03, 0.0), |s| {
-            s.sphere(0.03, m.dark);
-        });
+        let (x, y) = (0.28 * a.cos(), 0.28 * a.sin());
+        s.bar(p(0.0, 0.0, 0.10), p(x, y, 0.07), 0.018, m.dark);
+        s.sphere([x, y, 0.03], 0.03, m.dark);
     }
     s.bar(p(0.0, 0.0, 0.08), p(0.0, 0.0, 0.44), 0.025, m.grey);
-    s.at(place(0.0, 0.0, 0.48, 0.0), |s| {
-        s.rounded_box([0.48, 0.47, 0.09], 0.04, m.cloth);
-    });
+    s.rounded_box([0.0, 0.0, 0.48], [0.48, 0.47, 0.09], 0.04, m.cloth);
     s.bar(p(0.0, 0.22, 0.46), p(0.0, 0.27, 0.75), 0.02, m.dark);
     s.at(place_tilted(0.0, 0.26, 0.82, [-0.12, 0.0, 0.0]), |s| {
-        s.rounded_box([0.44, 0.07, 0.5], 0.035, m.cloth);
+        s.rounded_box([0.0; 3], [0.44, 0.07, 0.5], 0.035, m.cloth);
     });
     for x in [-0.26, 0.26] {
-        s.at(place(x, 0.02, 0.68, 0.0), |s| {
-            s.rounded_box([0.05, 0.26, 0.03], 0.012, m.dark);
-        });
+        s.rounded_box([x, 0.02, 0.68], [0.05, 0.26, 0.03], 0.012, m.dark);
         s.bar(p(x, 0.02, 0.68), p(x, 0.04, 0.48), 0.012, m.dark);
     }
 }
 
 /// Screen of cloth between two places.
 pub(super) fn partition(s: &mut Scene, m: &Office, width: f32, height: f32) {
-    s.cuboid(
-        [-0.5 * width, -0.02, 0.08],
-        [0.5 * width, 0.02, height],
-        m.cloth,
-    );
-    for x in [-0.5 * width, 0.5 * width] {
-        s.cuboid(
-            [x - 0.02, -0.03, 0.0],
-            [x + 0.02, 0.03, height + 0.02],
-            m.grey,
-        );
+    let (half, top) = (0.5 * width, height + 0.02);
+    s.cuboid([-half, -0.02, 0.08], [half, 0.02, height], m.cloth);
+    for x in [-half, half] {
+        s.cuboid([x - 0.02, -0.03, 0.0], [x + 0.02, 0.03, top], m.grey);
     }
 }
 
 /// Board on a wall at y = 0 with notes and writing.
 pub(super) fn whiteboard(s: &mut Scene, m: &Office, width: f32, height: f32, seed: u64) {
-    f::picture(s, width, height, m.white, m.grey);
+    f::picture(s, [width, height], m.white, m.grey);
     let mut random = Random::new(seed);
     for k in 0..9 {
         let (w, h) = (random.range(0.10, 0.24), random.range(0.10, 0.30));
         let x = random.range(-0.5 * width + w, 0.5 * width - w);
         let z = random.range(0.05, height - h - 0.05);
-        let paper = m.papers[k % m.papers.len()];
-        s.at(
-            place_tilted(
-                x,
-                -0.012 - 0.001 * k as f32,
-                z,
-                [0.0, random.range(-0.08, 0.08), 0.0],
-            ),
-            |s| s.panel(w, h, paper),
-        );
+        let (paper, turn) = (m.papers[k % m.papers.len()], random.range(-0.08, 0.08));
+        let pose = place_tilted(x, -0.012 - 0.001 * k as f32, z, [0.0, turn, 0.0]);
+        s.at(pose, |s| s.panel([0.0; 3], w, h, paper));
     }
 }
 
 /// Printer or copier.
 pub(super) fn copier(s: &mut Scene, m: &Office) {
-    s.at(place(0.0, 0.0, 0.35, 0.0), |s| {
-        s.rounded_box([0.6, 0.6, 0.7], 0.03, m.white);
-    });
-    s.at(place(0.0, 0.0, 0.84, 0.0), |s| {
-        s.rounded_box([0.62, 0.62, 0.26], 0.04, m.grey);
-    });
+    s.rounded_box([0.0, 0.0, 0.35], [0.6, 0.6, 0.7], 0.03, m.white);
+    s.rounded_box([0.0, 0.0, 0.84], [0.62, 0.62, 0.26], 0.04, m.grey);
     s.cuboid([-0.25, -0.33, 0.72], [0.25, -0.29, 0.74], m.dark);
     for k in 0..3 {
         let z = 0.10 + 0.2 * k as f32;
@@ -214,19 +142,9 @@ pub(super) fn copier(s: &mut Scene, m: &Office) {
 
 /// Lamp of a grid ceiling: a glowing panel that sheds light downwards.
 pub(super) fn ceiling_panel(s: &mut Scene, size: [f32; 2], glow: MaterialId, light: f32) {
-    let [w, d] = [0.5 * size[0], 0.5 * size[1]];
-    s.quad(
-        p(-w, -d, -0.012),
-        p(0.0, 2.0 * d, 0.0),
-        p(2.0 * w, 0.0, 0.0),
-        glow,
-    );
-    s.light(
-        p(-w, -d, -0.02),
-        p(0.0, 2.0 * d, 0.0),
-        p(2.0 * w, 0.0, 0.0),
-        light,
-    );
+    let [x, y] = size.map(|side| -0.5 * side);
+    s.ceiling([x, y, -0.012], size, glow);
+    s.light_below([x, y, -0.02], size, light);
 }
 
 /// Wooden crate with battens.
@@ -239,52 +157,33 @@ pub(super) fn crate_box(s: &mut Scene, size: f32, wood: MaterialId) {
             for (a, c) in [(-h, -h + b), (h - b, h)] {
                 s.cuboid([a, -h - 0.02, 0.0], [c, -h, size], wood);
             }
-            s.cuboid(
-                [-h + b, -h - 0.02, 0.45 * size],
-                [h - b, -h, 0.45 * size + b],
-                wood,
-            );
+            let (low, high) = (0.45 * size, 0.45 * size + b);
+            s.cuboid([-h + b, -h - 0.02, low], [h - b, -h, high], wood);
         });
     }
 }
 
 /// Standing vessel with domed ends, bands, legs and a pipe.
 pub(super) fn tank(s: &mut Scene, radius: f32, height: f32, steel: MaterialId, band: MaterialId) {
-    let dome: Vec<[f32; 2]> = (0..=6)
-        .map(|k| {
-            let a = FRAC_PI_2 * k as f32 / 6.0;
-            [radius * a.sin(), height - 0.4 * radius * (1.0 - a.cos())]
-        })
-        .collect();
-    let mut profile = dome;
-    profile.extend([[radius, 0.6], [0.6 * radius, 0.35], [0.0, 0.3]]);
-    s.lathe(&profile, 40, steel);
+    let dome: [f32; 7] = std::array::from_fn(|k| FRAC_PI_2 * k as f32 / 6.0);
+    let mut radii = dome.map(|a| radius * a.sin()).to_vec();
+    radii.extend([radius, 0.6 * radius, 0.0]);
+    let mut heights = dome
+        .map(|a| height - 0.4 * radius * (1.0 - a.cos()))
+        .to_vec();
+    heights.extend([0.6, 0.35, 0.3]);
+    s.lathe(&radii, &heights, 40, steel);
     for z in [0.3, 0.55, 0.8] {
-        s.at(place(0.0, 0.0, z * height, 0.0), |s| {
-            s.torus(radius + 0.01, 0.05, band);
-        });
+        s.torus(z * height, radius + 0.01, 0.05, band);
     }
     for k in 0..4 {
         let a = TAU * (k as f32 + 0.5) / 4.0;
-        s.bar(
-            p(0.8 * radius * a.cos(), 0.8 * radius * a.sin(), 0.0),
-            p(0.8 * radius * a.cos(), 0.8 * radius * a.sin(), 0.7),
-            0.09,
-            band,
-        );
+        let (x, y) = (0.8 * radius * a.cos(), 0.8 * radius * a.sin());
+        s.bar(p(x, y, 0.0), p(x, y, 0.7), 0.09, band);
     }
-    s.bar(
-        p(radius * 0.98, 0.0, 1.2),
-        p(radius + 0.8, 0.0, 1.2),
-        0.12,
-        band,
-    );
-    s.bar(
-        p(radius + 0.8, 0.0, 1.2),
-        p(radius + 0.8, 0.0, 0.0),
-        0.12,
-        band,
-    );
+    let (wall, x) = (radius * 0.98, radius + 0.8);
+    s.bar(p(wall, 0.0, 1.2), p(x, 0.0, 1.2), 0.12, band);
+    s.bar(p(x, 0.0, 1.2), p(x, 0.0, 0.0), 0.12, band);
 }
 
 /// Machine: a base with housings, a shaft, a wheel, a cabinet with dials.
@@ -299,32 +198,22 @@ pub(super) fn machine(
     s.cuboid([-2.0, -0.9, 0.0], [2.0, 0.9, 0.35], paint);
     for x in [-1.4, 0.0, 1.2] {
         let (w, h) = (random.range(0.4, 0.8), random.range(0.7, 1.5));
-        s.at(place(x, 0.0, 0.35 + 0.5 * h, 0.0), |s| {
-            s.rounded_box([w, 1.2, h], 0.08, steel);
-        });
+        s.rounded_box([x, 0.0, 0.35 + 0.5 * h], [w, 1.2, h], 0.08, steel);
     }
     s.bar(p(-1.9, 0.0, 0.95), p(1.9, 0.0, 0.95), 0.11, steel);
     s.at(place_tilted(1.75, 0.0, 1.0, [0.0, FRAC_PI_2, 0.0]), |s| {
-        s.torus(0.75, 0.09, paint);
+        s.torus(0.0, 0.75, 0.09, paint);
         for k in 0..6 {
             let a = TAU * k as f32 / 6.0;
-            s.bar(
-                p(0.0, 0.0, 0.0),
-                p(0.75 * a.cos(), 0.75 * a.sin(), 0.0),
-                0.035,
-                paint,
-            );
+            let rim = p(0.75 * a.cos(), 0.75 * a.sin(), 0.0);
+            s.bar(p(0.0, 0.0, 0.0), rim, 0.035, paint);
         }
     });
-    s.cuboid(
-        [-1.9, -0.85, 0.35],
-        [-1.3, -0.45, 1.9],
-        BoxFaces {
-            sides: paint,
-            front: dials,
-            top: paint,
-        },
-    );
+    let faces = BoxFaces {
+        front: dials,
+        ..paint.into()
+    };
+    s.cuboid([-1.9, -0.85, 0.35], [-1.3, -0.45, 1.9], faces);
     for k in 0..3 {
         let x = -0.6 + 0.4 * k as f32;
         s.bar(p(x, 0.5, 0.9), p(x, 0.5, 2.4), 0.06, steel);
@@ -344,12 +233,8 @@ pub(super) fn storage_rack(
 ) {
     let mut random = Random::new(seed);
     let half = 0.5 * width;
-    for (x, y) in [(-half, -0.5), (half, -0.5), (-half, 0.5), (half, 0.5)] {
-        s.cuboid(
-            [x - 0.05, y - 0.05, 0.0],
-            [x + 0.05, y + 0.05, height],
-            frame,
-        );
+    for place in [[-half, -0.5], [half, -0.5], [-half, 0.5], [half, 0.5]] {
+        s.post(place, 0.05, [0.0, height], frame);
     }
     let levels = (height / 1.5) as usize;
     for level in 0..=levels {
@@ -360,15 +245,13 @@ pub(super) fn storage_rack(
             let kind = random.unit();
             if kind < 0.5 {
                 let size = random.range(0.5, 0.85);
-                s.at(
-                    place(x, random.range(-0.1, 0.1), z, random.range(-0.2, 0.2)),
-                    |s| crate_box(s, size, wood),
-                );
+                let (y, turn) = (random.range(-0.1, 0.1), random.range(-0.2, 0.2));
+                s.at(place(x, y, z, turn), |s| crate_box(s, size, wood));
             } else if kind < 0.8 {
                 s.at(place(x, 0.0, z, 0.0), |s| {
                     s.cylinder(0.29, 0.88, drum);
-                    s.at(place(0.0, 0.0, 0.3, 0.0), |s| s.torus(0.29, 0.02, drum));
-                    s.at(place(0.0, 0.0, 0.6, 0.0), |s| s.torus(0.29, 0.02, drum));
+                    s.torus(0.3, 0.29, 0.02, drum);
+                    s.torus(0.6, 0.29, 0.02, drum);
                 });
             }
             x += random.range(0.75, 1.1);

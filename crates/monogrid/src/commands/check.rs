@@ -7,7 +7,7 @@ use crate::failure::{CommandResult, Outcome};
 use crate::input::{Images, Input};
 use crate::readings::{ImuFacts, Inertial};
 use clap::Args;
-use monogrid_datasets::{CheckConfig, FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
+use monogrid_datasets::{FrameCheck, FrameChecker, FrameEntry, SequenceCheck};
 use monogrid_image::{GrayImage, WorkingSize};
 use monogrid_pipeline::Unusable;
 use rayon::prelude::*;
@@ -104,7 +104,7 @@ struct Seen {
 
 impl Seen {
     fn all(input: &Input) -> Self {
-        let mut checker = FrameChecker::new(CheckConfig::default());
+        let mut checker = FrameChecker::default();
         let mut seen = Self::default();
         for (index, timestamp_ns, image) in frames(input) {
             seen.times.push(timestamp_ns as f64 * 1e-9);
@@ -150,7 +150,7 @@ impl CheckReport {
             Images::Files(dataset) => Some(dataset),
             Images::Video(_) | Images::Rendered(_) => None,
         };
-        let sequence = SequenceCheck::new(&seen.checks, &CheckConfig::default());
+        let sequence = SequenceCheck::new(&seen.checks);
         let in_source = |positions: &[usize]| positions.iter().map(|&i| seen.numbers[i]).collect();
         let jumps: Vec<usize> = sequence.exposure_jumps.iter().map(|jump| jump.0).collect();
         let valid = input.mask().as_slice().iter().filter(|&&m| m > 0).count();

@@ -11,7 +11,7 @@ use crate::run::outputs::path_of;
 use clap::Args;
 use monogrid_datasets::read_trajectory;
 use monogrid_evaluation::{
-    CarveConfig, PosedDepth, Triangle, Truth, TruthConfig, TruthGrid, truth_from_depth_images,
+    PosedDepth, Triangle, Truth, TruthConfig, TruthGrid, View, truth_from_depth_images,
     truth_from_points, truth_from_triangles,
 };
 use monogrid_occupancy::MapFormat;
@@ -324,18 +324,17 @@ fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
         .iter()
         .zip(&depths)
         .map(|((_, pose), depth)| PosedDepth {
-            world_from_camera: *pose,
-            camera: folder.pinhole(),
-            width,
-            height,
+            view: View {
+                world_from_camera: *pose,
+                camera: folder.pinhole(),
+                width,
+                height,
+            },
             depth: depth.as_slice(),
         })
         .collect();
-    let config = CarveConfig {
-        max_depth: args.max_depth.unwrap_or(f64::INFINITY),
-        ..CarveConfig::with_resolution(args.resolution)
-    };
-    let grid = truth_from_depth_images(&images, &config).bad_input()?;
+    let max_depth = args.max_depth.unwrap_or(f64::INFINITY);
+    let grid = truth_from_depth_images(&images, args.resolution, max_depth).bad_input()?;
     Ok(Made {
         grid,
         made_from: format!("{} of {} depth images", images.len(), folder.num_depths()),
