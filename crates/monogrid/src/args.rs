@@ -2,8 +2,10 @@
 
 use clap::{Args, ValueEnum};
 use monogrid_image::WorkingSize;
+use monogrid_slam::mapping::AutoLength;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroUsize;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 /// Output for programs.
@@ -68,15 +70,6 @@ pub enum IntegrationArg {
     Rays,
 }
 
-/// A length or "chosen from the data".
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum AutoOr {
-    /// From the resolution and the uncertainty of each measurement
-    Auto,
-    /// A fixed value
-    Value(f64),
-}
-
 /// Sensor model and map options shared by `run` and `map`.
 #[derive(Debug, Clone, Default, Args)]
 pub struct MappingArgs {
@@ -88,10 +81,10 @@ pub struct MappingArgs {
     pub resolution: Option<f64>,
     /// Thickness L of the occupied band of the models ideal and thrun [default: auto]
     #[arg(long, value_name = "L|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
-    pub buffer: Option<AutoOr>,
+    pub buffer: Option<AutoLength>,
     /// Significance k of the model andert [default: auto]
     #[arg(long, value_name = "K|auto", value_parser = auto_or_positive, help_heading = "Mapping")]
-    pub significance: Option<AutoOr>,
+    pub significance: Option<AutoLength>,
     /// How measurements are combined [default: fused]
     #[arg(long, value_enum, help_heading = "Mapping")]
     pub integration: Option<IntegrationArg>,
@@ -150,51 +143,53 @@ pub struct SourceArgs {
 
 /// A difference of two clocks, ms: at most some centuries.
 fn time_offset_ms(text: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|ms: &f64| ms.abs() <= 9e12);
-    value.ok_or_else(|| "expected a number of milliseconds".into())
+    number_in(text, -9e12..=9e12, "a number of milliseconds")
 }
 
 /// A field of view that a pinhole can have, degrees.
 fn field_of_view(text: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|fov| (5.0..=160.0).contains(fov));
-    value.ok_or_else(|| "expected a field of view from 5 to 160 degrees".into())
+    number_in(text, 5.0..=160.0, "a field of view from 5 to 160 degrees")
 }
 
 /// Time between the first and the last row of an image, ms, negative where it is upside down: real sensors take at most as long as a frame of a slow
 /// video lasts.
 pub fn readout_ms(text: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|ms| (-100.0..=100.0).contains(ms));
-    value.ok_or_else(|| "expected -100 to 100 milliseconds".into())
+    number_in(text, -100.0..=100.0, "-100 to 100 milliseconds")
+}
+
+fn number_in(text: &str, allowed: RangeInclusive<f64>, expected: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value| allowed.contains(value));
+    value.ok_or_else(|| format!("expected {expected}"))
 }
 
 /// A positive, finite number.
 pub fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("expected a positive number".into()),
-    }
+    let value = text.parse().ok();
+    let value = value.filter(|value: &f64| value.is_finite() && *value > 0.0);
+    value.ok_or_else(|| "expected a positive number".into())
 }
 
-fn auto_or_positive(text: &str) -> Result<AutoOr, String> {
+fn auto_or_positive(text: &str) -> Result<AutoLength, String> {
     if text == "auto" {
-        return Ok(AutoOr::Auto);
+        return Ok(AutoLength::Auto);
     }
     positive(text)
-        .map(AutoOr::Value)
+        .map(AutoLength::Fixed)
         .map_err(|_| "expected a positive number or `auto`".into())
 }
 
 /// Bytes of memory, from 1 MB on.
 pub fn memory(text: &str) -> Result<u64, String> {
-    let expected = || "expected a size from 1MB to 1000000GB, e.g. 500MB or 1.5GB".to_owned();
     let upper = text.trim().to_ascii_uppercase();
     let units = [("MB", 1e6), ("GB", 1e9)];
-    let found = units.iter().find_map(|(unit, bytes)| {
+    let bytes = units.iter().find_map(|(unit, bytes)| {
         let number: f64 = upper.strip_suffix(unit)?.trim().parse().ok()?;
         Some(number * bytes)
     });
-    let allowed = found.filter(|bytes| (1e6..=1e15).contains(bytes));
-    allowed.map(|bytes| bytes as u64).ok_or_else(expected)
+    match bytes {
+        Some(bytes @ 1e6..=1e15) => Ok(bytes as u64),
+        _ => Err("expected a size from 1MB to 1000000GB, e.g. 500MB or 1.5GB".to_owned()),
+    }
 }
 
 /// Most pixels of a working image.
@@ -207,17 +202,11 @@ pub fn size(text: &str) -> Result<(usize, usize), String> {
             "expected WIDTHxHEIGHT, both from 32 to 8192 and at most {MAX_PIXELS} pixels, e.g. 640x480"
         )
     };
-    let (width, height) = text.split_once(['x', 'X']).ok_or_else(expected)?;
-    let side = |text: &str| {
-        text.parse::<usize>()
-            .ok()
-            .filter(|n| (32..=8192).contains(n))
-    };
-    let (width, height) = side(width).zip(side(height)).ok_or_else(expected)?;
-    if width * height > MAX_PIXELS {
-        return Err(expected());
-    }
-    Ok((width, height))
+    let side = |text: &str| text.parse().ok().filter(|n| (32..=8192).contains(n));
+    let sides = text.split_once(['x', 'X']);
+    let size = sides.and_then(|(width, height)| side(width).zip(side(height)));
+    size.filter(|(width, height)| width * height <= MAX_PIXELS)
+        .ok_or_else(expected)
 }
 
 #[cfg(test)]
@@ -238,7 +227,7 @@ mod tests {
         for bad in ["0", "-1", "nan", "inf", "x"] {
             assert!(positive(bad).is_err(), "{bad}");
         }
-        assert_eq!(auto_or_positive("auto"), Ok(AutoOr::Auto));
-        assert_eq!(auto_or_positive("0.1"), Ok(AutoOr::Value(0.1)));
+        assert_eq!(auto_or_positive("auto"), Ok(AutoLength::Auto));
+        assert_eq!(auto_or_positive("0.1"), Ok(AutoLength::Fixed(0.1)));
     }
 }

@@ -1,31 +1,10 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
-use crate::commands::batch::BatchArgs;
-use crate::commands::calibrate::CalibrateArgs;
-use crate::commands::cameras::CamerasArgs;
-use crate::commands::check::CheckArgs;
-use crate::commands::convert::ConvertArgs;
-use crate::commands::demo::DemoArgs;
-use crate::commands::distances::DistancesArgs;
-use crate::commands::evaluate::{EvaluateDepthArgs, EvaluateTrajectoryArgs};
-use crate::commands::evaluate_map::{EvaluateMapArgs, EvaluatePathsArgs};
-use crate::commands::info::InfoArgs;
-use crate::commands::map::MapArgs;
-use crate::commands::merge_runs::MergeRunsArgs;
-use crate::commands::mesh::MeshArgs;
-use crate::commands::plan::PlanArgs;
-use crate::commands::report::ReportArgs;
-use crate::commands::rescale::RescaleArgs;
-use crate::commands::run::RunArgs;
-use crate::commands::sensor_model::SensorModelArgs;
-use crate::commands::shell::{CompletionsArgs, ManArgs};
-use crate::commands::slice::SliceArgs;
-use crate::commands::sweep::SweepArgs;
-use crate::commands::synth::SynthArgs;
-use crate::commands::tools::{CropArgs, DiffArgs, MergeArgs, ProjectArgs, TransformArgs};
-use crate::commands::truth::TruthArgs;
-use crate::commands::view::ViewArgs;
-use crate::commands::vocabulary::VocabularyArgs;
+use crate::commands::{
+    batch, calibrate, cameras, check, convert, demo, distances, evaluate, evaluate_map, info, map,
+    merge_runs, mesh, plan, report, rescale, run, sensor_model, shell, slice, sweep, synth, tools,
+    truth, view, vocabulary,
+};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 
@@ -87,107 +66,107 @@ First steps:  monogrid demo
 pub enum Command {
     /// Render a built-in world, run the whole system on it, evaluate against the exact truth
     #[command(after_help = "Example: monogrid demo --out demo")]
-    Demo(DemoArgs),
+    Demo(demo::DemoArgs),
     /// Turn a video or image sequence into a trajectory, keyframes with depth and an occupancy map
     #[command(
         after_help = "Example: monogrid run recordings/kitchen --out runs/kitchen --resolution 0.02"
     )]
-    Run(Box<RunArgs>),
+    Run(Box<run::RunArgs>),
     /// Many recordings, each by a run of its own: resumable, a status for each, several at once
     #[command(
         after_help = "Example: monogrid batch recordings.tsv --out maps --jobs 8\n\n\
 A list has a recording per line, and behind tabs what is said of it alone: name=NAME and options of `monogrid run`\n\
 as KEY=VALUE."
     )]
-    Batch(BatchArgs),
+    Batch(batch::BatchArgs),
     /// One page of all recordings of a batch: what worked, what did not and why, the worst first
     #[command(after_help = "Example: monogrid report maps")]
-    Report(ReportArgs),
+    Report(report::ReportArgs),
     /// Cameras of this computer that can be a source
     #[command(after_help = "Example: monogrid cameras")]
-    Cameras(CamerasArgs),
+    Cameras(cameras::CamerasArgs),
     /// Camera from a video of a chessboard that is shown to it from many sides
     #[command(after_help = "Example: monogrid calibrate board.mp4 --out my-phone")]
-    Calibrate(CalibrateArgs),
+    Calibrate(calibrate::CalibrateArgs),
     /// Read a source without running: size, rate, calibration, what would hurt tracking
     #[command(after_help = "Example: monogrid check recordings/kitchen")]
-    Check(CheckArgs),
+    Check(check::CheckArgs),
     /// Look at a map, a cloud or a run: in the browser, as a page or as a picture
     #[command(after_help = "Example: monogrid view runs/kitchen/global.ot")]
-    View(ViewArgs),
+    View(view::ViewArgs),
     /// Build an occupancy map from a recording, or from poses and depth from anywhere
     #[command(
         after_help = "Example: monogrid map runs/kitchen/recording.mgk --out kitchen.ot --resolution 0.02"
     )]
-    Map(MapArgs),
+    Map(map::MapArgs),
     /// A run of unknown scale in metres: trajectory, recording, maps and cloud in a new folder
     #[command(
         after_help = "Example: monogrid rescale runs/kitchen --scale-from camera-height=1.5m --out runs/kitchen-metric"
     )]
-    Rescale(RescaleArgs),
+    Rescale(rescale::RescaleArgs),
     /// Runs of different days and cameras as one map, as far as they show the same places
     #[command(after_help = "Example: monogrid merge-runs runs/monday runs/tuesday --out runs/both")]
-    MergeRuns(MergeRunsArgs),
+    MergeRuns(merge_runs::MergeRunsArgs),
     /// Ground-truth map of a mesh, a point cloud, a built-in world, or posed depth images
     #[command(
         after_help = "Example: monogrid truth room.ply --trajectory groundtruth.txt --resolution 0.02 --out truth.ot"
     )]
-    Truth(TruthArgs),
+    Truth(truth::TruthArgs),
     /// Synthetic dataset in TUM layout with exact depth, poses and truth map
     #[command(after_help = "Example: monogrid synth office --out recordings/office --frames 600")]
-    Synth(SynthArgs),
+    Synth(synth::SynthArgs),
     /// The thesis' experiments: every resolution, sensor model and parameter, with tables and figures
     #[command(
         after_help = "Example: monogrid sweep runs/room/recording.mgk --truth truth.ot --align gt:groundtruth.txt --out sweeps/room"
     )]
-    Sweep(SweepArgs),
+    Sweep(sweep::SweepArgs),
     /// Curves of the inverse sensor models: probability over range, for any parameters
     #[command(after_help = "Example: monogrid sensor-model --plot curves")]
-    SensorModel(SensorModelArgs),
+    SensorModel(sensor_model::SensorModelArgs),
     /// Grey pictures of the layers of a map
     #[command(after_help = "Example: monogrid slice kitchen.ot slices --leaves")]
-    Slice(SliceArgs),
+    Slice(slice::SliceArgs),
     /// Facts about a map or submaps
     #[command(after_help = "Example: monogrid info kitchen.bt")]
-    Info(InfoArgs),
+    Info(info::InfoArgs),
     /// Convert a map: .ot, .bt and .mgo to .ot, .bt, .mgo, .ply or .pcd
     #[command(after_help = "Example: monogrid convert kitchen.ot kitchen.ply")]
-    Convert(ConvertArgs),
+    Convert(convert::ConvertArgs),
     /// Move, turn and scale a map
     #[command(
         after_help = "Example: monogrid transform kitchen.ot moved.ot --sim3 world_from_kitchen.txt"
     )]
-    Transform(TransformArgs),
+    Transform(tools::TransformArgs),
     /// Keep the cells of a map that touch a box
     #[command(after_help = "Example: monogrid crop house.ot kitchen.ot --min -1,0,0 --max 2,3,2.5")]
-    Crop(CropArgs),
+    Crop(tools::CropArgs),
     /// Add the log-odds of two maps, as if both had been measured into one
     #[command(after_help = "Example: monogrid merge morning.ot evening.ot --out day.ot")]
-    Merge(MergeArgs),
+    Merge(tools::MergeArgs),
     /// Count the cells whose state differs between two maps
     #[command(after_help = "Example: monogrid diff morning.ot evening.ot")]
-    Diff(DiffArgs),
+    Diff(tools::DiffArgs),
     /// Surface of a map as a triangle mesh: .ply or .glb
     #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
-    Mesh(MeshArgs),
+    Mesh(mesh::MeshArgs),
     /// Map seen from above as .pgm and .yaml for nav2's map server
     #[command(
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"
     )]
-    Project(ProjectArgs),
+    Project(tools::ProjectArgs),
     /// Distance to the nearest obstacle in every cell, as an array for numpy
     #[command(
         after_help = "Example: monogrid distances kitchen.ot kitchen.npy --max-distance 2 --height 0.3"
     )]
-    Distances(DistancesArgs),
+    Distances(distances::DistancesArgs),
     /// Path of a robot through a map
     #[command(after_help = "Example: monogrid plan kitchen.ot 0,0,0.5 2,1,0.5 --robot-radius 0.2")]
-    Plan(PlanArgs),
+    Plan(plan::PlanArgs),
     /// Train the words by which FAB-MAP knows places, on images of many places
     #[command(
         after_help = "Example: monogrid vocabulary recordings/kitchen recordings/office --every 10 --out places.vocabulary"
     )]
-    Vocabulary(VocabularyArgs),
+    Vocabulary(vocabulary::VocabularyArgs),
     /// Compare a result with the truth
     #[command(subcommand)]
     Evaluate(EvaluateCommand),
@@ -195,10 +174,10 @@ as KEY=VALUE."
     #[command(
         after_help = "Example: monogrid completions bash > ~/.local/share/bash-completion/completions/monogrid"
     )]
-    Completions(CompletionsArgs),
+    Completions(shell::CompletionsArgs),
     /// Pages of the manual, for `man`
     #[command(after_help = "Example: monogrid man --out ~/.local/share/man/man1 --force")]
-    Man(ManArgs),
+    Man(shell::ManArgs),
 }
 
 /// What to evaluate.
@@ -208,20 +187,20 @@ pub enum EvaluateCommand {
     #[command(
         after_help = "Example: monogrid evaluate trajectory runs/kitchen/trajectory.txt groundtruth.txt --align sim3"
     )]
-    Trajectory(EvaluateTrajectoryArgs),
+    Trajectory(evaluate::EvaluateTrajectoryArgs),
     /// Inverse depth of the keyframes of a recording, and its variance, against true depth
     #[command(
         after_help = "Example: monogrid evaluate depth runs/kitchen/recording.mgk recordings/kitchen"
     )]
-    Depth(EvaluateDepthArgs),
+    Depth(evaluate::EvaluateDepthArgs),
     /// Cells of a map against the true map: ROC, MCC, calibration, surface, four rules for unknown
     #[command(after_help = "Example: monogrid evaluate map runs/kitchen/global.ot truth.ot")]
-    Map(EvaluateMapArgs),
+    Map(evaluate_map::EvaluateMapArgs),
     /// Can a robot plan on the map, and are its plans safe in the true map
     #[command(
         after_help = "Example: monogrid evaluate paths runs/kitchen/global.ot truth.ot --robot-radius 0.2"
     )]
-    Paths(EvaluatePathsArgs),
+    Paths(evaluate_map::EvaluatePathsArgs),
 }
 
 #[cfg(test)]

@@ -31,7 +31,8 @@ pub struct ColourSource {
     /// Those of image files, which are read once more; none of a video.
     files: Vec<FrameEntry>,
     preparation: Preparation,
-    kept: Arc<FrameColours>,
+    /// Where what is seen only once is kept.
+    pub kept: Arc<FrameColours>,
 }
 
 impl ColourSource {
@@ -47,11 +48,6 @@ impl ColourSource {
             preparation: input.preparation.clone(),
             kept: Arc::default(),
         })
-    }
-
-    /// Where what is seen only once is kept.
-    pub fn kept(&self) -> &Arc<FrameColours> {
-        &self.kept
     }
 
     /// The working image of a keyframe in colour, as JPEG; `None` where it is grey, or cannot be read a second time. To be asked for

@@ -1,13 +1,11 @@
 //! The configuration of a run: profile, then file, then `--set`, then options; written out as it was used.
 
-use crate::args::{AutoOr, IntegrationArg, MappingArgs, Profile, SensorModelArg};
+use crate::args::{IntegrationArg, MappingArgs, Profile, SensorModelArg};
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::read_file;
 use monogrid_image::WorkingSize;
 use monogrid_slam::SlamConfig;
-use monogrid_slam::mapping::{
-    AutoLength, IntegrationKind, MapQuality, MappingConfig, SensorModelKind,
-};
+use monogrid_slam::mapping::{IntegrationKind, MapQuality, MappingConfig, SensorModelKind};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::{Table, Value};
@@ -65,20 +63,16 @@ impl RunConfig {
         file: Option<&Path>,
         settings: &[String],
     ) -> Result<Self, Failure> {
-        let content = match file {
-            None => Table::new(),
-            Some(path) => read_table(path)?,
-        };
-        let named_in_file = match content.get("profile") {
-            None => None,
-            Some(value) => Some(value.clone().try_into::<Profile>().map_err(|_| {
+        let content = file.map(read_table).transpose()?.unwrap_or_default();
+        let named = content.get("profile").map(|value| {
+            value.clone().try_into::<Profile>().map_err(|_| {
                 Failure::input(format!(
                     "profile is {value} in {}, expected \"default\", \"fast\" or \"thesis\"",
                     file.unwrap_or(Path::new("")).display()
                 ))
-            })?),
-        };
-        let profile = profile.or(named_in_file).unwrap_or_default();
+            })
+        });
+        let profile = profile.or(named.transpose()?).unwrap_or_default();
         let mut table = Table::try_from(Self::of(profile)).map_err(Failure::running)?;
         merge(&mut table, content);
         table.insert("profile".into(), Value::String(profile.name().into()));
@@ -153,10 +147,6 @@ impl RunConfig {
     /// Applies the options of the command line.
     pub fn apply(&mut self, args: &MappingArgs) {
         let mapping = &mut self.mapping;
-        let length = |value: AutoOr| match value {
-            AutoOr::Auto => AutoLength::Auto,
-            AutoOr::Value(length) => AutoLength::Fixed(length),
-        };
         if let Some(model) = args.sensor_model {
             mapping.sensor_model = match model {
                 SensorModelArg::Thrun => SensorModelKind::Thrun,
@@ -169,33 +159,24 @@ impl RunConfig {
             mapping.resolution = resolution;
             mapping.auto_resolution = false;
         }
-        if let Some(buffer) = args.buffer {
-            mapping.buffer = length(buffer);
-        }
-        if let Some(significance) = args.significance {
-            mapping.significance = length(significance);
-        }
+        mapping.buffer = args.buffer.unwrap_or(mapping.buffer);
+        mapping.significance = args.significance.unwrap_or(mapping.significance);
+        mapping.max_range = args.max_range.unwrap_or(mapping.max_range);
         if let Some(integration) = args.integration {
             mapping.integration = match integration {
                 IntegrationArg::Fused => IntegrationKind::Fused,
                 IntegrationArg::Rays => IntegrationKind::Rays,
             };
         }
-        if let Some(max_range) = args.max_range {
-            mapping.max_range = max_range;
-        }
     }
 
     /// Checks the ranges of all settings.
     pub fn validate(&self) -> Result<(), Failure> {
-        let allowed = WorkingSize::ALLOWED_PIXELS;
-        if !allowed.contains(&self.working_pixels) {
-            let pixels = self.working_pixels;
-            return Err(Failure::input(format!(
-                "working_pixels is {pixels}, allowed are {} to {}",
-                allowed.start(),
-                allowed.end()
-            )));
+        let (least, most) = WorkingSize::ALLOWED_PIXELS.into_inner();
+        let pixels = self.working_pixels;
+        if !(least..=most).contains(&pixels) {
+            let said = format!("working_pixels is {pixels}, allowed are {least} to {most}");
+            return Err(Failure::input(said));
         }
         self.slam.validate().map_err(Failure::input)?;
         self.mapping.validate().map_err(Failure::input)
@@ -258,9 +239,8 @@ fn merge(base: &mut Table, over: Table) {
 /// `a.b.c=value`; the value is TOML, or a string when it is not.
 fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
     let Some((key, text)) = setting.split_once('=') else {
-        return Err(Failure::input(format!(
-            "--set {setting}: expected KEY=VALUE, e.g. mapping.resolution=0.02"
-        )));
+        let said = format!("--set {setting}: expected KEY=VALUE, e.g. mapping.resolution=0.02");
+        return Err(Failure::input(said));
     };
     if key.trim() == "profile" {
         return Err(Failure::input(format!(
@@ -268,23 +248,18 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
         )));
     }
     let text = text.trim();
-    let value = format!("value = {text}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut parsed| parsed.remove("value"))
-        .unwrap_or_else(|| Value::String(text.to_owned()));
+    let parsed = format!("value = {text}").parse::<Table>().ok();
+    let value = parsed.and_then(|mut parsed| parsed.remove("value"));
+    let value = value.unwrap_or_else(|| Value::String(text.to_owned()));
     let mut path: Vec<&str> = key.trim().split('.').collect();
     let last = path.pop().unwrap_or_default();
     let mut inner = table;
     for part in path {
-        inner = match inner.get_mut(part) {
-            Some(Value::Table(next)) => next,
-            _ => {
-                return Err(Failure::input(format!(
-                    "--set {setting}: there is no section `{part}`"
-                )));
-            }
+        let Some(Value::Table(next)) = inner.get_mut(part) else {
+            let said = format!("--set {setting}: there is no section `{part}`");
+            return Err(Failure::input(said));
         };
+        inner = next;
     }
     // `1` for a number with a fraction
     let value = match (inner.get(last), value) {
@@ -301,6 +276,7 @@ fn apply_setting(table: &mut Table, setting: &str) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_slam::mapping::AutoLength;
 
     fn message(failure: &Failure) -> String {
         match failure {
@@ -352,7 +328,7 @@ mod tests {
         let mut config = RunConfig::resolve(None, Some(&path), &settings).unwrap();
         config.apply(&MappingArgs {
             sensor_model: Some(SensorModelArg::Andert),
-            buffer: Some(AutoOr::Value(0.3)),
+            buffer: Some(AutoLength::Fixed(0.3)),
             ..MappingArgs::default()
         });
         let mapping = &config.mapping;

@@ -4,7 +4,7 @@ use crate::report::svg::{COLOURS, Plot, Series, number};
 use monogrid_occupancy::{AndertForm, Buffer, SensorModel, Significance, ThrunForm};
 
 /// Curves that belong together.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Figure {
     /// Name of its files.
     pub name: String,
@@ -34,36 +34,26 @@ fn andert(k: f64, form: AndertForm) -> SensorModel {
 
 /// P over the range for a measurement at `z`.
 pub fn curve(
-    name: String,
+    name: impl Into<String>,
     colour: &'static str,
     model: &SensorModel,
     z: f64,
     sigma: f64,
     to: f64,
 ) -> Series {
-    let points = (1..=POINTS)
-        .map(|i| {
-            let range = to * i as f64 / POINTS as f64;
-            [range, model.probability(range, z, sigma)]
-        })
-        .collect();
-    Series {
-        name,
-        colour,
-        points,
-        is_dashed: false,
-    }
+    let point = |i| {
+        let range = to * i as f64 / POINTS as f64;
+        [range, model.probability(range, z, sigma)]
+    };
+    Series::new(name, colour, (1..=POINTS).map(point).collect())
 }
 
 /// A plot of probabilities up to a range.
 pub fn plot(title: &str, series: Vec<Series>, to: f64) -> Plot {
+    let labels = ["range r, m", "probability of occupancy"];
     Plot {
-        title: title.to_owned(),
-        x_label: "range r, m".into(),
-        y_label: "probability of occupancy".into(),
-        series,
         ranges: Some([[0.0, to], [0.0, 1.05]]),
-        ..Plot::default()
+        ..Plot::new(title, labels, series)
     }
 }
 
@@ -83,22 +73,13 @@ fn family(
     to: f64,
     of: impl Fn(f64) -> (SensorModel, f64, f64),
 ) -> Vec<Series> {
-    values
-        .iter()
-        .enumerate()
-        .map(|(i, value)| {
-            let (model, z, sigma) = of(*value);
-            let colour = COLOURS[(i * 9 / values.len().max(2)).min(9)];
-            curve(
-                format!("{quantity} = {}", number(*value)),
-                colour,
-                &model,
-                z,
-                sigma,
-                to,
-            )
-        })
-        .collect()
+    let curve = |(i, value): (usize, &f64)| {
+        let (model, z, sigma) = of(*value);
+        let colour = COLOURS[(i * 9 / values.len().max(2)).min(9)];
+        let name = format!("{quantity} = {}", number(*value));
+        curve(name, colour, &model, z, sigma, to)
+    };
+    values.iter().enumerate().map(curve).collect()
 }
 
 /// Standard deviation of a range of the stereo camera of figure 5.11: baseline 0.3 m, focal length
@@ -109,10 +90,7 @@ fn stereo_sigma(z: f64) -> f64 {
 
 /// Figures 5.1 to 5.11.
 pub fn thesis_figures() -> Vec<Figure> {
-    let mut figures = gaussian_figures();
-    figures.extend(thrun_figures());
-    figures.extend(andert_figures());
-    figures
+    [gaussian_figures(), thrun_figures(), andert_figures()].concat()
 }
 
 fn gaussian(mean: f64, sigma: f64, from: f64, to: f64) -> Vec<[f64; 2]> {
@@ -130,27 +108,19 @@ fn gaussian_figures() -> Vec<Figure> {
         buffer: Buffer::Fixed(1.0),
     };
     let one = |name: &str, colour, model: &SensorModel, sigma| {
-        curve(name.to_owned(), colour, model, 2.0, sigma, 4.0)
+        curve(name, colour, model, 2.0, sigma, 4.0)
     };
+    let alone = |model: &SensorModel, sigma| vec![one("", COLOURS[1], model, sigma)];
     let convolved = vec![
         one("ideal", "#999999", &ideal, 0.3),
-        Series {
-            name: "noise".to_owned(),
-            colour: COLOURS[6],
-            points: gaussian(2.0, 0.3, 0.0, 4.0),
-            is_dashed: true,
-        },
+        Series::new("noise", COLOURS[6], gaussian(2.0, 0.3, 0.0, 4.0)).dashed(),
         one("convolved", COLOURS[1], &thrun(1.0), 0.3),
     ];
     vec![
         figure(
             "figure-5.1-ideal",
             "Ideal model, z = 2 m, L = 1 m.",
-            plot(
-                "5.1 Ideal inverse sensor model",
-                vec![one("", COLOURS[1], &ideal, 0.5)],
-                4.0,
-            ),
+            plot("5.1 Ideal inverse sensor model", alone(&ideal, 0.5), 4.0),
         ),
         noise_figure(),
         figure(
@@ -164,34 +134,20 @@ fn gaussian_figures() -> Vec<Figure> {
         figure(
             "figure-5.4-thrun",
             "Thrun's model in the thesis' closed form (last line of 5.2.12), z = 2 m, sigma = 0.3 m, L = 1 m.",
-            plot(
-                "5.4 Thrun",
-                vec![one("", COLOURS[1], &thrun(1.0), 0.3)],
-                4.0,
-            ),
+            plot("5.4 Thrun", alone(&thrun(1.0), 0.3), 4.0),
         ),
     ]
 }
 
 fn noise_figure() -> Figure {
-    let density = Series {
-        name: String::new(),
-        colour: COLOURS[1],
-        points: gaussian(0.0, 0.5, -2.0, 2.0),
-        is_dashed: false,
+    let density = Series::new("", COLOURS[1], gaussian(0.0, 0.5, -2.0, 2.0));
+    let labels = ["error of the range, m", "density"];
+    let plot = Plot {
+        from_zero: true,
+        ..Plot::new("5.2 Noise", labels, vec![density])
     };
-    figure(
-        "figure-5.2-noise",
-        "Gaussian noise of the range, sigma = 0.5 m.",
-        Plot {
-            title: "5.2 Noise".into(),
-            x_label: "error of the range, m".into(),
-            y_label: "density".into(),
-            series: vec![density],
-            from_zero: true,
-            ..Plot::default()
-        },
-    )
+    let note = "Gaussian noise of the range, sigma = 0.5 m.";
+    figure("figure-5.2-noise", note, plot)
 }
 
 fn thrun_figures() -> Vec<Figure> {
@@ -204,6 +160,7 @@ fn thrun_figures() -> Vec<Figure> {
     let over_range = family("z", &[1.0, 2.0, 3.0], 6.0, |z| {
         (thrun(0.4), z, 0.05 * z * z)
     });
+    let varying = "5.7 Thrun over the range, range-dependent sigma";
     vec![
         figure(
             "figure-5.5-thrun-buffer",
@@ -218,11 +175,7 @@ fn thrun_figures() -> Vec<Figure> {
         figure(
             "figure-5.7-thrun-range",
             "L = 0.4 m, sigma = 0.05 m at 1 m, growing with the square of the range: the peak moves behind the measurement.",
-            plot(
-                "5.7 Thrun over the range, range-dependent sigma",
-                over_range,
-                6.0,
-            ),
+            plot(varying, over_range, 6.0),
         ),
     ]
 }
@@ -265,31 +218,22 @@ fn andert_figures() -> Vec<Figure> {
 
 /// What the thesis does not show: where its closed form and the exact ones part.
 pub fn thrun_forms() -> Figure {
+    let buffer = Buffer::AUTO;
     let forms = [
-        ("exact", ThrunForm::Exact),
-        ("thesis", ThrunForm::Thesis),
-        ("inverse depth", ThrunForm::InverseDepth),
+        ("exact", ThrunForm::Exact, COLOURS[1]),
+        ("thesis", ThrunForm::Thesis, COLOURS[8]),
+        ("inverse depth", ThrunForm::InverseDepth, COLOURS[3]),
     ];
-    let series = forms
-        .into_iter()
-        .zip([1, 8, 3])
-        .map(|((name, form), colour)| {
-            let model = SensorModel::Thrun {
-                buffer: Buffer::AUTO,
-                form,
-            };
-            curve(name.to_owned(), COLOURS[colour], &model, 2.0, 1.6, 8.0)
-        })
-        .collect();
+    let series = forms.map(|(name, form, colour)| {
+        let model = SensorModel::Thrun { buffer, form };
+        curve(name, colour, &model, 2.0, 1.6, 8.0)
+    });
+    let title = "Forms of Thrun's model under large uncertainty";
     figure(
         "thrun-forms",
         "z = 2 m, sigma = 1.6 m (80 %), L = 2.5 sigma: the thesis' form stays below 1/2 behind the \
          obstacle, the form in inverse depth is longer on the far side.",
-        plot(
-            "Forms of Thrun's model under large uncertainty",
-            series,
-            8.0,
-        ),
+        plot(title, series.to_vec(), 8.0),
     )
 }
 

@@ -2,7 +2,7 @@
 
 use crate::failure::{Classify, Failure};
 use crate::input::{Images, Input};
-use monogrid_datasets::{Dataset, DepthCalibration, DepthRegistration, read_depth};
+use monogrid_datasets::{Dataset, DepthCalibration, DepthRegistration, FrameEntry, read_depth};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
 use std::path::Path;
@@ -64,14 +64,12 @@ pub fn dataset_seed_depth(
     let Images::Files(dataset) = &input.images else {
         return Ok(None);
     };
-    let seeded = input
-        .frames
-        .iter()
-        .find_map(|frame| Some((frame, dataset.depth_of_frame(frame.timestamp_ns)?)));
-    let Some((frame, entry)) = seeded else {
+    let seed =
+        |frame: &FrameEntry| Some((frame.index, dataset.depth_of_frame(frame.timestamp_ns)?));
+    let Some((index, entry)) = input.frames.iter().find_map(seed) else {
         return Ok(None);
     };
     let calibration = depth_calibration(dataset, calibration, input.camera())?;
     let depth = input.read_depth(&entry.path, &calibration)?;
-    Ok(Some((frame.index, depth)))
+    Ok(Some((index, depth)))
 }

@@ -86,29 +86,24 @@ impl Outcome {
 pub fn exit_code(result: CommandResult) -> u8 {
     match (result, say::finish()) {
         (Err(failure), _) => failure.report(),
-        (Ok(_), Err(error)) => {
-            Failure::running(format!("standard output cannot be written: {error}")).report()
-        }
+        (Ok(_), Err(error)) => not_printed(&error).report(),
         (Ok(outcome), Ok(())) => outcome.code(),
     }
 }
 
 /// Help, version, or what is wrong with the command line; the exit code.
 pub fn usage(message: &clap::Error) -> u8 {
-    let printed = message.print();
-    match (
-        message.use_stderr(),
-        printed
-            .map_err(|error| error.to_string())
-            .and_then(|()| say::finish()),
-    ) {
-        (true, _) => 2,
-        (false, Ok(())) => 0,
-        (false, Err(error)) => {
-            eprintln!("error: standard output cannot be written: {error}");
-            1
-        }
+    let printed = message.print().map_err(|error| error.to_string());
+    let printed = printed.and_then(|()| say::finish());
+    match printed {
+        _ if message.use_stderr() => 2,
+        Ok(()) => 0,
+        Err(error) => not_printed(&error).report(),
     }
+}
+
+fn not_printed(error: &str) -> Failure {
+    Failure::running(format!("standard output cannot be written: {error}"))
 }
 
 /// Says which class an error belongs to.

@@ -12,7 +12,7 @@ use monogrid_datasets::{
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Se3};
 use monogrid_image::{GrayImage, Mask, Photometric, WorkingSize};
 use monogrid_pipeline::{Preparation, SourceFrame, Unusable};
-use monogrid_slam::mapping::KeyframeCamera;
+
 use monogrid_worlds::SynthSequence;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -72,7 +72,8 @@ impl RawInput {
                 frames: Vec::new(),
             });
         }
-        let dataset = Dataset::open(source, SourceOptions::default()).bad_input()?;
+        let options = SourceOptions { fps: args.fps };
+        let dataset = Dataset::open(source, options).bad_input()?;
         Ok(Self {
             name: dataset.name.clone(),
             frames: selected(&dataset, args)?,
@@ -92,7 +93,60 @@ impl RawInput {
             Images::Video(_) | Images::Rendered(_) => None,
         }
     }
+
+    /// Width and height of the images, and which way a rolling shutter runs over them.
+    fn shape(&self) -> Result<Shape, Failure> {
+        if let Images::Video(video) = &self.images {
+            return Ok((video.size, video.direction));
+        }
+        let first = first_image(&self.frames)?;
+        let size = (first.width(), first.height());
+        Ok((size, ReadoutDirection::of_size(size)))
+    }
+
+    /// The calibration that was named, lies in the source, or was recorded with the images; the field of view in its place
+    /// stands above the latter two.
+    fn calibration(
+        &self,
+        args: &SourceArgs,
+        size: (usize, usize),
+    ) -> Result<Option<Calibration>, Failure> {
+        match (&args.calibration, &self.images) {
+            (Some(path), _) => Calibration::read(path, Some(size)).map(Some).bad_input(),
+            (None, Images::Files(dataset)) if args.fov.is_none() => {
+                dataset.calibration(Some(size)).bad_input()
+            }
+            (None, Images::Video(video)) if args.fov.is_none() => Ok(recorded_calibration(video)),
+            _ => Ok(None),
+        }
+    }
+
+    /// The camera that the images show.
+    fn own_calibration(&self, shape: Shape) -> Result<OwnCalibration, Failure> {
+        let unknown = match &self.images {
+            Images::Video(video) if !video.is_file => {
+                return Err(no_calibration(
+                    "no calibration: what is seen only once cannot show its camera first",
+                ));
+            }
+            Images::Files(dataset) => format!(
+                "no calibration in {}: expected calibration.toml or calibration.txt there (one \
+                 line `fx fy cx cy width height`, in pixels)",
+                dataset.root.display()
+            ),
+            _ => "no calibration, and the video does not show it".to_owned(),
+        };
+        let first = self.frames.first();
+        let expected = first.map_or(Expected::ORDINARY, |frame| {
+            Expected::of_image(&frame.path, shape.0)
+        });
+        let own = OwnCalibration::from_images(self.images.readable(&self.frames), shape, &expected);
+        own.ok_or_else(|| no_calibration(&unknown))
+    }
 }
+
+/// Width and height of images, and which way a rolling shutter runs over them.
+type Shape = ((usize, usize), ReadoutDirection);
 
 /// A source that is ready to be read.
 #[derive(Debug)]
@@ -120,95 +174,32 @@ pub struct Input {
 impl Input {
     /// Opens a source. Its images are worked with at the `usual` size, where the arguments say no other.
     pub fn open(source: &Path, args: &SourceArgs, usual: WorkingSize) -> Result<Self, Failure> {
-        check_topic(source, args)?;
-        if is_video(source) {
-            return Self::open_video(source, args, usual);
-        }
-        let options = SourceOptions { fps: args.fps };
-        let dataset = Dataset::open(source, options).bad_input()?;
-        let frames = selected(&dataset, args)?;
-        let first = first_image(&frames)?;
-        let image_size = (first.width(), first.height());
-        let given = match args.fov {
-            Some(_) => None,
-            None => calibration(&dataset, args.calibration.as_deref(), image_size)?,
-        };
-        let images = || {
-            let readable =
-                |frame: &FrameEntry| Some((frame.timestamp_ns, read_gray(&frame.path).ok()?));
-            frames.iter().filter_map(readable)
-        };
-        let known = known_camera(given, args, image_size, || {
-            let first = frames.first().map(|frame| frame.path.as_path());
-            let expected = first.map_or(Expected::ORDINARY, |path| {
-                Expected::of_image(path, image_size)
-            });
-            let size = (image_size, ReadoutDirection::of_size(image_size));
-            OwnCalibration::from_images(images(), size, &expected).ok_or_else(|| {
-                no_calibration(&format!(
-                    "no calibration in {}: expected calibration.toml or calibration.txt there (one \
-                     line `fx fy cx cy width height`, in pixels)",
-                    dataset.root.display()
-                ))
-            })
-        })?;
-        let photometric = read_photometric(
-            dataset.response_path.as_deref(),
-            dataset.vignette_path.as_deref(),
-        )
-        .bad_input()?;
+        let raw = RawInput::open(source, args)?;
+        let (size, direction) = raw.shape()?;
+        let given = raw.calibration(args, size)?;
+        let known = known_camera(given, args, size, || raw.own_calibration((size, direction)))?;
+        let dataset = raw.dataset();
+        let photometric = dataset.map_or_else(
+            || Ok(Photometric::default()),
+            |dataset| {
+                let vignette = dataset.vignette_path.as_deref();
+                read_photometric(dataset.response_path.as_deref(), vignette).bad_input()
+            },
+        )?;
         let preparation = preparation(&known, (args, usual), photometric)?;
-        let inertial = Inertial::open(args, Some(&dataset), known.body_from_camera)?;
-        let mut warnings = dataset.warnings.clone();
+        let inertial = Inertial::open(args, dataset, known.body_from_camera)?;
+        let mut warnings = dataset.map_or_else(Vec::new, |dataset| dataset.warnings.clone());
         warnings.extend(known.warnings);
         Ok(Self {
-            name: dataset.name.clone(),
-            images: Images::Files(Box::new(dataset)),
-            frames,
+            name: raw.name,
+            images: raw.images,
+            frames: raw.frames,
             interpretation: known.interpretation,
             own_calibration: known.own,
-            preparation,
+            preparation: preparation.with_readout_direction(direction),
             is_shutter_known: known.readout_ms.is_some(),
             inertial,
             warnings,
-        })
-    }
-
-    /// Opens a video, camera or stream.
-    fn open_video(source: &Path, args: &SourceArgs, usual: WorkingSize) -> Result<Self, Failure> {
-        let video = VideoSource::open(source, args)?;
-        let size = video.size;
-        let given = args
-            .calibration
-            .as_deref()
-            .map(|path| Calibration::read(path, Some(size)).bad_input())
-            .transpose()?
-            .or_else(|| recorded_calibration(&video, args));
-        let images = || {
-            let frames = video.frames(None);
-            frames.filter_map(|(_, time_ns, image)| Some((time_ns, image.ok()?)))
-        };
-        let known = known_camera(given, args, size, || {
-            if !video.is_file() {
-                return Err(no_calibration(
-                    "no calibration: what is seen only once cannot show its camera first",
-                ));
-            }
-            let size = (size, video.direction);
-            OwnCalibration::from_images(images(), size, &Expected::ORDINARY)
-                .ok_or_else(|| no_calibration("no calibration, and the video does not show it"))
-        })?;
-        let preparation = preparation(&known, (args, usual), Photometric::default())?;
-        Ok(Self {
-            name: video.name(),
-            preparation: preparation.with_readout_direction(video.direction),
-            is_shutter_known: known.readout_ms.is_some(),
-            inertial: Inertial::open(args, None, known.body_from_camera)?,
-            images: Images::Video(Box::new(video)),
-            frames: Vec::new(),
-            interpretation: known.interpretation,
-            own_calibration: known.own,
-            warnings: known.warnings,
         })
     }
 
@@ -243,21 +234,16 @@ impl Input {
     /// The same with their times, ns.
     pub fn timed_images_again(&self) -> Box<dyn Iterator<Item = (i64, GrayImage)> + '_> {
         match &self.images {
-            Images::Video(video) if !video.is_file() => Box::new(std::iter::empty()),
+            Images::Video(video) if !video.is_file => Box::new(std::iter::empty()),
             images => images.readable(&self.frames),
         }
-    }
-
-    /// Takes a rolling shutter: the time from the first row to the last, ms.
-    pub fn take_readout(&mut self, readout_ms: f64) {
-        self.preparation = self.preparation.clone().with_readout_ms(readout_ms);
     }
 
     /// Whether its images can be read more than once.
     pub fn is_repeatable(&self) -> bool {
         match &self.images {
             Images::Files(_) | Images::Rendered(_) => true,
-            Images::Video(video) => video.is_file(),
+            Images::Video(video) => video.is_file,
         }
     }
 
@@ -296,11 +282,6 @@ impl Input {
         (self.camera(), self.preparation.readout_direction())
     }
 
-    /// The camera of the working images.
-    pub fn keyframe_camera(&self) -> KeyframeCamera {
-        KeyframeCamera::new(*self.pinhole(), self.size())
-    }
-
     /// The working image of a frame.
     pub fn read(&self, frame: &FrameEntry) -> Result<GrayImage, Unusable> {
         self.preparation.apply(&self.read_image(frame)?)
@@ -313,13 +294,11 @@ impl Input {
                 read_gray(&frame.path).map_err(|error| Unusable::Unreadable(error.to_string()))
             }
             Images::Video(_) => Err(Unusable::Unreadable("a video lists no frames".to_owned())),
-            Images::Rendered(sequence) => match sequence.frame(frame.index) {
-                Some(frame) => Ok(frame.image),
-                None => {
-                    let reason = "the sequence ends before this frame".to_owned();
-                    Err(Unusable::Unreadable(reason))
-                }
-            },
+            Images::Rendered(sequence) => {
+                let reason = || "the sequence ends before this frame".to_owned();
+                let rendered = sequence.frame(frame.index).map(|frame| frame.image);
+                rendered.ok_or_else(|| Unusable::Unreadable(reason()))
+            }
         }
     }
 
@@ -340,13 +319,8 @@ impl Input {
         }
     }
 
-    /// All frames one after the other; a stream has them only once.
-    pub fn source(&self) -> Box<dyn Iterator<Item = SourceFrame> + Send + '_> {
-        self.source_with(None)
-    }
-
-    /// The same; what a video shows beside luma goes to `colours`.
-    pub fn source_with<'a>(
+    /// All frames one after the other; a stream has them only once. What a video shows beside luma goes to `colours`.
+    pub fn source<'a>(
         &'a self,
         colours: Option<&'a FrameColours>,
     ) -> Box<dyn Iterator<Item = SourceFrame> + Send + 'a> {
@@ -401,38 +375,20 @@ fn first_image(frames: &[FrameEntry]) -> Result<GrayImage, Failure> {
         }
     }
     let tried = frames.len().min(MAX_UNREADABLE_IN_A_ROW);
-    Err(match first_error {
-        Some(error) => Failure::Input(
-            anyhow::Error::from(error)
-                .context(format!("none of the first {tried} images can be read")),
-        ),
-        None => Failure::input("the source has no frames"),
-    })
+    let error = first_error.ok_or_else(|| Failure::input("the source has no frames"))?;
+    let said = format!("none of the first {tried} images can be read");
+    Err(Failure::Input(anyhow::Error::from(error).context(said)))
 }
 
-/// The calibration that was named, or lies in the source.
-fn calibration(
-    dataset: &Dataset,
-    file: Option<&Path>,
-    image_size: (usize, usize),
-) -> Result<Option<Calibration>, Failure> {
-    match file {
-        Some(path) => Calibration::read(path, Some(image_size)).map(Some),
-        None => dataset.calibration(Some(image_size)),
-    }
-    .bad_input()
-}
-
-/// The calibration that was recorded with the images, unless the field of view was given.
-fn recorded_calibration(video: &VideoSource, args: &SourceArgs) -> Option<Calibration> {
-    let camera = video.camera.filter(|_| args.fov.is_none())?;
+/// The calibration that was recorded with the images.
+fn recorded_calibration(video: &VideoSource) -> Option<Calibration> {
     Some(Calibration {
-        camera,
+        camera: video.camera?,
         body_from_camera: None,
         readout_ms: None,
         format: "CameraInfo of the recording",
         notes: Vec::new(),
-        path: video.path().to_owned(),
+        path: video.path.clone(),
     })
 }
 
@@ -501,12 +457,8 @@ fn preparation(
     };
     let preparation = Preparation::new(camera, size, mask.as_ref(), photometric)
         .with_readout_ms(known.readout_ms.unwrap_or(0.0));
-    if preparation
-        .mask()
-        .as_slice()
-        .iter()
-        .all(|&valid| valid == 0)
-    {
+    let usable = preparation.mask().as_slice();
+    if usable.iter().all(|&valid| valid == 0) {
         return Err(Failure::input(
             "no pixel of the image may be used: check --mask and the calibration",
         ));
@@ -520,18 +472,16 @@ const MAX_ASPECT_CHANGE: f64 = 0.005;
 /// Brings a calibration of another size, but the same picture, to the size of the images; a note says so.
 fn scale_to(calibration: &mut Calibration, (width, height): (usize, usize)) -> Result<(), Failure> {
     let camera = &mut calibration.camera;
-    let found = (camera.width, camera.height);
-    if found == (width, height) {
+    let (found_width, found_height) = (camera.width, camera.height);
+    if (found_width, found_height) == (width, height) {
         return Ok(());
     }
     let said = format!(
-        "calibration {} is for images of {}x{} pixels, the images are {width}x{height}",
-        calibration.path.display(),
-        found.0,
-        found.1
+        "calibration {} is for images of {found_width}x{found_height} pixels, the images are {width}x{height}",
+        calibration.path.display()
     );
-    let factor_x = width as f64 / found.0 as f64;
-    let factor_y = height as f64 / found.1 as f64;
+    let factor_x = width as f64 / found_width as f64;
+    let factor_y = height as f64 / found_height as f64;
     if (factor_x / factor_y - 1.0).abs() > MAX_ASPECT_CHANGE {
         return Err(Failure::input(format!(
             "{said}, which is another picture and not only another size; calibrate at the size of the images"
@@ -545,19 +495,20 @@ fn scale_to(calibration: &mut Calibration, (width, height): (usize, usize)) -> R
     Ok(())
 }
 
-fn user_mask(file: Option<&Path>, image_size: (usize, usize)) -> Result<Option<Mask>, Failure> {
+fn user_mask(
+    file: Option<&Path>,
+    (width, height): (usize, usize),
+) -> Result<Option<Mask>, Failure> {
     let Some(path) = file else {
         return Ok(None);
     };
     let mask = read_mask(path).bad_input()?;
-    if (mask.width(), mask.height()) != image_size {
+    if (mask.width(), mask.height()) != (width, height) {
         return Err(Failure::input(format!(
-            "mask {} is {}x{} pixels, the images are {}x{}",
+            "mask {} is {}x{} pixels, the images are {width}x{height}",
             path.display(),
             mask.width(),
-            mask.height(),
-            image_size.0,
-            image_size.1
+            mask.height()
         )));
     }
     Ok(Some(mask))

@@ -63,71 +63,46 @@ pub use monogrid_occupancy::OccupancyMap;
 pub use monogrid_pipeline::{Event, Finished, Pipeline, PipelineError, Settings, Unusable};
 pub use monogrid_slam::{FrameReport, LostReason, TrackingState, TrajectoryPose};
 
-// what the program is made of: nobody else sees it
+// what the program is made of, in files beside this one: nobody else sees it
 #[cfg(feature = "program")]
-#[macro_use]
-mod say;
+#[path = ""]
+mod parts {
+    #[macro_use]
+    pub mod say;
+    pub mod args;
+    pub mod batch;
+    pub mod cli;
+    pub mod colours;
+    pub mod commands;
+    pub mod config;
+    pub mod curves;
+    pub mod depth_images;
+    pub mod doubts;
+    pub mod explorer;
+    pub mod failure;
+    pub mod frame_colours;
+    pub mod input;
+    pub mod keyframe_pixels;
+    pub mod map_camera;
+    pub mod mapfile;
+    pub mod memory;
+    pub mod output;
+    pub mod picture;
+    pub mod program;
+    pub mod readings;
+    pub mod recorded;
+    pub mod refine;
+    pub mod report;
+    pub mod rolling;
+    pub mod run;
+    pub mod self_calibration;
+    pub mod surface;
+    pub mod sweep;
+    pub mod tally;
+    pub mod usage;
+    pub mod video_source;
+}
 #[cfg(feature = "program")]
-mod args;
+pub use parts::program;
 #[cfg(feature = "program")]
-mod batch;
-#[cfg(feature = "program")]
-mod cli;
-#[cfg(feature = "program")]
-mod colours;
-#[cfg(feature = "program")]
-mod commands;
-#[cfg(feature = "program")]
-mod config;
-#[cfg(feature = "program")]
-mod curves;
-#[cfg(feature = "program")]
-mod depth_images;
-#[cfg(feature = "program")]
-mod doubts;
-#[cfg(feature = "program")]
-mod explorer;
-#[cfg(feature = "program")]
-mod failure;
-#[cfg(feature = "program")]
-mod frame_colours;
-#[cfg(feature = "program")]
-mod input;
-#[cfg(feature = "program")]
-mod keyframe_pixels;
-#[cfg(feature = "program")]
-mod map_camera;
-#[cfg(feature = "program")]
-mod mapfile;
-#[cfg(feature = "program")]
-mod memory;
-#[cfg(feature = "program")]
-mod output;
-#[cfg(feature = "program")]
-mod picture;
-#[cfg(feature = "program")]
-pub mod program;
-#[cfg(feature = "program")]
-mod readings;
-#[cfg(feature = "program")]
-mod recorded;
-#[cfg(feature = "program")]
-mod refine;
-#[cfg(feature = "program")]
-mod report;
-#[cfg(feature = "program")]
-mod rolling;
-#[cfg(feature = "program")]
-mod run;
-#[cfg(feature = "program")]
-mod self_calibration;
-#[cfg(feature = "program")]
-mod surface;
-#[cfg(feature = "program")]
-mod sweep;
-#[cfg(feature = "program")]
-mod tally;
-#[cfg(feature = "program")]
-mod usage;
-#[cfg(feature = "program")]
-mod video_source;
+use parts::*;

@@ -59,14 +59,31 @@ pub const HELD: f64 = 1e-6;
 /// Time from the first row of an image to the last as the main map shows it, ms; `None` where it does not show that it takes
 /// any. `camera` is that of the working images.
 pub fn readout_ms_by_map(slam: &Slam, camera: &Intrinsics, taken_out: &TakenOut) -> Option<f64> {
+    let (share, _) = nearly(slam, camera, FOCAL_SIGMA, taken_out)?.readout()?;
+    Some(share * Motion::of(slam).interval_ns / 1e6)
+}
+
+/// A camera as the main map shows it that may be off in its focal length (standard deviation of the logarithm), radial distortion and
+/// rolling shutter; `None` without a keyframe.
+fn nearly(
+    slam: &Slam,
+    camera: &Intrinsics,
+    log_focal_sigma: f64,
+    taken_out: &TakenOut,
+) -> Option<Estimate> {
     let size = working_size(slam)?;
     let prior = Prior {
         mean: camera.parameters(),
-        sigma: Parameters::from([FOCAL_SIGMA, LEFT_RADIAL, HELD, HELD, HELD, 0.5]),
+        sigma: Parameters::from([log_focal_sigma, LEFT_RADIAL, HELD, HELD, HELD, 0.5]),
     };
-    let shown = shown_by_map(slam, VIEWS_FOR_READOUT, camera, (size, &prior), taken_out);
-    let (share, _) = shown.readout()?;
-    Some(share * Motion::of(slam).interval_ns / 1e6)
+    let prior = (size, &prior);
+    Some(shown_by_map(
+        slam,
+        VIEWS_FOR_READOUT,
+        camera,
+        prior,
+        taken_out,
+    ))
 }
 
 /// Standard deviations by which the radial distortion that is left must differ from none, and the least that matters where the image
@@ -81,18 +98,11 @@ pub fn left_radial_by_map(slam: &Slam, taken_out: &TakenOut) -> Option<f64> {
     let size = working_size(slam)?;
     let camera = as_calibrated(slam);
     let shown = |log_focal_sigma: f64| {
-        let prior = Prior {
-            mean: camera.parameters(),
-            sigma: Parameters::from([log_focal_sigma, LEFT_RADIAL, HELD, HELD, HELD, 0.5]),
-        };
-        let shown = shown_by_map(slam, VIEWS_FOR_READOUT, &camera, (size, &prior), taken_out);
-        (shown.intrinsics.radial[0], shown.sigma[1])
+        let shown = nearly(slam, &camera, log_focal_sigma, taken_out)?;
+        Some((shown.intrinsics.radial[0], shown.sigma[1]))
     };
-    let with_focal = shown(FOCAL_SIGMA);
-    if !is_shown(with_focal) {
-        return None;
-    }
-    let (radial, _) = shown(HELD);
+    let with_focal = shown(FOCAL_SIGMA).filter(|found| is_shown(*found))?;
+    let (radial, _) = shown(HELD)?;
     let corner = Vec2::new(size.0 as f64, size.1 as f64).norm() / 2.0 / camera.focal;
     let at_corner_px = radial * corner.powi(3) * camera.focal;
     is_left(with_focal, (radial, at_corner_px)).then_some(radial)
@@ -142,10 +152,8 @@ impl TakenOut {
 
     /// What was taken out of a frame, ms.
     fn at(&self, frame_index: usize) -> f64 {
-        let until = self
-            .changes
-            .partition_point(|(first, _)| *first <= frame_index);
-        let change = until.checked_sub(1).and_then(|k| self.changes.get(k));
+        let mut changes = self.changes.iter().rev();
+        let change = changes.find(|(first, _)| *first <= frame_index);
         change.map_or(0.0, |(_, readout_ms)| *readout_ms)
     }
 

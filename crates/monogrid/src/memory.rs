@@ -27,30 +27,26 @@ pub fn share_heaps() {
 /// Gives large blocks back to the system as soon as they are free, for a run that must stay within a limit: matrices of an adjustment
 /// and lists of a report leave no holes. Costs a few percent of the time, since the system fills such blocks with zeros.
 pub fn keep_little() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    unsafe {
-        let _ = libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BYTES);
-        let _ = libc::mallopt(libc::M_TRIM_THRESHOLD, 2 * LARGE_BYTES);
-    }
+    // a working image of floats at 640x480 is as large, one at 320x240 is not
+    give_back_at_once(512 << 10);
 }
 
 /// The same for smaller blocks, for what comes after the last frame: keyframes are read back one after the other while long lists grow,
 /// and leave holes between them.
 pub fn keep_least() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    unsafe {
-        let _ = libc::mallopt(libc::M_MMAP_THRESHOLD, SMALL_BYTES);
-        let _ = libc::mallopt(libc::M_TRIM_THRESHOLD, 2 * SMALL_BYTES);
-    }
+    // a level of a pyramid but for its smallest
+    give_back_at_once(64 << 10);
 }
 
-/// Blocks from this size on are large: a working image of floats at 640x480 is, one at 320x240 is not.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const LARGE_BYTES: libc::c_int = 512 << 10;
-
-/// After the last frame: that of a level of a pyramid but for its smallest.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const SMALL_BYTES: libc::c_int = 64 << 10;
+/// Blocks from this size on, bytes.
+#[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), allow(unused))]
+fn give_back_at_once(large: i32) {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    unsafe {
+        let _ = libc::mallopt(libc::M_MMAP_THRESHOLD, large);
+        let _ = libc::mallopt(libc::M_TRIM_THRESHOLD, 2 * large);
+    }
+}
 
 /// Gives free memory back to the system. Costs a few milliseconds, and those pages that are needed again their zeros.
 pub fn give_back() {

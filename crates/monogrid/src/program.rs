@@ -48,12 +48,12 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Slice(args) => commands::slice::execute(args),
         Command::Sweep(args) => commands::sweep::execute(args),
         Command::Vocabulary(args) => commands::vocabulary::execute(args),
-        Command::Evaluate(EvaluateCommand::Trajectory(args)) => {
-            commands::evaluate::trajectory(args)
-        }
-        Command::Evaluate(EvaluateCommand::Depth(args)) => commands::evaluate::depth(args),
-        Command::Evaluate(EvaluateCommand::Map(args)) => commands::evaluate_map::map(args),
-        Command::Evaluate(EvaluateCommand::Paths(args)) => commands::evaluate_map::paths(args),
+        Command::Evaluate(command) => match command {
+            EvaluateCommand::Trajectory(args) => commands::evaluate::trajectory(args),
+            EvaluateCommand::Depth(args) => commands::evaluate::depth(args),
+            EvaluateCommand::Map(args) => commands::evaluate_map::map(args),
+            EvaluateCommand::Paths(args) => commands::evaluate_map::paths(args),
+        },
         Command::Completions(args) => commands::shell::completions(args),
         Command::Man(args) => commands::shell::man(args),
     };

@@ -4,7 +4,7 @@ use crate::args::SourceArgs;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{Dataset, ImuFile, read_transform};
 use monogrid_geometry::Se3;
-use monogrid_inertial::{Imu, ImuNoise, ImuSample};
+use monogrid_inertial::{Imu, ImuSample};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -50,11 +50,10 @@ impl Inertial {
         body_from_camera: Option<Se3>,
     ) -> Result<Option<Self>, Failure> {
         let found = dataset.and_then(|dataset| dataset.imu_path.as_deref());
-        let path: &Path = match (&args.imu, found) {
-            (Some(named), _) if named.as_os_str() == "none" => return Ok(None),
-            (Some(named), _) => named,
-            (None, Some(found)) => found,
-            (None, None) => return Ok(None),
+        let named = args.imu.as_deref().or(found);
+        let is_unwanted = |path: &&Path| args.imu.is_some() && path.as_os_str() == "none";
+        let Some(path) = named.filter(|path| !is_unwanted(path)) else {
+            return Ok(None);
         };
         let file = ImuFile::read(path).bad_input()?;
         let (imu_from_camera, said) = match &args.imu_from_camera {
@@ -71,7 +70,10 @@ impl Inertial {
         });
         let noise = file.noise.unwrap_or_default();
         let imu = Imu::new(samples.collect(), noise, imu_from_camera);
-        let noise = noise_said(file.noise);
+        let noise = match file.noise {
+            Some(_) => "noise as sensor.yaml says",
+            None => "noise of a phone's sensor",
+        };
         Ok(Some(Self {
             facts: ImuFacts::of(imu.samples()),
             interpretation: format!("{}; {noise}; {said}", file.interpretation),
@@ -82,21 +84,21 @@ impl Inertial {
 
     /// What would make it less useful, in sentences.
     pub fn findings(&self) -> Vec<String> {
-        let ImuFacts {
-            rate_hz,
-            largest_gap_seconds,
-            saturated,
-            ..
-        } = self.facts;
-        let slow = rate_hz * SLOW_SECS < 1.0;
-        let slow = slow.then(|| {
-            format!("{rate_hz:.0} inertial readings per second: 100 and more follow a hand")
-        });
-        let gap = (largest_gap_seconds > GAP_SECS)
-            .then(|| format!("up to {largest_gap_seconds:.2} s without an inertial reading, over which nothing is known of the motion"));
-        let saturated = (saturated > 0)
-            .then(|| format!("{saturated} inertial readings are at the end of the sensor's range"));
-        slow.into_iter().chain(gap).chain(saturated).collect()
+        let rate = self.facts.rate_hz;
+        let gap = self.facts.largest_gap_seconds;
+        let saturated = self.facts.saturated;
+        let findings = [
+            (rate * SLOW_SECS < 1.0).then(|| {
+                format!("{rate:.0} inertial readings per second: 100 and more follow a hand")
+            }),
+            (gap > GAP_SECS).then(|| {
+                format!("up to {gap:.2} s without an inertial reading, over which nothing is known of the motion")
+            }),
+            (saturated > 0).then(|| {
+                format!("{saturated} inertial readings are at the end of the sensor's range")
+            }),
+        ];
+        findings.into_iter().flatten().collect()
     }
 }
 
@@ -113,13 +115,6 @@ fn mounted(body_from_imu: Option<Se3>, body_from_camera: Option<Se3>) -> (Se3, S
     (imu_from_camera, said.to_owned())
 }
 
-fn noise_said(noise: Option<ImuNoise>) -> String {
-    match noise {
-        Some(_) => "noise as sensor.yaml says".to_owned(),
-        None => "noise of a phone's sensor".to_owned(),
-    }
-}
-
 impl ImuFacts {
     fn of(samples: &[ImuSample]) -> Self {
         let times = samples.iter().map(|s| s.timestamp_ns as f64 * 1e-9);
@@ -127,14 +122,12 @@ impl ImuFacts {
         let mut gaps: Vec<f64> = times.zip(later).map(|(a, b)| b - a).collect();
         gaps.sort_by(f64::total_cmp);
         let ends = samples.first().zip(samples.last());
+        let length_ns = ends.map_or(0, |(a, b)| b.timestamp_ns - a.timestamp_ns);
+        let median = gaps.get(gaps.len() / 2);
         Self {
             readings: samples.len(),
-            seconds: ends.map_or(0.0, |(a, b)| {
-                (b.timestamp_ns - a.timestamp_ns) as f64 * 1e-9
-            }),
-            rate_hz: gaps
-                .get(gaps.len() / 2)
-                .map_or(0.0, |gap| 1.0 / gap.max(1e-9)),
+            seconds: length_ns as f64 * 1e-9,
+            rate_hz: median.map_or(0.0, |gap| 1.0 / gap.max(1e-9)),
             largest_gap_seconds: gaps.last().copied().unwrap_or(0.0),
             saturated: saturated(samples, GYROSCOPE_RANGE, |s| s.angular_velocity.amax())
                 + saturated(samples, ACCELEROMETER_RANGE, |s| s.specific_force.amax()),
@@ -150,10 +143,9 @@ const ACCELEROMETER_RANGE: f64 = 19.0;
 fn saturated(samples: &[ImuSample], least_range: f64, value: fn(&ImuSample) -> f64) -> usize {
     let largest = samples.iter().map(value).fold(0.0, f64::max);
     let count = samples.iter().filter(|s| value(s) == largest).count();
-    if count > 2 && largest >= least_range {
-        count
-    } else {
-        0
+    match count > 2 && largest >= least_range {
+        true => count,
+        false => 0,
     }
 }
 

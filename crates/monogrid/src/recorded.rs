@@ -1,6 +1,5 @@
 //! A recording ready to be mapped: keyframes, the camera, and the frame their poses are brought to.
 
-use crate::args::Profile;
 use crate::colours::Colours;
 use crate::config::RunConfig;
 use crate::failure::Failure;
@@ -13,7 +12,7 @@ use monogrid_datasets::{
     RecordedCamera, RecordedKeyframe, Recording, Scale, SessionInfo, is_submap,
 };
 use monogrid_evaluation::View;
-use monogrid_geometry::{Se3, Sim3};
+use monogrid_geometry::Sim3;
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::TrackedFrame;
 use monogrid_slam::mapping::{
@@ -49,11 +48,8 @@ impl Recorded {
         let recording = source.read()?;
         let config = RunConfig::recorded_mapping(&recording.session.config);
         let warnings = warnings(&recording, config.is_some(), is_submap(&source.file));
-        let trajectory: Vec<(i64, Se3)> = recording
-            .keyframes
-            .iter()
-            .filter_map(|k| Some((k.timestamp_ns, k.world_from_keyframe?.to_se3())))
-            .collect();
+        let timed = |k: &RecordedKeyframe| Some((k.timestamp_ns, k.world_from_keyframe?.to_se3()));
+        let trajectory: Vec<_> = recording.keyframes.iter().filter_map(timed).collect();
         if trajectory.is_empty() {
             return Err(Failure::input(format!(
                 "{} holds no keyframe with a pose: tracking never started, or the file ends too early",
@@ -64,11 +60,8 @@ impl Recorded {
             Some(known) => align.clone().in_known_frame(known),
             None => align.clone(),
         };
-        let session = recording.session;
-        let mapping = config
-            .clone()
-            .unwrap_or_else(|| RunConfig::of(Profile::Default))
-            .mapping;
+        let mapping = config.as_ref().map(|config| config.mapping.clone());
+        let mapping = mapping.unwrap_or_default();
         let scans = OnceCell::new();
         let (frame, align_failure) =
             align.frame(&trajectory, &SensedFrame::default(), &mut || Scene {
@@ -81,15 +74,12 @@ impl Recorded {
         if let Some(reason) = align_failure {
             return Err(Failure::input(reason));
         }
+        let frames = recording.continuation.iter().flat_map(|c| &c.frames);
         Ok(Self {
-            session,
+            session: recording.session,
             config,
+            frames: frames.map(tracked_frame).collect(),
             keyframes: recording.keyframes,
-            frames: recording
-                .continuation
-                .iter()
-                .flat_map(|continuation| continuation.frames.iter().map(tracked_frame))
-                .collect(),
             num_frames: recording.end.map(|end| end.num_frames),
             frame,
             warnings,
@@ -105,9 +95,9 @@ impl Recorded {
         threads: usize,
     ) -> Result<(OccupancyMap, MapStats, Option<SceneCell>), MapError> {
         let is_metric = self.frame.is_aligned || self.session.scale == Scale::Metric;
-        let cell = (config.auto_resolution && !is_metric)
-            .then(|| scene_cell(&views_of(&self.keyframes, scans), config))
-            .flatten();
+        let is_free = config.auto_resolution && !is_metric;
+        let cell = is_free.then(|| scene_cell(&views_of(&self.keyframes, scans), config));
+        let cell = cell.flatten();
         let mut mapper = Mapper::new(config.clone(), threads);
         if let Some(cell) = &cell {
             mapper = mapper.with_resolution(cell.edge);
@@ -115,8 +105,7 @@ impl Recorded {
         let poses = self.world_from_keyframes();
         let map_from_world = &self.frame.map_from_world;
         let (mut map, stats) = mapper.build(scans, &poses, map_from_world)?;
-        let posed = scans.iter().zip(&poses);
-        let posed = posed.filter_map(|(s, pose)| Some((s.camera, *map_from_world * (*pose)?)));
+        let posed = self.posed(scans).map(|(scan, pose)| (scan.camera, pose));
         mapper.forget_unseen(&mut map, posed)?;
         let of_keyframe = |id: u32| {
             let found = self.keyframes.binary_search_by_key(&id, |k| k.id).ok()?;
@@ -148,28 +137,38 @@ impl Recorded {
         CellColours::new(&coloured, &colours, resolution)
     }
 
+    /// The scans of keyframes with a pose, and these in the frame of maps.
+    pub fn posed<'a>(
+        &'a self,
+        scans: &'a [KeyframeScan],
+    ) -> impl Iterator<Item = (&'a KeyframeScan, Sim3)> {
+        let posed = self.keyframes.iter().zip(scans);
+        posed.filter_map(|(keyframe, scan)| {
+            Some((
+                scan,
+                self.frame.map_from_world * keyframe.world_from_keyframe?,
+            ))
+        })
+    }
+
     /// Poses of the keyframes in the world of the run.
     pub fn world_from_keyframes(&self) -> Vec<Option<Sim3>> {
-        self.keyframes
-            .iter()
-            .map(|keyframe| keyframe.world_from_keyframe)
-            .collect()
+        let keyframes = self.keyframes.iter();
+        keyframes.map(|k| k.world_from_keyframe).collect()
     }
 
     /// What the keyframes look at, in the frame of maps.
     pub fn views(&self) -> Vec<View> {
-        self.keyframes
-            .iter()
-            .filter_map(|keyframe| {
-                let pose = self.frame.map_from_world * keyframe.world_from_keyframe?;
-                Some(View {
-                    world_from_camera: pose.to_se3(),
-                    camera: keyframe.camera.pinhole,
-                    width: keyframe.camera.width,
-                    height: keyframe.camera.height,
-                })
+        let view = |keyframe: &RecordedKeyframe| {
+            let pose = self.frame.map_from_world * keyframe.world_from_keyframe?;
+            Some(View {
+                world_from_camera: pose.to_se3(),
+                camera: keyframe.camera.pinhole,
+                width: keyframe.camera.width,
+                height: keyframe.camera.height,
             })
-            .collect()
+        };
+        self.keyframes.iter().filter_map(view).collect()
     }
 }
 

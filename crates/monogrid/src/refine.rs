@@ -31,7 +31,7 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
         && input.preparation.readout_ms() == 0.0
         && let Some(readout_ms) = shown_readout_ms(input)
     {
-        input.take_readout(readout_ms);
+        input.preparation = input.preparation.clone().with_readout_ms(readout_ms);
     }
     let (slam, num_frames) = first_pass(input, config)?;
     let preparation = &input.preparation;
@@ -48,11 +48,10 @@ pub fn refine(input: &mut Input, config: &RunConfig) -> Result<(), Failure> {
 
 /// The rolling shutter that the images show, ms.
 fn shown_readout_ms(input: &Input) -> Option<f64> {
-    let camera = input.camera();
-    let size = (camera.width, camera.height);
-    let size = (size, input.preparation.readout_direction());
+    let (camera, direction) = input.lens();
+    let shape = ((camera.width, camera.height), direction);
     let images = input.timed_images_again();
-    OwnCalibration::from_images(images, size, &Expected::ORDINARY)?.readout_ms
+    OwnCalibration::from_images(images, shape, &Expected::ORDINARY)?.readout_ms
 }
 
 /// The system after the first frames, and their number.
@@ -61,7 +60,7 @@ fn first_pass(input: &Input, config: &RunConfig) -> Result<(Slam, usize), Failur
     let mut slam = Slam::new(config.slam.clone(), *input.pinhole(), mask, config.seed)
         .map_err(Failure::input)?;
     let mut num_frames = 0;
-    let frames = beginning(input.source());
+    let frames = beginning(input.source(None));
     read_ahead(frames, &input.preparation, Reading::default(), |frame| {
         num_frames += 1;
         if let Some(Ok(image)) = frame.image {

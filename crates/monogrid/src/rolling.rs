@@ -23,9 +23,10 @@ pub struct ShutterSearch {
     is_on: bool,
     /// Keyframes at which the map is asked next.
     next_at: usize,
-    /// What is wanted of the reader.
-    wanted_ms: f64,
-    taken_out: TakenOut,
+    /// Time from the first row to the last as far as it is known, ms: what is wanted of the reader.
+    pub wanted_ms: f64,
+    /// What was taken out of each frame.
+    pub taken_out: TakenOut,
 }
 
 impl ShutterSearch {
@@ -39,11 +40,6 @@ impl ShutterSearch {
             wanted_ms: known_ms,
             taken_out: TakenOut::always(known_ms, input.preparation.readout_direction()),
         }
-    }
-
-    /// What was taken out of a frame, the next one.
-    pub fn note(&mut self, frame_index: usize, readout_ms: f64) {
-        self.taken_out.note(frame_index, readout_ms);
     }
 
     /// How to read on after a frame; there are as many keyframes now.
@@ -60,16 +56,6 @@ impl ShutterSearch {
             }
             None => ReadOn::AsBefore,
         }
-    }
-
-    /// What was taken out of each frame.
-    pub fn taken_out(&self) -> &TakenOut {
-        &self.taken_out
-    }
-
-    /// Time from the first row to the last as far as it is known, ms.
-    pub fn readout_ms(&self) -> f64 {
-        self.wanted_ms
     }
 
     /// After the last frame: what was found, in a sentence.

@@ -114,11 +114,10 @@ impl OwnCalibration {
         }
         let estimate = estimate(&windows, size, expected, 1.0);
         let own = Self::from_estimate(&estimate, size, expected)?;
-        Some(match estimate.readout() {
-            Some((share, sigma)) if estimate.is_determined() => {
-                own.with_readout(share, sigma, interval_ns(&times_ns) / 1e6)
-            }
-            _ => own,
+        let readout = estimate.readout().filter(|_| estimate.is_determined());
+        Some(match readout {
+            Some((share, sigma)) => own.with_readout(share, sigma, interval_ns(&times_ns) / 1e6),
+            None => own,
         })
     }
 
@@ -132,39 +131,36 @@ impl OwnCalibration {
         self
     }
 
+    /// What an estimate determines, else what is expected.
     fn from_estimate(
         estimate: &Estimate,
         size: (usize, usize),
         expected: &Expected,
     ) -> Option<Self> {
-        let percent = 196.0 * estimate.sigma[0];
-        if !estimate.is_determined() {
-            let Expected {
-                fov_deg, source, ..
-            } = expected;
-            return Some(Self {
-                camera: Intrinsics::from_parameters(&expected.prior(size, 1.0).mean)
-                    .camera(size)?,
-                readout_ms: None,
-                interpretation: format!(
-                    "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
-                ),
-                warnings: vec![format!(
-                    "the motion of the camera does not show its focal length (uncertain by {percent:.0} \
-                     %): {fov_deg:.0} degrees are taken, {source}; turn the camera while moving it \
-                     sideways, or give --calibration FILE or --fov DEG"
-                )],
-            });
+        if estimate.is_determined() {
+            return Self::from_determined(estimate, size, "estimated from the video");
         }
-        Self::from_determined(estimate, size, "estimated from the video")
+        let percent = 196.0 * estimate.sigma[0];
+        let (fov_deg, source) = (expected.fov_deg, expected.source);
+        Some(Self {
+            camera: Intrinsics::from_parameters(&expected.prior(size, 1.0).mean).camera(size)?,
+            readout_ms: None,
+            interpretation: format!(
+                "{source}: pinhole with a field of view of {fov_deg:.0} degrees along the longer side"
+            ),
+            warnings: vec![format!(
+                "the motion of the camera does not show its focal length (uncertain by {percent:.0} \
+                 %): {fov_deg:.0} degrees are taken, {source}; turn the camera while moving it \
+                 sideways, or give --calibration FILE or --fov DEG"
+            )],
+        })
     }
 
     /// The same with a rolling shutter that is known, ms; none where it is 0.
     pub fn reading_for(mut self, readout_ms: f64) -> Self {
         self.readout_ms = Some(readout_ms).filter(|ms| *ms != 0.0);
         if let Some(ms) = self.readout_ms {
-            self.interpretation
-                .push_str(&format!("; rolling shutter of {ms:.1} ms"));
+            self.interpretation += &format!("; rolling shutter of {ms:.1} ms");
         }
         self
     }
@@ -179,12 +175,8 @@ impl OwnCalibration {
             return None;
         }
         let (low, high) = estimate.focal_interval_px();
-        let Intrinsics {
-            focal,
-            centre,
-            radial: [k1, k2],
-            ..
-        } = estimate.intrinsics;
+        let (focal, centre) = (estimate.intrinsics.focal, estimate.intrinsics.centre);
+        let [k1, k2] = estimate.intrinsics.radial;
         Some(Self {
             camera: estimate.intrinsics.camera(size)?,
             readout_ms: None,
@@ -201,25 +193,20 @@ impl OwnCalibration {
     /// Name and content of the calibration file: one line of numbers, or TOML where these cannot say the distortion.
     pub fn file(&self) -> (&'static str, String) {
         match self.camera.distortion {
-            Distortion::None | Distortion::RadialTangential { k3: 0.0, .. } => {}
+            Distortion::None | Distortion::RadialTangential { k3: 0.0, .. } => {
+                ("calibration.txt", self.line())
+            }
             _ => {
-                return (
-                    "calibration.toml",
-                    Calibration::to_toml(&self.camera, self.readout_ms),
-                );
+                let text = Calibration::to_toml(&self.camera, self.readout_ms);
+                ("calibration.toml", text)
             }
         }
-        ("calibration.txt", self.line())
     }
 
     fn line(&self) -> String {
-        let Camera {
-            width,
-            height,
-            pinhole: Pinhole { fx, fy, cx, cy },
-            distortion,
-        } = self.camera;
-        let terms = match distortion {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let Pinhole { fx, fy, cx, cy } = self.camera.pinhole;
+        let terms = match self.camera.distortion {
             Distortion::RadialTangential { k1, k2, p1, p2, .. } => {
                 format!(" {k1:.6} {k2:.6} {p1:.6} {p2:.6}")
             }
@@ -227,7 +214,8 @@ impl OwnCalibration {
         };
         let shutter = self
             .readout_ms
-            .map_or_else(String::new, |ms| format!("rolling_shutter_ms {ms:.2}\n"));
+            .map(|ms| format!("rolling_shutter_ms {ms:.2}\n"));
+        let shutter = shutter.unwrap_or_default();
         format!(
             "# {}\n# fx fy cx cy{} width height, in pixels\n{fx:.3} {fy:.3} {cx:.3} {cy:.3}{terms} \
              {width} {height}\n{shutter}",
@@ -256,10 +244,7 @@ pub fn windows_of(
         direction,
         ..CollectorConfig::default()
     });
-    for image in images {
-        if (image.width(), image.height()) != size {
-            continue;
-        }
+    for image in images.filter(|image| (image.width(), image.height()) == size) {
         collector.add(&resize_area(&image, Resize { width, height }));
         if collector.num_windows() >= max_windows {
             break;

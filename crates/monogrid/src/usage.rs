@@ -1,6 +1,7 @@
 //! What the process has used: time and memory.
 
 pub use monogrid_pipeline::clock::{process_cpu, thread_cpu};
+use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Instant;
 
@@ -12,22 +13,18 @@ pub fn process_start() -> Instant {
 
 /// Largest resident memory so far, bytes; `None` where the system does not say.
 pub fn peak_rss_bytes() -> Option<u64> {
-    peak_in(&std::fs::read_to_string("/proc/self/status").ok()?)
+    bytes_in("/proc/self/status", "VmHWM:")
 }
 
 /// Resident memory now, bytes; `None` where the system does not say.
 pub fn rss_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    bytes_in(&status, "VmRSS:")
+    bytes_in("/proc/self/status", "VmRSS:")
 }
 
-/// Largest resident memory that the `status` of a process says, bytes.
-pub fn peak_in(status: &str) -> Option<u64> {
-    bytes_in(status, "VmHWM:")
-}
-
-fn bytes_in(status: &str, name: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix(name))?;
+/// An amount of memory by its name in one of the system's files on memory, bytes.
+pub fn bytes_in(file: impl AsRef<Path>, name: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
 }

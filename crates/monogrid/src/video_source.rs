@@ -14,7 +14,8 @@ use std::sync::Mutex;
 /// A video that is read from its beginning, or a stream that is read once.
 #[derive(Debug)]
 pub struct VideoSource {
-    path: PathBuf,
+    /// What was opened.
+    pub path: PathBuf,
     /// The topic of a recording.
     topic: Option<String>,
     /// The camera, where a recording says it.
@@ -33,7 +34,8 @@ pub struct VideoSource {
     max_frames: usize,
     /// What was opened, until somebody reads it.
     opened: Mutex<Option<Video>>,
-    is_file: bool,
+    /// Whether it can be read again.
+    pub is_file: bool,
 }
 
 /// A frame as it comes: number, time in nanoseconds, image or why there is none.
@@ -113,16 +115,6 @@ impl VideoSource {
         })
     }
 
-    /// What was opened.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Whether it can be read again.
-    pub fn is_file(&self) -> bool {
-        self.is_file
-    }
-
     /// A name for people and folders: that of the file, camera or host.
     pub fn name(&self) -> String {
         let path = self.path.to_string_lossy();
@@ -132,10 +124,7 @@ impl VideoSource {
             None if path == "-" => "stdin",
             None => &stem,
         };
-        Some(name)
-            .filter(|name| !name.is_empty())
-            .unwrap_or("video")
-            .to_owned()
+        if name.is_empty() { "video" } else { name }.to_owned()
     }
 
     /// The frames to use, in order; their colours go to `colours`. A stream has them only once.

@@ -34,7 +34,7 @@ pub struct FragmentKeyframe {
 }
 
 /// One run.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct RecordedSession {
     /// Name of its source.
     pub source: String,

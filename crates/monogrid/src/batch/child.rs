@@ -3,6 +3,7 @@
 use super::class::End;
 use super::schedule::Grown;
 use crate::failure::{Classify, Failure};
+use crate::usage::bytes_in;
 use std::ffi::OsString;
 use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
@@ -96,18 +97,14 @@ pub fn run(arguments: &[OsString], log: &Path, watch: Watch) -> Result<Ended, Fa
     wait(child, begin, watch)
 }
 
-/// Why a run was asked to stop, and when.
-type Stop = Option<(End, Instant)>;
-
 fn wait(mut child: Child, begin: Instant, watch: Watch) -> Result<Ended, Failure> {
-    let mut stop: Stop = None;
+    // why it was asked to stop, and when
+    let mut stop: Option<(End, Instant)> = None;
     let mut peak = None;
     let mut ended = None;
-    loop {
-        if has_ended(&mut child, &mut ended).while_running("a run cannot be waited for")? {
-            break;
-        }
-        peak = peak.max(resident_peak(child.id()));
+    while !has_ended(&mut child, &mut ended).while_running("a run cannot be waited for")? {
+        let status = format!("/proc/{}/status", child.id());
+        peak = peak.max(bytes_in(status, "VmHWM:"));
         if let Some(bytes) = peak {
             (watch.peak)(bytes);
         }
@@ -182,12 +179,6 @@ fn signal_of(status: ExitStatus) -> i32 {
 #[cfg(not(unix))]
 fn signal_of(_: ExitStatus) -> i32 {
     0
-}
-
-/// Largest resident memory of a process until now, bytes.
-fn resident_peak(process: u32) -> Option<u64> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    crate::usage::peak_in(&status)
 }
 
 /// CPU time of a process that has ended and of those that it waited for.

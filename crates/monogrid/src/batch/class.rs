@@ -5,7 +5,9 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 /// What became of a recording; the worst last.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ValueEnum,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum Class {
     /// Tracked to its end, and at least 90 % of its frames have a pose
@@ -29,6 +31,7 @@ pub enum Class {
     /// The batch was interrupted; what was mapped until then is saved
     Interrupted,
     /// It has begun, and its end was not seen
+    #[default]
     Unfinished,
 }
 

@@ -36,9 +36,8 @@ pub fn parse_key(text: &str, place: &str) -> Result<Key, Failure> {
     };
     let name = name.strip_prefix("--").unwrap_or(name);
     if NOT_IN_A_BATCH.contains(&name) {
-        return Err(Failure::input(format!(
-            "{place}: `{name}` cannot be said of a recording of a batch"
-        )));
+        let said = format!("{place}: `{name}` cannot be said of a recording of a batch");
+        return Err(Failure::input(said));
     }
     if !OPTIONS_OF_RUN.contains(name) {
         return Err(Failure::input(format!(

@@ -107,18 +107,13 @@ fn place_of(list: &Path) -> String {
 fn list_text(list: &Path) -> Result<String, Failure> {
     let place = place_of(list);
     let mut bytes = Vec::new();
-    let read = if list == Path::new("-") {
-        let mut limited = std::io::stdin().lock().take(MAX_LIST_BYTES + 1);
-        limited.read_to_end(&mut bytes)
-    } else {
-        std::fs::File::open(list)
-            .and_then(|file| file.take(MAX_LIST_BYTES + 1).read_to_end(&mut bytes))
+    let opened: std::io::Result<Box<dyn Read>> = match list == Path::new("-") {
+        true => Ok(Box::new(std::io::stdin().lock())),
+        false => std::fs::File::open(list).map(|file| Box::new(file) as Box<dyn Read>),
     };
-    if let Err(error) = read {
-        return Err(Failure::input(format!(
-            "the list {place} cannot be read: {error}"
-        )));
-    }
+    opened
+        .and_then(|opened| opened.take(MAX_LIST_BYTES + 1).read_to_end(&mut bytes))
+        .map_err(|error| Failure::input(format!("the list {place} cannot be read: {error}")))?;
     if bytes.len() as u64 > MAX_LIST_BYTES {
         return Err(Failure::input(format!(
             "the list {place} has more than {MAX_LIST_BYTES} bytes; expected a line of text per recording"
@@ -147,14 +142,12 @@ fn parse_line(line: &str, place: &str) -> Result<Listed, Failure> {
     let mut fields = line.split('\t');
     let source = fields.next().unwrap_or_default();
     if source.is_empty() {
-        return Err(Failure::input(format!(
-            "{place}: begins with a tab, expected a source before it"
-        )));
+        let said = format!("{place}: begins with a tab, expected a source before it");
+        return Err(Failure::input(said));
     }
     if source.contains('\0') {
-        return Err(Failure::input(format!(
-            "{place}: holds a zero byte, which no name of a file has"
-        )));
+        let said = format!("{place}: holds a zero byte, which no name of a file has");
+        return Err(Failure::input(said));
     }
     let mut listed = Listed::alone(source.into(), place);
     for field in fields.filter(|field| !field.trim().is_empty()) {
@@ -195,12 +188,9 @@ pub fn safe_name(text: &str) -> String {
 
 /// The recordings in a folder, in the order of their names, and how many other things lie there.
 fn recordings_in(folder: &Path, out: &Path) -> Result<(Vec<Listed>, usize), Failure> {
-    let entries = std::fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-    let mut paths: Vec<PathBuf> = entries
-        .bad_input()?
-        .iter()
-        .map(std::fs::DirEntry::path)
-        .collect();
+    let entries = std::fs::read_dir(folder).bad_input()?;
+    let paths = entries.map(|entry| Ok(entry?.path()));
+    let mut paths: Vec<PathBuf> = paths.collect::<std::io::Result<_>>().bad_input()?;
     paths.sort();
     let out = out.canonicalize().ok();
     let is_out = |path: &Path| out.is_some() && path.canonicalize().ok() == out;

@@ -1,14 +1,15 @@
 //! `report.html` of a batch: what worked, what did not and why, how the numbers are spread, the worst recordings first.
 
 use super::class::Class;
+use super::metrics::Metrics;
 use super::record::TaskRecord;
-use crate::picture::{data_url, shrink};
-use crate::report::Page;
+use crate::picture::shrink;
 use crate::report::svg::{Plot, Series, escape, number};
+use crate::report::{Page, image, row};
 use monogrid_datasets::{encode_png_rgb, read_rgb};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
+
 use std::path::Path;
 
 /// Recordings that are shown with a picture: more would make the page heavy.
@@ -50,25 +51,17 @@ pub fn page(name: &str, records: &[TaskRecord], runs: &Path, link: &str) -> Stri
 /// By class, then by share of the frames with a pose, then by error.
 fn worst_first(records: &[TaskRecord]) -> Vec<&TaskRecord> {
     let mut ordered: Vec<&TaskRecord> = records.iter().collect();
-    let error = |record: &TaskRecord| record.metrics.as_ref()?.ate_rmse_m;
+    let coverage = |r: &TaskRecord| r.metrics.as_ref().map_or(0.0, Metrics::coverage);
+    let ate = |r: &TaskRecord| r.metrics.as_ref()?.ate_rmse_m;
+    let error = |r: &TaskRecord| ate(r).unwrap_or(-1.0);
     ordered.sort_by(|a, b| {
-        let by_class = Reverse(a.class).cmp(&Reverse(b.class));
-        let by_coverage = coverage(a)
-            .unwrap_or(0.0)
-            .total_cmp(&coverage(b).unwrap_or(0.0));
-        let by_error = error(b)
-            .unwrap_or(-1.0)
-            .total_cmp(&error(a).unwrap_or(-1.0));
-        by_class
-            .then(by_coverage)
-            .then(by_error)
-            .then(a.name.cmp(&b.name))
+        let by_class = b.class.cmp(&a.class);
+        let by_coverage = coverage(a).total_cmp(&coverage(b));
+        let by_error = error(b).total_cmp(&error(a));
+        let by_number = by_class.then(by_coverage).then(by_error);
+        by_number.then_with(|| a.name.cmp(&b.name))
     });
     ordered
-}
-
-fn coverage(record: &TaskRecord) -> Option<f64> {
-    Some(record.metrics.as_ref()?.coverage())
 }
 
 fn colour(class: Class) -> &'static str {
@@ -81,6 +74,12 @@ fn colour(class: Class) -> &'static str {
         Class::Crashed | Class::Killed | Class::NoSpace => "#c7372f",
         Class::Interrupted | Class::Unfinished => "#7d5ba6",
     }
+}
+
+/// The name of a class behind a dot of its colour.
+fn dotted(class: Class) -> String {
+    let (colour, name) = (colour(class), class.name());
+    format!("<span class=\"dot\" style=\"background:{colour}\"></span>{name}")
 }
 
 /// How many there are of each class, the best first.
@@ -120,13 +119,10 @@ fn what_happened(page: &mut Page, records: &[TaskRecord]) {
     page.heading("What became of them");
     let mut html = String::from("<div class=\"scroll\"><table>");
     for (class, count) in counts(records) {
-        let _ = write!(
-            html,
-            "<tr><td class=\"n\">{count}</td><td class=\"n\">{:.1} %</td><td><span class=\"dot\" style=\"background:{}\"></span>{}</td><td>{}</td></tr>",
-            100.0 * count as f64 / records.len() as f64,
-            colour(class),
-            class.name(),
-            escape(&class.meaning())
+        let percent = 100.0 * count as f64 / records.len() as f64;
+        let (class, meaning) = (dotted(class), escape(&class.meaning()));
+        html += &format!(
+            "<tr><td class=\"n\">{count}</td><td class=\"n\">{percent:.1} %</td><td>{class}</td><td>{meaning}</td></tr>"
         );
     }
     page.html(&(html + "</table></div>"));
@@ -182,55 +178,31 @@ fn cumulative(title: &str, unit: &str, mut values: Vec<f64>) -> Option<Plot> {
     let steps = values.iter().enumerate().flat_map(|(place, value)| {
         [place, place + 1].map(|below| [*value, 100.0 * below as f64 / count])
     });
-    let series = Series {
-        name: String::new(),
-        colour: "#2a6fbb",
-        points: steps.collect(),
-        is_dashed: false,
-    };
+    let series = Series::new("", "#2a6fbb", steps.collect());
+    let half = format!("{unit}; half have at most {}", number(middle));
+    let labels = [half.as_str(), "recordings with at most so, %"];
     Some(Plot {
-        title: title.to_owned(),
-        x_label: format!("{unit}; half have at most {}", number(middle)),
-        y_label: "recordings with at most so, %".to_owned(),
-        series: vec![series],
         from_zero: true,
         is_panel: true,
-        ..Plot::default()
+        ..Plot::new(title, labels, vec![series])
     })
 }
 
 fn spread(page: &mut Page, records: &[TaskRecord]) {
     let metrics = || records.iter().filter_map(|record| record.metrics.as_ref());
     let rounded = |value: f64| (value * 1e4).round() / 1e4;
+    let per_second = |m: &Metrics| (m.frames_per_second * 10.0).round() / 10.0;
+    let megabytes = |record: &TaskRecord| Some((record.peak_rss_bytes? as f64 / 1e6).round());
+    let poses = metrics().map(|m| rounded(100.0 * m.coverage())).collect();
+    let errors = metrics().filter_map(|m| m.ate_rmse_m);
+    let errors = errors.map(rounded).collect();
+    let rates = metrics().map(per_second).collect();
+    let memory = records.iter().filter_map(megabytes).collect();
     let plots = [
-        cumulative(
-            "Frames with a pose",
-            "%",
-            metrics().map(|m| rounded(100.0 * m.coverage())).collect(),
-        ),
-        cumulative(
-            "Error (ATE)",
-            "m",
-            metrics()
-                .filter_map(|m| m.ate_rmse_m)
-                .map(rounded)
-                .collect(),
-        ),
-        cumulative(
-            "Speed",
-            "frames per second",
-            metrics()
-                .map(|m| (m.frames_per_second * 10.0).round() / 10.0)
-                .collect(),
-        ),
-        cumulative(
-            "Memory",
-            "MB",
-            records
-                .iter()
-                .filter_map(|record| Some((record.peak_rss_bytes? as f64 / 1e6).round()))
-                .collect(),
-        ),
+        cumulative("Frames with a pose", "%", poses),
+        cumulative("Error (ATE)", "m", errors),
+        cumulative("Speed", "frames per second", rates),
+        cumulative("Memory", "MB", memory),
     ];
     page.heading("How the numbers are spread");
     let plots: Vec<Plot> = plots.into_iter().flatten().collect();
@@ -268,35 +240,24 @@ fn linked(record: &TaskRecord, link: &str) -> String {
 
 /// As addresses hold it: what has a meaning in them is written as bytes.
 pub fn percent_encoded(path: &str) -> String {
-    let mut text = String::new();
-    for byte in path.bytes() {
-        if byte.is_ascii_alphanumeric() || b"/-_.~".contains(&byte) {
-            text.push(char::from(byte));
-        } else {
-            let _ = write!(text, "%{byte:02X}");
-        }
-    }
-    text
+    let encoded = |byte: u8| match byte.is_ascii_alphanumeric() || b"/-_.~".contains(&byte) {
+        true => char::from(byte).to_string(),
+        false => format!("%{byte:02X}"),
+    };
+    path.bytes().map(encoded).collect()
 }
 
 fn cards(ordered: &[&TaskRecord], runs: &Path, link: &str) -> String {
     let mut html = String::from("<div class=\"cards\">");
     for record in ordered.iter().take(MAX_CARDS) {
         let picture = match thumbnail(&runs.join(&record.name).join("preview.png")) {
-            Some(png) => format!(
-                "<img src=\"{}\" alt=\"map of {}\">",
-                data_url(&png),
-                escape(&record.name)
-            ),
+            Some(png) => image(&png, &format!("map of {}", escape(&record.name))),
             None => "<div class=\"none\">no map</div>".to_owned(),
         };
-        let _ = write!(
-            html,
-            "<figure style=\"border-top-color:{}\">{picture}<figcaption><b>{}</b> · {}<br>{}</figcaption></figure>",
-            colour(record.class),
-            linked(record, link),
-            record.class.name(),
-            escape(&line(record))
+        let (colour, class) = (colour(record.class), record.class.name());
+        let (name, line) = (linked(record, link), escape(&line(record)));
+        html += &format!(
+            "<figure style=\"border-top-color:{colour}\">{picture}<figcaption><b>{name}</b> · {class}<br>{line}</figcaption></figure>"
         );
     }
     html + "</div>"
@@ -310,43 +271,22 @@ fn thumbnail(path: &Path) -> Option<Vec<u8>> {
 }
 
 fn table(ordered: &[&TaskRecord], link: &str) -> String {
-    let header = [
-        "recording",
-        "class",
-        "frames",
-        "pose, %",
-        "lost",
-        "loops",
-        "error, m",
-        "per second",
-        "CPU, s",
-        "MB",
-        "reason",
-    ];
-    let mut html = String::from("<div class=\"scroll\"><table class=\"wide\"><tr>");
-    for cell in header {
-        let _ = write!(html, "<th>{cell}</th>");
-    }
-    html += "</tr>";
+    let header = "recording|class|frames|pose, %|lost|loops|error, m|per second|CPU, s|MB|reason";
+    let header: Vec<&str> = header.split('|').collect();
+    let mut html = String::from("<div class=\"scroll\"><table class=\"wide\">");
+    html += &row("th", &header);
     for record in ordered {
-        let _ = write!(
-            html,
-            "<tr><td>{}</td><td><span class=\"dot\" style=\"background:{}\"></span>{}</td>",
-            linked(record, link),
-            colour(record.class),
-            record.class.name()
-        );
-        for cell in numbers(record) {
-            let _ = write!(html, "<td class=\"n\">{cell}</td>");
-        }
-        let _ = write!(html, "<td>{}</td></tr>", escape(&record.reason));
+        let (name, class) = (linked(record, link), dotted(record.class));
+        let numbers = numbers(record).map(|cell| format!("<td class=\"n\">{cell}</td>"));
+        let (numbers, reason) = (numbers.concat(), escape(&record.reason));
+        html += &format!("<tr><td>{name}</td><td>{class}</td>{numbers}<td>{reason}</td></tr>");
     }
     html + "</table></div>"
 }
 
 /// The columns of numbers of the table.
 fn numbers(record: &TaskRecord) -> [String; 8] {
-    let metrics = record.metrics.as_ref();
+    let (metrics, bytes) = (record.metrics.as_ref(), record.peak_rss_bytes);
     let of = |text: Option<String>| text.unwrap_or_else(|| "–".to_owned());
     [
         of(metrics.map(|m| m.frames.to_string())),
@@ -356,9 +296,7 @@ fn numbers(record: &TaskRecord) -> [String; 8] {
         of(metrics.and_then(|m| Some(format!("{:.4}", m.ate_rmse_m?)))),
         of(metrics.map(|m| format!("{:.1}", m.frames_per_second))),
         of(record.cpu_s.map(|seconds| format!("{seconds:.1}"))),
-        of(record
-            .peak_rss_bytes
-            .map(|bytes| format!("{:.0}", bytes as f64 / 1e6))),
+        of(bytes.map(|bytes| format!("{:.0}", bytes as f64 / 1e6))),
     ]
 }
 

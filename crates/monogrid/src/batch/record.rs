@@ -22,7 +22,7 @@ const WITH_TIMES: [&str; 4] = [
 ];
 
 /// The content of `task.json`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TaskRecord {
     /// Version of the form of this file.
     pub format: u32,
@@ -74,19 +74,11 @@ impl TaskRecord {
             options: task.options.clone(),
             class: Class::Unfinished,
             reason: "it has begun, and its end was not seen".to_owned(),
-            exit_code: None,
-            attempts: 0,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             settings_sha256: task.settings_sha256.clone(),
-            input: None,
-            result_sha256: None,
             began_unix_s,
-            wall_s: 0.0,
             timeout_s,
-            cpu_s: None,
-            peak_rss_bytes: None,
-            metrics: None,
-            outputs: BTreeMap::new(),
+            ..Self::default()
         }
     }
 

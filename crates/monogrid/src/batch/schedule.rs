@@ -6,6 +6,7 @@
 //! alone.
 
 use super::class::Class;
+use crate::usage::bytes_in;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -37,7 +38,7 @@ pub struct Carried {
 pub type Grown<'a> = dyn Fn(u64) + Sync + 'a;
 
 /// Which tasks wait, and what those that run take.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Queue {
     /// Index of a task, and the memory that it took before.
     waiting: VecDeque<(usize, Option<u64>)>,
@@ -93,16 +94,12 @@ pub fn run(
 ) -> usize {
     let queue = Mutex::new(Queue {
         waiting: tasks.iter().copied().collect(),
-        running: BTreeMap::new(),
         largest: tasks.iter().filter_map(|(_, before)| *before).max(),
-        again: Vec::new(),
-        is_stopped: false,
+        ..Queue::default()
     });
     let changed = Condvar::new();
     let carry_out = |index: usize, attempt: u32| {
-        let carried = work(index, attempt, &|bytes| {
-            lock(&queue).grown(index, bytes);
-        });
+        let carried = work(index, attempt, &|bytes| lock(&queue).grown(index, bytes));
         lock(&queue).ended(index, carried);
         changed.notify_all();
     };
@@ -147,13 +144,10 @@ fn lock(queue: &Mutex<Queue>) -> MutexGuard<'_, Queue> {
 
 /// Memory that programs may take now, bytes: what is free, within what the group of this process may have.
 pub fn available_memory() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let mut lines = text.lines();
-    let line = lines.find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    let free = bytes_in("/proc/meminfo", "MemAvailable:")?;
     let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
     let group = group.and_then(|text| text.trim().parse().ok());
-    Some((kilobytes * 1024).min(group.unwrap_or(u64::MAX)))
+    Some(free.min(group.unwrap_or(u64::MAX)))
 }
 
 #[cfg(test)]

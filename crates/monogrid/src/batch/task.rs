@@ -45,11 +45,9 @@ fn names(listed: &[Listed]) -> Result<Vec<String>, Failure> {
         let keys: Vec<String> = listed.keys.iter().map(Key::argument).collect();
         sha256_of(format!("{}\n{keys:?}", listed.source.display()).as_bytes())
     };
-    let own = |listed: &Listed| {
-        listed
-            .name
-            .clone()
-            .unwrap_or_else(|| name_of(&listed.source))
+    let own = |listed: &Listed| match &listed.name {
+        Some(name) => name.clone(),
+        None => name_of(&listed.source),
     };
     let mut lines: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for one in listed {
@@ -57,9 +55,8 @@ fn names(listed: &[Listed]) -> Result<Vec<String>, Failure> {
         lines.entry(name).or_default().insert(line(one));
     }
     let name = |one: &Listed| {
-        let is_alone = lines
-            .get(&own(one).to_lowercase())
-            .is_none_or(|lines| lines.len() < 2);
+        let same = lines.get(&own(one).to_lowercase());
+        let is_alone = same.is_none_or(|lines| lines.len() < 2);
         match (is_alone, &one.name) {
             (true, _) => Ok(own(one)),
             (false, None) => Ok(format!("{}-{}", own(one), &line(one)[..8])),

@@ -103,13 +103,11 @@ impl Job<'_> {
         if let Some(record) = self.done(task) {
             return Outcome::Done(Box::new(record));
         }
-        match self.carry_out_in(&folder, task, attempt, peak) {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                let class = Class::of(End::Exit(1), &format!("{error:?}"), None);
-                refused(class, error)
-            }
-        }
+        let carried = self.carry_out_in(&folder, task, attempt, peak);
+        carried.unwrap_or_else(|error| {
+            let class = Class::of(End::Exit(1), &format!("{error:?}"), None);
+            refused(class, error)
+        })
     }
 
     /// Holds the folder of a task against other processes; `None` where one works on it.

@@ -64,7 +64,7 @@ type CheckedFrame = (usize, i64, Result<GrayImage, Unusable>);
 /// All frames in order; files are decoded by all threads.
 fn frames(input: &Input) -> Box<dyn Iterator<Item = CheckedFrame> + '_> {
     let Images::Files(_) = &input.images else {
-        return Box::new(input.source().map(|frame| {
+        return Box::new(input.source(None).map(|frame| {
             let image = frame
                 .image
                 .and_then(|image| input.preparation.apply(&image));

@@ -36,17 +36,13 @@ impl OutputFile {
     }
 
     fn check(&self) -> Result<(), Failure> {
+        let why = match std::fs::symlink_metadata(&self.path) {
+            Ok(found) if !found.is_file() && !found.is_symlink() => " and is not a file",
+            Ok(_) if !self.force => "; choose another name, or replace it with --force",
+            _ => return Ok(()),
+        };
         let path = self.path.display();
-        match std::fs::symlink_metadata(&self.path) {
-            Err(_) => Ok(()),
-            Ok(metadata) if !metadata.is_file() && !metadata.is_symlink() => Err(Failure::input(
-                format!("output {path} exists and is not a file"),
-            )),
-            Ok(_) if !self.force => Err(Failure::input(format!(
-                "output {path} exists; choose another name, or replace it with --force"
-            ))),
-            Ok(_) => Ok(()),
-        }
+        Err(Failure::input(format!("output {path} exists{why}")))
     }
 
     /// Writes the file, whole or not at all. A link is replaced, what it leads to stays as it is.

@@ -2,7 +2,7 @@
 
 use super::Inputs;
 use super::inspect::{
-    Entry, Inspected, Nested, entries_below, inspect, listed_name, refused, split, unusable,
+    Entry, Nested, entries_below, inspect, listed_name, refused, split, unusable,
 };
 use super::manifest::{Content, Digest, MANIFEST, Manifest, OpenError, Summed};
 use super::numbered::numbered_folder;
@@ -111,23 +111,19 @@ impl OutputFolder {
         if !path.exists() {
             fs::create_dir_all(path).map_err(failed)?;
         }
-        let Some(inspected) = inspect(path, force, inputs, Nested::Searched)? else {
+        let Some(found) = inspect(path, force, inputs, Nested::Searched)? else {
             return Ok(None);
         };
-        let Inspected {
-            manifest,
-            ours,
-            foreign,
-        } = inspected;
         if earlier == Earlier::Removed {
-            remove(path, &ours).map_err(failed)?;
-            manifest.clear().map_err(failed)?;
+            remove(path, &found.ours).map_err(failed)?;
+            found.manifest.clear().map_err(failed)?;
         }
-        manifest.begin().map_err(failed)?;
+        found.manifest.begin().map_err(failed)?;
+        let foreign = found.foreign.into_iter().map(|entry| entry.name);
         Ok(Some(Self {
             path: path.to_owned(),
-            manifest,
-            foreign: foreign.into_iter().map(|entry| entry.name).collect(),
+            manifest: found.manifest,
+            foreign: foreign.collect(),
         }))
     }
 
@@ -152,8 +148,8 @@ impl OutputFolder {
         let mut file = AtomicFile::create(&path).while_running(&doing)?;
         let mut summed = Summed::new(&mut file);
         write(&mut summed).while_running(&doing)?;
-        let content = Content::Whole(summed.digest());
-        self.manifest.list(name, content).while_running(&doing)?;
+        let listed = self.manifest.list(name, summed.digest(), Content::Whole);
+        listed.while_running(&doing)?;
         file.commit().while_running(&doing)
     }
 
@@ -161,27 +157,21 @@ impl OutputFolder {
     pub fn begin(&self, name: &str) -> Result<PathBuf, Failure> {
         let path = self.place(name)?;
         let doing = format!("{} cannot be replaced", path.display());
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                Err(error).while_running(&doing)?;
-            }
-            _ => {}
-        }
+        unless(io::ErrorKind::NotFound, fs::remove_file(&path)).while_running(&doing)?;
         let nothing = Digest::of(io::empty()).while_running(&doing)?;
-        let content = Content::Begins(nothing);
-        self.manifest.list(name, content).while_running(&doing)?;
+        let listed = self.manifest.list(name, nothing, Content::Begins);
+        listed.while_running(&doing)?;
         Ok(path)
     }
 
     /// Lists a file that somebody else wrote, as it is now; one that grows may do so.
-    pub fn list(&self, name: &str, content: fn(Digest) -> Content) -> Result<(), Failure> {
+    pub fn list(&self, name: &str, content: Content) -> Result<(), Failure> {
         let path = self.path.join(name);
         let doing = format!("{} cannot be read", path.display());
         let file = fs::File::open(&path).while_running(&doing)?;
         let digest = Digest::of(file).while_running(&doing)?;
-        self.manifest
-            .list(name, content(digest))
-            .while_running(&doing)
+        let listed = self.manifest.list(name, digest, content);
+        listed.while_running(&doing)
     }
 
     /// Lists everything that has come into the folder since it was opened.
@@ -219,18 +209,13 @@ impl OutputFolder {
     /// Where a file is written; its subfolder is made, and must not be a link to somewhere else.
     fn place(&self, name: &str) -> Result<PathBuf, Failure> {
         let mut path = self.path.clone();
-        let (folders, file) = name
-            .rsplit_once('/')
-            .map_or((None, name), |(f, n)| (Some(f), n));
-        for folder in folders.into_iter().flat_map(|folders| folders.split('/')) {
+        let mut folders: Vec<&str> = name.split('/').collect();
+        let file = folders.pop().unwrap_or_default();
+        for folder in folders {
             path.push(folder);
-            match fs::create_dir(&path) {
-                // there may be one, or another thread was faster
-                Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
-                    return Err(unusable(&path, &error));
-                }
-                _ => {}
-            }
+            // there may be one, or another thread was faster
+            let made = unless(io::ErrorKind::AlreadyExists, fs::create_dir(&path));
+            made.map_err(|error| unusable(&path, &error))?;
             if !fs::symlink_metadata(&path).is_ok_and(|metadata| metadata.is_dir()) {
                 return Err(Failure::running(format!(
                     "{} is not a folder, nothing is written there",
@@ -240,6 +225,14 @@ impl OutputFolder {
         }
         Ok(path.join(file))
     }
+}
+
+/// A result with errors of this kind taken for success.
+fn unless(kind: io::ErrorKind, result: io::Result<()>) -> io::Result<()> {
+    result.or_else(|error| match error.kind() == kind {
+        true => Ok(()),
+        false => Err(error),
+    })
 }
 
 /// Removes files and the subfolders that are empty without them.

@@ -54,18 +54,15 @@ impl Inputs {
         what: &'static str,
         paths: impl IntoIterator<Item = P>,
     ) -> Self {
-        paths
-            .into_iter()
-            .fold(self, |inputs, path| inputs.and(what, path))
+        let paths = paths.into_iter();
+        paths.fold(self, |inputs, path| inputs.and(what, path))
     }
 
     /// These and the file that an argument such as `gt:FILE` names.
     #[must_use]
     pub fn and_named(self, what: &'static str, argument: Option<&str>) -> Self {
-        self.and_all(
-            what,
-            argument.and_then(|text| Some(text.split_once(':')?.1)),
-        )
+        let file = argument.and_then(|text| Some(text.split_once(':')?.1));
+        self.and_all(what, file)
     }
 
     /// These and all files of a folder or list of images and depth images.

@@ -63,7 +63,7 @@ pub fn inspect(
     let found = entries_below(path, nested).map_err(|error| unusable(path, &error))?;
     refuse_inputs(path, &found, inputs)?;
     if !has_manifest && !force {
-        refuse_foreign(path, found.iter())?;
+        refuse_foreign(path, &found)?;
     }
     let Some((manifest, listed)) = held.map_or_else(opened, |held| Ok(Some(held)))? else {
         return Ok(None);
@@ -75,7 +75,7 @@ pub fn inspect(
     if force {
         refuse_links(path, &foreign)?;
     } else {
-        refuse_foreign(path, foreign.iter())?;
+        refuse_foreign(path, &foreign)?;
     }
     Ok(Some(Inspected {
         manifest,
@@ -110,34 +110,29 @@ fn refuse_inputs(path: &Path, found: &[Entry], inputs: &Inputs) -> Result<(), Fa
     if found.is_empty() {
         return Ok(());
     }
-    let mut folders = BTreeSet::from([path.to_owned()]);
-    folders.extend(found.iter().flat_map(|entry| {
-        let parents = entry.name.ancestors().skip(1);
-        parents.map(|parent| path.join(parent))
-    }));
+    let parents = found
+        .iter()
+        .flat_map(|entry| entry.name.ancestors().skip(1));
+    let mut folders: BTreeSet<_> = parents.map(|parent| path.join(parent)).collect();
+    folders.insert(path.to_owned());
     // what links lead to is not touched
     let files = found.iter().filter(|entry| entry.is_file);
     let files = files.map(|entry| path.join(&entry.name));
     let identities = folders.into_iter().chain(files);
     let identities = identities.filter_map(|path| identity(&path)).collect();
-    match inputs.is_read_in(path, &identities) {
-        Some(what) => Err(Failure::input(format!(
+    inputs.is_read_in(path, &identities).map_or(Ok(()), |what| {
+        Err(Failure::input(format!(
             "the output folder {} holds {what}, which is read; choose another",
             path.display()
-        ))),
-        None => Ok(()),
-    }
+        )))
+    })
 }
 
-fn refuse_foreign<'a>(
-    path: &Path,
-    mut foreign: impl ExactSizeIterator<Item = &'a Entry>,
-) -> Result<(), Failure> {
-    let count = foreign.len();
-    let Some(first) = foreign.next() else {
+fn refuse_foreign(path: &Path, foreign: &[Entry]) -> Result<(), Failure> {
+    let [first, others @ ..] = foreign else {
         return Ok(());
     };
-    let others = match count - 1 {
+    let others = match others.len() {
         0 => String::new(),
         1 => " and another file".to_owned(),
         more => format!(" and {more} other files"),
@@ -206,9 +201,8 @@ pub fn listed_name(name: &Path) -> Option<String> {
 
 /// What was written by us and is as it was, and what else there is; the manifest is neither.
 pub fn split(folder: &Path, found: Vec<Entry>, listed: &Listed) -> (Vec<Entry>, Vec<Entry>) {
-    let others = found
-        .into_iter()
-        .filter(|entry| entry.name != Path::new(MANIFEST));
+    let found = found.into_iter();
+    let others = found.filter(|entry| entry.name != Path::new(MANIFEST));
     others.partition(|entry| {
         let name = listed_name(&entry.name).filter(|_| entry.is_file);
         name.is_some_and(|name| listed.is_ours(&name, &folder.join(&entry.name)))

@@ -24,13 +24,13 @@ pub struct Digest {
     len: u64,
 }
 
-/// What is known of the content of a file.
+/// Which part of a file is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// It is this.
-    Whole(Digest),
-    /// It begins with this.
-    Begins(Digest),
+    /// All of it.
+    Whole,
+    /// What it begins with.
+    Begins,
 }
 
 /// A manifest that is open, and locked for as long as it is.
@@ -42,7 +42,7 @@ pub struct Manifest {
 /// What a manifest says.
 #[derive(Debug, Default)]
 pub struct Listed {
-    files: BTreeMap<String, Content>,
+    files: BTreeMap<String, (Digest, Content)>,
     processes: Vec<String>,
 }
 
@@ -103,19 +103,17 @@ impl Manifest {
     /// Says who writes from now on.
     pub fn begin(&self) -> io::Result<()> {
         let is_new = (&self.file).seek(SeekFrom::End(0))? == 0;
-        let title = if is_new {
-            format!("{TITLE}\n")
-        } else {
-            String::new()
-        };
-        self.line(&format!("{title}{PROCESS}{}", std::process::id()))
+        if is_new {
+            self.line(TITLE)?;
+        }
+        self.line(&format!("{PROCESS}{}", std::process::id()))
     }
 
     /// Lists a file.
-    pub fn list(&self, name: &str, content: Content) -> io::Result<()> {
-        let (digest, more) = match content {
-            Content::Whole(digest) => (digest, ""),
-            Content::Begins(digest) => (digest, "+"),
+    pub fn list(&self, name: &str, digest: Digest, content: Content) -> io::Result<()> {
+        let more = match content {
+            Content::Whole => "",
+            Content::Begins => "+",
         };
         self.line(&format!("{:08x} {}{more} {name}", digest.crc, digest.len))
     }
@@ -145,47 +143,38 @@ impl Listed {
         let is_part =
             |process: &String| file.starts_with('.') && file.ends_with(&format!(".{process}.part"));
         match self.files.get(name) {
-            Some(content) => content.matches(path),
+            Some((digest, content)) => digest.is_of(*content, path),
             None => self.processes.iter().any(is_part),
         }
     }
 }
 
-fn parse_line(line: &str) -> Option<(&str, Content)> {
+fn parse_line(line: &str) -> Option<(&str, (Digest, Content))> {
     let mut words = line.splitn(3, ' ');
     let crc = u32::from_str_radix(words.next()?, 16).ok()?;
     let size = words.next()?;
     let name = words.next()?;
-    let digest = |size: &str| {
-        Some(Digest {
-            crc,
-            len: size.parse().ok()?,
-        })
+    let (size, content) = match size.strip_suffix('+') {
+        Some(size) => (size, Content::Begins),
+        None => (size, Content::Whole),
     };
-    let content = match size.strip_suffix('+') {
-        Some(size) => Content::Begins(digest(size)?),
-        None => Content::Whole(digest(size)?),
-    };
-    Some((name, content))
+    let len = size.parse().ok()?;
+    Some((name, (Digest { crc, len }, content)))
 }
 
-impl Content {
-    /// Whether a file has this content.
-    fn matches(&self, path: &Path) -> bool {
+impl Digest {
+    /// Whether it is that of a file, or of what the file begins with.
+    fn is_of(self, content: Content, path: &Path) -> bool {
         let Ok(file) = File::open(path) else {
             return false;
         };
         let len = file.metadata().map_or(0, |metadata| metadata.len());
-        let (Self::Whole(digest) | Self::Begins(digest)) = *self;
-        let may_be = match self {
-            Self::Whole(_) => len == digest.len,
-            Self::Begins(_) => len >= digest.len,
+        let may_be = match content {
+            Content::Whole => len == self.len,
+            Content::Begins => len >= self.len,
         };
-        may_be && Digest::of(file.take(digest.len)).is_ok_and(|found| found == digest)
+        may_be && Self::of(file.take(self.len)).is_ok_and(|found| found == self)
     }
-}
-
-impl Digest {
     /// Of everything that can be read.
     pub fn of(bytes: impl Read) -> io::Result<Self> {
         let mut sum = Summed::new(io::sink());

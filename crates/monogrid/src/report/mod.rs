@@ -36,7 +36,22 @@ pre{background:var(--paper);border:1px solid var(--edge);padding:.8em;overflow:a
 impl Page {
     /// A second-level heading.
     pub fn heading(&mut self, text: &str) {
-        let _ = write!(self.body, "<h2>{}</h2>", escape(text));
+        self.html(&element("h2", text));
+    }
+
+    /// A third-level heading.
+    pub fn subheading(&mut self, text: &str) {
+        self.html(&element("h3", text));
+    }
+
+    /// A paragraph of explanation.
+    pub fn note(&mut self, text: &str) {
+        self.list("<p class=\"note\">", [escape(text)], "</p>");
+    }
+
+    /// Something the reader should not miss.
+    pub fn warning(&mut self, text: &str) {
+        self.list("<div class=\"warn\">", [escape(text)], "</div>");
     }
 
     /// A piece of HTML that was made elsewhere.
@@ -44,164 +59,104 @@ impl Page {
         self.body.push_str(html);
     }
 
-    /// A paragraph of explanation.
-    pub fn note(&mut self, text: &str) {
-        let _ = write!(self.body, "<p class=\"note\">{}</p>", escape(text));
-    }
-
-    /// Something the reader should not miss.
-    pub fn warning(&mut self, text: &str) {
-        let _ = write!(self.body, "<div class=\"warn\">{}</div>", escape(text));
+    fn list(&mut self, begin: &str, parts: impl IntoIterator<Item = String>, end: &str) {
+        self.body.push_str(begin);
+        self.body.extend(parts);
+        self.body.push_str(end);
     }
 
     /// Names and values.
     pub fn facts(&mut self, rows: &[(String, String)]) {
-        self.body.push_str("<table>");
-        for (name, value) in rows {
-            let _ = write!(
-                self.body,
-                "<tr><th>{}</th><td>{}</td></tr>",
-                escape(name),
-                escape(value)
-            );
-        }
-        self.body.push_str("</table>");
+        let row = |(name, value): &(String, String)| element("th", name) + &element("td", value);
+        let rows = rows.iter().map(|cells| format!("<tr>{}</tr>", row(cells)));
+        self.list("<table>", rows, "</table>");
     }
 
     /// A table with a header.
     pub fn table(&mut self, header: &[&str], rows: &[Vec<String>]) {
-        self.body.push_str("<table><tr>");
-        for cell in header {
-            let _ = write!(self.body, "<th>{}</th>", escape(cell));
-        }
-        self.body.push_str("</tr>");
-        for row in rows {
-            self.body.push_str("<tr>");
-            for cell in row {
-                let _ = write!(self.body, "<td>{}</td>", escape(cell));
-            }
-            self.body.push_str("</tr>");
-        }
-        self.body.push_str("</table>");
-    }
-
-    /// A third-level heading.
-    pub fn subheading(&mut self, text: &str) {
-        let _ = write!(self.body, "<h3>{}</h3>", escape(text));
+        let rows = rows.iter().map(|cells| row("td", cells));
+        self.list(
+            "<table>",
+            [row("th", header)].into_iter().chain(rows),
+            "</table>",
+        );
     }
 
     /// A table of numbers; cells that start with `*` are emphasised.
     pub fn number_table(&mut self, header: &[String], rows: &[Vec<String>]) {
-        self.body.push_str("<div class=\"scroll\"><table><tr>");
-        for cell in header {
-            let _ = write!(self.body, "<th>{}</th>", escape(cell));
-        }
-        self.body.push_str("</tr>");
+        self.html("<div class=\"scroll\"><table>");
+        self.html(&row("th", header));
         for row in rows {
-            self.body.push_str("<tr>");
-            for (column, cell) in row.iter().enumerate() {
+            let cells = row.iter().enumerate().map(|(column, cell)| {
                 let class = if column == 0 { "" } else { " class=\"n\"" };
-                let _ = match cell.strip_prefix('*') {
-                    Some(best) => write!(self.body, "<td{class}><b>{}</b></td>", escape(best)),
-                    None => write!(self.body, "<td{class}>{}</td>", escape(cell)),
-                };
-            }
-            self.body.push_str("</tr>");
+                match cell.strip_prefix('*') {
+                    Some(best) => format!("<td{class}>{}</td>", element("b", best)),
+                    None => format!("<td{class}>{}</td>", escape(cell)),
+                }
+            });
+            self.list("<tr>", cells, "</tr>");
         }
-        self.body.push_str("</table></div>");
-    }
-
-    /// Small plots side by side.
-    pub fn panels(&mut self, plots: &[Plot]) {
-        self.body.push_str("<div class=\"grid2\">");
-        for plot in plots {
-            self.body.push_str(&plot.render());
-        }
-        self.body.push_str("</div>");
-    }
-
-    /// Embedded pictures side by side with their captions.
-    pub fn row(&mut self, pictures: &[(Vec<u8>, String)]) {
-        self.body.push_str("<div class=\"row\">");
-        for (png, caption) in pictures {
-            let _ = write!(
-                self.body,
-                "<figure><img src=\"{}\" alt=\"{1}\"><figcaption>{1}</figcaption></figure>",
-                data_url(png),
-                escape(caption)
-            );
-        }
-        self.body.push_str("</div>");
-    }
-
-    /// What colours mean.
-    pub fn colour_key(&mut self, entries: &[([u8; 3], &str)]) {
-        self.body.push_str("<p class=\"note\">");
-        for ([r, g, b], meaning) in entries {
-            let _ = write!(
-                self.body,
-                "<span class=\"dot\" style=\"background:rgb({r},{g},{b})\"></span>{}",
-                escape(meaning)
-            );
-        }
-        self.body.push_str("</p>");
+        self.html("</table></div>");
     }
 
     /// A plot.
     pub fn plot(&mut self, plot: &Plot) {
-        self.body.push_str(&plot.render());
+        self.html(&plot.render());
+    }
+
+    /// Small plots side by side.
+    pub fn panels(&mut self, plots: &[Plot]) {
+        let plots = plots.iter().map(Plot::render);
+        self.list("<div class=\"grid2\">", plots, "</div>");
     }
 
     /// An embedded picture.
     pub fn picture(&mut self, png: &[u8], description: &str) {
-        let _ = write!(
-            self.body,
-            "<img src=\"{}\" alt=\"{}\">",
-            data_url(png),
-            escape(description)
-        );
+        self.html(&image(png, &escape(description)));
+    }
+
+    /// Embedded pictures side by side with their captions.
+    pub fn row(&mut self, pictures: &[(Vec<u8>, String)]) {
+        let figures = pictures.iter().map(|(png, caption)| figure(png, caption));
+        self.list("<div class=\"row\">", figures, "</div>");
     }
 
     /// Three embedded pictures side by side with their captions.
     pub fn triple(&mut self, pictures: [(&[u8], &str); 3]) {
-        self.body.push_str("<div class=\"triple\">");
-        for (png, caption) in pictures {
-            let _ = write!(
-                self.body,
-                "<figure><img src=\"{}\" alt=\"{1}\"><figcaption>{1}</figcaption></figure>",
-                data_url(png),
-                escape(caption)
-            );
-        }
-        self.body.push_str("</div>");
+        let figures = pictures.map(|(png, caption)| figure(png, caption));
+        self.list("<div class=\"triple\">", figures, "</div>");
+    }
+
+    /// What colours mean.
+    pub fn colour_key(&mut self, entries: &[([u8; 3], &str)]) {
+        let entries = entries.iter().map(|([r, g, b], meaning)| {
+            let meaning = escape(meaning);
+            format!("<span class=\"dot\" style=\"background:rgb({r},{g},{b})\"></span>{meaning}")
+        });
+        self.list("<p class=\"note\">", entries, "</p>");
     }
 
     /// Text as it is, shown when it is asked for.
     pub fn folded(&mut self, summary: &str, text: &str) {
-        let _ = write!(
-            self.body,
-            "<details><summary>{}</summary><pre>{}</pre></details>",
-            escape(summary),
-            escape(text)
-        );
+        let parts = [element("summary", summary), element("pre", text)];
+        self.list("<details>", parts, "</details>");
     }
 
     /// Coloured stretches over the frames: (share of the width, colour, description).
     pub fn ribbon(&mut self, stretches: &[(f64, &str, String)]) {
-        self.body.push_str(
+        self.html(
             "<svg viewBox=\"0 0 760 22\" role=\"img\" aria-label=\"state of tracking\" preserveAspectRatio=\"none\" style=\"height:22px\">",
         );
         let mut x = 0.0;
         for (share, colour, description) in stretches {
-            let width = share * 760.0;
+            let (width, title) = (share * 760.0, element("title", description));
             let _ = write!(
                 self.body,
-                "<rect x=\"{x:.2}\" y=\"0\" width=\"{width:.2}\" height=\"22\" fill=\"{colour}\"><title>{}</title></rect>",
-                escape(description)
+                "<rect x=\"{x:.2}\" y=\"0\" width=\"{width:.2}\" height=\"22\" fill=\"{colour}\">{title}</rect>"
             );
             x += width;
         }
-        self.body.push_str("</svg>");
+        self.html("</svg>");
     }
 
     /// The complete page, which loads nothing.
@@ -228,6 +183,32 @@ impl Page {
         out.write_all(rest.body.as_bytes())?;
         Ok(out.write_all(END.as_bytes())?)
     }
+}
+
+/// An element that holds text.
+pub fn element(tag: &str, text: &str) -> String {
+    format!("<{tag}>{}</{tag}>", escape(text))
+}
+
+/// A row of a table.
+pub fn row(tag: &str, cells: &[impl AsRef<str>]) -> String {
+    let cells: String = cells
+        .iter()
+        .map(|cell| element(tag, cell.as_ref()))
+        .collect();
+    format!("<tr>{cells}</tr>")
+}
+
+/// An embedded picture; the description is safe.
+pub fn image(png: &[u8], description: &str) -> String {
+    let url = data_url(png);
+    format!("<img src=\"{url}\" alt=\"{description}\">")
+}
+
+fn figure(png: &[u8], caption: &str) -> String {
+    let caption = escape(caption);
+    let image = image(png, &caption);
+    format!("<figure>{image}<figcaption>{caption}</figcaption></figure>")
 }
 
 /// What stands behind the body.

@@ -15,6 +15,26 @@ pub struct Series {
     pub is_dashed: bool,
 }
 
+impl Series {
+    /// A solid line.
+    pub fn new(name: impl Into<String>, colour: &'static str, points: Vec<[f64; 2]>) -> Self {
+        Self {
+            name: name.into(),
+            colour,
+            points,
+            is_dashed: false,
+        }
+    }
+
+    /// The same as a dashed line.
+    pub fn dashed(self) -> Self {
+        Self {
+            is_dashed: true,
+            ..self
+        }
+    }
+}
+
 /// Colours that can be told apart, for curves of one plot.
 pub const COLOURS: [&str; 10] = [
     "#4a3aa7", "#2a6fbb", "#1f9bb5", "#1f9e77", "#66a61e", "#b8a000", "#e08a1e", "#d95f02",
@@ -55,6 +75,18 @@ const MARGIN: [f64; 4] = [30.0, 15.0, 42.0, 62.0]; // top, right, bottom, left
 const MAX_POINTS: usize = 1500;
 
 impl Plot {
+    /// Curves with texts above them, below the horizontal axis and at the vertical one.
+    pub fn new(title: impl Into<String>, labels: [&str; 2], series: Vec<Series>) -> Self {
+        let [x_label, y_label] = labels.map(str::to_owned);
+        Self {
+            title: title.into(),
+            x_label,
+            y_label,
+            series,
+            ..Self::default()
+        }
+    }
+
     fn size(&self) -> [f64; 2] {
         match (self.is_panel, self.equal_axes) {
             (true, _) => SIZE_PANEL,
@@ -113,13 +145,9 @@ impl Plot {
 
     fn data_ranges(&self) -> [[f64; 2]; 2] {
         let mut ranges = [0, 1].map(|axis| {
-            let values = || {
-                self.series
-                    .iter()
-                    .flat_map(|series| &series.points)
-                    .filter(|p| p[0].is_finite() && p[1].is_finite())
-                    .map(move |p| p[axis])
-            };
+            let points = || self.series.iter().flat_map(|series| &series.points);
+            let finite = || points().filter(|p| p[0].is_finite() && p[1].is_finite());
+            let values = || finite().map(|p| p[axis]);
             let low = values().fold(f64::INFINITY, f64::min);
             let high = values().fold(f64::NEG_INFINITY, f64::max);
             if low > high {
@@ -130,13 +158,14 @@ impl Plot {
                 [low, high]
             }
         });
+        let [low, high] = &mut ranges[1];
         if self.from_zero {
-            ranges[1][0] = ranges[1][0].min(0.0);
+            *low = low.min(0.0);
         }
-        let pad = 0.04 * (ranges[1][1] - ranges[1][0]);
-        ranges[1][1] += pad;
+        let pad = 0.04 * (*high - *low);
+        *high += pad;
         if !self.from_zero {
-            ranges[1][0] -= pad;
+            *low -= pad;
         }
         ranges
     }
@@ -152,61 +181,41 @@ impl Plot {
         let [width, height] = self.size();
         let (x_end, y_end) = (width - right, height - bottom);
         for tick in ticks(xs, if self.is_panel { 5 } else { 8 }) {
-            let x = px(tick);
-            let _ = write!(
-                svg,
-                "<path class=\"grid\" d=\"M{x:.1} {top}V{y_end}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-                y_end + 15.0,
-                number(tick)
+            let (x, y, text) = (px(tick), y_end + 15.0, number(tick));
+            *svg += &format!(
+                "<path class=\"grid\" d=\"M{x:.1} {top}V{y_end}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\">{text}</text>"
             );
         }
         for tick in ticks(ys, 5) {
-            let y = py(tick);
-            let _ = write!(
-                svg,
-                "<path class=\"grid\" d=\"M{left} {y:.1}H{x_end}\"/><text class=\"tick\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                left - 6.0,
-                y + 4.0,
-                number(tick)
+            let (y, text) = (py(tick), number(tick));
+            let (x, base) = (left - 6.0, y + 4.0);
+            *svg += &format!(
+                "<path class=\"grid\" d=\"M{left} {y:.1}H{x_end}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{base:.1}\" text-anchor=\"end\">{text}</text>"
             );
         }
-        let _ = write!(
-            svg,
-            "<text class=\"label\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>\
-             <text class=\"label\" transform=\"translate(14 {:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
-            0.5 * (left + x_end),
-            height - 8.0,
-            escape(&self.x_label),
-            0.5 * (top + y_end),
-            escape(&self.y_label)
+        let (x, y, bottom) = (0.5 * (left + x_end), 0.5 * (top + y_end), height - 8.0);
+        let (x_label, y_label) = (escape(&self.x_label), escape(&self.y_label));
+        *svg += &format!(
+            "<text class=\"label\" x=\"{x:.1}\" y=\"{bottom:.1}\" text-anchor=\"middle\">{x_label}</text>\
+             <text class=\"label\" transform=\"translate(14 {y:.1}) rotate(-90)\" text-anchor=\"middle\">{y_label}</text>"
         );
     }
 
     fn draw_legend(&self, svg: &mut String) {
         let [width, height] = self.size();
-        let mut x = width - MARGIN[1];
-        if self.is_panel {
-            let mut y = height - MARGIN[2] - 8.0;
-            for series in self.series.iter().rev().filter(|s| !s.name.is_empty()) {
-                let _ = write!(
-                    svg,
-                    "<text class=\"tick\" x=\"{:.0}\" y=\"{y:.0}\" text-anchor=\"end\" style=\"fill:{}\">{}</text>",
-                    x - 6.0,
-                    series.colour,
-                    escape(&series.name)
-                );
-                y -= 14.0;
-            }
-            return;
-        }
+        let [mut x, mut y] = match self.is_panel {
+            true => [width - MARGIN[1] - 6.0, height - MARGIN[2] - 8.0],
+            false => [width - MARGIN[1], 18.0],
+        };
         for series in self.series.iter().rev().filter(|s| !s.name.is_empty()) {
-            let _ = write!(
-                svg,
-                "<text class=\"tick\" x=\"{x:.0}\" y=\"18\" text-anchor=\"end\" style=\"fill:{}\">{}</text>",
-                series.colour,
-                escape(&series.name)
+            let (colour, name) = (series.colour, escape(&series.name));
+            *svg += &format!(
+                "<text class=\"tick\" x=\"{x:.0}\" y=\"{y:.0}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>"
             );
-            x -= 7.0 * series.name.chars().count() as f64 + 14.0;
+            match self.is_panel {
+                true => y -= 14.0,
+                false => x -= 7.0 * series.name.chars().count() as f64 + 14.0,
+            }
         }
     }
 }
@@ -245,15 +254,14 @@ fn draw_series(
             pen_down = true;
         }
     }
+    let dashes = match series.is_dashed {
+        true => " stroke-dasharray=\"5 4\"",
+        false => "",
+    };
+    let colour = series.colour;
     let _ = write!(
         svg,
-        "<path class=\"line\" d=\"{path}\" stroke=\"{}\"{}/>",
-        series.colour,
-        if series.is_dashed {
-            " stroke-dasharray=\"5 4\""
-        } else {
-            ""
-        }
+        "<path class=\"line\" d=\"{path}\" stroke=\"{colour}\"{dashes}/>"
     );
 }
 

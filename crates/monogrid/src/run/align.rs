@@ -111,20 +111,14 @@ impl Up {
             "first-camera" => return Ok(Self::FirstCamera),
             _ => {}
         }
-        let numbers = argument.split(',');
-        let numbers = numbers.filter_map(|number| number.trim().parse().ok());
-        let numbers: Vec<f64> = numbers.collect();
-        let direction = Vec3::from_row_slice(numbers.get(..3).unwrap_or(&[0.0; 3]));
-        let is_direction = numbers.len() == 3
-            && argument.split(',').count() == 3
-            && direction.norm().is_normal()
-            && direction.norm() < 1e6;
-        is_direction
-            .then(|| Self::Given(direction.normalize()))
-            .ok_or_else(|| {
-                "expected `scene`, `first-camera`, or a direction x,y,z in the first camera (x right, y down, z ahead)"
-                    .to_owned()
-            })
+        let numbers = argument.split(',').map(|number| number.trim().parse().ok());
+        let numbers: Vec<f64> = numbers.collect::<Option<_>>().unwrap_or_default();
+        let direction = <[f64; 3]>::try_from(numbers).ok().map(Vec3::from);
+        let direction = direction.filter(|d| d.norm().is_normal() && d.norm() < 1e6);
+        direction.map(|direction| Self::Given(direction.normalize())).ok_or_else(|| {
+            "expected `scene`, `first-camera`, or a direction x,y,z in the first camera (x right, y down, z ahead)"
+                .to_owned()
+        })
     }
 
     /// The frame with z up, in metres where they are known.
@@ -144,69 +138,49 @@ impl Up {
         let mut known = |up: &Vec3, said, from| {
             let scene = scene();
             let floor = floor_below(&scene.views, up, scene.config);
-            let summary = UpSummary {
-                from,
-                confidence: None,
-            };
-            level(up, floor.as_ref(), said, summary)
+            level(up, floor.as_ref(), said, from)
         };
         match (self, sensed.up_in_world) {
-            (Self::FirstCamera, _) => first_camera(None),
+            (Self::FirstCamera, _) => first_camera(),
             (Self::Given(up), _) => known(&up, "as given", "given"),
             (Self::Scene, Some(up)) => known(&up, "as gravity says", "imu"),
             (Self::Scene, None) => {
                 let scene = scene();
                 let found = upright(&scene.views, scene.config);
-                match found {
-                    Some(found) if found.confidence >= scene.config.min_confidence => level(
-                        &found.up_in_world,
-                        found.floor.as_ref(),
-                        "as the scene says",
-                        UpSummary {
-                            from: "scene",
-                            confidence: Some(found.confidence),
-                        },
-                    ),
-                    found => first_camera(Some(found.map_or(0.0, |found| found.confidence))),
-                }
+                let confidence = found.as_ref().map_or(0.0, |found| found.confidence);
+                let mut frame = match found {
+                    Some(found) if confidence >= scene.config.min_confidence => {
+                        let floor = found.floor.as_ref();
+                        level(&found.up_in_world, floor, "as the scene says", "scene")
+                    }
+                    _ => first_camera(),
+                };
+                frame.up.confidence = Some(confidence);
+                frame
             }
         }
     }
 }
 
 /// The frame of unaligned results where the scene has no say, or is not sure.
-fn first_camera(confidence: Option<f64>) -> MapFrame {
-    MapFrame {
-        map_from_world: z_up_from_camera_world(),
-        description: "z up as the first camera was held, x ahead, origin at the first keyframe"
-            .to_owned(),
-        is_aligned: false,
-        fit: None,
-        up: UpSummary {
-            from: "first-camera",
-            confidence,
-        },
-        floor: None,
-    }
+fn first_camera() -> MapFrame {
+    let description = "z up as the first camera was held, x ahead, origin at the first keyframe";
+    MapFrame::new(z_up_from_camera_world(), description, "first-camera")
 }
 
 /// The frame with the floor, where there is one, at z = 0.
-fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, up: UpSummary) -> MapFrame {
-    let origin = if floor.is_some() {
-        "z = 0 at the floor, below the first keyframe"
-    } else {
-        "origin at the first keyframe (no floor was seen)"
+fn level(up_in_world: &Vec3, floor: Option<&Floor>, said: &str, from: &'static str) -> MapFrame {
+    let origin = match floor {
+        Some(_) => "z = 0 at the floor, below the first keyframe",
+        None => "origin at the first keyframe (no floor was seen)",
     };
+    let description = format!("z up {said}, x ahead of the first camera, {origin}");
     MapFrame {
-        map_from_world: level_from_world(up_in_world, floor),
-        description: format!("z up {said}, x ahead of the first camera, {origin}"),
-        is_aligned: false,
-        fit: None,
-        up,
         floor: floor.map(|floor| FloorSummary {
             camera_height: floor.camera_height,
             share: floor.share,
         }),
+        ..MapFrame::new(level_from_world(up_in_world, floor), description, from)
     }
 }
 
@@ -234,20 +208,13 @@ impl Align {
 
     /// The same, where the unaligned frame is known unless something else was asked for.
     #[must_use]
-    pub fn in_known_frame(self, known: Self) -> Self {
-        match self {
-            Self::Level(Up::Scene) => known,
-            Self::Sim3 {
-                base,
-                path,
-                target_from_results,
-            } => Self::Sim3 {
-                base: Box::new(base.in_known_frame(known)),
-                path,
-                target_from_results,
-            },
-            told => told,
+    pub fn in_known_frame(mut self, known: Self) -> Self {
+        match &mut self {
+            Self::Level(Up::Scene) => return known,
+            Self::Sim3 { base, .. } => **base = base.as_ref().clone().in_known_frame(known),
+            _ => {}
         }
+        self
     }
 
     /// The frame of the results, given the estimated trajectory in the world of the run. The scene is only looked at
@@ -261,16 +228,9 @@ impl Align {
         sensed: &SensedFrame,
         scene: &mut dyn FnMut() -> Scene<'a>,
     ) -> (MapFrame, Option<String>) {
-        let by_reference = |map_from_world, description, is_aligned, from| MapFrame {
-            map_from_world,
-            description,
-            is_aligned,
-            fit: None,
-            up: UpSummary {
-                from,
-                confidence: None,
-            },
-            floor: None,
+        let by_reference = |map_from_world, description| MapFrame {
+            is_aligned: true,
+            ..MapFrame::new(map_from_world, description, "reference")
         };
         match self {
             Self::Level(up) => (up.frame(sensed, scene), None),
@@ -279,8 +239,10 @@ impl Align {
                 description,
                 is_metric,
             } => {
-                let description = description.clone();
-                let frame = by_reference(*map_from_world, description, *is_metric, "earlier");
+                let frame = MapFrame {
+                    is_aligned: *is_metric,
+                    ..MapFrame::new(*map_from_world, description, "earlier")
+                };
                 (frame, None)
             }
             Self::Sim3 {
@@ -291,30 +253,40 @@ impl Align {
                 let (base, _) = base.frame(trajectory, sensed, scene);
                 let map_from_world = *target_from_results * base.map_from_world;
                 let description = format!("aligned by {}", path.display());
-                let frame = by_reference(map_from_world, description, true, "reference");
-                (frame, None)
+                (by_reference(map_from_world, description), None)
             }
             Self::Trajectory { path, poses } => match fit(trajectory, poses) {
                 Ok(report) => {
                     let description = format!("frame of {}", path.display());
-                    let mut frame =
-                        by_reference(report.gt_from_est, description, true, "reference");
+                    let mut frame = by_reference(report.gt_from_est, description);
                     frame.fit = Some(report);
                     (frame, None)
                 }
-                Err(reason) => (
-                    Up::default().frame(sensed, scene),
-                    Some(format!(
-                        "results are not aligned to {}: {reason}",
-                        path.display()
-                    )),
-                ),
+                Err(reason) => {
+                    let path = path.display();
+                    let reason = format!("results are not aligned to {path}: {reason}");
+                    (Up::default().frame(sensed, scene), Some(reason))
+                }
             },
         }
     }
 }
 
 impl MapFrame {
+    /// A frame that does not fix the scale, with what `summary.json` says of where its up is from.
+    fn new(map_from_world: Sim3, description: impl Into<String>, from: &'static str) -> Self {
+        Self {
+            map_from_world,
+            description: description.into(),
+            is_aligned: false,
+            fit: None,
+            up: UpSummary {
+                from,
+                confidence: None,
+            },
+            floor: None,
+        }
+    }
     /// The same frame with lengths in metres, of which a unit of the world has so many.
     fn in_metres(mut self, metres: f64) -> Self {
         let scaled = Sim3::new(metres, Se3::identity().rotation, Vec3::zeros());
@@ -346,25 +318,19 @@ pub fn in_map(map_from_world: &Sim3, world_from_camera: &Se3) -> Se3 {
     (*map_from_world * world_from_camera.with_scale(1.0)).to_se3()
 }
 
-fn fit(trajectory: &[(i64, Se3)], poses: &[TimedPose]) -> Result<TrajectoryReport, String> {
-    let trajectory = trajectory.iter();
-    let estimate = trajectory.map(|(timestamp_ns, pose)| stamped(*timestamp_ns, *pose));
-    let estimate: Vec<StampedPose> = estimate.collect();
-    evaluate_trajectory(&estimate, &stamped_all(poses), &TrajectoryConfig::default())
-        .map_err(|error| error.to_string())
-}
-
-/// A pose in the type of the evaluation.
-pub fn stamped(timestamp_ns: i64, world_from_camera: Se3) -> StampedPose {
-    (timestamp_ns, world_from_camera)
+fn fit(trajectory: &[StampedPose], poses: &[TimedPose]) -> Result<TrajectoryReport, String> {
+    evaluate_trajectory(
+        trajectory,
+        &stamped_all(poses),
+        &TrajectoryConfig::default(),
+    )
+    .map_err(|error| error.to_string())
 }
 
 /// A trajectory in the type of the evaluation.
 pub fn stamped_all(poses: &[TimedPose]) -> Vec<StampedPose> {
-    poses
-        .iter()
-        .map(|pose| stamped(pose.timestamp_ns, pose.world_from_camera))
-        .collect()
+    let stamped = |pose: &TimedPose| (pose.timestamp_ns, pose.world_from_camera);
+    poses.iter().map(stamped).collect()
 }
 
 #[cfg(test)]

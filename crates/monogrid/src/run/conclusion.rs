@@ -1,5 +1,6 @@
 //! What the user reads when a run is over.
 
+use super::sensed::InertialSummary;
 use super::summary::{Status, Summary};
 use super::threads::Tracked;
 use super::whole::Finished;
@@ -10,11 +11,8 @@ use std::path::Path;
 
 /// Says how it went; the exit code.
 pub fn conclude(finished: &Finished, folder: &OutputFolder, json: bool) -> CommandResult {
-    let text = format!(
-        "{}\n{}\n",
-        finished.verdict,
-        summary_lines(&finished.summary, folder.path())
-    );
+    let lines = summary_lines(&finished.summary, folder.path());
+    let text = format!("{}\n{lines}\n", finished.verdict);
     if json {
         eprint!("{text}");
         print_json(&finished.summary)?;
@@ -33,14 +31,12 @@ pub fn conclude(finished: &Finished, folder: &OutputFolder, json: bool) -> Comma
 /// One sentence for people.
 pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
     let share = percent(summary.tracked, summary.frames);
-    let num_apart = summary.num_apart();
+    let (num_apart, num_lost) = (summary.num_apart(), summary.lost_episodes);
     match summary.status {
         Status::NotInitialised => {
             let last = tracked.rows.iter().rev().find_map(|row| row.report());
-            let reason = last
-                .and_then(|report| report.reason)
-                .map(|reason| reason.to_string())
-                .unwrap_or_else(|| "no usable frame".into());
+            let reason = last.and_then(|report| report.reason);
+            let reason = reason.map_or("no usable frame".into(), |reason| reason.to_string());
             format!(
                 "Tracking never started ({reason}). The camera must move sideways while it sees texture; there is no map."
             )
@@ -64,9 +60,8 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
         Status::Interrupted => format!(
             "Interrupted; {share} % of the frames until then have a pose, everything is saved."
         ),
-        Status::Done if summary.lost_episodes > 0 => format!(
-            "{share} % of the frames have a pose; tracking was lost {} times and found again.",
-            summary.lost_episodes
+        Status::Done if num_lost > 0 => format!(
+            "{share} % of the frames have a pose; tracking was lost {num_lost} times and found again."
         ),
         Status::Done => format!("{share} % of the frames have a pose; tracking was never lost."),
     }
@@ -75,112 +70,98 @@ pub fn verdict(summary: &Summary, tracked: &Tracked) -> String {
 /// A share in percent, rounded down where only some are missing: 100 is all of them.
 fn percent(part: usize, whole: usize) -> String {
     let share = 100.0 * part as f64 / whole.max(1) as f64;
-    if (99.0..100.0).contains(&share) {
-        format!("{:.1}", (10.0 * share).floor() / 10.0)
-    } else {
-        format!("{share:.0}")
+    match share {
+        99.0..100.0 => format!("{:.1}", (10.0 * share).floor() / 10.0),
+        _ => format!("{share:.0}"),
     }
 }
 
 /// Numbers for people.
 fn summary_lines(summary: &Summary, folder: &Path) -> String {
     let unit = summary.unit();
-    let memory = summary
-        .peak_rss_bytes
-        .map(|bytes| format!(", {:.0} MB of memory", bytes as f64 / 1e6))
-        .unwrap_or_default();
-    let mut lines = if summary.localise_only {
+    let (frames, keyframes) = (summary.frames, summary.keyframes);
+    let mut lines = vec![if summary.localise_only {
         format!(
-            "  {} frames; the map of {} keyframes stays as it is, no new one is written\n",
-            summary.frames, summary.keyframes
+            "{frames} frames; the map of {keyframes} keyframes stays as it is, no new one is written"
         )
     } else {
+        let (points, map) = (summary.points, &summary.map);
         format!(
-            "  {} frames, {} keyframes, {} measurements mapped\n  \
-             map: cells of {} {unit}, {} leaves\n",
-            summary.frames,
-            summary.keyframes,
-            summary.points,
-            summary.map.resolution,
-            summary.map.leaves,
+            "{frames} frames, {keyframes} keyframes, {points} measurements mapped\n  \
+             map: cells of {} {unit}, {} leaves",
+            map.resolution, map.leaves
         )
-    };
-    if !summary.localise_only && summary.keyframes > 0 {
-        lines += &format!("  frame: {}\n", summary.frame);
+    }];
+    if !summary.localise_only && keyframes > 0 {
+        lines.push(format!("frame: {}", summary.frame));
     }
-    if let Some(inertial) = &summary.inertial {
-        lines += &format!("  {}\n", inertial.line());
-    }
-    if let Some(cell) = &summary.map.cell {
-        lines += &format!("  {}\n", cell.reason(unit));
-    }
-    lines += &about_fragments(summary);
+    lines.extend(summary.inertial.as_ref().map(InertialSummary::line));
+    lines.extend(summary.map.cell.map(|cell| cell.reason(unit)));
+    lines.extend(about_fragments(summary));
     if summary.parts > 1 {
-        lines += &format!(
-            "  the map has {} parts that only tracked motion holds together (last column of keyframes.txt)\n",
+        lines.push(format!(
+            "the map has {} parts that only tracked motion holds together (last column of keyframes.txt)",
             summary.parts
-        );
+        ));
     }
     for bridge in &summary.bridges {
-        lines += &format!(
-            "  after a loss the map goes on at frame {} with a scale known to {:.0} % (95 %)\n",
+        lines.push(format!(
+            "after a loss the map goes on at frame {} with a scale known to {:.0} % (95 %)",
             bridge.first_frame,
             196.0 * bridge.scale_sigma
-        );
+        ));
     }
     if summary.repeated > 0 {
-        lines += &format!(
-            "  {} more frames repeat the one before and were left out\n",
-            summary.repeated
-        );
+        let repeated = summary.repeated;
+        lines.push(format!(
+            "{repeated} more frames repeat the one before and were left out"
+        ));
     }
-    lines += &format!(
-        "  {:.1} s, {:.1} frames per second{memory}\n",
-        summary.seconds.total, summary.frames_per_second,
-    );
-    lines += &error_lines(summary);
-    lines += &format!("  look at {}", folder.join("report.html").display());
-    lines
+    let (seconds, rate) = (summary.seconds.total, summary.frames_per_second);
+    let memory = summary.peak_rss_bytes.map(|bytes| bytes as f64 / 1e6);
+    let memory = memory
+        .map(|mb| format!(", {mb:.0} MB of memory"))
+        .unwrap_or_default();
+    lines.push(format!(
+        "{seconds:.1} s, {rate:.1} frames per second{memory}"
+    ));
+    lines.extend(error_lines(summary));
+    lines.push(format!("look at {}", folder.join("report.html").display()));
+    format!("  {}", lines.join("\n  "))
 }
 
 /// What is known from a truth.
-fn error_lines(summary: &Summary) -> String {
-    let mut lines = String::new();
-    if let Some(fit) = &summary.trajectory {
-        lines += &format!("  error against the reference: {:.4} m\n", fit.ate_rmse);
-    }
-    if let Some(depth) = &summary.depth {
-        lines += &format!(
-            "  depth: {:.0} % of the textured pixels within 3 %\n",
-            100.0 * depth.shares.within_3_percent
-        );
-    }
-    if let (Some(map), Some(report)) = (summary.observed_map_error(), &summary.map_error) {
-        lines += &format!(
-            "  map against the truth: AUC {:.3}, MCC {:.3}; {} cells over 10 cm outside the room, MCC {:.3} with these\n",
+fn error_lines(summary: &Summary) -> impl Iterator<Item = String> {
+    let path = summary.trajectory.as_ref();
+    let path = path.map(|fit| format!("error against the reference: {:.4} m", fit.ate_rmse));
+    let depth = summary.depth.as_ref().map(|depth| {
+        let percent = 100.0 * depth.shares.within_3_percent;
+        format!("depth: {percent:.0} % of the textured pixels within 3 %")
+    });
+    let map = summary.observed_map_error().zip(summary.map_error.as_ref());
+    let map = map.map(|(map, report)| {
+        format!(
+            "map against the truth: AUC {:.3}, MCC {:.3}; {} cells over 10 cm outside the room, MCC {:.3} with these",
             map.auc, map.mcc, report.predicted_beyond, report.mcc_with_beyond
-        );
-    }
-    lines
+        )
+    });
+    path.into_iter().chain(depth).chain(map)
 }
 
 /// What became of what was mapped after losses.
-fn about_fragments(summary: &Summary) -> String {
+fn about_fragments(summary: &Summary) -> impl Iterator<Item = String> {
     let (num, num_apart) = (summary.fragments.len(), summary.num_apart());
-    if num == 0 {
-        return String::new();
-    }
-    let mut lines = format!(
-        "  {num} {} after losses, {} joined to the map, {num_apart} apart\n",
-        if num == 1 { "fragment" } else { "fragments" },
-        num - num_apart
-    );
-    if let Some(fragment) = summary.map_was_fragment {
-        lines += &format!(
-            "  the map is what was made after a loss, which is much larger; the first one is in trajectory_fragment_{fragment}.txt\n"
-        );
-    }
-    lines
+    let joined = (num > 0).then(|| {
+        let fragments = if num == 1 { "fragment" } else { "fragments" };
+        let num_joined = num - num_apart;
+        format!("{num} {fragments} after losses, {num_joined} joined to the map, {num_apart} apart")
+    });
+    let exchanged = summary.map_was_fragment.filter(|_| num > 0).map(|fragment| {
+        format!(
+            "the map is what was made after a loss, which is much larger; the first one is in trajectory_fragment_{fragment}.txt"
+        )
+    });
+    joined.into_iter().chain(exchanged)
 }
 
 #[cfg(test)]

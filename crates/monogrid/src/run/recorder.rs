@@ -38,31 +38,25 @@ pub struct Recorder {
 const DOING: &str = "the recording cannot be written";
 
 impl Recorder {
-    /// Begins the recording.
+    /// Begins the recording; closes submaps as well, where they are wanted.
     pub fn start(
         folder: Arc<OutputFolder>,
         session: &SessionInfo,
-        earlier: Option<Earlier>,
-        source_colours: Option<ColourSource>,
+        (earlier, source_colours): (Option<Earlier>, Option<ColourSource>),
+        policy: Option<SubmapPolicy>,
     ) -> Result<Self, Failure> {
         let writer =
             RecordingWriter::create(&folder.begin(RECORDING)?, session).while_running(DOING)?;
         folder.list(RECORDING, Content::Begins)?;
+        let submaps = |policy| Submaps::new(Arc::clone(&folder), session.clone(), policy);
         Ok(Self {
             writer: Some(writer),
-            submaps: None,
+            submaps: policy.map(submaps),
             folder,
             source: session.source.clone(),
             earlier,
             source_colours,
         })
-    }
-
-    /// Closes submaps as well, where they are wanted.
-    pub fn closing(mut self, policy: Option<SubmapPolicy>, session: &SessionInfo) -> Self {
-        let submaps = |policy| Submaps::new(Arc::clone(&self.folder), session.clone(), policy);
-        self.submaps = policy.map(submaps);
-        self
     }
 
     fn save(&mut self, event: &Event) -> Result<(), Failure> {
@@ -72,9 +66,8 @@ impl Recorder {
         match event {
             Event::Finished(kept, snapshot) => {
                 let keyframe = &loaded(kept, DOING)?;
-                writer
-                    .append_keyframe(keyframe_record(keyframe, None))
-                    .while_running(DOING)?;
+                let record = keyframe_record(keyframe, None);
+                writer.append_keyframe(record).while_running(DOING)?;
                 let sources = (self.earlier.as_ref(), self.source_colours.as_ref());
                 let jpeg = colour(keyframe, sources);
                 if let Some(jpeg) = jpeg.clone() {
@@ -93,13 +86,8 @@ impl Recorder {
                 if let Some(submaps) = &mut self.submaps {
                     submaps.revised(kept);
                 }
-                writer
-                    .append_depth(DepthRevision {
-                        keyframe_id: keyframe.id,
-                        revision: keyframe.revision,
-                        pixels: to_recorded(&keyframe.pixels),
-                    })
-                    .while_running(DOING)?;
+                let depth = depth_revision(keyframe);
+                writer.append_depth(depth).while_running(DOING)?;
                 save_pictures(&self.folder, keyframe)
             }
             // poses are recorded with the next keyframe, or at the end; the rest is in the tables
@@ -164,6 +152,15 @@ pub fn keyframe_record(keyframe: &Keyframe, camera: Option<RecordedCamera>) -> K
     }
 }
 
+/// The depth of a keyframe that became better.
+pub fn depth_revision(keyframe: &Keyframe) -> DepthRevision {
+    DepthRevision {
+        keyframe_id: keyframe.id,
+        revision: keyframe.revision,
+        pixels: to_recorded(&keyframe.pixels),
+    }
+}
+
 /// The colour of a keyframe, as JPEG: of an earlier run, or of the source of this one.
 fn colour(
     keyframe: &Keyframe,
@@ -179,23 +176,18 @@ fn colour(
 
 /// Poses of the keyframes of the main map: nothing else has a place in a map.
 fn poses(snapshot: &monogrid_slam::PoseSnapshot) -> PoseSnapshot {
+    let all = (0u32..).zip(snapshot.world_from_keyframe.iter().copied());
+    let in_map = all.filter(|(id, _)| snapshot.in_main_map(*id).is_some());
     PoseSnapshot {
         revision: snapshot.revision,
-        poses: (0u32..)
-            .zip(snapshot.world_from_keyframe.iter().copied())
-            .filter(|(id, _)| snapshot.in_main_map(*id).is_some())
-            .collect(),
+        poses: in_map.collect(),
     }
-}
-
-/// File names of the three pictures of a keyframe.
-fn picture_names(id: u32) -> [String; 3] {
-    ["image", "depth", "uncertainty"].map(|kind| format!("{KEYFRAME_FOLDER}/{id:05}_{kind}.png"))
 }
 
 fn save_pictures(folder: &OutputFolder, keyframe: &Keyframe) -> Result<(), Failure> {
     let measured: Vec<Measured> = measured(keyframe).collect();
-    let [image, depth, uncertainty] = picture_names(keyframe.id);
+    let name = |kind| format!("{KEYFRAME_FOLDER}/{:05}_{kind}.png", keyframe.id);
+    let [image, depth, uncertainty] = ["image", "depth", "uncertainty"].map(name);
     folder.write(&image, encode_png(&keyframe.image))?;
     let depths = depth_picture(&keyframe.image, &measured);
     folder.write(&depth, encode_png_rgb(&depths))?;
@@ -267,8 +259,7 @@ mod tests {
             keyframes: 2,
             newest: 1,
         };
-        let recorder = Recorder::start(Arc::new(folder), &session, None, None).unwrap();
-        recorder.closing(Some(policy), &session)
+        Recorder::start(Arc::new(folder), &session, (None, None), Some(policy)).unwrap()
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub struct SensedFrame {
 }
 
 /// What was found in numbers, as `summary.json` says it.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct InertialSummary {
     /// Whether it gives the results their scale.
     pub gives_scale: bool,
@@ -66,7 +66,10 @@ pub fn sense(inertial: Option<&Inertial>, tracked: &Tracked, config: &EstimateCo
     match estimate(&inertial.imu, &observations, config) {
         Ok(found) => judged(&found, &observations, is_metric, config),
         Err(reason) => Sensed {
-            summary: Some(InertialSummary::nothing(reason.to_string())),
+            summary: Some(InertialSummary {
+                reason: Some(reason.to_string()),
+                ..InertialSummary::default()
+            }),
             ..Sensed::default()
         },
     }
@@ -74,22 +77,16 @@ pub fn sense(inertial: Option<&Inertial>, tracked: &Tracked, config: &EstimateCo
 
 /// All frames: where the main map has them, else as blind ones.
 fn observations(tracked: &Tracked) -> Vec<Observation> {
-    let mut frames: BTreeMap<i64, Observation> = BTreeMap::new();
-    for row in tracked.rows.iter().filter(|row| row.report().is_some()) {
-        let blind = Observation {
-            timestamp_ns: row.timestamp_ns,
-            seen: None,
-        };
-        frames.insert(row.timestamp_ns, blind);
-    }
-    for pose in &tracked.run.trajectory {
-        let seen = Observation {
-            timestamp_ns: pose.timestamp_ns,
-            seen: Some((0, pose.world_from_camera)),
-        };
-        frames.insert(pose.timestamp_ns, seen);
-    }
-    frames.into_values().collect()
+    let rows = tracked.rows.iter().filter(|row| row.report().is_some());
+    let blind = rows.map(|row| (row.timestamp_ns, None));
+    let poses = tracked.run.trajectory.iter();
+    let seen = poses.map(|pose| (pose.timestamp_ns, Some((0, pose.world_from_camera))));
+    // the later ones stay
+    let frames: BTreeMap<i64, _> = blind.chain(seen).collect();
+    let frames = frames.into_iter();
+    frames
+        .map(|(timestamp_ns, seen)| Observation { timestamp_ns, seen })
+        .collect()
 }
 
 fn judged(
@@ -160,45 +157,22 @@ fn bridged(found: &Estimate, observations: &[Observation]) -> Vec<TimedPose> {
             fix.world_from_camera.translation / metres,
         ),
     };
-    let fixes = found.fixes.iter().filter(is_bridged);
-    fixes
-        .filter(|_| found.is_scale_determined)
-        .map(pose)
-        .collect()
+    let fixes = found.fixes.iter().filter(is_bridged).map(pose);
+    fixes.filter(|_| found.is_scale_determined).collect()
 }
 
 impl InertialSummary {
-    fn nothing(reason: String) -> Self {
-        Self {
-            gives_scale: false,
-            gives_up: false,
-            reason: Some(reason),
-            bridged_frames: 0,
-            metres_per_unit: None,
-            scale_sigma: None,
-            gravity_sigma_deg: None,
-            excitation: None,
-            position_noise: None,
-            gyroscope_bias: None,
-            accelerometer_bias: None,
-        }
-    }
-
     /// What the user reads.
     pub fn line(&self) -> String {
         let numbers = match (self.scale_sigma, self.gravity_sigma_deg) {
-            (Some(scale), Some(gravity)) => {
-                format!(
-                    "scale known to {:.1} %, gravity to {:.2} degrees (95 %)",
-                    196.0 * scale,
-                    1.96 * gravity
-                )
-            }
+            (Some(scale), Some(gravity)) => format!(
+                "scale known to {:.1} %, gravity to {:.2} degrees (95 %)",
+                196.0 * scale,
+                1.96 * gravity
+            ),
             _ => "neither scale nor gravity".to_owned(),
         };
-        match &self.reason {
-            Some(reason) => format!("inertial sensor: {numbers}; {reason}"),
-            None => format!("inertial sensor: {numbers}"),
-        }
+        let reason = self.reason.as_ref().map(|reason| format!("; {reason}"));
+        format!("inertial sensor: {numbers}{}", reason.unwrap_or_default())
     }
 }

@@ -2,13 +2,13 @@
 //!
 //! They hold the records of the recording and are written beside it; commands read either (`sessions::Source`).
 
-use super::recorder::{keyframe_record, loaded};
+use super::recorder::{depth_revision, keyframe_record, loaded};
 use crate::failure::{Classify, Failure};
-use crate::keyframe_pixels::to_recorded;
+
 use crate::output::OutputFolder;
 use monogrid_datasets::{
-    BuiltSubmap, ColourRecord, DepthRevision, Record, SUBMAP_FOLDER, SUBMAP_TABLE, SessionInfo,
-    SubmapBuilder, SubmapEntry, SubmapId, SubmapPose, SubmapTable,
+    BuiltSubmap, ColourRecord, Record, SUBMAP_FOLDER, SUBMAP_TABLE, SessionInfo, SubmapBuilder,
+    SubmapEntry, SubmapId, SubmapPose, SubmapTable,
 };
 use monogrid_geometry::Sim3;
 use monogrid_slam::{KeptKeyframe, PoseSnapshot};
@@ -151,13 +151,9 @@ impl Submaps {
                 add(&mut builder, open, in_submap)?;
             }
         }
-        for (keyframe_id, kept) in std::mem::take(&mut self.better) {
-            let keyframe = loaded(&kept, DOING)?;
-            whole(builder.add(&Record::Depth(DepthRevision {
-                keyframe_id,
-                revision: keyframe.revision,
-                pixels: to_recorded(&keyframe.pixels),
-            })))?;
+        for kept in std::mem::take(&mut self.better).into_values() {
+            let depth = depth_revision(&loaded(&kept, DOING)?);
+            whole(builder.add(&Record::Depth(depth)))?;
         }
         for record in more {
             whole(builder.add(record))?;

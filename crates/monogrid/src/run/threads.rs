@@ -12,9 +12,8 @@ use crate::input::Input;
 use crate::output::OutputFolder;
 use crate::usage::process_cpu;
 use monogrid_datasets::SessionInfo;
-use monogrid_pipeline::{Finished, Pipeline, PipelineError, Reading, Settings, read_ahead};
-use monogrid_slam::Slam;
-use monogrid_slam::mapping::KeyframeCamera;
+use monogrid_pipeline::{Finished, Pipeline, Reading, Settings, read_ahead};
+
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -66,12 +65,11 @@ pub fn track(
     let mut frame_colours = None;
     if !settings.is_localise_only() {
         let source_colours = ColourSource::of(input);
-        frame_colours = source_colours
-            .as_ref()
-            .map(|source| Arc::clone(source.kept()));
+        let source = source_colours.as_ref();
+        frame_colours = source.map(|source| Arc::clone(&source.kept));
         let earlier = settings.earlier().cloned();
-        let recorder = Recorder::start(Arc::clone(folder), &session, earlier, source_colours)?;
-        let recorder = recorder.closing(settings.submaps, &session);
+        let sources = (earlier, source_colours);
+        let recorder = Recorder::start(Arc::clone(folder), &session, sources, settings.submaps)?;
         pipeline.listen(recorder).map_err(Failure::running)?;
     }
     let reading = Reading {
@@ -82,36 +80,10 @@ pub fn track(
     let places = (input, folder.path());
     let colours = frame_colours.as_deref();
     let mut tracking = Tracking::begin((pipeline, viewer, colours), settings, places, interrupted);
-    let source = input.source_with(colours);
-    let reading = read_ahead(source, &input.preparation, reading, |frame| {
-        tracking.take(frame)
-    })
-    .while_running("frames cannot be read")?;
-    let ended = tracking.finish()?;
-    let mut released = |slam: &Slam| {
-        if let Some(limit) = settings.memory_limit {
-            limit.squeeze(slam);
-        }
-    };
-    let run = ended.pipeline.finish_telling(&mut released);
-    let run = run.map_err(|error| match error {
-        PipelineError::Listener(error) => Failure::Running(anyhow::Error::from_boxed(error)),
-        error => Failure::running(error),
-    })?;
-    let others = reading + run.cpu.listening + run.cpu.mapping;
-    Ok(Tracked {
-        rows: ended.rows,
-        cpu: CpuTimes {
-            slam: (process_cpu() - process_before).saturating_sub(others),
-            mapping: run.cpu.mapping,
-            reading,
-            recording: run.cpu.listening,
-        },
-        run,
-        early_end: ended.early_end,
-        doubts: ended.doubts,
-        readout_ms: ended.readout_ms,
-    })
+    let source = input.source(colours);
+    let reading = read_ahead(source, &input.preparation, reading, |f| tracking.take(f));
+    let reading = reading.while_running("frames cannot be read")?;
+    tracking.finish(reading, process_before)
 }
 
 /// Shows the run while it goes on, if that is wanted.
@@ -123,14 +95,10 @@ fn viewer(
     let Some(view) = &settings.view else {
         return Ok(None);
     };
-    let KeyframeCamera {
-        pinhole,
-        width,
-        height,
-    } = input.keyframe_camera();
+    let (width, height) = input.size();
     let title = format!("monogrid: {}", input.name);
     let total = input.expected_frames().unwrap_or(0);
-    let viewer = Viewer::start(view, &title, (&pinhole, [width, height]), total)?;
+    let viewer = Viewer::start(view, &title, (input.pinhole(), [width, height]), total)?;
     pipeline.listen(viewer.ear()).map_err(Failure::running)?;
     Ok(Some(viewer))
 }
@@ -140,28 +108,22 @@ fn pipeline(input: &Input, settings: &RunSettings) -> Result<Pipeline, Failure> 
     let config = &settings.config;
     let earlier = settings.continued.as_ref();
     let earlier = earlier.map(|Continued { earlier, purpose }| (earlier.map.clone(), *purpose));
+    let inertial = input.inertial.as_ref();
     let settings = Settings {
         slam: config.slam.clone(),
         mapping: config.mapping.clone(),
         seed: config.seed,
         threads: settings.threads,
-        imu: input
-            .inertial
-            .as_ref()
-            .map(|inertial| Arc::clone(&inertial.imu)),
+        imu: inertial.map(|inertial| Arc::clone(&inertial.imu)),
         ..Settings::default()
     };
     Pipeline::with(input.preparation.clone(), settings, earlier).map_err(Failure::input)
 }
 
 fn session_info(input: &Input, settings: &RunSettings) -> Result<SessionInfo, Failure> {
-    let KeyframeCamera {
-        pinhole,
-        width,
-        height,
-    } = input.keyframe_camera();
+    let (width, height) = input.size();
     Ok(SessionInfo {
-        pinhole,
+        pinhole: *input.pinhole(),
         width,
         height,
         scale: match (&settings.seed_depth, settings.earlier()) {

@@ -5,15 +5,19 @@ use super::frame_log::FrameLog;
 use super::frames::{FrameFate, FrameRow};
 use super::live::Viewer;
 use super::progress::Progress;
+use super::threads::{CpuTimes, Tracked};
 use crate::doubts::CalibrationCheck;
 use crate::failure::Failure;
 use crate::frame_colours::FrameColours;
 use crate::input::{Input, MAX_UNREADABLE_IN_A_ROW};
 use crate::memory;
 use crate::rolling::ShutterSearch;
+use crate::usage::process_cpu;
 use monogrid_image::GrayImage;
-use monogrid_pipeline::{Event, Pace, Pipeline, ReadFrame, ReadOn, Rectification, Unusable};
-use monogrid_slam::{Effort, FrameInput};
+use monogrid_pipeline::{
+    Event, Pace, Pipeline, PipelineError, ReadFrame, ReadOn, Rectification, Unusable,
+};
+use monogrid_slam::{Effort, FrameInput, Slam};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -48,20 +52,6 @@ pub struct Tracking<'a> {
     colours: Option<&'a FrameColours>,
     /// Time of the last frame.
     last_ns: Option<i64>,
-}
-
-/// What tracking leaves behind.
-pub struct Ended {
-    /// The pipeline, which is still to be finished.
-    pub pipeline: Pipeline,
-    /// Every frame.
-    pub rows: Vec<FrameRow>,
-    /// Why there are no more.
-    pub early_end: Option<EarlyEnd>,
-    /// What was found against the calibration, in sentences.
-    pub doubts: Vec<String>,
-    /// Time from the first row of an image to the last, given or found, ms.
-    pub readout_ms: f64,
 }
 
 impl<'a> Tracking<'a> {
@@ -100,7 +90,7 @@ impl<'a> Tracking<'a> {
             (Some(viewer), Some(Ok(image))) => viewer.wanted(image),
             _ => None,
         };
-        self.shutter.note(frame.index, frame.readout_ms);
+        self.shutter.taken_out.note(frame.index, frame.readout_ms);
         let rectification = frame.rectification.clone();
         let (index, timestamp_ns, due) = (frame.index, frame.timestamp_ns, frame.due);
         let (fate, posed) = self.fate(frame);
@@ -119,13 +109,11 @@ impl<'a> Tracking<'a> {
         self.early_end = self.count_unreadable(&row.fate);
         self.progress.frame(&row, self.num_keyframes);
         self.rows.push(row);
-        match self.early_end {
-            Some(_) => ControlFlow::Break(()),
-            None => {
-                let slam = self.pipeline.slam();
-                ControlFlow::Continue(self.shutter.after_frame(slam, self.num_keyframes))
-            }
+        if self.early_end.is_some() {
+            return ControlFlow::Break(());
         }
+        let slam = self.pipeline.slam();
+        ControlFlow::Continue(self.shutter.after_frame(slam, self.num_keyframes))
     }
 
     /// Keeps the colours of keyframes.
@@ -155,9 +143,8 @@ impl<'a> Tracking<'a> {
             }
             Some(Err(Unusable::Repeats)) => FrameFate::Repeated,
             Some(Err(reason)) => {
-                let index = frame.index;
-                self.progress
-                    .warn(&format!("frame {index} skipped: {reason}"));
+                let said = format!("frame {} skipped: {reason}", frame.index);
+                self.progress.warn(&said);
                 FrameFate::Skipped(reason.to_string())
             }
             None => FrameFate::Dropped,
@@ -169,9 +156,8 @@ impl<'a> Tracking<'a> {
     /// When the next frame comes from a source at its own pace, by the time since the last one.
     fn next_due(&mut self, due: Option<Instant>, timestamp_ns: i64) -> Option<Instant> {
         let last_ns = self.last_ns.replace(timestamp_ns)?;
-        let interval_ns = timestamp_ns
-            .saturating_sub(last_ns)
-            .clamp(0, MAX_INTERVAL_NS);
+        let since_ns = timestamp_ns.saturating_sub(last_ns);
+        let interval_ns = since_ns.clamp(0, MAX_INTERVAL_NS);
         Some(due? + Duration::from_nanos(interval_ns as u64))
     }
 
@@ -199,10 +185,9 @@ impl<'a> Tracking<'a> {
         let report = self.pipeline.track_telling(frame, &mut |_| {
             let now = Instant::now();
             posed = Some(now);
-            if next_due.is_some_and(|next_due| now >= next_due) {
-                Effort::Hurried
-            } else {
-                Effort::Whole
+            match next_due.is_some_and(|next_due| now >= next_due) {
+                true => Effort::Hurried,
+                false => Effort::Whole,
             }
         });
         let posed = posed.unwrap_or_else(Instant::now);
@@ -225,7 +210,7 @@ impl<'a> Tracking<'a> {
                 _ => {}
             }
         }
-        let seen = (self.pipeline.slam(), self.shutter.taken_out());
+        let seen = (self.pipeline.slam(), &self.shutter.taken_out);
         for doubt in self.calibration.early(seen, self.num_keyframes) {
             self.progress.warn(doubt);
         }
@@ -249,20 +234,26 @@ impl<'a> Tracking<'a> {
         }
     }
 
-    /// After the last frame.
-    pub fn finish(mut self) -> Result<Ended, Failure> {
+    /// After the last frame: everything that was found. Given the CPU time of the reader, and of the process before the first frame.
+    pub fn finish(
+        mut self,
+        reading: Duration,
+        process_before: Duration,
+    ) -> Result<Tracked, Failure> {
         self.progress.finish();
         let rows = self.rows.finish()?;
-        let has_pose =
-            |row: &&FrameRow| row.report().is_some_and(|r| r.world_from_camera.is_some());
-        let num_with_pose = rows.iter().filter(has_pose).count();
+        let poses = rows
+            .iter()
+            .filter_map(|row| row.report()?.world_from_camera);
+        let num_with_pose = poses.count();
         let share = num_with_pose as f64 / rows.len().max(1) as f64;
-        if let Some(limit) = self.settings.memory_limit {
+        let limit = self.settings.memory_limit;
+        if let Some(limit) = limit {
             // what the map says of the camera is a question to its points alone
             memory::keep_least();
             limit.squeeze(self.pipeline.slam());
         }
-        let seen = (self.pipeline.slam(), self.shutter.taken_out());
+        let seen = (self.pipeline.slam(), &self.shutter.taken_out);
         let left_radial = self.calibration.left_radial(seen);
         let mut doubts = self.calibration.end(seen, share);
         doubts.extend(self.shutter.conclusion());
@@ -273,12 +264,31 @@ impl<'a> Tracking<'a> {
                  --refine-calibration takes it out of the images"
             ));
         }
-        Ok(Ended {
-            doubts,
-            readout_ms: self.shutter.readout_ms(),
-            pipeline: self.pipeline,
+        // it has seen all frames
+        drop(self.viewer);
+        let mut released = |slam: &Slam| {
+            if let Some(limit) = limit {
+                limit.squeeze(slam);
+            }
+        };
+        let run = self.pipeline.finish_telling(&mut released);
+        let run = run.map_err(|error| match error {
+            PipelineError::Listener(error) => Failure::Running(anyhow::Error::from_boxed(error)),
+            error => Failure::running(error),
+        })?;
+        let others = reading + run.cpu.listening + run.cpu.mapping;
+        Ok(Tracked {
             rows,
+            cpu: CpuTimes {
+                slam: (process_cpu() - process_before).saturating_sub(others),
+                mapping: run.cpu.mapping,
+                reading,
+                recording: run.cpu.listening,
+            },
+            run,
             early_end: self.early_end,
+            doubts,
+            readout_ms: self.shutter.wanted_ms,
         })
     }
 }

@@ -2,9 +2,9 @@
 
 use super::align::{Align, MapFrame, Scene};
 use super::conclusion::verdict;
-use super::outputs::{self, Ground, MapPictures, Playback, Surface, path_of};
+use super::outputs::{self, Ground, Playback, Surface};
 use super::progress::watched;
-use super::report::{ReportInput, write_page};
+use super::report::{Reference, ReportInput, write_page};
 use super::sensed::{Sensed, sense};
 use super::sessions::{RECORDING, tracked_frame};
 use super::summary::{Summary, is_metric, unit_name};
@@ -25,11 +25,11 @@ use monogrid_geometry::{Pinhole, Se3, Sim3, Vec3};
 use monogrid_slam::mapping::{
     ImageOf, KeyframeCamera, KeyframeScan, Maps, SceneCell, UprightView, scene_cell,
 };
-use monogrid_slam::{KeptKeyframe, TrackedFrame};
+use monogrid_slam::{KeptKeyframe, TrackedFrame, TrajectoryPose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Set by Ctrl-C.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
@@ -58,14 +58,6 @@ pub struct Finished {
     pub failure: Option<String>,
 }
 
-/// Where the camera was, in the frame of the results.
-struct Paths {
-    /// All that is known at the end.
-    path: Vec<[f64; 3]>,
-    /// As it was reported frame by frame, where loops have changed it.
-    reported: Option<Vec<[f64; 3]>>,
-}
-
 /// Tracks, maps and writes everything. `extras` may evaluate against a truth.
 pub fn run_all(
     input: &Input,
@@ -84,47 +76,48 @@ pub fn run_all(
     let poses = outputs::final_poses(&tracked, &looked.frame);
     outputs::write_tables(folder, &tracked, &looked.frame, &poses, settings)?;
     outputs::write_bridged(folder, &looked.sensed.bridged, &looked.frame)?;
-    let paths = Paths::new(&poses, &tracked, &looked.frame);
+    let paths = outputs::Paths::new(&poses, &tracked, &looked.frame);
     let posed = posed_keyframes(&tracked, &looked.frame);
     let shown = shown_keyframes(&posed, &scans, tracked.run.slam.pinhole());
     let colours = Colours::read(&folder.path().join(RECORDING))?;
     let unit = unit_name(is_metric(&tracked, &looked.frame));
-    let edge = looked.edge(settings);
+    let mapping = &settings.config.mapping;
+    let edge = looked.cell.map_or(mapping.resolution, |cell| cell.edge);
     let (cell_colours, written) = rayon::join(
         || CellColours::new(&coloured_scans(&posed, &scans), &colours, edge),
-        || write_points(folder, &shown, &colours, unit),
+        || outputs::write_cloud(folder, &shown, &colours, unit),
     );
     written?;
-    let built = final_maps(&mut tracked, scans, &looked, &paths.path, settings);
-    let (maps, failure) = match built {
+    let (maps, failure) = match final_maps(&mut tracked, scans, &looked, &paths.path, settings) {
         Ok(maps) => (maps, early_failure(&tracked)),
         Err(error) => (None, Some(error)),
     };
     let write = |maps| {
-        let (colours, config) = (&cell_colours, &settings.config.mapping.mesh);
+        let (colours, config) = (&cell_colours, &mapping.mesh);
         let surface = Surface { colours, config };
         let ground = ground(&tracked, &looked.frame);
-        outputs::write_maps(folder, maps, paths.both(), ground, surface)
+        outputs::write_maps(folder, maps, &paths, ground, surface)
     };
     let pictures = maps.as_ref().map(write).transpose()?;
     let mut extras = extras(&tracked, maps.as_ref())?;
     let doubts = tracked.doubts.iter().cloned();
     extras.warnings.extend(doubts.chain(not_compared));
     let mut summary = summary(input, settings, &tracked, &looked, maps.as_ref(), extras);
-    let results = Results {
+    let verdict = verdict(&summary, &tracked);
+    let report = ReportInput {
+        title: &format!("monogrid: {}", input.name),
+        verdict: &verdict,
+        summary: &summary,
         frame: &looked.frame,
         reference: Reference::new(&known, &poses),
         paths,
-        shown,
-        colours,
-        maps,
+        map: maps.as_ref().map(|maps| &maps.global),
+        keyframes: &shown,
+        colours: &colours,
         pictures,
-        config,
+        config: &config,
     };
-    results.play(settings, &tracked, &poses)?;
-    let verdict = verdict(&summary, &tracked);
-    let title = format!("monogrid: {}", input.name);
-    let report = results.report(&title, &verdict, &summary);
+    play(&report, settings, &tracked, &poses)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
     Ok(Finished {
@@ -141,67 +134,25 @@ fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Fai
     folder.write("summary.json", json + "\n")
 }
 
-/// What the report shows.
-struct Results<'a> {
-    frame: &'a MapFrame,
-    paths: Paths,
-    reference: Reference,
-    shown: Vec<ShownKeyframe<'a>>,
-    colours: Colours,
-    maps: Option<Maps>,
-    pictures: Option<MapPictures>,
-    config: String,
-}
-
-impl Results<'_> {
-    /// Writes the run as messages, where it is asked for; what was needed for the maps alone is given back.
-    fn play(
-        &self,
-        settings: &RunSettings,
-        tracked: &Tracked,
-        poses: &[TimedPose],
-    ) -> Result<(), Failure> {
-        leave_room(tracked, settings.memory_limit);
-        let Some(file) = &settings.mcap else {
-            return Ok(());
-        };
-        let playback = Playback {
-            poses,
-            keyframes: &self.shown,
-            colours: &self.colours,
-            map: self.maps.as_ref().map(|maps| &maps.global),
-            ground: ground(tracked, self.frame),
-        };
-        file.write_with(|out| Ok(playback.write(out)?))
-    }
-
-    fn report<'a>(
-        &'a self,
-        title: &'a str,
-        verdict: &'a str,
-        summary: &'a Summary,
-    ) -> ReportInput<'a> {
-        let pictures = self.pictures.as_ref();
-        let (path, reported_path) = self.paths.both();
-        ReportInput {
-            title,
-            verdict,
-            summary,
-            frame: self.frame,
-            path,
-            reported_path: reported_path.unwrap_or_default(),
-            reference: &self.reference.path,
-            errors: &self.reference.errors,
-            map: self.maps.as_ref().map(|maps| &maps.global),
-            keyframes: &self.shown,
-            colours: &self.colours,
-            cut: pictures.and_then(|pictures| pictures.cut),
-            mesh: pictures.and_then(|pictures| pictures.mesh.as_ref()),
-            preview: pictures.map(|pictures| pictures.preview.as_slice()),
-            loops: pictures.and_then(|pictures| pictures.loops.as_ref()),
-            config: &self.config,
-        }
-    }
+/// Writes the run as messages, where it is asked for; what was needed for the maps alone is given back.
+fn play(
+    report: &ReportInput,
+    settings: &RunSettings,
+    tracked: &Tracked,
+    poses: &[TimedPose],
+) -> Result<(), Failure> {
+    leave_room(tracked, settings.memory_limit);
+    let Some(file) = &settings.mcap else {
+        return Ok(());
+    };
+    let playback = Playback {
+        poses,
+        keyframes: report.keyframes,
+        colours: report.colours,
+        map: report.map,
+        ground: ground(tracked, report.frame),
+    };
+    file.write_with(|out| Ok(playback.write(out)?))
 }
 
 fn ground(tracked: &Tracked, frame: &MapFrame) -> Ground {
@@ -221,15 +172,20 @@ fn summary(
     extras: Extras,
 ) -> Summary {
     let mut summary = Summary::new(input, settings, tracked, &looked.frame, maps);
-    let not_kept = tracked.run.slam.spill_failure();
-    let exceeded = settings
-        .memory_limit
-        .and_then(|limit| limit.exceeded(peak_rss_bytes()));
-    let said = extras.warnings.into_iter().chain(not_kept).chain(exceeded);
-    let said = said.collect();
+    let limit = settings.memory_limit;
+    let said = |count: usize, what: &str| (count > 0).then(|| format!("{count} frames {what}"));
+    // in the order in which it was found out
+    let mut warnings = input.warnings.clone();
+    warnings.extend(looked.warning.clone());
+    warnings.extend(extras.warnings);
+    warnings.extend(tracked.run.slam.spill_failure());
+    warnings.extend(limit.and_then(|limit| limit.exceeded(peak_rss_bytes())));
+    warnings.extend(said(summary.skipped, "could not be used and were skipped"));
+    let repeats = "repeat the one before and were left out";
+    warnings.extend(said(summary.repeated, repeats));
+    summary.warnings = warnings;
     summary.map.cell = looked.cell;
     summary.inertial.clone_from(&looked.sensed.summary);
-    summary.warnings = warnings(input, looked.warning.clone(), said, &summary);
     summary.depth = extras.depth;
     summary.map_error = extras.map;
     summary
@@ -266,16 +222,14 @@ impl Looked {
         settings: &RunSettings,
     ) -> Self {
         let keyframes = tracked.run.slam.keyframes();
-        let posed = keyframes.iter().zip(scans);
-        let views: Vec<UprightView> = posed
-            .filter_map(|(keyframe, scan)| {
-                Some(UprightView {
-                    scan,
-                    image: Some(ImageOf::Kept(keyframe)),
-                    world_from_keyframe: *tracked.run.poses.in_main_map(keyframe.id)?,
-                })
+        let views = keyframes.iter().zip(scans).filter_map(|(keyframe, scan)| {
+            Some(UprightView {
+                scan,
+                image: Some(ImageOf::Kept(keyframe)),
+                world_from_keyframe: *tracked.run.poses.in_main_map(keyframe.id)?,
             })
-            .collect();
+        });
+        let views: Vec<UprightView> = views.collect();
         let mapping = &settings.config.mapping;
         let inertial = input.inertial.as_ref();
         let sensed = sense(inertial, tracked, &settings.config.slam.inertial);
@@ -285,29 +239,19 @@ impl Looked {
             config: &mapping.upright,
         });
         let is_free = mapping.auto_resolution && !is_metric(tracked, &frame);
-        let cell = is_free.then(|| scene_cell(&views, mapping));
+        let cell = is_free.then(|| scene_cell(&views, mapping)).flatten();
         Self {
             frame,
             warning,
-            cell: cell.flatten(),
+            cell,
             sensed,
         }
     }
 }
 
-impl Looked {
-    /// Edge of a cell of the maps.
-    fn edge(&self, settings: &RunSettings) -> f64 {
-        let asked = settings.config.mapping.resolution;
-        self.cell.map_or(asked, |cell| cell.edge)
-    }
-}
-
 fn stamped_path(tracked: &Tracked) -> Vec<(i64, Se3)> {
-    let poses = tracked.run.trajectory.iter();
-    poses
-        .map(|pose| (pose.timestamp_ns, pose.world_from_camera))
-        .collect()
+    let stamped = |pose: &TrajectoryPose| (pose.timestamp_ns, pose.world_from_camera);
+    tracked.run.trajectory.iter().map(stamped).collect()
 }
 
 /// Where the camera really was, by time and in the frame of the results: the trajectory that decided the frame, else the
@@ -342,10 +286,8 @@ fn known_path(
         Ok(known) => (known, None),
         Err(reason) => {
             let path = dataset.ground_truth.as_deref().unwrap_or(&dataset.root);
-            let said = format!(
-                "the path was not compared with {}: {reason}",
-                path.display()
-            );
+            let path = path.display();
+            let said = format!("the path was not compared with {path}: {reason}");
             (KnownPath::new(), Some(said))
         }
     }
@@ -359,28 +301,6 @@ fn path_by_time(poses: &[TimedPose], results_from_reference: &Sim3) -> KnownPath
         |pose: &TimedPose| (*results_from_reference * pose.world_from_camera.translation).into();
     let placed = poses.iter().map(|pose| (pose.timestamp_ns, place(pose)));
     placed.collect()
-}
-
-impl Paths {
-    fn new(poses: &[TimedPose], tracked: &Tracked, frame: &MapFrame) -> Self {
-        let has_loops = tracked.run.slam.graph_stats().loop_closures > 0;
-        Self {
-            path: path_of(poses),
-            reported: has_loops.then(|| outputs::reported_path(tracked, frame)),
-        }
-    }
-
-    fn both(&self) -> (&[[f64; 3]], Option<&[[f64; 3]]>) {
-        (&self.path, self.reported.as_deref())
-    }
-}
-
-/// Where the camera really was, in the frame of the results.
-#[derive(Default)]
-struct Reference {
-    path: Vec<[f64; 3]>,
-    /// Distance of each pose from it.
-    errors: Vec<Option<f64>>,
 }
 
 /// Poses of the reference belong to a frame of the same time, but for this.
@@ -414,7 +334,10 @@ fn final_depth(
     show_progress: bool,
 ) -> Vec<KeyframeScan> {
     let before = process_cpu();
-    make_room(tracked, limit);
+    match limit {
+        Some(limit) => limit.apply(&tracked.run.slam),
+        None => memory::give_back(),
+    }
     let count = tracked.run.slam.num_keyframes();
     eprintln!("depth and maps of {count} keyframes at their final poses");
     // what is kept of each keyframe grows while others are read: the room for them shrinks meanwhile, which changes no result
@@ -432,15 +355,7 @@ fn final_depth(
     scans
 }
 
-/// Gives back what is free, and the keyframes as much room as is left now.
-fn make_room(tracked: &Tracked, limit: Option<MemoryLimit>) {
-    match limit {
-        Some(limit) => limit.apply(&tracked.run.slam),
-        None => memory::give_back(),
-    }
-}
-
-/// The same for work that takes one keyframe after the other: with a limit they have the least room.
+/// Gives back what is free, for work that takes one keyframe after the other: with a limit they have the least room.
 fn leave_room(tracked: &Tracked, limit: Option<MemoryLimit>) {
     match limit {
         Some(limit) => limit.squeeze(&tracked.run.slam),
@@ -493,19 +408,6 @@ fn shown_keyframes<'a>(
     shown.collect()
 }
 
-/// What they measured as points, if there are any.
-fn write_points(
-    folder: &OutputFolder,
-    shown: &[ShownKeyframe],
-    colours: &Colours,
-    unit: &str,
-) -> Result<(), Failure> {
-    if shown.is_empty() {
-        return Ok(());
-    }
-    outputs::write_cloud(folder, shown, colours, unit)
-}
-
 /// What of them is mapped.
 fn coloured_scans<'a>(posed: &'a [Posed], scans: &'a [KeyframeScan]) -> Vec<ColouredScan<'a>> {
     let scans: BTreeMap<_, _> = scans.iter().map(|scan| (scan.id, scan)).collect();
@@ -534,15 +436,12 @@ fn final_maps(
     let frames: Vec<TrackedFrame> = frames.map(tracked_frame).collect();
     let edge = looked.cell.map(|cell| cell.edge);
     let run = &mut tracked.run;
-    let maps = watched(
-        ("final maps", scans.len()),
-        settings.show_progress,
-        || {},
-        |done| {
-            let more = (frames.as_slice(), edge);
-            run.maps_of(scans, &looked.frame.map_from_world, camera, more, done)
-        },
-    );
+    let (what, map_from_world) = (("final maps", scans.len()), &looked.frame.map_from_world);
+    let work = |done: &AtomicUsize| {
+        let more = (frames.as_slice(), edge);
+        run.maps_of(scans, map_from_world, camera, more, done)
+    };
+    let maps = watched(what, settings.show_progress, || {}, work);
     leave_room(tracked, settings.memory_limit);
     tracked.cpu.mapping += process_cpu() - before;
     maps.map_err(|error| error.to_string())
@@ -555,31 +454,4 @@ fn early_failure(tracked: &Tracked) -> Option<String> {
         )),
         _ => None,
     }
-}
-
-/// What the user should know, in the order in which it was found out.
-fn warnings(
-    input: &Input,
-    align: Option<String>,
-    extras: Vec<String>,
-    summary: &Summary,
-) -> Vec<String> {
-    let skipped = (summary.skipped > 0).then(|| {
-        format!(
-            "{} frames could not be used and were skipped",
-            summary.skipped
-        )
-    });
-    let repeated = (summary.repeated > 0).then(|| {
-        format!(
-            "{} frames repeat the one before and were left out",
-            summary.repeated
-        )
-    });
-    let found = align
-        .into_iter()
-        .chain(extras)
-        .chain(skipped)
-        .chain(repeated);
-    input.warnings.iter().cloned().chain(found).collect()
 }

@@ -8,7 +8,7 @@ use crate::output::OutputFolder;
 use crate::recorded::Recorded;
 use crate::usage::thread_cpu;
 use monogrid_evaluation::MapEvaluator;
-use monogrid_geometry::Sim3;
+
 use monogrid_occupancy::{MapError, OccupancyMap, write_bt, write_ot};
 use monogrid_slam::mapping::{KeyframeScan, Mapper, MappingConfig};
 use std::io::{self, Write};
@@ -39,25 +39,19 @@ pub fn build(job: &Job, entry: &Entry, budget: usize) -> Result<MapResult, Failu
     let config = entry.model.mapping(entry.resolution);
     let mapper = Mapper::new(config.clone(), 1);
     let scans = job.scans.for_rules(&config);
-    let mut map = empty(&config, budget)?;
+    let map = empty(&config, budget);
+    let mut map = map.while_running("a map of the sweep cannot be made")?;
     let mut grown = Grown::default();
-    match grown.grow(&mut map, &mapper, job.recorded, scans) {
-        Ok(()) => {}
-        Err(MapError::MemoryBudget { .. }) => {
-            return Ok(MapResult::BeyondMemory {
-                limit_bytes: budget,
-            });
-        }
-        Err(error) => return Err(error).while_running("a map of the sweep cannot be built"),
+    let built = grown.grow(&mut map, &mapper, job.recorded, scans);
+    if let Err(MapError::MemoryBudget { .. }) = built {
+        let limit_bytes = budget;
+        return Ok(MapResult::BeyondMemory { limit_bytes });
     }
-    let scores = match job.evaluator {
-        Some(evaluator) => Some(Scores::from_report(
-            &evaluator
-                .evaluate(&map)
-                .while_running("a map of the sweep cannot be compared")?,
-        )),
-        None => None,
-    };
+    built.while_running("a map of the sweep cannot be built")?;
+    let report = job.evaluator.map(|evaluator| evaluator.evaluate(&map));
+    let report = report.transpose();
+    let report = report.while_running("a map of the sweep cannot be compared")?;
+    let scores = report.as_ref().map(Scores::from_report);
     let pictures = pictures::draw(job, entry, &map, &mapper, scans)?;
     let (low, high) = map.bounds().unwrap_or_default();
     Ok(MapResult::Built(Box::new(Built {
@@ -96,21 +90,19 @@ impl Scans {
     }
 
     fn for_rules(&self, config: &MappingConfig) -> &[KeyframeScan] {
-        if config.filter == MappingConfig::thesis().filter {
-            &self.all
-        } else {
-            &self.default
+        match config.filter == MappingConfig::thesis().filter {
+            true => &self.all,
+            false => &self.default,
         }
     }
 }
 
 /// An empty map with a limit to its memory.
-fn empty(config: &MappingConfig, budget: usize) -> Result<OccupancyMap, Failure> {
-    let map_config = monogrid_occupancy::MapConfig {
+pub fn empty(config: &MappingConfig, budget: usize) -> Result<OccupancyMap, MapError> {
+    OccupancyMap::new(monogrid_occupancy::MapConfig {
         memory_budget_bytes: budget,
         ..config.map_config()
-    };
-    OccupancyMap::new(map_config).while_running("a map of the sweep cannot be made")
+    })
 }
 
 /// A map while it grows.
@@ -131,10 +123,7 @@ impl Grown {
         scans: &[KeyframeScan],
     ) -> Result<(), MapError> {
         let sampled = scans.len().div_ceil(LIKELIHOOD_SAMPLES).max(1);
-        let poses = recorded.world_from_keyframes();
-        for (scan, pose) in scans.iter().zip(&poses) {
-            let Some(pose) = pose else { continue };
-            let map_from_keyframe: Sim3 = recorded.frame.map_from_world * *pose;
+        for (scan, map_from_keyframe) in recorded.posed(scans) {
             let before = thread_cpu();
             self.points += mapper.integrate(map, scan, &map_from_keyframe)?;
             self.cpu += thread_cpu() - before;

@@ -7,6 +7,7 @@ use crate::output::{Inputs, OutputFolder};
 use crate::recorded::Recorded;
 use crate::run::align::Align;
 use monogrid_evaluation::TruthGrid;
+use monogrid_geometry::Vec3;
 use std::path::{Path, PathBuf};
 
 /// A recording and its name in the output.
@@ -34,9 +35,8 @@ pub fn read_recordings(paths: &[PathBuf], align: &Align) -> Result<Vec<Named>, F
             (stem, _) => stem.unwrap_or("recording").to_owned(),
         };
         if named.iter().any(|other| other.name == name) {
-            return Err(Failure::input(format!(
-                "two recordings are called {name}: give them different file names"
-            )));
+            let said = format!("two recordings are called {name}: give them different file names");
+            return Err(Failure::input(said));
         }
         named.push(Named {
             recorded: Recorded::read(path, align)?,
@@ -81,16 +81,19 @@ pub fn orders(
         }
         None => {
             let views = recordings.iter().flat_map(|r| r.recorded.views());
-            let mut low = [f64::INFINITY; 3];
-            let mut high = [f64::NEG_INFINITY; 3];
-            for view in views {
-                for axis in 0..3 {
-                    let center = view.world_from_camera.translation[axis];
-                    low[axis] = low[axis].min(center - AROUND);
-                    high[axis] = high[axis].max(center + AROUND);
-                }
-            }
-            (low, high)
+            let centres: Vec<Vec3> = views.map(|v| v.world_from_camera.translation).collect();
+            let along = |axis: usize| centres.iter().map(move |centre| centre[axis]);
+            let low = |axis| {
+                along(axis)
+                    .map(|x| x - AROUND)
+                    .fold(f64::INFINITY, f64::min)
+            };
+            let high = |axis| {
+                along(axis)
+                    .map(|x| x + AROUND)
+                    .fold(f64::NEG_INFINITY, f64::max)
+            };
+            (std::array::from_fn(low), std::array::from_fn(high))
         }
     };
     PictureOrders::new(low, high, nearest.unwrap_or(0.016))

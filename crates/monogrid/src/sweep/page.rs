@@ -2,7 +2,7 @@
 //! and one page that holds everything.
 
 use super::figures::{self, Figure};
-use super::pictures::{AFTER_ONE, AFTER_SEVERAL, LIKELY, PictureOrders};
+use super::pictures::{AFTER_ONE, AFTER_SEVERAL, LIKELY, PictureOrders, VIEWED};
 use super::plan::Model;
 use super::record::{MapRecord, PictureKind};
 use super::result::RecordingResult;
@@ -30,111 +30,101 @@ pub fn write(
     results: &[RecordingResult],
     orders: &PictureOrders,
 ) -> Result<(), Failure> {
-    let mut page = Page::default();
-    for warning in &lead.warnings {
-        page.warning(warning);
-    }
-    page.facts(&lead.facts);
-    page.heading("Data sets");
     let mut writer = Writer {
         out,
+        orders,
+        page: Page::default(),
         markdown: String::new(),
     };
-    writer.table(&mut page, "", &tables::data_sets(results))?;
-    writer.file("maps.csv", tables::all_maps_csv(results).as_bytes())?;
-    for result in results {
-        writer.recording(&mut page, result, orders)?;
+    for warning in &lead.warnings {
+        writer.page.warning(warning);
     }
-    writer.file("tables.md", writer.markdown.as_bytes())?;
-    let html = page.finish("Sweep over sensor models and resolutions", &lead.text);
-    writer.file("sweep.html", html.as_bytes())
+    writer.page.facts(&lead.facts);
+    writer.page.heading("Data sets");
+    writer.table("", &tables::data_sets(results))?;
+    out.write("maps.csv", tables::all_maps_csv(results))?;
+    for result in results {
+        writer.recording(result)?;
+    }
+    out.write("tables.md", writer.markdown)?;
+    let title = "Sweep over sensor models and resolutions";
+    out.write("sweep.html", writer.page.finish(title, &lead.text))
 }
 
 struct Writer<'a> {
     out: &'a OutputFolder,
+    orders: &'a PictureOrders,
+    page: Page,
     /// All tables, for pages such as a project's documentation.
     markdown: String,
 }
 
 impl Writer<'_> {
-    fn file(&self, name: &str, content: &[u8]) -> Result<(), Failure> {
-        self.out.write(name, content)
-    }
-
-    fn recording(
-        &mut self,
-        page: &mut Page,
-        result: &RecordingResult,
-        orders: &PictureOrders,
-    ) -> Result<(), Failure> {
+    fn recording(&mut self, result: &RecordingResult) -> Result<(), Failure> {
         let folder = format!("{}/", result.name);
-        page.heading(&format!(
+        self.page.heading(&format!(
             "{}: recorded with the profile {}",
             result.name, result.profile
         ));
         if !result.is_metric {
-            page.warning("The scale of this recording is arbitrary: lengths are map units, and L and k mean something else than in the thesis.");
+            self.page.warning("The scale of this recording is arbitrary: lengths are map units, and L and k mean something else than in the thesis.");
         }
-        self.table(page, &folder, &tables::memory(result))?;
-        self.figure(page, &folder, &figures::growth(result))?;
-        self.table(page, &folder, &tables::speed(result))?;
+        self.table(&folder, &tables::memory(result))?;
+        self.figure(&folder, &figures::growth(result))?;
+        self.table(&folder, &tables::speed(result))?;
         let is_compared = result.records.iter().any(|r| r.scores().is_some());
         if is_compared {
             for score in [Score::AucKnown, Score::AucObserved, Score::MccObserved] {
                 for family in [&THRUN, &ANDERT] {
-                    let table = tables::over_parameter(result, family, score);
-                    self.table(page, &folder, &table)?;
+                    self.table(&folder, &tables::over_parameter(result, family, score))?;
                 }
             }
-            self.table(page, &folder, &tables::best_of(result))?;
+            self.table(&folder, &tables::best_of(result))?;
             for figure in figures::compared(result) {
-                self.figure(page, &folder, &figure)?;
+                self.figure(&folder, &figure)?;
             }
         }
-        self.slices(page, result, orders);
-        self.views(page, result, orders);
+        self.slices(result);
+        self.views(result);
         Ok(())
     }
 
-    fn table(&mut self, page: &mut Page, folder: &str, table: &Table) -> Result<(), Failure> {
+    fn table(&mut self, folder: &str, table: &Table) -> Result<(), Failure> {
         let name = format!("{folder}{}.csv", table.file);
-        self.file(&name, table.csv().as_bytes())?;
+        self.out.write(&name, table.csv())?;
         self.markdown.push_str(&table.markdown());
-        page.subheading(&table.title);
-        page.number_table(&table.header, &table.rows);
-        page.note(&table.note);
+        self.page.subheading(&table.title);
+        self.page.number_table(&table.header, &table.rows);
+        self.page.note(&table.note);
         Ok(())
     }
 
-    fn figure(&self, page: &mut Page, folder: &str, figure: &Figure) -> Result<(), Failure> {
+    fn figure(&mut self, folder: &str, figure: &Figure) -> Result<(), Failure> {
         for plot in &figure.plots {
-            let panel: String = plot
-                .title
-                .chars()
-                .filter(|c| c.is_ascii_alphanumeric() || *c == '.')
-                .collect();
+            let is_kept = |c: &char| c.is_ascii_alphanumeric() || *c == '.';
+            let panel: String = plot.title.chars().filter(is_kept).collect();
             let name = format!("{folder}{}-{panel}", figure.file);
-            self.file(&format!("{name}.svg"), plot.file().as_bytes())?;
-            self.file(&format!("{name}.csv"), plot.csv().as_bytes())?;
+            self.out.write(&format!("{name}.svg"), plot.file())?;
+            self.out.write(&format!("{name}.csv"), plot.csv())?;
         }
-        page.subheading(&figure.title);
-        page.panels(&figure.plots);
-        page.note(&figure.note);
+        self.page.subheading(&figure.title);
+        self.page.panels(&figure.plots);
+        self.page.note(&figure.note);
         Ok(())
     }
 
     /// Figure 6.12: truth, ideal, Thrun, Andert and ours side by side.
-    fn slices(&self, page: &mut Page, result: &RecordingResult, orders: &PictureOrders) {
-        page.subheading(&format!("Slices (Figure 6.12): {}", result.name));
-        let known = |scores: &super::record::Scores| Score::AucKnown.of(scores);
+    fn slices(&mut self, result: &RecordingResult) {
+        self.page
+            .subheading(&format!("Slices (Figure 6.12): {}", result.name));
         for &resolution in &result.resolutions {
             let models = [
                 Some(Model::Ideal),
-                result.best(&THRUN.models(), resolution, known),
-                result.best(&ANDERT.models(), resolution, known),
+                result.best(&THRUN, resolution, Score::AucKnown),
+                result.best(&ANDERT, resolution, Score::AucKnown),
                 Some(Model::Automatic),
             ];
-            for (index, height) in orders.heights.iter().enumerate() {
+            for (index, height) in self.orders.heights.iter().enumerate() {
                 let mut pictures = Vec::new();
                 let truth = self.out.path().join(truth_slice_file(resolution, index));
                 if let Ok(png) = std::fs::read(truth) {
@@ -148,28 +138,28 @@ impl Writer<'_> {
                     }
                 }
                 if pictures.len() > 1 {
-                    page.row(&pictures);
+                    self.page.row(&pictures);
                 }
             }
         }
-        page.note(
+        self.page.note(
             "Black occupied, white free, grey unknown. L and k: the best by AUC of known cells.",
         );
     }
 
     /// Figures 6.9 to 6.11: the unprocessed map, three values of L and of k.
-    fn views(&self, page: &mut Page, result: &RecordingResult, orders: &PictureOrders) {
-        let resolution = orders.view_resolution;
+    fn views(&mut self, result: &RecordingResult) {
+        let resolution = self.orders.view_resolution;
         let picture = |model: Model| {
             let record = result.record(model, resolution)?;
             let png = self.picture(result, record, PictureKind::View)?;
             Some((png, model.caption()))
         };
-        let viewed = PictureOrders::viewed().into_iter();
-        let all: Vec<(Vec<u8>, String)> = viewed.filter_map(picture).collect();
+        let all: Vec<(Vec<u8>, String)> = VIEWED.into_iter().filter_map(picture).collect();
         if all.is_empty() {
             return;
         }
+        let page = &mut self.page;
         page.subheading(&format!(
             "Occupied cells at {} (Figures 6.9 to 6.11): {}",
             mm(resolution),

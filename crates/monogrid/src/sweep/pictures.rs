@@ -1,6 +1,6 @@
 //! Pictures of the maps of a sweep: slices, and views of the occupied cells.
 
-use super::build::Job;
+use super::build::{Job, empty};
 use super::plan::{Entry, Model};
 use super::record::{PictureFile, PictureKind};
 use crate::failure::{Classify, Failure};
@@ -35,8 +35,8 @@ const SLICE_SHARES: [f64; 3] = [0.25, 0.5, 0.75];
 const CUT_SHARE: f64 = 0.8;
 /// Octovis, which the thesis used, shows cells above this probability.
 const VIEW_PROBABILITY: f64 = 0.7;
-/// The thesis' three values of L (0.45 replaced by the nearest of its table) and of k.
-const VIEWED: [Model; 8] = [
+/// The models that views are drawn of: the thesis' three values of L (0.45 replaced by the nearest of its table) and of k.
+pub const VIEWED: [Model; 8] = [
     Model::None,
     Model::Thrun(0.05),
     Model::Thrun(0.5),
@@ -65,11 +65,6 @@ impl PictureOrders {
             cut_height: at(CUT_SHARE),
             view_resolution,
         }
-    }
-
-    /// The models that views are drawn of.
-    pub fn viewed() -> [Model; 8] {
-        VIEWED
     }
 
     fn window(&self, resolution: f64) -> Window {
@@ -151,15 +146,9 @@ fn count_hits(
         ..mapper.config().clone()
     };
     let counter = Mapper::new(config.clone(), 1);
-    let mut counts = OccupancyMap::new(monogrid_occupancy::MapConfig {
-        memory_budget_bytes: budget,
-        ..config.map_config()
-    })?;
-    for (scan, pose) in scans.iter().zip(job.recorded.world_from_keyframes()) {
-        if let Some(pose) = pose {
-            let map_from_keyframe = job.recorded.frame.map_from_world * pose;
-            counter.integrate(&mut counts, scan, &map_from_keyframe)?;
-        }
+    let mut counts = empty(&config, budget)?;
+    for (scan, map_from_keyframe) in job.recorded.posed(scans) {
+        counter.integrate(&mut counts, scan, &map_from_keyframe)?;
     }
     Ok(counts)
 }
@@ -185,9 +174,8 @@ fn view(
         if !is_at_cut && is_enclosed(cell.key, &is_likely) {
             continue;
         }
-        let num_hits = counts
-            .and_then(|counts| counts.log_odds_of(cell.key))
-            .map(|sum| (f64::from(sum) / HIT).round());
+        let sum = counts.and_then(|counts| counts.log_odds_of(cell.key));
+        let num_hits = sum.map(|sum| (f64::from(sum) / HIT).round());
         colours.push(match num_hits {
             _ if cell.log_odds < clamp => LIKELY,
             Some(hits) if hits <= 1.0 => AFTER_ONE,

@@ -71,35 +71,28 @@ impl Model {
 
     /// The settings of a map of this kind.
     pub fn mapping(self, resolution: f64) -> MappingConfig {
-        let thesis = MappingConfig {
-            resolution,
-            ..MappingConfig::thesis()
+        let mut config = match self {
+            Self::Automatic => MappingConfig::default(),
+            _ => MappingConfig::thesis(),
         };
+        config.resolution = resolution;
         match self {
-            Self::Automatic => MappingConfig {
-                resolution,
-                ..MappingConfig::default()
-            },
-            Self::None => MappingConfig {
-                sensor_model: SensorModelKind::None,
-                ..thesis
-            },
-            Self::Ideal => MappingConfig {
-                sensor_model: SensorModelKind::Ideal,
-                buffer: AutoLength::Fixed(3_f64.sqrt() * resolution),
-                ..thesis
-            },
-            Self::Thrun(l) => MappingConfig {
-                sensor_model: SensorModelKind::Thrun,
-                buffer: AutoLength::Fixed(l),
-                ..thesis
-            },
-            Self::Andert(k) => MappingConfig {
-                sensor_model: SensorModelKind::Andert,
-                significance: AutoLength::Fixed(k),
-                ..thesis
-            },
+            Self::Automatic => {}
+            Self::None => config.sensor_model = SensorModelKind::None,
+            Self::Ideal => {
+                config.sensor_model = SensorModelKind::Ideal;
+                config.buffer = AutoLength::Fixed(3_f64.sqrt() * resolution);
+            }
+            Self::Thrun(l) => {
+                config.sensor_model = SensorModelKind::Thrun;
+                config.buffer = AutoLength::Fixed(l);
+            }
+            Self::Andert(k) => {
+                config.sensor_model = SensorModelKind::Andert;
+                config.significance = AutoLength::Fixed(k);
+            }
         }
+        config
     }
 }
 
@@ -115,20 +108,17 @@ pub struct Entry {
 impl Entry {
     /// Name of its files.
     pub fn name(&self) -> String {
-        let parameter = match self.model.parameter() {
-            Some(value) => format!("-{value}"),
-            None => String::new(),
-        };
+        let parameter = self.model.parameter();
+        let parameter = parameter.map_or_else(String::new, |value| format!("-{value}"));
         format!("{}{parameter}-{}", self.model.family(), self.resolution)
     }
 }
 
 /// All models: the thesis' and ours.
 pub fn models() -> Vec<Model> {
-    let mut models = vec![Model::None, Model::Ideal, Model::Automatic];
-    models.extend(BUFFERS.map(Model::Thrun));
-    models.extend(SIGNIFICANCES.map(Model::Andert));
-    models
+    let alone = [Model::None, Model::Ideal, Model::Automatic].into_iter();
+    let thrun = alone.chain(BUFFERS.map(Model::Thrun));
+    thrun.chain(SIGNIFICANCES.map(Model::Andert)).collect()
 }
 
 /// The models with one value each, for memory and speed.

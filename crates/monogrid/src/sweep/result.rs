@@ -1,8 +1,11 @@
 //! Everything that a sweep found out, ready to be shown.
 
-use super::plan::{Entry, Model};
+use super::plan::{Entry, Model, usual_models};
 use super::record::{MapRecord, Scores};
 use super::slam_rate::Rate;
+use super::tables::Score;
+use super::thesis::Family;
+use std::cmp::Ordering;
 
 /// Everything that a sweep found out about one recording.
 #[derive(Debug)]
@@ -43,26 +46,24 @@ impl RecordingResult {
         self.record(model, resolution)?.scores()
     }
 
-    /// The value of `models` with the largest `score`; ties go to the larger recall, as in the thesis.
-    pub fn best(
-        &self,
-        models: &[Model],
-        resolution: f64,
-        score: fn(&Scores) -> f64,
-    ) -> Option<Model> {
-        let rank = |model: &Model| {
-            let scores = self.scores(*model, resolution)?;
+    /// The maps of the usual models, in the order of these and of the resolutions.
+    pub fn usual_records(&self) -> impl Iterator<Item = &MapRecord> {
+        let resolutions = self.resolutions.iter();
+        usual_models().into_iter().flat_map(move |model| {
+            let resolutions = resolutions.clone();
+            resolutions.filter_map(move |resolution| self.record(model, *resolution))
+        })
+    }
+
+    /// The model of a family with the largest score; ties go to the larger recall, as in the thesis.
+    pub fn best(&self, family: &Family, resolution: f64, score: Score) -> Option<Model> {
+        let ranked = family.models().into_iter().filter_map(|model| {
+            let scores = self.scores(model, resolution)?;
             // as many digits as the thesis prints
-            Some(((100.0 * score(scores)).round(), scores.known.recall))
-        };
-        models
-            .iter()
-            .filter(|model| rank(model).is_some())
-            .max_by(|a, b| {
-                rank(a)
-                    .partial_cmp(&rank(b))
-                    .unwrap_or(std::cmp::Ordering::Equal)
-            })
-            .copied()
+            let rounded = (100.0 * score.of(scores)).round();
+            Some(((rounded, scores.known.recall), model))
+        });
+        let best = ranked.max_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+        best.map(|(_, model)| model)
     }
 }

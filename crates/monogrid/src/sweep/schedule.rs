@@ -5,8 +5,8 @@ use super::plan::Entry;
 use super::record::{MapRecord, MapResult};
 use crate::failure::Failure;
 use crate::tally::Tally;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 /// How a sweep is carried out.
@@ -30,15 +30,16 @@ pub fn run(
 ) -> Result<Vec<MapRecord>, Failure> {
     let name = |entry: &Entry| format!("{}/{}.json", job.name, entry.name());
     let file = |entry: &Entry| job.out.path().join(name(entry));
-    let records: Vec<Mutex<Option<MapRecord>>> = entries
-        .iter()
-        .map(|entry| Mutex::new(MapRecord::load(&file(entry), &fingerprint(entry))))
+    let load = |entry: &Entry| MapRecord::load(&file(entry), &fingerprint(entry));
+    let loaded = entries.iter().map(load);
+    let records: Vec<OnceLock<MapRecord>> = loaded
+        .map(|record| record.map_or_else(OnceLock::new, OnceLock::from))
         .collect();
-    let is_missing = |index: usize| lock(&records[index]).is_none();
-    let missing: Vec<usize> = (0..entries.len()).filter(|i| is_missing(*i)).collect();
-    for index in (0..entries.len()).filter(|i| !missing.contains(i)) {
-        if let Some(record) = lock(&records[index]).as_ref() {
-            progress.done(&line(&entries[index], &record.result));
+    let mut missing = Vec::new();
+    for (index, entry) in entries.iter().enumerate() {
+        match records[index].get() {
+            Some(record) => progress.done(&line(entry, &record.result)),
+            None => missing.push(index),
         }
     }
     let finish = |index: usize, result: MapResult| {
@@ -50,7 +51,8 @@ pub fn run(
             result,
         };
         record.save(job.out, &name(entry))?;
-        *lock(&records[index]) = Some(record);
+        // each is built once
+        let _ = records[index].set(record);
         Ok(())
     };
     let too_large = in_parallel(job, entries, &missing, resources, &finish)?;
@@ -58,10 +60,8 @@ pub fn run(
         let result = build(job, &entries[index], resources.memory_bytes)?;
         finish(index, result)?;
     }
-    Ok(records
-        .into_iter()
-        .filter_map(|record| record.into_inner().ok()?)
-        .collect())
+    let records = records.into_iter();
+    Ok(records.filter_map(OnceLock::into_inner).collect())
 }
 
 /// What a map says when it is done.
@@ -90,34 +90,25 @@ fn in_parallel(
     let workers = resources.workers.clamp(1, wanted.len().max(1));
     let share = resources.memory_bytes / workers;
     let next = AtomicUsize::new(0);
-    let too_large = Mutex::new(Vec::new());
     let work = || {
+        let mut too_large = Vec::new();
         while let Some(&index) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
             match build(job, &entries[index], share)? {
-                MapResult::BeyondMemory { .. } if workers > 1 => lock(&too_large).push(index),
+                MapResult::BeyondMemory { .. } if workers > 1 => too_large.push(index),
                 result => finish(index, result)?,
             }
         }
-        Ok(())
+        Ok(too_large)
     };
-    let outcomes: Vec<Result<(), Failure>> = thread::scope(|scope| {
+    let joined = thread::scope(|scope| {
         let handles: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
-        handles
-            .into_iter()
-            .map(|handle| {
-                handle
-                    .join()
-                    .unwrap_or_else(|_| Err(Failure::running("a worker of the sweep failed")))
-            })
-            .collect()
+        let failed = |_| Err(Failure::running("a worker of the sweep failed"));
+        let outcomes = handles.into_iter().map(|handle| handle.join());
+        let outcomes = outcomes.map(|outcome| outcome.unwrap_or_else(failed));
+        // all of them are waited for, also behind one that failed
+        outcomes.collect::<Vec<Result<Vec<usize>, Failure>>>()
     });
-    outcomes.into_iter().collect::<Result<(), Failure>>()?;
-    let mut too_large = too_large.into_inner().unwrap_or_default();
+    let mut too_large = joined.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
     too_large.sort_unstable();
     Ok(too_large)
-}
-
-/// A poisoned lock only means that another worker failed, which is reported by its join.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -101,10 +101,9 @@ fn run_once(job: &RateJob, entry: Entry) -> Result<Rate, Failure> {
 
 fn kept(job: &RateJob) -> Vec<Rate> {
     let text = std::fs::read_to_string(job.out.path().join(&job.file)).unwrap_or_default();
-    match serde_json::from_str::<Kept>(&text) {
-        Ok(kept) if kept.fingerprint == job.fingerprint => kept.rates,
-        _ => Vec::new(),
-    }
+    let kept = serde_json::from_str(&text).ok();
+    let kept = kept.filter(|kept: &Kept| kept.fingerprint == job.fingerprint);
+    kept.map_or_else(Vec::new, |kept| kept.rates)
 }
 
 fn keep(job: &RateJob, rates: &[Rate]) -> Result<(), Failure> {

@@ -7,7 +7,7 @@ use crate::explorer::{
 use crate::picture::base64;
 use monogrid_geometry::{Pinhole, Sim3};
 use monogrid_slam::mapping::{KeyframeCamera, z_up_from_camera_world};
-use monogrid_slam::{DepthPixel, Keyframe as SlamKeyframe};
+use monogrid_slam::{DepthPixel, KeptKeyframe, Keyframe as SlamKeyframe};
 use serde::Serialize;
 use std::borrow::Cow;
 use std::sync::atomic::Ordering;
@@ -95,11 +95,8 @@ impl Shown {
         let has_ended = self.live.has_ended.load(Ordering::Relaxed);
         // references are taken while it is locked, work is done afterwards
         let known = lock(&self.live.known).clone();
-        let news = self.news(&known, (since, from), has_ended);
-        let news = News {
-            cells: if wants_cells { self.cells() } else { None },
-            ..news
-        };
+        let mut news = self.news(&known, (since, from), has_ended);
+        news.cells = wants_cells.then(|| self.cells()).flatten();
         let json = serde_json::to_vec(&news).ok()?;
         Some(Answer {
             kind: "application/json",
@@ -117,6 +114,7 @@ impl Shown {
             .last()
             .map_or(known.version, |(version, _)| *version);
         let seconds = self.live.begin.elapsed().as_secs_f64();
+        let news = |(_, keyframe): &&(u64, KeptKeyframe)| Some(self.keyframe(&keyframe.load()?));
         News {
             version: if is_all { known.version } else { last },
             ended: is_all && has_ended,
@@ -125,14 +123,10 @@ impl Shown {
             camera: self.camera,
             frame: known.frame.as_ref().map(frame),
             path: known.path.get(from..).unwrap_or_default().to_vec(),
-            keyframes: changed
-                .iter()
-                .filter_map(|(_, keyframe)| Some(self.keyframe(&keyframe.load()?)))
-                .collect(),
-            poses: if known.posed > since {
-                poses(known)
-            } else {
-                Vec::new()
+            keyframes: changed.iter().filter_map(news).collect(),
+            poses: match known.posed > since {
+                true => poses(known),
+                false => Vec::new(),
             },
             cells: None,
         }

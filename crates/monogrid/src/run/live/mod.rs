@@ -5,13 +5,14 @@
 //! its cells. So a slow or absent viewer costs nothing.
 
 mod answers;
-mod page;
+
 mod rerun;
 
 pub use rerun::View;
 
-use crate::explorer::{Answer, PathPoint, Server};
+use crate::explorer::{Answer, LIVE_POLICY, PathPoint, Server, live_section};
 use crate::failure::{Classify, Failure};
+use crate::report::Page;
 use crate::run::frames::FrameRow;
 use answers::Shown;
 use monogrid_geometry::{Pinhole, Se3, Sim3};
@@ -231,7 +232,9 @@ impl Viewer {
         let url = server.url();
         let live = Arc::new(Live::new(total));
         let stop = Arc::new(AtomicBool::new(false));
-        let page = Answer::page(page::page(title)?);
+        let mut page = Page::default();
+        page.html(&live_section()?);
+        let page = Answer::page(page.finish_with(title, "This run goes on.", LIVE_POLICY));
         let shown = Shown::new(Arc::clone(&live), camera);
         let thread = {
             let stop = Arc::clone(&stop);

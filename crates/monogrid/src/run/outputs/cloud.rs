@@ -8,13 +8,16 @@ use crate::output::OutputFolder;
 /// Points in the file at most; of more, they are taken evenly.
 const MAX_POINTS: usize = 2_000_000;
 
-/// Writes `cloud.ply`, binary little-endian PLY: what was measured in the keyframes, with colour and confidence.
+/// Writes `cloud.ply`, binary little-endian PLY: what was measured in the keyframes, if there are any, with colour and confidence.
 pub fn write_cloud(
     folder: &OutputFolder,
     keyframes: &[ShownKeyframe],
     colours: &Colours,
     unit: &str,
 ) -> Result<(), Failure> {
+    if keyframes.is_empty() {
+        return Ok(());
+    }
     let measured = measured_in(keyframes);
     let every = measured.div_ceil(MAX_POINTS).max(1);
     folder.write_with("cloud.ply", |out| {

@@ -4,6 +4,7 @@ use crate::failure::{Classify, Failure};
 use crate::output::OutputFolder;
 use crate::picture::colour::quantile;
 use crate::picture::voxels::{Cube, View, dollhouse_cut, occupied_cubes, render};
+use crate::run::outputs::Paths;
 use crate::run::summary::unit_name;
 use crate::surface::{CellColours, ColouredMesh, MeshFormat};
 use monogrid_datasets::encode_png_rgb;
@@ -23,12 +24,12 @@ pub struct MapPictures {
     pub mesh: Option<ColouredMesh>,
 }
 
-/// Writes the maps in all formats, and pictures of them; those of what loops corrected where `reported_path`,
-/// the path before the corrections, is given.
+/// Writes the maps in all formats, and pictures of them; those of what loops corrected where the path before the corrections
+/// is given.
 pub fn write_maps(
     folder: &OutputFolder,
     maps: &Maps,
-    (path, reported_path): (&[[f64; 3]], Option<&[[f64; 3]]>),
+    Paths { path, reported }: &Paths,
     ground: Ground,
     surface: Surface,
 ) -> Result<MapPictures, Failure> {
@@ -36,24 +37,17 @@ pub fn write_maps(
         || write_global(folder, [&maps.global, &maps.local], path, ground, surface),
         || write_map(folder, "large.ot", &maps.large, MapFormat::Ot),
     );
-    let Written {
-        cubes,
-        preview,
-        cut,
-        mesh,
-    } = written?;
+    let (cubes, mut pictures) = written?;
     large?;
-    let write_loops = |reported| {
+    if let Some(reported) = reported {
         let large = occupied_cubes(&maps.large).while_running("the maps cannot be drawn")?;
-        write_loop_pictures(folder, (&large, reported), (&cubes, path))
-    };
-    let loops = reported_path.map(write_loops).transpose()?;
-    Ok(MapPictures {
-        preview,
-        loops,
-        cut,
-        mesh,
-    })
+        pictures.loops = Some(write_loop_pictures(
+            folder,
+            (&large, reported),
+            (&cubes, path),
+        )?);
+    }
+    Ok(pictures)
 }
 
 /// Writes a map as a file of that name.
@@ -66,19 +60,6 @@ fn write_map(
     folder.write_with(name, |mut out| Ok(format.write(map, &mut out)?))
 }
 
-/// What was found while the global map was written.
-#[derive(Debug)]
-pub struct Written {
-    /// Its occupied cells.
-    cubes: Vec<Cube>,
-    /// A picture of it, PNG.
-    preview: Vec<u8>,
-    /// Height above which cells hide the room.
-    cut: Option<f64>,
-    /// Its surface.
-    mesh: Option<ColouredMesh>,
-}
-
 /// How surfaces are written.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<'a> {
@@ -88,14 +69,15 @@ pub struct Surface<'a> {
     pub config: &'a MeshConfig,
 }
 
-/// Writes the global map and its part around the camera, its cells as points, its surface, it from above, and a picture.
+/// Writes the global map and its part around the camera, its cells as points, its surface, it from above, and a picture; its
+/// occupied cells, and pictures without those of loops.
 pub fn write_global(
     folder: &OutputFolder,
     [global, local]: [&OccupancyMap; 2],
     path: &[[f64; 3]],
     ground: Ground,
     surface: Surface,
-) -> Result<Written, Failure> {
+) -> Result<(Vec<Cube>, MapPictures), Failure> {
     for (name, map, format) in [
         ("global.ot", global, MapFormat::Ot),
         ("global.bt", global, MapFormat::Bt),
@@ -104,10 +86,8 @@ pub fn write_global(
         write_map(folder, name, map, format)?;
     }
     let colour = |key| surface.colours.of(key);
-    let colour: Option<&dyn Fn(VoxelKey) -> [u8; 3]> = match surface.colours.has_colour() {
-        true => Some(&colour),
-        false => None,
-    };
+    let has_colour = surface.colours.has_colour();
+    let colour = has_colour.then_some(&colour as &dyn Fn(VoxelKey) -> [u8; 3]);
     folder.write_with("cells.ply", |mut out| {
         Ok(write_ply(global, colour, &mut out)?)
     })?;
@@ -115,17 +95,19 @@ pub fn write_global(
         let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
         write_grid(folder, global, &cubes, path, ground)?;
         let cut = dollhouse_cut(&cubes, path);
-        let preview = write_preview(folder, &cubes, path, cut)?;
+        let preview = encode_png_rgb(&render(&cubes, path, cut, &View::default()));
+        folder.write("preview.png", &preview)?;
         Ok((cubes, preview, cut))
     };
     let (mesh, drawn) = rayon::join(|| write_mesh(folder, global, ground, surface), draw);
     let (cubes, preview, cut) = drawn?;
-    Ok(Written {
-        cubes,
+    let pictures = MapPictures {
         preview,
+        loops: None,
         cut,
         mesh: mesh?,
-    })
+    };
+    Ok((cubes, pictures))
 }
 
 /// The surface of the map as PLY and glTF, where it is asked for and there is memory for it.
@@ -150,18 +132,6 @@ fn write_mesh(
         folder.write_with(name, |out| format.write(&mesh, unit, out))?;
     }
     Ok(Some(mesh))
-}
-
-fn write_preview(
-    folder: &OutputFolder,
-    cubes: &[Cube],
-    path: &[[f64; 3]],
-    cut: Option<f64>,
-) -> Result<Vec<u8>, Failure> {
-    let picture = render(cubes, path, cut, &View::default());
-    let preview = encode_png_rgb(&picture);
-    folder.write("preview.png", &preview)?;
-    Ok(preview)
 }
 
 /// The map and the path before and after loops were closed, from above: every keyframe where it was when it
@@ -243,17 +213,13 @@ pub fn seen_from_above(
 pub const UNKNOWN_SCALE_WARNING: &str = "# WARNING: the scale is unknown: resolution and origin are map units, not metres as nav2 takes them\n";
 
 /// What the description of the grid says to people, as comments.
-fn grid_note(band: [f64; 2], ground: Ground) -> String {
-    let over = if ground.has_floor {
-        "over the floor"
-    } else {
-        "(no floor was found)"
+fn grid_note([low, high]: [f64; 2], ground: Ground) -> String {
+    let over = match ground.has_floor {
+        true => "over the floor",
+        false => "(no floor was found)",
     };
     let unit = if ground.is_metric { "m" } else { "map units" };
-    let mut note = format!(
-        "# cells from z = {:.3} to {:.3} {unit} {over}\n",
-        band[0], band[1]
-    );
+    let mut note = format!("# cells from z = {low:.3} to {high:.3} {unit} {over}\n");
     if !ground.is_metric {
         note += UNKNOWN_SCALE_WARNING;
     }

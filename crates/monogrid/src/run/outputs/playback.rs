@@ -45,10 +45,8 @@ impl Playback<'_> {
         let program = concat!("monogrid ", env!("CARGO_PKG_VERSION"));
         let mut writer = McapWriter::new(out, program)?;
         let unit = unit_name(self.ground.is_metric).to_owned();
-        writer.note(
-            "monogrid",
-            BTreeMap::from([("unit of length".to_owned(), unit)]),
-        )?;
+        let note = BTreeMap::from([("unit of length".to_owned(), unit)]);
+        writer.note("monogrid", note)?;
         let posed = self.poses.iter().map(|pose| pose.timestamp_ns);
         let times = posed.chain(self.keyframes.iter().map(|k| k.timestamp_ns));
         if let Some(first_ns) = times.min() {
@@ -74,11 +72,12 @@ impl Playback<'_> {
     /// Path and map.
     fn write_results(&self, writer: &mut McapWriter<impl Write>, time_ns: i64) -> io::Result<()> {
         let header = header(time_ns, MAP);
-        let stamped = |pose: &TimedPose| {
-            let time = Time::from_nanoseconds(pose.timestamp_ns);
-            (time, pose.world_from_camera)
-        };
-        let path = path_of(header.clone(), self.poses.iter().map(stamped));
+        let poses = self.poses.iter();
+        let times = poses
+            .clone()
+            .map(|pose| Time::from_nanoseconds(pose.timestamp_ns));
+        let stamped = times.zip(poses.map(|pose| pose.world_from_camera));
+        let path = path_of(header.clone(), stamped);
         writer.write("/path", time_ns, &path)?;
         let Some(map) = self.map else {
             return Ok(());

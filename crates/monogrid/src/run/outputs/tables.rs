@@ -12,7 +12,7 @@ use monogrid_geometry::{Se3, Sim3};
 use monogrid_graph::g2o;
 use monogrid_graph::pose_graph::PoseGraph;
 use monogrid_slam::mapping::z_up_from_camera_world;
-use monogrid_slam::{FragmentId, FrameReport, TrajectoryPose};
+use monogrid_slam::{FrameReport, TrajectoryPose};
 use std::fmt::Write;
 
 /// Writes `trajectory.txt`, `trajectory_fragment_N.txt`, `trajectory_live.txt`, `trajectory_odometry.txt`, `frames.csv`,
@@ -26,20 +26,18 @@ pub fn write_tables(
 ) -> Result<(), Failure> {
     folder.write("trajectory.txt", format_tum(final_poses))?;
     for fragment in tracked.run.slam.fragments() {
-        let poses = fragment_poses(tracked, fragment.id);
+        // z up as its first camera was held
+        let trajectory = tracked.run.slam.trajectory_in(fragment.id);
+        let poses = all_in_map(&z_up_from_camera_world(), &trajectory);
         if !poses.is_empty() {
             let name = format!("trajectory_fragment_{}.txt", fragment.id);
             folder.write(&name, format_tum(&poses))?;
         }
     }
-    folder.write(
-        "trajectory_live.txt",
-        format_tum(&live_poses(tracked, frame)),
-    )?;
-    folder.write(
-        "trajectory_odometry.txt",
-        format_tum(&reported_poses(tracked, frame, |r| r.odom_from_camera)),
-    )?;
+    let live = live_poses(tracked, frame);
+    folder.write("trajectory_live.txt", format_tum(&live))?;
+    let odometry = reported_poses(tracked, frame, |report| report.odom_from_camera);
+    folder.write("trajectory_odometry.txt", format_tum(&odometry))?;
     folder.write("frames.csv", frames_csv(&tracked.rows))?;
     folder.write(MAP_FROM_WORLD, format_sim3(&frame.map_from_world))?;
     if settings.is_localise_only() {
@@ -64,14 +62,12 @@ pub fn write_bridged(
     if poses.is_empty() {
         return Ok(());
     }
-    let in_frame = poses.iter().map(|pose| TimedPose {
+    let in_frame = |pose: &TimedPose| TimedPose {
         world_from_camera: in_map(&frame.map_from_world, &pose.world_from_camera),
         ..*pose
-    });
-    folder.write(
-        "trajectory_bridged.txt",
-        format_tum(&in_frame.collect::<Vec<_>>()),
-    )
+    };
+    let poses: Vec<_> = poses.iter().map(in_frame).collect();
+    folder.write("trajectory_bridged.txt", format_tum(&poses))
 }
 
 /// The frames of earlier sessions where they are known to be now, session after session.
@@ -105,25 +101,32 @@ pub fn final_poses(tracked: &Tracked, frame: &MapFrame) -> Vec<TimedPose> {
     all_in_map(&frame.map_from_world, &tracked.run.trajectory)
 }
 
-/// Poses of the frames of a fragment that was not joined, z up as its first camera was held.
-fn fragment_poses(tracked: &Tracked, id: FragmentId) -> Vec<TimedPose> {
-    let trajectory = tracked.run.slam.trajectory_in(id);
-    all_in_map(&z_up_from_camera_world(), &trajectory)
-}
-
 fn all_in_map(map_from_world: &Sim3, trajectory: &[TrajectoryPose]) -> Vec<TimedPose> {
-    trajectory
-        .iter()
-        .map(|pose| TimedPose {
-            timestamp_ns: pose.timestamp_ns,
-            world_from_camera: in_map(map_from_world, &pose.world_from_camera),
-        })
-        .collect()
+    let timed = |pose: &TrajectoryPose| TimedPose {
+        timestamp_ns: pose.timestamp_ns,
+        world_from_camera: in_map(map_from_world, &pose.world_from_camera),
+    };
+    trajectory.iter().map(timed).collect()
 }
 
-/// Positions of the camera as they were reported frame by frame.
-pub fn reported_path(tracked: &Tracked, frame: &MapFrame) -> Vec<[f64; 3]> {
-    path_of(&live_poses(tracked, frame))
+/// Where the camera was, in the frame of the results.
+#[derive(Debug)]
+pub struct Paths {
+    /// All that is known at the end.
+    pub path: Vec<[f64; 3]>,
+    /// As it was reported frame by frame, where loops have changed it.
+    pub reported: Option<Vec<[f64; 3]>>,
+}
+
+impl Paths {
+    /// Of a run with these final poses.
+    pub fn new(final_poses: &[TimedPose], tracked: &Tracked, frame: &MapFrame) -> Self {
+        let has_loops = tracked.run.slam.graph_stats().loop_closures > 0;
+        Self {
+            path: path_of(final_poses),
+            reported: has_loops.then(|| path_of(&live_poses(tracked, frame))),
+        }
+    }
 }
 
 /// Positions of the camera.
@@ -150,15 +153,14 @@ fn reported_poses(
     frame: &MapFrame,
     pose: impl Fn(&FrameReport) -> Option<Se3>,
 ) -> Vec<TimedPose> {
-    let reports = tracked.rows.iter().filter_map(FrameRow::report);
-    reports
-        .filter_map(|report| {
-            Some(TimedPose {
-                timestamp_ns: report.timestamp_ns,
-                world_from_camera: in_map(&frame.map_from_world, &pose(report)?),
-            })
+    let timed = |report: &FrameReport| {
+        Some(TimedPose {
+            timestamp_ns: report.timestamp_ns,
+            world_from_camera: in_map(&frame.map_from_world, &pose(report)?),
         })
-        .collect()
+    };
+    let reports = tracked.rows.iter().filter_map(FrameRow::report);
+    reports.filter_map(timed).collect()
 }
 
 fn frames_csv(rows: &[FrameRow]) -> String {
@@ -176,15 +178,11 @@ fn frames_csv(rows: &[FrameRow]) -> String {
             FrameFate::Dropped => ("dropped", "behind the camera".to_owned()),
             FrameFate::BeforeSeed => ("initialising", "waiting for the seed depth".to_owned()),
         };
-        let _ = write!(
-            text,
-            "{},{},{state},\"{}\",",
-            row.index,
-            format_seconds(row.timestamp_ns),
-            reason.replace('"', "'")
-        );
+        let (time, reason) = (format_seconds(row.timestamp_ns), reason.replace('"', "'"));
+        let _ = write!(text, "{},{time},{state},\"{reason}\",", row.index);
         if let Some(report) = row.report() {
             let times = report.milliseconds;
+            let id = |id: Option<u32>| id.map(|id| id.to_string()).unwrap_or_default();
             let _ = write!(
                 text,
                 "{:.4},{:.4},{:.4},{:.5},{:.3},{:.3},{:.3},{},{},{}",
@@ -195,44 +193,29 @@ fn frames_csv(rows: &[FrameRow]) -> String {
                 times.tracking,
                 times.depth,
                 times.graph,
-                report.keyframe.map(|id| id.to_string()).unwrap_or_default(),
+                id(report.keyframe),
                 events(report),
-                report
-                    .fragment
-                    .map(|f| f.id.to_string())
-                    .unwrap_or_default()
+                id(report.fragment.map(|fragment| fragment.id))
             );
         } else {
             text.push_str(",,,,,,,,,");
         }
-        match row.latency_ms {
-            Some(latency_ms) => {
-                let _ = writeln!(text, ",{latency_ms:.1}");
-            }
-            None => text.push_str(",\n"),
-        }
+        let latency = row.latency_ms.map(|ms| format!("{ms:.1}"));
+        let _ = writeln!(text, ",{}", latency.unwrap_or_default());
     }
     text
 }
 
 /// What happened with a frame beside its tracking, several separated by spaces.
 fn events(report: &FrameReport) -> String {
+    let (reactivated, started) = (report.reactivated_keyframe, report.started_fragment);
+    let joined = report.joined_fragments.iter();
     let mut events = Vec::new();
-    if report.relocalised {
-        events.push("relocalised".to_owned());
-    }
-    if report.created_keyframe {
-        events.push("new_keyframe".to_owned());
-    }
-    if let Some(id) = report.reactivated_keyframe {
-        events.push(format!("reactivated:{id}"));
-    }
-    if let Some(id) = report.started_fragment {
-        events.push(format!("fragment_started:{id}"));
-    }
-    for id in &report.joined_fragments {
-        events.push(format!("fragment_joined:{id}"));
-    }
+    events.extend(report.relocalised.then(|| "relocalised".to_owned()));
+    events.extend(report.created_keyframe.then(|| "new_keyframe".to_owned()));
+    events.extend(reactivated.map(|id| format!("reactivated:{id}")));
+    events.extend(started.map(|id| format!("fragment_started:{id}")));
+    events.extend(joined.map(|id| format!("fragment_joined:{id}")));
     events.join(" ")
 }
 
@@ -244,21 +227,15 @@ fn keyframes_txt(tracked: &Tracked, frame: &MapFrame) -> String {
             continue;
         };
         let pose = frame.map_from_world * *pose;
-        let (t, q) = (pose.translation, pose.rotation.coords);
+        let [x, y, z] = pose.translation.into();
+        let [qx, qy, qz, qw] = pose.rotation.coords.into();
         let _ = writeln!(
             text,
-            "{} {} {} {:.9} {:.9} {:.9} {:.9} {:.10} {:.10} {:.10} {:.10} {} {}",
+            "{} {} {} {:.9} {x:.9} {y:.9} {z:.9} {qx:.10} {qy:.10} {qz:.10} {qw:.10} {} {}",
             keyframe.id,
             keyframe.frame_index,
             format_seconds(keyframe.timestamp_ns),
             pose.scale,
-            t.x,
-            t.y,
-            t.z,
-            q.x,
-            q.y,
-            q.z,
-            q.w,
             keyframe.num_pixels,
             parts[keyframe.id as usize],
         );

@@ -1,7 +1,7 @@
 //! What of a run is explored.
 
 use super::ReportInput;
-use super::tracking::{state, states};
+use super::tracking::{STATES, state};
 use crate::explorer::{
     Camera, Cells, Frames, PageMesh, PathPoint, Scene, cloud_and_keyframes, point_groups,
     seconds_since,
@@ -22,36 +22,34 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> anyhow::Result<Sc
     let begin = tracked.rows.first().map_or(0, |row| row.timestamp_ns);
     let groups = point_groups(keyframes, input.colours);
     let (cloud, shown) = cloud_and_keyframes(keyframes, &groups, input.colours, begin);
-    let positions: BTreeMap<u64, usize> = (0..)
-        .zip(&shown)
-        .map(|(position, keyframe)| (u64::from(keyframe.id), position))
-        .collect();
+    let ids = shown.iter().map(|keyframe| u64::from(keyframe.id));
+    let positions: BTreeMap<u64, usize> = ids.zip(0..).collect();
     let image = keyframes.first().and_then(|keyframe| keyframe.image);
     let size = image.map(|image| <[usize; 2]>::from(image.size()));
+    let pictures = input.pictures.as_ref();
+    let mesh = pictures.and_then(|pictures| pictures.mesh.as_ref());
+    let mesh = input.map.zip(mesh);
     Ok(Scene {
         unit: input.summary.unit().to_owned(),
         cells: input.map.map(Cells::new).transpose()?,
-        mesh: input
-            .map
-            .zip(input.mesh)
-            .and_then(|(map, mesh)| PageMesh::new(mesh, map.resolution())),
+        mesh: mesh.and_then(|(map, mesh)| PageMesh::new(mesh, map.resolution())),
         cloud: (cloud.count[0] > 0).then_some(cloud),
         camera: size.map(|size| Camera::new(slam.pinhole(), size)),
         keyframes: shown,
         links: links(tracked, &positions),
         path: path(tracked, input),
-        reference: input.reference.to_vec(),
+        reference: input.reference.path.clone(),
         frames: Some(Frames {
             error: errors(tracked, input),
             ..frames(&tracked.rows, begin)
         }),
-        cut: input.cut,
+        cut: pictures.and_then(|pictures| pictures.cut),
     })
 }
 
 /// Where the camera was.
 fn path(tracked: &Tracked, input: &ReportInput) -> Vec<PathPoint> {
-    let poses = tracked.run.trajectory.iter().zip(input.path);
+    let poses = tracked.run.trajectory.iter().zip(&input.paths.path);
     poses
         .map(|(pose, point)| {
             let [x, y, z] = point.map(|value| value as f32);
@@ -62,10 +60,11 @@ fn path(tracked: &Tracked, input: &ReportInput) -> Vec<PathPoint> {
 
 /// Distance from the reference of each frame; empty without a reference.
 fn errors(tracked: &Tracked, input: &ReportInput) -> Vec<f32> {
-    if input.errors.is_empty() {
+    let errors = &input.reference.errors;
+    if errors.is_empty() {
         return Vec::new();
     }
-    let poses = tracked.run.trajectory.iter().zip(input.errors);
+    let poses = tracked.run.trajectory.iter().zip(errors);
     let known = poses.filter_map(|(pose, error)| Some((pose.frame_index, (*error)?)));
     let by_frame: BTreeMap<usize, f64> = known.collect();
     let error = |row: &FrameRow| by_frame.get(&row.index).map_or(-1.0, |error| *error as f32);
@@ -84,22 +83,21 @@ fn links(tracked: &Tracked, positions: &BTreeMap<u64, usize>) -> Vec<[usize; 2]>
 
 /// What became of the frames, as columns.
 fn frames(rows: &[FrameRow], begin: i64) -> Frames {
-    let legend = states();
-    let mut frames = Frames::default();
+    let mut frames = Frames {
+        legend: STATES.to_vec(),
+        ..Frames::default()
+    };
     for row in rows {
         let state = state(row);
-        let position = legend.iter().position(|known| *known == state);
+        let position = STATES.iter().position(|known| *known == state);
         frames.state.push(position.unwrap_or_default());
         frames.index.push(row.index);
         frames.time.push(seconds_since(begin, row.timestamp_ns));
         let report = row.report();
         let reason = report.and_then(|report| report.reason);
         let reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
-        if frames
-            .reasons
-            .last()
-            .map_or(!reason.is_empty(), |(_, last)| *last != reason)
-        {
+        let before = frames.reasons.last().map_or("", |(_, last)| last);
+        if before != reason {
             frames.reasons.push((frames.index.len() - 1, reason));
         }
         let tracked = report.filter(|report| report.state != TrackingState::Initialising);
@@ -113,6 +111,5 @@ fn frames(rows: &[FrameRow], begin: i64) -> Frames {
         let keyframe = report.and_then(|report| report.keyframe);
         frames.keyframe.push(keyframe.map_or(-1, i64::from));
     }
-    frames.legend = legend;
     frames
 }

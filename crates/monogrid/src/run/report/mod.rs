@@ -4,6 +4,7 @@ mod explore;
 mod tracking;
 
 use super::align::MapFrame;
+use super::outputs::{MapPictures, Paths};
 use super::recorder::measured;
 use super::summary::Summary;
 use super::threads::Tracked;
@@ -12,7 +13,7 @@ use crate::explorer::{self, ShownKeyframe};
 use crate::picture::keyframe::{Measured, depth_picture, uncertainty_picture};
 use crate::report::Page;
 use crate::report::svg::{Plot, Series, number};
-use crate::surface::ColouredMesh;
+
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_image::Image;
 use monogrid_occupancy::OccupancyMap;
@@ -33,30 +34,29 @@ pub struct ReportInput<'a> {
     pub summary: &'a Summary,
     /// The frame of the results.
     pub frame: &'a MapFrame,
-    /// Camera centres in the frame of the results.
-    pub path: &'a [[f64; 3]],
-    /// Path as it was reported frame by frame; empty to leave it out.
-    pub reported_path: &'a [[f64; 3]],
-    /// Reference path in the same frame; empty for none.
-    pub reference: &'a [[f64; 3]],
-    /// Distance of each pose of the trajectory from the reference at its time; empty without a reference.
-    pub errors: &'a [Option<f64>],
+    /// Camera centres.
+    pub paths: Paths,
+    /// Where it really was.
+    pub reference: Reference,
     /// The global map.
     pub map: Option<&'a OccupancyMap>,
     /// The keyframes of the main map.
     pub keyframes: &'a [ShownKeyframe<'a>],
     /// What is known of their colours.
     pub colours: &'a Colours,
-    /// Height above which cells hide the room.
-    pub cut: Option<f64>,
-    /// Surface of the map.
-    pub mesh: Option<&'a ColouredMesh>,
-    /// View of the map, PNG.
-    pub preview: Option<&'a [u8]>,
-    /// The map before and after loops were closed, PNG.
-    pub loops: Option<&'a [Vec<u8>; 2]>,
+    /// Pictures of the maps.
+    pub pictures: Option<MapPictures>,
     /// The effective configuration.
     pub config: &'a str,
+}
+
+/// Where the camera really was, in the frame of the results; empty where that is not known.
+#[derive(Debug, Default)]
+pub struct Reference {
+    /// Its path.
+    pub path: Vec<[f64; 3]>,
+    /// Distance of each pose of the trajectory from it at its time.
+    pub errors: Vec<Option<f64>>,
 }
 
 /// Writes the complete page.
@@ -81,28 +81,21 @@ fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
     let mut page = Page::default();
     page.heading("In numbers");
     page.facts(&facts(input));
-    if let Some(preview) = input.preview {
+    if let Some(pictures) = &input.pictures {
         page.heading("Map");
-        page.picture(
-            preview,
-            "occupied cells, coloured by height, with the path of the camera",
-        );
+        let shown = "occupied cells, coloured by height, with the path of the camera";
+        page.picture(&pictures.preview, shown);
         page.note("Occupied cells coloured by height, cut above the camera; black: its path.");
     }
     page.heading("Path of the camera, from above");
     page.plot(&path_plot(input));
-    if let Some([before, after]) = input.loops {
+    let pictures = input.pictures.as_ref();
+    if let Some(loops) = pictures.and_then(|pictures| pictures.loops.clone()) {
         page.heading("What the loops corrected");
-        page.row(&[
-            (
-                before.clone(),
-                "before: each keyframe where it was when it was finished".into(),
-            ),
-            (
-                after.clone(),
-                "after: where the graph of keyframes has it".into(),
-            ),
-        ]);
+        let [before, after] = loops;
+        let was = "before: each keyframe where it was when it was finished";
+        let is = "after: where the graph of keyframes has it";
+        page.row(&[(before, was.into()), (after, is.into())]);
     }
     page.heading("Tracking");
     page.ribbon(&ribbon(&tracked.rows));
@@ -125,76 +118,60 @@ fn below_the_explorer(tracked: &Tracked, input: &ReportInput) -> Page {
 fn facts(input: &ReportInput) -> Vec<(String, String)> {
     let summary = input.summary;
     let unit = summary.unit();
-    let mut facts = vec![
+    let rate = summary.frames_per_second;
+    let speed = format!("{rate:.1} frames per second, everything included");
+    let length = number(path_length(&input.paths.path));
+    let map = format!(
+        "cells of {} {unit}, {} leaves, {:.1} MB, from {} measurements",
+        number(summary.map.resolution),
+        summary.map.leaves,
+        summary.map.bytes_in_memory as f64 / 1e6,
+        summary.points
+    );
+    let facts = [
         (
             "Frames",
             format!("{} ({} with a pose)", summary.frames, summary.tracked),
         ),
         ("Keyframes", summary.keyframes.to_string()),
         ("Times lost", summary.lost_episodes.to_string()),
-        (
-            "Speed",
-            format!(
-                "{:.1} frames per second, everything included",
-                summary.frames_per_second
-            ),
-        ),
+        ("Speed", speed),
         ("Scale", summary.scale.to_owned()),
         ("Frame of the results", input.frame.description.clone()),
-        (
-            "Map",
-            format!(
-                "cells of {} {unit}, {} leaves, {:.1} MB, from {} measurements",
-                number(summary.map.resolution),
-                summary.map.leaves,
-                summary.map.bytes_in_memory as f64 / 1e6,
-                summary.points
-            ),
-        ),
-        (
-            "Path",
-            format!("{} {unit}", number(path_length(input.path))),
-        ),
+        ("Map", map),
+        ("Path", format!("{length} {unit}")),
     ];
-    facts.extend(error_facts(input));
+    let facts = facts.into_iter().chain(error_facts(input));
     facts
-        .into_iter()
         .map(|(name, value)| (name.to_owned(), value))
         .collect()
 }
 
 /// What is known from a truth.
-fn error_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
-    let mut facts = Vec::new();
-    if let Some(fit) = &input.frame.fit {
-        facts.push((
-            "Error against the reference",
-            format!(
-                "ATE {:.4} m (largest {:.4}), scale drift {:.3}, coverage {:.3}",
-                fit.ate_rmse, fit.ate_max, fit.scale_drift, fit.coverage
-            ),
-        ));
-    }
-    if let Some(depth) = &input.summary.depth {
-        facts.push((
-            "Depth against the truth",
-            format!(
-                "of all pixels with texture {:.0} % within 3 %, {:.0} % within 10 %",
-                100.0 * depth.shares.within_3_percent,
-                100.0 * depth.shares.within_10_percent
-            ),
-        ));
-    }
-    if let Some(map) = input.summary.observed_map_error() {
-        facts.push((
-            "Map against the truth",
-            format!(
-                "observed cells: AUC {:.3}, MCC {:.3}, precision {:.3}, recall {:.3}",
-                map.auc, map.mcc, map.precision, map.recall
-            ),
-        ));
-    }
-    facts
+fn error_facts(input: &ReportInput) -> impl Iterator<Item = (&'static str, String)> {
+    let fit = input.frame.fit.as_ref().map(|fit| {
+        let text = format!(
+            "ATE {:.4} m (largest {:.4}), scale drift {:.3}, coverage {:.3}",
+            fit.ate_rmse, fit.ate_max, fit.scale_drift, fit.coverage
+        );
+        ("Error against the reference", text)
+    });
+    let depth = input.summary.depth.as_ref().map(|depth| {
+        let text = format!(
+            "of all pixels with texture {:.0} % within 3 %, {:.0} % within 10 %",
+            100.0 * depth.shares.within_3_percent,
+            100.0 * depth.shares.within_10_percent
+        );
+        ("Depth against the truth", text)
+    });
+    let map = input.summary.observed_map_error().map(|map| {
+        let text = format!(
+            "observed cells: AUC {:.3}, MCC {:.3}, precision {:.3}, recall {:.3}",
+            map.auc, map.mcc, map.precision, map.recall
+        );
+        ("Map against the truth", text)
+    });
+    fit.into_iter().chain(depth).chain(map)
 }
 
 fn path_length(path: &[[f64; 3]]) -> f64 {
@@ -206,40 +183,24 @@ fn path_length(path: &[[f64; 3]]) -> f64 {
 }
 
 fn path_plot(input: &ReportInput) -> Plot {
-    let from_above = |path: &[[f64; 3]]| path.iter().map(|p| [p[0], p[1]]).collect();
-    let mut series = Vec::new();
-    if !input.reference.is_empty() {
-        series.push(Series {
-            name: "reference".into(),
-            colour: "#b0b0b0",
-            points: from_above(input.reference),
-            ..Series::default()
-        });
-    }
-    if !input.reported_path.is_empty() {
-        series.push(Series {
-            name: "as reported, before corrections".into(),
-            colour: "#e08a3c",
-            points: from_above(input.reported_path),
-            ..Series::default()
-        });
-    }
-    series.push(Series {
-        name: "estimated".into(),
-        colour: "#1f6fb4",
-        points: from_above(input.path),
-        ..Series::default()
-    });
-    series.extend(mark("start", "#1f9e77", input.path.first(), input.path));
-    series.extend(mark("end", "#c7372f", input.path.last(), input.path));
-    let unit = input.summary.unit();
+    let path = &input.paths.path;
+    let from_above = |name: &str, colour, path: &[[f64; 3]]| {
+        Series::new(name, colour, path.iter().map(|p| [p[0], p[1]]).collect())
+    };
+    let reported = input.paths.reported.as_deref().unwrap_or_default();
+    let lines = [
+        from_above("reference", "#b0b0b0", &input.reference.path),
+        from_above("as reported, before corrections", "#e08a3c", reported),
+    ];
+    let known = lines.into_iter().filter(|line| !line.points.is_empty());
+    let mut series: Vec<Series> = known.collect();
+    series.push(from_above("estimated", "#1f6fb4", path));
+    series.extend(mark("start", "#1f9e77", path.first(), path));
+    series.extend(mark("end", "#c7372f", path.last(), path));
+    let [x, y] = ["x", "y"].map(|axis| format!("{axis} ({})", input.summary.unit()));
     Plot {
-        title: String::new(),
-        x_label: format!("x ({unit})"),
-        y_label: format!("y ({unit})"),
-        series,
         equal_axes: true,
-        ..Plot::default()
+        ..Plot::new("", [&x, &y], series)
     }
 }
 
@@ -257,18 +218,14 @@ fn mark(
     };
     let arm = 0.02 * reach(0).max(reach(1));
     let gap = [f64::NAN; 2];
-    Some(Series {
-        name: name.into(),
-        colour,
-        points: vec![
-            [x - arm, y - arm],
-            [x + arm, y + arm],
-            gap,
-            [x - arm, y + arm],
-            [x + arm, y - arm],
-        ],
-        ..Series::default()
-    })
+    let points = vec![
+        [x - arm, y - arm],
+        [x + arm, y + arm],
+        gap,
+        [x - arm, y + arm],
+        [x + arm, y - arm],
+    ];
+    Some(Series::new(name, colour, points))
 }
 
 /// Some keyframes, evenly spread, with image, depth and uncertainty, at half their size.
@@ -284,25 +241,16 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
     );
     let shown = count.min(SHOWN_KEYFRAMES);
     for i in 0..shown {
-        let position = if shown > 1 {
-            i * (count - 1) / (shown - 1)
-        } else {
-            0
-        };
+        let position = i * (count - 1) / (shown - 1).max(1);
         let Some(keyframe) = keyframes[position].load() else {
             continue;
         };
-        let image = Image::from_fn(
-            keyframe.image.width() / 2,
-            keyframe.image.height() / 2,
-            |x, y| {
-                let sum: u32 = [(0, 0), (1, 0), (0, 1), (1, 1)]
-                    .iter()
-                    .map(|(dx, dy)| u32::from(keyframe.image.at(2 * x + dx, 2 * y + dy)))
-                    .sum();
-                (sum / 4) as u8
-            },
-        );
+        let (width, height) = (keyframe.image.width() / 2, keyframe.image.height() / 2);
+        let image = Image::from_fn(width, height, |x, y| {
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)];
+            let grey = |(dx, dy)| u32::from(keyframe.image.at(2 * x + dx, 2 * y + dy));
+            (four.into_iter().map(grey).sum::<u32>() / 4) as u8
+        });
         let measured: Vec<Measured> = measured(&keyframe)
             .map(|m| Measured {
                 x: m.x / 2,
@@ -312,13 +260,12 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
             .collect();
         let caption = format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index);
         let points = format!("{} depths", keyframe.pixels.len());
+        let depth = encode_png_rgb(&depth_picture(&image, &measured));
+        let uncertainty = encode_png_rgb(&uncertainty_picture(&image, &measured));
         page.triple([
             (&encode_png(&image), &caption),
-            (&encode_png_rgb(&depth_picture(&image, &measured)), &points),
-            (
-                &encode_png_rgb(&uncertainty_picture(&image, &measured)),
-                "uncertainty",
-            ),
+            (&depth, &points),
+            (&uncertainty, "uncertainty"),
         ]);
     }
 }

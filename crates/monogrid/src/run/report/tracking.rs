@@ -17,11 +17,9 @@ const REPEATED: State = ("repeated", "#cccccc");
 const DROPPED: State = ("dropped", "#777777");
 
 /// All states, in the order of a legend.
-pub(super) fn states() -> Vec<State> {
-    vec![
-        GOOD, DEGRADED, LOST, FRAGMENT, STARTING, UNREADABLE, REPEATED, DROPPED,
-    ]
-}
+pub(super) const STATES: [State; 8] = [
+    GOOD, DEGRADED, LOST, FRAGMENT, STARTING, UNREADABLE, REPEATED, DROPPED,
+];
 
 /// What became of a frame.
 pub(super) fn state(row: &FrameRow) -> State {
@@ -40,111 +38,72 @@ pub(super) fn state(row: &FrameRow) -> State {
     }
 }
 
-/// Stretches of equal state as (first row, row after the last).
-fn stretches(rows: &[FrameRow]) -> Vec<(usize, usize)> {
-    let alike = rows.chunk_by(|a, b| state(a) == state(b));
-    let stretches = alike.scan(0, |end, rows| {
-        *end += rows.len();
-        Some((*end - rows.len(), *end))
-    });
-    stretches.collect()
+/// Stretches of equal state.
+fn stretches(rows: &[FrameRow]) -> impl Iterator<Item = &[FrameRow]> {
+    rows.chunk_by(|a, b| state(a) == state(b))
+}
+
+/// Numbers of the first and the last frame.
+fn range(rows: &[FrameRow]) -> String {
+    format!("{} to {}", rows[0].index, rows[rows.len() - 1].index)
 }
 
 /// Coloured stretches over the frames: share of the width, colour, description.
 pub(super) fn ribbon(rows: &[FrameRow]) -> Vec<(f64, &'static str, String)> {
-    stretches(rows)
-        .into_iter()
-        .map(|(first, end)| {
-            let (name, colour) = state(&rows[first]);
-            let share = (end - first) as f64 / rows.len() as f64;
-            let text = format!(
-                "{name}: frames {} to {}",
-                rows[first].index,
-                rows[end - 1].index
-            );
-            (share, colour, text)
-        })
-        .collect()
+    let stretch = |alike: &[FrameRow]| {
+        let (name, colour) = state(&alike[0]);
+        let share = alike.len() as f64 / rows.len() as f64;
+        (share, colour, format!("{name}: frames {}", range(alike)))
+    };
+    stretches(rows).map(stretch).collect()
 }
 
 /// Where tracking was lost or images were missing, and why.
 pub(super) fn losses(rows: &[FrameRow]) -> Vec<Vec<String>> {
-    stretches(rows)
-        .into_iter()
-        .filter_map(|(first, end)| {
-            let what = match &rows[first].fate {
-                FrameFate::Processed(report) if report.state == TrackingState::Lost => {
-                    let reason = report.reason.map(|r| r.to_string()).unwrap_or_default();
-                    format!("lost: {reason}")
-                }
-                FrameFate::Processed(report) => format!("fragment {}", report.fragment?.id),
-                FrameFate::Skipped(reason) => format!("unreadable: {reason}"),
-                FrameFate::Dropped => "dropped: the program was behind".to_owned(),
-                _ => return None,
-            };
-            let frames = format!("{} to {}", rows[first].index, rows[end - 1].index);
-            Some(vec![frames, what])
-        })
-        .collect()
+    let loss = |alike: &[FrameRow]| {
+        let what = match &alike[0].fate {
+            FrameFate::Processed(report) if report.state == TrackingState::Lost => {
+                let reason = report.reason.map(|r| r.to_string()).unwrap_or_default();
+                format!("lost: {reason}")
+            }
+            FrameFate::Processed(report) => format!("fragment {}", report.fragment?.id),
+            FrameFate::Skipped(reason) => format!("unreadable: {reason}"),
+            FrameFate::Dropped => "dropped: the program was behind".to_owned(),
+            _ => return None,
+        };
+        Some(vec![range(alike), what])
+    };
+    stretches(rows).filter_map(loss).collect()
 }
 
 /// What was measured with each frame.
 pub(super) fn tracking_plots(rows: &[FrameRow]) -> Vec<Plot> {
-    let curve = |name: &str, colour, value: &dyn Fn(&FrameReport) -> f64| Series {
-        name: name.to_owned(),
-        colour,
-        points: rows
-            .iter()
-            .map(|row| {
-                let value = row
-                    .report()
-                    .filter(|report| report.state != TrackingState::Initialising)
-                    .map_or(f64::NAN, value);
-                [row.index as f64, value]
-            })
-            .collect(),
-        ..Series::default()
+    let curve = |name: &str, colour, value: fn(&FrameReport) -> f64| {
+        let point = |row: &FrameRow| {
+            let report = row.report();
+            let tracked = report.filter(|report| report.state != TrackingState::Initialising);
+            [row.index as f64, tracked.map_or(f64::NAN, value)]
+        };
+        Series::new(name, colour, rows.iter().map(point).collect())
     };
-    let plot = |title: &str, y_label: &str, series| Plot {
-        title: title.to_owned(),
-        x_label: "frame".into(),
-        y_label: y_label.to_owned(),
-        series,
+    let plot = |title: &str, y_label: &str, series: &[Series]| Plot {
         from_zero: true,
-        ..Plot::default()
+        ..Plot::new(title, ["frame", y_label], series.to_vec())
     };
+    let seen = curve("seen", "#b0b0b0", |report| report.usage.into());
+    let agrees = curve("agrees", "#1f6fb4", |report| report.good_share.into());
+    let residual = curve("", "#1f6fb4", |report| report.residual.into());
+    let gain = curve("", "#1f6fb4", |report| report.exposure_gain.into());
+    let tracking = curve("tracking", "#1f6fb4", |report| report.milliseconds.tracking);
+    let both = curve("tracking and depth", "#c07a28", |report| {
+        report.milliseconds.tracking + report.milliseconds.depth
+    });
+    let seen_again = "How much of the keyframe is seen again and agrees";
+    let exposure = "Exposure relative to the keyframe";
     vec![
-        plot(
-            "How much of the keyframe is seen again and agrees",
-            "share",
-            vec![
-                curve("seen", "#b0b0b0", &|report| f64::from(report.usage)),
-                curve("agrees", "#1f6fb4", &|report| f64::from(report.good_share)),
-            ],
-        ),
-        plot(
-            "Difference of grey values",
-            "grey levels",
-            vec![curve("", "#1f6fb4", &|report| f64::from(report.residual))],
-        ),
-        plot(
-            "Exposure relative to the keyframe",
-            "gain",
-            vec![curve("", "#1f6fb4", &|report| {
-                f64::from(report.exposure_gain)
-            })],
-        ),
-        plot(
-            "Time per frame",
-            "ms",
-            vec![
-                curve("tracking and depth", "#c07a28", &|report| {
-                    report.milliseconds.tracking + report.milliseconds.depth
-                }),
-                curve("tracking", "#1f6fb4", &|report| {
-                    report.milliseconds.tracking
-                }),
-            ],
-        ),
+        plot(seen_again, "share", &[seen, agrees]),
+        plot("Difference of grey values", "grey levels", &[residual]),
+        plot(exposure, "gain", &[gain]),
+        plot("Time per frame", "ms", &[both, tracking]),
     ]
 }

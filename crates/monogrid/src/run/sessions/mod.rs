@@ -62,37 +62,30 @@ impl Earlier {
         let source = Source::find(path)?;
         let recording = source.read()?;
         let file = source.file;
-        let mut warnings = Vec::new();
+        let (name, mut warnings) = (file.display(), Vec::new());
+        let (lost, invalid) = (recording.damage.lost_bytes, recording.num_invalid_links);
         if recording.damage.num_gaps > 0 {
-            warnings.push(format!(
-                "{} bytes of {} are damaged",
-                recording.damage.lost_bytes,
-                file.display()
-            ));
+            warnings.push(format!("{lost} bytes of {name} are damaged"));
         }
-        if recording.num_invalid_links > 0 {
+        if invalid > 0 {
             warnings.push(format!(
-                "{} edges, points and frames of {} name what does not exist and were left out",
-                recording.num_invalid_links,
-                file.display()
+                "{invalid} edges, points and frames of {name} name what does not exist and were left out"
             ));
         }
         let continuation = recording.continuation.clone().unwrap_or_else(|| {
             warnings.push(format!(
-                "{} says nothing of edges, points and frames (not finished, a part of a run, or by an earlier version): only keyframes and poses are taken over",
-                file.display()
+                "{name} says nothing of edges, points and frames (not finished, a part of a run, or by an earlier version): only keyframes and poses are taken over"
             ));
             Continuation::default()
         });
         let map = stored_map(&recording, &continuation, &file)?;
-        let sessions = if continuation.sessions.is_empty() {
-            vec![RecordedSession {
+        let mut sessions = continuation.sessions;
+        if sessions.is_empty() {
+            sessions.push(RecordedSession {
                 source: recording.session.source.clone(),
                 first_keyframe: 0,
-            }]
-        } else {
-            continuation.sessions
-        };
+            });
+        }
         Ok(Self {
             path: path.to_owned(),
             colours: Colours::of(&recording.keyframes),
@@ -108,7 +101,7 @@ impl Earlier {
     /// Refuses a source whose camera is not that of the map.
     pub fn check_camera(&self, input: &Input) -> Result<(), Failure> {
         let (found, expected) = (input.pinhole(), &self.session.pinhole);
-        let size = (self.session.width, self.session.height);
+        let size @ (of_width, of_height) = (self.session.width, self.session.height);
         let focal = |a: f64, b: f64| (a / b - 1.0).abs() < 0.01;
         let centre = |a: f64, b: f64| (a - b).abs() < 2.0;
         let is_same = input.size() == size
@@ -123,11 +116,9 @@ impl Earlier {
         }
         let (width, height) = input.size();
         Err(Failure::input(format!(
-            "the map of {} was made with images of {}x{} pixels, {}; {} gives {width}x{height}, {}: \
+            "the map of {} was made with images of {of_width}x{of_height} pixels, {}; {} gives {width}x{height}, {}: \
              expected the same camera and working size",
             self.path.display(),
-            size.0,
-            size.1,
             describe(expected),
             input.name,
             describe(found)
@@ -153,11 +144,8 @@ pub fn frame_beside(recording: &Path) -> Result<Option<Align>, Failure> {
     }))
 }
 
-fn describe(p: &Pinhole) -> String {
-    format!(
-        "fx {:.1} fy {:.1} cx {:.1} cy {:.1}",
-        p.fx, p.fy, p.cx, p.cy
-    )
+fn describe(&Pinhole { fx, fy, cx, cy }: &Pinhole) -> String {
+    format!("fx {fx:.1} fy {fy:.1} cx {cx:.1} cy {cy:.1}")
 }
 
 /// The sessions of a map when this run is over.

@@ -79,16 +79,11 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
         return Vec::new();
     };
     let folder = source.file.parent().unwrap_or(Path::new(""));
-    let table = is_submap_table(&source.file)
-        .then(|| SubmapTable::read(&source.file).ok())
-        .flatten()
-        .unwrap_or_default();
-    let submaps = table.submaps.iter();
-    let mut files: Vec<PathBuf> = submaps
-        .map(|entry| folder.join(entry.file.file_name()))
-        .collect();
-    files.push(source.file);
-    files
+    let is_table = is_submap_table(&source.file);
+    let table = is_table.then(|| SubmapTable::read(&source.file).ok());
+    let submaps = table.flatten().into_iter().flat_map(|table| table.submaps);
+    let submaps = submaps.map(|entry| folder.join(entry.file.file_name()));
+    submaps.chain([source.file.clone()]).collect()
 }
 
 #[cfg(test)]

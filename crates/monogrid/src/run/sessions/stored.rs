@@ -98,13 +98,9 @@ fn stored_edge(recorded: &RecordedEdge) -> Option<StoredEdge> {
         _ => return None,
     };
     let mut information = Mat7::zeros();
-    let mut values = recorded.information.iter();
-    for row in 0..7 {
-        for column in row..7 {
-            let value = *values.next()?;
-            information[(row, column)] = value;
-            information[(column, row)] = value;
-        }
+    for (value, (row, column)) in recorded.information.into_iter().zip(upper_half()) {
+        information[(row, column)] = value;
+        information[(column, row)] = value;
     }
     Some(StoredEdge {
         kind,
@@ -118,6 +114,11 @@ fn stored_edge(recorded: &RecordedEdge) -> Option<StoredEdge> {
     })
 }
 
+/// Rows and columns of an information matrix in the order in which recordings hold them.
+fn upper_half() -> impl Iterator<Item = (usize, usize)> {
+    (0..7).flat_map(|row| (row..7).map(move |column| (row, column)))
+}
+
 pub(super) fn recorded_edge(stored: &StoredEdge) -> RecordedEdge {
     let edge = &stored.edge;
     let (kernel, kernel_parameter) = match edge.kernel {
@@ -129,8 +130,7 @@ pub(super) fn recorded_edge(stored: &StoredEdge) -> RecordedEdge {
         _ => (0, 0.0),
     };
     let mut information = [0.0; 28];
-    let upper = (0..7).flat_map(|row| (row..7).map(move |column| (row, column)));
-    for (value, at) in information.iter_mut().zip(upper) {
+    for (value, at) in information.iter_mut().zip(upper_half()) {
         *value = edge.information[at];
     }
     RecordedEdge {

@@ -1,15 +1,13 @@
 //! What a run did, counted.
 
-use super::{
-    ARBITRARY, FragmentSummary, Latency, METRIC, MapFacts, Seconds, SessionSummary, Status, Summary,
-};
+use super::{ARBITRARY, FragmentSummary, Latency, METRIC, MapFacts, Seconds, Status, Summary};
 use crate::input::Input;
 use crate::run::RunSettings;
 use crate::run::align::MapFrame;
 use crate::run::frames::{FrameFate, FrameRow};
 use crate::run::sessions::sessions;
 use crate::run::threads::Tracked;
-use monogrid_datasets::RecordedSession;
+
 use monogrid_slam::mapping::Maps;
 use monogrid_slam::{KeyframeId, Scale, Slam};
 use std::collections::BTreeSet;
@@ -47,7 +45,7 @@ impl Summary {
             map_was_fragment: slam.exchanged(),
             parts: num_parts(slam),
             bridges: slam.bridges().to_vec(),
-            sessions: session_summaries(input, settings, tracked),
+            sessions: sessions(slam, settings.earlier(), &input.name),
             localise_only: settings.is_localise_only(),
             constraints: graph.constraints,
             graph_wait_ms: graph.max_wait_ms,
@@ -55,15 +53,17 @@ impl Summary {
             points,
             frames_per_second: 0.0,
             seconds: stage_seconds(tracked),
-            mapping_seconds_per_100k_points: if points > 0 {
-                tracked.cpu.mapping.as_secs_f64() * 1e5 / points as f64
-            } else {
-                0.0
+            mapping_seconds_per_100k_points: match points {
+                0 => 0.0,
+                _ => tracked.cpu.mapping.as_secs_f64() * 1e5 / points as f64,
             },
             map: map_facts(maps, settings),
             peak_rss_bytes: None,
             memory_bytes: tracked.run.map_size.bytes,
-            scale: scale_name(is_metric(tracked, frame)),
+            scale: match is_metric(tracked, frame) {
+                true => METRIC,
+                false => ARBITRARY,
+            },
             frame: frame.description.clone(),
             up: frame.up,
             floor: frame.floor,
@@ -92,10 +92,6 @@ fn map_facts(maps: Option<&Maps>, settings: &RunSettings) -> MapFacts {
     }
 }
 
-fn scale_name(is_metric: bool) -> &'static str {
-    if is_metric { METRIC } else { ARBITRARY }
-}
-
 /// Whether lengths of the results are metres.
 pub fn is_metric(tracked: &Tracked, frame: &MapFrame) -> bool {
     tracked.run.slam.scale() == Scale::Metric || frame.is_aligned
@@ -115,32 +111,16 @@ fn count(tracked: &Tracked, test: fn(&FrameFate) -> bool) -> usize {
     tracked.rows.iter().filter(|row| test(&row.fate)).count()
 }
 
-fn session_summaries(
-    input: &Input,
-    settings: &RunSettings,
-    tracked: &Tracked,
-) -> Vec<SessionSummary> {
-    let sessions = sessions(&tracked.run.slam, settings.earlier(), &input.name);
-    let summary = |session: RecordedSession| SessionSummary {
-        source: session.source,
-        first_keyframe: session.first_keyframe,
-    };
-    sessions.into_iter().map(summary).collect()
-}
-
 /// CPU seconds of the stages: the CPU time of tracking, depth and graph together, divided as the wall
 /// time of their steps.
 fn stage_seconds(tracked: &Tracked) -> Seconds {
     let cpu = &tracked.cpu;
     let mut walls = [0.0; 3];
-    for report in tracked.rows.iter().filter_map(FrameRow::report) {
-        let times = report.milliseconds;
-        for (wall, time) in walls
-            .iter_mut()
-            .zip([times.tracking, times.depth, times.graph])
-        {
-            *wall += time;
-        }
+    let reports = tracked.rows.iter().filter_map(FrameRow::report);
+    for times in reports.map(|report| report.milliseconds) {
+        walls[0] += times.tracking;
+        walls[1] += times.depth;
+        walls[2] += times.graph;
     }
     let total: f64 = walls.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     let [tracking, depth, graph] = walls.map(|wall| cpu.slam.as_secs_f64() * wall / total);

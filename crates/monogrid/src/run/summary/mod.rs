@@ -10,6 +10,7 @@ use super::align::{FloorSummary, UpSummary};
 use super::frames::FrameRow;
 use super::sensed::InertialSummary;
 use crate::usage::{peak_rss_bytes, process_start};
+use monogrid_datasets::RecordedSession;
 use monogrid_evaluation::{DepthReport, MapReport, PolicyReport, TrajectoryReport};
 use monogrid_slam::mapping::SceneCell;
 use monogrid_slam::{Bridge, Fragment, MapBytes};
@@ -77,15 +78,6 @@ pub struct MapFacts {
     pub leaves: usize,
     /// Memory of the map itself.
     pub bytes_in_memory: usize,
-}
-
-/// A run that took part in a map.
-#[derive(Clone, Debug, Serialize)]
-pub struct SessionSummary {
-    /// Name of its source.
-    pub source: String,
-    /// First keyframe that it made, if it made any.
-    pub first_keyframe: u32,
 }
 
 /// A fragment of the map that a lost camera began.
@@ -168,7 +160,7 @@ pub struct Summary {
     /// Losses after which the map went on with frames that both sides know.
     pub bridges: Vec<Bridge>,
     /// The runs that made the map, this one last.
-    pub sessions: Vec<SessionSummary>,
+    pub sessions: Vec<RecordedSession>,
     /// Whether the map of an earlier run was only used.
     pub localise_only: bool,
     /// Loops closed.
@@ -221,10 +213,9 @@ pub struct Summary {
 
 /// Name of the unit of length, for people.
 pub fn unit_name(is_metric: bool) -> &'static str {
-    if is_metric {
-        "m"
-    } else {
-        "map units (scale unknown)"
+    match is_metric {
+        true => "m",
+        false => "map units (scale unknown)",
     }
 }
 

@@ -41,8 +41,8 @@ impl Status {
                 Self::NotRecognised
             }
             None => match end_of(&tracked.rows) {
-                End::Lost => Self::Lost,
-                End::Fragment if !has_last_frame(tracked) => Self::Fragment,
+                Some(TrackingState::Lost) => Self::Lost,
+                Some(_) if !has_last_frame(tracked) => Self::Fragment,
                 _ => Self::Done,
             },
         }
@@ -64,20 +64,8 @@ impl Status {
 /// Whether the last frame is in the map: a fragment may have been joined when the run was over.
 fn has_last_frame(tracked: &Tracked) -> bool {
     let last = tracked.rows.iter().rev().find_map(FrameRow::report);
-    let placed = tracked.run.trajectory.last();
-    last.zip(placed)
-        .is_some_and(|(last, placed)| placed.frame_index >= last.index)
-}
-
-/// What the end of a run looks like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum End {
-    /// With poses in the map, or with a short loss.
-    Tracked,
-    /// Without a pose for a while.
-    Lost,
-    /// The same, in a fragment.
-    Fragment,
+    let ends = last.zip(tracked.run.trajectory.last());
+    ends.is_some_and(|(last, placed)| placed.frame_index >= last.index)
 }
 
 /// Seconds of video without a pose at the end after which tracking counts as lost for good.
@@ -85,26 +73,20 @@ const LOST_FOR_GOOD_SECS: f64 = 1.0;
 /// And at least so many frames.
 const LOST_FOR_GOOD_FRAMES: usize = 10;
 
-/// Whether the last second of a run has poses in the map, and what it has instead.
-fn end_of(rows: &[FrameRow]) -> End {
-    let processed: Vec<&FrameRow> = rows.iter().filter(|row| row.report().is_some()).collect();
-    let newest_first = processed.iter().rev();
-    let num_lost = newest_first.take_while(|row| row.has_no_place()).count();
-    let tail = &processed[processed.len() - num_lost..];
-    let span_secs = match (tail.first(), tail.last()) {
-        (Some(first), Some(last)) => (last.timestamp_ns - first.timestamp_ns) as f64 * 1e-9,
-        _ => 0.0,
-    };
-    if num_lost < LOST_FOR_GOOD_FRAMES || span_secs < LOST_FOR_GOOD_SECS {
-        return End::Tracked;
+/// What the last second of a run, or more of it, has instead of poses in the map: a fragment at least in part, or nothing.
+fn end_of(rows: &[FrameRow]) -> Option<TrackingState> {
+    let reports: Vec<_> = rows.iter().filter_map(FrameRow::report).collect();
+    let num_lost = rows.iter().rev().filter(|row| row.report().is_some());
+    let num_lost = num_lost.take_while(|row| row.has_no_place()).count();
+    let tail = &reports[reports.len() - num_lost..];
+    let ends = tail.first().zip(tail.last());
+    let span_ns = ends.map_or(0, |(first, last)| last.timestamp_ns - first.timestamp_ns);
+    if num_lost < LOST_FOR_GOOD_FRAMES || (span_ns as f64 * 1e-9) < LOST_FOR_GOOD_SECS {
+        return None;
     }
-    let reports = tail.iter().filter_map(|row| row.report());
-    let mut states = reports.map(|report| report.state);
-    if states.any(|state| state == TrackingState::Fragment) {
-        End::Fragment
-    } else {
-        End::Lost
-    }
+    let mut states = tail.iter().map(|report| report.state);
+    let fragment = states.find(|state| *state == TrackingState::Fragment);
+    Some(fragment.unwrap_or(TrackingState::Lost))
 }
 
 #[cfg(test)]
@@ -138,14 +120,14 @@ mod tests {
                 })
                 .collect()
         };
-        assert_eq!(end_of(&rows(40, 0)), End::Lost);
-        assert_eq!(end_of(&rows(20, 0)), End::Tracked, "less than a second");
-        assert_eq!(end_of(&rows(40, 1)), End::Tracked, "found again");
-        assert_eq!(end_of(&[]), End::Tracked);
+        assert_eq!(end_of(&rows(40, 0)), Some(TrackingState::Lost));
+        assert_eq!(end_of(&rows(20, 0)), None, "less than a second");
+        assert_eq!(end_of(&rows(40, 1)), None, "found again");
+        assert_eq!(end_of(&[]), None);
         let mut in_fragment = rows(40, 0);
         in_fragment.extend((140..180).map(|i| row(i, TrackingState::Fragment)));
-        assert_eq!(end_of(&in_fragment), End::Fragment);
+        assert_eq!(end_of(&in_fragment), Some(TrackingState::Fragment));
         in_fragment.push(row(180, TrackingState::Good));
-        assert_eq!(end_of(&in_fragment), End::Tracked);
+        assert_eq!(end_of(&in_fragment), None);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Figure;
 use crate::report::svg::{Plot, Series};
-use crate::sweep::plan::usual_models;
+use crate::sweep::plan::{Model, usual_models};
 use crate::sweep::record::{Growth, MapRecord};
 use crate::sweep::result::RecordingResult;
 use crate::sweep::tables::{Score, mm};
@@ -37,66 +37,48 @@ fn distribution(records: &[&MapRecord]) -> Option<Vec<[f64; 2]>> {
 }
 
 fn distribution_panel(title: &str, records: &[&MapRecord]) -> Option<Plot> {
+    let labels = ["probability of occupancy", "log10 of the share of cells"];
+    let series = vec![Series::new("", "#2a6fbb", distribution(records)?)];
     Some(Plot {
-        title: title.to_owned(),
-        x_label: "probability of occupancy".into(),
-        y_label: "log10 of the share of cells".into(),
-        series: vec![Series {
-            name: String::new(),
-            colour: "#2a6fbb",
-            points: distribution(records)?,
-            ..Series::default()
-        }],
         ranges: Some([[0.0, 1.0], [-7.0, 0.0]]),
         is_panel: true,
-        ..Plot::default()
+        ..Plot::new(title, labels, series)
     })
 }
 
 /// Figures 6.8 (all resolutions) and 6.15 (the finest).
 pub fn distributions(result: &RecordingResult) -> Vec<Figure> {
-    let select = |family: &'static str, resolution: Option<f64>| -> Vec<&MapRecord> {
-        result
-            .records
-            .iter()
-            .filter(|r| r.entry.model.family() == family)
-            .filter(|r| resolution.is_none_or(|wanted| (r.entry.resolution - wanted).abs() < 1e-9))
-            .collect()
+    let is_of = |record: &MapRecord, resolution: Option<f64>| {
+        resolution.is_none_or(|wanted| (record.entry.resolution - wanted).abs() < 1e-9)
     };
     let families = [
         ("thrun", "Thrun"),
         ("andert", "Andert"),
         ("automatic", "ours, automatic"),
     ];
-    let panels = |resolution: Option<f64>| {
-        families
-            .into_iter()
-            .filter_map(|(family, title)| distribution_panel(title, &select(family, resolution)))
-            .collect::<Vec<_>>()
-    };
-    let note = "Cells whose truth is inside the box; unobserved ones count at 0.5, as in the thesis. \
-                Thrun has peaks at both limits (0.12 and 0.97) and at 0.5, Andert one more at its \
-                free value 0.3.";
-    let mut figures = vec![Figure {
-        file: "figure-6.8-distribution".to_owned(),
-        title: format!(
-            "Distribution of probabilities, mean of all maps (Figure 6.8): {}",
-            result.name
-        ),
-        note: note.to_owned(),
-        plots: panels(None),
-    }];
-    if let Some(&finest) = result.resolutions.first() {
-        figures.push(Figure {
-            file: "figure-6.15-distribution-finest".to_owned(),
-            title: format!(
-                "Distribution at {} (Figure 6.15): {}",
-                mm(finest),
-                result.name
-            ),
-            note: note.to_owned(),
-            plots: panels(Some(finest)),
+    let figure = |file: &str, title: String, resolution: Option<f64>| {
+        let panels = families.into_iter().filter_map(|(family, title)| {
+            let of_family = |r: &&MapRecord| r.entry.model.family() == family;
+            let records = result.records.iter().filter(of_family);
+            let records: Vec<_> = records.filter(|r| is_of(r, resolution)).collect();
+            distribution_panel(title, &records)
         });
+        Figure {
+            file: file.to_owned(),
+            title: format!("{title}: {}", result.name),
+            note: "Cells whose truth is inside the box; unobserved ones count at 0.5, as in the thesis. \
+                   Thrun has peaks at both limits (0.12 and 0.97) and at 0.5, Andert one more at its \
+                   free value 0.3."
+                .to_owned(),
+            plots: panels.collect(),
+        }
+    };
+    let mean = "Distribution of probabilities, mean of all maps (Figure 6.8)".to_owned();
+    let mut figures = vec![figure("figure-6.8-distribution", mean, None)];
+    if let Some(&finest) = result.resolutions.first() {
+        let title = format!("Distribution at {} (Figure 6.15)", mm(finest));
+        let file = "figure-6.15-distribution-finest";
+        figures.push(figure(file, title, Some(finest)));
     }
     figures.retain(|figure| !figure.plots.is_empty());
     figures
@@ -105,51 +87,32 @@ pub fn distributions(result: &RecordingResult) -> Vec<Figure> {
 /// Memory while the map grows (thesis 6.1.3): one panel per resolution.
 pub fn growth(result: &RecordingResult) -> Figure {
     const MODEL_COLOURS: [&str; 5] = ["#888888", "#e08a1e", "#2a6fbb", "#c7372f", "#1f9e77"];
-    let plots = result
-        .resolutions
-        .iter()
-        .map(|&resolution| {
-            let mut series = Vec::new();
-            for (model, colour) in usual_models().into_iter().zip(MODEL_COLOURS) {
-                let Some(built) = result.record(model, resolution).and_then(MapRecord::built)
-                else {
-                    continue;
-                };
-                let points = |bytes: &dyn Fn(&Growth) -> Option<usize>| {
-                    built
-                        .growth
-                        .iter()
-                        .filter_map(|g| Some([g.keyframes as f64, bytes(g)? as f64 / 1e6]))
-                        .collect::<Vec<_>>()
-                };
-                series.push(Series {
-                    name: format!(
-                        "{} {}",
-                        model.family(),
-                        model.parameter().map_or(String::new(), |p| p.to_string())
-                    ),
-                    colour,
-                    points: points(&|g| Some(g.bytes)),
-                    is_dashed: false,
-                });
-                series.push(Series {
-                    name: String::new(),
-                    colour,
-                    points: points(&|g| g.bytes_likelihood),
-                    is_dashed: true,
-                });
-            }
-            Plot {
-                title: mm(resolution),
-                x_label: "keyframes".into(),
-                y_label: "MB".into(),
-                series,
-                from_zero: true,
-                is_panel: true,
-                ..Plot::default()
-            }
-        })
-        .collect();
+    let curves = |model: Model, resolution: f64, colour| {
+        let built = result.record(model, resolution)?.built()?;
+        let points = |bytes: fn(&Growth) -> Option<usize>| {
+            let point = |g: &Growth| Some([g.keyframes as f64, bytes(g)? as f64 / 1e6]);
+            built.growth.iter().filter_map(point).collect()
+        };
+        let parameter = model.parameter().map_or(String::new(), |p| p.to_string());
+        let name = format!("{} {parameter}", model.family());
+        Some([
+            Series::new(name, colour, points(|g| Some(g.bytes))),
+            Series::new("", colour, points(|g| g.bytes_likelihood)).dashed(),
+        ])
+    };
+    let plot = |&resolution: &f64| {
+        let models = usual_models().into_iter().zip(MODEL_COLOURS);
+        let series = models.filter_map(|(model, colour)| curves(model, resolution, colour));
+        Plot {
+            from_zero: true,
+            is_panel: true,
+            ..Plot::new(
+                mm(resolution),
+                ["keyframes", "MB"],
+                series.flatten().collect(),
+            )
+        }
+    };
     Figure {
         file: "figure-memory-growth".to_owned(),
         title: format!(
@@ -157,33 +120,23 @@ pub fn growth(result: &RecordingResult) -> Figure {
             result.name
         ),
         note: "Solid: with probabilities; dashed: in maximum-likelihood form.".to_owned(),
-        plots,
+        plots: result.resolutions.iter().map(plot).collect(),
     }
 }
 
 /// The scores over L or k, with the thesis' AUC dashed: the shape of Tables 6.8 and 6.9.
 pub fn score_over_parameter(result: &RecordingResult, family: &Family) -> Figure {
-    let curve = |resolution: f64, name: &str, colour, score: Score| Series {
-        name: name.to_owned(),
-        colour,
-        points: family
-            .models()
-            .into_iter()
-            .zip(family.values)
-            .filter_map(|(m, value)| Some([value, score.of(result.scores(m, resolution)?)]))
-            .collect(),
-        is_dashed: false,
+    let curve = |resolution: f64, name: &str, colour, score: Score| {
+        let values = family.models().into_iter().zip(family.values);
+        let points = values.filter_map(|(model, value)| {
+            Some([value, score.of(result.scores(model, resolution)?)])
+        });
+        Series::new(name, colour, points.collect())
     };
-    let of_thesis = |column: usize| Series {
-        name: "thesis: AUC".into(),
-        colour: "#888888",
-        points: family
-            .values
-            .iter()
-            .zip(family.auc)
-            .map(|(value, row)| [*value, row[column]])
-            .collect(),
-        is_dashed: true,
+    let of_thesis = |column: usize| {
+        let rows = family.values.into_iter().zip(family.auc);
+        let points = rows.map(|(value, row)| [value, row[column]]);
+        Series::new("thesis: AUC", "#888888", points.collect()).dashed()
     };
     let plot = |&resolution: &f64| {
         let mut series = vec![
@@ -192,14 +145,11 @@ pub fn score_over_parameter(result: &RecordingResult, family: &Family) -> Figure
             curve(resolution, "MCC observed", "#c7372f", Score::MccObserved),
         ];
         series.extend(thesis::column(resolution).map(of_thesis));
+        let length = format!("{}, m", family.symbol);
         Plot {
-            title: mm(resolution),
-            x_label: format!("{}, m", family.symbol),
-            y_label: "score".into(),
-            series,
             ranges: Some([[0.0, family.values[9]], [0.0, 1.0]]),
             is_panel: true,
-            ..Plot::default()
+            ..Plot::new(mm(resolution), [&length, "score"], series)
         }
     };
     Figure {

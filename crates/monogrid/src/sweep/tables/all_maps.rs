@@ -1,9 +1,9 @@
 //! Every map in one line.
 
-use super::csv_cell;
+use super::{csv_cell, or};
+use crate::sweep::plan::Entry;
 use crate::sweep::record::Scores;
 use crate::sweep::result::RecordingResult;
-use std::fmt::Write;
 
 /// Every map in one line, for other programs.
 pub fn all_maps_csv(results: &[RecordingResult]) -> String {
@@ -16,46 +16,32 @@ pub fn all_maps_csv(results: &[RecordingResult]) -> String {
     );
     for result in results {
         for record in &result.records {
-            let entry = &record.entry;
-            let parameter = entry.model.parameter().map(|p| p.to_string());
-            let _ = write!(
-                text,
-                "{},{},{},{},{}",
-                csv_cell(&result.name),
-                result.profile,
-                entry.model.family(),
-                parameter.unwrap_or_default(),
-                entry.resolution
+            let Entry { model, resolution } = record.entry;
+            let (name, family) = (csv_cell(&result.name), model.family());
+            let parameter = or("", model.parameter(), |p| p.to_string());
+            text += &format!(
+                "{name},{},{family},{parameter},{resolution}",
+                result.profile
             );
             let Some(built) = record.built() else {
                 text.push_str(",x\n");
                 continue;
             };
-            let optional = |value: Option<String>| value.unwrap_or_default();
-            let _ = write!(
-                text,
-                ",{},{},{:.4},{},{},{},{},{:.3},{:.3},{:.3},{},{}",
+            let [x, y, z] = built.extent;
+            text += &format!(
+                ",{},{},{:.4},{},{},{},{},{x:.3},{y:.3},{z:.3},{},{}",
                 built.keyframes,
                 built.points,
                 built.seconds,
                 built.bytes,
                 built.bytes_likelihood,
-                optional(built.nodes.map(|n| n.to_string())),
+                or("", built.nodes, |n| n.to_string()),
                 built.leaves,
-                built.extent[0],
-                built.extent[1],
-                built.extent[2],
-                optional(built.bt_bytes.map(|n| n.to_string())),
-                optional(built.ot_bytes.map(|n| n.to_string())),
+                or("", built.bt_bytes, |n| n.to_string()),
+                or("", built.ot_bytes, |n| n.to_string()),
             );
-            if let Some(scores) = &built.scores {
-                for value in score_columns(scores) {
-                    let _ = write!(
-                        text,
-                        ",{}",
-                        value.map_or(String::new(), |v| format!("{v:.6}"))
-                    );
-                }
+            for value in built.scores.iter().flat_map(score_columns) {
+                text += &format!(",{}", or("", value, |v| format!("{v:.6}")));
             }
             text.push('\n');
         }

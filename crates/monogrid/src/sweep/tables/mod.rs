@@ -40,14 +40,11 @@ impl Table {
     /// A section of a Markdown page; the best of each column is bold.
     pub fn markdown(&self) -> String {
         let row = |cells: &[String]| {
-            let cells: Vec<String> = cells
-                .iter()
-                .map(|cell| match cell.strip_prefix('*') {
-                    Some(best) => format!("**{best}**"),
-                    None => cell.replace('|', "\\|"),
-                })
-                .collect();
-            format!("| {} |\n", cells.join(" | "))
+            let cells = cells.iter().map(|cell| match cell.strip_prefix('*') {
+                Some(best) => format!("**{best}**"),
+                None => cell.replace('|', "\\|"),
+            });
+            format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
         };
         let mut text = format!("### {}\n\n{}\n\n", self.title, self.note);
         text.push_str(&row(&self.header));
@@ -60,10 +57,9 @@ impl Table {
 
 fn csv_cell(cell: &str) -> String {
     let plain = cell.strip_prefix('*').unwrap_or(cell);
-    if plain.contains([',', '"']) {
-        format!("\"{}\"", plain.replace('"', "\"\""))
-    } else {
-        plain.to_owned()
+    match plain.contains([',', '"']) {
+        true => format!("\"{}\"", plain.replace('"', "\"\"")),
+        false => plain.to_owned(),
     }
 }
 
@@ -72,11 +68,14 @@ pub fn mm(resolution: f64) -> String {
     format!("{} mm", crate::report::svg::number(resolution * 1e3))
 }
 
-fn headings(first: &str, rest: &[&str]) -> Vec<String> {
-    std::iter::once(first)
-        .chain(rest.iter().copied())
-        .map(str::to_owned)
-        .collect()
+/// Cells of a row that has the same words in every sweep.
+fn words(row: &str) -> Vec<String> {
+    row.split(" | ").map(str::to_owned).collect()
+}
+
+/// A cell of what may be missing.
+fn or<T>(missing: &str, value: Option<T>, text: impl FnOnce(T) -> String) -> String {
+    value.map_or_else(|| missing.to_owned(), text)
 }
 
 fn model_name(model: Model) -> String {
@@ -99,7 +98,7 @@ mod tests {
             file: "t".into(),
             title: "Title".into(),
             note: "Note.".into(),
-            header: headings("a", &["b"]),
+            header: words("a | b"),
             rows: vec![vec!["*1".into(), "x, \"y\" | z".into()]],
         };
         assert_eq!(table.csv(), "a,b\n1,\"x, \"\"y\"\" | z\"\n");

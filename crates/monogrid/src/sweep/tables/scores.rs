@@ -1,6 +1,6 @@
 //! Scores over the parameters of the sensor models.
 
-use super::{Table, headings, mm, model_name};
+use super::{Table, mm, model_name, or, words};
 use crate::sweep::plan::Model;
 use crate::sweep::record::{PolicyScores, Scores};
 use crate::sweep::result::RecordingResult;
@@ -54,7 +54,7 @@ impl Score {
 /// Tables 6.8 and 6.9: a score over the values of L or k.
 pub fn over_parameter(result: &RecordingResult, family: &Family, score: Score) -> Table {
     let value = |model: Model, resolution: f64| Some(score.of(result.scores(model, resolution)?));
-    let cell = |v: Option<f64>| v.map_or_else(|| "x".to_owned(), |v| format!("{v:.3}"));
+    let cell = |v: Option<f64>| or("x", v, |v| format!("{v:.3}"));
     let best = |resolution: f64| {
         let values = family.models().into_iter();
         let values = values.filter_map(|m| value(m, resolution));
@@ -101,12 +101,11 @@ pub fn over_parameter(result: &RecordingResult, family: &Family, score: Score) -
 
 /// The best values of both models, the ideal model and ours, per resolution.
 pub fn best_of(result: &RecordingResult) -> Table {
-    let known = |scores: &Scores| Score::AucKnown.of(scores);
     let mut rows = Vec::new();
     for &resolution in &result.resolutions {
         let candidates = [
-            result.best(&THRUN.models(), resolution, known),
-            result.best(&ANDERT.models(), resolution, known),
+            result.best(&THRUN, resolution, Score::AucKnown),
+            result.best(&ANDERT, resolution, Score::AucKnown),
             Some(Model::Ideal),
             Some(Model::Automatic),
         ];
@@ -120,20 +119,12 @@ pub fn best_of(result: &RecordingResult) -> Table {
             let mut row = vec![mm(resolution), model_name(model)];
             row.extend(cells(&scores.observed));
             row.push(format!("{:.3}", scores.known.auc));
-            row.extend(
-                [
-                    scores.coverage_free_in_view,
-                    scores.coverage_occupied_in_view,
-                ]
-                .map(|share| {
-                    share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s))
-                }),
-            );
-            row.push(
-                scores
-                    .occupied_ratio
-                    .map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.2}")),
-            );
+            let percent = |share| or("-", share, |s: f64| format!("{:.0} %", 100.0 * s));
+            row.push(percent(scores.coverage_free_in_view));
+            row.push(percent(scores.coverage_occupied_in_view));
+            row.push(or("-", scores.occupied_ratio, |ratio| {
+                format!("{ratio:.2}")
+            }));
             rows.push(row);
         }
     }
@@ -143,19 +134,9 @@ pub fn best_of(result: &RecordingResult) -> Table {
         note: "Best L and k by AUC of known cells, ties by recall (the thesis' rule). Coverage: of the \
                cells that a keyframe looks at. Thickness: predicted occupied cells per true one."
             .to_owned(),
-        header: headings(
-            "cells",
-            &[
-                "model",
-                "AUC observed",
-                "MCC",
-                "precision",
-                "recall",
-                "AUC known",
-                "free covered",
-                "occupied covered",
-                "thickness",
-            ],
+        header: words(
+            "cells | model | AUC observed | MCC | precision | recall | AUC known | free covered | \
+             occupied covered | thickness",
         ),
         rows,
     }
