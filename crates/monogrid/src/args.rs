@@ -16,12 +16,14 @@ pub struct JsonArg {
     pub json: bool,
 }
 
-/// Whether files that exist are replaced.
+/// Options of commands that write what the user names and say what it is.
 #[derive(Debug, Clone, Copy, Default, Args)]
-pub struct ForceArg {
+pub struct WriteArgs {
     /// Replace the output file if it exists; never one that is read
     #[arg(long)]
     pub force: bool,
+    #[command(flatten)]
+    pub json: JsonArg,
 }
 
 /// One of the complete configurations.

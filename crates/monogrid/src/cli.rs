@@ -1,9 +1,9 @@
 //! The command line: every command, option and default, as `--help` shows them.
 
 use crate::commands::{
-    batch, calibrate, cameras, check, convert, demo, distances, evaluate, evaluate_map, info, map,
-    merge_runs, mesh, plan, report, rescale, run, sensor_model, shell, slice, sweep, synth, tools,
-    truth, view, vocabulary,
+    batch, calibrate, cameras, check, demo, distances, evaluate, evaluate_map, info, map,
+    merge_runs, report, rescale, run, sensor_model, shell, slice, sweep, synth, tools, truth, view,
+    vocabulary,
 };
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
@@ -131,7 +131,7 @@ as KEY=VALUE."
     Info(info::InfoArgs),
     /// Convert a map: .ot, .bt and .mgo to .ot, .bt, .mgo, .ply or .pcd
     #[command(after_help = "Example: monogrid convert kitchen.ot kitchen.ply")]
-    Convert(convert::ConvertArgs),
+    Convert(tools::ConvertArgs),
     /// Move, turn and scale a map
     #[command(
         after_help = "Example: monogrid transform kitchen.ot moved.ot --sim3 world_from_kitchen.txt"
@@ -148,7 +148,7 @@ as KEY=VALUE."
     Diff(tools::DiffArgs),
     /// Surface of a map as a triangle mesh: .ply or .glb
     #[command(after_help = "Example: monogrid mesh kitchen.ot kitchen.glb")]
-    Mesh(mesh::MeshArgs),
+    Mesh(tools::MeshArgs),
     /// Map seen from above as .pgm and .yaml for nav2's map server
     #[command(
         after_help = "Example: monogrid project kitchen.ot kitchen.pgm --min-height 0.1 --max-height 1.5"
@@ -161,7 +161,7 @@ as KEY=VALUE."
     Distances(distances::DistancesArgs),
     /// Path of a robot through a map
     #[command(after_help = "Example: monogrid plan kitchen.ot 0,0,0.5 2,1,0.5 --robot-radius 0.2")]
-    Plan(plan::PlanArgs),
+    Plan(tools::PlanArgs),
     /// Train the words by which FAB-MAP knows places, on images of many places
     #[command(
         after_help = "Example: monogrid vocabulary recordings/kitchen recordings/office --every 10 --out places.vocabulary"

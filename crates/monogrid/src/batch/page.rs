@@ -267,7 +267,7 @@ fn cards(ordered: &[&TaskRecord], runs: &Path, link: &str) -> String {
 fn thumbnail(path: &Path) -> Option<Vec<u8>> {
     let picture = read_rgb(path).ok()??;
     let factor = (picture.width() / CARD_WIDTH).max(1);
-    Some(encode_png_rgb(&shrink(&picture, factor)))
+    Some(encode_png_rgb(&shrink(&picture, factor, |pixel| pixel)))
 }
 
 fn table(ordered: &[&TaskRecord], link: &str) -> String {

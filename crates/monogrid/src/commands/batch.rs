@@ -1,6 +1,6 @@
 //! `monogrid batch`: many recordings, each by a run of its own.
 
-use super::print_json;
+use super::warn;
 use crate::args::{JsonArg, positive};
 use crate::batch::class::Class;
 use crate::batch::keys::parse_key;
@@ -17,8 +17,8 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 /// `monogrid batch`.
@@ -70,9 +70,7 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 /// Carries out all tasks that are not done.
 pub fn execute(args: &BatchArgs) -> CommandResult {
     let (listed, said) = read_sources(&args.sources, &args.out)?;
-    for said in said {
-        eprintln!("warning: {said}");
-    }
+    warn(&said);
     let keys: Result<Vec<_>, _> = args.each.iter().map(|k| parse_key(k, "--each")).collect();
     let tasks = chosen(tasks(&listed, &keys?)?, args)?;
     let available = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
@@ -104,24 +102,21 @@ pub fn execute(args: &BatchArgs) -> CommandResult {
 /// Those that were asked for.
 fn chosen(all: Vec<Task>, args: &BatchArgs) -> Result<Vec<Task>, Failure> {
     let count = all.len();
-    let place = match (&args.task, args.number) {
-        (Some(name), _) => all.iter().position(|task| task.name == *name),
-        (None, Some(number)) => number.checked_sub(1).filter(|place| *place < count),
+    let (place, expected) = match (&args.task, args.number) {
+        (Some(name), _) => (
+            all.iter().position(|task| task.name == *name),
+            format!(
+                "--task {name}: none of the {count} recordings has this name; --dry-run says their names"
+            ),
+        ),
+        (None, Some(number)) => (
+            number.checked_sub(1),
+            format!("--number {number}: expected 1 to {count}"),
+        ),
         (None, None) => return Ok(all),
     };
     let task = place.and_then(|place| all.into_iter().nth(place));
-    let expected = || {
-        Failure::input(match (&args.task, args.number) {
-            (Some(name), _) => format!(
-                "--task {name}: none of the {count} recordings has this name; --dry-run says their names"
-            ),
-            (None, number) => format!(
-                "--number {}: expected 1 to {count}",
-                number.unwrap_or_default()
-            ),
-        })
-    };
-    Ok(vec![task.ok_or_else(expected)?])
+    Ok(vec![task.ok_or_else(|| Failure::input(expected))?])
 }
 
 /// Refuses a destination that must not be written to, before anything is.
@@ -158,11 +153,15 @@ fn memory(args: &BatchArgs) -> Option<u64> {
 
 /// What became of each; none for those that were not begun.
 fn carry_out(tasks: &[Task], job: &Job, limits: Limits) -> Vec<Option<Outcome>> {
-    let outcomes: Vec<Mutex<Option<Outcome>>> = tasks.iter().map(|_| Mutex::new(None)).collect();
+    let outcomes = Mutex::new(vec![None; tasks.len()]);
+    let keep = |index: usize, outcome: Outcome| {
+        let mut outcomes = outcomes.lock().unwrap_or_else(PoisonError::into_inner);
+        outcomes[index] = Some(outcome);
+    };
     let mut missing = Vec::new();
     for (index, task) in tasks.iter().enumerate() {
         match job.done(task) {
-            Some(record) => keep(&outcomes[index], Outcome::Done(Box::new(record))),
+            Some(record) => keep(index, Outcome::Done(Box::new(record))),
             None => {
                 let before = TaskRecord::read(&job.task_folder(task));
                 missing.push((index, before.and_then(|record| record.peak_rss_bytes)));
@@ -178,42 +177,25 @@ fn carry_out(tasks: &[Task], job: &Job, limits: Limits) -> Vec<Option<Outcome>> 
         let outcome = job.carry_out(&tasks[index], attempt, peak);
         tally.done(&format!("{}: {}", tasks[index].name, line(&outcome)));
         let carried = carried(&outcome);
-        keep(&outcomes[index], outcome);
+        keep(index, outcome);
         carried
     });
     tally.finish();
     if left > 0 {
         eprintln!("{left} recordings were not begun");
     }
-    let taken = outcomes.into_iter();
-    taken
-        .map(|outcome| outcome.into_inner().unwrap_or_default())
-        .collect()
-}
-
-fn keep(place: &Mutex<Option<Outcome>>, outcome: Outcome) {
-    let mut place = place
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
-    *place = Some(outcome);
+    let outcomes = outcomes.into_inner();
+    outcomes.unwrap_or_else(PoisonError::into_inner)
 }
 
 fn carried(outcome: &Outcome) -> Carried {
-    match outcome {
-        Outcome::Carried(record) => Carried {
-            class: record.class,
-            peak_bytes: record.peak_rss_bytes,
-        },
+    let (class, peak_bytes) = match outcome {
+        Outcome::Carried(record) => (record.class, record.peak_rss_bytes),
         // what it took is known, but it does not run
-        Outcome::Done(_) | Outcome::Elsewhere => Carried {
-            class: Class::Ok,
-            peak_bytes: None,
-        },
-        Outcome::Refused(class, _) => Carried {
-            class: *class,
-            peak_bytes: None,
-        },
-    }
+        Outcome::Done(_) | Outcome::Elsewhere => (Class::Ok, None),
+        Outcome::Refused(class, _) => (*class, None),
+    };
+    Carried { class, peak_bytes }
 }
 
 /// What is said of a task when it is done.
@@ -229,11 +211,10 @@ fn line(outcome: &Outcome) -> String {
         text += &format!(": {}", record.reason);
     }
     if let Some(metrics) = &record.metrics {
+        let share = (100.0 * metrics.coverage()).floor();
         text += &format!(
-            ", {:.0} % of {} frames, {:.1} per second",
-            (100.0 * metrics.coverage()).floor(),
-            metrics.frames,
-            metrics.frames_per_second
+            ", {share:.0} % of {} frames, {:.1} per second",
+            metrics.frames, metrics.frames_per_second
         );
         if let Some(ate) = metrics.ate_rmse_m {
             text += &format!(", error {ate:.4} m");
@@ -262,34 +243,23 @@ struct Planned<'a> {
 }
 
 fn say_plan(tasks: &[Task], job: &Job, json: JsonArg) -> CommandResult {
-    let planned = |task: &Task| {
-        let before = TaskRecord::read(&job.task_folder(task));
-        (
-            job.done(task).map(|record| record.class.name()),
-            before.and_then(|record| record.peak_rss_bytes),
-        )
-    };
-    if json.json {
-        let all = tasks.iter().map(|task| {
-            let (done, peak_rss_bytes) = planned(task);
-            Planned {
-                name: &task.name,
-                source: task.source.display().to_string(),
-                options: &task.options,
-                settings_sha256: &task.settings_sha256,
-                version: env!("CARGO_PKG_VERSION"),
-                done,
-                peak_rss_bytes,
-            }
-        });
-        print_json(&all.collect::<Vec<_>>())?;
-        return Ok(Ended::Done);
-    }
-    for task in tasks {
-        let state = planned(task).0.unwrap_or("to do");
-        println!("{}\t{state}\t{}", task.name, task.source.display());
-    }
-    Ok(Ended::Done)
+    let planned = tasks.iter().map(|task| Planned {
+        name: &task.name,
+        source: task.source.display().to_string(),
+        options: &task.options,
+        settings_sha256: &task.settings_sha256,
+        version: env!("CARGO_PKG_VERSION"),
+        done: job.done(task).map(|record| record.class.name()),
+        peak_rss_bytes: TaskRecord::read(&job.task_folder(task))
+            .and_then(|record| record.peak_rss_bytes),
+    });
+    let planned: Vec<Planned> = planned.collect();
+    json.print(&planned, || {
+        for task in &planned {
+            let state = task.done.unwrap_or("to do");
+            println!("{}\t{state}\t{}", task.name, task.source);
+        }
+    })
 }
 
 /// `batch --json`.
@@ -324,9 +294,7 @@ fn conclude(args: &BatchArgs, tasks: &[Task], outcomes: &[Option<Outcome>]) -> C
     for class in &classes {
         *report.classes.entry(class.name()).or_default() += 1;
     }
-    if args.json.json {
-        print_json(&report)?;
-    } else {
+    args.json.print(&report, || {
         let said = Class::all().iter().filter_map(|class| {
             let count = report.classes.get(class.name())?;
             Some(format!("{count} {}", class.name()))
@@ -335,27 +303,16 @@ fn conclude(args: &BatchArgs, tasks: &[Task], outcomes: &[Option<Outcome>]) -> C
         if report.left > 0 {
             said.push(format!("{} left", report.left));
         }
-        let out = args.out.display();
-        println!(
-            "{} recordings in {out}: {}",
-            report.recordings,
-            said.join(", ")
-        );
-    }
+        let (out, said) = (args.out.display(), said.join(", "));
+        println!("{} recordings in {out}: {said}", report.recordings);
+    })?;
     outcome_of(&classes)
 }
 
 /// The exit code says the worst: interrupted, a run that failed, a recording without a good map.
 fn outcome_of(classes: &[Class]) -> CommandResult {
-    let faults = [
-        Class::Timeout,
-        Class::Failed,
-        Class::Crashed,
-        Class::Killed,
-        Class::NoSpace,
-    ];
-    let failed = classes.iter().filter(|class| faults.contains(class));
-    let failed = failed.count();
+    let is_fault = |class: &&Class| (Class::Timeout..=Class::NoSpace).contains(class);
+    let failed = classes.iter().filter(is_fault).count();
     if classes.contains(&Class::Interrupted) || INTERRUPTED.load(Ordering::Relaxed) {
         Ok(Ended::Interrupted)
     } else if failed > 0 {

@@ -1,8 +1,7 @@
 //! `monogrid calibrate`: a camera from a video of a chessboard or a grid of tags.
 
-use super::print_json;
 use crate::args::{JsonArg, SourceArgs};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::input::RawInput;
 use crate::output::{Inputs, OutputFolder};
 use crate::report::svg::{COLOURS, Plot, Series};
@@ -12,8 +11,10 @@ use monogrid_calibration::target::{
     BoardCollector, BoardSize, CornerError, LensModel, TagGrid, TargetCalibration, TargetConfig,
     calibrate,
 };
+use monogrid_geometry::Vec2;
 use serde::Serialize;
 use std::num::NonZeroUsize;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 /// How the lens is described.
@@ -64,10 +65,7 @@ pub struct CalibrateArgs {
 
 /// Numbers of inner corners on both sides.
 fn board_size(text: &str) -> Result<BoardSize, String> {
-    let side = |text: &str| text.parse().ok().filter(|n| (3..=100).contains(n));
-    let sides = text.split_once(['x', 'X']);
-    let sides = sides.and_then(|(a, b)| side(a).zip(side(b)));
-    let size = sides.and_then(|(a, b)| BoardSize::new(a, b));
+    let size = two_numbers(text, 3..=100).and_then(|(a, b)| BoardSize::new(a, b));
     let expected =
         "expected the numbers of inner corners on both sides, from 3 to 100, such as 9x6";
     size.ok_or_else(|| expected.to_owned())
@@ -75,13 +73,17 @@ fn board_size(text: &str) -> Result<BoardSize, String> {
 
 /// Numbers of tags: along a row, and of rows.
 fn tag_columns_and_rows(text: &str) -> Result<BoardSize, String> {
-    let side = |text: &str| text.parse().ok().filter(|n| (1..=24).contains(n));
-    let sides = text.split_once(['x', 'X']);
-    let sides = sides.and_then(|(a, b)| side(a).zip(side(b)));
-    let size = sides.map(|(columns, rows)| BoardSize { columns, rows });
     // the family has 587 tags
-    size.filter(|size| (4..=587).contains(&(size.columns * size.rows)))
+    let size = two_numbers(text, 1..=24).filter(|(a, b)| (4..=587).contains(&(a * b)));
+    size.map(|(columns, rows)| BoardSize { columns, rows })
         .ok_or_else(|| "expected columns and rows of 4 to 587 tags, such as 6x6".to_owned())
+}
+
+/// `NxM`, both in a range.
+fn two_numbers(text: &str, range: RangeInclusive<usize>) -> Option<(usize, usize)> {
+    let (a, b) = text.split_once(['x', 'X'])?;
+    let number = |text: &str| text.parse().ok().filter(|n| range.contains(n));
+    number(a).zip(number(b))
 }
 
 fn tag_spacing(text: &str) -> Result<f64, String> {
@@ -152,12 +154,8 @@ pub fn execute(args: &CalibrateArgs) -> CommandResult {
     folder.write(name, text)?;
     folder.write("residuals.svg", residuals(&found).file())?;
     let report = report(&found, num_images, folder.path().to_owned());
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        print_report(&report, &own, name);
-    }
-    Ok(Outcome::Done)
+    args.json
+        .print(&report, || print_report(&report, &own, name))
 }
 
 fn model_name(model: LensModel) -> &'static str {
@@ -233,21 +231,13 @@ fn residuals(found: &TargetCalibration) -> Plot {
     let (width, height) = (found.camera.width as f64, found.camera.height as f64);
     // drawn as the image lies: rows downwards
     let place = |x: f64, y: f64| [x, height - y];
-    let line = |corner: &CornerError| {
-        let (from, to) = (corner.pixel, corner.pixel + corner.error * ENLARGED);
-        [place(from.x, from.y), place(to.x, to.y), [f64::NAN; 2]]
-    };
-    let dot = |corner: &CornerError| {
-        let at = corner.pixel;
-        [
-            place(at.x - 0.8, at.y),
-            place(at.x + 0.8, at.y),
-            [f64::NAN; 2],
-        ]
-    };
+    let line = |from: Vec2, to: Vec2| [place(from.x, from.y), place(to.x, to.y), [f64::NAN; 2]];
+    let error = |corner: &CornerError| line(corner.pixel, corner.pixel + corner.error * ENLARGED);
+    let across = Vec2::new(0.8, 0.0);
+    let dot = |corner: &CornerError| line(corner.pixel - across, corner.pixel + across);
     let corners = &found.errors;
     let dots: Vec<[f64; 2]> = corners.iter().flat_map(dot).collect();
-    let lines: Vec<[f64; 2]> = corners.iter().flat_map(line).collect();
+    let lines: Vec<[f64; 2]> = corners.iter().flat_map(error).collect();
     Plot {
         title: format!(
             "What is left at {} corners, times {ENLARGED}: {:.3} px",
@@ -272,11 +262,7 @@ fn whole_series(name: &str, colour: usize, points: &[[f64; 2]]) -> Vec<Series> {
     let chunks = points.chunks(900).enumerate();
     chunks
         .map(|(k, points)| Series {
-            name: if k == 0 {
-                name.to_owned()
-            } else {
-                String::new()
-            },
+            name: if k == 0 { name.into() } else { "".into() },
             colour: COLOURS[colour],
             points: points.to_vec(),
             is_dashed: false,

@@ -1,8 +1,7 @@
 //! `monogrid cameras`: the cameras of this computer.
 
-use super::print_json;
 use crate::args::JsonArg;
-use crate::failure::{CommandResult, Outcome};
+use crate::failure::CommandResult;
 use clap::Args;
 use serde::Serialize;
 
@@ -30,18 +29,13 @@ pub fn execute(args: &CamerasArgs) -> CommandResult {
             modes: camera.modes,
         })
         .collect();
-    if args.json.json {
-        print_json(&cameras)?;
-    } else if cameras.is_empty() {
-        println!("no camera that delivers YUYV, MJPEG or grey images (looked at /dev/video*)");
-    }
-    if !args.json.json {
-        for camera in &cameras {
-            println!("{}: {}", camera.path, camera.name);
-            for mode in &camera.modes {
-                println!("  {mode}");
-            }
+    args.json.print(&cameras, || {
+        if cameras.is_empty() {
+            println!("no camera that delivers YUYV, MJPEG or grey images (looked at /dev/video*)");
         }
-    }
-    Ok(Outcome::Done)
+        for Entry { path, name, modes } in &cameras {
+            println!("{path}: {name}");
+            modes.iter().for_each(|mode| println!("  {mode}"));
+        }
+    })
 }

@@ -1,9 +1,8 @@
 //! `monogrid check`: reads a source without running and says what would hurt tracking.
 
-use super::print_json;
 use crate::args::{JsonArg, SourceArgs};
 use crate::doubts::doubts;
-use crate::failure::{CommandResult, Outcome};
+use crate::failure::CommandResult;
 use crate::input::{Images, Input};
 use crate::readings::{ImuFacts, Inertial};
 use clap::Args;
@@ -82,12 +81,7 @@ pub fn execute(args: &CheckArgs) -> CommandResult {
     let input = Input::open(&args.source, &args.input, WorkingSize::AUTOMATIC)?;
     let seen = Seen::all(&input);
     let report = CheckReport::new(&input, &seen);
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        print_report(&report);
-    }
-    Ok(Outcome::Done)
+    args.json.print(&report, || print_report(&report))
 }
 
 /// What the frames of a source say.
@@ -118,30 +112,6 @@ impl Seen {
         }
         seen
     }
-
-    /// From the first to the last.
-    fn seconds(&self) -> f64 {
-        self.times.last().unwrap_or(&0.0) - self.times.first().unwrap_or(&0.0)
-    }
-
-    fn frames_per_second(&self) -> f64 {
-        let seconds = self.seconds();
-        if seconds > 0.0 {
-            (self.times.len() - 1) as f64 / seconds
-        } else {
-            0.0
-        }
-    }
-
-    fn largest_gap_seconds(&self) -> f64 {
-        let gaps = self.times.windows(2).map(|pair| pair[1] - pair[0]);
-        gaps.fold(0.0, f64::max)
-    }
-
-    fn unreadable_warning(&self) -> Option<String> {
-        let (first, count) = (self.unreadable.first()?, self.unreadable.len());
-        Some(format!("{count} images cannot be used, first {first}"))
-    }
 }
 
 impl CheckReport {
@@ -155,13 +125,20 @@ impl CheckReport {
         let jumps: Vec<usize> = sequence.exposure_jumps.iter().map(|jump| jump.0).collect();
         let valid = input.mask().as_slice().iter().filter(|&&m| m > 0).count();
         let (width, height) = input.size();
+        let times = &seen.times;
+        let seconds = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
+        let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
+        let inertial = input.inertial.as_ref();
         let mut report = Self {
             source: input.name.clone(),
             layout: input.layout().to_owned(),
-            frames: seen.times.len(),
-            seconds: seen.seconds(),
-            frames_per_second: seen.frames_per_second(),
-            largest_gap_seconds: seen.largest_gap_seconds(),
+            frames: times.len(),
+            seconds,
+            frames_per_second: match seconds > 0.0 {
+                true => (times.len() - 1) as f64 / seconds,
+                false => 0.0,
+            },
+            largest_gap_seconds: gaps.fold(0.0, f64::max),
             image_size: [input.camera().width, input.camera().height],
             working_size: [width, height],
             calibration: input.interpretation.clone(),
@@ -177,25 +154,35 @@ impl CheckReport {
             median_textured_share: sequence.median_textured_share,
             depth_images: dataset.map_or(0, |dataset| dataset.depths.len()),
             has_ground_truth: dataset.is_some_and(|dataset| dataset.ground_truth.is_some()),
-            imu: input.inertial.as_ref().map(|inertial| inertial.facts),
-            imu_interpretation: input
-                .inertial
-                .as_ref()
-                .map(|inertial| inertial.interpretation.clone()),
+            imu: inertial.map(|inertial| inertial.facts),
+            imu_interpretation: inertial.map(|inertial| inertial.interpretation.clone()),
             warnings: input.warnings.clone(),
         };
-        report
-            .warnings
-            .extend(input.inertial.iter().flat_map(Inertial::findings));
-        report.warnings.extend(seen.unreadable_warning());
-        report.warnings.extend(sequence.findings());
-        if input.own_calibration.is_none() {
-            let found = doubts(input.lens(), input.images_again());
-            report.warnings.extend(found);
+        let warnings = &mut report.warnings;
+        warnings.extend(inertial.into_iter().flat_map(Inertial::findings));
+        if let [first, ..] = seen.unreadable.as_slice() {
+            let count = seen.unreadable.len();
+            warnings.push(format!("{count} images cannot be used, first {first}"));
         }
-        let found = slow_or_narrow(&report);
-        report.warnings.extend(found);
+        warnings.extend(sequence.findings());
+        if input.own_calibration.is_none() {
+            warnings.extend(doubts(input.lens(), input.images_again()));
+        }
+        report.add_slow_or_narrow();
         report
+    }
+
+    fn add_slow_or_narrow(&mut self) {
+        let (rate, view) = (self.frames_per_second, self.horizontal_fov_deg);
+        if self.frames > 1 && rate < LOW_RATE {
+            let slow = format!("{rate:.1} frames per second: the camera must move slowly");
+            self.warnings.push(slow);
+        }
+        if view < NARROW_DEG {
+            let narrow =
+                format!("the field of view is {view:.0} degrees; 60 and more track better");
+            self.warnings.push(narrow);
+        }
     }
 }
 
@@ -204,60 +191,31 @@ const LOW_RATE: f64 = 15.0;
 /// Horizontal field of view below which little overlaps, degrees.
 const NARROW_DEG: f64 = 50.0;
 
-fn slow_or_narrow(report: &CheckReport) -> Vec<String> {
-    let mut out = Vec::new();
-    if report.frames > 1 && report.frames_per_second < LOW_RATE {
-        out.push(format!(
-            "{:.1} frames per second: the camera must move slowly",
-            report.frames_per_second
-        ));
-    }
-    if report.horizontal_fov_deg < NARROW_DEG {
-        out.push(format!(
-            "the field of view is {:.0} degrees; 60 and more track better",
-            report.horizontal_fov_deg
-        ));
-    }
-    out
-}
-
 fn print_report(report: &CheckReport) {
     println!("{}: {} layout", report.source, report.layout);
     println!(
         "frames       {} in {:.1} s, {:.2} per second, largest gap {:.3} s",
         report.frames, report.seconds, report.frames_per_second, report.largest_gap_seconds
     );
-    println!(
-        "images       {}x{} pixels, working size {}x{}, {:.1} % of it usable",
-        report.image_size[0],
-        report.image_size[1],
-        report.working_size[0],
-        report.working_size[1],
-        100.0 * report.usable_pixels
-    );
+    let [image, working] =
+        [report.image_size, report.working_size].map(|[width, height]| format!("{width}x{height}"));
+    let usable = 100.0 * report.usable_pixels;
+    println!("images       {image} pixels, working size {working}, {usable:.1} % of it usable");
     println!("calibration  {}", report.calibration);
+    let view = report.horizontal_fov_deg;
+    println!("view         {view:.1} degrees horizontally");
+    let texture = 100.0 * report.median_textured_share;
+    println!("texture      {texture:.1} % of the pixels in the median frame");
+    let bad = [&report.repeated, &report.exposure_jumps, &report.blurred];
+    let [repeated, jumps, blurred] = bad.map(Vec::len);
+    let [plain, overexposed] = [&report.plain, &report.overexposed].map(Vec::len);
     println!(
-        "view         {:.1} degrees horizontally",
-        report.horizontal_fov_deg
+        "frames that  cannot be read {}, repeat {repeated}, jump in brightness {jumps}, are blurred {blurred}, plain {plain}, overexposed {overexposed}",
+        report.unreadable
     );
-    println!(
-        "texture      {:.1} % of the pixels in the median frame",
-        100.0 * report.median_textured_share
-    );
-    println!(
-        "frames that  cannot be read {}, repeat {}, jump in brightness {}, are blurred {}, plain {}, overexposed {}",
-        report.unreadable,
-        report.repeated.len(),
-        report.exposure_jumps.len(),
-        report.blurred.len(),
-        report.plain.len(),
-        report.overexposed.len()
-    );
-    println!(
-        "depth images {}, ground truth {}",
-        report.depth_images,
-        if report.has_ground_truth { "yes" } else { "no" }
-    );
+    let (depths, has_truth) = (report.depth_images, report.has_ground_truth);
+    let has_truth = if has_truth { "yes" } else { "no" };
+    println!("depth images {depths}, ground truth {has_truth}");
     if let (Some(imu), Some(interpretation)) = (&report.imu, &report.imu_interpretation) {
         println!(
             "inertial     {} readings in {:.1} s, {:.0} per second, largest gap {:.3} s, {} saturated",

@@ -1,6 +1,6 @@
 //! `monogrid demo`: a built-in world from rendering to the report, compared with the exact truth.
 
-use super::depth::{Candidate, DepthComparison};
+use super::evaluate::add_keyframe;
 use super::truth::triangles_of;
 use super::use_threads;
 use crate::args::{JsonArg, Profile};
@@ -17,7 +17,8 @@ use crate::run::whole::{Extras, run_all};
 use clap::Args;
 use monogrid_datasets::TimedPose;
 use monogrid_evaluation::{
-    DepthReport, MapEvaluationConfig, MapReport, TruthConfig, evaluate_map, truth_from_triangles,
+    DepthConfig, DepthEvaluator, DepthReport, MapEvaluationConfig, MapReport, TruthConfig,
+    evaluate_map, truth_from_triangles,
 };
 use monogrid_geometry::{Camera, Distortion};
 use monogrid_slam::mapping::Maps;
@@ -61,21 +62,17 @@ pub fn execute(args: &DemoArgs) -> CommandResult {
     if args.max_frames == Some(0) {
         return Err(Failure::input("--max-frames is 0, expected at least 1"));
     }
-    let folder = Arc::new(OutputFolder::named_or_new(
-        args.out.as_deref(),
-        "demo",
-        args.force,
-        &Inputs::default(),
-    )?);
+    let (out, inputs) = (args.out.as_deref(), Inputs::default());
+    let folder = OutputFolder::named_or_new(out, "demo", args.force, &inputs)?;
+    let folder = Arc::new(folder);
     eprintln!("building a furnished living room");
     let mut sequence = SynthSequence::demo().map_err(Failure::running)?;
     if let Some(frames) = args.max_frames {
         sequence = sequence.shortened(frames);
     }
-    let poses = true_poses(&sequence);
     let align = Align::Trajectory {
         path: "the exact truth".into(),
-        poses,
+        poses: true_poses(&sequence),
     };
     let input = Input::rendered(sequence, config.working_size());
     eprintln!(
@@ -133,7 +130,8 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<DepthReport>
     let pinhole = *input.preparation.pinhole();
     let working = Camera::try_new(width, height, pinhole, Distortion::None);
     let renderer = Renderer::new(&working.map_err(Failure::running)?, 1.0);
-    let mut comparison = DepthComparison::new();
+    let mut evaluator = DepthEvaluator::new(DepthConfig::default());
+    let mut has_compared = false;
     for keyframe in tracked.run.slam.keyframes() {
         let pose = tracked.run.poses.in_main_map(keyframe.id);
         let true_depth = sequence.depth_through(&renderer, keyframe.frame_index);
@@ -141,16 +139,12 @@ fn compare_depth(input: &Input, tracked: &Tracked) -> Result<Option<DepthReport>
         else {
             continue;
         };
-        let candidate = Candidate {
-            id: keyframe.id,
-            image: &keyframe.image,
-            pixels: &keyframe.pixels,
-            world_scale: pose.scale,
-        };
-        comparison.add(&candidate, &true_depth)?;
+        let measured = (&keyframe.image, keyframe.pixels.as_slice(), pose.scale);
+        add_keyframe(&mut evaluator, keyframe.id, measured, &true_depth)?;
+        has_compared = true;
     }
-    if comparison.num_compared() == 0 {
+    if !has_compared {
         return Ok(None);
     }
-    comparison.finish().map(Some)
+    evaluator.finish().map(Some).map_err(Failure::input)
 }

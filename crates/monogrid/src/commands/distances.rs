@@ -1,8 +1,7 @@
 //! `monogrid distances`: the distance to the nearest obstacle as an array.
 
-use super::print_json;
-use crate::args::{ForceArg, JsonArg, positive};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::args::{WriteArgs, positive};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use clap::Args;
@@ -28,9 +27,7 @@ pub struct DistancesArgs {
     #[arg(long)]
     pub unknown_blocks: bool,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// Numbers in an array at most.
@@ -45,9 +42,9 @@ pub fn execute(args: &DistancesArgs) -> CommandResult {
         )));
     }
     let inputs = Inputs::of("the map", &args.map);
-    let file = OutputFile::new(&args.output, args.force.force, &inputs)?;
+    let file = OutputFile::new(&args.output, args.write.force, &inputs)?;
     let yaml = args.output.with_extension("yaml");
-    let yaml = OutputFile::new(&yaml, args.force.force, &inputs)?;
+    let yaml = OutputFile::new(&yaml, args.write.force, &inputs)?;
     let (map, _) = mapfile::load(&args.map)?;
     let layers = Layers::new(&map, args)?;
     let config = DistanceConfig {
@@ -70,21 +67,15 @@ pub fn execute(args: &DistancesArgs) -> CommandResult {
         Ok(())
     })?;
     yaml.write(layers.description(&map, args).as_bytes())?;
-    if args.json.json {
-        return print_json(&serde_json::json!({
-            "shape": layers.shape(),
-            "resolution": map.resolution(),
-            "origin": layers.first.center(map.resolution()),
-        }))
-        .map(|()| Outcome::Done);
-    }
-    println!(
-        "{}: {:?} cells of {}",
-        args.output.display(),
-        layers.shape(),
-        map.resolution()
-    );
-    Ok(Outcome::Done)
+    let (shape, resolution) = (layers.shape(), map.resolution());
+    let report = serde_json::json!({
+        "shape": shape,
+        "resolution": resolution,
+        "origin": layers.first.center(resolution),
+    });
+    args.write.json.print(&report, || {
+        println!("{}: {shape:?} cells of {resolution}", args.output.display());
+    })
 }
 
 /// The cells of the array.
@@ -116,17 +107,14 @@ impl Layers {
             last,
             is_flat: args.height.is_some(),
         };
-        let sides = this.sides();
-        let count = sides
-            .iter()
-            .try_fold(1usize, |all, side| all.checked_mul(*side));
-        match count.filter(|count| *count <= MAX_CELLS) {
-            Some(_) => Ok(this),
-            None => Err(Failure::input(format!(
-                "the map is {} x {} x {} cells, expected at most {MAX_CELLS}: take one layer (--height) or a part (monogrid crop)",
-                sides[0], sides[1], sides[2]
-            ))),
+        let [x, y, z] = this.sides();
+        let count = x.checked_mul(y).and_then(|count| count.checked_mul(z));
+        if count.is_some_and(|count| count <= MAX_CELLS) {
+            return Ok(this);
         }
+        Err(Failure::input(format!(
+            "the map is {x} x {y} x {z} cells, expected at most {MAX_CELLS}: take one layer (--height) or a part (monogrid crop)"
+        )))
     }
 
     /// Cells along x, y and z.
@@ -138,10 +126,9 @@ impl Layers {
     /// Lengths of the array's axes, z first; of a layer only y and x.
     fn shape(&self) -> Vec<usize> {
         let [x, y, z] = self.sides();
-        if self.is_flat {
-            vec![y, x]
-        } else {
-            vec![z, y, x]
+        match self.is_flat {
+            true => vec![y, x],
+            false => vec![z, y, x],
         }
     }
 
@@ -156,23 +143,19 @@ impl Layers {
 
     fn description(&self, map: &OccupancyMap, args: &DistancesArgs) -> String {
         let [x, y, z] = self.first.center(map.resolution());
-        let name = args
-            .output
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy();
+        let name = args.output.file_name().unwrap_or_default();
+        let or_unknown = match args.unknown_blocks {
+            true => " or unknown one",
+            false => "",
+        };
+        let axes = if self.is_flat { "y, x" } else { "z, y, x" };
         format!(
-            "array: {name}\nresolution: {}\norigin: [{x}, {y}, {z}]\nmax_distance: {}\n\
-             # distances between centres of cells, to the nearest occupied one{}, in the unit of the map; max_distance stands\n\
-             # for all that is farther, NaN for unknown cells; axes are {}; origin is the centre of the first cell\n",
+            "array: {}\nresolution: {}\norigin: [{x}, {y}, {z}]\nmax_distance: {}\n\
+             # distances between centres of cells, to the nearest occupied one{or_unknown}, in the unit of the map; max_distance stands\n\
+             # for all that is farther, NaN for unknown cells; axes are {axes}; origin is the centre of the first cell\n",
+            name.to_string_lossy(),
             map.resolution(),
-            args.max_distance,
-            if args.unknown_blocks {
-                " or unknown one"
-            } else {
-                ""
-            },
-            if self.is_flat { "y, x" } else { "z, y, x" },
+            args.max_distance
         )
     }
 }

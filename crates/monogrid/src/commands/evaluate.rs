@@ -1,13 +1,11 @@
 //! `monogrid evaluate trajectory` and `monogrid evaluate depth`.
 
-use super::depth::{Candidate, DepthComparison};
-use super::print_json;
 use super::use_threads;
 use crate::args::{JsonArg, Profile};
 use crate::config::RunConfig;
 use crate::depth_images::{depth_calibration, registered_depth};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
-use crate::keyframe_pixels::from_recorded;
+use crate::failure::{Classify, CommandResult, Failure};
+use crate::keyframe_pixels::{from_recorded, to_estimates};
 use crate::output::{Inputs, OutputFile};
 use crate::recorded::{by_camera, cameras_of, scans_of};
 use crate::run::align::stamped_all;
@@ -18,10 +16,12 @@ use monogrid_datasets::{
     parse_seconds, read_file, read_trajectory,
 };
 use monogrid_evaluation::{
-    DepthReport, TrajectoryAlignment, TrajectoryConfig, TrajectoryReport, WrongPoseConfig,
-    evaluate_trajectory,
+    DepthConfig, DepthEvaluator, DepthReport, KeyframeDepth, TrajectoryAlignment, TrajectoryConfig,
+    TrajectoryReport, WrongPoseConfig, evaluate_trajectory,
 };
 use monogrid_geometry::{Camera, Distortion};
+use monogrid_image::{GradientImage, GrayImage, Image};
+use monogrid_occupancy::DepthPixel as Measurement;
 use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{KeyframeScan, RefineConfig, refined_depths};
 use serde::Serialize;
@@ -87,15 +87,12 @@ const MAX_TABLE_BYTES: u64 = 1 << 30;
 /// Compares an estimated trajectory with the true one.
 pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     let inputs = Inputs::of("the estimate", &args.estimate).and("the truth", &args.truth);
-    let sim3 = args.write_sim3.as_deref();
-    let sim3 = sim3.map(|path| OutputFile::new(path, args.force, &inputs));
-    let sim3 = sim3.transpose()?;
+    let file = |path: &PathBuf| OutputFile::new(path, args.force, &inputs);
+    let sim3 = args.write_sim3.as_ref().map(file).transpose()?;
     let estimate = read_trajectory(&args.estimate).bad_input()?;
     let truth = read_trajectory(&args.truth).bad_input()?;
-    let frame_times = args
-        .estimate
-        .parent()
-        .and_then(|folder| frame_times_ns(&folder.join("frames.csv")));
+    let folder = args.estimate.parent();
+    let frame_times = folder.and_then(|folder| frame_times_ns(&folder.join("frames.csv")));
     let config = TrajectoryConfig {
         alignment: match args.align {
             AlignMode::Sim3 => TrajectoryAlignment::Sim3,
@@ -110,12 +107,7 @@ pub fn trajectory(args: &EvaluateTrajectoryArgs) -> CommandResult {
     if let Some(file) = &sim3 {
         file.write(format_sim3(&report.gt_from_est).as_bytes())?;
     }
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        print_trajectory(&report);
-    }
-    Ok(Outcome::Done)
+    args.json.print(&report, || print_trajectory(&report))
 }
 
 /// Times of the frames of the run whose results lie in the same folder; `None` where there are none.
@@ -134,11 +126,10 @@ fn print_trajectory(report: &TrajectoryReport) {
         Some(frames) => format!("{frames} frames with a true pose"),
         None => "true poses".to_owned(),
     };
+    let covered = 100.0 * report.coverage;
     println!(
-        "{} poses compared over a path of {:.3}; the estimate covers {:.1} % of the {of}; lengths in the unit of the truth",
-        report.matched,
-        report.path_length,
-        100.0 * report.coverage
+        "{} poses compared over a path of {:.3}; the estimate covers {covered:.1} % of the {of}; lengths in the unit of the truth",
+        report.matched, report.path_length
     );
     println!(
         "ATE   rmse {:.6}  mean {:.6}  median {:.6}  std {:.6}  max {:.6}",
@@ -153,10 +144,9 @@ fn print_trajectory(report: &TrajectoryReport) {
         report.scale, report.scale_drift
     );
     let wrong = WrongPoseConfig::default();
+    let [share, of_path] = [report.wrong_share, wrong.path_share].map(|share| 100.0 * share);
     println!(
-        "{:.1} % of the poses are off by more than {:.0} % of the path or {} degrees",
-        100.0 * report.wrong_share,
-        100.0 * wrong.path_share,
+        "{share:.1} % of the poses are off by more than {of_path:.0} % of the path or {} degrees",
         wrong.degrees
     );
 }
@@ -181,15 +171,12 @@ pub fn depth(args: &EvaluateDepthArgs) -> CommandResult {
         )));
     }
     let report = compare(&recording, &dataset, args)?;
-    if args.json.json {
-        print_json(&report)?;
-    } else {
+    args.json.print(&report, || {
         print_depth(&report.report);
         if report.seeded_left_out > 0 {
             println!("the keyframe that was given true depth is left out");
         }
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 fn compare(
@@ -205,16 +192,15 @@ fn compare(
         distortion: Distortion::None,
     };
     let calibration = depth_calibration(dataset, args.depth_calibration.as_deref(), &colour)?;
-    let registrations: Vec<(RecordedCamera, DepthRegistration)> = cameras_of(&recording.keyframes)
-        .into_iter()
-        .map(|camera| {
-            let (width, height) = (camera.width, camera.height);
-            let registration = DepthRegistration::new(&calibration, &camera.pinhole, width, height);
-            (camera, registration)
-        })
-        .collect();
-    let mut comparison = DepthComparison::new();
-    let mut seeded_left_out = 0;
+    let registration = |camera: RecordedCamera| {
+        let (width, height) = (camera.width, camera.height);
+        let registration = DepthRegistration::new(&calibration, &camera.pinhole, width, height);
+        (camera, registration)
+    };
+    let cameras = cameras_of(&recording.keyframes).into_iter();
+    let registrations: Vec<_> = cameras.map(registration).collect();
+    let mut evaluator = DepthEvaluator::new(DepthConfig::default());
+    let (mut num_compared, mut seeded_left_out) = (0, 0);
     for (keyframe, pixels) in recording.keyframes.iter().zip(depths(recording, args)?) {
         let (Some(image), Some(pose), Some(truth)) = (
             &keyframe.image,
@@ -232,16 +218,12 @@ fn compare(
         let Some((_, registration)) = registration else {
             continue;
         };
-        let true_depth = registered_depth(&truth.path, &calibration, registration)?;
-        let candidate = Candidate {
-            id: keyframe.id,
-            image,
-            pixels: &pixels,
-            world_scale: pose.scale,
-        };
-        comparison.add(&candidate, &true_depth)?;
+        let truth = registered_depth(&truth.path, &calibration, registration)?;
+        let measured = (image, pixels.as_slice(), pose.scale);
+        add_keyframe(&mut evaluator, keyframe.id, measured, &truth)?;
+        num_compared += 1;
     }
-    if comparison.num_compared() == 0 {
+    if num_compared == 0 {
         return Err(Failure::input(format!(
             "none of the {} keyframes of {} that was not given true depth has a depth image of its time in {}",
             recording.keyframes.len(),
@@ -250,9 +232,29 @@ fn compare(
         )));
     }
     Ok(Compared {
-        report: comparison.finish()?,
+        report: evaluator.finish().map_err(Failure::input)?,
         seeded_left_out,
     })
+}
+
+/// Adds a keyframe, its image, depth and length of its unit, and its true depth (z, NaN where unknown, in its camera).
+pub fn add_keyframe(
+    evaluator: &mut DepthEvaluator,
+    id: u32,
+    (image, pixels, world_scale): (&Image<u8>, &[DepthPixel], f64),
+    true_depth: &GrayImage,
+) -> Result<(), Failure> {
+    let gradient = GradientImage::new(&image.map(f32::from)).magnitude();
+    let keyframe = KeyframeDepth {
+        id: u64::from(id),
+        width: image.width(),
+        height: image.height(),
+        estimates: &to_estimates(pixels),
+        world_scale,
+        true_depth: true_depth.as_slice(),
+        gradient: gradient.as_slice(),
+    };
+    evaluator.add_keyframe(&keyframe).map_err(Failure::input)
 }
 
 /// The depth of the keyframes as it was recorded, or as the final map has it.
@@ -286,16 +288,13 @@ fn mapped_depths(
     config.validate()?;
     let threads = use_threads(None)?;
     let scans = scans_of(&recording.keyframes, &config.mapping, threads);
-    let pixels = |scan: &KeyframeScan| -> Vec<DepthPixel> {
-        let pixels = scan.pixels();
-        let measurements = pixels.iter().map(|pixel| DepthPixel {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.sigma_idepth.powi(2),
-        });
-        measurements.collect()
+    let pixel = |pixel: &Measurement| DepthPixel {
+        x: pixel.x,
+        y: pixel.y,
+        idepth: pixel.idepth,
+        idepth_var: pixel.sigma_idepth.powi(2),
     };
+    let pixels = |scan: &KeyframeScan| scan.pixels().iter().map(pixel).collect();
     Ok(scans.iter().map(pixels).collect())
 }
 

@@ -1,17 +1,19 @@
 //! `monogrid evaluate map` and `monogrid evaluate paths`: a map against the true one.
 
-use super::{print_json, tools, use_threads};
+use super::tools::similarity;
+use super::use_threads;
 use crate::args::{JsonArg, MappingArgs, Profile, positive};
 use crate::config::RunConfig;
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
 use crate::run::sessions::Source;
+use anyhow::Context as _;
 use clap::Args;
 use monogrid_datasets::read_sim3;
 use monogrid_evaluation::{
-    MapEvaluationConfig, MapReport, PathConfig, PathReport, PathStats, PathsReport, PolicyReport,
+    MapEvaluationConfig, MapReport, PathConfig, PathStats, PathsReport, PolicyReport,
     SurfaceAlignment, TruthGrid, align_to_surfaces, cells_in_view, evaluate_map, evaluate_paths,
 };
 use monogrid_geometry::{Vec2, Vec3};
@@ -106,44 +108,35 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
         }
         None => None,
     };
-    let mut alignment = None;
-    let estimate = match &mut recorded {
-        Some(recorded) if is_recording => {
-            let (map, on_surfaces) = mapped(recorded, args)?;
-            alignment = on_surfaces;
-            map
-        }
+    let (estimate, alignment) = match &mut recorded {
+        Some(recorded) if is_recording => mapped(recorded, args)?,
         _ if args.align_points => {
             return Err(Failure::input(
                 "--align-points moves the points of a recording before they are mapped: give the recording instead of the map",
             ));
         }
-        _ => mapfile::load(&args.estimate)?.0,
+        _ => (mapfile::load(&args.estimate)?.0, None),
     };
     let truth = load_truth(&args.truth)?;
-    let (estimate, truth) = match &args.move_map {
-        Some(file) => rotated_and_scaled(&estimate, truth, file, &args.truth)?,
-        None => fitted(estimate, truth, &args.truth)?,
+    let estimate = match &args.move_map {
+        Some(file) => rotated_and_scaled(&estimate, &truth, file)?,
+        None => estimate,
     };
-    let in_view = match &recorded {
-        Some(recorded) => Some(in_view(&truth, recorded, args.view_range)?),
-        None => None,
-    };
+    let truth = fitted(&estimate, truth, &args.truth)?;
+    let recorded = recorded.as_ref();
+    let in_view = recorded.map(|recorded| in_view(&truth, recorded, args.view_range));
+    let in_view = in_view.transpose()?;
     let config = MapEvaluationConfig {
         tolerance_m: args.tolerance,
         in_view: in_view.as_ref(),
         ..MapEvaluationConfig::default()
     };
     let report = evaluate_map(&estimate, &truth, &config).bad_input()?;
-    if args.json.json {
-        print_json(&Evaluated { report, alignment })?;
-    } else {
-        if let Some(alignment) = &alignment {
-            print_alignment(alignment);
-        }
-        print_map(&report);
-    }
-    Ok(Outcome::Done)
+    let evaluated = Evaluated { report, alignment };
+    args.json.print(&evaluated, || {
+        evaluated.alignment.iter().for_each(print_alignment);
+        print_map(&evaluated.report);
+    })
 }
 
 /// `evaluate map --json`.
@@ -151,10 +144,8 @@ pub fn map(args: &EvaluateMapArgs) -> CommandResult {
 struct Evaluated {
     #[serde(flatten)]
     report: MapReport,
-    #[serde(
-        rename = "aligned_to_surfaces",
-        skip_serializing_if = "Option::is_none"
-    )]
+    #[serde(rename = "aligned_to_surfaces")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     alignment: Option<SurfaceAlignment>,
 }
 
@@ -208,16 +199,11 @@ fn points_of(recorded: &Recorded, scans: &[KeyframeScan]) -> Vec<Vec3> {
 
 fn print_alignment(alignment: &SurfaceAlignment) {
     let SurfaceAlignment { before, after, .. } = alignment;
+    let [from, to] = [before, after].map(|distances| 100.0 * distances.within_a_cell);
     println!(
         "points brought onto the surfaces of the truth: moved by {:.4}, turned by {:.2} degrees, scaled by {:.4}; median distance {:.4} -> \
-         {:.4}, next to a surface {:.1} -> {:.1} %",
-        alignment.moved,
-        alignment.turned_deg,
-        alignment.scale,
-        before.median,
-        after.median,
-        100.0 * before.within_a_cell,
-        100.0 * after.within_a_cell
+         {:.4}, next to a surface {from:.1} -> {to:.1} %",
+        alignment.moved, alignment.turned_deg, alignment.scale, before.median, after.median
     );
 }
 
@@ -233,26 +219,22 @@ pub fn in_view(truth: &TruthGrid, recorded: &Recorded, range: f64) -> Result<Tru
 /// The thesis' alignment: the finished map is turned, scaled and resampled into the cells of the truth.
 fn rotated_and_scaled(
     estimate: &OccupancyMap,
-    truth: TruthGrid,
+    truth: &TruthGrid,
     sim3: &Path,
-    truth_path: &Path,
-) -> Result<(OccupancyMap, TruthGrid), Failure> {
+) -> Result<OccupancyMap, Failure> {
     let target_from_map = read_sim3(sim3).bad_input()?;
     // cells as large as the scaled ones, rounded to a whole number of true cells
     let scaled = estimate.resolution() * target_from_map.scale;
     let factor = (scaled / truth.resolution()).round().max(1.0);
-    let moved = estimate
-        .transformed(
-            &tools::similarity(&target_from_map),
-            truth.resolution() * factor,
-        )
-        .while_running("the map cannot be moved")?;
-    fitted(moved, truth, truth_path)
+    let resolution = truth.resolution() * factor;
+    let moved = estimate.transformed(&similarity(&target_from_map), resolution);
+    moved.while_running("the map cannot be moved")
 }
 
 /// Plans in both maps and checks each path in the other.
 pub fn paths(args: &EvaluatePathsArgs) -> CommandResult {
-    let (estimate, truth) = load_pair(&args.estimate, &args.truth)?;
+    let (estimate, _) = mapfile::load(&args.estimate)?;
+    let truth = fitted(&estimate, load_truth(&args.truth)?, &args.truth)?;
     let config = PathConfig {
         robot_radius: args.robot_radius,
         pairs: args.pairs,
@@ -262,47 +244,29 @@ pub fn paths(args: &EvaluatePathsArgs) -> CommandResult {
         ..PathConfig::default()
     };
     let report = evaluate_paths(&estimate, &truth, &config).bad_input()?;
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        print_paths(&report);
-    }
-    Ok(Outcome::Done)
-}
-
-/// Both maps, the truth with cells as large as those of the estimate.
-fn load_pair(estimate: &Path, truth: &Path) -> Result<(OccupancyMap, TruthGrid), Failure> {
-    let (map, _) = mapfile::load(estimate)?;
-    fitted(map, load_truth(truth)?, truth)
+    args.json.print(&report, || print_paths(&report))
 }
 
 /// Reads a true map.
 pub fn load_truth(path: &Path) -> Result<TruthGrid, Failure> {
     let (map, _) = mapfile::load(path)?;
-    TruthGrid::from_map(&map, MAX_CELLS).map_err(|error| of_truth(error, path))
+    let truth = TruthGrid::from_map(&map, MAX_CELLS).with_context(|| name_of(path));
+    truth.bad_input()
 }
 
-fn of_truth(error: monogrid_evaluation::TruthError, path: &Path) -> Failure {
-    Failure::Input(anyhow::Error::from(error).context(format!("true map {}", path.display())))
+fn name_of(truth: &Path) -> String {
+    format!("true map {}", truth.display())
 }
 
 /// The truth with cells as large as those of the estimate, where a whole number of its own makes one.
-fn fitted(
-    map: OccupancyMap,
-    truth: TruthGrid,
-    path: &Path,
-) -> Result<(OccupancyMap, TruthGrid), Failure> {
-    let truth = truth.with_cells_of(&map);
-    let truth = truth.map_err(|error| of_truth(error, path))?;
-    Ok((map, truth))
+fn fitted(map: &OccupancyMap, truth: TruthGrid, path: &Path) -> Result<TruthGrid, Failure> {
+    let truth = truth.with_cells_of(map).with_context(|| name_of(path));
+    truth.bad_input()
 }
 
 fn print_map(report: &MapReport) {
     let policies = &report.policies;
-    println!(
-        "{:<12}{:>8}{:>8}{:>8}{:>11}{:>8}{:>13}{:>8}",
-        "policy", "AUC", "AUC 26", "MCC", "precision", "recall", "specificity", "F1"
-    );
+    println!("policy           AUC  AUC 26     MCC  precision  recall  specificity      F1");
     let rows: [(&str, &PolicyReport); 4] = [
         ("observed", &policies.observed),
         ("known", &policies.known),
@@ -310,22 +274,14 @@ fn print_map(report: &MapReport) {
         ("safety", &policies.safety),
     ];
     for (name, policy) in rows {
+        let [auc, auc_26, mcc] = [policy.auc, policy.auc_26, policy.mcc];
         println!(
-            "{name:<12}{:>8.4}{:>8.4}{:>8.4}{:>11.4}{:>8.4}{:>13.4}{:>8.4}",
-            policy.auc,
-            policy.auc_26,
-            policy.mcc,
-            policy.precision,
-            policy.recall,
-            policy.specificity,
-            policy.f1
+            "{name:<12}{auc:>8.4}{auc_26:>8.4}{mcc:>8.4}{:>11.4}{:>8.4}{:>13.4}{:>8.4}",
+            policy.precision, policy.recall, policy.specificity, policy.f1
         );
     }
     println!();
-    println!(
-        "{:<12}{:>12}{:>12}{:>12}{:>12}",
-        "at p > 0.5", "TP", "FP", "TN", "FN"
-    );
+    println!("at p > 0.5            TP          FP          TN          FN");
     for (name, policy) in rows {
         let counts = &policy.counts;
         println!(
@@ -339,30 +295,26 @@ fn print_map(report: &MapReport) {
 
 /// What is there, where it is, and how far the probabilities can be believed.
 fn print_cells(report: &MapReport) {
+    let shares = [report.coverage_free, report.coverage_occupied].map(percent);
     println!(
-        "observed: {:.1} % of the free and {:.1} % of the occupied cells; {} cells beyond the truth",
-        100.0 * report.coverage_free,
-        100.0 * report.coverage_occupied,
-        report.observed_outside
+        "observed: {} of the free and {} of the occupied cells; {} cells beyond the truth",
+        shares[0], shares[1], report.observed_outside
     );
     if let (Some(free), Some(occupied)) = (
         report.coverage_free_in_view,
         report.coverage_occupied_in_view,
     ) {
+        let [free, occupied] = [free, occupied].map(percent);
         println!(
-            "of those that a keyframe looks at: {:.1} % of the free and {:.1} % of the occupied cells",
-            100.0 * free,
-            100.0 * occupied
+            "of those that a keyframe looks at: {free} of the free and {occupied} of the occupied cells"
         );
     }
     let surface = &report.surface;
+    let [median, most] = [surface.accuracy_median_m, surface.accuracy_p90_m].map(or_dash);
+    let mean = or_dash(surface.accuracy_m);
+    let [beyond, complete] = [surface.accuracy_beyond_3_cells, surface.completeness].map(percent);
     println!(
-        "surface: accuracy median {}, 90 % {}, mean {}, {:.1} % beyond 3 cells; completeness {:.1} % within {}",
-        or_dash(surface.accuracy_median_m),
-        or_dash(surface.accuracy_p90_m),
-        or_dash(surface.accuracy_m),
-        100.0 * surface.accuracy_beyond_3_cells,
-        100.0 * surface.completeness,
+        "surface: accuracy median {median}, 90 % {most}, mean {mean}, {beyond} beyond 3 cells; completeness {complete} within {}",
         surface.tolerance_m
     );
     let thickness = &report.thickness;
@@ -373,19 +325,19 @@ fn print_cells(report: &MapReport) {
         "false walls: {} of {} occupied cells lie over 0.1 outside what the truth knows; MCC {:.4} with these as false",
         report.predicted_beyond, report.predicted, report.mcc_with_beyond
     );
-    if report.predicted_outside > 0 {
+    let (predicted, outside) = (report.predicted, report.predicted_outside);
+    if outside > 0 {
+        let share = 100.0 * outside as f64 / predicted as f64;
         println!(
-            "of {} occupied cells {} ({:.1} %) lie beyond the truth: they count in the accuracy and nowhere else",
-            report.predicted,
-            report.predicted_outside,
-            100.0 * report.predicted_outside as f64 / report.predicted as f64
+            "of {predicted} occupied cells {outside} ({share:.1} %) lie beyond the truth: they count in the accuracy and nowhere else"
         );
     }
-    println!(
-        "Brier score {}, squared differences {:.2} per slice",
-        or_dash(report.calibration.brier),
-        report.ssd
-    );
+    let (brier, ssd) = (or_dash(report.calibration.brier), report.ssd);
+    println!("Brier score {brier}, squared differences {ssd:.2} per slice");
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
 }
 
 fn or_dash(value: Option<f64>) -> String {
@@ -398,21 +350,10 @@ fn print_paths(report: &PathsReport) {
         report.robot_radius, report.planning_margin, report.planning_cell
     );
     println!(
-        "{:<28}{:>7}{:>10}{:>13}{:>9}{:>12}{:>8}{:>11}",
-        "unknown cells, pairs",
-        "pairs",
-        "blocked",
-        "unreachable",
-        "planned",
-        "colliding",
-        "length",
-        "clearance"
+        "unknown cells, pairs          pairs   blocked  unreachable  planned   colliding  length  clearance"
     );
-    let rules: [(&str, &PathReport); 2] = [
-        ("blocked", &report.unknown_blocked),
-        ("free", &report.unknown_free),
-    ];
-    for (name, rule) in rules {
+    let rules = [&report.unknown_blocked, &report.unknown_free];
+    for (name, rule) in ["blocked", "free"].into_iter().zip(rules) {
         print_stats(&format!("{name}, all"), &rule.all);
         print_stats(&format!("{name}, ends observed"), &rule.observed);
         print_stats(&format!("{name}, path observed"), &rule.path_observed);
@@ -428,16 +369,13 @@ fn print_paths(report: &PathsReport) {
 }
 
 fn print_stats(name: &str, stats: &PathStats) {
+    let [blocked, colliding] = [stats.false_positive, stats.false_negative].map(percent);
+    let unreachable = percent(stats.unreachable);
+    let length = stats.length_ratio.map(|ratio| format!("{ratio:.3}"));
+    let length = length.unwrap_or_else(|| "-".to_owned());
+    let clearance = or_dash(stats.clearance_median);
     println!(
-        "{name:<28}{:>7}{:>8.1} %{:>11.1} %{:>9}{:>10.1} %{:>8}{:>11}",
-        stats.pairs,
-        100.0 * stats.false_positive,
-        100.0 * stats.unreachable,
-        stats.planned,
-        100.0 * stats.false_negative,
-        stats
-            .length_ratio
-            .map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.3}")),
-        or_dash(stats.clearance_median)
+        "{name:<28}{:>7}{blocked:>10}{unreachable:>13}{:>9}{colliding:>12}{length:>8}{clearance:>11}",
+        stats.pairs, stats.planned
     );
 }

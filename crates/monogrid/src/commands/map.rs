@@ -1,10 +1,10 @@
 //! `monogrid map`: an occupancy map from a recording, from scans, or from posed depth images.
 
 use super::posed_depth::PosedDepthFolder;
-use super::{bytes, print_json, use_threads};
-use crate::args::{ForceArg, JsonArg, MappingArgs, Profile};
+use super::{bytes, use_threads, warn};
+use crate::args::{MappingArgs, Profile, WriteArgs};
 use crate::config::RunConfig;
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use crate::picture::voxels::{View, occupied_cubes, render};
@@ -64,9 +64,7 @@ pub struct MapArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// `map --json`.
@@ -92,54 +90,31 @@ struct Built {
     map: OccupancyMap,
     points: usize,
     scans: usize,
-    cpu: Duration,
-    wall: Duration,
+    watch: Stopwatch,
     frame: String,
     warnings: Vec<String>,
-    look: MeshLook,
-}
-
-/// How the surface of a map is written.
-struct MeshLook {
-    /// Colours of its cells.
+    /// Colours of the cells, for the surface.
     colours: CellColours,
-    config: MeshConfig,
+    mesh: MeshConfig,
+    /// Name of the unit of length, for the file of the surface.
     unit: &'static str,
-}
-
-impl MeshLook {
-    /// Of measurements without images, at poses that were given.
-    fn of_given_poses(config: MeshConfig) -> Self {
-        Self {
-            colours: CellColours::unknown(),
-            config,
-            unit: "the unit of the poses",
-        }
-    }
 }
 
 /// Builds and writes the map.
 pub fn execute(args: &MapArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
-    let files = Files::new(args)?;
+    let (files, kind) = Files::new(args)?;
     let align = Align::parse(args.align.as_deref(), args.up.unwrap_or_default())?;
-    let mut built = match Kind::of(&args.recording)? {
+    let mut built = match kind {
         Kind::Recording => from_recording(args, &align, threads)?,
         Kind::Scans => from_scans(args, &align, threads)?,
         Kind::Folder => from_folder(args, &align, threads)?,
     };
     built.map.pack(threads);
     let file_bytes = files.write(&built)?;
-    for warning in &built.warnings {
-        eprintln!("warning: {warning}");
-    }
-    let report = MapReport::new(built, file_bytes, threads);
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        report.print(&args.out);
-    }
-    Ok(Outcome::Done)
+    warn(&built.warnings);
+    let report = built.report(file_bytes, threads);
+    args.write.json.print(&report, || report.print(&args.out))
 }
 
 /// The files that are asked for.
@@ -150,17 +125,19 @@ struct Files {
 }
 
 impl Files {
-    /// Refuses names that cannot be written before anything is built.
-    fn new(args: &MapArgs) -> Result<Self, Failure> {
+    /// Refuses names that cannot be written before anything is built; what that will be built of.
+    fn new(args: &MapArgs) -> Result<(Self, Kind), Failure> {
         let format = MapFormat::from_name(&args.out, &MapFormat::MAPS).bad_input()?;
-        let inputs = inputs(args)?;
-        let file = |path: &Path| OutputFile::new(path, args.force.force, &inputs);
+        let kind = Kind::of(&args.recording)?;
+        let inputs = inputs(args, &kind)?;
+        let file = |path: &Path| OutputFile::new(path, args.write.force, &inputs);
         let mesh = |path: &Path| Ok((file(path)?, MeshFormat::from_name(path)?));
-        Ok(Self {
+        let files = Self {
             map: (file(&args.out)?, format),
             png: args.png.as_deref().map(file).transpose()?,
             mesh: args.mesh.as_deref().map(mesh).transpose()?,
-        })
+        };
+        Ok((files, kind))
     }
 
     /// Writes them; bytes of the map's file.
@@ -173,60 +150,87 @@ impl Files {
             png.write(&encode_png_rgb(&picture))?;
         }
         if let Some((file, format)) = &self.mesh {
-            let look = &built.look;
-            let mesh = look.colours.mesh(&built.map, &look.config);
+            let mesh = built.colours.mesh(&built.map, &built.mesh);
             let mesh = mesh.while_running("the surface cannot be made")?;
-            file.write_with(|out| format.write(&mesh, look.unit, out))?;
+            file.write_with(|out| format.write(&mesh, built.unit, out))?;
         }
         Ok(file_bytes)
     }
 }
 
-impl MapReport {
-    fn new(built: Built, file_bytes: u64, threads: usize) -> Self {
-        let seconds = built.cpu.as_secs_f64();
-        Self {
-            points: built.points,
-            scans: built.scans,
-            seconds,
-            seconds_per_100k_points: seconds * 1e5 / built.points.max(1) as f64,
-            wall_seconds: built.wall.as_secs_f64(),
-            resolution: built.map.resolution(),
-            leaves: built.map.leaf_count(),
-            bytes_in_memory: built.map.bytes_in_memory(),
-            peak_rss_bytes: peak_rss_bytes(),
-            file_bytes,
-            frame: built.frame,
-            threads,
-            warnings: built.warnings,
-        }
+impl Built {
+    /// Nothing yet of measurements whose poses and sigmas are given; how they are added to the map, and the frame of the map. There is
+    /// neither a range limit nor an uncertainty of the pose, unless asked for.
+    fn nothing(
+        args: &MapArgs,
+        align: &Align,
+        threads: usize,
+    ) -> Result<(Self, Mapper, Sim3), Failure> {
+        let mut usual = RunConfig::of(args.profile.unwrap_or_default());
+        usual.mapping.max_range = f64::INFINITY;
+        usual.mapping.pose_sigma = 0.0;
+        usual.mapping.pose_sigma_deg = 0.0;
+        let config = settings(args, Some(usual))?;
+        let (map_from_world, frame) = given_frame(align)?;
+        let mesh = config.mapping.mesh;
+        let mapper = Mapper::new(config.mapping, threads);
+        let nothing = Self {
+            map: mapper.empty_map().bad_input()?,
+            points: 0,
+            scans: 0,
+            watch: Stopwatch::default(),
+            frame,
+            warnings: Vec::new(),
+            colours: CellColours::unknown(),
+            mesh,
+            unit: "the unit of the poses",
+        };
+        Ok((nothing, mapper, map_from_world))
     }
 
+    fn report(self, file_bytes: u64, threads: usize) -> MapReport {
+        let seconds = self.watch.cpu.as_secs_f64();
+        MapReport {
+            points: self.points,
+            scans: self.scans,
+            seconds,
+            seconds_per_100k_points: seconds * 1e5 / self.points.max(1) as f64,
+            wall_seconds: self.watch.wall.as_secs_f64(),
+            resolution: self.map.resolution(),
+            leaves: self.map.leaf_count(),
+            bytes_in_memory: self.map.bytes_in_memory(),
+            peak_rss_bytes: peak_rss_bytes(),
+            file_bytes,
+            frame: self.frame,
+            threads,
+            warnings: self.warnings,
+        }
+    }
+}
+
+impl MapReport {
     fn print(&self, map: &Path) {
         println!(
             "{} measurements of {} scans in {:.2} s of CPU ({:.4} s per 100 000)",
             self.points, self.scans, self.seconds, self.seconds_per_100k_points
         );
+        let [memory, disk] = [self.bytes_in_memory as u64, self.file_bytes].map(bytes);
+        let map = map.display();
         println!(
-            "{}: cells of {}, {} leaves, {} in memory, {} on disk; {}",
-            map.display(),
-            self.resolution,
-            self.leaves,
-            bytes(self.bytes_in_memory as u64),
-            bytes(self.file_bytes),
-            self.frame
+            "{map}: cells of {}, {} leaves, {memory} in memory, {disk} on disk; {}",
+            self.resolution, self.leaves, self.frame
         );
     }
 }
 
 /// What is read: the images of a folder too.
-fn inputs(args: &MapArgs) -> Result<Inputs, Failure> {
+fn inputs(args: &MapArgs, kind: &Kind) -> Result<Inputs, Failure> {
     let inputs = Inputs::of("the recording", &args.recording)
         .and_all("a trajectory", &args.trajectory)
         .and_all("a calibration", &args.depth_calibration)
         .and_all("the settings", &args.config)
         .and_named("the reference", args.align.as_deref());
-    Ok(match Kind::of(&args.recording)? {
+    Ok(match kind {
         Kind::Folder => inputs.and_dataset(&args.recording)?,
         Kind::Recording => inputs.and_all("the recording", files_of(&args.recording)),
         Kind::Scans => inputs,
@@ -261,18 +265,12 @@ impl Kind {
     }
 }
 
-/// The settings: those of the recording unless a file or profile is given, then the options.
-fn settings(args: &MapArgs, recorded: Option<RunConfig>) -> Result<RunConfig, Failure> {
-    let explicit = args.config.is_some() || args.profile.is_some();
-    let config = match recorded {
-        Some(recorded) if !explicit => recorded,
+/// The settings: those of a file where one is named, else the usual ones, else those of the profile; then the options.
+fn settings(args: &MapArgs, usual: Option<RunConfig>) -> Result<RunConfig, Failure> {
+    let config = match usual {
+        Some(usual) if args.config.is_none() => usual,
         _ => RunConfig::resolve_mapping(args.profile, args.config.as_deref())?,
     };
-    finish_settings(config, args)
-}
-
-/// What the command line says, over everything else.
-fn finish_settings(config: RunConfig, args: &MapArgs) -> Result<RunConfig, Failure> {
     let mut config = config.with_settings(&args.set)?;
     config.apply(&args.mapping);
     config.validate()?;
@@ -280,19 +278,13 @@ fn finish_settings(config: RunConfig, args: &MapArgs) -> Result<RunConfig, Failu
 }
 
 /// Measures the time of a piece of work on all threads.
+#[derive(Default)]
 struct Stopwatch {
     cpu: Duration,
     wall: Duration,
 }
 
 impl Stopwatch {
-    fn new() -> Self {
-        Self {
-            cpu: Duration::ZERO,
-            wall: Duration::ZERO,
-        }
-    }
-
     fn time<T>(&mut self, work: impl FnOnce() -> T) -> T {
         let (cpu, wall) = (process_cpu(), Instant::now());
         let result = work();
@@ -304,8 +296,10 @@ impl Stopwatch {
 
 fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Failure> {
     let recorded = Recorded::read(&args.recording, align)?;
-    let config = settings(args, recorded.config.clone())?;
-    let mut watch = Stopwatch::new();
+    // a profile that is named is meant instead of the settings of the recording
+    let usual = recorded.config.clone().filter(|_| args.profile.is_none());
+    let config = settings(args, usual)?;
+    let mut watch = Stopwatch::default();
     let (scans, built) = watch.time(|| {
         let scans = recorded.scans(&config.mapping, threads);
         let built = recorded.map(&scans, &config.mapping, threads);
@@ -321,32 +315,16 @@ fn from_recording(args: &MapArgs, align: &Align, threads: usize) -> Result<Built
     }
     let is_metric = recorded.frame.is_aligned || recorded.session.scale == Scale::Metric;
     Ok(Built {
-        look: MeshLook {
-            colours,
-            config: config.mapping.mesh,
-            unit: unit_name(is_metric),
-        },
+        colours,
+        mesh: config.mapping.mesh,
+        unit: unit_name(is_metric),
         map,
         points: stats.points,
         scans: stats.keyframes,
-        cpu: watch.cpu,
-        wall: watch.wall,
+        watch,
         frame: recorded.frame.description,
         warnings: recorded.warnings,
     })
-}
-
-/// Settings for measurements whose poses and sigmas are given: neither range limit nor uncertainty of
-/// the pose, unless asked for.
-fn settings_for_given_poses(args: &MapArgs) -> Result<RunConfig, Failure> {
-    let mut base = RunConfig::of(args.profile.unwrap_or_default());
-    base.mapping.max_range = f64::INFINITY;
-    base.mapping.pose_sigma = 0.0;
-    base.mapping.pose_sigma_deg = 0.0;
-    if args.config.is_some() {
-        return settings(args, None);
-    }
-    finish_settings(base, args)
 }
 
 /// The frame of data that has its own poses.
@@ -373,36 +351,19 @@ fn given_frame(align: &Align) -> Result<(Sim3, String), Failure> {
 }
 
 fn from_scans(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Failure> {
-    let config = settings_for_given_poses(args)?;
-    let (map_from_world, frame) = given_frame(align)?;
-    let reader = ScansReader::open(&args.recording).bad_input()?;
-    let look = MeshLook::of_given_poses(config.mapping.mesh);
-    let mapper = Mapper::new(config.mapping, threads);
-    let mut map = mapper.empty_map().bad_input()?;
-    let mut watch = Stopwatch::new();
-    let (mut points, mut scans) = (0, 0);
-    for scan in reader {
+    let (mut built, mapper, map_from_world) = Built::nothing(args, align, threads)?;
+    for (id, scan) in (0..).zip(ScansReader::open(&args.recording).bad_input()?) {
         let scan = scan.bad_input()?;
-        points += watch
-            .time(|| {
-                let ends: Vec<[f32; 3]> = scan.points.iter().map(|p| p.point_in_sensor).collect();
-                let sigmas: Vec<f32> = scan.points.iter().map(|p| p.range_sigma).collect();
-                let pose = &scan.world_from_sensor;
-                mapper.integrate_points(&mut map, scans, pose, &map_from_world, (&ends, &sigmas))
-            })
-            .while_running("the map cannot be built")?;
-        scans += 1;
+        let points = built.watch.time(|| {
+            let ends: Vec<[f32; 3]> = scan.points.iter().map(|p| p.point_in_sensor).collect();
+            let sigmas: Vec<f32> = scan.points.iter().map(|p| p.range_sigma).collect();
+            let (map, pose) = (&mut built.map, &scan.world_from_sensor);
+            mapper.integrate_points(map, id, pose, &map_from_world, (&ends, &sigmas))
+        });
+        built.points += points.while_running("the map cannot be built")?;
+        built.scans += 1;
     }
-    Ok(Built {
-        look,
-        map,
-        points,
-        scans: scans as usize,
-        cpu: watch.cpu,
-        wall: watch.wall,
-        frame,
-        warnings: Vec::new(),
-    })
+    Ok(built)
 }
 
 fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, Failure> {
@@ -411,40 +372,24 @@ fn from_folder(args: &MapArgs, align: &Align, threads: usize) -> Result<Built, F
         args.depth_calibration.as_deref(),
         args.trajectory.as_deref(),
     )?;
-    let config = settings_for_given_poses(args)?;
-    let (map_from_world, frame) = given_frame(align)?;
-    let look = MeshLook::of_given_poses(config.mapping.mesh);
-    let mapper = Mapper::new(config.mapping, threads);
-    let mut map = mapper.empty_map().bad_input()?;
-    let mut watch = Stopwatch::new();
-    let (mut points, mut scans) = (0, 0u32);
-    for (entry, pose) in folder.posed()? {
+    let (mut built, mapper, map_from_world) = Built::nothing(args, align, threads)?;
+    for (id, (entry, pose)) in (0..).zip(folder.posed()?) {
         let depth = folder.read(entry)?;
-        points += watch
-            .time(|| {
-                let (pinhole, config) = (folder.pinhole(), mapper.config());
-                let scan = KeyframeScan::from_depth_image(scans, &depth, pinhole, config);
-                let map_from_camera = map_from_world * pose.with_scale(1.0);
-                mapper.integrate(&mut map, &scan, &map_from_camera)
-            })
-            .while_running("the map cannot be built")?;
-        scans += 1;
+        let points = built.watch.time(|| {
+            let (pinhole, config) = (folder.pinhole, mapper.config());
+            let scan = KeyframeScan::from_depth_image(id, &depth, pinhole, config);
+            let map_from_camera = map_from_world * pose.with_scale(1.0);
+            mapper.integrate(&mut built.map, &scan, &map_from_camera)
+        });
+        built.points += points.while_running("the map cannot be built")?;
+        built.scans += 1;
     }
-    let mut warnings = folder.warnings().to_vec();
-    let num_without_pose = folder.num_depths() - scans as usize;
+    let num_without_pose = folder.dataset.depths.len() - built.scans;
+    built.warnings = folder.dataset.warnings;
     if num_without_pose > 0 {
-        warnings.push(format!(
+        built.warnings.push(format!(
             "{num_without_pose} depth images have no pose of their time"
         ));
     }
-    Ok(Built {
-        look,
-        map,
-        points,
-        scans: scans as usize,
-        cpu: watch.cpu,
-        wall: watch.wall,
-        frame,
-        warnings,
-    })
+    Ok(built)
 }

@@ -4,17 +4,13 @@ pub mod batch;
 pub mod calibrate;
 pub mod cameras;
 pub mod check;
-pub mod convert;
 pub mod demo;
-pub mod depth;
 pub mod distances;
 pub mod evaluate;
 pub mod evaluate_map;
 pub mod info;
 pub mod map;
 pub mod merge_runs;
-pub mod mesh;
-pub mod plan;
 pub mod posed_depth;
 pub mod report;
 pub mod rescale;
@@ -29,14 +25,34 @@ pub mod truth;
 pub mod view;
 pub mod vocabulary;
 
-use crate::failure::Failure;
+use crate::args::JsonArg;
+use crate::failure::{CommandResult, Failure, Outcome};
 use serde::Serialize;
+
+impl JsonArg {
+    /// Prints a report for programs where that is asked for, else for people: the end of a command that did all it was to do.
+    pub fn print(self, report: &impl Serialize, for_people: impl FnOnce()) -> CommandResult {
+        if self.json {
+            print_json(report)?;
+        } else {
+            for_people();
+        }
+        Ok(Outcome::Done)
+    }
+}
 
 /// Prints one JSON object to standard output.
 pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(value).map_err(Failure::running)?;
     println!("{text}");
     Ok(())
+}
+
+/// Says what the user should know.
+pub fn warn(warnings: &[String]) {
+    for warning in warnings {
+        eprintln!("warning: {warning}");
+    }
 }
 
 /// A number of bytes for people.
@@ -47,6 +63,7 @@ pub fn bytes(count: u64) -> String {
         _ => format!("{:.2} MB", count as f64 / 1e6),
     }
 }
+
 /// Most threads of computation: each needs memory of its own.
 const MAX_THREADS: usize = 256;
 

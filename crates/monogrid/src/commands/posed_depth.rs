@@ -1,12 +1,12 @@
 //! A folder with depth images and a pose for each of them.
 
-use crate::depth_images::{depth_calibration, registered_depth};
+use crate::depth_images::registered_depth;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::{
     Dataset, DepthCalibration, DepthEntry, DepthRegistration, SourceOptions, TimedPose,
     read_trajectory,
 };
-use monogrid_geometry::{Camera, Distortion, Pinhole, Se3};
+use monogrid_geometry::{Pinhole, Se3};
 use monogrid_image::{GrayImage, Undistorter, WorkingSize};
 use std::path::Path;
 
@@ -15,12 +15,13 @@ const MAX_POSE_DISTANCE_NS: u64 = 20_000_000;
 
 /// Depth images, their calibration and the trajectory of the camera.
 pub struct PosedDepthFolder {
-    dataset: Dataset,
+    /// The folder; what to tell the user about it, and its depth images with or without pose.
+    pub dataset: Dataset,
     calibration: DepthCalibration,
     registration: DepthRegistration,
     poses: Vec<TimedPose>,
-    pinhole: Pinhole,
-    size: (usize, usize),
+    /// Intrinsics of the depth that [`Self::read`] returns.
+    pub pinhole: Pinhole,
 }
 
 impl PosedDepthFolder {
@@ -39,25 +40,18 @@ impl PosedDepthFolder {
             )));
         }
         let colour = dataset.calibration(None).bad_input()?.map(|c| c.camera);
-        let has_calibration = depth_calibration_file.is_some()
-            || dataset.depth_calibration_path.is_some()
-            || colour.is_some();
-        if !has_calibration {
+        let own = match depth_calibration_file {
+            Some(path) => DepthCalibration::read(path).map(Some),
+            None => dataset.depth_calibration(),
+        };
+        let registered = || colour.map(DepthCalibration::registered);
+        let Some(calibration) = own.bad_input()?.or_else(registered) else {
             return Err(Failure::input(format!(
                 "no calibration in {}: expected calibration_depth.txt or calibration.txt, or \
                  --depth-calibration",
                 dataset.root.display()
             )));
-        }
-        // without a colour camera one of the two files above decides, and this one is never used
-        let unused = Camera {
-            width: 1,
-            height: 1,
-            pinhole: Pinhole::new(1.0, 1.0, 0.0, 0.0),
-            distortion: Distortion::None,
         };
-        let calibration =
-            depth_calibration(&dataset, depth_calibration_file, &colour.unwrap_or(unused))?;
         let camera = colour.unwrap_or(calibration.camera);
         let poses = match trajectory {
             Some(path) => read_trajectory(path).bad_input()?,
@@ -69,53 +63,30 @@ impl PosedDepthFolder {
             })?,
         };
         let undistorter = Undistorter::new(&camera, WorkingSize::AUTOMATIC, None);
-        let (width, height) = undistorter.size();
-        let pinhole = *undistorter.pinhole();
+        let ((width, height), pinhole) = (undistorter.size(), *undistorter.pinhole());
         Ok(Self {
             registration: DepthRegistration::new(&calibration, &pinhole, width, height),
             dataset,
             calibration,
             poses,
             pinhole,
-            size: (width, height),
         })
     }
 
     /// Depth images that have a pose of their time, in the order of time; at least one.
     pub fn posed(&self) -> Result<Vec<(&DepthEntry, Se3)>, Failure> {
-        let with_pose = |entry: &'_ DepthEntry| nearest_pose(&self.poses, entry.timestamp_ns);
+        let pose = |entry: &DepthEntry| nearest_pose(&self.poses, entry.timestamp_ns);
         let depths = self.dataset.depths.iter();
-        let posed: Vec<_> = depths
-            .filter_map(|entry| Some((entry, with_pose(entry)?)))
-            .collect();
+        let posed = depths.filter_map(|entry| Some((entry, pose(entry)?)));
+        let posed: Vec<_> = posed.collect();
         if posed.is_empty() {
             return Err(Failure::input(format!(
                 "none of the {} depth images of {} has a pose of its time; give poses with --trajectory",
-                self.num_depths(),
+                self.dataset.depths.len(),
                 self.dataset.root.display()
             )));
         }
         Ok(posed)
-    }
-
-    /// Number of depth images, with or without pose.
-    pub fn num_depths(&self) -> usize {
-        self.dataset.depths.len()
-    }
-
-    /// What to tell the user about the folder.
-    pub fn warnings(&self) -> &[String] {
-        &self.dataset.warnings
-    }
-
-    /// Intrinsics of the depth that [`Self::read`] returns.
-    pub fn pinhole(&self) -> Pinhole {
-        self.pinhole
-    }
-
-    /// Width and height of the depth that [`Self::read`] returns.
-    pub fn size(&self) -> (usize, usize) {
-        self.size
     }
 
     /// Depth along the optical axis, metres, NaN where unknown.

@@ -1,7 +1,7 @@
 //! `monogrid report`: one page of all recordings of a batch.
 
 use crate::batch::page::page;
-use crate::batch::record::TaskRecord;
+use crate::batch::record::{TASK_FILE, TaskRecord};
 use crate::failure::{Classify, CommandResult, Failure, Outcome};
 use crate::output::{Inputs, OutputFolder};
 use clap::Args;
@@ -32,33 +32,22 @@ pub fn execute(args: &ReportArgs) -> CommandResult {
     }
     let beside = || args.batch.join("report");
     let out = args.out.clone().unwrap_or_else(beside);
-    let inputs = Inputs::default()
-        .and("what is known of the recordings", &tasks)
-        .and_all("what is known of a recording", task_files(&tasks, &records));
+    let task_file = |record: &TaskRecord| tasks.join(&record.name).join(TASK_FILE);
+    let task_files = records.iter().map(task_file);
+    let inputs = Inputs::of("what is known of the recordings", &tasks)
+        .and_all("what is known of a recording", task_files);
     let folder = OutputFolder::replace(&out, args.force, &inputs)?;
     let runs = args.batch.join("runs");
     let real = args.batch.canonicalize();
     let real = real.while_running("the batch is gone")?;
-    let is_beside = out
-        .parent()
-        .and_then(|parent| parent.canonicalize().ok())
-        .as_ref()
-        == Some(&real);
-    let link = match is_beside {
-        true => "../runs".to_owned(),
-        false => real.join("runs").display().to_string(),
+    let link = match out.parent().map(Path::canonicalize) {
+        Some(Ok(parent)) if parent == real => "../runs".to_owned(),
+        _ => real.join("runs").display().to_string(),
     };
     let name = real.file_name().unwrap_or_default().to_string_lossy();
     folder.write(PAGE, page(&name, &records, &runs, &link))?;
     println!("{} recordings: {}", records.len(), out.join(PAGE).display());
     Ok(Outcome::Done)
-}
-
-fn task_files(tasks: &Path, records: &[TaskRecord]) -> Vec<PathBuf> {
-    let files = records
-        .iter()
-        .map(|record| tasks.join(&record.name).join("task.json"));
-    files.collect()
 }
 
 /// What is known of all recordings, in the order of their names, and how many say nothing.
@@ -72,8 +61,8 @@ fn records(tasks: &Path) -> Result<(Vec<TaskRecord>, usize), Failure> {
     })?;
     let mut folders: Vec<PathBuf> = entries.iter().map(std::fs::DirEntry::path).collect();
     folders.sort();
-    let found = folders.iter().map(|folder| TaskRecord::read(folder));
-    let found: Vec<_> = found.collect();
-    let left_out = found.iter().filter(|record| record.is_none()).count();
-    Ok((found.into_iter().flatten().collect(), left_out))
+    let found = folders.iter().filter_map(|folder| TaskRecord::read(folder));
+    let found: Vec<TaskRecord> = found.collect();
+    let left_out = folders.len() - found.len();
+    Ok((found, left_out))
 }

@@ -1,6 +1,6 @@
 //! `monogrid run`: what the command line asks for, put together and checked before anything is computed.
 
-use super::use_threads;
+use super::{use_threads, warn};
 use crate::args::{JsonArg, MappingArgs, Profile, SourceArgs, memory, positive};
 use crate::config::RunConfig;
 use crate::depth_images::{dataset_seed_depth, depth_calibration};
@@ -134,23 +134,28 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let input = open(args, earlier.as_ref(), &config)?;
     let seed_depth = seed_depth(&input, args)?;
     let inputs = inputs(args, &input, &config);
-    let mcap = args.mcap.as_deref();
-    let mcap = mcap.map(|path| OutputFile::new(path, args.force, &inputs));
-    let mcap = mcap.transpose()?;
+    let file = |path: &PathBuf| OutputFile::new(path, args.force, &inputs);
+    let mcap = args.mcap.as_ref().map(file).transpose()?;
     let out = args.out.as_deref();
     let folder = OutputFolder::named_or_new(out, &input.name, args.force, &inputs)?;
     let folder = Arc::new(folder);
     let settings = RunSettings {
         mcap,
         seed_depth,
-        continued: earlier.map(|earlier| continued(earlier, args)),
-        pace: pace(args),
+        continued: earlier.map(|earlier| Continued {
+            earlier,
+            purpose: match args.localise_only {
+                true => Purpose::LocaliseOnly,
+                false => Purpose::Extend,
+            },
+        }),
+        pace: args.realtime.map_or(Pace::Taken, |ms| Pace::Real {
+            max_wait: Duration::from_millis(ms),
+        }),
         show_progress: std::io::stderr().is_terminal(),
         view: args.view.clone(),
         memory_limit: args.memory_limit.map(MemoryLimit),
-        submaps: args
-            .submaps
-            .map(|keyframes| SubmapPolicy::of(usize::from(keyframes))),
+        submaps: args.submaps.map(|n| SubmapPolicy::of(usize::from(n))),
         ..RunSettings::new(config, threads)
     };
     describe_input(&input);
@@ -162,13 +167,6 @@ pub fn execute(args: &RunArgs) -> CommandResult {
         Ok(Extras::default())
     })?;
     conclude(&finished, &folder, args.json.json)
-}
-
-/// How fast frames are read.
-fn pace(args: &RunArgs) -> Pace {
-    args.realtime.map_or(Pace::Taken, |ms| Pace::Real {
-        max_wait: Duration::from_millis(ms),
-    })
 }
 
 /// All settings; options of the command line win.
@@ -289,26 +287,13 @@ fn inputs(args: &RunArgs, input: &Input, config: &RunConfig) -> Inputs {
     inputs
 }
 
-fn continued(earlier: Earlier, args: &RunArgs) -> Continued {
-    let purpose = if args.localise_only {
-        Purpose::LocaliseOnly
-    } else {
-        Purpose::Extend
-    };
-    Continued { earlier, purpose }
-}
-
 fn describe_input(input: &Input) {
-    let (width, height) = input.size();
+    let ((width, height), camera) = (input.size(), input.camera());
+    let frames = input.expected_frames();
+    let frames = frames.map_or_else(|| "frames".to_owned(), |frames| format!("{frames} frames"));
     eprintln!(
-        "{}: {} of {}x{} pixels, working size {width}x{height}",
-        input.name,
-        match input.expected_frames() {
-            Some(frames) => format!("{frames} frames"),
-            None => "frames".to_owned(),
-        },
-        input.camera().width,
-        input.camera().height
+        "{}: {frames} of {}x{} pixels, working size {width}x{height}",
+        input.name, camera.width, camera.height
     );
     if !input.interpretation.is_empty() {
         eprintln!("calibration: {}", input.interpretation);
@@ -317,10 +302,9 @@ fn describe_input(input: &Input) {
         let (path, said) = (inertial.path.display(), &inertial.interpretation);
         eprintln!("inertial readings: {path}: {said}");
     }
+    warn(&input.warnings);
     let findings = input.inertial.iter().flat_map(Inertial::findings);
-    for warning in input.warnings.iter().cloned().chain(findings) {
-        eprintln!("warning: {warning}");
-    }
+    warn(&findings.collect::<Vec<_>>());
 }
 
 #[cfg(test)]

@@ -1,9 +1,8 @@
 //! `monogrid sensor-model`: the curves of the thesis' chapter 5, and those of any model.
 
-use super::print_json;
 use crate::args::{JsonArg, positive};
 use crate::curves::{Figure, curve, figure, plot, thesis_figures, thrun_forms};
-use crate::failure::{CommandResult, Failure, Outcome};
+use crate::failure::{CommandResult, Failure};
 use crate::output::{Inputs, OutputFolder};
 use crate::report::Page;
 use crate::report::svg::{COLOURS, number};
@@ -71,14 +70,11 @@ pub fn execute(args: &SensorModelArgs) -> CommandResult {
     }
     let folder = OutputFolder::replace(&args.plot, args.force, &Inputs::default())?;
     let mut page = Page::default();
-    for figure in &figures {
-        let write = |extension: &str, text: String| {
-            folder.write(&format!("{}.{extension}", figure.name), text)
-        };
-        write("svg", figure.plot.file())?;
-        write("csv", figure.plot.csv())?;
-        page.plot(&figure.plot);
-        page.note(&figure.note);
+    for Figure { name, note, plot } in &figures {
+        folder.write(&format!("{name}.svg"), plot.file())?;
+        folder.write(&format!("{name}.csv"), plot.csv())?;
+        page.plot(plot);
+        page.note(note);
     }
     let html = page.finish(
         "Inverse sensor models",
@@ -87,13 +83,11 @@ pub fn execute(args: &SensorModelArgs) -> CommandResult {
     );
     folder.write("sensor-models.html", html)?;
     let file = args.plot.join("sensor-models.html");
-    if args.json.json {
-        let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
-        print_json(&serde_json::json!({ "figures": names, "page": file }))?;
-    } else {
+    let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
+    let report = serde_json::json!({ "figures": names, "page": file });
+    args.json.print(&report, || {
         println!("{}: {} figures", file.display(), figures.len());
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 /// The model that the user asks for.
@@ -118,19 +112,15 @@ fn chosen(args: &SensorModelArgs, model: CurveModel) -> Result<Figure, Failure> 
     let mut series = Vec::new();
     for &z in &args.range {
         for &sigma_at_1 in &args.sigma {
-            let sigma = if args.range_dependent {
-                sigma_at_1 * z * z
-            } else {
-                sigma_at_1
+            let sigma = match args.range_dependent {
+                true => sigma_at_1 * z * z,
+                false => sigma_at_1,
             };
             let name = format!("z = {}, sigma = {}", number(z), number(sigma));
             let colour = COLOURS[(series.len() * 2) % COLOURS.len()];
             series.push(curve(name, colour, &sensor, z, sigma, 2.0 * farthest));
         }
     }
-    Ok(figure(
-        "chosen",
-        &format!("{sensor:?}"),
-        plot("The chosen model", series, 2.0 * farthest),
-    ))
+    let plot = plot("The chosen model", series, 2.0 * farthest);
+    Ok(figure("chosen", &format!("{sensor:?}"), plot))
 }

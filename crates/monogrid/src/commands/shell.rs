@@ -1,6 +1,5 @@
 //! `monogrid completions` and `monogrid man`: what shells and readers of manuals know about the command line.
 
-use crate::args::ForceArg;
 use crate::cli;
 use crate::failure::{Classify, CommandResult, Outcome};
 use crate::output::{Inputs, OutputFolder};
@@ -22,8 +21,9 @@ pub struct ManArgs {
     /// Output folder
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    #[command(flatten)]
-    pub force: ForceArg,
+    /// Replace the output file if it exists; never one that is read
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Prints the script.
@@ -36,7 +36,7 @@ pub fn completions(args: &CompletionsArgs) -> CommandResult {
 
 /// Writes a page for the program and one for each command: `monogrid.1`, `monogrid-run.1`, ...
 pub fn man(args: &ManArgs) -> CommandResult {
-    let folder = OutputFolder::replace(&args.out, args.force.force, &Inputs::default())?;
+    let folder = OutputFolder::replace(&args.out, args.force, &Inputs::default())?;
     let mut program = cli::command().disable_help_subcommand(true);
     program.build();
     let mut waiting = vec![program];

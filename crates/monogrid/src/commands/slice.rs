@@ -1,8 +1,7 @@
 //! `monogrid slice`: a map as one grey picture per layer of cells.
 
-use super::print_json;
 use crate::args::{JsonArg, positive};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFolder};
 use crate::picture::slice::{Window, draw_borders, slice};
@@ -79,12 +78,9 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
     }
     let inputs = Inputs::of("the map", &args.map);
     let folder = OutputFolder::replace(&args.out, args.force, &inputs)?;
-    let leaves = if args.leaves {
-        map.octree_leaves()
-            .while_running("the leaves cannot be found")?
-    } else {
-        Vec::new()
-    };
+    let leaves = args.leaves.then(|| map.octree_leaves()).transpose();
+    let leaves = leaves.while_running("the leaves cannot be found")?;
+    let leaves = leaves.unwrap_or_default();
     for (index, z) in layers.iter().enumerate() {
         let mut picture = slice(&map, &window, *z);
         draw_borders(&mut picture, &leaves, &window, *z);
@@ -98,19 +94,14 @@ pub fn execute(args: &SliceArgs) -> CommandResult {
         first_y: f64::from(window.first[1]) * resolution,
         heights: layers.iter().map(|z| height(*z, resolution)).collect(),
     };
-    if args.json.json {
-        print_json(&report)?;
-    } else {
+    args.json.print(&report, || {
+        let out = args.out.display();
+        let [low, high] = [layers[0], layers[layers.len() - 1]].map(|z| height(z, resolution));
         println!(
-            "{}: {} slices from z = {:.3} to {:.3}, {} pixels per cell; black occupied, white free, grey unknown",
-            args.out.display(),
-            report.slices,
-            report.heights.first().copied().unwrap_or_default(),
-            report.heights.last().copied().unwrap_or_default(),
-            report.pixels_per_cell
+            "{out}: {} slices from z = {low:.3} to {high:.3}, {} pixels per cell; black occupied, white free, grey unknown",
+            report.slices, report.pixels_per_cell
         );
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 /// Height of the centres of a layer.

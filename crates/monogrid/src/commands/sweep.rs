@@ -1,12 +1,11 @@
 //! `monogrid sweep`: the thesis' experiments on recordings.
 
 use super::evaluate_map::{in_view, load_truth};
-use super::{print_json, use_threads};
+use super::{use_threads, warn};
 use crate::args::{JsonArg, Profile, SourceArgs, positive};
-
 use crate::config::RunConfig;
 use crate::depth_images::dataset_seed_depth;
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::input::Input;
 use crate::output::{Inputs, OutputFolder};
 use crate::run::align::{Align, Up};
@@ -15,12 +14,14 @@ use crate::sweep::inputs::{Named, file_stamp, open_folder, orders, read_recordin
 use crate::sweep::page::{self, Lead, truth_slice_file};
 use crate::sweep::pictures::{PictureOrders, truth_slice};
 use crate::sweep::plan::{self, Entry, RESOLUTIONS};
+use crate::sweep::record::MapRecord;
 use crate::sweep::result::RecordingResult;
 use crate::sweep::schedule::{self, Resources};
 use crate::sweep::slam_rate::{self, Rate, RateJob};
 use crate::tally::Tally;
 use crate::usage::peak_rss_bytes;
 use clap::{Args, ValueEnum};
+use monogrid_datasets::Scale;
 use monogrid_evaluation::{MapEvaluationConfig, MapEvaluator, TruthGrid, whole_ratio};
 use monogrid_slam::mapping::KeyframeScan;
 use serde::Serialize;
@@ -101,22 +102,21 @@ pub fn execute(args: &SweepArgs) -> CommandResult {
     let sweep = Sweep {
         args,
         out: &out,
+        resolutions: &resolutions,
         finest_truth: finest_truth.as_ref(),
         orders: &orders,
         resources,
         progress: &progress,
     };
-    let mut results = Vec::new();
-    for recording in &recordings {
-        results.push(sweep.result(recording, &resolutions)?);
-    }
+    let results = recordings.iter().map(|recording| sweep.result(recording));
+    let mut results: Vec<RecordingResult> = results.collect::<Result<_, _>>()?;
     progress.finish();
     if let Some(source) = &args.slam_source {
         for (result, recording) in results.iter_mut().zip(&recordings) {
-            result.rates = rates(args, &out, source, recording, &resolutions, workers)?;
+            result.rates = sweep.rates(source, recording)?;
         }
     }
-    conclude(args, &out, &results, &recordings, &orders, begin)
+    sweep.conclude(&results, &recordings, begin)
 }
 
 /// What is read.
@@ -135,6 +135,8 @@ fn inputs(args: &SweepArgs) -> Result<Inputs, Failure> {
 struct Sweep<'a> {
     args: &'a SweepArgs,
     out: &'a OutputFolder,
+    /// Edges of the cells, from the smallest.
+    resolutions: &'a [f64],
     finest_truth: Option<&'a TruthGrid>,
     orders: &'a PictureOrders,
     resources: Resources,
@@ -143,58 +145,43 @@ struct Sweep<'a> {
 
 impl Sweep<'_> {
     /// All maps of one recording, coarse ones first: they are quick and show early what is wrong.
-    fn result(&self, named: &Named, resolutions: &[f64]) -> Result<RecordingResult, Failure> {
+    fn result(&self, named: &Named) -> Result<RecordingResult, Failure> {
         let recorded = &named.recorded;
         let scans = Scans::new(recorded, self.resources.workers);
-        let view = match self.finest_truth {
-            Some(truth) => Some(in_view(truth, recorded, self.args.view_range)?),
-            None => None,
-        };
+        let view = |truth| in_view(truth, recorded, self.args.view_range);
+        let view = self.finest_truth.map(view).transpose()?;
+        let stamp = self.stamp(named)?;
         let mut records = Vec::new();
-        for &resolution in resolutions.iter().rev() {
-            let truth = self.truth_at(resolution)?;
-            if let Some(truth) = &truth {
-                self.write_truth_slices(truth)?;
-            }
-            let view = match &view {
-                Some(view) => Some(at_least_as_coarse(view, resolution)?),
-                None => None,
-            };
+        for &resolution in self.resolutions.iter().rev() {
+            let truth = self.drawn_truth(resolution)?;
+            let view = view.as_ref();
+            let view = view.map(|view| at_least_as_coarse(view, resolution));
+            let view = view.transpose()?;
             let config = MapEvaluationConfig {
                 in_view: view.as_ref(),
                 max_distance_queries: 0,
                 ..MapEvaluationConfig::default()
             };
-            let evaluator = match &truth {
-                Some(truth) => Some(MapEvaluator::new(truth, &config).bad_input()?),
-                None => None,
+            let truth = truth.as_ref();
+            let evaluator = truth.map(|truth| MapEvaluator::new(truth, &config));
+            let evaluator = evaluator.transpose().bad_input()?;
+            let job = Job {
+                recorded,
+                scans: &scans,
+                evaluator: evaluator.as_ref(),
+                orders: self.orders,
+                out: self.out,
+                name: &named.name,
             };
-            records.extend(self.maps_at(named, &scans, resolution, evaluator.as_ref())?);
+            let entry = |model| Entry { model, resolution };
+            let entries: Vec<Entry> = plan::models().into_iter().map(entry).collect();
+            let fingerprint =
+                |entry: &Entry| format!("{stamp}{:?}", entry.model.mapping(entry.resolution));
+            let (resources, progress) = (self.resources, self.progress);
+            let built = schedule::run(&job, &entries, fingerprint, resources, progress);
+            records.extend(built?);
         }
-        Ok(self.facts(named, &scans.all, resolutions, records))
-    }
-
-    fn maps_at(
-        &self,
-        named: &Named,
-        scans: &Scans,
-        resolution: f64,
-        evaluator: Option<&MapEvaluator>,
-    ) -> Result<Vec<crate::sweep::record::MapRecord>, Failure> {
-        let job = Job {
-            recorded: &named.recorded,
-            scans,
-            evaluator,
-            orders: self.orders,
-            out: self.out,
-            name: &named.name,
-        };
-        let entry = |model| Entry { model, resolution };
-        let entries: Vec<Entry> = plan::models().into_iter().map(entry).collect();
-        let stamp = self.stamp(named)?;
-        let fingerprint =
-            |entry: &Entry| format!("{stamp}{:?}", entry.model.mapping(entry.resolution));
-        schedule::run(&job, &entries, fingerprint, self.resources, self.progress)
+        Ok(self.facts(named, &scans.all, records))
     }
 
     /// What all records of a recording depend on.
@@ -207,51 +194,112 @@ impl Sweep<'_> {
         Ok(format!("{stamp}{options:?} {} ", env!("CARGO_PKG_VERSION")))
     }
 
-    /// The truth with cells of this size; `None` where it is not fine enough.
-    fn truth_at(&self, resolution: f64) -> Result<Option<TruthGrid>, Failure> {
+    /// The truth with cells of this size, of which slices are drawn; `None` where it is not fine enough.
+    fn drawn_truth(&self, resolution: f64) -> Result<Option<TruthGrid>, Failure> {
         let Some(finest) = self.finest_truth else {
             return Ok(None);
         };
-        let factor = whole_ratio(resolution, finest.resolution());
-        let truth = factor.map(|factor| finest.coarsened(factor as u32));
-        truth.transpose().bad_input()
-    }
-
-    fn write_truth_slices(&self, truth: &TruthGrid) -> Result<(), Failure> {
+        let Some(factor) = whole_ratio(resolution, finest.resolution()) else {
+            return Ok(None);
+        };
+        let truth = finest.coarsened(factor as u32).bad_input()?;
         for (index, height) in self.orders.heights.iter().enumerate() {
             let name = truth_slice_file(truth.resolution(), index);
-            let png = truth_slice(truth, self.orders, *height);
+            let png = truth_slice(&truth, self.orders, *height);
             self.out.write(&name, &png)?;
         }
-        Ok(())
+        Ok(Some(truth))
     }
 
     fn facts(
         &self,
         named: &Named,
         all_scans: &[KeyframeScan],
-        resolutions: &[f64],
-        records: Vec<crate::sweep::record::MapRecord>,
+        records: Vec<MapRecord>,
     ) -> RecordingResult {
         let recorded = &named.recorded;
         let times = || recorded.keyframes.iter().map(|k| k.timestamp_ns);
         let span = times().max().unwrap_or(0) - times().min().unwrap_or(0);
+        let environment = |truth: &TruthGrid| truth.size().map(|n| n as f64 * truth.resolution());
         RecordingResult {
             name: named.name.clone(),
             profile: recorded.session.profile.clone(),
-            is_metric: recorded.frame.is_aligned
-                || recorded.session.scale == monogrid_datasets::Scale::Metric,
+            is_metric: recorded.frame.is_aligned || recorded.session.scale == Scale::Metric,
             frames: recorded.num_frames.unwrap_or(0),
             keyframes: recorded.world_from_keyframes().iter().flatten().count(),
             points: all_scans.iter().map(|scan| scan.num_pixels).sum(),
             video_seconds: span as f64 * 1e-9,
-            environment: self
-                .finest_truth
-                .map(|truth| truth.size().map(|n| n as f64 * truth.resolution())),
-            resolutions: resolutions.to_vec(),
+            environment: self.finest_truth.map(environment),
+            resolutions: self.resolutions.to_vec(),
             records,
             rates: Vec::new(),
         }
+    }
+
+    fn rates(&self, source: &Path, named: &Named) -> Result<Vec<Rate>, Failure> {
+        let (frames, threads) = (self.args.slam_frames, self.resources.workers);
+        let input_args = SourceArgs {
+            max_frames: Some(frames),
+            ..SourceArgs::default()
+        };
+        let profile = Profile::from_str(&named.recorded.session.profile, false).unwrap_or_default();
+        let input = Input::open(source, &input_args, RunConfig::of(profile).working_size())?;
+        let job = RateJob {
+            seed_depth: dataset_seed_depth(&input, None)?,
+            input: &input,
+            profile,
+            threads,
+            out: self.out,
+            file: format!("{}/slam-rates.json", named.name),
+            fingerprint: format!(
+                "{} {frames} frames, {threads} threads, {}",
+                source.display(),
+                env!("CARGO_PKG_VERSION")
+            ),
+        };
+        slam_rate::measure(&job, self.resolutions)
+    }
+
+    fn conclude(
+        &self,
+        results: &[RecordingResult],
+        recordings: &[Named],
+        begin: Instant,
+    ) -> CommandResult {
+        let args = self.args;
+        let records = || results.iter().flat_map(|result| &result.records);
+        let num_maps = records().count();
+        let beyond = records().filter(|record| record.built().is_none()).count();
+        let cpu: f64 = records().filter_map(|r| r.built()).map(|b| b.seconds).sum();
+        let warnings = recordings.iter().flat_map(|Named { name, recorded, .. }| {
+            let warnings = recorded.warnings.iter();
+            warnings.map(move |warning| format!("{name}: {warning}"))
+        });
+        let warnings: Vec<String> = warnings.collect();
+        let lead = Lead {
+            text: format!(
+                "{num_maps} maps of {} recordings, {} resolutions; {beyond} beyond {} GB.",
+                recordings.len(),
+                args.resolutions.len(),
+                args.memory
+            ),
+            facts: facts(args, cpu),
+            warnings: warnings.clone(),
+        };
+        page::write(self.out, &lead, results, self.orders)?;
+        let report = SweepReport {
+            maps: num_maps,
+            beyond_memory: beyond,
+            wall_seconds: begin.elapsed().as_secs_f64(),
+            map_cpu_seconds: cpu,
+            peak_rss_bytes: peak_rss_bytes(),
+            page: args.out.join("sweep.html"),
+            warnings,
+        };
+        args.json.print(&report, || {
+            warn(&report.warnings);
+            println!("{} {}", lead.text, report.page.display());
+        })
     }
 }
 
@@ -262,101 +310,16 @@ fn at_least_as_coarse(view: &TruthGrid, resolution: f64) -> Result<TruthGrid, Fa
         .while_running("no view can be made")
 }
 
-fn rates(
-    args: &SweepArgs,
-    out: &OutputFolder,
-    source: &Path,
-    named: &Named,
-    resolutions: &[f64],
-    threads: usize,
-) -> Result<Vec<Rate>, Failure> {
-    let input_args = SourceArgs {
-        max_frames: Some(args.slam_frames),
-        ..SourceArgs::default()
-    };
-    let profile = Profile::from_str(&named.recorded.session.profile, false).unwrap_or_default();
-    let input = Input::open(source, &input_args, RunConfig::of(profile).working_size())?;
-    let job = RateJob {
-        seed_depth: dataset_seed_depth(&input, None)?,
-        input: &input,
-        profile,
-        threads,
-        out,
-        file: format!("{}/slam-rates.json", named.name),
-        fingerprint: format!(
-            "{} {} frames, {threads} threads, {}",
-            source.display(),
-            args.slam_frames,
-            env!("CARGO_PKG_VERSION")
-        ),
-    };
-    slam_rate::measure(&job, resolutions)
-}
-
-fn conclude(
-    args: &SweepArgs,
-    out: &OutputFolder,
-    results: &[RecordingResult],
-    recordings: &[Named],
-    orders: &PictureOrders,
-    begin: Instant,
-) -> CommandResult {
-    let records = || results.iter().flat_map(|result| &result.records);
-    let num_maps = records().count();
-    let beyond = records().filter(|record| record.built().is_none()).count();
-    let cpu: f64 = records().filter_map(|r| r.built()).map(|b| b.seconds).sum();
-    let warnings: Vec<String> = recordings
-        .iter()
-        .flat_map(|r| {
-            r.recorded
-                .warnings
-                .iter()
-                .map(|w| format!("{}: {w}", r.name))
-        })
-        .collect();
-    let lead = Lead {
-        text: format!(
-            "{num_maps} maps of {} recordings, {} resolutions; {beyond} beyond {} GB.",
-            recordings.len(),
-            args.resolutions.len(),
-            args.memory
-        ),
-        facts: facts(args, cpu),
-        warnings: warnings.clone(),
-    };
-    page::write(out, &lead, results, orders)?;
-    let report = SweepReport {
-        maps: num_maps,
-        beyond_memory: beyond,
-        wall_seconds: begin.elapsed().as_secs_f64(),
-        map_cpu_seconds: cpu,
-        peak_rss_bytes: peak_rss_bytes(),
-        page: args.out.join("sweep.html"),
-        warnings,
-    };
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        for warning in &report.warnings {
-            eprintln!("warning: {warning}");
-        }
-        println!("{} {}", lead.text, report.page.display());
-    }
-    Ok(Outcome::Done)
-}
-
 /// What stands at the top of the page.
 fn facts(args: &SweepArgs, cpu_seconds: f64) -> Vec<(String, String)> {
     let truth = args.truth.as_ref();
     let truth = truth.map_or_else(|| "none".to_owned(), |path| path.display().to_string());
     let alignment =
         "the poses of the keyframes, before mapping; the thesis turned and scaled finished maps";
-    vec![
-        (
-            "CPU time of all maps".to_owned(),
-            format!("{cpu_seconds:.0} s"),
-        ),
-        ("Truth".to_owned(), truth),
-        ("Alignment".to_owned(), alignment.to_owned()),
-    ]
+    let facts = [
+        ("CPU time of all maps", format!("{cpu_seconds:.0} s")),
+        ("Truth", truth),
+        ("Alignment", alignment.to_owned()),
+    ];
+    facts.map(|(name, fact)| (name.to_owned(), fact)).into()
 }

@@ -1,9 +1,9 @@
 //! `monogrid synth`: a synthetic dataset in TUM layout with exact depth, poses and truth map.
 
 use super::truth::{of_world, positions_along};
-use super::{print_json, use_threads};
+use super::use_threads;
 use crate::args::{JsonArg, positive, readout_ms, size};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::output::{Inputs, OutputFolder};
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
@@ -118,9 +118,6 @@ const RECORDED_KNOTS_HZ: f64 = 20.0;
 /// Renders and writes the dataset.
 pub fn execute(args: &SynthArgs) -> CommandResult {
     use_threads(args.threads)?;
-    if args.frames == Some(0) {
-        return Err(Failure::input("--frames is 0, expected at least 1"));
-    }
     let motion = motion(args)?;
     let recorded = recorded_path(args)?;
     check_world(args)?;
@@ -191,24 +188,17 @@ fn write(args: &SynthArgs, folder: &OutputFolder, sequence: &SynthSequence) -> C
         truth_free: counts.free,
         out: args.out.clone(),
     };
-    if args.json.json {
-        print_json(&report)?;
-    } else {
+    args.json.print(&report, || {
+        let (out, length) = (args.out.display(), report.path_length);
         println!(
-            "{}: {} frames and {} depth images of {}, {:.1} m in {:.1} s",
-            args.out.display(),
-            report.frames,
-            report.depth_images,
-            report.world,
-            report.path_length,
-            report.seconds_of_video
+            "{out}: {} frames and {} depth images of {}, {length:.1} m in {:.1} s",
+            report.frames, report.depth_images, report.world, report.seconds_of_video
         );
         println!(
             "truth.ot: {} occupied and {} free cells of {}",
             report.truth_occupied, report.truth_free, args.truth_resolution
         );
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 /// Whether a world is asked for by the name of a mesh file.
@@ -219,41 +209,26 @@ pub(super) fn is_mesh(world: &Path) -> bool {
 
 /// Refuses worlds that cannot be, before the output folder is touched.
 fn check_world(args: &SynthArgs) -> Result<(), Failure> {
-    let world = &args.world;
-    if is_mesh(world) {
-        if !world.is_file() {
-            return Err(Failure::input(format!(
-                "mesh {} does not exist",
-                world.display()
-            )));
+    let name = &*args.world.to_string_lossy();
+    Err(Failure::input(match is_mesh(&args.world) {
+        true if !args.world.is_file() => format!("mesh {name} does not exist"),
+        true if args.trajectory.is_none() => {
+            format!("the mesh {name} has no motion of its own: give one with --trajectory FILE")
         }
-        if args.trajectory.is_none() {
-            return Err(Failure::input(format!(
-                "the mesh {} has no motion of its own: give one with --trajectory FILE",
-                world.display()
-            )));
-        }
-        return Ok(());
-    }
-    match world.to_str() {
-        Some(name) if WORLD_NAMES.contains(&name) => Ok(()),
-        _ => Err(Failure::input(format!(
-            "{} is neither a built-in world ({}) nor a mesh (.ply, .obj)",
-            world.display(),
+        false if !WORLD_NAMES.contains(&name) => format!(
+            "{name} is neither a built-in world ({}) nor a mesh (.ply, .obj)",
             WORLD_NAMES.join(", ")
-        ))),
-    }
+        ),
+        _ => return Ok(()),
+    }))
 }
 
 fn motion(args: &SynthArgs) -> Result<Motion, Failure> {
-    let name = args
-        .motion
-        .as_deref()
-        .unwrap_or(if args.world.to_str() == Some("street") {
-            "car"
-        } else {
-            "hand"
-        });
+    let usual = match args.world.to_str() {
+        Some("street") => "car",
+        _ => "hand",
+    };
+    let name = args.motion.as_deref().unwrap_or(usual);
     Motion::by_name(name).ok_or_else(|| {
         Failure::input(format!(
             "--motion is {name:?}, expected one of {}",
@@ -276,10 +251,9 @@ fn world(args: &SynthArgs) -> Result<World, Failure> {
     if is_mesh(&args.world) {
         return World::from_file(&args.world, MeshLighting::default()).bad_input();
     }
-    let lighting = if args.quick_light {
-        LightingConfig::quick()
-    } else {
-        LightingConfig::default()
+    let lighting = match args.quick_light {
+        true => LightingConfig::quick(),
+        false => LightingConfig::default(),
     };
     World::by_name_with(&args.world.to_string_lossy(), &lighting).bad_input()
 }

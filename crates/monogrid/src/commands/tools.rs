@@ -1,15 +1,18 @@
-//! Tools on maps: `crop`, `merge`, `transform`, `diff`, `project`.
+//! Tools on maps: `crop`, `merge`, `transform`, `diff`, `project`, `convert`, `mesh`, `plan`.
 
-use super::print_json;
-use crate::args::{ForceArg, JsonArg, positive};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use super::bytes;
+use crate::args::{JsonArg, WriteArgs, positive};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use crate::run::outputs::UNKNOWN_SCALE_WARNING;
+use crate::surface::{CellColours, MeshFormat};
 use clap::Args;
 use monogrid_datasets::read_sim3;
+use monogrid_evaluation::{PlanConfig, plan_path};
 use monogrid_geometry::Sim3;
-use monogrid_occupancy::{MapDifference, MapFormat, OccupancyMap, Similarity};
+use monogrid_occupancy::{MapFormat, OccupancyMap, Similarity};
+use monogrid_slam::mapping::MeshConfig;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -27,9 +30,7 @@ pub struct CropArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     pub max: [f64; 3],
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// `monogrid merge`.
@@ -43,9 +44,7 @@ pub struct MergeArgs {
     #[arg(long, value_name = "MAP.{ot,bt,mgo}")]
     pub out: PathBuf,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// `monogrid transform`.
@@ -62,9 +61,7 @@ pub struct TransformArgs {
     #[arg(long, value_name = "L", value_parser = positive)]
     pub resolution: Option<f64>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// `monogrid diff`.
@@ -92,12 +89,56 @@ pub struct ProjectArgs {
     #[arg(long, value_name = "Z")]
     pub max_height: Option<f64>,
     #[command(flatten)]
-    pub force: ForceArg,
+    pub write: WriteArgs,
+}
+
+/// `monogrid convert`.
+#[derive(Debug, Args)]
+pub struct ConvertArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub input: PathBuf,
+    /// File to write (.ot, .bt, .mgo, .ply or .pcd); point clouds hold the centres of occupied cells
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid mesh`.
+#[derive(Debug, Args)]
+pub struct MeshArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub map: PathBuf,
+    /// Mesh to write: .ply or .glb
+    pub output: PathBuf,
+    /// Pieces of the surface with fewer faces of cells are left out; 0 keeps all
+    #[arg(long, value_name = "N", default_value_t = MeshConfig::default().min_faces)]
+    pub min_faces: usize,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+/// `monogrid plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Map to read (.ot, .bt or .mgo)
+    pub map: PathBuf,
+    /// Where the robot's centre is, in the unit of the map
+    #[arg(value_name = "FROM", value_parser = point, allow_hyphen_values = true)]
+    pub from: [f64; 3],
+    /// Where it is to go
+    #[arg(value_name = "TO", value_parser = point, allow_hyphen_values = true)]
+    pub to: [f64; 3],
+    /// Radius of the robot, a ball, in the unit of the map
+    #[arg(long, value_name = "R", value_parser = positive)]
+    pub robot_radius: f64,
+    /// The robot may enter cells of which nothing is known
+    #[arg(long)]
+    pub through_unknown: bool,
     #[command(flatten)]
     pub json: JsonArg,
 }
 
-pub fn point(text: &str) -> Result<[f64; 3], String> {
+fn point(text: &str) -> Result<[f64; 3], String> {
     let numbers: Option<Vec<f64>> = text
         .split(',')
         .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
@@ -107,109 +148,96 @@ pub fn point(text: &str) -> Result<[f64; 3], String> {
         .ok_or_else(|| "expected three numbers, e.g. -1,0,2.5".to_owned())
 }
 
-/// What was written, for people and programs.
-fn report_written(map: &OccupancyMap, path: &Path, json: JsonArg) -> CommandResult {
-    let counts = map.cell_counts();
-    if json.json {
-        print_json(&serde_json::json!({
-            "resolution": map.resolution(),
-            "leaves": map.leaf_count(),
-            "cells_occupied": counts.occupied,
-            "cells_free": counts.free,
-        }))?;
-    } else {
+/// The file of a map that is to be written, and its format.
+fn map_file(path: &Path, force: bool, inputs: &Inputs) -> Result<(OutputFile, MapFormat), Failure> {
+    let format = MapFormat::from_name(path, &MapFormat::MAPS).bad_input()?;
+    Ok((OutputFile::new(path, force, inputs)?, format))
+}
+
+/// Writes a map, and what it is for people and programs.
+fn finish(
+    map: &OccupancyMap,
+    (file, format): (OutputFile, MapFormat),
+    json: JsonArg,
+) -> CommandResult {
+    mapfile::save(map, &file, format)?;
+    let (counts, resolution) = (map.cell_counts(), map.resolution());
+    let report = serde_json::json!({
+        "resolution": resolution,
+        "leaves": map.leaf_count(),
+        "cells_occupied": counts.occupied,
+        "cells_free": counts.free,
+    });
+    json.print(&report, || {
         println!(
-            "{}: {} occupied and {} free cells of {} (in the unit of the input)",
-            path.display(),
+            "{}: {} occupied and {} free cells of {resolution} (in the unit of the input)",
+            file.path().display(),
             counts.occupied,
-            counts.free,
-            map.resolution()
+            counts.free
         );
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 /// Keeps the cells that touch a box.
 pub fn crop(args: &CropArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS).bad_input()?;
-    if (0..3).any(|axis| args.min[axis] >= args.max[axis]) {
+    let CropArgs { min, max, .. } = args;
+    let inputs = Inputs::of("the map", &args.input);
+    let output = map_file(&args.output, args.write.force, &inputs)?;
+    if (0..3).any(|axis| min[axis] >= max[axis]) {
         return Err(Failure::input(format!(
-            "--min {:?} is not below --max {:?} in every direction",
-            args.min, args.max
+            "--min {min:?} is not below --max {max:?} in every direction"
         )));
     }
-    let inputs = Inputs::of("the map", &args.input);
-    let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
     let (map, _) = mapfile::load(&args.input)?;
-    let kept = map
-        .cropped(args.min, args.max)
-        .while_running("the map cannot be cropped")?;
+    let kept = map.cropped(*min, *max);
+    let kept = kept.while_running("the map cannot be cropped")?;
     if kept.leaf_count() == 0 {
-        return Err(nothing_kept(args, &map));
+        let reach = map.bounds().map_or_else(
+            || "it is empty".to_owned(),
+            |(low, high)| format!("its cells reach from {low:.3?} to {high:.3?}"),
+        );
+        return Err(Failure::input(format!(
+            "{} has no known cells from --min {min:?} to --max {max:?}: {reach}",
+            args.input.display()
+        )));
     }
-    mapfile::save(&kept, &output, format)?;
-    report_written(&kept, &args.output, args.json)
-}
-
-fn nothing_kept(args: &CropArgs, map: &OccupancyMap) -> Failure {
-    let reach = map.bounds().map_or_else(
-        || "it is empty".to_owned(),
-        |(low, high)| format!("its cells reach from {low:.3?} to {high:.3?}"),
-    );
-    Failure::input(format!(
-        "{} has no known cells from --min {:?} to --max {:?}: {reach}",
-        args.input.display(),
-        args.min,
-        args.max
-    ))
+    finish(&kept, output, args.write.json)
 }
 
 /// Adds the log-odds of two maps, as if both had been measured into one.
 pub fn merge(args: &MergeArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.out, &MapFormat::MAPS).bad_input()?;
     let inputs = Inputs::of("a map", &args.first).and("a map", &args.second);
-    let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
-    let (mut map, _) = mapfile::load(&args.first)?;
-    let (other, _) = mapfile::load(&args.second)?;
-    check_same_resolution(&map, &other, [&args.first, &args.second])?;
+    let output = map_file(&args.out, args.write.force, &inputs)?;
+    let [mut map, other] = load_alike([&args.first, &args.second])?;
     map.merge(&other)
         .while_running("the maps cannot be merged")?;
-    mapfile::save(&map, &output, format)?;
-    report_written(&map, &args.out, args.json)
+    finish(&map, output, args.write.json)
 }
 
-fn check_same_resolution(
-    a: &OccupancyMap,
-    b: &OccupancyMap,
-    paths: [&PathBuf; 2],
-) -> Result<(), Failure> {
-    if (a.resolution() / b.resolution() - 1.0).abs() < 1e-6 {
-        return Ok(());
+/// Two maps with cells of the same size.
+fn load_alike(paths: [&PathBuf; 2]) -> Result<[OccupancyMap; 2], Failure> {
+    let [(first, _), (second, _)] = [mapfile::load(paths[0])?, mapfile::load(paths[1])?];
+    let [a, b] = [first.resolution(), second.resolution()];
+    if (a / b - 1.0).abs() < 1e-6 {
+        return Ok([first, second]);
     }
+    let [first, second] = paths.map(|path| path.display());
     Err(Failure::input(format!(
-        "{} has cells of {}, {} of {}, expected the same",
-        paths[0].display(),
-        a.resolution(),
-        paths[1].display(),
-        b.resolution()
+        "{first} has cells of {a}, {second} of {b}, expected the same"
     )))
 }
 
 /// Moves a map; a map built with `--align` is better than one that was resampled.
 pub fn transform(args: &TransformArgs) -> CommandResult {
-    let format = MapFormat::from_name(&args.output, &MapFormat::MAPS).bad_input()?;
     let inputs = Inputs::of("the map", &args.input).and("the transform", &args.sim3);
-    let output = OutputFile::new(&args.output, args.force.force, &inputs)?;
+    let output = map_file(&args.output, args.write.force, &inputs)?;
     let (map, _) = mapfile::load(&args.input)?;
     let target_from_source = read_sim3(&args.sim3).bad_input()?;
-    let resolution = args
-        .resolution
-        .unwrap_or(map.resolution() * target_from_source.scale);
-    let moved = map
-        .transformed(&similarity(&target_from_source), resolution)
-        .while_running("the map cannot be transformed")?;
-    mapfile::save(&moved, &output, format)?;
-    report_written(&moved, &args.output, args.json)
+    let scaled = map.resolution() * target_from_source.scale;
+    let resolution = args.resolution.unwrap_or(scaled);
+    let moved = map.transformed(&similarity(&target_from_source), resolution);
+    let moved = moved.while_running("the map cannot be transformed")?;
+    finish(&moved, output, args.write.json)
 }
 
 /// The same transform in the types of the occupancy crate.
@@ -236,47 +264,27 @@ struct DifferenceReport {
 
 /// Counts the cells whose state differs.
 pub fn diff(args: &DiffArgs) -> CommandResult {
-    let (before, _) = mapfile::load(&args.before)?;
-    let (after, _) = mapfile::load(&args.after)?;
-    check_same_resolution(&before, &after, [&args.before, &args.after])?;
-    let difference = before
-        .difference(&after)
-        .while_running("the maps cannot be compared")?;
-    if args.json.json {
-        print_json(&DifferenceReport::from(difference))?;
-        return Ok(Outcome::Done);
-    }
-    println!("{:>12} cells in the same state", difference.same);
-    println!("{:>12} from free to occupied", difference.free_to_occupied);
-    println!("{:>12} from occupied to free", difference.occupied_to_free);
-    println!(
-        "{:>12} known only in {}",
-        difference.only_before,
-        args.before.display()
-    );
-    println!(
-        "{:>12} known only in {}",
-        difference.only_after,
-        args.after.display()
-    );
-    println!(
-        "log-odds differ by {:.4} on average",
-        difference.mean_log_odds_difference
-    );
-    Ok(Outcome::Done)
-}
-
-impl From<MapDifference> for DifferenceReport {
-    fn from(difference: MapDifference) -> Self {
-        Self {
-            same: difference.same,
-            free_to_occupied: difference.free_to_occupied,
-            occupied_to_free: difference.occupied_to_free,
-            only_before: difference.only_before,
-            only_after: difference.only_after,
-            mean_log_odds_difference: difference.mean_log_odds_difference,
-        }
-    }
+    let [before, after] = load_alike([&args.before, &args.after])?;
+    let difference = before.difference(&after);
+    let difference = difference.while_running("the maps cannot be compared")?;
+    let report = DifferenceReport {
+        same: difference.same,
+        free_to_occupied: difference.free_to_occupied,
+        occupied_to_free: difference.occupied_to_free,
+        only_before: difference.only_before,
+        only_after: difference.only_after,
+        mean_log_odds_difference: difference.mean_log_odds_difference,
+    };
+    args.json.print(&report, || {
+        let [before, after] = [&args.before, &args.after].map(|path| path.display());
+        println!("{:>12} cells in the same state", report.same);
+        println!("{:>12} from free to occupied", report.free_to_occupied);
+        println!("{:>12} from occupied to free", report.occupied_to_free);
+        println!("{:>12} known only in {before}", report.only_before);
+        println!("{:>12} known only in {after}", report.only_after);
+        let mean = report.mean_log_odds_difference;
+        println!("log-odds differ by {mean:.4} on average");
+    })
 }
 
 /// What the summary beside a map says of its lengths.
@@ -321,19 +329,14 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
         )));
     };
     let inputs = Inputs::of("the map", &args.map);
-    let force = args.force.force;
     let yaml = args.output.with_extension("yaml");
-    let pgm_file = OutputFile::new(&args.output, force, &inputs)?;
-    let yaml_file = OutputFile::new(&yaml, force, &inputs)?;
+    let pgm_file = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let yaml_file = OutputFile::new(&yaml, args.write.force, &inputs)?;
     let (map, _) = mapfile::load(&args.map)?;
     let beside = RunBeside::of(&args.map);
-    let band = beside
-        .camera_height
-        .map_or([f64::NEG_INFINITY, f64::INFINITY], |height| {
-            [0.1 * height, 1.1 * height]
-        });
-    let low = args.min_height.unwrap_or(band[0]);
-    let high = args.max_height.unwrap_or(band[1]);
+    let usual = |share: f64| beside.camera_height.map(|height| share * height);
+    let low = args.min_height.or(usual(0.1)).unwrap_or(f64::NEG_INFINITY);
+    let high = args.max_height.or(usual(1.1)).unwrap_or(f64::INFINITY);
     let Some(grid) = map.projected(low, high) else {
         return Err(Failure::input(format!(
             "{} has no known cells between the heights {low} and {high}",
@@ -343,22 +346,80 @@ pub fn project(args: &ProjectArgs) -> CommandResult {
     pgm_file.write(&grid.to_pgm())?;
     let note = beside.note([low, high]);
     yaml_file.write((grid.to_yaml(&name.to_string_lossy()) + &note).as_bytes())?;
-    if args.json.json {
-        print_json(&serde_json::json!({
-            "width": grid.width,
-            "height": grid.height,
-            "resolution": grid.resolution,
-            "origin": grid.origin,
-        }))?;
-    } else {
+    let report = serde_json::json!({
+        "width": grid.width,
+        "height": grid.height,
+        "resolution": grid.resolution,
+        "origin": grid.origin,
+    });
+    args.write.json.print(&report, || {
+        let (pgm, yaml) = (args.output.display(), yaml.display());
         println!(
-            "{} and {}: {} x {} cells of {}",
-            args.output.display(),
-            yaml.display(),
-            grid.width,
-            grid.height,
-            grid.resolution
+            "{pgm} and {yaml}: {} x {} cells of {}",
+            grid.width, grid.height, grid.resolution
         );
-    }
-    Ok(Outcome::Done)
+    })
+}
+
+/// Reads a map and writes it in another format.
+pub fn convert(args: &ConvertArgs) -> CommandResult {
+    let format = MapFormat::from_name(&args.output, &MapFormat::ALL).bad_input()?;
+    let inputs = Inputs::of("the map", &args.input);
+    let output = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let (map, from) = mapfile::load(&args.input)?;
+    let file_bytes = mapfile::save(&map, &output, format)?;
+    let to = format.description();
+    let report = serde_json::json!({
+        "from": from.description(),
+        "to": to,
+        "leaves": map.leaf_count(),
+        "file_bytes": file_bytes,
+    });
+    args.write.json.print(&report, || {
+        let (input, output) = (args.input.display(), args.output.display());
+        println!("{input} -> {output}: {to}, {}", bytes(file_bytes));
+        if from == MapFormat::Bt && matches!(format, MapFormat::Ot | MapFormat::Mgo) {
+            println!("a .bt holds no probabilities: free and occupied cells got OctoMap's limits");
+        }
+    })
+}
+
+/// Reads a map and writes its surface, in grey: a map knows no colours.
+pub fn mesh(args: &MeshArgs) -> CommandResult {
+    let format = MeshFormat::from_name(&args.output)?;
+    let inputs = Inputs::of("the map", &args.map);
+    let output = OutputFile::new(&args.output, args.write.force, &inputs)?;
+    let (map, _) = mapfile::load(&args.map)?;
+    let config = MeshConfig {
+        min_faces: args.min_faces,
+        ..MeshConfig::default()
+    };
+    let mesh = CellColours::unknown().mesh(&map, &config);
+    let mesh = mesh.while_running("the surface cannot be made")?;
+    output.write_with(|out| format.write(&mesh, "the unit of the map", out))?;
+    let (vertices, triangles) = (mesh.surface.vertices.len(), mesh.surface.triangles.len());
+    let report = serde_json::json!({ "vertices": vertices, "triangles": triangles });
+    args.write.json.print(&report, || {
+        let output = args.output.display();
+        println!("{output}: {vertices} vertices, {triangles} triangles");
+    })
+}
+
+/// Plans and prints the path.
+pub fn plan(args: &PlanArgs) -> CommandResult {
+    let (map, _) = mapfile::load(&args.map)?;
+    let config = PlanConfig {
+        through_unknown: args.through_unknown,
+        ..PlanConfig::with_radius(args.robot_radius)
+    };
+    let path = plan_path(&map, args.from, args.to, &config).bad_input()?;
+    args.json.print(&path, || {
+        println!(
+            "# x y z in the unit of the map; length {:.3}, at least {:.3} from every obstacle, cells of {}",
+            path.length, path.clearance, path.planning_cell
+        );
+        for [x, y, z] in &path.points {
+            println!("{x:.4} {y:.4} {z:.4}");
+        }
+    })
 }

@@ -2,9 +2,9 @@
 
 use super::posed_depth::PosedDepthFolder;
 use super::synth::is_mesh;
-use super::{bytes, print_json};
-use crate::args::{ForceArg, JsonArg, positive};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use super::{bytes, warn};
+use crate::args::{WriteArgs, positive};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::mapfile;
 use crate::output::{Inputs, OutputFile};
 use crate::run::outputs::path_of;
@@ -54,13 +54,11 @@ pub struct TruthArgs {
     #[arg(long, value_name = "FILE")]
     pub depth_calibration: Option<PathBuf>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// `truth --json`.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct TruthReport {
     made_from: String,
     resolution: f64,
@@ -75,15 +73,8 @@ struct TruthReport {
     warnings: Vec<String>,
 }
 
-/// A truth and what it was made from.
-struct Made {
-    grid: TruthGrid,
-    made_from: String,
-    cameras: usize,
-    cameras_in_free_space: Option<usize>,
-    reaches_border: Option<bool>,
-    warnings: Vec<String>,
-}
+/// A truth, and what is known of it without its cells.
+type Made = (TruthGrid, TruthReport);
 
 /// Most depth images used unless asked for more: they are all in memory at once, 1.2 MB each.
 const MAX_DEPTH_IMAGES: usize = 300;
@@ -94,50 +85,37 @@ const POSITIONS_PER_SEC: f64 = 5.0;
 pub fn execute(args: &TruthArgs) -> CommandResult {
     let format = MapFormat::from_name(&args.out, &MapFormat::MAPS).bad_input()?;
     let kind = Kind::of(&args.source)?;
-    let output = OutputFile::new(&args.out, args.force.force, &inputs(args, &kind)?)?;
-    let made = match kind {
+    let output = OutputFile::new(&args.out, args.write.force, &inputs(args, &kind)?)?;
+    let (grid, made) = match kind {
         Kind::Folder => from_folder(args)?,
         Kind::Mesh => from_mesh(args)?,
         Kind::World(name) => from_world(args, &name)?,
     };
-    let map = made.grid.to_map();
+    let map = grid.to_map();
     let map = map.while_running("the map cannot be built")?;
     let file_bytes = mapfile::save(&map, &output, format)?;
-    for warning in &made.warnings {
-        eprintln!("warning: {warning}");
-    }
-    let counts = made.grid.counts();
+    warn(&made.warnings);
+    let counts = grid.counts();
     let report = TruthReport {
-        made_from: made.made_from,
         resolution: args.resolution,
         occupied: counts.occupied,
         free: counts.free,
         unknown: counts.unknown,
-        cameras: made.cameras,
-        cameras_in_free_space: made.cameras_in_free_space,
-        reaches_border: made.reaches_border,
         leaves: map.leaf_count(),
         file_bytes,
-        warnings: made.warnings,
+        ..made
     };
-    if args.json.json {
-        print_json(&report)?;
-    } else {
+    args.write.json.print(&report, || {
+        let (out, size) = (args.out.display(), bytes(file_bytes));
         println!(
-            "{}: truth of {}, cells of {}",
-            args.out.display(),
-            report.made_from,
-            report.resolution
+            "{out}: truth of {}, cells of {}",
+            report.made_from, report.resolution
         );
         println!(
-            "{} occupied, {} free, {} unknown cells; {}",
-            report.occupied,
-            report.free,
-            report.unknown,
-            bytes(report.file_bytes)
+            "{} occupied, {} free, {} unknown cells; {size}",
+            report.occupied, report.free, report.unknown
         );
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 /// What is read: the images of a folder too.
@@ -213,12 +191,9 @@ fn from_world(args: &TruthArgs, name: &str) -> Result<Made, Failure> {
         ..LightingConfig::quick()
     };
     let world = World::by_name_with(name, &lighting).bad_input()?;
-    let grid = of_world(&world, &cameras, &truth_config(args))?;
-    Ok(of_surface(
-        grid,
-        format!("the built-in world {name}"),
-        cameras.len(),
-    ))
+    let truth = of_world(&world, &cameras, &truth_config(args))?;
+    let what = format!("the built-in world {name}");
+    Ok(of_surface(truth, what, cameras.len()))
 }
 
 /// The truth of a world from which its camera saw what it saw.
@@ -246,14 +221,15 @@ fn of_surface(truth: Truth, made_from: String, cameras: usize) -> Made {
             cameras - truth.cameras_in_free_space
         ));
     }
-    Made {
-        grid: truth.grid,
+    let report = TruthReport {
         made_from,
         cameras,
         cameras_in_free_space: Some(truth.cameras_in_free_space),
         reaches_border: Some(truth.reaches_border),
         warnings,
-    }
+        ..TruthReport::default()
+    };
+    (truth.grid, report)
 }
 
 fn truth_config(args: &TruthArgs) -> TruthConfig {
@@ -295,12 +271,11 @@ fn built_in_positions(world: &str) -> Result<Vec<[f64; 3]>, Failure> {
 /// Positions along a motion, close enough to fill free space from.
 pub fn positions_along(path: &CameraPath) -> Vec<[f64; 3]> {
     let count = (path.duration_secs() * POSITIONS_PER_SEC).ceil() as usize;
-    (0..=count)
-        .map(|k| {
-            let secs = (k as f64 / POSITIONS_PER_SEC).min(path.duration_secs());
-            path.world_from_camera(secs).translation.into()
-        })
-        .collect()
+    let position = |k: usize| {
+        let secs = (k as f64 / POSITIONS_PER_SEC).min(path.duration_secs());
+        path.world_from_camera(secs).translation.into()
+    };
+    (0..=count).map(position).collect()
 }
 
 fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
@@ -313,34 +288,31 @@ fn from_folder(args: &TruthArgs) -> Result<Made, Failure> {
     if args.every == Some(0) {
         return Err(Failure::input("--every is 0, expected at least 1"));
     }
-    let every = args
-        .every
-        .unwrap_or_else(|| posed.len().div_ceil(MAX_DEPTH_IMAGES));
-    let used: Vec<_> = posed.into_iter().step_by(every).collect();
+    let usual = posed.len().div_ceil(MAX_DEPTH_IMAGES);
+    let used: Vec<_> = posed
+        .into_iter()
+        .step_by(args.every.unwrap_or(usual))
+        .collect();
     let depths = used.iter().map(|(entry, _)| folder.read(entry));
     let depths = depths.collect::<Result<Vec<_>, _>>()?;
-    let (width, height) = folder.size();
-    let images: Vec<PosedDepth> = used
-        .iter()
-        .zip(&depths)
-        .map(|((_, pose), depth)| PosedDepth {
-            view: View {
-                world_from_camera: *pose,
-                camera: folder.pinhole(),
-                width,
-                height,
-            },
-            depth: depth.as_slice(),
-        })
-        .collect();
+    let parts = used.iter().zip(&depths);
+    let images = parts.map(|((_, pose), depth)| PosedDepth {
+        view: View {
+            world_from_camera: *pose,
+            camera: folder.pinhole,
+            width: depth.width(),
+            height: depth.height(),
+        },
+        depth: depth.as_slice(),
+    });
+    let images: Vec<PosedDepth> = images.collect();
     let max_depth = args.max_depth.unwrap_or(f64::INFINITY);
     let grid = truth_from_depth_images(&images, args.resolution, max_depth).bad_input()?;
-    Ok(Made {
-        grid,
-        made_from: format!("{} of {} depth images", images.len(), folder.num_depths()),
+    let num_depths = folder.dataset.depths.len();
+    let report = TruthReport {
+        made_from: format!("{} of {num_depths} depth images", images.len()),
         cameras: images.len(),
-        cameras_in_free_space: None,
-        reaches_border: None,
-        warnings: Vec::new(),
-    })
+        ..TruthReport::default()
+    };
+    Ok((grid, report))
 }

@@ -1,7 +1,6 @@
 //! `monogrid view`: a map, a cloud or a run in the browser, as a page or as a picture.
 
-use super::print_json;
-use crate::args::{ForceArg, JsonArg};
+use crate::args::WriteArgs;
 use crate::colours::Colours;
 use crate::explorer::{
     Answer, Camera, Cells, Cloud, CloudPoint, PageMesh, Scene, SemiDense, Server, ShownKeyframe,
@@ -19,7 +18,7 @@ use crate::run::align::{Align, Up};
 use crate::run::sessions::Source;
 use crate::surface::CellColours;
 use clap::Args;
-use monogrid_datasets::{RecordedCamera, RecordedKeyframe, encode_png_rgb};
+use monogrid_datasets::{RecordedKeyframe, encode_png_rgb};
 use monogrid_slam::mapping::{ImageOf, KeyframeCamera, MeshConfig};
 use monogrid_worlds::MeshModel;
 use serde::Serialize;
@@ -41,9 +40,7 @@ pub struct ViewArgs {
     #[arg(long, value_name = "OUT.png")]
     pub png: Option<PathBuf>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// `view --json`.
@@ -63,12 +60,9 @@ static STOP: AtomicBool = AtomicBool::new(false);
 /// Shows it.
 pub fn execute(args: &ViewArgs) -> CommandResult {
     let inputs = Inputs::of("what is shown", &args.source);
-    let output = |path: &Option<PathBuf>| {
-        let path = path.as_deref();
-        path.map(|path| OutputFile::new(path, args.force.force, &inputs))
-            .transpose()
-    };
-    let (html, png) = (output(&args.html)?, output(&args.png)?);
+    let output = |path: &PathBuf| OutputFile::new(path, args.write.force, &inputs);
+    let [html, png] = [&args.html, &args.png].map(|path| path.as_ref().map(output).transpose());
+    let (html, png) = (html?, png?);
     let shown = Shown::read(&args.source)?;
     if let Some(file) = &png {
         file.write(&encode_png_rgb(&shown.picture()))?;
@@ -91,7 +85,7 @@ pub fn execute(args: &ViewArgs) -> CommandResult {
     Ok(Outcome::Done)
 }
 
-fn tell(args: &ViewArgs, shown: &Shown, url: Option<String>) -> Result<(), Failure> {
+fn tell(args: &ViewArgs, shown: &Shown, url: Option<String>) -> CommandResult {
     let scene = &shown.scene;
     let report = ViewReport {
         cells: scene.cells.as_ref().map_or(0, |cells| cells.count[0]),
@@ -99,20 +93,18 @@ fn tell(args: &ViewArgs, shown: &Shown, url: Option<String>) -> Result<(), Failu
         keyframes: scene.keyframes.len(),
         url,
     };
-    if args.json.json {
-        return print_json(&report);
-    }
-    println!(
-        "{}: {} occupied cells, {} points, {} keyframes",
-        args.source.display(),
-        report.cells,
-        report.points,
-        report.keyframes
-    );
-    if let Some(url) = &report.url {
-        println!("{url} shows it in a browser of this computer; Ctrl-C ends");
-    }
-    Ok(())
+    args.write.json.print(&report, || {
+        println!(
+            "{}: {} occupied cells, {} points, {} keyframes",
+            args.source.display(),
+            report.cells,
+            report.points,
+            report.keyframes
+        );
+        if let Some(url) = &report.url {
+            println!("{url} shows it in a browser of this computer; Ctrl-C ends");
+        }
+    })
 }
 
 /// What is shown.
@@ -129,103 +121,13 @@ impl Shown {
         if source.is_dir() {
             return Self::of_run(source);
         }
-        if Source::is_at(source) {
-            return Self::of_recording(source);
-        }
-        let extension = source
-            .extension()
-            .map(|e| e.to_string_lossy().to_ascii_lowercase());
-        match extension.as_deref() {
-            Some("ply") => Self::of_points(source),
-            _ => Self::of_map(source),
-        }
-    }
-
-    fn of_map(source: &Path) -> Result<Self, Failure> {
-        let (map, _) = mapfile::load(source)?;
-        let cubes = occupied_cubes(&map).while_running("the map cannot be drawn")?;
-        let cells = Cells::new(&map).while_running("the map cannot be drawn")?;
-        let mesh = CellColours::unknown().mesh(&map, &MeshConfig::default());
-        let scene = Scene {
-            cells: Some(cells),
-            // one that is too large for the memory is left to `monogrid mesh`, which says so
-            mesh: mesh
-                .ok()
-                .and_then(|mesh| PageMesh::new(&mesh, map.resolution())),
-            ..Scene::default()
-        };
-        Ok(Self {
-            scene,
-            cubes,
-            report: None,
-        })
-    }
-
-    fn of_points(source: &Path) -> Result<Self, Failure> {
-        let mesh = MeshModel::read(source).bad_input()?.mesh;
-        let keep_every = Cloud::keep_every(mesh.vertices.len());
-        let points = mesh
-            .vertices
-            .iter()
-            .enumerate()
-            .map(|(i, point)| CloudPoint {
-                point: *point,
-                // points without a brightness are of a middle grey
-                colour: mesh
-                    .albedo
-                    .get(i)
-                    .map_or([128; 3], |a| [(a.clamp(0.0, 1.0) * 255.0) as u8; 3]),
-                confidence: 1.0,
-            });
-        let shown: Vec<CloudPoint> = points.step_by(keep_every).collect();
-        let cubes = small_cubes(&shown);
-        let (cloud, _) = Cloud::new(&[shown], mesh.vertices.len());
-        let scene = Scene {
-            cloud: Some(cloud),
-            ..Scene::default()
-        };
-        Ok(Self {
-            scene,
-            cubes,
-            report: None,
-        })
-    }
-
-    /// The depth of the keyframes as it was recorded.
-    fn of_recording(source: &Path) -> Result<Self, Failure> {
-        let recorded = Recorded::read(source, &Align::Level(Up::Scene))?;
-        let camera = recorded.session.camera();
-        let colours = Colours::of(&recorded.keyframes);
-        let posed: Vec<ShownKeyframe> = recorded
-            .keyframes
-            .iter()
-            .filter_map(|keyframe| {
-                let pose = recorded.frame.map_from_world * keyframe.world_from_keyframe?;
-                Some(ShownKeyframe {
-                    frame_index: keyframe.frame_index,
-                    timestamp_ns: keyframe.timestamp_ns,
-                    map_from_keyframe: pose,
-                    pinhole: keyframe.camera.pinhole,
-                    image: keyframe.image.as_ref().map(ImageOf::Held),
-                    semi_dense: recorded_depth(keyframe),
-                })
-            })
-            .collect();
-        let groups = point_groups(&posed, &colours);
-        let begin = posed.first().map_or(0, |keyframe| keyframe.timestamp_ns);
-        let (cloud, keyframes) = cloud_and_keyframes(&posed, &groups, &colours, begin);
-        let cubes = small_cubes(&groups.concat());
-        let path = posed.iter().map(|keyframe| {
-            let centre = keyframe.map_from_keyframe.translation;
-            let [x, y, z] = [0, 1, 2].map(|axis| centre[axis] as f32);
-            (keyframe.frame_index as usize, x, y, z)
-        });
-        let scene = Scene {
-            cloud: Some(cloud),
-            camera: Some(Camera::new(&camera.pinhole, [camera.width, camera.height])),
-            keyframes,
-            path: path.collect(),
-            ..Scene::default()
+        let extension = source.extension();
+        let (scene, cubes) = if Source::is_at(source) {
+            of_recording(source)?
+        } else if extension.is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+            of_points(source)?
+        } else {
+            of_map(source)?
         };
         Ok(Self {
             scene,
@@ -244,18 +146,21 @@ impl Shown {
                 folder.display()
             )));
         }
-        let mut shown = match &recording {
-            Some(recording) => Self::of_recording(&recording.file)?,
-            None => Self::of_map(&map)?,
+        let (mut scene, mut cubes) = match &recording {
+            Some(recording) => of_recording(&recording.file)?,
+            None => of_map(&map)?,
         };
         if map.is_file() && recording.is_some() {
-            let of_map = Self::of_map(&map)?;
-            shown.scene.cells = of_map.scene.cells;
-            shown.scene.mesh = of_map.scene.mesh;
-            shown.cubes = of_map.cubes;
+            let (mapped, cubes_of_map) = of_map(&map)?;
+            (scene.cells, scene.mesh) = (mapped.cells, mapped.mesh);
+            cubes = cubes_of_map;
         }
+        let mut shown = Self {
+            scene,
+            cubes,
+            report: std::fs::read_to_string(report).ok(),
+        };
         shown.scene.cut = dollhouse_cut(&shown.cubes, &shown.path());
-        shown.report = std::fs::read_to_string(report).ok();
         Ok(shown)
     }
 
@@ -283,15 +188,78 @@ impl Shown {
     }
 }
 
-/// The depth of a keyframe as it was recorded.
-fn recorded_depth(keyframe: &RecordedKeyframe) -> SemiDense {
-    let RecordedCamera {
-        pinhole,
-        width,
-        height,
-    } = keyframe.camera;
-    let camera = KeyframeCamera::new(pinhole, (width, height));
-    SemiDense::recorded(keyframe.id, camera, &from_recorded(&keyframe.pixels))
+fn of_map(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
+    let (map, _) = mapfile::load(source)?;
+    let cubes = occupied_cubes(&map).while_running("the map cannot be drawn")?;
+    let cells = Cells::new(&map).while_running("the map cannot be drawn")?;
+    let mesh = CellColours::unknown()
+        .mesh(&map, &MeshConfig::default())
+        .ok();
+    let scene = Scene {
+        cells: Some(cells),
+        // one that is too large for the memory is left to `monogrid mesh`, which says so
+        mesh: mesh.and_then(|mesh| PageMesh::new(&mesh, map.resolution())),
+        ..Scene::default()
+    };
+    Ok((scene, cubes))
+}
+
+fn of_points(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
+    let mesh = MeshModel::read(source).bad_input()?.mesh;
+    let keep_every = Cloud::keep_every(mesh.vertices.len());
+    let grey = |albedo: &f32| (albedo.clamp(0.0, 1.0) * 255.0) as u8;
+    let points = mesh.vertices.iter().enumerate().step_by(keep_every);
+    let points = points.map(|(i, point)| CloudPoint {
+        point: *point,
+        // points without a brightness are of a middle grey
+        colour: [mesh.albedo.get(i).map_or(128, grey); 3],
+        confidence: 1.0,
+    });
+    let shown: Vec<CloudPoint> = points.collect();
+    let cubes = small_cubes(&shown);
+    let (cloud, _) = Cloud::new(&[shown], mesh.vertices.len());
+    let scene = Scene {
+        cloud: Some(cloud),
+        ..Scene::default()
+    };
+    Ok((scene, cubes))
+}
+
+/// The depth of the keyframes as it was recorded.
+fn of_recording(source: &Path) -> Result<(Scene, Vec<Cube>), Failure> {
+    let recorded = Recorded::read(source, &Align::Level(Up::Scene))?;
+    let camera = recorded.session.camera();
+    let colours = Colours::of(&recorded.keyframes);
+    let posed = recorded.keyframes.iter().filter_map(|keyframe| {
+        let RecordedKeyframe { id, camera, .. } = keyframe;
+        let camera = KeyframeCamera::new(camera.pinhole, (camera.width, camera.height));
+        let pose = recorded.frame.map_from_world * keyframe.world_from_keyframe?;
+        Some(ShownKeyframe {
+            frame_index: keyframe.frame_index,
+            timestamp_ns: keyframe.timestamp_ns,
+            map_from_keyframe: pose,
+            pinhole: keyframe.camera.pinhole,
+            image: keyframe.image.as_ref().map(ImageOf::Held),
+            semi_dense: SemiDense::recorded(*id, camera, &from_recorded(&keyframe.pixels)),
+        })
+    });
+    let posed: Vec<ShownKeyframe> = posed.collect();
+    let groups = point_groups(&posed, &colours);
+    let begin = posed.first().map_or(0, |keyframe| keyframe.timestamp_ns);
+    let (cloud, keyframes) = cloud_and_keyframes(&posed, &groups, &colours, begin);
+    let cubes = small_cubes(&groups.concat());
+    let path = posed.iter().map(|keyframe| {
+        let [x, y, z] = <[f64; 3]>::from(keyframe.map_from_keyframe.translation);
+        (keyframe.frame_index as usize, x as f32, y as f32, z as f32)
+    });
+    let scene = Scene {
+        cloud: Some(cloud),
+        camera: Some(Camera::new(&camera.pinhole, [camera.width, camera.height])),
+        keyframes,
+        path: path.collect(),
+        ..Scene::default()
+    };
+    Ok((scene, cubes))
 }
 
 /// Points as cubes that can be seen in a picture.

@@ -1,8 +1,8 @@
 //! `monogrid vocabulary`: what FAB-MAP knows of the appearance of the world.
 
-use super::{print_json, use_threads};
-use crate::args::{ForceArg, JsonArg};
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use super::use_threads;
+use crate::args::WriteArgs;
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::output::{Inputs, OutputFile};
 use clap::Args;
 use indicatif::ProgressBar;
@@ -42,9 +42,7 @@ pub struct VocabularyArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 #[derive(Serialize)]
@@ -67,7 +65,7 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
     let inputs = Inputs::default()
         .and_all("an image", &paths)
         .and_all("a list of images", &args.images);
-    let output = OutputFile::new(&args.out, args.force.force, &inputs)?;
+    let output = OutputFile::new(&args.out, args.write.force, &inputs)?;
     let images = describe(&paths)?;
     let config = VocabularyConfig {
         max_words: args.words,
@@ -98,19 +96,13 @@ pub fn execute(args: &VocabularyArgs) -> CommandResult {
         samples: vocabulary.num_samples(),
         bytes: bytes.len(),
     };
-    if args.json.json {
-        print_json(&report)?;
-    } else {
+    args.write.json.print(&report, || {
+        let (out, megabytes) = (args.out.display(), report.bytes as f64 / 1e6);
         println!(
-            "{}: {} words of {} corners in {} images, {:.2} MB",
-            report.out.display(),
-            report.words,
-            report.descriptors,
-            report.images,
-            report.bytes as f64 / 1e6
+            "{out}: {} words of {} corners in {} images, {megabytes:.2} MB",
+            report.words, report.descriptors, report.images
         );
-    }
-    Ok(Outcome::Done)
+    })
 }
 
 /// The images to learn from, in the order of the folders.

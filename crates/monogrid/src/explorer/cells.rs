@@ -1,7 +1,7 @@
 //! Cells of a map as a block of integers.
 
 use crate::picture::base64;
-use monogrid_occupancy::{Leaf, MapError, Occupancy, OccupancyMap, probability_from_log_odds};
+use monogrid_occupancy::{MapError, Occupancy, OccupancyMap, probability_from_log_odds};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -36,24 +36,21 @@ struct Cube {
     probability: f64,
 }
 
-impl Cube {
-    fn new(leaf: &Leaf) -> Self {
-        Self {
-            first: leaf.first.to_array(),
-            level: leaf.edge_cells.ilog2(),
-            probability: probability_from_log_odds(f64::from(leaf.log_odds())),
-        }
-    }
-}
-
 impl Cells {
     /// The known cells of a map.
     pub fn new(map: &OccupancyMap) -> Result<Self, MapError> {
         let (mut occupied, mut free) = (Vec::new(), Vec::new());
-        map.for_each_leaf(|leaf| match map.state_of(leaf.first) {
-            Occupancy::Occupied => occupied.push(Cube::new(&leaf)),
-            Occupancy::Free => free.push(Cube::new(&leaf)),
-            Occupancy::Unknown => {}
+        map.for_each_leaf(|leaf| {
+            let cubes = match map.state_of(leaf.first) {
+                Occupancy::Occupied => &mut occupied,
+                Occupancy::Free => &mut free,
+                Occupancy::Unknown => return,
+            };
+            cubes.push(Cube {
+                first: leaf.first.to_array(),
+                level: leaf.edge_cells.ilog2(),
+                probability: probability_from_log_odds(f64::from(leaf.log_odds())),
+            });
         })?;
         let mut level = 0;
         while occupied.len() > MAX_CUBES {
@@ -70,10 +67,8 @@ impl Cells {
 
     fn pack(map: &OccupancyMap, level: u32, occupied: &[Cube], free: &[Cube]) -> Self {
         let all = || occupied.iter().chain(free);
-        let first = [0, 1, 2].map(|axis| {
-            let along = all().map(|cube| cube.first[axis]);
-            along.min().unwrap_or(0)
-        });
+        let first =
+            [0, 1, 2].map(|axis| all().map(|cube| cube.first[axis]).min().unwrap_or_default());
         // 65,536 cells along an axis are more than OctoMap files hold
         let fits =
             |cube: &&Cube| (0..3).all(|axis| within(cube.first[axis], first[axis]).is_some());

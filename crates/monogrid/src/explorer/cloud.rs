@@ -1,8 +1,13 @@
-//! Measured points as a block of integers.
+//! Measured points as a block of integers, and what was measured in keyframes, without what was filled in between.
 
+use super::Look;
 use crate::picture::base64;
 use crate::picture::colour::quantile;
+use monogrid_geometry::{Pinhole, Sim3, Vec2};
 use monogrid_image::luma_of_rgb;
+use monogrid_occupancy::DepthPixel as Measurement;
+use monogrid_slam::mapping::{KeyframeCamera, KeyframeScan};
+use monogrid_slam::{DepthPixel, KeyframeId};
 use serde::Serialize;
 
 /// Points on a page at most.
@@ -62,38 +67,38 @@ impl Cloud {
             let along = groups.iter().flatten().map(|p| f64::from(p.point[axis]));
             range(along.collect())
         });
-        let low = ranges.map(|[low, _]| low);
-        let largest = ranges.map(|[low, high]| high - low);
-        let step = largest.into_iter().fold(0.0, f64::max).max(1e-6) / f64::from(u16::MAX);
-        let mut bytes = Vec::new();
-        let mut colours = Vec::new();
+        let (low, step) = grid(ranges);
+        let (mut bytes, mut colours) = (Vec::new(), Vec::new());
         let mut shown = Vec::with_capacity(groups.len());
         for group in groups {
             let first = bytes.len() / 8;
             for point in group {
                 if let Some(place) = steps(point, &low, step) {
+                    let confidence = (point.confidence * 255.0).round() as u8;
                     bytes.extend(place.into_iter().flat_map(u16::to_le_bytes));
-                    bytes.extend([
-                        luma_of_rgb(point.colour),
-                        (point.confidence * 255.0).round() as u8,
-                    ]);
+                    bytes.extend([luma_of_rgb(point.colour), confidence]);
                     colours.push(point.colour);
                 }
             }
             shown.push([first, bytes.len() / 8 - first]);
         }
+        let has_colour = colours.iter().any(|[r, g, b]| r != g || g != b);
         let cloud = Self {
             low,
             step,
             count: [bytes.len() / 8, measured],
             points: base64(&bytes),
-            colours: colours
-                .iter()
-                .any(|[r, g, b]| r != g || g != b)
-                .then(|| base64(colours.as_flattened())),
+            colours: has_colour.then(|| base64(colours.as_flattened())),
         };
         (cloud, shown)
     }
+}
+
+/// Lower corner, and a step along each axis so that 16 bits reach over the largest range.
+pub(super) fn grid(ranges: [[f64; 2]; 3]) -> ([f64; 3], f64) {
+    let lengths = ranges.map(|[low, high]| high - low);
+    let largest = lengths.into_iter().fold(0.0, f64::max).max(1e-6);
+    (ranges.map(|[low, _]| low), largest / f64::from(u16::MAX))
 }
 
 /// Where most points lie, with much room around.
@@ -108,16 +113,78 @@ fn range(mut values: Vec<f64>) -> [f64; 2] {
 fn steps(point: &CloudPoint, low: &[f64; 3], step: f64) -> Option<[u16; 3]> {
     let along = |axis: usize| {
         let steps = ((f64::from(point.point[axis]) - low[axis]) / step).round();
-        (0.0..=f64::from(u16::MAX))
-            .contains(&steps)
-            .then_some(steps as u16)
+        let fits = (0.0..=f64::from(u16::MAX)).contains(&steps);
+        fits.then_some(steps as u16)
     };
     Some([along(0)?, along(1)?, along(2)?])
+}
+
+/// The measured pixels of a keyframe that pass the filter of the map. They lie where there is room.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SemiDense(KeyframeScan);
+
+impl SemiDense {
+    /// What of a scan was measured in its keyframe. Both are row-major.
+    pub fn new(measured: &[DepthPixel], scan: &KeyframeScan) -> Self {
+        let place = |pixel: &DepthPixel| (pixel.y, pixel.x);
+        let mut next = 0;
+        Self(scan.only(|pixel| {
+            let wanted = (pixel.y, pixel.x);
+            next += measured[next..].partition_point(|m| place(m) < wanted);
+            measured.get(next).is_some_and(|m| place(m) == wanted)
+        }))
+    }
+
+    /// All that a recording has of a keyframe.
+    pub fn recorded(id: KeyframeId, camera: KeyframeCamera, pixels: &[DepthPixel]) -> Self {
+        let measured = |pixel: &DepthPixel| Measurement {
+            x: pixel.x,
+            y: pixel.y,
+            idepth: pixel.idepth,
+            sigma_idepth: pixel.idepth_var.sqrt(),
+        };
+        let pixels = pixels.iter().map(measured).collect();
+        Self(KeyframeScan::of_measurements(id, camera, pixels, 0))
+    }
+
+    /// The keyframe.
+    pub fn id(&self) -> KeyframeId {
+        self.0.id
+    }
+
+    /// The number of its pixels.
+    pub fn num_pixels(&self) -> usize {
+        self.0.num_pixels
+    }
+
+    /// Its points in the frame of the results, in the colours of its image.
+    pub fn points(
+        &self,
+        look: Look<'_>,
+        pinhole: &Pinhole,
+        map_from_keyframe: &Sim3,
+    ) -> impl Iterator<Item = CloudPoint> {
+        let pixels = self.0.pixels();
+        (0..pixels.len()).map(move |index| {
+            let measured = pixels[index];
+            let depth = 1.0 / f64::from(measured.idepth);
+            let ray = pinhole.unproject(&Vec2::new(measured.x.into(), measured.y.into()));
+            let point = *map_from_keyframe * (ray * depth);
+            CloudPoint {
+                point: [point.x, point.y, point.z].map(|value| value as f32),
+                colour: look.at(measured.x.into(), measured.y.into()),
+                confidence: CloudPoint::confidence(measured.sigma_idepth / measured.idepth),
+            }
+        })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_geometry::Vec3;
+    use monogrid_image::Image;
+    use std::borrow::Cow;
 
     fn point(x: f32) -> CloudPoint {
         CloudPoint {
@@ -161,5 +228,40 @@ mod tests {
     fn confidence_falls_with_uncertainty() {
         let of = |sigma| (CloudPoint::confidence(sigma) * 100.0).round() as i32;
         assert_eq!([of(0.0), of(0.01), of(0.05), of(1.0)], [100, 80, 0, 0]);
+    }
+
+    fn measured() -> [DepthPixel; 4] {
+        let pixel = |(x, y)| DepthPixel {
+            x,
+            y,
+            idepth: 1.0,
+            idepth_var: 0.01,
+        };
+        [(1, 0), (3, 0), (0, 2), (2, 2)].map(pixel)
+    }
+
+    #[test]
+    fn what_was_filled_in_is_left_out_and_points_are_where_they_were_measured() {
+        let measurement = |x, y| Measurement {
+            x,
+            y,
+            idepth: 0.5,
+            sigma_idepth: 0.01,
+        };
+        let camera = KeyframeCamera::new(Pinhole::new(2.0, 2.0, 1.0, 1.0), (4, 3));
+        let pixels = [(0, 0), (1, 0), (2, 0), (1, 1), (2, 2), (3, 2)];
+        let pixels = pixels.map(|(x, y)| measurement(x, y)).to_vec();
+        let scan = KeyframeScan::of_measurements(3, camera, pixels, 4);
+        let cloud = SemiDense::new(&measured(), &scan);
+        let pixels: Vec<_> = cloud.0.pixels().iter().map(|p| [p.x, p.y]).collect();
+        assert_eq!((pixels, cloud.id()), (vec![[1, 0], [2, 2]], 3));
+        let pinhole = Pinhole::new(2.0, 2.0, 1.0, 1.0);
+        let twice = Sim3::new(2.0, monogrid_geometry::Rotation::identity(), Vec3::zeros());
+        let image = Image::from_fn(4, 3, |x, y| (10 * y + x) as u8);
+        let look = Look::Grey(Cow::Owned(image));
+        let points: Vec<_> = cloud.points(look, &pinhole, &twice).collect();
+        assert_eq!(points[1].point, [2.0, 2.0, 4.0]);
+        assert_eq!([points[0].colour, points[1].colour], [[1; 3], [22; 3]]);
+        assert!((points[0].confidence - 0.6).abs() < 1e-6);
     }
 }

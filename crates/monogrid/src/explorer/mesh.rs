@@ -1,8 +1,11 @@
 //! A mesh as blocks of integers.
 
+use super::cloud::grid;
 use crate::picture::base64;
 use crate::surface::ColouredMesh;
+use monogrid_occupancy::SurfaceMesh;
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 
 /// Triangles on a page at most; of a mesh with more, vertices that lie close together become one.
@@ -31,95 +34,77 @@ impl PageMesh {
         if mesh.surface.triangles.is_empty() {
             return None;
         }
-        let mut shown = Shown::all(mesh);
-        let mut grid = 2.0 * edge;
-        while shown.triangles.len() > MAX_TRIANGLES {
-            shown = shown.clustered(grid);
+        let (mut shown, mut grid) = (Cow::Borrowed(mesh), 2.0 * edge);
+        while shown.surface.triangles.len() > MAX_TRIANGLES {
+            shown = Cow::Owned(clustered(&shown, grid));
             grid *= 1.5;
         }
-        Some(shown.packed())
+        Some(packed(&shown))
     }
 }
 
-/// What is shown of a mesh.
-struct Shown {
-    vertices: Vec<[f32; 3]>,
-    colours: Vec<[u8; 3]>,
-    triangles: Vec<[u32; 3]>,
-}
-
-impl Shown {
-    fn all(mesh: &ColouredMesh) -> Self {
-        Self {
-            vertices: mesh.surface.vertices.clone(),
-            colours: mesh.colours.clone(),
-            triangles: mesh.surface.triangles.clone(),
+/// One vertex for each cube of this edge, in the middle of those that lie in it (Rossignac and Borrel, *Multi-resolution 3D
+/// approximations for rendering complex scenes*, 1993), without normals; triangles within a cube are gone.
+fn clustered(mesh: &ColouredMesh, edge: f64) -> ColouredMesh {
+    let cube = |vertex: &[f32; 3]| vertex.map(|v| (f64::from(v) / edge).floor() as i64);
+    let mut new_of_cube: HashMap<[i64; 3], u32> = HashMap::new();
+    let mut sums: Vec<[f64; 7]> = Vec::new();
+    let mut new_of = Vec::with_capacity(mesh.colours.len());
+    for (vertex, colour) in mesh.surface.vertices.iter().zip(&mesh.colours) {
+        let new = *new_of_cube.entry(cube(vertex)).or_insert_with(|| {
+            sums.push([0.0; 7]);
+            sums.len() as u32 - 1
+        });
+        let [x, y, z] = vertex.map(f64::from);
+        let [red, green, blue] = colour.map(f64::from);
+        let parts = [x, y, z, red, green, blue, 1.0];
+        for (sum, part) in sums[new as usize].iter_mut().zip(parts) {
+            *sum += part;
         }
+        new_of.push(new);
     }
-
-    /// One vertex for each cube of this edge, in the middle of those that lie in it (Rossignac and Borrel, *Multi-resolution 3D
-    /// approximations for rendering complex scenes*, 1993); triangles within a cube are gone.
-    fn clustered(&self, edge: f64) -> Self {
-        let cube = |vertex: &[f32; 3]| vertex.map(|v| (f64::from(v) / edge).floor() as i64);
-        let mut new_of_cube: HashMap<[i64; 3], u32> = HashMap::new();
-        let mut sums: Vec<[f64; 7]> = Vec::new();
-        let mut new_of = Vec::with_capacity(self.vertices.len());
-        for (vertex, colour) in self.vertices.iter().zip(&self.colours) {
-            let new = *new_of_cube.entry(cube(vertex)).or_insert_with(|| {
-                sums.push([0.0; 7]);
-                sums.len() as u32 - 1
-            });
-            let parts = vertex.iter().map(|v| f64::from(*v));
-            let parts = parts
-                .chain(colour.iter().map(|v| f64::from(*v)))
-                .chain([1.0]);
-            for (sum, part) in sums[new as usize].iter_mut().zip(parts) {
-                *sum += part;
-            }
-            new_of.push(new);
-        }
-        let new = |triangle: &[u32; 3]| triangle.map(|vertex| new_of[vertex as usize]);
-        let is_one = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
-        let triangles = self.triangles.iter().map(new).filter(is_one);
-        // two walls of a thin one may fall together
-        let unique: BTreeMap<[u32; 3], [u32; 3]> = triangles.map(|t| (sorted(t), t)).collect();
-        let vertices = sums.iter().map(|s| [0, 1, 2].map(|k| (s[k] / s[6]) as f32));
-        let colours = sums
-            .iter()
-            .map(|s| [3, 4, 5].map(|k| (s[k] / s[6]).round() as u8));
-        Self {
+    let new = |triangle: &[u32; 3]| triangle.map(|vertex| new_of[vertex as usize]);
+    let is_one = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
+    let triangles = mesh.surface.triangles.iter().map(new).filter(is_one);
+    // two walls of a thin one may fall together
+    let unique: BTreeMap<[u32; 3], [u32; 3]> = triangles.map(|t| (sorted(t), t)).collect();
+    let vertices = sums.iter().map(|s| [0, 1, 2].map(|k| (s[k] / s[6]) as f32));
+    let colours = sums.iter();
+    let colours = colours.map(|s| [3, 4, 5].map(|k| (s[k] / s[6]).round() as u8));
+    ColouredMesh {
+        surface: SurfaceMesh {
             vertices: vertices.collect(),
-            colours: colours.collect(),
             triangles: unique.into_values().collect(),
-        }
+            ..SurfaceMesh::default()
+        },
+        colours: colours.collect(),
     }
+}
 
-    fn packed(&self) -> PageMesh {
-        let along = |axis: usize| self.vertices.iter().map(move |v| f64::from(v[axis]));
-        let low = [0, 1, 2].map(|axis| along(axis).fold(f64::INFINITY, f64::min));
-        let high = [0, 1, 2].map(|axis| along(axis).fold(f64::NEG_INFINITY, f64::max));
-        let largest = (0..3)
-            .map(|axis| high[axis] - low[axis])
-            .fold(0.0, f64::max);
-        let step = largest.max(1e-6) / f64::from(u16::MAX);
-        let mut vertices = Vec::with_capacity(8 * self.vertices.len());
-        for vertex in &self.vertices {
-            for (value, low) in vertex.iter().zip(low) {
-                let steps = ((f64::from(*value) - low) / step).round() as u16;
-                vertices.extend(steps.to_le_bytes());
-            }
-            vertices.extend([0, 0]);
+fn packed(mesh: &ColouredMesh) -> PageMesh {
+    let surface = &mesh.surface;
+    let (low, step) = grid([0, 1, 2].map(|axis| {
+        let along = surface.vertices.iter().map(|v| f64::from(v[axis]));
+        let low = along.clone().fold(f64::INFINITY, f64::min);
+        [low, along.fold(f64::NEG_INFINITY, f64::max)]
+    }));
+    let mut vertices = Vec::with_capacity(8 * surface.vertices.len());
+    for vertex in &surface.vertices {
+        for (value, low) in vertex.iter().zip(low) {
+            let steps = ((f64::from(*value) - low) / step).round() as u16;
+            vertices.extend(steps.to_le_bytes());
         }
-        let indices = self.triangles.iter().flatten();
-        let triangles: Vec<u8> = indices.flat_map(|i| i.to_le_bytes()).collect();
-        PageMesh {
-            low,
-            step,
-            count: [self.vertices.len(), self.triangles.len()],
-            vertices: base64(&vertices),
-            colours: base64(self.colours.as_flattened()),
-            triangles: base64(&triangles),
-        }
+        vertices.extend([0, 0]);
+    }
+    let indices = surface.triangles.iter().flatten();
+    let triangles: Vec<u8> = indices.flat_map(|i| i.to_le_bytes()).collect();
+    PageMesh {
+        low,
+        step,
+        count: [surface.vertices.len(), surface.triangles.len()],
+        vertices: base64(&vertices),
+        colours: base64(mesh.colours.as_flattened()),
+        triangles: base64(&triangles),
     }
 }
 
@@ -131,7 +116,7 @@ fn sorted(mut triangle: [u32; 3]) -> [u32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_occupancy::{SurfaceMesh, VoxelKey};
+    use monogrid_occupancy::VoxelKey;
 
     /// A square of so many vertices along a side, one unit apart.
     fn square(side: u32) -> ColouredMesh {

@@ -14,45 +14,28 @@ pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' data:; 
 /// What the page of a run that goes on may load: answers of the server that it came from.
 pub const LIVE_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:; connect-src 'self'";
 
+/// A script of `assets/explorer` and the name under which others import it.
+macro_rules! module {
+    ($name:literal) => {
+        (
+            concat!("explorer/", $name),
+            include_str!(concat!("../../assets/explorer/", $name, ".js")),
+        )
+    };
+}
+
 /// The scripts by the names under which they import each other.
 const MODULES: [(&str, &str); 10] = [
     ("three", include_str!("../../assets/three/three.min.js")),
-    (
-        "explorer/colours",
-        include_str!("../../assets/explorer/colours.js"),
-    ),
-    (
-        "explorer/data",
-        include_str!("../../assets/explorer/data.js"),
-    ),
-    (
-        "explorer/keyframe",
-        include_str!("../../assets/explorer/keyframe.js"),
-    ),
-    (
-        "explorer/layers",
-        include_str!("../../assets/explorer/layers.js"),
-    ),
-    (
-        "explorer/live",
-        include_str!("../../assets/explorer/live.js"),
-    ),
-    (
-        "explorer/main",
-        include_str!("../../assets/explorer/main.js"),
-    ),
-    (
-        "explorer/plan",
-        include_str!("../../assets/explorer/plan.js"),
-    ),
-    (
-        "explorer/timeline",
-        include_str!("../../assets/explorer/timeline.js"),
-    ),
-    (
-        "explorer/view",
-        include_str!("../../assets/explorer/view.js"),
-    ),
+    module!("colours"),
+    module!("data"),
+    module!("keyframe"),
+    module!("layers"),
+    module!("live"),
+    module!("main"),
+    module!("plan"),
+    module!("timeline"),
+    module!("view"),
 ];
 
 /// Licence of three.js, which must go where it goes.
@@ -127,21 +110,17 @@ pub fn live_section() -> Result<String, Failure> {
 
 /// All scripts with their licence; the one named is begun with.
 fn scripts(main: &str) -> anyhow::Result<String> {
-    let map = import_map()?;
-    Ok(format!(
-        "<script type=\"text/plain\" id=\"licence-of-three\">{LICENCE}</script>\
-         <script type=\"importmap\">{map}</script>\
-         <script type=\"module\">import '{main}';</script>"
-    ))
-}
-
-fn import_map() -> serde_json::Result<String> {
     let module = |(name, text): &(&str, &str)| {
         let url = format!("data:text/javascript;base64,{}", base64(text.as_bytes()));
         ((*name).to_owned(), serde_json::Value::String(url))
     };
     let imports: serde_json::Map<_, _> = MODULES.iter().map(module).collect();
-    serde_json::to_string(&serde_json::json!({ "imports": imports }))
+    let map = serde_json::to_string(&serde_json::json!({ "imports": imports }))?;
+    Ok(format!(
+        "<script type=\"text/plain\" id=\"licence-of-three\">{LICENCE}</script>\
+         <script type=\"importmap\">{map}</script>\
+         <script type=\"module\">import '{main}';</script>"
+    ))
 }
 
 #[cfg(test)]

@@ -75,11 +75,12 @@ impl Server {
         } else {
             answer(path).map_or((404, None), |found| (200, Some(found)))
         };
-        let content: Arc<[u8]> = found
-            .as_ref()
-            .map_or_else(Arc::default, |f| f.content.clone());
+        let nothing = || Answer {
+            kind: "text/plain",
+            content: Arc::default(),
+        };
+        let Answer { kind, content } = found.unwrap_or_else(nothing);
         let length = content.len();
-        let kind = found.map_or("text/plain", |found| found.kind);
         let headers = [
             ("Content-Type", kind),
             ("Cache-Control", "no-store"),

@@ -12,9 +12,7 @@ const RAINBOW: [[f64; 3]; 6] = [
 
 /// Colour of `fraction`, clamped to [0, 1].
 pub fn rainbow(fraction: f64) -> [u8; 3] {
-    let position = fraction.clamp(0.0, 1.0) * (RAINBOW.len() - 1) as f64;
-    let index = (position as usize).min(RAINBOW.len() - 2);
-    mix(RAINBOW[index], RAINBOW[index + 1], position - index as f64)
+    between(&RAINBOW, fraction)
 }
 
 /// Green (certain) over yellow to red (uncertain), `fraction` clamped to [0, 1].
@@ -24,12 +22,13 @@ pub fn certainty(fraction: f64) -> [u8; 3] {
         [245.0, 205.0, 70.0],
         [200.0, 50.0, 40.0],
     ];
-    let position = fraction.clamp(0.0, 1.0) * 2.0;
-    let index = (position as usize).min(1);
-    mix(ANCHORS[index], ANCHORS[index + 1], position - index as f64)
+    between(&ANCHORS, fraction)
 }
 
-fn mix(a: [f64; 3], b: [f64; 3], t: f64) -> [u8; 3] {
+fn between(anchors: &[[f64; 3]], fraction: f64) -> [u8; 3] {
+    let position = fraction.clamp(0.0, 1.0) * (anchors.len() - 1) as f64;
+    let index = (position as usize).min(anchors.len() - 2);
+    let (a, b, t) = (anchors[index], anchors[index + 1], position - index as f64);
     std::array::from_fn(|i| (a[i] + t * (b[i] - a[i])).round() as u8)
 }
 

@@ -20,42 +20,39 @@ pub fn base64(bytes: &[u8]) -> String {
     const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for chunk in bytes.chunks(3) {
-        let word = chunk
-            .iter()
-            .chain(std::iter::repeat(&0))
-            .take(3)
-            .fold(0u32, |word, &byte| (word << 8) | u32::from(byte));
+        let bytes = chunk.iter().chain(&[0; 2]).take(3);
+        let word = bytes.fold(0u32, |word, &byte| (word << 8) | u32::from(byte));
         for i in 0..4 {
-            if i <= chunk.len() {
-                let six_bits = (word >> (18 - 6 * i)) & 63;
-                out.push(char::from(ALPHABET[six_bits as usize]));
-            } else {
-                out.push('=');
-            }
+            let six_bits = (word >> (18 - 6 * i)) & 63;
+            out.push(match i <= chunk.len() {
+                true => char::from(ALPHABET[six_bits as usize]),
+                false => '=',
+            });
         }
     }
     out
 }
 
-/// Averages blocks of `factor` x `factor` pixels.
-pub fn shrink(picture: &Picture, factor: usize) -> Picture {
+/// Averages the channels of blocks of `factor` x `factor` pixels.
+pub fn shrink<T: Copy, const N: usize>(
+    image: &Image<T>,
+    factor: usize,
+    channels: impl Fn(T) -> [u8; N],
+) -> Image<[u8; N]> {
     let count = (factor * factor) as u32;
-    Picture::from_fn(
-        picture.width() / factor,
-        picture.height() / factor,
-        |x, y| {
-            let mut sum = [0u32; 3];
-            for dy in 0..factor {
-                for dx in 0..factor {
-                    let pixel = picture.at(x * factor + dx, y * factor + dy);
-                    for (sum, value) in sum.iter_mut().zip(pixel) {
-                        *sum += u32::from(value);
-                    }
+    let [width, height] = [image.width(), image.height()].map(|side| side / factor);
+    Image::from_fn(width, height, |x, y| {
+        let mut sums = [0u32; N];
+        for dy in 0..factor {
+            for dx in 0..factor {
+                let pixel = image.at(x * factor + dx, y * factor + dy);
+                for (sum, value) in sums.iter_mut().zip(channels(pixel)) {
+                    *sum += u32::from(value);
                 }
             }
-            sum.map(|value| (value / count) as u8)
-        },
-    )
+        }
+        sums.map(|sum| (sum / count) as u8)
+    })
 }
 
 #[cfg(test)]

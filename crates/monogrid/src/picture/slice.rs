@@ -35,17 +35,12 @@ impl Window {
     /// A picture of the cells, by their grey levels.
     pub fn picture(&self, grey_of: impl Fn([i32; 2]) -> u8) -> Image<u8> {
         let [width, height] = self.size;
-        let mut greys = Vec::with_capacity(width * height);
-        for row in (0..height).rev() {
-            for column in 0..width {
-                greys.push(grey_of([
-                    self.first[0] + column as i32,
-                    self.first[1] + row as i32,
-                ]));
-            }
-        }
+        let [first_x, first_y] = self.first;
+        let greys = Image::from_fn(width, height, |column, row| {
+            grey_of([first_x + column as i32, first_y + (height - 1 - row) as i32])
+        });
         Image::from_fn(width * self.scale, height * self.scale, |x, y| {
-            greys[y / self.scale * width + x / self.scale]
+            greys.at(x / self.scale, y / self.scale)
         })
     }
 

@@ -80,7 +80,7 @@ pub fn render(cubes: &[Cube], path: &[[f64; 3]], cut_height: Option<f64>, view: 
     for pair in path.windows(2) {
         canvas.draw_line(pair[0], pair[1]);
     }
-    shrink(&canvas.picture, OVERSAMPLING)
+    shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
 }
 
 /// Renders cubes in given colours, one per cube.
@@ -90,7 +90,7 @@ pub fn render_coloured(cubes: &[Cube], colours: &[[u8; 3]], view: &View) -> Pict
         canvas.draw_cube(cube, *colour);
     }
     canvas.shade_depth_steps();
-    shrink(&canvas.picture, OVERSAMPLING)
+    shrink(&canvas.picture, OVERSAMPLING, |pixel| pixel)
 }
 
 /// Where to cut so that one looks into the room in which the camera moved: somewhat above its path, or below the ceiling where that
@@ -172,16 +172,12 @@ impl Canvas {
             [-cos_a * sin_e, -sin_a * sin_e, cos_e],
             [-cos_a * cos_e, -sin_a * cos_e, -sin_e],
         ];
-        let framed = |axis: [f64; 3], [low, high]: [[f64; 3]; 2]| {
-            let ends = |a: usize| [axis[a] * low[a], axis[a] * high[a]];
-            (0..3).fold((0.0, 0.0), |(least, most), a| {
-                let [p, q] = ends(a);
-                (least + f64::min(p, q), most + f64::max(p, q))
-            })
-        };
         let extent = |axis: [f64; 3]| {
-            if let Some(corners) = view.frame {
-                return framed(axis, corners);
+            if let Some([low, high]) = view.frame {
+                return (0..3).fold((0.0, 0.0), |(least, most), a| {
+                    let (p, q) = (axis[a] * low[a], axis[a] * high[a]);
+                    (least + f64::min(p, q), most + f64::max(p, q))
+                });
             }
             let mut positions: Vec<f64> = cubes.iter().map(|c| dot(axis, c.center)).collect();
             let mut low = colour::quantile(&mut positions, EXTENT_QUANTILE);
@@ -231,20 +227,14 @@ impl Canvas {
             // the face towards the viewer: against the viewing direction
             let side = -half * self.axes[2][axis].signum();
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-            let corner = |du: f64, dv: f64| {
+            let around = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+            let corners = around.map(|[du, dv]| {
                 let mut point = cube.center;
                 point[axis] += side;
                 point[u] += du * half;
                 point[v] += dv * half;
-                point
-            };
-            let corners = [
-                corner(-1.0, -1.0),
-                corner(1.0, -1.0),
-                corner(1.0, 1.0),
-                corner(-1.0, 1.0),
-            ]
-            .map(|point| self.project(point));
+                self.project(point)
+            });
             self.fill_parallelogram(&corners, colour::shade(base, brightness));
         }
     }
@@ -252,16 +242,7 @@ impl Canvas {
     /// Fills a parallelogram given by its corners in order, nearest distance wins.
     fn fill_parallelogram(&mut self, corners: &[[f64; 3]; 4], colour: [u8; 3]) {
         let [origin, first, _, second] = *corners;
-        let a = [
-            first[0] - origin[0],
-            first[1] - origin[1],
-            first[2] - origin[2],
-        ];
-        let b = [
-            second[0] - origin[0],
-            second[1] - origin[1],
-            second[2] - origin[2],
-        ];
+        let [a, b] = [first, second].map(|end| [0, 1, 2].map(|axis| end[axis] - origin[axis]));
         let determinant = a[0] * b[1] - a[1] * b[0];
         if determinant.abs() < 1e-12 {
             return;
@@ -320,6 +301,7 @@ impl Canvas {
     /// A line that is always visible.
     fn draw_line(&mut self, from: [f64; 3], to: [f64; 3]) {
         let (a, b) = (self.project(from), self.project(to));
+        let [width, height] = [self.picture.width(), self.picture.height()].map(|n| n as f64);
         let steps = (b[0] - a[0]).abs().max((b[1] - a[1]).abs()).ceil().max(1.0);
         if !steps.is_finite() || steps > 1e5 {
             return;
@@ -329,11 +311,7 @@ impl Canvas {
             let (x, y) = (a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]));
             for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
                 let (x, y) = (x + dx, y + dy);
-                let inside = x >= 0.0 && y >= 0.0;
-                if inside
-                    && (x as usize) < self.picture.width()
-                    && (y as usize) < self.picture.height()
-                {
+                if (0.0..width).contains(&x) && (0.0..height).contains(&y) {
                     self.picture.set(x as usize, y as usize, PATH_COLOUR);
                 }
             }

@@ -7,6 +7,7 @@ use monogrid_occupancy::{MapError, OccupancyMap, SurfaceMesh, VoxelKey};
 use monogrid_slam::mapping::{ImageOf, KeyframeScan, MeshConfig};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+use std::ops::RangeInclusive;
 
 /// Measurements that are looked at, at most; of more, they are taken evenly.
 const MAX_POINTS: usize = 3_000_000;
@@ -33,8 +34,8 @@ pub struct ColouredScan<'a> {
 pub struct CellColours {
     /// Sums of red, green and blue, and the number of measurements, of which the first are enough.
     sums: HashMap<VoxelKey, [u16; 4], BuildHasherDefault<CellHasher>>,
-    /// Whether any of them was seen in colour.
-    has_colour: bool,
+    /// Whether any of them was seen in colour, not only in grey.
+    pub has_colour: bool,
 }
 
 /// Nobody chooses cells so that they collide, and each vertex asks for eight of them and more.
@@ -84,9 +85,8 @@ impl CellColours {
             let look = Look::of(shown.scan.id, shown.image, colours);
             found.has_colour |= matches!(look, Look::Colour(_));
             for pixel in shown.scan.pixels().iter().step_by(every) {
-                let ray = camera
-                    .pinhole
-                    .unproject(&Vec2::new(pixel.x.into(), pixel.y.into()));
+                let at = Vec2::new(pixel.x.into(), pixel.y.into());
+                let ray = camera.pinhole.unproject(&at);
                 let point = shown.map_from_keyframe * (ray / f64::from(pixel.idepth));
                 if let Some(key) = VoxelKey::from_point(point.into(), 1.0 / resolution) {
                     found.add(key, look.at(pixel.x.into(), pixel.y.into()));
@@ -106,37 +106,32 @@ impl CellColours {
         }
     }
 
-    /// Whether anything was seen in colour, not only in grey.
-    pub fn has_colour(&self) -> bool {
-        self.has_colour
-    }
-
     /// The mean colour of a cell; where nothing was measured in it, of those beside it.
     pub fn of(&self, cell: VoxelKey) -> [u8; 3] {
-        let own = self.mean_within(cell, 0..=0);
-        own.or_else(|| self.mean_within(cell, -1..=1))
-            .unwrap_or(UNKNOWN)
+        self.mean(cell, [0..=0, -1..=1])
     }
 
     /// The mean colour of the eight cells that begin with this one; where nothing was measured in them, of those around.
     fn around(&self, cube: VoxelKey) -> [u8; 3] {
-        let inside = self.mean_within(cube, 0..=1);
-        inside
-            .or_else(|| self.mean_within(cube, -1..=2))
-            .unwrap_or(UNKNOWN)
+        self.mean(cube, [0..=1, -1..=2])
     }
 
-    /// The mean of what was measured in the cells so far away along each axis.
-    fn mean_within(&self, cell: VoxelKey, reach: std::ops::RangeInclusive<i32>) -> Option<[u8; 3]> {
-        let mut sums = [0_u32; 4];
-        for (x, y, z) in offsets(reach) {
-            let key = VoxelKey::new(cell.x + x, cell.y + y, cell.z + z);
-            for (sum, value) in sums.iter_mut().zip(self.sums.get(&key).unwrap_or(&[0; 4])) {
-                *sum += u32::from(*value);
+    /// The mean of what was measured in the cells so far away along each axis, of the first reach in which something was.
+    fn mean(&self, cell: VoxelKey, reaches: [RangeInclusive<i32>; 2]) -> [u8; 3] {
+        for reach in reaches {
+            let mut sums = [0_u32; 4];
+            for (x, y, z) in offsets(reach) {
+                let key = VoxelKey::new(cell.x + x, cell.y + y, cell.z + z);
+                for (sum, value) in sums.iter_mut().zip(self.sums.get(&key).unwrap_or(&[0; 4])) {
+                    *sum += u32::from(*value);
+                }
+            }
+            let [red, green, blue, count] = sums;
+            if count > 0 {
+                return [red, green, blue].map(|sum| ((sum + count / 2) / count) as u8);
             }
         }
-        let [red, green, blue, count] = sums;
-        (count > 0).then(|| [red, green, blue].map(|sum| ((sum + count / 2) / count) as u8))
+        UNKNOWN
     }
 
     /// The surface of a map in these colours.
@@ -150,7 +145,7 @@ impl CellColours {
     }
 }
 
-fn offsets(reach: std::ops::RangeInclusive<i32>) -> impl Iterator<Item = (i32, i32, i32)> {
+fn offsets(reach: RangeInclusive<i32>) -> impl Iterator<Item = (i32, i32, i32)> {
     let (low, high) = (*reach.start(), *reach.end());
     reach.flat_map(move |x| (low..=high).flat_map(move |y| (low..=high).map(move |z| (x, y, z))))
 }

@@ -52,8 +52,9 @@ fn write_ply(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> anyhow::Re
     )?;
     let places = surface.vertices.iter().zip(&surface.normals);
     for ((vertex, normal), colour) in places.zip(&mesh.colours) {
-        out.write_all(&bytes_of(vertex))?;
-        out.write_all(&bytes_of(normal))?;
+        for values in [vertex, normal] {
+            out.write_all(values.map(f32::to_le_bytes).as_flattened())?;
+        }
         out.write_all(colour)?;
     }
     for triangle in &surface.triangles {
@@ -61,14 +62,6 @@ fn write_ply(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> anyhow::Re
         out.write_all(triangle.map(u32::to_le_bytes).as_flattened())?;
     }
     Ok(())
-}
-
-fn bytes_of(values: &[f32; 3]) -> [u8; 12] {
-    let mut bytes = [0; 12];
-    for (four, value) in bytes.chunks_exact_mut(4).zip(values) {
-        four.copy_from_slice(&value.to_le_bytes());
-    }
-    bytes
 }
 
 /// Magic number, version, and the kinds of the two chunks of a `.glb` (glTF 2.0 specification, section 4).
@@ -84,8 +77,11 @@ const UNSIGNED_INT: u32 = 5125;
 
 fn write_glb(mesh: &ColouredMesh, unit: &str, out: &mut dyn Write) -> anyhow::Result<()> {
     let surface = &mesh.surface;
-    let vertices: Vec<u8> = surface.vertices.iter().flat_map(bytes_of).collect();
-    let normals: Vec<u8> = surface.normals.iter().flat_map(bytes_of).collect();
+    let bytes = |values: &[[f32; 3]]| -> Vec<u8> {
+        let values = values.as_flattened().iter();
+        values.flat_map(|value| value.to_le_bytes()).collect()
+    };
+    let (vertices, normals) = (bytes(&surface.vertices), bytes(&surface.normals));
     let colours: Vec<u8> = mesh.colours.iter().flat_map(linear_colour).collect();
     let indices = surface.triangles.iter().flatten();
     let indices: Vec<u8> = indices.flat_map(|index| index.to_le_bytes()).collect();
@@ -121,7 +117,14 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
         let extras = json!({ "unit": unit });
         return json!({ "asset": { "version": "2.0", "generator": "monogrid", "extras": extras } });
     }
-    let (low, high) = corners(&surface.vertices);
+    let corner = |limit: f32, of: fn(f32, f32) -> f32| {
+        let vertices = surface.vertices.iter();
+        vertices.fold([limit; 3], |corner, vertex| {
+            [0, 1, 2].map(|axis| of(corner[axis], vertex[axis]))
+        })
+    };
+    let low = corner(f32::INFINITY, f32::min);
+    let high = corner(f32::NEG_INFINITY, f32::max);
     let mut offset = 0;
     let views: Vec<Value> = bytes
         .iter()
@@ -156,27 +159,14 @@ fn description(mesh: &ColouredMesh, unit: &str, bytes: &[usize; 4]) -> Value {
     })
 }
 
-/// Lower and upper corner of the box around places.
-fn corners(places: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
-    let mut corners = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for place in places {
-        for (axis, value) in place.iter().enumerate() {
-            corners.0[axis] = corners.0[axis].min(*value);
-            corners.1[axis] = corners.1[axis].max(*value);
-        }
-    }
-    corners
-}
-
 /// Colours of vertices are linear in glTF: red, green, blue and an opaque alpha in 16 bits each.
 fn linear_colour(srgb: &[u8; 3]) -> [u8; 8] {
     let mut bytes = [255; 8];
     for (two, value) in bytes.chunks_exact_mut(2).zip(srgb) {
         let value = f64::from(*value) / 255.0;
-        let linear = if value <= 0.04045 {
-            value / 12.92
-        } else {
-            ((value + 0.055) / 1.055).powf(2.4)
+        let linear = match value <= 0.04045 {
+            true => value / 12.92,
+            false => ((value + 0.055) / 1.055).powf(2.4),
         };
         two.copy_from_slice(&((linear * 65535.0).round() as u16).to_le_bytes());
     }

@@ -1,7 +1,7 @@
 //! Recordings that were joined, as one recording that every command understands.
 
 use super::inputs::Part;
-use super::{SUMMARY, scale_name};
+use crate::commands::rescale::SUMMARY;
 use crate::failure::{Classify, Failure};
 use crate::output::{Content, OutputFolder};
 use crate::recorded::Recorded;
@@ -20,6 +20,8 @@ use std::ops::Range;
 /// Keyframes that hold together, in one world.
 #[derive(Debug)]
 pub struct Component {
+    /// Folder of its recording, ending in `/`; empty for the largest component.
+    pub place: String,
     /// Their map.
     map: StoredMap,
     /// The identities that they had side by side with all others.
@@ -31,7 +33,7 @@ pub struct Component {
 /// What was written of a component.
 #[derive(Debug)]
 pub struct Written {
-    /// Folder with its recording, ending in `/`; empty for the largest component.
+    /// Its folder, as in the component.
     pub place: String,
     /// Numbers of the recordings that have keyframes in it, and how many.
     pub recordings: Vec<(usize, usize)>,
@@ -42,14 +44,6 @@ pub struct Written {
 }
 
 impl Component {
-    /// The folder of a component, the largest first.
-    pub fn folder(number: usize) -> String {
-        match number {
-            0 => String::new(),
-            apart => format!("apart_{apart}/"),
-        }
-    }
-
     /// The keyframes that came of a part.
     fn num_of(&self, part: &Part) -> usize {
         let is_its = |id: &&KeyframeId| part.keyframes.contains(&(**id as usize));
@@ -68,72 +62,60 @@ pub fn components(merged: &StoredMap, parts: &[Part]) -> Vec<Component> {
     let mut fragments: Vec<FragmentId> = merged.keyframes.iter().map(|k| k.fragment).collect();
     fragments.sort_unstable();
     fragments.dedup();
-    let mut components: Vec<Component> = fragments
-        .into_iter()
-        .map(|fragment| {
-            let (map, ids) = merged.fragment(fragment);
-            let world_of = Some(fragment as usize).filter(|index| *index < parts.len());
-            Component { map, ids, world_of }
-        })
-        .collect();
+    let component = |fragment: FragmentId| {
+        let (map, ids) = merged.fragment(fragment);
+        Component {
+            place: String::new(),
+            map,
+            ids,
+            world_of: Some(fragment as usize).filter(|index| *index < parts.len()),
+        }
+    };
+    let mut components: Vec<Component> = fragments.into_iter().map(component).collect();
     // stable: of two that are as large the one with the earlier fragment is first
     components.sort_by_key(|component| std::cmp::Reverse(component.ids.len()));
+    for (number, apart) in components.iter_mut().enumerate().skip(1) {
+        apart.place = format!("apart_{number}/");
+    }
     components
 }
 
 /// Writes the recording of a component, its frame and the paths of the cameras in it.
 pub fn write_component(
     folder: &OutputFolder,
-    place: &str,
     component: &Component,
     parts: &[Part],
 ) -> Result<Written, Failure> {
+    let place = &component.place;
     let reference = component.world_of.map(|index| &parts[index]);
     let counts = parts
         .iter()
         .map(|part| (part.number, component.num_of(part)));
     let recordings: Vec<(usize, usize)> = counts.filter(|(_, count)| *count > 0).collect();
-    let sessions = sessions(component, parts);
     let is_metric = reference.is_some_and(Part::is_metric);
-    let session = session(component, reference, parts);
+    let scale = if is_metric { "metric" } else { "arbitrary" };
     let frames = frames(component, parts);
-    let name = format!("{place}{RECORDING}");
-    write_recording(
-        folder,
-        &name,
-        &session,
-        component,
-        (sessions, &frames),
-        parts,
-    )?;
-    if let Some(Align::Map { map_from_world, .. }) =
-        reference.and_then(|p| p.earlier.frame.as_ref())
-    {
-        let known = json!({ "scale": scale_name(is_metric), "frame": reference.map(|p| &p.summary["frame"]) });
-        folder.write(&format!("{place}{SUMMARY}"), known.to_string())?;
-        folder.write(
-            &format!("{place}{MAP_FROM_WORLD}"),
-            format_sim3(map_from_world),
-        )?;
+    write_recording(folder, component, reference, parts, &frames)?;
+    let frame_file = format!("{place}{MAP_FROM_WORLD}");
+    let write_facts = |facts: &Value| folder.write(&format!("{place}{SUMMARY}"), facts.to_string());
+    let known = reference.and_then(|part| part.earlier.frame.as_ref());
+    if let Some(Align::Map { map_from_world, .. }) = known {
+        let frame = reference.map(|part| &part.summary["frame"]);
+        write_facts(&json!({ "scale": scale, "frame": frame }))?;
+        folder.write(&frame_file, format_sim3(map_from_world))?;
     }
-    let recorded = Recorded::read(&folder.path().join(&name), &Align::Level(Up::Scene))?;
-    let frame = recorded.frame;
-    folder.write(
-        &format!("{place}{MAP_FROM_WORLD}"),
-        format_sim3(&frame.map_from_world),
-    )?;
-    let path = write_paths(folder, place, component, &frames, &frame, parts)?;
-    let of_reference = |key: &str| reference.map_or(Value::Null, |p| p.summary[key].clone());
-    let is_known = reference.is_some_and(|part| part.earlier.frame.is_some());
-    let facts = json!({
-        "scale": scale_name(is_metric),
-        "frame": frame.description,
-        "up": if is_known { of_reference("up") } else { json!(frame.up) },
-        "floor": if is_known { of_reference("floor") } else { json!(frame.floor) },
-    });
-    folder.write(&format!("{place}{SUMMARY}"), facts.to_string())?;
+    let recording = folder.path().join(format!("{place}{RECORDING}"));
+    let frame = Recorded::read(&recording, &Align::Level(Up::Scene))?.frame;
+    folder.write(&frame_file, format_sim3(&frame.map_from_world))?;
+    let path = write_paths(folder, component, &frames, &frame, parts)?;
+    let [up, floor] = match reference.filter(|_| known.is_some()) {
+        Some(part) => ["up", "floor"].map(|key| part.summary[key].clone()),
+        None => [json!(frame.up), json!(frame.floor)],
+    };
+    let facts = json!({ "scale": scale, "frame": frame.description, "up": up, "floor": floor });
+    write_facts(&facts)?;
     Ok(Written {
-        place: place.to_owned(),
+        place: place.clone(),
         recordings,
         path,
         facts,
@@ -168,19 +150,18 @@ fn camera_of(stored: &StoredKeyframe) -> RecordedCamera {
 
 /// The sessions of all parts, with the first keyframe of each in the component.
 fn sessions(component: &Component, parts: &[Part]) -> Vec<RecordedSession> {
-    let of_part = |part: &Part| {
-        let of_session = |session: &RecordedSession| {
+    let mut sessions = Vec::new();
+    for part in parts {
+        sessions.extend(part.earlier.sessions.iter().map(|session| {
             let before = part.keyframes.start + session.first_keyframe as usize;
             let first = component.ids.partition_point(|id| (*id as usize) < before);
             RecordedSession {
                 source: session.source.clone(),
                 first_keyframe: first as u32,
             }
-        };
-        let sessions = part.earlier.sessions.iter();
-        sessions.map(of_session).collect::<Vec<_>>()
-    };
-    parts.iter().flat_map(of_part).collect()
+        }));
+    }
+    sessions
 }
 
 /// The frames of all parts that are known relative to keyframes of the component.
@@ -209,13 +190,14 @@ fn with_sessions(parts: &[Part]) -> impl Iterator<Item = (&Part, Range<u32>)> {
 
 fn write_recording(
     folder: &OutputFolder,
-    name: &str,
-    session: &SessionInfo,
     component: &Component,
-    (sessions, frames): (Vec<RecordedSession>, &[RecordedFrame]),
+    reference: Option<&Part>,
     parts: &[Part],
+    frames: &[RecordedFrame],
 ) -> Result<(), Failure> {
     let doing = "the recording cannot be written";
+    let name = &format!("{}{RECORDING}", component.place);
+    let session = &session(component, reference, parts);
     let mut writer = RecordingWriter::create(&folder.begin(name)?, session).while_running(doing)?;
     let keyframes = &component.map.keyframes;
     for (stored, before) in keyframes.iter().zip(&component.ids) {
@@ -228,14 +210,13 @@ fn write_recording(
             writer.append(&record).while_running(doing)?;
         }
     }
-    let poses = keyframes.iter();
+    let pose = |stored: &StoredKeyframe| (stored.keyframe.id, stored.world_from_keyframe);
     let poses = PoseSnapshot {
         revision: component.map.pose_revision,
-        poses: poses
-            .map(|stored| (stored.keyframe.id, stored.world_from_keyframe))
-            .collect(),
+        poses: keyframes.iter().map(pose).collect(),
     };
     writer.append_poses(poses).while_running(doing)?;
+    let sessions = sessions(component, parts);
     let continuation = continuation_of(&component.map, sessions, frames.to_vec());
     let continuation = Record::Continuation(continuation);
     writer.append(&continuation).while_running(doing)?;
@@ -250,10 +231,9 @@ fn write_recording(
 
 /// The colour of a keyframe by the identity that it had side by side with all others.
 fn colour(parts: &[Part], id: KeyframeId) -> Option<Vec<u8>> {
-    let part = parts
-        .iter()
-        .find(|part| part.keyframes.contains(&(id as usize)))?;
-    let own = id as usize - part.keyframes.start;
+    let index = id as usize;
+    let part = parts.iter().find(|part| part.keyframes.contains(&index))?;
+    let own = index - part.keyframes.start;
     let jpeg = part.earlier.colours.jpeg(own as KeyframeId);
     jpeg.map(<[u8]>::to_vec)
 }
@@ -262,12 +242,12 @@ fn colour(parts: &[Part], id: KeyframeId) -> Option<Vec<u8>> {
 /// the keyframes of recordings that know no frames.
 fn write_paths(
     folder: &OutputFolder,
-    place: &str,
     component: &Component,
     frames: &[RecordedFrame],
     frame: &MapFrame,
     parts: &[Part],
 ) -> Result<Vec<[f64; 3]>, Failure> {
+    let place = &component.place;
     let posed = |recorded: &RecordedFrame| {
         let keyframe = &component.map.keyframes[recorded.keyframe as usize];
         let pose = tracked_frame(recorded).world_from_camera(&keyframe.world_from_keyframe);

@@ -1,6 +1,6 @@
 //! The recordings that are merged, in an order that does not depend on how they were named.
 
-use super::SUMMARY;
+use crate::commands::rescale::SUMMARY;
 use crate::failure::Failure;
 use crate::run::align::Align;
 use crate::run::sessions::{Earlier, Source};
@@ -33,15 +33,14 @@ pub struct Part {
 impl Part {
     fn read(number: usize, path: &Path) -> Result<Self, Failure> {
         let earlier = Earlier::read(path)?;
-        let source = Source::find(path)?;
-        let folder = source.folder_of_run();
-        let summary = std::fs::read_to_string(folder.join(SUMMARY)).unwrap_or_default();
-        let in_main_map = |fragment: FragmentId| fragment == MAIN_MAP;
+        let summary = Source::find(path)?.folder_of_run().join(SUMMARY);
+        let summary = std::fs::read_to_string(summary).unwrap_or_default();
         let keyframes = &earlier.map.keyframes;
+        let in_main_map = keyframes.iter().filter(|k| k.fragment == MAIN_MAP);
         Ok(Self {
             number,
             path: path.to_owned(),
-            num_in_main_map: keyframes.iter().filter(|k| in_main_map(k.fragment)).count(),
+            num_in_main_map: in_main_map.count(),
             keyframes: 0..keyframes.len(),
             summary: serde_json::from_str(&summary).unwrap_or_default(),
             crc: checksum(keyframes),
@@ -68,11 +67,10 @@ impl Part {
     pub fn take_map(&mut self) -> StoredMap {
         let map = &mut self.earlier.map;
         StoredMap {
-            scale: map.scale,
-            pose_revision: map.pose_revision,
             keyframes: std::mem::take(&mut map.keyframes),
             edges: std::mem::take(&mut map.edges),
             points: std::mem::take(&mut map.points),
+            ..*map
         }
     }
 }
@@ -131,11 +129,10 @@ pub fn read_parts(paths: &[PathBuf]) -> Result<Vec<Part>, Failure> {
 
 /// Of every fragment of the map that the parts make side by side, the number of the recording that it came from.
 pub fn owners(parts: &[Part], side_by_side: &StoredMap) -> BTreeMap<FragmentId, usize> {
-    let mut owners = BTreeMap::new();
-    for part in parts {
-        for keyframe in &side_by_side.keyframes[part.keyframes.clone()] {
-            owners.insert(keyframe.fragment, part.number);
-        }
-    }
-    owners
+    let of_part = |part: &Part| {
+        let (number, keyframes) = (part.number, part.keyframes.clone());
+        let keyframes = side_by_side.keyframes[keyframes].iter();
+        keyframes.map(move |keyframe| (keyframe.fragment, number))
+    };
+    parts.iter().flat_map(of_part).collect()
 }

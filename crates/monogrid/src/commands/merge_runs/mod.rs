@@ -2,23 +2,21 @@
 
 mod component;
 mod inputs;
-mod summary;
 
-use super::rescale::write_maps;
-use super::{print_json, use_threads};
-use crate::args::{ForceArg, JsonArg};
+use super::rescale::{SUMMARY, write_maps};
+use super::{use_threads, warn};
+use crate::args::WriteArgs;
 use crate::config::RunConfig;
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use crate::failure::{Classify, CommandResult, Outcome};
 use crate::output::{Inputs, OutputFolder};
-use crate::run::outputs::Ground;
 use crate::run::sessions::{MAP_FROM_WORLD, RECORDING, files_of};
 use clap::Args;
-use component::{Component, components, write_component};
+use component::{Written, components, write_component};
 use inputs::{Part, read_parts};
-use monogrid_slam::{StoredMap, merge_maps};
-use serde_json::json;
-use std::path::PathBuf;
-use summary::{print_summary, summary};
+use monogrid_slam::{FragmentId, Meeting, StoredMap, merge_maps};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// `monogrid merge-runs`.
 #[derive(Debug, Args)]
@@ -42,13 +40,8 @@ pub struct MergeRunsArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
-
-/// Name of the summary, as beside a run.
-const SUMMARY: &str = "summary.json";
 
 /// Joins what can be joined, and writes all of it.
 pub fn execute(args: &MergeRunsArgs) -> CommandResult {
@@ -56,43 +49,25 @@ pub fn execute(args: &MergeRunsArgs) -> CommandResult {
     let config = RunConfig::resolve(None, args.config.as_deref(), &args.set)?;
     config.validate()?;
     let mut parts = read_parts(&args.runs)?;
-    let folder = OutputFolder::replace(&args.out, args.force.force, &read_files(args))?;
+    let folder = OutputFolder::replace(&args.out, args.write.force, &read_files(args))?;
     for part in &parts {
-        for warning in &part.earlier.warnings {
-            eprintln!("warning: {warning}");
-        }
+        warn(&part.earlier.warnings);
     }
     let maps = parts.iter_mut().map(Part::take_map).collect();
     let apart = StoredMap::side_by_side(maps);
     let owners = inputs::owners(&parts, &apart);
     let merged = merge_maps(&config.slam, apart).bad_input()?;
     let components = components(&merged.map, &parts);
-    let mut written = Vec::new();
-    for (number, component) in components.iter().enumerate() {
-        let place = Component::folder(number);
-        written.push(write_component(&folder, &place, component, &parts)?);
-    }
-    let mut summary = summary(&parts, &owners, &merged.meetings, &written, &config);
-    // the maps are built in the frame that stands beside the recording
-    folder.write(SUMMARY, summary.to_string())?;
-    let ground = Ground {
-        has_floor: !summary["floor"].is_null(),
-        is_metric: summary["scale"] == "metric",
-    };
-    let path = &written[0].path;
-    summary["map"] = write_maps(&folder, path, args.resolution, ground, threads)?;
-    let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
-    folder.write(SUMMARY, text + "\n")?;
-    if args.json.json {
-        print_json(&summary)?;
-    } else {
-        print_summary(&args.out, &summary);
-    }
-    let is_one = components.len() == 1;
-    Ok(if is_one {
-        Outcome::Done
-    } else {
-        Outcome::Apart
+    let written = components.iter();
+    let written = written.map(|component| write_component(&folder, component, &parts));
+    let written: Vec<Written> = written.collect::<Result<_, _>>()?;
+    let summary = summary(&parts, &owners, &merged.meetings, &written, &config);
+    let summary = write_maps(&folder, summary, &written[0].path, args.resolution, threads)?;
+    let json = args.write.json;
+    json.print(&summary, || print_summary(&args.out, &summary))?;
+    Ok(match components.len() {
+        1 => Outcome::Done,
+        _ => Outcome::Apart,
     })
 }
 
@@ -116,7 +91,85 @@ fn read_files(args: &MergeRunsArgs) -> Inputs {
     inputs
 }
 
-/// An object of what a map is, as `summary.json` of a run says it.
-fn scale_name(is_metric: bool) -> serde_json::Value {
-    json!(if is_metric { "metric" } else { "arbitrary" })
+/// `summary.json`, without what is known of the maps.
+fn summary(
+    parts: &[Part],
+    owners: &BTreeMap<FragmentId, usize>,
+    meetings: &[Meeting],
+    written: &[Written],
+    config: &RunConfig,
+) -> Value {
+    let mut recordings: Vec<&Part> = parts.iter().collect();
+    recordings.sort_by_key(|part| part.number);
+    let recording = |part: &&Part| {
+        json!({
+            "number": part.number,
+            "path": part.path.display().to_string(),
+            "source": part.earlier.session.source,
+            "keyframes": part.keyframes.len(),
+        })
+    };
+    let meeting = |meeting: &Meeting| {
+        let (a, b) = meeting.fragments;
+        let (a, b) = (owners.get(&a), owners.get(&b));
+        json!({
+            "recordings": [a.min(b), a.max(b)],
+            "sightings": meeting.sightings,
+            "agreeing": meeting.agreeing,
+            "contradicting": meeting.contradicting,
+            "is_enough": meeting.is_enough(&config.slam.merge),
+        })
+    };
+    // what is known of the largest component, and the parts of all
+    let mut summary = written[0].facts.clone();
+    summary["recordings"] = recordings.iter().map(recording).collect();
+    summary["meetings"] = meetings.iter().map(meeting).collect();
+    summary["components"] = written.iter().map(component).collect();
+    summary
+}
+
+fn component(written: &Written) -> Value {
+    let mut recordings = written.recordings.clone();
+    recordings.sort_unstable();
+    let said = |&(number, keyframes)| json!({ "number": number, "keyframes": keyframes });
+    json!({
+        "recording": format!("{}recording.mgk", written.place),
+        "scale": written.facts["scale"],
+        "recordings": recordings.iter().map(said).collect::<Value>(),
+    })
+}
+
+/// Says what was joined, what was not, and why.
+fn print_summary(out: &Path, summary: &Value) {
+    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    for recording in list(&summary["recordings"]) {
+        let (number, path) = (&recording["number"], text(&recording["path"]));
+        println!("{number}: {path}, {} keyframes", recording["keyframes"]);
+    }
+    for meeting in list(&summary["meetings"]) {
+        let pair = &meeting["recordings"];
+        let (agreeing, contradicting) = (&meeting["agreeing"], &meeting["contradicting"]);
+        let verdict = match meeting["is_enough"].as_bool() {
+            Some(true) => "",
+            _ => ": not enough",
+        };
+        println!(
+            "{} and {}: {} pairs of keyframes show the same; {} keyframes agree ({} pairs aligned), {} contradict them{verdict}",
+            pair[0],
+            pair[1],
+            meeting["sightings"],
+            agreeing["keyframes"],
+            agreeing["aligned"],
+            contradicting["keyframes"]
+        );
+    }
+    for component in list(&summary["components"]) {
+        let recordings = list(&component["recordings"]).into_iter();
+        let numbers = recordings.map(|recording| recording["number"].to_string());
+        let numbers: Vec<String> = numbers.collect();
+        let (recording, scale) = (text(&component["recording"]), text(&component["scale"]));
+        let (recording, numbers) = (out.join(recording), numbers.join(" + "));
+        println!("{}: {numbers} (scale {scale})", recording.display());
+    }
 }

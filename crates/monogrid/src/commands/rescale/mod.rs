@@ -3,10 +3,9 @@
 mod scale;
 mod tables;
 
-use super::{print_json, use_threads};
-use crate::args::{ForceArg, JsonArg, positive};
-use crate::config::RunConfig;
-use crate::failure::{Classify, CommandResult, Failure, Outcome};
+use super::use_threads;
+use crate::args::{WriteArgs, positive};
+use crate::failure::{Classify, CommandResult, Failure};
 use crate::output::{Content, Inputs, OutputFolder};
 use crate::recorded::Recorded;
 use crate::run::align::{Align, Up};
@@ -19,7 +18,6 @@ use monogrid_datasets::{
     read_trajectory,
 };
 use monogrid_geometry::Sim3;
-use monogrid_slam::mapping::MappingConfig;
 use scale::{Results, ScaleFrom};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -43,9 +41,7 @@ pub struct RescaleArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
     #[command(flatten)]
-    pub force: ForceArg,
-    #[command(flatten)]
-    pub json: JsonArg,
+    pub write: WriteArgs,
 }
 
 /// Text files of a run and how they are scaled.
@@ -59,7 +55,7 @@ const TABLES: [(&str, Scaler); 6] = [
     ("graph.g2o", tables::graph),
 ];
 /// What says of which scale a run is.
-const SUMMARY: &str = "summary.json";
+pub const SUMMARY: &str = "summary.json";
 /// The semi-dense cloud.
 const CLOUD: &str = "cloud.ply";
 /// Files without lengths.
@@ -70,12 +66,12 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     let threads = use_threads(args.threads)?;
     let names = TABLES.map(|(name, _)| name).into_iter().chain(COPIED);
     let names = names.chain([RECORDING, MAP_FROM_WORLD, SUMMARY, CLOUD]);
-    let mut inputs =
-        Inputs::of("the run", &args.run).and_all("the run", names.map(|name| args.run.join(name)));
+    let mut inputs = Inputs::of("the run", &args.run)
+        .and_all("the run", names.map(|name| args.run.join(name)))
+        .and_all("the run", files_of(&args.run));
     if let ScaleFrom::Trajectory(path) = &args.scale_from {
         inputs = inputs.and("the trajectory", path);
     }
-    inputs = inputs.and_all("the run", files_of(&args.run));
     let recording = Source::find(&args.run)?.read()?;
     let summary = summary(&args.run)?;
     if recording.session.scale == Scale::Metric || summary["scale"] == "metric" {
@@ -91,7 +87,7 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
         camera_height: summary["floor"]["camera_height"].as_f64(),
         trajectory: args.run.join("trajectory.txt"),
     })?;
-    let folder = OutputFolder::replace(&args.out, args.force.force, &inputs)?;
+    let folder = OutputFolder::replace(&args.out, args.write.force, &inputs)?;
     write_tables(&args.run, &folder, factor)?;
     let moved = Sim3 {
         translation: map_from_world.translation * factor,
@@ -99,29 +95,15 @@ pub fn execute(args: &RescaleArgs) -> CommandResult {
     };
     folder.write(MAP_FROM_WORLD, format_sim3(&moved))?;
     write_recording(&folder, recording, factor)?;
-    let mut summary = rescaled_summary(summary, factor);
-    // the maps are built in the frame that stands beside the recording
-    folder.write(SUMMARY, summary.to_string())?;
-    let ground = Ground {
-        has_floor: !summary["floor"].is_null(),
-        is_metric: true,
-    };
     let poses = read_trajectory(&folder.path().join("trajectory.txt")).bad_input()?;
+    let summary = rescaled_summary(summary, factor);
     let path = path_of(&poses);
-    summary["map"] = write_maps(&folder, &path, args.resolution, ground, threads)?;
-    let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
-    folder.write(SUMMARY, text + "\n")?;
+    let summary = write_maps(&folder, summary, &path, args.resolution, threads)?;
     let report = json!({ "metres_per_map_unit": factor, "map": summary["map"] });
-    if args.json.json {
-        print_json(&report)?;
-    } else {
-        println!(
-            "{}: one map unit is {factor:.6} m; cells of {} m",
-            args.out.display(),
-            summary["map"]["resolution"]
-        );
-    }
-    Ok(Outcome::Done)
+    args.write.json.print(&report, || {
+        let (out, edge) = (args.out.display(), &summary["map"]["resolution"]);
+        println!("{out}: one map unit is {factor:.6} m; cells of {edge} m");
+    })
 }
 
 fn summary(run: &Path) -> Result<Value, Failure> {
@@ -186,8 +168,8 @@ fn write_recording(
         scale: Scale::Metric,
         ..recording.session
     };
-    let mut writer =
-        RecordingWriter::create(&folder.begin(RECORDING)?, &session).while_running(doing)?;
+    let writer = RecordingWriter::create(&folder.begin(RECORDING)?, &session);
+    let mut writer = writer.while_running(doing)?;
     let mut poses = PoseSnapshot {
         revision: recording.pose_revision.unwrap_or(0),
         poses: Vec::new(),
@@ -239,41 +221,45 @@ fn append(
     revision.map_or(Ok(()), |revision| writer.append_depth(revision))
 }
 
-/// Builds the maps of the recording in a folder, beside which its frame lies, around where the camera was; facts about them.
+/// Builds the maps of the recording in a folder, beside which its frame lies, around where the camera was, and writes `summary.json`
+/// with what is known and facts about the maps; that summary.
 pub fn write_maps(
     folder: &OutputFolder,
+    mut summary: Value,
     path: &[[f64; 3]],
     resolution: Option<f64>,
-    ground: Ground,
     threads: usize,
 ) -> Result<Value, Failure> {
-    let recorded = Recorded::read(&folder.path().join(RECORDING), &Align::Level(Up::Scene))?;
-    let recorded_config = recorded.config.clone();
-    let config: MappingConfig =
-        recorded_config.map_or_else(MappingConfig::default, |config: RunConfig| config.mapping);
-    let config = MappingConfig {
-        resolution: resolution.unwrap_or(config.resolution),
-        ..config
+    // the maps are built in the frame that stands beside the recording
+    folder.write(SUMMARY, summary.to_string())?;
+    let ground = Ground {
+        has_floor: !summary["floor"].is_null(),
+        is_metric: summary["scale"] == "metric",
     };
+    let recorded = Recorded::read(&folder.path().join(RECORDING), &Align::Level(Up::Scene))?;
+    let config = recorded.config.clone().map(|config| config.mapping);
+    let mut config = config.unwrap_or_default();
+    config.resolution = resolution.unwrap_or(config.resolution);
     let doing = "the map cannot be built";
     let scans = recorded.scans(&config, threads);
-    let (mut global, _, _) = recorded
-        .map(&scans, &config, threads)
-        .while_running(doing)?;
+    let built = recorded.map(&scans, &config, threads);
+    let (mut global, _, _) = built.while_running(doing)?;
     global.pack(threads);
     let centre = path.last().copied().unwrap_or_default();
-    let local = global
-        .within(centre, config.local_radius)
-        .while_running(doing)?;
+    let local = global.within(centre, config.local_radius);
+    let local = local.while_running(doing)?;
     let surface = Surface {
         colours: &recorded.cell_colours(&scans, global.resolution()),
         config: &config.mesh,
     };
     write_global(folder, [&global, &local], path, ground, surface)?;
-    Ok(json!({
+    summary["map"] = json!({
         "resolution": global.resolution(),
         "leaves": global.leaf_count(),
         "bytes_in_memory": global.bytes_in_memory(),
         "cell": null,
-    }))
+    });
+    let text = serde_json::to_string_pretty(&summary).map_err(Failure::running)?;
+    folder.write(SUMMARY, text + "\n")?;
+    Ok(summary)
 }

@@ -2,20 +2,18 @@
 
 /// A trajectory (`time tx ty tz qx qy qz qw`) with its positions times `factor`.
 pub fn trajectory(text: &str, factor: f64) -> Option<String> {
-    scaled_lines(text, &[1, 2, 3], factor)
+    scaled_lines(text, has_numbers, &[1, 2, 3], factor)
 }
 
 /// `keyframes.txt` (`id frame timestamp scale tx ty tz ...`) with scales and positions times `factor`.
 pub fn keyframes(text: &str, factor: f64) -> Option<String> {
-    scaled_lines(text, &[3, 4, 5, 6], factor)
+    scaled_lines(text, has_numbers, &[3, 4, 5, 6], factor)
 }
 
 /// `graph.g2o`: vertices move, and their units grow; edges are in units of keyframes.
 pub fn graph(text: &str, factor: f64) -> Option<String> {
-    lines(text, |line| match line.starts_with("VERTEX_SIM3") {
-        true => scaled(line, &[2, 3, 4, 9], factor),
-        false => Some(line.to_owned()),
-    })
+    let is_vertex = |line: &str| line.starts_with("VERTEX_SIM3");
+    scaled_lines(text, is_vertex, &[2, 3, 4, 9], factor)
 }
 
 /// Bytes of a point of `cloud.ply`: three coordinates, a colour and a confidence.
@@ -39,19 +37,22 @@ pub fn cloud(ply: &[u8], factor: f64) -> Option<Vec<u8>> {
     Some(out)
 }
 
-fn scaled_lines(text: &str, columns: &[usize], factor: f64) -> Option<String> {
-    lines(text, |line| {
-        match line.starts_with('#') || line.is_empty() {
-            true => Some(line.to_owned()),
-            false => scaled(line, columns, factor),
-        }
-    })
+fn has_numbers(line: &str) -> bool {
+    !line.is_empty() && !line.starts_with('#')
 }
 
-fn lines(text: &str, change: impl Fn(&str) -> Option<String>) -> Option<String> {
+fn scaled_lines(
+    text: &str,
+    is_scaled: fn(&str) -> bool,
+    columns: &[usize],
+    factor: f64,
+) -> Option<String> {
     let mut out = String::with_capacity(text.len());
     for line in text.lines() {
-        out += &change(line)?;
+        match is_scaled(line) {
+            true => out += &scaled(line, columns, factor)?,
+            false => out += line,
+        }
         out.push('\n');
     }
     Some(out)

@@ -86,7 +86,7 @@ pub fn write_global(
         write_map(folder, name, map, format)?;
     }
     let colour = |key| surface.colours.of(key);
-    let has_colour = surface.colours.has_colour();
+    let has_colour = surface.colours.has_colour;
     let colour = has_colour.then_some(&colour as &dyn Fn(VoxelKey) -> [u8; 3]);
     folder.write_with("cells.ply", |mut out| {
         Ok(write_ply(global, colour, &mut out)?)
