@@ -2,11 +2,12 @@
 
 use crate::convert::{camera_of, gray_image, gray_of_compressed};
 use crate::error::BagError;
-use crate::message::{Raw, camera_info, compressed_image, image};
-use crate::{db3, mcap, ros1};
+use crate::message::Raw;
+use crate::{db3, mcap, ros1, sqlite};
 use monogrid_geometry::Camera;
 use monogrid_image::GrayImage;
-use monogrid_messages::sensor_msgs::CameraInfo;
+use monogrid_messages::RosMessage;
+use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
@@ -54,29 +55,21 @@ pub struct Topic {
     pub kind: TopicKind,
 }
 
-/// The formats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
-    Mcap,
-    Db3,
-    Ros1,
-}
+/// Reads the messages of a file.
+type Reader = fn(&Path) -> Result<Messages, BagError>;
 
-impl Format {
-    /// By the first bytes of a file.
-    fn of(path: &Path) -> std::io::Result<Option<Self>> {
-        let mut head = Vec::new();
-        File::open(path)?.take(16).read_to_end(&mut head)?;
-        Ok(if head.starts_with(mcap::MAGIC) {
-            Some(Self::Mcap)
-        } else if head.starts_with(b"SQLite format 3\0") {
-            Some(Self::Db3)
-        } else if head.starts_with(ros1::MAGIC) {
-            Some(Self::Ros1)
-        } else {
-            None
-        })
-    }
+/// How a file is read, by its first bytes; `None` where it is something else.
+fn reader_of(path: &Path) -> std::io::Result<Option<Reader>> {
+    let mut head = Vec::new();
+    File::open(path)?.take(16).read_to_end(&mut head)?;
+    let formats: [(&[u8], Reader); 3] = [
+        (mcap::MAGIC, mcap::messages),
+        (sqlite::MAGIC, db3::messages),
+        (ros1::MAGIC, ros1::messages),
+    ];
+    let mut formats = formats.into_iter();
+    let found = formats.find(|(magic, _)| head.starts_with(magic));
+    Ok(found.map(|(_, reader)| reader))
 }
 
 /// Messages one after the other.
@@ -90,7 +83,7 @@ pub type Images = Box<dyn Iterator<Item = Result<(i64, GrayImage), BagError>> + 
 pub struct Bag {
     path: PathBuf,
     /// The files it is made of, in the order of time.
-    files: Vec<(PathBuf, Format)>,
+    files: Vec<(PathBuf, Reader)>,
     topics: Vec<Topic>,
     /// The first calibration of each topic.
     infos: BTreeMap<String, CameraInfo>,
@@ -103,15 +96,12 @@ pub fn is_bag(path: &Path) -> bool {
 }
 
 /// The files of a recording; none where it is something else.
-fn files_of(path: &Path) -> std::io::Result<Vec<(PathBuf, Format)>> {
+fn files_of(path: &Path) -> std::io::Result<Vec<(PathBuf, Reader)>> {
     let kind = std::fs::metadata(path)?;
     // a camera or a pipe is not read to find out what it is
     if kind.is_file() {
-        let format = Format::of(path)?;
-        return Ok(format
-            .map(|format| (path.to_owned(), format))
-            .into_iter()
-            .collect());
+        let reader = reader_of(path)?.into_iter();
+        return Ok(reader.map(|reader| (path.to_owned(), reader)).collect());
     }
     if !kind.is_dir() || !path.join("metadata.yaml").is_file() {
         return Ok(Vec::new());
@@ -119,8 +109,8 @@ fn files_of(path: &Path) -> std::io::Result<Vec<(PathBuf, Format)>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(path)? {
         let file = entry?.path();
-        if let Some(format) = Format::of(&file).ok().flatten() {
-            files.push((file, format));
+        if let Ok(Some(reader)) = reader_of(&file) {
+            files.push((file, reader));
         }
     }
     // parts are numbered: name_2 comes before name_10
@@ -160,8 +150,7 @@ impl Bag {
             };
             kinds.insert(message.topic.to_string(), message.kind);
             if message.kind == TopicKind::CameraInfo && !bag.infos.contains_key(&*message.topic) {
-                let info =
-                    camera_info(&message).map_err(|reason| bag.damaged(&message, &reason))?;
+                let info = content(&message, &bag.path)?;
                 bag.infos.insert(message.topic.to_string(), info);
             }
         }
@@ -181,30 +170,23 @@ impl Bag {
     /// # Errors
     /// When there is none, or several could be meant; says which there are.
     pub fn image_topic(&self, name: Option<&str>) -> Result<&Topic, BagError> {
-        let images: Vec<&Topic> = self
-            .topics
-            .iter()
-            .filter(|topic| topic.kind.is_image())
-            .collect();
+        let images = self.topics.iter().filter(|topic| topic.kind.is_image());
+        let images: Vec<&Topic> = images.collect();
         let found = match name {
-            Some(name) => images.iter().find(|topic| topic.name == name).copied(),
-            None if images.len() == 1 => Some(images[0]),
-            None => None,
+            Some(name) => images.iter().find(|topic| topic.name == name),
+            None => images.first().filter(|_| images.len() == 1),
         };
-        found.ok_or_else(|| {
-            let names: Vec<&str> = images.iter().map(|topic| topic.name.as_str()).collect();
-            let reason = match (name, names.as_slice()) {
-                (_, []) => "there is no topic with images at its beginning".to_owned(),
-                (None, names) => format!("images of which topic? there are {}", names.join(", ")),
-                (Some(name), names) => {
-                    format!("no images of {name}: there are {}", names.join(", "))
-                }
-            };
-            BagError::Topic {
-                path: self.path.clone(),
-                reason,
-            }
-        })
+        if let Some(found) = found {
+            return Ok(found);
+        }
+        let names: Vec<&str> = images.iter().map(|topic| topic.name.as_str()).collect();
+        let names = names.join(", ");
+        let reason = match name {
+            _ if images.is_empty() => "there is no topic with images at its beginning".to_owned(),
+            None => format!("images of which topic? there are {names}"),
+            Some(name) => format!("no images of {name}: there are {names}"),
+        };
+        Err(BagError::damaged(&self.path, reason))
     }
 
     /// The camera of a topic of images: by the calibration in the same namespace, where there is one.
@@ -231,63 +213,48 @@ impl Bag {
     }
 
     /// All images of a topic, in the order of the recording.
-    ///
-    /// # Errors
-    /// A file that cannot be opened any more.
-    pub fn images(&self, topic: &Topic) -> Result<Images, BagError> {
+    #[must_use]
+    pub fn images(&self, topic: &Topic) -> Images {
         let (name, path) = (topic.name.clone(), self.path.clone());
-        let of_topic = self.messages().filter_map(move |message| match message {
+        Box::new(self.messages().filter_map(move |message| match message {
             Ok(message) if *message.topic != *name => None,
             Ok(message) => Some(decoded(&message, &path)),
             Err(error) => Some(Err(error)),
-        });
-        Ok(Box::new(of_topic))
+        }))
     }
 
     /// All messages of all files; after an error of a file comes the next one.
     fn messages(&self) -> Messages {
         let files = self.files.clone().into_iter();
-        Box::new(files.flat_map(|(path, format)| {
-            let messages = match format {
-                Format::Mcap => mcap::messages(&path),
-                Format::Db3 => db3::messages(&path),
-                Format::Ros1 => ros1::messages(&path),
-            };
-            messages.unwrap_or_else(|error| Box::new(std::iter::once(Err(error))))
+        Box::new(files.flat_map(|(path, messages)| {
+            messages(&path).unwrap_or_else(|error| Box::new(std::iter::once(Err(error))))
         }))
     }
+}
 
-    fn damaged(&self, message: &Raw, reason: &str) -> BagError {
-        BagError::damaged(&self.path, format!("topic {}: {reason}", message.topic))
-    }
+/// What is in a message of the recording at `path`.
+fn content<M: RosMessage>(message: &Raw, path: &Path) -> Result<M, BagError> {
+    let damaged = |reason| BagError::damaged(path, format!("topic {}: {reason}", message.topic));
+    message.content().map_err(damaged)
 }
 
 /// The image of a message and its time.
 fn decoded(message: &Raw, path: &Path) -> Result<(i64, GrayImage), BagError> {
-    let of_image = |source| BagError::Image {
+    let (stamp, image) = if message.kind == TopicKind::Image {
+        let image: Image = content(message, path)?;
+        (image.header.stamp, gray_image(&image))
+    } else {
+        let image: CompressedImage = content(message, path)?;
+        (image.header.stamp, gray_of_compressed(&image))
+    };
+    let image = image.map_err(|source| BagError::Image {
         topic: message.topic.to_string(),
         source,
-    };
-    let damaged =
-        |reason: String| BagError::damaged(path, format!("topic {}: {reason}", message.topic));
-    let (stamp, image) = if message.kind == TopicKind::Image {
-        let image = image(message).map_err(damaged)?;
-        (image.header.stamp, gray_image(&image).map_err(of_image)?)
-    } else {
-        let image = compressed_image(message).map_err(damaged)?;
-        (
-            image.header.stamp,
-            gray_of_compressed(&image).map_err(of_image)?,
-        )
-    };
-    let stamp_ns = i64::from(stamp.sec) * 1_000_000_000 + i64::from(stamp.nanosec);
+    })?;
     // drivers that do not set it leave 0
-    Ok((
-        if stamp_ns == 0 {
-            message.log_ns
-        } else {
-            stamp_ns
-        },
-        image,
-    ))
+    let time_ns = match stamp.nanoseconds() {
+        0 => message.log_ns,
+        stamp_ns => stamp_ns,
+    };
+    Ok((time_ns, image))
 }

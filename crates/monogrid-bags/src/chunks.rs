@@ -1,11 +1,11 @@
 //! Recordings whose messages come in chunks.
 
+use crate::bag::Messages;
 use crate::error::BagError;
 use crate::message::Raw;
 use std::collections::VecDeque;
 use std::io::Read;
-use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::Path;
 
 /// Most bytes of a record, and of what is in a chunk.
 const MAX_BYTES: u64 = 1 << 30;
@@ -28,12 +28,26 @@ pub fn block(input: &mut impl Read, length: u64) -> Result<Vec<u8>, String> {
 }
 
 /// What is in a chunk that claims so many bytes.
-pub fn unpacked(compression: &str, decoder: impl Read, size: u64) -> Result<Vec<u8>, String> {
+pub fn unpacked(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
     if size > MAX_BYTES {
         return Err(format!(
             "a chunk claims {size} bytes, expected at most {MAX_BYTES}"
         ));
     }
+    let decoder: Box<dyn Read + '_> = match compression {
+        "" | "none" => Box::new(data),
+        "bz2" => Box::new(bzip2::read::BzDecoder::new(data)),
+        "lz4" => Box::new(lz4_flex::frame::FrameDecoder::new(data)),
+        "zstd" => {
+            let decoder = ruzstd::decoding::StreamingDecoder::new(data);
+            Box::new(decoder.map_err(|error| format!("a chunk is not zstd: {error}"))?)
+        }
+        other => {
+            return Err(format!(
+                "compression {other:?} is not supported, expected none, zstd, lz4 or bz2"
+            ));
+        }
+    };
     let mut bytes = Vec::new();
     // one more, to see that there is none
     let read = decoder.take(size + 1).read_to_end(&mut bytes);
@@ -47,51 +61,24 @@ pub fn unpacked(compression: &str, decoder: impl Read, size: u64) -> Result<Vec<
     Ok(bytes)
 }
 
-/// The records of a file.
-pub trait Records {
-    /// Reads some of the file and adds the messages that are in it; breaks at the end.
-    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<ControlFlow<()>, String>;
-}
-
-/// Messages one by one, until the end of the file or the first damage.
-pub struct InChunks<R> {
-    records: R,
-    path: PathBuf,
-    /// Of the chunk that was read last.
-    ready: VecDeque<Raw>,
-    ended: bool,
-}
-
-impl<R: Records> InChunks<R> {
-    pub fn new(records: R, path: PathBuf) -> Self {
-        Self {
-            records,
-            path,
-            ready: VecDeque::new(),
-            ended: false,
-        }
-    }
-}
-
-impl<R: Records> Iterator for InChunks<R> {
-    type Item = Result<Raw, BagError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some(message) = self.ready.pop_front() {
-                return Some(Ok(message));
-            }
-            if self.ended {
-                return None;
-            }
-            match self.records.read_on(&mut self.ready) {
-                Ok(ControlFlow::Continue(())) => {}
-                Ok(ControlFlow::Break(())) => self.ended = true,
-                Err(reason) => {
-                    self.ended = true;
-                    return Some(Err(BagError::damaged(&self.path, reason)));
-                }
+/// Messages one by one, until the end of the file or the first damage. `read_on` reads some of the file and adds the messages that are in it;
+/// whether there may be more.
+pub fn in_chunks(
+    path: &Path,
+    mut read_on: impl FnMut(&mut VecDeque<Raw>) -> Result<bool, String> + Send + 'static,
+) -> Messages {
+    let path = path.to_owned();
+    // of the chunk that was read last
+    let mut ready = VecDeque::new();
+    let mut has_more = true;
+    Box::new(std::iter::from_fn(move || {
+        while has_more && ready.is_empty() {
+            let read = read_on(&mut ready);
+            has_more = read.as_ref().is_ok_and(|has_more| *has_more);
+            if let Err(reason) = read {
+                return Some(Err(BagError::damaged(&path, reason)));
             }
         }
-    }
+        ready.pop_front().map(Ok)
+    }))
 }

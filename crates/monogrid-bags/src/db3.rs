@@ -29,8 +29,8 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     let mut topics = Topics::new();
     for row in open()?.table("topics").map_err(damaged)? {
         let (number, values) = row.map_err(damaged)?;
-        if let (Some(name), Some(kind)) = (text(&values, 1), text(&values, 2)) {
-            topics.insert(number, (name.into(), TopicKind::of(kind)));
+        if let [_, Value::Text(name), Value::Text(kind), ..] = values.as_slice() {
+            topics.insert(number, (name.as_str().into(), TopicKind::of(kind)));
         }
     }
     let rows = open()?.table("messages").map_err(damaged)?;
@@ -41,19 +41,20 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     })))
 }
 
-fn text(values: &[Value], column: usize) -> Option<&str> {
-    values.get(column)?.text()
-}
-
 fn message((number, values): Row, topics: &Topics) -> Result<Raw, String> {
-    let [_, topic, time, Value::Blob(data), ..] = values.as_slice() else {
+    let [
+        _,
+        Value::Integer(topic),
+        Value::Integer(log_ns),
+        Value::Blob(data),
+        ..,
+    ] = &values[..]
+    else {
         return Err(format!(
             "message {number} is not a number, a topic, a time and bytes"
         ));
     };
-    let found = topic.integer().and_then(|topic| topics.get(&topic));
+    let found = topics.get(topic);
     let (topic, kind) = found.ok_or_else(|| format!("message {number} has no topic"))?;
-    let time = time.integer();
-    let log_ns = time.ok_or_else(|| format!("message {number} has no time"))?;
-    Ok(Raw::new(topic, *kind, log_ns, Wire::Cdr, data))
+    Ok(Raw::new(topic, *kind, *log_ns, Wire::Cdr, data))
 }

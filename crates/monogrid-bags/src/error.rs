@@ -15,20 +15,12 @@ pub enum BagError {
         /// The cause.
         source: std::io::Error,
     },
-    /// It is not what it should be.
+    /// It is not what it should be, or has not the one topic that could be meant.
     #[error("{}: {reason}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
         /// What was found, and what was expected.
-        reason: String,
-    },
-    /// No topic, or several, could be meant.
-    #[error("{}: {reason}", path.display())]
-    Topic {
-        /// The file.
-        path: PathBuf,
-        /// What there is.
         reason: String,
     },
     /// A message that is no image.

@@ -4,7 +4,7 @@
 //! let bag = monogrid_bags::Bag::open("drive.mcap".as_ref())?;
 //! let topic = bag.image_topic(None)?; // the only one, or the one that is named
 //! let camera = bag.camera_of(topic)?; // of the CameraInfo beside it
-//! for image in bag.images(topic)? {
+//! for image in bag.images(topic) {
 //!     let (time_ns, image) = image?;
 //!     println!("{time_ns} ns: {}x{}", image.width(), image.height());
 //! }

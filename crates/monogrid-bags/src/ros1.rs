@@ -1,14 +1,13 @@
 //! ROS 1 bags, version 2.0: records of header fields (`name=value`) and data; messages lie in chunks.
 
 use crate::bag::{Messages, TopicKind};
-use crate::chunks::{self, InChunks, Records, unpacked};
+use crate::chunks::{self, in_chunks, unpacked};
 use crate::error::BagError;
 use crate::fields::Fields;
 use crate::message::{Raw, Wire};
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{self, BufReader, Read};
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -24,11 +23,11 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     let mut file = BufReader::with_capacity(1 << 18, File::open(path).map_err(BagError::io(path))?);
     file.read_exact(&mut [0; MAGIC.len()])
         .map_err(BagError::io(path))?;
-    let records = Ros1Messages {
+    let mut records = Ros1Messages {
         file,
         connections: HashMap::new(),
     };
-    Ok(Box::new(InChunks::new(records, path.to_owned())))
+    Ok(in_chunks(path, move |messages| records.read_on(messages)))
 }
 
 struct Ros1Messages {
@@ -37,20 +36,21 @@ struct Ros1Messages {
     connections: HashMap<u32, (Arc<str>, TopicKind)>,
 }
 
-impl Records for Ros1Messages {
-    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<ControlFlow<()>, String> {
+impl Ros1Messages {
+    /// Reads the next record and takes what it says; whether there was one.
+    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<bool, String> {
         let Some(header) = block(&mut self.file)? else {
-            return Ok(ControlFlow::Break(()));
+            return Ok(false);
         };
         let data = block(&mut self.file)?.ok_or("the file ends within a record")?;
         let fields = Header(&header);
         if fields.op() != Some(CHUNK) {
             self.take(fields, &data, messages)?;
-            return Ok(ControlFlow::Continue(()));
+            return Ok(true);
         }
         let compression = fields.text("compression").unwrap_or_default();
         let size = fields.u32("size").ok_or("a chunk does not say its size")?;
-        let records = decompressed(&compression, &data, u64::from(size))?;
+        let records = unpacked(&compression, &data, u64::from(size))?;
         let mut rest = records.as_slice();
         while !rest.is_empty() {
             let cut = || "a chunk ends within a record".to_owned();
@@ -58,11 +58,9 @@ impl Records for Ros1Messages {
             let data = block(&mut rest)?.ok_or_else(cut)?;
             self.take(Header(&header), &data, messages)?;
         }
-        Ok(ControlFlow::Continue(()))
+        Ok(true)
     }
-}
 
-impl Ros1Messages {
     /// Takes what a record says.
     fn take(
         &mut self,
@@ -139,17 +137,5 @@ impl<'a> Header<'a> {
 
     fn text(self, name: &str) -> Option<String> {
         Some(String::from_utf8_lossy(self.value(name)?).into_owned())
-    }
-}
-
-/// The records of a chunk.
-fn decompressed(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
-    match compression {
-        "none" => unpacked(compression, data, size),
-        "bz2" => unpacked(compression, bzip2::read::BzDecoder::new(data), size),
-        "lz4" => unpacked(compression, lz4_flex::frame::FrameDecoder::new(data), size),
-        other => Err(format!(
-            "compression {other:?} is not supported, expected none, bz2 or lz4"
-        )),
     }
 }

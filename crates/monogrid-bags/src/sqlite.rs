@@ -27,22 +27,6 @@ pub enum Value {
     Real,
 }
 
-impl Value {
-    pub fn integer(&self) -> Option<i64> {
-        match self {
-            Self::Integer(value) => Some(*value),
-            _ => None,
-        }
-    }
-
-    pub fn text(&self) -> Option<&str> {
-        match self {
-            Self::Text(value) => Some(value),
-            _ => None,
-        }
-    }
-}
-
 /// A row: its number, and the values of its columns in the order of the table's definition.
 pub type Row = (i64, Vec<Value>);
 
@@ -89,22 +73,20 @@ impl Database {
     }
 
     /// The rows of a table, in the order of their numbers.
-    pub fn table(mut self, name: &str) -> Result<Rows, String> {
-        let root = self.root_of(name)?;
-        Ok(Rows::new(self, root))
-    }
-
-    /// The page at which a table begins: the table of tables has type, name, table, page, text.
-    fn root_of(&mut self, name: &str) -> Result<u32, String> {
+    pub fn table(self, name: &str) -> Result<Rows, String> {
+        // the table of tables has type, name, table, page where the table begins, text
         let file = self.file.try_clone().map_err(|error| error.to_string())?;
-        for row in Rows::new(Self { file, ..*self }, 1) {
+        for row in Rows::new(Self { file, ..self }, 1) {
             let (_, values) = row?;
-            let [kind, found, _, page, ..] = values.as_slice() else {
-                continue;
-            };
-            if kind.text() == Some("table") && found.text() == Some(name) {
-                let page = page.integer().and_then(|page| u32::try_from(page).ok());
-                return page.ok_or_else(|| format!("table {name} has no first page"));
+            if let [Value::Text(kind), Value::Text(found), _, page, ..] = values.as_slice()
+                && (kind.as_str(), found.as_str()) == ("table", name)
+            {
+                let page = match page {
+                    Value::Integer(page) => u32::try_from(*page).ok(),
+                    _ => None,
+                };
+                let page = page.ok_or_else(|| format!("table {name} has no first page"))?;
+                return Ok(Rows::new(self, page));
             }
         }
         Err(format!("there is no table {name}"))
@@ -208,8 +190,8 @@ impl Rows {
             INTERIOR => {
                 self.waiting.extend(be_u32(&page, head + 8));
                 for cell in cells {
-                    self.waiting
-                        .push(be_u32(&page, cell).ok_or("a cell outside its page")?);
+                    let child = be_u32(&page, cell).ok_or("a cell outside its page")?;
+                    self.waiting.push(child);
                 }
             }
             other => {
@@ -227,10 +209,8 @@ impl Rows {
         let (length, after) = varint(page, cell).ok_or(cut)?;
         let (number, start) = varint(page, after).ok_or(cut)?;
         let bytes = self.database.payload(page, start, length)?;
-        Ok((
-            number.cast_signed(),
-            values(&bytes).ok_or("a row ends within its values")?,
-        ))
+        let values = values(&bytes).ok_or("a row ends within its values")?;
+        Ok((number.cast_signed(), values))
     }
 }
 
@@ -310,14 +290,9 @@ fn values(bytes: &[u8]) -> Option<Vec<Value>> {
 
 /// Two's complement, the highest byte first.
 fn signed(bytes: &[u8]) -> i64 {
-    let sign = if bytes.first().is_some_and(|byte| *byte >= 0x80) {
-        -1
-    } else {
-        0
-    };
-    bytes
-        .iter()
-        .fold(sign, |value, byte| value << 8 | i64::from(*byte))
+    let sign = bytes.first().map_or(0, |byte| byte.cast_signed() >> 7);
+    let bytes = bytes.iter();
+    bytes.fold(sign.into(), |value, byte| value << 8 | i64::from(*byte))
 }
 
 #[cfg(test)]

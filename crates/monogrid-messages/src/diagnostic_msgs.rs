@@ -1,6 +1,5 @@
 //! How a node is.
 
-use crate::ros_message;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
 

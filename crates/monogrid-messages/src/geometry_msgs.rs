@@ -1,19 +1,7 @@
 //! Points, rotations and poses. Quaternions are of unit length, `w` last.
 
-use crate::ros_message;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
-
-/// A position, m.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// Along x.
-    pub x: f64,
-    /// Along y.
-    pub y: f64,
-    /// Along z.
-    pub z: f64,
-}
 
 /// A translation, velocity or the like.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -25,6 +13,9 @@ pub struct Vector3 {
     /// Along z.
     pub z: f64,
 }
+
+/// A position, m.
+pub type Point = Vector3;
 
 /// A rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -10,6 +10,16 @@
 //! ```
 #![deny(missing_docs)]
 
+/// Says what ROS calls a message.
+macro_rules! ros_message {
+    ($package:literal, $name:ident) => {
+        impl crate::RosMessage for $name {
+            const PACKAGE: &'static str = $package;
+            const NAME: &'static str = stringify!($name);
+        }
+    };
+}
+
 pub mod builtin_interfaces;
 pub mod cdr;
 mod definitions;
@@ -32,14 +42,3 @@ pub trait RosMessage: serde::Serialize + serde::de::DeserializeOwned {
     /// Its name there.
     const NAME: &'static str;
 }
-
-/// Says what ROS calls a message.
-macro_rules! ros_message {
-    ($package:literal, $name:ident) => {
-        impl crate::RosMessage for $name {
-            const PACKAGE: &'static str = $package;
-            const NAME: &'static str = stringify!($name);
-        }
-    };
-}
-pub(crate) use ros_message;

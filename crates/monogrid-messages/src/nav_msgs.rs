@@ -2,7 +2,6 @@
 
 use crate::builtin_interfaces::Time;
 use crate::geometry_msgs::{Pose, PoseStamped, PoseWithCovariance, TwistWithCovariance};
-use crate::ros_message;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
 

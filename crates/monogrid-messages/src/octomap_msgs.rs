@@ -1,6 +1,5 @@
 //! Three-dimensional maps.
 
-use crate::ros_message;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,6 @@
 //! Cameras, inertial sensors and clouds.
 
 use crate::geometry_msgs::{Quaternion, Vector3};
-use crate::ros_message;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,6 @@
 //! Trees of frames.
 
 use crate::geometry_msgs::TransformStamped;
-use crate::ros_message;
 use serde::{Deserialize, Serialize};
 
 /// Transforms of `/tf` and `/tf_static`.

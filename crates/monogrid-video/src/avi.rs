@@ -5,11 +5,9 @@
 //! before is shown again; it only counts for the time.
 
 use crate::turn::Turn;
-use crate::{Colour, Here, MAX_PIXELS, Opened, VideoError, VideoFrame};
-use monogrid_datasets::decode_jpeg_luma;
+use crate::{Here, Opened, VideoError, VideoFrame, jpeg_frame, time_at_rate};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::path::Path;
 
 /// Longest header list and longest frame that are read, bytes.
 const MAX_CHUNK_BYTES: u32 = 1 << 26;
@@ -46,9 +44,9 @@ pub(crate) fn open(name: &str, file: File) -> Result<Here, VideoError> {
     let stream = find_stream(&headers).ok_or_else(|| damaged("no video stream"))?;
     if !stream.codec.eq_ignore_ascii_case(b"MJPG") {
         let codec = String::from_utf8_lossy(&stream.codec).into_owned();
-        return Ok(Here::Unknown(format!("AVI, codec {codec:?}")));
+        return Ok(Err(format!("AVI, codec {codec:?}")));
     }
-    Ok(Here::Opened(Opened {
+    Ok(Ok(Opened {
         description: "AVI, MJPEG".to_owned(),
         length: Some(stream.frames as usize).filter(|&frames| frames > 0),
         live: false,
@@ -99,30 +97,26 @@ fn find_stream(headers: &[u8]) -> Option<Stream> {
     let lists = chunks(headers.strip_prefix(b"hdrl")?)
         .filter(|(kind, _)| kind == b"LIST")
         .filter_map(|(_, list)| list.strip_prefix(b"strl"));
-    for (number, list) in lists.enumerate() {
+    let video = |(number, list): (usize, _)| {
         let find = |wanted| chunks(list).find(|(kind, _)| kind == wanted).map(|c| c.1);
-        let (Some(header), Some(bitmap)) = (find(b"strh"), find(b"strf")) else {
-            continue;
-        };
-        let number_at = |offset: usize| {
-            let bytes = header.get(offset..offset + 4)?;
-            Some(u32::from_le_bytes(bytes.try_into().ok()?))
-        };
-        if !header.starts_with(b"vids") {
-            continue;
-        }
-        let (scale, rate) = (number_at(20)?, number_at(24)?);
-        if scale == 0 || rate == 0 {
-            return None;
-        }
-        return Some(Stream {
-            number: u8::try_from(number).ok()?,
-            codec: bitmap.get(16..20)?.try_into().ok()?,
-            rate: (u64::from(rate), u64::from(scale)),
-            frames: number_at(32)?,
-        });
-    }
-    None
+        let (header, bitmap) = (find(b"strh")?, find(b"strf")?);
+        header
+            .starts_with(b"vids")
+            .then_some((number, header, bitmap))
+    };
+    let (number, header, bitmap) = lists.enumerate().find_map(video)?;
+    let number_at = |offset: usize| {
+        let bytes = header.get(offset..offset + 4)?;
+        Some(u32::from_le_bytes(bytes.try_into().ok()?))
+    };
+    let (scale, rate) = (number_at(20)?, number_at(24)?);
+    let stream = Stream {
+        number: u8::try_from(number).ok()?,
+        codec: bitmap.get(16..20)?.try_into().ok()?,
+        rate: (u64::from(rate), u64::from(scale)),
+        frames: number_at(32)?,
+    };
+    (scale > 0 && rate > 0).then_some(stream)
 }
 
 struct AviFrames {
@@ -166,22 +160,6 @@ impl AviFrames {
         let number = self.stream.number;
         kind[..2] == [b'0' + number / 10, b'0' + number % 10] && matches!(&kind[2..], b"dc" | b"db")
     }
-
-    fn decode(&mut self, content: Vec<u8>) -> Result<VideoFrame, VideoError> {
-        let number = self.frame;
-        self.frame += 1;
-        let failed = |reason: String| VideoError::frame(&self.name, number, reason);
-        let image = decode_jpeg_luma(&content, MAX_PIXELS, Path::new(&self.name))
-            .map_err(|e| failed(e.to_string()))?;
-        let (numerator, denominator) = self.stream.rate;
-        let nanoseconds =
-            number as u128 * u128::from(denominator) * 1_000_000_000 / u128::from(numerator);
-        Ok(VideoFrame {
-            image,
-            colour: Colour::Jpeg(content),
-            timestamp_ns: i64::try_from(nanoseconds).unwrap_or(i64::MAX),
-        })
-    }
 }
 
 impl Iterator for AviFrames {
@@ -189,7 +167,12 @@ impl Iterator for AviFrames {
 
     fn next(&mut self) -> Option<Self::Item> {
         match self.next_chunk() {
-            Ok(content) => content.map(|content| self.decode(content)),
+            Ok(content) => content.map(|content| {
+                let number = self.frame;
+                self.frame += 1;
+                let time_ns = time_at_rate(number, self.stream.rate);
+                jpeg_frame(&self.name, number, content, time_ns)
+            }),
             // a file that was cut short ends there
             Err(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => None,
             Err(e) => Some(Err(VideoError::io(&self.name, e))),

@@ -194,33 +194,25 @@ struct FfmpegFrames {
     process: Process,
 }
 
-impl FfmpegFrames {
-    /// Time of the next frame; none where ffmpeg has ended.
-    fn next_time(&mut self) -> Option<i64> {
-        let shown = |said| match said {
-            Said::Shown(time_ns) => Some(time_ns),
-            Said::Turned(_) => None,
-        };
-        self.first_ns
-            .take()
-            .or_else(|| self.said.iter().find_map(shown))
-    }
-}
-
 impl Iterator for FfmpegFrames {
     type Item = Result<VideoFrame, VideoError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        match self.frames.next()? {
-            Ok(frame) => Some(match self.next_time() {
-                Some(timestamp_ns) => Ok(VideoFrame {
-                    timestamp_ns,
-                    ..frame
-                }),
-                None => Err(self.process.failure()),
-            }),
-            Err(_) => Some(Err(self.process.failure())),
+        let shown = |said| match said {
+            Said::Shown(time_ns) => Some(time_ns),
+            Said::Turned(_) => None,
+        };
+        let next_ns = || self.said.iter().find_map(shown);
+        // no time where ffmpeg has ended
+        if let Ok(frame) = self.frames.next()?
+            && let Some(timestamp_ns) = self.first_ns.take().or_else(next_ns)
+        {
+            return Some(Ok(VideoFrame {
+                timestamp_ns,
+                ..frame
+            }));
         }
+        Some(Err(self.process.failure()))
     }
 }
 

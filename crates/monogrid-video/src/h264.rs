@@ -1,6 +1,6 @@
 //! H.264 in MP4 and MOV, decoded in this process.
 
-use crate::mp4::{self, Content, Sample, Samples, Timing};
+use crate::mp4::{self, Sample, Track};
 use crate::turn::Turn;
 use crate::y4m::in_bytes;
 use crate::{Chroma, Colour, ColourSpace, Grey, Here, Opened, VideoError, VideoFrame};
@@ -20,8 +20,8 @@ const MAX_SAMPLE_BYTES: u32 = 1 << 25;
 /// Opens the first video track.
 pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, VideoError> {
     let track = match mp4::read(name, &mut file, file_bytes)? {
-        Content::H264(track) => track,
-        Content::Other(found) => return Ok(Here::Unknown(found)),
+        Ok(track) => track,
+        Err(found) => return Ok(Err(found)),
     };
     let mut decoder = OrderedDecoder::new();
     let mut space = ColourSpace::default();
@@ -31,13 +31,13 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         for unit in parse_avcc(&prefixed, 4) {
             space = colour_space(&unit).unwrap_or(space);
             if let Err(reason) = decode_unit(&mut decoder, &unit, 0) {
-                return Ok(Here::Unknown(format!("H.264, {reason}")));
+                return Ok(Err(format!("H.264, {reason}")));
             }
         }
     }
     let shown = |sample: &Sample| track.timing.shown_ns(sample.time).is_some();
     let length = track.samples.clone().filter(shown).count();
-    Ok(Here::Opened(Opened {
+    Ok(Ok(Opened {
         description: "MP4, H.264".to_owned(),
         length: Some(length),
         live: false,
@@ -45,10 +45,7 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
         frames: Box::new(H264Frames {
             name: name.to_owned(),
             file,
-            length_bytes: usize::from(track.config.length_size_minus_one.get()) + 1,
-            samples: track.samples,
-            timing: track.timing,
-            turn: track.turn,
+            track,
             space,
             decoder,
             ready: VecDeque::new(),
@@ -62,11 +59,7 @@ pub(crate) fn open(name: &str, mut file: File, file_bytes: u64) -> Result<Here, 
 struct H264Frames {
     name: String,
     file: File,
-    /// Bytes of the length in front of each unit.
-    length_bytes: usize,
-    samples: Samples,
-    timing: Timing,
-    turn: Turn,
+    track: Track,
     space: ColourSpace,
     /// Carries the time of each sample, units of the track, to its frame.
     decoder: OrderedDecoder<i64>,
@@ -79,7 +72,7 @@ struct H264Frames {
 impl H264Frames {
     /// Decodes the next sample; at the end gives out what the decoder still holds.
     fn advance(&mut self) -> Result<(), VideoError> {
-        let Some(sample) = self.samples.next() else {
+        let Some(sample) = self.track.samples.next() else {
             self.ended = true;
             self.ready.extend(self.decoder.flush_with_meta());
             return Ok(());
@@ -89,7 +82,9 @@ impl H264Frames {
         let failed = |reason: String| VideoError::frame(&self.name, number, reason);
         let bytes = read_sample(&mut self.file, sample).map_err(|e| failed(e.to_string()))?;
         let mut first_error = None;
-        for unit in parse_avcc(&bytes, self.length_bytes) {
+        // of the length in front of each unit
+        let length_bytes = usize::from(self.track.config.length_size_minus_one.get()) + 1;
+        for unit in parse_avcc(&bytes, length_bytes) {
             match decode_unit(&mut self.decoder, &unit, sample.time) {
                 Ok(frames) => self.ready.extend(frames),
                 Err(reason) => first_error = first_error.or(Some(reason)),
@@ -101,23 +96,20 @@ impl H264Frames {
     /// The next frame that is shown.
     fn take_ready(&mut self) -> Option<Result<VideoFrame, VideoError>> {
         while let Some((frame, time)) = self.ready.pop_front() {
-            let Some(timestamp_ns) = self.timing.shown_ns(time) else {
+            let Some(timestamp_ns) = self.track.timing.shown_ns(time) else {
                 continue;
             };
-            let number = self.sample;
-            let colour = chroma(&frame, self.space, self.turn);
-            return Some(match luma(frame) {
-                Some(image) => Ok(VideoFrame {
-                    image: self.turn.apply(image),
-                    colour: colour.map_or(Colour::Grey, Colour::Chroma),
-                    timestamp_ns,
-                }),
-                None => Err(VideoError::frame(
-                    &self.name,
-                    number,
-                    "an incomplete picture",
-                )),
-            });
+            let picture = picture(frame, self.space, self.track.turn);
+            let incomplete = || VideoError::frame(&self.name, self.sample, "an incomplete picture");
+            return Some(
+                picture
+                    .ok_or_else(incomplete)
+                    .map(|(image, colour)| VideoFrame {
+                        image,
+                        colour,
+                        timestamp_ns,
+                    }),
+            );
         }
         None
     }
@@ -173,30 +165,18 @@ fn read_sample(file: &mut File, sample: Sample) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The luma plane in 8 bits.
-fn luma(frame: Frame) -> Option<Grey> {
-    let (width, height) = (frame.width as usize, frame.height as usize);
-    let data = match frame.bit_depth {
-        8 => frame.y,
-        bits => in_bytes(&frame.y, bits.into()),
-    };
-    Grey::from_vec(width, height, data)
-}
-
-/// The colour differences of a frame; `None` where it has none.
-fn chroma(frame: &Frame, space: ColourSpace, turn: Turn) -> Option<Chroma> {
+/// The luma of a frame in 8 bits and its colour, upright; `None` where it is not whole.
+fn picture(frame: Frame, space: ColourSpace, turn: Turn) -> Option<(Grey, Colour)> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let size = match frame.chroma_format {
         ChromaFormat::Yuv420 => (width.div_ceil(2), height.div_ceil(2)),
         ChromaFormat::Yuv422 => (width.div_ceil(2), height),
     };
-    match frame.bit_depth {
-        8 => Chroma::new([&frame.u, &frame.v], size, space, turn),
-        bits => {
-            let [u, v] = [&frame.u, &frame.v].map(|plane| in_bytes(plane, bits.into()));
-            Chroma::new([&u, &v], size, space, turn)
-        }
-    }
+    let bits = frame.bit_depth.into();
+    let [y, u, v] = [frame.y, frame.u, frame.v].map(|plane| in_bytes(plane, bits));
+    let chroma = Chroma::new([&u, &v], size, space, turn);
+    let colour = chroma.map_or(Colour::Grey, Colour::Chroma);
+    Some((turn.apply(Grey::from_vec(width, height, y)?), colour))
 }
 
 /// What a sequence parameter set says of colour; unknown where it is another unit.

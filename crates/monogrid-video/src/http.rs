@@ -2,11 +2,9 @@
 
 use crate::error::endless_header;
 use crate::turn::Turn;
-use crate::{Colour, MAX_PIXELS, Opened, VideoError, VideoFrame};
-use monogrid_datasets::decode_jpeg_luma;
+use crate::{Opened, VideoError, VideoFrame, jpeg_frame};
 use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// How long a server may be silent.
@@ -49,12 +47,9 @@ pub(crate) fn open(address: &str) -> Result<Option<Opened>, VideoError> {
     let header = read_header(&mut reader).map_err(io)?;
     let status = header.first().map(String::as_str).unwrap_or_default();
     if status.split_whitespace().nth(1) != Some("200") {
-        return Err(VideoError::content(
-            address,
-            "stream",
-            format!("the answer {status:?}"),
-            "200 and images",
-        ));
+        let found = format!("the answer {status:?}");
+        let expected = "200 and images";
+        return Err(VideoError::content(address, "stream", found, expected));
     }
     if !value(&header, "content-type").is_some_and(|v| v.starts_with("multipart/")) {
         return Ok(None);
@@ -87,12 +82,8 @@ fn read_header(reader: &mut impl BufRead) -> std::io::Result<Vec<String>> {
     let mut lines = Vec::new();
     while lines.len() < MAX_LINES {
         let mut line = Vec::new();
-        if reader
-            .by_ref()
-            .take(MAX_LINE)
-            .read_until(b'\n', &mut line)?
-            == 0
-        {
+        let mut limited = reader.by_ref().take(MAX_LINE);
+        if limited.read_until(b'\n', &mut line)? == 0 {
             return Err(ErrorKind::UnexpectedEof.into());
         }
         let line = String::from_utf8_lossy(&line).trim().to_owned();
@@ -162,17 +153,8 @@ impl<R: BufRead> Iterator for MjpegFrames<R> {
             Err(e) if e.kind() == ErrorKind::UnexpectedEof => return None,
             Err(e) => return Some(Err(VideoError::io(&self.name, e))),
         };
-        let arrival = self.begin.elapsed();
-        let number = self.frame;
+        let arrival_ns = i64::try_from(self.begin.elapsed().as_nanos()).unwrap_or(i64::MAX);
         self.frame += 1;
-        let decoded = decode_jpeg_luma(&jpeg, MAX_PIXELS, Path::new(&self.name));
-        Some(match decoded {
-            Ok(image) => Ok(VideoFrame {
-                image,
-                colour: Colour::Jpeg(jpeg),
-                timestamp_ns: i64::try_from(arrival.as_nanos()).unwrap_or(i64::MAX),
-            }),
-            Err(e) => Err(VideoError::frame(&self.name, number, e.to_string())),
-        })
+        Some(jpeg_frame(&self.name, self.frame - 1, jpeg, arrival_ns))
     }
 }

@@ -47,6 +47,7 @@ pub use colour::{Chroma, Colour, ColourSpace};
 pub use error::VideoError;
 pub use monogrid_bags::is_bag as is_recording;
 
+use monogrid_datasets::decode_jpeg_luma;
 use monogrid_geometry::{Camera, ReadoutDirection};
 use monogrid_image::Image;
 use std::collections::VecDeque;
@@ -84,12 +85,8 @@ pub(crate) type Frames = Box<dyn Iterator<Item = Result<VideoFrame, VideoError>>
 /// any other is the last item.
 pub struct Video {
     name: String,
-    description: String,
-    length: Option<usize>,
-    live: bool,
+    opened: Opened,
     size: (usize, usize),
-    turn: Turn,
-    frames: Frames,
     /// What was read when it was opened.
     ahead: VecDeque<Result<VideoFrame, VideoError>>,
     last_ns: Option<i64>,
@@ -153,12 +150,12 @@ impl Video {
     /// A file that is decoded here if possible, otherwise by ffmpeg.
     fn open_file(path: &Path, name: String) -> Result<Self, VideoError> {
         let found = match open_here(path, &name)? {
-            Here::Opened(opened) => match Self::start(name.clone(), opened) {
+            Ok(opened) => match Self::start(name.clone(), opened) {
                 // the first frame is the first that shows what the decoder cannot do
                 Err(VideoError::Frame { reason, .. }) => reason,
                 outcome => return outcome,
             },
-            Here::Unknown(found) => found,
+            Err(found) => found,
         };
         let opened = ffmpeg::open(&name, &found)?;
         Self::start(name, opened)
@@ -168,19 +165,15 @@ impl Video {
     fn start(name: String, opened: Opened) -> Result<Self, VideoError> {
         let mut video = Self {
             name,
-            description: opened.description,
-            length: opened.length,
-            live: opened.live,
+            opened,
             size: (0, 0),
-            turn: opened.turn,
-            frames: opened.frames,
             ahead: VecDeque::new(),
             last_ns: None,
             repaired: 0,
             ended: false,
         };
         for _ in 0..MAX_UNREADABLE_AT_START {
-            match video.frames.next() {
+            match video.opened.frames.next() {
                 Some(Ok(frame)) => {
                     video.size = (frame.image.width(), frame.image.height());
                     video.ahead.push_back(Ok(frame));
@@ -206,19 +199,19 @@ impl Video {
     /// Container and codec, for people.
     #[must_use]
     pub fn description(&self) -> &str {
-        &self.description
+        &self.opened.description
     }
 
     /// Number of frames where the container says it; frames that cannot be decoded are among them.
     #[must_use]
     pub fn length(&self) -> Option<usize> {
-        self.length
+        self.opened.length
     }
 
     /// Whether frames come as they happen and do not wait.
     #[must_use]
     pub fn is_live(&self) -> bool {
-        self.live
+        self.opened.live
     }
 
     /// Width and height of the first frame, px.
@@ -230,7 +223,7 @@ impl Video {
     /// Which way over its images a rolling shutter runs.
     #[must_use]
     pub fn readout_direction(&self) -> ReadoutDirection {
-        self.turn.readout_direction(self.size)
+        self.opened.turn.readout_direction(self.size)
     }
 
     /// Frames so far whose time did not come after that of the frame before and was set right behind it.
@@ -259,7 +252,7 @@ impl Iterator for Video {
         if self.ended {
             return None;
         }
-        let item = self.ahead.pop_front().or_else(|| self.frames.next());
+        let item = self.ahead.pop_front().or_else(|| self.opened.frames.next());
         self.ended = match &item {
             None => true,
             Some(Err(error)) => !error.is_single_frame(),
@@ -273,31 +266,24 @@ impl std::fmt::Debug for Video {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Video")
             .field("name", &self.name)
-            .field("description", &self.description)
-            .field("length", &self.length)
+            .field("description", &self.opened.description)
+            .field("length", &self.opened.length)
             .field("size", &self.size)
             .finish_non_exhaustive()
     }
 }
 
-/// What this process makes of a file.
-pub(crate) enum Here {
-    Opened(Opened),
-    /// It cannot decode it, and what it is.
-    Unknown(String),
-}
+/// What this process makes of a file; or what it is, where it cannot decode it.
+pub(crate) type Here = Result<Opened, String>;
 
 fn open_here(path: &Path, name: &str) -> Result<Here, VideoError> {
     let io = |e| VideoError::io(name, e);
     let mut file = File::open(path).map_err(io)?;
     let metadata = file.metadata().map_err(io)?;
+    let unusable =
+        |found: &str, expected: &str| VideoError::content(name, "video", found, expected);
     if !metadata.is_file() {
-        return Err(VideoError::content(
-            name,
-            "video",
-            "a folder or device",
-            "a video file",
-        ));
+        return Err(unusable("a folder or device", "a video file"));
     }
     let mut head = Vec::new();
     (&mut file)
@@ -306,21 +292,14 @@ fn open_here(path: &Path, name: &str) -> Result<Here, VideoError> {
         .map_err(io)?;
     file.rewind().map_err(io)?;
     match head.as_slice() {
-        [] => Err(VideoError::content(
-            name,
-            "video",
-            "an empty file",
-            "a video",
-        )),
-        head if head.starts_with(y4m::MAGIC) => Ok(Here::Opened(open_y4m(name, file)?)),
+        [] => Err(unusable("an empty file", "a video")),
+        head if head.starts_with(y4m::MAGIC) => Ok(Ok(open_y4m(name, file)?)),
         [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..] => avi::open(name, file),
         [_, _, _, _, b'f', b't', b'y', b'p', ..]
         | [_, _, _, _, b'm', b'o', b'o', b'v', ..]
         | [_, _, _, _, b'm', b'd', b'a', b't', ..]
         | [_, _, _, _, b'w', b'i', b'd', b'e', ..] => h264::open(name, file, metadata.len()),
-        _ => Ok(Here::Unknown(
-            "a format that is not read directly".to_owned(),
-        )),
+        _ => Ok(Err("a format that is not read directly".to_owned())),
     }
 }
 
@@ -333,4 +312,25 @@ fn open_y4m(name: &str, reader: impl Read + Send + 'static) -> Result<Opened, Vi
         turn: Turn::None,
         frames: Box::new(frames),
     })
+}
+
+/// The frame in a JPEG file, number `frame` of its video.
+pub(crate) fn jpeg_frame(
+    video: &str,
+    frame: usize,
+    jpeg: Vec<u8>,
+    timestamp_ns: i64,
+) -> Result<VideoFrame, VideoError> {
+    let image = decode_jpeg_luma(&jpeg, MAX_PIXELS, Path::new(video));
+    Ok(VideoFrame {
+        image: image.map_err(|e| VideoError::frame(video, frame, e.to_string()))?,
+        colour: Colour::Jpeg(jpeg),
+        timestamp_ns,
+    })
+}
+
+/// Time of a frame, nanoseconds, at so many frames per second: numerator and denominator.
+pub(crate) fn time_at_rate(frame: usize, (numerator, denominator): (u64, u64)) -> i64 {
+    let seconds_e9 = frame as u128 * u128::from(denominator) * 1_000_000_000;
+    i64::try_from(seconds_e9 / u128::from(numerator)).unwrap_or(i64::MAX)
 }

@@ -1,7 +1,7 @@
 //! Recordings of robots: the images of one topic.
 
 use crate::turn::Turn;
-use crate::{Colour, Grey, Opened, VideoError, VideoFrame};
+use crate::{Colour, Opened, VideoError, VideoFrame};
 use monogrid_bags::{Bag, BagError};
 use monogrid_geometry::Camera;
 use monogrid_image::{GrayImage, to_gray8};
@@ -16,19 +16,17 @@ pub(crate) fn open(
     let bag = Bag::open(path)?;
     let topic = bag.image_topic(topic)?;
     let camera = bag.camera_of(topic)?;
-    let images = bag.images(topic)?;
+    let images = bag.images(topic);
     let name = name.to_owned();
     let frame = move |(frame, image): (usize, Result<(i64, GrayImage), BagError>)| match image {
         Ok((timestamp_ns, image)) => Ok(VideoFrame {
-            image: grey(&image),
+            image: image.map(to_gray8),
             colour: Colour::Grey,
             timestamp_ns,
         }),
-        Err(error) if error.is_single_frame() => Err(VideoError::Frame {
-            video: name.clone(),
-            frame,
-            reason: error.to_string(),
-        }),
+        Err(error) if error.is_single_frame() => {
+            Err(VideoError::frame(&name, frame, error.to_string()))
+        }
         Err(error) => Err(error.into()),
     };
     let opened = Opened {
@@ -39,9 +37,4 @@ pub(crate) fn open(
         frames: Box::new(images.enumerate().map(frame)),
     };
     Ok((opened, camera))
-}
-
-/// 8 bits, as every video has them.
-fn grey(image: &GrayImage) -> Grey {
-    image.map(to_gray8)
 }

@@ -5,7 +5,7 @@
 
 use crate::error::endless_header;
 use crate::turn::Turn;
-use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS, VideoError, VideoFrame};
+use crate::{Chroma, Colour, ColourSpace, Grey, MAX_PIXELS, VideoError, VideoFrame, time_at_rate};
 use std::io::{BufRead, Read};
 
 /// First bytes of every such stream.
@@ -36,13 +36,12 @@ struct Planes {
     has_alpha: bool,
 }
 
-/// Frames of a YUV4MPEG2 stream.
+/// Frames of a YUV4MPEG2 stream, up to the first error.
 pub(crate) struct Y4mReader<R> {
     name: String,
     reader: R,
     layout: Layout,
     frame: usize,
-    ended: bool,
 }
 
 impl<R: BufRead> Y4mReader<R> {
@@ -57,7 +56,6 @@ impl<R: BufRead> Y4mReader<R> {
             reader,
             layout,
             frame: 0,
-            ended: false,
         })
     }
 
@@ -76,14 +74,12 @@ impl<R: BufRead> Y4mReader<R> {
             _ => VideoError::io(&self.name, e),
         });
         let (image, colour) = planes?;
-        let (numerator, denominator) = self.layout.rate;
-        let nanoseconds =
-            self.frame as u128 * u128::from(denominator) * 1_000_000_000 / u128::from(numerator);
+        let timestamp_ns = time_at_rate(self.frame, self.layout.rate);
         self.frame += 1;
         Ok(Some(VideoFrame {
             image,
             colour,
-            timestamp_ns: i64::try_from(nanoseconds).unwrap_or(i64::MAX),
+            timestamp_ns,
         }))
     }
 
@@ -94,12 +90,8 @@ impl<R: BufRead> Y4mReader<R> {
         if let Some(size) = self.layout.planes.chroma {
             let space = ColourSpace::usual(height, self.layout.has_full_range);
             let planes = [self.read_plane(size)?, self.read_plane(size)?];
-            let chroma = Chroma::new(
-                planes.each_ref().map(Vec::as_slice),
-                size,
-                space,
-                Turn::None,
-            );
+            let planes = planes.each_ref().map(Vec::as_slice);
+            let chroma = Chroma::new(planes, size, space, Turn::None);
             colour = chroma.map_or(Colour::Grey, Colour::Chroma);
         }
         if self.layout.planes.has_alpha {
@@ -114,15 +106,15 @@ impl<R: BufRead> Y4mReader<R> {
         let bits = self.layout.planes.bits;
         let mut data = vec![0; width * height * if bits > 8 { 2 } else { 1 }];
         self.reader.read_exact(&mut data)?;
-        Ok(match bits {
-            8 => data,
-            bits => in_bytes(&data, bits),
-        })
+        Ok(in_bytes(data, bits))
     }
 }
 
-/// Samples of more than 8 bits, two bytes each (little endian), in 8 bits.
-pub(crate) fn in_bytes(samples: &[u8], bits: u32) -> Vec<u8> {
+/// Samples in 8 bits; those of more are two bytes each (little endian).
+pub(crate) fn in_bytes(samples: Vec<u8>, bits: u32) -> Vec<u8> {
+    if bits == 8 {
+        return samples;
+    }
     let sample = |pair: &[u8]| u16::from_le_bytes([pair[0], pair[1]]) >> (bits - 8);
     let pairs = samples.chunks_exact(2);
     pairs.map(|pair| sample(pair).min(255) as u8).collect()
@@ -132,12 +124,7 @@ impl<R: BufRead> Iterator for Y4mReader<R> {
     type Item = Result<VideoFrame, VideoError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.ended {
-            return None;
-        }
-        let outcome = self.read_frame();
-        self.ended = !matches!(outcome, Ok(Some(_)));
-        outcome.transpose()
+        self.read_frame().transpose()
     }
 }
 
@@ -276,7 +263,6 @@ mod tests {
         let mut reader = Y4mReader::new("-", stream.as_slice()).unwrap();
         assert_eq!(reader.next().unwrap().unwrap().image.as_slice(), b"abcd");
         assert!(reader.next().unwrap().is_err());
-        assert!(reader.next().is_none());
     }
 
     #[test]

@@ -11,7 +11,7 @@
 //! All but packets is JSON.
 
 use monogrid_datasets::Record;
-use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
+use monogrid_geometry::{Rotation, Sim3, Vec3, nalgebra};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -44,12 +44,6 @@ impl RunKey {
         }
         let name = name.to_owned();
         Ok(Self { name, run })
-    }
-
-    /// Name of the agent.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.name
     }
 
     /// A key of the run.
@@ -103,12 +97,10 @@ impl Asked {
     #[must_use]
     pub fn of(key: &str) -> Option<Self> {
         let rest = key.strip_prefix(PREFIX)?.strip_prefix('/')?;
-        if rest == "fleet" {
-            return Some(Self::Fleet);
-        }
         let parts: Vec<&str> = rest.split('/').collect();
         let run = |name: &str, run: &str| format!("{name}/{run}").parse().ok();
         match parts.as_slice() {
+            ["fleet"] => Some(Self::Fleet),
             ["agents", name, number, "missing"] => Some(Self::Missing(run(name, number)?)),
             ["agents", name, number, "packets", packet] => {
                 Some(Self::Packet(run(name, number)?, packet.parse().ok()?))
@@ -138,20 +130,18 @@ pub struct Similarity {
 
 impl From<&Sim3> for Similarity {
     fn from(a_from_b: &Sim3) -> Self {
-        let q = a_from_b.rotation.quaternion();
         Self {
             scale: a_from_b.scale,
             translation: a_from_b.translation.into(),
-            quaternion: [q.i, q.j, q.k, q.w],
+            quaternion: a_from_b.rotation.coords.into(),
         }
     }
 }
 
 impl From<&Similarity> for Sim3 {
     fn from(a_from_b: &Similarity) -> Self {
-        let [x, y, z, w] = a_from_b.quaternion;
-        let rotation =
-            Rotation::from_quaternion(monogrid_geometry::nalgebra::Quaternion::new(w, x, y, z));
+        let quaternion = nalgebra::Quaternion::from(a_from_b.quaternion);
+        let rotation = Rotation::from_quaternion(quaternion);
         Self::new(a_from_b.scale, rotation, Vec3::from(a_from_b.translation))
     }
 }
@@ -183,6 +173,23 @@ pub struct AgentState {
 }
 
 impl Fleet {
+    /// Where the worlds of all lie, in words.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let mut text = format!("transforms, version {}:", self.version);
+        for agent in &self.agents {
+            let place = match &agent.shared_from_agent {
+                None => "apart".to_owned(),
+                Some(place) => {
+                    let [x, y, z] = place.translation;
+                    format!("at {x:.3} {y:.3} {z:.3}, scale {:.4}", place.scale)
+                }
+            };
+            text += &format!(" {} ({} keyframes) {place};", agent.run, agent.keyframes);
+        }
+        text
+    }
+
     /// Where the world of a run lies in the shared one.
     #[must_use]
     pub fn shared_from(&self, run: &RunKey) -> Option<Sim3> {
@@ -208,11 +215,15 @@ pub struct AgentPose {
 }
 
 impl AgentPose {
-    /// The camera in the shared world, or else in its own; whether it is the shared one.
+    /// Where the camera is in the shared world, or else in its own, in words.
     #[must_use]
-    pub fn camera(&self) -> (Se3, bool) {
-        let pose = self.shared_from_keyframe.as_ref();
-        let in_own = Sim3::from(&self.world_from_keyframe).to_se3();
-        pose.map_or((in_own, false), |pose| (Sim3::from(pose).to_se3(), true))
+    pub fn sentence(&self) -> String {
+        let (pose, world) = match &self.shared_from_keyframe {
+            Some(pose) => (pose, "shared"),
+            None => (&self.world_from_keyframe, "own"),
+        };
+        let [x, y, z] = pose.translation;
+        let (seconds, keyframe) = (self.timestamp_ns as f64 * 1e-9, self.keyframe);
+        format!("{seconds:.3} s: keyframe {keyframe} at {x:.3} {y:.3} {z:.3} in the {world} world")
     }
 }

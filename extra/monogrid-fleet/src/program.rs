@@ -1,11 +1,10 @@
 //! The command line.
 #![allow(clippy::print_stderr, reason = "this is the program")]
 
-use crate::agent::{Agent, AgentConfig, Delivered, News, PackConfig};
-use crate::messages::Fleet;
-use crate::server::{JoiningConfig, Server, ServerConfig, ServerNews};
+use crate::agent::{Agent, AgentConfig, Delivered};
+use crate::server::{APART, JoiningConfig, Server, ServerConfig};
 use anyhow::Context as _;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser};
 use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::{Child, Command};
@@ -16,15 +15,7 @@ use std::time::Duration;
 /// Several cameras, one map: agents that run alone, and a server that joins what they see
 #[derive(Debug, Parser)]
 #[command(name = "monogrid-fleet", version, max_term_width = 110)]
-pub struct Cli {
-    /// What to be
-    #[command(subcommand)]
-    pub role: Role,
-}
-
-/// What the program is.
-#[derive(Debug, Subcommand)]
-pub enum Role {
+pub enum Cli {
     /// Run `monogrid run` on a source and deliver its keyframes to a server, as far as there is a way to it
     Agent(AgentArgs),
     /// Take what agents deliver, join their maps, and say where their worlds lie in the shared one
@@ -95,10 +86,8 @@ pub struct ServerArgs {
 
 fn rate(text: &str) -> Result<f64, String> {
     let rate: f64 = text.parse().map_err(|error| format!("{error}"))?;
-    let is_rate = rate.is_finite() && rate > 0.0;
-    is_rate
-        .then_some(rate)
-        .ok_or_else(|| "expected a positive number".to_owned())
+    let rate = Some(rate).filter(|rate| rate.is_finite() && *rate > 0.0);
+    rate.ok_or_else(|| "expected a positive number".to_owned())
 }
 
 /// Does what a command line asks for, the name of the program first; the exit code: that of the run for an agent, 1 where not everything could
@@ -111,10 +100,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             return if error.use_stderr() { 2 } else { 0 };
         }
     };
-    let result = match cli.role {
-        Role::Agent(args) => agent(&args),
-        Role::Server(args) => server(args),
-        Role::Monogrid { arguments } => {
+    let result = match cli {
+        Cli::Agent(args) => agent(&args),
+        Cli::Server(args) => server(args),
+        Cli::Monogrid { arguments } => {
             let name = OsString::from("monogrid");
             return monogrid::program::main(std::iter::once(name).chain(arguments));
         }
@@ -145,10 +134,7 @@ fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
         server: args.connect.clone(),
         max_bytes_per_s: args.max_rate * 1e3,
         give_up_after: Duration::from_secs(args.give_up_after),
-        pack: PackConfig {
-            jpeg_quality: args.jpeg_quality,
-            ..PackConfig::default()
-        },
+        jpeg_quality: args.jpeg_quality,
     };
     let (recording, mut run) = match (&args.follow, &args.source, &args.out) {
         (Some(recording), ..) => (recording.clone(), None),
@@ -165,16 +151,13 @@ fn agent(args: &AgentArgs) -> anyhow::Result<u8> {
         None => true,
     };
     let name = &args.name;
-    let worked = agent.work(is_over, &mut |news| eprintln!("{name}: {}", sentence(news)));
+    let worked = agent.work(is_over, &mut |news| eprintln!("{name}: {news}"));
     let run_code = run.as_mut().map_or(Ok(0), Run::code)?;
     let delivered = worked?;
     eprintln!("{name}: {}", summary(&delivered));
     let is_all = delivered.taken >= delivered.packets;
-    Ok(if run_code == 0 && !is_all {
-        1
-    } else {
-        run_code
-    })
+    // the code of the run comes first
+    Ok(if is_all { run_code } else { run_code.max(1) })
 }
 
 /// A run in a process of its own: whatever becomes of the agent, it goes on.
@@ -226,26 +209,6 @@ fn ask_to_stop(child: &mut Child) {
     let _ = child.kill();
 }
 
-fn sentence(news: &News) -> String {
-    match news {
-        News::Connected { from, of } => {
-            format!("connected; {} of {of} packets wait", of - from.min(of))
-        }
-        News::Lost(why) => format!("the link is lost, the run goes on: {why}"),
-        News::Refused(why) => format!("nothing more is delivered, the run goes on: {why}"),
-        News::Pose(pose) => {
-            let (camera, is_shared) = pose.camera();
-            let [x, y, z]: [f64; 3] = camera.translation.into();
-            let world = if is_shared { "shared" } else { "own" };
-            let seconds = pose.timestamp_ns as f64 * 1e-9;
-            format!(
-                "{seconds:.3} s: keyframe {} at {x:.3} {y:.3} {z:.3} in the {world} world",
-                pose.keyframe
-            )
-        }
-    }
-}
-
 fn summary(delivered: &Delivered) -> String {
     let Delivered {
         packets,
@@ -279,50 +242,10 @@ fn server(args: ServerArgs) -> anyhow::Result<u8> {
     let map = config.out.join("map");
     let mut server = Server::start(config)?;
     let is_interrupted = || interrupted.load(Ordering::Relaxed);
-    let fleet = server.work(is_interrupted, &mut |news| {
-        eprintln!("server: {}", server_sentence(news));
-    })?;
-    let placed = fleet
-        .agents
-        .iter()
-        .filter(|a| a.shared_from_agent.is_some());
-    let placed = placed.count();
-    eprintln!(
-        "server: {placed} of {} runs in one map: {}",
-        fleet.agents.len(),
-        map.display()
-    );
-    Ok(if placed == fleet.agents.len() {
-        0
-    } else {
-        APART
-    })
-}
-
-/// Exit code where some maps stay apart, as of `merge-runs`.
-const APART: u8 = 3;
-
-fn server_sentence(news: &ServerNews) -> String {
-    match news {
-        ServerNews::Came(run) => format!("{run} has come"),
-        ServerNews::Ended(run) => format!("{run} has ended"),
-        ServerNews::Refused(why) => format!("refused: {why}"),
-        ServerNews::NotJoined(why) => format!("nothing was joined: {why}"),
-        ServerNews::Placed(fleet) => placed(fleet),
-    }
-}
-
-fn placed(fleet: &Fleet) -> String {
-    let mut text = format!("transforms, version {}:", fleet.version);
-    for agent in &fleet.agents {
-        let place = agent.shared_from_agent.as_ref().map_or_else(
-            || "apart".to_owned(),
-            |place| {
-                let [x, y, z] = place.translation;
-                format!("at {x:.3} {y:.3} {z:.3}, scale {:.4}", place.scale)
-            },
-        );
-        text += &format!(" {} ({} keyframes) {place};", agent.run, agent.keyframes);
-    }
-    text
+    let fleet = server.work(is_interrupted, &mut |news| eprintln!("server: {news}"))?;
+    let agents = fleet.agents.iter();
+    let placed = agents.filter(|a| a.shared_from_agent.is_some()).count();
+    let (all, map) = (fleet.agents.len(), map.display());
+    eprintln!("server: {placed} of {all} runs in one map: {map}");
+    Ok(if placed == all { 0 } else { APART as u8 })
 }

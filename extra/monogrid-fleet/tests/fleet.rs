@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use monogrid_datasets::{ReadOptions, Record, Recording, Scale, SessionInfo};
-use monogrid_fleet::agent::{Agent, AgentConfig, Delivered, Link, LinkError, News, PackConfig};
+use monogrid_fleet::agent::{Agent, AgentConfig, Delivered, Link, LinkError};
 use monogrid_fleet::messages::{Fleet, PREFIX, RunKey};
 use monogrid_fleet::packet::parts_of;
 use monogrid_fleet::server::{JoiningConfig, Server, ServerConfig, similarity_of};
@@ -64,19 +64,19 @@ fn agent(
     server: &str,
     recording: PathBuf,
     is_over: Arc<AtomicBool>,
-) -> JoinHandle<(Delivered, Vec<News>)> {
+) -> JoinHandle<(Delivered, Vec<String>)> {
     let config = AgentConfig {
         name: name.into(),
         server: server.into(),
         max_bytes_per_s: 1e7,
         give_up_after: Duration::from_secs(120),
-        pack: PackConfig::default(),
+        jpeg_quality: 75,
     };
     let mut agent = Agent::new(config, &recording).unwrap();
     thread::spawn(move || {
         let mut said = Vec::new();
         let is_over = || is_over.load(Ordering::Relaxed);
-        let delivered = agent.work(is_over, &mut |news| said.push(news.clone()));
+        let delivered = agent.work(is_over, &mut |news| said.push(news));
         (delivered.unwrap(), said)
     })
 }
@@ -184,12 +184,16 @@ fn an_agent_without_server_goes_on_and_catches_up_and_lies_where_merge_runs_has_
         (b, read(&at("b/recording.mgk"))),
     ] {
         let (delivered, said) = agent.join().unwrap();
-        let waited = said
-            .iter()
-            .find(|news| matches!(news, News::Connected { .. }));
-        assert!(
-            matches!(waited, Some(News::Connected { from: 0, of }) if *of > keyframes.keyframes.len() as u64)
-        );
+        // all of them, which are more than keyframes
+        let waited = said.iter().find_map(|news| {
+            let (waited, all) = news.strip_prefix("connected; ")?.split_once(" of ")?;
+            Some((
+                waited.parse().unwrap(),
+                all.strip_suffix(" packets wait")?.parse().unwrap(),
+            ))
+        });
+        let (waited, all): (usize, usize) = waited.unwrap();
+        assert!(waited == all && all > keyframes.keyframes.len());
         assert_eq!(delivered.taken, delivered.packets);
     }
     let fleet = serving.join().unwrap();

@@ -5,7 +5,7 @@ use monogrid_datasets::{
     Continuation, DepthPixel, DepthRevision, EndRecord, KeyframeRecord, PoseSnapshot, Record,
     RecordedSession, Scale, SessionInfo,
 };
-use monogrid_fleet::agent::{PackConfig, Packer};
+use monogrid_fleet::agent::Packer;
 use monogrid_fleet::messages::{Asked, PREFIX, RunKey};
 use monogrid_fleet::packet::{
     IDEPTH_STEP, PART_BYTES, PackedKeyframe, Packet, PacketError, SIGMA_STEPS_PER_OCTAVE,
@@ -247,7 +247,7 @@ fn only_what_has_changed_enough_is_packed_until_the_end_which_is_exact() {
         Record::End(EndRecord::default()),
     ];
     let mut log = PacketLog::temporary().unwrap();
-    let mut packer = Packer::new(PackConfig::default());
+    let mut packer = Packer::new(75);
     for record in &records {
         packer.pack(record, &mut log).unwrap();
     }

@@ -3,7 +3,7 @@
 use crate::errors::value;
 use monogrid::geometry::{Rotation, Se3, Sim3, Vec3, nalgebra};
 use numpy::ndarray::Dimension;
-use numpy::{Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use numpy::{Element, IntoPyArray, PyArray, PyArray2, PyArray3, PyArrayMethods};
 use numpy::{PyReadonlyArray, PyUntypedArrayMethods, dtype};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyTuple};
@@ -19,12 +19,13 @@ pub fn contiguous<'py, T: Element, D: Dimension>(
         py.import("numpy")?
             .call_method("ascontiguousarray", (array_like,), Some(&keywords))?;
     let found = array.getattr("shape")?;
-    match array.cast_into::<PyArray<T, D>>() {
-        Ok(array) => Ok(array.try_readonly()?),
-        Err(_) => Err(value(format!(
+    let other = |_| {
+        value(format!(
             "found an array of shape {found}, expected {expected}"
-        ))),
-    }
+        ))
+    };
+    let array = array.cast_into::<PyArray<T, D>>().map_err(other)?;
+    Ok(array.try_readonly()?)
 }
 
 /// The rows of an array of shape (n, 3).
@@ -49,11 +50,11 @@ pub fn pose_of(matrix: Option<&Bound<PyAny>>) -> PyResult<[[f64; 4]; 4]> {
         }));
     };
     let array = contiguous::<f64, numpy::Ix2>(matrix, "(4, 4)")?;
-    let rows: Option<&[[f64; 4]; 4]> = match array.shape() {
-        [4, 4] => array.as_slice()?.as_chunks().0.try_into().ok(),
-        _ => None,
-    };
-    let rows = *rows.ok_or_else(|| value("a pose is a matrix of shape (4, 4)"))?;
+    if array.shape() != [4, 4] {
+        return Err(value("a pose is a matrix of shape (4, 4)"));
+    }
+    let numbers = array.as_slice()?;
+    let rows = std::array::from_fn(|i| std::array::from_fn(|j| numbers[4 * i + j]));
     let is_rigid_row = rows[3] == [0.0, 0.0, 0.0, 1.0];
     if !is_rigid_row {
         return Err(value(format!(
@@ -89,17 +90,10 @@ pub fn matrix(motion: &Se3) -> [f64; 16] {
 /// The 4x4 matrix of a similarity, row by row: rotation times scale, and translation.
 pub fn similarity(motion: &Sim3) -> [f64; 16] {
     let mut rows = matrix(&motion.to_se3());
-    for i in 0..3 {
-        rows[4 * i..4 * i + 3]
-            .iter_mut()
-            .for_each(|v| *v *= motion.scale);
+    for row in rows[..12].as_chunks_mut::<4>().0 {
+        row[..3].iter_mut().for_each(|v| *v *= motion.scale);
     }
     rows
-}
-
-/// Numbers as an array of one dimension, which takes them over.
-pub fn vector<T: Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
-    values.into_pyarray(py)
 }
 
 /// Triples as an array of shape (n, 3), which takes them over.
@@ -109,6 +103,11 @@ pub fn triples<T: Element + Copy>(
 ) -> PyResult<Bound<'_, PyArray2<T>>> {
     let n = values.len();
     values.into_flattened().into_pyarray(py).reshape([n, 3])
+}
+
+/// A matrix as an array of shape (4, 4).
+pub fn square<'py>(py: Python<'py>, matrix: &[f64; 16]) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    matrix.to_vec().into_pyarray(py).reshape([4, 4])
 }
 
 /// Matrices as an array of shape (n, 4, 4).

@@ -11,14 +11,8 @@ use std::sync::Arc;
 /// Where a sensor sits, and how well it reads.
 #[pyclass(module = "monogrid", frozen)]
 pub struct Imu {
-    imu: Arc<monogrid::inertial::Imu>,
-}
-
-impl Imu {
-    /// A sensor without readings.
-    pub fn without_readings(&self) -> Arc<monogrid::inertial::Imu> {
-        Arc::clone(&self.imu)
-    }
+    /// Without readings.
+    pub imu: Arc<monogrid::inertial::Imu>,
 }
 
 #[pymethods]

@@ -1,6 +1,6 @@
 //! Occupancy maps.
 
-use crate::arrays::{contiguous, pose_of, rows, triples, vector};
+use crate::arrays::{contiguous, pose_of, rows, triples};
 use crate::errors::{of_map, value};
 use monogrid::occupancy::{
     self, DepthPixel, DepthScan, DistanceConfig, IntegrationConfig, IntegrationRule, MapConfig,
@@ -176,11 +176,11 @@ impl OccupancyMap {
         let how = How::new(rule, max_range, threads)?;
         let array = contiguous::<f32, Ix2>(depth, "(height, width)")?;
         let (height, width) = (array.shape()[0], array.shape()[1]);
-        let (Ok(_), Ok(_)) = (u16::try_from(width), u16::try_from(height)) else {
+        if width.max(height) > u16::MAX.into() {
             return Err(value(format!(
                 "a depth image of {width}x{height} pixels, expected at most 65535"
             )));
-        };
+        }
         let world = similarity(&pose_of(pose)?);
         let values = array.as_slice()?;
         let pixels = py.detach(|| depth_pixels(values, width, relative_sigma));
@@ -196,12 +196,14 @@ impl OccupancyMap {
         self.add(py, &how, ScanData::Depth(scan), world)
     }
 
-    fn state<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<i8>>> {
-        self.each(points, |map, point| code(map.state(point)))
+    fn state<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array1<'py, i8>> {
+        let states = each(points, |point| code(self.map.state(point)))?;
+        Ok(states.into_pyarray(points.py()))
     }
 
-    fn log_odds<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        self.each(points, |map, point| map.log_odds(point).unwrap_or(f32::NAN))
+    fn log_odds<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array1<'py, f32>> {
+        let log_odds = each(points, |point| self.map.log_odds(point).unwrap_or(f32::NAN))?;
+        Ok(log_odds.into_pyarray(points.py()))
     }
 
     #[pyo3(signature = (points, radius, *, unknown_blocks = false))]
@@ -210,11 +212,10 @@ impl OccupancyMap {
         points: &Bound<'py, PyAny>,
         radius: f64,
         unknown_blocks: bool,
-    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    ) -> PyResult<Array1<'py, bool>> {
         let unknown = unknown_cells(unknown_blocks);
-        self.each(points, |map, point| {
-            map.sphere_collides(point, radius, unknown)
-        })
+        let collides = |point| self.map.sphere_collides(point, radius, unknown);
+        Ok(each(points, collides)?.into_pyarray(points.py()))
     }
 
     #[pyo3(signature = (origins, directions, max_range = 100.0, *, unknown_blocks = false))]
@@ -248,7 +249,7 @@ impl OccupancyMap {
         };
         let (ranges, states): (Vec<_>, Vec<_>) =
             py.detach(|| along.iter().enumerate().map(cast).unzip());
-        Ok((vector(py, ranges), vector(py, states)))
+        Ok((ranges.into_pyarray(py), states.into_pyarray(py)))
     }
 
     #[pyo3(signature = (max_distance = 1.0, *, unknown_blocks = false))]
@@ -282,7 +283,7 @@ impl OccupancyMap {
                 .map(|cell| (cell.key.center(resolution), cell.log_odds))
                 .unzip()
         });
-        Ok((triples(py, centres)?, vector(py, log_odds)))
+        Ok((triples(py, centres)?, log_odds.into_pyarray(py)))
     }
 
     #[pyo3(signature = (low = None, high = None))]
@@ -299,16 +300,13 @@ impl OccupancyMap {
                 [0.0; 3],
             ));
         };
-        let size = [last.x - first.x, last.y - first.y, last.z - first.z].map(|n| (n + 1) as usize);
+        let from_first =
+            |key: VoxelKey| [key.x - first.x, key.y - first.y, key.z - first.z].map(|n| n as usize);
+        let size = from_first(last).map(|n| n + 1);
         let values = py.detach(|| {
             let mut values = vec![f32::NAN; size.iter().product()];
             for cell in self.map.cells_in_key_box(first, last) {
-                let offset = [
-                    cell.key.x - first.x,
-                    cell.key.y - first.y,
-                    cell.key.z - first.z,
-                ];
-                let [x, y, z] = offset.map(|n| n as usize);
+                let [x, y, z] = from_first(cell.key);
                 values[(x * size[1] + y) * size[2] + z] = cell.log_odds;
             }
             values
@@ -322,7 +320,7 @@ impl OccupancyMap {
         py: Python<'py>,
         low: f64,
         high: f64,
-    ) -> PyResult<(Bound<'py, PyArray2<i8>>, [f64; 2])> {
+    ) -> PyResult<(Array2<'py, i8>, [f64; 2])> {
         let Some(seen) = py.detach(|| self.map.projected(low, high)) else {
             return Ok((Vec::<i8>::new().into_pyarray(py).reshape([0, 0])?, [0.0; 2]));
         };
@@ -400,19 +398,6 @@ impl OccupancyMap {
         self.add(py, how, scan.data, world)
     }
 
-    /// A value for every point.
-    fn each<'py, T: numpy::Element + Send>(
-        &self,
-        points: &Bound<'py, PyAny>,
-        of: impl Fn(&occupancy::OccupancyMap, [f64; 3]) -> T + Send + Sync,
-    ) -> PyResult<Bound<'py, PyArray1<T>>> {
-        let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
-        let (points, py) = (rows(&array, "points")?, array.py());
-        let map = &self.map;
-        let values = py.detach(|| points.iter().map(|point| of(map, *point)).collect());
-        Ok(vector(py, values))
-    }
-
     /// The cells between two corners, by default all that are known; none of an empty map.
     fn key_box(
         &self,
@@ -432,9 +417,7 @@ impl OccupancyMap {
         };
         let sides = [(first.x, last.x), (first.y, last.y), (first.z, last.z)];
         let sizes = sides.map(|(a, b)| u64::try_from(i64::from(b) - i64::from(a) + 1).unwrap_or(0));
-        let cells = sizes
-            .iter()
-            .fold(1_u64, |product, n| product.saturating_mul(*n));
+        let cells = sizes.into_iter().fold(1, u64::saturating_mul);
         if cells == 0 || cells > MAX_DENSE_CELLS {
             return Err(value(format!(
                 "a box of {sizes:?} cells, expected 1 to {MAX_DENSE_CELLS}"
@@ -444,10 +427,15 @@ impl OccupancyMap {
     }
 }
 
+/// A value for every point of an array of shape (n, 3), without Python's lock.
+fn each<T: Send>(points: &Bound<PyAny>, of: impl Fn([f64; 3]) -> T + Sync) -> PyResult<Vec<T>> {
+    let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
+    let (rows, py) = (rows(&array, "points")?, points.py());
+    Ok(py.detach(|| rows.iter().map(|point| of(*point)).collect()))
+}
+
 fn similarity(rows: &[[f64; 4]; 4]) -> Similarity {
-    let [a, b, c, _] = *rows;
-    let mut row_major = [0.0; 12];
-    row_major.copy_from_slice([a, b, c].as_flattened());
+    let row_major = std::array::from_fn(|k| rows[k / 4][k % 4]);
     Similarity::from_rigid(&row_major)
 }
 
@@ -472,21 +460,14 @@ pub struct DistanceField {
 
 #[pymethods]
 impl DistanceField {
-    fn distance<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let py = points.py();
-        let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
-        let points = rows(&array, "points")?;
-        let distance = |point: &[f64; 3]| self.field.distance(*point).unwrap_or(f64::INFINITY);
-        let distances = py.detach(|| points.iter().map(distance).collect());
-        Ok(vector(py, distances))
+    fn distance<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array1<'py, f64>> {
+        let distance = |point| self.field.distance(point).unwrap_or(f64::INFINITY);
+        Ok(each(points, distance)?.into_pyarray(points.py()))
     }
 
-    fn gradient<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let py = points.py();
-        let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
-        let points = rows(&array, "points")?;
-        let gradient = |point: &[f64; 3]| self.field.gradient(*point).unwrap_or([f64::NAN; 3]);
-        triples(py, py.detach(|| points.iter().map(gradient).collect()))
+    fn gradient<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Array2<'py, f64>> {
+        let gradient = |point| self.field.gradient(point).unwrap_or([f64::NAN; 3]);
+        triples(points.py(), each(points, gradient)?)
     }
 
     fn update(&mut self, py: Python, map: PyRef<OccupancyMap>) -> usize {

@@ -1,20 +1,15 @@
 //! A running system: images in, poses and a growing map out.
 
-use crate::arrays::{contiguous, matrices, matrix, similarity, vector};
+use crate::arrays::{contiguous, matrices, matrix, similarity, square};
 use crate::errors::{of_pipeline, value};
 use crate::inertial::{Imu, nanoseconds, readings};
 use crate::map::OccupancyMap;
-use monogrid::geometry::Sim3;
 use monogrid::pipeline::Unusable;
-use monogrid::slam::mapping::Maps;
-use monogrid::slam::{Scale, SensedFrame};
+use monogrid::slam::Scale;
 use monogrid::{
-    Calibration, Distortion, Finished, FrameReport, GrayImage, Pinhole, Pipeline, PipelineError,
-    Settings,
+    Calibration, Distortion, FrameReport, GrayImage, Pinhole, Pipeline, PipelineError, Settings,
 };
-use numpy::{
-    IntoPyArray, Ix2, Ix3, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods,
-};
+use numpy::{IntoPyArray, Ix2, IxDyn, PyArray1, PyArray2, PyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -25,6 +20,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Clone)]
 pub struct Camera {
     camera: monogrid::Camera,
+    #[pyo3(get, name = "rolling_shutter_ms")]
     readout_ms: f64,
 }
 
@@ -48,13 +44,8 @@ impl Camera {
             (_, None | Some([])) => Distortion::None,
             ("radial-tangential", Some([k1, k2, p1, p2, rest @ ..])) if rest.len() <= 1 => {
                 let k3 = rest.first().copied().unwrap_or(0.0);
-                Distortion::RadialTangential {
-                    k1: *k1,
-                    k2: *k2,
-                    p1: *p1,
-                    p2: *p2,
-                    k3,
-                }
+                let [k1, k2, p1, p2] = [*k1, *k2, *p1, *p2];
+                Distortion::RadialTangential { k1, k2, p1, p2, k3 }
             }
             ("equidistant", Some([a, b, c, d])) => Distortion::Equidistant {
                 k: [*a, *b, *c, *d],
@@ -86,10 +77,9 @@ impl Camera {
     #[pyo3(signature = (path, size = None))]
     fn read(path: PathBuf, size: Option<(usize, usize)>) -> PyResult<Self> {
         let calibration = Calibration::read(&path, size).map_err(value)?;
-        let readout_ms = calibration.readout_ms.unwrap_or(0.0);
         Ok(Self {
             camera: calibration.camera,
-            readout_ms,
+            readout_ms: calibration.readout_ms.unwrap_or(0.0),
         })
     }
 
@@ -104,11 +94,6 @@ impl Camera {
         (fx, fy, cx, cy)
     }
 
-    #[getter]
-    fn rolling_shutter_ms(&self) -> f64 {
-        self.readout_ms
-    }
-
     fn __repr__(&self) -> String {
         format!("<monogrid.{:?}>", self.camera)
     }
@@ -117,53 +102,49 @@ impl Camera {
 /// What became of an image.
 #[pyclass(module = "monogrid", frozen)]
 pub struct Frame {
-    report: Result<FrameReport, Unusable>,
+    #[pyo3(get)]
+    index: Option<usize>,
+    #[pyo3(get)]
+    state: &'static str,
+    #[pyo3(get)]
+    reason: Option<String>,
+    #[pyo3(get)]
+    is_keyframe: bool,
+    pose: Option<[f64; 16]>,
+}
+
+impl Frame {
+    fn of(report: Result<FrameReport, Unusable>) -> Self {
+        match report {
+            Ok(report) => Self {
+                index: Some(report.index),
+                state: report.state.name(),
+                reason: report.reason.map(|reason| reason.to_string()),
+                is_keyframe: report.created_keyframe,
+                pose: report.world_from_camera.as_ref().map(matrix),
+            },
+            Err(unusable) => Self {
+                index: None,
+                state: "unused",
+                reason: Some(unusable.to_string()),
+                is_keyframe: false,
+                pose: None,
+            },
+        }
+    }
 }
 
 #[pymethods]
 impl Frame {
     #[getter]
-    fn index(&self) -> Option<usize> {
-        self.report.as_ref().ok().map(|report| report.index)
-    }
-
-    #[getter]
-    fn state(&self) -> &'static str {
-        self.report
-            .as_ref()
-            .map_or("unused", |report| report.state.name())
-    }
-
-    #[getter]
-    fn reason(&self) -> Option<String> {
-        match &self.report {
-            Ok(report) => report.reason.map(|reason| reason.to_string()),
-            Err(unusable) => Some(unusable.to_string()),
-        }
-    }
-
-    #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-        let pose = self
-            .report
-            .as_ref()
-            .ok()
-            .and_then(|report| report.world_from_camera);
-        pose.map(|pose| matrix(&pose).to_vec().into_pyarray(py).reshape([4, 4]))
-            .transpose()
-    }
-
-    #[getter]
-    fn is_keyframe(&self) -> bool {
-        self.report
-            .as_ref()
-            .is_ok_and(|report| report.created_keyframe)
+        self.pose.map(|pose| square(py, &pose)).transpose()
     }
 
     fn __repr__(&self) -> String {
-        match self.reason() {
-            None => format!("<monogrid.Frame: {}>", self.state()),
-            Some(reason) => format!("<monogrid.Frame: {}, {reason}>", self.state()),
+        match &self.reason {
+            None => format!("<monogrid.Frame: {}>", self.state),
+            Some(reason) => format!("<monogrid.Frame: {}, {reason}>", self.state),
         }
     }
 }
@@ -171,12 +152,17 @@ impl Frame {
 /// What a system has found in the end.
 #[pyclass(module = "monogrid", frozen)]
 pub struct SlamResult {
-    map: Option<Arc<monogrid::OccupancyMap>>,
-    times_ns: Vec<i64>,
+    #[pyo3(get)]
+    map: Option<OccupancyMap>,
+    /// s.
+    times: Vec<f64>,
     poses: Vec<[f64; 16]>,
+    #[pyo3(get)]
     num_keyframes: usize,
     map_from_world: [f64; 16],
+    #[pyo3(get)]
     is_metric: bool,
+    #[pyo3(get)]
     is_level: bool,
 }
 
@@ -204,17 +190,29 @@ impl Slam {
     }
 }
 
-/// What a pipeline has found, its maps, their frame, and what an inertial sensor says of it.
-type Ended = (Finished, Option<Maps>, Sim3, Option<SensedFrame>);
-
 /// Ends a pipeline.
-fn all_of(pipeline: Pipeline) -> Result<Ended, PipelineError> {
+fn result_of(pipeline: Pipeline) -> Result<SlamResult, PipelineError> {
     let mut finished = pipeline.finish()?;
     let sensed = finished.sensed();
     let settings_frame = *finished.map_from_world();
     let frame = sensed.map_or(settings_frame, |sensed| sensed.map_from_world);
     let maps = finished.maps_around_camera(&frame)?;
-    Ok((finished, maps, frame, sensed))
+    let told = finished.slam.scale() == Scale::Metric;
+    let trajectory = finished.trajectory.iter();
+    Ok(SlamResult {
+        map: maps.map(|maps| OccupancyMap::of(Arc::new(maps.global))),
+        times: trajectory
+            .clone()
+            .map(|pose| pose.timestamp_ns as f64 / 1e9)
+            .collect(),
+        poses: trajectory
+            .map(|pose| matrix(&pose.world_from_camera))
+            .collect(),
+        num_keyframes: finished.slam.num_keyframes(),
+        map_from_world: similarity(&frame),
+        is_metric: told || sensed.is_some_and(|sensed| sensed.is_metric),
+        is_level: sensed.is_some_and(|sensed| sensed.is_level),
+    })
 }
 
 fn finished() -> PyErr {
@@ -239,7 +237,7 @@ impl Slam {
         let settings = Settings {
             mask,
             readout_ms: camera.readout_ms,
-            imu: imu.as_ref().map(|imu| imu.without_readings()),
+            imu: imu.as_ref().map(|imu| Arc::clone(&imu.imu)),
             threads: threads.unwrap_or_else(crate::map::all_threads),
             ..chosen
         };
@@ -253,10 +251,10 @@ impl Slam {
     }
 
     fn push(&self, image: &Bound<PyAny>, seconds: f64) -> PyResult<Frame> {
-        let image = grey(image, self.size)?;
+        let (py, image) = (image.py(), grey(image, self.size)?);
         let time_ns = nanoseconds(seconds, "the image")?;
-        let report = self.with(image.1, |pipeline| pipeline.push(image.0, time_ns))?;
-        Ok(Frame { report })
+        let report = self.with(py, |pipeline| pipeline.push(image, time_ns))?;
+        Ok(Frame::of(report))
     }
 
     fn push_imu(
@@ -272,59 +270,28 @@ impl Slam {
         }
         let readings = readings(seconds, gyroscope, accelerometer)?;
         let report = self.with(seconds.py(), |pipeline| pipeline.push_readings(&readings))?;
-        Ok(report.map(|report| Frame { report }))
+        Ok(report.map(Frame::of))
     }
 
     fn map(&self, py: Python) -> PyResult<Option<OccupancyMap>> {
-        let map = self
-            .with(py, |pipeline| pipeline.map())?
-            .map_err(of_pipeline)?;
-        Ok(map.map(OccupancyMap::of))
+        let map = self.with(py, |pipeline| pipeline.map())?;
+        Ok(map.map_err(of_pipeline)?.map(OccupancyMap::of))
     }
 
     fn finish(&self, py: Python) -> PyResult<SlamResult> {
         let ended = py.detach(|| {
             let mut pipeline = self.pipeline.lock().unwrap_or_else(PoisonError::into_inner);
-            Some(all_of(pipeline.take()?))
+            pipeline.take().map(result_of)
         });
-        let (done, maps, frame, sensed) = ended.ok_or_else(finished)?.map_err(of_pipeline)?;
-        let told = done.slam.scale() == Scale::Metric;
-        Ok(SlamResult {
-            map: maps.map(|maps| Arc::new(maps.global)),
-            times_ns: done
-                .trajectory
-                .iter()
-                .map(|pose| pose.timestamp_ns)
-                .collect(),
-            poses: done
-                .trajectory
-                .iter()
-                .map(|pose| matrix(&pose.world_from_camera))
-                .collect(),
-            num_keyframes: done.slam.num_keyframes(),
-            map_from_world: similarity(&frame),
-            is_metric: told || sensed.is_some_and(|sensed| sensed.is_metric),
-            is_level: sensed.is_some_and(|sensed| sensed.is_level),
-        })
+        ended.ok_or_else(finished)?.map_err(of_pipeline)
     }
 }
 
 #[pymethods]
 impl SlamResult {
     #[getter]
-    fn map(&self) -> Option<OccupancyMap> {
-        self.map.clone().map(OccupancyMap::of)
-    }
-
-    #[getter]
     fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        vector(
-            py,
-            self.times_ns
-                .iter()
-                .map(|time_ns| *time_ns as f64 / 1e9)
-                .collect(),
-        )
+        self.times.clone().into_pyarray(py)
     }
 
     #[getter]
@@ -334,38 +301,17 @@ impl SlamResult {
 
     #[getter]
     fn map_from_world<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let matrix = self.map_from_world.to_vec();
-        matrix.into_pyarray(py).reshape([4, 4])
-    }
-
-    #[getter]
-    fn is_metric(&self) -> bool {
-        self.is_metric
-    }
-
-    #[getter]
-    fn is_level(&self) -> bool {
-        self.is_level
-    }
-
-    #[getter]
-    fn num_keyframes(&self) -> usize {
-        self.num_keyframes
+        square(py, &self.map_from_world)
     }
 }
 
 /// An image of bytes, grey or red, green and blue.
-fn grey<'py>(
-    image: &Bound<'py, PyAny>,
-    (width, height): (usize, usize),
-) -> PyResult<(GrayImage, Python<'py>)> {
-    let py = image.py();
+fn grey(image: &Bound<PyAny>, (width, height): (usize, usize)) -> PyResult<GrayImage> {
     let found = || {
         let say = |name| {
             image
                 .getattr(name)
-                .map(|v| v.to_string())
-                .unwrap_or_default()
+                .map_or_else(|_| String::new(), |v| v.to_string())
         };
         value(format!(
             "found an image of shape {} and type {}, expected uint8 of shape ({height}, {width}) or ({height}, {width}, 3)",
@@ -373,47 +319,25 @@ fn grey<'py>(
             say("dtype")
         ))
     };
-    if image
-        .getattr("dtype")
-        .is_ok_and(|dtype| dtype.to_string() != "uint8")
-    {
+    let dtype = image.getattr("dtype");
+    if dtype.is_ok_and(|dtype| dtype.to_string() != "uint8") || !image.hasattr("ndim")? {
         return Err(found());
     }
-    let dimensions: usize = image.getattr("ndim").map_err(|_| found())?.extract()?;
-    let made = match dimensions {
-        2 => {
-            let array = contiguous::<u8, Ix2>(image, "(height, width)")?;
-            let fits = array.shape() == [height, width];
-            fits.then(|| {
-                array
-                    .as_slice()
-                    .ok()
-                    .and_then(|v| GrayImage::from_gray8(width, height, v))
-            })
-        }
-        3 => {
-            let array = contiguous::<u8, Ix3>(image, "(height, width, 3)")?;
-            let fits = array.shape() == [height, width, 3];
-            fits.then(|| {
-                array
-                    .as_slice()
-                    .ok()
-                    .and_then(|v| GrayImage::from_rgb8(width, height, v))
-            })
-        }
+    let array = contiguous::<u8, IxDyn>(image, "an image")?;
+    let values = array.as_slice()?;
+    let made = match *array.shape() {
+        [h, w] if (w, h) == (width, height) => GrayImage::from_gray8(width, height, values),
+        [h, w, 3] if (w, h) == (width, height) => GrayImage::from_rgb8(width, height, values),
         _ => None,
     };
-    let made = made.flatten().ok_or_else(found)?;
-    Ok((made, py))
+    made.ok_or_else(found)
 }
 
 /// A mask: not zero where pixels may be used.
 fn mask_of(mask: &Bound<PyAny>) -> PyResult<monogrid::Mask> {
     let array = contiguous::<u8, Ix2>(mask, "(height, width)")?;
     let (height, width) = (array.shape()[0], array.shape()[1]);
-    let pixels = array
-        .as_slice()?
-        .iter()
-        .map(|v| if *v == 0 { 0 } else { 255 });
+    let values = array.as_slice()?.iter();
+    let pixels = values.map(|v| if *v == 0 { 0 } else { 255 });
     monogrid::Mask::from_vec(width, height, pixels.collect()).ok_or_else(|| value("an empty mask"))
 }

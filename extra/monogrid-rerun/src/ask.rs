@@ -22,17 +22,15 @@ impl Page {
     /// # Errors
     /// An address that is none, in a sentence.
     pub fn at(url: &str) -> Result<Self, String> {
-        let host = url
-            .strip_prefix("http://")
-            .map(|rest| rest.trim_end_matches('/'));
-        match host {
-            Some(host) if host.contains(':') && !host.contains('/') => Ok(Self {
-                host: host.to_owned(),
-            }),
-            _ => Err(format!(
-                "{url} is no address of a run, expected http://127.0.0.1:PORT/ as `monogrid run --view` prints it"
-            )),
-        }
+        let host = url.strip_prefix("http://");
+        let host = host.map(|rest| rest.trim_end_matches('/'));
+        let host = host.filter(|host| host.contains(':') && !host.contains('/'));
+        let host = host.map(|host| Self {
+            host: host.to_owned(),
+        });
+        host.ok_or_else(|| {
+            format!("{url} is no address of a run, expected http://127.0.0.1:PORT/ as `monogrid run --view` prints it")
+        })
     }
 
     /// The answer to a question (`/live/...`).

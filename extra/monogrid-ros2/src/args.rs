@@ -3,6 +3,7 @@
 use crate::frames::mount;
 use clap::Parser;
 use monogrid_geometry::Se3;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 /// A ROS 2 node that makes an occupancy map of a camera's images
@@ -26,7 +27,7 @@ pub struct Args {
     pub calibration: Option<PathBuf>,
     /// Time that the camera takes from its first row to the last, ms: rows are put right, which delays poses by an image [default: as
     /// --calibration says, else 0]
-    #[arg(long, value_name = "MS", value_parser = readout, allow_hyphen_values = true)]
+    #[arg(long, value_name = "MS", value_parser = |text: &str| within(text, -1000.0..=1000.0, "ms"), allow_hyphen_values = true)]
     pub rolling_shutter: Option<f64>,
     /// Topic of an inertial sensor beside the camera (sensor_msgs/Imu), on the clock of the images: the map becomes level and metric
     #[arg(long, value_name = "TOPIC")]
@@ -58,7 +59,7 @@ pub struct Args {
     #[arg(long, value_name = "LOW,HIGH", value_parser = band, allow_hyphen_values = true)]
     pub height_band: Option<[f64; 2]>,
     /// Seconds between maps at least
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = period)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = |text: &str| within(text, 0.05..=3600.0, "s"))]
     pub map_period: f64,
     /// Where the service `save` makes new folders
     #[arg(long, value_name = "DIR", default_value = ".")]
@@ -82,7 +83,7 @@ pub struct FrameArgs {
     #[arg(long, value_name = "FRAME", default_value = "base_link")]
     pub base_frame: String,
     /// Where the camera sits on the base: place, m, and angles of its body (x ahead, y left, z up), rad
-    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = six_numbers, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = numbers::<6>, allow_hyphen_values = true)]
     pub base_from_camera: Option<[f64; 6]>,
     /// Where the camera sits is published by others (a robot's description): not here
     #[arg(long)]
@@ -108,20 +109,14 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     numbers.ok_or_else(|| format!("expected {N} numbers with commas between them"))
 }
 
-fn six_numbers(text: &str) -> Result<[f64; 6], String> {
-    numbers(text)
-}
-
 fn band(text: &str) -> Result<[f64; 2], String> {
     let [low, high] = numbers(text)?;
-    let is_band = low < high;
-    is_band
-        .then_some([low, high])
-        .ok_or_else(|| format!("the lower height ({low}) is not below the upper one ({high})"))
+    let band = Some([low, high]).filter(|_| low < high);
+    band.ok_or_else(|| format!("the lower height ({low}) is not below the upper one ({high})"))
 }
 
 /// Smallest and largest scale that is believed, m.
-const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+const SCALES: RangeInclusive<f64> = 1e-6..=1e6;
 
 /// Checks a scale.
 ///
@@ -140,16 +135,11 @@ fn scale(text: &str) -> Result<f64, String> {
     checked_scale(metres)
 }
 
-fn readout(text: &str) -> Result<f64, String> {
-    let [ms] = numbers(text)?;
-    let allowed = Some(ms).filter(|ms: &f64| ms.abs() <= 1000.0);
-    allowed.ok_or_else(|| format!("{ms} ms is not between -1000 and 1000 ms"))
-}
-
-fn period(text: &str) -> Result<f64, String> {
-    let [seconds] = numbers(text)?;
-    let allowed = Some(seconds).filter(|seconds| (0.05..=3600.0).contains(seconds));
-    allowed.ok_or_else(|| format!("{seconds} s is not between 0.05 and 3600 s"))
+fn within(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64, String> {
+    let [number] = numbers(text)?;
+    let (least, most) = (range.start(), range.end());
+    let allowed = Some(number).filter(|number| range.contains(number));
+    allowed.ok_or_else(|| format!("{number} {unit} is not between {least} and {most} {unit}"))
 }
 
 #[cfg(test)]

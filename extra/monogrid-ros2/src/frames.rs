@@ -55,7 +55,8 @@ impl Poses {
 #[derive(Clone, Debug)]
 pub struct Frames {
     base_from_camera: Se3,
-    map_from_world: Sim3,
+    /// The frame of the map from now on.
+    pub map_from_world: Sim3,
     odom_from_base: Option<Se3>,
     /// odom_from_camera of the last report with a pose, in units of the world.
     last: Option<Se3>,
@@ -76,20 +77,10 @@ impl Frames {
         }
     }
 
-    /// From now on the map has this frame.
-    pub fn set_frame(&mut self, map_from_world: Sim3) {
-        self.map_from_world = map_from_world;
-    }
-
     /// The next report belongs to a new world. Odometry goes on from where it is.
     pub fn begin_again(&mut self) {
         self.last = None;
         self.is_without_gap = false;
-    }
-
-    /// A pose of the camera in the world as one of the robot in the map, m.
-    fn map_from_base(&self, world_from_camera: &Se3) -> Se3 {
-        map_from_camera(&self.map_from_world, world_from_camera) * self.base_from_camera.inverse()
     }
 
     /// Where everything is after a report; `None` where the camera has no pose in the map.
@@ -99,9 +90,15 @@ impl Frames {
             self.is_without_gap = false;
             return None;
         };
-        let map_from_base = self.map_from_base(&world_from_camera);
-        let moved = self.last.replace(odom_from_camera);
-        let step = moved.map(|last| self.base_step(&(last.inverse() * odom_from_camera)));
+        let (base_from_camera, camera_from_base) =
+            (self.base_from_camera, self.base_from_camera.inverse());
+        let map_from_base =
+            map_from_camera(&self.map_from_world, &world_from_camera) * camera_from_base;
+        let last = self.last.replace(odom_from_camera);
+        let step = last.map(|last| {
+            let metric = (last.inverse() * odom_from_camera).stretched(self.map_from_world.scale);
+            base_from_camera * metric * camera_from_base
+        });
         let before = *self.odom_from_base.get_or_insert(map_from_base);
         let odom_from_base = step.map_or(before, |step| before * step);
         self.odom_from_base = Some(odom_from_base);
@@ -111,12 +108,6 @@ impl Frames {
             odom_from_base,
             step: step.filter(|_| was_without_gap),
         })
-    }
-
-    /// last_from_this of the robot, m, from that of the camera in units of the world.
-    fn base_step(&self, camera: &Se3) -> Se3 {
-        let metric = camera.stretched(self.map_from_world.scale);
-        self.base_from_camera * metric * self.base_from_camera.inverse()
     }
 }
 
@@ -222,7 +213,7 @@ mod tests {
         assert!(near(&after.map_from_odom(), &pose(0.0, -0.5, 0.0)));
         // the scale is set: what is added from now on is longer, what was added stays
         let axes = on_a_mast().rotation;
-        frames.set_frame(Sim3::new(3.0, axes, Vec3::zeros()));
+        frames.map_from_world = Sim3::new(3.0, axes, Vec3::zeros());
         let still = frames
             .advance(&report(Some(corrected), Some(tracked)))
             .unwrap();
@@ -243,7 +234,7 @@ mod tests {
         // the robot stands on a slope: its nose is up by 0.1 rad, and a unit is 2 m
         let level = Rotation::from_scaled_axis(Vec3::new(0.0, -0.1, 0.0));
         let mapper_from_world = Sim3::new(2.0, level * on_a_mast().rotation, Vec3::zeros());
-        frames.set_frame(frame_of_map(&mapper_from_world, None));
+        frames.map_from_world = frame_of_map(&mapper_from_world, None);
         let after = frames.advance(&report(Some(at), Some(at))).unwrap();
         assert!(near(&after.odom_from_base, &before.odom_from_base));
         let ahead = after.map_from_base * on_a_mast() * Vec3::zeros();

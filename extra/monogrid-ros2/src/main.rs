@@ -9,17 +9,16 @@ use monogrid_geometry::{Se3, Sim3, Vec3};
 use monogrid_inertial::Imu;
 use monogrid_pipeline::Settings;
 use monogrid_ros2::args::Args;
-use monogrid_ros2::maps::{MapOptions, Maps};
+use monogrid_ros2::maps::Maps;
 use monogrid_ros2::node::{RosNode, connect};
 use monogrid_ros2::serve::{Inputs, options};
 use monogrid_ros2::settings::read_settings;
 use monogrid_ros2::topics::MapTopics;
-use monogrid_ros2::tracking::{FrameNames, PosePublisher, Tracking};
+use monogrid_ros2::tracking::{PosePublisher, Tracking};
 use monogrid_ros2::work::{Counts, way_to_work};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::thread;
-use std::time::Duration;
 
 /// News that may wait for the thread of the maps: those of some seconds.
 const NEWS_AHEAD: usize = 256;
@@ -35,7 +34,6 @@ fn main() -> anyhow::Result<()> {
         Some(calibration) => Ok(calibration.camera),
         None => Err(format!("no calibration has come on {} yet", args.info)),
     };
-    let base_from_camera = args.frames.mount();
     let settings = Settings {
         readout_ms,
         ..settings(&args)?
@@ -47,13 +45,13 @@ fn main() -> anyhow::Result<()> {
     let counts = Arc::new(Counts::default());
     let options = options(&args, work_sender.clone());
     let mut node = RosNode::new(&context, &args.namespace, &args.name, options)?;
-    let publisher = PosePublisher::new(&mut node, frame_names(&args), base_from_camera)?;
+    let publisher = PosePublisher::new(&mut node, &args.frames)?;
     let topics = MapTopics::new(&mut node, &args.frames.map_frame)?;
     let inputs = Inputs::new(&mut node, &args)?;
 
-    let maps = Maps::new(map_options(&args, &settings), topics, Arc::clone(&counts));
-    let place = (base_from_camera, args.metres_per_unit);
-    let tracking = Tracking::new(settings, place, camera, publisher, news_sender);
+    let map_from_world = settings.map_from_world;
+    let tracking = Tracking::new(settings, &args, camera, publisher, news_sender);
+    let maps = Maps::new(args, map_from_world, topics, Arc::clone(&counts));
     let named = |name: &str| thread::Builder::new().name(name.to_owned());
     let tracking = named("tracking").spawn(move || tracking.run(&work))?;
     let maps = named("maps").spawn(move || maps.run(&news))?;
@@ -106,27 +104,4 @@ fn imu(args: &Args) -> anyhow::Result<Arc<Imu>> {
     };
     let noise = calibration.noise.unwrap_or_default();
     Ok(Arc::new(Imu::new(Vec::new(), noise, imu_from_camera)))
-}
-
-fn frame_names(args: &Args) -> FrameNames {
-    let frames = &args.frames;
-    FrameNames {
-        map: frames.map_frame.clone(),
-        odom: frames.odom_frame.clone(),
-        base: frames.base_frame.clone(),
-        has_tf: !frames.no_tf,
-        has_camera_tf: !frames.no_tf && !frames.no_camera_tf,
-    }
-}
-
-fn map_options(args: &Args, settings: &Settings) -> MapOptions {
-    MapOptions {
-        name: args.name.clone(),
-        map_from_world: settings.map_from_world,
-        camera_over_base: args.frames.mount().translation.z,
-        height_band: args.height_band,
-        period: Duration::from_secs_f64(args.map_period),
-        metres_per_unit: args.metres_per_unit,
-        save_dir: args.save_dir.clone(),
-    }
 }

@@ -1,5 +1,6 @@
 //! The thread of the maps: publishes what the mapper has when it has something new, how the node is, and writes files.
 
+use crate::args::Args;
 use crate::convert::{Condition, MAX_PATH_POSES, diagnostics};
 use crate::frames::{frame_of_map, map_from_camera};
 use crate::save::save;
@@ -13,8 +14,8 @@ use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::MapError;
 use monogrid_slam::mapping::{LiveView, MapReader};
 use monogrid_slam::{Keyframe, PoseSnapshot, TrajectoryPose};
-use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -24,25 +25,6 @@ const DIAGNOSTICS_EVERY: Duration = Duration::from_secs(1);
 const ASK_EVERY: Duration = Duration::from_millis(50);
 /// A camera that sends nothing for so long is silent.
 const SILENT_AFTER: Duration = Duration::from_secs(2);
-
-/// What decides how maps are published.
-#[derive(Clone, Debug)]
-pub struct MapOptions {
-    /// Name of the node, as diagnostics have it.
-    pub name: String,
-    /// The frame of maps before an inertial sensor has a say.
-    pub map_from_world: Sim3,
-    /// Height of the camera over the base, m.
-    pub camera_over_base: f64,
-    /// Heights over the base that matter, m.
-    pub height_band: Option<[f64; 2]>,
-    /// Least time between maps.
-    pub period: Duration,
-    /// Metres of a unit of the world, where somebody has said it.
-    pub metres_per_unit: Option<f64>,
-    /// Where new folders are made.
-    pub save_dir: PathBuf,
-}
 
 /// A world that is mapped.
 struct World {
@@ -69,7 +51,10 @@ struct Totals {
 
 /// Publishes maps.
 pub struct Maps {
-    options: MapOptions,
+    /// With the scale that was told last.
+    args: Args,
+    /// The frame of maps before an inertial sensor has a say.
+    map_from_world: Sim3,
     topics: MapTopics,
     counts: Arc<Counts>,
     world: Option<World>,
@@ -80,11 +65,12 @@ pub struct Maps {
 }
 
 impl Maps {
-    /// With nothing to publish yet.
+    /// With nothing to publish yet; `map_from_world` is the frame of maps before an inertial sensor has a say.
     #[must_use]
-    pub fn new(options: MapOptions, topics: MapTopics, counts: Arc<Counts>) -> Self {
+    pub fn new(args: Args, map_from_world: Sim3, topics: MapTopics, counts: Arc<Counts>) -> Self {
         Self {
-            options,
+            args,
+            map_from_world,
             topics,
             counts,
             world: None,
@@ -98,11 +84,11 @@ impl Maps {
     /// Publishes what there is, until no more news come.
     pub fn run(mut self, news: &Receiver<News>) {
         let mut last_said = Instant::now();
+        let period = Duration::from_secs_f64(self.args.map_period);
         loop {
             let said = DIAGNOSTICS_EVERY.saturating_sub(last_said.elapsed());
-            let is_awake = self
-                .last_image
-                .is_some_and(|at| at.elapsed() < SILENT_AFTER);
+            let last_image = self.last_image;
+            let is_awake = last_image.is_some_and(|at| at.elapsed() < SILENT_AFTER);
             let wait = if is_awake { said.min(ASK_EVERY) } else { said };
             match news.recv_timeout(wait) {
                 Ok(news) => self.take(news),
@@ -113,9 +99,7 @@ impl Maps {
                 last_said = Instant::now();
                 self.say_condition();
             }
-            let is_due = self
-                .last_map
-                .is_none_or(|at| at.elapsed() >= self.options.period);
+            let is_due = self.last_map.is_none_or(|at| at.elapsed() >= period);
             if is_due && let Err(error) = self.publish_new_map() {
                 self.condition = Condition::Waiting(format!("the map cannot be shown: {error}"));
             }
@@ -148,8 +132,12 @@ impl Maps {
                 }
             }
             News::Scale(told) => {
-                self.options.metres_per_unit = told;
-                self.show_again();
+                self.args.metres_per_unit = told;
+                // the newest map is published once more, since all lengths are others
+                self.topics.forget_grid();
+                if let Some(world) = &mut self.world {
+                    world.published = None;
+                }
             }
             News::Ended => {
                 self.world = None;
@@ -185,50 +173,32 @@ impl Maps {
     fn frame_of_mapper(&self) -> Sim3 {
         let world = self.world.as_ref();
         let view = world.and_then(|world| world.reader.latest());
-        view.map_or(self.options.map_from_world, |view| view.map_from_world)
+        view.map_or(self.map_from_world, |view| view.map_from_world)
     }
 
     /// The frame of what is published of a map that the mapper has in another.
     fn frame_of(&self, mapper_from_world: &Sim3) -> Sim3 {
-        frame_of_map(mapper_from_world, self.options.metres_per_unit)
+        frame_of_map(mapper_from_world, self.args.metres_per_unit)
     }
 
     /// Metres of a unit of the world, where somebody has told it, or an inertial sensor, which changes the scale of the frame.
     fn metres_per_unit(&self) -> Option<f64> {
         let sensed = self.frame_of_mapper().scale;
-        let is_sensed = sensed != self.options.map_from_world.scale;
-        self.options.metres_per_unit.or(is_sensed.then_some(sensed))
-    }
-
-    /// The newest map is published once more, since all lengths are others.
-    fn show_again(&mut self) {
-        self.topics.forget_grid();
-        if let Some(world) = &mut self.world {
-            world.published = None;
-        }
-    }
-
-    /// Where the camera was, in a map of this frame, m.
-    fn path(world: &World, map_from_world: &Sim3) -> Vec<(Time, Se3)> {
-        let now = world.trail.now(&world.poses).into_iter();
-        now.map(|(stamp, pose)| (stamp, map_from_camera(map_from_world, &pose)))
-            .collect()
+        let is_sensed = sensed != self.map_from_world.scale;
+        self.args.metres_per_unit.or(is_sensed.then_some(sensed))
     }
 
     /// Publishes the map if it is another than last time.
     fn publish_new_map(&mut self) -> Result<(), MapError> {
-        match self.newest(false)? {
-            Some(shown) => self.publish(&shown),
-            None => Ok(()),
-        }
+        let shown = self.newest(false)?;
+        shown.map_or(Ok(()), |shown| self.publish(&shown))
     }
 
     /// The newest map; `None` where there is none, or it was published already and is not wanted `again`.
     fn newest(&mut self, again: bool) -> Result<Option<Shown>, MapError> {
-        let Some(world) = &self.world else {
-            return Ok(None);
-        };
-        let Some(view) = world.reader.latest() else {
+        let world = self.world.as_ref();
+        let latest = world.and_then(|world| Some((world, world.reader.latest()?)));
+        let Some((world, view)) = latest else {
             return Ok(None);
         };
         let published = world.published.as_ref();
@@ -236,12 +206,14 @@ impl Maps {
             return Ok(None);
         }
         let map_from_world = self.frame_of(&view.map_from_world);
-        let path = Self::path(world, &map_from_world);
+        let trail = world.trail.now(&world.poses).into_iter();
+        let path = trail.map(|(stamp, pose)| (stamp, map_from_camera(&map_from_world, &pose)));
+        let path: Vec<(Time, Se3)> = path.collect();
         let seen = Seen {
             stamp: newest_image(&world.finished, view.stats.keyframes),
             metres_per_unit: map_from_world.scale / view.map_from_world.scale,
-            band_over_base: self.options.height_band,
-            camera_over_base: self.options.camera_over_base,
+            band_over_base: self.args.height_band,
+            camera_over_base: self.args.frames.mount().translation.z,
             path: &path,
         };
         let shown = Shown::new(&view.global, &seen)?;
@@ -258,29 +230,23 @@ impl Maps {
 
     /// Publishes the points of a keyframe in the map.
     fn publish_points(&mut self, number: u32, keyframe: &Keyframe, poses: &PoseSnapshot) {
-        let world = self.world.as_ref();
-        let Some(world) = world.filter(|world| world.number == number) else {
-            return;
-        };
-        let Some(world_from_keyframe) = poses.in_main_map(keyframe.id) else {
+        let world = self.world.as_ref().filter(|world| world.number == number);
+        let (Some(world), Some(world_from_keyframe)) = (world, poses.in_main_map(keyframe.id))
+        else {
             return;
         };
         let map_from_world = self.frame_of(&self.frame_of_mapper());
         let map_from_keyframe = map_from_world * *world_from_keyframe;
-        let pinhole = &world.pinhole;
-        self.topics
-            .publish_points(keyframe, pinhole, &map_from_keyframe);
+        let (topics, pinhole) = (&mut self.topics, &world.pinhole);
+        topics.publish_points(keyframe, pinhole, &map_from_keyframe);
     }
 
     /// Publishes the newest map as a whole and writes the same to files.
     fn save(&mut self, answer: Answer, trajectory: &[TrajectoryPose]) {
         let map_from_world = self.frame_of(&self.frame_of_mapper());
         let poses = trajectory.iter().map(|pose| {
-            let stamp = Time::from_nanoseconds(pose.timestamp_ns);
-            (
-                stamp,
-                map_from_camera(&map_from_world, &pose.world_from_camera),
-            )
+            let map_from_camera = map_from_camera(&map_from_world, &pose.world_from_camera);
+            (Time::from_nanoseconds(pose.timestamp_ns), map_from_camera)
         });
         let poses: Vec<(Time, Se3)> = poses.collect();
         let saved = self.publish_and_save(&poses);
@@ -295,7 +261,7 @@ impl Maps {
         self.topics.forget_grid();
         self.publish(&shown)?;
         let is_metric = self.metres_per_unit().is_some();
-        let folder = save(&self.options.save_dir, &shown, trajectory, is_metric)?;
+        let folder = save(&self.args.save_dir, &shown, trajectory, is_metric)?;
         let folder = folder.canonicalize().unwrap_or(folder);
         Ok(folder.display().to_string())
     }
@@ -313,37 +279,34 @@ impl Maps {
             stamp: Time::from_nanoseconds(now),
             ..Header::default()
         };
-        let message = diagnostics(header, &self.options.name, condition, self.facts());
+        let message = diagnostics(header, &self.args.name, condition, self.facts());
         self.topics.publish_diagnostics(message);
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {
         let (counts, totals) = (&self.counts, &self.totals);
+        let count = |count: &AtomicU64| count.load(Ordering::Relaxed).to_string();
+        let unsent = totals.unsent + self.topics.unsent;
+        let tracking = format!("{:.1}", totals.tracking_ms);
         let keyframes = self.world.as_ref().map_or(0, |world| world.finished.len());
         let scale = match self.metres_per_unit() {
             Some(metres) => metres.to_string(),
             None => "unknown: lengths are not metres".to_owned(),
         };
-        let window = match self.topics.window() {
+        let window = match self.topics.window {
             Some(radius) => format!("{radius:.1} m around the camera"),
             None => "everything".to_owned(),
         };
         vec![
-            ("images received", counts.received.get().to_string()),
+            ("images received", count(&counts.received)),
             ("images processed", totals.processed.to_string()),
-            ("images dropped (busy)", counts.dropped.get().to_string()),
-            ("images lost on the way", counts.lost.get().to_string()),
+            ("images dropped (busy)", count(&counts.dropped)),
+            ("images lost on the way", count(&counts.lost)),
             ("images of no use", totals.unusable.to_string()),
             ("last of no use because", totals.unusable_because.clone()),
-            ("inertial readings", counts.readings.get().to_string()),
-            (
-                "messages not sent",
-                (totals.unsent + self.topics.unsent()).to_string(),
-            ),
-            (
-                "tracking of the last image, ms",
-                format!("{:.1}", totals.tracking_ms),
-            ),
+            ("inertial readings", count(&counts.readings)),
+            ("messages not sent", unsent.to_string()),
+            ("tracking of the last image, ms", tracking),
             ("keyframes", keyframes.to_string()),
             ("metres per unit", scale),
             ("map sent", window),
@@ -354,9 +317,7 @@ impl Maps {
 /// The image with which the last of so many keyframes was finished.
 fn newest_image(finished: &[Time], num_keyframes: usize) -> Time {
     let known = num_keyframes.min(finished.len());
-    known
-        .checked_sub(1)
-        .map_or_else(Time::default, |last| finished[last])
+    finished[..known].last().copied().unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use anyhow::Context as _;
 use monogrid_messages::RosMessage;
+use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
 use ros2_client::dds::rustdds::{DomainParticipantBuilder, Topic};
 use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
@@ -62,20 +63,20 @@ impl Quality {
     #[must_use]
     pub fn profile(self) -> QosProfile {
         match self {
-            Self::Sensor => {
-                QosProfile::subscription_default().history(History::KeepLast { depth: 5 })
-            }
-            Self::Readings => {
-                QosProfile::subscription_default().history(History::KeepLast { depth: 400 })
-            }
+            Self::Sensor => QosProfile::subscription_default().history(last(5)),
+            Self::Readings => QosProfile::subscription_default().history(last(400)),
             Self::Stream => QosProfile::publisher_default()
                 .reliability_reliable(WhenFull::Fail)
-                .history(History::KeepLast { depth: 100 }),
+                .history(last(100)),
             Self::Latched => QosProfile::publisher_default()
                 .durability(Durability::TransientLocal)
-                .history(History::KeepLast { depth: 1 }),
+                .history(last(1)),
         }
     }
+}
+
+fn last(depth: usize) -> History {
+    History::KeepLast { depth }
 }
 
 /// A node, and the namespace of its topics.
@@ -152,28 +153,23 @@ impl RosNode {
         Ok(self.node.create_subscription(&topic, Some(profile))?)
     }
 
-    /// Offers a service of `std_srvs` below the name of the node.
+    /// Offers a service that needs to know nothing, below the name of the node.
     ///
     /// # Errors
     /// A name that is none, or a network that cannot be used.
-    pub fn server<Request, Response>(
-        &mut self,
-        service: &str,
-        type_name: &str,
-    ) -> anyhow::Result<Server<Wire<Request>, Wire<Response>>>
-    where
-        Request: Serialize + DeserializeOwned + Clone + 'static,
-        Response: Serialize + DeserializeOwned + 'static,
-    {
-        let profile = QosProfile::publisher_default().history(History::KeepLast { depth: 10 });
+    pub fn trigger(&mut self, service: &str) -> anyhow::Result<Trigger> {
+        let profile = QosProfile::publisher_default().history(last(10));
         let name = self.name_of(&format!("{}/{service}", self.name))?;
-        let type_name = ServiceTypeName::new("std_srvs", type_name);
+        let type_name = ServiceTypeName::new("std_srvs", "Trigger");
         let mapping = ServiceMapping::Enhanced;
         Ok(self
             .node
             .create_server(mapping, &name, &type_name, profile.clone(), profile)?)
     }
 }
+
+/// A service of `std_srvs/srv/Trigger`.
+pub type Trigger = Server<Wire<TriggerRequest>, Wire<TriggerResponse>>;
 
 /// A message of this project as the middleware wants it.
 #[derive(Clone, Debug, Serialize, Deserialize)]

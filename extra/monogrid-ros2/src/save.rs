@@ -28,14 +28,11 @@ pub fn save(
         let yaml = grid.to_yaml("map.pgm") + &note(shown.band, is_metric);
         fs::write(folder.join("map.yaml"), yaml)?;
     }
-    let poses: Vec<TimedPose> = path
-        .iter()
-        .map(|(stamp, pose)| TimedPose {
-            timestamp_ns: stamp.nanoseconds(),
-            world_from_camera: *pose,
-        })
-        .collect();
-    write_tum(&folder.join("trajectory.txt"), &poses)?;
+    let poses = path.iter().map(|(stamp, pose)| TimedPose {
+        timestamp_ns: stamp.nanoseconds(),
+        world_from_camera: *pose,
+    });
+    write_tum(&folder.join("trajectory.txt"), &poses.collect::<Vec<_>>())?;
     Ok(folder)
 }
 

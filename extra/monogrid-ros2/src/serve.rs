@@ -2,13 +2,15 @@
 
 use crate::args::{Args, checked_scale};
 use crate::convert::{camera_of, imu_sample_of};
-use crate::node::{Quality, RosNode, Wire};
+use crate::node::{Quality, RosNode, Trigger, Wire};
 use crate::work::{Answer, Counts, Picture, Work, WorkSender, response};
 use futures::channel::oneshot;
-use futures::{Stream, StreamExt, future};
+use futures::future::{self, OptionFuture};
+use futures::{Stream, StreamExt};
 use monogrid_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
-use monogrid_messages::std_srvs::{TriggerRequest, TriggerResponse};
-use ros2_client::{MessageInfo, NodeOptions, ParameterValue, ReadError, Server, Subscription};
+use ros2_client::{MessageInfo, NodeOptions, ParameterValue, ReadError, Subscription};
+use std::pin::pin;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// Name of the parameter that says how long a unit of the world is, m; 0 where nobody has told.
 const SCALE: &str = "metres_per_unit";
@@ -26,9 +28,9 @@ pub fn options(args: &Args, work: WorkSender) -> NodeOptions {
         }))
         // this is called with the first value too
         .parameter_set_action(Box::new(move |name, value| match value {
-            ParameterValue::Double(metres) if name == SCALE => work
-                .send(Work::Scale(told_scale(*metres)?))
-                .map_err(|_| "the node is ending".to_owned()),
+            ParameterValue::Double(metres) if name == SCALE => {
+                work.send(Work::Scale(told_scale(*metres)?))
+            }
             _ => Ok(()),
         }))
 }
@@ -56,8 +58,6 @@ enum Images {
     Compressed(Subscription<CompressedImage>),
 }
 
-type Trigger = Server<Wire<TriggerRequest>, Wire<TriggerResponse>>;
-
 impl Inputs {
     /// Begins to listen.
     ///
@@ -69,18 +69,16 @@ impl Inputs {
         } else {
             Images::Plain(node.subscription(&args.image, Quality::Sensor)?)
         };
-        let info = match &args.calibration {
-            Some(_) => None,
-            None => Some(node.subscription(&args.info, Quality::Sensor)?),
-        };
+        let info = args.calibration.is_none().then_some(&args.info);
+        let info = info.map(|topic| node.subscription(topic, Quality::Sensor));
         let imu = args.imu.as_ref();
         let imu = imu.map(|topic| node.subscription(topic, Quality::Readings));
         Ok(Self {
             images,
-            info,
+            info: info.transpose()?,
             imu: imu.transpose()?,
-            save: node.server("save", "Trigger")?,
-            reset: node.server("reset", "Trigger")?,
+            save: node.trigger("save")?,
+            reset: node.trigger("reset")?,
             is_rectified: args.rectified,
         })
     }
@@ -97,16 +95,11 @@ impl Inputs {
                 }
             }
         };
-        let info = async {
-            if let Some(topic) = &self.info {
-                take_infos(topic, self.is_rectified, work).await;
-            }
-        };
-        let readings = async {
-            if let Some(topic) = &self.imu {
-                take_readings(topic, work, counts).await;
-            }
-        };
+        let info = self.info.as_ref();
+        let info = info.map(|topic| take_infos(topic, self.is_rectified, work));
+        let imu = self.imu.as_ref();
+        let readings = imu.map(|topic| take_readings(topic, work, counts));
+        let (info, readings) = (OptionFuture::from(info), OptionFuture::from(readings));
         let save = answer(&self.save, work, Work::Save);
         let reset = answer(&self.reset, work, Work::Reset);
         future::join5(images, info, readings, save, reset).await;
@@ -120,115 +113,91 @@ async fn take_images<M>(
     work: &WorkSender,
     counts: &Counts,
 ) {
-    let mut numbers = Numbers { last: None };
-    let messages = std::pin::pin!(messages);
-    messages
-        .for_each(|message| {
-            if let Ok((message, info)) = message {
-                counts.received.add(1);
-                counts
-                    .lost
-                    .add(numbers.gap(info.publisher_gid(), info.sequence_number()));
-                if !work.offer(picture(message)) {
-                    counts.dropped.add(1);
-                }
-            } else {
-                // something came that is no image
-                counts.lost.add(1);
+    let mut last = None;
+    let mut messages = pin!(messages);
+    while let Some(message) = messages.next().await {
+        if let Ok((message, info)) = message {
+            let lost = gap(&mut last, info.publisher_gid(), info.sequence_number());
+            counts.received.fetch_add(1, Relaxed);
+            counts.lost.fetch_add(lost, Relaxed);
+            if !work.offer(picture(message)) {
+                counts.dropped.fetch_add(1, Relaxed);
             }
-            future::ready(())
-        })
-        .await;
-}
-
-/// The numbers that the sender gives its messages.
-struct Numbers<S> {
-    last: Option<(S, i64)>,
-}
-
-impl<S: PartialEq> Numbers<S> {
-    /// How many messages are missing before this one of a sender.
-    fn gap(&mut self, sender: S, number: i64) -> u64 {
-        let before = self.last.take().filter(|(before, _)| *before == sender);
-        self.last = Some((sender, number));
-        let missing = before.map_or(0, |(_, before)| number.saturating_sub(before) - 1);
-        u64::try_from(missing).unwrap_or(0)
+        } else {
+            // something came that is no image
+            counts.lost.fetch_add(1, Relaxed);
+        }
     }
+}
+
+/// How many messages are missing before this one of a sender, by the numbers that it gives them; `last` are the sender and the number before.
+fn gap<S: PartialEq>(last: &mut Option<(S, i64)>, sender: S, number: i64) -> u64 {
+    let before = last.take().filter(|(before, _)| *before == sender);
+    *last = Some((sender, number));
+    let missing = before.map_or(0, |(_, before)| number.saturating_sub(before) - 1);
+    u64::try_from(missing).unwrap_or(0)
 }
 
 /// Hands on the calibration when it is another than before.
 async fn take_infos(topic: &Subscription<CameraInfo>, is_rectified: bool, work: &WorkSender) {
     let mut last = None;
-    let infos = std::pin::pin!(topic.async_stream());
-    infos
-        .for_each(|message| {
-            if let Ok((info, _)) = message {
-                let camera = camera_of(&info, is_rectified);
-                if last.as_ref() != Some(&camera) {
-                    last = Some(camera.clone());
-                    // the other threads end after this one
-                    let _ = work.send(Work::Camera(camera.map_err(|error| error.to_string())));
-                }
-            }
-            future::ready(())
-        })
-        .await;
+    let mut infos = pin!(topic.async_stream());
+    while let Some(message) = infos.next().await {
+        let camera = message.ok().map(|(info, _)| camera_of(&info, is_rectified));
+        if let Some(camera) = camera.filter(|camera| last.as_ref() != Some(camera)) {
+            last = Some(camera.clone());
+            // the other threads end after this one
+            let _ = work.send(Work::Camera(camera.map_err(|error| error.to_string())));
+        }
+    }
 }
 
 /// Hands on the readings of an inertial sensor; those that have none of the two are of no use.
 async fn take_readings(topic: &Subscription<Imu>, work: &WorkSender, counts: &Counts) {
-    let readings = std::pin::pin!(topic.async_stream());
-    readings
-        .for_each(|message| {
-            let reading = message
-                .ok()
-                .and_then(|(reading, _)| imu_sample_of(&reading));
-            if let Some(reading) = reading {
-                counts.readings.add(1);
-                // the other threads end after this one
-                let _ = work.send(Work::Reading(reading));
-            }
-            future::ready(())
-        })
-        .await;
+    let mut readings = pin!(topic.async_stream());
+    while let Some(message) = readings.next().await {
+        let reading = message.ok();
+        if let Some(reading) = reading.and_then(|(reading, _)| imu_sample_of(&reading)) {
+            counts.readings.fetch_add(1, Relaxed);
+            // the other threads end after this one
+            let _ = work.send(Work::Reading(reading));
+        }
+    }
 }
 
 /// Answers a service when its work is done.
 async fn answer(server: &Trigger, work: &WorkSender, ask: fn(Answer) -> Work) {
-    let requests = std::pin::pin!(server.receive_request_stream());
-    requests
-        .for_each(|request| async move {
-            let Ok((id, _)) = request else {
-                return;
-            };
+    let mut requests = pin!(server.receive_request_stream());
+    while let Some(request) = requests.next().await {
+        if let Ok((id, _)) = request {
             let (answer, answered) = oneshot::channel();
-            let ended = || response(Err("the node is ending".to_owned()));
-            let said = match work.send(ask(answer)) {
-                Ok(()) => answered.await.unwrap_or_else(|_| ended()),
-                Err(_) => ended(),
-            };
+            // what nobody takes is dropped, and the answer with it
+            let _ = work.send(ask(answer));
+            let ended = |_| response(Err("the node is ending".to_owned()));
+            let said = answered.await.unwrap_or_else(ended);
             // whoever has gone away needs no answer
             let _ = server.async_send_response(id, Wire(said)).await;
-        })
-        .await;
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::gap;
 
     #[test]
     fn gaps_in_the_numbers_of_a_sender_are_what_was_lost() {
-        let mut numbers = Numbers { last: None };
+        let mut last = None;
+        let mut missing = |sender, number| gap(&mut last, sender, number);
         let [a, b] = ["a", "b"];
         // what was sent before anybody listened is not lost
-        assert_eq!(numbers.gap(a, 17), 0);
-        assert_eq!(numbers.gap(a, 18), 0);
-        assert_eq!(numbers.gap(a, 21), 2);
+        assert_eq!(missing(a, 17), 0);
+        assert_eq!(missing(a, 18), 0);
+        assert_eq!(missing(a, 21), 2);
         // the camera was started again
-        assert_eq!(numbers.gap(b, 1), 0);
+        assert_eq!(missing(b, 1), 0);
         // late, or twice
-        assert_eq!(numbers.gap(b, 1), 0);
-        assert_eq!(numbers.gap(b, 0), 0);
+        assert_eq!(missing(b, 1), 0);
+        assert_eq!(missing(b, 0), 0);
     }
 }

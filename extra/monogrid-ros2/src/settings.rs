@@ -24,9 +24,9 @@ struct ConfigFile {
 /// # Errors
 /// A file that cannot be read, or settings that do not exist or are outside their range.
 pub fn read_settings(path: &Path) -> anyhow::Result<Settings> {
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("configuration {}", path.display()))?;
-    parse_settings(&text).with_context(|| format!("configuration {}", path.display()))
+    let which = || format!("configuration {}", path.display());
+    let text = std::fs::read_to_string(path).with_context(which)?;
+    parse_settings(&text).with_context(which)
 }
 
 fn parse_settings(text: &str) -> anyhow::Result<Settings> {
@@ -41,11 +41,8 @@ fn parse_settings(text: &str) -> anyhow::Result<Settings> {
     let allowed = WorkingSize::ALLOWED_PIXELS;
     let pixels = file.working_pixels.unwrap_or(WorkingSize::AUTOMATIC_PIXELS);
     if !allowed.contains(&pixels) {
-        bail!(
-            "working_pixels is {pixels}, allowed are {} to {}",
-            allowed.start(),
-            allowed.end()
-        );
+        let (least, most) = (allowed.start(), allowed.end());
+        bail!("working_pixels is {pixels}, allowed are {least} to {most}");
     }
     Ok(Settings {
         slam: file.slam,

@@ -67,13 +67,12 @@ fn band_in_map(map: &OccupancyMap, seen: &Seen) -> [f64; 2] {
         return band.map(|height| height - seen.camera_over_base);
     }
     let occupied = map.cells().filter(|cell| cell.state == Occupancy::Occupied);
-    let mut heights: Vec<f64> = occupied
-        .map(|cell| cell.key.center(map.resolution())[2])
-        .collect();
+    let heights = occupied.map(|cell| cell.key.center(map.resolution())[2]);
+    let mut heights: Vec<f64> = heights.collect();
     let path = seen.path.iter();
-    let cameras: Vec<f64> = path.map(|(_, pose)| pose.translation.z).collect();
+    let mut cameras: Vec<f64> = path.map(|(_, pose)| pose.translation.z).collect();
     if cameras.is_empty() {
-        return navigation_band(&mut heights, &[0.0], false);
+        cameras.push(0.0);
     }
     navigation_band(&mut heights, &cameras, false)
 }

@@ -1,8 +1,8 @@
 //! What is published of a map.
 
 use crate::convert::{
-    MAX_GRID_CELLS, MAX_POINTS, MAX_TREE_BYTES, changed_part, cloud_of_cells, cloud_of_keyframe,
-    grid_of, last_path_of, octomap_of, part_that_fits,
+    MAX_BYTES, MAX_POINTS, changed_part, cloud_of_cells, cloud_of_keyframe, grid_of, last_path_of,
+    octomap_of, part_that_fits,
 };
 use crate::node::{Quality, RosNode};
 use crate::shown::Shown;
@@ -35,10 +35,10 @@ pub struct MapTopics {
     diagnostics: Publisher<DiagnosticArray>,
     /// The grid that listeners have, and when it was last sent as a whole.
     sent_grid: Option<(OccupancyGrid, Instant)>,
-    /// Radius around the camera of what was too large to be sent as a whole, m.
-    window: Option<f64>,
+    /// Radius around the camera, m, of what was too large to be sent as a whole; `None` where everything was sent.
+    pub window: Option<f64>,
     /// Messages that could not be sent.
-    unsent: u64,
+    pub unsent: u64,
 }
 
 impl MapTopics {
@@ -68,18 +68,6 @@ impl MapTopics {
         self.sent_grid = None;
     }
 
-    /// Radius around the camera, m, of what was too large to be sent as a whole; `None` where everything was sent.
-    #[must_use]
-    pub fn window(&self) -> Option<f64> {
-        self.window
-    }
-
-    /// Messages that could not be sent.
-    #[must_use]
-    pub fn unsent(&self) -> u64 {
-        self.unsent
-    }
-
     fn header(&self, stamp: Time) -> Header {
         Header {
             stamp,
@@ -87,9 +75,8 @@ impl MapTopics {
         }
     }
 
-    fn count(&mut self, sent: &[bool]) {
-        let unsent = sent.iter().filter(|is_sent| !**is_sent).count();
-        self.unsent += unsent as u64;
+    fn count(&mut self, is_sent: bool) {
+        self.unsent += u64::from(!is_sent);
     }
 
     /// Publishes a map in all forms.
@@ -106,7 +93,7 @@ impl MapTopics {
                 &shown.map,
                 shown.camera,
                 |map| octomap_of(header.clone(), map, binary),
-                |tree| tree.data.len() <= MAX_TREE_BYTES,
+                |tree| tree.data.len() <= MAX_BYTES,
             )
         };
         let (binary, binary_window) = tree(true)?;
@@ -125,14 +112,14 @@ impl MapTopics {
             self.cells.publish(cells).is_ok(),
             self.path.publish(last_path_of(header, &shown.path)).is_ok(),
         ];
-        self.count(&sent);
+        sent.into_iter().for_each(|is_sent| self.count(is_sent));
         Ok(())
     }
 
     /// Publishes the grid, or what has changed of it since listeners got the last one of the same size and place.
     fn publish_grid(&mut self, shown: &Shown, grid: &Projection) {
         let [x, y, _] = shown.camera;
-        let grid = grid.around([x, y], MAX_GRID_CELLS);
+        let grid = grid.around([x, y], MAX_BYTES);
         let now = grid_of(self.header(shown.stamp), shown.stamp, &grid);
         let place = |grid: &OccupancyGrid| {
             let info = grid.info;
@@ -151,7 +138,7 @@ impl MapTopics {
             }
         };
         self.sent_grid = Some((now, whole_at));
-        self.count(&[is_sent]);
+        self.count(is_sent);
     }
 
     /// Publishes the points of a keyframe, which is at `map_from_keyframe` (m).
@@ -164,12 +151,12 @@ impl MapTopics {
         let header = self.header(Time::from_nanoseconds(keyframe.timestamp_ns));
         let points = cloud_of_keyframe(header, keyframe, pinhole, map_from_keyframe);
         let is_sent = self.points.publish(points).is_ok();
-        self.count(&[is_sent]);
+        self.count(is_sent);
     }
 
     /// Publishes how the node is.
     pub fn publish_diagnostics(&mut self, message: DiagnosticArray) {
         let is_sent = self.diagnostics.publish(message).is_ok();
-        self.count(&[is_sent]);
+        self.count(is_sent);
     }
 }

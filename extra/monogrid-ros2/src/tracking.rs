@@ -1,10 +1,11 @@
 //! The thread that tracks: images in, poses out; what the maps need goes to their thread.
 
+use crate::args::{Args, FrameArgs};
 use crate::convert::{gray_image, gray_of_compressed, odometry_of, transform_of};
 use crate::frames::{Frames, Poses, frame_of_map};
 use crate::node::{Quality, RosNode};
 use crate::work::{Answer, News, Picture, Tracked, Work, WorkReceiver, response};
-use monogrid_geometry::{Camera, Se3, Sim3};
+use monogrid_geometry::{Camera, Sim3};
 use monogrid_image::GrayImage;
 use monogrid_inertial::ImuSample;
 use monogrid_messages::builtin_interfaces::Time;
@@ -17,25 +18,9 @@ use monogrid_slam::{Effort, FrameReport};
 use ros2_client::Publisher;
 use std::sync::mpsc::SyncSender;
 
-/// Names of the frames, and what is published of them.
-#[derive(Clone, Debug)]
-pub struct FrameNames {
-    /// Of the map.
-    pub map: String,
-    /// Of the odometry.
-    pub odom: String,
-    /// Of the robot.
-    pub base: String,
-    /// Whether transforms are published.
-    pub has_tf: bool,
-    /// Whether the place of the camera on the robot is published, in the frame that its images name.
-    pub has_camera_tf: bool,
-}
-
 /// Publishes where the camera is.
 pub struct PosePublisher {
-    names: FrameNames,
-    base_from_camera: Se3,
+    frames: FrameArgs,
     odometry: Publisher<Odometry>,
     tf: Publisher<TFMessage>,
     tf_static: Publisher<TFMessage>,
@@ -49,14 +34,9 @@ impl PosePublisher {
     ///
     /// # Errors
     /// A network that cannot be used.
-    pub fn new(
-        node: &mut RosNode,
-        names: FrameNames,
-        base_from_camera: Se3,
-    ) -> anyhow::Result<Self> {
+    pub fn new(node: &mut RosNode, frames: &FrameArgs) -> anyhow::Result<Self> {
         Ok(Self {
-            names,
-            base_from_camera,
+            frames: frames.clone(),
             odometry: node.publisher("odom", Quality::Stream)?,
             tf: node.publisher("/tf", Quality::Stream)?,
             tf_static: node.publisher("/tf_static", Quality::Latched)?,
@@ -68,15 +48,16 @@ impl PosePublisher {
     /// Says where the camera sits, in the frame that its images name, when that is new.
     fn say_mount(&mut self, header: &Header) {
         let is_new = self.optical.as_ref() != Some(&header.frame_id);
-        if !self.names.has_camera_tf || !is_new || header.frame_id.is_empty() {
+        let is_wanted = !self.frames.no_tf && !self.frames.no_camera_tf;
+        if !is_wanted || !is_new || header.frame_id.is_empty() {
             return;
         }
         self.optical = Some(header.frame_id.clone());
         let parent = Header {
             stamp: header.stamp,
-            frame_id: self.names.base.clone(),
+            frame_id: self.frames.base_frame.clone(),
         };
-        let transform = transform_of(parent, &header.frame_id, &self.base_from_camera);
+        let transform = transform_of(parent, &header.frame_id, &self.frames.mount());
         let transforms = vec![transform];
         // a network that fails now says so in the diagnostics, which then do not come
         let _ = self.tf_static.publish(TFMessage { transforms });
@@ -88,21 +69,22 @@ impl PosePublisher {
             stamp,
             frame_id: frame.to_owned(),
         };
-        let names = &self.names;
+        let FrameArgs {
+            map_frame,
+            odom_frame,
+            base_frame,
+            ..
+        } = &self.frames;
         let last = self.last_stamp.replace(stamp);
         let seconds = last.map(|last| (stamp.nanoseconds() - last.nanoseconds()) as f64 * 1e-9);
         let step = poses.step.zip(seconds);
-        let odometry = odometry_of(
-            header(&names.odom),
-            &names.base,
-            &poses.odom_from_base,
-            step,
-        );
+        let odom_from_base = &poses.odom_from_base;
+        let odometry = odometry_of(header(odom_frame), base_frame, odom_from_base, step);
         let mut unsent = usize::from(self.odometry.publish(odometry).is_err());
-        if names.has_tf {
+        if !self.frames.no_tf {
             let transforms = vec![
-                transform_of(header(&names.map), &names.odom, &poses.map_from_odom()),
-                transform_of(header(&names.odom), &names.base, &poses.odom_from_base),
+                transform_of(header(map_frame), odom_frame, &poses.map_from_odom()),
+                transform_of(header(odom_frame), base_frame, odom_from_base),
             ];
             unsent += usize::from(self.tf.publish(TFMessage { transforms }).is_err());
         }
@@ -129,20 +111,20 @@ pub struct Tracking {
 }
 
 impl Tracking {
-    /// With nothing tracked yet, for a camera that sits at `base_from_camera` (m).
+    /// With nothing tracked yet.
     #[must_use]
     pub fn new(
         settings: Settings,
-        (base_from_camera, told_metres_per_unit): (Se3, Option<f64>),
+        args: &Args,
         camera: Result<Camera, String>,
         publisher: PosePublisher,
         news: SyncSender<News>,
     ) -> Self {
-        let map_from_world = frame_of_map(&settings.map_from_world, told_metres_per_unit);
+        let map_from_world = frame_of_map(&settings.map_from_world, args.metres_per_unit);
         Self {
             settings,
-            frames: Frames::new(base_from_camera, map_from_world),
-            told_metres_per_unit,
+            frames: Frames::new(args.frames.mount(), map_from_world),
+            told_metres_per_unit: args.metres_per_unit,
             camera,
             pipeline: None,
             maps: None,
@@ -244,7 +226,7 @@ impl Tracking {
 
     /// Publishes where everything was at an image; how many messages could not be sent.
     fn publish(&mut self, report: &FrameReport) -> usize {
-        self.frames.set_frame(self.frame_of_map());
+        self.frames.map_from_world = self.frame_of_map();
         let poses = self.frames.advance(report);
         let stamp = Time::from_nanoseconds(report.timestamp_ns);
         poses.map_or(0, |poses| self.publisher.publish(stamp, &poses))

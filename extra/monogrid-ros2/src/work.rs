@@ -72,10 +72,6 @@ pub struct WorkSender {
     waiting: Arc<AtomicUsize>,
 }
 
-/// Nobody works any more.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ending;
-
 impl WorkSender {
     /// Hands on an image; `false` where as many wait as may.
     #[must_use]
@@ -93,8 +89,9 @@ impl WorkSender {
     ///
     /// # Errors
     /// When nobody works any more.
-    pub fn send(&self, work: Work) -> Result<(), Ending> {
-        self.sender.send(work).map_err(|_| Ending)
+    pub fn send(&self, work: Work) -> Result<(), String> {
+        let sent = self.sender.send(work);
+        sent.map_err(|_| "the node is ending".to_owned())
     }
 }
 
@@ -149,34 +146,17 @@ pub struct Tracked {
     pub unsent: usize,
 }
 
-/// What happened to the images, for diagnostics.
+/// What happened to the images, for diagnostics: one thread counts, others read.
 #[derive(Debug, Default)]
 pub struct Counts {
     /// Received.
-    pub received: Count,
+    pub received: AtomicU64,
     /// Lost between the camera and here: gaps in the numbers of their sender.
-    pub lost: Count,
+    pub lost: AtomicU64,
     /// Dropped since as many as may wait were waiting.
-    pub dropped: Count,
+    pub dropped: AtomicU64,
     /// Readings of the inertial sensor.
-    pub readings: Count,
-}
-
-/// A number that one thread counts and others read.
-#[derive(Debug, Default)]
-pub struct Count(AtomicU64);
-
-impl Count {
-    /// Counts some more.
-    pub fn add(&self, more: u64) {
-        self.0.fetch_add(more, Ordering::Relaxed);
-    }
-
-    /// How many there are.
-    #[must_use]
-    pub fn get(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
-    }
+    pub readings: AtomicU64,
 }
 
 #[cfg(test)]

@@ -6,11 +6,6 @@ use monogrid_messages::nav_msgs::{MapMetaData, OccupancyGrid};
 use monogrid_messages::std_msgs::Header;
 use monogrid_occupancy::{Occupancy, Projection};
 
-/// Cells as messages have them, percent.
-const UNKNOWN: i8 = -1;
-const FREE: i8 = 0;
-const OCCUPIED: i8 = 100;
-
 /// A grid whose lengths are metres, made at some time.
 #[must_use]
 pub fn grid_of(header: Header, made: Time, grid: &Projection) -> OccupancyGrid {
@@ -27,15 +22,16 @@ pub fn grid_of(header: Header, made: Time, grid: &Projection) -> OccupancyGrid {
                 ..Pose::default()
             },
         },
-        data: grid.columns.iter().map(|column| cell_of(*column)).collect(),
+        data: grid.columns.iter().map(cell_of).collect(),
     }
 }
 
-fn cell_of(state: Occupancy) -> i8 {
+/// A cell as messages have it, percent.
+fn cell_of(state: &Occupancy) -> i8 {
     match state {
-        Occupancy::Unknown => UNKNOWN,
-        Occupancy::Free => FREE,
-        Occupancy::Occupied => OCCUPIED,
+        Occupancy::Unknown => -1,
+        Occupancy::Free => 0,
+        Occupancy::Occupied => 100,
     }
 }
 

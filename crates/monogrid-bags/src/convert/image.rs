@@ -10,7 +10,7 @@ use std::path::Path;
 #[non_exhaustive]
 pub enum ImageError {
     /// An encoding without grey values, or that nobody needed so far.
-    #[error("images in the encoding {found:?} are not supported; there are {}", ENCODINGS.join(", "))]
+    #[error("images in the encoding {found:?} are not supported; there are {}", ENCODINGS.map(|(name, ..)| name).join(", "))]
     Encoding {
         /// What it is called.
         found: String,
@@ -35,60 +35,53 @@ pub enum ImageError {
     Compressed(#[from] monogrid_datasets::DatasetError),
 }
 
-/// What [`gray_image`] understands.
-const ENCODINGS: [&str; 19] = [
-    "mono8",
-    "8UC1",
-    "mono16",
-    "16UC1",
-    "bgr8",
-    "8UC3",
-    "rgb8",
-    "bgra8",
-    "8UC4",
-    "rgba8",
-    "yuv422",
-    "uyvy",
-    "yuv422_yuy2",
-    "yuyv",
-    "nv12",
-    "bayer_rggb8",
-    "bayer_bggr8",
-    "bayer_gbrg8",
-    "bayer_grbg8",
-];
-
 /// Grey values of the bytes of a pixel.
 type Grey = fn(&[u8]) -> f32;
+
+/// What [`gray_image`] understands: name, bytes of a pixel, grey value; 16 bits are little endian.
+const ENCODINGS: [(&str, usize, Grey); 19] = [
+    ("mono8", 1, FIRST),
+    ("8UC1", 1, FIRST),
+    ("mono16", 2, MONO16),
+    ("16UC1", 2, MONO16),
+    ("bgr8", 3, BGR),
+    ("8UC3", 3, BGR),
+    ("rgb8", 3, RGB),
+    ("bgra8", 4, BGR),
+    ("8UC4", 4, BGR),
+    ("rgba8", 4, RGB),
+    ("yuv422", 2, SECOND),
+    ("uyvy", 2, SECOND),
+    ("yuv422_yuy2", 2, FIRST),
+    ("yuyv", 2, FIRST),
+    ("nv12", 1, FIRST),
+    ("bayer_rggb8", 1, FIRST),
+    ("bayer_bggr8", 1, FIRST),
+    ("bayer_gbrg8", 1, FIRST),
+    ("bayer_grbg8", 1, FIRST),
+];
+const FIRST: Grey = |b| f32::from(b[0]);
+const SECOND: Grey = |b| f32::from(b[1]);
+// 65535 / 257 = 255
+const MONO16: Grey = |b| f32::from(u16::from_le_bytes([b[0], b[1]])) / 257.0;
+const MONO16_BIG: Grey = |b| f32::from(u16::from_be_bytes([b[0], b[1]])) / 257.0;
+// ITU-601 luma
+const RGB: Grey = |b| luma_of_rgb([b[0], b[1], b[2]]).into();
+const BGR: Grey = |b| luma_of_rgb([b[2], b[1], b[0]]).into();
 
 /// The grey image, 0 to 255, of a message; ITU-601 luma of colours.
 ///
 /// # Errors
 /// An encoding that is not supported, or rows that are missing.
 pub fn gray_image(image: &Image) -> Result<GrayImage, ImageError> {
-    // 65535 / 257 = 255
-    let mono16: Grey = if image.is_bigendian == 0 {
-        |b| f32::from(u16::from_le_bytes([b[0], b[1]])) / 257.0
-    } else {
-        |b| f32::from(u16::from_be_bytes([b[0], b[1]])) / 257.0
-    };
-    let first: Grey = |b| f32::from(b[0]);
-    let second: Grey = |b| f32::from(b[1]);
-    match image.encoding.as_str() {
-        "mono8" | "8UC1" | "nv12" => pixels(image, 1, first),
-        "mono16" | "16UC1" => pixels(image, 2, mono16),
-        "bgr8" | "8UC3" => pixels(image, 3, |b| luma(b[2], b[1], b[0])),
-        "rgb8" => pixels(image, 3, |b| luma(b[0], b[1], b[2])),
-        "bgra8" | "8UC4" => pixels(image, 4, |b| luma(b[2], b[1], b[0])),
-        "rgba8" => pixels(image, 4, |b| luma(b[0], b[1], b[2])),
-        "yuv422" | "uyvy" => pixels(image, 2, second),
-        "yuv422_yuy2" | "yuyv" => pixels(image, 2, first),
-        "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => {
-            Ok(without_mosaic(&pixels(image, 1, first)?))
-        }
-        _ => Err(ImageError::Encoding {
-            found: image.encoding.clone(),
-        }),
+    let found = ENCODINGS.iter().find(|(name, ..)| *name == image.encoding);
+    let (name, bytes, grey) = *found.ok_or_else(|| ImageError::Encoding {
+        found: image.encoding.clone(),
+    })?;
+    match name {
+        "mono16" | "16UC1" if image.is_bigendian != 0 => pixels(image, bytes, MONO16_BIG),
+        _ if name.starts_with("bayer") => Ok(without_mosaic(&pixels(image, bytes, grey)?)),
+        _ => pixels(image, bytes, grey),
     }
 }
 
@@ -121,11 +114,6 @@ fn pixels(image: &Image, bytes: usize, grey: Grey) -> Result<GrayImage, ImageErr
     GrayImage::from_vec(width, height, values.collect()).ok_or_else(size_error)
 }
 
-/// ITU-601 luma.
-fn luma(red: u8, green: u8, blue: u8) -> f32 {
-    luma_of_rgb([red, green, blue]).into()
-}
-
 /// The mosaic of a sensor with one colour per pixel (Bayer), as grey: weights 1 2 1 in both directions give every pixel
 /// one quarter of red, half of green and one quarter of blue, whichever colour it has itself.
 fn without_mosaic(mosaic: &GrayImage) -> GrayImage {
@@ -133,10 +121,9 @@ fn without_mosaic(mosaic: &GrayImage) -> GrayImage {
     // mirrored at the border, so that colours keep their places
     let neighbours = |k: usize, size: usize| {
         let before = if k == 0 { 1.min(size - 1) } else { k - 1 };
-        let after = if k + 1 < size {
-            k + 1
-        } else {
-            size.saturating_sub(2)
+        let after = match k + 1 {
+            after if after < size => after,
+            _ => size.saturating_sub(2),
         };
         [before, k, after]
     };
@@ -240,7 +227,7 @@ mod tests {
 
     #[test]
     fn encodings_that_are_listed_are_understood() {
-        for encoding in ENCODINGS {
+        for (encoding, ..) in ENCODINGS {
             let message = image(encoding, 2, 8, &[7; 16]);
             let values = grey(&message);
             assert!(values.len() == 4 && values.iter().all(|v| (v - 7.0).abs() < 0.01));

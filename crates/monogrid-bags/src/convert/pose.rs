@@ -1,23 +1,19 @@
 //! Poses.
 
-use monogrid_geometry::{Se3, rotation_log};
+use monogrid_geometry::{Se3, Vec3, rotation_log};
+use monogrid_messages::builtin_interfaces::Time;
 use monogrid_messages::geometry_msgs::{
-    Covariance, Point, Pose, PoseWithCovariance, Quaternion, Transform, TransformStamped, Twist,
-    TwistWithCovariance, Vector3,
+    Covariance, Pose, PoseStamped, PoseWithCovariance, Quaternion, Transform, TransformStamped,
+    Twist, TwistWithCovariance, Vector3,
 };
-use monogrid_messages::nav_msgs::Odometry;
+use monogrid_messages::nav_msgs::{Odometry, Path};
 use monogrid_messages::std_msgs::Header;
 
 /// A pose, m.
 #[must_use]
 pub fn pose_of(parent_from_child: &Se3) -> Pose {
-    let at = parent_from_child.translation;
     Pose {
-        position: Point {
-            x: at.x,
-            y: at.y,
-            z: at.z,
-        },
+        position: vector_of(&parent_from_child.translation),
         orientation: quaternion_of(parent_from_child),
     }
 }
@@ -25,14 +21,29 @@ pub fn pose_of(parent_from_child: &Se3) -> Pose {
 /// A transform between the frame of the header and its child, m.
 #[must_use]
 pub fn transform_of(header: Header, child: &str, parent_from_child: &Se3) -> TransformStamped {
-    let at = parent_from_child.translation;
     TransformStamped {
         header,
         child_frame_id: child.to_owned(),
         transform: Transform {
-            translation: vector_of(at.x, at.y, at.z),
+            translation: vector_of(&parent_from_child.translation),
             rotation: quaternion_of(parent_from_child),
         },
+    }
+}
+
+/// Poses in the frame of the header, m, with their times.
+#[must_use]
+pub fn path_of(header: Header, poses: impl IntoIterator<Item = (Time, Se3)>) -> Path {
+    let stamped = |(stamp, pose): (Time, Se3)| PoseStamped {
+        header: Header {
+            stamp,
+            frame_id: header.frame_id.clone(),
+        },
+        pose: pose_of(&pose),
+    };
+    Path {
+        poses: poses.into_iter().map(stamped).collect(),
+        header,
     }
 }
 
@@ -50,15 +61,11 @@ pub fn odometry_of(
         let moved = last_from_this.rotation.inverse() * last_from_this.translation / seconds;
         let turned = rotation_log(&last_from_this.rotation) / seconds;
         Twist {
-            linear: vector_of(moved.x, moved.y, moved.z),
-            angular: vector_of(turned.x, turned.y, turned.z),
+            linear: vector_of(&moved),
+            angular: vector_of(&turned),
         }
     });
-    let deviations = if step.is_some() {
-        VELOCITY_DEVIATIONS
-    } else {
-        [UNKNOWN_DEVIATION; 2]
-    };
+    let deviations = step.map_or([UNKNOWN_DEVIATION; 2], |_| VELOCITY_DEVIATIONS);
     Odometry {
         header,
         child_frame_id: child.to_owned(),
@@ -91,7 +98,8 @@ fn diagonal([along, around]: [f64; 2]) -> Covariance {
     covariance
 }
 
-fn vector_of(x: f64, y: f64, z: f64) -> Vector3 {
+fn vector_of(v: &Vec3) -> Vector3 {
+    let [x, y, z] = (*v).into();
     Vector3 { x, y, z }
 }
 
@@ -103,7 +111,7 @@ fn quaternion_of(pose: &Se3) -> Quaternion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_geometry::{Rotation, Vec3, rotation_exp};
+    use monogrid_geometry::{Rotation, rotation_exp};
     use std::f64::consts::FRAC_PI_2;
 
     #[test]

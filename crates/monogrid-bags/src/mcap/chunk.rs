@@ -1,8 +1,7 @@
 //! A chunk while it grows.
 
 use super::op;
-use super::output::Output;
-use super::record::Record;
+use super::record::{Output, Record};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
@@ -24,33 +23,19 @@ impl TimeSpan {
 /// Records that are written together.
 #[derive(Debug, Default)]
 pub struct Chunk {
-    records: Vec<u8>,
+    pub records: Vec<u8>,
     times: TimeSpan,
     /// Time of each message, and where it begins in the records, by channel.
     messages: BTreeMap<u16, Vec<(u64, u64)>>,
 }
 
 impl Chunk {
-    /// Bytes of its records.
-    pub fn len(&self) -> usize {
-        self.records.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.records.is_empty()
-    }
-
-    /// Adds a schema or a channel.
-    pub fn push(&mut self, record: &[u8]) {
-        self.records.extend_from_slice(record);
-    }
-
     /// Adds a message of this time, ns.
     pub fn push_message(&mut self, channel: u16, time: u64, record: &[u8]) {
         let entry = (time, self.records.len() as u64);
         self.messages.entry(channel).or_default().push(entry);
         self.times.add(time);
-        self.push(record);
+        self.records.extend_from_slice(record);
     }
 
     /// Writes it and the indexes of its messages; the record of the summary that says where.
@@ -67,7 +52,7 @@ impl Chunk {
             .raw(&self.records)
             .finish()?;
         let start = out.write(&chunk)?;
-        let end = out.position();
+        let end = out.position;
         let indexes = self.write_indexes(out)?;
         Record::new(op::CHUNK_INDEX)
             .u64(first)
@@ -75,7 +60,7 @@ impl Chunk {
             .u64(start)
             .u64(end - start)
             .list(indexes, |list, (channel, at)| list.u16(channel).u64(at))
-            .u64(out.position() - end)
+            .u64(out.position - end)
             .text("")
             .u64(size)
             .u64(size)

@@ -2,7 +2,6 @@
 //! all little endian; messages lie in chunks, and behind them a summary says where.
 
 mod chunk;
-mod output;
 mod read;
 mod record;
 mod summary;

@@ -3,14 +3,13 @@
 
 use super::{MAGIC, op};
 use crate::bag::{Messages, TopicKind};
-use crate::chunks::{InChunks, Records, block, unpacked};
+use crate::chunks::{block, in_chunks, unpacked};
 use crate::error::BagError;
 use crate::fields::Fields;
 use crate::message::{Raw, Wire};
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{self, BufReader, Read};
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -25,7 +24,7 @@ pub fn messages(path: &Path) -> Result<Messages, BagError> {
     records
         .expect_magic()
         .map_err(|reason| BagError::damaged(path, reason))?;
-    Ok(Box::new(InChunks::new(records, path.to_owned())))
+    Ok(in_chunks(path, move |messages| records.read_on(messages)))
 }
 
 struct Channel {
@@ -41,25 +40,21 @@ struct McapMessages {
     channels: HashMap<u16, Channel>,
 }
 
-impl Records for McapMessages {
-    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<ControlFlow<()>, String> {
+impl McapMessages {
+    /// Reads the next record and takes what it says; whether it was not the last one.
+    fn read_on(&mut self, messages: &mut VecDeque<Raw>) -> Result<bool, String> {
         let mut head = [0; 9];
         self.file.read_exact(&mut head).map_err(cut)?;
         let [opcode, length @ ..] = head;
         let body = block(&mut self.file, u64::from_le_bytes(length))?;
         match opcode {
             op::CHUNK => self.take_chunk(Fields(&body), messages)?,
-            op::FOOTER => {
-                self.expect_magic()?;
-                return Ok(ControlFlow::Break(()));
-            }
+            op::FOOTER => self.expect_magic()?,
             _ => self.take(opcode, Fields(&body), messages)?,
         }
-        Ok(ControlFlow::Continue(()))
+        Ok(opcode != op::FOOTER)
     }
-}
 
-impl McapMessages {
     fn expect_magic(&mut self) -> Result<(), String> {
         let mut magic = [0; MAGIC.len()];
         self.file.read_exact(&mut magic).map_err(cut)?;
@@ -73,7 +68,7 @@ impl McapMessages {
     /// Takes what the records of a chunk say.
     fn take_chunk(&mut self, chunk: Fields, messages: &mut VecDeque<Raw>) -> Result<(), String> {
         let (compression, size, data) = chunk_of(chunk).ok_or_else(|| too_short(op::CHUNK))?;
-        let records = decompressed(compression, data, size)?;
+        let records = unpacked(compression, data, size)?;
         let mut rest = Fields(&records);
         while !rest.0.is_empty() {
             let (opcode, body) = record_of(&mut rest).ok_or("a chunk ends within a record")?;
@@ -160,22 +155,6 @@ fn message_of(mut message: Fields<'_>) -> Option<(u16, u64, &[u8])> {
     let (channel, _sequence) = (message.u16()?, message.u32()?);
     let (log_time, _publish_time) = (message.u64()?, message.u64()?);
     Some((channel, log_time, message.0))
-}
-
-/// The records of a chunk.
-fn decompressed(compression: &str, data: &[u8], size: u64) -> Result<Vec<u8>, String> {
-    match compression {
-        "" => unpacked("none", data, size),
-        "zstd" => {
-            let decoder = ruzstd::decoding::StreamingDecoder::new(data);
-            let decoder = decoder.map_err(|error| format!("a chunk is not zstd: {error}"))?;
-            unpacked(compression, decoder, size)
-        }
-        "lz4" => unpacked(compression, lz4_flex::frame::FrameDecoder::new(data), size),
-        other => Err(format!(
-            "compression {other:?} is not supported, expected zstd or lz4"
-        )),
-    }
 }
 
 #[cfg(test)]

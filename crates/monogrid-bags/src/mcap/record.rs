@@ -1,6 +1,7 @@
-//! The bytes of a record.
+//! The bytes of a record, and the file to which they are appended.
 
-use std::io;
+use crc32fast::Hasher;
+use std::io::{self, Write};
 
 /// Bytes before the fields: opcode and length.
 const HEAD_BYTES: usize = 9;
@@ -66,6 +67,38 @@ impl Record {
         }
         self.0[1..HEAD_BYTES].copy_from_slice(&(length as u64).to_le_bytes());
         Ok(self.0)
+    }
+}
+
+/// A file that is only ever appended to: counts what is written, so that nobody has to seek, and keeps its checksum.
+pub struct Output<W> {
+    pub out: W,
+    /// Bytes from the beginning.
+    pub position: u64,
+    crc: Hasher,
+}
+
+impl<W: Write> Output<W> {
+    pub fn new(out: W) -> Self {
+        Self {
+            out,
+            position: 0,
+            crc: Hasher::new(),
+        }
+    }
+
+    /// Appends bytes; where they begin.
+    pub fn write(&mut self, bytes: &[u8]) -> io::Result<u64> {
+        self.out.write_all(bytes)?;
+        self.crc.update(bytes);
+        let start = self.position;
+        self.position += bytes.len() as u64;
+        Ok(start)
+    }
+
+    /// CRC-32 of everything so far.
+    pub fn crc(&self) -> u32 {
+        self.crc.clone().finalize()
     }
 }
 

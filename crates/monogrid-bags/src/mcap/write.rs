@@ -1,8 +1,7 @@
 //! Messages into MCAP files, as Foxglove, Rerun and rosbag2 read them.
 
 use super::chunk::Chunk;
-use super::output::Output;
-use super::record::Record;
+use super::record::{Output, Record};
 use super::summary::Summary;
 use super::{MAGIC, op};
 use monogrid_messages::{RosMessage, cdr, definition};
@@ -67,7 +66,7 @@ impl<W: Write> McapWriter<W> {
     ) -> io::Result<()> {
         let body = cdr::to_vec(message).map_err(io::Error::other)?;
         let channel = self.channel::<M>(topic)?;
-        if self.chunk.len() > CHUNK_BYTES {
+        if self.chunk.records.len() > CHUNK_BYTES {
             self.close_chunk()?;
         }
         let time = u64::try_from(time_ns).unwrap_or(0);
@@ -98,7 +97,7 @@ impl<W: Write> McapWriter<W> {
             .text("cdr")
             .bytes(&[]) // no facts about it
             .finish()?;
-        self.chunk.push(&record);
+        self.chunk.records.extend_from_slice(&record);
         self.summary.channels.push(&record);
         self.channels.insert(topic.to_owned(), id);
         Ok(id)
@@ -116,7 +115,7 @@ impl<W: Write> McapWriter<W> {
         let id = self.summary.schemas.next_id()?;
         let record = Record::new(op::SCHEMA).u16(id).text(&name);
         let record = record.text("ros2msg").text(&text).finish()?;
-        self.chunk.push(&record);
+        self.chunk.records.extend_from_slice(&record);
         self.summary.schemas.push(&record);
         self.schemas.insert(name, id);
         Ok(id)
@@ -140,7 +139,7 @@ impl<W: Write> McapWriter<W> {
     }
 
     fn close_chunk(&mut self) -> io::Result<()> {
-        if !self.chunk.is_empty() {
+        if !self.chunk.records.is_empty() {
             let chunk = std::mem::take(&mut self.chunk);
             self.summary.chunks.push(&chunk.write(&mut self.out)?);
         }
@@ -155,9 +154,9 @@ impl<W: Write> McapWriter<W> {
         self.close_chunk()?;
         let data_end = Record::new(op::DATA_END).u32(self.out.crc()).finish()?;
         self.out.write(&data_end)?;
-        let summary = self.summary.bytes(self.out.position())?;
+        let summary = self.summary.bytes(self.out.position)?;
         self.out.write(&summary)?;
         self.out.write(MAGIC)?;
-        self.out.flush()
+        self.out.out.flush()
     }
 }

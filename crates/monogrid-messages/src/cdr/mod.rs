@@ -3,7 +3,8 @@
 //! The rules are those of DDSI-RTPS 2.5, clause 10, and of OMG DDS-XTypes 1.3, clause 7.4.1 (`PLAIN_CDR`): a number begins at a
 //! multiple of its size, counted from the first byte of the body; a string is its length (`u32`, with the 0 at its end) and its
 //! bytes; a sequence is the number of its elements (`u32`) and these; arrays and structs are their elements alone. The four bytes
-//! of encapsulation that stand before a body are not part of it and left to whoever reads or writes them.
+//! of encapsulation that stand before a body are not part of it and left to whoever reads or writes them. What ROS 1 stores differs
+//! from that in little, and is read too.
 //!
 //! Only what messages of ROS are made of is known; anything else is [`CdrError::Unsupported`].
 //!
@@ -20,10 +21,10 @@
 mod read;
 mod write;
 
-pub use read::from_bytes;
+pub use read::{from_bytes, from_ros1};
 pub use write::to_vec;
 
-use std::fmt::{self, Display, Formatter};
+use std::fmt::Display;
 use std::str::Utf8Error;
 
 /// Which byte of a number comes first.
@@ -36,10 +37,11 @@ pub enum ByteOrder {
 }
 
 /// Why bytes are no message, or a message cannot become bytes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CdrError {
     /// The bytes end within a field.
+    #[error("a field needs {needed} bytes, {left} are left")]
     TooShort {
         /// Bytes of the field.
         needed: usize,
@@ -47,6 +49,7 @@ pub enum CdrError {
         left: usize,
     },
     /// A sequence claims more elements than bytes are left.
+    #[error("a sequence claims {claimed} elements, {left} bytes are left")]
     TooManyElements {
         /// Elements that are claimed.
         claimed: u32,
@@ -54,42 +57,24 @@ pub enum CdrError {
         left: usize,
     },
     /// A boolean that is neither 0 nor 1.
+    #[error("a boolean is {0}, expected 0 or 1")]
     NoBoolean(u8),
     /// A string whose last byte, which is given here, is not 0.
+    #[error("a string ends in {0}, expected 0")]
     NotTerminated(u8),
     /// A string that is not UTF-8.
+    #[error("a string is not UTF-8: {0}")]
     NoText(Utf8Error),
     /// A string or sequence that is longer than 32 bits can say.
+    #[error("a length of {0} does not fit into 32 bits")]
     TooLong(usize),
     /// Something that no message of ROS contains.
+    #[error("messages of ROS have no {0}")]
     Unsupported(&'static str),
     /// What the type says itself.
+    #[error("{0}")]
     Other(String),
 }
-
-impl Display for CdrError {
-    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
-        match self {
-            Self::TooShort { needed, left } => {
-                write!(f, "a field needs {needed} bytes, {left} are left")
-            }
-            Self::TooManyElements { claimed, left } => {
-                write!(
-                    f,
-                    "a sequence claims {claimed} elements, {left} bytes are left"
-                )
-            }
-            Self::NoBoolean(byte) => write!(f, "a boolean is {byte}, expected 0 or 1"),
-            Self::NotTerminated(byte) => write!(f, "a string ends in {byte}, expected 0"),
-            Self::NoText(error) => write!(f, "a string is not UTF-8: {error}"),
-            Self::TooLong(length) => write!(f, "a length of {length} does not fit into 32 bits"),
-            Self::Unsupported(what) => write!(f, "messages of ROS have no {what}"),
-            Self::Other(reason) => f.write_str(reason),
-        }
-    }
-}
-
-impl std::error::Error for CdrError {}
 
 impl serde::ser::Error for CdrError {
     fn custom<T: Display>(reason: T) -> Self {

@@ -2,14 +2,31 @@
 
 use super::{ByteOrder, CdrError};
 use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor};
+use std::borrow::Cow;
 
 /// The message at the beginning of a body. Bytes behind it, as some writers append them to fill up a packet, are left alone.
 ///
 /// # Errors
 /// What is too short or no such message, and types that messages of ROS do not have.
 pub fn from_bytes<M: DeserializeOwned>(body: &[u8], order: ByteOrder) -> Result<M, CdrError> {
-    let mut reader = Reader { body, at: 0, order };
-    M::deserialize(&mut reader)
+    read(body, order, false)
+}
+
+/// The message at the beginning of what ROS 1 stored: nothing is aligned, strings have no 0 at their end, headers begin with a number.
+///
+/// # Errors
+/// As of [`from_bytes`].
+pub fn from_ros1<M: DeserializeOwned>(body: &[u8]) -> Result<M, CdrError> {
+    read(body, ByteOrder::Little, true)
+}
+
+fn read<M: DeserializeOwned>(body: &[u8], order: ByteOrder, is_ros1: bool) -> Result<M, CdrError> {
+    M::deserialize(&mut Reader {
+        body,
+        at: 0,
+        order,
+        is_ros1,
+    })
 }
 
 struct Reader<'de> {
@@ -17,6 +34,7 @@ struct Reader<'de> {
     /// How much is read; padding before a number may lead behind the end.
     at: usize,
     order: ByteOrder,
+    is_ros1: bool,
 }
 
 impl<'de> Reader<'de> {
@@ -24,22 +42,20 @@ impl<'de> Reader<'de> {
         self.body.len().saturating_sub(self.at)
     }
 
-    fn take(&mut self, length: usize) -> Result<&'de [u8], CdrError> {
-        let too_short = CdrError::TooShort {
-            needed: length,
-            left: self.left(),
-        };
+    fn take(&mut self, needed: usize) -> Result<&'de [u8], CdrError> {
+        let left = self.left();
         let rest = self.body.get(self.at..);
-        let (bytes, _) = rest
-            .and_then(|rest| rest.split_at_checked(length))
-            .ok_or(too_short)?;
-        self.at += length;
+        let bytes = rest.and_then(|rest| rest.get(..needed));
+        let bytes = bytes.ok_or(CdrError::TooShort { needed, left })?;
+        self.at += needed;
         Ok(bytes)
     }
 
     /// The bytes of a number, the lowest first.
     fn number<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
-        self.at = self.at.next_multiple_of(N);
+        if !self.is_ros1 {
+            self.at = self.at.next_multiple_of(N);
+        }
         let mut bytes = [0; N];
         bytes.copy_from_slice(self.take(N)?);
         if self.order == ByteOrder::Big {
@@ -58,14 +74,19 @@ impl<'de> Reader<'de> {
         self.take(length as usize)
     }
 
-    fn text(&mut self) -> Result<&'de str, CdrError> {
-        let text = match self.bytes()?.split_last() {
+    fn text(&mut self) -> Result<Cow<'de, str>, CdrError> {
+        let bytes = self.bytes()?;
+        if self.is_ros1 {
+            return Ok(String::from_utf8_lossy(bytes));
+        }
+        let text = match bytes.split_last() {
             // some writers leave the 0 of an empty string out
             None => &[],
             Some((0, text)) => text,
             Some((last, _)) => return Err(CdrError::NotTerminated(*last)),
         };
-        std::str::from_utf8(text).map_err(CdrError::NoText)
+        let text = std::str::from_utf8(text).map_err(CdrError::NoText)?;
+        Ok(text.into())
     }
 }
 
@@ -73,14 +94,6 @@ macro_rules! numbers {
     ($($method:ident -> $visit:ident($type:ty)),*) => {$(
         fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
             visitor.$visit(<$type>::from_le_bytes(self.number()?))
-        }
-    )*};
-}
-
-macro_rules! same_as {
-    ($($method:ident = $other:ident),*) => {$(
-        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
-            self.$other(visitor)
         }
     )*};
 }
@@ -110,35 +123,34 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
         match self.number()? {
             [0] => visitor.visit_bool(false),
-            [1] => visitor.visit_bool(true),
+            [other] if other == 1 || self.is_ros1 => visitor.visit_bool(true),
             [other] => Err(CdrError::NoBoolean(other)),
         }
     }
 
-    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
-        visitor.visit_borrowed_str(self.text()?)
+    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
+        visitor.visit_str(&self.text()?)
     }
 
-    fn deserialize_bytes<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
+    fn deserialize_byte_buf<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
         visitor.visit_borrowed_bytes(self.bytes()?)
     }
-
-    same_as! { deserialize_string = deserialize_str, deserialize_byte_buf = deserialize_bytes }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, CdrError> {
         let claimed = self.u32()?;
         let bytes_left = self.left();
-        // an element has a byte or more, see Sequence
+        // an element has a byte or more, see Elements
         if claimed as usize > bytes_left {
             return Err(CdrError::TooManyElements {
                 claimed,
                 left: bytes_left,
             });
         }
-        visitor.visit_seq(Sequence(Elements {
+        visitor.visit_seq(Elements {
             reader: self,
             left: claimed as usize,
-        }))
+            is_sequence: true,
+        })
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(
@@ -146,24 +158,22 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
         left: usize,
         visitor: V,
     ) -> Result<V::Value, CdrError> {
-        visitor.visit_seq(Elements { reader: self, left })
-    }
-
-    fn deserialize_tuple_struct<V: Visitor<'de>>(
-        self,
-        _: Name,
-        length: usize,
-        visitor: V,
-    ) -> Result<V::Value, CdrError> {
-        self.deserialize_tuple(length, visitor)
+        visitor.visit_seq(Elements {
+            reader: self,
+            left,
+            is_sequence: false,
+        })
     }
 
     fn deserialize_struct<V: Visitor<'de>>(
         self,
-        _: Name,
+        name: Name,
         fields: Names,
         visitor: V,
     ) -> Result<V::Value, CdrError> {
+        if self.is_ros1 && name == "Header" {
+            let _number = self.u32()?;
+        }
         self.deserialize_tuple(fields.len(), visitor)
     }
 
@@ -182,9 +192,12 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
         deserialize_i128(), "number of 128 bits";
         deserialize_u128(), "number of 128 bits";
         deserialize_char(), "character";
+        deserialize_str(), "text of others";
+        deserialize_bytes(), "bytes of others";
         deserialize_option(), "optional value";
         deserialize_unit(), "unit";
         deserialize_unit_struct(Name), "unit";
+        deserialize_tuple_struct(Name, usize), "tuple with a name";
         deserialize_enum(Name, Names), "enum";
         deserialize_map(), "map";
     }
@@ -194,10 +207,12 @@ impl<'de> Deserializer<'de> for &mut Reader<'de> {
     }
 }
 
-/// Elements of an array or fields of a struct: as many as the type has.
+/// Elements of an array or fields of a struct, as many as the type has; or those of a sequence, as many as the bytes claim, each of which must
+/// have bytes, or a few bytes could claim billions.
 struct Elements<'a, 'de> {
     reader: &'a mut Reader<'de>,
     left: usize,
+    is_sequence: bool,
 }
 
 impl<'de> SeqAccess<'de> for Elements<'_, 'de> {
@@ -211,33 +226,15 @@ impl<'de> SeqAccess<'de> for Elements<'_, 'de> {
             return Ok(None);
         };
         self.left = left;
-        seed.deserialize(&mut *self.reader).map(Some)
+        let before = self.reader.at;
+        let element = seed.deserialize(&mut *self.reader)?;
+        if self.is_sequence && self.reader.at == before {
+            return Err(CdrError::Unsupported("sequence of elements without bytes"));
+        }
+        Ok(Some(element))
     }
 
     fn size_hint(&self) -> Option<usize> {
         Some(self.left)
-    }
-}
-
-/// Elements of a sequence: as many as the bytes claim. Each must have bytes, or a few bytes could claim billions.
-struct Sequence<'a, 'de>(Elements<'a, 'de>);
-
-impl<'de> SeqAccess<'de> for Sequence<'_, 'de> {
-    type Error = CdrError;
-
-    fn next_element_seed<T: DeserializeSeed<'de>>(
-        &mut self,
-        seed: T,
-    ) -> Result<Option<T::Value>, CdrError> {
-        let before = self.0.reader.at;
-        let element = self.0.next_element_seed(seed)?;
-        if element.is_some() && self.0.reader.at == before {
-            return Err(CdrError::Unsupported("sequence of elements without bytes"));
-        }
-        Ok(element)
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        self.0.size_hint()
     }
 }

@@ -2,9 +2,7 @@
 
 use super::CdrError;
 use serde::Serialize;
-use serde::ser::{
-    Impossible, SerializeSeq, SerializeStruct, SerializeTuple, SerializeTupleStruct, Serializer,
-};
+use serde::ser::{Impossible, SerializeSeq, SerializeStruct, SerializeTuple, Serializer};
 
 /// The body of a message, little endian.
 ///
@@ -59,8 +57,8 @@ impl Serializer for &mut Writer {
     type Error = CdrError;
     type SerializeSeq = Self;
     type SerializeTuple = Self;
-    type SerializeTupleStruct = Self;
     type SerializeStruct = Self;
+    type SerializeTupleStruct = Never;
     type SerializeTupleVariant = Never;
     type SerializeMap = Never;
     type SerializeStructVariant = Never;
@@ -98,10 +96,6 @@ impl Serializer for &mut Writer {
         Ok(self)
     }
 
-    fn serialize_tuple_struct(self, _: Name, _length: usize) -> Result<Self, CdrError> {
-        Ok(self)
-    }
-
     fn serialize_struct(self, _: Name, _length: usize) -> Result<Self, CdrError> {
         Ok(self)
     }
@@ -122,6 +116,7 @@ impl Serializer for &mut Writer {
         serialize_unit() -> (), "unit";
         serialize_unit_struct(Name) -> (), "unit";
         serialize_unit_variant(Name, u32, Name) -> (), "enum";
+        serialize_tuple_struct(Name, usize) -> Never, "tuple with a name";
         serialize_tuple_variant(Name, u32, Name, usize) -> Never, "enum";
         serialize_struct_variant(Name, u32, Name, usize) -> Never, "enum";
         serialize_map(Option<usize>) -> Never, "map";
@@ -171,6 +166,5 @@ macro_rules! in_order {
 in_order! {
     SerializeSeq::serialize_element(),
     SerializeTuple::serialize_element(),
-    SerializeTupleStruct::serialize_field(),
     SerializeStruct::serialize_field(Name)
 }

@@ -1,7 +1,7 @@
 //! Capturing from a V4L2 camera.
 
 use super::CameraInfo;
-use super::convert::{BufferLayout, FORMATS, PixelFormat, colour, grey_image};
+use super::convert::{BufferLayout, FORMATS, PixelFormat, decoded};
 use crate::turn::Turn;
 use crate::{Opened, VideoError, VideoFrame};
 use moq_v4l::buffer::Type;
@@ -33,21 +33,16 @@ const LOCKS: [(u32, i64, &str); 3] = [
 
 /// The cameras whose device files lie in a folder.
 pub(super) fn list(folder: &Path) -> Vec<CameraInfo> {
-    let mut paths: Vec<(u32, PathBuf)> = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .filter_map(|entry| {
-            let entry = entry.ok()?;
-            let name = entry.file_name();
-            let number = name.to_str()?.strip_prefix("video")?.parse().ok()?;
-            Some((number, entry.path()))
-        })
-        .collect();
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let numbered = entries.filter_map(|entry| {
+        let name = entry.file_name();
+        let number = name.to_str()?.strip_prefix("video")?.parse().ok()?;
+        Some((number, entry.path()))
+    });
+    let mut paths: Vec<(u32, PathBuf)> = numbered.collect();
     paths.sort();
-    paths
-        .into_iter()
-        .filter_map(|(_, path)| describe(path))
-        .collect()
+    let paths = paths.into_iter();
+    paths.filter_map(|(_, path)| describe(path)).collect()
 }
 
 /// `None` for devices that are no cameras, or have no format that can be used.
@@ -57,10 +52,8 @@ fn describe(path: PathBuf) -> Option<CameraInfo> {
     let mut modes = Vec::new();
     for (_, code) in usable_formats(&device) {
         let label = String::from_utf8_lossy(&code).into_owned();
-        for size in device
-            .enum_framesizes(FourCC::new(&code))
-            .unwrap_or_default()
-        {
+        let sizes = device.enum_framesizes(FourCC::new(&code));
+        for size in sizes.unwrap_or_default() {
             modes.push(match size.size {
                 FrameSizeEnum::Discrete(s) => format!("{}x{} {label}", s.width, s.height),
                 FrameSizeEnum::Stepwise(s) => {
@@ -167,15 +160,13 @@ impl Iterator for CameraFrames {
             PixelFormat::Mjpeg => buffer.get(..metadata.bytesused as usize).unwrap_or(buffer),
             PixelFormat::Yuyv | PixelFormat::Grey => buffer,
         };
-        let image = grey_image(filled, self.layout, &self.name);
-        Some(match image {
-            Ok(image) => Ok(VideoFrame {
-                image,
-                colour: colour(filled, self.layout),
-                timestamp_ns: now_us.saturating_sub(begin_us).saturating_mul(1000),
-            }),
-            Err(reason) => Err(VideoError::frame(&self.name, number, reason)),
-        })
+        let decoded = decoded(filled, self.layout, &self.name);
+        let frame = decoded.map(|(image, colour)| VideoFrame {
+            image,
+            colour,
+            timestamp_ns: now_us.saturating_sub(begin_us).saturating_mul(1000),
+        });
+        Some(frame.map_err(|reason| VideoError::frame(&self.name, number, reason)))
     }
 }
 

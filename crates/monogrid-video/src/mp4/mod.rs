@@ -56,22 +56,15 @@ impl Timing {
     }
 }
 
-/// What a file holds.
-pub(crate) enum Content {
-    /// H.264 that can be read sample by sample.
-    H264(Box<Track>),
-    /// Something else, for people.
-    Other(String),
-}
-
-/// Reads the index of a file.
-pub(crate) fn read(name: &str, file: &mut File, file_bytes: u64) -> Result<Content, VideoError> {
-    let Some(index) = read_index(file, file_bytes).map_err(|e| VideoError::io(name, e))? else {
-        return Err(content(
-            name,
-            "no index (moov): the recording was not finished",
-        ));
-    };
+/// Reads the index of a file: its track of H.264, or what there is instead, for people.
+pub(crate) fn read(
+    name: &str,
+    file: &mut File,
+    file_bytes: u64,
+) -> Result<Result<Track, String>, VideoError> {
+    let index = read_index(file, file_bytes).map_err(|e| VideoError::io(name, e))?;
+    let no_index = || content(name, "no index (moov): the recording was not finished");
+    let index = index.ok_or_else(no_index)?;
     let mut movie_units_per_second = 1000;
     let mut other = None;
     for (kind, bytes) in children(&index) {
@@ -81,21 +74,19 @@ pub(crate) fn read(name: &str, file: &mut File, file_bytes: u64) -> Result<Conte
             movie_units_per_second = header.timescale.get();
         }
         if kind == BoxType::Normal(*b"mvex") {
-            return Ok(Content::Other("MP4 in fragments".to_owned()));
+            return Ok(Err("MP4 in fragments".to_owned()));
         }
         if kind == TrakBox::TYPE && is_video(bytes) {
-            let Ok((track, _)) = TrakBox::decode(bytes) else {
-                other = Some("an unusual video track".to_owned());
-                continue;
-            };
-            match open_track(track, movie_units_per_second, file_bytes) {
-                Ok(track) => return Ok(Content::H264(Box::new(track))),
+            let track = TrakBox::decode(bytes).map_err(|_| "an unusual video track".to_owned());
+            match track.and_then(|(track, _)| open_track(track, movie_units_per_second, file_bytes))
+            {
+                Ok(track) => return Ok(Ok(track)),
                 Err(found) => other = other.or(Some(found)),
             }
         }
     }
     other
-        .map(Content::Other)
+        .map(Err)
         .ok_or_else(|| content(name, "no video track"))
 }
 

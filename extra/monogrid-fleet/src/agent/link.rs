@@ -40,7 +40,11 @@ impl Link {
     /// # Errors
     /// [`LinkError::Lost`].
     pub fn open(server: &str) -> Result<Self, LinkError> {
-        let session = zenoh::open(client(server)?).wait()?;
+        let mut config = alone()?;
+        config.insert_json5("mode", "\"client\"")?;
+        let endpoints = serde_json::json!([server]).to_string();
+        config.insert_json5("connect/endpoints", &endpoints)?;
+        let session = zenoh::open(config).wait()?;
         let fleet = session.declare_subscriber(format!("{PREFIX}/fleet"));
         // only the newest counts
         let fleet = fleet.with(RingChannel::new(1)).wait()?;
@@ -48,21 +52,13 @@ impl Link {
     }
 
     /// Delivers a packet, or only asks; what the server misses then.
-    ///
-    /// # Errors
-    /// [`LinkError`].
     pub fn deliver(&self, key: &str, packet: Option<Vec<u8>>) -> Result<Missing, LinkError> {
-        let answer = self.ask(key, packet)?;
-        parsed(&answer)
+        parsed(&self.ask(key, packet)?)
     }
 
     /// What the server knows of all.
-    ///
-    /// # Errors
-    /// [`LinkError`].
     pub fn fleet(&self) -> Result<Fleet, LinkError> {
-        let answer = self.ask(&format!("{PREFIX}/fleet"), None)?;
-        parsed(&answer)
+        parsed(&self.ask(&format!("{PREFIX}/fleet"), None)?)
     }
 
     /// What the server has published since the last call.
@@ -81,30 +77,24 @@ impl Link {
     }
 
     /// The bytes that the server answers.
-    ///
-    /// # Errors
-    /// [`LinkError`].
     pub fn ask(&self, key: &str, payload: Option<Vec<u8>>) -> Result<Vec<u8>, LinkError> {
-        let get = self.session.get(key).timeout(ANSWER_WITHIN);
-        let get = match payload {
-            Some(bytes) => get.payload(bytes),
-            None => get,
-        };
+        let mut get = self.session.get(key).timeout(ANSWER_WITHIN);
+        if let Some(bytes) = payload {
+            get = get.payload(bytes);
+        }
         let replies = get.wait()?;
         let reply = replies.recv_timeout(ANSWER_WITHIN)?;
         let reply = reply.ok_or_else(|| LinkError::Lost("no answer".to_owned()))?;
-        match reply.result() {
-            Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
-            Err(error) => {
-                let text = error.payload().to_bytes();
-                let text = String::from_utf8_lossy(&text).into_owned();
-                // what the way itself says has no words of ours
-                Err(match text.strip_prefix(REFUSED) {
-                    Some(why) => LinkError::Refused(why.to_owned()),
-                    None => LinkError::Lost(text),
-                })
-            }
-        }
+        let error = match reply.result() {
+            Ok(sample) => return Ok(sample.payload().to_bytes().into_owned()),
+            Err(error) => error.payload().to_bytes(),
+        };
+        let text = String::from_utf8_lossy(&error);
+        // what the way itself says has no words of ours
+        Err(match text.strip_prefix(REFUSED) {
+            Some(why) => LinkError::Refused(why.to_owned()),
+            None => LinkError::Lost(text.into_owned()),
+        })
     }
 }
 
@@ -114,17 +104,6 @@ pub const REFUSED: &str = "refused: ";
 fn parsed<T: DeserializeOwned>(answer: &[u8]) -> Result<T, LinkError> {
     serde_json::from_slice(answer)
         .map_err(|error| LinkError::Refused(format!("its answer is not understood: {error}")))
-}
-
-/// Settings of a session that connects to a server and to nothing else.
-fn client(server: &str) -> Result<zenoh::Config, zenoh::Error> {
-    let mut config = alone()?;
-    config.insert_json5("mode", "\"client\"")?;
-    config.insert_json5(
-        "connect/endpoints",
-        &serde_json::json!([server]).to_string(),
-    )?;
-    Ok(config)
 }
 
 /// Settings of a session that finds nobody by itself.

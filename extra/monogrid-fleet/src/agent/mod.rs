@@ -5,14 +5,15 @@ mod packer;
 mod tail;
 
 pub use link::{Link, LinkError, REFUSED, alone};
-pub use packer::{NewestPose, PackConfig, PackError, Packer, changed_share};
-pub use tail::Tail;
+pub use packer::{NewestPose, Packer};
 
 use crate::messages::{AgentPose, BadName, Fleet, RunKey, run_number};
+use crate::packet::PacketError;
 use crate::packet_log::PacketLog;
 use monogrid_datasets::{DatasetError, Record};
 use std::path::Path;
 use std::time::{Duration, Instant};
+use tail::Tail;
 
 /// Time between looks at the recording when there is nothing to deliver.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
@@ -30,8 +31,8 @@ pub struct AgentConfig {
     pub max_bytes_per_s: f64,
     /// After the end of the run the server is tried for so long.
     pub give_up_after: Duration,
-    /// What is delivered how well.
-    pub pack: PackConfig,
+    /// Quality of the JPEG images of keyframes, 1 to 100.
+    pub jpeg_quality: u8,
 }
 
 /// Why an agent cannot go on.
@@ -40,30 +41,15 @@ pub enum AgentError {
     /// The recording is none.
     #[error(transparent)]
     Recording(#[from] DatasetError),
-    /// What was recorded cannot be delivered.
+    /// What was recorded has no packet.
     #[error(transparent)]
-    Pack(#[from] PackError),
+    Packet(#[from] PacketError),
+    /// What was delivered cannot be read back or kept.
+    #[error("the packets that wait cannot be kept in a temporary file: {0}")]
+    Log(#[from] std::io::Error),
     /// The name cannot be one.
     #[error(transparent)]
     Name(#[from] BadName),
-}
-
-/// What an agent has to say while it works.
-#[derive(Clone, Debug, PartialEq)]
-pub enum News {
-    /// The server answers; it misses packets from this one of so many.
-    Connected {
-        /// First missing packet.
-        from: u64,
-        /// Packets that there are.
-        of: u64,
-    },
-    /// The server does not answer any more.
-    Lost(String),
-    /// The server does not take what it is sent; nothing more is delivered.
-    Refused(String),
-    /// The newest keyframe has a pose.
-    Pose(AgentPose),
 }
 
 /// What was delivered.
@@ -115,10 +101,16 @@ impl Agent {
     pub fn new(config: AgentConfig, recording: &Path) -> Result<Self, AgentError> {
         RunKey::new(&config.name, 0)?;
         Ok(Self {
-            tail: Tail::new(recording),
-            packer: Packer::new(config.pack),
-            log: PacketLog::temporary().map_err(PackError::Log)?,
-            pace: Pace::new(config.max_bytes_per_s),
+            tail: Tail {
+                path: recording.to_owned(),
+                ..Tail::default()
+            },
+            packer: Packer::new(config.jpeg_quality),
+            log: PacketLog::temporary()?,
+            pace: Pace {
+                bytes_per_s: config.max_bytes_per_s,
+                ..Pace::default()
+            },
             config,
             session: None,
             run: None,
@@ -132,14 +124,14 @@ impl Agent {
     }
 
     /// Works until the run is over and everything is delivered, or the server was not there for too long after it. `is_over` says whether
-    /// the run has ended, `say` hears what is new.
+    /// the run has ended, `say` hears what is new, in words.
     ///
     /// # Errors
     /// When the recording cannot be read or packed. A link that is lost is no error.
     pub fn work(
         &mut self,
         mut is_over: impl FnMut() -> bool,
-        say: &mut dyn FnMut(&News),
+        say: &mut dyn FnMut(String),
     ) -> Result<Delivered, AgentError> {
         let mut over_since: Option<Instant> = None;
         loop {
@@ -166,31 +158,22 @@ impl Agent {
 
     /// Packs what has been recorded since the last time; whether there was anything.
     fn follow(&mut self) -> Result<bool, AgentError> {
-        let Self {
-            tail,
-            packer,
-            log,
-            session,
-            run,
-            first_ns,
-            config,
-            ..
-        } = self;
-        tail.read(|record| {
-            match (record, &*session) {
-                (Record::Session(_), _) => *session = Some(record.clone()),
-                (Record::Keyframe(first), Some(session)) if run.is_none() => {
-                    *run = Some(RunKey::new(&config.name, run_number(session, record))?);
-                    *first_ns = Some(first.timestamp_ns);
+        self.tail.read(|record| {
+            match (record, &self.session) {
+                (Record::Session(_), _) => self.session = Some(record.clone()),
+                (Record::Keyframe(first), Some(session)) if self.run.is_none() => {
+                    let number = run_number(session, record);
+                    self.run = Some(RunKey::new(&self.config.name, number)?);
+                    self.first_ns = Some(first.timestamp_ns);
                 }
                 _ => {}
             }
-            Ok(packer.pack(record, log)?)
+            self.packer.pack(record, &mut self.log)
         })
     }
 
     /// Sends the next packet, if there is one and the server is there; whether it was sent.
-    fn deliver(&mut self, say: &mut dyn FnMut(&News)) -> bool {
+    fn deliver(&mut self, say: &mut dyn FnMut(String)) -> bool {
         let Some(run) = self.run.clone() else {
             return false;
         };
@@ -209,26 +192,27 @@ impl Agent {
             Ok(has_sent) => has_sent,
             Err(LinkError::Lost(why)) => {
                 if matches!(self.link, LinkState::Up(_)) {
-                    say(&News::Lost(why));
+                    say(format!("the link is lost, the run goes on: {why}"));
                 }
                 self.link = LinkState::Down(Instant::now() + RETRY_AFTER);
                 false
             }
             Err(LinkError::Refused(why)) => {
-                say(&News::Refused(why));
+                say(format!("nothing more is delivered, the run goes on: {why}"));
                 self.link = LinkState::Refused;
                 false
             }
         }
     }
 
-    fn connect(&mut self, run: &RunKey, say: &mut dyn FnMut(&News)) -> Result<(), LinkError> {
+    fn connect(&mut self, run: &RunKey, say: &mut dyn FnMut(String)) -> Result<(), LinkError> {
         let link = Link::open(&self.config.server)?;
         self.next = link.deliver(&run.key("missing"), None)?.from;
         self.fleet = link.fleet()?;
         self.link = LinkState::Up(link);
-        let (from, of) = (self.next, self.log.len());
-        say(&News::Connected { from, of });
+        let of = self.log.len();
+        let waiting = of.saturating_sub(self.next);
+        say(format!("connected; {waiting} of {of} packets wait"));
         Ok(())
     }
 
@@ -253,7 +237,7 @@ impl Agent {
     }
 
     /// Says and publishes where the newest keyframe is, when it or the transform is new.
-    fn tell_pose(&mut self, say: &mut dyn FnMut(&News)) {
+    fn tell_pose(&mut self, say: &mut dyn FnMut(String)) {
         let (Some(newest), Some(run)) = (self.packer.newest_pose(), &self.run) else {
             return;
         };
@@ -275,14 +259,12 @@ impl Agent {
             // the next one comes soon
             let _ = link.publish(&run.key("pose"), text);
         }
-        say(&News::Pose(pose));
+        say(pose.sentence());
     }
 
     fn summary(&self) -> Delivered {
-        let newest_ns = self.packer.newest_pose().map(|pose| pose.timestamp_ns);
-        let recorded_ns = newest_ns
-            .zip(self.first_ns)
-            .map_or(0, |(newest, first)| newest - first);
+        let times = self.packer.newest_pose().zip(self.first_ns);
+        let recorded_ns = times.map_or(0, |(newest, first_ns)| newest.timestamp_ns - first_ns);
         Delivered {
             packets: self.log.len(),
             taken: self.next,
@@ -294,7 +276,7 @@ impl Agent {
 }
 
 /// Lets no more bytes through than a rate allows: after so many bytes it is closed for as long as they take at that rate.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Pace {
     bytes_per_s: f64,
     closed_until: Option<Instant>,
@@ -303,15 +285,6 @@ struct Pace {
 }
 
 impl Pace {
-    fn new(bytes_per_s: f64) -> Self {
-        Self {
-            bytes_per_s,
-            closed_until: None,
-            first_sent: None,
-            last_sent: None,
-        }
-    }
-
     fn is_free(&self, now: Instant) -> bool {
         self.closed_until.is_none_or(|until| now >= until)
     }
@@ -336,7 +309,10 @@ mod tests {
     fn the_pace_is_kept_over_any_time() {
         let begin = Instant::now();
         let at = |ms: u64| begin + Duration::from_millis(ms);
-        let mut pace = Pace::new(1000.0);
+        let mut pace = Pace {
+            bytes_per_s: 1000.0,
+            ..Pace::default()
+        };
         assert!(pace.is_free(begin));
         pace.sent(begin, 500);
         assert!(!pace.is_free(at(499)));

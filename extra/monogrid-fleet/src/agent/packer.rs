@@ -1,44 +1,17 @@
 //! What of a recording is worth delivering.
 
-use crate::packet::{PackedKeyframe, PackedRevision, Packet, PacketError, parts_of};
+use super::AgentError;
+use crate::packet::{PackedKeyframe, PackedRevision, Packet, parts_of};
 use crate::packet_log::PacketLog;
 use monogrid_datasets::{DepthPixel, DepthRevision, PoseSnapshot, Record};
 use monogrid_geometry::{Sim3, rotation_log};
 use std::collections::BTreeMap;
 
-/// What is delivered how well.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PackConfig {
-    /// Quality of the JPEG images of keyframes, 1 to 100.
-    pub jpeg_quality: u8,
-    /// New depth of a keyframe is delivered when at least this share of its pixels, 0 to 1, is new or more than a sigma from what was
-    /// delivered.
-    pub min_changed_pixels: f64,
-    /// A new pose is delivered when it differs from the one that was by at least this: rad, units of the keyframe, or share of its unit, 0 or
-    /// more. At the end of a run all poses are delivered exactly.
-    pub min_moved: f64,
-}
-
-impl Default for PackConfig {
-    fn default() -> Self {
-        Self {
-            jpeg_quality: 75,
-            min_changed_pixels: 0.25,
-            min_moved: 1e-3,
-        }
-    }
-}
-
-/// Why a record was not packed.
-#[derive(Debug, thiserror::Error)]
-pub enum PackError {
-    /// It has no packet.
-    #[error(transparent)]
-    Packet(#[from] PacketError),
-    /// What was delivered cannot be read back or kept.
-    #[error("the packets that wait cannot be kept in a temporary file: {0}")]
-    Log(#[from] std::io::Error),
-}
+/// New depth of a keyframe is delivered when at least this share of its pixels is new or more than a sigma from what was delivered.
+const MIN_CHANGED_PIXELS: f64 = 0.25;
+/// A new pose is delivered when it differs from the one that was by at least this: rad, units of the keyframe, or share of its unit. At the
+/// end of a run all poses are delivered exactly.
+const MIN_MOVED: f64 = 1e-3;
 
 /// A pose that is new.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +27,7 @@ pub struct NewestPose {
 /// Makes packets of the records of one run, in their order. The same records give the same packets.
 #[derive(Debug)]
 pub struct Packer {
-    config: PackConfig,
+    jpeg_quality: u8,
     keyframes: BTreeMap<u32, Known>,
     /// The newest poses, which the end of the run makes exact.
     newest: Option<PoseSnapshot>,
@@ -72,11 +45,11 @@ struct Known {
 }
 
 impl Packer {
-    /// Before the first record.
+    /// Before the first record; images of keyframes become JPEG of this quality, 1 to 100.
     #[must_use]
-    pub fn new(config: PackConfig) -> Self {
+    pub fn new(jpeg_quality: u8) -> Self {
         Self {
-            config,
+            jpeg_quality,
             keyframes: BTreeMap::new(),
             newest: None,
         }
@@ -86,16 +59,14 @@ impl Packer {
     ///
     /// # Errors
     /// When the record cannot be packed, or the log not be written.
-    pub fn pack(&mut self, record: &Record, log: &mut PacketLog) -> Result<(), PackError> {
+    pub fn pack(&mut self, record: &Record, log: &mut PacketLog) -> Result<(), AgentError> {
         match record {
             Record::Keyframe(keyframe) => {
-                let packed = PackedKeyframe::pack(keyframe, self.config.jpeg_quality)?;
-                let (timestamp_ns, size) = (keyframe.timestamp_ns, packed.size);
-                let depth = append(Packet::Keyframe(packed), log)?;
+                let packed = PackedKeyframe::pack(keyframe, self.jpeg_quality)?;
                 let known = Known {
-                    timestamp_ns,
-                    size,
-                    depth,
+                    timestamp_ns: keyframe.timestamp_ns,
+                    size: packed.size,
+                    depth: append(Packet::Keyframe(packed), log)?,
                     pose: None,
                 };
                 self.keyframes.insert(keyframe.id, known);
@@ -103,7 +74,7 @@ impl Packer {
             Record::Depth(revision) => self.pack_revision(revision, log)?,
             Record::Poses(poses) => {
                 self.newest = Some(poses.clone());
-                self.pack_poses(poses, self.config.min_moved, log)?;
+                self.pack_poses(poses, MIN_MOVED, log)?;
             }
             Record::Continuation(_) => {
                 if let Some(newest) = self.newest.take() {
@@ -135,7 +106,7 @@ impl Packer {
         &mut self,
         revision: &DepthRevision,
         log: &mut PacketLog,
-    ) -> Result<(), PackError> {
+    ) -> Result<(), AgentError> {
         let Some(known) = self.keyframes.get_mut(&revision.keyframe_id) else {
             return Ok(());
         };
@@ -145,7 +116,7 @@ impl Packer {
             Packet::Depth(depth) => depth.unpack()?.pixels,
             Packet::Record(_) => Vec::new(),
         };
-        if changed_share(&before, &revision.pixels) >= self.config.min_changed_pixels {
+        if changed_share(&before, &revision.pixels) >= MIN_CHANGED_PIXELS {
             let packed = PackedRevision::pack(revision, known.size);
             known.depth = append(Packet::Depth(packed), log)?;
         }
@@ -157,34 +128,31 @@ impl Packer {
         poses: &PoseSnapshot,
         min_moved: f64,
         log: &mut PacketLog,
-    ) -> Result<(), PackError> {
+    ) -> Result<(), AgentError> {
         let mut moved = Vec::new();
         for (id, pose) in &poses.poses {
             let Some(known) = self.keyframes.get_mut(id) else {
                 continue;
             };
-            if known
-                .pose
-                .is_none_or(|told| distance(&told, pose) > min_moved)
-            {
+            let told = known.pose;
+            if told.is_none_or(|told| distance(&told, pose) > min_moved) {
                 known.pose = Some(*pose);
                 moved.push((*id, *pose));
             }
         }
-        if !moved.is_empty() {
-            let revision = poses.revision;
-            let poses = moved;
-            append_parts(&Record::Poses(PoseSnapshot { revision, poses }), log)?;
+        if moved.is_empty() {
+            return Ok(());
         }
-        Ok(())
+        let (revision, poses) = (poses.revision, moved);
+        append_parts(&Record::Poses(PoseSnapshot { revision, poses }), log)
     }
 }
 
-fn append(packet: Packet, log: &mut PacketLog) -> Result<u64, PackError> {
+fn append(packet: Packet, log: &mut PacketLog) -> Result<u64, AgentError> {
     Ok(log.append(&packet.encode()?)?)
 }
 
-fn append_parts(record: &Record, log: &mut PacketLog) -> Result<(), PackError> {
+fn append_parts(record: &Record, log: &mut PacketLog) -> Result<(), AgentError> {
     for part in parts_of(record)? {
         append(part, log)?;
     }
@@ -200,8 +168,7 @@ fn distance(a: &Sim3, b: &Sim3) -> f64 {
 }
 
 /// Share of the pixels after a change, and of those that are gone, that are new, gone or differ by more than a sigma. Both are row by row.
-#[must_use]
-pub fn changed_share(before: &[DepthPixel], after: &[DepthPixel]) -> f64 {
+fn changed_share(before: &[DepthPixel], after: &[DepthPixel]) -> f64 {
     let at = |pixel: &DepthPixel| (pixel.y, pixel.x);
     let known: BTreeMap<(u16, u16), &DepthPixel> = before.iter().map(|p| (at(p), p)).collect();
     let is_same = |pixel: &&DepthPixel| {

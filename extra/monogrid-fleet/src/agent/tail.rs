@@ -1,28 +1,19 @@
 //! A recording that is still being written.
 
 use monogrid_datasets::{DatasetError, ReadOptions, Record, RecordingReader};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Reads the records of a recording as they come.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Tail {
-    path: PathBuf,
+    /// The file, which need not exist yet.
+    pub path: PathBuf,
     /// Bytes of the file when it was last looked at.
-    length: u64,
-    whole_until: u64,
+    pub length: u64,
+    pub whole_until: u64,
 }
 
 impl Tail {
-    /// Before the first record; the file need not exist yet.
-    #[must_use]
-    pub fn new(path: &Path) -> Self {
-        Self {
-            path: path.to_owned(),
-            length: 0,
-            whole_until: 0,
-        }
-    }
-
     /// Hands on the records that have become whole since the last call; whether the file has grown.
     ///
     /// # Errors

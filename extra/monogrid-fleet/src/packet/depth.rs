@@ -21,7 +21,8 @@ const MAX_NUMBER_BYTES: usize = 5;
 pub struct PackedDepth {
     /// One bit for each pixel, row by row, the highest bit of a byte first; deflated.
     mask: Vec<u8>,
-    /// `ln(inverse depth) / IDEPTH_STEP` of the pixels of the mask as differences, [numbers](Numbers), deflated.
+    /// `ln(inverse depth) / IDEPTH_STEP` of the pixels of the mask as differences, deflated. Small ones take few bytes, as postcard has them: 2 n, or
+    /// -2 n - 1 of negative ones, seven bits per byte, the lowest first; the highest bit of a byte says that another one follows.
     idepth: Vec<u8>,
     /// The same of `SIGMA_STEPS_PER_OCTAVE * log2(sigma / inverse depth)`.
     sigma: Vec<u8>,
@@ -42,13 +43,14 @@ impl PackedDepth {
         let levels: Vec<[i32; 2]> = image.iter().flatten().filter_map(levels).collect();
         let stream = |which: usize| {
             let mut known = Neighbours::new(&mask, width);
-            let mut numbers = Numbers::default();
+            let mut numbers = Vec::new();
             for level in &levels {
-                let expected = known.expected();
-                numbers.push(level[which].wrapping_sub(expected));
+                let difference = level[which].wrapping_sub(known.expected());
+                // writing into memory does not fail
+                numbers = postcard::to_extend(&difference, numbers).unwrap_or_default();
                 known.next(level[which]);
             }
-            deflated(&numbers.0)
+            deflated(&numbers)
         };
         Self {
             mask: deflated(&bits(&mask)),
@@ -74,12 +76,11 @@ impl PackedDepth {
         }
         let (width, height) = (usize::from(size.0), usize::from(size.1));
         let mask = inflated(&self.mask, (width * height).div_ceil(8))?;
-        let mask: Vec<bool> = (0..width * height)
-            .map(|at| {
-                mask.get(at / 8)
-                    .is_some_and(|byte| byte >> (7 - at % 8) & 1 == 1)
-            })
-            .collect();
+        let is_set = |at: usize| {
+            mask.get(at / 8)
+                .is_some_and(|byte| byte >> (7 - at % 8) & 1 == 1)
+        };
+        let mask: Vec<bool> = (0..width * height).map(is_set).collect();
         let count = mask.iter().filter(|is_set| **is_set).count();
         let stream = |bytes: &[u8]| {
             let bytes = inflated(bytes, count * MAX_NUMBER_BYTES)?;
@@ -87,7 +88,9 @@ impl PackedDepth {
             let mut input = bytes.as_slice();
             let mut levels = Vec::with_capacity(count);
             for _ in 0..count {
-                let level = known.expected().wrapping_add(number(&mut input)?);
+                let (difference, rest) = postcard::take_from_bytes::<i32>(input).ok()?;
+                input = rest;
+                let level = known.expected().wrapping_add(difference);
                 known.next(level);
                 levels.push(level);
             }
@@ -161,10 +164,8 @@ impl<'a> Neighbours<'a> {
     fn expected(&self) -> i32 {
         let has_left = !self.at.is_multiple_of(self.width);
         let level = |back: usize, is_there: bool| {
-            let at = self
-                .at
-                .checked_sub(back)
-                .filter(|at| is_there && self.mask[*at])?;
+            let at = self.at.checked_sub(back);
+            let at = at.filter(|at| is_there && self.mask[*at])?;
             Some(self.levels[at])
         };
         let left = level(1, has_left);
@@ -187,36 +188,6 @@ impl<'a> Neighbours<'a> {
         self.at += 1;
         self.skip();
     }
-}
-
-/// Whole numbers, small ones in few bytes: 2 n, or -2 n - 1 of negative ones, seven bits per byte, the lowest first; the highest bit of a byte
-/// says that another one follows.
-#[derive(Default)]
-struct Numbers(Vec<u8>);
-
-impl Numbers {
-    fn push(&mut self, number: i32) {
-        let mut rest = (number.wrapping_shl(1) ^ (number >> 31)) as u32;
-        while rest >= 0x80 {
-            self.0.push(rest as u8 | 0x80);
-            rest >>= 7;
-        }
-        self.0.push(rest as u8);
-    }
-}
-
-/// The next one of [`Numbers`].
-fn number(input: &mut &[u8]) -> Option<i32> {
-    let mut value: u32 = 0;
-    for byte in 0..MAX_NUMBER_BYTES {
-        let (first, rest) = input.split_first()?;
-        *input = rest;
-        value |= u32::from(first & 0x7f).checked_shl(7 * byte as u32)?;
-        if first & 0x80 == 0 {
-            return Some((value >> 1) as i32 ^ -((value & 1) as i32));
-        }
-    }
-    None
 }
 
 fn bits(mask: &[bool]) -> Vec<u8> {

@@ -15,8 +15,8 @@ pub struct PackedKeyframe {
     pub frame_index: u64,
     /// Time, nanoseconds.
     pub timestamp_ns: i64,
-    /// Its camera, where it is not that of the session.
-    pub camera: Option<PackedCamera>,
+    /// Its camera, where it is not that of the session: fx, fy, cx, cy in px; the centre of the top-left pixel is (0, 0).
+    pub camera: Option<[f64; 4]>,
     /// Width and height of the image, px.
     pub size: (u16, u16),
     /// The undistorted image, a grey JPEG file.
@@ -24,10 +24,6 @@ pub struct PackedKeyframe {
     /// Its depth.
     pub depth: PackedDepth,
 }
-
-/// A camera: fx, fy, cx, cy in px; the centre of the top-left pixel is (0, 0). Its image has the size of the keyframe.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PackedCamera(pub [f64; 4]);
 
 impl PackedKeyframe {
     /// A keyframe with its image as JPEG of this quality (1 to 100).
@@ -45,7 +41,7 @@ impl PackedKeyframe {
             timestamp_ns: record.timestamp_ns,
             camera: record.camera.map(|camera| {
                 let Pinhole { fx, fy, cx, cy } = camera.pinhole;
-                PackedCamera([fx, fy, cx, cy])
+                [fx, fy, cx, cy]
             }),
             size,
             jpeg: encode_jpeg(image, jpeg_quality),
@@ -60,9 +56,8 @@ impl PackedKeyframe {
     pub fn unpack(&self) -> Result<KeyframeRecord, PacketError> {
         let (width, height) = (usize::from(self.size.0), usize::from(self.size.1));
         if !is_plausible(self.size, self.jpeg.len()) {
-            return Err(PacketError::Content(
-                "an image is larger than its bytes can tell",
-            ));
+            let reason = "an image is larger than its bytes can tell";
+            return Err(PacketError::Content(reason));
         }
         let no_image = PacketError::Content("an image is no JPEG file of its size");
         let image = decode_jpeg_luma(&self.jpeg, width * height, Path::new("packet"));
@@ -74,13 +69,11 @@ impl PackedKeyframe {
             id: self.id,
             frame_index: self.frame_index,
             timestamp_ns: self.timestamp_ns,
-            camera: self
-                .camera
-                .map(|PackedCamera([fx, fy, cx, cy])| RecordedCamera {
-                    pinhole: Pinhole::new(fx, fy, cx, cy),
-                    width,
-                    height,
-                }),
+            camera: self.camera.map(|[fx, fy, cx, cy]| RecordedCamera {
+                pinhole: Pinhole::new(fx, fy, cx, cy),
+                width,
+                height,
+            }),
             image: Some(image),
             pixels: self.depth.unpack(self.size)?,
         })

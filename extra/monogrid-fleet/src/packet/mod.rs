@@ -5,7 +5,7 @@ mod keyframe;
 mod part;
 
 pub use depth::{IDEPTH_STEP, PackedDepth, SIGMA_STEPS_PER_OCTAVE};
-pub use keyframe::{PackedCamera, PackedKeyframe};
+pub use keyframe::PackedKeyframe;
 pub use part::{PART_BYTES, RecordPart, Unfinished, parts_of};
 
 use monogrid_datasets::DepthRevision;

@@ -60,9 +60,8 @@ impl Unfinished {
     /// [`PacketError::Content`] where parts do not follow each other, or are no record.
     pub fn take(&mut self, part: &RecordPart) -> Result<Option<Record>, PacketError> {
         if part.index != self.parts || part.index >= part.count {
-            return Err(PacketError::Content(
-                "parts of a record do not follow each other",
-            ));
+            let reason = "parts of a record do not follow each other";
+            return Err(PacketError::Content(reason));
         }
         if part.index + 1 < part.count {
             self.bytes.extend(&part.bytes);

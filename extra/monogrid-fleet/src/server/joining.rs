@@ -1,7 +1,7 @@
 //! Joining of maps, in a process of its own: `monogrid merge-runs` on what has come of all runs.
 
 use super::store::{Store, StoreError, log_file};
-use super::transforms::{Joined, OwnPoses, read_joined};
+use super::transforms::{OwnPoses, Place, read_joined};
 use crate::messages::RunKey;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -32,6 +32,9 @@ pub fn is_due(
 ) -> bool {
     joinable >= 2 && new_keyframes >= config.min_new_keyframes && since_last >= config.every
 }
+
+/// Exit code of `merge-runs`, and of the server, when some maps stay apart.
+pub const APART: i32 = 3;
 
 /// A joining that goes on. Dropping it ends it.
 #[derive(Debug)]
@@ -77,24 +80,19 @@ impl Joining {
     ///
     /// # Errors
     /// When the process cannot be looked at.
-    pub fn ended(&mut self) -> std::io::Result<Option<Result<Joined, String>>> {
+    pub fn ended(&mut self) -> std::io::Result<Option<Result<Vec<Place>, String>>> {
         let Some(status) = self.child.try_wait()? else {
             return Ok(None);
         };
         // the second code says that some maps stay apart
         if !matches!(status.code(), Some(0 | APART)) {
-            let log = self.log.display();
-            return Ok(Some(Err(format!(
-                "merge-runs ended with {status}: see {log}"
-            ))));
+            let why = format!("merge-runs ended with {status}: see {}", self.log.display());
+            return Ok(Some(Err(why)));
         }
         let joined = read_joined(&self.out, &self.own);
         Ok(Some(joined.map_err(|error| error.to_string())))
     }
 }
-
-/// Exit code of `merge-runs` when not everything was joined.
-const APART: i32 = 3;
 
 impl Drop for Joining {
     fn drop(&mut self) {

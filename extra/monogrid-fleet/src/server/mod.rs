@@ -4,16 +4,17 @@ mod joining;
 mod store;
 mod transforms;
 
-pub use joining::{Joining, JoiningConfig, is_due};
-pub use store::{Store, StoreError, StoredRun};
-pub use transforms::{Joined, merged_from_agents, read_joined, similarity_of};
+pub use joining::{APART, JoiningConfig, is_due};
+pub use store::StoreError;
+pub use transforms::similarity_of;
 
 use crate::agent::{REFUSED, alone};
 use crate::messages::{AgentState, Asked, Fleet, Missing, PREFIX, RunKey, Similarity};
-use monogrid_geometry::Sim3;
-use std::collections::BTreeMap;
+use joining::Joining;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
+use store::{Store, StoredRun};
+use transforms::{Place, shared_from_agents};
 use zenoh::handlers::FifoChannelHandler;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
@@ -54,21 +55,6 @@ impl From<zenoh::Error> for ServerError {
     }
 }
 
-/// What a server has to say.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ServerNews {
-    /// A run sends its first packet.
-    Came(String),
-    /// A run has ended, and all of it is here.
-    Ended(String),
-    /// A packet was refused.
-    Refused(String),
-    /// There are new transforms.
-    Placed(Fleet),
-    /// Maps were not joined.
-    NotJoined(String),
-}
-
 /// A server at work.
 pub struct Server {
     config: ServerConfig,
@@ -80,7 +66,7 @@ pub struct Server {
     /// Keyframes that the last joining knew.
     joined_keyframes: u64,
     version: u64,
-    placed: BTreeMap<RunKey, Sim3>,
+    placed: Place,
 }
 
 impl Server {
@@ -105,76 +91,75 @@ impl Server {
             last_joined: Instant::now(),
             joined_keyframes: 0,
             version: 0,
-            placed: BTreeMap::new(),
+            placed: Place::new(),
         })
     }
 
-    /// Works until all runs have ended that were to, or `is_interrupted`; joins everything once more then.
+    /// Works until all runs have ended that were to, or `is_interrupted`; joins everything once more then. `say` hears what is new, in words.
     ///
     /// # Errors
     /// When its files cannot be written.
     pub fn work(
         &mut self,
         is_interrupted: impl Fn() -> bool,
-        say: &mut dyn FnMut(&ServerNews),
+        say: &mut dyn FnMut(String),
     ) -> Result<Fleet, ServerError> {
         loop {
-            if let Ok(Some(question)) = self.questions.recv_timeout(LOOK_EVERY) {
-                self.answer(&question, say)?;
-            }
-            self.take_joined(say)?;
+            self.look(say)?;
             let all = self.config.until_ended;
-            let is_over = all.is_some_and(|all| self.store.num_ended() >= all);
+            let is_over = all.is_some_and(|all| self.store.count(|run| run.known.has_ended) >= all);
             if is_interrupted() || is_over {
                 break;
             }
             let since = self.last_joined.elapsed();
             let new = self.store.num_keyframes() - self.joined_keyframes;
-            let is_idle = self.joining.is_none();
-            if is_idle && is_due(&self.config.joining, since, new, self.store.num_joinable()) {
+            let joinable = self.store.count(StoredRun::is_joinable);
+            if self.joining.is_none() && is_due(&self.config.joining, since, new, joinable) {
                 self.begin_joining()?;
             }
         }
         self.joining = None;
-        if self.store.num_joinable() >= 2 {
+        if self.store.count(StoredRun::is_joinable) >= 2 {
             self.begin_joining()?;
         }
         // agents that wait for an answer get it meanwhile
         while self.joining.is_some() {
-            if let Ok(Some(question)) = self.questions.recv_timeout(LOOK_EVERY) {
-                self.answer(&question, say)?;
-            }
-            self.take_joined(say)?;
+            self.look(say)?;
         }
         Ok(self.fleet())
+    }
+
+    /// Answers a question, or waits for one, and takes up what was joined.
+    fn look(&mut self, say: &mut dyn FnMut(String)) -> Result<(), ServerError> {
+        if let Ok(Some(question)) = self.questions.recv_timeout(LOOK_EVERY) {
+            self.answer(&question, say)?;
+        }
+        self.take_joined(say)
     }
 
     /// What is known of all.
     #[must_use]
     pub fn fleet(&self) -> Fleet {
-        let state = |(key, run): (&RunKey, &StoredRun)| AgentState {
-            run: key.to_string(),
-            packets: run.packets(),
-            keyframes: run.keyframes(),
-            has_ended: run.has_ended(),
-            shared_from_agent: self.placed.get(key).map(Similarity::from),
+        let state = |key: &RunKey| {
+            let run = self.store.runs.get(key)?;
+            Some(AgentState {
+                run: key.to_string(),
+                packets: run.log.len(),
+                keyframes: run.known.frames.len() as u64,
+                has_ended: run.known.has_ended,
+                shared_from_agent: self.placed.get(key).map(Similarity::from),
+            })
         };
         Fleet {
             version: self.version,
-            shared: self.store.first().map(RunKey::to_string),
-            agents: self.store.in_order().map(state).collect(),
+            shared: self.store.order.first().map(RunKey::to_string),
+            agents: self.store.order.iter().filter_map(state).collect(),
         }
     }
 
-    fn answer(
-        &mut self,
-        question: &Query,
-        say: &mut dyn FnMut(&ServerNews),
-    ) -> Result<(), ServerError> {
+    fn answer(&mut self, question: &Query, say: &mut dyn FnMut(String)) -> Result<(), ServerError> {
         let key = question.key_expr().as_str().to_owned();
-        let packet = question
-            .payload()
-            .map(|payload| payload.to_bytes().into_owned());
+        let packet = question.payload().map(|payload| payload.to_bytes());
         let answer = match Asked::of(&key) {
             Some(Asked::Fleet) => Ok(json(&self.fleet())),
             Some(Asked::Missing(run)) => Ok(json(&self.missing(&run))),
@@ -198,7 +183,7 @@ impl Server {
     }
 
     fn missing(&self, run: &RunKey) -> Missing {
-        let from = self.store.run(run).map_or(0, StoredRun::packets);
+        let from = self.store.runs.get(run).map_or(0, |run| run.log.len());
         Missing { from }
     }
 
@@ -208,24 +193,24 @@ impl Server {
         run: &RunKey,
         number: u64,
         packet: &[u8],
-        say: &mut dyn FnMut(&ServerNews),
+        say: &mut dyn FnMut(String),
     ) -> Result<Result<Vec<u8>, String>, ServerError> {
         if number == self.missing(run).from {
-            let had_ended = self.store.run(run).is_some_and(StoredRun::has_ended);
+            let has_ended =
+                |store: &Store| store.runs.get(run).is_some_and(|run| run.known.has_ended);
+            let had_ended = has_ended(&self.store);
             if let Err(error) = self.store.take(run, packet) {
                 let StoreError::Packet(why) = error else {
                     return Err(error.into());
                 };
-                say(&ServerNews::Refused(format!(
-                    "packet {number} of {run}: {why}"
-                )));
+                say(format!("refused: packet {number} of {run}: {why}"));
                 return Ok(Err(why.to_string()));
             }
             if number == 0 {
-                say(&ServerNews::Came(run.to_string()));
+                say(format!("{run} has come"));
             }
-            if !had_ended && self.store.run(run).is_some_and(StoredRun::has_ended) {
-                say(&ServerNews::Ended(run.to_string()));
+            if !had_ended && has_ended(&self.store) {
+                say(format!("{run} has ended"));
             }
         }
         Ok(Ok(json(&self.missing(run))))
@@ -238,32 +223,28 @@ impl Server {
     }
 
     /// Takes up what the process that joins maps has found, once it has ended.
-    fn take_joined(&mut self, say: &mut dyn FnMut(&ServerNews)) -> Result<(), ServerError> {
-        let Some(joining) = &mut self.joining else {
-            return Ok(());
-        };
-        let Some(joined) = joining.ended()? else {
+    fn take_joined(&mut self, say: &mut dyn FnMut(String)) -> Result<(), ServerError> {
+        let ended = self.joining.as_mut().map(Joining::ended).transpose()?;
+        let Some(joined) = ended.flatten() else {
             return Ok(());
         };
         self.joining = None;
         self.last_joined = Instant::now();
         match joined {
             Ok(joined) => {
-                let Some(first) = self.store.first() else {
+                let Some(first) = self.store.order.first() else {
                     return Ok(());
                 };
-                self.placed = joined.shared_from_agents(first);
+                self.placed = shared_from_agents(&joined, first);
                 self.version += 1;
                 let fleet = self.fleet();
                 self.store.write_fleet(&json(&fleet))?;
                 // who is not there asks later
-                let _ = self
-                    .session
-                    .put(format!("{PREFIX}/fleet"), json(&fleet))
-                    .wait();
-                say(&ServerNews::Placed(fleet));
+                let key = format!("{PREFIX}/fleet");
+                let _ = self.session.put(key, json(&fleet)).wait();
+                say(fleet.sentence());
             }
-            Err(why) => say(&ServerNews::NotJoined(why)),
+            Err(why) => say(format!("nothing was joined: {why}")),
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! What has come of the runs of all agents, on disk.
 
-use super::transforms::{Frame, OwnPoses, own_poses};
-use crate::messages::{BadName, RunKey};
+use super::transforms::{Frame, OwnPoses};
+use crate::messages::RunKey;
 use crate::packet::{Packet, PacketError, Unfinished};
 use crate::packet_log::PacketLog;
 use monogrid_datasets::{
@@ -30,14 +30,6 @@ pub enum StoreError {
     /// A recording cannot be written.
     #[error(transparent)]
     Recording(#[from] DatasetError),
-    /// The list of runs is damaged.
-    #[error("{path}: {error}")]
-    List {
-        /// The list.
-        path: PathBuf,
-        /// The line that is wrong.
-        error: BadName,
-    },
 }
 
 /// All runs.
@@ -45,29 +37,32 @@ pub enum StoreError {
 pub struct Store {
     folder: PathBuf,
     /// In the order in which they came.
-    order: Vec<RunKey>,
-    runs: BTreeMap<RunKey, StoredRun>,
+    pub order: Vec<RunKey>,
+    /// Those of which something has come.
+    pub runs: BTreeMap<RunKey, StoredRun>,
 }
 
 /// What has come of a run.
 #[derive(Debug)]
 pub struct StoredRun {
     packets: PathBuf,
-    log: PacketLog,
+    pub log: PacketLog,
     /// The same as a recording, which grows with it; poses are written when it is to be read.
     recording: RecordingWriter,
     file: PathBuf,
-    known: Known,
+    pub known: Known,
 }
 
 /// What its packets say, beside images and depth.
 #[derive(Debug, Default)]
-struct Known {
-    frames: BTreeMap<u32, Frame>,
+pub struct Known {
+    /// The keyframes that have come.
+    pub frames: BTreeMap<u32, Frame>,
     sizes: BTreeMap<u32, (u16, u16)>,
     poses: BTreeMap<u32, Sim3>,
     pose_revision: u64,
-    has_ended: bool,
+    /// Whether the run has ended by itself, and all of it has come.
+    pub has_ended: bool,
     unfinished: Unfinished,
 }
 
@@ -78,9 +73,6 @@ const PACKETS: &str = "packets.mgf";
 
 impl Store {
     /// Opens the folder of an earlier server, or makes one.
-    ///
-    /// # Errors
-    /// [`StoreError`].
     pub fn open(folder: &Path) -> Result<Self, StoreError> {
         let folder = folder.join("agents");
         std::fs::create_dir_all(&folder).map_err(at(&folder))?;
@@ -95,10 +87,8 @@ impl Store {
             text => text.map_err(at(&list))?,
         };
         for line in text.lines() {
-            let path = list.clone();
-            let run = line
-                .parse()
-                .map_err(|error| StoreError::List { path, error })?;
+            let run = line.parse().map_err(std::io::Error::other);
+            let run: RunKey = run.map_err(at(&list))?;
             // named twice by a server that was killed before the first packet was kept
             if !store.runs.contains_key(&run) {
                 store.open_run(&run)?;
@@ -136,8 +126,7 @@ impl Store {
         self.understand(run, packet)?;
         if is_new {
             let list = self.folder.join(RUNS);
-            let file = OpenOptions::new().append(true).create(true).open(&list);
-            let written = file.and_then(|mut file| writeln!(file, "{run}"));
+            let written = log_file(&list).and_then(|mut file| writeln!(file, "{run}"));
             written.map_err(at(&list))?;
         }
         if let Some(stored) = self.runs.get_mut(run) {
@@ -150,10 +139,8 @@ impl Store {
     fn understand(&mut self, run: &RunKey, packet: &[u8]) -> Result<(), StoreError> {
         let packet = Packet::decode(packet)?;
         if let Some(stored) = self.runs.get_mut(run) {
-            return match stored.known.record_of(&packet)? {
-                Some(record) => stored.know(run, record),
-                None => Ok(()),
-            };
+            let record = stored.known.record_of(&packet)?;
+            return record.map_or(Ok(()), |record| stored.know(run, record));
         }
         let Some(Record::Session(session)) = Known::default().record_of(&packet)? else {
             return Err(PacketError::Content("a run does not begin with its session").into());
@@ -185,40 +172,17 @@ impl Store {
         stored.log.read(number).map_err(at(&stored.packets))
     }
 
-    /// A run of which something has come.
-    #[must_use]
-    pub fn run(&self, run: &RunKey) -> Option<&StoredRun> {
-        self.runs.get(run)
-    }
-
-    /// The run that came first.
-    #[must_use]
-    pub fn first(&self) -> Option<&RunKey> {
-        self.order.first()
-    }
-
-    /// All runs in the order in which they came.
-    pub fn in_order(&self) -> impl Iterator<Item = (&RunKey, &StoredRun)> {
-        let run = |key| Some((key, self.runs.get(key)?));
-        self.order.iter().filter_map(run)
-    }
-
     /// Keyframes of all runs.
     #[must_use]
     pub fn num_keyframes(&self) -> u64 {
-        self.runs.values().map(StoredRun::keyframes).sum()
+        let keyframes = self.runs.values().map(|run| run.known.frames.len() as u64);
+        keyframes.sum()
     }
 
-    /// Runs that have ended, and of which everything has come.
+    /// Number of runs that are so.
     #[must_use]
-    pub fn num_ended(&self) -> usize {
-        self.runs.values().filter(|run| run.has_ended()).count()
-    }
-
-    /// Runs that have enough for being joined.
-    #[must_use]
-    pub fn num_joinable(&self) -> usize {
-        self.runs.values().filter(|run| run.is_joinable()).count()
+    pub fn count(&self, is_so: fn(&StoredRun) -> bool) -> usize {
+        self.runs.values().filter(|run| is_so(run)).count()
     }
 
     /// Makes the recording of each run that can be joined ready for being read; the files, and the poses that they hold.
@@ -233,9 +197,13 @@ impl Store {
             let Some(run) = run else {
                 continue;
             };
-            let poses = run.known.snapshot();
-            own.insert(key.clone(), own_poses(&run.known.frames, &poses));
-            run.recording.append_poses(poses)?;
+            let Known { frames, poses, .. } = &run.known;
+            let frame_of = |(id, pose): (&u32, &Sim3)| Some((*frames.get(id)?, *pose));
+            own.insert(key.clone(), poses.iter().filter_map(frame_of).collect());
+            run.recording.append_poses(PoseSnapshot {
+                revision: run.known.pose_revision,
+                poses: poses.iter().map(|(id, pose)| (*id, *pose)).collect(),
+            })?;
             files.push(run.file.clone());
         }
         Ok((files, own))
@@ -258,26 +226,9 @@ impl Store {
 }
 
 impl StoredRun {
-    /// Number of its packets that have come.
+    /// Whether it has enough for being joined: two keyframes whose poses are known are a map.
     #[must_use]
-    pub fn packets(&self) -> u64 {
-        self.log.len()
-    }
-
-    /// Number of its keyframes that have come.
-    #[must_use]
-    pub fn keyframes(&self) -> u64 {
-        self.known.frames.len() as u64
-    }
-
-    /// Whether the run has ended by itself, and all of it has come.
-    #[must_use]
-    pub fn has_ended(&self) -> bool {
-        self.known.has_ended
-    }
-
-    /// Two keyframes whose poses are known are a map.
-    fn is_joinable(&self) -> bool {
+    pub fn is_joinable(&self) -> bool {
         self.known.poses.len() >= 2
     }
 
@@ -327,13 +278,6 @@ impl Known {
                 "depth is of no keyframe that has come",
             )),
             Packet::Record(part) => self.unfinished.take(part),
-        }
-    }
-
-    fn snapshot(&self) -> PoseSnapshot {
-        PoseSnapshot {
-            revision: self.pose_revision,
-            poses: self.poses.iter().map(|(id, pose)| (*id, *pose)).collect(),
         }
     }
 }

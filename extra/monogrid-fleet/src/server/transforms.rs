@@ -1,7 +1,7 @@
 //! Where the worlds of agents lie in a joined map.
 
 use crate::messages::RunKey;
-use monogrid_datasets::{DatasetError, PoseSnapshot, ReadOptions, Recording};
+use monogrid_datasets::{DatasetError, ReadOptions, Recording};
 use monogrid_geometry::{Rotation, Sim3, Vec3, rotation_exp, rotation_log};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,69 +12,54 @@ pub type Frame = (u64, i64);
 /// Poses of the keyframes of a run in its own world, by frame.
 pub type OwnPoses = BTreeMap<Frame, Sim3>;
 
-/// Runs that were joined: where the world of each lies in the map of its component.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Joined {
-    /// One for each map that holds together, the largest first.
-    pub components: Vec<BTreeMap<RunKey, Sim3>>,
+/// Where the worlds of runs lie in a map that holds together, or in the world of one of them.
+pub type Place = BTreeMap<RunKey, Sim3>;
+
+/// Where the worlds of all lie in the world of one of them: those that hold together with it in one of the joined maps.
+#[must_use]
+pub fn shared_from_agents(joined: &[Place], shared: &RunKey) -> Place {
+    let Some(map) = joined.iter().find(|map| map.contains_key(shared)) else {
+        return Place::from([(shared.clone(), Sim3::identity())]);
+    };
+    let shared_from_merged = map[shared].inverse();
+    let in_shared = |(run, merged_from_agent): (&RunKey, &Sim3)| {
+        let similarity = if run == shared {
+            Sim3::identity()
+        } else {
+            shared_from_merged * *merged_from_agent
+        };
+        (run.clone(), similarity)
+    };
+    map.iter().map(in_shared).collect()
 }
 
-impl Joined {
-    /// Where the worlds of all lie in the world of one of them: those that hold together with it.
-    #[must_use]
-    pub fn shared_from_agents(&self, shared: &RunKey) -> BTreeMap<RunKey, Sim3> {
-        let mut components = self.components.iter();
-        let Some(component) = components.find(|component| component.contains_key(shared)) else {
-            return BTreeMap::from([(shared.clone(), Sim3::identity())]);
-        };
-        let shared_from_merged = component[shared].inverse();
-        let in_shared = |(run, merged_from_agent): (&RunKey, &Sim3)| {
-            let similarity = if run == shared {
-                Sim3::identity()
-            } else {
-                shared_from_merged * *merged_from_agent
-            };
-            (run.clone(), similarity)
-        };
-        component.iter().map(in_shared).collect()
-    }
-}
-
-/// Reads where the runs lie in the result of `merge-runs` in a folder. The recordings that were joined name their sources `NAME/RUN`;
-/// `own` has the poses with which they were joined.
+/// Reads where the runs lie in the result of `merge-runs` in a folder: in each map that holds together, the largest first. The recordings that
+/// were joined name their sources `NAME/RUN`; `own` has the poses with which they were joined.
 ///
 /// # Errors
 /// When a recording cannot be read.
 pub fn read_joined(
     folder: &Path,
     own: &BTreeMap<RunKey, OwnPoses>,
-) -> Result<Joined, DatasetError> {
-    let mut components = Vec::new();
-    for number in 0_usize.. {
-        let place = match number {
-            0 => folder.to_owned(),
-            apart => folder.join(format!("apart_{apart}")),
-        };
-        let file = place.join("recording.mgk");
-        if !file.is_file() {
-            break;
-        }
-        let merged = Recording::read(&file, ReadOptions { with_images: false })?;
-        components.push(merged_from_agents(&merged, own));
-    }
-    Ok(Joined { components })
+) -> Result<Vec<Place>, DatasetError> {
+    let place = |number: usize| match number {
+        0 => folder.to_owned(),
+        apart => folder.join(format!("apart_{apart}")),
+    };
+    let files = (0..).map(|number| place(number).join("recording.mgk"));
+    let files = files.take_while(|file| file.is_file());
+    files
+        .map(|file| {
+            let merged = Recording::read(&file, ReadOptions { with_images: false })?;
+            Ok(merged_from_agents(&merged, own))
+        })
+        .collect()
 }
 
 /// Where the worlds of runs lie in a recording that was merged of theirs.
-#[must_use]
-pub fn merged_from_agents(
-    merged: &Recording,
-    own: &BTreeMap<RunKey, OwnPoses>,
-) -> BTreeMap<RunKey, Sim3> {
-    let sessions = merged
-        .continuation
-        .as_ref()
-        .map_or(&[][..], |c| &c.sessions);
+fn merged_from_agents(merged: &Recording, own: &BTreeMap<RunKey, OwnPoses>) -> Place {
+    let continuation = merged.continuation.as_ref();
+    let sessions = continuation.map_or(&[][..], |c| &c.sessions);
     let mut pairs: BTreeMap<RunKey, Vec<(Sim3, Sim3)>> = BTreeMap::new();
     for keyframe in &merged.keyframes {
         let mut before = sessions.iter().filter(|s| s.first_keyframe <= keyframe.id);
@@ -112,15 +97,6 @@ pub fn similarity_of(poses: &[(Sim3, Sim3)]) -> Option<Sim3> {
     Some(Sim3::new(scale, rotation, translation))
 }
 
-/// Poses by frame.
-#[must_use]
-pub fn own_poses(frames: &BTreeMap<u32, Frame>, poses: &PoseSnapshot) -> OwnPoses {
-    let poses = poses.poses.iter();
-    poses
-        .filter_map(|(id, pose)| Some((*frames.get(id)?, *pose)))
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -146,17 +122,15 @@ mod tests {
     fn who_is_apart_has_no_place_in_the_shared_world() {
         let run = |name: &str| RunKey::new(name, 1).unwrap();
         let at = |x: f64| pose(2.0, [0.0; 3], [x, 0.0, 0.0]);
-        let joined = Joined {
-            components: vec![
-                BTreeMap::from([(run("c"), at(7.0))]),
-                BTreeMap::from([(run("a"), at(1.0)), (run("b"), at(3.0))]),
-            ],
-        };
-        let shared = joined.shared_from_agents(&run("a"));
+        let joined = [
+            Place::from([(run("c"), at(7.0))]),
+            Place::from([(run("a"), at(1.0)), (run("b"), at(3.0))]),
+        ];
+        let shared = shared_from_agents(&joined, &run("a"));
         assert_eq!(shared.len(), 2);
         assert_eq!(shared[&run("a")], Sim3::identity());
         // two units of the map are one of a, as of b
         assert_eq!(shared[&run("b")].translation, Vec3::new(1.0, 0.0, 0.0));
-        assert_eq!(joined.shared_from_agents(&run("d")).len(), 1);
+        assert_eq!(shared_from_agents(&joined, &run("d")).len(), 1);
     }
 }

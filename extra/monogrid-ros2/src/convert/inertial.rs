@@ -8,18 +8,13 @@ use monogrid_messages::sensor_msgs::Imu;
 #[must_use]
 pub fn imu_sample_of(message: &Imu) -> Option<ImuSample> {
     let [rate, force] = [&message.angular_velocity, &message.linear_acceleration];
-    let covariances = [
-        message.angular_velocity_covariance,
-        message.linear_acceleration_covariance,
-    ];
-    covariances
-        .iter()
-        .all(|covariance| covariance[0] != -1.0)
-        .then(|| ImuSample {
-            timestamp_ns: message.header.stamp.nanoseconds(),
-            angular_velocity: Vec3::new(rate.x, rate.y, rate.z),
-            specific_force: Vec3::new(force.x, force.y, force.z),
-        })
+    let has_both = message.angular_velocity_covariance[0] != -1.0
+        && message.linear_acceleration_covariance[0] != -1.0;
+    has_both.then(|| ImuSample {
+        timestamp_ns: message.header.stamp.nanoseconds(),
+        angular_velocity: Vec3::new(rate.x, rate.y, rate.z),
+        specific_force: Vec3::new(force.x, force.y, force.z),
+    })
 }
 
 #[cfg(test)]
