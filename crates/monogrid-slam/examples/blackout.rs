@@ -144,7 +144,7 @@ fn main() {
     let ended = match slam.fragments().first() {
         Some(fragment) if fragment.joined.is_some() => "joined",
         Some(_) => "apart",
-        None if slam.relocalisations() > 0 => "recognised",
+        None if slam.counts().relocalisations > 0 => "recognised",
         None if after.is_empty() => "lost",
         None => "tracked",
     };

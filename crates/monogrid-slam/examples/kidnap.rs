@@ -99,7 +99,7 @@ impl Scene {
             found_after,
             worst_m,
             worst_deg,
-            relocalisations: slam.relocalisations(),
+            relocalisations: slam.counts().relocalisations,
         }
     }
 

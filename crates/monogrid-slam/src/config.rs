@@ -66,17 +66,24 @@ impl SlamConfig {
     #[must_use]
     pub fn thesis() -> Self {
         Self {
-            initialization: InitializationConfig::thesis(),
+            // random start
+            initialization: InitializationConfig {
+                mode: InitializationMode::Random,
+                ..InitializationConfig::default()
+            },
             tracking: TrackingConfig::thesis(),
             keyframes: KeyframeConfig::thesis(),
             depth: DepthConfig::thesis(),
-            publication: PublicationConfig::thesis(),
+            // everything, smoothed
+            publication: PublicationConfig {
+                min_validity: 0,
+                smoothed: true,
+                sigma_factor: 1.0,
+                relative_sigma: 0.0,
+            },
             sparse: SparseConfig::thesis(),
             graph: GraphConfig::thesis(),
-            fragments: FragmentConfig::default(),
-            merge: MergeConfig::default(),
-            inertial: EstimateConfig::default(),
-            memory: MemoryConfig::default(),
+            ..Self::default()
         }
     }
 
@@ -161,17 +168,6 @@ impl Default for InitializationConfig {
             sigma_px: 0.5,
             max_relative_sigma: 0.03,
             seed_relative_sigma: 0.02,
-        }
-    }
-}
-
-impl InitializationConfig {
-    /// Random start.
-    #[must_use]
-    pub fn thesis() -> Self {
-        Self {
-            mode: InitializationMode::Random,
-            ..Self::default()
         }
     }
 }
@@ -293,21 +289,6 @@ impl Default for ReactivationConfig {
     }
 }
 
-impl ReactivationConfig {
-    /// LSD-SLAM: not the first five keyframes of a random start; the pose may differ by 0.2.
-    #[must_use]
-    pub fn thesis() -> Self {
-        Self {
-            min_keyframes_between: 0,
-            first_keyframe: 5,
-            max_score: 1.0,
-            max_disagreement: 0.2,
-            crowd: 1_000_000,
-            ..Self::default()
-        }
-    }
-}
-
 impl Default for KeyframeConfig {
     fn default() -> Self {
         Self {
@@ -340,7 +321,15 @@ impl KeyframeConfig {
             min_good_of_visible: 0.0,
             urgent_good_of_visible: 0.0,
             min_holding_points: 0,
-            reactivation: ReactivationConfig::thesis(),
+            // not the first five keyframes of a random start; the pose may differ by 0.2
+            reactivation: ReactivationConfig {
+                min_keyframes_between: 0,
+                first_keyframe: 5,
+                max_score: 1.0,
+                max_disagreement: 0.2,
+                crowd: 1_000_000,
+                ..ReactivationConfig::default()
+            },
             refinement: RefinementConfig::thesis(),
             ..Self::default()
         }
@@ -370,19 +359,6 @@ impl Default for PublicationConfig {
             smoothed: false,
             sigma_factor: 1.4,
             relative_sigma: 0.018,
-        }
-    }
-}
-
-impl PublicationConfig {
-    /// LSD-SLAM: everything, smoothed.
-    #[must_use]
-    pub fn thesis() -> Self {
-        Self {
-            min_validity: 0,
-            smoothed: true,
-            sigma_factor: 1.0,
-            relative_sigma: 0.0,
         }
     }
 }

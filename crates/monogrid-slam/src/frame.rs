@@ -1,7 +1,6 @@
 //! Frames as they come in and as the tracker needs them.
 
 use monogrid_alignment::Target;
-use monogrid_geometry::Pinhole;
 use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
 use std::sync::Arc;
 
@@ -28,33 +27,6 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    pub(crate) fn new(
-        input: FrameInput,
-        pinhole: &Pinhole,
-        finest_level: usize,
-        num_levels: usize,
-    ) -> Self {
-        let pyramid = Arc::new(Pyramid::new(input.image, num_levels));
-        let when = (input.index, input.timestamp_ns);
-        Self::of_pyramid(when, pyramid, pinhole, finest_level)
-    }
-
-    /// A frame whose pyramid was kept.
-    pub(crate) fn of_pyramid(
-        (index, timestamp_ns): (usize, i64),
-        pyramid: Arc<Pyramid>,
-        pinhole: &Pinhole,
-        finest_level: usize,
-    ) -> Self {
-        let target = Target::new(&pyramid, pinhole, finest_level, pyramid.num_levels());
-        Self {
-            index,
-            timestamp_ns,
-            pyramid,
-            target,
-        }
-    }
-
     pub(crate) fn image(&self) -> &GrayImage {
         self.pyramid.level(0)
     }
@@ -79,21 +51,5 @@ impl BufferedFrame {
 
     pub(crate) fn image(&self) -> GrayImage {
         self.image.map(f32::from)
-    }
-
-    /// The frame with its pyramid again.
-    pub(crate) fn restore(
-        &self,
-        pinhole: &Pinhole,
-        finest_level: usize,
-        num_levels: usize,
-    ) -> Frame {
-        let input = FrameInput {
-            index: self.index,
-            timestamp_ns: self.timestamp_ns,
-            image: self.image(),
-            seed_depth: None,
-        };
-        Frame::new(input, pinhole, finest_level, num_levels)
     }
 }

@@ -66,6 +66,18 @@ pub struct KeptKeyframe {
 }
 
 impl KeptKeyframe {
+    pub(crate) fn new(store: &Store, keyframe: Keyframe) -> Self {
+        Self {
+            id: keyframe.id,
+            frame_index: keyframe.frame_index,
+            timestamp_ns: keyframe.timestamp_ns,
+            revision: keyframe.revision,
+            num_pixels: keyframe.pixels.len(),
+            image: KeyframeImage::new(store, &keyframe.image.map(f32::from)),
+            pixels: store.keep(keyframe.pixels),
+        }
+    }
+
     /// Width and height of its image, px.
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
@@ -101,16 +113,7 @@ impl KeptKeyframe {
 impl From<Keyframe> for KeptKeyframe {
     /// One that stays in memory as long as this does.
     fn from(keyframe: Keyframe) -> Self {
-        let store = Store::default();
-        Self {
-            id: keyframe.id,
-            frame_index: keyframe.frame_index,
-            timestamp_ns: keyframe.timestamp_ns,
-            revision: keyframe.revision,
-            num_pixels: keyframe.pixels.len(),
-            image: KeyframeImage::new(&store, &keyframe.image.map(f32::from)),
-            pixels: store.keep(keyframe.pixels),
-        }
+        Self::new(&Store::default(), keyframe)
     }
 }
 

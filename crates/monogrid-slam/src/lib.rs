@@ -52,11 +52,11 @@ pub use keyframe::{
     DepthPixel, KeptKeyframe, Keyframe, KeyframeId, PoseSnapshot, Scale, TrackedFrame,
     TrajectoryPose,
 };
-pub use map::Event;
+pub use map::{Counts, Event};
 pub use report::{
     FrameReport, InFragment, LostReason, MapBytes, MapSize, StageTimes, TrackingState,
 };
-pub use sparse::{ImageAdjustmentConfig, SparseConfig, SparseStats};
+pub use sparse::{ImageAdjustmentConfig, SparseConfig};
 pub use stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };

@@ -5,10 +5,11 @@ use crate::{ConfigError, SlamConfig};
 use monogrid_alignment::Robust;
 use monogrid_depth::ConfigError as DepthConfigError;
 
-/// A setting and the values that it may have.
-struct Limit {
-    name: String,
-    value: f64,
+/// A setting, and the smallest and the largest value that it may have.
+struct Limit<C> {
+    /// Dotted, as in a configuration file.
+    name: &'static str,
+    value: fn(&C) -> f64,
     low: f64,
     high: f64,
 }
@@ -18,52 +19,35 @@ fn decimal(number: impl ToString) -> f64 {
     number.to_string().parse().unwrap_or(f64::NAN)
 }
 
-fn limit(name: impl Into<String>, value: impl ToString, low: f64, high: f64) -> Limit {
-    Limit {
-        name: name.into(),
-        value: decimal(value),
-        low,
-        high,
-    }
-}
-
-/// Rows `field: smallest, largest;` of a section: the name of a row is that of the field, so that none can be
+/// Rows `field: smallest, largest;` of sections: the name of a row is that of the field, so that none can be
 /// confused.
 macro_rules! limits {
-    ($section:literal, $config:expr, { $($field:ident: $low:expr, $high:expr;)* }) => {
-        [$(limit(concat!($section, ".", stringify!($field)), $config.$field, $low, $high)),*]
+    ($config:ident: $type:ty, $($section:expr => { $($field:ident: $low:expr, $high:expr;)* })*) => {
+        &[$($(Limit {
+            name: concat!(stringify!($section), ".", stringify!($field)),
+            value: |$config: &$type| decimal($section.$field),
+            low: $low,
+            high: $high,
+        }),*),*]
     };
 }
 
-/// The first setting outside its range.
-fn first_outside(limits: Vec<Limit>) -> Result<(), ConfigError> {
-    // NaN is in no range
-    let outside = limits
-        .into_iter()
-        .find(|limit| !(limit.low..=limit.high).contains(&limit.value));
-    match outside {
-        None => Ok(()),
-        Some(limit) => Err(ConfigError {
-            name: limit.name,
-            value: limit.value,
-            allowed: format!("{} to {}", limit.low, limit.high),
-        }),
-    }
-}
-
-/// Fails where of two settings one must not be larger than the other.
-fn ordered(
-    (low_name, low): (&str, f64),
-    (high_name, high): (&str, f64),
-) -> Result<(), ConfigError> {
-    if low <= high {
+/// Fails where a value is not in its range; NaN is in none.
+fn within(name: &str, value: impl ToString, low: f64, high: f64) -> Result<(), ConfigError> {
+    let value = decimal(value);
+    if (low..=high).contains(&value) {
         return Ok(());
     }
     Err(ConfigError {
-        name: high_name.to_owned(),
-        value: high,
-        allowed: format!("at least {low_name} ({low})"),
+        name: name.to_owned(),
+        value,
+        allowed: format!("{low} to {high}"),
     })
+}
+
+fn all_within<C>(config: &C, limits: &[Limit<C>]) -> Result<(), ConfigError> {
+    let mut limits = limits.iter();
+    limits.try_for_each(|l| within(l.name, (l.value)(config), l.low, l.high))
 }
 
 /// What the depth filter says of its own settings, which stand in this section.
@@ -77,29 +61,63 @@ fn of_depth(section: &str, checked: Result<(), DepthConfigError>) -> Result<(), 
 
 /// Checks the ranges of all settings of tracking and depth.
 pub(crate) fn check_slam(slam: &SlamConfig) -> Result<(), ConfigError> {
-    first_outside(tracking_limits(slam))?;
-    first_outside(keyframe_limits(slam))?;
-    first_outside(point_limits(slam))?;
-    first_outside(graph_limits(slam))?;
-    of_depth("slam.depth", slam.depth.validate())?;
+    all_within(slam, SLAM)?;
     let (t, s) = (&slam.tracking.alignment, &slam.graph.similarity);
+    let levels = "slam.tracking.alignment.max_iterations";
+    within(levels, t.max_iterations.len(), 1.0, 9.0)?;
+    for iterations in &t.max_iterations {
+        within(levels, iterations, 0.0, 1000.0)?;
+    }
+    of_robust("slam.tracking.alignment.robust", &t.robust)?;
+    of_robust("slam.graph.similarity.robust", &s.robust)?;
+    of_depth("slam.depth", slam.depth.validate())?;
     for (section, finest, coarsest) in [
         ("slam.tracking.alignment", t.finest_level, t.coarsest_level),
         ("slam.graph.similarity", s.finest_level, s.coarsest_level),
     ] {
-        ordered(
-            ("finest_level", finest as f64),
-            (&format!("{section}.coarsest_level"), coarsest as f64),
-        )?;
+        if finest > coarsest {
+            return Err(ConfigError {
+                name: format!("{section}.coarsest_level"),
+                value: coarsest as f64,
+                allowed: format!("at least finest_level ({finest})"),
+            });
+        }
     }
     Ok(())
 }
 
-/// The start and tracking.
-#[rustfmt::skip]
-fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("slam.initialization", slam.initialization, {
+fn of_robust(name: &str, robust: &Robust) -> Result<(), ConfigError> {
+    match robust {
+        Robust::Huber { k } => within(&format!("{name}.huber.k"), k, 0.01, 1000.0),
+        Robust::StudentT { nu } => within(&format!("{name}.student-t.nu"), nu, 0.1, 1e6),
+    }
+}
+
+/// Checks the ranges of all settings of maps.
+pub(crate) fn check_mapping(mapping: &MappingConfig) -> Result<(), ConfigError> {
+    all_within(mapping, MAPPING)?;
+    // lengths that follow from the cell where they are not given
+    for (name, length, low) in [
+        ("mapping.buffer", &mapping.buffer, 1e-6),
+        ("mapping.significance", &mapping.significance, 1e-6),
+        ("mapping.body_radius", &mapping.body_radius, 0.0),
+    ] {
+        if let AutoLength::Fixed(length) = length {
+            within(name, length, low, 1e6)?;
+        }
+    }
+    let ([update_low, update_high], [clamp_low, clamp_high]) =
+        (mapping.update_limits, mapping.clamp);
+    within("mapping.update_limits", update_low, -100.0, -1e-6)?;
+    within("mapping.update_limits", update_high, 1e-6, 100.0)?;
+    within("mapping.clamp", clamp_low, -7.99, -0.001)?;
+    within("mapping.clamp", clamp_high, 0.001, 7.99)?;
+    of_depth("mapping.refine.stereo", mapping.refine.stereo.validate())?;
+    of_depth("mapping.dense.stereo", mapping.dense.stereo.validate())
+}
+
+const SLAM: &[Limit<SlamConfig>] = limits! { slam: SlamConfig,
+    slam.initialization => {
         num_features: 10.0, 20_000.0;
         min_features: 8.0, 20_000.0;
         min_displacement: 0.001, 1.0;
@@ -109,8 +127,8 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         sigma_px: 0.01, 20.0;
         max_relative_sigma: 0.001, 10.0;
         seed_relative_sigma: 0.0001, 1.0;
-    }));
-    all.extend(limits!("slam.tracking", slam.tracking, {
+    }
+    slam.tracking => {
         max_relative_sigma: 0.0001, 1000.0;
         min_validity: 0.0, 255.0;
         min_reference_points: 0.0, 1_000_000.0;
@@ -134,8 +152,8 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         return_usage: 0.0, 1.0;
         return_max_log_gain: 0.0, 1000.0;
         return_near_frames: 0.0, 1000.0;
-    }));
-    all.extend(limits!("slam.tracking.points", slam.tracking.points, {
+    }
+    slam.tracking.points => {
         probe_points: 0.0, 100_000.0;
         probe_error_px: 0.01, 100.0;
         max_points: 0.0, 100_000.0;
@@ -147,15 +165,8 @@ fn tracking_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_inlier_share: 0.0, 1.0;
         max_jump: 0.0, 1000.0;
         alignment_sigma_factor: 0.01, 1000.0;
-    }));
-    all.extend(alignment_limits(slam));
-    all
-}
-
-#[rustfmt::skip]
-fn alignment_limits(slam: &SlamConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("slam.tracking.alignment", slam.tracking.alignment, {
+    }
+    slam.tracking.alignment => {
         coarsest_level: 0.0, 8.0;
         finest_level: 0.0, 8.0;
         sigma_intensity: 0.1, 100.0;
@@ -166,21 +177,8 @@ fn alignment_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_residual_per_gradient: 0.0, 100.0;
         pixels_per_measurement: 1.0, 1_000_000.0;
         max_points: 0.0, 10_000_000.0;
-    }));
-    let levels = &slam.tracking.alignment.max_iterations;
-    all.push(limit("slam.tracking.alignment.max_iterations", levels.len(), 1.0, 9.0));
-    for iterations in levels {
-        all.push(limit("slam.tracking.alignment.max_iterations", iterations, 0.0, 1000.0));
     }
-    all.push(robust("slam.tracking.alignment.robust", &slam.tracking.alignment.robust));
-    all
-}
-
-/// Keyframes and what is published of them.
-#[rustfmt::skip]
-fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("slam.keyframes", slam.keyframes, {
+    slam.keyframes => {
         distance_weight: 0.01, 1000.0;
         usage_weight: 0.01, 1000.0;
         min_mapped_frames: 0.0, 1000.0;
@@ -191,8 +189,8 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
         ramp_keyframes: 0.0, 1000.0;
         old_keyframes_observed: 0.0, 100.0;
         min_relative_baseline: 0.0, 100.0;
-    }));
-    all.extend(limits!("slam.keyframes.reactivation", slam.keyframes.reactivation, {
+    }
+    slam.keyframes.reactivation => {
         min_keyframes_between: 0.0, 1_000_000.0;
         first_keyframe: 0.0, 1_000_000.0;
         max_candidates: 0.0, 100.0;
@@ -203,25 +201,18 @@ fn keyframe_limits(slam: &SlamConfig) -> Vec<Limit> {
         crowd: 0.0, 1_000_000.0;
         crowded_max_score: 0.0, 1000.0;
         crowded_max_disagreement: 0.0, 1000.0;
-    }));
-    all.extend(limits!("slam.keyframes.refinement", slam.keyframes.refinement, {
+    }
+    slam.keyframes.refinement => {
         first_frames: 0.0, 1000.0;
         max_passed: 0.0, 1000.0;
         max_passed_distance: 0.0, 1000.0;
-    }));
-    all.extend(limits!("slam.publication", slam.publication, {
+    }
+    slam.publication => {
         min_validity: 0.0, 255.0;
         sigma_factor: 0.01, 100.0;
         relative_sigma: 0.0, 1.0;
-    }));
-    all
-}
-
-/// Sparse layer and fragments.
-#[rustfmt::skip]
-fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("slam.sparse", slam.sparse, {
+    }
+    slam.sparse => {
         points_per_keyframe: 0.0, 20_000.0;
         min_spacing: 1e-4, 1.0;
         max_searched_points: 0.0, 100_000.0;
@@ -244,9 +235,16 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         final_iterations: 1.0, 1000.0;
         final_radius_px: 1.0, 100.0;
         final_max_keyframes: 0.0, 5000.0;
-    }));
-    all.extend(image_limits(slam));
-    all.extend(limits!("slam.fragments", slam.fragments, {
+    }
+    slam.sparse.images => {
+        min_keyframes: 0.0, 1_000_000.0;
+        max_iterations: 1.0, 1000.0;
+        min_correlation: -1.0, 1.0;
+        noise: 0.01, 100.0;
+        kernel: 0.01, 255.0;
+        independent_pixels: 0.0, 64.0;
+    }
+    slam.fragments => {
         min_lost_secs: 0.01, 1_000_000.0;
         max_apart: 0.0, 1000.0;
         min_agreeing: 1.0, 1000.0;
@@ -256,17 +254,17 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_bridge_scale_sigma: 0.0, 10.0;
         max_bridge_turn_deg: 0.0, 180.0;
         min_times_larger: 1.0, f64::INFINITY;
-    }));
-    all.extend(limits!("slam.merge", slam.merge, {
+    }
+    slam.merge => {
         min_agreeing: 1.0, 1000.0;
         min_aligned: 0.0, 1000.0;
         min_majority: 1.0, 1000.0;
-    }));
-    all.extend(limits!("slam.memory", slam.memory, {
+    }
+    slam.memory => {
         keyframes_mb: 0.0, 1_000_000.0;
         prepared_mb: 0.0, 1_000_000.0;
-    }));
-    all.extend(limits!("slam.inertial", slam.inertial, {
+    }
+    slam.inertial => {
         max_frames: 30.0, 100_000.0;
         gyroscope_bias_sigma: 0.00001, 1.0;
         accelerometer_bias_sigma: 0.0001, 10.0;
@@ -276,15 +274,8 @@ fn point_limits(slam: &SlamConfig) -> Vec<Limit> {
         max_join_scale_sigma: 0.0, 1.0;
         max_join_position_share: 0.0, 1.0;
         join_position_sigma_m: 0.0, 10.0;
-    }));
-    all
-}
-
-/// The graph of keyframes.
-#[rustfmt::skip]
-fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("slam.graph", slam.graph, {
+    }
+    slam.graph => {
         nearest: 0.0, 1000.0;
         min_nearest_overlap: 0.0, 1.0;
         max_nearest_distance: 0.0, 1000.0;
@@ -297,27 +288,27 @@ fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
         lag_frames: 0.0, 1000.0;
         window: 12.0, 1e6;
         max_iterations: 1.0, 1000.0;
-    }));
-    all.extend(limits!("slam.graph.places", slam.graph.places, {
+    }
+    slam.graph.places => {
         min_keyframes_between: 0.0, 1_000_000.0;
         max_loops: 0.0, 100.0;
         min_lost_frames: 0.0, 1_000_000.0;
-    }));
-    all.extend(limits!("slam.graph.places.drift", slam.graph.places.drift, {
+    }
+    slam.graph.places.drift => {
         translation_start: 0.000001, 1000.0;
         translation_share: 0.0, 1000.0;
         rotation_start: 0.000001, 1000.0;
         rotation_step: 0.0, 1000.0;
         scale_start: 0.000001, 1000.0;
         scale_step: 0.0, 1000.0;
-    }));
-    all.extend(limits!("slam.graph.direct_edges", slam.graph.direct_edges, {
+    }
+    slam.graph.direct_edges => {
         translation_share: 0.0, 10.0;
         translation_sigma: 0.000001, 10.0;
         rotation_sigma: 0.000001, 10.0;
         scale_sigma: 0.000001, 10.0;
-    }));
-    all.extend(limits!("slam.graph.sparse_edges", slam.graph.sparse_edges, {
+    }
+    slam.graph.sparse_edges => {
         min_shared_points: 1.0, 1_000_000.0;
         max_edges: 0.0, 1000.0;
         max_gap: 0.0, 1_000_000.0;
@@ -325,27 +316,8 @@ fn graph_limits(slam: &SlamConfig) -> Vec<Limit> {
         translation_sigma: 0.000001, 10.0;
         rotation_sigma: 0.000001, 10.0;
         scale_sigma: 0.000001, 10.0;
-    }));
-    all.extend(similarity_limits(slam));
-    all
-}
-
-#[rustfmt::skip]
-fn image_limits(slam: &SlamConfig) -> [Limit; 6] {
-    limits!("slam.sparse.images", slam.sparse.images, {
-        min_keyframes: 0.0, 1_000_000.0;
-        max_iterations: 1.0, 1000.0;
-        min_correlation: -1.0, 1.0;
-        noise: 0.01, 100.0;
-        kernel: 0.01, 255.0;
-        independent_pixels: 0.0, 64.0;
-    })
-}
-
-#[rustfmt::skip]
-fn similarity_limits(slam: &SlamConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("slam.graph.similarity", slam.graph.similarity, {
+    }
+    slam.graph.similarity => {
         coarsest_level: 0.0, 8.0;
         finest_level: 0.0, 8.0;
         max_iterations: 1.0, 1000.0;
@@ -360,29 +332,11 @@ fn similarity_limits(slam: &SlamConfig) -> Vec<Limit> {
         min_correlation: -1.0, 1.0;
         max_scale_change: 1.0, 1000.0;
         max_reciprocal_chi_sq: 0.0, 1_000_000_000.0;
-    }));
-    all.push(robust("slam.graph.similarity.robust", &slam.graph.similarity.robust));
-    all
-}
-
-fn robust(name: &str, robust: &Robust) -> Limit {
-    match robust {
-        Robust::Huber { k } => limit(format!("{name}.huber.k"), k, 0.01, 1000.0),
-        Robust::StudentT { nu } => limit(format!("{name}.student-t.nu"), nu, 0.1, 1e6),
     }
-}
+};
 
-/// Checks the ranges of all settings of maps.
-pub(crate) fn check_mapping(mapping: &MappingConfig) -> Result<(), ConfigError> {
-    first_outside(mapping_limits(mapping))?;
-    of_depth("mapping.refine.stereo", mapping.refine.stereo.validate())?;
-    of_depth("mapping.dense.stereo", mapping.dense.stereo.validate())
-}
-
-#[rustfmt::skip]
-fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("mapping", mapping, {
+const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
+    mapping => {
         resolution: 0.000001, 1_000_000.0;
         buffer_sigmas: 0.862, 100.0;
         significance_gain: 0.000001, 1_000_000.0;
@@ -396,51 +350,36 @@ fn mapping_limits(mapping: &MappingConfig) -> Vec<Limit> {
         pose_sigma_deg: 0.0, 180.0;
         depth_image_sigma: 0.000001, 10.0;
         max_memory_gb: 0.01, 1024.0;
-    }));
-    all.extend(limits!("mapping.filter", mapping.filter, {
+    }
+    mapping.filter => {
         max_relative_sigma: 0.000001, f64::INFINITY;
         max_agreed_sigma: 0.000001, f64::INFINITY;
         min_support: 0.0, 9.0;
         skip_keyframes: 0.0, 1_000_000.0;
-    }));
-    all.extend(final_depth_limits(mapping));
-    all.extend(scene_limits(mapping));
-    all.extend(auto_length_limits(mapping));
-    let ([update_low, update_high], [clamp_low, clamp_high]) = (mapping.update_limits, mapping.clamp);
-    all.push(limit("mapping.update_limits", update_low, -100.0, -1e-6));
-    all.push(limit("mapping.update_limits", update_high, 1e-6, 100.0));
-    all.push(limit("mapping.clamp", clamp_low, -7.99, -0.001));
-    all.push(limit("mapping.clamp", clamp_high, 0.001, 7.99));
-    all
-}
-
-/// Depth at the final poses.
-#[rustfmt::skip]
-fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("mapping.refine", mapping.refine, {
+    }
+    mapping.refine => {
         max_keyframes: 1.0, 1000.0;
         max_separation: 0.000001, 1_000_000.0;
-    }));
-    all.extend(limits!("mapping.dense", mapping.dense, {
+    }
+    mapping.dense => {
         max_sources: 1.0, 32.0;
         best_angle_deg: 0.1, 45.0;
         max_witnesses: 1.0, 100.0;
-    }));
-    all.extend(limits!("mapping.fusion", mapping.fusion, {
+    }
+    mapping.fusion => {
         max_witnesses: 0.0, 1000.0;
         sigmas: 0.01, 100.0;
         min_tolerance: 0.0, 1.0;
         min_support: 1.0, 1000.0;
-    }));
-    all.extend(limits!("mapping.completion", mapping.completion, {
+    }
+    mapping.completion => {
         max_witnesses: 0.0, 1000.0;
         min_support: 1.0, 1000.0;
         tolerance: 0.0001, 1.0;
         max_against: 0.0, 1000.0;
         max_difference: 0.0, 1000.0;
-    }));
-    all.extend(limits!("mapping.envelope", mapping.envelope, {
+    }
+    mapping.envelope => {
         max_planes: 0.0, 1000.0;
         min_share: 0.0001, 1.0;
         reach: 0.0001, 1.0;
@@ -448,13 +387,13 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
         min_plain_share: 0.001, 1.0;
         min_other_share: 0.001, 1.0;
         max_extent: 0.0, 100.0;
-    }));
-    all.extend(limits!("mapping.rims", mapping.rims, {
+    }
+    mapping.rims => {
         relative_sigma: 0.0, 1.0;
         width: 0.0, 100.0;
         min_step: 0.001, 0.999;
-    }));
-    all.extend(limits!("mapping.fill", mapping.fill, {
+    }
+    mapping.fill => {
         max_gradient: 0.01, 255.0;
         min_area_px: 1.0, 1_000_000_000.0;
         samples: 1.0, 5000.0;
@@ -471,44 +410,21 @@ fn final_depth_limits(mapping: &MappingConfig) -> Vec<Limit> {
         max_witnesses: 0.0, 1000.0;
         tolerance: 0.0001, 1.0;
         max_against: 0.0, 1000.0;
-    }));
-    all
-}
-
-/// Which cells stay, what is up, and the surface.
-#[rustfmt::skip]
-fn scene_limits(mapping: &MappingConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    all.extend(limits!("mapping.unseen", mapping.unseen, {
+    }
+    mapping.unseen => {
         max_behind: 0.0, 1000.0;
         max_behind_share: 0.0, 1.0;
         max_beside: 0.0, 100.0;
-    }));
-    all.extend(limits!("mapping.upright", mapping.upright, {
+    }
+    mapping.upright => {
         roll_sigma_deg: 1.0, 180.0;
         pitch_deg: -90.0, 90.0;
         pitch_sigma_deg: 1.0, 180.0;
         min_edge: 0.01, 1.0;
         min_confidence: 0.0, 1.0;
         min_floor_share: 0.001, 1.0;
-    }));
-    all.extend(limits!("mapping.mesh", mapping.mesh, {
+    }
+    mapping.mesh => {
         min_faces: 0.0, 1_000_000_000.0;
-    }));
-    all
-}
-
-/// Lengths that follow from the cell where they are not given, and pairs.
-#[rustfmt::skip]
-fn auto_length_limits(mapping: &MappingConfig) -> Vec<Limit> {
-    let mut all = Vec::new();
-    for (name, length) in [("mapping.buffer", mapping.buffer), ("mapping.significance", mapping.significance)] {
-        if let AutoLength::Fixed(length) = length {
-            all.push(limit(name, length, 1e-6, 1e6));
-        }
     }
-    if let AutoLength::Fixed(radius) = mapping.body_radius {
-        all.push(limit("mapping.body_radius", radius, 0.0, 1e6));
-    }
-    all
-}
+};

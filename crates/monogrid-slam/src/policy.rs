@@ -1,24 +1,13 @@
 //! When a pose is believed, when points decide where a frame is, and when it becomes a keyframe.
 
+use crate::tracker::{Support, Tracked};
 use crate::{
     FragmentConfig, FragmentId, KeyframeConfig, LostReason, PointTrackingConfig, RefinementConfig,
     TrackingConfig, TrackingState,
 };
+use monogrid_alignment::Alignment;
 use monogrid_inertial::EstimateConfig;
 use std::cmp::Reverse;
-
-/// What makes a pose doubtful that passed the tests of alignment.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct DoubtEvidence {
-    /// Whether points of the sparse layer agree with the pose.
-    pub is_supported: bool,
-    /// Lost frames before this one.
-    pub lost_in_a_row: usize,
-    /// Whether it is far from where the motion of the last frames leads.
-    pub is_surprising: bool,
-    /// Whether many points of the keyframe do not fit.
-    pub is_degraded: bool,
-}
 
 /// What a pose must show before it is believed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,13 +22,13 @@ pub(crate) enum Demand {
 
 /// Points that agree leave no doubt. Right after a loss the camera is near where it was expected, and a pose
 /// there needs no more than that of any other frame; a camera that moves on has no second chance.
-pub(crate) fn demand(evidence: &DoubtEvidence, config: &TrackingConfig) -> Demand {
-    let is_near = evidence.lost_in_a_row <= config.return_near_frames && !evidence.is_surprising;
-    if evidence.is_supported {
+pub(crate) fn demand(tracked: &Tracked, lost_in_a_row: usize, config: &TrackingConfig) -> Demand {
+    let is_near = lost_in_a_row <= config.return_near_frames && !tracked.is_surprising;
+    if tracked.support != Support::None {
         Demand::None
-    } else if evidence.lost_in_a_row > 0 && !is_near {
+    } else if lost_in_a_row > 0 && !is_near {
         Demand::ConvincingAfterLoss
-    } else if evidence.is_surprising || evidence.is_degraded {
+    } else if tracked.is_surprising || tracked.state == TrackingState::Degraded {
         Demand::Convincing
     } else {
         Demand::None
@@ -63,15 +52,9 @@ pub(crate) fn doubt_about(
     usual_sigma: Option<f64>,
     config: &TrackingConfig,
 ) -> Option<LostReason> {
-    let exceeds =
-        |value: f64, usual: Option<f64>, times: f64| usual.is_some_and(|u| value > times * u);
-    if exceeds(
-        frame.residual_rms,
-        usual_residual_rms,
-        config.doubtful_residual,
-    ) {
+    if usual_residual_rms.is_some_and(|u| frame.residual_rms > config.doubtful_residual * u) {
         Some(LostReason::Doubtful)
-    } else if exceeds(frame.sigma, usual_sigma, config.doubtful_sigma) {
+    } else if usual_sigma.is_some_and(|u| frame.sigma > config.doubtful_sigma * u) {
         Some(LostReason::Loose)
     } else {
         None
@@ -159,7 +142,7 @@ pub(crate) fn larger_map(
 }
 
 /// What the decision looks at.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct KeyframeEvidence {
     /// Distance from the keyframe times its mean inverse depth.
     pub relative_distance: f64,
@@ -176,11 +159,18 @@ pub(crate) struct KeyframeEvidence {
 }
 
 /// How far a frame is from a keyframe: 1 where a new keyframe is needed. `[ECCV14]` weighted combination of
-/// distance and lost overlap.
-pub(crate) fn keyframe_score(evidence: &KeyframeEvidence, config: &KeyframeConfig) -> f64 {
-    let distance = evidence.relative_distance * config.distance_weight;
-    let lost = (1.0 - evidence.usage) * config.usage_weight;
+/// distance, in units of the mean depth, and lost overlap.
+pub(crate) fn keyframe_score(relative_distance: f64, usage: f64, config: &KeyframeConfig) -> f64 {
+    let distance = relative_distance * config.distance_weight;
+    let lost = (1.0 - usage) * config.usage_weight;
     distance * distance + lost * lost
+}
+
+/// The same as alignment of the frame to the keyframe has it.
+pub(crate) fn aligned_score(alignment: &Alignment, config: &KeyframeConfig) -> f64 {
+    let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
+    let usage = f64::from(alignment.usage);
+    keyframe_score(keyframe_from_frame.translation.norm(), usage, config)
 }
 
 /// The score against a threshold that grows over the first keyframes of a random start.
@@ -198,38 +188,33 @@ pub(crate) fn is_new_keyframe(evidence: &KeyframeEvidence, config: &KeyframeConf
     let is_slipping = |num_points: usize| num_points < config.min_holding_points;
     evidence.good_of_visible < config.min_good_of_visible
         || evidence.num_holding.is_some_and(is_slipping)
-        || keyframe_score(evidence, config) > ramp
-}
-
-/// What is asked before the depth of the keyframe in use is refined.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RefinementEvidence {
-    /// Frames before this one that were good enough for it.
-    pub num_mapped: usize,
-    /// Those after the last that refined it.
-    pub num_passed: usize,
-    /// Distance from that one, in units of the keyframe's mean depth.
-    pub relative_distance: f64,
-    /// Whether the next frame waits already.
-    pub is_hurried: bool,
+        || keyframe_score(evidence.relative_distance, evidence.usage, config) > ramp
 }
 
 /// Frames in a row that refine no depth because the next one waits: a computer that is always late makes a map all the same.
 const MAX_HURRIED: usize = 6;
 
-/// Whether a tracked frame refines the depth of the keyframe in use.
-pub(crate) fn is_refining(evidence: &RefinementEvidence, config: &RefinementConfig) -> bool {
-    if evidence.is_hurried && evidence.num_passed < MAX_HURRIED {
+/// Whether a tracked frame refines the depth of the keyframe in use. Before it were `num_mapped` frames that were good enough
+/// for it, `num_passed` of them after the last that refined it, which is at this distance in units of the keyframe's mean depth;
+/// `is_hurried` where the next frame waits already.
+pub(crate) fn is_refining(
+    (num_mapped, num_passed): (usize, usize),
+    relative_distance: f64,
+    is_hurried: bool,
+    config: &RefinementConfig,
+) -> bool {
+    if is_hurried && num_passed < MAX_HURRIED {
         return false;
     }
-    evidence.num_mapped < config.first_frames
-        || evidence.num_passed >= config.max_passed
-        || evidence.relative_distance >= config.max_passed_distance
+    num_mapped < config.first_frames
+        || num_passed >= config.max_passed
+        || relative_distance >= config.max_passed_distance
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tracker::tests::perfect;
 
     #[test]
     fn points_overrule_pixels_only_near_where_the_motion_leads() {
@@ -396,31 +381,33 @@ mod tests {
     #[test]
     fn a_pose_that_points_support_is_not_doubted() {
         let config = TrackingConfig::default();
-        let worst = DoubtEvidence {
-            is_supported: false,
-            lost_in_a_row: 100,
-            is_surprising: true,
-            is_degraded: true,
-        };
-        assert_eq!(demand(&worst, &config), Demand::ConvincingAfterLoss);
-        let supported = DoubtEvidence {
-            is_supported: true,
-            ..worst
-        };
-        assert_eq!(demand(&supported, &config), Demand::None);
+        let mut tracked = doubtful(true, TrackingState::Degraded);
+        assert_eq!(demand(&tracked, 100, &config), Demand::ConvincingAfterLoss);
+        tracked.support = Support::Confirmed;
+        assert_eq!(demand(&tracked, 100, &config), Demand::None);
+    }
+
+    /// A pose that no points support.
+    fn doubtful(is_surprising: bool, state: TrackingState) -> Tracked {
+        Tracked {
+            alignment: perfect(1000),
+            is_surprising,
+            support: Support::None,
+            state,
+            reason: None,
+        }
     }
 
     #[test]
     fn near_the_prediction_a_loss_is_forgiven_for_some_frames() {
         let config = TrackingConfig::default();
         let after = |lost_in_a_row: usize, is_surprising: bool, is_degraded: bool| {
-            let evidence = DoubtEvidence {
-                is_supported: false,
-                lost_in_a_row,
-                is_surprising,
-                is_degraded,
+            let state = if is_degraded {
+                TrackingState::Degraded
+            } else {
+                TrackingState::Good
             };
-            demand(&evidence, &config)
+            demand(&doubtful(is_surprising, state), lost_in_a_row, &config)
         };
         let near = config.return_near_frames;
         assert_eq!(after(0, false, false), Demand::None);
@@ -513,13 +500,7 @@ mod tests {
     fn a_frame_from_the_same_place_is_passed_over_but_not_many_in_a_row() {
         let config = RefinementConfig::default();
         let refines = |num_mapped, num_passed, relative_distance| {
-            let evidence = RefinementEvidence {
-                num_mapped,
-                num_passed,
-                relative_distance,
-                is_hurried: false,
-            };
-            is_refining(&evidence, &config)
+            is_refining((num_mapped, num_passed), relative_distance, false, &config)
         };
         let (first, near) = (config.first_frames, 0.9 * config.max_passed_distance);
         assert!(!refines(first, 0, near));
@@ -534,27 +515,15 @@ mod tests {
         assert!(!refines(first, config.max_passed - 1, near));
         assert!(refines(first, config.max_passed, near), "once in a while");
         let every = RefinementConfig::thesis();
-        let still = RefinementEvidence {
-            num_mapped: 100,
-            num_passed: 0,
-            relative_distance: 0.0,
-            is_hurried: false,
-        };
-        assert!(is_refining(&still, &every));
+        assert!(is_refining((100, 0), 0.0, false, &every));
     }
 
     #[test]
     fn a_frame_that_keeps_the_next_one_waiting_is_passed_over_but_not_for_ever() {
         let config = RefinementConfig::default();
-        let refines = |num_mapped, num_passed| {
-            let evidence = RefinementEvidence {
-                num_mapped,
-                num_passed,
-                relative_distance: 10.0 * config.max_passed_distance,
-                is_hurried: true,
-            };
-            is_refining(&evidence, &config)
-        };
+        let far = 10.0 * config.max_passed_distance;
+        let refines =
+            |num_mapped, num_passed| is_refining((num_mapped, num_passed), far, true, &config);
         assert!(!refines(0, 0), "not even the first one");
         assert!(!refines(100, 0), "nor one from another place");
         assert!(!refines(100, MAX_HURRIED - 1));

@@ -93,18 +93,10 @@ pub struct StageTimes {
     pub graph: f64,
 }
 
-/// A stage of which the time is taken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Stage {
-    Tracking,
-    Depth,
-    Graph,
-}
-
 /// Times the stages of a frame one after the other.
 #[derive(Debug)]
 pub(crate) struct Stopwatch {
-    times: StageTimes,
+    pub times: StageTimes,
     since: Instant,
 }
 
@@ -117,19 +109,10 @@ impl Stopwatch {
     }
 
     /// The time since the last lap was spent on this stage.
-    pub(crate) fn lap(&mut self, stage: Stage) {
+    pub(crate) fn lap(&mut self, stage: impl FnOnce(&mut StageTimes) -> &mut f64) {
         let now = Instant::now();
-        let milliseconds = (now - self.since).as_secs_f64() * 1e3;
+        *stage(&mut self.times) += (now - self.since).as_secs_f64() * 1e3;
         self.since = now;
-        *match stage {
-            Stage::Tracking => &mut self.times.tracking,
-            Stage::Depth => &mut self.times.depth,
-            Stage::Graph => &mut self.times.graph,
-        } += milliseconds;
-    }
-
-    pub(crate) fn times(&self) -> StageTimes {
-        self.times
     }
 }
 

@@ -2,12 +2,12 @@
 
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
+use crate::system::Setup;
 use crate::two_view_start::TwoViewStart;
 use crate::{InitializationMode, LostReason, Scale, SlamConfig};
-use monogrid_depth::{DepthMap, HostFrame};
-use monogrid_geometry::{Pinhole, Se3};
-use monogrid_image::{GrayImage, Mask};
-use std::sync::Arc;
+use monogrid_depth::DepthMap;
+use monogrid_geometry::Se3;
+use monogrid_image::GrayImage;
 
 /// Waits for the first keyframe.
 #[derive(Debug)]
@@ -19,15 +19,6 @@ pub(crate) enum Start {
     },
     /// Two views with parallax.
     TwoView(Box<TwoViewStart>),
-}
-
-/// Outcome of one frame.
-#[derive(Debug)]
-pub(crate) enum StartOutcome {
-    /// Not yet.
-    Waiting(LostReason),
-    /// There is a first keyframe.
-    Started(Box<Started>),
 }
 
 /// The first keyframe, and the frames that were seen while waiting for it.
@@ -47,12 +38,24 @@ pub(crate) struct Started {
 }
 
 impl Started {
+    /// In its own unit, where no other frame is known.
+    pub(crate) fn new(keyframe: Frame, depth: DepthMap) -> Self {
+        Self {
+            keyframe,
+            depth,
+            world_scale: 1.0,
+            scale: Scale::Arbitrary,
+            first_step: Se3::identity(),
+            earlier: Vec::new(),
+            later: Vec::new(),
+        }
+    }
+
     /// Time to the frame after the keyframe, or from the one before it.
     pub(crate) fn first_interval_ns(&self) -> i64 {
-        let next = self.later.first().or(self.earlier.last());
-        next.map_or(0, |next| {
-            (next.timestamp_ns - self.keyframe.timestamp_ns).abs()
-        })
+        let (next, own_ns) = (self.later.first(), self.keyframe.timestamp_ns);
+        let next = next.or(self.earlier.last());
+        next.map_or(0, |next| (next.timestamp_ns - own_ns).abs())
     }
 
     /// All frames, in the order of time.
@@ -82,68 +85,37 @@ impl Start {
         }
     }
 
-    /// Takes the next frame. A seed depth decides at once, whatever the mode.
+    /// Takes the next frame: the first keyframe, or why there is none yet. A seed depth decides at once, whatever the mode.
     pub(crate) fn add_frame(
         &mut self,
         frame: Frame,
         seed_depth: Option<&GrayImage>,
-        pinhole: &Pinhole,
-        mask: &Mask,
-        config: &SlamConfig,
-    ) -> StartOutcome {
-        if let Some(started) =
-            seed_depth.and_then(|d| from_seed_depth(&frame, d, pinhole, mask, config))
-        {
-            return StartOutcome::Started(Box::new(started));
+        setup: &Setup,
+    ) -> Result<Box<Started>, LostReason> {
+        if let Some(started) = seed_depth.and_then(|depth| from_seed_depth(&frame, depth, setup)) {
+            return Ok(Box::new(started));
         }
         match self {
-            Self::Random { seed } => random(frame, *seed, pinhole, mask, config),
-            Self::TwoView(start) => start.add_frame(frame, pinhole, mask, config),
+            Self::Random { seed } => {
+                let started = random(frame, *seed, setup);
+                started.map(Box::new).ok_or(LostReason::NoTexture)
+            }
+            Self::TwoView(start) => start.add_frame(frame, setup),
         }
     }
 }
 
-/// The host of a frame; `None` for sizes the depth filter cannot work with.
-pub(crate) fn host_of(frame: &Frame, pinhole: &Pinhole, mask: &Mask) -> Option<Arc<HostFrame>> {
-    HostFrame::new(frame.image().clone(), mask.clone(), *pinhole).map(Arc::new)
-}
-
-/// Random depth in the first frame that has texture.
-fn random(
-    frame: Frame,
-    seed: u64,
-    pinhole: &Pinhole,
-    mask: &Mask,
-    config: &SlamConfig,
-) -> StartOutcome {
-    let Some(host) = host_of(&frame, pinhole, mask) else {
-        return StartOutcome::Waiting(LostReason::NoTexture);
-    };
-    let mut depth = DepthMap::empty(host, &config.depth);
+/// Random depth in a frame that has texture.
+fn random(frame: Frame, seed: u64, setup: &Setup) -> Option<Started> {
+    let config = &setup.config;
+    let mut depth = DepthMap::empty(setup.host(frame.image().clone())?, &config.depth);
     depth.initialize_random(seed);
-    if depth.num_known() < config.tracking.min_points {
-        return StartOutcome::Waiting(LostReason::NoTexture);
-    }
-    StartOutcome::Started(Box::new(Started {
-        keyframe: frame,
-        depth,
-        world_scale: 1.0,
-        scale: Scale::Arbitrary,
-        first_step: Se3::identity(),
-        earlier: Vec::new(),
-        later: Vec::new(),
-    }))
+    (depth.num_known() >= config.tracking.min_points).then(|| Started::new(frame, depth))
 }
 
 /// A metric start from a depth image. The keyframe's unit is the median depth.
-fn from_seed_depth(
-    frame: &Frame,
-    seed_depth: &GrayImage,
-    pinhole: &Pinhole,
-    mask: &Mask,
-    config: &SlamConfig,
-) -> Option<Started> {
-    let host = host_of(frame, pinhole, mask)?;
+fn from_seed_depth(frame: &Frame, seed_depth: &GrayImage, setup: &Setup) -> Option<Started> {
+    let config = &setup.config;
     if !seed_depth.same_size(frame.image()) {
         return None;
     }
@@ -153,16 +125,12 @@ fn from_seed_depth(
         return None;
     }
     let unit = median(&mut known)?;
-    let mut depth = DepthMap::empty(host, &config.depth);
+    let mut depth = DepthMap::empty(setup.host(frame.image().clone())?, &config.depth);
     let sigma = config.initialization.seed_relative_sigma;
     depth.initialize_from_depth(&seed_depth.map(|z| z / unit), sigma);
     (depth.num_known() >= config.tracking.min_points).then(|| Started {
-        keyframe: frame.clone(),
-        depth,
         world_scale: f64::from(unit),
         scale: Scale::Metric,
-        first_step: Se3::identity(),
-        earlier: Vec::new(),
-        later: Vec::new(),
+        ..Started::new(frame.clone(), depth)
     })
 }

@@ -7,7 +7,7 @@ use monogrid_graph::pose_graph::GraphEdge;
 
 /// Everything that a system needs to go on with a map: see [`crate::Slam::stored_map`] and
 /// [`crate::Slam::continue_from`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct StoredMap {
     /// Whether the unit of the world is the metre.
     pub scale: Scale,
@@ -211,11 +211,8 @@ impl StoredMap {
     pub fn side_by_side(maps: Vec<Self>) -> Self {
         let mut next_fragment = maps.len() as FragmentId;
         let mut all = Self {
-            scale: maps.first().map_or(Scale::Arbitrary, |map| map.scale),
-            pose_revision: 0,
-            keyframes: Vec::new(),
-            edges: Vec::new(),
-            points: Vec::new(),
+            scale: maps.first().map(|map| map.scale).unwrap_or_default(),
+            ..Self::default()
         };
         for (number, map) in (0..).zip(maps) {
             let first = all.keyframes.len() as KeyframeId;
@@ -244,14 +241,9 @@ impl StoredMap {
     /// The keyframes of one fragment as a map of its own, in the world of the fragment, and the identities that they had.
     #[must_use]
     pub fn fragment(&self, fragment: FragmentId) -> (Self, Vec<KeyframeId>) {
-        let of_fragment = self
-            .keyframes
-            .iter()
-            .filter(|stored| stored.fragment == fragment);
-        let ids: Vec<KeyframeId> = of_fragment
-            .clone()
-            .map(|stored| stored.keyframe.id)
-            .collect();
+        let all = self.keyframes.iter();
+        let of_fragment = all.filter(|stored| stored.fragment == fragment);
+        let ids: Vec<KeyframeId> = of_fragment.clone().map(|s| s.keyframe.id).collect();
         let is_inside = |id: KeyframeId| ids.binary_search(&id).is_ok();
         let renamed = |id: KeyframeId| ids.partition_point(|other| *other < id) as KeyframeId;
         let edges = self.edges.iter();

@@ -8,8 +8,9 @@ use crate::depth_step::{observe, regularize};
 use crate::frame::{BufferedFrame, Frame};
 use crate::median::median;
 use crate::sparse::corner_settings;
-use crate::start::{StartOutcome, Started, host_of};
-use crate::{InitializationConfig, LostReason, Scale, SlamConfig, SparseConfig};
+use crate::start::Started;
+use crate::system::Setup;
+use crate::{InitializationConfig, LostReason, SparseConfig};
 use monogrid_depth::{DepthMap, StereoFrame};
 use monogrid_features::{
     CornerConfig, Match, TrackConfig, TwoView, TwoViewConfig, TwoViewOutcome, detect_corners,
@@ -75,10 +76,8 @@ impl TwoViewStart {
     pub(crate) fn add_frame(
         &mut self,
         frame: Frame,
-        pinhole: &Pinhole,
-        mask: &Mask,
-        config: &SlamConfig,
-    ) -> StartOutcome {
+        setup: &Setup,
+    ) -> Result<Box<Started>, LostReason> {
         self.buffer(&frame);
         let min_features = self.settings.min_features;
         let last = self.last.replace(Arc::clone(&frame.pyramid));
@@ -91,38 +90,29 @@ impl TwoViewStart {
         self.references.retain(|r| r.num_followed() >= min_features);
         let mut reason = None;
         for at in 0..self.references.len() {
-            match self.start_from(at, pinhole, mask, config) {
-                Ok(started) => return StartOutcome::Started(Box::new(started)),
+            match self.start_from(at, setup) {
+                Ok(started) => return Ok(Box::new(started)),
                 Err(refused) => reason = reason.or(Some(refused)),
             }
         }
         if self.needs_reference() {
-            let corners = self.corners(pinhole, &config.sparse);
-            self.refer_to(frame, mask, &corners);
+            let corners = self.corners(&setup.pinhole, &setup.config.sparse);
+            self.refer_to(frame, &setup.mask, &corners);
         }
-        let is_blind = self.references.is_empty();
-        let reason = reason.filter(|_| !is_blind);
-        StartOutcome::Waiting(reason.unwrap_or(if is_blind {
-            LostReason::TooFewFeatures
-        } else {
-            LostReason::NotEnoughParallax
-        }))
+        if self.references.is_empty() {
+            return Err(LostReason::TooFewFeatures);
+        }
+        Err(reason.unwrap_or(LostReason::NotEnoughParallax))
     }
 
     /// A start from the views since one of the references.
-    fn start_from(
-        &mut self,
-        at: usize,
-        pinhole: &Pinhole,
-        mask: &Mask,
-        config: &SlamConfig,
-    ) -> Result<Started, LostReason> {
+    fn start_from(&mut self, at: usize, setup: &Setup) -> Result<Started, LostReason> {
         let reference = &self.references[at];
         if reference.displacement() < self.settings.min_displacement {
             return Err(LostReason::NotEnoughParallax);
         }
-        let views = reference.solve(pinhole, self.seed, &self.settings)?;
-        let started = self.first_keyframe(at, &views, pinhole, mask, config);
+        let views = reference.solve(&setup.pinhole, self.seed, &self.settings)?;
+        let started = self.first_keyframe(at, &views, setup);
         started.ok_or(LostReason::AmbiguousStart)
     }
 
@@ -178,16 +168,9 @@ impl TwoViewStart {
     }
 
     /// Depth of the reference from the views; `None` when too few pixels get one.
-    fn first_keyframe(
-        &mut self,
-        at: usize,
-        views: &[PosedView],
-        pinhole: &Pinhole,
-        mask: &Mask,
-        config: &SlamConfig,
-    ) -> Option<Started> {
-        let reference = &self.references[at];
-        let host = host_of(&reference.frame, pinhole, mask)?;
+    fn first_keyframe(&mut self, at: usize, views: &[PosedView], setup: &Setup) -> Option<Started> {
+        let (reference, config) = (&self.references[at], &setup.config);
+        let host = setup.host(reference.frame.image().clone())?;
         let mut depth = DepthMap::empty(host, &config.depth);
         // The longest baselines last: short ones find the place, long ones make it exact.
         for view in views {
@@ -215,18 +198,12 @@ impl TwoViewStart {
         });
         let reference = self.references.swap_remove(at);
         let mut later = std::mem::take(&mut self.buffered);
-        let mut earlier: Vec<BufferedFrame> = later
-            .drain(..=reference.buffer_index.min(later.len() - 1))
-            .collect();
-        earlier.pop();
+        let before = reference.buffer_index.min(later.len() - 1);
         Some(Started {
-            keyframe: reference.frame,
-            depth,
-            world_scale: 1.0,
-            scale: Scale::Arbitrary,
             first_step,
-            earlier,
+            earlier: later.drain(..=before).take(before).collect(),
             later,
+            ..Started::new(reference.frame, depth)
         })
     }
 }
@@ -251,26 +228,14 @@ const MAX_REFERENCES: usize = 3;
 impl Reference {
     /// Follows every point from the reference into `frame`, from where it was seen last.
     fn follow(&mut self, frame: &Frame) {
-        let alive: Vec<usize> = (0..self.points.len())
-            .filter(|&i| self.tracks[i].is_some())
-            .collect();
+        let alive = (0..self.points.len()).filter_map(|i| Some((i, self.tracks[i]?)));
+        let (alive, tracks): (Vec<usize>, Vec<(Vec2, Vec2)>) = alive.unzip();
         let points: Vec<Vec2> = alive.iter().map(|&i| self.points[i]).collect();
-        let initial: Vec<Vec2> = alive
-            .iter()
-            .filter_map(|&i| self.tracks[i].map(|(pixel, step)| pixel + step))
-            .collect();
-        let outcomes = track_points(
-            &self.frame.pyramid,
-            &frame.pyramid,
-            &points,
-            &initial,
-            &TrackConfig::default(),
-        );
-        for (&i, outcome) in alive.iter().zip(&outcomes) {
-            self.tracks[i] = match (outcome.pixel(), self.tracks[i]) {
-                (Some(pixel), Some((last, _))) => Some((pixel, pixel - last)),
-                _ => None,
-            };
+        let initial: Vec<Vec2> = tracks.iter().map(|(pixel, step)| pixel + step).collect();
+        let (own, other, config) = (&self.frame.pyramid, &frame.pyramid, TrackConfig::default());
+        let outcomes = track_points(own, other, &points, &initial, &config);
+        for ((&i, (last, _)), outcome) in alive.iter().zip(&tracks).zip(&outcomes) {
+            self.tracks[i] = outcome.pixel().map(|pixel| (pixel, pixel - last));
         }
         let offset = self.views.last().map_or(1, |view| view.offset + 1);
         self.views.push(View {
@@ -288,13 +253,8 @@ impl Reference {
         let lost = (0..self.points.len()).filter(|&i| view.pixels[i].is_none());
         let (lost, points): (Vec<usize>, Vec<Vec2>) =
             lost.filter_map(|i| Some((i, before.pixels[i]?))).unzip();
-        let outcomes = track_points(
-            last,
-            &frame.pyramid,
-            &points,
-            &points,
-            &TrackConfig::default(),
-        );
+        let config = TrackConfig::default();
+        let outcomes = track_points(last, &frame.pyramid, &points, &points, &config);
         for ((&i, point), outcome) in lost.iter().zip(&points).zip(&outcomes) {
             if let Some(pixel) = outcome.pixel() {
                 self.tracks[i] = Some((pixel, pixel - point));
@@ -332,32 +292,26 @@ impl Reference {
         let points = indices.iter().zip(&motion.points);
         let points = points.filter_map(|(&i, point)| point.map(|p| (i, p.idepth)));
         let points: Vec<(usize, f64)> = points.filter(|(_, idepth)| *idepth > 0.0).collect();
-        let chosen = self.chosen_views();
-        let mut poses = Vec::with_capacity(chosen.len());
+        let step = self.views.len().div_ceil(MAX_VIEWS).max(1);
+        // evenly spread, with the last one
+        let chosen = self.views.iter().rev().step_by(step).rev();
+        let last_offset = self.views.last().map(|view| view.offset);
+        let mut views = Vec::with_capacity(chosen.len());
         let mut guess = Se3::identity();
-        for &view in &chosen {
-            if view + 1 == self.views.len() {
+        for view in chosen {
+            if Some(view.offset) == last_offset {
                 guess = motion.b_from_a;
             }
             guess = self.pose_of_view(view, &points, &guess, pinhole);
-            poses.push(guess);
+            views.push((view, guess));
         }
-        self.adjust_views(&chosen, &poses, &points, pinhole, settings)
-    }
-
-    /// At most [`MAX_VIEWS`] views, evenly spread, with the last one.
-    fn chosen_views(&self) -> Vec<usize> {
-        let n = self.views.len();
-        let step = n.div_ceil(MAX_VIEWS).max(1);
-        let mut chosen: Vec<usize> = (0..n).rev().step_by(step).collect();
-        chosen.reverse();
-        chosen
+        self.adjust_views(&views, &points, pinhole, settings)
     }
 
     /// Pose of a view from points with known depth.
     fn pose_of_view(
         &self,
-        view: usize,
+        view: &View,
         points: &[(usize, f64)],
         guess: &Se3,
         pinhole: &Pinhole,
@@ -365,9 +319,9 @@ impl Reference {
         let matches: Vec<MapMatch> = points
             .iter()
             .filter_map(|&(i, idepth)| {
-                self.views[view].pixels[i].map(|pixel| MapMatch {
+                Some(MapMatch {
                     point_in_world: pinhole.unproject(&self.points[i]) / idepth,
-                    pixel,
+                    pixel: view.pixels[i]?,
                     inv_sigma_px: 1.0,
                 })
             })
@@ -379,13 +333,12 @@ impl Reference {
     /// Adjusts views and points; the median depth becomes 1.
     fn adjust_views(
         &self,
-        chosen: &[usize],
-        poses: &[Se3],
+        views: &[(&View, Se3)],
         points: &[(usize, f64)],
         pinhole: &Pinhole,
         settings: &InitializationConfig,
     ) -> Result<Vec<PosedView>, LostReason> {
-        let problem = self.bundle_problem(chosen, poses, points, pinhole, settings.sigma_px);
+        let problem = self.bundle_problem(views, points, pinhole, settings.sigma_px);
         let bundle_config = BundleConfig {
             max_iterations: 20,
             with_covariance: true,
@@ -398,26 +351,23 @@ impl Reference {
             .map_or(&[][..], |c| c.inverse_depth_variances.as_slice());
         let pairs = solution.inverse_depths.iter().zip(variances);
         let relative = pairs.filter_map(|(d, v)| v.map(|v| v.sqrt() / d));
-        let mut relative: Vec<f64> = relative.collect();
-        let uncertainty = positive_median(&mut relative).ok_or(LostReason::AmbiguousStart)?;
+        let uncertainty = positive_median(relative.collect())?;
         if uncertainty > settings.max_relative_sigma {
             return Err(LostReason::NotEnoughParallax);
         }
-        let scale = positive_median(&mut solution.inverse_depths.clone())
-            .ok_or(LostReason::AmbiguousStart)?;
-        let posed = |(&view, pose): (&usize, &Se3)| PosedView {
-            offset: self.views[view].offset,
-            frame_from_reference: pose.stretched(scale),
-        };
+        let scale = positive_median(solution.inverse_depths.clone())?;
         let poses = &solution.camera_from_world[1..];
-        Ok(chosen.iter().zip(poses).map(posed).collect())
+        let posed = views.iter().zip(poses).map(|((view, _), pose)| PosedView {
+            offset: view.offset,
+            frame_from_reference: pose.stretched(scale),
+        });
+        Ok(posed.collect())
     }
 
     /// The reference fixed, the last view at a fixed distance from it.
     fn bundle_problem(
         &self,
-        chosen: &[usize],
-        poses: &[Se3],
+        views: &[(&View, Se3)],
         points: &[(usize, f64)],
         pinhole: &Pinhole,
         sigma_px: f64,
@@ -426,9 +376,9 @@ impl Reference {
             camera_from_world: Se3::identity(),
             freedom: PoseFreedom::Fixed,
         }];
-        keyframes.extend(poses.iter().enumerate().map(|(k, pose)| BundleKeyframe {
+        keyframes.extend((1..).zip(views).map(|(k, (_, pose))| BundleKeyframe {
             camera_from_world: *pose,
-            freedom: if k + 1 == poses.len() {
+            freedom: if k == views.len() {
                 PoseFreedom::FixedDistance { to: 0 }
             } else {
                 PoseFreedom::Free
@@ -441,11 +391,11 @@ impl Reference {
             prior: None,
         });
         let mut observations = Vec::new();
-        for (k, &view) in chosen.iter().enumerate() {
+        for (keyframe, (view, _)) in (1..).zip(views) {
             for (point, &(i, _)) in points.iter().enumerate() {
-                if let Some(pixel) = self.views[view].pixels[i] {
+                if let Some(pixel) = view.pixels[i] {
                     observations.push(Observation {
-                        keyframe: k + 1,
+                        keyframe,
                         point,
                         pixel,
                         inv_sigma_px: 1.0 / sigma_px,
@@ -467,14 +417,10 @@ impl Reference {
         pinhole: &Pinhole,
         seed: u64,
     ) -> Result<(Vec<usize>, TwoView), LostReason> {
-        let followed: Vec<(usize, Match)> = self
-            .points
-            .iter()
-            .zip(&self.tracks)
-            .enumerate()
-            .filter_map(|(i, (a, track))| track.map(|(b, _)| (i, Match { a: *a, b })))
-            .collect();
-        let (indices, matches): (Vec<usize>, Vec<Match>) = followed.into_iter().unzip();
+        let tracks = self.points.iter().zip(&self.tracks).enumerate();
+        let followed =
+            tracks.filter_map(|(i, (a, track))| track.map(|(b, _)| (i, Match { a: *a, b })));
+        let (indices, matches): (Vec<usize>, Vec<Match>) = followed.unzip();
         let config = TwoViewConfig {
             seed,
             ..TwoViewConfig::default()
@@ -491,8 +437,9 @@ impl Reference {
 }
 
 /// The median, where it is one of a positive quantity.
-fn positive_median(values: &mut [f64]) -> Option<f64> {
-    median(values).filter(|m| m.is_finite() && *m > 0.0)
+fn positive_median(mut values: Vec<f64>) -> Result<f64, LostReason> {
+    let median = median(&mut values).filter(|m| m.is_finite() && *m > 0.0);
+    median.ok_or(LostReason::AmbiguousStart)
 }
 
 #[cfg(test)]

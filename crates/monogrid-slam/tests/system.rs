@@ -114,7 +114,7 @@ fn starts_from_two_views_and_gives_every_frame_a_pose() {
         report.path_length
     );
     assert_eq!(slam.scale(), Scale::Arbitrary);
-    assert_eq!(slam.lost_episodes(), 0);
+    assert_eq!(slam.counts().lost_episodes, 0);
     assert_eq!(reports[0].state, TrackingState::Initialising);
     let tracked = reports.last().unwrap();
     assert_eq!(tracked.state, TrackingState::Good);
@@ -155,7 +155,7 @@ fn the_same_bits_for_any_number_of_threads_and_any_memory() {
                 let mut told = 0;
                 slam.conclude(&mut |slam| {
                     told += 1;
-                    slam.give_room(0);
+                    slam.room().give(0);
                 });
                 assert_eq!(told, 1);
             }
@@ -186,7 +186,7 @@ fn the_thesis_profile_starts_at_random_with_its_seed() {
     let (slam, reports) = run(SlamConfig::thesis(), 1, &clip().inputs);
     assert_eq!(reports[0].state, TrackingState::Good);
     assert!(!slam.keyframes().is_empty());
-    assert!(slam.sparse_stats().anchored == 0, "no sparse layer");
+    assert!(slam.points().next().is_none(), "no sparse layer");
     let (again, reports_again) = run(SlamConfig::thesis(), 1, &clip().inputs);
     assert!(fingerprint(&slam, &reports) == fingerprint(&again, &reports_again));
     let (other, other_reports) = run(SlamConfig::thesis(), 2, &clip().inputs);
@@ -257,7 +257,7 @@ fn a_covered_lens_is_lost_with_a_reason_and_found_again() {
         assert_eq!(report.state, TrackingState::Lost);
         assert!(report.reason.is_some() && report.world_from_camera.is_none());
     }
-    assert_eq!(slam.lost_episodes(), 1);
+    assert_eq!(slam.counts().lost_episodes, 1);
     assert!(reports[50..].iter().all(|r| r.state == TrackingState::Good));
     let report = evaluate(&slam);
     assert!(report.ate_rmse < 0.015 * report.path_length);
@@ -311,7 +311,7 @@ fn a_kidnapped_camera_is_recognised_at_an_old_keyframe() {
         });
     }
     let (slam, reports) = run(SlamConfig::default(), 0, &inputs);
-    assert_eq!(slam.relocalisations(), 1);
+    assert_eq!(slam.counts().relocalisations, 1);
     assert!(
         reports[jump..]
             .iter()
@@ -502,7 +502,7 @@ fn a_camera_that_stays_in_one_place_needs_no_new_keyframes() {
     }
     slam.finish();
     assert!(again >= 6, "{again}");
-    assert_eq!(slam.reactivations(), again);
+    assert_eq!(slam.counts().reactivations, again);
     // each way leaves off somewhat elsewhere; after the third all views are known
     let (early, last) = (sizes[2], sizes[WAYS - 1]);
     assert_eq!(last.keyframes, early.keyframes, "{sizes:?}");

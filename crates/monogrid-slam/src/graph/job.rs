@@ -9,29 +9,30 @@ use monogrid_graph::pose_graph::PoseGraphError;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Motion between a keyframe and the one that it was tracked on, as tracking found it.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct OdometryEdge {
-    pub parent: KeyframeId,
-    pub keyframe: KeyframeId,
-    pub parent_from_keyframe: Sim3,
-    /// Covariance of a left update `[v, w]`, in the units of the parent.
-    pub covariance: Mat6,
-    /// Standard deviation of the logarithm of the scale.
-    pub scale_sigma: f64,
+/// What tracking has found about two keyframes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) enum Link {
+    /// Nothing.
+    #[default]
+    None,
+    /// A new keyframe was made, from the one that it was tracked on.
+    Odometry(OdometryEdge),
+    /// A keyframe was left for another that existed already: tracking has seen both in one frame.
+    Handover(OdometryEdge),
 }
 
-/// A keyframe was left for another that existed already: tracking has seen both in one frame.
+/// Motion between two keyframes, as tracking found it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Handover {
+pub(crate) struct OdometryEdge {
     /// The older of the two.
     pub i: KeyframeId,
     /// The newer.
     pub j: KeyframeId,
-    /// As tracking found it, the scale as the poses have it.
     pub i_from_j: Sim3,
     /// Covariance of a left update `[v, w]`, in the units of the older.
     pub covariance: Mat6,
+    /// Standard deviation of the logarithm of the scale.
+    pub scale_sigma: f64,
 }
 
 /// A keyframe that a frame shows, and where the frame is.
@@ -49,10 +50,7 @@ pub(crate) struct GraphJob {
     pub finished: Option<Arc<View>>,
     /// The map of keyframes as it is.
     pub poses: Arc<PoseSnapshot>,
-    /// Motion of the newest keyframe.
-    pub odometry: Option<OdometryEdge>,
-    /// The change to a keyframe that existed already.
-    pub handover: Option<Handover>,
+    pub link: Link,
     /// Pairs whose relative pose the sparse layer has just adjusted.
     pub shared_points: Vec<SharedPoints>,
     /// Whether all keyframes look for constraints once more.

@@ -23,7 +23,7 @@ pub use config::{
     SparseEdgeConfig,
 };
 pub(crate) use job::{
-    EdgeChanges, EdgeKey, GraphJob, GraphUpdate, Handover, Joined, OdometryEdge, Relocalised,
+    EdgeChanges, EdgeKey, GraphJob, GraphUpdate, Joined, Link, OdometryEdge, Relocalised,
     RestoredGraph,
 };
 pub use job::{EdgeKind, GraphStats};

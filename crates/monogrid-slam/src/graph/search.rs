@@ -2,26 +2,28 @@
 
 use super::GraphConfig;
 use crate::KeyframeId;
+use crate::map::View;
 use crate::mapping::KeyframeCamera;
 use monogrid_alignment::DepthSample;
-use monogrid_geometry::{Pinhole, Sim3, Vec3};
+use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
+use std::sync::Arc;
 
 /// Points with which the overlap of two keyframes is predicted.
 const NUM_PROBES: usize = 300;
 
 /// A few points of a keyframe, in its units.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Probes {
+pub(super) struct Probes {
     points: Vec<Vec3>,
     /// Their distances, ascending.
     distances: Vec<f64>,
 }
 
 impl Probes {
-    pub(crate) fn new(samples: &[DepthSample], pinhole: &Pinhole) -> Self {
+    pub(super) fn new(samples: &[DepthSample], pinhole: &Pinhole) -> Self {
         let stride = samples.len().div_ceil(NUM_PROBES).max(1);
         let points = samples.iter().step_by(stride).filter_map(|sample| {
-            let pixel = monogrid_geometry::Vec2::new(f64::from(sample.x), f64::from(sample.y));
+            let pixel = Vec2::new(f64::from(sample.x), f64::from(sample.y));
             let depth = 1.0 / f64::from(sample.idepth);
             (depth.is_finite() && depth > 0.0).then(|| pinhole.unproject(&pixel) * depth)
         });
@@ -42,6 +44,21 @@ impl Probes {
         let too_near = self.distances.partition_point(|d| *d < least);
         let num = self.distances.len();
         (num - too_near) as f64 / num.max(1) as f64
+    }
+
+    /// Whether another keyframe is near enough to have this overlap. Most of a long way
+    /// are not, which is seen without their points.
+    fn is_near(
+        &self,
+        other: &Self,
+        other_from_self: &Sim3,
+        min_overlap: f64,
+        config: &GraphConfig,
+    ) -> bool {
+        let in_other = other_from_self.translation.norm();
+        let in_own = in_other / other_from_self.scale;
+        self.seen_from_at_most(in_own, config) >= min_overlap
+            && other.seen_from_at_most(in_other, config) >= min_overlap
     }
 
     /// Share of the points that another keyframe sees from a similar direction and distance.
@@ -79,27 +96,17 @@ fn sees(camera: &KeyframeCamera, point: &Vec3) -> bool {
     pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < width && pixel.y < height
 }
 
-/// A keyframe as the search sees it.
-pub(crate) struct Candidate<'a> {
-    pub id: KeyframeId,
-    pub world_from_keyframe: Sim3,
-    pub probes: &'a Probes,
-    pub camera: &'a KeyframeCamera,
+/// A finished keyframe as the graph keeps it.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub view: Arc<View>,
+    pub probes: Probes,
 }
 
-/// Whether two keyframes, of which one is here in the other, are near enough to have this overlap. Most of a long way
-/// are not, which is seen without their points.
-fn are_near(
-    own: &Probes,
-    other: &Probes,
-    other_from_own: &Sim3,
-    min_overlap: f64,
-    config: &GraphConfig,
-) -> bool {
-    let in_other = other_from_own.translation.norm();
-    let in_own = in_other / other_from_own.scale;
-    own.seen_from_at_most(in_own, config) >= min_overlap
-        && other.seen_from_at_most(in_other, config) >= min_overlap
+/// A keyframe as the search sees it.
+pub(super) struct Candidate<'a> {
+    pub entry: &'a Entry,
+    pub world_from_keyframe: Sim3,
 }
 
 /// A keyframe with its distance and its overlap, if that is large enough.
@@ -110,27 +117,23 @@ fn rate(
     config: &GraphConfig,
 ) -> Option<(KeyframeId, f64, f64)> {
     let other_from_own = other.world_from_keyframe.inverse() * own.world_from_keyframe;
-    if !are_near(
-        own.probes,
-        other.probes,
-        &other_from_own,
-        min_overlap,
-        config,
-    ) {
+    let (own_probes, other_probes) = (&own.entry.probes, &other.entry.probes);
+    if !own_probes.is_near(other_probes, &other_from_own, min_overlap, config) {
         return None;
     }
     let own_from_other = other_from_own.inverse();
-    let forward = (own.probes).seen_in(&other_from_own, other.camera, config);
-    let backward = (other.probes).seen_in(&own_from_other, own.camera, config);
+    let (own_view, other_view) = (&own.entry.view, &other.entry.view);
+    let forward = own_probes.seen_in(&other_from_own, &other_view.camera, config);
+    let backward = other_probes.seen_in(&own_from_other, &own_view.camera, config);
     let (a, b) = (&own.world_from_keyframe, &other.world_from_keyframe);
     let distance = (a.translation - b.translation).norm() / a.scale.min(b.scale);
     let overlap = forward.min(backward);
-    (overlap >= min_overlap).then_some((other.id, distance, overlap))
+    (overlap >= min_overlap).then_some((other_view.id, distance, overlap))
 }
 
 /// The ten nearest keyframes, and all others with a large predicted overlap; nearest first, then by
 /// overlap, without repetition.
-pub(crate) fn choose(
+pub(super) fn choose(
     own: &Candidate<'_>,
     others: &[Candidate<'_>],
     config: &GraphConfig,
@@ -154,7 +157,7 @@ pub(crate) fn choose(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_geometry::{Rotation, Vec3};
+    use monogrid_geometry::Rotation;
 
     /// Points on a wall before a camera, from left to right ever farther away.
     fn wall() -> Probes {
@@ -179,7 +182,7 @@ mod tests {
                 let own_from_other = other_from_own.inverse();
                 let forward = own.seen_in(&other_from_own, &camera, &config);
                 let backward = other.seen_in(&own_from_other, &camera, &config);
-                let is_near = are_near(&own, &other, &other_from_own, 0.2, &config);
+                let is_near = own.is_near(&other, &other_from_own, 0.2, &config);
                 assert!(is_near || forward.min(backward) < 0.2, "{other_from_own:?}");
                 overlapping += usize::from(forward.min(backward) >= 0.2);
                 passed_over += usize::from(!is_near);

@@ -13,6 +13,7 @@ pub(crate) enum Request {
 }
 
 /// The graph and the thread on which it works. At most one job is under way.
+#[derive(Debug)]
 pub(crate) enum GraphWorker {
     /// With a single thread a job is done when it is given.
     Inline {
@@ -24,17 +25,7 @@ pub(crate) enum GraphWorker {
         updates: Receiver<GraphUpdate>,
         places: Receiver<Vec<Relocalised>>,
         thread: Option<JoinHandle<()>>,
-        under_way: bool,
     },
-}
-
-impl std::fmt::Debug for GraphWorker {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Inline { .. } => "GraphWorker::Inline",
-            Self::Threaded { .. } => "GraphWorker::Threaded",
-        })
-    }
 }
 
 impl GraphWorker {
@@ -72,20 +63,8 @@ impl GraphWorker {
                 updates,
                 places,
                 thread: Some(thread),
-                under_way: false,
             },
             Err(_) => Self::new(graph, 1),
-        }
-    }
-
-    /// One that does nothing any more.
-    pub(crate) fn ended() -> Self {
-        Self::Threaded {
-            requests: None,
-            updates: channel().1,
-            places: channel().1,
-            thread: None,
-            under_way: false,
         }
     }
 
@@ -93,26 +72,15 @@ impl GraphWorker {
     pub(crate) fn submit(&mut self, job: GraphJob) {
         match self {
             Self::Inline { graph, done } => *done = Some(Box::new(graph.run(job))),
-            Self::Threaded {
-                requests,
-                under_way,
-                ..
-            } => {
-                let request = Request::Job(Box::new(job));
-                *under_way = requests.as_ref().is_some_and(|r| r.send(request).is_ok());
-            }
+            Self::Threaded { requests, .. } => ask(requests, Request::Job(Box::new(job))),
         }
     }
 
-    /// The result of the job under way, waiting for it; `None` without one.
+    /// The result of the job under way, of which there must be one, waiting for it; `None` where the thread has ended.
     pub(crate) fn take(&mut self) -> Option<GraphUpdate> {
         match self {
             Self::Inline { done, .. } => done.take().map(|update| *update),
-            Self::Threaded {
-                updates, under_way, ..
-            } => std::mem::take(under_way)
-                .then(|| updates.recv().ok())
-                .flatten(),
+            Self::Threaded { updates, .. } => updates.recv().ok(),
         }
     }
 
@@ -123,15 +91,16 @@ impl GraphWorker {
             Self::Threaded {
                 requests, places, ..
             } => {
-                let request = Request::Relocalise(Arc::clone(frame));
-                let is_sent = requests.as_ref().is_some_and(|r| r.send(request).is_ok());
-                is_sent
-                    .then(|| places.recv().ok())
-                    .flatten()
-                    .unwrap_or_default()
+                ask(requests, Request::Relocalise(Arc::clone(frame)));
+                places.recv().unwrap_or_default()
             }
         }
     }
+}
+
+/// Where the thread has ended, nobody hears of it, and there is no answer.
+fn ask(requests: &Option<Sender<Request>>, request: Request) {
+    let _ = requests.as_ref().map(|requests| requests.send(request));
 }
 
 /// A pool for the parallel loops of this thread that consists of this thread alone.

@@ -1,10 +1,10 @@
 //! The keyframes with everything known about them, their points, and the frames tracked on them.
 
-use super::event::Changes;
+use super::changes::Changes;
 use super::frames::FrameLog;
 use super::keyframe::MapKeyframe;
+use super::parts::path_between;
 use super::points::SparsePoint;
-use super::tree::path_between;
 use crate::store::Store;
 use crate::stored::StoredEdge;
 use crate::{
@@ -45,7 +45,7 @@ pub(crate) struct Map {
 
 /// How often something has happened.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Counts {
+pub struct Counts {
     /// Times that tracking was lost.
     pub lost_episodes: usize,
     /// Times that a lost camera was recognised.
@@ -131,7 +131,8 @@ impl Map {
 
     /// Finished keyframes as they are published, by identity.
     pub(crate) fn published(&self) -> impl Iterator<Item = KeptKeyframe> {
-        self.keyframes.iter().filter_map(MapKeyframe::as_published)
+        let keyframes = self.keyframes.iter();
+        keyframes.filter_map(|keyframe| keyframe.published.clone())
     }
 
     /// The number of finished keyframes.
@@ -183,9 +184,8 @@ impl Map {
     }
 
     /// Fragments that are not joined, without the main map.
-    pub(crate) fn num_apart(&self) -> usize {
-        let apart = self.fragments.iter().filter(|f| f.joined.is_none());
-        apart.count()
+    pub(crate) fn apart(&self) -> impl Iterator<Item = &Fragment> {
+        self.fragments.iter().filter(|f| f.joined.is_none())
     }
 
     /// The identity of the next fragment.
@@ -239,12 +239,22 @@ impl Map {
         path_between(parent_of, a, b).len().saturating_sub(1) as u32
     }
 
+    /// What grows, and what that takes in memory.
     pub(crate) fn size(&self) -> MapSize {
+        let kept = self.store.bytes();
+        let points = self.points.iter().map(SparsePoint::bytes);
+        let seen = self.keyframes.iter().map(|k| k.points.bytes());
         MapSize {
             keyframes: self.keyframes.len(),
             edges: self.edges.len(),
             points: self.points.len(),
-            bytes: self.bytes(),
+            bytes: MapBytes {
+                keyframes: kept.own,
+                prepared: kept.derived,
+                in_file: kept.file,
+                points: points.chain(seen).sum(),
+                frames: self.frames.bytes(),
+            },
         }
     }
 
@@ -254,22 +264,6 @@ impl Map {
             keyframe.depth = None;
             keyframe.view = None;
         }
-    }
-
-    /// What the parts that grow take in memory.
-    fn bytes(&self) -> MapBytes {
-        let kept = self.store.bytes();
-        let mut bytes = MapBytes {
-            keyframes: kept.own,
-            prepared: kept.derived,
-            in_file: kept.file,
-            points: self.points.iter().map(SparsePoint::bytes).sum(),
-            frames: self.frames.bytes(),
-        };
-        for keyframe in &self.keyframes {
-            bytes.points += keyframe.points.bytes();
-        }
-        bytes
     }
 
     /// Makes the poses known as they are now.

@@ -10,20 +10,8 @@ pub(crate) struct Record {
     pub frame_index: usize,
     pub timestamp_ns: i64,
     pub frame_from_keyframe: Se3,
-    /// Position in the list of visits; given by the log.
+    /// Position in the list of visits.
     pub visit: usize,
-}
-
-impl Record {
-    /// A frame that was tracked on the keyframe in use.
-    pub(crate) fn new(frame_index: usize, timestamp_ns: i64, frame_from_keyframe: Se3) -> Self {
-        Self {
-            frame_index,
-            timestamp_ns,
-            frame_from_keyframe,
-            visit: 0,
-        }
-    }
 }
 
 /// A stretch of time, forwards or backwards, in which frames were tracked on one keyframe.
@@ -53,25 +41,6 @@ impl FrameLog {
     /// Memory, bytes.
     pub(super) fn bytes(&self) -> usize {
         size_of_val(self.records.as_slice()) + size_of_val(self.visits.as_slice())
-    }
-
-    /// Frames are tracked on another keyframe from this time on.
-    pub(super) fn visit(&mut self, keyframe: KeyframeId, begin_ns: i64, end: Option<VisitEnd>) {
-        if let (Some(visit), Some(_)) = (self.visits.last_mut(), end) {
-            visit.end = end;
-        }
-        self.visits.push(Visit {
-            keyframe,
-            begin_ns,
-            end: None,
-        });
-    }
-
-    /// Adds a frame to the visit under way.
-    pub(super) fn add(&mut self, record: Record) {
-        if let Some(visit) = self.visits.len().checked_sub(1) {
-            self.records.push(Record { visit, ..record });
-        }
     }
 }
 
@@ -156,6 +125,37 @@ impl Correction {
 }
 
 impl Map {
+    /// Frames are tracked on this keyframe from this time on; how the change came about, where both
+    /// keyframes know a frame.
+    pub(crate) fn visit(&mut self, keyframe: KeyframeId, begin_ns: i64, end: Option<VisitEnd>) {
+        let visits = &mut self.frames.visits;
+        if let (Some(visit), Some(_)) = (visits.last_mut(), end) {
+            visit.end = end;
+        }
+        visits.push(Visit {
+            keyframe,
+            begin_ns,
+            end: None,
+        });
+    }
+
+    /// A frame has a pose on the keyframe in use.
+    pub(crate) fn track(
+        &mut self,
+        frame_index: usize,
+        timestamp_ns: i64,
+        frame_from_keyframe: Se3,
+    ) {
+        if let Some(visit) = self.frames.visits.len().checked_sub(1) {
+            self.frames.records.push(Record {
+                frame_index,
+                timestamp_ns,
+                frame_from_keyframe,
+                visit,
+            });
+        }
+    }
+
     /// The last frame with a pose.
     pub(crate) fn last_record(&self) -> Option<&Record> {
         self.frames.records.last()

@@ -1,10 +1,10 @@
 //! A keyframe with everything that is known about it.
 
-use super::exposure::Exposure;
 use super::points::SeenPoints;
-use super::view::View;
+use crate::mapping::KeyframeCamera;
 use crate::store::{Kept, KeptImage, Store};
-use crate::{DepthPixel, FragmentId, KeptKeyframe, KeyframeId};
+use crate::{FragmentId, KeptKeyframe, KeyframeId};
+use monogrid_alignment::DepthSample;
 use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Mat7, Se3, Sim3};
 use monogrid_image::{GrayImage, Image, Pyramid};
@@ -36,7 +36,7 @@ pub(crate) struct MapKeyframe {
     /// Its depth as it was left, once it is out of use.
     pub depth: Option<Kept<PackedDepth>>,
     /// As everybody else has it, once it is finished.
-    pub published: Option<Published>,
+    pub published: Option<KeptKeyframe>,
     /// What alignment needs of it, as it was left.
     pub view: Option<Arc<View>>,
     pub points: SeenPoints,
@@ -50,22 +50,46 @@ pub(crate) struct KeyframeImage {
     pyramid: Kept<Pyramid>,
 }
 
-/// Depth of a keyframe as everybody else has it.
-#[derive(Clone, Debug)]
-pub(crate) struct Published {
-    pub revision: u32,
-    pub num_pixels: usize,
-    pub pixels: Kept<Vec<DepthPixel>>,
+/// Brightness of a keyframe: `I_keyframe = gain * I_first + bias`, relative to the first keyframe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Exposure {
+    pub gain: f64,
+    pub bias: f64,
 }
 
-impl Published {
-    pub(crate) fn new(store: &Store, revision: u32, pixels: Vec<DepthPixel>) -> Self {
+impl Exposure {
+    pub(crate) const NEUTRAL: Self = Self {
+        gain: 1.0,
+        bias: 0.0,
+    };
+
+    /// Exposure of a frame that is `gain * I_self + bias`.
+    pub(crate) fn then(&self, gain: f64, bias: f64) -> Self {
         Self {
-            revision,
-            num_pixels: pixels.len(),
-            pixels: store.keep(pixels),
+            gain: gain * self.gain,
+            bias: gain * self.bias + bias,
         }
     }
+
+    /// Gain and bias with `I_other = gain * I_self + bias`.
+    pub(crate) fn relative(&self, other: &Self) -> (f64, f64) {
+        let gain = other.gain / self.gain;
+        (gain, other.bias - gain * self.bias)
+    }
+}
+
+/// A keyframe as it was when tracking left it: image, points and brightness. Shared with the graph.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    pub id: KeyframeId,
+    /// Camera of its image.
+    pub camera: KeyframeCamera,
+    pub image: KeyframeImage,
+    /// Depth in the keyframe's units.
+    pub samples: Kept<Vec<DepthSample>>,
+    pub exposure: Exposure,
+    /// Whether its shape and scale can be relied on: not so the first keyframes of a random start.
+    pub is_settled: bool,
 }
 
 impl KeyframeImage {
@@ -103,20 +127,6 @@ impl MapKeyframe {
     /// The pyramid of its image; `None` where it cannot be read back.
     pub(crate) fn pyramid(&self) -> Option<Arc<Pyramid>> {
         self.image.pyramid()
-    }
-
-    /// The keyframe as everybody else has it; `None` before it is finished.
-    pub(crate) fn as_published(&self) -> Option<KeptKeyframe> {
-        let published = self.published.as_ref()?;
-        Some(KeptKeyframe {
-            id: self.id,
-            frame_index: self.frame_index,
-            timestamp_ns: self.timestamp_ns,
-            revision: published.revision,
-            num_pixels: published.num_pixels,
-            image: self.image.clone(),
-            pixels: published.pixels.clone(),
-        })
     }
 
     /// Rigid pose of `other` relative to this keyframe, translation in this keyframe's units.
@@ -192,5 +202,16 @@ mod tests {
         let origin_in_keyframe = frame_from_keyframe.inverse().translation;
         let expected = world_from_keyframe * origin_in_keyframe;
         assert!((world_from_frame.translation - expected).norm() < 1e-12);
+    }
+
+    #[test]
+    fn exposures_compose() {
+        let a = Exposure {
+            gain: 1.2,
+            bias: 5.0,
+        };
+        let b = a.then(0.8, -3.0);
+        let (gain, bias) = a.relative(&b);
+        assert!((gain - 0.8).abs() < 1e-12 && (bias + 3.0).abs() < 1e-12);
     }
 }

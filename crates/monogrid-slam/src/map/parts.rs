@@ -1,4 +1,4 @@
-//! What of the map holds together by more than tracked motion.
+//! How keyframes hang together: by tracked motion, and what of the map holds together by more.
 
 use crate::{EdgeKind, KeyframeId, StoredEdge};
 
@@ -28,6 +28,37 @@ fn root(oldest: &mut [KeyframeId], mut id: usize) -> usize {
         id = next;
     }
     id
+}
+
+/// The keyframes along which tracking came from `a` to `b`, in either direction. Keyframes without a common
+/// ancestor follow each other.
+pub(crate) fn path_between(
+    parent_of: impl Fn(KeyframeId) -> Option<KeyframeId>,
+    a: KeyframeId,
+    b: KeyframeId,
+) -> Vec<KeyframeId> {
+    let (mut left, mut right) = (vec![a], vec![b]);
+    let (mut a, mut b) = (a, b);
+    // a parent is always older than its child
+    while a != b {
+        let (side, end) = if a > b {
+            (&mut left, &mut a)
+        } else {
+            (&mut right, &mut b)
+        };
+        match parent_of(*end) {
+            Some(parent) => {
+                *end = parent;
+                side.push(parent);
+            }
+            None => break,
+        }
+    }
+    if a == b {
+        right.pop();
+    }
+    left.extend(right.iter().rev());
+    left
 }
 
 #[cfg(test)]

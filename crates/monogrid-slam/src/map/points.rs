@@ -100,10 +100,6 @@ impl SeenPoints {
 /// The newest keyframe as the points place it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Registration {
-    /// Points that were looked for.
-    pub searched: usize,
-    /// Points whose patch was found.
-    pub found: usize,
     /// Its pose, if enough of the found points agree.
     pub camera_from_world: Option<Se3>,
     /// The points that agree with it, and where they are.
@@ -113,8 +109,6 @@ pub(crate) struct Registration {
 /// What a bundle adjustment says.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Adjustment {
-    /// Keyframes whose poses were free.
-    pub num_free: usize,
     pub camera_from_world: Vec<(KeyframeId, Se3)>,
     pub idepths: Vec<(usize, f64)>,
     /// Points, and keyframes that do not see them after all.

@@ -128,7 +128,7 @@ fn adjust_by(
         return Adjustment::default();
     };
     match solve(&problem) {
-        Ok(solution) => problem.adjustment(free.len(), &solution),
+        Ok(solution) => problem.adjustment(&solution),
         Err(error) => Adjustment {
             failure: Some(error),
             ..Adjustment::default()
@@ -236,12 +236,11 @@ impl Problem {
     }
 
     /// What a solution says about keyframes and points.
-    fn adjustment(&self, num_free: usize, solution: &BundleSolution) -> Adjustment {
+    fn adjustment(&self, solution: &BundleSolution) -> Adjustment {
         let keyframes = self.keyframes.iter().copied();
         let points = self.points.iter().copied();
         let observations = self.bundle.observations.iter();
         Adjustment {
-            num_free,
             camera_from_world: keyframes
                 .zip(solution.camera_from_world.iter().copied())
                 .collect(),

@@ -30,24 +30,3 @@ pub(crate) use matching::{PointSearch, SearchImage, Which, find_in_image, positi
 pub(crate) use register::register;
 pub(crate) use scale::{dense_links, world_from_keyframes};
 pub(crate) use shared::{SharedPoints, shared_points};
-
-/// What the sparse layer did for one keyframe.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SparseStats {
-    /// Old points that were looked for.
-    pub searched: usize,
-    /// Old points whose patch was found.
-    pub found: usize,
-    /// Found points that agree with the pose.
-    pub inliers: usize,
-    /// New points.
-    pub anchored: usize,
-    /// Keyframes whose poses were adjusted.
-    pub adjusted_keyframes: usize,
-    /// Points in the adjustment.
-    pub adjusted_points: usize,
-    /// Observations that the adjustment refuted.
-    pub removed_observations: usize,
-    /// Why the adjustment failed, if it did: poses and points are then as they were found.
-    pub failure: Option<monogrid_graph::bundle::BundleError>,
-}

@@ -9,12 +9,9 @@ use monogrid_graph::{MapMatch, PoseOnlyConfig, refine_pose};
 /// Finds the points that the newest keyframe should see, and refines its pose on them.
 pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Registration {
     let search = find_in_newest(map, pinhole, config);
-    let mut registration = Registration {
-        searched: search.num_searched,
-        found: search.found.len(),
-        ..Registration::default()
-    };
-    if search.found.len() < config.min_pose_points {
+    let num_found = search.found.len();
+    let mut registration = Registration::default();
+    if num_found < config.min_pose_points {
         return registration;
     }
     let (Some(newest), matches) = (map.newest(), matches(map, &search.found, pinhole, config))
@@ -27,7 +24,7 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> R
     };
     let found = search.found.into_iter().zip(refined.inliers);
     let inliers: Vec<(usize, Vec2)> = found.filter_map(|(f, ok)| ok.then_some(f)).collect();
-    if inliers.len() >= config.min_pose_points && inliers.len() * 3 >= registration.found {
+    if inliers.len() >= config.min_pose_points && inliers.len() * 3 >= num_found {
         registration.camera_from_world = Some(refined.camera_from_world);
         registration.inliers = inliers;
     }

@@ -6,20 +6,18 @@
 //! How well it is known follows from how well the paths agree, over the length that they have in common.
 
 use super::camera::{Known, Last};
-use super::constrain::Link;
+use super::constrain::covariance_of;
 use super::setup::Setup;
+use super::slam::Slam;
 use super::tracking::{motion_prior, reference};
 use crate::depth_step::tracking_samples;
-use crate::frame::Frame;
-use crate::graph::OdometryEdge;
-use crate::map::Map;
+use crate::graph::{Link, OdometryEdge};
 use crate::policy::{BridgeEvidence, is_bridge};
 use crate::start::Started;
-use crate::tracker::track;
+use crate::tracker::Task;
 use crate::{Bridge, KeyframeId, TrackingState};
-use monogrid_alignment::Motion;
-use monogrid_geometry::{Mat6, Rotation, Se3, Sim3, Vec3, rotation_exp, rotation_log};
-use std::collections::VecDeque;
+use monogrid_geometry::{Rotation, Se3, Sim3, Vec3, rotation_exp, rotation_log};
+use std::sync::Arc;
 
 /// Where the first keyframe of a start lies in the map.
 #[derive(Clone, Debug)]
@@ -41,61 +39,50 @@ struct KnownTwice {
     in_start: Se3,
 }
 
-/// Looks for the last frames with a pose in what a start shows; `None` where too few are seen, or do not say enough.
-pub(super) fn land(
-    setup: &Setup,
-    map: &Map,
-    known: &VecDeque<Known>,
-    started: &Started,
-) -> Option<Landing> {
-    let parent = &map[known.back()?.keyframe];
-    let of_parent = |known: &&Known| map[known.keyframe].fragment == parent.fragment;
-    let frames: Vec<&Known> = known.iter().filter(of_parent).collect();
-    let twice: Vec<KnownTwice> = frames
-        .iter()
-        .rev()
-        .zip(seen_by_start(setup, started, &frames))
-        .map(|(known, in_start)| KnownTwice {
+impl Slam {
+    /// Looks for the last frames with a pose in what a start shows; `None` where too few are seen, or do not say enough.
+    pub(super) fn land(&self, started: &Started) -> Option<Landing> {
+        let (map, known) = (&self.map, &self.camera.known);
+        let parent = &map[known.back()?.keyframe];
+        let of_parent = |known: &&Known| map[known.keyframe].fragment == parent.fragment;
+        let frames: Vec<&Known> = known.iter().filter(of_parent).rev().collect();
+        let seen = seen_by_start(&self.setup, started, &frames);
+        let twice = frames.iter().zip(seen).map(|(known, in_start)| KnownTwice {
             in_map: map[known.keyframe].world_from_camera(&known.frame_from_keyframe),
             in_start,
+        });
+        let fit = Fit::of(&twice.collect::<Vec<_>>())?;
+        is_bridge(&fit.evidence, &self.setup.config.fragments).then(|| Landing {
+            parent: parent.id,
+            parent_from_start: parent.world_from_keyframe.inverse() * fit.map_from_start,
+            evidence: fit.evidence,
+            position_sigma: fit.position_sigma / fit.map_from_start.scale,
         })
-        .collect();
-    let fit = Fit::of(&twice)?;
-    let evidence = BridgeEvidence {
-        num_frames: twice.len(),
-        scale_sigma: fit.scale_sigma,
-        turn_rms: fit.turn_rms,
-    };
-    is_bridge(&evidence, &setup.config.fragments).then(|| Landing {
-        parent: parent.id,
-        parent_from_start: parent.world_from_keyframe.inverse() * fit.map_from_start,
-        evidence,
-        position_sigma: fit.position_sigma / fit.map_from_start.scale,
-    })
+    }
 }
 
-/// Poses of frames of the map on the first keyframe of a start, the last of them first, as far as each can be tracked from
+/// Poses of frames of the map, the last of them first, on the first keyframe of a start, as far as each can be tracked from
 /// the one after it.
 fn seen_by_start(setup: &Setup, started: &Started, known: &[&Known]) -> Vec<Se3> {
-    let config = &setup.config.tracking;
-    let samples = tracking_samples(&started.depth, config);
+    let samples = tracking_samples(&started.depth, &setup.config.tracking);
     let reference = reference(setup, &started.keyframe.pyramid, &samples);
     let (step, interval_ns) = (started.first_step.inverse(), started.first_interval_ns());
     let mut last = Last::moving(&started.keyframe, step, interval_ns);
     let mut seen = Vec::new();
     let lost = started.earlier.iter().rev();
     let lost = lost.map(|frame| (setup.restored(frame), false));
-    let known = known.iter().rev();
-    let known = known.map(|known| (setup.of_pyramid(known), true));
+    let known = known.iter().map(|known| {
+        let when = (known.frame_index, known.timestamp_ns);
+        (setup.of_pyramid(when, Arc::clone(&known.pyramid)), true)
+    });
     for (frame, is_known) in lost.chain(known) {
-        let frame: Frame = frame;
         let prior = motion_prior(setup, &last, frame.timestamp_ns);
-        let before = Some(&*last.pyramid);
-        let tracked = track(&reference, &frame, &prior, before, &setup.pinhole, config);
+        let task = Task::new(setup, &reference, &frame, &prior);
+        let tracked = task.track(Some(&*last.pyramid));
         if tracked.state != TrackingState::Good {
             break;
         }
-        let motion: Motion = tracked.alignment.motion;
+        let motion = tracked.alignment.motion;
         last = Last::after(Some(&last), &frame, motion);
         if is_known {
             seen.push(motion.frame_from_keyframe.inverse());
@@ -108,33 +95,23 @@ fn seen_by_start(setup: &Setup, started: &Started, known: &[&Known]) -> Vec<Se3>
 #[derive(Clone, Copy, Debug)]
 struct Fit {
     map_from_start: Sim3,
-    /// Standard deviation of the logarithm of the scale.
-    scale_sigma: f64,
-    /// Of a position, in units of the map.
+    evidence: BridgeEvidence,
+    /// Standard deviation of a position, in units of the map.
     position_sigma: f64,
-    /// Root mean square of the angles between the orientations, rad.
-    turn_rms: f64,
 }
 
 impl Fit {
     /// The rotation is the mean of those between the orientations, the scale the ratio of the extents of both paths.
     fn of(twice: &[KnownTwice]) -> Option<Self> {
         let n = twice.len() as f64;
-        let turns = twice
-            .iter()
-            .map(|t| t.in_map.rotation * t.in_start.rotation.inverse());
+        let turn = |t: &KnownTwice| t.in_map.rotation * t.in_start.rotation.inverse();
+        let turns = twice.iter().map(turn);
         let first = turns.clone().next()?;
-        let about_first: Vec<Vec3> = turns
-            .map(|turn| rotation_log(&(first.inverse() * turn)))
-            .collect();
+        let about_first = turns.map(|turn| rotation_log(&(first.inverse() * turn)));
+        let about_first: Vec<Vec3> = about_first.collect();
         let mean_turn = about_first.iter().sum::<Vec3>() / n;
         let rotation: Rotation = first * rotation_exp(&mean_turn);
-        let turn_rms = rms(
-            about_first
-                .iter()
-                .map(|turn| (turn - mean_turn).norm_squared()),
-            n,
-        );
+        let turn_errors = about_first.iter().map(|t| (t - mean_turn).norm_squared());
 
         let mean = |of: fn(&KnownTwice) -> Vec3| twice.iter().map(of).sum::<Vec3>() / n;
         let map_mean = mean(|t| t.in_map.translation);
@@ -152,9 +129,12 @@ impl Fit {
         let position_sigma = rms(errors, (3.0 * n - 7.0).max(1.0));
         map_from_start.is_finite().then_some(Self {
             map_from_start,
-            scale_sigma: position_sigma / map_extent,
+            evidence: BridgeEvidence {
+                num_frames: twice.len(),
+                scale_sigma: position_sigma / map_extent,
+                turn_rms: rms(turn_errors, n),
+            },
             position_sigma,
-            turn_rms,
         })
     }
 }
@@ -185,19 +165,11 @@ impl Landing {
             .hypot(along)
             .max(MIN_POSITION_SIGMA);
         let turn = self.evidence.turn_rms.max(MIN_TURN_SIGMA);
-        let mut covariance = Mat6::zeros();
-        for k in 0..6 {
-            covariance[(k, k)] = if k < 3 {
-                position * position
-            } else {
-                turn * turn
-            };
-        }
         Link::Odometry(OdometryEdge {
-            parent: self.parent,
-            keyframe: first_keyframe,
-            parent_from_keyframe: *start,
-            covariance,
+            i: self.parent,
+            j: first_keyframe,
+            i_from_j: *start,
+            covariance: covariance_of(position, turn),
             scale_sigma,
         })
     }

@@ -1,13 +1,13 @@
 //! Where the camera is, and what is done while that is not known: what the next frame needs, and a later session does not.
 
 use super::doubt::Doubt;
-use super::loss::Loss;
+use super::lost::Loss;
 use crate::KeyframeId;
 use crate::frame::Frame;
 use monogrid_alignment::{Motion, Reference};
 use monogrid_depth::DepthMap;
 use monogrid_geometry::{Se3, Vec3};
-use monogrid_image::{GrayImage, Pyramid};
+use monogrid_image::Pyramid;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -107,27 +107,6 @@ impl Last {
 }
 
 impl Camera {
-    /// The last frame and the keyframe that it was tracked on, if an image is byte for byte the same.
-    pub(super) fn repeated(&self, image: &GrayImage) -> Option<(&Last, KeyframeId)> {
-        let (last, active) = (self.last.as_ref()?, self.active.as_ref()?);
-        let is_same = self.lost_in_a_row == 0 && last.pyramid.level(0) == image;
-        is_same.then_some((last, active.id))
-    }
-
-    /// Keeps a frame with a pose, of which there are at most this many.
-    pub(super) fn remember(&mut self, frame: Known, at_most: usize) {
-        self.known.push_back(frame);
-        while self.known.len() > at_most {
-            self.known.pop_front();
-        }
-    }
-
-    /// The camera has a pose again.
-    pub(super) fn end_loss(&mut self) {
-        self.lost_in_a_row = 0;
-        self.loss = Loss::default();
-    }
-
     /// Tracking goes on with another keyframe; `in_units` expresses lengths in its units.
     pub(super) fn continue_on(&mut self, motion: Motion, in_units: impl Fn(Vec3) -> Vec3) {
         if let Some(last) = self.last.as_mut() {

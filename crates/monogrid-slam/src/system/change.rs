@@ -1,17 +1,18 @@
 //! Tracking goes on with another keyframe.
 
-use super::constrain::{Link, Tie, handover, odometry_edge};
-use super::depth::{Successor, observe_old_keyframes, successor};
-use super::keyframes::{finish_keyframe, new_keyframe};
-use super::outcome::{KeyframeChange, NextKeyframe};
-use super::reactivate::{Confirmed, find_known_view};
+use super::constrain::{Tie, handover, in_keyframe};
+use super::depth::{Successor, successor};
+use super::keyframes::finish_keyframe;
+use super::outcome::KeyframeChange;
+use super::points::adjust_points;
+use super::reactivate::Confirmed;
 use super::slam::Slam;
 use crate::KeyframeId;
 use crate::frame::Frame;
-use crate::map::{Change, FinishedKeyframe, View, VisitEnd};
-use crate::report::Stage;
+use crate::graph::{Link, OdometryEdge};
+use crate::map::{FinishedKeyframe, KeyframeImage, NewKeyframe, View, VisitEnd};
 use monogrid_alignment::{Alignment, Motion};
-use monogrid_geometry::{Mat6, Se3};
+use monogrid_geometry::Se3;
 use std::sync::Arc;
 
 impl Slam {
@@ -22,14 +23,13 @@ impl Slam {
         alignment: &Alignment,
     ) -> KeyframeChange {
         self.await_graph();
+        let motion = &alignment.motion;
+        if let Some(known) = self.find_known_view(frame, motion) {
+            return self.hand_over(frame, alignment, known);
+        }
         let Some(active) = self.camera.active.as_mut() else {
             return KeyframeChange::default();
         };
-        let motion = &alignment.motion;
-        let known = find_known_view(&self.setup, &self.map, active, frame, motion);
-        if let Some(known) = known {
-            return self.hand_over(frame, alignment, known);
-        }
         if self.setup.is_frozen {
             // there is no better keyframe; it is looked for again after a while
             active.num_mapped = 0;
@@ -60,6 +60,7 @@ impl Slam {
         let (id, found) = (known.id, &known.alignment);
         let (from, to) = (&self.map[left.id], &self.map[id]);
         let growth = from.world_from_keyframe.scale / to.world_from_keyframe.scale;
+        let scale_sigma = self.setup.config.graph.odometry_scale_sigma;
         let link = alignment.covariance.as_ref().map_or(Link::None, |own| {
             let left = Tie {
                 keyframe: from,
@@ -71,22 +72,22 @@ impl Slam {
                 motion: &found.motion,
                 covariance: found.covariance.as_ref().unwrap_or(own),
             };
-            Link::Handover(handover(left, found))
+            Link::Handover(handover(left, found, scale_sigma))
         });
-        self.stopwatch.lap(Stage::Depth);
+        self.stopwatch.lap(|times| &mut times.depth);
         self.constrain(left.view, link, false);
-        self.stopwatch.lap(Stage::Graph);
+        self.stopwatch.lap(|times| &mut times.graph);
         let end = VisitEnd {
             frame_from_keyframe: alignment.motion.frame_from_keyframe,
             frame_from_next: found.motion.frame_from_keyframe,
         };
-        self.map
-            .apply(Change::Visited(id, frame.timestamp_ns, Some(end)));
+        self.map.visit(id, frame.timestamp_ns, Some(end));
         self.camera.continue_on(found.motion, |step| step * growth);
         self.use_again(id, known.depth);
         KeyframeChange {
             finished: (!self.setup.is_frozen).then_some(left.id),
-            next: Some(NextKeyframe::Reactivated(id)),
+            reactivated: Some(id),
+            created: false,
         }
     }
 
@@ -104,15 +105,15 @@ impl Slam {
             frame_from_next: Se3::identity(),
         };
         let newest = self.map.next_id();
-        self.map
-            .apply(Change::Visited(newest, frame.timestamp_ns, Some(end)));
+        self.map.visit(newest, frame.timestamp_ns, Some(end));
         let unit = successor.unit;
         self.make_keyframe(frame, left.id, alignment, successor, left.view);
         self.camera
             .continue_on(Motion::from_pose(Se3::identity()), |step| step / unit);
         KeyframeChange {
             finished: Some(left.id),
-            next: Some(NextKeyframe::Created),
+            reactivated: None,
+            created: true,
         }
     }
 
@@ -129,19 +130,32 @@ impl Slam {
         let Successor { depth, unit } = successor;
         let motion = &alignment.motion;
         let id = self.map.next_id();
-        let keyframe = new_keyframe(self.map.store(), frame, &self.map[parent], motion, unit);
-        self.map.apply(Change::Created(keyframe));
-        self.stopwatch.lap(Stage::Depth);
-        self.adjust(&depth);
-        let scale_sigma = self.setup.config.graph.odometry_scale_sigma;
-        let odometry = |covariance: &Mat6| {
-            let edge = odometry_edge(parent, id, motion, unit, covariance, scale_sigma);
-            Link::Odometry(edge)
-        };
-        let link = alignment.covariance.as_ref().map_or(Link::None, odometry);
-        self.constrain(view, link, false);
-        self.stopwatch.lap(Stage::Graph);
-        let depth = observe_old_keyframes(&self.setup, &self.map, &self.map[id], depth);
+        let keyframe_from_frame = motion.frame_from_keyframe.inverse();
+        let parent_from_keyframe = keyframe_from_frame.with_scale(unit);
+        let older = &self.map[parent];
+        self.map.create(NewKeyframe {
+            fragment: older.fragment,
+            parent: Some(parent),
+            frame_index: frame.index,
+            timestamp_ns: frame.timestamp_ns,
+            image: KeyframeImage::new(self.map.store(), frame.image()),
+            exposure: older.exposure.then(motion.log_gain.exp(), motion.bias),
+            world_from_keyframe: older.world_from_keyframe * parent_from_keyframe,
+        });
+        self.stopwatch.lap(|times| &mut times.depth);
+        adjust_points(&self.setup, &mut self.map, &depth);
+        let link = alignment.covariance.as_ref().map(|covariance| {
+            Link::Odometry(OdometryEdge {
+                i: parent,
+                j: id,
+                i_from_j: parent_from_keyframe,
+                covariance: in_keyframe(covariance, &keyframe_from_frame),
+                scale_sigma: self.setup.config.graph.odometry_scale_sigma,
+            })
+        });
+        self.constrain(view, link.unwrap_or_default(), false);
+        self.stopwatch.lap(|times| &mut times.graph);
+        let depth = self.observe_old_keyframes(id, depth);
         self.activate(id, depth);
     }
 }

@@ -2,15 +2,15 @@
 
 use super::setup::Setup;
 use crate::graph::{
-    GraphJob, GraphStats, GraphUpdate, GraphWorker, Handover, KeyframeGraph, OdometryEdge,
-    Relocalised, RestoredGraph,
+    GraphJob, GraphStats, GraphUpdate, GraphWorker, KeyframeGraph, Link, OdometryEdge, Relocalised,
+    RestoredGraph,
 };
 use crate::map::{Map, MapKeyframe, View};
 use crate::sparse::{SharedPoints, shared_points};
 use crate::stored::StoredEdge;
 use crate::{KeyframeId, SlamError};
 use monogrid_alignment::Motion;
-use monogrid_geometry::{Mat6, Se3};
+use monogrid_geometry::{Mat6, Se3, Vec6};
 use monogrid_image::Pyramid;
 use std::sync::Arc;
 use std::time::Instant;
@@ -18,22 +18,13 @@ use std::time::Instant;
 /// The graph's worker, and the job that it does.
 #[derive(Debug)]
 pub(super) struct GraphLink {
-    worker: GraphWorker,
+    /// Until it is ended.
+    worker: Option<GraphWorker>,
     lag_frames: usize,
     /// Frames until the job under way is taken over, and when it was given.
     due: Option<(usize, Instant)>,
-    stats: GraphStats,
-}
-
-/// What tracking has found about two keyframes.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Link {
-    /// Nothing.
-    None,
-    /// A new keyframe was made.
-    Odometry(OdometryEdge),
-    /// Tracking went on with a keyframe that existed already.
-    Handover(Handover),
+    /// What was done so far.
+    pub stats: GraphStats,
 }
 
 impl GraphLink {
@@ -47,18 +38,14 @@ impl GraphLink {
         if !config.graph.enabled {
             return Ok(None);
         }
-        let mut graph = KeyframeGraph::new(
-            config.graph.clone(),
-            config.fragments.clone(),
-            setup.pinhole,
-            Some(setup.mask.clone()),
-        )?;
+        let mask = Some(setup.mask.clone());
+        let mut graph = KeyframeGraph::new(config, setup.pinhole, mask)?;
         if let Some(restored) = restored {
             graph.restore(restored);
         }
-        let edges = graph.stored_edges();
+        let edges = graph.take_edges();
         let link = Self {
-            worker: GraphWorker::new(graph, rayon::current_num_threads()),
+            worker: Some(GraphWorker::new(graph, rayon::current_num_threads())),
             lag_frames: config.graph.lag_frames,
             due: None,
             stats: GraphStats::default(),
@@ -66,20 +53,18 @@ impl GraphLink {
         Ok(Some((link, edges)))
     }
 
-    pub(super) fn stats(&self) -> &GraphStats {
-        &self.stats
-    }
-
     /// Ends the worker; what it has done stays known.
     pub(super) fn end(&mut self) {
-        self.worker = GraphWorker::ended();
+        self.worker = None;
         self.due = None;
     }
 
     /// Gives the worker a job; the result of the one before must have been taken.
     pub(super) fn submit(&mut self, job: GraphJob) {
-        self.worker.submit(job);
-        self.due = Some((self.lag_frames, Instant::now()));
+        if let Some(worker) = &mut self.worker {
+            worker.submit(job);
+            self.due = Some((self.lag_frames, Instant::now()));
+        }
     }
 
     /// Counts a frame; the result, if it is due.
@@ -95,7 +80,7 @@ impl GraphLink {
     /// The result of the job under way, waiting for it when it is not ready.
     pub(super) fn wait(&mut self) -> Option<GraphUpdate> {
         let (_, given) = self.due.take()?;
-        let update = self.worker.take()?;
+        let update = self.worker.as_mut()?.take()?;
         let waited_ms = given.elapsed().as_secs_f64() * 1e3;
         self.stats = GraphStats {
             max_wait_ms: self.stats.max_wait_ms.max(waited_ms),
@@ -106,7 +91,8 @@ impl GraphLink {
 
     /// Keyframes that a frame shows, by appearance, the most certain first. No job may be under way.
     pub(super) fn recognise(&self, frame: &Arc<Pyramid>) -> Vec<Relocalised> {
-        self.worker.relocalise(frame)
+        let worker = self.worker.as_ref();
+        worker.map_or_else(Vec::new, |worker| worker.relocalise(frame))
     }
 }
 
@@ -118,67 +104,35 @@ pub(super) fn graph_job(
     link: Link,
     is_final: bool,
 ) -> GraphJob {
-    let (odometry, handover) = match link {
-        Link::None => (None, None),
-        Link::Odometry(edge) => (Some(edge), None),
-        Link::Handover(handover) => (None, Some(handover)),
-    };
     GraphJob {
         finished,
         poses: Arc::clone(map.snapshot()),
-        odometry,
         // without a new keyframe nothing was adjusted
-        shared_points: match &handover {
-            _ if is_final => all_shared(setup, map),
-            None => newly_shared(setup, map),
-            Some(_) => Vec::new(),
+        shared_points: match link {
+            Link::Handover(_) if !is_final => Vec::new(),
+            _ => newly_shared(setup, map, is_final),
         },
-        handover,
+        link,
         is_final,
         grown: map.grown_fragments(),
     }
 }
 
-/// Keyframes that share points with those used last.
-fn newly_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
+/// Keyframes that share points with those used last; at the end all, in the fragments of which all keyframes were adjusted.
+fn newly_shared(setup: &Setup, map: &Map, is_final: bool) -> Vec<SharedPoints> {
     let sparse = &setup.config.sparse;
     let Some(newest) = map.newest().filter(|_| sparse.enabled) else {
         return Vec::new();
     };
-    let recent = map.recent_in(newest.fragment);
-    let window = recent.len().saturating_sub(sparse.window_newest);
-    shared_points(map, &recent[window..], &setup.config.graph.sparse_edges)
-}
-
-/// Keyframes that share points, in the fragments of which all keyframes were adjusted.
-fn all_shared(setup: &Setup, map: &Map) -> Vec<SharedPoints> {
-    if !setup.config.sparse.enabled {
-        return Vec::new();
-    }
-    let grown = map.grown_fragments();
-    let keyframes = map.keyframes().iter();
-    let adjusted = keyframes.filter(|keyframe| grown.contains(&keyframe.fragment));
-    let adjusted: Vec<KeyframeId> = adjusted.map(|keyframe| keyframe.id).collect();
+    let adjusted: Vec<KeyframeId> = if is_final {
+        let (all, grown) = (map.keyframes().iter(), map.grown_fragments());
+        let adjusted = all.filter(|keyframe| grown.contains(&keyframe.fragment));
+        adjusted.map(|keyframe| keyframe.id).collect()
+    } else {
+        let mut recent = map.recent_in(newest.fragment);
+        recent.split_off(recent.len().saturating_sub(sparse.window_newest))
+    };
     shared_points(map, &adjusted, &setup.config.graph.sparse_edges)
-}
-
-/// The motion of a new keyframe as tracking found it, in the units of its parent.
-pub(super) fn odometry_edge(
-    parent: KeyframeId,
-    keyframe: KeyframeId,
-    motion: &Motion,
-    unit: f64,
-    covariance: &Mat6,
-    scale_sigma: f64,
-) -> OdometryEdge {
-    let keyframe_from_frame = motion.frame_from_keyframe.inverse();
-    OdometryEdge {
-        parent,
-        keyframe,
-        parent_from_keyframe: keyframe_from_frame.with_scale(unit),
-        covariance: in_keyframe(covariance, &keyframe_from_frame),
-        scale_sigma,
-    }
 }
 
 /// A frame as it was tracked on a keyframe.
@@ -190,30 +144,37 @@ pub(super) struct Tie<'a> {
 }
 
 /// What a frame that was tracked on two keyframes says about them.
-pub(super) fn handover(left: Tie<'_>, found: Tie<'_>) -> Handover {
+pub(super) fn handover(left: Tie<'_>, found: Tie<'_>, scale_sigma: f64) -> OdometryEdge {
     let (older, newer) = if left.keyframe.id < found.keyframe.id {
         (left, found)
     } else {
         (found, left)
     };
-    // both see the same frame; lengths in units of the older
+    // both see the same frame; lengths in units of the older, the scale as the poses have it
     let unit = newer.keyframe.world_from_keyframe.scale / older.keyframe.world_from_keyframe.scale;
     let newer_from_frame = newer.motion.frame_from_keyframe.inverse();
     let older_from_frame = older.motion.frame_from_keyframe.inverse();
     let rigid = older_from_frame * newer_from_frame.stretched(unit).inverse();
     let of_newer = in_keyframe(newer.covariance, &newer_from_frame);
-    Handover {
+    OdometryEdge {
         i: older.keyframe.id,
         j: newer.keyframe.id,
         i_from_j: rigid.with_scale(unit),
         covariance: in_keyframe(older.covariance, &older_from_frame)
             + of_newer * (unit * unit).max(1.0),
+        scale_sigma,
     }
 }
 
 /// Covariance of `frame_from_keyframe` (left, in the frame) as that of its inverse (left, in the
 /// keyframe).
-fn in_keyframe(covariance: &Mat6, keyframe_from_frame: &Se3) -> Mat6 {
+pub(super) fn in_keyframe(covariance: &Mat6, keyframe_from_frame: &Se3) -> Mat6 {
     let adjoint = keyframe_from_frame.adjoint();
     adjoint * covariance * adjoint.transpose()
+}
+
+/// Covariance of a motion of which place and turn are known so well.
+pub(super) fn covariance_of(position_sigma: f64, turn_sigma: f64) -> Mat6 {
+    let [position, turn] = [position_sigma, turn_sigma].map(|sigma| sigma * sigma);
+    Mat6::from_diagonal(&Vec6::new(position, position, position, turn, turn, turn))
 }

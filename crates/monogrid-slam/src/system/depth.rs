@@ -5,13 +5,14 @@
 
 use super::camera::Active;
 use super::setup::Setup;
+use super::slam::Slam;
 use super::tracking::reference;
 use crate::depth_step::{observe, propagate, regularize, tracking_samples};
 use crate::frame::Frame;
-use crate::map::{Map, MapKeyframe, NUM_LEVELS};
+use crate::map::MapKeyframe;
 use crate::{Keyframe, KeyframeId};
 use monogrid_alignment::{Alignment, DepthSample, Motion};
-use monogrid_depth::{DepthMap, HostFrame, PackedDepth, PixelDepth, StereoFrame};
+use monogrid_depth::{DepthMap, PackedDepth, PixelDepth, StereoFrame};
 use monogrid_geometry::{Mat6, Se3, Vec3};
 use monogrid_image::{GrayImage, Pyramid};
 use std::sync::Arc;
@@ -25,88 +26,79 @@ pub(super) struct Successor {
     pub unit: f64,
 }
 
-/// A keyframe as frames are tracked on it.
-pub(super) fn activate(
-    setup: &Setup,
-    id: KeyframeId,
-    pyramid: Arc<Pyramid>,
-    depth: DepthMap,
-) -> Active {
-    let samples = tracking_samples(&depth, &setup.config.tracking);
-    Active {
-        id,
-        reference: reference(setup, &pyramid, &samples),
-        pyramid,
-        depth,
-        num_mapped: 0,
-        num_refined: 0,
-        num_passed: 0,
-        refined_from: Vec3::zeros(),
+impl Active {
+    /// A keyframe as frames are tracked on it.
+    pub(super) fn new(
+        setup: &Setup,
+        id: KeyframeId,
+        pyramid: Arc<Pyramid>,
+        depth: DepthMap,
+    ) -> Self {
+        let samples = tracking_samples(&depth, &setup.config.tracking);
+        Self {
+            id,
+            reference: reference(setup, &pyramid, &samples),
+            pyramid,
+            depth,
+            num_mapped: 0,
+            num_refined: 0,
+            num_passed: 0,
+            refined_from: Vec3::zeros(),
+        }
     }
 }
 
-/// The pyramid of the image that depth belongs to.
-pub(super) fn pyramid_of(depth: &DepthMap) -> Arc<Pyramid> {
-    Arc::new(Pyramid::new(depth.host().image.clone(), NUM_LEVELS))
-}
-
-/// Observes the pixels of the keyframe in use in a tracked frame.
-pub(super) fn observe_depth(
-    setup: &Setup,
-    active: Active,
-    frame: &Frame,
-    alignment: &Alignment,
-) -> Active {
-    let num_mapped = active.num_mapped + 1;
-    let num_refined = active.num_refined + 1;
-    if setup.is_frozen {
-        return Active {
-            num_mapped,
-            ..active
+impl Slam {
+    /// The frame refines the depth of the keyframe in use: its pixels are observed there.
+    pub(super) fn observe(&mut self, frame: &Frame, alignment: &Alignment) {
+        let setup = &self.setup;
+        let Some(mut active) = self.camera.active.take() else {
+            return;
         };
+        active.num_mapped += 1;
+        if !setup.is_frozen {
+            let (num_mapped, num_refined) = (active.num_mapped, active.num_refined + 1);
+            let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
+            let stereo = StereoFrame {
+                image: frame.image(),
+                frame_from_keyframe: alignment.motion.frame_from_keyframe,
+                gain: alignment.gain(),
+                bias: alignment.bias(),
+                residual_rms: alignment.residual_rms,
+                pose_sigma_trans,
+                pose_sigma_rot,
+                id: num_refined,
+            };
+            observe(&mut active.depth, &[stereo], &setup.config.depth);
+            regularize(&mut active.depth, &setup.config.depth);
+            active = Active {
+                num_mapped,
+                num_refined,
+                refined_from: alignment.motion.frame_from_keyframe.inverse().translation,
+                ..Active::new(setup, active.id, active.pyramid, active.depth)
+            };
+        }
+        self.camera.active = Some(active);
     }
-    let mut depth = active.depth;
-    let (pose_sigma_trans, pose_sigma_rot) = pose_sigmas(alignment.covariance.as_ref());
-    let stereo = StereoFrame {
-        image: frame.image(),
-        frame_from_keyframe: alignment.motion.frame_from_keyframe,
-        gain: alignment.gain(),
-        bias: alignment.bias(),
-        residual_rms: alignment.residual_rms,
-        pose_sigma_trans,
-        pose_sigma_rot,
-        id: num_refined,
-    };
-    observe(&mut depth, &[stereo], &setup.config.depth);
-    regularize(&mut depth, &setup.config.depth);
-    Active {
-        num_mapped,
-        num_refined,
-        refined_from: alignment.motion.frame_from_keyframe.inverse().translation,
-        ..activate(setup, active.id, active.pyramid, depth)
-    }
-}
 
-/// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
-pub(super) fn observe_old_keyframes(
-    setup: &Setup,
-    map: &Map,
-    keyframe: &MapKeyframe,
-    mut depth: DepthMap,
-) -> DepthMap {
-    let config = &setup.config.keyframes;
-    let recent = map.recent_in(keyframe.fragment);
-    let others = recent.iter().rev().filter(|id| **id != keyframe.id);
-    let chosen: Vec<(&MapKeyframe, Se3, Arc<Pyramid>)> = others
-        .map(|id| &map[*id])
-        .map(|other| (other, keyframe.other_from_self(other)))
-        .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
-        .take(config.old_keyframes_observed)
-        .filter_map(|(other, pose)| Some((other, pose, other.pyramid()?)))
-        .collect();
-    let frames: Vec<StereoFrame<'_>> = chosen
-        .iter()
-        .map(|(other, pose, pyramid)| {
+    /// Observes the newest keyframe's pixels in those keyframes with a useful baseline that were used last.
+    pub(super) fn observe_old_keyframes(
+        &self,
+        newest: KeyframeId,
+        mut depth: DepthMap,
+    ) -> DepthMap {
+        let (map, config) = (&self.map, &self.setup.config.keyframes);
+        let keyframe = &map[newest];
+        let recent = map.recent_in(keyframe.fragment);
+        let others = recent.iter().rev().filter(|id| **id != newest);
+        let chosen: Vec<(&MapKeyframe, Se3, Arc<Pyramid>)> = others
+            .map(|id| &map[*id])
+            .map(|other| (other, keyframe.other_from_self(other)))
+            .filter(|(_, pose)| pose.inverse().translation.norm() >= config.min_relative_baseline)
+            .take(config.old_keyframes_observed)
+            .filter_map(|(other, pose)| Some((other, pose, other.pyramid()?)))
+            .collect();
+        let frames = chosen.iter().map(|(other, pose, pyramid)| {
             let (gain, bias) = keyframe.exposure.relative(&other.exposure);
             StereoFrame {
                 image: pyramid.level(0),
@@ -118,13 +110,14 @@ pub(super) fn observe_old_keyframes(
                 pose_sigma_rot: 0.001,
                 id: other.frame_index as u32,
             }
-        })
-        .collect();
-    if !frames.is_empty() {
-        observe(&mut depth, &frames, &setup.config.depth);
+        });
+        let frames: Vec<StereoFrame<'_>> = frames.collect();
+        if !frames.is_empty() {
+            observe(&mut depth, &frames, &self.setup.config.depth);
+        }
+        regularize(&mut depth, &self.setup.config.depth);
+        depth
     }
-    regularize(&mut depth, &setup.config.depth);
-    depth
 }
 
 /// Depth of a keyframe carried over to `frame`, in a unit that makes its median 1, and that unit in
@@ -136,11 +129,10 @@ pub(super) fn successor(
     motion: &Motion,
 ) -> Option<Successor> {
     let config = &setup.config.depth;
-    let next = || Some(DepthMap::empty(host(setup, frame.image().clone())?, config));
+    let next = || Some(DepthMap::empty(setup.host(frame.image().clone())?, config));
     let mut depth = propagate(depth, next, &motion.frame_from_keyframe, config)?;
-    let median_idepth = depth
-        .median_idepth()
-        .filter(|m| m.is_finite() && *m > 0.0)?;
+    let median_idepth = depth.median_idepth();
+    let median_idepth = median_idepth.filter(|m| m.is_finite() && *m > 0.0)?;
     depth.rescale(1.0 / median_idepth);
     Some(Successor {
         depth,
@@ -159,7 +151,7 @@ pub(super) fn unpacked(
     keyframe: &MapKeyframe,
     packed: &PackedDepth,
 ) -> Option<DepthMap> {
-    let host = host(setup, keyframe.pyramid()?.level(0).clone())?;
+    let host = setup.host(keyframe.pyramid()?.level(0).clone())?;
     let mut depth = DepthMap::unpacked(host, packed, &setup.config.depth);
     regularize(&mut depth, &setup.config.depth);
     Some(depth)
@@ -171,7 +163,7 @@ pub(super) fn sampled_depth(
     image: GrayImage,
     samples: &[DepthSample],
 ) -> Option<DepthMap> {
-    let mut depth = DepthMap::empty(host(setup, image)?, &setup.config.depth);
+    let mut depth = DepthMap::empty(setup.host(image)?, &setup.config.depth);
     for sample in samples {
         depth.seed_pixel(&PixelDepth {
             x: sample.x,
@@ -187,7 +179,7 @@ pub(super) fn sampled_depth(
 /// The depth filter of a keyframe as far as its published depth says.
 pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<DepthMap> {
     let config = &setup.config.depth;
-    let mut depth = DepthMap::empty(host(setup, keyframe.image.map(f32::from))?, config);
+    let mut depth = DepthMap::empty(setup.host(keyframe.image.map(f32::from))?, config);
     let publication = &setup.config.publication;
     let validity = config.mature_validity.max(publication.min_validity);
     for pixel in &keyframe.pixels {
@@ -204,12 +196,6 @@ pub(super) fn published_depth(setup: &Setup, keyframe: &Keyframe) -> Option<Dept
     }
     regularize(&mut depth, config);
     Some(depth)
-}
-
-/// The image of a keyframe as its depth needs it; `None` when it is too small or of another size.
-fn host(setup: &Setup, image: GrayImage) -> Option<Arc<HostFrame>> {
-    let host = HostFrame::new(image, setup.mask.clone(), setup.pinhole);
-    host.map(Arc::new)
 }
 
 /// Standard deviations of translation (keyframe units) and rotation (rad) from a pose covariance.

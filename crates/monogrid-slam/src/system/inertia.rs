@@ -4,14 +4,13 @@
 //! The paths before and after the loss are two parts of one motion, each with a unit of its own; the readings go through both and
 //! the time between ([`monogrid_inertial::estimate`]).
 
-use super::constrain::Link;
-use super::setup::Setup;
+use super::constrain::covariance_of;
 use super::slam::Slam;
-use crate::graph::OdometryEdge;
-use crate::map::{Change, Map, Placed};
+use crate::graph::{Joined, Link, OdometryEdge};
+use crate::map::Map;
 use crate::policy::{PlaceEvidence, is_placed};
 use crate::{FragmentId, KeyframeId, MAIN_MAP, TrajectoryPose};
-use monogrid_geometry::{Mat6, Sim3};
+use monogrid_geometry::Sim3;
 use monogrid_inertial::{Estimate, Imu, Observation, estimate};
 
 /// Time of the path before a loss that is used, ns.
@@ -40,9 +39,8 @@ impl Slam {
 
     /// The same with all fragments that are apart, at the end.
     pub(super) fn join_all_by_inertia(&mut self) {
-        let fragments = self.map.fragments().into_iter();
-        let apart = fragments.filter(|fragment| fragment.joined.is_none());
-        for fragment in apart.map(|fragment| fragment.id).collect::<Vec<_>>() {
+        let apart = self.map.apart().map(|fragment| fragment.id);
+        for fragment in apart.collect::<Vec<_>>() {
             self.join_fragment_by_inertia(fragment);
         }
     }
@@ -53,46 +51,43 @@ impl Slam {
         };
         // the poses must be those that a job begins with
         self.await_graph();
-        let place = place_of(&self.setup, &self.map, &imu, fragment);
-        let Some(place) =
-            place.filter(|place| is_placed(&place.evidence, &self.setup.config.inertial))
-        else {
+        let config = &self.setup.config.inertial;
+        let place = self.place_of(&imu, fragment);
+        let Some(place) = place.filter(|place| is_placed(&place.evidence, config)) else {
             return;
         };
         let Some((parent, first)) = ends_of_loss(&self.map, fragment) else {
             return;
         };
-        self.map.apply(Change::Placed(Placed {
-            fragment,
+        let joined = Joined {
+            from: fragment,
             into: MAIN_MAP,
-            into_from_fragment: place.main_from_fragment,
-            frame_index: self.frame_index,
-        }));
+        };
+        self.map
+            .place(joined, &place.main_from_fragment, self.frame_index);
         let link = place.link(&self.map, parent, first);
         self.constrain(None, Link::Odometry(link), false);
     }
-}
 
-/// Where the readings have a fragment; `None` where they say nothing.
-fn place_of(setup: &Setup, map: &Map, imu: &Imu, fragment: FragmentId) -> Option<Place> {
-    let after = map.trajectory_in(fragment);
-    let begin_ns = after.first()?.timestamp_ns;
-    let before = map.trajectory_in(MAIN_MAP);
-    let before = before
-        .iter()
-        .filter(|pose| (begin_ns - BEFORE_NS..begin_ns).contains(&pose.timestamp_ns));
-    let after = after
-        .iter()
-        .filter(|pose| pose.timestamp_ns < begin_ns + AFTER_NS);
-    let seen = |part: usize| {
-        move |pose: &TrajectoryPose| Observation {
-            timestamp_ns: pose.timestamp_ns,
-            seen: Some((part, pose.world_from_camera)),
-        }
-    };
-    let observations: Vec<Observation> = before.map(seen(0)).chain(after.map(seen(1))).collect();
-    let found = estimate(imu, &observations, &setup.config.inertial).ok()?;
-    Place::of(&found)
+    /// Where the readings have a fragment; `None` where they say nothing.
+    fn place_of(&self, imu: &Imu, fragment: FragmentId) -> Option<Place> {
+        let after = self.map.trajectory_in(fragment);
+        let begin_ns = after.first()?.timestamp_ns;
+        let before = self.map.trajectory_in(MAIN_MAP);
+        let used = begin_ns - BEFORE_NS..begin_ns;
+        let before = before.iter().filter(|p| used.contains(&p.timestamp_ns));
+        let end_ns = begin_ns + AFTER_NS;
+        let after = after.iter().filter(|p| p.timestamp_ns < end_ns);
+        let seen = |part: usize| {
+            move |pose: &TrajectoryPose| Observation {
+                timestamp_ns: pose.timestamp_ns,
+                seen: Some((part, pose.world_from_camera)),
+            }
+        };
+        let observations: Vec<_> = before.map(seen(0)).chain(after.map(seen(1))).collect();
+        let found = estimate(imu, &observations, &self.setup.config.inertial).ok()?;
+        Place::of(&found)
+    }
 }
 
 impl Place {
@@ -121,20 +116,12 @@ impl Place {
     fn link(&self, map: &Map, parent: KeyframeId, keyframe: KeyframeId) -> OdometryEdge {
         let world_from_parent = &map[parent].world_from_keyframe;
         let position = self.position_sigma / world_from_parent.scale;
-        let mut covariance = Mat6::zeros();
-        for k in 0..6 {
-            let sigma = if k < 3 {
-                position
-            } else {
-                self.turn_sigma_rad.max(MIN_TURN_SIGMA)
-            };
-            covariance[(k, k)] = sigma * sigma;
-        }
+        let turn = self.turn_sigma_rad.max(MIN_TURN_SIGMA);
         OdometryEdge {
-            parent,
-            keyframe,
-            parent_from_keyframe: world_from_parent.inverse() * map[keyframe].world_from_keyframe,
-            covariance,
+            i: parent,
+            j: keyframe,
+            i_from_j: world_from_parent.inverse() * map[keyframe].world_from_keyframe,
+            covariance: covariance_of(position, turn),
             scale_sigma: self.evidence.scale_sigma,
         }
     }

@@ -1,21 +1,19 @@
 //! Change of the keyframe: when a frame takes over, what is published of the one that is left, and the new one.
 
-use super::camera::{Active, Camera};
+use super::camera::Active;
 use super::outcome::Attempt;
 use super::process::Effort;
 use super::setup::Setup;
+use super::slam::Slam;
 use crate::depth_step::tracking_samples;
-use crate::frame::Frame;
-use crate::map::{
-    Exposure, FinishedKeyframe, KeyframeImage, Map, MapKeyframe, NewKeyframe, Published, View,
-};
+use crate::map::{Exposure, FinishedKeyframe, KeyframeImage, Map, MapKeyframe, NewKeyframe, View};
 use crate::median::median;
-use crate::policy::{KeyframeEvidence, RefinementEvidence, is_new_keyframe, is_refining};
+use crate::policy::{KeyframeEvidence, is_new_keyframe, is_refining};
 use crate::sparse::dense_links;
+use crate::start::Started;
 use crate::store::Store;
 use crate::tracker::Support;
-use crate::{DepthPixel, FragmentId, TrackingState};
-use monogrid_alignment::Motion;
+use crate::{DepthPixel, FragmentId, KeptKeyframe, TrackingState};
 use monogrid_depth::{DepthMap, PixelFilter};
 use monogrid_geometry::{Rotation, Se3, Sim3, Vec3};
 use std::sync::Arc;
@@ -33,82 +31,69 @@ pub(super) enum Use {
     None,
 }
 
-/// Decides what a tracked frame is for.
-pub(super) fn decide_use(
-    setup: &Setup,
-    map: &Map,
-    camera: &Camera,
-    attempt: &Attempt,
-    effort: Effort,
-) -> Use {
-    let alignment = &attempt.tracked.alignment;
-    let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
-    let evidence = KeyframeEvidence {
-        relative_distance: keyframe_from_frame.translation.norm(),
-        usage: f64::from(alignment.usage),
-        good_of_visible: alignment.good_of_visible,
-        num_holding: match attempt.tracked.support {
-            Support::Held { num_points } => Some(num_points),
-            Support::None | Support::Confirmed => None,
-        },
-        num_mapped: camera.active.as_ref().map_or(0, |a| a.num_mapped),
-        num_keyframes: map.num_keyframes_in(map[attempt.keyframe].fragment),
-    };
-    if is_new_keyframe(&evidence, &setup.config.keyframes) {
-        Use::ChangeKeyframe
-    } else if attempt.tracked.state != TrackingState::Good {
-        Use::None
-    } else if is_due(setup, camera, &keyframe_from_frame, effort) {
-        Use::RefineDepth
-    } else {
-        Use::PassOver
-    }
-}
-
-/// Whether a frame shows the keyframe in use from elsewhere than the last one that refined its depth.
-fn is_due(setup: &Setup, camera: &Camera, keyframe_from_frame: &Se3, effort: Effort) -> bool {
-    camera.active.as_ref().is_none_or(|active| {
-        let evidence = RefinementEvidence {
-            num_mapped: active.num_mapped,
-            num_passed: active.num_passed,
-            relative_distance: (keyframe_from_frame.translation - active.refined_from).norm(),
-            is_hurried: effort == Effort::Hurried,
+impl Slam {
+    /// Decides what a tracked frame is for.
+    pub(super) fn decide_use(&self, attempt: &Attempt, effort: Effort) -> Use {
+        let alignment = &attempt.tracked.alignment;
+        let keyframe_from_frame = alignment.motion.frame_from_keyframe.inverse();
+        let fragment = self.map[attempt.keyframe].fragment;
+        let evidence = KeyframeEvidence {
+            relative_distance: keyframe_from_frame.translation.norm(),
+            usage: f64::from(alignment.usage),
+            good_of_visible: alignment.good_of_visible,
+            num_holding: match attempt.tracked.support {
+                Support::Held { num_points } => Some(num_points),
+                Support::None | Support::Confirmed => None,
+            },
+            num_mapped: self.camera.active.as_ref().map_or(0, |a| a.num_mapped),
+            num_keyframes: self.map.num_keyframes_in(fragment),
         };
-        is_refining(&evidence, &setup.config.keyframes.refinement)
-    })
+        if is_new_keyframe(&evidence, &self.setup.config.keyframes) {
+            Use::ChangeKeyframe
+        } else if attempt.tracked.state != TrackingState::Good {
+            Use::None
+        } else if self.is_due(&keyframe_from_frame, effort) {
+            Use::RefineDepth
+        } else {
+            Use::PassOver
+        }
+    }
+
+    /// Whether a frame shows the keyframe in use from elsewhere than the last one that refined its depth.
+    fn is_due(&self, keyframe_from_frame: &Se3, effort: Effort) -> bool {
+        self.camera.active.as_ref().is_none_or(|active| {
+            let config = &self.setup.config.keyframes.refinement;
+            let before = (active.num_mapped, active.num_passed);
+            let distance = (keyframe_from_frame.translation - active.refined_from).norm();
+            is_refining(before, distance, effort == Effort::Hurried, config)
+        })
+    }
 }
 
 /// The keyframe in use as others need it when it is left.
 pub(super) fn finish_keyframe(setup: &Setup, map: &Map, active: &Active) -> FinishedKeyframe {
-    let config = &setup.config;
+    let (config, store) = (&setup.config, map.store());
     let keyframe = &map[active.id];
     let depth = &active.depth;
     let is_kept = config.keyframes.reactivation.enabled || keyframe.depth.is_some();
+    let view = || View {
+        id: keyframe.id,
+        camera: setup.camera(),
+        image: keyframe.image.clone(),
+        samples: store.keep(tracking_samples(depth, &config.tracking)),
+        exposure: keyframe.exposure,
+        is_settled: keyframe.rank as usize >= config.keyframes.ramp_keyframes,
+    };
     FinishedKeyframe {
         id: keyframe.id,
-        published: publish(setup, map.store(), keyframe, depth),
-        depth: is_kept.then(|| map.store().keep(depth.packed())),
+        published: publish(setup, store, keyframe, depth),
+        depth: is_kept.then(|| store.keep(depth.packed())),
         links: if config.sparse.enabled {
             dense_links(map.points(), &keyframe.points, keyframe.id, depth)
         } else {
             Vec::new()
         },
-        view: config
-            .graph
-            .enabled
-            .then(|| Arc::new(view(setup, map.store(), keyframe, depth))),
-    }
-}
-
-/// What the graph needs of a keyframe.
-fn view(setup: &Setup, store: &Store, keyframe: &MapKeyframe, depth: &DepthMap) -> View {
-    View {
-        id: keyframe.id,
-        camera: setup.camera(),
-        image: keyframe.image.clone(),
-        samples: store.keep(tracking_samples(depth, &setup.config.tracking)),
-        exposure: keyframe.exposure,
-        is_settled: keyframe.rank as usize >= setup.config.keyframes.ramp_keyframes,
+        view: config.graph.enabled.then(|| Arc::new(view())),
     }
 }
 
@@ -118,7 +103,7 @@ fn publish(
     store: &Store,
     keyframe: &MapKeyframe,
     depth: &DepthMap,
-) -> Option<Published> {
+) -> Option<KeptKeyframe> {
     let publication = &setup.config.publication;
     let filter = PixelFilter {
         min_validity: publication.min_validity,
@@ -138,45 +123,30 @@ fn publish(
     pixels.shrink_to_fit();
     let revision = match &keyframe.published {
         Some(known) => {
-            let is_worth_it = known
-                .pixels
-                .get()
-                .is_none_or(|known| is_worth_a_revision(&known, &pixels));
+            let pixels_before = known.pixels.get();
+            let is_worth_it = pixels_before.is_none_or(|k| is_worth_a_revision(&k, &pixels));
             is_worth_it.then_some(known.revision + 1)?
         }
         None => 0,
     };
-    Some(Published::new(store, revision, pixels))
+    Some(KeptKeyframe {
+        id: keyframe.id,
+        frame_index: keyframe.frame_index,
+        timestamp_ns: keyframe.timestamp_ns,
+        revision,
+        num_pixels: pixels.len(),
+        image: keyframe.image.clone(),
+        pixels: store.keep(pixels),
+    })
 }
 
-/// A frame as the newest keyframe, on top of a parent that it was tracked on; `unit` is its unit in those of
-/// the parent.
-pub(super) fn new_keyframe(
-    store: &Store,
-    frame: &Frame,
-    parent: &MapKeyframe,
-    motion: &Motion,
-    unit: f64,
-) -> NewKeyframe {
-    let keyframe_from_frame = motion.frame_from_keyframe.inverse();
-    NewKeyframe {
-        fragment: parent.fragment,
-        parent: Some(parent.id),
-        frame_index: frame.index,
-        timestamp_ns: frame.timestamp_ns,
-        image: KeyframeImage::new(store, frame.image()),
-        exposure: parent.exposure.then(motion.log_gain.exp(), motion.bias),
-        world_from_keyframe: parent.world_from_keyframe * keyframe_from_frame.with_scale(unit),
-    }
-}
-
-/// A frame as the first keyframe of a fragment, which is its world; `unit` is its unit in those of the world.
+/// The first keyframe of a fragment, which is its world.
 pub(super) fn first_keyframe(
     store: &Store,
     fragment: FragmentId,
-    frame: &Frame,
-    unit: f64,
+    started: &Started,
 ) -> NewKeyframe {
+    let frame = &started.keyframe;
     NewKeyframe {
         fragment,
         parent: None,
@@ -184,7 +154,7 @@ pub(super) fn first_keyframe(
         timestamp_ns: frame.timestamp_ns,
         image: KeyframeImage::new(store, frame.image()),
         exposure: Exposure::NEUTRAL,
-        world_from_keyframe: Sim3::new(unit, Rotation::identity(), Vec3::zeros()),
+        world_from_keyframe: Sim3::new(started.world_scale, Rotation::identity(), Vec3::zeros()),
     }
 }
 

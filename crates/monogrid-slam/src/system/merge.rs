@@ -7,7 +7,6 @@ use super::points::adjust_whole;
 use super::sessions::{restored, stored};
 use super::setup::Setup;
 use crate::graph::{GraphJob, KeyframeGraph, SparseEdgeConfig};
-use crate::map::Change;
 use crate::mapping::KeyframeCamera;
 use crate::sparse::shared_points;
 use crate::store::Store;
@@ -53,16 +52,11 @@ pub fn merge_maps(config: &SlamConfig, map: StoredMap) -> Result<MergedMaps, Sla
     };
     let store = Store::new(&config.memory);
     let (mut merged, restored_graph) = restored(&setup_of, &store, map)?;
-    let mut graph = KeyframeGraph::new(
-        config.graph.clone(),
-        config.fragments.clone(),
-        pinholes[0],
-        None,
-    )?;
+    let mut graph = KeyframeGraph::new(config, pinholes[0], None)?;
     graph.restore(restored_graph);
     let (update, meetings) = graph.merge(&config.merge);
     let joined: BTreeSet<FragmentId> = update.joined.iter().map(|joined| joined.into).collect();
-    merged.apply(Change::Optimised(Box::new(update), 0));
+    merged.follow_graph(update, 0);
     let map = stored(&merged, |id: KeyframeId| pinholes[id as usize]);
     drop(merged);
     let map = if config.sparse.enabled && !joined.is_empty() {
@@ -105,7 +99,7 @@ fn adjusted(
         grown: shown.snapshot().fragment.iter().copied().collect(),
         ..GraphJob::default()
     });
-    shown.apply(Change::Optimised(Box::new(update), 0));
+    shown.follow_graph(update, 0);
     let found = stored(&shown, |_| camera.pinhole);
     for (keyframe, found) in map.keyframes.iter_mut().zip(&found.keyframes) {
         keyframe.world_from_keyframe = found.world_from_keyframe;
@@ -197,15 +191,8 @@ fn setups(config: &SlamConfig, keyframes: &[StoredKeyframe]) -> Vec<Setup> {
     for stored in keyframes {
         let camera = camera_of(stored);
         if setups.iter().all(|setup| setup.camera() != camera) {
-            setups.push(Setup {
-                config: config.clone(),
-                pinhole: camera.pinhole,
-                mask: Mask::filled(camera.width, camera.height, 255),
-                seed: 0,
-                is_frozen: false,
-                imu: None,
-                left_radial: 0.0,
-            });
+            let mask = Mask::filled(camera.width, camera.height, 255);
+            setups.push(Setup::new(config.clone(), camera.pinhole, mask, 0));
         }
     }
     setups

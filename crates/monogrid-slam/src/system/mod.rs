@@ -4,14 +4,14 @@
 //! process: one frame
 //!   -> begin            the first keyframe, once `start` has found one
 //!   -> tracking         each frame on the keyframe in use
-//!        believed:       -> missed       frames of a loss that has ended, tracked backwards
+//!        believed:       -> tracking     frames of a loss that has ended, backwards
 //!                        -> keyframes    what the frame is for
 //!                        -> depth        refine the keyframe
 //!           -> change    or leave it     -> reactivate   for one that is known
 //!                                        -> points       for the frame, placed by the sparse layer
 //!                                        -> constrain    what the graph is told about it
 //!        lost: -> lost                   -> relocalise   find back
-//!                                        -> loss, begin  or begin a fragment of the map
+//!                                        -> begin        or begin a fragment of the map
 //!                                        -> bridge        or go on in the map where the start shows it
 //!                                        -> inertia       or where an inertial sensor has it, later
 //!   -> outcome          the report on the frame
@@ -20,8 +20,8 @@
 //! merge: maps of several runs as one
 //! ```
 //!
-//! Stages are functions of settings, map and frame; what they find changes the map in
-//! [`Map::apply`](crate::map::Map::apply) alone.
+//! Stages read settings, map and frame; what they find changes the map by the methods of
+//! [`Map`](crate::map::Map) alone.
 
 mod begin;
 mod bridge;
@@ -32,10 +32,8 @@ mod depth;
 mod doubt;
 mod inertia;
 mod keyframes;
-mod loss;
 mod lost;
 mod merge;
-mod missed;
 mod odometry;
 mod outcome;
 mod points;
@@ -50,4 +48,5 @@ mod tracking;
 
 pub use merge::{MergedMaps, merge_maps};
 pub use process::{Effort, Told};
+pub(crate) use setup::Setup;
 pub use slam::{KeyframeRoom, Slam};

@@ -6,7 +6,9 @@
 //!
 //! A step has the length that the unit of its keyframe says at the time, since a single camera has no other.
 
-use crate::map::{Map, Record};
+use super::slam::Slam;
+use crate::FrameReport;
+use crate::map::Record;
 use monogrid_geometry::Se3;
 
 /// Where odometry stands.
@@ -17,28 +19,24 @@ pub(super) struct Odometry {
     last: Option<Record>,
 }
 
-impl Odometry {
-    /// Adds the motion since the last frame with a pose; where odometry is then.
-    pub(super) fn advance(
-        &mut self,
-        map: &Map,
-        frame_index: usize,
-        world_from_camera: &Se3,
-    ) -> Se3 {
-        let tracked = map.last_record().copied();
-        let this = tracked.filter(|record| record.frame_index == frame_index);
-        let step = self.last.zip(this);
-        let step = step.and_then(|(last, this)| map.tracked_step(&last, &this));
-        let odom_from_camera = match (self.odom_from_camera, step) {
+impl Slam {
+    /// Adds the motion since the last frame with a pose; where odometry is then. `None` for a frame without one.
+    pub(super) fn advance_odometry(&mut self, report: &FrameReport) -> Option<Se3> {
+        let world_from_camera = report.world_from_camera?;
+        let tracked = self.map.last_record().copied();
+        let this = tracked.filter(|record| record.frame_index == report.index);
+        let step = self.odometry.last.zip(this);
+        let step = step.and_then(|(last, this)| self.map.tracked_step(&last, &this));
+        let odom_from_camera = match (self.odometry.odom_from_camera, step) {
             (Some(odom_from_last), Some(last_from_this)) => odom_from_last * last_from_this,
             // How the camera came here while it was lost is not known.
             (Some(odom_from_last), None) => odom_from_last,
-            (None, _) => *world_from_camera,
+            (None, _) => world_from_camera,
         };
-        *self = Self {
+        self.odometry = Odometry {
             odom_from_camera: Some(odom_from_camera),
             last: this,
         };
-        odom_from_camera
+        Some(odom_from_camera)
     }
 }

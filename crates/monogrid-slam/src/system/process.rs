@@ -1,20 +1,19 @@
 //! What is done with a frame, in order.
 
 use super::camera::Camera;
-use super::constrain::{GraphLink, Link};
-use super::depth::observe_depth;
-use super::keyframes::{Use, decide_use};
-use super::outcome::{Attempt, FrameOutcome, KeyframeChange, Localised};
+use super::constrain::GraphLink;
+use super::keyframes::Use;
 use super::points::adjust_whole;
 use super::slam::Slam;
-use super::tracking::track_frame;
 use crate::frame::Frame;
-use crate::map::{Change, Event, Record};
+use crate::graph::Link;
+use crate::map::Event;
 use crate::policy::larger_map;
-use crate::report::{Stage, Stopwatch};
-use crate::start::{Start, StartOutcome};
-use crate::{FragmentId, FrameInput, FrameReport, KeyframeId, MAIN_MAP, Scale};
-use monogrid_geometry::Se3;
+use crate::report::Stopwatch;
+use crate::start::Start;
+use crate::{
+    FragmentId, FrameInput, FrameReport, KeyframeId, LostReason, MAIN_MAP, Scale, TrackingState,
+};
 use monogrid_image::GrayImage;
 
 /// Hears where a frame is, and says what it is used for.
@@ -44,23 +43,14 @@ impl Slam {
         rayon::scope(|_| {
             self.stopwatch = Stopwatch::start();
             self.frame_index = input.index;
-            let timestamp_ns = input.timestamp_ns;
-            let outcome = self.process(input, told);
+            let mut report = self.process(input, told);
             self.events = self.map.take_events();
-            let mut report = outcome.report(self.frame_index, timestamp_ns);
             report.joined_fragments = joined(&self.events);
-            report.odom_from_camera = outcome
-                .odom_from_camera
-                .or_else(|| self.advance_odometry(&report));
-            report.milliseconds = self.stopwatch.times();
+            let told = report.odom_from_camera;
+            report.odom_from_camera = told.or_else(|| self.advance_odometry(&report));
+            report.milliseconds = self.stopwatch.times;
             report
         })
-    }
-
-    /// Odometry with the pose of a frame.
-    fn advance_odometry(&mut self, report: &FrameReport) -> Option<Se3> {
-        let pose = report.world_from_camera.as_ref()?;
-        Some(self.odometry.advance(&self.map, report.index, pose))
     }
 
     /// Finishes the last keyframe; its identity, if there is one.
@@ -112,12 +102,11 @@ impl Slam {
         if self.map.scale() == Scale::Metric || self.map.is_restored() {
             return;
         }
-        let fragments = self.map.fragments();
-        let apart = fragments.iter().filter(|f| f.joined.is_none());
+        let apart = self.map.apart();
+        let apart = apart.map(|f| (f.id, self.map.num_frames_in(f.id)));
         let frames = self.map.num_frames_in(MAIN_MAP);
-        let apart = apart.map(|f| (f.id, f.frames));
         if let Some(larger) = larger_map(frames, apart, &self.setup.config.fragments) {
-            self.map.apply(Change::Exchanged(larger));
+            self.map.exchange(larger);
         }
     }
 
@@ -137,33 +126,37 @@ impl Slam {
         }
     }
 
-    fn process(&mut self, mut input: FrameInput, told: &mut Told<'_>) -> FrameOutcome {
+    fn process(&mut self, mut input: FrameInput, told: &mut Told<'_>) -> FrameReport {
         if let Some(repeated) = self.repeat(&input) {
             return repeated;
         }
         let seed_depth = input.seed_depth.take();
         let frame = self.setup.frame(input);
-        self.stopwatch.lap(Stage::Tracking);
-        let outcome = match self.start.take() {
+        self.stopwatch.lap(|times| &mut times.tracking);
+        let report = match self.start.take() {
             Some(start) => self.start(start, frame, seed_depth.as_ref()),
             None => self.track(frame, Some(told)),
         };
-        self.catch_up(outcome)
+        self.catch_up(report)
     }
 
     /// A byte-identical image has the pose of the one before and adds no information.
-    fn repeat(&mut self, input: &FrameInput) -> Option<FrameOutcome> {
-        let (last, keyframe) = self.camera.repeated(&input.image)?;
+    fn repeat(&mut self, input: &FrameInput) -> Option<FrameReport> {
+        let (last, active) = (self.camera.last.as_ref()?, self.camera.active.as_ref()?);
+        if self.camera.lost_in_a_row > 0 || *last.pyramid.level(0) != input.image {
+            return None;
+        }
+        let keyframe = active.id;
         let pose = last.motion.frame_from_keyframe;
-        let gain = last.motion.log_gain.exp() as f32;
-        let record = Record::new(input.index, input.timestamp_ns, pose);
-        self.map.apply(Change::Tracked(record));
-        let localised = Localised::Repeated {
-            place: self.map.locate(keyframe, &pose),
-            keyframe,
-            gain,
+        let mut report = FrameReport {
+            reason: Some(LostReason::Repeated),
+            keyframe: Some(keyframe),
+            exposure_gain: last.motion.log_gain.exp() as f32,
+            ..FrameReport::new(input.index, input.timestamp_ns, TrackingState::Good)
         };
-        Some(FrameOutcome::new(None, localised))
+        self.map.track(input.index, input.timestamp_ns, pose);
+        report.place(self.map.locate(keyframe, &pose));
+        Some(report)
     }
 
     /// One frame before there is a map.
@@ -172,108 +165,95 @@ impl Slam {
         mut start: Start,
         frame: Frame,
         seed_depth: Option<&GrayImage>,
-    ) -> FrameOutcome {
-        let setup = &self.setup;
-        let outcome = start.add_frame(
-            frame,
-            seed_depth,
-            &setup.pinhole,
-            &setup.mask,
-            &setup.config,
-        );
-        self.stopwatch.lap(Stage::Tracking);
+    ) -> FrameReport {
+        let (index, timestamp_ns) = (frame.index, frame.timestamp_ns);
+        let mut report = FrameReport::new(index, timestamp_ns, TrackingState::Initialising);
+        let outcome = start.add_frame(frame, seed_depth, &self.setup);
+        self.stopwatch.lap(|times| &mut times.tracking);
         match outcome {
-            StartOutcome::Waiting(reason) => {
+            Err(reason) => {
                 self.start = Some(start);
-                FrameOutcome::new(None, Localised::Waiting(reason))
+                report.reason = Some(reason);
             }
-            StartOutcome::Started(started) => {
-                self.map.apply(Change::Scaled(started.scale));
-                self.begin_map(MAIN_MAP, *started)
+            Ok(started) => {
+                self.map.set_scale(started.scale);
+                self.begin_map(MAIN_MAP, *started, &mut report);
             }
         }
+        report
     }
 
     /// One frame of normal operation: tracked, it makes the map better; lost, it is looked for elsewhere.
-    fn track(&mut self, frame: Frame, told: Option<&mut Told<'_>>) -> FrameOutcome {
+    fn track(&mut self, frame: Frame, told: Option<&mut Told<'_>>) -> FrameReport {
         let update = self.graph.as_mut().and_then(GraphLink::count_frame);
         self.follow_graph(update);
-        self.stopwatch.lap(Stage::Graph);
+        self.stopwatch.lap(|times| &mut times.graph);
 
-        let attempt = track_frame(&self.setup, &self.map, &self.camera, &frame);
-        self.stopwatch.lap(Stage::Tracking);
-        let mut attempt = match attempt {
-            Some(attempt) if attempt.is_believed() => attempt,
-            attempt => return self.find_back(frame, attempt),
+        let attempt = self.track_frame(&frame);
+        self.stopwatch.lap(|times| &mut times.tracking);
+        let mut report = FrameReport::of(&frame, attempt.as_ref());
+        let believed = attempt.filter(|_| report.state != TrackingState::Lost);
+        let Some(attempt) = believed else {
+            return self.find_back(frame, report);
         };
-        let tracking = &self.setup.config.tracking;
-        attempt.doubt = (self.camera.doubt).judge(&attempt.tracked.alignment, tracking);
-        let motion = attempt.tracked.alignment.motion;
-        let place = self
-            .map
-            .locate(attempt.keyframe, &motion.frame_from_keyframe);
+        let alignment = &attempt.tracked.alignment;
+        let doubt = (self.camera.doubt).judge(alignment, &self.setup.config.tracking);
+        if doubt.is_some() && report.state == TrackingState::Good {
+            report.state = TrackingState::Degraded;
+            report.reason = doubt;
+        }
+        let pose = &alignment.motion.frame_from_keyframe;
+        report.place(self.map.locate(attempt.keyframe, pose));
         self.remember(&frame, &attempt);
-        self.find_missed(&frame, motion);
+        self.find_missed(&frame, alignment.motion);
         self.end_loss(attempt.keyframe, false);
-        self.believe(&frame, motion);
-        let tracked = Localised::Tracked(place);
-        let (odom_from_camera, effort) = told.map_or((None, Effort::Whole), |told| {
-            let mut report = tracked.report_of(Some(&attempt), frame.index, frame.timestamp_ns);
+        self.believe(&frame, alignment.motion);
+        let effort = told.map_or(Effort::Whole, |told| {
             report.odom_from_camera = self.advance_odometry(&report);
-            (report.odom_from_camera, told(&report))
+            told(&report)
         });
 
-        let change = match decide_use(&self.setup, &self.map, &self.camera, &attempt, effort) {
-            Use::RefineDepth => self.observe(&frame, &attempt),
+        match self.decide_use(&attempt, effort) {
+            Use::RefineDepth => self.observe(&frame, alignment),
             Use::ChangeKeyframe => {
-                let change = self.change_keyframe(&frame, &attempt.tracked.alignment);
+                let change = self.change_keyframe(&frame, alignment);
+                report.finished_keyframe = change.finished;
+                report.created_keyframe = change.created;
+                report.reactivated_keyframe = change.reactivated;
                 self.join_by_inertia();
-                change
             }
             Use::PassOver => self.pass_over(),
-            Use::None => KeyframeChange::default(),
-        };
-        self.stopwatch.lap(Stage::Depth);
-        FrameOutcome {
-            change,
-            odom_from_camera,
-            ..FrameOutcome::new(Some(attempt), tracked)
+            Use::None => {}
         }
+        self.stopwatch.lap(|times| &mut times.depth);
+        report
     }
 
-    /// Tracks the frames that waited for a map which has begun; the outcome of the last stands for all.
-    fn catch_up(&mut self, mut outcome: FrameOutcome) -> FrameOutcome {
-        let Some(mut begun) = outcome.begun.take() else {
-            return outcome;
-        };
-        let finished = outcome.change.finished;
-        for buffered in std::mem::take(&mut begun.later) {
+    /// Tracks the frames that waited for a map which has begun; the report on the last stands for all.
+    fn catch_up(&mut self, begun: FrameReport) -> FrameReport {
+        let mut last = None;
+        for buffered in std::mem::take(&mut self.waiting) {
             let next = self.track(self.setup.restored(&buffered), None);
-            outcome = self.catch_up(next);
+            last = Some(self.catch_up(next));
         }
-        outcome.change.finished = finished.or(outcome.change.finished);
-        outcome.begun = Some(begun);
-        outcome
-    }
-
-    /// The frame refines the depth of the keyframe in use.
-    pub(super) fn observe(&mut self, frame: &Frame, attempt: &Attempt) -> KeyframeChange {
-        let alignment = &attempt.tracked.alignment;
-        self.camera.active = self
-            .camera
-            .active
-            .take()
-            .map(|active| observe_depth(&self.setup, active, frame, alignment));
-        KeyframeChange::default()
+        let Some(last) = last else {
+            return begun;
+        };
+        FrameReport {
+            finished_keyframe: begun.finished_keyframe.or(last.finished_keyframe),
+            created_keyframe: true,
+            keyframe: begun.keyframe,
+            started_fragment: begun.started_fragment,
+            ..last
+        }
     }
 
     /// The frame leaves the depth of the keyframe in use as it is.
-    fn pass_over(&mut self) -> KeyframeChange {
+    fn pass_over(&mut self) {
         if let Some(active) = self.camera.active.as_mut() {
             active.num_mapped += 1;
             active.num_passed += 1;
         }
-        KeyframeChange::default()
     }
 }
 

@@ -4,15 +4,15 @@
 //! The closest keyframe on which the frame can be tracked takes over. Its depth is refined further and published again when it has
 //! become better. Where tracking and the poses disagree there is a new keyframe instead: a loop is measured, not hidden.
 
-use super::camera::Active;
 use super::depth::stored_depth;
 use super::setup::Setup;
+use super::slam::Slam;
 use super::tracking::track_on_other;
 use crate::config::ReactivationConfig;
 use crate::depth_step::tracking_samples;
 use crate::frame::Frame;
-use crate::map::{Map, MapKeyframe};
-use crate::policy::{KeyframeEvidence, keyframe_score};
+use crate::map::MapKeyframe;
+use crate::policy::{aligned_score, keyframe_score};
 use crate::tracker::Tracked;
 use crate::{KeyframeId, TrackingState};
 use monogrid_alignment::{Alignment, Motion};
@@ -43,39 +43,69 @@ pub(super) struct Confirmed {
     pub alignment: Alignment,
 }
 
-/// The closest keyframe that shows what the frame shows, and on which it can be tracked to where the poses say
-/// that it is.
-pub(super) fn find_known_view(
-    setup: &Setup,
-    map: &Map,
-    active: &Active,
-    frame: &Frame,
-    motion: &Motion,
-) -> Option<Confirmed> {
-    let config = in_use(setup);
-    if !config.enabled {
-        return None;
-    }
-    let current = &map[active.id];
-    let exposure = current.exposure.then(motion.log_gain.exp(), motion.bias);
-    let (candidates, limits) = choose(candidates(setup, map, current, motion, &config), &config);
-    candidates.into_iter().find_map(|candidate| {
-        let keyframe = &map[candidate.id];
-        let depth = stored_depth(setup, keyframe)?;
-        let (gain, bias) = keyframe.exposure.relative(&exposure);
-        let predicted = Motion {
-            log_gain: gain.ln(),
-            bias,
-            ..Motion::from_pose(candidate.frame_from_candidate)
-        };
-        let samples = tracking_samples(&depth, &setup.config.tracking);
-        let tracked = track_on_other(setup, &*keyframe.pyramid()?, &samples, frame, predicted);
-        confirms(setup, &candidate, &tracked, limits).then_some(Confirmed {
-            id: candidate.id,
-            depth,
-            alignment: tracked.alignment,
+impl Slam {
+    /// The closest keyframe that shows what the frame shows, and on which it can be tracked to where the poses say
+    /// that it is.
+    pub(super) fn find_known_view(&self, frame: &Frame, motion: &Motion) -> Option<Confirmed> {
+        let (setup, map) = (&self.setup, &self.map);
+        let config = in_use(setup);
+        if !config.enabled {
+            return None;
+        }
+        let current = &map[self.camera.active.as_ref()?.id];
+        let exposure = current.exposure.then(motion.log_gain.exp(), motion.bias);
+        let (candidates, limits) = choose(self.candidates(current, motion, &config), &config);
+        candidates.into_iter().find_map(|candidate| {
+            let keyframe = &map[candidate.id];
+            let depth = stored_depth(setup, keyframe)?;
+            let (gain, bias) = keyframe.exposure.relative(&exposure);
+            let predicted = Motion {
+                log_gain: gain.ln(),
+                bias,
+                ..Motion::from_pose(candidate.frame_from_candidate)
+            };
+            let samples = tracking_samples(&depth, &setup.config.tracking);
+            let tracked = track_on_other(setup, &*keyframe.pyramid()?, &samples, frame, predicted);
+            confirms(setup, &candidate, &tracked, limits).then_some(Confirmed {
+                id: candidate.id,
+                depth,
+                alignment: tracked.alignment,
+            })
         })
-    })
+    }
+
+    /// Keyframes that should show about the same as the frame.
+    fn candidates(
+        &self,
+        current: &MapKeyframe,
+        motion: &Motion,
+        config: &ReactivationConfig,
+    ) -> Vec<Candidate> {
+        let setup = &self.setup;
+        let keyframe_from_frame = Sim3::from(motion.frame_from_keyframe.inverse());
+        let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
+        let width = setup.mask.width() as f64;
+        let field_of_view = 2.0 * (0.5 * width / setup.pinhole.fx).atan();
+        let recent = self.map.recent_in(current.fragment);
+        let others = recent.iter().rev().skip(1 + config.min_keyframes_between);
+        others
+            .map(|id| &self.map[*id])
+            .filter(|keyframe| keyframe.rank >= config.first_keyframe && keyframe.depth.is_some())
+            .filter_map(|keyframe| {
+                let candidate_from_frame =
+                    keyframe.world_from_keyframe.inverse() * world_from_frame;
+                let turned = candidate_from_frame.rotation.angle() / field_of_view;
+                let distance = candidate_from_frame.translation.norm();
+                let usage = 1.0 - turned.min(1.0);
+                let score = keyframe_score(distance, usage, &setup.config.keyframes);
+                (score < config.max_predicted_score).then_some(Candidate {
+                    id: keyframe.id,
+                    frame_from_candidate: candidate_from_frame.to_se3().inverse(),
+                    score,
+                })
+            })
+            .collect()
+    }
 }
 
 /// The settings; where no keyframe can be made, any closer one is better than none.
@@ -91,41 +121,6 @@ fn in_use(setup: &Setup) -> ReactivationConfig {
         crowd: 1,
         ..config
     }
-}
-
-/// Keyframes that should show about the same as the frame.
-fn candidates(
-    setup: &Setup,
-    map: &Map,
-    current: &MapKeyframe,
-    motion: &Motion,
-    config: &ReactivationConfig,
-) -> Vec<Candidate> {
-    let keyframe_from_frame = Sim3::from(motion.frame_from_keyframe.inverse());
-    let world_from_frame = current.world_from_keyframe * keyframe_from_frame;
-    let width = setup.mask.width() as f64;
-    let field_of_view = 2.0 * (0.5 * width / setup.pinhole.fx).atan();
-    let recent = map.recent_in(current.fragment);
-    let others = recent.iter().rev().skip(1 + config.min_keyframes_between);
-    others
-        .map(|id| &map[*id])
-        .filter(|keyframe| keyframe.rank >= config.first_keyframe && keyframe.depth.is_some())
-        .filter_map(|keyframe| {
-            let candidate_from_frame = keyframe.world_from_keyframe.inverse() * world_from_frame;
-            let turned = candidate_from_frame.rotation.angle() / field_of_view;
-            let evidence = KeyframeEvidence {
-                relative_distance: candidate_from_frame.translation.norm(),
-                usage: 1.0 - turned.min(1.0),
-                ..KeyframeEvidence::default()
-            };
-            let score = keyframe_score(&evidence, &setup.config.keyframes);
-            (score < config.max_predicted_score).then_some(Candidate {
-                id: keyframe.id,
-                frame_from_candidate: candidate_from_frame.to_se3().inverse(),
-                score,
-            })
-        })
-        .collect()
 }
 
 /// The closest candidates, and what they must fulfil: less where there is a crowd of them.
@@ -154,14 +149,9 @@ fn choose(mut candidates: Vec<Candidate>, config: &ReactivationConfig) -> (Vec<C
 fn confirms(setup: &Setup, candidate: &Candidate, tracked: &Tracked, limits: Limits) -> bool {
     let alignment = &tracked.alignment;
     let found = &alignment.motion.frame_from_keyframe;
-    let evidence = KeyframeEvidence {
-        relative_distance: found.inverse().translation.norm(),
-        usage: f64::from(alignment.usage),
-        ..KeyframeEvidence::default()
-    };
     let disagreement = *found * candidate.frame_from_candidate.inverse();
     tracked.state == TrackingState::Good
-        && keyframe_score(&evidence, &setup.config.keyframes) < limits.score
+        && aligned_score(alignment, &setup.config.keyframes) < limits.score
         && alignment.usage * alignment.good_of_visible >= limits.good_usage
         && disagreement.log().norm() <= limits.disagreement
 }

@@ -10,16 +10,13 @@ use super::setup::Setup;
 use super::slam::Slam;
 use crate::depth_step::tracking_samples;
 use crate::graph::RestoredGraph;
-use crate::map::{
-    Change, Exposure, KeyframeImage, Map, MapKeyframe, Observation, Published, SeenPoints,
-    SparsePoint, View,
-};
+use crate::map::{Exposure, Map, MapKeyframe, Observation, SeenPoints, SparsePoint, View};
 use crate::sparse::dense_links;
 use crate::store::Store;
 use crate::stored::{
     ContinueError, Purpose, StoredEdge, StoredKeyframe, StoredLink, StoredMap, StoredPoint,
 };
-use crate::{FragmentId, KeyframeId, SlamConfig, SlamError, TrackedFrame};
+use crate::{FragmentId, KeptKeyframe, KeyframeId, SlamConfig, SlamError, TrackedFrame};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::Mask;
 use std::collections::BTreeMap;
@@ -45,18 +42,13 @@ impl Slam {
             return Err(ContinueError::NoPlaces.into());
         }
         let setup = Setup {
-            config,
-            pinhole,
-            mask,
-            seed,
             is_frozen: purpose == Purpose::LocaliseOnly,
-            imu: None,
-            left_radial: 0.0,
+            ..Setup::new(config, pinhole, mask, seed)
         };
         let store = Store::new(&setup.config.memory);
         let (mut restored, graph) = restored(&|_| &setup, &store, map)?;
         let graph = GraphLink::new(&setup, Some(graph))?.map(|(link, edges)| {
-            restored.apply(Change::Constrained(edges));
+            restored.set_edges(edges);
             link
         });
         Ok(Self::with_map(setup, restored, graph))
@@ -135,7 +127,7 @@ fn stored_points(map: &Map) -> impl Iterator<Item = StoredPoint> {
 
 fn stored_keyframe(keyframe: &MapKeyframe, pinhole: Pinhole) -> Option<StoredKeyframe> {
     Some(StoredKeyframe {
-        keyframe: keyframe.as_published()?.load()?,
+        keyframe: keyframe.published.as_ref()?.load()?,
         pinhole,
         fragment: keyframe.fragment,
         world_from_keyframe: keyframe.world_from_keyframe,
@@ -169,24 +161,14 @@ pub(super) fn restored<'a>(
     let mut ranks: BTreeMap<FragmentId, u32> = BTreeMap::new();
     for (stored, seen) in map.keyframes.into_iter().zip(seen) {
         let rank = ranks.entry(stored.fragment).or_default();
-        let setup = setup_of(&stored);
-        keyframes.push(restored_keyframe(
-            setup,
-            store,
-            stored,
-            (*rank, seen),
-            &points,
-        )?);
+        let (setup, seen) = (setup_of(&stored), (*rank, seen));
+        let keyframe = restored_keyframe(setup, store, stored, seen, &points)?;
+        keyframes.push(keyframe);
         *rank += 1;
     }
     let views = keyframes.iter().filter_map(|k| k.view.clone()).collect();
-    let restored = Map::restored(
-        store.clone(),
-        keyframes,
-        points,
-        map.scale,
-        map.pose_revision,
-    );
+    let (scale, revision) = (map.scale, map.pose_revision);
+    let restored = Map::restored(store.clone(), keyframes, points, scale, revision);
     let graph = RestoredGraph {
         views,
         poses: Arc::clone(restored.snapshot()),
@@ -199,6 +181,10 @@ pub(super) fn restored<'a>(
 fn restored_points(map: &StoredMap) -> Vec<SparsePoint> {
     let is_usable = |point: &&StoredPoint| point.is_usable(&map.keyframes);
     let usable = map.points.iter().filter(is_usable);
+    let seen = |(keyframe, pixel): &(KeyframeId, [f64; 2])| Observation {
+        keyframe: *keyframe,
+        pixel: Vec2::from(*pixel),
+    };
     let mut points: Vec<SparsePoint> = usable
         .map(|point| SparsePoint {
             host: point.host,
@@ -206,14 +192,7 @@ fn restored_points(map: &StoredMap) -> Vec<SparsePoint> {
             idepth: point.idepth,
             prior_idepth: point.prior[0],
             prior_sigma: point.prior[1],
-            observations: point
-                .observations
-                .iter()
-                .map(|(keyframe, pixel)| Observation {
-                    keyframe: *keyframe,
-                    pixel: Vec2::from(*pixel),
-                })
-                .collect(),
+            observations: point.observations.iter().map(seen).collect(),
             alive: true,
         })
         .collect();
@@ -245,9 +224,8 @@ fn restored_keyframe(
     (rank, mut seen): (u32, SeenPoints),
     points: &[SparsePoint],
 ) -> Result<MapKeyframe, ContinueError> {
-    let published = stored.keyframe;
-    let id = published.id;
-    let depth = published_depth(setup, &published).ok_or(ContinueError::Keyframe {
+    let id = stored.keyframe.id;
+    let depth = published_depth(setup, &stored.keyframe).ok_or(ContinueError::Keyframe {
         id,
         what: "its image cannot carry depth",
     })?;
@@ -258,7 +236,8 @@ fn restored_keyframe(
         gain: stored.gain,
         bias: stored.bias,
     };
-    let image = KeyframeImage::new(store, &published.image.map(f32::from));
+    let published = KeptKeyframe::new(store, stored.keyframe);
+    let image = published.image.clone();
     Ok(MapKeyframe {
         id,
         fragment: stored.fragment,
@@ -280,7 +259,7 @@ fn restored_keyframe(
             is_settled: true,
         })),
         image,
-        published: Some(Published::new(store, published.revision, published.pixels)),
+        published: Some(published),
         points: seen,
     })
 }

@@ -1,18 +1,19 @@
 //! What does not change while a system runs.
 
-use super::camera::Known;
 use crate::SlamConfig;
 use crate::frame::{BufferedFrame, Frame, FrameInput};
 use crate::map::NUM_LEVELS;
 use crate::mapping::KeyframeCamera;
+use monogrid_alignment::Target;
+use monogrid_depth::HostFrame;
 use monogrid_geometry::{Pinhole, Rotation, Vec3};
-use monogrid_image::Mask;
+use monogrid_image::{GrayImage, Mask, Pyramid};
 use monogrid_inertial::Imu;
 use std::sync::Arc;
 
 /// Settings and camera, read by all stages.
 #[derive(Debug)]
-pub(super) struct Setup {
+pub(crate) struct Setup {
     pub config: SlamConfig,
     pub pinhole: Pinhole,
     pub mask: Mask,
@@ -26,35 +27,63 @@ pub(super) struct Setup {
 }
 
 impl Setup {
+    /// Of a map that may change, without an inertial sensor.
+    pub(crate) fn new(config: SlamConfig, pinhole: Pinhole, mask: Mask, seed: u64) -> Self {
+        Self {
+            config,
+            pinhole,
+            mask,
+            seed,
+            is_frozen: false,
+            imu: None,
+            left_radial: 0.0,
+        }
+    }
+
     /// The camera of keyframes.
     pub(super) fn camera(&self) -> KeyframeCamera {
         KeyframeCamera::new(self.pinhole, (self.mask.width(), self.mask.height()))
     }
 
     /// A frame as tracking needs it.
-    pub(super) fn frame(&self, input: FrameInput) -> Frame {
+    pub(crate) fn frame(&self, input: FrameInput) -> Frame {
+        self.frame_of((input.index, input.timestamp_ns), input.image)
+    }
+
+    /// A frame that waited for the first keyframe.
+    pub(super) fn restored(&self, buffered: &BufferedFrame) -> Frame {
+        self.frame_of((buffered.index, buffered.timestamp_ns), buffered.image())
+    }
+
+    fn frame_of(&self, when: (usize, i64), image: GrayImage) -> Frame {
+        self.of_pyramid(when, Arc::new(Pyramid::new(image, NUM_LEVELS)))
+    }
+
+    /// A frame of which the pyramid was kept.
+    pub(super) fn of_pyramid(
+        &self,
+        (index, timestamp_ns): (usize, i64),
+        pyramid: Arc<Pyramid>,
+    ) -> Frame {
         let finest = self.config.tracking.alignment.finest_level;
-        Frame::new(input, &self.pinhole, finest, NUM_LEVELS)
+        let target = Target::new(&pyramid, &self.pinhole, finest, pyramid.num_levels());
+        Frame {
+            index,
+            timestamp_ns,
+            pyramid,
+            target,
+        }
+    }
+
+    /// An image as depth needs it; `None` for sizes the depth filter cannot work with.
+    pub(crate) fn host(&self, image: GrayImage) -> Option<Arc<HostFrame>> {
+        HostFrame::new(image, self.mask.clone(), self.pinhole).map(Arc::new)
     }
 
     /// How the camera turned from one frame to another by the gyroscope, whose bias does not matter over so short a time;
     /// `other_from_frame`.
     pub(super) fn turn(&self, frame_ns: i64, other_ns: i64) -> Option<Rotation> {
-        self.imu
-            .as_ref()?
-            .camera_turn(frame_ns, other_ns, &Vec3::zeros())
-    }
-
-    /// A frame of which the pyramid was kept.
-    pub(super) fn of_pyramid(&self, known: &Known) -> Frame {
-        let finest = self.config.tracking.alignment.finest_level;
-        let when = (known.frame_index, known.timestamp_ns);
-        Frame::of_pyramid(when, Arc::clone(&known.pyramid), &self.pinhole, finest)
-    }
-
-    /// A frame that waited for the first keyframe.
-    pub(super) fn restored(&self, buffered: &BufferedFrame) -> Frame {
-        let finest = self.config.tracking.alignment.finest_level;
-        buffered.restore(&self.pinhole, finest, NUM_LEVELS)
+        let imu = self.imu.as_ref()?;
+        imu.camera_turn(frame_ns, other_ns, &Vec3::zeros())
     }
 }

@@ -4,11 +4,11 @@ use super::camera::Camera;
 use super::constrain::GraphLink;
 use super::odometry::Odometry;
 use super::setup::Setup;
+use crate::frame::BufferedFrame;
 use crate::graph::GraphStats;
-use crate::map::{Event, Map, parts};
+use crate::map::{Counts, Event, Map, parts};
 use crate::mapping::{KeptKeyframes, KeyframeScan, MappingConfig, final_scans_of};
 use crate::report::Stopwatch;
-use crate::sparse::SparseStats;
 use crate::start::Start;
 use crate::store::Store;
 use crate::{
@@ -30,13 +30,14 @@ pub struct Slam {
     pub(super) setup: Setup,
     /// Until there is a first keyframe.
     pub(super) start: Option<Start>,
+    /// Frames after the first keyframe of a map or fragment that has just begun, which waited for it.
+    pub(super) waiting: Vec<BufferedFrame>,
     pub(super) map: Map,
     pub(super) camera: Camera,
     /// Motion without corrections.
     pub(super) odometry: Odometry,
     /// Constraints and optimisation in the background.
     pub(super) graph: Option<GraphLink>,
-    pub(super) sparse_stats: SparseStats,
     /// Frame that is being processed.
     pub(super) frame_index: usize,
     pub(super) stopwatch: Stopwatch,
@@ -79,15 +80,7 @@ impl Slam {
     ) -> Result<Self, SlamError> {
         config.validate()?;
         let start = Start::new(&config, seed);
-        let setup = Setup {
-            config,
-            pinhole,
-            mask,
-            seed,
-            is_frozen: false,
-            imu: None,
-            left_radial: 0.0,
-        };
+        let setup = Setup::new(config, pinhole, mask, seed);
         let graph = GraphLink::new(&setup, None)?.map(|(link, _)| link);
         let map = Map::new(Store::new(&setup.config.memory));
         Ok(Self {
@@ -125,8 +118,12 @@ impl Slam {
         let imu = Arc::clone(self.setup.imu.as_ref()?);
         let config = self.setup.config.inertial.clone();
         let is_metric = self.scale() == Scale::Metric;
-        let path = InertialPath::new(imu, &self.trajectory(), config, is_metric);
-        Some(path)
+        Some(InertialPath::new(
+            imu,
+            &self.trajectory(),
+            config,
+            is_metric,
+        ))
     }
 
     /// What the calibration has left of the radial distortion of the lens in the images: a ray at `x` from the axis, in focal lengths, is
@@ -140,11 +137,11 @@ impl Slam {
         let mut slam = Self {
             setup,
             start: None,
+            waiting: Vec::new(),
             map,
             camera: Camera::default(),
             odometry: Odometry::default(),
             graph,
-            sparse_stats: SparseStats::default(),
             frame_index: 0,
             stopwatch: Stopwatch::start(),
             events: Vec::new(),
@@ -178,11 +175,6 @@ impl Slam {
         self.map.store().spill_into(file);
     }
 
-    /// From now on keyframes have so much room in memory instead of what the settings say, bytes. No result depends on it.
-    pub fn give_room(&self, bytes: usize) {
-        self.room().give(bytes);
-    }
-
     /// The room of the keyframes, for a thread beside those that use the system.
     #[must_use]
     pub fn room(&self) -> KeyframeRoom {
@@ -209,14 +201,8 @@ impl Slam {
             keyframes: &finished,
             poses: self.map.snapshot(),
         };
-        let camera = self.setup.camera();
-        final_scans_of(
-            &keyframes,
-            &camera,
-            config,
-            threads,
-            (self.map.store(), done),
-        )
+        let (camera, store) = (self.setup.camera(), self.map.store());
+        final_scans_of(&keyframes, &camera, config, threads, (store, done))
     }
 
     /// The newest poses of all keyframes.
@@ -272,55 +258,30 @@ impl Slam {
         self.map.trajectory_in(fragment)
     }
 
-    /// What the sparse layer did for the newest keyframe.
-    #[must_use]
-    pub fn sparse_stats(&self) -> &SparseStats {
-        &self.sparse_stats
-    }
-
     /// What the graph has done so far.
     #[must_use]
     pub fn graph_stats(&self) -> GraphStats {
-        let link = self.graph.as_ref();
-        link.map_or_else(GraphStats::default, |link| *link.stats())
+        self.graph
+            .as_ref()
+            .map(|link| link.stats)
+            .unwrap_or_default()
     }
 
-    /// Times that tracking was lost.
+    /// How often something has happened.
     #[must_use]
-    pub fn lost_episodes(&self) -> usize {
-        self.map.counts().lost_episodes
-    }
-
-    /// Times that a lost camera was recognised at another keyframe.
-    #[must_use]
-    pub fn relocalisations(&self) -> usize {
-        self.map.counts().relocalisations
-    }
-
-    /// Times that tracking went on with a keyframe that existed already instead of a new one.
-    #[must_use]
-    pub fn reactivations(&self) -> usize {
-        self.map.counts().reactivations
-    }
-
-    /// Bundle adjustments of the sparse layer that failed; [`SparseStats::failure`] says why the last one did.
-    #[must_use]
-    pub fn failed_adjustments(&self) -> usize {
-        self.map.counts().failed_adjustments
+    pub fn counts(&self) -> &Counts {
+        self.map.counts()
     }
 
     /// What grows while the camera sees new places, and only then.
     #[must_use]
     pub fn map_size(&self) -> MapSize {
-        let size = self.map.size();
-        match &self.graph {
-            Some(_) => size,
+        let mut size = self.map.size();
+        if self.graph.is_none() {
             // keyframes form a chain
-            None => MapSize {
-                edges: size.keyframes.saturating_sub(1),
-                ..size
-            },
+            size.edges = size.keyframes.saturating_sub(1);
         }
+        size
     }
 
     /// Intrinsics of the working images.

@@ -1,18 +1,18 @@
 //! Steps that change the map or the state of tracking, used wherever a frame has led to them.
 
-use super::camera::{Known, Last};
-use super::constrain::{GraphLink, Link, graph_job};
-use super::depth::{activate, pyramid_of};
+use super::camera::{Active, Known, Last};
+use super::constrain::{GraphLink, graph_job};
 use super::keyframes::finish_keyframe;
+use super::lost::Loss;
 use super::outcome::Attempt;
-use super::points::adjust_points;
 use super::slam::Slam;
 use crate::KeyframeId;
 use crate::frame::Frame;
-use crate::graph::GraphUpdate;
-use crate::map::{Change, FinishedKeyframe, Found, Record, View};
+use crate::graph::{GraphUpdate, Link};
+use crate::map::{FinishedKeyframe, NUM_LEVELS, View};
 use monogrid_alignment::Motion;
 use monogrid_depth::DepthMap;
+use monogrid_image::Pyramid;
 use std::sync::Arc;
 
 /// The keyframe that was in use.
@@ -26,34 +26,31 @@ impl Slam {
     /// Stores a believed pose and makes it the prior of the next frame.
     pub(super) fn believe(&mut self, frame: &Frame, motion: Motion) {
         let pose = motion.frame_from_keyframe;
-        let record = Record::new(frame.index, frame.timestamp_ns, pose);
-        self.map.apply(Change::Tracked(record));
+        self.map.track(frame.index, frame.timestamp_ns, pose);
         self.camera.last = Some(Last::after(self.camera.last.as_ref(), frame, motion));
     }
 
     /// Keeps a frame with a pose in case that the camera is lost after it.
     pub(super) fn remember(&mut self, frame: &Frame, attempt: &Attempt) {
-        let known = Known {
+        self.camera.known.push_back(Known {
             frame_index: frame.index,
             timestamp_ns: frame.timestamp_ns,
             pyramid: Arc::clone(&frame.pyramid),
             keyframe: attempt.keyframe,
             frame_from_keyframe: attempt.tracked.alignment.motion.frame_from_keyframe,
-        };
-        let at_most = self.setup.config.fragments.bridge_frames;
-        self.camera.remember(known, at_most);
+        });
+        while self.camera.known.len() > self.setup.config.fragments.bridge_frames {
+            self.camera.known.pop_front();
+        }
     }
 
     /// The camera has a pose again, on a keyframe.
     pub(super) fn end_loss(&mut self, keyframe: KeyframeId, is_recognised: bool) {
         if self.camera.lost_in_a_row > 0 {
-            self.map.apply(Change::Found(Found {
-                frame_index: self.frame_index,
-                keyframe,
-                is_recognised,
-            }));
+            self.map.find(self.frame_index, keyframe, is_recognised);
         }
-        self.camera.end_loss();
+        self.camera.lost_in_a_row = 0;
+        self.camera.loss = Loss::default();
     }
 
     /// Publishes the keyframe in use, which is in use no longer.
@@ -74,27 +71,21 @@ impl Slam {
             id: finished.id,
             view: finished.view.clone(),
         };
-        self.map.apply(Change::Finished(finished));
+        self.map.finish(finished);
         left
     }
 
     /// Makes a keyframe that was left the one in use again.
     pub(super) fn use_again(&mut self, id: KeyframeId, depth: DepthMap) {
-        self.map.apply(Change::Reactivated(id));
+        self.map.reactivate(id);
         self.activate(id, depth);
     }
 
     pub(super) fn activate(&mut self, id: KeyframeId, depth: DepthMap) {
         let pyramid = self.map[id].pyramid();
-        let pyramid = pyramid.unwrap_or_else(|| pyramid_of(&depth));
-        self.camera.active = Some(activate(&self.setup, id, pyramid, depth));
-    }
-
-    /// Brings the newest keyframe into the sparse layer.
-    pub(super) fn adjust(&mut self, depth: &DepthMap) {
-        if let Some(stats) = adjust_points(&self.setup, &mut self.map, depth) {
-            self.sparse_stats = stats;
-        }
+        let made_again = || Arc::new(Pyramid::new(depth.host().image.clone(), NUM_LEVELS));
+        let pyramid = pyramid.unwrap_or_else(made_again);
+        self.camera.active = Some(Active::new(&self.setup, id, pyramid, depth));
     }
 
     /// Gives the graph a finished keyframe and the poses as they are now.
@@ -113,8 +104,7 @@ impl Slam {
     /// Takes over what the graph has found, if it has.
     pub(super) fn follow_graph(&mut self, update: Option<GraphUpdate>) {
         if let Some(update) = update {
-            let change = Change::Optimised(Box::new(update), self.frame_index);
-            self.map.apply(change);
+            self.map.follow_graph(update, self.frame_index);
         }
     }
 }

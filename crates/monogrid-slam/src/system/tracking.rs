@@ -1,60 +1,83 @@
-//! A frame is tracked on the current keyframe, and believed or not.
+//! A frame is tracked on the current keyframe, and believed or not; so are frames that were missed: the keyframe in use may show
+//! what frames saw that were taken before one with a pose.
 
-use super::camera::{Active, Camera, Last};
+use super::camera::{Active, Last};
 use super::outcome::Attempt;
 use super::setup::Setup;
-use crate::frame::Frame;
-use crate::map::Map;
-use crate::policy::{Demand, DoubtEvidence, demand};
-use crate::tracker::{
-    MotionPrior, PointMap, Support, Tracked, extrapolate, is_convincing, track, track_with_points,
-};
+use super::slam::Slam;
+use crate::frame::{BufferedFrame, Frame};
+use crate::policy::{Demand, demand};
+use crate::tracker::{MotionPrior, PointMap, Task, Tracked, extrapolate, is_convincing};
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{DepthSample, Motion, Reference};
 use monogrid_geometry::{Rotation, Se3};
 use monogrid_image::Pyramid;
 
-/// Tracks a frame on the keyframe in use, and doubts what it finds; `None` without a keyframe.
-pub(super) fn track_frame(
-    setup: &Setup,
-    map: &Map,
-    camera: &Camera,
-    frame: &Frame,
-) -> Option<Attempt> {
-    let (active, last) = (camera.active.as_ref()?, camera.last.as_ref()?);
-    let tracked = track_on_active(setup, map, active, last, frame);
-    Some(Attempt {
-        keyframe: active.id,
-        tracked: doubt(setup, tracked, camera.lost_in_a_row),
-        doubt: None,
-    })
-}
+impl Slam {
+    /// Tracks a frame on the keyframe in use, and doubts what it finds; `None` without a keyframe.
+    pub(super) fn track_frame(&self, frame: &Frame) -> Option<Attempt> {
+        let (active, last) = (self.camera.active.as_ref()?, self.camera.last.as_ref()?);
+        let tracked = self.track_on_active(active, last, frame);
+        Some(Attempt {
+            keyframe: active.id,
+            tracked: doubt(&self.setup, tracked, self.camera.lost_in_a_row),
+        })
+    }
 
-/// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion of the last frames
-/// leads.
-pub(super) fn track_on_active(
-    setup: &Setup,
-    map: &Map,
-    active: &Active,
-    last: &Last,
-    frame: &Frame,
-) -> Tracked {
-    let config = &setup.config.tracking;
-    let prior = motion_prior(setup, last, frame.timestamp_ns);
-    let points = setup.config.sparse.enabled.then(|| PointMap {
-        map,
-        keyframe: &map[active.id],
-        pinhole: &setup.pinhole,
-        sparse: &setup.config.sparse,
-    });
-    track_with_points(
-        &active.reference,
-        frame,
-        &prior,
-        &last.pyramid,
-        points.as_ref(),
-        (&setup.pinhole, config),
-    )
+    /// Tracks a frame on the keyframe in use, and by the points of the map, from where the motion of the last frames
+    /// leads.
+    pub(super) fn track_on_active(&self, active: &Active, last: &Last, frame: &Frame) -> Tracked {
+        let setup = &self.setup;
+        let prior = motion_prior(setup, last, frame.timestamp_ns);
+        let points = setup.config.sparse.enabled.then(|| PointMap {
+            map: &self.map,
+            keyframe: &self.map[active.id],
+            setup,
+        });
+        let task = Task::new(setup, &active.reference, frame, &prior);
+        task.track_with_points(&last.pyramid, points.as_ref())
+    }
+
+    /// Where frames are on the keyframe in use, tracked from a later frame backwards in time: the last of them first, up
+    /// to the first that cannot be believed.
+    pub(super) fn track_back(
+        &self,
+        active: &Active,
+        mut last: Last,
+        frames: &[BufferedFrame],
+    ) -> Vec<Motion> {
+        let mut motions = Vec::with_capacity(frames.len());
+        for buffered in frames.iter().rev() {
+            let frame = self.setup.restored(buffered);
+            let tracked = self.track_on_active(active, &last, &frame);
+            if tracked.state != TrackingState::Good {
+                break;
+            }
+            let motion = tracked.alignment.motion;
+            last = Last::after(Some(&last), &frame, motion);
+            motions.push(motion);
+        }
+        motions
+    }
+
+    /// Looks once more for the frames of a loss that ends with a frame, before that one is stored.
+    pub(super) fn find_missed(&mut self, frame: &Frame, motion: Motion) {
+        let missed = self.camera.loss.take_frames();
+        let Some(active) = self.camera.active.as_ref().filter(|_| !missed.is_empty()) else {
+            return;
+        };
+        let later = Last::after(self.camera.last.as_ref(), frame, motion).reversed();
+        let motions = self.track_back(active, later, &missed);
+        self.store_backwards(&missed, &motions);
+    }
+
+    /// Stores the poses of frames, the last of them first, as far as they are known.
+    pub(super) fn store_backwards(&mut self, frames: &[BufferedFrame], motions: &[Motion]) {
+        for (frame, motion) in frames.iter().rev().zip(motions) {
+            let pose = motion.frame_from_keyframe;
+            self.map.track(frame.index, frame.timestamp_ns, pose);
+        }
+    }
 }
 
 /// Where a frame should be if the camera goes on as in the last frames, and turns as the gyroscope says where there is one.
@@ -91,8 +114,7 @@ pub(super) fn track_on_other(
         last_from_keyframe: predicted,
         frame_from_last: Se3::identity(),
     };
-    let config = &setup.config.tracking;
-    track(&reference, frame, &prior, None, &setup.pinhole, config)
+    Task::new(setup, &reference, frame, &prior).track(None)
 }
 
 /// The points of a keyframe that frames are tracked on.
@@ -105,13 +127,7 @@ pub(super) fn reference(setup: &Setup, keyframe: &Pyramid, samples: &[DepthSampl
 /// A pose that is doubtful for other reasons than its residuals must be convincing to count.
 fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
     let config = &setup.config.tracking;
-    let evidence = DoubtEvidence {
-        is_supported: tracked.support != Support::None,
-        lost_in_a_row,
-        is_surprising: tracked.is_surprising,
-        is_degraded: tracked.state == TrackingState::Degraded,
-    };
-    let is_believed = match demand(&evidence, config) {
+    let is_believed = match demand(&tracked, lost_in_a_row, config) {
         Demand::None => true,
         Demand::Convincing => is_convincing(&tracked.alignment, false, config),
         Demand::ConvincingAfterLoss => is_convincing(&tracked.alignment, true, config),
@@ -127,20 +143,4 @@ fn doubt(setup: &Setup, tracked: Tracked, lost_in_a_row: usize) -> Tracked {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use monogrid_geometry::{Vec3, rotation_exp};
-
-    #[test]
-    fn another_turn_leaves_the_camera_at_its_place() {
-        let step = Se3::new(
-            rotation_exp(&Vec3::new(0.0, 0.1, 0.0)),
-            Vec3::new(0.3, 0.0, -0.1),
-        );
-        let turn = rotation_exp(&Vec3::new(0.2, -0.4, 0.1));
-        let found = turned(&step, turn);
-        assert_eq!(found.rotation, turn);
-        let place = |step: &Se3| step.inverse().translation;
-        assert!((place(&found) - place(&step)).norm() < 1e-12);
-    }
-}
+mod tests;

@@ -4,9 +4,8 @@
 //! wall it slides off with them, from a prediction that was right. The finest levels alone do not.
 
 use super::{MotionPrior, is_surprising, judge};
-use crate::frame::Frame;
 use crate::{TrackingConfig, TrackingState};
-use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
+use monogrid_alignment::Alignment;
 
 /// Whether another start may explain a frame better.
 pub(super) fn is_weak(alignment: &Alignment, prior: &MotionPrior, config: &TrackingConfig) -> bool {
@@ -38,24 +37,11 @@ const MIN_TIMES_BETTER: f64 = 1.25;
 /// Smaller residuals say nothing, grey levels.
 const MIN_RESIDUAL: f64 = 0.1;
 
-/// Alignment on the two finest levels.
-pub(super) fn polish(
-    reference: &Reference,
-    frame: &Frame,
-    start: &Motion,
-    config: &AlignmentConfig,
-) -> Alignment {
-    let settings = AlignmentConfig {
-        coarsest_level: (config.finest_level + 1).min(config.coarsest_level),
-        ..config.clone()
-    };
-    align(reference, &frame.target, start, Freedom::Rigid, &settings)
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::tests::perfect;
     use super::*;
+    use monogrid_alignment::Motion;
     use monogrid_geometry::{Se3, Vec3};
 
     fn still() -> MotionPrior {

@@ -5,15 +5,15 @@ mod combine;
 mod config;
 mod points;
 
-pub(crate) use self::combine::track_with_points;
 pub use self::config::{PointTrackingConfig, TrackingConfig};
 pub(crate) use self::points::PointMap;
 
-use self::again::{better, is_weak, polish};
+use self::again::{better, is_weak};
 use crate::frame::Frame;
+use crate::system::Setup;
 use crate::{LostReason, TrackingState};
 use monogrid_alignment::{Alignment, AlignmentConfig, Freedom, Motion, Reference, align};
-use monogrid_geometry::{Pinhole, Se3, Vec3, Vec6, rotation_exp};
+use monogrid_geometry::{Se3, Vec3, Vec6, rotation_exp};
 use monogrid_image::Pyramid;
 
 /// What is known before the frame is looked at.
@@ -69,69 +69,117 @@ pub(crate) struct Tracked {
     pub reason: Option<LostReason>,
 }
 
-/// Tracks `frame` on `reference`.
-///
-/// The motion hypotheses are compared on the coarsest level by the share of keyframe points that
-/// they explain; the best one is refined over the finer levels.
-pub(crate) fn track(
-    reference: &Reference,
-    frame: &Frame,
-    prior: &MotionPrior,
-    previous: Option<&Pyramid>,
-    pinhole: &Pinhole,
-    config: &TrackingConfig,
-) -> Tracked {
-    let coarse = coarse_config(&config.alignment, reference);
-    let refined = AlignmentConfig {
-        coarsest_level: coarse
-            .coarsest_level
-            .saturating_sub(1)
-            .max(config.alignment.finest_level),
-        ..config.alignment.clone()
-    };
-    let attempt = |frame_from_last: &Se3| {
-        let last = &prior.last_from_keyframe;
-        let start = Motion {
-            frame_from_keyframe: *frame_from_last * last.frame_from_keyframe,
-            ..*last
-        };
-        align(reference, &frame.target, &start, Freedom::Rigid, &coarse)
-    };
-    let mut best = attempt(&prior.frame_from_last);
-    if config.motion_hypotheses && !explains(&best, config) {
-        let rotation = previous
-            .and_then(|p| align_rotation(p, frame, pinhole, prior, &config.alignment))
-            .unwrap_or_else(Se3::identity);
-        for hypothesis in hypotheses(&prior.frame_from_last, &rotation) {
-            let candidate = attempt(&hypothesis);
-            if candidate.good_share > best.good_share {
-                best = candidate;
-            }
-            if explains(&best, config) {
-                break;
-            }
+/// A frame that is to be tracked on a keyframe.
+#[derive(Clone, Copy)]
+pub(crate) struct Task<'a> {
+    setup: &'a Setup,
+    config: &'a TrackingConfig,
+    /// The points of the keyframe.
+    reference: &'a Reference,
+    frame: &'a Frame,
+    prior: &'a MotionPrior,
+}
+
+impl<'a> Task<'a> {
+    pub(crate) fn new(
+        setup: &'a Setup,
+        reference: &'a Reference,
+        frame: &'a Frame,
+        prior: &'a MotionPrior,
+    ) -> Self {
+        Self {
+            setup,
+            config: &setup.config.tracking,
+            reference,
+            frame,
+            prior,
         }
     }
-    let alignment = align(
-        reference,
-        &frame.target,
-        &best.motion,
-        Freedom::Rigid,
-        &refined,
-    );
-    let alignment = if config.motion_hypotheses && is_weak(&alignment, prior, config) {
-        let again = polish(reference, frame, &prior.motion(), &config.alignment);
-        better(alignment, again, config)
-    } else {
-        alignment
-    };
-    let (state, reason) = judge(&alignment, config);
-    Tracked {
-        is_surprising: is_surprising(&alignment, prior, config),
-        alignment,
-        support: Support::None,
-        state,
-        reason,
+
+    /// Tracks the frame by its pixels; `previous` is the frame before, if it is of the same motion.
+    ///
+    /// The motion hypotheses are compared on the coarsest level by the share of keyframe points that
+    /// they explain; the best one is refined over the finer levels.
+    pub(crate) fn track(&self, previous: Option<&Pyramid>) -> Tracked {
+        let (config, prior) = (self.config, self.prior);
+        let levels = &config.alignment;
+        let level = levels.coarsest_level.min(self.reference.coarsest_level());
+        let coarse = AlignmentConfig {
+            coarsest_level: level,
+            finest_level: level,
+            ..levels.clone()
+        };
+        let refined = AlignmentConfig {
+            coarsest_level: level.saturating_sub(1).max(levels.finest_level),
+            ..levels.clone()
+        };
+        let attempt = |frame_from_last: &Se3| {
+            let last = &prior.last_from_keyframe;
+            let start = Motion {
+                frame_from_keyframe: *frame_from_last * last.frame_from_keyframe,
+                ..*last
+            };
+            self.align(&start, &coarse)
+        };
+        let mut best = attempt(&prior.frame_from_last);
+        if config.motion_hypotheses && !explains(&best, config) {
+            let rotation = previous.and_then(|previous| self.align_rotation(previous));
+            let rotation = rotation.unwrap_or_else(Se3::identity);
+            for hypothesis in hypotheses(&prior.frame_from_last, &rotation) {
+                let candidate = attempt(&hypothesis);
+                if candidate.good_share > best.good_share {
+                    best = candidate;
+                }
+                if explains(&best, config) {
+                    break;
+                }
+            }
+        }
+        let mut alignment = self.align(&best.motion, &refined);
+        if config.motion_hypotheses && is_weak(&alignment, prior, config) {
+            alignment = better(alignment, self.polish(&prior.motion()), config);
+        }
+        let (state, reason) = judge(&alignment, config);
+        Tracked {
+            is_surprising: is_surprising(&alignment, prior, config),
+            alignment,
+            support: Support::None,
+            state,
+            reason,
+        }
+    }
+
+    fn align(&self, start: &Motion, config: &AlignmentConfig) -> Alignment {
+        let target = &self.frame.target;
+        align(self.reference, target, start, Freedom::Rigid, config)
+    }
+
+    /// Alignment on the two finest levels.
+    fn polish(&self, start: &Motion) -> Alignment {
+        let config = &self.config.alignment;
+        let settings = AlignmentConfig {
+            coarsest_level: (config.finest_level + 1).min(config.coarsest_level),
+            ..config.clone()
+        };
+        self.align(start, &settings)
+    }
+
+    /// Rotation between the last frame and this one, from all pixels of a coarse level at infinity.
+    fn align_rotation(&self, previous: &Pyramid) -> Option<Se3> {
+        let target = &self.frame.target;
+        let level = target.coarsest_level().min(previous.num_levels() - 1);
+        let reference = Reference::at_infinity(previous, &self.setup.pinhole, level);
+        let settings = AlignmentConfig {
+            coarsest_level: level,
+            finest_level: level,
+            max_points: 0,
+            ..self.config.alignment.clone()
+        };
+        let turn = Se3::new(self.prior.frame_from_last.rotation, Vec3::zeros());
+        let start = Motion::from_pose(turn);
+        let found = align(&reference, target, &start, Freedom::Rotation, &settings);
+        let turn = found.motion.frame_from_keyframe;
+        (turn.is_finite() && found.good_of_visible > 0.3).then_some(turn)
     }
 }
 
@@ -145,16 +193,6 @@ fn is_surprising(alignment: &Alignment, prior: &MotionPrior, config: &TrackingCo
 fn explains(alignment: &Alignment, config: &TrackingConfig) -> bool {
     alignment.good_of_visible >= config.accept_good_of_visible
         && alignment.visible_share >= config.accept_visible_share
-}
-
-/// The same settings restricted to the coarsest level.
-fn coarse_config(config: &AlignmentConfig, reference: &Reference) -> AlignmentConfig {
-    let level = config.coarsest_level.min(reference.coarsest_level());
-    AlignmentConfig {
-        coarsest_level: level,
-        finest_level: level,
-        ..config.clone()
-    }
 }
 
 /// Alternatives to the constant motion, likeliest first: the rotation that aligns the images, no
@@ -184,57 +222,28 @@ fn hypotheses(frame_from_last: &Se3, rotation: &Se3) -> Vec<Se3> {
     out
 }
 
-/// Rotation between the last frame and this one, from all pixels of a coarse level at infinity.
-fn align_rotation(
-    previous: &Pyramid,
-    frame: &Frame,
-    pinhole: &Pinhole,
-    prior: &MotionPrior,
-    config: &AlignmentConfig,
-) -> Option<Se3> {
-    let level = frame.target.coarsest_level().min(previous.num_levels() - 1);
-    let reference = Reference::at_infinity(previous, pinhole, level);
-    let settings = AlignmentConfig {
-        coarsest_level: level,
-        finest_level: level,
-        max_points: 0,
-        ..config.clone()
-    };
-    let start = Motion::from_pose(Se3::new(prior.frame_from_last.rotation, Vec3::zeros()));
-    let found = align(
-        &reference,
-        &frame.target,
-        &start,
-        Freedom::Rotation,
-        &settings,
-    );
-    let turn = found.motion.frame_from_keyframe;
-    (turn.is_finite() && found.good_of_visible > 0.3).then_some(turn)
-}
-
 /// Good, degraded or lost, with the reason.
 fn judge(alignment: &Alignment, config: &TrackingConfig) -> (TrackingState, Option<LostReason>) {
-    let motion = &alignment.motion.frame_from_keyframe;
+    let lost = |reason| (TrackingState::Lost, Some(reason));
     if alignment.num_points < config.min_points.max(config.min_holding_points) {
-        return (TrackingState::Lost, Some(LostReason::NoTexture));
+        return lost(LostReason::NoTexture);
     }
-    if !motion.is_finite() {
-        return (TrackingState::Lost, Some(LostReason::Jump));
+    if !alignment.motion.frame_from_keyframe.is_finite() {
+        return lost(LostReason::Jump);
     }
     if alignment.visible_share < config.min_visible_share
         || alignment.good_share < config.min_good_share
     {
-        return (TrackingState::Lost, Some(LostReason::NoOverlap));
+        return lost(LostReason::NoOverlap);
     }
     // A covered lens: gain and bias alone would explain a picture without contrast.
     let Some(correlation) = alignment.correlation else {
-        return (TrackingState::Lost, Some(LostReason::NoTexture));
+        return lost(LostReason::NoTexture);
     };
-    if correlation < config.min_correlation {
-        return (TrackingState::Lost, Some(LostReason::Residuals));
-    }
-    if alignment.good_of_visible < config.min_good_of_visible {
-        return (TrackingState::Lost, Some(LostReason::Residuals));
+    if correlation < config.min_correlation
+        || alignment.good_of_visible < config.min_good_of_visible
+    {
+        return lost(LostReason::Residuals);
     }
     if alignment.good_of_visible < config.degraded_good_of_visible {
         return (TrackingState::Degraded, Some(LostReason::Residuals));

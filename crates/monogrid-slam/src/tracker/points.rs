@@ -1,12 +1,13 @@
 //! A pose from points of the sparse layer that are found again. It needs no good start, and it does not drift
 //! with the dense depth of one keyframe.
 
+use crate::PointTrackingConfig;
 use crate::map::{Map, MapKeyframe};
 use crate::policy::do_points_decide;
 use crate::sparse::{PointSearch, SearchImage, Which, find_in_image, position};
-use crate::{PointTrackingConfig, SparseConfig};
+use crate::system::Setup;
 use monogrid_features::{AbsolutePoseConfig, PatchSearchConfig, PointPixel, absolute_pose};
-use monogrid_geometry::{Mat6, Pinhole, Se3, Vec6};
+use monogrid_geometry::{Mat6, Se3, Vec6};
 use monogrid_graph::{MapMatch, PoseOnlyConfig, PoseOnlySolution, PoseOutcome, refine_pose};
 use monogrid_image::Pyramid;
 
@@ -16,8 +17,7 @@ pub(crate) struct PointMap<'a> {
     pub map: &'a Map,
     /// The keyframe that poses are relative to.
     pub keyframe: &'a MapKeyframe,
-    pub pinhole: &'a Pinhole,
-    pub sparse: &'a SparseConfig,
+    pub setup: &'a Setup,
 }
 
 /// A pose that enough points agree with.
@@ -30,19 +30,19 @@ pub(crate) struct PointPose {
 }
 
 impl PointMap<'_> {
+    fn config(&self) -> &PointTrackingConfig {
+        &self.setup.config.tracking.points
+    }
+
     /// Whether a few points are where a pose predicts them; otherwise the pose may be wrong.
-    pub(crate) fn confirms(
-        &self,
-        frame: &Pyramid,
-        pose: &Se3,
-        config: &PointTrackingConfig,
-    ) -> bool {
+    pub(crate) fn confirms(&self, frame: &Pyramid, pose: &Se3) -> bool {
+        let config = self.config();
         let camera_from_world = self.camera_from_world(pose);
         let probe = PointSearch {
             which: Which::SeenBy(self.keyframe.id),
             max_points: config.probe_points,
             // the basin of a patch is some pixels wide
-            ..settings(0.0, config)
+            ..self.within(0.0)
         };
         let probed = self.search(frame, &camera_from_world, &probe);
         let agreeing = self.num_agreeing(&camera_from_world, &probed.seen, config.probe_error_px);
@@ -56,13 +56,12 @@ impl PointMap<'_> {
         frame: &Pyramid,
         near: &Se3,
         covariance: Option<&Mat6>,
-        config: &PointTrackingConfig,
     ) -> Option<PointPose> {
+        let config = self.config();
         let start = self.camera_from_world(near);
-        let matches = self
-            .search(frame, &start, &settings(config.near_radius_px, config))
-            .seen;
-        let (solution, num_inliers) = self.refined(&matches, &start, config)?;
+        let how = self.within(config.near_radius_px);
+        let matches = self.search(frame, &start, &how).seen;
+        let (solution, num_inliers) = self.refined(&matches, &start)?;
         if !do_points_decide(num_inliers, matches.len(), config) {
             return None;
         }
@@ -80,24 +79,33 @@ impl PointMap<'_> {
 
     /// The pose of a frame of which `start` is a guess: points are looked for far around, the pose of random
     /// samples that explains most of them says where to look for them more closely.
-    pub(crate) fn pose_around(
-        &self,
-        frame: &Pyramid,
-        start: &Se3,
-        config: &PointTrackingConfig,
-    ) -> Option<PointPose> {
+    pub(crate) fn pose_around(&self, frame: &Pyramid, start: &Se3) -> Option<PointPose> {
+        let config = self.config();
         let guess = self.camera_from_world(start);
-        let matches = self
-            .search(frame, &guess, &settings(config.search_radius_px, config))
-            .seen;
+        let how = self.within(config.search_radius_px);
+        let matches = self.search(frame, &guess, &how).seen;
         let sampling = AbsolutePoseConfig {
             max_error_px: config.max_error_px,
             min_inliers: config.min_inliers,
             ..AbsolutePoseConfig::default()
         };
-        let sampled = absolute_pose(&matches, self.pinhole, &sampling)?;
-        let found = self.frame_from_keyframe(&sampled);
-        self.pose_near(frame, &found, None, config)
+        let sampled = absolute_pose(&matches, &self.setup.pinhole, &sampling)?;
+        self.pose_near(frame, &self.frame_from_keyframe(&sampled), None)
+    }
+
+    /// All points are looked for within a radius of where they are predicted, as they were seen last.
+    fn within(&self, radius_px: f64) -> PointSearch {
+        let config = self.config();
+        PointSearch {
+            patch: PatchSearchConfig {
+                radius_px,
+                min_correlation: config.min_correlation,
+                ..PatchSearchConfig::default()
+            },
+            which: Which::All,
+            max_points: config.max_points,
+            from_newest: true,
+        }
     }
 
     /// Points that are found around where a pose predicts them.
@@ -107,8 +115,8 @@ impl PointMap<'_> {
             fragment: self.keyframe.fragment,
             camera_from_world: *camera_from_world,
         };
-        let (map, pinhole) = (self.map, self.pinhole);
-        let search = find_in_image(map, &image, how, pinhole, self.sparse);
+        let (map, pinhole) = (self.map, &self.setup.pinhole);
+        let search = find_in_image(map, &image, how, pinhole, &self.setup.config.sparse);
         let found = search.found.iter();
         let seen = found.map(|&(point, pixel)| PointPixel {
             point_in_world: position(map, &map.points()[point], pinhole),
@@ -123,32 +131,26 @@ impl PointMap<'_> {
     fn num_agreeing(&self, camera_from_world: &Se3, seen: &[PointPixel], max_px: f64) -> usize {
         let agrees = |seen: &&PointPixel| {
             let in_camera = *camera_from_world * seen.point_in_world;
-            let error = self.pinhole.project(&in_camera) - seen.pixel;
+            let error = self.setup.pinhole.project(&in_camera) - seen.pixel;
             in_camera.z > 1e-6 && error.norm() <= max_px
         };
         seen.iter().filter(agrees).count()
     }
 
     /// The pose on all points that agree with it, and how many do.
-    fn refined(
-        &self,
-        matches: &[PointPixel],
-        start: &Se3,
-        config: &PointTrackingConfig,
-    ) -> Option<(PoseOnlySolution, usize)> {
-        let weighted: Vec<MapMatch> = matches
-            .iter()
-            .map(|seen| MapMatch {
-                point_in_world: seen.point_in_world,
-                pixel: seen.pixel,
-                inv_sigma_px: 1.0 / self.sparse.pose_sigma_px,
-            })
-            .collect();
+    fn refined(&self, matches: &[PointPixel], start: &Se3) -> Option<(PoseOnlySolution, usize)> {
+        let (setup, config) = (self.setup, self.config());
+        let weighted = matches.iter().map(|seen| MapMatch {
+            point_in_world: seen.point_in_world,
+            pixel: seen.pixel,
+            inv_sigma_px: 1.0 / setup.config.sparse.pose_sigma_px,
+        });
+        let weighted: Vec<MapMatch> = weighted.collect();
         let refinement = PoseOnlyConfig {
             min_inliers: config.min_inliers,
             ..PoseOnlyConfig::default()
         };
-        let solution = refine_pose(start, self.pinhole, &weighted, &refinement).ok()?;
+        let solution = refine_pose(start, &setup.pinhole, &weighted, &refinement).ok()?;
         let pose = solution.camera_from_world;
         let num_inliers = self.num_agreeing(&pose, matches, config.max_error_px);
         (solution.outcome == PoseOutcome::Good).then_some((solution, num_inliers))
@@ -162,9 +164,8 @@ impl PointMap<'_> {
     }
 
     fn camera_from_world(&self, frame_from_keyframe: &Se3) -> Se3 {
-        self.keyframe
-            .world_from_camera(frame_from_keyframe)
-            .inverse()
+        let world_from_camera = self.keyframe.world_from_camera(frame_from_keyframe);
+        world_from_camera.inverse()
     }
 
     fn frame_from_keyframe(&self, camera_from_world: &Se3) -> Se3 {
@@ -178,20 +179,6 @@ impl PointMap<'_> {
 struct Probed {
     num_searched: usize,
     seen: Vec<PointPixel>,
-}
-
-/// All points are looked for within a radius of where they are predicted, as they were seen last.
-fn settings(radius_px: f64, config: &PointTrackingConfig) -> PointSearch {
-    PointSearch {
-        patch: PatchSearchConfig {
-            radius_px,
-            min_correlation: config.min_correlation,
-            ..PatchSearchConfig::default()
-        },
-        which: Which::All,
-        max_points: config.max_points,
-        from_newest: true,
-    }
 }
 
 /// The mean of two poses weighted by information; `None` where that is singular. Covariances are of left updates.

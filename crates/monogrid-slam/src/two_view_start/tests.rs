@@ -1,10 +1,16 @@
 use super::*;
-use crate::FrameInput;
 use crate::test_world::small_demo;
+use crate::{FrameInput, SlamConfig};
 use monogrid_image::GrayImage;
 
 /// The buffered frames, by their number, and the places of the references among them.
 type State = (Vec<i64>, Vec<usize>);
+
+/// A camera with images of this width and height.
+fn setup(config: SlamConfig, (width, height): (usize, usize)) -> Setup {
+    let pinhole = Pinhole::new(200.0, 200.0, 80.0, 60.0);
+    Setup::new(config, pinhole, Mask::filled(width, height, 255), 0)
+}
 
 /// Shows images to a start that buffers so many frames and is never satisfied; its state after each.
 fn states(images: &[GrayImage], max_buffered_frames: usize) -> Vec<State> {
@@ -12,20 +18,18 @@ fn states(images: &[GrayImage], max_buffered_frames: usize) -> Vec<State> {
     config.initialization.max_buffered_frames = max_buffered_frames;
     config.initialization.sigma_px = 20.0;
     config.initialization.max_relative_sigma = 0.001;
-    let pinhole = Pinhole::new(200.0, 200.0, 80.0, 60.0);
     let mut start = TwoViewStart::new(&config.initialization, 0);
+    let setup = setup(config, (images[0].width(), images[0].height()));
     let mut states = Vec::new();
     for (index, image) in images.iter().enumerate() {
-        let mask = Mask::filled(image.width(), image.height(), 255);
         let input = FrameInput {
             index,
             timestamp_ns: index as i64,
             image: image.clone(),
             seed_depth: None,
         };
-        let frame = Frame::new(input, &pinhole, 0, 4);
-        let outcome = start.add_frame(frame, &pinhole, &mask, &config);
-        assert!(matches!(outcome, StartOutcome::Waiting(_)));
+        let outcome = start.add_frame(setup.frame(input), &setup);
+        assert!(outcome.is_err());
         let times = start.buffered.iter().map(|frame| frame.timestamp_ns);
         let references = start.references.iter().map(|r| r.buffer_index);
         states.push((times.collect(), references.collect()));
@@ -76,13 +80,13 @@ fn a_camera_that_moves_on_without_a_start_gets_references_beside_the_first() {
 }
 
 fn frame(image: GrayImage) -> Frame {
-    let input = FrameInput {
+    let setup = setup(SlamConfig::default(), (image.width(), image.height()));
+    setup.frame(FrameInput {
         index: 0,
         timestamp_ns: 0,
         image,
         seed_depth: None,
-    };
-    Frame::new(input, &Pinhole::new(200.0, 200.0, 80.0, 60.0), 0, 4)
+    })
 }
 
 #[test]

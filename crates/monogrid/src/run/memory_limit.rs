@@ -37,7 +37,7 @@ impl MemoryLimit {
         if slam.map_size().bytes.in_file == 0 {
             return self.apply(slam);
         }
-        slam.give_room(LEAST_ROOM as usize);
+        slam.room().give(LEAST_ROOM as usize);
         memory::give_back();
     }
 

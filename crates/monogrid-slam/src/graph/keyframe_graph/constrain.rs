@@ -1,19 +1,100 @@
-//! Which keyframes are constrained to each other.
+//! Which keyframes are constrained to each other, and the direct alignment of two of them.
 
-use super::state::{CERTAIN, KeyframeGraph};
+use super::KeyframeGraph;
 use crate::KeyframeId;
-use crate::graph::job::{EdgeKind, Handover, Relocalised};
-use crate::graph::search::{Candidate, choose};
-use monogrid_features::LoopMatch;
+use crate::graph::job::{EdgeKind, OdometryEdge, Relocalised};
+use crate::graph::search::{Candidate, Entry, Probes, choose};
+use crate::map::View;
+use crate::store::StoredCorners;
+use monogrid_alignment::{
+    DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
+};
+use monogrid_features::{DepthLookup, InverseDepth, LoopMatch};
 use monogrid_geometry::Sim3;
 use monogrid_image::Pyramid;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Keyframes that are prepared for alignment at the same time at most; one takes 1.8 MB at 640x480, and to prepare it a few milliseconds.
+const MAX_PREPARED: usize = 4;
+
 /// A pair that was refused is tried again when the start differs by this much (norm of the tangent).
 const NEW_START: f64 = 0.1;
 
 impl KeyframeGraph {
+    /// Keeps a finished keyframe; whether it is new.
+    pub(super) fn enter(&mut self, view: Arc<View>) -> bool {
+        let samples = view.samples.get().unwrap_or_default();
+        let probes = Probes::new(&samples, &view.camera.pinhole);
+        self.remember(&view, &samples);
+        let entry = Entry { view, probes };
+        self.entries.insert(entry.view.id, entry).is_none()
+    }
+
+    /// Remembers a keyframe by its appearance.
+    fn remember(&mut self, view: &View, samples: &[DepthSample]) {
+        if !self.config.places.enabled {
+            return;
+        }
+        let Some(pyramid) = view.image.pyramid() else {
+            return;
+        };
+        let depths = samples.iter().map(|sample| {
+            let depth = InverseDepth {
+                idepth: sample.idepth,
+                idepth_var: sample.idepth_var,
+            };
+            (sample.x, sample.y, depth)
+        });
+        let lookup = DepthLookup::new(view.camera.width, view.camera.height, depths);
+        let id = u64::from(view.id);
+        let (mask, pinhole) = (self.mask.as_ref(), &view.camera.pinhole);
+        let store = view.samples.store();
+        let keep = |corners| Arc::new(store.keep(StoredCorners(Arc::new(corners)))) as _;
+        self.places
+            .insert_kept(id, (&pyramid, mask), &lookup, pinhole, keep);
+    }
+
+    /// Direct alignment of keyframe `id` to `other`, in both directions.
+    pub(super) fn align(
+        &mut self,
+        id: KeyframeId,
+        other: KeyframeId,
+        other_from_own: Sim3,
+    ) -> Option<SimilarityConstraint> {
+        let (own_view, other_view) = (self.prepare(id)?, self.prepare(other)?);
+        let exposure = |id: KeyframeId| self.entries.get(&id).map(|e| e.view.exposure);
+        let (gain, bias) = exposure(id)?.relative(&exposure(other)?);
+        let initial = SimilarityState {
+            b_from_a: other_from_own,
+            log_gain: gain.ln(),
+            bias,
+        };
+        align_reciprocally(&own_view, &other_view, &initial, &self.config.similarity).ok()
+    }
+
+    /// Points, image and depth of a keyframe on the levels of the alignment.
+    fn prepare(&mut self, id: KeyframeId) -> Option<Arc<KeyframeView>> {
+        if let Some(at) = self.prepared.iter().position(|(other, _)| *other == id) {
+            let found = self.prepared.remove(at);
+            let view = Arc::clone(&found.1);
+            self.prepared.push(found);
+            return Some(view);
+        }
+        let view = &self.entries.get(&id)?.view;
+        let config = &self.config.similarity;
+        let (finest, coarsest) = (config.finest_level, config.coarsest_level);
+        let (pyramid, samples) = (view.image.pyramid()?, view.samples.get()?);
+        let pinhole = &view.camera.pinhole;
+        let prepared = KeyframeView::new(&pyramid, pinhole, &samples, finest, coarsest);
+        let prepared = Arc::new(prepared);
+        if self.prepared.len() >= MAX_PREPARED {
+            self.prepared.remove(0);
+        }
+        self.prepared.push((id, Arc::clone(&prepared)));
+        Some(prepared)
+    }
+
     /// Tries to constrain a keyframe to its parent, the nearest and the overlapping ones.
     pub(super) fn search(&mut self, id: KeyframeId) {
         let parent = self.poses.parent_of(id);
@@ -39,12 +120,7 @@ impl KeyframeGraph {
             self.stats.alignment_ms += begin.elapsed().as_secs_f64() * 1e3;
             match constraint {
                 Some(constraint) => {
-                    let kernel = if Some(other) == parent {
-                        CERTAIN
-                    } else {
-                        self.doubted()
-                    };
-                    self.set_direct_edge(other, id, &constraint, kernel);
+                    self.set_direct_edge(other, id, &constraint, Some(other) == parent);
                 }
                 None => {
                     self.refused.insert(key, start);
@@ -55,21 +131,21 @@ impl KeyframeGraph {
 
     /// Constrains two keyframes between which tracking has changed, by direct alignment or, where that
     /// fails, by what tracking found; whether they were not constrained before.
-    pub(super) fn link(&mut self, handover: &Handover) -> bool {
+    pub(super) fn link(&mut self, handover: &OdometryEdge) -> bool {
         let (i, j) = (handover.i, handover.j);
         let kinds = [EdgeKind::Odometry, EdgeKind::Sparse, EdgeKind::Direct];
-        if kinds.iter().any(|k| self.edges.has(&(i, j, *k))) {
+        if kinds.iter().any(|k| self.edges.get(&(i, j, *k)).is_some()) {
             return false;
         }
         if let Some(constraint) = self.align(j, i, handover.i_from_j) {
-            self.set_direct_edge(i, j, &constraint, self.doubted());
+            self.set_direct_edge(i, j, &constraint, false);
             return true;
         }
-        let covariance = self.with_unknown_scale(&handover.covariance);
-        let Some(information) = self.with_model_error(covariance, &handover.i_from_j) else {
+        let Some(information) = self.with_model_error(handover.covariance(), &handover.i_from_j)
+        else {
             return false;
         };
-        let (key, kernel) = ((i, j, EdgeKind::Odometry), self.doubted());
+        let (key, kernel) = ((i, j, EdgeKind::Odometry), self.kernel(false));
         self.set_edge(key, handover.i_from_j, information, kernel);
         true
     }
@@ -124,8 +200,8 @@ impl KeyframeGraph {
             let entry = self.entries.get(&(id as KeyframeId))?;
             entry.view.image.pyramid()
         };
-        self.places
-            .find_loops(u64::from(id), is_allowed, pyramid_of)
+        let id = u64::from(id);
+        self.places.find_loops(id, is_allowed, pyramid_of)
     }
 
     /// Where a frame is, by appearance: the keyframe with its depth, and the pose relative to it. Keyframes of
@@ -133,39 +209,31 @@ impl KeyframeGraph {
     pub(crate) fn relocalise(&self, frame: &Pyramid) -> Vec<Relocalised> {
         let mut found = self.places.relocalise(frame, self.mask.as_ref(), |_| true);
         found.sort_by_key(|found| self.fragment_of(found.keyframe as KeyframeId));
-        found
-            .iter()
-            .filter_map(|found| {
-                let view = &self.entries.get(&(found.keyframe as KeyframeId))?.view;
-                Some(Relocalised {
-                    view: Arc::clone(view),
-                    frame_from_keyframe: found.frame_from_keyframe,
-                })
+        let relocalised = found.iter().filter_map(|found| {
+            let entry = self.entries.get(&(found.keyframe as KeyframeId))?;
+            Some(Relocalised {
+                view: Arc::clone(&entry.view),
+                frame_from_keyframe: found.frame_from_keyframe,
             })
-            .collect()
+        });
+        relocalised.collect()
     }
 
-    pub(super) fn choose(&self, id: KeyframeId) -> Vec<KeyframeId> {
+    /// Keyframes that should see what a keyframe sees.
+    fn choose(&self, id: KeyframeId) -> Vec<KeyframeId> {
         let Some(own) = self.entries.get(&id) else {
             return Vec::new();
         };
-        let others: Vec<Candidate<'_>> = self
-            .entries
-            .range(..id)
-            .filter(|(other, _)| self.fragment_of(**other) == self.fragment_of(id))
-            .map(|(id, entry)| Candidate {
-                id: *id,
-                world_from_keyframe: self.pose(*id),
-                probes: &entry.probes,
-                camera: &entry.view.camera,
-            })
-            .collect();
-        let own = Candidate {
-            id,
-            world_from_keyframe: self.pose(id),
-            probes: &own.probes,
-            camera: &own.view.camera,
-        };
-        choose(&own, &others, &self.config)
+        let others = self.entries.range(..id);
+        let others = others.filter(|(other, _)| self.fragment_of(**other) == self.fragment_of(id));
+        let others: Vec<Candidate<'_>> = others.map(|(_, entry)| self.candidate(entry)).collect();
+        choose(&self.candidate(own), &others, &self.config)
+    }
+
+    fn candidate<'a>(&self, entry: &'a Entry) -> Candidate<'a> {
+        Candidate {
+            entry,
+            world_from_keyframe: self.pose(entry.view.id),
+        }
     }
 }

@@ -40,10 +40,6 @@ impl Constraints {
         self.edges.get(key)
     }
 
-    pub(super) fn has(&self, key: &EdgeKey) -> bool {
-        self.edges.contains_key(key)
-    }
-
     pub(super) fn iter(&self) -> impl Iterator<Item = (&EdgeKey, &GraphEdge)> {
         self.edges.iter()
     }
@@ -66,17 +62,14 @@ impl Constraints {
         let mut changes = EdgeChanges::default();
         for key in std::mem::take(&mut self.unsaid) {
             match self.edges.get(&key) {
-                Some(edge) => changes.set.push(stored(&key, edge)),
+                Some(edge) => changes.set.push(StoredEdge {
+                    kind: key.2,
+                    edge: *edge,
+                }),
                 None => changes.removed.push(key),
             }
         }
         changes
-    }
-
-    /// All, as others know them.
-    pub(super) fn stored(&self) -> Vec<StoredEdge> {
-        let edges = self.edges.iter();
-        edges.map(|(key, edge)| stored(key, edge)).collect()
     }
 
     /// Edges that no optimisation has seen.
@@ -92,13 +85,6 @@ impl Constraints {
     /// All are to be looked at as if they were new.
     pub(super) fn doubt_all(&mut self) {
         self.new.extend(self.edges.keys().copied());
-    }
-}
-
-fn stored((_, _, kind): &EdgeKey, edge: &GraphEdge) -> StoredEdge {
-    StoredEdge {
-        kind: *kind,
-        edge: *edge,
     }
 }
 

@@ -1,12 +1,31 @@
-//! What the edges of the graph say, and how much they are believed.
+//! What the edges of the graph say, and how much they are believed; what drift can do between keyframes: the one rule by which
+//! loops, and what is said about fragments, are told from errors.
 
-use super::state::{CERTAIN, KeyframeGraph};
+use super::KeyframeGraph;
 use crate::KeyframeId;
+use crate::graph::DriftConfig;
 use crate::graph::job::{EdgeKind, OdometryEdge};
+use crate::map::path_between;
 use crate::sparse::SharedPoints;
 use monogrid_alignment::SimilarityConstraint;
-use monogrid_geometry::{Mat6, Mat7, Sim3};
+use monogrid_geometry::{Mat7, Sim3, Vec7};
 use monogrid_graph::RobustKernel;
+use std::ops::Add;
+
+/// Kernel of edges that are right but for single large errors.
+pub(super) const CERTAIN: RobustKernel = RobustKernel::Huber { delta: 3.0 };
+
+impl OdometryEdge {
+    /// Covariance `[v, w, s]` of the motion as one of a similarity: tracking does not measure scale.
+    pub(super) fn covariance(&self) -> Mat7 {
+        let mut covariance = Mat7::zeros();
+        covariance
+            .fixed_view_mut::<6, 6>(0, 0)
+            .copy_from(&self.covariance);
+        covariance[(6, 6)] = self.scale_sigma * self.scale_sigma;
+        covariance
+    }
+}
 
 impl KeyframeGraph {
     /// Holds two keyframes as they are to each other.
@@ -19,18 +38,11 @@ impl KeyframeGraph {
 
     /// The motion that tracking found holds a keyframe until something better does.
     pub(super) fn add_odometry(&mut self, odometry: &OdometryEdge) {
-        let covariance = with_scale(&odometry.covariance, odometry.scale_sigma);
-        let Some(information) = covariance.cholesky().map(|c| c.inverse()) else {
+        let Some(information) = odometry.covariance().cholesky().map(|c| c.inverse()) else {
             return;
         };
-        let key = (odometry.parent, odometry.keyframe, EdgeKind::Odometry);
-        let measured = odometry.parent_from_keyframe;
-        self.set_edge(key, measured, information, RobustKernel::None);
-    }
-
-    /// Covariance of a motion `[v, w]` as one of a similarity `[v, w, s]`: tracking does not measure scale.
-    pub(super) fn with_unknown_scale(&self, motion: &Mat6) -> Mat7 {
-        with_scale(motion, self.config.odometry_scale_sigma)
+        let key = (odometry.i, odometry.j, EdgeKind::Odometry);
+        self.set_edge(key, odometry.i_from_j, information, RobustKernel::None);
     }
 
     /// The relative pose of two keyframes as the sparse layer has it now.
@@ -39,15 +51,13 @@ impl KeyframeGraph {
         let (i, j) = (found.i, found.j);
         let i_from_j = self.relative(i, j);
         let factor = (config.reference_points as f64 / found.count.max(1) as f64).max(1.0);
-        let mut information = Mat7::zeros();
-        for k in 0..7 {
-            let sigma = match k {
-                0..3 => config.translation_sigma,
-                3..6 => config.rotation_sigma,
-                _ => config.scale_sigma,
-            };
-            information[(k, k)] = 1.0 / (sigma * sigma * factor);
-        }
+        let sigmas = [
+            config.translation_sigma,
+            config.rotation_sigma,
+            config.scale_sigma,
+        ];
+        let weights = by_part(sigmas).map(|sigma| 1.0 / (sigma * sigma * factor));
+        let information = Mat7::from_diagonal(&weights);
         self.edges.remove(&(i, j, EdgeKind::Odometry));
         self.set_edge((i, j, EdgeKind::Sparse), i_from_j, information, CERTAIN);
     }
@@ -60,21 +70,18 @@ impl KeyframeGraph {
         j: KeyframeId,
         constraint: &SimilarityConstraint,
     ) {
-        let kernel = if self.can_have_drifted(i, j, &constraint.b_from_a) {
-            CERTAIN
-        } else {
-            self.doubted()
-        };
-        self.set_direct_edge(i, j, constraint, kernel);
+        let is_certain = self.can_have_drifted(i, j, &constraint.b_from_a);
+        self.set_direct_edge(i, j, constraint, is_certain);
         self.stats.loop_closures += 1;
     }
 
+    /// Adds what direct alignment of two keyframes says; `is_certain` where only single large errors of it can be wrong.
     pub(super) fn set_direct_edge(
         &mut self,
         i: KeyframeId,
         j: KeyframeId,
         constraint: &SimilarityConstraint,
-        kernel: RobustKernel,
+        is_certain: bool,
     ) {
         let Some(covariance) = constraint.information.cholesky().map(|c| c.inverse()) else {
             return;
@@ -85,6 +92,7 @@ impl KeyframeGraph {
         self.stats.constraints += 1;
         self.edges.remove(&(i, j, EdgeKind::Odometry));
         let key = (i, j, EdgeKind::Direct);
+        let kernel = self.kernel(is_certain);
         self.set_edge(key, constraint.b_from_a, information, kernel);
     }
 
@@ -93,29 +101,144 @@ impl KeyframeGraph {
         let config = &self.config.direct_edges;
         let moved = i_from_j.translation.norm() * config.translation_share;
         let translation_var = config.translation_sigma.powi(2) + moved * moved;
-        for k in 0..7 {
-            covariance[(k, k)] += match k {
-                0..3 => translation_var,
-                3..6 => config.rotation_sigma.powi(2),
-                _ => config.scale_sigma.powi(2),
-            };
-        }
+        let shared = by_part([
+            translation_var,
+            config.rotation_sigma.powi(2),
+            config.scale_sigma.powi(2),
+        ]);
+        covariance.set_diagonal(&(covariance.diagonal() + shared));
         let information = covariance.cholesky()?.inverse();
         Some((information + information.transpose()) * 0.5)
     }
 
-    /// Kernel of edges that may be wrong.
-    pub(super) fn doubted(&self) -> RobustKernel {
+    /// Kernel of edges that are right but for single large errors, or of those that may be wrong.
+    pub(super) fn kernel(&self, is_certain: bool) -> RobustKernel {
+        if is_certain {
+            return CERTAIN;
+        }
         RobustKernel::DynamicCovariance {
             phi: self.config.switch_chi_sq,
         }
     }
+
+    /// Whether the poses of two keyframes differ from a measurement by more than drift is at least. A loop that
+    /// agrees with them would not correct anything but tie keyframes together that see each other from far
+    /// away, where direct alignment is worse than what holds them: in a room that is in view all the time
+    /// such edges make the poses worse.
+    pub(super) fn is_drift(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
+        let error = self.contradiction(i, j, i_from_j);
+        !self.config.places.drift.explains(&error, Way::default())
+    }
+
+    /// Whether the poses of two keyframes differ from a measurement by no more than tracking drifts between
+    /// them. The edges of the graph expect less: a loop that corrects drift contradicts them, and would be
+    /// switched off as if it were wrong.
+    pub(super) fn can_have_drifted(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> bool {
+        let error = self.contradiction(i, j, i_from_j);
+        self.config.places.drift.explains(&error, self.way(i, j))
+    }
+
+    /// Logarithm of the similarity between a measurement and the poses of two keyframes.
+    fn contradiction(&self, i: KeyframeId, j: KeyframeId, i_from_j: &Sim3) -> Vec7 {
+        (i_from_j.inverse() * self.relative(i, j)).log()
+    }
+
+    /// The way along which tracking came from one keyframe to another.
+    pub(super) fn way(&self, i: KeyframeId, j: KeyframeId) -> Way {
+        let path = path_between(|id| self.poses.parent_of(id), i, j);
+        let position = |id: KeyframeId| self.pose(id).translation;
+        let length = |pair: &[KeyframeId]| (position(pair[1]) - position(pair[0])).norm();
+        let in_world: f64 = path.windows(2).map(length).sum();
+        Way {
+            steps: path.len().saturating_sub(1) as f64,
+            length: in_world / self.pose(j).scale,
+        }
+    }
 }
 
-/// Covariance of a motion `[v, w]` and of the logarithm of its scale as one of a similarity `[v, w, s]`.
-fn with_scale(motion: &Mat6, scale_sigma: f64) -> Mat7 {
-    let mut covariance = Mat7::zeros();
-    covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(motion);
-    covariance[(6, 6)] = scale_sigma * scale_sigma;
-    covariance
+/// The values for translation, rotation and scale at the places of a tangent `[v, w, s]`.
+fn by_part(values: [f64; 3]) -> Vec7 {
+    Vec7::from_fn(|k, _| values[k / 3])
+}
+
+/// The way along which tracking came from one keyframe to another.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Way {
+    /// Keyframes.
+    steps: f64,
+    /// Length in units of the second keyframe.
+    length: f64,
+}
+
+impl Add for Way {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            steps: self.steps + other.steps,
+            length: self.length + other.length,
+        }
+    }
+}
+
+impl DriftConfig {
+    /// Whether drift over a way can be as large as `error`, the logarithm of the similarity between what was
+    /// measured and what was expected.
+    ///
+    /// Successive errors have common causes (calibration, the scale of what is seen), so drift grows with the
+    /// way, not with its root as the edges of the graph would have it.
+    pub(super) fn explains(&self, error: &Vec7, way: Way) -> bool {
+        let (translation, rotation) = (error.fixed_rows::<3>(0), error.fixed_rows::<3>(3));
+        translation.norm() <= self.translation_start + self.translation_share * way.length
+            && rotation.norm() <= self.rotation_start + self.rotation_step * way.steps
+            && error[6].abs() <= self.scale_start + self.scale_step * way.steps
+    }
+
+    /// The same growth over the way, from another start.
+    pub(super) fn starting_at(&self, start: f64) -> Self {
+        Self {
+            translation_start: start,
+            rotation_start: start,
+            scale_start: start,
+            ..self.clone()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(translation: f64, rotation: f64, scale: f64) -> Vec7 {
+        Vec7::from_column_slice(&[0.0, translation, 0.0, rotation, 0.0, 0.0, -scale])
+    }
+
+    #[test]
+    fn drift_grows_with_the_way_and_each_part_has_its_own_limit() {
+        let drift = DriftConfig {
+            translation_start: 0.1,
+            translation_share: 0.5,
+            rotation_start: 0.2,
+            rotation_step: 0.25,
+            scale_start: 0.3,
+            scale_step: 0.125,
+        };
+        let way = Way {
+            steps: 1.0,
+            length: 1.0,
+        } + Way {
+            steps: 3.0,
+            length: 1.0,
+        };
+        // limits: 0.1 + 0.5 * 2, 0.2 + 0.25 * 4, 0.3 + 0.125 * 4
+        assert!(drift.explains(&error(1.09, 1.19, 0.79), way));
+        assert!(!drift.explains(&error(1.11, 0.0, 0.0), way));
+        assert!(!drift.explains(&error(0.0, 1.21, 0.0), way));
+        assert!(!drift.explains(&error(0.0, 0.0, 0.81), way));
+        assert!(!drift.explains(&error(0.11, 0.0, 0.0), Way::default()));
+        let later = drift.starting_at(0.6);
+        assert!(later.explains(&error(1.59, 1.59, 1.09), way));
+        assert!(!later.explains(&error(0.0, 0.0, 1.11), way));
+        assert!(!later.explains(&error(0.0, f64::NAN, 0.0), way));
+    }
 }

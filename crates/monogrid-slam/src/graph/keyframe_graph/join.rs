@@ -8,9 +8,9 @@
 //! The fragment that began later is moved by one similarity, and with its keyframes all that is known relative to them. Sightings that
 //! were aligned become loops. The first keyframes of a random start, whose shape is not reliable yet, never decide.
 
-use super::state::KeyframeGraph;
+use super::KeyframeGraph;
 use crate::graph::job::Joined;
-use crate::{FragmentConfig, FragmentId, KeyframeId};
+use crate::{FragmentId, KeyframeId};
 use monogrid_alignment::SimilarityConstraint;
 use monogrid_geometry::Sim3;
 use std::collections::BTreeSet;
@@ -51,30 +51,6 @@ impl Sighting {
     }
 }
 
-/// What is known about the places of fragments in each other.
-#[derive(Clone, Debug)]
-pub(super) struct Joining {
-    config: FragmentConfig,
-    pub(super) sightings: Vec<Sighting>,
-    /// Fragments that were joined in the job under way.
-    joined: Vec<Joined>,
-}
-
-impl Joining {
-    pub(super) fn new(config: FragmentConfig) -> Self {
-        Self {
-            config,
-            sightings: Vec::new(),
-            joined: Vec::new(),
-        }
-    }
-
-    /// The fragments that were joined since the last call.
-    pub(super) fn take_joined(&mut self) -> Vec<Joined> {
-        std::mem::take(&mut self.joined)
-    }
-}
-
 impl KeyframeGraph {
     /// Whether a keyframe may say where its fragment is in that of another.
     pub(super) fn may_join(&self, own: KeyframeId, other: KeyframeId) -> bool {
@@ -91,11 +67,11 @@ impl KeyframeGraph {
         other_from_own: Sim3,
         constraint: Option<SimilarityConstraint>,
     ) {
-        if self.joining.sightings.len() >= MAX_SIGHTINGS {
-            self.joining.sightings.remove(0);
+        if self.sightings.len() >= MAX_SIGHTINGS {
+            self.sightings.remove(0);
         }
         let sighting = Sighting::new(other, own, other_from_own, constraint);
-        self.joining.sightings.push(sighting);
+        self.sightings.push(sighting);
     }
 
     /// Joins fragments about which the sightings of keyframe `own` are confirmed by those of others; whether
@@ -111,14 +87,10 @@ impl KeyframeGraph {
 
     /// The sightings that agree with one of keyframe `own`, one that was aligned first, if they are enough.
     fn confirmed(&self, own: KeyframeId) -> Option<Vec<Sighting>> {
-        let candidates = self.joining.sightings.iter().filter(|s| s.own == own);
+        let candidates = self.sightings.iter().filter(|s| s.own == own);
         candidates.into_iter().find_map(|sighting| {
             let pair = self.pair_of(sighting);
-            let comparable = self
-                .joining
-                .sightings
-                .iter()
-                .filter(|s| self.pair_of(s) == pair);
+            let comparable = self.sightings.iter().filter(|s| self.pair_of(s) == pair);
             let (agreeing, contradicting): (Vec<&Sighting>, Vec<&Sighting>) =
                 comparable.partition(|s| self.agree(sighting, s));
             let keyframes = |sightings: &[&Sighting]| {
@@ -127,7 +99,7 @@ impl KeyframeGraph {
             };
             let count = keyframes(&agreeing);
             let is_enough =
-                count >= self.joining.config.min_agreeing && count > keyframes(&contradicting);
+                count >= self.fragments.min_agreeing && count > keyframes(&contradicting);
             let (aligned, others): (Vec<&Sighting>, Vec<&Sighting>) =
                 agreeing.iter().partition(|s| s.is_aligned());
             (is_enough && !aligned.is_empty())
@@ -166,10 +138,9 @@ impl KeyframeGraph {
             (a.other, a.own)
         };
         let way = self.way(own_of_a, b.own) + self.way(other_of_a, b.other);
-        let drift = &self.config.places.drift;
-        drift
-            .starting_at(self.joining.config.max_disagreement)
-            .explains(&error, way)
+        let start = self.fragments.max_disagreement;
+        let drift = self.config.places.drift.starting_at(start);
+        drift.explains(&error, way)
     }
 
     /// Moves the newer fragment of agreeing sightings to where the first of them has it in the older one, and
@@ -180,15 +151,11 @@ impl KeyframeGraph {
         };
         let (into, from) = self.pair_of(first);
         let into_from_fragment = self.fragment_from_other(into, first);
-        let sightings = std::mem::take(&mut self.joining.sightings).into_iter();
+        let sightings = std::mem::take(&mut self.sightings).into_iter();
         let others = sightings.filter(|sighting| self.pair_of(sighting) != (into, from));
-        self.joining.sightings = others.collect();
-        let poses = &mut self.poses;
-        for (pose, fragment) in poses
-            .world_from_keyframe
-            .iter_mut()
-            .zip(&mut poses.fragment)
-        {
+        self.sightings = others.collect();
+        let poses = self.poses.world_from_keyframe.iter_mut();
+        for (pose, fragment) in poses.zip(&mut self.poses.fragment) {
             if *fragment == from {
                 *pose = into_from_fragment * *pose;
                 *fragment = into;
@@ -201,6 +168,6 @@ impl KeyframeGraph {
         }
         self.active.remove(&from);
         self.active.insert(into);
-        self.joining.joined.push(Joined { from, into });
+        self.joined.push(Joined { from, into });
     }
 }

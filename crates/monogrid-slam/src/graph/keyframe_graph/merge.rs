@@ -5,9 +5,9 @@
 //! other pair by pair (Mangelson et al., *Pairwise consistent measurement set maximization*, ICRA 2018). The two fragments with the largest
 //! set are joined first; where they lie then decides what is consistent about the others.
 
+use super::KeyframeGraph;
 use super::join::Sighting;
 use super::optimise::Search;
-use super::state::KeyframeGraph;
 use crate::graph::job::GraphUpdate;
 use crate::{Agreement, FragmentId, KeyframeId, Meeting, MergeConfig};
 use monogrid_geometry::Sim3;
@@ -30,7 +30,7 @@ impl KeyframeGraph {
     /// each two fragments had in common before.
     pub(crate) fn merge(&mut self, config: &MergeConfig) -> (GraphUpdate, Vec<Meeting>) {
         self.active = self.poses.fragment.iter().copied().collect();
-        self.joining.sightings = self.meet();
+        self.sightings = self.meet();
         let meetings = self.consistent_pairs();
         let meetings = meetings.into_iter().map(|pair| pair.meeting).collect();
         while let Some(pair) = self.strongest(config) {
@@ -100,7 +100,7 @@ impl KeyframeGraph {
     /// What is known about each two fragments that have sightings of each other.
     fn consistent_pairs(&self) -> Vec<Consistent> {
         let mut pairs: BTreeMap<(FragmentId, FragmentId), Vec<&Sighting>> = BTreeMap::new();
-        for sighting in &self.joining.sightings {
+        for sighting in &self.sightings {
             let pair = self.pair_of(sighting);
             pairs.entry(pair).or_default().push(sighting);
         }
@@ -117,13 +117,11 @@ impl KeyframeGraph {
     ) -> Consistent {
         let every = sightings.len().div_ceil(MAX_COMPARED).max(1);
         let compared: Vec<&Sighting> = sightings.iter().copied().step_by(every).collect();
-        let agree: Vec<Vec<bool>> = compared
-            .iter()
-            .map(|a| {
-                let agrees = |b: &&Sighting| self.agree(a, b) && self.agree(b, a);
-                compared.iter().map(agrees).collect()
-            })
-            .collect();
+        let agrees = |a: &&Sighting| {
+            let agrees = |b: &&Sighting| self.agree(a, b) && self.agree(b, a);
+            compared.iter().map(agrees).collect()
+        };
+        let agree: Vec<Vec<bool>> = compared.iter().map(agrees).collect();
         let all: Vec<usize> = (0..compared.len()).collect();
         let best = largest_clique(&agree, &all);
         let others: Vec<usize> = all.into_iter().filter(|i| !best.contains(i)).collect();

@@ -1,33 +1,137 @@
 //! Constraints between keyframes and the optimisation of their poses, one job after the other.
 
-mod align;
 mod constrain;
 mod constraints;
-mod drift;
 mod edges;
 mod join;
 mod merge;
 mod optimise;
-mod state;
 #[cfg(test)]
 mod tests;
-mod window;
 
-pub(crate) use self::state::KeyframeGraph;
-
+use self::constraints::Constraints;
+use self::join::Sighting;
 use self::optimise::Search;
-use super::job::{GraphJob, GraphUpdate, RestoredGraph};
+use super::config::GraphConfig;
+use super::job::{
+    EdgeKey, EdgeKind, GraphJob, GraphStats, GraphUpdate, Joined, Link, RestoredGraph,
+};
+use super::places::{PlacesError, memory_of_places};
+use super::search::Entry;
 use crate::map::View;
 use crate::stored::StoredEdge;
-use crate::{FragmentId, KeyframeId, MAIN_MAP, PoseSnapshot};
-use std::collections::BTreeSet;
+use crate::{FragmentConfig, FragmentId, KeyframeId, MAIN_MAP, PoseSnapshot, SlamConfig};
+use monogrid_alignment::KeyframeView;
+use monogrid_features::PlaceMemory;
+use monogrid_geometry::{Mat7, Pinhole, Sim3};
+use monogrid_graph::RobustKernel;
+use monogrid_graph::pose_graph::{GraphEdge, PoseGraphError};
+use monogrid_image::Mask;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Rounds of the final search.
 const FINAL_ROUNDS: usize = 2;
 
+/// Constraints between keyframes and the optimisation of their poses.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyframeGraph {
+    config: GraphConfig,
+    fragments: FragmentConfig,
+    /// What belongs to the picture; everything where there is none.
+    mask: Option<Mask>,
+    entries: BTreeMap<KeyframeId, Entry>,
+    /// The keyframes as the job under way moves them. Each fragment has its own world, held by its first
+    /// keyframe, and is optimised alone.
+    poses: PoseSnapshot,
+    /// Fragments that the job under way has to do with.
+    active: BTreeSet<FragmentId>,
+    /// Keyframes that were recognised in another fragment.
+    sightings: Vec<Sighting>,
+    /// Fragments that were joined in the job under way.
+    joined: Vec<Joined>,
+    edges: Constraints,
+    refused: BTreeMap<(KeyframeId, KeyframeId), Sim3>,
+    /// Keyframes by their appearance.
+    places: PlaceMemory,
+    /// Prepared keyframes, the most recently used last.
+    prepared: Vec<(KeyframeId, Arc<KeyframeView>)>,
+    /// Why an optimisation of the job under way failed, if one did.
+    failure: Option<PoseGraphError>,
+    stats: GraphStats,
+}
+
 impl KeyframeGraph {
+    /// A graph without keyframes, in which frames with this camera are looked for. Of their images and those of keyframes `mask` says
+    /// what belongs to the picture; without one keyframes may have cameras of their own.
+    ///
+    /// # Errors
+    /// A vocabulary that cannot be used.
+    pub(crate) fn new(
+        config: &SlamConfig,
+        pinhole: Pinhole,
+        mask: Option<Mask>,
+    ) -> Result<Self, PlacesError> {
+        Ok(Self {
+            config: config.graph.clone(),
+            fragments: config.fragments.clone(),
+            mask,
+            entries: BTreeMap::new(),
+            poses: PoseSnapshot::default(),
+            active: BTreeSet::from([MAIN_MAP]),
+            sightings: Vec::new(),
+            joined: Vec::new(),
+            edges: Constraints::default(),
+            refused: BTreeMap::new(),
+            places: memory_of_places(&config.graph.places, pinhole)?,
+            prepared: Vec::new(),
+            failure: None,
+            stats: GraphStats::default(),
+        })
+    }
+
+    /// Adds an edge or replaces one.
+    fn set_edge(
+        &mut self,
+        (i, j, kind): EdgeKey,
+        i_from_j: Sim3,
+        information: Mat7,
+        kernel: RobustKernel,
+    ) {
+        let edge = GraphEdge {
+            i: u64::from(i),
+            j: u64::from(j),
+            i_from_j,
+            information,
+            kernel,
+        };
+        self.edges.set((i, j, kind), edge);
+    }
+
+    /// Edges that nobody has heard of, with where they come from.
+    pub(crate) fn take_edges(&mut self) -> Vec<StoredEdge> {
+        self.edges.take_changes().set
+    }
+
+    /// Whether two keyframes have a direct edge.
+    fn is_aligned(&self, i: KeyframeId, j: KeyframeId) -> bool {
+        self.edges.get(&(i, j, EdgeKind::Direct)).is_some()
+    }
+
+    /// The fragment of a keyframe.
+    fn fragment_of(&self, id: KeyframeId) -> FragmentId {
+        self.poses.fragment_of(id)
+    }
+
+    fn pose(&self, id: KeyframeId) -> Sim3 {
+        self.poses.world_from_keyframe[id as usize]
+    }
+
+    fn relative(&self, i: KeyframeId, j: KeyframeId) -> Sim3 {
+        self.pose(i).inverse() * self.pose(j)
+    }
+
     /// The graph as an earlier session left it. Keyframes without a constraint are held where they are.
     pub(crate) fn restore(&mut self, restored: RestoredGraph) {
         self.poses = PoseSnapshot::clone(&restored.poses);
@@ -62,11 +166,11 @@ impl KeyframeGraph {
         let num_keyframes = self.poses.world_from_keyframe.len();
         self.poses.fragment.resize(num_keyframes, MAIN_MAP);
         self.active = self.fragments_of(&job);
-        let mut is_changed = self.take_edges(&job);
+        let mut is_changed = self.take_measured(&job);
         if let Some(view) = job.finished {
             is_changed |= self.take_keyframe(view);
         }
-        if let Some(handover) = &job.handover {
+        if let Link::Handover(handover) = &job.link {
             is_changed |= self.link(handover);
         }
         if is_changed {
@@ -92,7 +196,7 @@ impl KeyframeGraph {
     fn update(&mut self) -> GraphUpdate {
         GraphUpdate {
             poses: self.poses.clone(),
-            joined: self.joining.take_joined(),
+            joined: std::mem::take(&mut self.joined),
             edges: self.edges.take_changes(),
             failure: self.failure.take(),
             stats: self.stats,
@@ -100,14 +204,15 @@ impl KeyframeGraph {
     }
 
     /// Edges that tracking and the sparse layer have measured; whether the poses are to be optimised.
-    fn take_edges(&mut self, job: &GraphJob) -> bool {
-        if let Some(odometry) = &job.odometry {
+    fn take_measured(&mut self, job: &GraphJob) -> bool {
+        if let Link::Odometry(odometry) = &job.link {
             self.add_odometry(odometry);
         }
         for shared in &job.shared_points {
             self.set_sparse_edge(shared);
         }
-        job.is_final || job.odometry.is_some() || !job.shared_points.is_empty()
+        let is_moved = matches!(job.link, Link::Odometry(_));
+        job.is_final || is_moved || !job.shared_points.is_empty()
     }
 
     /// Takes a finished keyframe; a new one is constrained to those around it and to places that it shows again.
@@ -149,10 +254,12 @@ impl KeyframeGraph {
             return job.grown.clone();
         }
         let finished = job.finished.iter().map(|view| view.id);
-        let made = job.odometry.iter().map(|odometry| odometry.keyframe);
-        let handed_over = job.handover.iter().map(|handover| handover.j);
+        let linked = match &job.link {
+            Link::None => None,
+            Link::Odometry(edge) | Link::Handover(edge) => Some(edge.j),
+        };
         let shared = job.shared_points.iter().map(|pair| pair.j);
-        let keyframes = finished.chain(made).chain(handed_over).chain(shared);
+        let keyframes = finished.chain(linked).chain(shared);
         keyframes.map(|id| self.fragment_of(id)).collect()
     }
 }

@@ -1,12 +1,29 @@
 //! Moving the poses to the optimum, and their covariances.
+//!
+//! While the run goes on an optimisation moves a part of a fragment: what is new, and the keyframes around it.
+//! The others hold it where they are. Time per keyframe so does not grow with the number of all keyframes.
 
-use super::state::KeyframeGraph;
-use super::window::{NEWEST, Window};
+use super::KeyframeGraph;
 use crate::graph::job::EdgeKey;
 use crate::{FragmentId, KeyframeId};
 use monogrid_graph::pose_graph::{GraphNode, PoseGraph, PoseGraphConfig, PoseGraphError};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::Instant;
+
+/// Newest keyframes of a fragment that every window holds. Their covariances follow the graph while it grows.
+pub(super) const NEWEST: usize = 12;
+
+/// By how much the cost may fall at most (half of a squared normalised residual) if one of the keyframes around the
+/// window moved: beyond it the change must spread. Together they may give way by much more than each alone.
+const MAX_STRAIN: f64 = 0.001;
+
+/// Keyframes of a fragment that may move, and what holds them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Window {
+    pub free: BTreeSet<KeyframeId>,
+    /// Keyframes with edges to these.
+    pub border: BTreeSet<KeyframeId>,
+}
 
 /// Where the optimum is looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,15 +123,11 @@ impl KeyframeGraph {
         let num = self.poses.world_from_keyframe.len();
         let mut covariances = std::mem::take(&mut self.poses.previous_from_keyframe_covariance);
         covariances.resize(num, None);
-        let first = if all {
-            1
-        } else {
-            num.saturating_sub(NEWEST).max(1)
-        };
+        let newest = if all { num } else { NEWEST };
+        let first = num.saturating_sub(newest).max(1);
+        let size = if all { num } else { self.config.window };
         for fragment in &self.active {
-            let window = (!all)
-                .then(|| self.window(*fragment, [], self.config.window))
-                .flatten();
+            let window = self.window(*fragment, [], size);
             let graph = self.pose_graph(*fragment, window.as_ref());
             let Ok(uncertainty) = graph.and_then(|g| g.uncertainty()) else {
                 continue;
@@ -130,8 +143,14 @@ impl KeyframeGraph {
 
     /// The first keyframe of a fragment, which holds its world.
     fn first_of(&self, fragment: FragmentId) -> KeyframeId {
-        let first = self.poses.fragment.iter().position(|f| *f == fragment);
-        first.unwrap_or(0) as KeyframeId
+        self.ids_in(fragment).next().unwrap_or(0)
+    }
+
+    /// The keyframes of a fragment, in order.
+    fn ids_in(&self, fragment: FragmentId) -> impl DoubleEndedIterator<Item = KeyframeId> {
+        let all = self.poses.fragment.iter().enumerate();
+        let inside = all.filter(move |(_, f)| **f == fragment);
+        inside.map(|(id, _)| id as KeyframeId)
     }
 
     /// The graph of a fragment, whose first keyframe holds its world, or of a window of it: all edges of the
@@ -174,12 +193,9 @@ impl KeyframeGraph {
 
     /// All keyframes and edges of a fragment, in order.
     fn everything_in(&self, fragment: FragmentId) -> (Vec<KeyframeId>, Vec<EdgeKey>) {
-        let all = self.poses.fragment.iter().enumerate();
-        let ids = all.filter(|(_, f)| **f == fragment);
-        let ids = ids.map(|(id, _)| id as KeyframeId);
         let keys = self.edges.iter().map(|(key, _)| *key);
         let keys = keys.filter(|key| self.fragment_of(key.0) == fragment);
-        (ids.collect(), keys.collect())
+        (self.ids_in(fragment).collect(), keys.collect())
     }
 
     /// The edges of the keyframes of a window and of its border, with their keyframes, in order.
@@ -194,4 +210,62 @@ impl KeyframeGraph {
         ids.extend(keys.iter().flat_map(|key| [key.0, key.1]));
         (ids.into_iter().collect(), keys.into_iter().collect())
     }
+
+    /// About `size` keyframes of a fragment: the newest, `changed`, and those with the fewest edges between them and
+    /// these. `None` where that is the whole fragment.
+    fn window(
+        &self,
+        fragment: FragmentId,
+        changed: impl IntoIterator<Item = KeyframeId>,
+        size: usize,
+    ) -> Option<Window> {
+        if self.ids_in(fragment).count() <= size {
+            return None;
+        }
+        let newest = self.ids_in(fragment).rev().take(NEWEST);
+        let mut free: BTreeSet<KeyframeId> = newest.chain(changed).collect();
+        if free.len() > size {
+            return None;
+        }
+        let mut next: VecDeque<KeyframeId> = free.iter().rev().copied().collect();
+        while let Some(id) = next.pop_front() {
+            for other in self.neighbours(id, fragment).into_iter().rev() {
+                if free.len() < size && free.insert(other) {
+                    next.push_back(other);
+                }
+            }
+        }
+        let around = free.iter().flat_map(|id| self.neighbours(*id, fragment));
+        let border = around.filter(|id| !free.contains(id)).collect();
+        Some(Window { free, border })
+    }
+
+    /// The other ends of the edges of a keyframe, inside a fragment.
+    fn neighbours(&self, id: KeyframeId, fragment: FragmentId) -> BTreeSet<KeyframeId> {
+        let edges = self.edges.of(id);
+        let others = edges.map(|(i, j, _)| if i == id { j } else { i });
+        others
+            .filter(|other| self.fragment_of(*other) == fragment)
+            .collect()
+    }
+
+    /// Both ends of the edges of a fragment that no optimisation has seen.
+    fn changed(&self, fragment: FragmentId) -> BTreeSet<KeyframeId> {
+        let edges = self.edges.new_ones().iter();
+        let inside = edges.filter(|key| self.fragment_of(key.0) == fragment);
+        inside.flat_map(|key| [key.0, key.1]).collect()
+    }
+
+    /// Keyframes around a window that it pulls or pushes, but for the first of the fragment, which never moves.
+    fn strained(&self, window: &Window, graph: &PoseGraph, first: KeyframeId) -> Vec<KeyframeId> {
+        let strains = graph.nodes().iter().zip(graph.strains());
+        strains
+            .filter(|(_, strain)| *strain > MAX_STRAIN)
+            .map(|(node, _)| node.id as KeyframeId)
+            .filter(|id| *id != first && window.border.contains(id))
+            .collect()
+    }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,11 +1,8 @@
 //! The graph on rendered keyframes.
 #![allow(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
-use super::state::CERTAIN;
 use super::*;
-use crate::FragmentConfig;
-use crate::graph::GraphConfig;
-use crate::graph::job::{EdgeKind, GraphStats, Joined, OdometryEdge};
+use crate::graph::job::OdometryEdge;
 use crate::map::{Exposure, KeyframeImage};
 use crate::mapping::KeyframeCamera;
 use crate::sparse::SharedPoints;
@@ -97,38 +94,31 @@ fn constraints_take_out_the_drift_of_position_and_scale() {
     let drift = Sim3::exp(&Vec7::from_column_slice(&[
         0.006, -0.004, 0.005, 0.002, 0.003, -0.002, 0.03,
     ]));
-    let config = GraphConfig::default();
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let mut graph = KeyframeGraph::new(
-        config,
-        FragmentConfig::default(),
-        camera.pinhole,
-        Some(mask),
-    )
-    .unwrap();
+    let mut graph = KeyframeGraph::new(&SlamConfig::default(), camera.pinhole, Some(mask)).unwrap();
     let mut poses = vec![truth[0]];
     let mut chain = vec![truth[0]];
     let mut stats = GraphStats::default();
     for (k, view) in views.iter().enumerate() {
-        let job = |world_from_keyframe: &[Sim3], odometry| GraphJob {
+        let job = |world_from_keyframe: &[Sim3], link| GraphJob {
             finished: Some(Arc::clone(view)),
             poses: map_of(world_from_keyframe),
-            odometry,
+            link,
             ..GraphJob::default()
         };
-        let odometry = (k + 1 < views.len()).then(|| {
+        let link = (k + 1 < views.len()).then(|| {
             let previous_from_keyframe = truth[k].inverse() * truth[k + 1] * drift;
             poses.push(poses[k] * previous_from_keyframe);
             chain.push(chain[k] * previous_from_keyframe);
-            OdometryEdge {
-                parent: k as KeyframeId,
-                keyframe: k as KeyframeId + 1,
-                parent_from_keyframe: previous_from_keyframe,
+            Link::Odometry(OdometryEdge {
+                i: k as KeyframeId,
+                j: k as KeyframeId + 1,
+                i_from_j: previous_from_keyframe,
                 covariance: Mat6::identity() * 1e-4,
                 scale_sigma: 0.05,
-            }
+            })
         });
-        let update = graph.run(job(&poses, odometry));
+        let update = graph.run(job(&poses, link.unwrap_or_default()));
         poses = update.poses.world_from_keyframe.clone();
         stats = update.stats;
         assert!(
@@ -162,9 +152,7 @@ fn a_keyframe_of_another_room_is_not_constrained() {
         ..View::clone(&views[1])
     });
     let mask = Mask::filled(width, height, 255);
-    let joining = FragmentConfig::default();
-    let mut graph =
-        KeyframeGraph::new(GraphConfig::default(), joining, camera.pinhole, Some(mask)).unwrap();
+    let mut graph = KeyframeGraph::new(&SlamConfig::default(), camera.pinhole, Some(mask)).unwrap();
     let mut last = GraphUpdate::default();
     for view in views {
         last = graph.run(GraphJob {
@@ -186,8 +174,11 @@ fn two_fragments(config: FragmentConfig) -> (GraphUpdate, Vec<Sim3>, Sim3) {
     let camera = sequence.camera();
     let (views, truth) = keyframes(sequence, 8, 8);
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let mut graph =
-        KeyframeGraph::new(GraphConfig::default(), config, camera.pinhole, Some(mask)).unwrap();
+    let config = SlamConfig {
+        fragments: config,
+        ..SlamConfig::default()
+    };
+    let mut graph = KeyframeGraph::new(&config, camera.pinhole, Some(mask)).unwrap();
     let fragment_from_world = Sim3::exp(&Vec7::from_column_slice(&[
         1.3, -0.4, 0.8, 0.3, 0.9, -0.2, 0.7,
     ]));
@@ -278,9 +269,7 @@ fn a_fragment_that_too_few_keyframes_recognise_stays_where_it_is() {
 fn two_keyframes() -> KeyframeGraph {
     let mask = Mask::filled(320, 240, 255);
     let pinhole = monogrid_geometry::Pinhole::new(300.0, 300.0, 160.0, 120.0);
-    let joining = FragmentConfig::default();
-    let mut graph =
-        KeyframeGraph::new(GraphConfig::default(), joining, pinhole, Some(mask)).unwrap();
+    let mut graph = KeyframeGraph::new(&SlamConfig::default(), pinhole, Some(mask)).unwrap();
     let aside = Sim3::exp(&Vec7::from_column_slice(&[
         1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ]));
@@ -308,8 +297,7 @@ fn a_loop_is_certain_only_as_far_as_drift_explains_it() {
         let constraint = measured(&graph, off);
         graph.close_loop(0, 1, &constraint);
         let kernel = graph.edges.get(&(0, 1, EdgeKind::Direct)).unwrap().kernel;
-        let expected = if is_certain { CERTAIN } else { graph.doubted() };
-        assert_eq!(kernel, expected, "off by {off}");
+        assert_eq!(kernel, graph.kernel(is_certain), "off by {off}");
     }
 }
 
@@ -317,7 +305,7 @@ fn a_loop_is_certain_only_as_far_as_drift_explains_it() {
 fn no_edge_is_surer_than_the_errors_that_its_residuals_do_not_show() {
     let mut graph = two_keyframes();
     let constraint = measured(&graph, 0.0);
-    graph.set_direct_edge(0, 1, &constraint, CERTAIN);
+    graph.set_direct_edge(0, 1, &constraint, true);
     let edge = *graph.edges.get(&(0, 1, EdgeKind::Direct)).unwrap();
     let sigmas = edge
         .information
@@ -347,15 +335,12 @@ fn with_places_only(off: f64) -> GraphStats {
     let sequence = small_demo();
     let camera = sequence.camera();
     let (views, truth) = keyframes(sequence, 8, 8);
-    let mut config = GraphConfig {
-        nearest: 0,
-        max_overlapping: 0,
-        ..GraphConfig::default()
-    };
-    config.places.min_keyframes_between = 3;
+    let mut config = SlamConfig::default();
+    config.graph.nearest = 0;
+    config.graph.max_overlapping = 0;
+    config.graph.places.min_keyframes_between = 3;
     let mask = Mask::filled(camera.width, camera.height, 255);
-    let joining = FragmentConfig::default();
-    let mut graph = KeyframeGraph::new(config, joining, camera.pinhole, Some(mask)).unwrap();
+    let mut graph = KeyframeGraph::new(&config, camera.pinhole, Some(mask)).unwrap();
     let aside = Sim3::exp(&Vec7::from_column_slice(&[
         off, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ]));

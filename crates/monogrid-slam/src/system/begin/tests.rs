@@ -1,6 +1,4 @@
 use super::*;
-use crate::start::StartOutcome;
-use crate::system::setup::Setup;
 use crate::test_world::small_demo;
 use crate::{FrameInput, MAIN_MAP, SlamConfig};
 use monogrid_image::Mask;
@@ -34,25 +32,18 @@ fn started_at_the_end(sequence: &SynthSequence, config: SlamConfig) -> Slam {
     let earlier = (0..last).map(|k| BufferedFrame::new(&frame(&slam, k)));
     let earlier = earlier.collect();
     let (start, depth) = (slam.start.take(), sequence.depth(shown(last)));
-    let Setup {
-        pinhole,
-        mask,
-        config,
-        ..
-    } = &slam.setup;
-    let outcome =
-        start
-            .unwrap()
-            .add_frame(frame(&slam, last), depth.as_ref(), pinhole, mask, config);
-    let StartOutcome::Started(started) = outcome else {
-        panic!("true depth decides at once");
-    };
+    let outcome = start
+        .unwrap()
+        .add_frame(frame(&slam, last), depth.as_ref(), &slam.setup);
+    let started = outcome.expect("true depth decides at once");
+    let mut report = FrameReport::new(last, 0, TrackingState::Initialising);
     slam.begin_map(
         MAIN_MAP,
         Started {
             earlier,
             ..*started
         },
+        &mut report,
     );
     slam
 }

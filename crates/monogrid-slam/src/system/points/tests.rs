@@ -66,12 +66,12 @@ fn the_whole_map_comes_back_to_where_its_points_have_it() {
         (id, by * slam.map[id].camera_from_world)
     };
     let camera_from_world = (1..num_keyframes).map(moved).collect();
-    slam.map.apply(Change::Adjusted(Adjustment {
+    slam.map.adjust(Adjustment {
         camera_from_world,
         ..Adjustment::default()
-    }));
+    });
     adjust_whole(&slam.setup, &mut slam.map, MAIN_MAP);
-    assert_eq!(slam.failed_adjustments(), 0);
+    assert_eq!(slam.counts().failed_adjustments, 0);
     let after_m = largest_error_m(&slam, sequence);
     assert!(after_m < 0.008, "{after_m} from {error_m} m");
     let found = num_observations(&slam);
@@ -111,11 +111,11 @@ fn points_have_the_last_word_and_those_found_a_pixel_beside_little_to_say() {
     let beside = wrong_observations(&slam);
     assert!(beside.len() > 100, "{}", beside.len());
     let refuted = beside.iter().map(|(point, seen)| (*point, seen.keyframe));
-    slam.map.apply(Change::Adjusted(Adjustment {
+    slam.map.adjust(Adjustment {
         refuted: refuted.collect(),
         ..Adjustment::default()
-    }));
-    slam.map.apply(Change::Observed(beside));
+    });
+    slam.map.observe(beside);
     let lens = LeftLens::of_pinhole(&slam.setup.pinhole);
     let moved_m = |kernel_px: f64| {
         let config = SparseConfig {
@@ -190,15 +190,15 @@ fn images_correct_places_that_are_all_wrong_alike() {
         })
         .collect();
     let refuted = beside.iter().map(|(point, seen)| (*point, seen.keyframe));
-    slam.map.apply(Change::Adjusted(Adjustment {
+    slam.map.adjust(Adjustment {
         refuted: refuted.collect(),
         ..Adjustment::default()
-    }));
-    slam.map.apply(Change::Observed(beside));
+    });
+    slam.map.observe(beside);
     let lens = LeftLens::of_pinhole(&slam.setup.pinhole);
     let mut config = SparseConfig::default();
     let adjusted = adjust_all(&slam.map, MAIN_MAP, &lens, &config);
-    slam.map.apply(Change::Adjusted(adjusted));
+    slam.map.adjust(adjusted);
     let turned = largest_turn(&finished, &poses(&slam));
     // half a pixel
     assert!(turned > 0.3 / slam.setup.pinhole.fx, "{turned}");

@@ -1,9 +1,9 @@
 use super::*;
-use crate::Scale;
 use crate::map::{Exposure, KeyframeImage, SeenPoints, SparsePoint};
 use crate::store::Store;
-use monogrid_geometry::{Sim3, Vec2};
-use monogrid_image::Image;
+use crate::{Scale, SlamConfig};
+use monogrid_geometry::{Pinhole, Sim3, Vec2};
+use monogrid_image::{Image, Mask};
 use std::sync::Arc;
 
 #[test]
@@ -85,13 +85,13 @@ fn map(step: usize) -> Map {
 
 /// Whether points confirm that a frame which shows what the keyframe shows was taken from `pose`.
 fn is_confirmed(map: &Map, pose: &Se3) -> bool {
+    let mask = Mask::filled(SIZE.0, SIZE.1, 255);
     let points = PointMap {
         map,
         keyframe: &map[0],
-        pinhole: &pinhole(),
-        sparse: &SparseConfig::default(),
+        setup: &Setup::new(SlamConfig::default(), pinhole(), mask, 0),
     };
-    points.confirms(&plane(), pose, &PointTrackingConfig::default())
+    points.confirms(&plane(), pose)
 }
 
 /// A camera that is turned so that the centre of the image moves by so many pixels.

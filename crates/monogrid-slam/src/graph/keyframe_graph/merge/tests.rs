@@ -3,13 +3,13 @@
 
 use super::super::tests::{error, keyframes, map_of};
 use super::*;
+use crate::graph::RestoredGraph;
 use crate::graph::job::Joined;
-use crate::graph::{GraphConfig, RestoredGraph};
 use crate::map::{KeyframeImage, View};
 use crate::mapping::KeyframeCamera;
 use crate::store::Store;
 use crate::test_world::small_demo;
-use crate::{FragmentConfig, PoseSnapshot};
+use crate::{PoseSnapshot, SlamConfig};
 use monogrid_alignment::DepthSample;
 use monogrid_geometry::{Pinhole, Vec7};
 use monogrid_image::GrayImage;
@@ -80,8 +80,7 @@ fn two_fragments(change: fn(&View) -> View) -> (KeyframeGraph, Vec<Sim3>) {
         _ => Arc::new(change(view)),
     });
     let pinhole = small_demo().camera().pinhole;
-    let config = (GraphConfig::default(), FragmentConfig::default());
-    let mut graph = KeyframeGraph::new(config.0, config.1, pinhole, None).unwrap();
+    let mut graph = KeyframeGraph::new(&SlamConfig::default(), pinhole, None).unwrap();
     let mut poses = truth.clone();
     for pose in &mut poses[4..] {
         *pose = fragment_from_world() * *pose;
@@ -133,7 +132,7 @@ fn a_fragment_that_shows_another_room_stays_as_it_is() {
 /// What two fragments have in common where keyframes of the first and of the second, in pairs, say that the second is off by so much.
 fn met(pairs: &[(KeyframeId, KeyframeId, f64)]) -> Consistent {
     let (mut graph, truth) = two_fragments(View::clone);
-    graph.joining.sightings = pairs
+    graph.sightings = pairs
         .iter()
         .map(|(other, own, off)| {
             let off = [*off, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];

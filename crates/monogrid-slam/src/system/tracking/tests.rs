@@ -1,7 +1,7 @@
 use super::*;
 use crate::test_world::small_demo;
 use crate::{FrameInput, SlamConfig};
-use monogrid_geometry::Se3;
+use monogrid_geometry::{Vec3, rotation_exp};
 use monogrid_image::{GrayImage, Mask};
 use monogrid_worlds::SynthSequence;
 
@@ -65,4 +65,17 @@ fn pictures_of_another_place_get_none() {
     let frames = slam.trajectory().into_iter().map(|pose| pose.frame_index);
     let expected = (0..TRACKED).chain([TRACKED + MISSED]);
     assert!(frames.eq(expected));
+}
+
+#[test]
+fn another_turn_leaves_the_camera_at_its_place() {
+    let step = Se3::new(
+        rotation_exp(&Vec3::new(0.0, 0.1, 0.0)),
+        Vec3::new(0.3, 0.0, -0.1),
+    );
+    let turn = rotation_exp(&Vec3::new(0.2, -0.4, 0.1));
+    let found = turned(&step, turn);
+    assert_eq!(found.rotation, turn);
+    let place = |step: &Se3| step.inverse().translation;
+    assert!((place(&found) - place(&step)).norm() < 1e-12);
 }

@@ -1,74 +1,154 @@
-//! The one way in which the map changes.
+//! The ways in which the map changes, and what others hear of it.
 
 use super::arena::Map;
-use super::change::{Change, FinishedKeyframe, Found, NewKeyframe, Placed};
-use super::event::{Changes, Event};
-use super::keyframe::MapKeyframe;
-use super::points::{Adjustment, Observation, Registration, SeenPoints, SparsePoint};
+use super::keyframe::{Exposure, KeyframeImage, MapKeyframe, View};
+use super::points::{Adjustment, DenseLink, Observation, Registration, SeenPoints, SparsePoint};
 use crate::graph::{EdgeChanges, GraphUpdate, Joined};
+use crate::store::Kept;
 use crate::stored::StoredEdge;
-use crate::{Fragment, FragmentId, Join, KeyframeId, MAIN_MAP};
+use crate::{
+    Bridge, Fragment, FragmentId, Join, KeptKeyframe, KeyframeId, MAIN_MAP, PoseSnapshot, Scale,
+};
+use monogrid_depth::PackedDepth;
 use monogrid_geometry::Sim3;
+use monogrid_graph::bundle::BundleError;
+use monogrid_graph::pose_graph::PoseGraphError;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
+/// A change of the map of which others should hear; see [`crate::Slam::events`].
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A keyframe was finished, and these are the poses now.
+    Finished(KeptKeyframe, Arc<PoseSnapshot>),
+    /// The depth of a finished keyframe became better.
+    Revised(KeptKeyframe),
+    /// Finished keyframes have other poses. Not said beside [`Event::Finished`], which has them.
+    Moved(Arc<PoseSnapshot>),
+    /// The bundle adjustment for the newest keyframe failed: poses and points are as they were found.
+    NotAdjusted(BundleError),
+    /// An optimisation of the graph of keyframes failed: their poses stayed as they were.
+    NotOptimised(PoseGraphError),
+    /// The camera is lost from this frame on.
+    Lost {
+        /// Index of the frame in its source.
+        frame_index: usize,
+    },
+    /// The camera, which was lost, has a pose again.
+    Found {
+        /// Index of the frame in its source.
+        frame_index: usize,
+        /// The keyframe on which it is tracked.
+        keyframe: KeyframeId,
+    },
+    /// A fragment of the map was started.
+    Started(FragmentId),
+    /// A fragment became a part of another.
+    Joined(Fragment),
+}
+
+/// What has changed since the events were last collected.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Changes {
+    pub finished: BTreeSet<KeyframeId>,
+    pub revised: BTreeSet<KeyframeId>,
+    pub has_moved: bool,
+    /// What is said as it is, after the others.
+    pub others: Vec<Event>,
+}
+
+/// A keyframe to be made.
+#[derive(Debug)]
+pub(crate) struct NewKeyframe {
+    pub fragment: FragmentId,
+    pub parent: Option<KeyframeId>,
+    pub frame_index: usize,
+    pub timestamp_ns: i64,
+    pub image: KeyframeImage,
+    pub exposure: Exposure,
+    /// In the world of its fragment.
+    pub world_from_keyframe: Sim3,
+}
+
+/// A keyframe as tracking has left it.
+#[derive(Debug)]
+pub(crate) struct FinishedKeyframe {
+    pub id: KeyframeId,
+    /// What everybody should use from now on, where that is worth it.
+    pub published: Option<KeptKeyframe>,
+    /// Its depth, to be used again.
+    pub depth: Option<Kept<PackedDepth>>,
+    /// Its dense depth at the points that it sees.
+    pub links: Vec<DenseLink>,
+    /// What the graph needs, where there is one.
+    pub view: Option<Arc<View>>,
+}
+
 impl Map {
-    /// Takes over what a stage has found.
-    pub(crate) fn apply(&mut self, change: Change) {
-        match change {
-            Change::Scaled(scale) => self.scale = scale,
-            Change::Created(new) => self.create(new),
-            Change::Finished(finished) => self.finish(finished),
-            Change::Reactivated(id) => self.reactivate(id),
-            Change::Registered(found) => self.register(found),
-            Change::Anchored(points) => self.anchor(points),
-            Change::Observed(seen) => self.observe(seen),
-            Change::Adjusted(adjusted) => self.adjust(adjusted),
-            Change::Unconfirmed(points) => {
-                for point in points {
-                    self.points[point].alive = false;
-                }
-            }
-            Change::Linked(id, links) => self.keyframes[id as usize].points.links = links,
-            Change::Posed(poses) => self.pose(&poses),
-            Change::Optimised(update, frame_index) => self.follow_graph(*update, frame_index),
-            Change::Constrained(edges) => self.edges = edges,
-            Change::Tracked(record) => self.frames.add(record),
-            Change::Visited(keyframe, begin_ns, end) => self.frames.visit(keyframe, begin_ns, end),
-            Change::Bridged(bridge) => self.bridges.push(bridge),
-            Change::Placed(placed) => self.place(&placed),
-            Change::Started(fragment) => {
-                self.changes.others.push(Event::Started(fragment.id));
-                self.fragments.push(fragment);
-            }
-            Change::Exchanged(fragment) => self.exchange(fragment),
-            Change::Lost(frame_index) => {
-                self.counts.lost_episodes += 1;
-                self.changes.others.push(Event::Lost { frame_index });
-            }
-            Change::Found(found) => self.find(&found),
+    /// Says whether the unit of the world is the metre.
+    pub(crate) fn set_scale(&mut self, scale: Scale) {
+        self.scale = scale;
+    }
+
+    /// These points are no longer used.
+    pub(crate) fn drop_points(&mut self, points: Vec<usize>) {
+        for point in points {
+            self.points[point].alive = false;
         }
+    }
+
+    /// This is the dense depth of a keyframe at the points that it sees.
+    pub(crate) fn link(&mut self, id: KeyframeId, links: Vec<DenseLink>) {
+        self.keyframes[id as usize].points.links = links;
+    }
+
+    /// These are the constraints between keyframes.
+    pub(crate) fn set_edges(&mut self, edges: Vec<StoredEdge>) {
+        self.edges = edges;
+    }
+
+    /// The next keyframe goes on after a loss.
+    pub(crate) fn bridge(&mut self, bridge: Bridge) {
+        self.bridges.push(bridge);
+    }
+
+    /// A fragment begins.
+    pub(crate) fn begin_fragment(&mut self, fragment: Fragment) {
+        self.changes.others.push(Event::Started(fragment.id));
+        self.fragments.push(fragment);
+    }
+
+    /// The camera is lost from this frame on.
+    pub(crate) fn lose(&mut self, frame_index: usize) {
+        self.counts.lost_episodes += 1;
+        self.changes.others.push(Event::Lost { frame_index });
+    }
+
+    /// The camera has a pose again, on a keyframe: it was recognised, or tracking alone found it.
+    pub(crate) fn find(&mut self, frame_index: usize, keyframe: KeyframeId, is_recognised: bool) {
+        self.counts.relocalisations += usize::from(is_recognised);
+        self.changes.others.push(Event::Found {
+            frame_index,
+            keyframe,
+        });
     }
 
     /// What others should hear of since the last call, in the order of keyframes.
     pub(crate) fn take_events(&mut self) -> Vec<Event> {
-        let is_known = self
-            .keyframes
-            .first()
-            .is_some_and(|k| k.published.is_some());
-        if self.changes.finished.is_empty() && !is_known {
+        let first = self.keyframes.first();
+        if self.changes.finished.is_empty() && first.is_none_or(|k| k.published.is_none()) {
             // poses of keyframes that nobody knows
             self.changes.has_moved = false;
         }
-        let changes = std::mem::take(&mut self.changes);
         let Changes {
             finished,
             revised,
             has_moved,
             others,
-        } = changes;
+        } = std::mem::take(&mut self.changes);
         let mut events = Vec::new();
         for id in finished.union(&revised) {
-            let Some(keyframe) = self[*id].as_published() else {
+            let Some(keyframe) = self[*id].published.clone() else {
                 continue;
             };
             events.push(if finished.contains(id) {
@@ -84,10 +164,10 @@ impl Map {
         events
     }
 
-    fn create(&mut self, new: NewKeyframe) {
+    /// There is a new keyframe, the newest.
+    pub(crate) fn create(&mut self, new: NewKeyframe) {
         let id = self.next_id();
         let rank = self.num_keyframes_in(new.fragment) as u32;
-        let camera_from_world = new.camera_from_world();
         self.recent.push(id);
         self.keyframes.push(MapKeyframe {
             id,
@@ -98,7 +178,7 @@ impl Map {
             timestamp_ns: new.timestamp_ns,
             exposure: new.exposure,
             world_from_keyframe: new.world_from_keyframe,
-            camera_from_world,
+            camera_from_world: new.world_from_keyframe.to_se3().inverse(),
             covariance: None,
             depth: None,
             published: None,
@@ -112,7 +192,8 @@ impl Map {
         self.note_poses();
     }
 
-    fn finish(&mut self, finished: FinishedKeyframe) {
+    /// Tracking has left a keyframe.
+    pub(crate) fn finish(&mut self, finished: FinishedKeyframe) {
         let id = finished.id;
         let keyframe = &mut self.keyframes[id as usize];
         if let Some(published) = finished.published {
@@ -130,13 +211,15 @@ impl Map {
         keyframe.view = finished.view;
     }
 
-    fn reactivate(&mut self, id: KeyframeId) {
+    /// Tracking goes on with a keyframe that existed already.
+    pub(crate) fn reactivate(&mut self, id: KeyframeId) {
         self.recent.retain(|other| *other != id);
         self.recent.push(id);
         self.counts.reactivations += 1;
     }
 
-    fn register(&mut self, found: Registration) {
+    /// The newest keyframe was found among the points.
+    pub(crate) fn register(&mut self, found: Registration) {
         let Some(keyframe) = self.keyframes.last_mut() else {
             return;
         };
@@ -152,7 +235,8 @@ impl Map {
         keyframe.points.others.sort_unstable();
     }
 
-    fn anchor(&mut self, points: Vec<SparsePoint>) {
+    /// There are new points in the newest keyframe.
+    pub(crate) fn anchor(&mut self, points: Vec<SparsePoint>) {
         let first = self.points.len();
         for (index, point) in (first..).zip(&points) {
             for observation in &point.observations {
@@ -166,7 +250,8 @@ impl Map {
         }
     }
 
-    fn observe(&mut self, seen: Vec<(usize, Observation)>) {
+    /// Keyframes see these points, by index, too.
+    pub(crate) fn observe(&mut self, seen: Vec<(usize, Observation)>) {
         for (point, observation) in seen {
             let others = &mut self.keyframes[observation.keyframe as usize].points.others;
             if let Err(at) = others.binary_search(&point) {
@@ -176,7 +261,8 @@ impl Map {
         }
     }
 
-    fn adjust(&mut self, adjusted: Adjustment) {
+    /// The points and the poses of their keyframes were adjusted.
+    pub(crate) fn adjust(&mut self, adjusted: Adjustment) {
         if let Some(failure) = adjusted.failure {
             self.counts.failed_adjustments += 1;
             self.changes.others.push(Event::NotAdjusted(failure));
@@ -196,15 +282,16 @@ impl Map {
         }
     }
 
-    fn pose(&mut self, poses: &[(KeyframeId, Sim3)]) {
+    /// Poses and units follow the points.
+    pub(crate) fn pose(&mut self, poses: &[(KeyframeId, Sim3)]) {
         for (id, world_from_keyframe) in poses {
             self.keyframes[*id as usize].world_from_keyframe = *world_from_keyframe;
         }
         self.note_poses();
     }
 
-    /// Moves the keyframes, and with them what is anchored in them.
-    fn follow_graph(&mut self, update: GraphUpdate, frame_index: usize) {
+    /// The graph has moved keyframes, with what is anchored in them, after this frame.
+    pub(crate) fn follow_graph(&mut self, update: GraphUpdate, frame_index: usize) {
         let poses = update.poses;
         for (index, pose) in poses.world_from_keyframe.iter().enumerate() {
             self.carry(index, pose);
@@ -257,16 +344,12 @@ impl Map {
         }
     }
 
-    /// Moves the keyframes of a fragment to where it lies in another, of which they are a part from now on.
-    fn place(&mut self, placed: &Placed) {
-        let joined = Joined {
-            from: placed.fragment,
-            into: placed.into,
-        };
-        self.join(&joined, placed.frame_index);
+    /// Moves the keyframes of a fragment to where it lies in another, of which they are a part from now on, after this frame.
+    pub(crate) fn place(&mut self, placed: Joined, into_from_fragment: &Sim3, frame_index: usize) {
+        self.join(&placed, frame_index);
         for index in 0..self.keyframes.len() {
-            if self.keyframes[index].fragment == placed.fragment {
-                let pose = placed.into_from_fragment * self.keyframes[index].world_from_keyframe;
+            if self.keyframes[index].fragment == placed.from {
+                let pose = *into_from_fragment * self.keyframes[index].world_from_keyframe;
                 self.carry(index, &pose);
                 self.keyframes[index].fragment = placed.into;
             }
@@ -275,7 +358,7 @@ impl Map {
     }
 
     /// Makes a fragment that is apart the main map, and the main map that fragment; each keeps its world.
-    fn exchange(&mut self, fragment: FragmentId) {
+    pub(crate) fn exchange(&mut self, fragment: FragmentId) {
         let exchanged = |id: FragmentId| match id {
             MAIN_MAP => fragment,
             id if id == fragment => MAIN_MAP,
@@ -312,14 +395,6 @@ impl Map {
         };
         self.fragments[at] = fragment;
         self.changes.others.push(Event::Joined(fragment));
-    }
-
-    fn find(&mut self, found: &Found) {
-        self.counts.relocalisations += usize::from(found.is_recognised);
-        self.changes.others.push(Event::Found {
-            frame_index: found.frame_index,
-            keyframe: found.keyframe,
-        });
     }
 
     fn note_poses(&mut self) {

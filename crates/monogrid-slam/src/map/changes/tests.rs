@@ -1,7 +1,6 @@
 //! Changes of a small map, without images.
 
 use super::*;
-use crate::map::{Exposure, KeyframeImage, Published};
 use crate::sparse::world_from_keyframes;
 use crate::{FragmentId, MAIN_MAP, PoseSnapshot};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3, Vec7};
@@ -13,7 +12,7 @@ fn map_with(fragments: &[FragmentId]) -> Map {
     let mut map = Map::default();
     for (id, fragment) in (0..).zip(fragments) {
         let parent = (id > 0 && fragments[id as usize - 1] == *fragment).then(|| id - 1);
-        map.apply(Change::Created(NewKeyframe {
+        map.create(NewKeyframe {
             fragment: *fragment,
             parent,
             frame_index: 10 * id as usize,
@@ -21,15 +20,15 @@ fn map_with(fragments: &[FragmentId]) -> Map {
             image: KeyframeImage::new(map.store(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe: pose(f64::from(id), 1.0),
-        }));
+        });
         let inliers = match parent {
             Some(parent) => map[parent].points.anchored.clone(),
             None => 0..0,
         };
-        map.apply(Change::Registered(Registration {
+        map.register(Registration {
             inliers: inliers.map(|point| (point, Vec2::zeros())).collect(),
             ..Registration::default()
-        }));
+        });
         let points = (1..=3).map(|k| SparsePoint {
             host: id,
             pixel: Vec2::zeros(),
@@ -39,7 +38,7 @@ fn map_with(fragments: &[FragmentId]) -> Map {
             observations: Vec::new(),
             alive: true,
         });
-        map.apply(Change::Anchored(points.collect()));
+        map.anchor(points.collect());
     }
     map
 }
@@ -57,16 +56,25 @@ fn pose(place: f64, unit: f64) -> Sim3 {
 }
 
 fn finish(map: &mut Map, id: KeyframeId, revision: u32) {
-    map.apply(Change::Finished(FinishedKeyframe {
+    let published = KeptKeyframe {
         id,
-        published: Some(Published::new(map.store(), revision, Vec::new())),
+        frame_index: map[id].frame_index,
+        timestamp_ns: map[id].timestamp_ns,
+        revision,
+        num_pixels: 0,
+        image: map[id].image.clone(),
+        pixels: map.store().keep(Vec::new()),
+    };
+    map.finish(FinishedKeyframe {
+        id,
+        published: Some(published),
         depth: None,
         links: Vec::new(),
         view: None,
-    }));
+    });
 }
 
-fn optimised(map: &Map, moved: &[(KeyframeId, Sim3)], joined: Vec<Joined>) -> Change {
+fn optimised(map: &Map, moved: &[(KeyframeId, Sim3)], joined: Vec<Joined>) -> GraphUpdate {
     let mut poses = PoseSnapshot::clone(map.snapshot());
     for (id, pose) in moved {
         poses.world_from_keyframe[*id as usize] = *pose;
@@ -76,12 +84,11 @@ fn optimised(map: &Map, moved: &[(KeyframeId, Sim3)], joined: Vec<Joined>) -> Ch
             *fragment = joined.into;
         }
     }
-    let update = GraphUpdate {
+    GraphUpdate {
         poses,
         joined,
         ..GraphUpdate::default()
-    };
-    Change::Optimised(Box::new(update), 77)
+    }
 }
 
 /// Position in the world of a point at the centre of its host's image.
@@ -97,7 +104,7 @@ fn points_keep_their_place_in_a_keyframe_that_is_moved_and_scaled() {
     let sigma = map.points()[3].prior_sigma / map.points()[3].prior_idepth;
     let (old, new) = (map[1].world_from_keyframe, pose(5.0, 2.5));
     let change = optimised(&map, &[(1, new)], Vec::new());
-    map.apply(change);
+    map.follow_graph(change, 77);
     for (index, point) in map.points().iter().enumerate() {
         let expected = if point.host == 1 {
             new * (old.inverse() * before[index])
@@ -119,12 +126,12 @@ fn each_keyframe_knows_the_points_that_it_sees() {
     assert_eq!(seen(&map, 0), [0, 1, 2]);
     assert_eq!(seen(&map, 1), [0, 1, 2, 3, 4, 5]);
     assert_eq!(seen(&map, 2), [3, 4, 5, 6, 7, 8]);
-    map.apply(Change::Adjusted(Adjustment {
+    map.adjust(Adjustment {
         camera_from_world: vec![(2, Se3::identity())],
         idepths: vec![(4, 0.25)],
         refuted: vec![(4, 2)],
         ..Adjustment::default()
-    }));
+    });
     assert_eq!(seen(&map, 2), [3, 5, 6, 7, 8]);
     assert!(!map.points()[4].is_shared() && map.points()[5].is_shared());
     assert_eq!(map.points()[4].pixel_in(2), None);
@@ -138,16 +145,16 @@ fn events_tell_what_a_listener_needs_and_no_more() {
     assert!(map.take_events().is_empty(), "nobody knows these keyframes");
     finish(&mut map, 0, 0);
     let moved = map[1].world_from_keyframe;
-    map.apply(Change::Posed(vec![(1, moved)]));
+    map.pose(&[(1, moved)]);
     let events = map.take_events();
     assert!(
         matches!(&events[..], [Event::Finished(k, poses)] if k.id == 0 && Arc::ptr_eq(poses, map.snapshot())),
         "{events:?}"
     );
     assert!(map.take_events().is_empty());
-    map.apply(Change::Posed(vec![(1, moved)]));
+    map.pose(&[(1, moved)]);
     finish(&mut map, 0, 1);
-    map.apply(Change::Lost(5));
+    map.lose(5);
     let events = map.take_events();
     assert!(
         matches!(
@@ -156,11 +163,7 @@ fn events_tell_what_a_listener_needs_and_no_more() {
         ),
         "{events:?}"
     );
-    map.apply(Change::Found(Found {
-        frame_index: 9,
-        keyframe: 1,
-        is_recognised: true,
-    }));
+    map.find(9, 1, true);
     let events = map.take_events();
     assert!(matches!(
         &events[..],
@@ -178,10 +181,10 @@ fn an_adjustment_that_fails_is_said_and_moves_nothing() {
     let mut map = map_with(&[0, 0]);
     let before: Vec<Vec3> = map.points().iter().map(|p| position(&map, p)).collect();
     let failure = BundleError::Distance { keyframe: 1, to: 1 };
-    map.apply(Change::Adjusted(Adjustment {
+    map.adjust(Adjustment {
         failure: Some(failure.clone()),
         ..Adjustment::default()
-    }));
+    });
     let events = map.take_events();
     assert!(matches!(&events[..], [Event::NotAdjusted(error)] if *error == failure));
     assert_eq!(map.counts().failed_adjustments, 1);
@@ -193,15 +196,15 @@ fn an_adjustment_that_fails_is_said_and_moves_nothing() {
 #[test]
 fn a_fragment_that_is_joined_is_counted_as_it_was() {
     let mut map = map_with(&[0, 0, 1, 1]);
-    map.apply(Change::Started(Fragment::begun(1, 2, 20)));
-    assert_eq!((map.num_apart(), map.next_fragment()), (1, 2));
+    map.begin_fragment(Fragment::begun(1, 2, 20));
+    assert_eq!((map.apart().count(), map.next_fragment()), (1, 2));
     map.take_events();
     let joined = Joined {
         from: 1,
         into: MAIN_MAP,
     };
     let change = optimised(&map, &[(2, pose(2.5, 0.5))], vec![joined]);
-    map.apply(change);
+    map.follow_graph(change, 77);
     assert!(map.keyframes().iter().all(|k| k.fragment == MAIN_MAP));
     let events = map.take_events();
     let [Event::Joined(fragment)] = &events[..] else {
@@ -209,7 +212,7 @@ fn a_fragment_that_is_joined_is_counted_as_it_was() {
     };
     assert_eq!((fragment.id, fragment.keyframes), (1, 2));
     assert_eq!(fragment.joined.map(|j| (j.into, j.frame)), Some((0, 77)));
-    assert_eq!(map.num_apart(), 0);
+    assert_eq!(map.apart().count(), 0);
     assert_eq!(map.fragments()[0].keyframes, 2, "not those of the main map");
 }
 
@@ -217,27 +220,22 @@ fn a_fragment_that_is_joined_is_counted_as_it_was() {
 fn a_fragment_that_changes_places_with_the_main_map_leaves_all_poses_as_they_are() {
     let mut map = map_with(&[0, 0, 1, 1, 1, 2, 3]);
     for (id, first) in [(1, 2), (2, 5), (3, 6)] {
-        map.apply(Change::Started(Fragment::begun(
-            id,
-            first,
-            10 * first as usize,
-        )));
+        map.begin_fragment(Fragment::begun(id, first, 10 * first as usize));
     }
     // one that was joined to each of the two
     for (fragment, into) in [(2, MAIN_MAP), (3, 1)] {
-        map.apply(Change::Placed(Placed {
-            fragment,
+        let joined = Joined {
+            from: fragment,
             into,
-            into_from_fragment: pose(0.0, 1.0),
-            frame_index: 66,
-        }));
+        };
+        map.place(joined, &pose(0.0, 1.0), 66);
     }
     for id in 0..7 {
         finish(&mut map, id, 0);
     }
     let poses = map.snapshot().world_from_keyframe.clone();
     map.take_events();
-    map.apply(Change::Exchanged(1));
+    map.exchange(1);
     assert_eq!(map.exchanged(), Some(1));
     let fragments: Vec<FragmentId> = map.keyframes().iter().map(|k| k.fragment).collect();
     assert_eq!(fragments, [1, 1, 0, 0, 0, 1, 0]);
@@ -265,7 +263,7 @@ fn a_fragment_that_is_placed_takes_its_points_along_and_nothing_else() {
     for id in 0..4 {
         finish(&mut map, id, 0);
     }
-    map.apply(Change::Started(Fragment::begun(1, 2, 20)));
+    map.begin_fragment(Fragment::begun(1, 2, 20));
     let before: Vec<Vec3> = map.points().iter().map(|p| position(&map, p)).collect();
     let poses: Vec<Sim3> = map
         .keyframes()
@@ -274,12 +272,11 @@ fn a_fragment_that_is_placed_takes_its_points_along_and_nothing_else() {
         .collect();
     map.take_events();
     let into_from_fragment = pose(-3.0, 0.4);
-    map.apply(Change::Placed(Placed {
-        fragment: 1,
+    let joined = Joined {
+        from: 1,
         into: MAIN_MAP,
-        into_from_fragment,
-        frame_index: 55,
-    }));
+    };
+    map.place(joined, &into_from_fragment, 55);
     for (index, point) in map.points().iter().enumerate() {
         let is_moved = point.host >= 2;
         let expected = if is_moved {
@@ -304,7 +301,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
     // 1,000 keyframes with 150 points each, of which ten move
     let mut map = Map::default();
     for id in 0..1000 {
-        map.apply(Change::Created(NewKeyframe {
+        map.create(NewKeyframe {
             fragment: MAIN_MAP,
             parent: (id > 0).then(|| id - 1),
             frame_index: id as usize,
@@ -312,7 +309,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             image: KeyframeImage::new(map.store(), &GrayImage::filled(32, 32, 0.0)),
             exposure: Exposure::NEUTRAL,
             world_from_keyframe: pose(f64::from(id), 1.0),
-        }));
+        });
         let point = |k: u32| SparsePoint {
             host: id,
             pixel: Vec2::zeros(),
@@ -322,7 +319,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             observations: Vec::new(),
             alive: true,
         };
-        map.apply(Change::Anchored((1..=150).map(point).collect()));
+        map.anchor((1..=150).map(point).collect());
     }
     let mut fastest_ms = f64::INFINITY;
     for round in 1..=20 {
@@ -332,7 +329,7 @@ fn the_cost_of_a_graph_update_follows_what_moved() {
             .collect();
         let change = optimised(&map, &moved, Vec::new());
         let begin = std::time::Instant::now();
-        map.apply(change);
+        map.follow_graph(change, 77);
         fastest_ms = fastest_ms.min(begin.elapsed().as_secs_f64() * 1e3);
     }
     println!("an update that moves 10 of 1,000 keyframes costs tracking {fastest_ms:.2} ms");
@@ -348,7 +345,7 @@ fn keyframes_see_points_once() {
     };
     // keyframe 1 sees points 0 to 2 already, keyframe 2 points 3 to 5
     let change = vec![seen(7, 1), seen(1, 2), seen(1, 2), seen(4, 2)];
-    map.apply(Change::Observed(change));
+    map.observe(change);
     assert_eq!(map[2].points.others, [1, 3, 4, 5]);
     assert_eq!(map[1].points.others, [0, 1, 2, 7]);
     let observers = |point: usize| -> Vec<KeyframeId> {
