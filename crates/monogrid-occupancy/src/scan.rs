@@ -3,6 +3,7 @@
 use std::ops::{ControlFlow, Range};
 
 use crate::error::MapError;
+use serde::{Deserialize, Serialize};
 
 /// A similarity transform: `x_in_world = scale * rotation * x_in_sensor + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -219,7 +220,8 @@ impl<'a> Scan<'a> {
 }
 
 /// What the standard deviation of an inverse depth is taken for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SigmaMode {
     /// Propagated to the range: `kappa sigma_d / d^2`, kappa the ray's length per unit depth.
     #[default]

@@ -19,8 +19,8 @@ use monogrid_geometry::{Pinhole, Rotation, Se3, Vec3};
 use monogrid_image::{GradientImage, Image};
 use monogrid_slam::DepthPixel;
 use monogrid_slam::mapping::{
-    ImageOf, KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, Upright, UprightView,
-    final_scans, upright,
+    DepthOf, ImageOf, KeyframeCamera, KeyframeScan, MappingConfig, PosedKeyframe, Upright,
+    UprightView, final_scans, upright,
 };
 use monogrid_worlds::{LightingConfig, Motion, Renderer, SynthConfig, SynthSequence, WORLD_NAMES};
 use std::path::Path;
@@ -58,8 +58,8 @@ fn main() {
             .zip(&pixels)
             .map(|(keyframe, pixels)| PosedKeyframe {
                 id: keyframe.id,
-                image: keyframe.image.as_ref(),
-                pixels,
+                image: keyframe.image.as_ref().map(ImageOf::Held),
+                depth: DepthOf::Held(pixels),
                 world_from_keyframe: keyframe.world_from_keyframe,
             })
             .collect();
@@ -71,7 +71,7 @@ fn main() {
             .filter_map(|(scan, keyframe)| {
                 Some(UprightView {
                     scan,
-                    image: keyframe.image.map(ImageOf::Held),
+                    image: keyframe.image,
                     world_from_keyframe: keyframe.world_from_keyframe?,
                 })
             })

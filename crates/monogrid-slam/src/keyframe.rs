@@ -5,23 +5,12 @@ use crate::store::{Kept, Store};
 use crate::{FragmentId, MAIN_MAP};
 use monogrid_geometry::{Mat7, Se3, Sim3};
 use monogrid_image::Image;
-use serde::{Deserialize, Serialize};
 
 /// Identity of a keyframe; never reused, counted from 0.
 pub type KeyframeId = u32;
 
 /// Published inverse depth of one keyframe pixel.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct DepthPixel {
-    /// Column, px.
-    pub x: u16,
-    /// Row, px.
-    pub y: u16,
-    /// Inverse depth, 1 / keyframe units.
-    pub idepth: f32,
-    /// Variance of the inverse depth.
-    pub idepth_var: f32,
-}
+pub type DepthPixel = monogrid_alignment::DepthSample;
 
 /// A finished keyframe: immutable except for its depth, whose revision then grows.
 #[derive(Clone, Debug)]

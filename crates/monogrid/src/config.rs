@@ -5,7 +5,7 @@ use crate::failure::{Classify, Failure};
 use monogrid_datasets::read_file;
 use monogrid_image::WorkingSize;
 use monogrid_slam::SlamConfig;
-use monogrid_slam::mapping::{IntegrationKind, MapQuality, MappingConfig, SensorModelKind};
+use monogrid_slam::mapping::{IntegrationRule, MapQuality, MappingConfig, SensorModelKind};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::{Table, Value};
@@ -164,8 +164,8 @@ impl RunConfig {
         mapping.max_range = args.max_range.unwrap_or(mapping.max_range);
         if let Some(integration) = args.integration {
             mapping.integration = match integration {
-                IntegrationArg::Fused => IntegrationKind::Fused,
-                IntegrationArg::Rays => IntegrationKind::Rays,
+                IntegrationArg::Fused => IntegrationRule::Fused,
+                IntegrationArg::Rays => IntegrationRule::Rays,
             };
         }
     }

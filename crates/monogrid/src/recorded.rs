@@ -16,7 +16,7 @@ use monogrid_geometry::Sim3;
 use monogrid_occupancy::{MapError, OccupancyMap};
 use monogrid_slam::TrackedFrame;
 use monogrid_slam::mapping::{
-    ImageOf, KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe,
+    DepthOf, ImageOf, KeyframeCamera, KeyframeScan, MapStats, Mapper, MappingConfig, PosedKeyframe,
     SceneCell, UprightView, camera_paths, final_scans, scene_cell,
 };
 use std::cell::OnceCell;
@@ -196,8 +196,8 @@ pub fn by_camera<T>(
             .zip(&pixels)
             .map(|(keyframe, pixels)| PosedKeyframe {
                 id: keyframe.id,
-                image: keyframe.image.as_ref(),
-                pixels,
+                image: keyframe.image.as_ref().map(ImageOf::Held),
+                depth: DepthOf::Held(pixels),
                 world_from_keyframe: keyframe.world_from_keyframe,
             })
             .collect();

@@ -46,16 +46,18 @@ use crate::map::OccupancyMap;
 use crate::scan::{Scan, SigmaMode};
 use crate::sensor::SensorModel;
 use crate::sensor::table::UpdateLimits;
+use serde::{Deserialize, Serialize};
 
 /// How measurements become updates of cells.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum IntegrationRule {
-    /// Every measurement updates every cell that its ray crosses.
-    Rays,
     /// One update per cell and scan. For scans that cover surfaces: a point with no others in the
     /// directions around it may fall between the samples of a footprint.
     #[default]
     Fused,
+    /// Every measurement updates every cell that its ray crosses.
+    Rays,
 }
 
 /// Settings of the integration.

@@ -8,6 +8,7 @@ pub(crate) mod table;
 
 use crate::error::MapError;
 use crate::evidence::log_odds_from_probability;
+use serde::{Deserialize, Serialize};
 
 /// Cumulative distribution function of the standard normal distribution.
 #[must_use]
@@ -80,7 +81,8 @@ impl Significance {
 }
 
 /// Which form of Thrun's convolved model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ThrunForm {
     /// `Phi((r-z+L/2)/sigma) - 1/2 Phi((r-z-L/2)/sigma)`: tends to 1/2 behind the obstacle.
     #[default]
@@ -93,7 +95,8 @@ pub enum ThrunForm {
 }
 
 /// Which standard deviation Andert's model uses along the ray.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum AndertForm {
     /// That of the measurement.
     #[default]

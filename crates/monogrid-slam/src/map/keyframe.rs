@@ -2,12 +2,12 @@
 
 use super::points::SeenPoints;
 use crate::mapping::KeyframeCamera;
-use crate::store::{Kept, KeptImage, Store};
+use crate::store::{Kept, Store};
 use crate::{FragmentId, KeptKeyframe, KeyframeId};
 use monogrid_alignment::DepthSample;
 use monogrid_depth::PackedDepth;
 use monogrid_geometry::{Mat7, Se3, Sim3};
-use monogrid_image::{GrayImage, Image, Pyramid};
+use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
 use std::sync::Arc;
 
 /// Levels of all pyramids.
@@ -46,7 +46,7 @@ pub(crate) struct MapKeyframe {
 #[derive(Clone, Debug)]
 pub(crate) struct KeyframeImage {
     size: (usize, usize),
-    grey: Kept<KeptImage>,
+    grey: Kept<Image<u8>>,
     pyramid: Kept<Pyramid>,
 }
 
@@ -95,13 +95,13 @@ pub(crate) struct View {
 impl KeyframeImage {
     /// An image that is kept, rounded.
     pub(crate) fn new(store: &Store, image: &GrayImage) -> Self {
-        let grey = store.keep(KeptImage::rounded(image));
+        let grey = store.keep(image.map(to_gray8));
         let of_pyramid = grey.clone();
         Self {
             size: (image.width(), image.height()),
             grey,
             pyramid: store.derive(move || {
-                let image = of_pyramid.get()?.grey()?;
+                let image = of_pyramid.get()?.map(f32::from);
                 Some(Pyramid::new(image, NUM_LEVELS))
             }),
         }
@@ -114,7 +114,7 @@ impl KeyframeImage {
 
     /// The image; `None` where it cannot be read back.
     pub(crate) fn grey(&self) -> Option<Image<u8>> {
-        self.grey.get()?.image()
+        Some(Image::clone(&*self.grey.get()?))
     }
 
     /// Its pyramid; `None` where it cannot be read back.

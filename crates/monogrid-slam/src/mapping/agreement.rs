@@ -11,8 +11,10 @@
 //! Depth that was measured has a full vote, depth that was filled a smaller one. Pixels with too many votes against them
 //! are taken out. Images are compared in blocks of a few pixels.
 
+use super::KeyframeCamera;
+use super::posed::Scene;
 use super::scan::{Depths, KeptDepths};
-use super::{FillConfig, KeyframeCamera};
+use super::transfer::Transfer;
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
@@ -103,21 +105,15 @@ impl Blocks {
     /// Smallest and largest inverse depth and the best vote of a block and its neighbours.
     fn around(&self, index: usize) -> Option<(f32, f32, f32)> {
         let (column, row) = (index % self.columns, index / self.columns);
-        let mut found: Option<(f32, f32, f32)> = None;
-        for y in row.saturating_sub(1)..(row + 2).min(self.rows) {
-            for x in column.saturating_sub(1)..(column + 2).min(self.columns) {
-                let block = &self.blocks[y * self.columns + x];
-                if block.vote > 0.0 {
-                    let (low, high, vote) = found.unwrap_or((f32::INFINITY, 0.0, 0.0));
-                    found = Some((
-                        low.min(block.idepth),
-                        high.max(block.idepth),
-                        vote.max(block.vote),
-                    ));
-                }
-            }
-        }
-        found
+        let columns = column.saturating_sub(1)..(column + 2).min(self.columns);
+        let rows = row.saturating_sub(1)..(row + 2).min(self.rows);
+        let blocks = rows.flat_map(|y| &self.blocks[y * self.columns..][columns.clone()]);
+        let known = blocks.filter(|block| block.vote > 0.0);
+        known.fold(None, |found, block| {
+            let (low, high, vote) = found.unwrap_or((f32::INFINITY, 0.0_f32, 0.0_f32));
+            let (low, high) = (low.min(block.idepth), high.max(block.idepth));
+            Some((low, high, vote.max(block.vote)))
+        })
     }
 
     /// The point that the middle of a block with depth sees, in the frame of the keyframe.
@@ -138,121 +134,113 @@ struct Votes {
     against: f32,
 }
 
-/// Which of the filled depth of keyframe `index` the others leave; `None` for one without a pose.
-pub(super) fn kept(
-    views: &[Option<View>],
-    index: usize,
-    camera: &KeyframeCamera,
-    config: &FillConfig,
-) -> Option<Vec<bool>> {
-    let this = views[index].as_ref()?;
+/// Which of the filled depth of a keyframe the others leave; `None` for one without a pose.
+pub(super) fn kept(scene: &Scene, index: usize) -> Option<Vec<bool>> {
+    let (this, config) = (scene.views[index].as_ref()?, &scene.config.fill);
     let mut votes = vec![Votes::default(); this.blocks.blocks.len()];
-    let witnesses = witnesses(views, index, camera, config.max_witnesses);
-    for other in witnesses.iter().filter_map(|other| views[*other].as_ref()) {
-        let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
-        hear_where_it_sees(&mut votes, this, other, &other_from_this, camera, config);
-        hear_where_it_is_seen(&mut votes, this, other, &other_from_this, camera, config);
+    for (_, other) in scene.witnesses(index, config.max_witnesses) {
+        hear_where_it_sees(&mut votes, this, other, scene);
+        hear_where_it_is_seen(&mut votes, this, other, scene);
     }
     let is_kept = |pixel: &Measurement| {
         let votes = votes[this.blocks.index_of_pixel(pixel)];
         votes.against <= config.max_against * votes.agree.max(FILLED_VOTE)
     };
-    Some(this.depths.filled().0.iter().map(is_kept).collect())
+    Some(this.depths.filled().iter().map(is_kept).collect())
 }
 
-/// Keyframes that see some of what keyframe `index` sees, evenly spread over all of them; none where it has no pose.
-pub(super) fn witnesses(
-    views: &[Option<View>],
-    index: usize,
-    camera: &KeyframeCamera,
-    max: usize,
-) -> Vec<usize> {
-    let Some(this) = &views[index] else {
-        return Vec::new();
-    };
-    let overlaps = |other: &View| overlap(this, other, camera) >= MIN_OVERLAP;
-    let seen: Vec<usize> = (0..views.len())
-        .filter(|other| *other != index && views[*other].as_ref().is_some_and(overlaps))
-        .collect();
-    let count = seen.len().min(max);
-    (0..count).map(|k| seen[k * seen.len() / count]).collect()
+impl<'a> Scene<'a> {
+    /// Keyframes that see some of what another one sees, by their index, evenly spread over all of them; none where that has no pose.
+    pub fn witnesses(&self, index: usize, most: usize) -> Vec<(usize, &'a View)> {
+        let Some(this) = &self.views[index] else {
+            return Vec::new();
+        };
+        let views = self.views.iter().enumerate();
+        let seen: Vec<(usize, &View)> = views
+            .filter_map(|(other, view)| Some((other, view.as_ref()?)))
+            .filter(|(other, _)| *other != index)
+            .filter(|(_, view)| this.overlap(view, self.camera) >= MIN_OVERLAP)
+            .collect();
+        let count = seen.len().min(most);
+        (0..count).map(|k| seen[k * seen.len() / count]).collect()
+    }
 }
 
-/// Share of the depth of a keyframe that lies in the image of another.
-fn overlap(this: &View, other: &View, camera: &KeyframeCamera) -> f64 {
-    let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
-    let (mut seen, mut all) = (0, 0);
-    for row in (0..this.blocks.rows).step_by(PROBE_STRIDE) {
-        for column in (0..this.blocks.columns).step_by(PROBE_STRIDE) {
-            let index = row * this.blocks.columns + column;
-            let block = &this.blocks.blocks[index];
-            if block.vote > 0.0 {
-                all += 1;
-                let point = this.blocks.point(index, &camera.pinhole);
-                seen += usize::from(place(&(other_from_this * point), other, camera).is_some());
+impl View {
+    fn other_from_this(&self, other: &Self) -> Sim3 {
+        other.world_from_keyframe.inverse() * self.world_from_keyframe
+    }
+
+    /// From its pixels to those of another one.
+    pub fn transfer_to(&self, other: &Self, camera: &KeyframeCamera) -> Transfer {
+        Transfer::new(&self.other_from_this(other), camera)
+    }
+
+    /// Share of its depth that lies in the image of another.
+    fn overlap(&self, other: &Self, camera: &KeyframeCamera) -> f64 {
+        let other_from_this = self.other_from_this(other);
+        let (mut seen, mut all) = (0, 0);
+        for row in (0..self.blocks.rows).step_by(PROBE_STRIDE) {
+            for column in (0..self.blocks.columns).step_by(PROBE_STRIDE) {
+                let index = row * self.blocks.columns + column;
+                if self.blocks.blocks[index].vote > 0.0 {
+                    all += 1;
+                    let place = self.place(index, other, &other_from_this, camera);
+                    seen += usize::from(place.is_some());
+                }
             }
         }
+        f64::from(seen as u32) / f64::from(all.max(1) as u32)
     }
-    f64::from(seen as u32) / f64::from(all.max(1) as u32)
-}
 
-/// The block of a keyframe that a point in its frame falls into, with the inverse depth of the point there.
-fn place(point: &Vec3, view: &View, camera: &KeyframeCamera) -> Option<(usize, f32)> {
-    if point.z <= 1e-9 {
-        return None;
+    /// The block of another one in which a block of this one is seen, with its inverse depth there.
+    fn place(
+        &self,
+        index: usize,
+        other: &Self,
+        other_from_this: &Sim3,
+        camera: &KeyframeCamera,
+    ) -> Option<(usize, f32)> {
+        let point = *other_from_this * self.blocks.point(index, &camera.pinhole);
+        if point.z <= 1e-9 {
+            return None;
+        }
+        let at = other.blocks.index_at(&camera.pinhole.project(&point))?;
+        Some((at, (1.0 / point.z) as f32))
     }
-    let index = view.blocks.index_at(&camera.pinhole.project(point))?;
-    Some((index, (1.0 / point.z) as f32))
 }
 
 /// The other keyframe agrees with a filled block, or sees through it.
-fn hear_where_it_sees(
-    votes: &mut [Votes],
-    this: &View,
-    other: &View,
-    other_from_this: &Sim3,
-    camera: &KeyframeCamera,
-    config: &FillConfig,
-) {
-    let tolerance = config.tolerance as f32;
-    for (index, block) in this.blocks.blocks.iter().enumerate() {
-        if !block.is_filled {
+fn hear_where_it_sees(votes: &mut [Votes], this: &View, other: &View, scene: &Scene) {
+    let other_from_this = this.other_from_this(other);
+    let tolerance = scene.config.fill.tolerance as f32;
+    for (index, votes) in votes.iter_mut().enumerate() {
+        if !this.blocks.blocks[index].is_filled {
             continue;
         }
-        let point = this.blocks.point(index, &camera.pinhole);
-        let Some((at, idepth)) = place(&(*other_from_this * point), other, camera) else {
-            continue;
-        };
-        let Some((low, high, vote)) = other.blocks.around(at) else {
+        let place = this.place(index, other, &other_from_this, scene.camera);
+        let seen = place.and_then(|(at, idepth)| Some((idepth, other.blocks.around(at)?)));
+        let Some((idepth, (low, high, vote))) = seen else {
             continue;
         };
         if high < idepth * (1.0 - tolerance) {
-            votes[index].against += vote;
+            votes.against += vote;
         } else if low <= idepth * (1.0 + tolerance) {
-            votes[index].agree += vote;
+            votes.agree += vote;
         }
     }
 }
 
 /// A filled block is behind something that the other keyframe sees.
-fn hear_where_it_is_seen(
-    votes: &mut [Votes],
-    this: &View,
-    other: &View,
-    other_from_this: &Sim3,
-    camera: &KeyframeCamera,
-    config: &FillConfig,
-) {
-    let this_from_other = other_from_this.inverse();
-    let tolerance = config.tolerance as f32;
+fn hear_where_it_is_seen(votes: &mut [Votes], this: &View, other: &View, scene: &Scene) {
+    let this_from_other = this.other_from_this(other).inverse();
+    let tolerance = scene.config.fill.tolerance as f32;
     // the best vote of the other keyframe on each block: it has one
     let mut heard = vec![0.0_f32; votes.len()];
-    for (index, block) in other.blocks.blocks.iter().enumerate() {
-        if block.vote <= 0.0 {
-            continue;
-        }
-        let point = other.blocks.point(index, &camera.pinhole);
-        let Some((at, idepth)) = place(&(this_from_other * point), this, camera) else {
+    let known = other.blocks.blocks.iter().enumerate();
+    for (index, block) in known.filter(|(_, block)| block.vote > 0.0) {
+        let place = other.place(index, this, &this_from_other, scene.camera);
+        let Some((at, idepth)) = place else {
             continue;
         };
         let seen = &this.blocks.blocks[at];
@@ -268,6 +256,7 @@ fn hear_where_it_is_seen(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::{FillConfig, MappingConfig};
     use crate::store::Store;
     use monogrid_geometry::Rotation;
 
@@ -335,7 +324,18 @@ mod tests {
                 Some(View::in_memory(depths, pose, &CAMERA))
             })
             .collect();
-        let kept = kept(&views, 0, &CAMERA, config).unwrap();
+        let config = MappingConfig {
+            fill: config.clone(),
+            ..MappingConfig::default()
+        };
+        let scene = Scene {
+            keyframes: &[],
+            views: &views,
+            camera: &CAMERA,
+            config: &config,
+            threads: 1,
+        };
+        let kept = kept(&scene, 0).unwrap();
         kept.into_iter().filter(|kept| *kept).count()
     }
 

@@ -6,13 +6,12 @@
 //! the truth. How much better, images tell that do not fit across epipolar lines, where no depth hides it: [`shared_errors`]. Measured depth
 //! has one factor for the whole map, and filled depth has one.
 
-use super::agreement::{View, witnesses};
+use super::KeyframeCamera;
+use super::agreement::View;
+use super::posed::Scene;
 use super::refine::for_each_keyframe;
 use super::scan::{Depths, KeptDepths};
-use super::transfer::Transfer;
-use super::{KeyframeCamera, MappingConfig};
 use crate::median::median;
-use crate::store::Measurements;
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::sync::Arc;
 
@@ -61,65 +60,34 @@ impl Certainty {
         most: f32::INFINITY,
     };
 
-    /// As the settings ask for it.
-    pub fn asked_for(
-        views: &[Option<View>],
-        camera: &KeyframeCamera,
-        config: &MappingConfig,
-        threads: usize,
-    ) -> Self {
-        if config.sigma_from_agreement {
-            let most = config.filter.max_agreed_sigma as f32;
-            Self::of_views(views, camera, most, threads)
-        } else {
-            Self::UNCHANGED
+    /// From how well keyframes with poses agree; 1 where too little is seen twice. As they are if the settings do not ask for it.
+    pub fn of_scene(scene: &Scene) -> Self {
+        if !scene.config.sigma_from_agreement {
+            return Self::UNCHANGED;
         }
-    }
-
-    /// From how well keyframes with poses agree; 1 where too little is seen twice. Depths are less certain than `most` at most.
-    pub fn of_views(
-        views: &[Option<View>],
-        camera: &KeyframeCamera,
-        most: f32,
-        threads: usize,
-    ) -> Self {
-        let count = views.len();
-        let sampled = for_each_keyframe(count, threads, |index| {
-            views[index]
-                .as_ref()
-                .map_or_else(Depths::default, |view| sampled(&view.depths))
-        });
-        let witnesses = for_each_keyframe(count, threads, |index| {
-            witnesses(views, index, camera, MAX_WITNESSES)
+        let count = scene.views.len();
+        let mine = for_each_keyframe(count, scene.threads, |index| {
+            let depths = &scene.views[index].as_ref()?.depths;
+            let witnesses = scene.witnesses(index, MAX_WITNESSES).into_iter();
+            Some(Compared {
+                sampled: depths.kinds().map(sampled),
+                witnesses: witnesses.map(|(other, _)| other).collect(),
+            })
         });
         // so that the depth of each is needed once
-        let compared = for_each_keyframe(count, threads, |other| {
-            let mut compared = Compared::default();
-            let Some(witness) = &views[other] else {
-                return compared;
-            };
-            let theirs = witness.depths.kinds().map(|kind| Rows::new(kind, camera));
-            for (index, this) in views.iter().enumerate() {
-                if let Some(this) = this.as_ref().filter(|_| witnesses[index].contains(&other)) {
-                    let other_from_this =
-                        witness.world_from_keyframe.inverse() * this.world_from_keyframe;
-                    let other_from_this = Transfer::new(&other_from_this, camera);
-                    compared.compare(&sampled[index], &theirs, &other_from_this);
-                }
-            }
-            compared
+        let differences = for_each_keyframe(count, scene.threads, |other| {
+            differences_from(scene, other, &mine)
         });
-        let shared = shared_errors(views);
-        let (mut measured, mut filled) = (Vec::new(), Vec::new());
-        for mut of_keyframe in compared {
-            measured.append(&mut of_keyframe.measured);
-            filled.append(&mut of_keyframe.filled);
-        }
+        let shared = shared_errors(scene.views);
+        let [measured, filled] = [0, 1].map(|kind| {
+            let of_kind = differences.iter().flat_map(|kinds| &kinds[kind]);
+            factor(&mut of_kind.copied().collect::<Vec<f32>>(), shared)
+        });
         Self {
-            measured: factor(&mut measured, shared),
-            filled: factor(&mut filled, shared),
+            measured,
+            filled,
             least: LEAST_RELATIVE_SIGMA,
-            most,
+            most: scene.config.filter.max_agreed_sigma as f32,
         }
     }
 
@@ -127,8 +95,8 @@ impl Certainty {
     pub fn apply(self, depths: &KeptDepths) -> Depths {
         let [measured, filled] = depths.kinds();
         Depths {
-            measured: self.measured(&measured.0).collect(),
-            filled: self.filled(&filled.0).collect(),
+            measured: self.measured(&measured).collect(),
+            filled: self.filled(&filled).collect(),
         }
     }
 
@@ -177,50 +145,50 @@ fn robust_deviation(magnitudes: &mut [f32]) -> f32 {
     median(magnitudes).map_or(f32::NAN, |median| median / NORMAL_MEDIAN)
 }
 
-/// Absolute differences in standard deviations.
-#[derive(Debug, Default)]
+/// What of a keyframe is compared with others.
 struct Compared {
-    measured: Vec<f32>,
-    filled: Vec<f32>,
+    /// Some of the depths that were measured, and of those that were filled in.
+    sampled: [Vec<Measurement>; 2],
+    /// The others, by their index.
+    witnesses: Vec<usize>,
 }
 
-impl Compared {
-    /// Adds those of some depths of a keyframe from the depths of another: measured from measured depth, filled from filled.
-    fn compare(
-        &mut self,
-        mine: &Depths,
-        [measured, filled]: &[Rows; 2],
-        other_from_this: &Transfer,
-    ) {
-        let kinds = [
-            (&mut self.measured, &mine.measured, measured),
-            (&mut self.filled, &mine.filled, filled),
-        ];
-        for (differences, mine, theirs) in kinds {
+fn sampled(pixels: Arc<Vec<Measurement>>) -> Vec<Measurement> {
+    pixels.iter().step_by(STRIDE).copied().collect()
+}
+
+/// Absolute differences, in standard deviations, of the depths of all keyframes from those of a witness: measured from measured depth,
+/// filled from filled.
+fn differences_from(scene: &Scene, other: usize, mine: &[Option<Compared>]) -> [Vec<f32>; 2] {
+    let mut differences = [Vec::new(), Vec::new()];
+    let Some(witness) = &scene.views[other] else {
+        return differences;
+    };
+    let theirs = witness.depths.kinds();
+    let theirs = theirs.map(|kind| Rows::new(kind, scene.camera));
+    let views = scene.views.iter().flatten().zip(mine.iter().flatten());
+    for (this, mine) in views.filter(|(_, mine)| mine.witnesses.contains(&other)) {
+        let other_from_this = this.transfer_to(witness, scene.camera);
+        let kinds = mine.sampled.iter().zip(&theirs);
+        for (differences, (mine, theirs)) in differences.iter_mut().zip(kinds) {
             differences.extend(mine.iter().filter_map(|pixel| {
                 let seen = other_from_this.of(pixel.x.into(), pixel.y.into(), pixel.idepth)?;
                 difference(pixel, seen.idepth, theirs.at(seen.pixel())?)
             }));
         }
     }
-}
-
-/// Some of the depths of a keyframe.
-fn sampled(depths: &KeptDepths) -> Depths {
-    let some = |pixels: Arc<Measurements>| pixels.0.iter().step_by(STRIDE).copied().collect();
-    let [measured, filled] = depths.kinds().map(some);
-    Depths { measured, filled }
+    differences
 }
 
 /// Row-major depths, and where each row begins.
 struct Rows {
-    pixels: Arc<Measurements>,
+    pixels: Arc<Vec<Measurement>>,
     starts: Vec<usize>,
 }
 
 impl Rows {
-    fn new(pixels: Arc<Measurements>, camera: &KeyframeCamera) -> Self {
-        let start = |row: usize| pixels.0.partition_point(|pixel| usize::from(pixel.y) < row);
+    fn new(pixels: Arc<Vec<Measurement>>, camera: &KeyframeCamera) -> Self {
+        let start = |row: usize| pixels.partition_point(|pixel| usize::from(pixel.y) < row);
         Self {
             starts: (0..=camera.height).map(start).collect(),
             pixels,
@@ -229,7 +197,7 @@ impl Rows {
 
     /// The depth at a pixel of the image.
     fn at(&self, (x, y): (usize, usize)) -> Option<&Measurement> {
-        let row = &self.pixels.0[self.starts[y]..self.starts[y + 1]];
+        let row = &self.pixels[self.starts[y]..self.starts[y + 1]];
         let found = row.binary_search_by_key(&x, |pixel| pixel.x.into());
         found.ok().map(|index| &row[index])
     }
@@ -245,6 +213,7 @@ fn difference(pixel: &Measurement, expected: f32, other: &Measurement) -> Option
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::{DepthFilterConfig, MappingConfig};
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -302,8 +271,26 @@ mod tests {
         keyframes.iter().map(view).collect()
     }
 
+    /// From keyframes with these misfits.
+    fn certainty_with(keyframes: &[(Depths, Sim3)], misfits: &[f32]) -> Certainty {
+        let config = MappingConfig {
+            filter: DepthFilterConfig {
+                max_agreed_sigma: 0.05,
+                ..DepthFilterConfig::default()
+            },
+            ..MappingConfig::default()
+        };
+        Certainty::of_scene(&Scene {
+            keyframes: &[],
+            views: &views(keyframes, misfits),
+            camera: &CAMERA,
+            config: &config,
+            threads: 2,
+        })
+    }
+
     fn certainty(keyframes: &[(Depths, Sim3)]) -> Certainty {
-        Certainty::of_views(&views(keyframes, &[]), &CAMERA, 0.05, 2)
+        certainty_with(keyframes, &[])
     }
 
     #[test]
@@ -313,7 +300,7 @@ mod tests {
         let misfits = [-0.9, 0.2, -0.2, 0.1, 0.2, -0.1, 0.5, 0.2, -0.2];
         let factor = |scale: f32| {
             let misfits = misfits.map(|px| scale * px);
-            Certainty::of_views(&views(&keyframes, &misfits), &CAMERA, 0.05, 2).measured
+            certainty_with(&keyframes, &misfits).measured
         };
         let usual = certainty(&keyframes).measured / USUAL_SHARED_ERRORS;
         let expected = SHARED_PER_PX * 0.2 / NORMAL_MEDIAN;
@@ -322,7 +309,7 @@ mod tests {
         assert!((factor(0.01) / usual - SHARED_ERRORS.start()).abs() < 1e-4);
         assert!((factor(9.0) - (SHARED_ERRORS.end() * usual).min(*FACTORS.end())).abs() < 1e-4);
         // 48 of them say nothing
-        let few = Certainty::of_views(&views(&keyframes, &misfits[..8]), &CAMERA, 0.05, 2);
+        let few = certainty_with(&keyframes, &misfits[..8]);
         assert!((few.measured / usual - USUAL_SHARED_ERRORS).abs() < 1e-4);
     }
 

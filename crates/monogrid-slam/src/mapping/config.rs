@@ -3,7 +3,9 @@
 use super::{CompletionConfig, EnvelopeConfig, RimConfig, UprightConfig};
 use crate::ConfigError;
 use monogrid_depth::{DenseConfig, MultiViewConfig};
-use monogrid_occupancy::{AndertForm, Buffer, MapConfig, SensorModel, Significance, ThrunForm};
+use monogrid_occupancy::{
+    AndertForm, Buffer, IntegrationRule, MapConfig, SensorModel, SigmaMode, Significance, ThrunForm,
+};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
 
@@ -19,38 +21,6 @@ pub enum SensorModelKind {
     Ideal,
     /// End points only, no free space: the thesis' "unprocessed map".
     None,
-}
-
-/// Which form of Thrun's model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ThrunFormKind {
-    /// Tends to 1/2 behind the obstacle.
-    Exact,
-    /// The thesis' closed form.
-    Thesis,
-    /// Gaussian in inverse depth.
-    InverseDepth,
-}
-
-/// Which standard deviation Andert's model uses along the ray.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum AndertFormKind {
-    /// That of the measurement.
-    Monocular,
-    /// Growing with the square of the range.
-    Stereo,
-}
-
-/// How measurements are combined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum IntegrationKind {
-    /// One update per cell and keyframe.
-    Fused,
-    /// Every measurement updates every cell that it crosses, as in the thesis.
-    Rays,
 }
 
 /// How much is done for the depth of final maps.
@@ -74,16 +44,6 @@ impl MapQuality {
     pub fn has_dense_depth(self) -> bool {
         self != Self::Fast
     }
-}
-
-/// What is taken as the standard deviation of a range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum SigmaMode {
-    /// kappa sigma_d / d^2 times the keyframe's scale.
-    Range,
-    /// The standard deviation of the inverse depth as it is (the thesis may have done so).
-    RawInverseDepth,
 }
 
 /// A length, or chosen from the data. In files: a number or `"auto"`.
@@ -332,7 +292,7 @@ pub struct MappingConfig {
     /// floors that are looked along more complete. Default true.
     pub band_by_slope: bool,
     /// Form of the model `thrun`. Default `exact`.
-    pub thrun_form: ThrunFormKind,
+    pub thrun_form: ThrunForm,
     /// Significance k of the model `andert`, or `"auto"`: `significance_gain` cells. Default `"auto"`.
     /// Range [0.000001, 1000000].
     pub significance: AutoLength,
@@ -341,9 +301,9 @@ pub struct MappingConfig {
     /// Probability of free space in the model `andert`. Default 0.3, the thesis'. Range [0.001, 0.499].
     pub andert_p_min: f64,
     /// Form of the model `andert`. Default `monocular`.
-    pub andert_form: AndertFormKind,
+    pub andert_form: AndertForm,
     /// How measurements are combined. Default `fused`.
-    pub integration: IntegrationKind,
+    pub integration: IntegrationRule,
     /// Limits of one update, log-odds, [-100, -0.000001] and [0.000001, 100]: a single ray must not decide. Default
     /// -0.4 and 1.2: a cell is occupied if a surface touches any part of it, so what passes through the
     /// rest says little (docs/sensor-parameters.md).
@@ -462,12 +422,12 @@ impl Default for MappingConfig {
             buffer: AutoLength::Auto,
             buffer_sigmas: 1.7,
             band_by_slope: true,
-            thrun_form: ThrunFormKind::Exact,
+            thrun_form: ThrunForm::Exact,
             significance: AutoLength::Auto,
             significance_gain: 1.0,
             andert_p_min: 0.3,
-            andert_form: AndertFormKind::Monocular,
-            integration: IntegrationKind::Fused,
+            andert_form: AndertForm::Monocular,
+            integration: IntegrationRule::Fused,
             update_limits: [-0.4, 1.2],
             updates_to_belief: [15, 3],
             tail_log_odds: 0.8,
@@ -509,9 +469,9 @@ impl MappingConfig {
             auto_resolution: false,
             buffer: AutoLength::Fixed(0.5),
             band_by_slope: false,
-            thrun_form: ThrunFormKind::Thesis,
+            thrun_form: ThrunForm::Thesis,
             significance: AutoLength::Fixed(0.02),
-            integration: IntegrationKind::Rays,
+            integration: IntegrationRule::Rays,
             update_limits: [certain, -certain],
             updates_to_belief: [0, 0],
             clamp: [-2.0, 3.5],
@@ -626,11 +586,7 @@ impl MappingConfig {
             SensorModelKind::Ideal => SensorModel::Ideal { buffer },
             SensorModelKind::Thrun => SensorModel::Thrun {
                 buffer,
-                form: match self.thrun_form {
-                    ThrunFormKind::Exact => ThrunForm::Exact,
-                    ThrunFormKind::Thesis => ThrunForm::Thesis,
-                    ThrunFormKind::InverseDepth => ThrunForm::InverseDepth,
-                },
+                form: self.thrun_form,
             },
             SensorModelKind::Andert => SensorModel::Andert {
                 significance: match self.significance {
@@ -641,10 +597,7 @@ impl MappingConfig {
                     },
                 },
                 p_min: self.andert_p_min,
-                form: match self.andert_form {
-                    AndertFormKind::Monocular => AndertForm::Monocular,
-                    AndertFormKind::Stereo => AndertForm::Stereo,
-                },
+                form: self.andert_form,
             },
         };
         model.at_resolution(self.resolution)

@@ -1,15 +1,14 @@
 //! Dense depth of the keyframes at the final poses: stereo with the keyframes that see the same from beside, then what
 //! these confirm of it, then one list of depths with those of the filter.
 
-use super::posed::Keyframes;
-use super::refine::{for_each_keyframe, source_views};
-use super::{DenseMappingConfig, KeyframeCamera};
+use super::KeyframeCamera;
+use super::posed::{Neighbour, Scene};
+use super::refine::{for_each_keyframe, seeds, source_views};
 use crate::DepthPixel;
-use crate::store::{Kept, KeptDense, Store};
-use monogrid_depth::{DenseDepth, PixelDepth, Witness, dense_depth};
+use crate::store::{Kept, Store};
+use monogrid_depth::{DenseDepth, Witness, dense_depth};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
-use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Depths of a keyframe by which its neighbours are judged, at most.
@@ -23,120 +22,69 @@ const ANGLE_WIDTHS: [f64; 2] = [0.5, 1.25];
 /// Depths of the half image that differ by less than this share are interpolated.
 const ONE_SURFACE: f32 = 0.03;
 
-/// A keyframe that sees the same as another one.
-pub(super) struct Neighbour {
-    index: usize,
-    neighbour_from_keyframe: Sim3,
-}
-
 /// The dense depth of each keyframe that others confirm, where there is room; `None` where there is no image, no pose or no neighbour.
 ///
 /// The result does not depend on the number of threads.
-pub(super) fn dense_depths(
-    keyframes: &dyn Keyframes,
-    camera: &KeyframeCamera,
-    config: &DenseMappingConfig,
-    threads: usize,
-    store: &Store,
-) -> Vec<Option<Kept<KeptDense>>> {
-    let neighbours: Vec<Vec<Neighbour>> = for_each_keyframe(keyframes.len(), threads, |index| {
-        neighbours(keyframes, index, camera, config)
+pub(super) fn dense_depths(scene: &Scene, store: &Store) -> Vec<Option<Kept<DenseDepth>>> {
+    let (count, threads) = (scene.keyframes.len(), scene.threads);
+    let neighbours = for_each_keyframe(count, threads, |index| neighbours(scene, index));
+    let depths: Vec<Option<Kept<DenseDepth>>> = for_each_keyframe(count, threads, |index| {
+        let depth = stereo(scene, index, &neighbours[index])?;
+        Some(store.keep(depth))
     });
-    let depths = for_each_keyframe(keyframes.len(), threads, |index| {
-        let depth = stereo(keyframes, index, &neighbours[index], camera, config)?;
-        Some(store.keep(KeptDense(depth)))
-    });
-    for_each_keyframe(keyframes.len(), threads, |index| {
-        let agreed = agreed(&depths, index, &neighbours[index], camera, config)?;
-        Some(store.keep(KeptDense(agreed)))
+    let depth = |index: usize| depths[index].as_ref()?.get();
+    for_each_keyframe(count, threads, |index| {
+        let agreed = agreed(scene, index, &neighbours[index], depth)?;
+        Some(store.keep(agreed))
     })
 }
 
-/// What of the dense depth of one keyframe that of its neighbours confirms.
+/// What of the dense depth of one keyframe that of its neighbours confirms; `depth` is that of each, as it was matched.
 pub(super) fn agreed(
-    depths: &[Option<Kept<KeptDense>>],
+    scene: &Scene,
     index: usize,
     neighbours: &[Neighbour],
-    camera: &KeyframeCamera,
-    config: &DenseMappingConfig,
+    depth: impl Fn(usize) -> Option<Arc<DenseDepth>>,
 ) -> Option<DenseDepth> {
-    let seen: Vec<(Arc<KeptDense>, Sim3)> = neighbours
-        .iter()
-        .take(config.max_witnesses)
-        .filter_map(|neighbour| {
-            let depth = depths[neighbour.index].as_ref()?.get()?;
-            Some((depth, neighbour.neighbour_from_keyframe))
-        })
+    let config = &scene.config.dense;
+    let neighbours = neighbours.iter().take(config.max_witnesses);
+    let seen: Vec<(Arc<DenseDepth>, Sim3)> = neighbours
+        .filter_map(|other| Some((depth(other.index)?, other.neighbour_from_keyframe)))
         .collect();
-    let witnesses: Vec<Witness> = seen
-        .iter()
-        .map(|(depth, witness_from_keyframe)| Witness {
-            depth: &depth.0,
-            witness_from_keyframe: *witness_from_keyframe,
-        })
-        .collect();
-    let depth = depths[index].as_ref()?.get()?;
-    Some(depth.0.agreed(&witnesses, &camera.pinhole, &config.stereo))
+    let witnesses = seen.iter().map(|(depth, witness_from_keyframe)| Witness {
+        depth,
+        witness_from_keyframe: *witness_from_keyframe,
+    });
+    let witnesses: Vec<Witness> = witnesses.collect();
+    let pinhole = &scene.camera.pinhole;
+    Some(depth(index)?.agreed(&witnesses, pinhole, &config.stereo))
 }
 
 /// The dense depth of one keyframe by its neighbours.
-pub(super) fn stereo(
-    keyframes: &dyn Keyframes,
-    index: usize,
-    neighbours: &[Neighbour],
-    camera: &KeyframeCamera,
-    config: &DenseMappingConfig,
-) -> Option<DenseDepth> {
-    let near: Vec<(Cow<Image<u8>>, Sim3)> = neighbours
-        .iter()
-        .take(config.max_sources)
-        .filter_map(|neighbour| {
-            let image = keyframes.image(neighbour.index)?;
-            Some((image, neighbour.neighbour_from_keyframe))
-        })
-        .collect();
-    let sources = source_views(&near);
-    let pixels = keyframes.pixels(index);
-    let seeds: Vec<PixelDepth> = pixels.iter().map(PixelDepth::from).collect();
+pub(super) fn stereo(scene: &Scene, index: usize, neighbours: &[Neighbour]) -> Option<DenseDepth> {
+    let config = &scene.config.dense;
+    let near = scene.sources(neighbours, config.max_sources);
+    let keyframe = &scene.keyframes[index];
     dense_depth(
-        &*keyframes.image(index)?,
-        &camera.pinhole,
-        &seeds,
-        &sources,
+        &*keyframe.image()?,
+        &scene.camera.pinhole,
+        &seeds(&keyframe.depth.get()),
+        &source_views(&near),
         &config.stereo,
     )
 }
 
 /// The keyframes with an image that are most useful for the depth of another one, the best first: as many as match it or
 /// confirm it.
-pub(super) fn neighbours(
-    keyframes: &dyn Keyframes,
-    index: usize,
-    camera: &KeyframeCamera,
-    config: &DenseMappingConfig,
-) -> Vec<Neighbour> {
-    let Some(world_from_this) = keyframes.world_from_keyframe(index) else {
-        return Vec::new();
-    };
-    let points = probes(&keyframes.pixels(index), camera);
-    let mut useful: Vec<(f64, Neighbour)> = (0..keyframes.len())
-        .filter(|other| *other != index && keyframes.has_image(*other))
-        .filter_map(|other| {
-            let world_from_other = keyframes.world_from_keyframe(other)?;
-            let neighbour_from_keyframe = world_from_other.inverse() * world_from_this;
-            let best_angle_deg = config.best_angle_deg;
-            let usefulness = usefulness(&points, &neighbour_from_keyframe, camera, best_angle_deg);
-            let neighbour = Neighbour {
-                index: other,
-                neighbour_from_keyframe,
-            };
-            (usefulness >= MIN_USEFULNESS).then_some((usefulness, neighbour))
-        })
-        .collect();
-    // stable: equal ones in the order of the keyframes
-    useful.sort_by(|a, b| b.0.total_cmp(&a.0));
-    useful.truncate(config.max_sources.max(config.max_witnesses));
-    useful.into_iter().map(|(_, neighbour)| neighbour).collect()
+pub(super) fn neighbours(scene: &Scene, index: usize) -> Vec<Neighbour> {
+    let (config, camera) = (&scene.config.dense, scene.camera);
+    let points = probes(&scene.keyframes[index].depth.get(), camera);
+    let most = config.max_sources.max(config.max_witnesses);
+    scene.neighbours(index, most, |neighbour_from_keyframe| {
+        let best_angle_deg = config.best_angle_deg;
+        let usefulness = usefulness(&points, neighbour_from_keyframe, camera, best_angle_deg);
+        (usefulness >= MIN_USEFULNESS).then_some(-usefulness)
+    })
 }
 
 /// Some points that a keyframe sees, in its frame.
@@ -207,19 +155,17 @@ pub(super) fn merged(
             }
         }
     }
-    let rows = depths.as_slice().chunks_exact(camera.width).enumerate();
-    rows.flat_map(|(y, row)| {
-        row.iter().enumerate().filter_map(move |(x, depth)| {
-            let [idepth, idepth_var] = (*depth)?;
-            Some(DepthPixel {
-                x: x as u16,
-                y: y as u16,
-                idepth,
-                idepth_var,
-            })
+    let pixel = |(index, depth): (usize, &Option<[f32; 2]>)| {
+        let [idepth, idepth_var] = (*depth)?;
+        Some(DepthPixel {
+            x: (index % camera.width) as u16,
+            y: (index / camera.width) as u16,
+            idepth,
+            idepth_var,
         })
-    })
-    .collect()
+    };
+    let depths = depths.as_slice().iter().enumerate();
+    depths.filter_map(pixel).collect()
 }
 
 /// Dense depth with that of the filter. Both come from the same images, so that the variance is the smaller one.
@@ -264,7 +210,7 @@ pub(super) fn at_full_size(half: &Image<f32>, x: usize, y: usize) -> Option<f32>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::PosedKeyframe;
+    use crate::mapping::{DenseMappingConfig, DepthOf, ImageOf, MappingConfig, PosedKeyframe};
     use monogrid_geometry::{Pinhole, Rotation};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -303,8 +249,8 @@ mod tests {
             .enumerate()
             .map(|(i, x)| PosedKeyframe {
                 id: i as u32,
-                image: Some(&image),
-                pixels: &pixels,
+                image: Some(ImageOf::Held(&image)),
+                depth: DepthOf::Held(&pixels),
                 world_from_keyframe: Some(Sim3::new(
                     1.0,
                     Rotation::identity(),
@@ -313,12 +259,22 @@ mod tests {
             })
             .collect();
         let order = |keyframes: &[PosedKeyframe], max| -> Vec<usize> {
-            let config = DenseMappingConfig {
-                max_sources: 1,
-                max_witnesses: max,
-                ..DenseMappingConfig::default()
+            let config = MappingConfig {
+                dense: DenseMappingConfig {
+                    max_sources: 1,
+                    max_witnesses: max,
+                    ..DenseMappingConfig::default()
+                },
+                ..MappingConfig::default()
             };
-            let found = neighbours(&keyframes, 0, &CAMERA, &config);
+            let scene = Scene {
+                keyframes,
+                views: &[],
+                camera: &CAMERA,
+                config: &config,
+                threads: 1,
+            };
+            let found = neighbours(&scene, 0);
             found.iter().map(|n| n.index).collect()
         };
         assert_eq!(order(&keyframes, 9), [2, 3, 1]);

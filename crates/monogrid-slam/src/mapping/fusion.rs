@@ -4,47 +4,37 @@
 //! they have in common). The weighted mean of the depths that agree has less of the former. What a pixel says of a point that other
 //! keyframes look at, and none of them confirms, is most often wrong, and left out.
 
-use super::agreement::{View, witnesses};
 use super::certainty::Certainty;
+use super::posed::Scene;
 use super::scan::{Depths, KeptDepths};
 use super::transfer::{Seen, Transfer};
 use super::{FusionConfig, KeyframeCamera};
+use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 
-/// The depths of keyframe `index`, each fused with those of other keyframes that agree, as certain as they are; as they are for one
-/// without a pose.
-pub(super) fn fused(
-    views: &[Option<View>],
-    index: usize,
-    depths: Depths,
-    certainty: Certainty,
-    camera: &KeyframeCamera,
-    config: &FusionConfig,
-) -> Depths {
-    let Some(this) = &views[index] else {
+/// The depths of a keyframe, each fused with those of other keyframes that agree, as certain as they are; as they are for one without a
+/// pose.
+pub(super) fn fused(scene: &Scene, index: usize, depths: Depths, certainty: Certainty) -> Depths {
+    let Some(this) = &scene.views[index] else {
         return depths;
     };
-    let means =
-        |pixels: Vec<Measurement>| -> Vec<Mean> { pixels.into_iter().map(Mean::of).collect() };
-    let (mut measured, mut filled) = (means(depths.measured), means(depths.filled));
-    let witnesses = witnesses(views, index, camera, config.max_witnesses);
-    let mut grid = Grid::new(camera);
-    let tolerance = Tolerance::new(config);
-    for other in witnesses.into_iter().filter_map(|w| views[w].as_ref()) {
+    let (camera, config) = (scene.camera, &scene.config.fusion);
+    let num_measured = depths.measured.len();
+    let all = depths.measured.into_iter().chain(depths.filled);
+    let mut means: Vec<Mean> = all.map(Mean::of).collect();
+    let mut grid = Grid::new(camera, config);
+    for (_, other) in scene.witnesses(index, config.max_witnesses) {
         grid.fill(&other.depths, certainty);
-        let other_from_this = other.world_from_keyframe.inverse() * this.world_from_keyframe;
-        let other_from_this = Transfer::new(&other_from_this, camera);
-        for mean in measured.iter_mut().chain(&mut filled) {
-            mean.hear(&grid, &other_from_this, &tolerance);
+        let other_from_this = this.transfer_to(other, camera);
+        for mean in &mut means {
+            mean.hear(&grid, &other_from_this);
         }
     }
-    let taken = |means: Vec<Mean>| -> Vec<Measurement> {
-        let taken = means.iter().filter_map(|mean| mean.result(config));
-        taken.collect()
-    };
+    let results = |means: &[Mean]| means.iter().filter_map(|m| m.result(config)).collect();
+    let (measured, filled) = means.split_at(num_measured);
     Depths {
-        measured: taken(measured),
-        filled: taken(filled),
+        measured: results(measured),
+        filled: results(filled),
     }
 }
 
@@ -74,13 +64,13 @@ impl Mean {
     }
 
     /// Takes what a keyframe says of the point.
-    fn hear(&mut self, grid: &Grid, other_from_this: &Transfer, tolerance: &Tolerance) {
+    fn hear(&mut self, grid: &Grid, other_from_this: &Transfer) {
         let Measurement { x, y, idepth, .. } = self.pixel;
         let Some(seen) = other_from_this.of(x.into(), y.into(), idepth) else {
             return;
         };
         let sigma = self.pixel.sigma_idepth / self.pixel.idepth;
-        match grid.confirming(&seen, sigma, tolerance) {
+        match grid.confirming(&seen, sigma) {
             Answer::Nothing => {}
             Answer::Other => self.is_looked_at = true,
             Answer::Same { ratio, sigma } => {
@@ -119,68 +109,54 @@ enum Answer {
     Same { ratio: f32, sigma: f32 },
 }
 
-/// How far depths may differ that agree, squared.
-struct Tolerance {
-    sigmas_sq: f32,
-    least_sq: f32,
-}
-
-impl Tolerance {
-    fn new(config: &FusionConfig) -> Self {
-        Self {
-            sigmas_sq: (config.sigmas * config.sigmas) as f32,
-            least_sq: (config.min_tolerance * config.min_tolerance) as f32,
-        }
-    }
-}
-
 /// The depths of a keyframe by their place in its image.
 struct Grid {
-    width: usize,
-    height: usize,
-    /// Inverse depth and its relative standard deviation, row-major; 0 where there is none.
-    pixels: Vec<[f32; 2]>,
+    /// Inverse depth and its relative standard deviation; 0 where there is none.
+    pixels: Image<[f32; 2]>,
+    /// How far depths may differ that agree, squared: in standard deviations, ...
+    sigmas_sq: f32,
+    /// ... or as a share of them.
+    least_sq: f32,
 }
 
 impl Grid {
     /// Without depth.
-    fn new(camera: &KeyframeCamera) -> Self {
+    fn new(camera: &KeyframeCamera, config: &FusionConfig) -> Self {
         Self {
-            width: camera.width,
-            height: camera.height,
-            pixels: vec![[0.0; 2]; camera.width * camera.height],
+            pixels: Image::filled(camera.width, camera.height, [0.0; 2]),
+            sigmas_sq: (config.sigmas * config.sigmas) as f32,
+            least_sq: (config.min_tolerance * config.min_tolerance) as f32,
         }
     }
 
     /// With the depth of one keyframe alone; measured depth wins where there are both.
     fn fill(&mut self, depths: &KeptDepths, certainty: Certainty) {
-        self.pixels.fill([0.0; 2]);
+        self.pixels.as_mut_slice().fill([0.0; 2]);
         let [measured, filled] = depths.kinds();
-        let filled = certainty.filled(&filled.0);
-        for pixel in filled.chain(certainty.measured(&measured.0)) {
-            let at = usize::from(pixel.y) * self.width + usize::from(pixel.x);
-            self.pixels[at] = [pixel.idepth, pixel.sigma_idepth / pixel.idepth];
+        let filled = certainty.filled(&filled);
+        for pixel in filled.chain(certainty.measured(&measured)) {
+            let depth = [pixel.idepth, pixel.sigma_idepth / pixel.idepth];
+            self.pixels.set(pixel.x.into(), pixel.y.into(), depth);
         }
     }
 
     /// The depth next to where a point is seen, of the 3x3 pixels around it, that agrees with it.
-    fn confirming(&self, seen: &Seen, sigma: f32, tolerance: &Tolerance) -> Answer {
+    fn confirming(&self, seen: &Seen, sigma: f32) -> Answer {
         let (x, y) = seen.pixel();
-        let expected = seen.idepth;
         // no other pixel is nearer than this one
-        let middle = self.answer(y * self.width + x, expected, sigma, tolerance);
+        let middle = self.answer(x, y, seen.idepth, sigma);
         if matches!(middle, Answer::Same { .. }) {
             return middle;
         }
         let (right, below) = (seen.x - x as f32, seen.y - y as f32);
         let mut answer = middle;
         let mut nearest = f32::INFINITY;
-        for row in y.saturating_sub(1)..(y + 2).min(self.height) {
-            for column in x.saturating_sub(1)..(x + 2).min(self.width) {
+        for row in y.saturating_sub(1)..(y + 2).min(self.pixels.height()) {
+            for column in x.saturating_sub(1)..(x + 2).min(self.pixels.width()) {
                 let dx = column as f32 - x as f32 - right;
                 let dy = row as f32 - y as f32 - below;
                 let distance = dx * dx + dy * dy;
-                match self.answer(row * self.width + column, expected, sigma, tolerance) {
+                match self.answer(column, row, seen.idepth, sigma) {
                     same @ Answer::Same { .. } if distance < nearest => {
                         nearest = distance;
                         answer = same;
@@ -195,15 +171,15 @@ impl Grid {
 
     /// What one pixel says.
     #[inline]
-    fn answer(&self, pixel: usize, expected: f32, sigma: f32, tolerance: &Tolerance) -> Answer {
-        let [idepth, its_sigma] = self.pixels[pixel];
+    fn answer(&self, x: usize, y: usize, expected: f32, sigma: f32) -> Answer {
+        let [idepth, its_sigma] = self.pixels.at(x, y);
         if idepth <= 0.0 {
             return Answer::Nothing;
         }
         let ratio = idepth / expected;
         let gap = (ratio - 1.0).powi(2);
         let variance = sigma * sigma + its_sigma * its_sigma;
-        if gap > (tolerance.sigmas_sq * variance).max(tolerance.least_sq) {
+        if gap > (self.sigmas_sq * variance).max(self.least_sq) {
             return Answer::Other;
         }
         Answer::Same {
@@ -216,6 +192,8 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::MappingConfig;
+    use crate::mapping::agreement::View;
     use monogrid_geometry::{Pinhole, Rotation, Sim3, Vec3};
 
     const CAMERA: KeyframeCamera = KeyframeCamera {
@@ -259,8 +237,19 @@ mod tests {
             .iter()
             .map(|(depths, pose)| Some(View::in_memory(depths, *pose, &CAMERA)))
             .collect();
+        let config = MappingConfig {
+            fusion: *config,
+            ..MappingConfig::default()
+        };
+        let scene = Scene {
+            keyframes: &[],
+            views: &views,
+            camera: &CAMERA,
+            config: &config,
+            threads: 1,
+        };
         let first = keyframes[0].0.clone();
-        fused(&views, 0, first, Certainty::UNCHANGED, &CAMERA, config).measured
+        fused(&scene, 0, first, Certainty::UNCHANGED).measured
     }
 
     /// Root mean square of the relative errors of the wall's depths.

@@ -10,10 +10,12 @@ use super::agreement::View;
 use super::certainty::Certainty;
 use super::dense::{agreed, neighbours, stereo};
 use super::envelope::Cloud;
+use super::posed::{PosedKeyframe, Scene};
 use super::refine::Found;
-use super::{KeptKeyframes, KeyframeCamera, KeyframeScan, MappingConfig};
-use crate::store::{Kept, KeptDense};
+use super::{KeyframeCamera, KeyframeScan, MappingConfig};
+use crate::store::Kept;
 use crate::{KeptKeyframe, KeyframeId, PoseSnapshot};
+use monogrid_depth::DenseDepth;
 use std::collections::VecDeque;
 
 /// Later keyframes that must be as far as one that takes a step.
@@ -27,9 +29,8 @@ const MAX_HELD: usize = 20;
 const COMPARED: usize = 3;
 
 /// How far a keyframe has come.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
-    #[default]
     Waiting,
     /// Its image was matched with those of its neighbours.
     Matched,
@@ -45,10 +46,13 @@ enum Stage {
     Ready,
 }
 
-/// What was found of a keyframe. What it had at each stage is kept, since neighbours that are behind compare theirs with it.
-#[derive(Debug, Default)]
+/// A keyframe and how far it has come. What it had at each stage is kept, since neighbours that are behind compare theirs with it.
+#[derive(Debug)]
 struct Work {
+    keyframe: KeptKeyframe,
     stage: Stage,
+    /// Its dense depth, as it was matched.
+    dense: Option<Kept<DenseDepth>>,
     /// When it is `Found`, and when it is `Checked`.
     found: Option<Found>,
     agreed: Option<Found>,
@@ -56,28 +60,20 @@ struct Work {
 }
 
 impl Work {
-    fn found(&self) -> Option<&Found> {
-        self.found.as_ref()
-    }
-
-    fn agreed(&self) -> Option<&Found> {
-        self.agreed.as_ref()
+    /// Nothing was found yet.
+    fn new(keyframe: KeptKeyframe) -> Self {
+        Self {
+            keyframe,
+            stage: Stage::Waiting,
+            dense: None,
+            found: None,
+            agreed: None,
+            completed: None,
+        }
     }
 
     fn completed(&self) -> Option<&Found> {
         self.completed.as_ref().map(|(found, _)| found)
-    }
-
-    fn cloud(&self) -> Option<&Cloud> {
-        self.completed.as_ref().map(|(_, cloud)| cloud)
-    }
-
-    /// Leaves what was found; who was not handed over begins again.
-    fn forget(&mut self) {
-        (self.found, self.agreed, self.completed) = (None, None, None);
-        if self.stage != Stage::Ready {
-            self.stage = Stage::Waiting;
-        }
     }
 }
 
@@ -92,17 +88,13 @@ pub(super) enum Step {
     Better(KeyframeScan),
 }
 
-/// The keyframes of a run and how far each has come.
+/// The keyframes of a run.
 #[derive(Debug)]
 pub(super) struct LiveDepth {
     config: MappingConfig,
     camera: KeyframeCamera,
     /// By identity.
-    keyframes: Vec<KeptKeyframe>,
-    /// Of each of them.
     work: Vec<Work>,
-    /// Dense depth of each of them, as it was matched.
-    dense: Vec<Option<Kept<KeptDense>>>,
     /// Those of which something is kept, in the order in which they were matched.
     held: VecDeque<KeyframeId>,
     /// The one that was matched last.
@@ -115,9 +107,7 @@ impl LiveDepth {
         Self {
             config,
             camera,
-            keyframes: Vec::new(),
             work: Vec::new(),
-            dense: Vec::new(),
             held: VecDeque::new(),
             last: None,
         }
@@ -127,15 +117,10 @@ impl LiveDepth {
     pub fn add(&mut self, keyframe: KeptKeyframe) {
         match self.index(keyframe.id) {
             Ok(index) => {
-                self.forget(keyframe.id);
-                self.work[index].stage = Stage::Waiting;
-                self.keyframes[index] = keyframe;
+                self.held.retain(|held| *held != keyframe.id);
+                self.work[index] = Work::new(keyframe);
             }
-            Err(index) => {
-                self.keyframes.insert(index, keyframe);
-                self.work.insert(index, Work::default());
-                self.dense.insert(index, None);
-            }
+            Err(index) => self.work.insert(index, Work::new(keyframe)),
         }
     }
 
@@ -150,40 +135,37 @@ impl LiveDepth {
         let Some(index) = self.next() else {
             return Step::Idle;
         };
-        let step = match self.work[index].stage {
+        let stage = match self.work[index].stage {
             Stage::Waiting => self.match_images(index, poses),
             Stage::Matched => self.find(index, poses),
-            Stage::Found => self.check(index),
-            Stage::Checked => self.agree(index),
+            Stage::Found => self.check(index, poses),
+            Stage::Checked => self.agree(index, poses),
             Stage::Agreed => self.complete(index, poses),
-            Stage::Completed => Step::Better(self.enclose(index, poses)),
-            Stage::Ready => return Step::Idle,
+            Stage::Completed | Stage::Ready => {
+                self.work[index].stage = Stage::Ready;
+                return Step::Better(self.enclose(index, poses));
+            }
         };
-        let stage = &mut self.work[index].stage;
-        *stage = stage.next();
-        step
+        self.work[index].stage = stage;
+        Step::Worked
     }
 
     /// The keyframe that takes a step: the one that is nearest to its end, else one that waits.
     fn next(&self) -> Option<usize> {
-        let begun = [
-            Stage::Completed,
-            Stage::Agreed,
-            Stage::Checked,
-            Stage::Found,
-            Stage::Matched,
-        ];
-        begun
-            .into_iter()
-            .find_map(|stage| self.all_ready_for_more(stage).next())
-            .or_else(|| self.next_waiting())
+        let begun = Stage::Matched..Stage::Ready;
+        let ready = self.ready_for_more();
+        let begun = ready.filter(|index| begun.contains(&self.work[*index].stage));
+        // the first of equal ones
+        let furthest = begun.rev().max_by_key(|index| self.work[*index].stage);
+        furthest.or_else(|| self.next_waiting())
     }
 
-    /// Those of a stage with enough later ones that are as far.
-    fn all_ready_for_more(&self, stage: Stage) -> impl Iterator<Item = usize> {
-        (0..self.work.len().saturating_sub(AHEAD)).filter(move |index| {
+    /// Those with enough later ones that are as far.
+    fn ready_for_more(&self) -> impl DoubleEndedIterator<Item = usize> {
+        (0..self.work.len().saturating_sub(AHEAD)).filter(|index| {
             let ahead = &self.work[index + 1..=index + AHEAD];
-            self.work[*index].stage == stage && ahead.iter().all(|later| later.stage >= stage)
+            let stage = self.work[*index].stage;
+            ahead.iter().all(|later| later.stage >= stage)
         })
     }
 
@@ -193,11 +175,11 @@ impl LiveDepth {
             Some(Ok(index) | Err(index)) => index,
             None => 0,
         };
-        let mut later = self
-            .all_ready_for_more(Stage::Waiting)
-            .skip_while(|index| *index < after);
+        let is_waiting = |index: &usize| self.work[*index].stage == Stage::Waiting;
+        let waiting = || self.ready_for_more().filter(is_waiting);
+        let mut later = waiting().skip_while(|index| *index < after);
         let Some(next) = later.next() else {
-            return self.all_ready_for_more(Stage::Waiting).next();
+            return waiting().next();
         };
         let newest = later.last().unwrap_or(next);
         Some(if newest - next >= MAX_BEHIND {
@@ -208,14 +190,13 @@ impl LiveDepth {
     }
 
     /// Matches the image of a keyframe with those of its neighbours.
-    fn match_images(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
-        let keyframes = self.kept(poses);
-        let config = &self.config.dense;
-        let neighbours = neighbours(&keyframes, index, &self.camera, config);
-        let depth = stereo(&keyframes, index, &neighbours, &self.camera, config);
-        let store = self.keyframes[index].pixels.store();
-        self.dense[index] = depth.map(|depth| store.keep(KeptDense(depth)));
-        let id = self.keyframes[index].id;
+    fn match_images(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
+        let depth = self.scene(poses, &[], |scene| {
+            stereo(scene, index, &neighbours(scene, index))
+        });
+        let work = &mut self.work[index];
+        let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
+        work.dense = depth.map(|depth| store.keep(depth));
         self.last = Some(id);
         self.held.push_back(id);
         while self.held.len() > MAX_HELD
@@ -223,73 +204,71 @@ impl LiveDepth {
         {
             self.forget(oldest);
         }
-        Step::Worked
+        Stage::Matched
     }
 
     /// Merges what neighbours confirm with the depth of the filter.
-    fn find(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
-        let keyframes = self.kept(poses);
-        let config = &self.config.dense;
-        let neighbours = neighbours(&keyframes, index, &self.camera, config);
-        let dense = agreed(&self.dense, index, &neighbours, &self.camera, config);
-        let settings = (&self.camera, &self.config);
-        let store = self.keyframes[index].pixels.store();
-        let found = Found::of_keyframe(&keyframes, index, dense.as_ref(), settings, store);
+    fn find(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
+        let store = self.work[index].keyframe.pixels.store();
+        let dense = |other: usize| self.work[other].dense.as_ref()?.get();
+        let found = self.scene(poses, &[], |scene| {
+            let dense = agreed(scene, index, &neighbours(scene, index), dense);
+            Found::of_keyframe(scene, index, dense.as_ref(), store)
+        });
         self.work[index].found = Some(found);
-        Step::Worked
+        Stage::Found
     }
 
     /// Leaves out filled depth that others contradict.
-    fn check(&mut self, index: usize) -> Step {
-        if let Some(found) = &self.work[index].found
-            && self.config.fill.max_witnesses > 0
-        {
-            let views = self.views(MAX_HELD, index, Work::found);
-            let checked = found.without_contradicted(&views, index, &self.camera, &self.config);
+    fn check(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
+        if let Some(found) = &self.work[index].found {
+            let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
+            let checked = self.scene(poses, &views, |scene| {
+                found.without_contradicted(scene, index)
+            });
             self.work[index].found = Some(checked);
         }
-        Step::Worked
+        Stage::Checked
     }
 
     /// Makes its depth as certain as others agree, and fuses it with theirs.
-    fn agree(&mut self, index: usize) -> Step {
+    fn agree(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
         if let Some(found) = &self.work[index].found {
-            let (camera, config) = (&self.camera, &self.config);
-            let near = self.views(COMPARED, index, Work::found);
-            let certainty = Certainty::asked_for(&near, camera, config, 1);
-            let views = self.views(MAX_HELD, index, Work::found);
-            let depths = found.certain(certainty, &views, index, camera, &config.fusion);
-            self.work[index].agreed = Some(found.with_depths(depths, camera));
+            let near = self.views(COMPARED, index, |work| work.found.as_ref());
+            let certainty = self.scene(poses, &near, Certainty::of_scene);
+            let views = self.views(MAX_HELD, index, |work| work.found.as_ref());
+            let depths = self.scene(poses, &views, |scene| {
+                found.certain(scene, index, certainty)
+            });
+            self.work[index].agreed = Some(found.with_depths(depths, &self.camera));
         }
-        Step::Worked
+        Stage::Agreed
     }
 
     /// Takes over depth that others have and it has not.
-    fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Step {
+    fn complete(&mut self, index: usize, poses: &PoseSnapshot) -> Stage {
         if let Some(agreed) = &self.work[index].agreed {
-            let (camera, config) = (&self.camera, &self.config);
-            let views = self.views(MAX_HELD, index, Work::agreed);
-            let keyframes = self.kept(poses);
-            let depths = agreed.completed(&keyframes, &views, index, camera, &config.completion);
-            let completed = agreed.with_depths(depths, camera);
-            let cloud = Cloud::new(completed.view.as_ref(), camera, config);
+            let views = self.views(MAX_HELD, index, |work| work.agreed.as_ref());
+            let completed = self.scene(poses, &views, |scene| agreed.completed(scene, index));
+            let cloud = Cloud::new(completed.view.as_ref(), &self.camera, &self.config);
             self.work[index].completed = Some((completed, cloud));
         }
-        Step::Worked
+        Stage::Completed
     }
 
     /// What of a keyframe is mapped: with walls, floor and ceiling beyond what was measured; nothing where nothing was found.
     fn enclose(&self, index: usize, poses: &PoseSnapshot) -> KeyframeScan {
-        let (camera, config) = (&self.camera, &self.config);
-        let depths = self.work[index].completed().map(|completed| {
+        let work = &self.work[index];
+        let depths = work.completed().map(|completed| {
             let views = self.views(MAX_HELD, index, Work::completed);
-            let around = (&*views, |other: usize| self.work[other].cloud());
-            completed.enclosed(&self.kept(poses), around, index, camera, config)
+            let cloud = |other: usize| Some(&self.work[other].completed.as_ref()?.1);
+            self.scene(poses, &views, |scene| {
+                completed.enclosed(scene, index, cloud)
+            })
         });
-        let keyframe = &self.keyframes[index];
+        let (id, store) = (work.keyframe.id, work.keyframe.pixels.store());
         let depths = depths.unwrap_or_default();
-        let (rims, store) = (&self.config.rims, keyframe.pixels.store());
-        depths.joined(keyframe.id, camera, rims, store)
+        depths.joined(id, &self.camera, &self.config.rims, store)
     }
 
     /// What keyframes have at a stage, by their index, of those around one.
@@ -308,39 +287,40 @@ impl LiveDepth {
         .collect()
     }
 
-    /// Leaves what was found of a keyframe; one that was not handed over begins again.
-    fn forget(&mut self, id: KeyframeId) {
-        self.held.retain(|held| *held != id);
-        if let Ok(index) = self.index(id) {
-            self.dense[index] = None;
-            self.work[index].forget();
-        }
+    /// Does something with the keyframes at their poses and what they have.
+    fn scene<T>(
+        &self,
+        poses: &PoseSnapshot,
+        views: &[Option<View>],
+        with: impl FnOnce(&Scene) -> T,
+    ) -> T {
+        let work = self.work.iter();
+        let keyframes: Vec<PosedKeyframe> = work
+            .map(|work| PosedKeyframe::kept(&work.keyframe, poses))
+            .collect();
+        with(&Scene {
+            keyframes: &keyframes,
+            views,
+            camera: &self.camera,
+            config: &self.config,
+            threads: 1,
+        })
     }
 
-    fn kept<'a>(&'a self, poses: &'a PoseSnapshot) -> KeptKeyframes<'a> {
-        KeptKeyframes {
-            keyframes: &self.keyframes,
-            poses,
+    /// Leaves what was found of a keyframe; one that was not handed over begins again.
+    fn forget(&mut self, id: KeyframeId) {
+        if let Ok(index) = self.index(id) {
+            let work = &mut self.work[index];
+            (work.dense, work.found, work.agreed, work.completed) = (None, None, None, None);
+            if work.stage != Stage::Ready {
+                work.stage = Stage::Waiting;
+            }
         }
     }
 
     /// Where a keyframe is, or would be.
     fn index(&self, id: KeyframeId) -> Result<usize, usize> {
-        self.keyframes
-            .binary_search_by_key(&id, |keyframe| keyframe.id)
-    }
-}
-
-impl Stage {
-    fn next(self) -> Self {
-        match self {
-            Self::Waiting => Self::Matched,
-            Self::Matched => Self::Found,
-            Self::Found => Self::Checked,
-            Self::Checked => Self::Agreed,
-            Self::Agreed => Self::Completed,
-            Self::Completed | Self::Ready => Self::Ready,
-        }
+        self.work.binary_search_by_key(&id, |work| work.keyframe.id)
     }
 }
 
@@ -349,7 +329,7 @@ mod tests {
     use super::*;
     use crate::Keyframe;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{PosedKeyframe, final_scans};
+    use crate::mapping::{DepthOf, ImageOf, final_scans};
     use monogrid_geometry::{Rotation, Sim3, Vec3};
     use std::ops::Range;
 
@@ -431,8 +411,8 @@ mod tests {
             .iter()
             .map(|keyframe| PosedKeyframe {
                 id: keyframe.id,
-                image: Some(&keyframe.image),
-                pixels: &keyframe.pixels,
+                image: Some(ImageOf::Held(&keyframe.image)),
+                depth: DepthOf::Held(&keyframe.pixels),
                 world_from_keyframe: snapshot.in_main_map(keyframe.id).copied(),
             })
             .collect();
@@ -515,14 +495,14 @@ mod tests {
             rest(&mut live, &snapshot);
         }
         let num_held = |live: &LiveDepth| live.work.iter().filter(|w| w.found.is_some()).count();
-        let num_dense = |live: &LiveDepth| live.dense.iter().flatten().count();
+        let num_dense = |live: &LiveDepth| live.work.iter().filter(|w| w.dense.is_some()).count();
         assert!(num_held(&live) <= MAX_HELD && num_dense(&live) == MAX_HELD);
         // one that nothing is kept of is ready all the same
         assert!(live.has_handed_over(0) && live.work[0].found.is_none());
-        let revised = live.keyframes.len() - 8;
+        let revised = live.work.len() - 8;
         live.add(keyframe(revised as KeyframeId).into());
         assert!(!live.has_handed_over(revised as KeyframeId));
-        assert_eq!(live.keyframes.len(), count as usize);
+        assert_eq!(live.work.len(), count as usize);
         assert_eq!(ids(&rest(&mut live, &snapshot)), [revised as KeyframeId]);
     }
 }

@@ -46,21 +46,20 @@ pub use body::camera_paths;
 pub use cell::{CellReason, SceneCell, scene_cell};
 pub use completion::CompletionConfig;
 pub use config::{
-    AndertFormKind, AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig,
-    IntegrationKind, MapQuality, MappingConfig, MeshConfig, RefineConfig, SensorModelKind,
-    SigmaMode, ThrunFormKind, UnseenConfig,
+    AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig, MapQuality,
+    MappingConfig, MeshConfig, RefineConfig, SensorModelKind, UnseenConfig,
 };
 pub use envelope::EnvelopeConfig;
 pub use fill::fill_plain_regions;
 pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,
 };
-pub(crate) use posed::KeptKeyframes;
-pub use posed::{ImageOf, PosedKeyframe};
+pub use monogrid_occupancy::{AndertForm, IntegrationRule, SigmaMode, ThrunForm};
+pub use posed::{DepthOf, ImageOf, PosedKeyframe};
 pub(crate) use refine::final_scans_of;
-pub use refine::{final_scans, final_scans_counted, refined_depths};
+pub use refine::{final_scans, refined_depths};
 pub use rims::RimConfig;
-pub use scan::{KeyframeCamera, KeyframeScan, ScanPixels};
+pub use scan::{KeyframeCamera, KeyframeScan};
 pub use upright::{
     Floor, Upright, UprightConfig, UprightView, floor_below, level_from_world, upright,
 };

@@ -1,5 +1,7 @@
 //! Keyframes at their final poses, in memory or where there is room.
 
+use super::agreement::View;
+use super::{KeyframeCamera, MappingConfig};
 use crate::{DepthPixel, KeptKeyframe, KeyframeId, PoseSnapshot};
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
@@ -11,11 +13,27 @@ pub struct PosedKeyframe<'a> {
     /// Identity.
     pub id: KeyframeId,
     /// Its image; without one it is mapped as it was measured.
-    pub image: Option<&'a Image<u8>>,
-    /// Its depth, row-major, in its own units.
-    pub pixels: &'a [DepthPixel],
+    pub image: Option<ImageOf<'a>>,
+    /// Its depth.
+    pub depth: DepthOf<'a>,
     /// Its pose in a world that all share.
     pub world_from_keyframe: Option<Sim3>,
+}
+
+impl<'a> PosedKeyframe<'a> {
+    /// A keyframe of a map, at its pose in the main map.
+    pub(crate) fn kept(keyframe: &'a KeptKeyframe, poses: &PoseSnapshot) -> Self {
+        Self {
+            id: keyframe.id,
+            image: Some(ImageOf::Kept(keyframe)),
+            depth: DepthOf::Kept(keyframe),
+            world_from_keyframe: poses.in_main_map(keyframe.id).copied(),
+        }
+    }
+
+    pub(super) fn image(&self) -> Option<Cow<'a, Image<u8>>> {
+        self.image.and_then(ImageOf::get)
+    }
 }
 
 /// The image of a keyframe.
@@ -47,77 +65,79 @@ impl<'a> ImageOf<'a> {
     }
 }
 
-/// Keyframes by their index, of which image and depth are asked for when they are needed.
-pub(crate) trait Keyframes: Sync {
-    fn len(&self) -> usize;
-
-    fn id(&self, index: usize) -> KeyframeId;
-
-    /// Pose in a world that all share.
-    fn world_from_keyframe(&self, index: usize) -> Option<Sim3>;
-
-    fn has_image(&self, index: usize) -> bool;
-
-    fn image(&self, index: usize) -> Option<Cow<'_, Image<u8>>>;
-
-    /// Depth, row-major, in its own units.
-    fn pixels(&self, index: usize) -> Cow<'_, [DepthPixel]>;
+/// The depth of a keyframe, row-major, in its own units.
+#[derive(Clone, Copy, Debug)]
+pub enum DepthOf<'a> {
+    /// At hand.
+    Held(&'a [DepthPixel]),
+    /// Where there is room.
+    Kept(&'a KeptKeyframe),
 }
 
-impl Keyframes for &[PosedKeyframe<'_>] {
-    fn len(&self) -> usize {
-        (**self).len()
-    }
-
-    fn id(&self, index: usize) -> KeyframeId {
-        self[index].id
-    }
-
-    fn world_from_keyframe(&self, index: usize) -> Option<Sim3> {
-        self[index].world_from_keyframe
-    }
-
-    fn has_image(&self, index: usize) -> bool {
-        self[index].image.is_some()
-    }
-
-    fn image(&self, index: usize) -> Option<Cow<'_, Image<u8>>> {
-        self[index].image.map(Cow::Borrowed)
-    }
-
-    fn pixels(&self, index: usize) -> Cow<'_, [DepthPixel]> {
-        Cow::Borrowed(self[index].pixels)
+impl<'a> DepthOf<'a> {
+    /// The depth; none where it cannot be read back.
+    #[must_use]
+    pub fn get(self) -> Cow<'a, [DepthPixel]> {
+        match self {
+            Self::Held(pixels) => Cow::Borrowed(pixels),
+            Self::Kept(keyframe) => Cow::Owned(keyframe.pixels().unwrap_or_default()),
+        }
     }
 }
 
-/// Finished keyframes of a map.
-pub(crate) struct KeptKeyframes<'a> {
-    pub keyframes: &'a [KeptKeyframe],
-    pub poses: &'a PoseSnapshot,
+/// Keyframes of one camera whose depth becomes better.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    pub keyframes: &'a [PosedKeyframe<'a>],
+    /// What each of them has so far; none before anything was found.
+    pub views: &'a [Option<View>],
+    pub camera: &'a KeyframeCamera,
+    pub config: &'a MappingConfig,
+    pub threads: usize,
 }
 
-impl Keyframes for KeptKeyframes<'_> {
-    fn len(&self) -> usize {
-        self.keyframes.len()
+/// A keyframe that sees the same as another one.
+pub(super) struct Neighbour {
+    pub index: usize,
+    pub neighbour_from_keyframe: Sim3,
+}
+
+impl Scene<'_> {
+    /// The other keyframes with image and pose that have a cost, given where they are (`neighbour_from_keyframe`): so many, the
+    /// cheapest first, equal ones in their order.
+    pub fn neighbours(
+        &self,
+        index: usize,
+        most: usize,
+        cost: impl Fn(&Sim3) -> Option<f64>,
+    ) -> Vec<Neighbour> {
+        let Some(world_from_this) = self.keyframes[index].world_from_keyframe else {
+            return Vec::new();
+        };
+        let others = self.keyframes.iter().enumerate();
+        let mut found: Vec<(f64, Neighbour)> = others
+            .filter(|(other, keyframe)| *other != index && keyframe.image.is_some())
+            .filter_map(|(index, keyframe)| {
+                let world_from_other = keyframe.world_from_keyframe?;
+                let neighbour_from_keyframe = world_from_other.inverse() * world_from_this;
+                let neighbour = Neighbour {
+                    index,
+                    neighbour_from_keyframe,
+                };
+                Some((cost(&neighbour_from_keyframe)?, neighbour))
+            })
+            .collect();
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found.truncate(most);
+        found.into_iter().map(|(_, neighbour)| neighbour).collect()
     }
 
-    fn id(&self, index: usize) -> KeyframeId {
-        self.keyframes[index].id
-    }
-
-    fn world_from_keyframe(&self, index: usize) -> Option<Sim3> {
-        self.poses.in_main_map(self.id(index)).copied()
-    }
-
-    fn has_image(&self, _: usize) -> bool {
-        true
-    }
-
-    fn image(&self, index: usize) -> Option<Cow<'_, Image<u8>>> {
-        self.keyframes[index].image().map(Cow::Owned)
-    }
-
-    fn pixels(&self, index: usize) -> Cow<'_, [DepthPixel]> {
-        Cow::Owned(self.keyframes[index].pixels().unwrap_or_default())
+    /// The images of the first so many neighbours, with `source_from_keyframe`.
+    pub fn sources(&self, of: &[Neighbour], most: usize) -> Vec<(Cow<'_, Image<u8>>, Sim3)> {
+        let source = |neighbour: &Neighbour| {
+            let image = self.keyframes[neighbour.index].image()?;
+            Some((image, neighbour.neighbour_from_keyframe))
+        };
+        of.iter().take(most).filter_map(source).collect()
     }
 }

@@ -12,11 +12,9 @@ use super::completion::completed;
 use super::dense::{dense_depths, merged};
 use super::envelope::{Cloud, enclosed};
 use super::fusion::fused;
-use super::posed::{Keyframes, PosedKeyframe};
+use super::posed::{Neighbour, PosedKeyframe, Scene};
 use super::scan::{Depths, KeptDepths};
-use super::{
-    CompletionConfig, FusionConfig, KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig,
-};
+use super::{KeyframeCamera, KeyframeScan, MappingConfig, RefineConfig};
 use crate::DepthPixel;
 use crate::median::median;
 use crate::store::{Kept, Store};
@@ -24,8 +22,8 @@ use monogrid_depth::{DenseDepth, PixelDepth, SourceView, epipolar_misfits, refin
 use monogrid_geometry::Sim3;
 use monogrid_image::Image;
 use std::borrow::Cow;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 /// What of each keyframe is mapped: its depth, with dense depth ([`monogrid_depth::dense_depth`]) and made better by the images of the
@@ -40,148 +38,85 @@ pub fn final_scans(
     config: &MappingConfig,
     threads: usize,
 ) -> Vec<KeyframeScan> {
-    final_scans_counted(keyframes, camera, config, threads, &AtomicUsize::new(0))
+    let rest = (&Store::default(), &AtomicUsize::new(0));
+    final_scans_of(keyframes, camera, config, threads, rest)
 }
 
-/// As [`final_scans`]; `done` grows with every keyframe, for those who wait.
-#[must_use]
-pub fn final_scans_counted(
-    keyframes: &[PosedKeyframe],
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-    threads: usize,
-    done: &AtomicUsize,
-) -> Vec<KeyframeScan> {
-    final_scans_of(
-        &keyframes,
-        camera,
-        config,
-        threads,
-        (&Store::default(), done),
-    )
-}
-
-/// As [`final_scans_counted`], of keyframes that lie where there is room, and so do the scans, in the store.
+/// As [`final_scans`], of keyframes that lie where there is room, and so do the scans, in the store; `done` grows with every keyframe, for
+/// those who wait.
 pub(crate) fn final_scans_of(
-    keyframes: &dyn Keyframes,
+    keyframes: &[PosedKeyframe],
     camera: &KeyframeCamera,
     config: &MappingConfig,
     threads: usize,
     (store, done): (&Store, &AtomicUsize),
 ) -> Vec<KeyframeScan> {
     let config = &*config.at_its_quality();
-    let (count, is_dense) = (keyframes.len(), config.quality.has_dense_depth());
-    let dense = match is_dense {
-        true => dense_depths(keyframes, camera, &config.dense, threads, store),
-        false => vec![None; count],
-    };
-    let found = for_each_keyframe(count, threads, |index| {
-        let dense = dense[index].as_ref().and_then(Kept::get);
-        let dense = dense.as_deref().map(|dense| &dense.0);
-        let found = Found::of_keyframe(keyframes, index, dense, (camera, config), store);
-        done.fetch_add(1, Ordering::Relaxed);
-        found
-    });
-    let work = Work {
+    let scene = Scene {
         keyframes,
+        views: &[],
         camera,
         config,
         threads,
     };
-    let keep = |this: &Found, depths: Depths, _: usize| this.with_depths(depths, camera);
-    let hand_over = |_: &Found, depths: Depths, index| {
-        depths.joined(keyframes.id(index), camera, &config.rims, store)
+    let is_dense = config.quality.has_dense_depth();
+    let dense = match is_dense {
+        true => dense_depths(&scene, store),
+        false => vec![None; keyframes.len()],
     };
-    let found = work.not_contradicted(found);
+    let found = for_each_keyframe(keyframes.len(), threads, |index| {
+        let dense = dense[index].as_ref().and_then(Kept::get);
+        let found = Found::of_keyframe(&scene, index, dense.as_deref(), store);
+        done.fetch_add(1, Ordering::Relaxed);
+        found
+    });
+    let found = each(&scene, found, Found::without_contradicted);
+    let certainty = Certainty::of_scene(&Scene {
+        views: &views(&found),
+        ..scene
+    });
+    let hand_over = |depths: Depths, index: usize| {
+        depths.joined(keyframes[index].id, camera, &config.rims, store)
+    };
     if !is_dense {
-        return work.agreed_upon(found, hand_over);
-    }
-    let found = work.agreed_upon(found, keep);
-    let found = work.completed_by_others(found, keep);
-    work.enclosed_by_planes(found, hand_over)
-}
-
-/// The steps that keyframes take together; each gives up what the one before has found.
-struct Work<'a> {
-    keyframes: &'a dyn Keyframes,
-    camera: &'a KeyframeCamera,
-    config: &'a MappingConfig,
-    threads: usize,
-}
-
-impl Work<'_> {
-    /// A step of each keyframe beside what was found of all.
-    fn each<T: Send>(
-        &self,
-        found: Vec<Found>,
-        step: impl Fn(&Found, &[Option<View>], usize) -> T + Sync,
-    ) -> Vec<T> {
-        let views = views(&found);
-        for_each_keyframe(found.len(), self.threads, |index| {
-            step(&found[index], &views, index)
-        })
-    }
-
-    /// Without filled depth that other keyframes contradict.
-    fn not_contradicted(&self, found: Vec<Found>) -> Vec<Found> {
-        if self.config.fill.max_witnesses == 0 {
-            return found;
-        }
-        self.each(found, |this, views, index| {
-            this.without_contradicted(views, index, self.camera, self.config)
-        })
-    }
-
-    /// As certain as keyframes agree, and the mean of those that do.
-    fn agreed_upon<T: Send>(
-        &self,
-        found: Vec<Found>,
-        then: impl Fn(&Found, Depths, usize) -> T + Sync,
-    ) -> Vec<T> {
-        let (camera, config) = (self.camera, self.config);
-        let certainty = Certainty::asked_for(&views(&found), camera, config, self.threads);
-        self.each(found, |this, views, index| {
-            let depths = this.certain(certainty, views, index, camera, &config.fusion);
-            then(this, depths, index)
-        })
-    }
-
-    /// With depth where keyframes have none, from those that see the same.
-    fn completed_by_others(
-        &self,
-        found: Vec<Found>,
-        then: impl Fn(&Found, Depths, usize) -> Found + Sync,
-    ) -> Vec<Found> {
-        let config = &self.config.completion;
-        self.each(found, |this, views, index| {
-            let depths = this.completed(self.keyframes, views, index, self.camera, config);
-            then(this, depths, index)
-        })
-    }
-
-    /// With depth of large planes beyond what was measured of them.
-    fn enclosed_by_planes<T: Send>(
-        &self,
-        found: Vec<Found>,
-        then: impl Fn(&Found, Depths, usize) -> T + Sync,
-    ) -> Vec<T> {
-        let (camera, config) = (self.camera, self.config);
-        let clouds = for_each_keyframe(found.len(), self.threads, |index| {
-            Cloud::new(found[index].view.as_ref(), camera, config)
+        return each(&scene, found, |this, scene, index| {
+            hand_over(this.certain(scene, index, certainty), index)
         });
-        self.each(found, |this, views, index| {
-            let around = (views, |other: usize| clouds.get(other));
-            let depths = this.enclosed(self.keyframes, around, index, camera, config);
-            then(this, depths, index)
-        })
     }
+    let found = each(&scene, found, |this, scene, index| {
+        this.with_depths(this.certain(scene, index, certainty), camera)
+    });
+    let found = each(&scene, found, Found::completed);
+    let clouds = for_each_keyframe(found.len(), threads, |index| {
+        Cloud::new(found[index].view.as_ref(), camera, config)
+    });
+    each(&scene, found, |this, scene, index| {
+        let depths = this.enclosed(scene, index, |other| clouds.get(other));
+        hand_over(depths, index)
+    })
+}
+
+/// A step that keyframes take together, each beside what was found of all; gives up what was found before.
+fn each<T: Send>(
+    scene: &Scene,
+    found: Vec<Found>,
+    step: impl Fn(&Found, &Scene, usize) -> T + Sync,
+) -> Vec<T> {
+    let views = views(&found);
+    let scene = Scene {
+        views: &views,
+        ..*scene
+    };
+    for_each_keyframe(found.len(), scene.threads, |index| {
+        step(&found[index], &scene, index)
+    })
 }
 
 fn views(found: &[Found]) -> Vec<Option<View>> {
     found.iter().map(|found| found.view.clone()).collect()
 }
 
-/// What was found of a keyframe.
+/// What was found of a keyframe. Its view is that of its index among those of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Found {
     depths: KeptDepths,
@@ -192,23 +127,24 @@ pub(super) struct Found {
 impl Found {
     /// From its depth by all that the settings ask for.
     pub fn of_keyframe(
-        keyframes: &dyn Keyframes,
+        scene: &Scene,
         index: usize,
         dense: Option<&DenseDepth>,
-        (camera, config): (&KeyframeCamera, &MappingConfig),
         store: &Store,
     ) -> Self {
-        let Refined { pixels, misfits } = final_pixels(keyframes, index, dense, camera, config);
-        let image = keyframes.image(index);
-        let id = keyframes.id(index);
+        let Scene { camera, config, .. } = *scene;
+        let (pixels, misfits) = final_pixels(scene, index, dense);
+        let keyframe = &scene.keyframes[index];
+        let image = keyframe.image();
         // how certain a plane is, keyframes tell together
         let limit = match config.sigma_from_agreement {
             true => config.fill.max_stated_sigma,
             false => config.filter.max_relative_sigma,
         };
-        let depths = Depths::new(id, &pixels, image.as_deref(), camera, (config, limit));
-        let known = keyframes.world_from_keyframe(index);
-        Self::new(depths, known.zip(Some(misfits.into())), camera, store)
+        let settings = (config, limit);
+        let depths = Depths::new(keyframe.id, &pixels, image.as_deref(), camera, settings);
+        let known = keyframe.world_from_keyframe.zip(Some(misfits.into()));
+        Self::new(depths, known, camera, store)
     }
 
     /// `known`: its pose, and how far its patches are beside epipolar lines.
@@ -218,13 +154,11 @@ impl Found {
         camera: &KeyframeCamera,
         store: &Store,
     ) -> Self {
-        let blocks = known
-            .is_some()
-            .then(|| Arc::new(Blocks::new(&depths, camera)));
+        let blocks = || Arc::new(Blocks::new(&depths, camera));
+        let known = known.map(|(pose, misfits)| (pose, misfits, blocks()));
         let depths = KeptDepths::new(store, depths);
-        let view = known.zip(blocks);
         Self {
-            view: view.map(|((world_from_keyframe, misfits), blocks)| View {
+            view: known.map(|(world_from_keyframe, misfits, blocks)| View {
                 depths: depths.clone(),
                 blocks,
                 world_from_keyframe,
@@ -234,26 +168,18 @@ impl Found {
         }
     }
 
-    /// Without filled depth that others contradict; `views[index]` is its own view.
-    pub fn without_contradicted(
-        &self,
-        views: &[Option<View>],
-        index: usize,
-        camera: &KeyframeCamera,
-        config: &MappingConfig,
-    ) -> Self {
-        let mut depths = self.depths();
-        if let Some(kept) = kept(views, index, camera, &config.fill) {
+    /// Without filled depth that others contradict.
+    pub fn without_contradicted(&self, scene: &Scene, index: usize) -> Self {
+        if scene.config.fill.max_witnesses == 0 {
+            return self.clone();
+        }
+        let mut depths = self.depths.depths();
+        if let Some(kept) = kept(scene, index) {
             let mut kept = kept.into_iter();
             depths.filled.retain(|_| kept.next().unwrap_or(true));
             depths.filled.shrink_to_fit();
         }
-        self.with_depths(depths, camera)
-    }
-
-    /// Its depths.
-    pub fn depths(&self) -> Depths {
-        self.depths.depths()
+        self.with_depths(depths, scene.camera)
     }
 
     /// With other depths.
@@ -263,82 +189,45 @@ impl Found {
         Self::new(depths, known, camera, self.depths.store())
     }
 
-    /// Its depths, as certain as they are, each fused with those of others that agree; `views[index]` is its own view.
-    pub fn certain(
-        &self,
-        certainty: Certainty,
-        views: &[Option<View>],
-        index: usize,
-        camera: &KeyframeCamera,
-        config: &FusionConfig,
-    ) -> Depths {
+    /// Its depths, as certain as they are, each fused with those of others that agree.
+    pub fn certain(&self, scene: &Scene, index: usize, certainty: Certainty) -> Depths {
         let depths = certainty.apply(&self.depths);
-        match config.max_witnesses {
+        match scene.config.fusion.max_witnesses {
             0 => depths,
-            _ => fused(views, index, depths, certainty, camera, config),
+            _ => fused(scene, index, depths, certainty),
         }
     }
 
-    /// Its depths, with those that others have and it has not; `views[index]` is its own view.
-    pub fn completed(
-        &self,
-        keyframes: &dyn Keyframes,
-        views: &[Option<View>],
-        index: usize,
-        camera: &KeyframeCamera,
-        config: &CompletionConfig,
-    ) -> Depths {
-        let added = completed(keyframes, views, index, camera, config);
-        self.depths().with_filled(added)
+    /// With depth that others have and it has not.
+    pub fn completed(&self, scene: &Scene, index: usize) -> Self {
+        let added = completed(scene, index);
+        self.with_depths(self.depths.depths().with_filled(added), scene.camera)
     }
 
-    /// Its depths, with large planes beyond what was measured of them; views and clouds as [`enclosed`] takes them.
+    /// Its depths, with large planes beyond what was measured of them; `cloud` as [`enclosed`] takes it.
     pub fn enclosed<'a>(
         &self,
-        keyframes: &dyn Keyframes,
-        around: (&[Option<View>], impl Fn(usize) -> Option<&'a Cloud>),
+        scene: &Scene,
         index: usize,
-        camera: &KeyframeCamera,
-        config: &MappingConfig,
+        cloud: impl Fn(usize) -> Option<&'a Cloud>,
     ) -> Depths {
-        let added = enclosed(keyframes, around, index, camera, config);
-        self.depths().with_filled(added)
+        let added = enclosed(scene, index, cloud);
+        self.depths.depths().with_filled(added)
     }
 }
 
 /// Depth of a keyframe, and how far its patches are beside epipolar lines, px.
-struct Refined<'a> {
-    pixels: Cow<'a, [DepthPixel]>,
-    misfits: Vec<f32>,
-}
-
-impl<'a> Refined<'a> {
-    /// Depth as it was.
-    fn unchanged(pixels: Cow<'a, [DepthPixel]>) -> Self {
-        Self {
-            pixels,
-            misfits: Vec::new(),
-        }
-    }
-}
+type Refined<'a> = (Cow<'a, [DepthPixel]>, Vec<f32>);
 
 /// The depth of one keyframe by all that the settings ask for: with dense depth, then refined.
-fn final_pixels<'a>(
-    keyframes: &'a dyn Keyframes,
-    index: usize,
-    dense: Option<&DenseDepth>,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
-) -> Refined<'a> {
-    let pixels = keyframes.pixels(index);
-    let pixels = match dense {
-        Some(dense) => Cow::Owned(merged(&pixels, dense, camera)),
-        None => pixels,
-    };
-    if config.refine.enabled {
-        refined(keyframes, index, pixels, camera, &config.refine)
-    } else {
-        Refined::unchanged(pixels)
+fn final_pixels<'a>(scene: &Scene<'a>, index: usize, dense: Option<&DenseDepth>) -> Refined<'a> {
+    let mut pixels = scene.keyframes[index].depth.get();
+    if let Some(dense) = dense {
+        pixels = Cow::Owned(merged(&pixels, dense, scene.camera));
+    }
+    match scene.config.refine.enabled {
+        true => refined(scene, index, pixels),
+        false => (pixels, Vec::new()),
     }
 }
 
@@ -353,10 +242,20 @@ pub fn refined_depths(
     config: &RefineConfig,
     threads: usize,
 ) -> Vec<Vec<DepthPixel>> {
+    let config = MappingConfig {
+        refine: config.clone(),
+        ..MappingConfig::default()
+    };
+    let scene = Scene {
+        keyframes,
+        views: &[],
+        camera,
+        config: &config,
+        threads,
+    };
     for_each_keyframe(keyframes.len(), threads, |index| {
-        let pixels = keyframes[index].pixels.into();
-        let refined = refined(&keyframes, index, pixels, camera, config);
-        refined.pixels.into_owned()
+        let (pixels, _) = refined(&scene, index, keyframes[index].depth.get());
+        pixels.into_owned()
     })
 }
 
@@ -367,80 +266,60 @@ pub(super) fn for_each_keyframe<T: Send>(
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
     let next = AtomicUsize::new(0);
-    let of_thread = || -> Vec<(usize, T)> {
-        std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed))
-            .take_while(|index| *index < count)
-            .map(|index| (index, work(index)))
-            .collect()
-    };
-    let mut results: Vec<Option<T>> = std::iter::repeat_with(|| None).take(count).collect();
-    thread::scope(|scope| {
-        let others: Vec<_> = (1..threads.min(count))
-            .map(|_| scope.spawn(of_thread))
-            .collect();
-        let first = of_thread();
-        let rest = others
-            .into_iter()
-            .flat_map(|other| other.join().unwrap_or_default());
-        for (index, result) in first.into_iter().chain(rest) {
-            results[index] = Some(result);
+    let results: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::default()).collect();
+    let of_thread = || {
+        let begun = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed));
+        for index in begun.take_while(|index| *index < count) {
+            let result = work(index);
+            *results[index]
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner) = Some(result);
         }
+    };
+    thread::scope(|scope| {
+        let others = (1..threads.min(count)).map(|_| scope.spawn(of_thread));
+        let others: Vec<_> = others.collect();
+        of_thread();
+        others.into_iter().for_each(|other| drop(other.join()));
     });
     // what a thread had that failed: again, here
-    let results = results.into_iter().enumerate();
-    results
-        .map(|(index, result)| result.unwrap_or_else(|| work(index)))
-        .collect()
+    let results = results.into_iter().enumerate().map(|(index, result)| {
+        let result = result.into_inner().unwrap_or_else(PoisonError::into_inner);
+        result.unwrap_or_else(|| work(index))
+    });
+    results.collect()
 }
 
 /// Depths of one keyframe, refined by the others; as they were without an image.
-fn refined<'a>(
-    keyframes: &dyn Keyframes,
-    index: usize,
-    pixels: Cow<'a, [DepthPixel]>,
-    camera: &KeyframeCamera,
-    config: &RefineConfig,
-) -> Refined<'a> {
-    let Some(image) = keyframes.image(index) else {
-        return Refined::unchanged(pixels);
+fn refined<'a>(scene: &Scene, index: usize, pixels: Cow<'a, [DepthPixel]>) -> Refined<'a> {
+    let Some(image) = scene.keyframes[index].image() else {
+        return (pixels, Vec::new());
     };
-    let near: Vec<(Cow<Image<u8>>, Sim3)> = near(keyframes, index, config)
-        .into_iter()
-        .filter_map(|(other, source_from_keyframe)| {
-            Some((keyframes.image(other)?, source_from_keyframe))
-        })
-        .collect();
+    let config = &scene.config.refine;
+    let near = scene.sources(&near(scene, index), config.max_keyframes);
     let sources = source_views(&near);
-    let pixels: Vec<PixelDepth> = pixels.iter().map(PixelDepth::from).collect();
-    let (pinhole, stereo) = (&camera.pinhole, &config.stereo);
-    let (refined, _) = refine_depth(&image, pinhole, &pixels, &sources, stereo);
-    Refined {
-        misfits: epipolar_misfits(&image, pinhole, &refined, &sources, stereo),
-        pixels: refined.into_iter().map(DepthPixel::from).collect(),
-    }
+    let (pinhole, stereo) = (&scene.camera.pinhole, &config.stereo);
+    let (refined, _) = refine_depth(&image, pinhole, &seeds(&pixels), &sources, stereo);
+    let misfits = epipolar_misfits(&image, pinhole, &refined, &sources, stereo);
+    let pixel = |pixel: PixelDepth| DepthPixel {
+        x: pixel.x,
+        y: pixel.y,
+        idepth: pixel.idepth,
+        idepth_var: pixel.idepth_var,
+    };
+    (refined.into_iter().map(pixel).collect(), misfits)
 }
 
-impl From<PixelDepth> for DepthPixel {
-    fn from(pixel: PixelDepth) -> Self {
-        Self {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.idepth_var,
-        }
-    }
-}
-
-impl From<&DepthPixel> for PixelDepth {
-    fn from(pixel: &DepthPixel) -> Self {
-        Self {
-            x: pixel.x,
-            y: pixel.y,
-            idepth: pixel.idepth,
-            idepth_var: pixel.idepth_var,
-            validity: 0,
-        }
-    }
+/// Depth as stereo takes it.
+pub(super) fn seeds(pixels: &[DepthPixel]) -> Vec<PixelDepth> {
+    let seed = |pixel: &DepthPixel| PixelDepth {
+        x: pixel.x,
+        y: pixel.y,
+        idepth: pixel.idepth,
+        idepth_var: pixel.idepth_var,
+        validity: 0,
+    };
+    pixels.iter().map(seed).collect()
 }
 
 /// Images, with `source_from_keyframe`, as stereo takes them.
@@ -452,40 +331,20 @@ pub(super) fn source_views<'a>(images: &'a [(Cow<'_, Image<u8>>, Sim3)]) -> Vec<
     images.iter().map(view).collect()
 }
 
-/// The nearest keyframes with image and pose, nearest first, with `source_from_keyframe`.
-fn near(keyframes: &dyn Keyframes, index: usize, config: &RefineConfig) -> Vec<(usize, Sim3)> {
-    let (Some(world_from_this), Some(median)) = (
-        keyframes.world_from_keyframe(index),
-        median_idepth(&keyframes.pixels(index)),
-    ) else {
+/// The nearest keyframes with image and pose, nearest first.
+fn near(scene: &Scene, index: usize) -> Vec<Neighbour> {
+    let config = &scene.config.refine;
+    let pixels = scene.keyframes[index].depth.get();
+    let idepths = pixels.iter().map(|p| p.idepth);
+    let known = idepths.filter(|d| *d > 0.0 && d.is_finite());
+    let Some(median) = median(&mut known.collect::<Vec<f32>>()).map(f64::from) else {
         return Vec::new();
     };
-    let mut near: Vec<(f64, usize, Sim3)> = (0..keyframes.len())
-        .filter(|other| *other != index && keyframes.has_image(*other))
-        .filter_map(|other| {
-            let world_from_other = keyframes.world_from_keyframe(other)?;
-            let source_from_keyframe = world_from_other.inverse() * world_from_this;
-            let center_in_this = source_from_keyframe.inverse().translation;
-            let separation = center_in_this.norm() * median + source_from_keyframe.rotation.angle();
-            let is_near = separation <= config.max_separation;
-            is_near.then_some((separation, other, source_from_keyframe))
-        })
-        .collect();
-    // stable: equal ones in the order of the keyframes
-    near.sort_by(|a, b| a.0.total_cmp(&b.0));
-    near.truncate(config.max_keyframes);
-    near.into_iter()
-        .map(|(_, other, pose)| (other, pose))
-        .collect()
-}
-
-fn median_idepth(pixels: &[DepthPixel]) -> Option<f64> {
-    let mut idepths: Vec<f32> = pixels
-        .iter()
-        .map(|p| p.idepth)
-        .filter(|d| *d > 0.0 && d.is_finite())
-        .collect();
-    median(&mut idepths).map(f64::from)
+    scene.neighbours(index, config.max_keyframes, |source_from_keyframe| {
+        let center_in_this = source_from_keyframe.inverse().translation;
+        let separation = center_in_this.norm() * median + source_from_keyframe.rotation.angle();
+        (separation <= config.max_separation).then_some(separation)
+    })
 }
 
 #[cfg(test)]
@@ -494,7 +353,7 @@ mod tests {
     use crate::KeyframeId;
     use crate::MemoryConfig;
     use crate::mapping::test_wall::{CAMERA, depths, share_right, wall};
-    use crate::mapping::{FillConfig, FusionConfig, MapQuality};
+    use crate::mapping::{DepthOf, FillConfig, FusionConfig, ImageOf, MapQuality};
     use monogrid_geometry::{Rotation, Vec3};
 
     fn config() -> MappingConfig {
@@ -521,8 +380,8 @@ mod tests {
         let mut keyframes: Vec<PosedKeyframe> = (0..4)
             .map(|i| PosedKeyframe {
                 id: i as KeyframeId,
-                image: Some(&images[i]),
-                pixels: &pixels[i],
+                image: Some(ImageOf::Held(&images[i])),
+                depth: DepthOf::Held(&pixels[i]),
                 world_from_keyframe: Some(Sim3::new(
                     places[i].1,
                     Rotation::identity(),
@@ -551,13 +410,13 @@ mod tests {
         // and none does if it is switched off
         let mut off = config();
         off.refine.enabled = false;
-        keyframes[2].image = Some(&images[2]);
+        keyframes[2].image = Some(ImageOf::Held(&images[2]));
         for (keyframe, scan) in keyframes
             .iter()
             .zip(final_scans(&keyframes, &CAMERA, &off, 2))
         {
-            let alone =
-                KeyframeScan::new(keyframe.id, keyframe.pixels, keyframe.image, &CAMERA, &off);
+            let (pixels, image) = (keyframe.depth.get(), keyframe.image());
+            let alone = KeyframeScan::new(keyframe.id, &pixels, image.as_deref(), &CAMERA, &off);
             assert_eq!(scan, alone);
         }
     }
@@ -575,8 +434,8 @@ mod tests {
             .enumerate()
             .map(|(i, (x, image))| PosedKeyframe {
                 id: i as KeyframeId,
-                image: Some(image),
-                pixels: &pixels,
+                image: Some(ImageOf::Held(image)),
+                depth: DepthOf::Held(&pixels),
                 world_from_keyframe: Some(Sim3::new(
                     1.0,
                     Rotation::identity(),
@@ -596,7 +455,7 @@ mod tests {
         });
         no_room.spill_into(tempfile::tempfile().unwrap());
         let store = (&no_room, &AtomicUsize::new(0));
-        let spilled = final_scans_of(&keyframes.as_slice(), &CAMERA, &dense, 2, store);
+        let spilled = final_scans_of(&keyframes, &CAMERA, &dense, 2, store);
         assert!(spilled == scans && no_room.bytes().file > 0);
         let fast = final_scans(&keyframes, &CAMERA, &config(), 2);
         let all = CAMERA.width * CAMERA.height;

@@ -6,6 +6,7 @@
 
 use super::KeyframeCamera;
 use super::scan::Depths;
+use monogrid_image::Image;
 use serde::{Deserialize, Serialize};
 
 /// Depth beside a step of the depth, on the near side, is less certain than its match says.
@@ -44,7 +45,7 @@ pub(super) fn uncertain_at_rims(
     if config.relative_sigma <= 0.0 || reach == 0 {
         return depths;
     }
-    let lowest = Lowest::around(&depths, camera, reach);
+    let lowest = lowest_around(&depths, camera, reach);
     let (left, sigma) = (1.0 - config.min_step as f32, config.relative_sigma as f32);
     for pixel in depths.measured.iter_mut().chain(&mut depths.filled) {
         if lowest.at(pixel.x.into(), pixel.y.into()) < left * pixel.idepth {
@@ -54,31 +55,18 @@ pub(super) fn uncertain_at_rims(
     depths
 }
 
-/// The lowest inverse depth in the square around each pixel.
-struct Lowest {
-    /// Pixels of a row with room on both sides.
-    row: usize,
-    idepths: Vec<f32>,
-}
-
-impl Lowest {
-    /// In the squares that reach so many pixels to each side.
-    fn around(depths: &Depths, camera: &KeyframeCamera, reach: usize) -> Self {
-        // room of infinite values on all sides, so that a window begins at the place of its pixel in the image without room
-        let (row, rows) = (camera.width + 2 * reach, camera.height + 2 * reach);
-        let mut idepths = vec![f32::INFINITY; row * rows];
-        for pixel in depths.measured.iter().chain(&depths.filled) {
-            let at = (usize::from(pixel.y) + reach) * row + usize::from(pixel.x) + reach;
-            idepths[at] = pixel.idepth;
-        }
-        take_lowest(&mut idepths, 2 * reach + 1, 1);
-        take_lowest(&mut idepths, 2 * reach + 1, row);
-        Self { row, idepths }
+/// The lowest inverse depth in the square around each pixel that reaches so many pixels to each side.
+fn lowest_around(depths: &Depths, camera: &KeyframeCamera, reach: usize) -> Image<f32> {
+    // room of infinite values on all sides, so that a window begins at the place of its pixel in the image without room
+    let (row, rows) = (camera.width + 2 * reach, camera.height + 2 * reach);
+    let mut idepths = Image::filled(row, rows, f32::INFINITY);
+    for pixel in depths.measured.iter().chain(&depths.filled) {
+        let (x, y) = (usize::from(pixel.x) + reach, usize::from(pixel.y) + reach);
+        idepths.set(x, y, pixel.idepth);
     }
-
-    fn at(&self, x: usize, y: usize) -> f32 {
-        self.idepths[y * self.row + x]
-    }
+    take_lowest(idepths.as_mut_slice(), 2 * reach + 1, 1);
+    take_lowest(idepths.as_mut_slice(), 2 * reach + 1, row);
+    idepths
 }
 
 /// Replaces each value by the lowest of so many, this far from one to the next, of which it is the first: windows of twice the length until the
@@ -176,7 +164,7 @@ mod tests {
             }
         }
         for reach in [1, 2, 3, 8, 60] {
-            let found = Lowest::around(&depths, &camera(), reach);
+            let found = lowest_around(&depths, &camera(), reach);
             for (x, y) in [(0, 0), (159, 39), (80, 20), (3, 37), (158, 1)] {
                 let near = depths.measured.iter().filter(|p| {
                     usize::from(p.x).abs_diff(x) <= reach && usize::from(p.y).abs_diff(y) <= reach

@@ -4,12 +4,11 @@
 
 use super::rims::{RimConfig, uncertain_at_rims};
 use super::{DepthFilterConfig, MappingConfig, fill_plain_regions};
-use crate::store::{Kept, Measurements, Store};
+use crate::store::{Kept, Store};
 use crate::{DepthPixel, KeyframeId};
 use monogrid_geometry::{Pinhole, Vec2};
 use monogrid_image::{GrayImage, Image};
 use monogrid_occupancy::DepthPixel as Measurement;
-use std::ops::Deref;
 use std::sync::Arc;
 
 /// Camera of the keyframes.
@@ -52,19 +51,7 @@ pub struct KeyframeScan {
     pub num_pixels: usize,
     /// How many of them were not measured, but filled in between ([`super::fill_plain_regions`]).
     pub num_filled: usize,
-    pixels: Kept<Measurements>,
-}
-
-/// Measurements that are in memory as long as this is held.
-#[derive(Clone, Debug)]
-pub struct ScanPixels(Arc<Measurements>);
-
-impl Deref for ScanPixels {
-    type Target = [Measurement];
-
-    fn deref(&self) -> &[Measurement] {
-        &self.0.0
-    }
+    pixels: Kept<Vec<Measurement>>,
 }
 
 impl PartialEq for KeyframeScan {
@@ -103,6 +90,24 @@ impl KeyframeScan {
         Self::kept(id, camera, (pixels, num_filled), &Store::default())
     }
 
+    /// All known pixels of a depth image (z, NaN where unknown), at a constant relative uncertainty.
+    #[must_use]
+    pub fn from_depth_image(
+        id: KeyframeId,
+        depth: &GrayImage,
+        pinhole: Pinhole,
+        config: &MappingConfig,
+    ) -> Self {
+        let (width, relative_sigma) = (depth.width(), config.depth_image_sigma as f32);
+        let pixels = depth.as_slice().iter().enumerate();
+        let known = pixels.filter(|(_, z)| z.is_finite() && **z > 0.0);
+        let pixels = known.map(|(index, z)| {
+            measurement((index % width, index / width), 1.0 / z, relative_sigma / z)
+        });
+        let camera = KeyframeCamera::new(pinhole, (width, depth.height()));
+        Self::of_measurements(id, camera, pixels.collect(), 0)
+    }
+
     fn kept(
         id: KeyframeId,
         camera: KeyframeCamera,
@@ -114,7 +119,7 @@ impl KeyframeScan {
             camera,
             num_pixels: pixels.len(),
             num_filled,
-            pixels: store.keep(Measurements(pixels)),
+            pixels: store.keep(pixels),
         }
     }
 
@@ -125,11 +130,21 @@ impl KeyframeScan {
         Self::kept(self.id, self.camera, (pixels, 0), self.pixels.store())
     }
 
-    /// Its measurements, row-major, in units of the keyframe; none where they cannot be read back
+    /// Its measurements, row-major, in units of the keyframe, in memory as long as this is held; none where they cannot be read back
     /// ([`crate::Slam::spill_failure`]).
     #[must_use]
-    pub fn pixels(&self) -> ScanPixels {
-        ScanPixels(self.pixels.get().unwrap_or_default())
+    pub fn pixels(&self) -> Arc<Vec<Measurement>> {
+        self.pixels.get().unwrap_or_default()
+    }
+}
+
+/// A measurement of a pixel of the image.
+pub(super) fn measurement((x, y): (usize, usize), idepth: f32, sigma_idepth: f32) -> Measurement {
+    Measurement {
+        x: x as u16,
+        y: y as u16,
+        idepth,
+        sigma_idepth,
     }
 }
 
@@ -143,10 +158,15 @@ fn measured(
     if (id as usize) < config.skip_keyframes {
         return Vec::new();
     }
-    let support = Support::new(pixels, camera, config);
+    let support = (config.min_support > 1).then(|| Support::new(pixels, camera));
+    let is_supported = |pixel| {
+        support
+            .as_ref()
+            .is_none_or(|s: &Support| s.of(pixel) >= config.min_support)
+    };
     pixels
         .iter()
-        .filter(|pixel| is_precise(pixel, config) && support.is_sufficient(pixel))
+        .filter(|pixel| is_precise(pixel, config) && is_supported(pixel))
         .map(|pixel| Measurement {
             x: pixel.x,
             y: pixel.y,
@@ -217,21 +237,21 @@ impl Depths {
 /// [`Depths`] where there is room.
 #[derive(Clone, Debug)]
 pub(super) struct KeptDepths {
-    measured: Kept<Measurements>,
-    filled: Kept<Measurements>,
+    measured: Kept<Vec<Measurement>>,
+    filled: Kept<Vec<Measurement>>,
 }
 
 impl KeptDepths {
     pub fn new(store: &Store, depths: Depths) -> Self {
         Self {
-            measured: store.keep(Measurements(depths.measured)),
-            filled: store.keep(Measurements(depths.filled)),
+            measured: store.keep(depths.measured),
+            filled: store.keep(depths.filled),
         }
     }
 
     /// A copy of both.
     pub fn depths(&self) -> Depths {
-        let [measured, filled] = self.kinds().map(|kind| kind.0.clone());
+        let [measured, filled] = self.kinds().map(|kind| kind.to_vec());
         Depths { measured, filled }
     }
 
@@ -241,41 +261,13 @@ impl KeptDepths {
     }
 
     /// What was measured, and what was filled in; none where it cannot be read back.
-    pub fn kinds(&self) -> [Arc<Measurements>; 2] {
+    pub fn kinds(&self) -> [Arc<Vec<Measurement>>; 2] {
         [self.measured.get().unwrap_or_default(), self.filled()]
     }
 
     /// What was filled in.
-    pub fn filled(&self) -> Arc<Measurements> {
+    pub fn filled(&self) -> Arc<Vec<Measurement>> {
         self.filled.get().unwrap_or_default()
-    }
-}
-
-impl KeyframeScan {
-    /// All known pixels of a depth image (z, NaN where unknown), at a constant relative uncertainty.
-    #[must_use]
-    pub fn from_depth_image(
-        id: KeyframeId,
-        depth: &GrayImage,
-        pinhole: Pinhole,
-        config: &MappingConfig,
-    ) -> Self {
-        let relative_sigma = config.depth_image_sigma as f32;
-        let mut pixels = Vec::new();
-        for y in 0..depth.height() {
-            for (x, z) in depth.row(y).iter().enumerate() {
-                if z.is_finite() && *z > 0.0 {
-                    pixels.push(Measurement {
-                        x: x as u16,
-                        y: y as u16,
-                        idepth: 1.0 / z,
-                        sigma_idepth: relative_sigma / z,
-                    });
-                }
-            }
-        }
-        let camera = KeyframeCamera::new(pinhole, (depth.width(), depth.height()));
-        Self::of_measurements(id, camera, pixels, 0)
     }
 }
 
@@ -289,58 +281,40 @@ fn is_precise(pixel: &DepthPixel, config: &DepthFilterConfig) -> bool {
         && variance.sqrt() <= config.max_relative_sigma * idepth
 }
 
-/// Which measurements agree with their neighbours.
+/// How many of their neighbours measurements agree with.
 struct Support<'a> {
-    width: usize,
-    height: usize,
     /// Index into `pixels` plus 1 of each image pixel; 0 for none.
-    index: Vec<u32>,
+    index: Image<u32>,
     pixels: &'a [DepthPixel],
-    min_support: usize,
 }
 
 impl<'a> Support<'a> {
-    fn new(pixels: &'a [DepthPixel], camera: &KeyframeCamera, config: &DepthFilterConfig) -> Self {
-        let (width, height) = (camera.width, camera.height);
-        let mut this = Self {
-            width,
-            height,
-            index: Vec::new(),
-            pixels,
-            min_support: config.min_support,
-        };
-        if config.min_support > 1 {
-            this.index = vec![0; width * height];
-            for (i, pixel) in pixels.iter().enumerate() {
-                let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
-                if x < width && y < height {
-                    this.index[y * width + x] = i as u32 + 1;
-                }
+    fn new(pixels: &'a [DepthPixel], camera: &KeyframeCamera) -> Self {
+        let mut index = Image::filled(camera.width, camera.height, 0);
+        for (i, pixel) in pixels.iter().enumerate() {
+            let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
+            if x < camera.width && y < camera.height {
+                index.set(x, y, i as u32 + 1);
             }
         }
-        this
+        Self { index, pixels }
     }
 
-    /// Whether enough of the 3x3 pixels around agree within two standard deviations.
-    fn is_sufficient(&self, pixel: &DepthPixel) -> bool {
-        if self.min_support <= 1 {
-            return true;
-        }
+    /// How many of the 3x3 pixels around agree within two standard deviations.
+    fn of(&self, pixel: &DepthPixel) -> usize {
         let (x, y) = (usize::from(pixel.x), usize::from(pixel.y));
         let mut count = 0;
-        for ny in y.saturating_sub(1)..(y + 2).min(self.height) {
-            for nx in x.saturating_sub(1)..(x + 2).min(self.width) {
-                let Some(i) = self.index[ny * self.width + nx].checked_sub(1) else {
+        for ny in y.saturating_sub(1)..(y + 2).min(self.index.height()) {
+            for nx in x.saturating_sub(1)..(x + 2).min(self.index.width()) {
+                let Some(i) = self.index.at(nx, ny).checked_sub(1) else {
                     continue;
                 };
                 let other = &self.pixels[i as usize];
                 let gap = pixel.idepth - other.idepth;
-                if gap * gap <= 4.0 * (pixel.idepth_var + other.idepth_var) {
-                    count += 1;
-                }
+                count += usize::from(gap * gap <= 4.0 * (pixel.idepth_var + other.idepth_var));
             }
         }
-        count >= self.min_support
+        count
     }
 }
 

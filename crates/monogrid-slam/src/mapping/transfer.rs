@@ -3,6 +3,7 @@
 use super::KeyframeCamera;
 use super::scan::KeptDepths;
 use monogrid_geometry::{Pinhole, Sim3};
+use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, Vector3};
 
@@ -27,9 +28,12 @@ pub(super) struct Seen {
 
 impl Transfer {
     pub fn new(other_from_this: &Sim3, camera: &KeyframeCamera) -> Self {
-        let matrix = matrix(&camera.pinhole);
+        let Pinhole { fx, fy, cx, cy } = camera.pinhole;
+        let matrix = Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0);
+        let (x, y) = (1.0 / fx, 1.0 / fy);
+        let (back_x, back_y) = (-cx * x, -cy * y);
+        let inverse = Matrix3::new(x, 0.0, back_x, 0.0, y, back_y, 0.0, 0.0, 1.0);
         let rotation = other_from_this.rotation.to_rotation_matrix().into_inner();
-        let inverse = inverse_matrix(&camera.pinhole);
         Self {
             linear: (matrix * rotation * inverse * other_from_this.scale).cast(),
             shift: (matrix * other_from_this.translation).cast(),
@@ -65,71 +69,29 @@ impl Seen {
     }
 }
 
-fn matrix(pinhole: &Pinhole) -> Matrix3<f64> {
-    Matrix3::new(
-        pinhole.fx, 0.0, pinhole.cx, 0.0, pinhole.fy, pinhole.cy, 0.0, 0.0, 1.0,
-    )
+/// The inverse depth of a keyframe, pixel by pixel; 0 where there is none. Measured depth wins where there are both.
+pub(super) fn depth_image(depths: &KeptDepths, camera: &KeyframeCamera) -> Image<f32> {
+    let mut image = Image::filled(camera.width, camera.height, 0.0);
+    let [measured, filled] = depths.kinds();
+    show(&filled, &mut image);
+    show(&measured, &mut image);
+    image
 }
 
-fn inverse_matrix(pinhole: &Pinhole) -> Matrix3<f64> {
-    let (x, y) = (1.0 / pinhole.fx, 1.0 / pinhole.fy);
-    Matrix3::new(
-        x,
-        0.0,
-        -pinhole.cx * x,
-        0.0,
-        y,
-        -pinhole.cy * y,
-        0.0,
-        0.0,
-        1.0,
-    )
+/// Shows some depth beside what is shown.
+pub(super) fn show(pixels: &[Measurement], image: &mut Image<f32>) {
+    for pixel in pixels {
+        image.set(pixel.x.into(), pixel.y.into(), pixel.idepth);
+    }
 }
 
-/// The inverse depth of a keyframe, pixel by pixel.
-#[derive(Clone, Debug)]
-pub(super) struct DepthImage {
-    pub width: usize,
-    /// Row-major; 0 where there is none.
-    pub idepths: Vec<f32>,
-}
-
-impl DepthImage {
-    /// Without depth.
-    pub fn new(camera: &KeyframeCamera) -> Self {
-        Self {
-            width: camera.width,
-            idepths: vec![0.0; camera.width * camera.height],
-        }
-    }
-
-    /// Shows the depth of one keyframe alone; measured depth wins where there are both.
-    pub fn show(&mut self, depths: &KeptDepths) {
-        self.idepths.fill(0.0);
-        let [measured, filled] = depths.kinds();
-        self.add(&filled.0);
-        self.add(&measured.0);
-    }
-
-    /// Shows some depth beside what is shown.
-    pub fn add(&mut self, pixels: &[Measurement]) {
-        for pixel in pixels {
-            self.idepths[usize::from(pixel.y) * self.width + usize::from(pixel.x)] = pixel.idepth;
-        }
-    }
-
-    /// Depth at a pixel, 0 where there is none.
-    #[inline]
-    pub fn at(&self, x: usize, y: usize) -> f32 {
-        self.idepths[y * self.width + x]
-    }
-
-    /// The same; outside of the image there is none.
-    pub fn around(&self, x: i32, y: i32) -> f32 {
-        let is_inside = x >= 0 && y >= 0 && (x as usize) < self.width;
-        let index = || y as usize * self.width + x as usize;
-        let found = is_inside.then(|| self.idepths.get(index())).flatten();
-        found.copied().unwrap_or(0.0)
+/// The value of a pixel, which may be outside of the image.
+pub(super) fn at_or<T: Copy>(image: &Image<T>, x: i32, y: i32, outside: T) -> T {
+    let is_inside =
+        x >= 0 && y >= 0 && (x as usize) < image.width() && (y as usize) < image.height();
+    match is_inside {
+        true => image.at(x as usize, y as usize),
+        false => outside,
     }
 }
 

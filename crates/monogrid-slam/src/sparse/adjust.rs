@@ -39,11 +39,10 @@ pub(crate) fn adjust_window(map: &Map, pinhole: &Pinhole, config: &SparseConfig)
         return Adjustment::default();
     };
     let free = window(map, newest, config);
-    let settings = BundleConfig {
-        max_iterations: config.max_iterations,
-        ..bundle_settings(config)
-    };
-    adjust_these(map, newest.fragment, free, &lens, config, &settings)
+    let settings = bundle_settings(config.max_iterations, config);
+    adjust_by(map, newest.fragment, free, &lens, config, &|problem| {
+        adjust(&problem.bundle, &settings)
+    })
 }
 
 /// Adjusts all keyframes of a fragment and all points that they share; says which observations do not fit.
@@ -53,13 +52,15 @@ pub(crate) fn adjust_all(
     lens: &LeftLens,
     config: &SparseConfig,
 ) -> Adjustment {
-    let free = map.in_fragment(fragment).map(|keyframe| keyframe.id);
-    let settings = BundleConfig {
-        max_iterations: config.final_iterations,
-        min_relative_decrease: FINAL_DECREASE,
-        ..bundle_settings(config)
-    };
-    adjust_these(map, fragment, free.collect(), lens, config, &settings)
+    let settings = final_settings(config.final_iterations, config);
+    adjust_by(
+        map,
+        fragment,
+        all_of(map, fragment),
+        lens,
+        config,
+        &|problem| adjust(&problem.bundle, &settings),
+    )
 }
 
 /// The same to the places at which points were found and to the images where they are projected: from near the solution, since an
@@ -70,26 +71,30 @@ pub(crate) fn adjust_all_to_images(
     lens: &LeftLens,
     config: &SparseConfig,
 ) -> Adjustment {
-    let free = map.in_fragment(fragment).map(|keyframe| keyframe.id);
-    let settings = BundleConfig {
-        max_iterations: config.images.max_iterations,
-        min_relative_decrease: FINAL_DECREASE,
-        ..bundle_settings(config)
-    };
-    adjust_by(map, fragment, free.collect(), lens, config, &|problem| {
-        let identities = (problem.keyframes.as_slice(), problem.points.as_slice());
-        let looks = Looks::new(map, &problem.bundle, identities, &config.images);
-        adjust_to_images(&problem.bundle, &looks, &settings)
-    })
+    let settings = final_settings(config.images.max_iterations, config);
+    adjust_by(
+        map,
+        fragment,
+        all_of(map, fragment),
+        lens,
+        config,
+        &|problem| {
+            let identities = (problem.keyframes.as_slice(), problem.points.as_slice());
+            let looks = Looks::new(map, &problem.bundle, identities, &config.images);
+            adjust_to_images(&problem.bundle, &looks, &settings)
+        },
+    )
 }
 
-/// Share of the cost by which a step of the last adjustment must lower it: errors of large loops fall slowly.
-const FINAL_DECREASE: f64 = 1e-6;
+fn all_of(map: &Map, fragment: FragmentId) -> Vec<KeyframeId> {
+    map.in_fragment(fragment).map(|k| k.id).collect()
+}
 
 /// What all adjustments share. Most patches are found to a tenth of a pixel and some a pixel beside, where they overlap an edge
 /// of something nearer or are seen too flat: a nearly absolute error lets these say little.
-fn bundle_settings(config: &SparseConfig) -> BundleConfig {
+fn bundle_settings(max_iterations: usize, config: &SparseConfig) -> BundleConfig {
     BundleConfig {
+        max_iterations,
         kernel: RobustKernel::Huber {
             delta: config.kernel_px / config.sigma_px,
         },
@@ -98,21 +103,15 @@ fn bundle_settings(config: &SparseConfig) -> BundleConfig {
     }
 }
 
-/// Adjusts some keyframes of a fragment, given ascending, with the points that they see.
-fn adjust_these(
-    map: &Map,
-    fragment: FragmentId,
-    free: Vec<KeyframeId>,
-    lens: &LeftLens,
-    config: &SparseConfig,
-    settings: &BundleConfig,
-) -> Adjustment {
-    adjust_by(map, fragment, free, lens, config, &|problem| {
-        adjust(&problem.bundle, settings)
-    })
+/// The same at the end: errors of large loops fall slowly.
+fn final_settings(max_iterations: usize, config: &SparseConfig) -> BundleConfig {
+    BundleConfig {
+        min_relative_decrease: 1e-6,
+        ..bundle_settings(max_iterations, config)
+    }
 }
 
-/// The same by a way to solve it.
+/// Adjusts some keyframes of a fragment, given ascending, with the points that they see, by a way to solve it.
 fn adjust_by(
     map: &Map,
     fragment: FragmentId,
@@ -154,17 +153,13 @@ fn window(map: &Map, newest: &MapKeyframe, config: &SparseConfig) -> Vec<Keyfram
             *shared.entry(id).or_default() += 1;
         }
     }
-    let shared = shared.into_iter();
-    let many = shared.filter(|(_, count)| *count >= config.min_shared_points);
-    let mut covisible: Vec<(usize, KeyframeId)> = many.map(|(id, count)| (count, id)).collect();
+    shared.retain(|_, count| *count >= config.min_shared_points);
+    let mut covisible: Vec<(usize, KeyframeId)> =
+        shared.into_iter().map(|(id, count)| (count, id)).collect();
     covisible.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
+    covisible.truncate(config.window_covisible);
     let mut ids = recent.to_vec();
-    ids.extend(
-        covisible
-            .iter()
-            .take(config.window_covisible)
-            .map(|(_, id)| *id),
-    );
+    ids.extend(covisible.iter().map(|(_, id)| *id));
     ids.sort_unstable();
     ids
 }
@@ -190,18 +185,15 @@ impl Problem {
         let seen = seen.into_iter();
         let shared = seen.filter(|index| map.points()[*index].is_shared());
         let points: Vec<usize> = shared.collect();
-        let mut slots: BTreeMap<KeyframeId, usize> = free.iter().map(|id| (*id, 0)).collect();
-        for &i in &points {
-            let point = &map.points()[i];
-            slots.insert(point.host, 0);
-            slots.extend(point.observations.iter().map(|o| (o.keyframe, 0)));
+        let mut keyframes: BTreeSet<KeyframeId> = free.iter().copied().collect();
+        for point in points.iter().map(|index| &map.points()[*index]) {
+            keyframes.insert(point.host);
+            keyframes.extend(point.observations.iter().map(|o| o.keyframe));
         }
-        for (slot, value) in slots.values_mut().enumerate() {
-            *value = slot;
-        }
-        let keyframes: Vec<KeyframeId> = slots.keys().copied().collect();
+        let keyframes = Vec::from_iter(keyframes);
+        let slot_of = |id: KeyframeId| keyframes.partition_point(|other| *other < id);
         let mut bundle = BundleProblem {
-            pinhole: *lens.pinhole(),
+            pinhole: lens.pinhole,
             keyframes: freedoms(map, &keyframes, &is_free, gauge),
             points: Vec::with_capacity(points.len()),
             observations: Vec::new(),
@@ -209,7 +201,7 @@ impl Problem {
         for (slot, &i) in points.iter().enumerate() {
             let point = &map.points()[i];
             bundle.points.push(AnchoredPoint {
-                host: slots[&point.host],
+                host: slot_of(point.host),
                 pixel: lens.ideal(point.pixel),
                 inverse_depth: point.idepth,
                 prior: (gauge.is_metric && point.host == gauge.origin).then_some(
@@ -221,7 +213,7 @@ impl Problem {
             });
             for observation in &point.observations {
                 bundle.observations.push(Observation {
-                    keyframe: slots[&observation.keyframe],
+                    keyframe: slot_of(observation.keyframe),
                     point: slot,
                     pixel: lens.ideal(observation.pixel),
                     inv_sigma_px: 1.0 / config.sigma_px,
@@ -237,16 +229,14 @@ impl Problem {
 
     /// What a solution says about keyframes and points.
     fn adjustment(&self, solution: &BundleSolution) -> Adjustment {
+        let camera_from_world = solution.camera_from_world.iter().copied();
+        let idepths = solution.inverse_depths.iter().copied();
         let keyframes = self.keyframes.iter().copied();
         let points = self.points.iter().copied();
         let observations = self.bundle.observations.iter();
         Adjustment {
-            camera_from_world: keyframes
-                .zip(solution.camera_from_world.iter().copied())
-                .collect(),
-            idepths: points
-                .zip(solution.inverse_depths.iter().copied())
-                .collect(),
+            camera_from_world: keyframes.zip(camera_from_world).collect(),
+            idepths: points.zip(idepths).collect(),
             refuted: observations
                 .zip(&solution.observations)
                 .filter(|(_, outcome)| !outcome.is_inlier())

@@ -1,10 +1,9 @@
 //! Points looked for once more when all poses are known: in every keyframe that should see them.
 
 use super::SparseConfig;
-use super::matching::{PointSearch, SearchImage, Which, find_in_images};
+use super::matching::{PointSearch, Which, find_in_images};
 use crate::FragmentId;
 use crate::map::{Map, MapKeyframe, Observation};
-use monogrid_features::PatchSearchConfig;
 use monogrid_geometry::Pinhole;
 use monogrid_image::Pyramid;
 use rayon::prelude::*;
@@ -40,38 +39,18 @@ fn find_in_block(
         .par_iter()
         .filter_map(|keyframe| Some((*keyframe, keyframe.pyramid()?)))
         .collect();
-    let searches: Vec<(SearchImage, PointSearch)> = ready
+    let searches: Vec<PointSearch> = ready
         .iter()
-        .map(|(keyframe, pyramid)| search_in(keyframe, pyramid, config))
+        .map(|(keyframe, pyramid)| {
+            let which = Which::NotSeenBy(keyframe.id);
+            PointSearch::in_keyframe((keyframe, pyramid), which, config.final_radius_px, config)
+        })
         .collect();
     let found = find_in_images(map, &searches, pinhole, config);
-    let seen = found.into_iter().map(|found| {
-        let keyframe = ready[found.image].0.id;
-        let pixel = found.pixel;
-        (found.point, Observation { keyframe, pixel })
+    let found = ready.iter().zip(found).flat_map(|((seen_by, _), search)| {
+        let keyframe = seen_by.id;
+        let observation = move |(point, pixel)| (point, Observation { keyframe, pixel });
+        search.found.into_iter().map(observation)
     });
-    seen.collect()
-}
-
-/// How points are looked for in a keyframe.
-fn search_in<'a>(
-    keyframe: &MapKeyframe,
-    pyramid: &'a Pyramid,
-    config: &SparseConfig,
-) -> (SearchImage<'a>, PointSearch) {
-    let image = SearchImage {
-        pyramid,
-        fragment: keyframe.fragment,
-        camera_from_world: keyframe.camera_from_world,
-    };
-    let search = PointSearch {
-        patch: PatchSearchConfig {
-            radius_px: config.final_radius_px,
-            ..PatchSearchConfig::default()
-        },
-        which: Which::NotSeenBy(keyframe.id),
-        max_points: config.max_searched_points,
-        from_newest: false,
-    };
-    (image, search)
+    found.collect()
 }

@@ -6,7 +6,7 @@ use monogrid_geometry::{Pinhole, Vec2, Vec3};
 /// seen at `x (1 + radial |x|^2)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LeftLens {
-    pinhole: Pinhole,
+    pub pinhole: Pinhole,
     radial: f64,
 }
 
@@ -25,10 +25,6 @@ impl LeftLens {
             pinhole: *pinhole,
             radial,
         }
-    }
-
-    pub fn pinhole(&self) -> &Pinhole {
-        &self.pinhole
     }
 
     /// Where the pinhole sees what is seen at a pixel.

@@ -8,10 +8,12 @@ use monogrid_features::{PatchSearchConfig, find_patch, patch_warp};
 use monogrid_geometry::{Pinhole, Se3, Vec2, Vec3};
 use monogrid_image::Pyramid;
 use rayon::prelude::*;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Points that were looked for in a new keyframe.
+/// Points that were looked for in an image.
+#[derive(Default)]
 pub(crate) struct Search {
     pub num_searched: usize,
     /// Index of the point and where it was found.
@@ -40,16 +42,6 @@ fn is_inside(pixel: &Vec2, size: (f64, f64)) -> bool {
         && pixel.y < size.1 - BORDER_PX
 }
 
-/// An image in which points are looked for, and about where it was taken.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct SearchImage<'a> {
-    pub pyramid: &'a Pyramid,
-    /// Only points of this fragment are looked for.
-    pub fragment: FragmentId,
-    /// Translation in world units.
-    pub camera_from_world: Se3,
-}
-
 /// Points of a fragment that are looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Which {
@@ -60,9 +52,14 @@ pub(crate) enum Which {
     NotSeenBy(KeyframeId),
 }
 
-/// How points are looked for.
+/// An image in which points are looked for, about where it was taken, and how they are looked for.
 #[derive(Clone, Debug)]
-pub(crate) struct PointSearch {
+pub(crate) struct PointSearch<'a> {
+    pub pyramid: &'a Pyramid,
+    /// Only points of this fragment are looked for.
+    pub fragment: FragmentId,
+    /// Translation in world units.
+    pub camera_from_world: Se3,
     pub patch: PatchSearchConfig,
     /// Which points of the fragment are looked for.
     pub which: Which,
@@ -73,77 +70,91 @@ pub(crate) struct PointSearch {
     pub from_newest: bool,
 }
 
+impl<'a> PointSearch<'a> {
+    /// In a keyframe, within a radius of where points are predicted.
+    pub(super) fn in_keyframe(
+        (keyframe, pyramid): (&MapKeyframe, &'a Pyramid),
+        which: Which,
+        radius_px: f64,
+        config: &SparseConfig,
+    ) -> Self {
+        Self {
+            pyramid,
+            fragment: keyframe.fragment,
+            camera_from_world: keyframe.camera_from_world,
+            patch: patch_search(radius_px),
+            which,
+            max_points: config.max_searched_points,
+            from_newest: false,
+        }
+    }
+}
+
+fn patch_search(radius_px: f64) -> PatchSearchConfig {
+    PatchSearchConfig {
+        radius_px,
+        ..PatchSearchConfig::default()
+    }
+}
+
 /// Looks for the points of its fragment in the newest keyframe.
 pub(super) fn find_in_newest(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> Search {
     let newest = map.newest();
     let Some((newest, pyramid)) = newest.and_then(|k| Some((k, k.pyramid()?))) else {
-        return Search {
-            num_searched: 0,
-            found: Vec::new(),
-        };
+        return Search::default();
     };
-    let image = SearchImage {
-        pyramid: &pyramid,
-        fragment: newest.fragment,
-        camera_from_world: newest.camera_from_world,
-    };
-    let search = PointSearch {
-        patch: search_config(config),
-        which: Which::All,
-        max_points: config.max_searched_points,
-        from_newest: false,
-    };
-    find_in_image(map, &image, &search, pinhole, config)
+    let radius_px = config.search_radius_px;
+    let search = PointSearch::in_keyframe((newest, &pyramid), Which::All, radius_px, config);
+    find_in_image(map, &search, pinhole, config)
 }
 
 /// Projects the points of a fragment into an image, spreads the visible ones over it, and looks for their
 /// patches.
 pub(crate) fn find_in_image(
     map: &Map,
-    image: &SearchImage<'_>,
     search: &PointSearch,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Search {
-    let chosen = chosen_in(map, image, search, pinhole, config);
-    let wanted = wanted_in(map, (0, &chosen), search, pinhole);
-    let found = find_wanted(&wanted, &[(image, search)], pinhole);
-    Search {
-        num_searched: chosen.len(),
-        found: found
-            .iter()
-            .map(|found| (found.point, found.pixel))
-            .collect(),
-    }
+    let found = find_in_images(map, std::slice::from_ref(search), pinhole, config);
+    found.into_iter().next().unwrap_or_default()
 }
 
 /// The same in several images, one after the other. What keyframes show is made ready once for all images, not once for each.
 pub(super) fn find_in_images(
     map: &Map,
-    searches: &[(SearchImage<'_>, PointSearch)],
+    searches: &[PointSearch],
     pinhole: &Pinhole,
     config: &SparseConfig,
-) -> Vec<Found> {
-    let images: Vec<ImageSearch> = searches.iter().map(|(image, how)| (image, how)).collect();
-    let wanted_in = |(index, (image, search)): (usize, &ImageSearch)| {
-        let chosen = chosen_in(map, image, search, pinhole, config);
-        wanted_in(map, (index, &chosen), search, pinhole)
-    };
-    let wanted: Vec<Wanted> = images.iter().enumerate().flat_map(wanted_in).collect();
-    find_wanted(&wanted, &images, pinhole)
-}
-
-/// An image, and how points are looked for in it.
-type ImageSearch<'a> = (&'a SearchImage<'a>, &'a PointSearch);
-
-/// A point that was found.
-pub(super) struct Found {
-    /// Index of the image that shows it.
-    pub image: usize,
-    /// Index of the point.
-    pub point: usize,
-    /// Where it is there.
-    pub pixel: Vec2,
+) -> Vec<Search> {
+    let (mut results, mut all_wanted) = (Vec::new(), Vec::new());
+    for search in searches {
+        let chosen = spread(
+            &visible_in(map, search, pinhole, config),
+            map,
+            search,
+            config,
+        );
+        all_wanted.extend(chosen.iter().filter_map(|&(point, predicted)| {
+            let source = patch_source(map, &map.points()[point], search.from_newest, pinhole)?;
+            Some(Wanted {
+                image: results.len(),
+                point,
+                predicted,
+                source,
+            })
+        }));
+        results.push(Search {
+            num_searched: chosen.len(),
+            found: Vec::new(),
+        });
+    }
+    let pixels = find_wanted(&all_wanted, searches, pinhole);
+    for (wanted, pixel) in all_wanted.iter().zip(pixels) {
+        let found = pixel.map(|pixel| (wanted.point, pixel));
+        results[wanted.image].found.extend(found);
+    }
+    results
 }
 
 /// A point that is looked for.
@@ -155,48 +166,21 @@ struct Wanted<'a> {
     source: PatchSource<'a>,
 }
 
-/// The points of its fragment that an image should show, spread over it, and where.
-fn chosen_in(
-    map: &Map,
-    image: &SearchImage<'_>,
-    search: &PointSearch,
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Vec<(usize, Vec2)> {
-    let visible = visible_in(map, image, search.which, pinhole, config);
-    let size = size_of(image.pyramid);
-    spread(&visible, map.points(), size, search.max_points, config)
-}
-
-/// Those of the points chosen in an image that a keyframe shows.
-fn wanted_in<'a>(
-    map: &'a Map,
-    (image, chosen): (usize, &[(usize, Vec2)]),
-    search: &PointSearch,
-    pinhole: &Pinhole,
-) -> Vec<Wanted<'a>> {
-    let wanted = |&(point, predicted): &(usize, Vec2)| {
-        Some(Wanted {
-            image,
-            point,
-            predicted,
-            source: patch_source(map, &map.points()[point], search.from_newest, pinhole)?,
-        })
-    };
-    chosen.iter().filter_map(wanted).collect()
-}
-
 /// Keyframes of which patches are taken at the same time: as many pyramids are in memory.
 const MAX_SOURCES: usize = 8;
 
-/// Those of the points that are found, in their order.
-fn find_wanted(wanted: &[Wanted<'_>], images: &[ImageSearch<'_>], pinhole: &Pinhole) -> Vec<Found> {
+/// Where each of the points is found.
+fn find_wanted(
+    wanted: &[Wanted],
+    searches: &[PointSearch],
+    pinhole: &Pinhole,
+) -> Vec<Option<Vec2>> {
     let sources: BTreeMap<KeyframeId, &MapKeyframe> = wanted
         .iter()
         .map(|wanted| (wanted.source.keyframe.id, wanted.source.keyframe))
         .collect();
     let sources: Vec<&MapKeyframe> = sources.into_values().collect();
-    let mut found: Vec<Option<Found>> = wanted.iter().map(|_| None).collect();
+    let mut found: Vec<Option<Vec2>> = vec![None; wanted.len()];
     for some in sources.chunks(MAX_SOURCES) {
         let pyramids: BTreeMap<KeyframeId, Arc<Pyramid>> = some
             .par_iter()
@@ -204,38 +188,19 @@ fn find_wanted(wanted: &[Wanted<'_>], images: &[ImageSearch<'_>], pinhole: &Pinh
             .collect();
         let wanted = wanted.par_iter().zip(found.par_iter_mut());
         wanted.for_each(|(wanted, found)| {
-            if let Some(pyramid) = pyramids.get(&wanted.source.keyframe.id) {
-                *found = find_one(wanted, pyramid, images[wanted.image], pinhole);
+            let source = wanted.source.keyframe;
+            if let Some(pyramid) = pyramids.get(&source.id) {
+                let image = &searches[wanted.image];
+                let image_from_source =
+                    image.camera_from_world * source.camera_from_world.inverse();
+                let image = (image.pyramid, &wanted.predicted, &image.patch);
+                *found = wanted
+                    .source
+                    .find_in(image, &image_from_source, pyramid, pinhole);
             }
         });
     }
-    found.into_iter().flatten().collect()
-}
-
-/// Where an image shows a point that looks as it does in a keyframe with this pyramid.
-fn find_one(
-    wanted: &Wanted<'_>,
-    pyramid: &Pyramid,
-    (image, search): ImageSearch<'_>,
-    pinhole: &Pinhole,
-) -> Option<Found> {
-    let source = &wanted.source;
-    let image_from_source = image.camera_from_world * source.keyframe.camera_from_world.inverse();
-    let warp = patch_warp(pinhole, &source.pixel, source.idepth, &image_from_source)?;
-    // the search wants offsets in the reference from offsets in the current image
-    let outcome = find_patch(
-        pyramid,
-        &source.pixel,
-        &warp,
-        image.pyramid,
-        &wanted.predicted,
-        &search.patch,
-    );
-    outcome.pixel().map(|pixel| Found {
-        image: wanted.image,
-        point: wanted.point,
-        pixel,
-    })
+    found
 }
 
 /// Where the patch of a point is taken from.
@@ -244,6 +209,21 @@ struct PatchSource<'a> {
     pixel: Vec2,
     /// 1 / world units, in that keyframe.
     idepth: f64,
+}
+
+impl PatchSource<'_> {
+    /// Where an image shows it, around where it is predicted; `pyramid` is that of its keyframe.
+    fn find_in(
+        &self,
+        (image, predicted, config): (&Pyramid, &Vec2, &PatchSearchConfig),
+        image_from_source: &Se3,
+        pyramid: &Pyramid,
+        pinhole: &Pinhole,
+    ) -> Option<Vec2> {
+        let warp = patch_warp(pinhole, &self.pixel, self.idepth, image_from_source)?;
+        // the search wants offsets in the reference from offsets in the current image
+        find_patch(pyramid, &self.pixel, &warp, image, predicted, config).pixel()
+    }
 }
 
 /// The anchor of a point, or the newest keyframe that sees it.
@@ -272,18 +252,10 @@ fn patch_source<'a>(
     }
 }
 
-fn search_config(config: &SparseConfig) -> PatchSearchConfig {
-    PatchSearchConfig {
-        radius_px: config.search_radius_px,
-        ..PatchSearchConfig::default()
-    }
-}
-
 /// The points of its fragment that an image should show, and where.
 fn visible_in(
     map: &Map,
-    image: &SearchImage<'_>,
-    which: Which,
+    image: &PointSearch,
     pinhole: &Pinhole,
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
@@ -295,24 +267,20 @@ fn visible_in(
         max_ratio: config.max_distance_ratio,
         min_cosine: config.max_view_angle_deg.to_radians().cos(),
     };
-    let is_wanted = |point: &SparsePoint| match which {
-        Which::NotSeenBy(keyframe) => point.pixel_in(keyframe).is_none(),
-        Which::All | Which::SeenBy(_) => true,
-    };
     let predicted = |index: usize, world_from_host: &Se3| {
         let point = &map.points()[index];
-        let pixel = (point.alive && is_wanted(point))
-            .then(|| view.predict(point, world_from_host))
-            .flatten();
-        pixel.map(|pixel| (index, pixel))
+        let is_seen = |keyframe| point.pixel_in(keyframe).is_some();
+        if !point.alive || matches!(image.which, Which::NotSeenBy(id) if is_seen(id)) {
+            return None;
+        }
+        Some((index, view.predict(point, world_from_host)?))
     };
-    if let Which::SeenBy(keyframe) = which {
-        let seen = map[keyframe].points.all();
+    if let Which::SeenBy(keyframe) = image.which {
         let world_from_host =
             |index: usize| map[map.points()[index].host].camera_from_world.inverse();
-        return seen
-            .filter_map(|index| predicted(index, &world_from_host(index)))
-            .collect();
+        let seen = map[keyframe].points.all();
+        let seen = seen.filter_map(|index| predicted(index, &world_from_host(index)));
+        return seen.collect();
     }
     let hosts = map.in_fragment(image.fragment);
     hosts
@@ -360,15 +328,14 @@ impl PointView<'_> {
     }
 }
 
-/// At most `max_points`, taken round robin from square cells, the best observed ones first.
+/// As many points as are looked for at most, taken round robin from square cells, the best observed ones first.
 fn spread(
     visible: &[(usize, Vec2)],
-    points: &[SparsePoint],
-    size: (f64, f64),
-    max_points: usize,
+    map: &Map,
+    search: &PointSearch,
     config: &SparseConfig,
 ) -> Vec<(usize, Vec2)> {
-    let cell = config.cell_px as f64;
+    let (cell, size) = (config.cell_px as f64, size_of(search.pyramid));
     let columns = (size.0 / cell).ceil() as usize;
     let rows = (size.1 / cell).ceil() as usize;
     let mut cells: Vec<Vec<(usize, Vec2)>> = vec![Vec::new(); columns * rows];
@@ -376,16 +343,13 @@ fn spread(
         cells[(pixel.y / cell) as usize * columns + (pixel.x / cell) as usize].push((i, pixel));
     }
     for list in &mut cells {
-        list.sort_by_key(|(i, _)| {
-            let seen = points[*i].observations.len();
-            (std::cmp::Reverse(seen), *i)
-        });
+        list.sort_by_key(|(i, _)| (Reverse(map.points()[*i].observations.len()), *i));
     }
     let deepest = cells.iter().map(Vec::len).max().unwrap_or(0);
     let mut chosen = Vec::new();
     for depth in 0..deepest {
         for list in &cells {
-            if chosen.len() >= max_points {
+            if chosen.len() >= search.max_points {
                 return chosen;
             }
             chosen.extend(list.get(depth));
@@ -401,12 +365,11 @@ const LOOKUP_RADIUS: i32 = 2;
 pub(super) fn dense_idepth(depth: &DepthMap, pixel: &Vec2) -> Option<(f64, f64)> {
     let host = depth.host();
     let (cx, cy) = (pixel.x.round() as i32, pixel.y.round() as i32);
+    let around =
+        |c: i32, size: usize| (c - LOOKUP_RADIUS).max(0)..(c + LOOKUP_RADIUS + 1).min(size as i32);
     let mut known: Vec<(f32, f32)> = Vec::new();
-    for y in cy - LOOKUP_RADIUS..=cy + LOOKUP_RADIUS {
-        for x in cx - LOOKUP_RADIUS..=cx + LOOKUP_RADIUS {
-            if x < 0 || y < 0 || x >= host.width() as i32 || y >= host.height() as i32 {
-                continue;
-            }
+    for y in around(cy, host.height()) {
+        for x in around(cx, host.width()) {
             if let Some(pixel) = depth.at(x as usize, y as usize) {
                 known.push((pixel.idepth, pixel.idepth_var));
             }
@@ -442,7 +405,7 @@ pub(super) fn find_in_older(
     let Some(newest) = with_pyramid(newest) else {
         return vec![Vec::new(); points.len()];
     };
-    let search = search_config(config);
+    let search = patch_search(config.search_radius_px);
     points
         .par_iter()
         .map(|point| {
@@ -473,14 +436,11 @@ fn find_in_one(
     if !is_inside(&predicted, size_of(newest_pyramid)) {
         return None;
     }
-    let warp = patch_warp(pinhole, &point.pixel, point.idepth, &older_from_newest)?;
-    let outcome = find_patch(
-        newest_pyramid,
-        &point.pixel,
-        &warp,
-        older_pyramid,
-        &predicted,
-        search,
-    );
-    outcome.pixel()
+    let source = PatchSource {
+        keyframe: newest,
+        pixel: point.pixel,
+        idepth: point.idepth,
+    };
+    let older = (&**older_pyramid, &predicted, search);
+    source.find_in(older, &older_from_newest, newest_pyramid, pinhole)
 }

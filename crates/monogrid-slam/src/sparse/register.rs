@@ -14,10 +14,17 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> R
     if num_found < config.min_pose_points {
         return registration;
     }
-    let (Some(newest), matches) = (map.newest(), matches(map, &search.found, pinhole, config))
-    else {
+    let Some(newest) = map.newest() else {
         return registration;
     };
+    let found = search.found.iter();
+    let matches: Vec<MapMatch> = found
+        .map(|(point, pixel)| MapMatch {
+            point_in_world: position(map, &map.points()[*point], pinhole),
+            pixel: *pixel,
+            inv_sigma_px: 1.0 / config.pose_sigma_px,
+        })
+        .collect();
     let initial = &newest.camera_from_world;
     let Ok(refined) = refine_pose(initial, pinhole, &matches, &PoseOnlyConfig::default()) else {
         return registration;
@@ -29,20 +36,4 @@ pub(crate) fn register(map: &Map, pinhole: &Pinhole, config: &SparseConfig) -> R
         registration.inliers = inliers;
     }
     registration
-}
-
-fn matches(
-    map: &Map,
-    found: &[(usize, Vec2)],
-    pinhole: &Pinhole,
-    config: &SparseConfig,
-) -> Vec<MapMatch> {
-    found
-        .iter()
-        .map(|(point, pixel)| MapMatch {
-            point_in_world: position(map, &map.points()[*point], pinhole),
-            pixel: *pixel,
-            inv_sigma_px: 1.0 / config.pose_sigma_px,
-        })
-        .collect()
 }

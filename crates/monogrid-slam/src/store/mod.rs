@@ -17,10 +17,7 @@ mod shelves;
 mod tests;
 
 use self::packed::pack_any;
-pub(crate) use self::packed::{
-    Keepable, KeptDense, KeptImage, Measured, Measurements, StoredCorners,
-};
-
+pub(crate) use self::packed::{Keepable, Measured};
 use self::shelves::Shelves;
 pub(crate) use self::shelves::StoreBytes;
 use crate::config::MemoryConfig;
@@ -91,7 +88,7 @@ impl Store {
 
     /// What went wrong with the file first, if anything did.
     pub(crate) fn failure(&self) -> Option<String> {
-        self.shelves().failure()
+        self.shelves().failure.clone()
     }
 
     fn kept<T>(&self, number: u64, origin: Origin<T>) -> Kept<T> {
@@ -138,18 +135,12 @@ impl<T: Measured> Kept<T> {
             }
             Origin::Derived(make) => make()?,
         };
-        Some(ticket.put_back(value))
-    }
-}
-
-impl<T: Measured> Ticket<T> {
-    /// Makes a value that had left part of what is in memory.
-    fn put_back(&self, value: T) -> Arc<T> {
-        let bytes = value.bytes();
-        let value = Arc::new(value);
+        let (bytes, value) = (value.bytes(), Arc::new(value));
         let shelved: Arc<dyn Any + Send + Sync> = Arc::clone(&value) as _;
-        self.store.shelves().put_back(self.number, shelved, bytes);
-        value
+        // it has left memory, of which it is a part again
+        let mut shelves = ticket.store.shelves();
+        shelves.put_back(ticket.number, shelved, bytes);
+        Some(value)
     }
 }
 

@@ -2,10 +2,9 @@
 
 use super::Kept;
 use crate::DepthPixel;
-use monogrid_alignment::DepthSample;
 use monogrid_depth::{DenseDepth, PackedDepth};
 use monogrid_features::{KeptCorners, PlaceCorners};
-use monogrid_image::{GrayImage, Image, Pyramid, to_gray8};
+use monogrid_image::{Image, Pyramid};
 use monogrid_occupancy::DepthPixel as Measurement;
 use std::any::Any;
 use std::sync::Arc;
@@ -30,72 +29,86 @@ pub(super) fn pack_any<T: Keepable>(value: &(dyn Any + Send + Sync)) -> Option<V
     Some(value.downcast_ref::<T>()?.pack())
 }
 
-/// Column and row of a pixel, and two numbers.
-type Pixel = (u16, u16, f32, f32);
+/// A pixel as it is written: column, row and two numbers.
+type Packed = (u16, u16, f32, f32);
 
 /// Bytes of a pixel.
 const PIXEL: usize = 12;
 
-fn pack_pixels<T: Copy>(pixels: &[T], of: impl Fn(T) -> Pixel) -> Vec<u8> {
-    let mut bytes = vec![0; PIXEL * pixels.len()];
-    for (to, pixel) in bytes.as_chunks_mut::<PIXEL>().0.iter_mut().zip(pixels) {
-        let (x, y, first, second) = of(*pixel);
-        to[..2].copy_from_slice(&x.to_le_bytes());
-        to[2..4].copy_from_slice(&y.to_le_bytes());
-        to[4..8].copy_from_slice(&first.to_le_bytes());
-        to[8..].copy_from_slice(&second.to_le_bytes());
-    }
-    bytes
+/// A pixel of which many are kept together, row-major.
+pub(crate) trait Pixel: Copy + Send + Sync + 'static {
+    fn packed(self) -> Packed;
+
+    fn unpacked(packed: Packed) -> Self;
 }
 
-fn unpack_pixels<T>(bytes: &[u8], to: impl Fn(Pixel) -> T) -> Option<Vec<T>> {
-    let (pixels, rest) = bytes.as_chunks::<PIXEL>();
-    let pixel = |[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; PIXEL]| {
-        to((
-            u16::from_le_bytes([*a, *b]),
-            u16::from_le_bytes([*c, *d]),
-            f32::from_le_bytes([*e, *f, *g, *h]),
-            f32::from_le_bytes([*i, *j, *k, *l]),
-        ))
-    };
-    rest.is_empty().then(|| pixels.iter().map(pixel).collect())
-}
-
-/// Measurements of a keyframe, row-major.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Measurements(pub Vec<Measurement>);
-
-impl Keepable for Measurements {
+impl<T: Pixel> Keepable for Vec<T> {
     fn pack(&self) -> Vec<u8> {
-        pack_pixels(&self.0, |p| (p.x, p.y, p.idepth, p.sigma_idepth))
+        let mut bytes = vec![0; PIXEL * self.len()];
+        for (to, pixel) in bytes.as_chunks_mut::<PIXEL>().0.iter_mut().zip(self) {
+            let (x, y, first, second) = pixel.packed();
+            to[..2].copy_from_slice(&x.to_le_bytes());
+            to[2..4].copy_from_slice(&y.to_le_bytes());
+            to[4..8].copy_from_slice(&first.to_le_bytes());
+            to[8..].copy_from_slice(&second.to_le_bytes());
+        }
+        bytes
     }
 
     fn unpack(bytes: &[u8]) -> Option<Self> {
-        let measurement = |(x, y, idepth, sigma_idepth)| Measurement {
+        let (pixels, rest) = bytes.as_chunks::<PIXEL>();
+        let pixel = |[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; PIXEL]| {
+            T::unpacked((
+                u16::from_le_bytes([*a, *b]),
+                u16::from_le_bytes([*c, *d]),
+                f32::from_le_bytes([*e, *f, *g, *h]),
+                f32::from_le_bytes([*i, *j, *k, *l]),
+            ))
+        };
+        rest.is_empty().then(|| pixels.iter().map(pixel).collect())
+    }
+}
+
+impl<T: Pixel> Measured for Vec<T> {
+    fn bytes(&self) -> usize {
+        self.capacity() * size_of::<T>()
+    }
+}
+
+impl Pixel for Measurement {
+    fn packed(self) -> Packed {
+        (self.x, self.y, self.idepth, self.sigma_idepth)
+    }
+
+    fn unpacked((x, y, idepth, sigma_idepth): Packed) -> Self {
+        Self {
             x,
             y,
             idepth,
             sigma_idepth,
-        };
-        unpack_pixels(bytes, measurement).map(Self)
+        }
     }
 }
 
-impl Measured for Measurements {
-    fn bytes(&self) -> usize {
-        self.0.capacity() * size_of::<Measurement>()
+impl Pixel for DepthPixel {
+    fn packed(self) -> Packed {
+        (self.x, self.y, self.idepth, self.idepth_var)
+    }
+
+    fn unpacked((x, y, idepth, idepth_var): Packed) -> Self {
+        Self {
+            x,
+            y,
+            idepth,
+            idepth_var,
+        }
     }
 }
 
-/// Dense depth of a keyframe.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct KeptDense(pub DenseDepth);
-
-impl Keepable for KeptDense {
+impl Keepable for DenseDepth {
     fn pack(&self) -> Vec<u8> {
-        let DenseDepth { idepth, sigma } = &self.0;
-        let width = idepth.width() as u64;
-        let values = idepth.as_slice().iter().chain(sigma.as_slice());
+        let width = self.idepth.width() as u64;
+        let values = self.idepth.as_slice().iter().chain(self.sigma.as_slice());
         let values = values.flat_map(|value| value.to_le_bytes());
         width.to_le_bytes().into_iter().chain(values).collect()
     }
@@ -107,95 +120,56 @@ impl Keepable for KeptDense {
         let mut idepth: Vec<f32> = values.map(|bytes| f32::from_le_bytes(*bytes)).collect();
         let sigma = idepth.split_off(idepth.len() / 2);
         let height = sigma.len().checked_div(width)?;
-        Some(Self(DenseDepth {
+        Some(Self {
             idepth: Image::from_vec(width, height, idepth)?,
             sigma: Image::from_vec(width, height, sigma)?,
-        }))
+        })
     }
 }
 
-impl Measured for KeptDense {
+impl Measured for DenseDepth {
     fn bytes(&self) -> usize {
-        2 * size_of_val(self.0.idepth.as_slice())
+        2 * size_of_val(self.idepth.as_slice())
     }
 }
 
-/// Corners by which a place is verified.
-#[derive(Clone, Debug)]
-pub(crate) struct StoredCorners(pub Arc<PlaceCorners>);
-
-impl Keepable for StoredCorners {
+impl Keepable for PlaceCorners {
     fn pack(&self) -> Vec<u8> {
-        self.0.to_bytes()
+        self.to_bytes()
     }
 
     fn unpack(bytes: &[u8]) -> Option<Self> {
-        Some(Self(Arc::new(PlaceCorners::from_bytes(bytes)?)))
+        Self::from_bytes(bytes)
     }
 }
 
-impl Measured for StoredCorners {
+impl Measured for PlaceCorners {
     fn bytes(&self) -> usize {
-        self.0.bytes()
+        Self::bytes(self)
     }
 }
 
-impl KeptCorners for Kept<StoredCorners> {
+impl KeptCorners for Kept<PlaceCorners> {
     fn get(&self) -> Option<Arc<PlaceCorners>> {
-        Some(Arc::clone(&Self::get(self)?.0))
+        Self::get(self)
     }
 }
 
-/// An image in eight bits.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct KeptImage {
-    width: usize,
-    height: usize,
-    /// Row-major.
-    values: Vec<u8>,
-}
-
-impl KeptImage {
-    /// An image whose values lie between 0 and 255, rounded.
-    pub(crate) fn rounded(image: &GrayImage) -> Self {
-        let values = image.as_slice().iter();
-        Self {
-            width: image.width(),
-            height: image.height(),
-            values: values.map(|value| to_gray8(*value)).collect(),
-        }
-    }
-
-    /// The image again.
-    pub(crate) fn image(&self) -> Option<Image<u8>> {
-        Image::from_vec(self.width, self.height, self.values.clone())
-    }
-
-    /// The image in numbers.
-    pub(crate) fn grey(&self) -> Option<GrayImage> {
-        GrayImage::from_gray8(self.width, self.height, &self.values)
-    }
-}
-
-impl Keepable for KeptImage {
+impl Keepable for Image<u8> {
     fn pack(&self) -> Vec<u8> {
-        [&(self.width as u64).to_le_bytes(), self.values.as_slice()].concat()
+        [&(self.width() as u64).to_le_bytes(), self.as_slice()].concat()
     }
 
     fn unpack(bytes: &[u8]) -> Option<Self> {
         let (width, values) = bytes.split_first_chunk()?;
         let width = u64::from_le_bytes(*width) as usize;
-        Some(Self {
-            width,
-            height: values.len().checked_div(width)?,
-            values: values.to_vec(),
-        })
+        Self::from_vec(width, values.len().checked_div(width)?, values.to_vec())
     }
 }
 
-impl Measured for KeptImage {
+impl Measured for Image<u8> {
     fn bytes(&self) -> usize {
-        self.values.capacity()
+        self.as_slice().len()
     }
 }
 
@@ -219,49 +193,5 @@ impl Keepable for PackedDepth {
 
     fn unpack(bytes: &[u8]) -> Option<Self> {
         postcard::from_bytes(bytes).ok()
-    }
-}
-
-impl Measured for Vec<DepthSample> {
-    fn bytes(&self) -> usize {
-        self.capacity() * size_of::<DepthSample>()
-    }
-}
-
-impl Measured for Vec<DepthPixel> {
-    fn bytes(&self) -> usize {
-        self.capacity() * size_of::<DepthPixel>()
-    }
-}
-
-impl Keepable for Vec<DepthSample> {
-    fn pack(&self) -> Vec<u8> {
-        pack_pixels(self, |p| (p.x, p.y, p.idepth, p.idepth_var))
-    }
-
-    fn unpack(bytes: &[u8]) -> Option<Self> {
-        let sample = |(x, y, idepth, idepth_var)| DepthSample {
-            x,
-            y,
-            idepth,
-            idepth_var,
-        };
-        unpack_pixels(bytes, sample)
-    }
-}
-
-impl Keepable for Vec<DepthPixel> {
-    fn pack(&self) -> Vec<u8> {
-        pack_pixels(self, |p| (p.x, p.y, p.idepth, p.idepth_var))
-    }
-
-    fn unpack(bytes: &[u8]) -> Option<Self> {
-        let pixel = |(x, y, idepth, idepth_var)| DepthPixel {
-            x,
-            y,
-            idepth,
-            idepth_var,
-        };
-        unpack_pixels(bytes, pixel)
     }
 }

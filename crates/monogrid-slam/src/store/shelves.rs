@@ -62,7 +62,8 @@ pub(super) struct Shelves {
     num_made: u64,
     num_uses: u64,
     scratch: Option<Scratch>,
-    failure: Option<String>,
+    /// What went wrong with the file first.
+    pub(super) failure: Option<String>,
 }
 
 const MEGABYTE: f64 = 1e6;
@@ -85,10 +86,6 @@ impl Shelves {
             derived: self.derived.bytes,
             file: self.scratch.as_ref().map_or(0, Scratch::bytes) as usize,
         }
-    }
-
-    pub(super) fn failure(&self) -> Option<String> {
-        self.failure.clone()
     }
 
     /// Takes a value; its number.

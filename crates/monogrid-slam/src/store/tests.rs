@@ -3,7 +3,7 @@
 use super::*;
 use crate::DepthPixel;
 use monogrid_depth::DenseDepth;
-use monogrid_image::GrayImage;
+use monogrid_image::{GrayImage, Image, to_gray8};
 use std::io::{Seek, SeekFrom, Write};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -56,18 +56,17 @@ fn what_was_not_used_for_longest_leaves_and_comes_back_the_same() {
 #[test]
 fn images_and_dense_depth_come_back_the_same_from_their_bytes() {
     let grey = GrayImage::from_fn(7, 5, |x, y| (x * 31 + y * 7) as f32 + 0.4);
-    let image = KeptImage::rounded(&grey);
-    assert_eq!(KeptImage::unpack(&image.pack()).unwrap(), image);
-    assert_eq!(image.grey().unwrap(), grey.map(|value| value - 0.4));
+    let image = grey.map(to_gray8);
+    assert_eq!(Image::unpack(&image.pack()).unwrap(), image);
     let depth = |factor: f32| GrayImage::from_fn(4, 3, |x, y| factor * (x + 4 * y) as f32);
-    let dense = KeptDense(DenseDepth {
+    let dense = DenseDepth {
         idepth: depth(0.3),
         sigma: depth(0.01),
-    });
+    };
     let bytes = dense.pack();
-    assert_eq!(KeptDense::unpack(&bytes).unwrap(), dense);
+    assert_eq!(DenseDepth::unpack(&bytes).unwrap(), dense);
     // what is cut off is no value
-    assert!(KeptDense::unpack(&bytes[..bytes.len() - 8]).is_none());
+    assert!(DenseDepth::unpack(&bytes[..bytes.len() - 8]).is_none());
     assert!(Vec::<DepthPixel>::unpack(&pixels(1).pack()[1..]).is_none());
 }
 

@@ -7,7 +7,7 @@ use super::setup::Setup;
 use crate::frame::BufferedFrame;
 use crate::graph::GraphStats;
 use crate::map::{Counts, Event, Map, parts};
-use crate::mapping::{KeptKeyframes, KeyframeScan, MappingConfig, final_scans_of};
+use crate::mapping::{KeyframeScan, MappingConfig, PosedKeyframe, final_scans_of};
 use crate::report::Stopwatch;
 use crate::start::Start;
 use crate::store::Store;
@@ -197,10 +197,9 @@ impl Slam {
         done: &AtomicUsize,
     ) -> Vec<KeyframeScan> {
         let finished = self.keyframes();
-        let keyframes = KeptKeyframes {
-            keyframes: &finished,
-            poses: self.map.snapshot(),
-        };
+        let poses = self.map.snapshot();
+        let keyframes = finished.iter().map(|k| PosedKeyframe::kept(k, poses));
+        let keyframes: Vec<PosedKeyframe> = keyframes.collect();
         let (camera, store) = (self.setup.camera(), self.map.store());
         final_scans_of(&keyframes, &camera, config, threads, (store, done))
     }

@@ -4,7 +4,7 @@
 use crate::PointTrackingConfig;
 use crate::map::{Map, MapKeyframe};
 use crate::policy::do_points_decide;
-use crate::sparse::{PointSearch, SearchImage, Which, find_in_image, position};
+use crate::sparse::{PointSearch, Which, find_in_image, position};
 use crate::system::Setup;
 use monogrid_features::{AbsolutePoseConfig, PatchSearchConfig, PointPixel, absolute_pose};
 use monogrid_geometry::{Mat6, Se3, Vec6};
@@ -42,9 +42,9 @@ impl PointMap<'_> {
             which: Which::SeenBy(self.keyframe.id),
             max_points: config.probe_points,
             // the basin of a patch is some pixels wide
-            ..self.within(0.0)
+            ..self.around(frame, &camera_from_world, 0.0)
         };
-        let probed = self.search(frame, &camera_from_world, &probe);
+        let probed = self.search(&probe);
         let agreeing = self.num_agreeing(&camera_from_world, &probed.seen, config.probe_error_px);
         do_points_decide(agreeing, probed.num_searched, config)
     }
@@ -59,8 +59,8 @@ impl PointMap<'_> {
     ) -> Option<PointPose> {
         let config = self.config();
         let start = self.camera_from_world(near);
-        let how = self.within(config.near_radius_px);
-        let matches = self.search(frame, &start, &how).seen;
+        let search = self.around(frame, &start, config.near_radius_px);
+        let matches = self.search(&search).seen;
         let (solution, num_inliers) = self.refined(&matches, &start)?;
         if !do_points_decide(num_inliers, matches.len(), config) {
             return None;
@@ -82,8 +82,8 @@ impl PointMap<'_> {
     pub(crate) fn pose_around(&self, frame: &Pyramid, start: &Se3) -> Option<PointPose> {
         let config = self.config();
         let guess = self.camera_from_world(start);
-        let how = self.within(config.search_radius_px);
-        let matches = self.search(frame, &guess, &how).seen;
+        let search = self.around(frame, &guess, config.search_radius_px);
+        let matches = self.search(&search).seen;
         let sampling = AbsolutePoseConfig {
             max_error_px: config.max_error_px,
             min_inliers: config.min_inliers,
@@ -93,10 +93,18 @@ impl PointMap<'_> {
         self.pose_near(frame, &self.frame_from_keyframe(&sampled), None)
     }
 
-    /// All points are looked for within a radius of where they are predicted, as they were seen last.
-    fn within(&self, radius_px: f64) -> PointSearch {
+    /// All points are looked for within a radius of where a pose predicts them, as they were seen last.
+    fn around<'a>(
+        &self,
+        frame: &'a Pyramid,
+        camera_from_world: &Se3,
+        radius_px: f64,
+    ) -> PointSearch<'a> {
         let config = self.config();
         PointSearch {
+            pyramid: frame,
+            fragment: self.keyframe.fragment,
+            camera_from_world: *camera_from_world,
             patch: PatchSearchConfig {
                 radius_px,
                 min_correlation: config.min_correlation,
@@ -109,14 +117,9 @@ impl PointMap<'_> {
     }
 
     /// Points that are found around where a pose predicts them.
-    fn search(&self, frame: &Pyramid, camera_from_world: &Se3, how: &PointSearch) -> Probed {
-        let image = SearchImage {
-            pyramid: frame,
-            fragment: self.keyframe.fragment,
-            camera_from_world: *camera_from_world,
-        };
+    fn search(&self, search: &PointSearch) -> Probed {
         let (map, pinhole) = (self.map, &self.setup.pinhole);
-        let search = find_in_image(map, &image, how, pinhole, &self.setup.config.sparse);
+        let search = find_in_image(map, search, pinhole, &self.setup.config.sparse);
         let found = search.found.iter();
         let seen = found.map(|&(point, pixel)| PointPixel {
             point_in_world: position(map, &map.points()[point], pinhole),

@@ -5,7 +5,6 @@ use crate::KeyframeId;
 use crate::graph::job::{EdgeKind, OdometryEdge, Relocalised};
 use crate::graph::search::{Candidate, Entry, Probes, choose};
 use crate::map::View;
-use crate::store::StoredCorners;
 use monogrid_alignment::{
     DepthSample, KeyframeView, SimilarityConstraint, SimilarityState, align_reciprocally,
 };
@@ -50,7 +49,7 @@ impl KeyframeGraph {
         let id = u64::from(view.id);
         let (mask, pinhole) = (self.mask.as_ref(), &view.camera.pinhole);
         let store = view.samples.store();
-        let keep = |corners| Arc::new(store.keep(StoredCorners(Arc::new(corners)))) as _;
+        let keep = |corners| Arc::new(store.keep(corners)) as _;
         self.places
             .insert_kept(id, (&pyramid, mask), &lookup, pinhole, keep);
     }

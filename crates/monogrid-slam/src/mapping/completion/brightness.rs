@@ -1,5 +1,6 @@
 //! Whether two keyframes show the same.
 
+use crate::mapping::transfer::Seen;
 use crate::median::median;
 use monogrid_image::Image;
 
@@ -24,14 +25,14 @@ impl Brightness {
     pub fn between(
         mine: &Image<u8>,
         theirs: &Image<u8>,
-        place: impl Fn(usize, usize) -> Option<(f32, f32)>,
+        place: impl Fn(usize, usize) -> Option<Seen>,
     ) -> Option<Self> {
         let rows = (0..mine.height()).step_by(STRIDE);
         let pixels = rows.flat_map(|y| (0..mine.width()).step_by(STRIDE).map(move |x| (x, y)));
         let pairs = pixels.filter_map(|(x, y)| {
-            let (column, row) = place(x, y)?;
+            let seen = place(x, y)?;
             let here = smooth_at(mine, x as f32, y as f32);
-            Some([here, smooth_at(theirs, column, row)])
+            Some([here, smooth_at(theirs, seen.x, seen.y)])
         });
         Self::of_pairs(pairs.collect())
     }

@@ -3,7 +3,7 @@
 use super::brightness::smooth_at;
 use crate::mapping::KeyframeCamera;
 use crate::mapping::scan::KeptDepths;
-use crate::mapping::transfer::{DepthImage, Transfer};
+use crate::mapping::transfer::Transfer;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 
@@ -32,11 +32,9 @@ impl Layer {
 /// The surfaces on the lines of sight of the pixels of half the image.
 #[derive(Debug)]
 pub(super) struct Layers {
-    pub width: usize,
-    pub height: usize,
-    layers: Vec<[Layer; MAX_LAYERS]>,
+    layers: Image<[Layer; MAX_LAYERS]>,
     /// The nearest that one keyframe has: inverse depth, 0 for none, and its relative standard deviation.
-    nearest: Vec<[f32; 2]>,
+    nearest: Image<[f32; 2]>,
 }
 
 impl Layers {
@@ -44,35 +42,37 @@ impl Layers {
     pub fn new(camera: &KeyframeCamera) -> Self {
         let (width, height) = (camera.width / 2, camera.height / 2);
         Self {
-            width,
-            height,
-            layers: vec![[Layer::default(); MAX_LAYERS]; width * height],
-            nearest: vec![[0.0; 2]; width * height],
+            layers: Image::filled(width, height, [Layer::default(); MAX_LAYERS]),
+            nearest: Image::filled(width, height, [0.0; 2]),
         }
+    }
+
+    /// Width and height of half the image, px.
+    pub fn size(&self) -> (usize, usize) {
+        (self.layers.width(), self.layers.height())
     }
 
     /// Adds the first surface that a keyframe has on each line of sight; inverse depths that differ by more than this share are of two.
     pub fn hear(&mut self, depths: &KeptDepths, this_from_other: &Transfer, tolerance: f32) {
-        self.nearest.fill([0.0; 2]);
+        let (width, height) = self.size();
+        self.nearest.as_mut_slice().fill([0.0; 2]);
         // at half the size two pixels of four are enough
         let is_even = |pixel: &&Measurement| (pixel.x + pixel.y).is_multiple_of(2);
         for kind in depths.kinds() {
-            for pixel in kind.0.iter().filter(is_even) {
+            for pixel in kind.iter().filter(is_even) {
                 let seen = this_from_other.of(pixel.x.into(), pixel.y.into(), pixel.idepth);
                 let Some(seen) = seen else { continue };
                 let (x, y) = seen.pixel();
                 let (x, y) = (x / 2, y / 2);
                 // the last row and column of an odd size have no pixel
-                if x >= self.width || y >= self.height {
-                    continue;
-                }
-                let nearest = &mut self.nearest[y * self.width + x];
-                if seen.idepth > nearest[0] {
-                    *nearest = [seen.idepth, pixel.sigma_idepth / pixel.idepth];
+                if x < width && y < height && seen.idepth > self.nearest.at(x, y)[0] {
+                    let sigma = pixel.sigma_idepth / pixel.idepth;
+                    self.nearest.set(x, y, [seen.idepth, sigma]);
                 }
             }
         }
-        for (layers, [idepth, sigma]) in self.layers.iter_mut().zip(&self.nearest) {
+        let layers = self.layers.as_mut_slice().iter_mut();
+        for (layers, [idepth, sigma]) in layers.zip(self.nearest.as_slice()) {
             if *idepth > 0.0 {
                 join(layers, *idepth, 1.0 / (sigma * sigma), tolerance);
             }
@@ -82,13 +82,13 @@ impl Layers {
     /// Those that so many keyframes have, where a pixel has no depth.
     pub fn candidates(
         self,
-        mine: &DepthImage,
+        mine: &Image<f32>,
         image: &Image<u8>,
         min_support: usize,
     ) -> Vec<Candidate> {
         let mut candidates = Vec::new();
-        for (row, layers) in self.layers.chunks_exact(self.width.max(1)).enumerate() {
-            for (column, layers) in layers.iter().enumerate() {
+        for row in 0..self.layers.height() {
+            for (column, layers) in self.layers.row(row).iter().enumerate() {
                 let (x, y) = (2 * column, 2 * row);
                 let of_four = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
                 if of_four.iter().all(|(x, y)| mine.at(*x, *y) > 0.0) {

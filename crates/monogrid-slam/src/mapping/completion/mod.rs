@@ -11,11 +11,10 @@ mod layers;
 #[cfg(test)]
 mod tests;
 
-use super::KeyframeCamera;
-use super::agreement::{View, witnesses};
 use super::dense::at_full_size;
-use super::posed::Keyframes;
-use super::transfer::{DepthImage, Seen, Transfer};
+use super::posed::Scene;
+use super::scan::measurement;
+use super::transfer::{Seen, Transfer, depth_image};
 use brightness::{Brightness, smooth_at};
 use layers::{Candidate, Layers};
 use monogrid_image::Image;
@@ -51,51 +50,37 @@ impl Default for CompletionConfig {
     }
 }
 
-/// Depth of the pixels of keyframe `index` that have none, as far as others have it, row-major; `views[index]` is its own view. None without pose or
-/// image.
-pub(super) fn completed(
-    keyframes: &dyn Keyframes,
-    views: &[Option<View>],
-    index: usize,
-    camera: &KeyframeCamera,
-    config: &CompletionConfig,
-) -> Vec<Measurement> {
+/// Depth of the pixels of a keyframe that have none, as far as others have it, row-major. None without pose or image.
+pub(super) fn completed(scene: &Scene, index: usize) -> Vec<Measurement> {
+    let (camera, config) = (scene.camera, &scene.config.completion);
     if config.max_witnesses == 0 {
         return Vec::new();
     }
-    let (Some(this), Some(image)) = (&views[index], keyframes.image(index)) else {
+    let image_of = |index: usize| scene.keyframes[index].image();
+    let (Some(this), Some(image)) = (&scene.views[index], image_of(index)) else {
         return Vec::new();
     };
-    let witnesses = witnesses(views, index, camera, config.max_witnesses);
-    let others: Vec<(usize, &View)> = witnesses
-        .into_iter()
-        .filter_map(|other| Some((other, views[other].as_ref()?)))
-        .collect();
+    let others = scene.witnesses(index, config.max_witnesses);
+    let tolerance = config.tolerance as f32;
     let mut layers = Layers::new(camera);
     for (_, view) in &others {
-        let this_from_other = this.world_from_keyframe.inverse() * view.world_from_keyframe;
-        let transfer = Transfer::new(&this_from_other, camera);
-        layers.hear(&view.depths, &transfer, config.tolerance as f32);
+        layers.hear(&view.depths, &view.transfer_to(this, camera), tolerance);
     }
-    let mut mine = DepthImage::new(camera);
-    mine.show(&this.depths);
-    let size = (layers.width, layers.height);
+    let mine = depth_image(&this.depths, camera);
+    let size = layers.size();
     let mut candidates = layers.candidates(&mine, &image, config.min_support);
-    let mut theirs = DepthImage::new(camera);
-    for (other, view) in &others {
-        let Some(their_image) = keyframes.image(*other) else {
+    for (other, view) in others {
+        let Some(their_image) = image_of(other) else {
             continue;
         };
-        theirs.show(&view.depths);
-        let other_from_this = view.world_from_keyframe.inverse() * this.world_from_keyframe;
+        let theirs = depth_image(&view.depths, camera);
         let witness = Witness {
             depth: &theirs,
-            other_from_this: Transfer::new(&other_from_this, camera),
-            tolerance: config.tolerance as f32,
+            other_from_this: this.transfer_to(view, camera),
+            tolerance,
         };
         let brightness = Brightness::between(&image, &their_image, |x, y| {
-            let seen = witness.confirmed(x, y, mine.at(x, y))?;
-            Some((seen.x, seen.y))
+            witness.confirmed(x, y, mine.at(x, y))
         });
         let is_alike = |candidate: &Candidate, seen: &Seen| {
             let grey = smooth_at(&their_image, seen.x, seen.y);
@@ -121,7 +106,7 @@ fn is_believed(candidate: &Candidate, config: &CompletionConfig) -> bool {
 
 /// A keyframe that says what it has of the points of another.
 struct Witness<'a> {
-    depth: &'a DepthImage,
+    depth: &'a Image<f32>,
     other_from_this: Transfer,
     /// Inverse depths that differ by this share of them are of two surfaces.
     tolerance: f32,
@@ -162,7 +147,7 @@ impl Witness<'_> {
 
 /// The first of the surfaces on each line of sight, at the pixels that have no depth.
 fn at_pixels_without(
-    mine: &DepthImage,
+    mine: &Image<f32>,
     candidates: Vec<Candidate>,
     (width, height): (usize, usize),
 ) -> Vec<Measurement> {
@@ -180,12 +165,8 @@ fn at_pixels_without(
         .filter(|(x, y)| mine.at(*x, *y) <= 0.0)
         .filter_map(|(x, y)| {
             let idepth = at_full_size(&idepths, x, y)?;
-            Some(Measurement {
-                x: x as u16,
-                y: y as u16,
-                idepth,
-                sigma_idepth: sigmas.at(x / 2, y / 2) * idepth,
-            })
+            let sigma = sigmas.at(x / 2, y / 2) * idepth;
+            Some(measurement((x, y), idepth, sigma))
         })
         .collect()
 }

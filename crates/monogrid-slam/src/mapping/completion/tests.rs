@@ -1,9 +1,10 @@
 //! A textured wall that keyframes side by side see.
 
 use super::*;
-use crate::mapping::PosedKeyframe;
+use crate::mapping::agreement::View;
 use crate::mapping::scan::Depths;
 use crate::mapping::test_wall::{CAMERA, wall};
+use crate::mapping::{DepthOf, ImageOf, MappingConfig, PosedKeyframe};
 use monogrid_geometry::{Rotation, Sim3, Vec3};
 
 /// Distance of the wall.
@@ -71,12 +72,23 @@ fn completed_first(taken: &[Taken], config: &CompletionConfig) -> Vec<Measuremen
         .enumerate()
         .map(|(id, t)| PosedKeyframe {
             id: id as u32,
-            image: Some(&t.image),
-            pixels: &[],
+            image: Some(ImageOf::Held(&t.image)),
+            depth: DepthOf::Held(&[]),
             world_from_keyframe: Some(t.pose),
         })
         .collect();
-    completed(&keyframes.as_slice(), &views, 0, &CAMERA, config)
+    let config = MappingConfig {
+        completion: config.clone(),
+        ..MappingConfig::default()
+    };
+    let scene = Scene {
+        keyframes: &keyframes,
+        views: &views,
+        camera: &CAMERA,
+        config: &config,
+        threads: 1,
+    };
+    completed(&scene, 0)
 }
 
 /// Whether a depth of the first keyframe is that of the wall.

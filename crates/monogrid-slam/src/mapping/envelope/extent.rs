@@ -1,5 +1,7 @@
 //! Where a plane was measured, and how far other places are from there.
 
+use monogrid_image::Image;
+
 /// Cells along the longer side of what was measured.
 const CELLS: f64 = 40.0;
 /// Room around it, as a share of that side.
@@ -12,9 +14,7 @@ const MIN_POINTS: u16 = 2;
 pub(super) struct Extent {
     first: [f64; 2],
     cell: f64,
-    columns: usize,
-    rows: usize,
-    distances: Vec<f32>,
+    distances: Image<f32>,
 }
 
 impl Extent {
@@ -37,54 +37,49 @@ impl Extent {
         let mut this = Self {
             first: low.map(|low| low - margin),
             cell,
-            columns: cells(0),
-            rows: cells(1),
-            distances: Vec::new(),
+            distances: Image::filled(cells(0), cells(1), f32::INFINITY),
         };
-        this.distances = this.start(points);
+        this.start(points);
         this.spread();
         this
     }
 
     /// Distance of a place from the nearest cell that was measured; infinite far beyond.
     pub fn distance(&self, place: [f64; 2]) -> f64 {
-        let found = self.index(place).map(|index| self.distances[index]);
+        let found = self.cell_at(place).map(|(x, y)| self.distances.at(x, y));
         f64::from(found.unwrap_or(f32::INFINITY))
     }
 
-    fn index(&self, place: [f64; 2]) -> Option<usize> {
+    fn cell_at(&self, place: [f64; 2]) -> Option<(usize, usize)> {
         let [x, y] = [0, 1].map(|k| (place[k] - self.first[k]) / self.cell);
-        let is_inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
-        is_inside.then(|| y as usize * self.columns + x as usize)
+        let size = [self.distances.width(), self.distances.height()].map(|cells| cells as f64);
+        let is_inside = x >= 0.0 && y >= 0.0 && x < size[0] && y < size[1];
+        is_inside.then_some((x as usize, y as usize))
     }
 
-    /// 0 in the cells that were measured, infinite in others.
-    fn start(&self, points: &[[f64; 2]]) -> Vec<f32> {
-        let mut counts = vec![0_u16; self.columns * self.rows];
-        for index in points.iter().filter_map(|point| self.index(*point)) {
-            counts[index] = counts[index].saturating_add(1);
+    /// 0 in the cells that were measured.
+    fn start(&mut self, points: &[[f64; 2]]) {
+        let mut counts = self.distances.map(|_| 0_u16);
+        for (x, y) in points.iter().filter_map(|point| self.cell_at(*point)) {
+            counts.set(x, y, counts.at(x, y).saturating_add(1));
         }
-        let around = |index: usize| -> u16 {
-            let (x, y) = (index % self.columns, index / self.columns);
-            let columns = x.saturating_sub(1)..(x + 2).min(self.columns);
-            let rows = y.saturating_sub(1)..(y + 2).min(self.rows);
-            let row = |y: usize| &counts[y * self.columns..][columns.clone()];
-            rows.flat_map(row).fold(0, |sum, n| sum.saturating_add(*n))
-        };
-        let is_measured = |index: usize| counts[index] > 0 && around(index) >= MIN_POINTS;
-        let start = |index: usize| {
-            if is_measured(index) {
-                0.0
-            } else {
-                f32::INFINITY
+        for y in 0..counts.height() {
+            for x in (0..counts.width()).filter(|x| counts.at(*x, y) > 0) {
+                let columns = x.saturating_sub(1)..(x + 2).min(counts.width());
+                let rows = y.saturating_sub(1)..(y + 2).min(counts.height());
+                let around = rows.flat_map(|y| &counts.row(y)[columns.clone()]);
+                if around.fold(0_u16, |sum, n| sum.saturating_add(*n)) >= MIN_POINTS {
+                    self.distances.set(x, y, 0.0);
+                }
             }
-        };
-        (0..counts.len()).map(start).collect()
+        }
     }
 
     /// Distances by steps to the eight neighbours (Rosenfeld and Pfaltz, 1968): once from the first cell to the last, once back.
     fn spread(&mut self) {
-        let (columns, rows) = (self.columns as isize, self.rows as isize);
+        let size = (self.distances.width(), self.distances.height());
+        let (columns, rows) = (size.0 as isize, size.1 as isize);
+        let distances = self.distances.as_mut_slice();
         let steps = [(-1, 0), (-1, -1), (0, -1), (1, -1)];
         let length =
             |(dx, dy): (isize, isize)| (self.cell * ((dx * dx + dy * dy) as f64).sqrt()) as f32;
@@ -96,8 +91,8 @@ impl Extent {
                 for ((dx, dy), length) in steps.iter().zip(lengths) {
                     let (x, y) = (x + sign * dx, y + sign * dy);
                     if (0..columns).contains(&x) && (0..rows).contains(&y) {
-                        let beside = self.distances[(y * columns + x) as usize] + length;
-                        let own = &mut self.distances[at as usize];
+                        let beside = distances[(y * columns + x) as usize] + length;
+                        let own = &mut distances[at as usize];
                         *own = own.min(beside);
                     }
                 }

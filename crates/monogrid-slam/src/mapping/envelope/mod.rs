@@ -14,12 +14,13 @@ mod planes;
 #[cfg(test)]
 mod tests;
 
-use super::agreement::{View, witnesses};
 use super::fill::{EIGHT_DIRECTIONS, NO_REGION, Regions, regions_beside};
-use super::posed::Keyframes;
-use super::transfer::DepthImage;
+use super::posed::Scene;
+use super::scan::measurement;
+use super::transfer::{at_or, show};
 use super::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::{Sim3, Vec2, Vec3};
+use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::Matrix2;
 pub(super) use planes::Cloud;
@@ -74,37 +75,44 @@ impl Default for EnvelopeConfig {
     }
 }
 
-/// Depth of the regions of keyframe `index` that have none, where large planes bound its view; `views[index]` is its own view, `cloud` what each
-/// keyframe sees. None without pose or image.
+/// Depth of the regions of a keyframe that have none, where large planes bound its view; `cloud` is what each keyframe sees. None without
+/// pose or image.
 pub(super) fn enclosed<'a>(
-    keyframes: &dyn Keyframes,
-    (views, cloud): (&[Option<View>], impl Fn(usize) -> Option<&'a Cloud>),
+    scene: &Scene,
     index: usize,
-    camera: &KeyframeCamera,
-    config: &MappingConfig,
+    cloud: impl Fn(usize) -> Option<&'a Cloud>,
 ) -> Vec<Measurement> {
+    let Scene { camera, config, .. } = *scene;
     if config.envelope.max_planes == 0 {
         return Vec::new();
     }
-    let (Some(view), Some(image)) = (&views[index], keyframes.image(index)) else {
+    let image = scene.keyframes[index].image();
+    let (Some(view), Some(image)) = (&scene.views[index], image) else {
         return Vec::new();
     };
-    let mut around = witnesses(views, index, camera, MAX_WITNESSES);
-    around.push(index);
-    let clouds: Vec<&Cloud> = around.into_iter().filter_map(cloud).collect();
+    let around = scene.witnesses(index, MAX_WITNESSES).into_iter();
+    let around = around.map(|(other, _)| other).chain([index]);
+    let clouds: Vec<&Cloud> = around.filter_map(cloud).collect();
     let center = view.world_from_keyframe.translation;
     let planes = bounding_planes(&clouds, &center, &config.envelope);
     if planes.is_empty() {
         return Vec::new();
     }
-    let envelope = Envelope::new(&planes, view.world_from_keyframe, camera, config);
+    let idepth = |plane: &SharedPlane| plane.idepth(&view.world_from_keyframe, &camera.pinhole);
+    let envelope = Envelope {
+        idepths: planes.iter().map(idepth).collect(),
+        planes: &planes,
+        world_from_keyframe: view.world_from_keyframe,
+        camera,
+        config,
+    };
     let [measured, filled] = view.depths.kinds();
-    let plain = Regions::new(&image, measured.0.iter().chain(&filled.0), &config.fill);
-    let mut shown = DepthImage::new(camera);
-    shown.add(&measured.0);
-    shown.add(&filled.0);
+    let plain = Regions::new(&image, measured.iter().chain(&*filled), &config.fill);
+    let mut shown = Image::filled(camera.width, camera.height, 0.0);
+    show(&measured, &mut shown);
+    show(&filled, &mut shown);
     let mut added = envelope.of_plain(&plain, &shown);
-    shown.add(&added);
+    show(&added, &mut shown);
     let mut others = envelope.of_others(&plain, &shown);
     added.append(&mut others);
     added
@@ -120,23 +128,7 @@ struct Envelope<'a> {
     config: &'a MappingConfig,
 }
 
-impl<'a> Envelope<'a> {
-    fn new(
-        planes: &'a [SharedPlane],
-        world_from_keyframe: Sim3,
-        camera: &'a KeyframeCamera,
-        config: &'a MappingConfig,
-    ) -> Self {
-        let idepth = |plane: &SharedPlane| plane.idepth(&world_from_keyframe, &camera.pinhole);
-        Self {
-            idepths: planes.iter().map(idepth).collect(),
-            planes,
-            world_from_keyframe,
-            camera,
-            config,
-        }
-    }
-
+impl Envelope<'_> {
     /// The plane that the line of sight of a pixel meets first, and its inverse depth there.
     fn nearest(&self, x: f64, y: f64) -> Option<(usize, f64)> {
         let at = Vec3::new(x, y, 1.0);
@@ -152,7 +144,7 @@ impl<'a> Envelope<'a> {
     }
 
     /// Depth of the plain regions whose outline lies on the envelope.
-    fn of_plain(&self, regions: &Regions, shown: &DepthImage) -> Vec<Measurement> {
+    fn of_plain(&self, regions: &Regions, shown: &Image<f32>) -> Vec<Measurement> {
         let min_share = self.config.envelope.min_plain_share;
         let allowed: Vec<Vec<bool>> = outlines(regions, shown)
             .iter()
@@ -171,13 +163,11 @@ impl<'a> Envelope<'a> {
     }
 
     /// Depth of the regions of all other pixels without depth whose outline lies on the envelope.
-    fn of_others(&self, plain: &Regions, shown: &DepthImage) -> Vec<Measurement> {
-        let pixels = plain.labels.iter().zip(&shown.idepths);
-        let is_left: Vec<bool> = pixels
-            .map(|(label, idepth)| *label == NO_REGION && *idepth <= 0.0)
-            .collect();
-        let size = (plain.width, plain.height);
-        let regions = Regions::of_pixels(&is_left, size, self.config.fill.min_area_px);
+    fn of_others(&self, plain: &Regions, shown: &Image<f32>) -> Vec<Measurement> {
+        let is_left = Image::from_fn(shown.width(), shown.height(), |x, y| {
+            plain.labels.at(x, y) == NO_REGION && shown.at(x, y) <= 0.0
+        });
+        let regions = Regions::of_pixels(&is_left, self.config.fill.min_area_px);
         let min_share = self.config.envelope.min_other_share;
         let allowed: Vec<Vec<bool>> = outlines(&regions, shown)
             .iter()
@@ -189,10 +179,9 @@ impl<'a> Envelope<'a> {
     /// Whether so much of the outline of a region lies on the envelope, and little behind it.
     fn holds(&self, outline: &[OutlinePoint], min_share: f64) -> bool {
         let (mut on, mut behind) = (0_usize, 0_usize);
-        for point in outline {
-            let [x, y] = point.place();
-            if let Some((_, expected)) = self.nearest(x, y) {
-                let gap = (f64::from(point.idepth) / expected - 1.0) / FLATNESS;
+        for ([x, y], idepth) in outline {
+            if let Some((_, expected)) = self.nearest(*x, *y) {
+                let gap = (idepth / expected - 1.0) / FLATNESS;
                 on += usize::from(gap.abs() <= 2.0);
                 behind += usize::from(gap < -2.5);
             }
@@ -205,19 +194,18 @@ impl<'a> Envelope<'a> {
 
     /// The points of an outline on a plane.
     fn points_on(&self, plane: usize, outline: &[OutlinePoint]) -> Vec<[f64; 2]> {
-        let on_plane = outline
-            .iter()
-            .filter(|p| self.is_on(plane, p.place(), p.idepth.into()));
-        on_plane.map(OutlinePoint::place).collect()
+        let outline = outline.iter();
+        let on_plane = outline.filter(|(place, idepth)| self.is_on(plane, *place, *idepth));
+        on_plane.map(|(place, _)| *place).collect()
     }
 
     /// Whether what is known beside points of an outline is on the plane for the most part.
-    fn goes_on_beyond(&self, plane: usize, points: &[[f64; 2]], shown: &DepthImage) -> bool {
+    fn goes_on_beyond(&self, plane: usize, points: &[[f64; 2]], shown: &Image<f32>) -> bool {
         let (mut on, mut total) = (0_usize, 0_usize);
         for [x, y] in points {
             for (dx, dy) in EIGHT_DIRECTIONS {
                 let (x, y) = (*x as i32 + BEYOND_PX * dx, *y as i32 + BEYOND_PX * dy);
-                let idepth = shown.around(x, y);
+                let idepth = at_or(shown, x, y, 0.0);
                 if idepth > 0.0 {
                     total += 1;
                     on += usize::from(self.is_on(plane, [x.into(), y.into()], idepth.into()));
@@ -231,11 +219,12 @@ impl<'a> Envelope<'a> {
     fn filled(&self, regions: &Regions, allowed: &[Vec<bool>]) -> Vec<Measurement> {
         let mut filled = Vec::new();
         let most = self.config.filter.max_agreed_sigma;
-        for (index, label) in regions.labels.iter().enumerate() {
+        for (index, label) in regions.labels.as_slice().iter().enumerate() {
             let Some(allowed) = allowed.get(*label as usize).filter(|a| !a.is_empty()) else {
                 continue;
             };
-            let (x, y) = (index % regions.width, index / regions.width);
+            let width = regions.labels.width();
+            let (x, y) = (index % width, index / width);
             let Some((plane, idepth)) = self.nearest(x as f64, y as f64) else {
                 continue;
             };
@@ -249,46 +238,25 @@ impl<'a> Envelope<'a> {
             let sigma = plane.relative_sigma(&point, &center);
             let reach = self.config.envelope.max_extent * (point - center).norm();
             if sigma <= most && plane.distance_beyond(&point) <= reach {
-                filled.push(Measurement {
-                    x: x as u16,
-                    y: y as u16,
-                    idepth: idepth as f32,
-                    sigma_idepth: (sigma * idepth) as f32,
-                });
+                let sigma = (sigma * idepth) as f32;
+                filled.push(measurement((x, y), idepth as f32, sigma));
             }
         }
         filled
     }
 }
 
-/// A pixel with depth on the outline of a region.
-#[derive(Clone, Copy, Debug)]
-struct OutlinePoint {
-    x: u16,
-    y: u16,
-    idepth: f32,
-}
-
-impl OutlinePoint {
-    fn place(&self) -> [f64; 2] {
-        [self.x.into(), self.y.into()]
-    }
-}
+/// A pixel with depth on the outline of a region: its place and its inverse depth.
+type OutlinePoint = ([f64; 2], f64);
 
 /// What is shown on the outline of each region.
-fn outlines(regions: &Regions, shown: &DepthImage) -> Vec<Vec<OutlinePoint>> {
+fn outlines(regions: &Regions, shown: &Image<f32>) -> Vec<Vec<OutlinePoint>> {
     let mut outlines = vec![Vec::new(); regions.count];
-    for (index, idepth) in shown.idepths.iter().enumerate() {
-        if *idepth <= 0.0 {
-            continue;
-        }
-        let (x, y) = ((index % shown.width) as u16, (index / shown.width) as u16);
+    let pixels = shown.as_slice().iter().enumerate();
+    for (index, idepth) in pixels.filter(|(_, idepth)| **idepth > 0.0) {
+        let [x, y] = [index % shown.width(), index / shown.width()].map(|at| at as u16);
         for label in regions_beside(regions, x, y) {
-            outlines[label as usize].push(OutlinePoint {
-                x,
-                y,
-                idepth: *idepth,
-            });
+            outlines[label as usize].push(([x.into(), y.into()], f64::from(*idepth)));
         }
     }
     outlines

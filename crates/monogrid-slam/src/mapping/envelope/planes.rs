@@ -45,8 +45,12 @@ struct Hypothesis {
 }
 
 impl Hypothesis {
+    fn height(&self, in_world: &Vec3) -> f64 {
+        self.normal.dot(in_world) - self.offset
+    }
+
     fn has(&self, point: &Point, reach: f64) -> bool {
-        (self.normal.dot(&point.in_world) - self.offset).abs() <= reach * point.range
+        self.height(&point.in_world).abs() <= reach * point.range
     }
 }
 
@@ -57,10 +61,10 @@ impl Cloud {
             return Self::default();
         };
         let kinds = view.depths.kinds();
-        let total: usize = kinds.iter().map(|kind| kind.0.len()).sum();
+        let total: usize = kinds.iter().map(|kind| kind.len()).sum();
         let some = |most: usize| {
             let stride = total.div_ceil(most).max(1);
-            let all = kinds.iter().flat_map(|kind| kind.0.iter());
+            let all = kinds.iter().flat_map(|kind| kind.iter());
             all.step_by(stride).copied()
         };
         let depths: Vec<Measurement> = some(MAX_DEPTHS).collect();
@@ -87,9 +91,8 @@ impl Cloud {
 /// A plane of several keyframes.
 #[derive(Clone, Debug)]
 pub(super) struct SharedPlane {
-    /// Towards the keyframe whose view it bounds.
-    normal: Vec3,
-    offset: f64,
+    /// Its normal is towards the keyframe whose view it bounds.
+    equation: Hypothesis,
     middle: Vec3,
     /// Directions in the plane.
     axes: [Vec3; 2],
@@ -108,7 +111,7 @@ pub(super) fn bounding_planes(
     let points = || clouds.iter().flat_map(|cloud| &cloud.points);
     let total = points().count() as f64;
     planes.retain(|plane| {
-        let is_behind = |p: &&Point| plane.height(&p.in_world) < -BEHIND * p.range;
+        let is_behind = |p: &&Point| plane.equation.height(&p.in_world) < -BEHIND * p.range;
         let behind = points().filter(is_behind).count();
         behind as f64 <= config.max_behind_share * total
     });
@@ -141,14 +144,9 @@ fn large_planes(clouds: &[&Cloud], center: &Vec3, config: &EnvelopeConfig) -> Ve
         let Some(plane) = SharedPlane::through(&left, hypothesis, center, config) else {
             continue;
         };
-        let plane_itself = plane.as_hypothesis();
-        let mut taken: Vec<Vec<Point>> = Vec::new();
-        for points in &mut left {
-            let is_on = |point: &Point| plane_itself.has(point, config.reach);
-            let (on, off) = points.iter().partition(|point| is_on(point));
-            *points = off;
-            taken.push(on);
-        }
+        let is_on = |point: &mut Point| plane.equation.has(point, config.reach);
+        let taken = left.iter_mut().map(|p| p.extract_if(.., is_on).collect());
+        let taken: Vec<Vec<Point>> = taken.collect();
         for (score, hypothesis) in &mut scored {
             *score -= count(&taken, hypothesis);
         }
@@ -161,25 +159,25 @@ impl SharedPlane {
     /// The plane that the points on a hypothesis lie on.
     fn through(
         points: &[Vec<Point>],
-        mut hypothesis: Hypothesis,
+        hypothesis: Hypothesis,
         center: &Vec3,
         config: &EnvelopeConfig,
     ) -> Option<Self> {
-        let mut plane = None;
-        for _ in 0..NUM_FITS {
-            let on: Vec<Vec<Point>> = points
-                .iter()
-                .map(|points| {
-                    let on = points.iter().filter(|p| hypothesis.has(p, config.reach));
-                    on.copied().collect()
-                })
-                .collect();
-            let fitted = Self::fitted(&on, center)?;
-            hypothesis = fitted.as_hypothesis();
-            plane = Some((fitted, on));
+        let on = |plane: &Hypothesis| -> Vec<Vec<Point>> {
+            let on = |points: &Vec<Point>| {
+                let on = points.iter().filter(|p| plane.has(p, config.reach));
+                on.copied().collect()
+            };
+            points.iter().map(on).collect()
+        };
+        let mut on_plane = on(&hypothesis);
+        let mut plane = Self::fitted(&on_plane, center)?;
+        for _ in 1..NUM_FITS {
+            on_plane = on(&plane.equation);
+            plane = Self::fitted(&on_plane, center)?;
         }
-        let (mut plane, on) = plane?;
-        let in_plane = on.iter().flatten().map(|p| plane.in_plane(&p.in_world));
+        let points = on_plane.iter().flatten();
+        let in_plane = points.map(|p| plane.in_plane(&p.in_world));
         plane.extent = Extent::of(&in_plane.collect::<Vec<_>>());
         Some(plane)
     }
@@ -209,25 +207,14 @@ impl SharedPlane {
         let correlated = count as f64 / num_keyframes.max(1) as f64;
         let variances = [eigen.eigenvalues[u], eigen.eigenvalues[v], total]
             .map(|information| correlated / information.max(1e-12));
+        let offset = normal.dot(&middle);
         Some(Self {
-            normal,
-            offset: normal.dot(&middle),
+            equation: Hypothesis { normal, offset },
             middle,
             axes: [axis(u), axis(v)],
             covariance: Matrix3::from_diagonal(&variances.into()),
             extent: Extent::default(),
         })
-    }
-
-    fn as_hypothesis(&self) -> Hypothesis {
-        Hypothesis {
-            normal: self.normal,
-            offset: self.offset,
-        }
-    }
-
-    fn height(&self, in_world: &Vec3) -> f64 {
-        self.normal.dot(in_world) - self.offset
     }
 
     fn in_plane(&self, in_world: &Vec3) -> [f64; 2] {
@@ -239,8 +226,9 @@ impl SharedPlane {
     /// `normal . (s R r / d + t) = offset`.
     pub fn idepth(&self, world_from_keyframe: &Sim3, pinhole: &Pinhole) -> Vec3 {
         let rotation = world_from_keyframe.rotation.to_rotation_matrix();
-        let height = self.offset - self.normal.dot(&world_from_keyframe.translation);
-        let of_ray = rotation.transpose() * self.normal * (world_from_keyframe.scale / height);
+        let Hypothesis { normal, offset } = self.equation;
+        let height = offset - normal.dot(&world_from_keyframe.translation);
+        let of_ray = rotation.transpose() * normal * (world_from_keyframe.scale / height);
         let (a, b) = (of_ray.x / pinhole.fx, of_ray.y / pinhole.fy);
         Vec3::new(a, b, of_ray.z - a * pinhole.cx - b * pinhole.cy)
     }
@@ -250,7 +238,7 @@ impl SharedPlane {
         let [u, v] = self.in_plane(point);
         let row = Vec3::new(u, v, 1.0);
         let height = row.dot(&(self.covariance * row)).sqrt();
-        let distance = self.height(center).abs().max(f64::MIN_POSITIVE);
+        let distance = self.equation.height(center).abs().max(f64::MIN_POSITIVE);
         (height / distance).hypot(RELATIVE_SIGMA)
     }
 

@@ -1,9 +1,10 @@
 //! The corner of a room.
 
 use super::*;
-use crate::mapping::PosedKeyframe;
+use crate::mapping::agreement::View;
 use crate::mapping::scan::Depths;
 use crate::mapping::test_wall::CAMERA;
+use crate::mapping::{DepthOf, ImageOf, PosedKeyframe};
 use monogrid_geometry::Rotation;
 use monogrid_image::Image;
 
@@ -58,19 +59,20 @@ fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Mea
     let views = [Some(View::in_memory(&depths, pose, &CAMERA))];
     let keyframes = [PosedKeyframe {
         id: 0,
-        image: Some(image),
-        pixels: &[],
+        image: Some(ImageOf::Held(image)),
+        depth: DepthOf::Held(&[]),
         world_from_keyframe: Some(pose),
     }];
     let config = MappingConfig::default();
     let clouds = [Cloud::new(views[0].as_ref(), &CAMERA, &config)];
-    let mut added = enclosed(
-        &keyframes.as_slice(),
-        (&views, |index| clouds.get(index)),
-        0,
-        &CAMERA,
-        &config,
-    );
+    let scene = Scene {
+        keyframes: &keyframes,
+        views: &views,
+        camera: &CAMERA,
+        config: &config,
+        threads: 1,
+    };
+    let mut added = enclosed(&scene, 0, |index| clouds.get(index));
     for pixel in &mut added {
         pixel.idepth /= unit as f32;
         pixel.sigma_idepth /= unit as f32;

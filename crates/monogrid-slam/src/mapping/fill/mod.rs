@@ -29,11 +29,13 @@ mod plane;
 mod regions;
 
 use super::FillConfig;
+use super::scan::measurement;
+use super::transfer::at_or;
 use hull::Hull;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
+use plane::Border;
 pub(super) use plane::Plane;
-use plane::{Border, fit_plane};
 pub(super) use regions::{NO_REGION, Regions};
 
 /// Measurements of the whole image that planes are looked for in, at most.
@@ -60,16 +62,7 @@ pub fn fill_plain_regions(
 ) -> Vec<Measurement> {
     let regions = Regions::new(image, measured, config);
     let borders = borders(&regions, measured, config);
-    let planes = planes_of_regions(measured, &borders, config);
-    let held: Vec<Option<(Plane, Hull)>> = planes
-        .into_iter()
-        .zip(&borders)
-        .map(|(plane, border)| {
-            let plane = plane?;
-            let hull = Hull::new(border.points_on(&plane));
-            Some((plane, hull))
-        })
-        .collect();
+    let held = planes_of_regions(measured, &borders, config);
     fill(&regions, &held, max_relative_sigma, config)
 }
 
@@ -92,9 +85,10 @@ pub(super) fn regions_beside(
 ) -> impl Iterator<Item = u32> + use<> {
     let mut found: [u32; 16] = [NO_REGION; 16];
     let mut num_found = 0;
+    let (x, y) = (i32::from(x), i32::from(y));
     for offset in BORDER_OFFSETS_PX {
         for (dx, dy) in EIGHT_DIRECTIONS {
-            let label = regions.at(i32::from(x) + dx * offset, i32::from(y) + dy * offset);
+            let label = at_or(&regions.labels, x + dx * offset, y + dy * offset, NO_REGION);
             if label != NO_REGION && !found[..num_found].contains(&label) {
                 found[num_found] = label;
                 num_found += 1;
@@ -132,17 +126,17 @@ impl Candidate {
     }
 }
 
-/// The surface of each region: its own plane's, or one that is seen in many places, if its outline agrees with that as well as with
-/// its own: the tiles of a floor share one plane, the bricks of a wall another.
+/// The surface of each region, and where its outline holds it: its own plane's, or one that is seen in many places, if its outline agrees
+/// with that as well as with its own: the tiles of a floor share one plane, the bricks of a wall another.
 fn planes_of_regions(
     measured: &[Measurement],
     borders: &[Border],
     config: &FillConfig,
-) -> Vec<Option<Plane>> {
+) -> Vec<Option<(Plane, Hull)>> {
     let regions = borders.iter().enumerate();
     let own: Vec<Option<Candidate>> = regions
         .map(|(region, border)| {
-            let plane = fit_plane(border, region as u64, config)?;
+            let plane = border.fit_plane(region as u64, config)?;
             Some(Candidate::new(plane, border, config))
         })
         .collect();
@@ -176,7 +170,8 @@ fn planes_of_regions(
                 .max_by_key(|(count, _)| count.score())
                 .filter(|(count, _)| 5 * count.score() >= 4 * own_score);
             let best = best.map(|(_, offered)| offered).or(own.as_ref())?;
-            Some(best.surface.clone())
+            let hull = Hull::new(border.points_on(&best.surface));
+            Some((best.surface.clone(), hull))
         })
         .collect()
 }
@@ -195,16 +190,11 @@ fn some_of(measured: &[Measurement], config: &FillConfig) -> Border {
 pub(super) fn planes_of_image(measured: &[Measurement], config: &FillConfig) -> Vec<Plane> {
     let mut left = some_of(measured, config);
     let min_inliers = (left.len() as f64 * MIN_IMAGE_SHARE) as usize;
-    let mut planes = Vec::new();
-    for round in 0..MAX_IMAGE_PLANES {
-        match left.take_best_plane(round, MAX_IMAGE_SAMPLES, config) {
-            Some(plane) if plane.inliers >= min_inliers.max(config.min_inliers) => {
-                planes.push(plane);
-            }
-            _ => break,
-        }
-    }
-    planes
+    let next = |round| {
+        let plane = left.take_best_plane(round, MAX_IMAGE_SAMPLES, config)?;
+        (plane.inliers >= min_inliers.max(config.min_inliers)).then_some(plane)
+    };
+    (0..MAX_IMAGE_PLANES).map_while(next).collect()
 }
 
 /// The depth of all pixels of the regions that have a plane, where its outline holds it and it is certain enough.
@@ -215,27 +205,23 @@ fn fill(
     config: &FillConfig,
 ) -> Vec<Measurement> {
     let mut filled = Vec::new();
-    for (y, labels) in regions.labels.chunks(regions.width).enumerate() {
-        let spans: Vec<Option<(f64, f64)>> = planes
+    for y in 0..regions.labels.height() {
+        let held: Vec<Option<(&Plane, (f64, f64))>> = planes
             .iter()
-            .map(|held| held.as_ref()?.1.columns(y as f64))
+            .map(|held| {
+                let (plane, hull) = held.as_ref()?;
+                Some((plane, hull.columns(y as f64)?))
+            })
             .collect();
-        for (x, label) in labels.iter().enumerate() {
-            let (Some(Some((plane, _))), Some(Some((first, last)))) =
-                (planes.get(*label as usize), spans.get(*label as usize))
-            else {
+        for (x, label) in regions.labels.row(y).iter().enumerate() {
+            let Some(Some((plane, (first, last)))) = held.get(*label as usize) else {
                 continue;
             };
             let (idepth, fit_sigma) = plane.at(x as f64, y as f64);
             let sigma = (fit_sigma.powi(2) + (config.relative_sigma * idepth).powi(2)).sqrt();
             let is_held = (*first..=*last).contains(&(x as f64));
             if is_held && idepth > 0.0 && sigma <= max_relative_sigma * idepth {
-                filled.push(Measurement {
-                    x: x as u16,
-                    y: y as u16,
-                    idepth: idepth as f32,
-                    sigma_idepth: sigma as f32,
-                });
+                filled.push(measurement((x, y), idepth as f32, sigma as f32));
             }
         }
     }

@@ -82,43 +82,22 @@ impl Plane {
         )
     }
 
-    /// a, b and c of the inverse depth `a x + b y + c` at pixel (x, y).
-    pub fn affine(&self) -> [f64; 3] {
-        let [a, b, c] = self.coefficients.into();
-        [a, b, c - a * self.center[0] - b * self.center[1]]
-    }
-
-    /// The mean of the pixels that it was fitted to.
-    pub fn middle(&self) -> [f64; 2] {
-        self.center
-    }
-
-    /// Its normal, towards the keyframe, and the point at its middle, both in the world. With the inverse depth `a x + b y + c` of
-    /// the pixel, `N X = 1` holds on the plane for `N = (a fx, b fy, a cx + b cy + c)`. Not finite for a plane through the camera.
+    /// Its normal, towards the keyframe, and the point at the mean of the pixels that it was fitted to, both in the world. With the
+    /// inverse depth `a x + b y + c` of the pixel, `N X = 1` holds on the plane for `N = (a fx, b fy, a cx + b cy + c)`. Not finite for
+    /// a plane through the camera.
     pub fn in_world(&self, pinhole: &Pinhole, world_from_keyframe: &Sim3) -> (Vec3, Vec3) {
-        let [a, b, c] = self.affine();
+        let ([a, b, c], [x, y]) = (self.coefficients.into(), self.center);
+        let c = c - a * x - b * y;
         let normal = Vec3::new(
             a * pinhole.fx,
             b * pinhole.fy,
             a * pinhole.cx + b * pinhole.cy + c,
         );
-        let [x, y] = self.middle();
         let ray = pinhole.unproject(&Vec2::new(x, y));
         (
             world_from_keyframe.rotation * -normal.normalize(),
             *world_from_keyframe * (ray / ray.dot(&normal)),
         )
-    }
-
-    /// The points of another plane, as certain as this one.
-    fn through_points_of(&self, other: &Self) -> Self {
-        let [x, y] = self.center;
-        let [a, b, _] = other.coefficients.into();
-        let c = other.coefficients.dot(&other.row(x, y));
-        Self {
-            coefficients: Vector3::new(a, b, c),
-            ..self.clone()
-        }
     }
 
     fn row(&self, x: f64, y: f64) -> Vector3<f64> {
@@ -168,8 +147,8 @@ impl Border {
             return None;
         }
         // here nothing is seen through anything: points behind a plane do not contradict it
-        let score = |points: &[BorderPoint], plane: &Plane| count(points, plane).on_plane as i64;
-        let plane = best_plane(&self.points, seed, samples, score, config)?;
+        let score = |border: &Self, plane: &Plane| border.count(plane).on_plane as i64;
+        let plane = self.best_plane(seed, samples, score, config)?;
         self.points.retain(|point| !plane.explains(point));
         Some(plane)
     }
@@ -187,68 +166,62 @@ impl Border {
 
     /// How the outline judges a plane.
     pub fn count(&self, plane: &Plane) -> Count {
-        count(&self.points, plane)
-    }
-}
-
-fn count(points: &[BorderPoint], plane: &Plane) -> Count {
-    let mut count = Count {
-        total: points.len(),
-        ..Count::default()
-    };
-    for point in points {
-        let gap = plane.gap(point);
-        if gap.abs() <= 2.0 {
-            count.on_plane += 1;
-        } else if gap < -2.5 {
-            count.behind += 1;
-        }
-    }
-    count
-}
-
-/// The plane that an outline agrees with best; none if it contradicts it.
-///
-/// The sampling is a function of `seed` alone.
-pub(super) fn fit_plane(border: &Border, seed: u64, config: &FillConfig) -> Option<Plane> {
-    if border.points.len() < config.min_inliers {
-        return None;
-    }
-    let score = |points: &[BorderPoint], plane: &Plane| count(points, plane).score();
-    let plane = best_plane(&border.points, seed, config.samples, score, config)?;
-    border
-        .count(&plane)
-        .is_believable(config.min_inliers, config.min_inlier_share, config)
-        .then_some(plane)
-}
-
-/// The candidate of the best score (Fischler and Bolles, 1981), fitted to them.
-fn best_plane(
-    points: &[BorderPoint],
-    seed: u64,
-    samples: usize,
-    score: impl Fn(&[BorderPoint], &Plane) -> i64,
-    config: &FillConfig,
-) -> Option<Plane> {
-    let stride = points.len().div_ceil(MAX_JUDGES);
-    let judges: Vec<BorderPoint> = points.iter().step_by(stride).copied().collect();
-    let mut rng = Rng::new(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
-    let mut best: Option<(i64, Plane)> = None;
-    for _ in 0..samples {
-        let triple = [(); 3].map(|()| points[(rng.next_u64() % points.len() as u64) as usize]);
-        let Some(plane) = through(&triple) else {
-            continue;
+        let mut count = Count {
+            total: self.points.len(),
+            ..Count::default()
         };
-        let score = score(&judges, &plane);
-        if best.as_ref().is_none_or(|(other, _)| score > *other) {
-            best = Some((score, plane));
+        for gap in self.points.iter().map(|point| plane.gap(point)) {
+            count.on_plane += usize::from(gap.abs() <= 2.0);
+            count.behind += usize::from(gap < -2.5);
         }
+        count
     }
-    let (_, mut plane) = best?;
-    for _ in 0..2 {
-        plane = fitted(&within(points, &plane, 2.0), None, config)?;
+
+    /// The plane that the outline agrees with best; none if it contradicts it.
+    ///
+    /// The sampling is a function of `seed` alone.
+    pub fn fit_plane(&self, seed: u64, config: &FillConfig) -> Option<Plane> {
+        if self.points.len() < config.min_inliers {
+            return None;
+        }
+        let score = |border: &Self, plane: &Plane| border.count(plane).score();
+        let plane = self.best_plane(seed, config.samples, score, config)?;
+        self.count(&plane)
+            .is_believable(config.min_inliers, config.min_inlier_share, config)
+            .then_some(plane)
     }
-    Some(plane)
+
+    /// The candidate of the best score (Fischler and Bolles, 1981), fitted to them.
+    fn best_plane(
+        &self,
+        seed: u64,
+        samples: usize,
+        score: impl Fn(&Self, &Plane) -> i64,
+        config: &FillConfig,
+    ) -> Option<Plane> {
+        let points = &self.points;
+        let stride = points.len().div_ceil(MAX_JUDGES);
+        let judges = Self {
+            points: points.iter().step_by(stride).copied().collect(),
+        };
+        let mut rng = Rng::new(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
+        let mut best: Option<(i64, Plane)> = None;
+        for _ in 0..samples {
+            let triple = [(); 3].map(|()| points[(rng.next_u64() % points.len() as u64) as usize]);
+            let Some(plane) = through(&triple) else {
+                continue;
+            };
+            let score = score(&judges, &plane);
+            if best.as_ref().is_none_or(|(other, _)| score > *other) {
+                best = Some((score, plane));
+            }
+        }
+        let (_, mut plane) = best?;
+        for _ in 0..2 {
+            plane = fitted(&within(points, &plane, 2.0), None, config)?;
+        }
+        Some(plane)
+    }
 }
 
 /// The surface that a plane through its outline stands for. What stands before it, frames and skirtings, is left out by fits that weigh what is
@@ -266,7 +239,13 @@ fn settled(points: &[BorderPoint], plane: &Plane, config: &FillConfig) -> Option
         }
         surface = fitted(&near, None, config)?;
     }
-    Some(plane.through_points_of(&surface))
+    let [x, y] = plane.center;
+    let [a, b, _] = surface.coefficients.into();
+    let c = surface.coefficients.dot(&surface.row(x, y));
+    Some(Plane {
+        coefficients: Vector3::new(a, b, c),
+        ..plane.clone()
+    })
 }
 
 /// Points at most so many standard deviations off a plane.

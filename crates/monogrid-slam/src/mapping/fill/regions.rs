@@ -3,16 +3,15 @@
 use super::FillConfig;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
+use std::mem::take;
 
 /// The label of pixels that belong to no region.
 pub(in crate::mapping) const NO_REGION: u32 = u32::MAX;
 
 /// Plain regions of an image.
 pub(in crate::mapping) struct Regions {
-    pub width: usize,
-    pub height: usize,
-    /// Region of each pixel, row-major.
-    pub labels: Vec<u32>,
+    /// Region of each pixel.
+    pub labels: Image<u32>,
     /// Number of regions; labels are less.
     pub count: usize,
 }
@@ -27,65 +26,46 @@ impl Regions {
         measured: impl IntoIterator<Item = &'a Measurement>,
         config: &FillConfig,
     ) -> Self {
-        let (width, height) = (image.width(), image.height());
         let mut plain = plain_pixels(image, config.max_gradient);
         for point in measured {
             let (x, y) = (usize::from(point.x), usize::from(point.y));
-            if x < width && y < height {
-                plain[y * width + x] = false;
+            if x < plain.width() && y < plain.height() {
+                plain.set(x, y, false);
             }
         }
-        Self::of_pixels(&plain, (width, height), config.min_area_px)
+        Self::of_pixels(&plain, config.min_area_px)
     }
 
-    /// The regions of these pixels, row-major, of at least so many.
-    pub fn of_pixels(pixels: &[bool], (width, height): (usize, usize), min_area: usize) -> Self {
-        let core = eroded(pixels, width, height);
+    /// The regions of these pixels, of at least so many.
+    pub fn of_pixels(pixels: &Image<bool>, min_area: usize) -> Self {
         let mut this = Self {
-            width,
-            height,
-            labels: vec![NO_REGION; width * height],
+            labels: pixels.map(|_| NO_REGION),
             count: 0,
         };
-        this.connect(&core, min_area);
+        this.connect(eroded(pixels), min_area);
         this.grow_by_one(pixels);
         this
     }
 
-    /// Label of a pixel; outside the image none.
-    pub fn at(&self, x: i32, y: i32) -> u32 {
-        let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
-        if inside {
-            self.labels[y as usize * self.width + x as usize]
-        } else {
-            NO_REGION
-        }
-    }
-
     /// Labels connected components of at least `min_area` pixels in the order of their first pixel.
-    fn connect(&mut self, core: &[bool], min_area: usize) {
-        let mut is_visited = vec![false; core.len()];
+    fn connect(&mut self, mut core: Image<bool>, min_area: usize) {
+        let size = (core.width(), core.height());
+        let is_left = core.as_mut_slice();
         let mut component = Vec::new();
-        for start in 0..core.len() {
-            if !core[start] || is_visited[start] {
+        for start in 0..is_left.len() {
+            if !take(&mut is_left[start]) {
                 continue;
             }
             component.clear();
             component.push(start);
-            is_visited[start] = true;
             let mut next = 0;
             while let Some(&index) = component.get(next) {
                 next += 1;
-                for neighbour in neighbours(index, self.width, self.height) {
-                    if core[neighbour] && !is_visited[neighbour] {
-                        is_visited[neighbour] = true;
-                        component.push(neighbour);
-                    }
-                }
+                component.extend(neighbours(index, size).filter(|n| take(&mut is_left[*n])));
             }
             if component.len() >= min_area {
                 for &index in &component {
-                    self.labels[index] = self.count as u32;
+                    self.labels.as_mut_slice()[index] = self.count as u32;
                 }
                 self.count += 1;
             }
@@ -93,21 +73,21 @@ impl Regions {
     }
 
     /// Gives back the rim that the erosion took.
-    fn grow_by_one(&mut self, plain: &[bool]) {
+    fn grow_by_one(&mut self, plain: &Image<bool>) {
+        let size = (plain.width(), plain.height());
         let source = self.labels.clone();
-        for (index, label) in self.labels.iter_mut().enumerate() {
-            if *label == NO_REGION && plain[index] {
-                *label = neighbours(index, self.width, self.height)
-                    .map(|n| source[n])
-                    .find(|l| *l != NO_REGION)
-                    .unwrap_or(NO_REGION);
+        let labels = self.labels.as_mut_slice().iter_mut().enumerate();
+        for ((index, label), is_plain) in labels.zip(plain.as_slice()) {
+            if *label == NO_REGION && *is_plain {
+                let mut beside = neighbours(index, size).map(|n| source.as_slice()[n]);
+                *label = beside.find(|l| *l != NO_REGION).unwrap_or(NO_REGION);
             }
         }
     }
 }
 
 /// The up to four neighbours of a pixel.
-fn neighbours(index: usize, width: usize, height: usize) -> impl Iterator<Item = usize> {
+fn neighbours(index: usize, (width, height): (usize, usize)) -> impl Iterator<Item = usize> {
     let (x, y) = (index % width, index / width);
     [
         (x > 0).then(|| index - 1),
@@ -120,20 +100,18 @@ fn neighbours(index: usize, width: usize, height: usize) -> impl Iterator<Item =
 }
 
 /// Pixels whose gradient, after smoothing by (1 2 1)/4 in both directions, is weak.
-fn plain_pixels(image: &Image<u8>, max_gradient: f64) -> Vec<bool> {
-    let (width, height) = (image.width(), image.height());
+fn plain_pixels(image: &Image<u8>, max_gradient: f64) -> Image<bool> {
+    let mut plain = image.map(|_| false);
+    if image.width() < 3 {
+        return plain;
+    }
     let smooth = smoothed(image);
     // smoothed values are 16 times the grey level, differences are over two pixels
     let limit = (32.0 * max_gradient).powi(2) as i32;
-    let mut plain = vec![false; width * height];
-    if width < 3 {
-        return plain;
-    }
-    for y in 1..height.saturating_sub(1) {
-        let row = |y: usize| &smooth[y * width..(y + 1) * width];
-        let (above, own, below) = (row(y - 1), row(y), row(y + 1));
+    for y in 1..image.height().saturating_sub(1) {
+        let (above, own, below) = (smooth.row(y - 1), smooth.row(y), smooth.row(y + 1));
         let around = own.windows(3).zip(above[1..].iter().zip(&below[1..]));
-        for (plain, (beside, (above, below))) in plain[y * width + 1..].iter_mut().zip(around) {
+        for (plain, (beside, (above, below))) in plain.row_mut(y)[1..].iter_mut().zip(around) {
             let dx = i32::from(beside[2]) - i32::from(beside[0]);
             let dy = i32::from(*below) - i32::from(*above);
             *plain = dx * dx + dy * dy <= limit;
@@ -142,27 +120,28 @@ fn plain_pixels(image: &Image<u8>, max_gradient: f64) -> Vec<bool> {
     plain
 }
 
-/// 16 times the smoothed image.
-fn smoothed(image: &Image<u8>) -> Vec<u16> {
-    let (width, height) = (image.width(), image.height());
-    let mut rows = vec![0u16; width * height];
-    for (y, out) in rows.chunks_exact_mut(width.max(1)).enumerate() {
-        let row = image.row(y);
+/// 16 times the smoothed image, which has two columns at least.
+fn smoothed(image: &Image<u8>) -> Image<u16> {
+    let (last_row, last) = (image.height().saturating_sub(1), image.width() - 1);
+    let mut rows = image.map(|_| 0_u16);
+    for y in 0..image.height() {
+        let (row, out) = (image.row(y), rows.row_mut(y));
         let mean =
             |left: u8, at: u8, right: u8| u16::from(left) + 2 * u16::from(at) + u16::from(right);
         for (out, around) in out[1..].iter_mut().zip(row.windows(3)) {
             *out = mean(around[0], around[1], around[2]);
         }
-        let last = width - 1;
-        out[0] = mean(row[0], row[0], row[last.min(1)]);
-        out[last] = mean(row[last.saturating_sub(1)], row[last], row[last]);
+        out[0] = mean(row[0], row[0], row[1]);
+        out[last] = mean(row[last - 1], row[last], row[last]);
     }
-    let mut smooth = vec![0u16; width * height];
-    for (y, out) in smooth.chunks_exact_mut(width.max(1)).enumerate() {
-        let row = |y: usize| &rows[y * width..(y + 1) * width];
-        let (above, below) = (row(y.saturating_sub(1)), row((y + 1).min(height - 1)));
-        let around = above.iter().zip(row(y)).zip(below);
-        for (out, ((above, at), below)) in out.iter_mut().zip(around) {
+    let mut smooth = image.map(|_| 0_u16);
+    for y in 0..image.height() {
+        let (above, below) = (
+            rows.row(y.saturating_sub(1)),
+            rows.row((y + 1).min(last_row)),
+        );
+        let around = above.iter().zip(rows.row(y)).zip(below);
+        for (out, ((above, at), below)) in smooth.row_mut(y).iter_mut().zip(around) {
             *out = above + 2 * at + below;
         }
     }
@@ -170,13 +149,12 @@ fn smoothed(image: &Image<u8>) -> Vec<u16> {
 }
 
 /// Pixels whose 3x3 neighbourhood is set.
-fn eroded(set: &[bool], width: usize, height: usize) -> Vec<bool> {
-    let mut out = vec![false; set.len()];
-    for y in 1..height.saturating_sub(1) {
-        let row = |y: usize| &set[y * width..(y + 1) * width];
-        let columns = row(y - 1).iter().zip(row(y)).zip(row(y + 1));
+fn eroded(set: &Image<bool>) -> Image<bool> {
+    let mut out = set.map(|_| false);
+    for y in 1..set.height().saturating_sub(1) {
+        let columns = set.row(y - 1).iter().zip(set.row(y)).zip(set.row(y + 1));
         let columns: Vec<bool> = columns.map(|((a, b), c)| a & b & c).collect();
-        let inner = out[y * width + 1..].iter_mut();
+        let inner = out.row_mut(y)[1..].iter_mut();
         for (out, around) in inner.zip(columns.windows(3)) {
             *out = around[0] & around[1] & around[2];
         }

@@ -1,9 +1,9 @@
 //! The *global* map: every keyframe where the graph has it.
 
 use super::mapper::{MapStats, Mapper, similarity};
-use crate::mapping::{KeyframeScan, ScanPixels};
+use crate::mapping::KeyframeScan;
 use crate::{KeyframeId, PoseSnapshot};
-use monogrid_geometry::{Sim3, Vec3};
+use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::{KeyframeChange, KeyframeMap, MapError, OccupancyMap};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,15 +15,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// moved less than the threshold since they were last integrated).
 #[derive(Debug)]
 pub(super) struct GlobalMap {
-    map: KeyframeMap,
+    pub map: KeyframeMap,
     map_from_world: Sim3,
     placed: BTreeMap<KeyframeId, Placed>,
     /// Better depth that is not in the map yet.
     revised: BTreeMap<KeyframeId, KeyframeScan>,
-    /// Where keyframes should be.
-    wanted: Arc<PoseSnapshot>,
+    /// Where keyframes should be; those without a pose stay where they are.
+    pub wanted: Arc<PoseSnapshot>,
     /// Revision of the poses that the map shows.
-    revision: u64,
+    pub revision: u64,
     /// What the update under way leads to.
     coming: Option<Coming>,
     /// Updates that came about.
@@ -50,7 +50,7 @@ impl GlobalMap {
     pub fn new(mapper: &Mapper, map_from_world: Sim3) -> Result<Self, MapError> {
         let config = mapper.config().map_config();
         Ok(Self {
-            map: KeyframeMap::new(config, mapper.integration().clone(), mapper.threads())?,
+            map: KeyframeMap::new(config, mapper.integration.clone(), mapper.threads)?,
             map_from_world,
             placed: BTreeMap::new(),
             revised: BTreeMap::new(),
@@ -59,21 +59,6 @@ impl GlobalMap {
             coming: None,
             num_updates: 0,
         })
-    }
-
-    /// The map for another thread.
-    pub fn share(&self) -> Arc<OccupancyMap> {
-        self.map.share()
-    }
-
-    /// Revision of the poses that the map shows.
-    pub fn revision(&self) -> u64 {
-        self.revision
-    }
-
-    /// Where keyframes should be.
-    pub fn wanted(&self) -> &Arc<PoseSnapshot> {
-        &self.wanted
     }
 
     /// Grows when what the map shows, or its revision, changes by [`GlobalMap::step`].
@@ -101,11 +86,6 @@ impl GlobalMap {
         if self.placed.contains_key(&scan.id) {
             self.revised.insert(scan.id, scan);
         }
-    }
-
-    /// Says where keyframes are now; those without a pose stay where they are.
-    pub fn follow(&mut self, wanted: Arc<PoseSnapshot>) {
-        self.wanted = wanted;
     }
 
     /// Does a bounded piece of work, at most the integration of one keyframe, towards the newest poses
@@ -140,7 +120,7 @@ impl GlobalMap {
             self.revision = coming.revision;
             return Ok(false);
         }
-        let pixels: BTreeMap<KeyframeId, ScanPixels> = coming
+        let pixels: BTreeMap<KeyframeId, _> = coming
             .revised
             .iter()
             .map(|(id, scan)| (*id, scan.pixels()))
@@ -226,8 +206,8 @@ impl GlobalMap {
         mut waiting: Vec<(KeyframeScan, Sim3)>,
         done: &AtomicUsize,
     ) -> Result<(), MapError> {
-        self.map.set_threads(mapper.threads());
-        self.follow(Arc::clone(wanted));
+        self.map.set_threads(mapper.threads);
+        self.wanted = Arc::clone(wanted);
         self.bring_to(mapper, map_from_world)?;
         // the newest is added without work on the others
         waiting.sort_by_key(|(scan, _)| scan.id);
@@ -237,11 +217,6 @@ impl GlobalMap {
             done.fetch_add(1, Ordering::Relaxed);
         }
         Ok(())
-    }
-
-    /// The map.
-    pub fn into_map(self) -> OccupancyMap {
-        self.map.into_map()
     }
 
     /// What is in the map.
@@ -288,27 +263,17 @@ struct Reach([Vec3; 5]);
 
 impl Reach {
     fn new(scan: &KeyframeScan) -> Self {
-        let mut low = [f64::INFINITY; 2];
-        let mut high = [f64::NEG_INFINITY; 2];
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         let mut far: f64 = 0.0;
         for pixel in scan.pixels().iter().filter(|p| p.idepth > 0.0) {
-            for (axis, c) in [f64::from(pixel.x), f64::from(pixel.y)]
-                .into_iter()
-                .enumerate()
-            {
-                low[axis] = low[axis].min(c);
-                high[axis] = high[axis].max(c);
-            }
+            let place = [pixel.x, pixel.y].map(f64::from);
+            low = [0, 1].map(|k| f64::min(low[k], place[k]));
+            high = [0, 1].map(|k| f64::max(high[k], place[k]));
             far = far.max(1.0 / f64::from(pixel.idepth));
         }
-        let pinhole = &scan.camera.pinhole;
-        let corner = |x: f64, y: f64| {
-            let ray = Vec3::new(
-                (x - pinhole.cx) / pinhole.fx,
-                (y - pinhole.cy) / pinhole.fy,
-                1.0,
-            );
-            if far > 0.0 { ray * far } else { Vec3::zeros() }
+        let corner = |x: f64, y: f64| match far > 0.0 {
+            true => scan.camera.pinhole.unproject(&Vec2::new(x, y)) * far,
+            false => Vec3::zeros(),
         };
         Self([
             Vec3::zeros(),

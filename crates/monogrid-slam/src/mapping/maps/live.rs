@@ -123,13 +123,9 @@ impl Waiting {
             Self::Keyframe(keyframe, camera) => (keyframe, camera),
         };
         let loaded = keyframe.load();
-        let (image, pixels) = match &loaded {
-            Some(keyframe) => (
-                is_read.then_some(&keyframe.image),
-                keyframe.pixels.as_slice(),
-            ),
-            None => (None, [].as_slice()),
-        };
+        let pixels = loaded.as_ref().map_or(&[][..], |loaded| &loaded.pixels);
+        let image = loaded.as_ref().filter(|_| is_read);
+        let image = image.map(|loaded| &loaded.image);
         KeyframeScan::new(keyframe.id, pixels, image, &camera, config)
     }
 }
@@ -254,7 +250,10 @@ impl LiveMaps {
         match self.waiting.iter_mut().find(|(w, _)| w.id() == id) {
             Some((waiting, _)) => *waiting = keyframe,
             None => {
-                let is_better_shown = self.has_better(&keyframe);
+                let depth = self.depth.as_ref();
+                // of the filter: what was made of its depth before is better
+                let is_better_shown = matches!(keyframe, Waiting::Keyframe(..))
+                    && depth.is_some_and(|depth| depth.has_handed_over(id));
                 self.make_better(&keyframe);
                 if !is_better_shown {
                     let scan = keyframe.scan(self.mapper.config(), self.published.is_read());
@@ -262,13 +261,6 @@ impl LiveMaps {
                 }
             }
         }
-    }
-
-    /// Whether a keyframe of the filter would replace what was made of its depth before.
-    fn has_better(&self, keyframe: &Waiting) -> bool {
-        let depth = self.depth.as_ref();
-        matches!(keyframe, Waiting::Keyframe(..))
-            && depth.is_some_and(|depth| depth.has_handed_over(keyframe.id()))
     }
 
     /// Says where keyframes are now; *global* follows in [`LiveMaps::step`]. Keyframes that have come to the
@@ -285,7 +277,7 @@ impl LiveMaps {
                 }
             }
         }
-        self.global.follow(poses);
+        self.global.wanted = poses;
         Ok(())
     }
 
@@ -324,10 +316,9 @@ impl LiveMaps {
         }
         let is_depth_first = self.is_depths_turn;
         self.is_depths_turn = !is_depth_first;
-        if is_depth_first && self.step_depth() || self.step_global()? {
-            return Ok(true);
-        }
-        Ok(!is_depth_first && self.step_depth())
+        Ok(is_depth_first && self.step_depth()
+            || self.step_global()?
+            || !is_depth_first && self.step_depth())
     }
 
     fn step_global(&mut self) -> Result<bool, MapError> {
@@ -340,15 +331,13 @@ impl LiveMaps {
     }
 
     fn step_depth(&mut self) -> bool {
-        let Some(depth) = &mut self.depth else {
-            return false;
-        };
-        match depth.step(self.global.wanted()) {
-            Step::Idle => return false,
-            Step::Worked => {}
-            Step::Better(scan) => self.global.revise(scan),
+        let depth = self.depth.as_mut();
+        let step = depth.map_or(Step::Idle, |depth| depth.step(&self.global.wanted));
+        let has_worked = !matches!(step, Step::Idle);
+        if let Step::Better(scan) = step {
+            self.global.revise(scan);
         }
-        true
+        has_worked
     }
 
     /// No more keyframes come: what was kept to make their depth better is given back.
@@ -359,9 +348,9 @@ impl LiveMaps {
     fn publish(&self) {
         if self.published.is_read() {
             self.published.put(LiveView {
-                revision: self.global.revision(),
+                revision: self.global.revision,
                 stats: self.global.stats(),
-                global: self.global.share(),
+                global: self.global.map.share(),
                 large: Arc::clone(&self.large),
                 map_from_world: self.map_from_world,
                 local_radius: self.mapper.config().local_radius,
@@ -426,7 +415,7 @@ impl LiveMaps {
             let first_poses = first_poses.map(|(id, pose)| (*id, *map_from_world * *pose));
             let large = global.elsewhere(first_poses)?;
             let stats = global.stats();
-            (large, (global.into_map(), stats))
+            (large, (global.map.into_map(), stats))
         };
         let local = match camera_in_map {
             Some(center) => global.within(center.into(), mapper.config().local_radius)?,
@@ -452,17 +441,18 @@ fn both_from_scratch(
     done: &AtomicUsize,
 ) -> Result<(OccupancyMap, (OccupancyMap, MapStats)), MapError> {
     keyframes.sort_by_key(|(scan, _)| scan.id);
-    let (scans, first): (Vec<KeyframeScan>, Vec<Sim3>) = keyframes.into_iter().unzip();
-    let last = scans.iter().zip(&first).map(|(scan, first)| {
+    let first = keyframes.iter().map(|(scan, first)| (scan, *first));
+    let last = keyframes.iter().map(|(scan, first)| {
         let pose = snapshot.world_from_keyframe.get(scan.id as usize);
-        Some(*pose.unwrap_or(first))
+        (scan, *pose.unwrap_or(first))
     });
-    let last: Vec<Option<Sim3>> = last.collect();
-    let first: Vec<Option<Sim3>> = first.into_iter().map(Some).collect();
+    let in_map = |(scan, pose): (_, Sim3)| (scan, *map_from_world * pose);
+    let first: Vec<(&KeyframeScan, Sim3)> = first.map(in_map).collect();
+    let last: Vec<(&KeyframeScan, Sim3)> = last.map(in_map).collect();
     let mapper = mapper.with_threads((threads / 2).max(1));
     let (large, global) = rayon::join(
-        || mapper.build(&scans, &first, map_from_world),
-        || mapper.build_counted(&scans, &last, map_from_world, done),
+        || mapper.build_posed(&first, &AtomicUsize::new(0)),
+        || mapper.build_posed(&last, done),
     );
     Ok((large?.0, global?))
 }

@@ -1,14 +1,11 @@
 //! One scan into one map.
 
-use super::super::{
-    AutoLength, IntegrationKind, KeyframeCamera, KeyframeScan, MappingConfig, ScanPixels,
-    SensorModelKind, SigmaMode,
-};
-use monogrid_geometry::{Rotation, Sim3, Vec3, nalgebra::Matrix3};
+use super::super::{AutoLength, KeyframeCamera, KeyframeScan, MappingConfig, SensorModelKind};
+use monogrid_geometry::nalgebra::{Matrix3, Rotation3};
+use monogrid_geometry::{Rotation, Sim3, Vec3};
 use monogrid_occupancy::{
-    CameraView, DepthPixel as Measurement, DepthScan, IntegrationConfig, IntegrationRule, MapError,
-    OccupancyMap, PointScan, PoseSigma, Scan, ScanData, SigmaMode as OccupancySigmaMode,
-    Similarity, UnseenLimits, integrate, integrate_scans,
+    CameraView, DepthPixel as Measurement, DepthScan, IntegrationConfig, MapError, OccupancyMap,
+    PointScan, PoseSigma, Scan, ScanData, Similarity, UnseenLimits, integrate, integrate_scans,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -17,9 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 #[must_use]
 pub fn z_up_from_camera_world() -> Sim3 {
     let matrix = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
-    let rotation = Rotation::from_rotation_matrix(
-        &monogrid_geometry::nalgebra::Rotation3::from_matrix_unchecked(matrix),
-    );
+    let rotation = Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
     Sim3::new(1.0, rotation, Vec3::zeros())
 }
 
@@ -36,8 +31,9 @@ pub struct MapStats {
 #[derive(Clone, Debug)]
 pub struct Mapper {
     config: MappingConfig,
-    integration: IntegrationConfig,
-    threads: usize,
+    /// The settings of the integration that follow from them.
+    pub(super) integration: IntegrationConfig,
+    pub(super) threads: usize,
 }
 
 impl Mapper {
@@ -45,10 +41,7 @@ impl Mapper {
     #[must_use]
     pub fn new(config: MappingConfig, threads: usize) -> Self {
         let integration = IntegrationConfig {
-            rule: match config.integration {
-                IntegrationKind::Fused => IntegrationRule::Fused,
-                IntegrationKind::Rays => IntegrationRule::Rays,
-            },
+            rule: config.integration,
             model: config.sensor(),
             max_range: config.max_range,
             update_min: config.update_limits[0] as f32,
@@ -62,10 +55,7 @@ impl Mapper {
             // Depth from video has false measurements enough: they would gain as well.
             obstacle_weight: 0,
             band_by_slope: config.band_by_slope,
-            sigma_mode: match config.sigma_mode {
-                SigmaMode::Range => OccupancySigmaMode::Range,
-                SigmaMode::RawInverseDepth => OccupancySigmaMode::RawInverseDepth,
-            },
+            sigma_mode: config.sigma_mode,
         };
         Self {
             config,
@@ -78,12 +68,6 @@ impl Mapper {
     #[must_use]
     pub fn config(&self) -> &MappingConfig {
         &self.config
-    }
-
-    /// The settings of the integration that follow from them.
-    #[must_use]
-    pub fn integration(&self) -> &IntegrationConfig {
-        &self.integration
     }
 
     /// An empty map.
@@ -144,7 +128,13 @@ impl Mapper {
         if config.max_behind <= 0.0 {
             return Ok(());
         }
-        let views: Vec<CameraView> = map_from_keyframes.map(camera_view).collect();
+        let views = map_from_keyframes.map(|(camera, map_from_keyframe)| CameraView {
+            world_from_camera: similarity(&map_from_keyframe),
+            size: [camera.width as u32, camera.height as u32],
+            focal: [camera.pinhole.fx, camera.pinhole.fy],
+            principal: [camera.pinhole.cx, camera.pinhole.cy],
+        });
+        let views: Vec<CameraView> = views.collect();
         let limits = UnseenLimits {
             max_behind: config.max_behind,
             max_behind_share: config.max_behind_share,
@@ -179,11 +169,6 @@ impl Mapper {
                 pixels,
             }),
         }
-    }
-
-    /// Threads that integrate.
-    pub(super) fn threads(&self) -> usize {
-        self.threads
     }
 
     /// The same on another number of threads; the results are the same.
@@ -265,40 +250,28 @@ impl Mapper {
         world_from_keyframe: &[Option<Sim3>],
         map_from_world: &Sim3,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
-        self.build_counted(
-            scans,
-            world_from_keyframe,
-            map_from_world,
-            &AtomicUsize::new(0),
-        )
+        let posed = scans.iter().zip(world_from_keyframe);
+        let posed: Vec<(&KeyframeScan, Sim3)> = posed
+            .filter_map(|(scan, pose)| Some((scan, *map_from_world * (*pose)?)))
+            .collect();
+        self.build_posed(&posed, &AtomicUsize::new(0))
     }
 
-    /// As [`Mapper::build`]; `done` grows with the keyframes, for those who wait.
-    pub(super) fn build_counted(
+    /// As [`Mapper::build`], of scans with `map_from_keyframe`; `done` grows with the keyframes, for those who wait.
+    pub(super) fn build_posed(
         &self,
-        scans: &[KeyframeScan],
-        world_from_keyframe: &[Option<Sim3>],
-        map_from_world: &Sim3,
+        posed: &[(&KeyframeScan, Sim3)],
         done: &AtomicUsize,
     ) -> Result<(OccupancyMap, MapStats), MapError> {
         /// Keyframes that are in memory, and counted, at once, per thread: twice as many as are integrated together.
         const COUNTED: usize = 4;
         let mut map = self.empty_map()?;
-        let mut num_filled = 0;
-        let posed: Vec<(&KeyframeScan, Sim3)> = scans
-            .iter()
-            .zip(world_from_keyframe)
-            .filter_map(|(scan, pose)| {
-                num_filled += pose.map_or(0, |_| scan.num_filled);
-                Some((scan, *map_from_world * (*pose)?))
-            })
-            .collect();
+        let num_filled: usize = posed.iter().map(|(scan, _)| scan.num_filled).sum();
         let mut points = 0;
         for some in posed.chunks(COUNTED * self.threads) {
-            let pixels: Vec<ScanPixels> = some.iter().map(|(scan, _)| scan.pixels()).collect();
-            let scans: Vec<Scan> = some
-                .iter()
-                .zip(&pixels)
+            let pixels: Vec<_> = some.iter().map(|(scan, _)| scan.pixels()).collect();
+            let scans = some.iter().zip(&pixels);
+            let scans: Vec<Scan> = scans
                 .map(|((scan, pose), pixels)| self.scan(scan, pixels, pose))
                 .collect();
             points += integrate_scans(&mut map, &scans, &self.integration, self.threads)?.points;
@@ -309,17 +282,6 @@ impl Mapper {
             keyframes: posed.len(),
         };
         Ok((map, stats))
-    }
-}
-
-/// A keyframe in the types of the occupancy crate.
-fn camera_view((camera, map_from_keyframe): (KeyframeCamera, Sim3)) -> CameraView {
-    let pinhole = &camera.pinhole;
-    CameraView {
-        world_from_camera: similarity(&map_from_keyframe),
-        size: [camera.width as u32, camera.height as u32],
-        focal: [pinhole.fx, pinhole.fy],
-        principal: [pinhole.cx, pinhole.cy],
     }
 }
 

@@ -68,12 +68,9 @@ pub struct Upright {
 #[must_use]
 pub fn upright(views: &[UprightView], config: &UprightConfig) -> Option<Upright> {
     let evidence = Evidence::of(views, config);
-    let vote = vote::vote(&evidence, config)?;
-    Some(Upright {
-        up_in_world: vote.up,
-        confidence: vote.confidence,
-        floor: floor::floor(&evidence, &vote.up, config),
-    })
+    let mut upright = vote::vote(&evidence, config)?;
+    upright.floor = floor::floor(&evidence, &upright.up_in_world, config);
+    Some(upright)
 }
 
 /// The floor for an up that is known otherwise.

@@ -92,7 +92,7 @@ fn grow(
 }
 
 /// The line through a group, if the group is thin.
-fn line_of(group: &[usize], width: usize) -> impl Iterator<Item = Segment> {
+fn line_of(group: &[usize], width: usize) -> Option<Segment> {
     let count = group.len() as f64;
     let at = |index: &usize| [(index % width) as f64, (index / width) as f64];
     let mean = |axis: usize| group.iter().map(|i| at(i)[axis]).sum::<f64>() / count;
@@ -114,9 +114,7 @@ fn line_of(group: &[usize], width: usize) -> impl Iterator<Item = Segment> {
         direction: [cos, sin],
         length_px: (12.0 * along).sqrt(),
     };
-    (across.sqrt() <= MAX_WIDTH_PX)
-        .then_some(segment)
-        .into_iter()
+    (across.sqrt() <= MAX_WIDTH_PX).then_some(segment)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Which direction is up: planes and straight edges vote, the way in which the camera was held decides among what they leave.
 
-use super::UprightConfig;
 use super::evidence::Evidence;
+use super::{Upright, UprightConfig};
 use monogrid_geometry::nalgebra::SymmetricEigen;
 use monogrid_geometry::{Mat3, Vec3};
 
@@ -14,29 +14,16 @@ const ENOUGH_SUPPORT: f64 = 0.1;
 /// Directions closer than this are the same one, degrees.
 const SAME_DEG: f64 = 20.0;
 
-/// The direction that most speaks for.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Vote {
-    /// Of length 1, in the world.
-    pub up: Vec3,
-    /// How sure, from 0 to 1: few votes, or another direction that nearly as much speaks for, make it doubtful.
-    pub confidence: f64,
-}
-
-/// Searches the sphere, then adjusts the best direction.
-pub(super) fn vote(evidence: &Evidence, config: &UprightConfig) -> Option<Vote> {
+/// The direction that most speaks for, without a floor: searches the sphere, then adjusts the best one. Few votes, or another direction
+/// that nearly as much speaks for, make it doubtful.
+pub(super) fn vote(evidence: &Evidence, config: &UprightConfig) -> Option<Upright> {
     if evidence.poses.is_empty() || evidence.patches.is_empty() && evidence.edges.is_empty() {
         return None;
     }
     let reach = REACH_DEG[0].to_radians().sin();
-    let mut scored: Vec<(f64, Vec3)> = sphere(NUM_DIRECTIONS)
-        .map(|up| {
-            (
-                support(evidence, &up, reach) * held(evidence, &up, config),
-                up,
-            )
-        })
-        .collect();
+    let score = |up: &Vec3| support(evidence, up, reach) * held(evidence, up, config);
+    let directions = sphere(NUM_DIRECTIONS);
+    let mut scored: Vec<(f64, Vec3)> = directions.map(|up| (score(&up), up)).collect();
     // equal scores in the order of the sphere
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));
     let (best, first) = *scored.first()?;
@@ -51,9 +38,10 @@ pub(super) fn vote(evidence: &Evidence, config: &UprightConfig) -> Option<Vote> 
         up = adjusted(evidence, &up, reach_deg.to_radians().sin())?;
     }
     let support = support(evidence, &up, reach) / ENOUGH_SUPPORT;
-    Some(Vote {
-        up,
+    Some(Upright {
+        up_in_world: up,
         confidence: support.clamp(0.0, 1.0) * (1.0 - rival),
+        floor: None,
     })
 }
 
