@@ -236,7 +236,7 @@ impl Beam {
         if behind_start < 0 {
             return table.free;
         }
-        let at = u128::from(behind_start as u64) * u128::from(self.entries_per_range) >> 64;
+        let at = (u128::from(behind_start as u64) * u128::from(self.entries_per_range)) >> 64;
         table.entries.get(at as usize).copied().unwrap_or(0)
     }
 }
