@@ -93,6 +93,8 @@ mod query;
 mod scan;
 mod sensor;
 mod storage;
+#[cfg(test)]
+mod test_random;
 mod unseen;
 
 pub use combine::{CellCounts, MapDifference};

@@ -15,7 +15,7 @@ use crate::sensor::table::{EvidenceTable, TableSet};
 pub(crate) struct Beams {
     /// Place of the sensor.
     pub origin: [f64; 3],
-    /// In the order in which they are integrated, see [`integration_order`].
+    /// In the order in which they are integrated, see [`order_of_points`].
     pub measured: Vec<Measured>,
     /// So many of them come first.
     pub first_share: usize,
@@ -79,12 +79,14 @@ impl Beams {
         let mut tables = map.known_tables.set(config, resolution)?;
         let pose = &scan.world_from_sensor;
         let mut extent = Extent::EMPTY;
-        let (order, first_share) = integration_order(scan);
-        let mut measured = Vec::with_capacity(order.len());
+        let order = order_of_points(scan);
+        let first_share = scan.len().div_ceil(SHARES);
+        let mut measured = Vec::with_capacity(scan.len());
         let per_metre = 1.0 / resolution;
         let mut num_first = 0;
-        for (place, index) in order.into_iter().enumerate() {
-            let Some(found) = scan.measurement(index as usize, config.sigma_mode) else {
+        for place in 0..scan.len() {
+            let index = order.as_ref().map_or(place, |order| order[place] as usize);
+            let Some(found) = scan.measurement(index, config.sigma_mode) else {
                 continue;
             };
             num_first += usize::from(place < first_share);
@@ -143,15 +145,14 @@ const SHARES: usize = 8;
 /// Tiles of directions along an edge of the square onto which they are mapped.
 const DIRECTION_TILES: usize = 64;
 
-/// The measurements of a scan in the order of their integration, and how many of them come first.
+/// The points of a cloud in the order of their integration; `None` for pixels, which are taken as they come.
 ///
-/// Pixels are taken as they come. The points of a cloud have no order of their own: every eighth is of one share, which so has points
+/// Points have no order of their own: every eighth is of one share, which so has points
 /// of all directions, and in a share neighbours follow one another, row by row of tiles, so that a beam finds in the cache what the
 /// last ones changed. With all of them in one share, many misses in a row would undo the hits of coarse cells.
-fn integration_order(scan: &Scan) -> (Vec<u32>, usize) {
-    let first_share = scan.len().div_ceil(SHARES);
+fn order_of_points(scan: &Scan) -> Option<Vec<u32>> {
     let ScanData::Points(PointScan { points, .. }) = scan.data else {
-        return ((0..scan.len() as u32).collect(), first_share);
+        return None;
     };
     let tiles: Vec<_> = points.iter().map(|p| direction_tile(*p) as u16).collect();
     let bucket = |(index, tile): (usize, &u16)| {
@@ -171,7 +172,7 @@ fn integration_order(scan: &Scan) -> (Vec<u32>, usize) {
         order[*place as usize] = tile.0 as u32;
         *place += 1;
     }
-    (order, first_share)
+    Some(order)
 }
 
 /// The tile of a direction: the octahedron around the sensor, unfolded to a square. Any tile, if it is none.
@@ -301,21 +302,18 @@ pub(crate) fn total_sigma(sigma: f64, range: f64, scan: &Scan, resolution: f64) 
 mod tests {
     use super::*;
     use crate::scan::Similarity;
+    use crate::test_random::Random;
 
     #[test]
     fn points_are_taken_in_eight_shares_of_all_directions_each_by_direction() {
-        let mut state = 7_u64;
-        let mut unit = move || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 40) as f32 / (1 << 23) as f32 - 1.0
-        };
+        let mut random = Random(7);
+        let mut unit = move || 2.0 * random.unit() - 1.0;
         let mut points: Vec<[f32; 3]> = (0..20_003).map(|_| [unit(), unit(), unit()]).collect();
         points[77] = [0.0; 3];
         points[78] = [f32::NAN, 1.0, f32::INFINITY];
         let scan = Scan::of_points(0, Similarity::IDENTITY, &points, &[0.01]);
-        let (order, num_first) = integration_order(&scan);
+        let order = order_of_points(&scan).unwrap();
+        let num_first = points.len().div_ceil(SHARES);
         let mut all = order.clone();
         all.sort_unstable();
         assert!(all.into_iter().eq(0..points.len() as u32));

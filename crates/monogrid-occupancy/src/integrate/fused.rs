@@ -249,16 +249,12 @@ mod tests {
     use super::*;
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
+    use crate::test_random::Random;
 
     /// A rough room around the sensor, in all directions or within 75 degrees of forward.
     fn scan_points(everywhere: bool, seed: u64, count: usize) -> Vec<[f32; 3]> {
-        let mut state = seed;
-        let mut unit = move || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 40) as f32 / (1 << 24) as f32
-        };
+        let mut random = Random(seed);
+        let mut unit = move || random.unit();
         (0..count)
             .map(|_| {
                 let (u, v) = (unit() * 1.6 - 0.8, unit() * 1.2 - 0.6);

@@ -118,30 +118,16 @@ impl IntegrationConfig {
     /// The first field found outside its range.
     pub fn validate(&self) -> Result<(), MapError> {
         self.model.validate()?;
-        let fail = |field, value: f64, allowed| {
-            Err(MapError::Config {
-                field,
-                value,
-                allowed,
-            })
-        };
         // Written so that NaN fails.
-        if self.max_range.is_nan() || self.max_range <= 0.0 {
-            return fail("max_range", self.max_range, "positive");
-        }
-        if self.update_min.is_nan() || self.update_min >= 0.0 {
-            return fail("update_min", f64::from(self.update_min), "negative");
-        }
-        if self.update_max.is_nan() || self.update_max <= 0.0 {
-            return fail("update_max", f64::from(self.update_max), "positive");
-        }
-        if !(0.0..=1.0).contains(&self.cutoff_log_odds) {
-            return fail("cutoff_log_odds", f64::from(self.cutoff_log_odds), "0 to 1");
-        }
-        if self.obstacle_weight > 3 {
-            return fail("obstacle_weight", f64::from(self.obstacle_weight), "0 to 3");
-        }
-        Ok(())
+        let (max_range, cutoff) = (self.max_range, self.cutoff_log_odds);
+        MapError::unless(max_range > 0.0, "max_range", max_range, "positive")?;
+        let (min, max) = (self.update_min, self.update_max);
+        MapError::unless(min < 0.0, "update_min", min, "negative")?;
+        MapError::unless(max > 0.0, "update_max", max, "positive")?;
+        let is_allowed = (0.0..=1.0).contains(&cutoff);
+        MapError::unless(is_allowed, "cutoff_log_odds", cutoff, "0 to 1")?;
+        let weight = self.obstacle_weight;
+        MapError::unless(weight <= 3, "obstacle_weight", weight, "0 to 3")
     }
 
     pub(crate) fn update_limits(&self) -> UpdateLimits {

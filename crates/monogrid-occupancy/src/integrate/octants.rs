@@ -274,28 +274,18 @@ mod tests {
     use crate::integrate::image::RangeImages;
     use crate::scan::{PointScan, PoseSigma, Scan, ScanData, Similarity};
     use crate::sensor::table::KnownTables;
-
-    fn random(state: &mut u64) -> f32 {
-        *state = state
-            .wrapping_mul(6364136223846793005)
-            .wrapping_add(1442695040888963407);
-        (*state >> 40) as f32 / (1 << 24) as f32
-    }
+    use crate::test_random::Random;
 
     /// The edge of a cell.
     const CELL: f32 = 0.01;
 
     /// Random points one to two units in front of a turned camera, as an image.
     fn images() -> RangeImages {
-        let mut state = 9;
+        let mut random = Random(9);
         let points: Vec<[f32; 3]> = (0..3000)
             .map(|_| {
-                let z = 1.0 + random(&mut state);
-                [
-                    (random(&mut state) - 0.5) * z,
-                    (random(&mut state) - 0.6) * z,
-                    z,
-                ]
+                let z = 1.0 + random.unit();
+                [(random.unit() - 0.5) * z, (random.unit() - 0.6) * z, z]
             })
             .collect();
         let (sin, cos) = 0.7_f64.sin_cos();
@@ -348,11 +338,11 @@ mod tests {
     #[cfg(target_arch = "x86_64")]
     fn vectors_give_the_bits_of_the_scalar_search() {
         with_view(|view| {
-            let mut state = 5;
+            let mut random = Random(5);
             let mut seen = Octants::default();
             for i in 0..200_000 {
                 let cube = Cube {
-                    center: [0; 3].map(|_| (random(&mut state) - 0.5) * 4.0),
+                    center: [0; 3].map(|_| (random.unit() - 0.5) * 4.0),
                     half: CELL * (1 << (i % 8)) as f32,
                 };
                 let expected = view.judge(cube);

@@ -313,7 +313,7 @@ impl Ray {
             let axis = (time & 3) as usize;
             if time >= stop {
                 visitor.leave_brick(key);
-                if time >= self.end || axis > 2 {
+                if time >= self.end {
                     return;
                 }
                 key = key.wrapping_add_signed(key_step[axis]);
@@ -333,17 +333,7 @@ impl Ray {
 mod tests {
     use super::*;
     use crate::key::VoxelKey;
-
-    struct Lcg(u64);
-    impl Lcg {
-        fn next(&mut self) -> f64 {
-            self.0 = self
-                .0
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-        }
-    }
+    use crate::test_random::Random;
 
     #[derive(Default)]
     struct Straight {
@@ -376,11 +366,12 @@ mod tests {
     /// Origins and directions with all the corner cases: axis-parallel, diagonal, starting on a
     /// face, an edge or a corner, negative coordinates, tiny components, no length.
     fn rays() -> Vec<([f64; 3], [f64; 3], f64)> {
-        let mut random = Lcg(5);
+        let mut random = Random(5);
+        let mut unit = move || random.bits(53) as f64 / (1_u64 << 53) as f64;
         let mut rays = Vec::new();
         for i in 0..3000 {
-            let mut origin = [0; 3].map(|_| random.next() * 40.0 - 20.0);
-            let mut v = [0; 3].map(|_| random.next() * 2.0 - 1.0);
+            let mut origin = [0; 3].map(|_| unit() * 40.0 - 20.0);
+            let mut v = [0; 3].map(|_| unit() * 2.0 - 1.0);
             if i % 5 == 1 {
                 origin = origin.map(f64::floor);
             }
@@ -398,11 +389,7 @@ mod tests {
                 v[i % 3] = if i % 2 == 0 { 1.0 } else { -1.0 };
             }
             let norm = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
-            let length = if i % 19 == 6 {
-                0.0
-            } else {
-                random.next() * 60.0
-            };
+            let length = if i % 19 == 6 { 0.0 } else { unit() * 60.0 };
             rays.push((origin, v.map(|c| c / norm), length));
         }
         rays

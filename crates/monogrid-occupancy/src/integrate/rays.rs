@@ -223,6 +223,7 @@ mod tests {
     use crate::map::MapConfig;
     use crate::scan::{PointScan, PoseSigma, ScanData, Similarity};
     use crate::storage::{hash, shard_of};
+    use crate::test_random::Random;
 
     /// Every beam from the sensor to its end, one after the other.
     fn walk_everything(map: &mut OccupancyMap, scan: &Scan, config: &IntegrationConfig) {
@@ -249,13 +250,8 @@ mod tests {
 
     #[test]
     fn leaving_out_settled_space_changes_nothing() {
-        let mut state = 1_u64;
-        let mut unit = move || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 40) as f32 / (1 << 24) as f32
-        };
+        let mut random = Random(1);
+        let mut unit = move || random.unit();
         // The first sensor of the second case is where eight cells meet.
         let cases = [
             (0.08, 1, 0.21, [0, 0]),

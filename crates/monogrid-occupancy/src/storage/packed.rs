@@ -144,16 +144,12 @@ impl<'a> PackedBrick<'a> {
 mod tests {
     use super::*;
     use crate::evidence::UNKNOWN;
+    use crate::test_random::Random;
 
     #[test]
     fn bricks_of_any_number_of_values_come_back_as_they_were() {
-        let mut state = 3_u64;
-        let mut random = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 40) as usize
-        };
+        let mut random = Random(3);
+        let mut random = move || random.bits(24) as usize;
         let mut words = vec![7; 3];
         let mut packed = Vec::new();
         let mut refused = 0;

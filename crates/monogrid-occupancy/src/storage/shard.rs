@@ -352,6 +352,7 @@ mod tests {
     use super::*;
     use crate::evidence::Limits;
     use crate::storage::hash;
+    use crate::test_random::Random;
     use std::collections::BTreeMap;
 
     #[test]
@@ -359,13 +360,8 @@ mod tests {
         let limits = Limits::new(-2.0, 3.5, 0.5).unwrap();
         let mut shard = Shard::default();
         let mut oracle: BTreeMap<u64, [i16; BRICK_CELLS]> = BTreeMap::new();
-        let mut state = 7_u64;
-        let mut random = move || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            state >> 33
-        };
+        let mut random = Random(7);
+        let mut random = move || random.bits(31);
         let mut most_packed = 0;
         for step in 0..20_000 {
             let key = random() % 700;
