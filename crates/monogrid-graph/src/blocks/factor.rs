@@ -96,7 +96,7 @@ fn subtract_product<const B: usize>(c: &mut Block<B>, a: &Block<B>, b: &Block<B>
     for (column, out) in c.iter_mut().enumerate() {
         let mut sum = *out;
         for (a, b) in a.iter().zip(b) {
-            subtract_times(&mut sum, a, b[column]);
+            subtract_times::<B>(&mut sum, a, b[column]);
         }
         *out = sum;
     }
@@ -115,7 +115,7 @@ fn factorise_block<const B: usize>(block: &mut Block<B>) -> Option<()> {
         }
         let done = block[k];
         for (c, column) in block.iter_mut().enumerate().skip(k + 1) {
-            subtract_times(column, &done, done[c]);
+            subtract_times::<B>(column, &done, done[c]);
         }
     }
     Some(())
@@ -127,7 +127,7 @@ fn divide<const B: usize>(a: &mut Block<B>, l: &Block<B>) {
         a[k] = a[k].map(|value| value / l[k][k]);
         let done = a[k];
         for (c, column) in a.iter_mut().enumerate().skip(k + 1) {
-            subtract_times(column, &done, l[k][c]);
+            subtract_times::<B>(column, &done, l[k][c]);
         }
     }
 }
@@ -136,7 +136,7 @@ fn divide<const B: usize>(a: &mut Block<B>, l: &Block<B>) {
 fn subtract_from<const B: usize, const R: usize>(c: &mut Sides<R>, a: &Block<B>, x: &Sides<R>) {
     for (c, x) in c.iter_mut().zip(x) {
         for (a, x) in a.iter().zip(x) {
-            subtract_times(c, a, *x);
+            subtract_times::<B>(c, a, *x);
         }
     }
 }

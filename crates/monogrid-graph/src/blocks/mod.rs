@@ -9,6 +9,7 @@ mod order;
 
 use nalgebra::{DMatrix, SMatrix, SVector};
 use order::Elimination;
+use std::ops::Range;
 
 /// Rows of a block with those that make a column two or four registers wide; what is beyond the block is zero.
 const PADDED: usize = 8;
@@ -44,6 +45,18 @@ pub(crate) struct Factor<const B: usize = 7> {
     /// Where the rows of the column at work are among its blocks.
     at: Vec<usize>,
 }
+
+/// Neighbouring columns of a matrix, in the order of elimination: what one thread changes.
+#[derive(Debug)]
+pub(crate) struct Columns<'a, const B: usize> {
+    pattern: &'a BlockPattern<B>,
+    columns: Range<usize>,
+    diagonal: &'a mut [Block<B>],
+    below: &'a mut [Block<B>],
+}
+
+/// A block of a vector, with its place.
+pub(crate) type Segment = (usize, [f64; PADDED]);
 
 /// A block that a pattern has.
 enum Spot {
@@ -104,25 +117,37 @@ impl<const B: usize> BlockPattern<B> {
         self.change(matrix, at, |r, c, value| *value += block[(r, c)]);
     }
 
-    /// Subtracts `a b'` from a block and the transposed from the one that is symmetric to it.
-    pub(crate) fn subtract_outer(
-        &self,
-        matrix: &mut BlockMatrix<B>,
-        at: (usize, usize),
-        a: &SVector<f64, B>,
-        b: &SVector<f64, B>,
-    ) {
-        let (block, a, b) = match self.spot(at) {
-            Some(Spot::Diagonal(k)) => (&mut matrix.diagonal[k], a, b),
-            Some(Spot::Below(k)) => (&mut matrix.below[k], a, b),
-            Some(Spot::Above(k)) => (&mut matrix.below[k], b, a),
-            None => return,
+    /// Place of a block in the order of elimination.
+    pub(crate) fn place(&self, block: usize) -> usize {
+        self.place[block]
+    }
+
+    /// The columns of a matrix in so many parts, of about as many blocks each; every block is in one of them.
+    pub(crate) fn parts<'a>(
+        &'a self,
+        matrix: &'a mut BlockMatrix<B>,
+        count: usize,
+    ) -> Vec<Columns<'a, B>> {
+        let (mut diagonal, mut below) = (&mut matrix.diagonal[..], &mut matrix.below[..]);
+        let blocks_before = |column: usize| column + self.starts[column];
+        let all = blocks_before(self.place.len());
+        let mut first = 0;
+        let part = |part: usize| {
+            let wanted = all * (part + 1) / count;
+            let columns = first..=self.place.len();
+            let end = columns.into_iter().find(|c| blocks_before(*c) >= wanted);
+            let end = end.unwrap_or(self.place.len());
+            let left = self.starts[end] - self.starts[first];
+            let columns = Columns {
+                pattern: self,
+                columns: first..end,
+                diagonal: diagonal.split_off_mut(..end - first).unwrap_or_default(),
+                below: below.split_off_mut(..left).unwrap_or_default(),
+            };
+            first = end;
+            columns
         };
-        let mut rows = [0.0; PADDED];
-        rows[..B].copy_from_slice(a.as_slice());
-        for (column, b) in block.iter_mut().zip(b) {
-            subtract_times(column, &rows, *b);
-        }
+        (0..count).map(part).collect()
     }
 
     /// A block; `None` where there is none.
@@ -176,23 +201,25 @@ impl<const B: usize> BlockPattern<B> {
 
     fn spot(&self, (row, column): (usize, usize)) -> Option<Spot> {
         let (row, column) = (self.place[row], self.place[column]);
-        let below = |row: usize, column: usize| {
-            let (first, end) = (self.starts[column], self.starts[column + 1]);
-            let rows = &self.rows[first..end];
-            // where it is if no row is left out before it
-            let nearest = row - column - 1;
-            let found = if rows.get(nearest) == Some(&row) {
-                Some(nearest)
-            } else {
-                rows.binary_search(&row).ok()
-            };
-            found.map(|k| first + k)
-        };
         match row.cmp(&column) {
             std::cmp::Ordering::Equal => Some(Spot::Diagonal(row)),
-            std::cmp::Ordering::Greater => below(row, column).map(Spot::Below),
-            std::cmp::Ordering::Less => below(column, row).map(Spot::Above),
+            std::cmp::Ordering::Greater => self.below(row, column).map(Spot::Below),
+            std::cmp::Ordering::Less => self.below(column, row).map(Spot::Above),
         }
+    }
+
+    /// Number of the block below the diagonal at two places.
+    fn below(&self, row: usize, column: usize) -> Option<usize> {
+        let (first, end) = (self.starts[column], self.starts[column + 1]);
+        let rows = &self.rows[first..end];
+        // where it is if no row is left out before it
+        let nearest = row - column - 1;
+        let found = if rows.get(nearest) == Some(&row) {
+            Some(nearest)
+        } else {
+            rows.binary_search(&row).ok()
+        };
+        found.map(|k| first + k)
     }
 
     /// The diagonal.
@@ -241,9 +268,48 @@ impl<const B: usize> BlockMatrix<B> {
     }
 }
 
-/// `c -= a f`.
-fn subtract_times(c: &mut [f64; PADDED], a: &[f64; PADDED], f: f64) {
-    for (c, a) in c.iter_mut().zip(a) {
+impl<const B: usize> Columns<'_, B> {
+    /// Subtracts `f v v'`, the blocks of `v` by ascending places.
+    pub(crate) fn subtract_square(&mut self, v: &[Segment], f: f64) {
+        let Range { start, end } = self.columns;
+        let mut rest = v;
+        while let Some(((column, at_column), below)) = rest.split_first() {
+            if *column >= end {
+                return;
+            }
+            if *column >= start {
+                let scaled = at_column.map(|value| value * f);
+                subtract_outer(&mut self.diagonal[column - start], at_column, &scaled);
+                for (row, at_row) in below {
+                    if let Some(k) = self.pattern.below(*row, *column) {
+                        let k = k - self.pattern.starts[start];
+                        subtract_outer(&mut self.below[k], at_row, &scaled);
+                    }
+                }
+            }
+            rest = below;
+        }
+    }
+}
+
+/// A block of a vector at its place.
+pub(crate) fn segment<const B: usize>(place: usize, values: &SVector<f64, B>) -> Segment {
+    let mut padded = [0.0; PADDED];
+    padded[..B].copy_from_slice(values.as_slice());
+    (place, padded)
+}
+
+/// `c -= a b'`.
+fn subtract_outer<const B: usize>(c: &mut Block<B>, a: &[f64; PADDED], b: &[f64; PADDED]) {
+    for (column, b) in c.iter_mut().zip(b) {
+        subtract_times::<B>(column, a, *b);
+    }
+}
+
+/// `c -= a f`, in pairs of rows: what is beyond the block stays zero.
+fn subtract_times<const B: usize>(c: &mut [f64; PADDED], a: &[f64; PADDED], f: f64) {
+    let rows = B.next_multiple_of(2);
+    for (c, a) in c[..rows].iter_mut().zip(&a[..rows]) {
         *c -= a * f;
     }
 }

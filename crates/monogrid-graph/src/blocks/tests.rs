@@ -1,4 +1,5 @@
 use super::*;
+use nalgebra::DVector;
 
 /// A number for each place, neither zero nor the same twice.
 fn number(k: usize) -> f64 {
@@ -109,12 +110,44 @@ fn blocks_are_those_that_were_put_whichever_way_they_are_eliminated() {
         if at.0 != at.1 {
             assert_eq!(mirrored, Some(block.transpose()));
         }
-        let (a, b) = (block.column(0).into_owned(), block.column(1).into_owned());
-        pattern.subtract_outer(&mut matrix, at, &a, &b);
-        let rest = block - a * b.transpose();
-        assert_eq!(pattern.block(&matrix, at), Some(rest));
     }
     assert_eq!(pattern.block(&matrix, (1, 2)), None);
+}
+
+#[test]
+fn squares_are_subtracted_from_all_parts_of_a_matrix() {
+    for (blocks, pairs) in [(9, all_pairs(9)), (30, loop_of(30))] {
+        let (pattern, matrix, dense) = matrix::<6>(blocks, &pairs);
+        let there: Vec<usize> = vec![4, 5, 7];
+        let mut v: Vec<Segment> = there
+            .iter()
+            .map(|&block| {
+                let values = SVector::<f64, 6>::from_fn(|r, _| number(31 * block + r));
+                segment(pattern.place(block), &values)
+            })
+            .collect();
+        v.sort_by_key(|(place, _)| *place);
+        let mut square = DVector::zeros(6 * blocks);
+        for &block in &there {
+            for r in 0..6 {
+                square[6 * block + r] = number(31 * block + r);
+            }
+        }
+        let expected = dense - 0.7 * &square * square.transpose();
+        let mut whole = None;
+        for count in [1, 2, 4, 50] {
+            let mut changed = matrix.clone();
+            let mut parts = pattern.parts(&mut changed, count);
+            assert_eq!(parts.len(), count);
+            for columns in &mut parts {
+                columns.subtract_square(&v, 0.7);
+            }
+            let found = pattern.dense(&changed);
+            assert!((&found - &expected).amax() < 1e-12);
+            // to the last bit
+            assert_eq!(*whole.get_or_insert_with(|| found.clone()), found);
+        }
+    }
 }
 
 #[test]

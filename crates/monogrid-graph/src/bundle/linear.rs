@@ -1,6 +1,7 @@
 //! Cost and normal equations of a window.
 
 use super::prepare::{Layout, NO_PAIR};
+use super::shares::Share;
 use super::{Appearance, BundleConfig, BundleProblem};
 use crate::RobustKernel;
 use crate::reprojection::{
@@ -52,6 +53,40 @@ pub(super) struct Normal {
     pub fans: Vec<Vec6>,
     /// Per pair observer from host at the point of linearisation.
     pub relatives: Vec<Relative>,
+}
+
+/// What the observations of a share add.
+struct Sums {
+    first_point: usize,
+    h_points: Vec<f64>,
+    b_points: Vec<f64>,
+    first_entry: usize,
+    fans: Vec<Vec6>,
+    /// Of every pair, as seen by the observer's pose: second derivatives (their lower triangle) and negative gradient.
+    per_pair: Vec<(Mat6, Vec6)>,
+}
+
+impl Sums {
+    fn new(layout: &Layout, share: &Share) -> Self {
+        let (points, entries) = (share.points.len(), layout.fans.of_all(&share.points));
+        Self {
+            first_point: share.points.start,
+            h_points: vec![0.0; points],
+            b_points: vec![0.0; points],
+            first_entry: entries.start,
+            fans: vec![Vec6::zeros(); entries.len()],
+            per_pair: vec![(Mat6::zeros(), Vec6::zeros()); layout.pairs.len()],
+        }
+    }
+
+    fn add_to_point(&mut self, point: usize, h: f64, b: f64) {
+        self.h_points[point - self.first_point] += h;
+        self.b_points[point - self.first_point] += b;
+    }
+
+    fn fan(&mut self, entry: usize) -> &mut Vec6 {
+        &mut self.fans[entry - self.first_entry]
+    }
 }
 
 impl<'a> Window<'a> {
@@ -126,14 +161,17 @@ impl<'a> Window<'a> {
     /// Robust cost of the observations for which `includes` is true, and of the priors of all points.
     pub(super) fn cost(&self, state: &State, includes: &[bool]) -> f64 {
         let relatives = self.relatives(state);
-        let mut sum = 0.0;
-        for (i, &is_included) in includes.iter().enumerate() {
-            if is_included {
+        let shares = &self.layout.shares;
+        let of_share = |share: &Share| {
+            let mut sum = 0.0;
+            for i in shares.observations(share).filter(|i| includes[*i]) {
                 let chi2 = self.chi2(i, &relatives, state).unwrap_or(BEHIND_CHI2);
                 sum += self.kernel.cost(chi2.min(BEHIND_CHI2));
                 sum += 2.0 * self.look(i, &relatives, state);
             }
-        }
+            sum
+        };
+        let mut sum: f64 = shares.each(of_share).iter().sum();
         for (point, &d) in self.problem.points.iter().zip(&state.inverse_depths) {
             if let Some(prior) = point.prior {
                 sum += ((d - prior.mean) / prior.sigma).powi(2);
@@ -145,46 +183,53 @@ impl<'a> Window<'a> {
     /// Normal equations at `state`, over the active observations and the priors.
     pub(super) fn linearise(&self, state: &State) -> Normal {
         let n = 6 * self.layout.free_keyframes.len();
-        let points = self.problem.points.len();
+        let relatives = self.relatives(state);
+        let sums = self.layout.shares.each(|share| {
+            let mut sums = Sums::new(self.layout, share);
+            self.add_share(share, state, &relatives, &mut sums);
+            sums
+        });
         let mut normal = Normal {
             h_poses: vec![Mat6::zeros(); self.layout.blocks.len()],
             b_poses: DVector::zeros(n),
-            h_points: vec![0.0; points],
-            b_points: vec![0.0; points],
-            fans: vec![Vec6::zeros(); self.layout.fans.len()],
-            relatives: self.relatives(state),
+            h_points: sums.iter().flat_map(|s| &s.h_points).copied().collect(),
+            b_points: sums.iter().flat_map(|s| &s.b_points).copied().collect(),
+            fans: sums.iter().flat_map(|s| &s.fans).copied().collect(),
+            relatives,
         };
-        let mut per_pair = vec![(Mat6::zeros(), Vec6::zeros()); self.layout.pairs.len()];
-        for i in 0..self.problem.observations.len() {
-            if self.active[i] {
-                self.add_observation(i, state, &mut normal, &mut per_pair);
+        for pair in 0..self.layout.pairs.len() {
+            let (mut h, mut b) = (Mat6::zeros(), Vec6::zeros());
+            for (h_share, b_share) in sums.iter().map(|s| &s.per_pair[pair]) {
+                h += h_share;
+                b += b_share;
             }
-        }
-        for (pair, (h, b)) in per_pair.iter().enumerate() {
-            self.add_pair(pair, h, b, &mut normal);
-        }
-        for (i, point) in self.problem.points.iter().enumerate() {
-            if let Some(prior) = point.prior {
-                let weight = 1.0 / (prior.sigma * prior.sigma);
-                normal.h_points[i] += weight;
-                normal.b_points[i] -= weight * (state.inverse_depths[i] - prior.mean);
-            }
+            self.add_pair(pair, &h, &b, &mut normal);
         }
         normal
     }
 
+    /// Adds the points of a share: their priors, and who sees them.
+    fn add_share(&self, share: &Share, state: &State, relatives: &[Relative], sums: &mut Sums) {
+        let observations = self.layout.shares.observations(share);
+        for i in observations.filter(|i| self.active[*i]) {
+            self.add_observation(i, state, relatives, sums);
+        }
+        for i in share.points.clone() {
+            if let Some(prior) = self.problem.points[i].prior {
+                let weight = 1.0 / (prior.sigma * prior.sigma);
+                sums.h_points[i - share.points.start] += weight;
+                sums.b_points[i - share.points.start] -=
+                    weight * (state.inverse_depths[i] - prior.mean);
+            }
+        }
+    }
+
     /// Adds one observation to its point, and to its pair as seen by the observer's pose.
     #[inline]
-    fn add_observation(
-        &self,
-        i: usize,
-        state: &State,
-        normal: &mut Normal,
-        per_pair: &mut [(Mat6, Vec6)],
-    ) {
+    fn add_observation(&self, i: usize, state: &State, relatives: &[Relative], sums: &mut Sums) {
         let pair = self.layout.pair_of_observation[i] as usize;
         let observation = &self.problem.observations[i];
-        let relative = &normal.relatives[pair];
+        let relative = &relatives[pair];
         let q = self.scaled_point(i, relative, state);
         let Some(residual) = self.residual(i, &q) else {
             return;
@@ -198,10 +243,10 @@ impl<'a> Window<'a> {
         let projection = projection_jacobian(&self.problem.pinhole, &q);
         let j_depth = projection * relative.translation;
         let j_pose = pose_jacobian(&projection, &q, state.inverse_depths[observation.point]);
-        normal.h_points[observation.point] += weight * j_depth.norm_squared();
-        normal.b_points[observation.point] -= weight * j_depth.dot(&residual);
+        let mut h_point = weight * j_depth.norm_squared();
+        let mut b_point = -weight * j_depth.dot(&residual);
         let mut cross = Vec6::zeros();
-        let (h, b) = &mut per_pair[pair];
+        let (h, b) = &mut sums.per_pair[pair];
         for c in 0..6 {
             let (x, y) = (weight * j_pose[(0, c)], weight * j_pose[(1, c)]);
             for r in c..6 {
@@ -215,16 +260,17 @@ impl<'a> Window<'a> {
             *h += j_pose.tr_mul(&(look.information * j_pose));
             *b -= j_pose.tr_mul(&look.gradient);
             let weighted = look.information * j_depth;
-            normal.h_points[observation.point] += j_depth.dot(&weighted);
-            normal.b_points[observation.point] -= j_depth.dot(&look.gradient);
+            h_point += j_depth.dot(&weighted);
+            b_point -= j_depth.dot(&look.gradient);
             cross += j_pose.tr_mul(&weighted);
         }
+        sums.add_to_point(observation.point, h_point, b_point);
         if let Some(entry) = self.layout.fans.of_observation(i) {
-            normal.fans[entry] += cross;
+            *sums.fan(entry) += cross;
         }
         if let Some(entry) = self.layout.fans.of_host(observation.point) {
-            normal.fans[entry] +=
-                -adjoint_transpose(&relative.rotation, &relative.translation, &cross);
+            *sums.fan(entry) -=
+                adjoint_transpose(&relative.rotation, &relative.translation, &cross);
         }
     }
 
@@ -276,7 +322,7 @@ impl<'a> Window<'a> {
         &'b self,
         normal: &'b Normal,
         point: usize,
-    ) -> impl DoubleEndedIterator<Item = (usize, &'b Vec6)> + Clone {
+    ) -> impl Iterator<Item = (usize, &'b Vec6)> {
         let fans = &self.layout.fans;
         let entries = fans.of(point);
         entries.map(|entry| (fans.slot(entry), &normal.fans[entry]))

@@ -20,6 +20,7 @@ mod appearance;
 mod linear;
 mod prepare;
 mod schur;
+mod shares;
 mod solver;
 mod system;
 

@@ -1,5 +1,6 @@
 //! Checks of a problem, and the orders in which the solver walks through it.
 
+use super::shares::Shares;
 use super::system::pattern;
 use super::{BundleConfig, BundleError, BundleProblem, Observation, PoseFreedom};
 use crate::blocks::BlockPattern;
@@ -177,6 +178,8 @@ pub(super) struct Layout {
     pub fans: FanLayout,
     /// The places of the blocks of the reduced system.
     pub pattern: BlockPattern<6>,
+    /// Points that threads take together.
+    pub shares: Shares,
 }
 
 /// Marks what has no entry in [`FanLayout`].
@@ -187,7 +190,7 @@ const NO_ENTRY: u32 = u32::MAX;
 pub(super) struct FanLayout {
     /// Where the entries of each point start; one more than there are points.
     starts: Vec<u32>,
-    /// Slots, each once per point, sorted.
+    /// Slots, each once per point, in the order in which the reduced system is eliminated.
     slots: Vec<u32>,
     of_observation: Vec<u32>,
     of_host: Vec<u32>,
@@ -208,9 +211,12 @@ impl Layout {
             let found = pairs.binary_search(&pair(problem, o));
             found.map_or(NO_PAIR, |pair| pair as u32)
         };
-        let fans = FanLayout::new(problem, &slot_of_keyframe);
+        let entries = FanEntries::new(problem, &slot_of_keyframe);
+        let pattern = pattern(&entries.0, free_keyframes.len());
+        let fans = FanLayout::new(problem, &slot_of_keyframe, entries, &pattern);
         Self {
-            pattern: pattern(&fans, free_keyframes.len()),
+            pattern,
+            shares: Shares::new(problem),
             pair_of_observation: problem.observations.iter().map(find).collect(),
             blocks: blocks(&pairs, &slot_of_keyframe, free_keyframes.len()),
             fans,
@@ -252,50 +258,58 @@ fn blocks(
     blocks
 }
 
-impl FanLayout {
+/// The free poses (slots) on which points depend: (point, slot), sorted.
+struct FanEntries(Vec<(u32, u32)>);
+
+impl FanEntries {
     fn new(problem: &BundleProblem, slot_of_keyframe: &[Option<usize>]) -> Self {
-        let host_of = |point: usize| slot_of_keyframe[problem.points[point].host];
-        let seen = problem.observations.iter().filter_map(|o| {
-            let slot = slot_of_keyframe[o.keyframe]?;
-            Some((o.point as u32, slot as u32))
-        });
-        let hosts = (0..problem.points.len())
-            .filter_map(|point| Some((point as u32, host_of(point)? as u32)));
+        let entry = |point: usize, keyframe: usize| {
+            let slot = slot_of_keyframe[keyframe]?;
+            Some((point as u32, slot as u32))
+        };
+        let observations = problem.observations.iter();
+        let seen = observations.filter_map(|o| entry(o.point, o.keyframe));
+        let points = problem.points.iter().enumerate();
+        let hosts = points.filter_map(|(i, point)| entry(i, point.host));
         let mut entries: Vec<(u32, u32)> = seen.chain(hosts).collect();
         entries.sort_unstable();
         entries.dedup();
-        let find = |point: usize, slot: Option<usize>| {
-            let entry = slot.map(|slot| (point as u32, slot as u32));
-            let found = entry.and_then(|entry| entries.binary_search(&entry).ok());
+        Self(entries)
+    }
+}
+
+impl FanLayout {
+    fn new(
+        problem: &BundleProblem,
+        slot_of_keyframe: &[Option<usize>],
+        FanEntries(mut entries): FanEntries,
+        pattern: &BlockPattern<6>,
+    ) -> Self {
+        let key = |&(point, slot): &(u32, u32)| (point, pattern.place(slot as usize));
+        entries.sort_unstable_by_key(key);
+        let find = |point: usize, keyframe: usize| {
+            let entry = slot_of_keyframe[keyframe].map(|slot| key(&(point as u32, slot as u32)));
+            let found = entry.and_then(|entry| entries.binary_search_by_key(&entry, key).ok());
             found.map_or(NO_ENTRY, |at| at as u32)
         };
-        let observations = problem.observations.iter();
+        let (observations, points) = (problem.observations.iter(), problem.points.iter());
         let start = |point: usize| entries.partition_point(|e| (e.0 as usize) < point) as u32;
         Self {
             starts: (0..=problem.points.len()).map(start).collect(),
-            of_observation: observations
-                .map(|o| find(o.point, slot_of_keyframe[o.keyframe]))
-                .collect(),
-            of_host: (0..problem.points.len())
-                .map(|point| find(point, host_of(point)))
-                .collect(),
+            of_observation: observations.map(|o| find(o.point, o.keyframe)).collect(),
+            of_host: (points.enumerate().map(|(i, point)| find(i, point.host))).collect(),
             slots: entries.iter().map(|entry| entry.1).collect(),
         }
     }
 
-    /// Number of points.
-    pub(super) fn num_points(&self) -> usize {
-        self.of_host.len()
-    }
-
-    /// Entries of all points.
-    pub(super) fn len(&self) -> usize {
-        self.slots.len()
-    }
-
     /// The entries of a point.
     pub(super) fn of(&self, point: usize) -> Range<usize> {
-        self.starts[point] as usize..self.starts[point + 1] as usize
+        self.of_all(&(point..point + 1))
+    }
+
+    /// The entries of neighbouring points.
+    pub(super) fn of_all(&self, points: &Range<usize>) -> Range<usize> {
+        self.starts[points.start] as usize..self.starts[points.end] as usize
     }
 
     /// The slot of an entry.

@@ -2,21 +2,20 @@
 
 use super::PoseFreedom;
 use super::linear::{Normal, State, Window};
-use super::prepare::FanLayout;
-use crate::blocks::{BlockMatrix, BlockPattern};
+use crate::blocks::{BlockMatrix, BlockPattern, Columns, segment};
 use monogrid_geometry::{Mat6, Vec6};
 use nalgebra::DVector;
+use rayon::prelude::*;
 
-/// The places of the system's blocks: of poses that share points.
-pub(super) fn pattern(fans: &FanLayout, num_slots: usize) -> BlockPattern<6> {
+/// The places of the system's blocks: of poses that share points, given as (point, slot) by point.
+pub(super) fn pattern(entries: &[(u32, u32)], num_slots: usize) -> BlockPattern<6> {
     let n = num_slots;
     // what points make dependent, as a matrix of flags
     let mut is_there = vec![false; n * n];
-    for point in 0..fans.num_points() {
-        let slots = || fans.of(point).map(|entry| fans.slot(entry));
-        for (i, column) in slots().enumerate() {
-            for row in slots().skip(i + 1) {
-                is_there[column * n + row] = true;
+    for fan in entries.chunk_by(|a, b| a.0 == b.0) {
+        for (i, (_, column)) in fan.iter().enumerate() {
+            for (_, row) in &fan[i + 1..] {
+                is_there[*column as usize * n + *row as usize] = true;
             }
         }
     }
@@ -62,12 +61,7 @@ pub(super) fn reduce(
         }
         pattern.add(&mut s, at, &block);
     }
-    for point in 0..normal.h_points.len() {
-        let h = normal.h_points[point] * (1.0 + lambda);
-        if h > 0.0 {
-            eliminate(window, normal, (point, 1.0 / h), &mut s, &mut b);
-        }
-    }
+    eliminate(window, normal, lambda, (&mut s, &mut b));
     for (slot, direction) in held_directions(window, state) {
         hold(pattern, &mut s, slot, &direction);
         let mut segment = b.fixed_rows_mut::<6>(6 * slot);
@@ -79,24 +73,38 @@ pub(super) fn reduce(
     (s, b)
 }
 
-/// Subtracts what a point's unknown inverse depth takes away, given the inverse of its second derivative.
+/// Subtracts what the unknown inverse depths of the points take away: of the matrix in parts, each by one thread and in the order of
+/// the points.
 fn eliminate(
     window: &Window,
     normal: &Normal,
-    (point, inv_h): (usize, f64),
-    s: &mut BlockMatrix<6>,
-    b: &mut DVector<f64>,
+    lambda: f64,
+    (s, b): (&mut BlockMatrix<6>, &mut DVector<f64>),
 ) {
     let pattern = &window.layout.pattern;
-    let mut rest = window.fan(normal, point);
-    while let Some((column, w)) = rest.clone().next() {
-        let scaled = w * inv_h;
-        let mut segment = b.fixed_rows_mut::<6>(6 * column);
-        segment -= scaled * normal.b_points[point];
-        for (row, w_row) in rest.clone() {
-            pattern.subtract_outer(s, (row, column), w_row, &scaled);
+    let inverse = |h: &f64| 1.0 / (h * (1.0 + lambda));
+    let points = normal.h_points.iter().enumerate();
+    let seen = points.filter(|(_, h)| **h > 0.0);
+    let seen = seen.map(|(point, h)| (point, inverse(h)));
+    for (point, inv_h) in seen.clone() {
+        for (slot, w) in window.fan(normal, point) {
+            let mut segment = b.fixed_rows_mut::<6>(6 * slot);
+            segment -= w * (inv_h * normal.b_points[point]);
         }
-        rest.next();
+    }
+    let mut parts = pattern.parts(s, window.layout.shares.count());
+    let work = |columns: &mut Columns<6>| {
+        let mut fan = Vec::new();
+        for (point, inv_h) in seen.clone() {
+            fan.clear();
+            let entries = window.fan(normal, point);
+            fan.extend(entries.map(|(slot, w)| segment(pattern.place(slot), w)));
+            columns.subtract_square(&fan, inv_h);
+        }
+    };
+    match parts.as_mut_slice() {
+        [all] => work(all),
+        parts => parts.par_iter_mut().for_each(work),
     }
 }
 

@@ -1,6 +1,7 @@
 use crate::bundle::linear::{State, Window};
 use crate::bundle::prepare::Layout;
 use crate::bundle::schur::{back_substitute, solve_step};
+use crate::bundle::shares::Shares;
 use crate::bundle::system::reduce;
 use crate::bundle::{
     AnchoredPoint, BundleConfig, BundleKeyframe, BundleProblem, Observation, PoseFreedom, adjust,
@@ -77,6 +78,35 @@ fn a_step_is_that_of_the_dense_system() {
         assert!((a - b).abs() < 1e-9, "{a} {b}");
     }
     assert!((step.predicted / dense.predicted - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn shares_add_up_to_the_whole() {
+    let problem = chain(90);
+    let state = State {
+        camera_from_world: (problem.keyframes.iter())
+            .map(|k| k.camera_from_world)
+            .collect(),
+        inverse_depths: problem.points.iter().map(|p| p.inverse_depth).collect(),
+    };
+    let config = BundleConfig::default();
+    let system = |shares: usize| {
+        let mut layout = Layout::new(&problem);
+        layout.shares = Shares::so_many(&problem, shares);
+        let window = Window::new(&problem, &layout, None, &config);
+        let normal = window.linearise(&state);
+        let (s, b) = reduce(&window, &normal, &state, 1e-3);
+        let cost = window.cost(&state, &window.active);
+        (layout.pattern.dense(&s), b, normal.b_points, cost)
+    };
+    let (s, b, b_points, cost) = system(1);
+    for shares in [2, 4, 9] {
+        let found = system(shares);
+        assert!((&found.0 - &s).amax() < 1e-12 * s.amax());
+        assert!((&found.1 - &b).amax() < 1e-12 * b.amax());
+        assert_eq!(found.2, b_points, "a point belongs to one share");
+        assert!((found.3 / cost - 1.0).abs() < 1e-12);
+    }
 }
 
 #[test]
