@@ -78,19 +78,6 @@ pub fn write_global(
     ground: Ground,
     surface: Surface,
 ) -> Result<(Vec<Cube>, MapPictures), Failure> {
-    for (name, map, format) in [
-        ("global.ot", global, MapFormat::Ot),
-        ("global.bt", global, MapFormat::Bt),
-        ("local.ot", local, MapFormat::Ot),
-    ] {
-        write_map(folder, name, map, format)?;
-    }
-    let colour = |key| surface.colours.of(key);
-    let has_colour = surface.colours.has_colour;
-    let colour = has_colour.then_some(&colour as &dyn Fn(VoxelKey) -> [u8; 3]);
-    folder.write_with("cells.ply", |mut out| {
-        Ok(write_ply(global, colour, &mut out)?)
-    })?;
     let draw = || {
         let cubes = occupied_cubes(global).while_running("the map cannot be projected")?;
         write_grid(folder, global, &cubes, path, ground)?;
@@ -99,7 +86,14 @@ pub fn write_global(
         folder.write("preview.png", &preview)?;
         Ok((cubes, preview, cut))
     };
-    let (mesh, drawn) = rayon::join(|| write_mesh(folder, global, ground, surface), draw);
+    let rest = || {
+        rayon::join(
+            || write_mesh(folder, global, ground, surface),
+            || write_cells(folder, [global, local], surface.colours),
+        )
+    };
+    let (drawn, (mesh, written)) = rayon::join(draw, rest);
+    written?;
     let (cubes, preview, cut) = drawn?;
     let pictures = MapPictures {
         preview,
@@ -108,6 +102,22 @@ pub fn write_global(
         mesh: mesh?,
     };
     Ok((cubes, pictures))
+}
+
+/// Writes the cells of the global map and of its part around the camera.
+fn write_cells(
+    folder: &OutputFolder,
+    [global, local]: [&OccupancyMap; 2],
+    colours: &CellColours,
+) -> Result<(), Failure> {
+    write_map(folder, "global.ot", global, MapFormat::Ot)?;
+    write_map(folder, "global.bt", global, MapFormat::Bt)?;
+    write_map(folder, "local.ot", local, MapFormat::Ot)?;
+    let colour = |key| colours.of(key);
+    let colour = (colours.has_colour).then_some(&colour as &dyn Fn(VoxelKey) -> [u8; 3]);
+    folder.write_with("cells.ply", |mut out| {
+        Ok(write_ply(global, colour, &mut out)?)
+    })
 }
 
 /// The surface of the map as PLY and glTF, where it is asked for and there is memory for it.

@@ -20,8 +20,11 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> anyhow::Result<Sc
     let slam = &tracked.run.slam;
     let keyframes = input.keyframes;
     let begin = tracked.rows.first().map_or(0, |row| row.timestamp_ns);
-    let groups = point_groups(keyframes, input.colours);
-    let (cloud, shown) = cloud_and_keyframes(keyframes, &groups, input.colours, begin);
+    let points = || {
+        let groups = point_groups(keyframes, input.colours);
+        cloud_and_keyframes(keyframes, &groups, input.colours, begin)
+    };
+    let (cells, (cloud, shown)) = rayon::join(|| input.map.map(Cells::new).transpose(), points);
     let ids = shown.iter().map(|keyframe| u64::from(keyframe.id));
     let positions: BTreeMap<u64, usize> = ids.zip(0..).collect();
     let image = keyframes.first().and_then(|keyframe| keyframe.image);
@@ -31,7 +34,7 @@ pub(super) fn scene(tracked: &Tracked, input: &ReportInput) -> anyhow::Result<Sc
     let mesh = input.map.zip(mesh);
     Ok(Scene {
         unit: input.summary.unit().to_owned(),
-        cells: input.map.map(Cells::new).transpose()?,
+        cells: cells?,
         mesh: mesh.and_then(|(map, mesh)| PageMesh::new(mesh, map.resolution())),
         cloud: (cloud.count[0] > 0).then_some(cloud),
         camera: size.map(|size| Camera::new(slam.pinhole(), size)),

@@ -17,6 +17,8 @@ use crate::report::svg::{Plot, Series, number};
 use monogrid_datasets::{encode_png, encode_png_rgb};
 use monogrid_image::Image;
 use monogrid_occupancy::OccupancyMap;
+use monogrid_slam::Keyframe;
+use rayon::prelude::*;
 use std::io::Write;
 use tracking::{losses, ribbon, tracking_plots};
 
@@ -240,32 +242,50 @@ fn show_keyframes(page: &mut Page, tracked: &Tracked) {
         "Image; depth (red near, blue far); uncertainty of the depth (green certain, red 10 % or more).",
     );
     let shown = count.min(SHOWN_KEYFRAMES);
-    for i in 0..shown {
-        let position = i * (count - 1) / (shown - 1).max(1);
-        let Some(keyframe) = keyframes[position].load() else {
-            continue;
-        };
+    let positions = (0..shown).map(|i| i * (count - 1) / (shown - 1).max(1));
+    let keyframes: Vec<_> = positions.map(|i| &keyframes[i]).collect();
+    let pictures = keyframes.par_iter();
+    let pictures = pictures.filter_map(|keyframe| Some(KeyframePictures::new(&keyframe.load()?)));
+    let pictures: Vec<KeyframePictures> = pictures.collect();
+    for shown in &pictures {
+        page.triple([
+            (&shown.image, &shown.caption),
+            (&shown.depth, &shown.points),
+            (&shown.uncertainty, "uncertainty"),
+        ]);
+    }
+}
+
+/// A keyframe at half its size, as PNG files.
+struct KeyframePictures {
+    caption: String,
+    image: Vec<u8>,
+    points: String,
+    depth: Vec<u8>,
+    uncertainty: Vec<u8>,
+}
+
+impl KeyframePictures {
+    fn new(keyframe: &Keyframe) -> Self {
         let (width, height) = (keyframe.image.width() / 2, keyframe.image.height() / 2);
         let image = Image::from_fn(width, height, |x, y| {
             let four = [(0, 0), (1, 0), (0, 1), (1, 1)];
             let grey = |(dx, dy)| u32::from(keyframe.image.at(2 * x + dx, 2 * y + dy));
             (four.into_iter().map(grey).sum::<u32>() / 4) as u8
         });
-        let measured: Vec<Measured> = measured(&keyframe)
+        let measured: Vec<Measured> = measured(keyframe)
             .map(|m| Measured {
                 x: m.x / 2,
                 y: m.y / 2,
                 ..m
             })
             .collect();
-        let caption = format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index);
-        let points = format!("{} depths", keyframe.pixels.len());
-        let depth = encode_png_rgb(&depth_picture(&image, &measured));
-        let uncertainty = encode_png_rgb(&uncertainty_picture(&image, &measured));
-        page.triple([
-            (&encode_png(&image), &caption),
-            (&depth, &points),
-            (&uncertainty, "uncertainty"),
-        ]);
+        Self {
+            caption: format!("keyframe {}, frame {}", keyframe.id, keyframe.frame_index),
+            points: format!("{} depths", keyframe.pixels.len()),
+            depth: encode_png_rgb(&depth_picture(&image, &measured)),
+            uncertainty: encode_png_rgb(&uncertainty_picture(&image, &measured)),
+            image: encode_png(&image),
+        }
     }
 }
