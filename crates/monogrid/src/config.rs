@@ -303,8 +303,8 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_profile_is_the_default_with_fewer_pixels_quicker_maps_and_more_time_to_start_than_to_end()
-     {
+    fn the_fast_profile_has_fewer_pixels_quicker_maps_more_time_to_start_and_one_round_at_the_end()
+    {
         let mut fast = RunConfig::of(Profile::Fast);
         assert_eq!(fast.working_size().resolve(640, 480), (400, 300));
         assert_eq!(fast.mapping.quality, MapQuality::Fast);

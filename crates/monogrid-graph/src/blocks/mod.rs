@@ -134,8 +134,7 @@ impl<const B: usize> BlockPattern<B> {
         let mut first = 0;
         let part = |part: usize| {
             let wanted = all * (part + 1) / count;
-            let columns = first..=self.place.len();
-            let end = columns.into_iter().find(|c| blocks_before(*c) >= wanted);
+            let end = (first..self.place.len()).find(|c| blocks_before(*c) >= wanted);
             let end = end.unwrap_or(self.place.len());
             let left = self.starts[end] - self.starts[first];
             let columns = Columns {

@@ -217,9 +217,8 @@ impl<'a> Window<'a> {
         for i in share.points.clone() {
             if let Some(prior) = self.problem.points[i].prior {
                 let weight = 1.0 / (prior.sigma * prior.sigma);
-                sums.h_points[i - share.points.start] += weight;
-                sums.b_points[i - share.points.start] -=
-                    weight * (state.inverse_depths[i] - prior.mean);
+                let difference = state.inverse_depths[i] - prior.mean;
+                sums.add_to_point(i, weight, -weight * difference);
             }
         }
     }

@@ -211,8 +211,8 @@ impl Layout {
             let found = pairs.binary_search(&pair(problem, o));
             found.map_or(NO_PAIR, |pair| pair as u32)
         };
-        let entries = FanEntries::new(problem, &slot_of_keyframe);
-        let pattern = pattern(&entries.0, free_keyframes.len());
+        let entries = fan_entries(problem, &slot_of_keyframe);
+        let pattern = pattern(&entries, free_keyframes.len());
         let fans = FanLayout::new(problem, &slot_of_keyframe, entries, &pattern);
         Self {
             pattern,
@@ -259,30 +259,26 @@ fn blocks(
 }
 
 /// The free poses (slots) on which points depend: (point, slot), sorted.
-struct FanEntries(Vec<(u32, u32)>);
-
-impl FanEntries {
-    fn new(problem: &BundleProblem, slot_of_keyframe: &[Option<usize>]) -> Self {
-        let entry = |point: usize, keyframe: usize| {
-            let slot = slot_of_keyframe[keyframe]?;
-            Some((point as u32, slot as u32))
-        };
-        let observations = problem.observations.iter();
-        let seen = observations.filter_map(|o| entry(o.point, o.keyframe));
-        let points = problem.points.iter().enumerate();
-        let hosts = points.filter_map(|(i, point)| entry(i, point.host));
-        let mut entries: Vec<(u32, u32)> = seen.chain(hosts).collect();
-        entries.sort_unstable();
-        entries.dedup();
-        Self(entries)
-    }
+fn fan_entries(problem: &BundleProblem, slot_of_keyframe: &[Option<usize>]) -> Vec<(u32, u32)> {
+    let entry = |point: usize, keyframe: usize| {
+        let slot = slot_of_keyframe[keyframe]?;
+        Some((point as u32, slot as u32))
+    };
+    let observations = problem.observations.iter();
+    let seen = observations.filter_map(|o| entry(o.point, o.keyframe));
+    let points = problem.points.iter().enumerate();
+    let hosts = points.filter_map(|(i, point)| entry(i, point.host));
+    let mut entries: Vec<(u32, u32)> = seen.chain(hosts).collect();
+    entries.sort_unstable();
+    entries.dedup();
+    entries
 }
 
 impl FanLayout {
     fn new(
         problem: &BundleProblem,
         slot_of_keyframe: &[Option<usize>],
-        FanEntries(mut entries): FanEntries,
+        mut entries: Vec<(u32, u32)>,
         pattern: &BlockPattern<6>,
     ) -> Self {
         let key = |&(point, slot): &(u32, u32)| (point, pattern.place(slot as usize));

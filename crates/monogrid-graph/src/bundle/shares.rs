@@ -58,6 +58,7 @@ impl Shares {
     /// What `work` makes of each share, in their order.
     pub(super) fn each<T: Send>(&self, work: impl Fn(&Share) -> T + Sync) -> Vec<T> {
         match self.shares.as_slice() {
+            // a small window is done before another thread would be awake
             [one] => vec![work(one)],
             shares => shares.par_iter().map(&work).collect(),
         }

@@ -82,10 +82,9 @@ fn eliminate(
     (s, b): (&mut BlockMatrix<6>, &mut DVector<f64>),
 ) {
     let pattern = &window.layout.pattern;
-    let inverse = |h: &f64| 1.0 / (h * (1.0 + lambda));
-    let points = normal.h_points.iter().enumerate();
-    let seen = points.filter(|(_, h)| **h > 0.0);
-    let seen = seen.map(|(point, h)| (point, inverse(h)));
+    let points = normal.h_points.iter().map(|h| h * (1.0 + lambda));
+    let seen = points.enumerate().filter(|(_, h)| *h > 0.0);
+    let seen = seen.map(|(point, h)| (point, 1.0 / h));
     for (point, inv_h) in seen.clone() {
         for (slot, w) in window.fan(normal, point) {
             let mut segment = b.fixed_rows_mut::<6>(6 * slot);
@@ -103,6 +102,7 @@ fn eliminate(
         }
     };
     match parts.as_mut_slice() {
+        // not even handed to the pool, as in `Shares::each`
         [all] => work(all),
         parts => parts.par_iter_mut().for_each(work),
     }
