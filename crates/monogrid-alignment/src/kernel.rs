@@ -3,15 +3,19 @@
 use crate::target::by_point;
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::Se3;
+use monogrid_image::for_lanes;
+use monogrid_image::lanes::{F32x8, Lanes};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
-use std::ops::{Add, Mul, Neg, Sub};
-use wide::{f32x4, f32x8};
+use std::ops::{Add, Mul, Neg, Range, Sub};
+use wide::f32x4;
 
 /// Unknowns: twist `[v, w]` of the frame, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 8;
 /// Points that are worked on side by side.
 pub(crate) const LANES: usize = 8;
+/// Of all these points, a number each.
+pub(crate) type Eight = [f32; LANES];
 /// Entries of the upper triangle of the normal equations.
 const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// Points summed in `f32` before the sum moves to `f64`.
@@ -81,10 +85,10 @@ pub struct Linearization {
 }
 
 /// Residuals of [`LANES`] points with their weights and derivatives; those that are not visible have no weight.
-struct Lanes {
-    residual: f32x8,
-    weight: f32x8,
-    jacobian: [f32x8; UNKNOWNS],
+struct Points<V> {
+    residual: V,
+    weight: V,
+    jacobian: [V; UNKNOWNS],
 }
 
 /// Builds the normal equations of `reference` against `target` at `motion`.
@@ -112,15 +116,10 @@ pub fn linearize(
     };
     let stride = stride.max(1);
     let count = reference.len().div_ceil(stride);
+    let images = (reference, target);
     let block = |start: usize| {
-        let mut block = Block::default();
-        let block_end = (start + BLOCK).min(count);
-        for start in (start..block_end).step_by(LANES) {
-            let chunk = (start * stride, stride);
-            let lanes = projection.chunk(reference, target, weighting, chunk, &mut block.sums);
-            accumulate(&lanes, &mut block.triangle, &mut block.gradient);
-        }
-        block
+        let end = (start + BLOCK).min(count);
+        block_of(&projection, images, weighting, start..end, stride)
     };
     if count > MIN_PARALLEL {
         // blocks are fixed and added in their order: the same bits for any number of threads
@@ -144,25 +143,50 @@ pub fn linearize(
     out
 }
 
-/// Sums of a block of points.
+/// Sums of a block of points; of the equations by lane, so that the order of the sums is the same on every machine.
 struct Block {
-    triangle: [f32x8; TRIANGLE],
-    gradient: [f32x8; UNKNOWNS],
+    triangle: [Eight; TRIANGLE],
+    gradient: [Eight; UNKNOWNS],
     sums: Sums,
 }
 
-impl Default for Block {
-    fn default() -> Self {
-        Self {
-            triangle: [f32x8::ZERO; TRIANGLE],
-            gradient: [f32x8::ZERO; UNKNOWNS],
-            sums: Sums::default(),
-        }
+for_lanes! {
+    /// Sums over some of the points of an image, every `stride`-th, in another.
+    fn block_of = block_with, (
+        projection: &Projection,
+        images: (&ReferenceLevel, &TargetLevel),
+        weighting: &Weighting,
+        range: Range<usize>,
+        stride: usize,
+    ) -> Block;
+}
+
+#[inline(always)]
+fn block_with<L: Lanes>(
+    lanes: L,
+    projection: &Projection,
+    images: (&ReferenceLevel, &TargetLevel),
+    weighting: &Weighting,
+    range: Range<usize>,
+    stride: usize,
+) -> Block {
+    let zero = lanes.splat(0.0);
+    let (mut triangle, mut gradient) = ([zero; TRIANGLE], [zero; UNKNOWNS]);
+    let mut sums = Sums::default();
+    for start in range.step_by(LANES) {
+        let chunk = (start * stride, stride);
+        let points = projection.chunk(lanes, images, weighting, chunk, &mut sums);
+        accumulate(&points, &mut triangle, &mut gradient);
+    }
+    Block {
+        triangle: triangle.map(F32x8::to_array),
+        gradient: gradient.map(F32x8::to_array),
+        sums,
     }
 }
 
 /// Scalar sums of a block.
-#[derive(Default)]
+#[derive(Debug, Default, PartialEq)]
 struct Sums {
     cost: f64,
     num_visible: usize,
@@ -180,7 +204,7 @@ impl Linearization {
             gradient,
             sums,
         } = block;
-        let total = |lanes: &f32x8| lanes.to_array().into_iter().map(f64::from).sum::<f64>();
+        let total = |lanes: &Eight| lanes.iter().copied().map(f64::from).sum::<f64>();
         let mut k = 0;
         for (row, sums) in gradient.iter().enumerate() {
             self.gradient[row] += total(sums);
@@ -238,14 +262,18 @@ impl Linearization {
     }
 }
 
-/// Adds `w J^T J` and `w J^T r` of a chunk; lanes stay apart, so that the order of the sums is the same on every machine.
-#[inline]
-fn accumulate(lanes: &Lanes, triangle: &mut [f32x8; TRIANGLE], gradient: &mut [f32x8; UNKNOWNS]) {
+/// Adds `w J^T J` and `w J^T r` of a chunk.
+#[inline(always)]
+fn accumulate<V: F32x8>(
+    points: &Points<V>,
+    triangle: &mut [V; TRIANGLE],
+    gradient: &mut [V; UNKNOWNS],
+) {
     let mut k = 0;
     for (row, sum) in gradient.iter_mut().enumerate() {
-        let weighted = lanes.weight * lanes.jacobian[row];
-        *sum += weighted * lanes.residual;
-        for derivative in &lanes.jacobian[row..] {
+        let weighted = points.weight * points.jacobian[row];
+        *sum += weighted * points.residual;
+        for derivative in &points.jacobian[row..] {
             triangle[k] += weighted * *derivative;
             k += 1;
         }
@@ -255,7 +283,7 @@ fn accumulate(lanes: &Lanes, triangle: &mut [f32x8; TRIANGLE], gradient: &mut [f
 /// Derivative of `I_frame - gain * I_keyframe - bias` by the left twist of the pose, the logarithm of the
 /// gain, and the bias; at the normalised image position `[x, y]` with the gradient `[gx, gy]` there, for a
 /// point at the inverse depth `inv_z` in the frame. Of one point, or of several side by side; `one` is 1.
-#[inline]
+#[inline(always)]
 pub(crate) fn residual_row<T>(
     [x, y]: [T; 2],
     [gx, gy]: [T; 2],
@@ -302,72 +330,96 @@ impl Projection {
     ///
     /// `[ECCV14]` equations 11 to 14; with the direction `m` (z = 1) and inverse depth `d` of a
     /// point, `q = R m + t d` is its position in the frame times `d`.
-    #[inline]
-    fn chunk(
+    #[inline(always)]
+    fn chunk<L: Lanes>(
         &self,
-        reference: &ReferenceLevel,
-        target: &TargetLevel,
+        lanes: L,
+        (reference, target): (&ReferenceLevel, &TargetLevel),
         weighting: &Weighting,
         chunk: (usize, usize),
         sums: &mut Sums,
-    ) -> Lanes {
+    ) -> Points<L::F32> {
+        let (t, one) = (&self.t, lanes.splat(1.0));
         let [fx, fy, cx, cy] = target.intrinsics;
-        let (r, t) = (&self.r, &self.t);
-        let (mx, my) = (taken(&reference.x, chunk), taken(&reference.y, chunk));
-        let d = taken(&reference.idepth, chunk);
-        // one by one: vectors that a closure gives back go through memory
-        let q = |i: usize| r[i][0] * mx + r[i][1] * my + r[i][2] + t[i] * d;
-        let (qx, qy, qz) = (q(0), q(1), q(2));
-        let inv_qz = 1.0 / qz;
+        let of = |values: &[f32]| lanes.f32s(taken(values, chunk));
+        let (mx, my, d) = (of(&reference.x), of(&reference.y), of(&reference.idepth));
+        let [qx, qy, qz] = times_idepth((&self.r, t), [mx, my], d);
+        let inv_qz = one / qz;
         let (x, y) = (qx * inv_qz, qy * inv_qz);
-        let (u, v) = (fx * x + cx, fy * y + cy);
-        let visible = qz.simd_gt(f32x8::splat(0.01)) & target.contains_lanes(u, v);
+        let (u, v) = (x * fx + cx, y * fy + cy);
+        let visible = qz.gt(lanes.splat(0.01)) & target.contains_lanes(lanes, u, v);
         let (x, y, d, inv_qz) = (visible & x, visible & y, visible & d, visible & inv_qz);
-        let [intensity, gu, gv] = target.sample_lanes(u, v, visible);
-        let keyframe = visible & taken(&reference.intensity, chunk);
-        let scaled_reference = self.gain * keyframe;
+        let [intensity, gu, gv] = target.sample_lanes(lanes, u, v, visible);
+        let keyframe = visible & of(&reference.intensity);
+        let scaled_reference = keyframe * self.gain;
         let residual = intensity - scaled_reference - self.bias;
-        let (gx, gy) = (fx * gu, fy * gv);
+        let (gx, gy) = (gu * fx, gv * fy);
         // derivative by the inverse depth, for the variance of the residual
-        let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
-        let idepth_var = visible & taken(&reference.idepth_var, chunk);
-        let variance = weighting.intensity_var + by_idepth * by_idepth * idepth_var;
-        let normalised_sq = residual * residual / variance;
-        let (robust_weight, cost) = weighting.robust_weight(normalised_sq);
-        let good_sq = weighting.good_sq + weighting.good_gradient_sq * (gu * gu + gv * gv);
+        let by_idepth = along_ray(lanes, t, [x, y], [gx, gy]) * inv_qz;
+        let idepth_var = visible & of(&reference.idepth_var);
+        let variance = by_idepth * by_idepth * idepth_var + weighting.intensity_var;
         let residual_sq = residual * residual;
-        let is_good = visible & residual_sq.simd_lt(good_sq);
-        sums.num_visible += visible.to_bitmask().count_ones() as usize;
-        sums.num_good += is_good.to_bitmask().count_ones() as usize;
-        sums.cost += weighting.chunk_cost(visible, cost);
+        let normalised_sq = residual_sq / variance;
+        let (robust_weight, cost) = weighting.robust_weight(lanes, normalised_sq);
+        let good_sq = (gu * gu + gv * gv) * weighting.good_gradient_sq + weighting.good_sq;
+        let is_good = visible & residual_sq.lt(good_sq);
+        sums.num_visible += visible.bits().count_ones() as usize;
+        sums.num_good += is_good.bits().count_ones() as usize;
+        sums.cost += weighting.chunk_cost(lanes, visible, cost);
         sums.add(
             [keyframe, intensity],
             // depth ratio keyframe / frame is 1 / qz
-            inv_qz.fast_min(f32x8::ONE),
+            inv_qz.min(one),
             is_good & residual_sq,
-            visible & weighting.scale_term(normalised_sq),
+            visible & weighting.scale_term(lanes, normalised_sq),
         );
         let inv_z = d * inv_qz;
-        Lanes {
+        Points {
             residual,
             weight: visible & (robust_weight / variance),
-            jacobian: residual_row([x, y], [gx, gy], inv_z, scaled_reference, f32x8::ONE),
+            jacobian: residual_row([x, y], [gx, gy], inv_z, scaled_reference, one),
         }
     }
 }
 
+/// `q = R m + t d` for directions `m = (x, y, 1)` and inverse depths `d`.
+#[inline(always)]
+pub(crate) fn times_idepth<V: F32x8>(
+    (r, t): (&[[f32; 3]; 3], &[f32; 3]),
+    [x, y]: [V; 2],
+    d: V,
+) -> [V; 3] {
+    // one by one: vectors that a closure gives back go through memory
+    [
+        x * r[0][0] + y * r[0][1] + r[0][2] + d * t[0],
+        x * r[1][0] + y * r[1][1] + r[1][2] + d * t[1],
+        x * r[2][0] + y * r[2][1] + r[2][2] + d * t[2],
+    ]
+}
+
+/// How grey values change with the inverse depth times that in the frame, at normalised image positions with those gradients.
+#[inline(always)]
+pub(crate) fn along_ray<L: Lanes>(
+    lanes: L,
+    t: &[f32; 3],
+    [x, y]: [L::F32; 2],
+    [gx, gy]: [L::F32; 2],
+) -> L::F32 {
+    gx * (lanes.splat(t[0]) - x * t[2]) + gy * (lanes.splat(t[1]) - y * t[2])
+}
+
 /// Values of [`LANES`] points from the first one on, every `stride`-th; where there are no more, no numbers, so that they are nowhere.
-#[inline]
-pub(crate) fn taken(values: &[f32], (first, stride): (usize, usize)) -> f32x8 {
+#[inline(always)]
+pub(crate) fn taken(values: &[f32], (first, stride): (usize, usize)) -> Eight {
     let values = &values[first..];
     match values.first_chunk() {
-        Some(all) if stride == 1 => f32x8::new(*all),
+        Some(all) if stride == 1 => *all,
         _ => {
             let mut lanes = [f32::NAN; LANES];
             for (lane, value) in lanes.iter_mut().zip(values.iter().step_by(stride)) {
                 *lane = *value;
             }
-            f32x8::new(lanes)
+            lanes
         }
     }
 }
@@ -375,7 +427,7 @@ pub(crate) fn taken(values: &[f32], (first, stride): (usize, usize)) -> f32x8 {
 impl Sums {
     /// Adds point after point, in their order, but all sums side by side; what does not count is 0.
     #[inline(always)]
-    fn add(&mut self, grey: [f32x8; 2], usage: f32x8, good_sq: f32x8, scale: f32x8) {
+    fn add<V: F32x8>(&mut self, grey: [V; 2], usage: V, good_sq: V, scale: V) {
         let [a, b] = grey;
         let moments = by_point([a, b, a * a, b * b]);
         let others = by_point([a * b, usage, good_sq, scale]);
@@ -389,46 +441,103 @@ impl Sums {
 impl Weighting {
     /// Weights for squared normalised residuals, and their costs: a summand (Huber) or a factor under the
     /// logarithm (Student t), see [`Self::chunk_cost`].
-    #[inline]
-    fn robust_weight(&self, normalised_sq: f32x8) -> (f32x8, f32x8) {
+    #[inline(always)]
+    fn robust_weight<L: Lanes>(&self, lanes: L, normalised_sq: L::F32) -> (L::F32, L::F32) {
         match self.robust {
-            Robust::Huber { k } => {
-                let magnitude = normalised_sq.sqrt();
-                let is_small = magnitude.simd_le(f32x8::splat(k));
-                (
-                    is_small.bitselect(f32x8::ONE, k / magnitude),
-                    is_small.bitselect(normalised_sq, k * (2.0 * magnitude - k)),
-                )
-            }
+            Robust::Huber { k } => huber(lanes, k, normalised_sq),
             Robust::StudentT { nu } => {
                 let inv_scale_sq = 1.0 / (self.scale * self.scale);
-                let ratio = normalised_sq * inv_scale_sq / nu;
+                let factor = normalised_sq * inv_scale_sq / nu + 1.0;
                 // weight (nu + 1) / (nu + (r/s)^2) / s^2; its integral is (nu + 1) ln(1 + (r/s)^2/nu)
-                ((nu + 1.0) / nu * inv_scale_sq / (1.0 + ratio), 1.0 + ratio)
+                (
+                    lanes.splat((nu + 1.0) / nu * inv_scale_sq) / factor,
+                    factor,
+                )
             }
         }
     }
 
     /// Cost of the visible points of a chunk: one logarithm of the product instead of one for each of them.
-    #[inline]
-    fn chunk_cost(&self, visible: f32x8, cost: f32x8) -> f64 {
-        let costs = |neutral| visible.bitselect(cost, neutral).to_array().map(f64::from);
+    #[inline(always)]
+    fn chunk_cost<L: Lanes>(&self, lanes: L, visible: L::F32, cost: L::F32) -> f64 {
         match self.robust {
-            Robust::Huber { .. } => costs(f32x8::ZERO).into_iter().sum(),
+            Robust::Huber { .. } => {
+                let costs = (visible & cost).to_array();
+                costs.into_iter().map(f64::from).sum()
+            }
             Robust::StudentT { nu } => {
-                let product: f64 = costs(f32x8::ONE).into_iter().product();
+                let factors = visible.select(cost, lanes.splat(1.0)).to_array();
+                let product: f64 = factors.into_iter().map(f64::from).product();
                 f64::from(nu + 1.0) * product.ln()
             }
         }
     }
 
     /// Summand of the fixed-point iteration for the scale of the t distribution (`[DVO13]`).
-    #[inline]
-    fn scale_term(&self, normalised_sq: f32x8) -> f32x8 {
+    #[inline(always)]
+    fn scale_term<L: Lanes>(&self, lanes: L, normalised_sq: L::F32) -> L::F32 {
         match self.robust {
-            Robust::Huber { .. } => f32x8::ZERO,
+            Robust::Huber { .. } => lanes.splat(0.0),
             Robust::StudentT { nu } => {
-                normalised_sq * (nu + 1.0) / (nu + normalised_sq / (self.scale * self.scale))
+                let scale_sq = self.scale * self.scale;
+                normalised_sq * (nu + 1.0) / (normalised_sq / scale_sq + nu)
+            }
+        }
+    }
+}
+
+/// Huber's weights for squared normalised residuals, and their costs.
+#[inline(always)]
+pub(crate) fn huber<L: Lanes>(lanes: L, k: f32, squared: L::F32) -> (L::F32, L::F32) {
+    let magnitude = squared.sqrt();
+    let is_small = magnitude.le(lanes.splat(k));
+    (
+        is_small.select(lanes.splat(1.0), lanes.splat(k) / magnitude),
+        is_small.select(squared, (magnitude * 2.0 - k) * k),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DepthSample, Reference, Target};
+    use monogrid_geometry::{Pinhole, Vec6};
+    use monogrid_image::lanes::Baseline;
+    use monogrid_image::{GrayImage, Pyramid};
+
+    #[test]
+    fn all_vectors_give_the_same_bits() {
+        let image = GrayImage::from_fn(80, 60, |x, y| ((37 * x + 101 * y + x * y) % 251) as f32);
+        let (pyramid, camera) = (Pyramid::new(image, 1), Pinhole::new(60.0, 60.0, 39.5, 29.5));
+        let samples: Vec<DepthSample> = (0..1003)
+            .map(|i| DepthSample {
+                x: 3 + (7 * i) % 74,
+                y: 3 + (5 * i) % 54,
+                idepth: 0.5 + 0.001 * (i % 300) as f32,
+                idepth_var: 1e-4,
+            })
+            .collect();
+        let reference = Reference::new(&pyramid, &camera, &samples, 0, 0);
+        let target = Target::new(&pyramid, &camera, 0, 0);
+        let images = (&reference.levels[0], &target.levels[0]);
+        let twist = Vec6::new(0.03, -0.02, 0.05, 0.01, 0.02, -0.03);
+        let projection = Projection::new(&Motion::from_pose(Se3::exp(&twist)));
+        for robust in [Robust::Huber { k: 1.3 }, Robust::StudentT { nu: 5.0 }] {
+            let weighting = Weighting {
+                intensity_var: 16.0,
+                robust,
+                scale: 1.7,
+                good_sq: 400.0,
+                good_gradient_sq: 0.25,
+            };
+            for stride in [1, 3] {
+                let range = 0..images.0.len().div_ceil(stride);
+                let widest = block_of(&projection, images, &weighting, range.clone(), stride);
+                let plain = block_with(Baseline, &projection, images, &weighting, range, stride);
+                assert!(plain.sums.num_visible > 200, "{}", plain.sums.num_visible);
+                assert_eq!(widest.triangle, plain.triangle);
+                assert_eq!(widest.gradient, plain.gradient);
+                assert_eq!(widest.sums, plain.sums);
             }
         }
     }

@@ -1,8 +1,9 @@
 //! The image that is aligned: intensity and gradient per level, interleaved for sampling.
 
 use monogrid_geometry::Pinhole;
+use monogrid_image::lanes::{F32x8, I32x8, Lanes};
 use monogrid_image::{GrayImage, Pyramid, pyramid_intrinsics};
-use wide::{f32x4, f32x8};
+use wide::f32x4;
 
 /// One level: intensity and halved central differences side by side, so that one bilinear look-up
 /// touches two cache lines.
@@ -35,27 +36,34 @@ impl TargetLevel {
     }
 
     /// Bilinear `[intensity, d/dx, d/dy]` at the places that the mask says; 0 at the others.
-    #[inline]
-    pub(crate) fn sample_lanes(&self, u: f32x8, v: f32x8, mask: f32x8) -> [f32x8; 3] {
+    #[inline(always)]
+    pub(crate) fn sample_lanes<L: Lanes>(
+        &self,
+        lanes: L,
+        u: L::F32,
+        v: L::F32,
+        mask: L::F32,
+    ) -> [L::F32; 3] {
         // those that do not count are read from a corner, so that there is no branch for each
         let (u, v) = (mask & u, mask & v);
-        let (x, y) = (u.fast_trunc_int(), v.fast_trunc_int());
-        let (fx, fy) = (u - f32x8::from_i32x8(x), v - f32x8::from_i32x8(y));
+        let (x, y) = (u.truncated(), v.truncated());
+        let (fx, fy) = (u - x.to_f32(), v - y.to_f32());
         let (x, y, fx, fy) = (x.to_array(), y.to_array(), fx.to_array(), fy.to_array());
         let mut by_place = [f32x4::ZERO; 8];
         for (l, place) in by_place.iter_mut().enumerate() {
             *place = self.sample((x[l], fx[l]), (y[l], fy[l]));
         }
-        let [intensity, du, dv, _] = by_kind(by_place);
+        let [intensity, du, dv, _] = by_kind(lanes, by_place);
         [mask & intensity, mask & du, mask & dv]
     }
 
     /// Which pixels are far enough inside for value and gradient, as a mask; not those that are no numbers.
-    #[inline]
-    pub(crate) fn contains_lanes(&self, u: f32x8, v: f32x8) -> f32x8 {
-        let right = f32x8::splat(self.width as f32 - 2.0);
-        let bottom = f32x8::splat(self.height as f32 - 2.0);
-        u.simd_gt(f32x8::ONE) & v.simd_gt(f32x8::ONE) & u.simd_lt(right) & v.simd_lt(bottom)
+    #[inline(always)]
+    pub(crate) fn contains_lanes<L: Lanes>(&self, lanes: L, u: L::F32, v: L::F32) -> L::F32 {
+        let one = lanes.splat(1.0);
+        let right = lanes.splat(self.width as f32 - 2.0);
+        let bottom = lanes.splat(self.height as f32 - 2.0);
+        u.gt(one) & v.gt(one) & u.lt(right) & v.lt(bottom)
     }
 }
 
@@ -80,22 +88,23 @@ fn samples(image: &GrayImage) -> Vec<[f32; 4]> {
 
 /// Four numbers of eight points, point by point, as those of all points, kind by kind.
 #[inline(always)]
-pub(crate) fn by_kind(points: [f32x4; 8]) -> [f32x8; 4] {
+pub(crate) fn by_kind<L: Lanes>(lanes: L, points: [f32x4; 8]) -> [L::F32; 4] {
     let [a, b, c, d, e, f, g, h] = points;
     let (first, last) = (
         f32x4::transpose([a, b, c, d]),
         f32x4::transpose([e, f, g, h]),
     );
-    std::array::from_fn(|kind| {
+    let kind = |kind: usize| {
         let ([a, b, c, d], [e, f, g, h]) = (first[kind].to_array(), last[kind].to_array());
-        f32x8::new([a, b, c, d, e, f, g, h])
-    })
+        lanes.f32s([a, b, c, d, e, f, g, h])
+    };
+    [kind(0), kind(1), kind(2), kind(3)]
 }
 
 /// And back.
 #[inline(always)]
-pub(crate) fn by_point(kinds: [f32x8; 4]) -> [f32x4; 8] {
-    let kinds = kinds.map(f32x8::to_array);
+pub(crate) fn by_point<V: F32x8>([a, b, c, d]: [V; 4]) -> [f32x4; 8] {
+    let kinds = [a.to_array(), b.to_array(), c.to_array(), d.to_array()];
     let half = |from: usize| {
         f32x4::transpose(
             kinds.map(|k| f32x4::new([k[from], k[from + 1], k[from + 2], k[from + 3]])),
@@ -150,6 +159,8 @@ impl Target {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_image::lanes::Baseline;
+    use wide::f32x8;
 
     #[test]
     fn eight_places_are_what_each_of_them_is_alone() {
@@ -159,9 +170,10 @@ mod tests {
         let level = &target.levels[0];
         let u = [1.5, 20.25, 37.9, 3.0, f32::NAN, -4.0, 1e9, 12.75];
         let v = [1.5, 9.125, 27.9, 20.5, 5.0, 5.0, 5.0, 27.0];
-        let mask = level.contains_lanes(f32x8::new(u), f32x8::new(v));
+        let places = [u, v].map(|v| Baseline.f32s(v));
+        let mask = level.contains_lanes(Baseline, places[0], places[1]);
         assert_eq!(mask.to_bitmask(), 0b1000_1111);
-        let found = level.sample_lanes(f32x8::new(u), f32x8::new(v), mask);
+        let found = level.sample_lanes(Baseline, places[0], places[1], mask);
         for l in 0..8 {
             let found = found.map(|kind| kind.to_array()[l]);
             if mask.to_bitmask() >> l & 1 == 0 {
@@ -184,12 +196,12 @@ mod tests {
     #[test]
     fn kinds_and_points_change_places() {
         let kinds: [f32x8; 4] = std::array::from_fn(|kind| {
-            f32x8::new(std::array::from_fn(|point| (10 * kind + point) as f32))
+            Baseline.f32s(std::array::from_fn(|point| (10 * kind + point) as f32))
         });
         let points = by_point(kinds);
         assert_eq!(points[5].to_array(), [5.0, 15.0, 25.0, 35.0]);
         assert_eq!(
-            by_kind(points).map(f32x8::to_array),
+            by_kind(Baseline, points).map(f32x8::to_array),
             kinds.map(f32x8::to_array)
         );
     }

@@ -6,6 +6,7 @@
 
 mod buffer;
 mod gradient;
+pub mod lanes;
 mod photometric;
 mod pyramid;
 mod undistort;

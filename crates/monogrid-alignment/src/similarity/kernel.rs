@@ -1,11 +1,13 @@
 //! The normal equations of one level over similarity, gain and bias.
 
 use super::DepthLevel;
-use crate::kernel::{LANES, residual_row, taken};
+use crate::kernel::{Eight, LANES, along_ray, huber, residual_row, taken, times_idepth};
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::{Mat7, Sim3, Vec7};
+use monogrid_image::for_lanes;
+use monogrid_image::lanes::{F32x8, Lanes};
 use nalgebra::{SMatrix, SVector};
-use wide::f32x8;
+use std::ops::Range;
 
 /// Unknowns: tangent `[v, w, s]` of `b_from_a`, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 9;
@@ -122,60 +124,79 @@ const PHOTOMETRIC: [usize; 8] = [0, 1, 2, 3, 4, 5, 7, 8];
 const DEPTH: [usize; 4] = [2, 3, 4, 6];
 
 /// Residuals of one kind of [`LANES`] points, with weights and derivatives by `N` unknowns; without weight where there is none.
-struct Lanes<const N: usize> {
-    residual: f32x8,
-    weight: f32x8,
-    jacobian: [f32x8; N],
+struct Weighted<V, const N: usize> {
+    residual: V,
+    weight: V,
+    jacobian: [V; N],
 }
 
 /// Sums of `w J^T J` and `w J^T r` of one kind; lanes stay apart, so that the order of the sums is the same on every machine.
-struct BlockSums<const N: usize> {
-    hessian: [[f32x8; N]; N],
-    gradient: [f32x8; N],
+struct Equations<V, const N: usize> {
+    hessian: [[V; N]; N],
+    gradient: [V; N],
 }
 
-impl<const N: usize> BlockSums<N> {
-    const ZERO: Self = Self {
-        hessian: [[f32x8::ZERO; N]; N],
-        gradient: [f32x8::ZERO; N],
-    };
+impl<V: F32x8, const N: usize> Equations<V, N> {
+    #[inline(always)]
+    fn filled(value: V) -> Self {
+        Self {
+            hessian: [[value; N]; N],
+            gradient: [value; N],
+        }
+    }
 
-    #[inline]
-    fn add(&mut self, lanes: &Lanes<N>) {
+    #[inline(always)]
+    fn add(&mut self, points: &Weighted<V, N>) {
         for row in 0..N {
-            let weighted = lanes.weight * lanes.jacobian[row];
-            self.gradient[row] += weighted * lanes.residual;
+            let weighted = points.weight * points.jacobian[row];
+            self.gradient[row] += weighted * points.residual;
             for column in row..N {
-                self.hessian[row][column] += weighted * lanes.jacobian[column];
+                self.hessian[row][column] += weighted * points.jacobian[column];
             }
         }
     }
 
-    /// Moves the sums to the equations of all unknowns.
-    fn flush(&mut self, unknowns: [usize; N], out: &mut SimilarityLinearization) {
-        let total = |lanes: &f32x8| lanes.to_array().into_iter().map(f64::from).sum::<f64>();
+    #[inline(always)]
+    fn by_lane(&self) -> Equations<Eight, N> {
+        let mut out = Equations {
+            hessian: [[[0.0; LANES]; N]; N],
+            gradient: [[0.0; LANES]; N],
+        };
+        for row in 0..N {
+            out.gradient[row] = self.gradient[row].to_array();
+            for column in row..N {
+                out.hessian[row][column] = self.hessian[row][column].to_array();
+            }
+        }
+        out
+    }
+}
+
+impl<const N: usize> Equations<Eight, N> {
+    /// Adds the sums to the equations of all unknowns.
+    fn add_to(&self, unknowns: [usize; N], out: &mut SimilarityLinearization) {
+        let total = |lanes: &Eight| lanes.iter().copied().map(f64::from).sum::<f64>();
         for (row, &i) in unknowns.iter().enumerate() {
             out.gradient[i] += total(&self.gradient[row]);
             for (column, &j) in unknowns.iter().enumerate().skip(row) {
                 out.hessian[(i, j)] += total(&self.hessian[row][column]);
             }
         }
-        *self = Self::ZERO;
     }
 }
 
 /// Both residuals of [`LANES`] points with their derivatives.
-struct Residuals {
-    visible: f32x8,
-    photometric: f32x8,
-    photometric_var: f32x8,
-    photometric_row: [f32x8; 8],
+struct Residuals<V> {
+    visible: V,
+    photometric: V,
+    photometric_var: V,
+    photometric_row: [V; 8],
     /// Visible points that meet a depth.
-    has_depth: f32x8,
-    depth: f32x8,
-    depth_var: f32x8,
-    depth_row: [f32x8; 4],
-    intensities: [f32x8; 2],
+    has_depth: V,
+    depth: V,
+    depth_var: V,
+    depth_row: [V; 4],
+    intensities: [V; 2],
 }
 
 /// Builds the normal equations of `points` (of a) against image and depth of b. `stride` uses every n-th
@@ -193,18 +214,10 @@ pub fn linearize_similarity(
     let mut out = SimilarityLinearization::zero();
     let stride = stride.max(1);
     let count = points.len().div_ceil(stride);
-    let (mut photometric, mut geometric) = (BlockSums::<8>::ZERO, BlockSums::<4>::ZERO);
-    for block in (0..count).step_by(BLOCK) {
-        let block_end = (block + BLOCK).min(count);
-        for start in (block..block_end).step_by(LANES) {
-            let chunk = (start * stride, stride);
-            let residuals = projection.residuals(points, chunk, image, depth, weighting);
-            let (p, d) = weigh(&residuals, weighting, &mut out);
-            photometric.add(&p);
-            geometric.add(&d);
-        }
-        photometric.flush(PHOTOMETRIC, &mut out);
-        geometric.flush(DEPTH, &mut out);
+    let keyframes = (points, image, depth);
+    for start in (0..count).step_by(BLOCK) {
+        let range = start..(start + BLOCK).min(count);
+        add_block(&projection, keyframes, weighting, (range, stride), &mut out);
     }
     for row in 0..UNKNOWNS {
         for column in 0..row {
@@ -214,25 +227,64 @@ pub fn linearize_similarity(
     out
 }
 
+for_lanes! {
+    /// Adds some of the points of a, every n-th, as image and depth of b show them.
+    fn add_block = add_block_with, (
+        projection: &Projection,
+        keyframes: (&ReferenceLevel, &TargetLevel, &DepthLevel),
+        weighting: &SimilarityWeighting,
+        range: (Range<usize>, usize),
+        out: &mut SimilarityLinearization,
+    );
+}
+
+#[inline(always)]
+fn add_block_with<L: Lanes>(
+    lanes: L,
+    projection: &Projection,
+    keyframes: (&ReferenceLevel, &TargetLevel, &DepthLevel),
+    weighting: &SimilarityWeighting,
+    (range, stride): (Range<usize>, usize),
+    out: &mut SimilarityLinearization,
+) {
+    let zero = lanes.splat(0.0);
+    let mut photometric = Equations::<_, 8>::filled(zero);
+    let mut geometric = Equations::<_, 4>::filled(zero);
+    for start in range.step_by(LANES) {
+        let chunk = (start * stride, stride);
+        let residuals = projection.residuals(lanes, chunk, keyframes, weighting);
+        let (p, d) = weigh(lanes, &residuals, weighting, out);
+        photometric.add(&p);
+        geometric.add(&d);
+    }
+    photometric.by_lane().add_to(PHOTOMETRIC, out);
+    geometric.by_lane().add_to(DEPTH, out);
+}
+
 /// Gives points the joint weight of their residuals (`[ECCV14]` equation 18).
-#[inline]
-fn weigh(
-    points: &Residuals,
+#[inline(always)]
+fn weigh<L: Lanes>(
+    lanes: L,
+    points: &Residuals<L::F32>,
     weighting: &SimilarityWeighting,
     out: &mut SimilarityLinearization,
-) -> (Lanes<8>, Lanes<4>) {
+) -> (Weighted<L::F32, 8>, Weighted<L::F32, 4>) {
     let [scale_p, scale_d] = weighting.scale.map(|s| s * s);
     let photometric_sq = points.photometric * points.photometric / points.photometric_var;
     let depth_sq = points.has_depth & (points.depth * points.depth / points.depth_var);
     let joint_sq = photometric_sq / scale_p + depth_sq / scale_d;
-    let (weight, cost) = robust_weight(weighting.robust, joint_sq, points.has_depth);
-    let (visible, has_depth) = (points.visible.to_bitmask(), points.has_depth.to_bitmask());
-    let good = points.visible & photometric_sq.simd_lt(f32x8::splat(9.0));
+    let (weight, cost) = robust_weight(lanes, weighting.robust, joint_sq, points.has_depth);
+    let (visible, has_depth) = (points.visible.bits(), points.has_depth.bits());
+    let good = points.visible & photometric_sq.lt(lanes.splat(9.0));
     out.num_visible += visible.count_ones() as usize;
     out.num_depth += has_depth.count_ones() as usize;
-    out.num_good += good.to_bitmask().count_ones() as usize;
-    let by_scale = [photometric_sq, depth_sq].map(|squared| (weight * squared).to_array());
-    let [a, b] = points.intensities.map(f32x8::to_array);
+    out.num_good += good.bits().count_ones() as usize;
+    let [own, other] = points.intensities;
+    let by_scale = [
+        (weight * photometric_sq).to_array(),
+        (weight * depth_sq).to_array(),
+    ];
+    let grey = [own.to_array(), other.to_array()];
     let cost = cost.to_array();
     let mut chunk_cost = ChunkCost::default();
     for l in (0..LANES).filter(|l| visible >> l & 1 == 1) {
@@ -240,7 +292,7 @@ fn weigh(
         chunk_cost.add(weighting.robust, cost[l], has_depth);
         // 0 without depth
         let by_scale = [by_scale[0][l], by_scale[1][l]].map(f64::from);
-        let [a, b] = [a[l], b[l]].map(f64::from);
+        let [a, b] = [grey[0][l], grey[1][l]].map(f64::from);
         for (sum, value) in out.scale_sums.iter_mut().zip(by_scale) {
             *sum += value;
         }
@@ -249,12 +301,12 @@ fn weigh(
         }
     }
     out.cost += chunk_cost.total(weighting.robust);
-    let photometric = Lanes {
+    let photometric = Weighted {
         residual: points.photometric,
         weight: points.visible & (weight / (points.photometric_var * scale_p)),
         jacobian: points.photometric_row,
     };
-    let depth = Lanes {
+    let depth = Weighted {
         residual: points.depth,
         weight: points.has_depth & (weight / (points.depth_var * scale_d)),
         jacobian: points.depth_row,
@@ -263,20 +315,19 @@ fn weigh(
 }
 
 /// Weights for squared normalised residuals, and their costs: summands (Huber) or factors under the logarithm (Student t).
-#[inline]
-fn robust_weight(robust: Robust, squared: f32x8, has_depth: f32x8) -> (f32x8, f32x8) {
+#[inline(always)]
+fn robust_weight<L: Lanes>(
+    lanes: L,
+    robust: Robust,
+    squared: L::F32,
+    has_depth: L::F32,
+) -> (L::F32, L::F32) {
     match robust {
-        Robust::Huber { k } => {
-            let magnitude = squared.sqrt();
-            let is_small = magnitude.simd_le(f32x8::splat(k));
-            (
-                is_small.bitselect(f32x8::ONE, k / magnitude),
-                is_small.bitselect(squared, k * (2.0 * magnitude - k)),
-            )
-        }
+        Robust::Huber { k } => huber(lanes, k, squared),
         Robust::StudentT { nu } => {
-            let dimension = f32x8::ONE + (has_depth & f32x8::ONE);
-            ((nu + dimension) / (nu + squared), 1.0 + squared / nu)
+            let one = lanes.splat(1.0);
+            let dimension = one + (has_depth & one);
+            ((dimension + nu) / (squared + nu), squared / nu + 1.0)
         }
     }
 }
@@ -341,46 +392,43 @@ impl Projection {
 
     /// With `m` the viewing direction and `d` the inverse depth, `q = s R m + t d` is the position in b
     /// times `d`.
-    #[inline]
-    fn residuals(
+    #[inline(always)]
+    fn residuals<L: Lanes>(
         &self,
-        points: &ReferenceLevel,
+        lanes: L,
         chunk: (usize, usize),
-        image: &TargetLevel,
-        depth: &DepthLevel,
+        (points, image, depth): (&ReferenceLevel, &TargetLevel, &DepthLevel),
         weighting: &SimilarityWeighting,
-    ) -> Residuals {
-        let (r, t) = (&self.r, &self.t);
-        let (mx, my) = (taken(&points.x, chunk), taken(&points.y, chunk));
-        let d = taken(&points.idepth, chunk);
-        // one by one: vectors that a closure gives back go through memory
-        let q = |k: usize| r[k][0] * mx + r[k][1] * my + r[k][2] + t[k] * d;
-        let q = [q(0), q(1), q(2)];
+    ) -> Residuals<L::F32> {
+        let (t, one, zero) = (&self.t, lanes.splat(1.0), lanes.splat(0.0));
+        let of = |values: &[f32]| lanes.f32s(taken(values, chunk));
+        let (mx, my, d) = (of(&points.x), of(&points.y), of(&points.idepth));
+        let [qx, qy, qz] = times_idepth((&self.r, t), [mx, my], d);
         let [fx, fy, cx, cy] = image.intrinsics;
-        let inv_qz = 1.0 / q[2];
-        let (x, y) = (q[0] * inv_qz, q[1] * inv_qz);
-        let (u, v) = (fx * x + cx, fy * y + cy);
-        let in_front = q[2].simd_gt(f32x8::splat(0.01)) & d.simd_gt(f32x8::ZERO);
-        let visible = in_front & image.contains_lanes(u, v);
+        let inv_qz = one / qz;
+        let (x, y) = (qx * inv_qz, qy * inv_qz);
+        let (u, v) = (x * fx + cx, y * fy + cy);
+        let in_front = qz.gt(lanes.splat(0.01)) & d.gt(zero);
+        let visible = in_front & image.contains_lanes(lanes, u, v);
         let (x, y, d) = (visible & x, visible & y, visible & d);
-        let (qz, inv_qz) = (visible & q[2], visible & inv_qz);
-        let [intensity, gu, gv] = image.sample_lanes(u, v, visible);
-        let own = visible & taken(&points.intensity, chunk);
-        let scaled = self.gain * own;
-        let (gx, gy) = (fx * gu, fy * gv);
+        let (qz, inv_qz) = (visible & qz, visible & inv_qz);
+        let [intensity, gu, gv] = image.sample_lanes(lanes, u, v, visible);
+        let own = visible & of(&points.intensity);
+        let scaled = own * self.gain;
+        let (gx, gy) = (gu * fx, gv * fy);
         let inv_z = d * inv_qz;
-        let by_idepth = (gx * (t[0] - x * t[2]) + gy * (t[1] - y * t[2])) * inv_qz;
-        let var_a = visible & taken(&points.idepth_var, chunk);
-        let [idepth_b, var_b] = depth.nearest_lanes(u, v, visible);
+        let by_idepth = along_ray(lanes, t, [x, y], [gx, gy]) * inv_qz;
+        let var_a = visible & of(&points.idepth_var);
+        let [idepth_b, var_b] = depth.nearest_lanes(lanes, u, v, visible);
         let transfer = (qz - d * t[2]) * inv_qz * inv_qz;
-        let shared = weighting.shared_depth_var * inv_z * inv_z;
+        let shared = inv_z * weighting.shared_depth_var * inv_z;
         Residuals {
             visible,
             photometric: intensity - scaled - self.bias,
-            photometric_var: weighting.intensity_var + by_idepth * by_idepth * var_a,
+            photometric_var: by_idepth * by_idepth * var_a + weighting.intensity_var,
             // no scale: its change moves the point along its viewing ray
-            photometric_row: residual_row([x, y], [gx, gy], inv_z, scaled, f32x8::ONE),
-            has_depth: var_b.simd_gt(f32x8::ZERO),
+            photometric_row: residual_row([x, y], [gx, gy], inv_z, scaled, one),
+            has_depth: var_b.gt(zero),
             depth: inv_z - idepth_b,
             depth_var: var_b + transfer * transfer * var_a + shared,
             depth_row: [-inv_z * inv_z, -inv_z * y, inv_z * x, -inv_z],

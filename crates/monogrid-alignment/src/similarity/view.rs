@@ -3,7 +3,7 @@
 use crate::{DepthSample, Reference, ReferenceLevel, Target, TargetLevel};
 use monogrid_geometry::Pinhole;
 use monogrid_image::Pyramid;
-use wide::f32x8;
+use monogrid_image::lanes::{F32x8, Lanes};
 
 /// Inverse depth per pixel of one level; a variance of 0 says unknown.
 #[derive(Clone, Debug, Default)]
@@ -32,9 +32,15 @@ impl DepthLevel {
     }
 
     /// Inverse depths and variances at the nearest pixels, for those of the mask; variance 0 where nothing is known.
-    #[inline]
-    pub(crate) fn nearest_lanes(&self, u: f32x8, v: f32x8, mask: f32x8) -> [f32x8; 2] {
-        let (u, v, mask) = (u.to_array(), v.to_array(), mask.to_bitmask());
+    #[inline(always)]
+    pub(crate) fn nearest_lanes<L: Lanes>(
+        &self,
+        lanes: L,
+        u: L::F32,
+        v: L::F32,
+        mask: L::F32,
+    ) -> [L::F32; 2] {
+        let (u, v, mask) = (u.to_array(), v.to_array(), mask.bits());
         let mut out = [[0.0; 8]; 2];
         for l in (0..8).filter(|l| mask >> l & 1 == 1) {
             let i = (v[l] + 0.5) as usize * self.width + (u[l] + 0.5) as usize;
@@ -42,7 +48,7 @@ impl DepthLevel {
                 [out[0][l], out[1][l]] = [idepth, var];
             }
         }
-        [f32x8::new(out[0]), f32x8::new(out[1])]
+        [lanes.f32s(out[0]), lanes.f32s(out[1])]
     }
 }
 
