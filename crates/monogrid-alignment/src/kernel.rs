@@ -341,7 +341,7 @@ impl Projection {
     ) -> Points<L::F32> {
         let (t, one) = (&self.t, lanes.splat(1.0));
         let [fx, fy, cx, cy] = target.intrinsics;
-        let of = |values: &[f32]| lanes.f32s(taken(values, chunk));
+        let of = |values: &[f32]| taken(lanes, values, chunk);
         let (mx, my, d) = (of(&reference.x), of(&reference.y), of(&reference.idepth));
         let [qx, qy, qz] = times_idepth((&self.r, t), [mx, my], d);
         let inv_qz = one / qz;
@@ -410,16 +410,16 @@ pub(crate) fn along_ray<L: Lanes>(
 
 /// Values of [`LANES`] points from the first one on, every `stride`-th; where there are no more, no numbers, so that they are nowhere.
 #[inline(always)]
-pub(crate) fn taken(values: &[f32], (first, stride): (usize, usize)) -> Eight {
+pub(crate) fn taken<L: Lanes>(lanes: L, values: &[f32], (first, stride): (usize, usize)) -> L::F32 {
     let values = &values[first..];
     match values.first_chunk() {
-        Some(all) if stride == 1 => *all,
+        Some(all) if stride == 1 => lanes.f32s(all),
         _ => {
-            let mut lanes = [f32::NAN; LANES];
-            for (lane, value) in lanes.iter_mut().zip(values.iter().step_by(stride)) {
+            let mut some = [f32::NAN; LANES];
+            for (lane, value) in some.iter_mut().zip(values.iter().step_by(stride)) {
                 *lane = *value;
             }
-            lanes
+            lanes.f32s(&some)
         }
     }
 }
@@ -449,10 +449,7 @@ impl Weighting {
                 let inv_scale_sq = 1.0 / (self.scale * self.scale);
                 let factor = normalised_sq * inv_scale_sq / nu + 1.0;
                 // weight (nu + 1) / (nu + (r/s)^2) / s^2; its integral is (nu + 1) ln(1 + (r/s)^2/nu)
-                (
-                    lanes.splat((nu + 1.0) / nu * inv_scale_sq) / factor,
-                    factor,
-                )
+                (lanes.splat((nu + 1.0) / nu * inv_scale_sq) / factor, factor)
             }
         }
     }
@@ -513,7 +510,7 @@ mod tests {
             .map(|i| DepthSample {
                 x: 3 + (7 * i) % 74,
                 y: 3 + (5 * i) % 54,
-                idepth: 0.5 + 0.001 * (i % 300) as f32,
+                idepth: 0.5 + 0.001 * f32::from(i % 300),
                 idepth_var: 1e-4,
             })
             .collect();

@@ -96,7 +96,7 @@ pub(crate) fn by_kind<L: Lanes>(lanes: L, points: [f32x4; 8]) -> [L::F32; 4] {
     );
     let kind = |kind: usize| {
         let ([a, b, c, d], [e, f, g, h]) = (first[kind].to_array(), last[kind].to_array());
-        lanes.f32s([a, b, c, d, e, f, g, h])
+        lanes.f32s(&[a, b, c, d, e, f, g, h])
     };
     [kind(0), kind(1), kind(2), kind(3)]
 }
@@ -170,7 +170,7 @@ mod tests {
         let level = &target.levels[0];
         let u = [1.5, 20.25, 37.9, 3.0, f32::NAN, -4.0, 1e9, 12.75];
         let v = [1.5, 9.125, 27.9, 20.5, 5.0, 5.0, 5.0, 27.0];
-        let places = [u, v].map(|v| Baseline.f32s(v));
+        let places = [u, v].map(|v| Baseline.f32s(&v));
         let mask = level.contains_lanes(Baseline, places[0], places[1]);
         assert_eq!(mask.to_bitmask(), 0b1000_1111);
         let found = level.sample_lanes(Baseline, places[0], places[1], mask);
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn kinds_and_points_change_places() {
         let kinds: [f32x8; 4] = std::array::from_fn(|kind| {
-            Baseline.f32s(std::array::from_fn(|point| (10 * kind + point) as f32))
+            Baseline.f32s(&std::array::from_fn(|point| (10 * kind + point) as f32))
         });
         let points = by_point(kinds);
         assert_eq!(points[5].to_array(), [5.0, 15.0, 25.0, 35.0]);

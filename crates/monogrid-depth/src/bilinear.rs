@@ -1,7 +1,7 @@
 //! Bilinear look-ups, several at once.
 
 use monogrid_image::Image;
-use wide::{f32x8, i32x8};
+use monogrid_image::lanes::{F32x8, I32x8, Lanes};
 
 /// Grey values of which four corners are looked up at eight places.
 pub(crate) trait Grey: Copy {
@@ -11,20 +11,22 @@ pub(crate) trait Grey: Copy {
     fn cell(corners: [Self; 4]) -> Self::Cell;
 
     /// Corners by place as places by corner.
-    fn by_corner(cells: [Self::Cell; 8]) -> [f32x8; 4];
+    fn by_corner<L: Lanes>(lanes: L, cells: [Self::Cell; 8]) -> [L::F32; 4];
 }
 
 impl Grey for f32 {
     type Cell = [f32; 4];
 
-    #[inline]
+    #[inline(always)]
     fn cell(corners: [f32; 4]) -> [f32; 4] {
         corners
     }
 
-    #[inline]
-    fn by_corner(cells: [[f32; 4]; 8]) -> [f32x8; 4] {
-        std::array::from_fn(|corner| f32x8::new(cells.map(|cell| cell[corner])))
+    #[inline(always)]
+    fn by_corner<L: Lanes>(lanes: L, cells: [[f32; 4]; 8]) -> [L::F32; 4] {
+        let [a, b, c, d, e, f, g, h] = cells;
+        let corner = |k: usize| lanes.f32s(&[a[k], b[k], c[k], d[k], e[k], f[k], g[k], h[k]]);
+        [corner(0), corner(1), corner(2), corner(3)]
     }
 }
 
@@ -32,14 +34,14 @@ impl Grey for u16 {
     /// Upper and lower pair, each as one number.
     type Cell = [i32; 2];
 
-    #[inline]
+    #[inline(always)]
     fn cell([a, b, c, d]: [u16; 4]) -> [i32; 2] {
         [[a, b], [c, d]].map(|[left, right]| (u32::from(right) << 16 | u32::from(left)) as i32)
     }
 
-    #[inline]
-    fn by_corner(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
-        corners_of_pairs::<16>(cells)
+    #[inline(always)]
+    fn by_corner<L: Lanes>(lanes: L, cells: [[i32; 2]; 8]) -> [L::F32; 4] {
+        corners_of_pairs::<16, L>(lanes, cells)
     }
 }
 
@@ -47,31 +49,42 @@ impl Grey for u8 {
     /// Upper and lower pair, each as one number: to convert each byte alone costs more than all the rest.
     type Cell = [i32; 2];
 
-    #[inline]
+    #[inline(always)]
     fn cell([a, b, c, d]: [u8; 4]) -> [i32; 2] {
         [[a, b], [c, d]].map(|pair| i32::from(u16::from_le_bytes(pair)))
     }
 
-    #[inline]
-    fn by_corner(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
-        corners_of_pairs::<8>(cells)
+    #[inline(always)]
+    fn by_corner<L: Lanes>(lanes: L, cells: [[i32; 2]; 8]) -> [L::F32; 4] {
+        corners_of_pairs::<8, L>(lanes, cells)
     }
 }
 
 /// Of pairs of numbers of so many bits, the left one in the lower bits.
-#[inline]
-fn corners_of_pairs<const BITS: i32>(cells: [[i32; 2]; 8]) -> [f32x8; 4] {
-    let pairs = |row: usize| i32x8::new(cells.map(|cell| cell[row]));
-    let corner = |pairs: i32x8| f32x8::from_i32x8(pairs & i32x8::splat((1 << BITS) - 1));
-    let (above, below) = (pairs(0), pairs(1));
-    [above, above >> BITS, below, below >> BITS].map(corner)
+#[inline(always)]
+fn corners_of_pairs<const BITS: i32, L: Lanes>(lanes: L, cells: [[i32; 2]; 8]) -> [L::F32; 4] {
+    let [a, b, c, d, e, f, g, h] = cells;
+    let row = |k: usize| lanes.i32s(&[a[k], b[k], c[k], d[k], e[k], f[k], g[k], h[k]]);
+    let (above, below) = (row(0), row(1));
+    let lower = lanes.i32s(&[(1 << BITS) - 1; 8]);
+    [
+        (above & lower).to_f32(),
+        (above.shr::<BITS>() & lower).to_f32(),
+        (below & lower).to_f32(),
+        (below.shr::<BITS>() & lower).to_f32(),
+    ]
 }
 
 /// The image at the first `N` of eight places `(x, y)`, px; the caller keeps them inside.
-#[inline]
-pub(crate) fn bilinear<const N: usize, T: Grey>(image: &Image<T>, x: f32x8, y: f32x8) -> [f32; N] {
-    let (column, row) = (x.fast_trunc_int(), y.fast_trunc_int());
-    let (fx, fy) = (x - f32x8::from_i32x8(column), y - f32x8::from_i32x8(row));
+#[inline(always)]
+pub(crate) fn bilinear<const N: usize, T: Grey, L: Lanes>(
+    lanes: L,
+    image: &Image<T>,
+    x: L::F32,
+    y: L::F32,
+) -> [f32; N] {
+    let (column, row) = (x.truncated(), y.truncated());
+    let (fx, fy) = (x - column.to_f32(), y - row.to_f32());
     let (column, row) = (column.to_array(), row.to_array());
     // two slices of equal length, so that one check holds for both
     let (data, width) = (image.as_slice(), image.width());
@@ -83,15 +96,17 @@ pub(crate) fn bilinear<const N: usize, T: Grey>(image: &Image<T>, x: f32x8, y: f
         let (above, below) = (&above[left..], &below[left..]);
         cells[k] = T::cell([above[0], above[1], below[0], below[1]]);
     }
-    let [a, b, c, d] = T::by_corner(cells);
+    let [a, b, c, d] = T::by_corner(lanes, cells);
     let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
-    let values = (top + fy * (bottom - top)).to_array();
-    std::array::from_fn(|k| values[k])
+    let (values, mut first) = ((top + fy * (bottom - top)).to_array(), [0.0; N]);
+    first.copy_from_slice(&values[..N]);
+    first
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use monogrid_image::lanes::Baseline;
 
     #[test]
     fn lanes_equal_the_plain_formula_for_bytes_and_for_numbers() {
@@ -109,13 +124,13 @@ mod tests {
             along(row) + fy * (along(row + 1) - along(row))
         };
         let expected: [f32; 8] = std::array::from_fn(plain);
-        let (x, y) = (f32x8::new(x), f32x8::new(y));
-        assert_eq!(bilinear(&bytes, x, y), expected);
+        let (x, y) = (Baseline.f32s(&x), Baseline.f32s(&y));
+        assert_eq!(bilinear(Baseline, &bytes, x, y), expected);
         let words = bytes.map(|byte| u16::from(byte) << 8);
-        let of_words: [f32; 8] = bilinear(&words, x, y);
+        let of_words: [f32; 8] = bilinear(Baseline, &words, x, y);
         assert_eq!(of_words.map(|value| value / 256.0), expected);
-        assert_eq!(bilinear(&numbers, x, y), expected);
-        let first: [f32; 3] = bilinear(&bytes, x, y);
+        assert_eq!(bilinear(Baseline, &numbers, x, y), expected);
+        let first: [f32; 3] = bilinear(Baseline, &bytes, x, y);
         assert_eq!(first, expected[..3]);
     }
 }

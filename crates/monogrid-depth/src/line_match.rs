@@ -12,6 +12,7 @@
 use crate::bilinear::bilinear;
 use crate::stats::PixelOutcome;
 use monogrid_image::GrayImage;
+use monogrid_image::lanes::Baseline;
 use wide::f32x8;
 
 /// Samples compared.
@@ -58,7 +59,7 @@ impl Patch {
     ) -> Self {
         let offset = (LANE - (RADIUS + 1) as f32) * step;
         let [x, y] = [0, 1].map(|axis| pixel[axis] + offset * direction[axis]);
-        let samples: [f32; SAMPLES] = bilinear(image, x, y);
+        let samples: [f32; SAMPLES] = bilinear(Baseline, image, x, y);
         let mut values = std::array::from_fn(|k| samples[k + 1]);
         let mut slopes = std::array::from_fn(|k| 0.5 * (samples[k + 2] - samples[k]));
         if remove_mean {
@@ -104,7 +105,7 @@ impl Walk<'_> {
     fn window(&self, position: f32) -> [f32; PATCH] {
         let position = position + LANE - RADIUS as f32;
         let [x, y] = [0, 1].map(|axis| self.origin[axis] + position * self.direction[axis]);
-        bilinear(self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
+        bilinear(Baseline, self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
     }
 
     /// Samples every px from `from`, in fixed point: steps are exact to 1e-3 px over any search, and
@@ -402,7 +403,8 @@ mod tests {
             let mut values = [0.0; 44];
             walk(&image, 20.0).fill(30.0, &mut values);
             for (i, value) in values.iter().enumerate() {
-                let [exact] = bilinear(&image, f32x8::splat(30.0 + i as f32), f32x8::splat(20.0));
+                let place = [30.0 + i as f32, 20.0].map(f32x8::splat);
+                let [exact] = bilinear(Baseline, &image, place[0], place[1]);
                 assert!((value - exact).abs() < 0.01);
             }
             let mut costs = [0.0; 40];

@@ -3,7 +3,8 @@
 use crate::DepthMap;
 use crate::config::DepthConfig;
 use crate::map::{Arrays, Candidates, FoundDepth, Hypothesis};
-use wide::f32x8;
+use monogrid_image::for_lanes;
+use monogrid_image::lanes::{F32x8, Lanes};
 
 /// Neighbours on either side.
 const RADIUS: usize = 2;
@@ -173,7 +174,6 @@ impl DepthMap {
 impl RegularizeBand<'_> {
     /// Computes the smoothed values of the band's rows.
     pub fn regularize(&mut self, config: &DepthConfig) {
-        let candidates = self.candidates;
         let first_needed = self.first_row.saturating_sub(RADIUS) * self.width;
         let end = (self.first_row + self.num_rows + RADIUS) * self.width;
         let validity = &self.arrays.validity;
@@ -181,6 +181,7 @@ impl RegularizeBand<'_> {
         // converted once, not once for each of the 25 pixels that look at it
         let validity: Vec<f32> = needed.map(|v| f32::from(*v)).collect();
         let validity = (first_needed, validity.as_slice());
+        let candidates = self.candidates;
         for row in 0..self.num_rows {
             let y = self.first_row + row;
             for &x in candidates.row(y) {
@@ -188,63 +189,74 @@ impl RegularizeBand<'_> {
                 let out = row * self.width + x;
                 self.smooth_var[out] = 0.0;
                 if self.arrays.var[y * self.width + x] > 0.0
-                    && let Some(smoothed) = self.smoothed((x, y), validity, config)
+                    && let Some(smoothed) = smoothed(self, (x, y), validity, config)
                 {
                     (self.smooth_idepth[out], self.smooth_var[out]) = smoothed;
                 }
             }
         }
     }
+}
 
+for_lanes! {
     /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by
     /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid. The validities of the band and the
     /// rows beside it begin at the index `first` of the map.
-    #[inline]
-    fn smoothed(
-        &self,
-        (x, y): (usize, usize),
-        (first, validity): (usize, &[f32]),
+    fn smoothed = smoothed_with, (
+        band: &RegularizeBand<'_>,
+        pixel: (usize, usize),
+        validity: (usize, &[f32]),
         config: &DepthConfig,
-    ) -> Option<(f32, f32)> {
-        let arrays = self.arrays;
-        let w = self.width;
-        let i = y * w + x;
-        let (idepth, var) = (arrays.idepth[i], arrays.var[i]);
-        let slope = config.smoothing_per_px * idepth;
-        let slope_sq = f32x8::splat(slope * slope);
-        let (idepth_lanes, var_lanes) = (f32x8::splat(idepth), f32x8::splat(var));
-        let (mut sum_w, mut sum_d) = (f32x8::ZERO, f32x8::ZERO);
-        let (mut support, mut all) = (f32x8::ZERO, f32x8::ZERO);
-        for (dy, row_sq) in ROW_SQ.into_iter().enumerate() {
-            let start = (y + dy - RADIUS) * w + x - RADIUS;
-            let vars = f32x8::new(*lanes(&arrays.var, start)?);
-            let gaps = f32x8::new(*lanes(&arrays.idepth, start)?) - idepth_lanes;
-            let validities = f32x8::new(*lanes(validity, start - first)?);
-            let known = vars.simd_gt(f32x8::ZERO) & COLUMN_USED.simd_gt(f32x8::ZERO);
-            let used = known & (gaps * gaps).simd_le(var_lanes + vars);
-            let weights = used & (f32x8::ONE / (vars + slope_sq * (COLUMN_SQ + row_sq)));
-            sum_w += weights;
-            sum_d += used & (weights * gaps);
-            support += used & validities;
-            all += known & validities;
-        }
-        // a filled pixel has no validity of its own and lives from its neighbours
-        let supporting = support.reduce_add();
-        if supporting < f32::from(config.min_support_keep)
-            || supporting < config.min_support_share * all.reduce_add()
-        {
-            return None;
-        }
-        let weight = sum_w.reduce_add();
-        let smooth_var = (1.0 / weight).max(var / config.max_smoothing_gain);
-        Some((idepth + sum_d.reduce_add() / weight, smooth_var))
+    ) -> Option<(f32, f32)>;
+}
+
+#[inline(always)]
+fn smoothed_with<L: Lanes>(
+    eight: L,
+    band: &RegularizeBand<'_>,
+    (x, y): (usize, usize),
+    (first, validity): (usize, &[f32]),
+    config: &DepthConfig,
+) -> Option<(f32, f32)> {
+    let arrays = band.arrays;
+    let w = band.width;
+    let i = y * w + x;
+    let (idepth, var) = (arrays.idepth[i], arrays.var[i]);
+    let slope = config.smoothing_per_px * idepth;
+    let slope_sq = eight.splat(slope * slope);
+    let (idepth_lanes, var_lanes) = (eight.splat(idepth), eight.splat(var));
+    let (zero, one) = (eight.splat(0.0), eight.splat(1.0));
+    let (column_sq, column_used) = (eight.f32s(&COLUMN_SQ), eight.f32s(&COLUMN_USED));
+    let (mut sum_w, mut sum_d, mut support, mut all) = (zero, zero, zero, zero);
+    for (dy, row_sq) in ROW_SQ.into_iter().enumerate() {
+        let start = (y + dy - RADIUS) * w + x - RADIUS;
+        let vars = eight.f32s(lanes(&arrays.var, start)?);
+        let gaps = eight.f32s(lanes(&arrays.idepth, start)?) - idepth_lanes;
+        let validities = eight.f32s(lanes(validity, start - first)?);
+        let known = vars.gt(zero) & column_used.gt(zero);
+        let used = known & (gaps * gaps).le(var_lanes + vars);
+        let weights = used & (one / (vars + slope_sq * (column_sq + row_sq)));
+        sum_w += weights;
+        sum_d += used & (weights * gaps);
+        support += used & validities;
+        all += known & validities;
     }
+    // a filled pixel has no validity of its own and lives from its neighbours
+    let supporting = support.sum();
+    if supporting < f32::from(config.min_support_keep)
+        || supporting < config.min_support_share * all.sum()
+    {
+        return None;
+    }
+    let weight = sum_w.sum();
+    let smooth_var = (1.0 / weight).max(var / config.max_smoothing_gain);
+    Some((idepth + sum_d.sum() / weight, smooth_var))
 }
 
 /// Columns processed together: five neighbours and three idle ones, so that the loop has no branches.
 const LANES: usize = 8;
-const COLUMN_USED: f32x8 = f32x8::new([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
-const COLUMN_SQ: f32x8 = f32x8::new([4.0, 1.0, 0.0, 1.0, 4.0, 0.0, 0.0, 0.0]);
+const COLUMN_USED: [f32; LANES] = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
+const COLUMN_SQ: [f32; LANES] = [4.0, 1.0, 0.0, 1.0, 4.0, 0.0, 0.0, 0.0];
 const ROW_SQ: [f32; 2 * RADIUS + 1] = [4.0, 1.0, 0.0, 1.0, 4.0];
 
 /// The sum of the first five bytes of rows, at most five of them; what is unknown has no validity.

@@ -3,7 +3,8 @@
 
 use crate::finest_pixel;
 use monogrid_geometry::Vec2;
-use monogrid_image::{GrayImage, Image, Mask, Pyramid};
+use monogrid_image::lanes::Lanes;
+use monogrid_image::{GrayImage, Image, Mask, Pyramid, for_lanes};
 
 /// Settings of the corner detector.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,8 +82,13 @@ pub fn detect_corners(
     corners
 }
 
-/// Smaller eigenvalue of the mean structure tensor over 5x5 pixels; zero on a border of three.
-fn score_image(image: &GrayImage) -> GrayImage {
+for_lanes! {
+    /// Smaller eigenvalue of the mean structure tensor over 5x5 pixels; zero on a border of three.
+    fn score_image = score_image_with, (image: &GrayImage) -> GrayImage;
+}
+
+#[inline(always)]
+fn score_image_with<L: Lanes>(_: L, image: &GrayImage) -> GrayImage {
     const N: usize = 2 * WINDOW + 1;
     let (w, h) = (image.width(), image.height());
     let mut scores = Image::filled(w, h, 0.0f32);
@@ -111,6 +117,7 @@ fn score_image(image: &GrayImage) -> GrayImage {
 }
 
 /// Products of the central differences of one row.
+#[inline(always)]
 fn gradient_products(image: &GrayImage, y: usize, out: &mut [Vec<f32>; 3]) {
     let w = image.width();
     let (above, below) = (&image.row(y - 1)[1..w - 1], &image.row(y + 1)[1..w - 1]);
@@ -127,6 +134,7 @@ fn gradient_products(image: &GrayImage, y: usize, out: &mut [Vec<f32>; 3]) {
 }
 
 /// Smaller eigenvalue from the column sums; `out[i]` belongs to the window that starts at `i + 1`.
+#[inline(always)]
 fn min_eigenvalues(columns: &[Vec<f32>; 3], out: &mut [f32]) {
     // 25 pixels, and differences over two pixels squared
     let scale = 1.0 / (25.0 * 4.0);

@@ -401,7 +401,7 @@ impl Projection {
         weighting: &SimilarityWeighting,
     ) -> Residuals<L::F32> {
         let (t, one, zero) = (&self.t, lanes.splat(1.0), lanes.splat(0.0));
-        let of = |values: &[f32]| lanes.f32s(taken(values, chunk));
+        let of = |values: &[f32]| taken(lanes, values, chunk);
         let (mx, my, d) = (of(&points.x), of(&points.y), of(&points.idepth));
         let [qx, qy, qz] = times_idepth((&self.r, t), [mx, my], d);
         let [fx, fy, cx, cy] = image.intrinsics;

@@ -48,7 +48,7 @@ impl DepthLevel {
                 [out[0][l], out[1][l]] = [idepth, var];
             }
         }
-        [lanes.f32s(out[0]), lanes.f32s(out[1])]
+        [lanes.f32s(&out[0]), lanes.f32s(&out[1])]
     }
 }
 

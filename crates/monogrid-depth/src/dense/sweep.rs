@@ -1,9 +1,10 @@
 //! How well the sources agree with each plane: the cost volume.
 
 use super::DenseConfig;
-use super::warp::{LANES, Source, WarpOfPlane, padded, sums_of_four};
-use monogrid_image::Image;
-use wide::{f32x8, i16x8, i32x8};
+use super::warp::{LANES, Source, WarpOfPlane, padded, sums_of_four, warp_row};
+use monogrid_image::lanes::{F32x8, I32x8, Lanes};
+use monogrid_image::{Image, for_lanes};
+use wide::i16x8;
 
 /// Half the edge of the compared windows, px.
 pub(super) const RADIUS: usize = 2;
@@ -48,9 +49,10 @@ impl CostVolume {
                 // the row in the middle of the windows that end with this one
                 let middle = y.checked_sub(RADIUS).filter(|middle| *middle >= RADIUS);
                 for (strip, warp) in strips.iter_mut().zip(&warps) {
-                    strip.take_row(y, warp, &windows);
+                    warp_row(warp, y, &mut strip.next, &mut strip.unseen[y % EDGE]);
+                    take_row(strip, y, &windows);
                     if let Some(middle) = middle {
-                        strip.compare(middle, &windows, &mut best);
+                        compare(strip, middle, &windows, &mut best);
                     }
                 }
                 if let Some(middle) = middle {
@@ -180,83 +182,102 @@ impl Strip {
         self.squares.fill(0);
         self.products.fill(0);
     }
+}
 
-    /// Warps the next row; the sums of the columns are then those of it and the four before.
-    fn take_row(&mut self, y: usize, warp: &WarpOfPlane<'_>, windows: &Windows) {
-        let place = y % EDGE;
-        warp.row(y, &mut self.next, &mut self.unseen[place]);
-        // what leaves is 0 until there are rows enough
-        let left = windows.row(&windows.grey, y.saturating_sub(EDGE));
-        let own = windows.row(&windows.grey, y);
-        let came = self.next.as_chunks::<LANES>().0;
-        let went = self.rows[place].as_chunks::<LANES>().0;
-        let sums = self.sums.as_chunks_mut::<LANES>().0.iter_mut();
-        let squares = self.squares.as_chunks_mut::<LANES>().0;
-        let columns = sums.zip(squares).zip(self.products.as_chunks_mut().0);
-        let grey = came.iter().zip(went).zip(own.iter().zip(left));
-        for (((sum, square), product), ((came, went), (own, left))) in columns.zip(grey) {
-            let [came, went, own, left] = [came, went, own, left].map(|lanes| i16x8::new(*lanes));
-            *sum = (i16x8::new(*sum) + came - went).to_array();
-            let squares = came.widening_mul(came) - went.widening_mul(went);
-            *square = (i32x8::new(*square) + squares).to_array();
-            let products = came.widening_mul(own) - went.widening_mul(left);
-            *product = (i32x8::new(*product) + products).to_array();
-        }
-        std::mem::swap(&mut self.rows[place], &mut self.next);
-    }
-
+for_lanes! {
+    /// Takes the next row, which was warped; the sums of the columns are then those of it and the four before.
+    fn take_row = take_row_with, (strip: &mut Strip, y: usize, windows: &Windows);
     /// Puts the costs of the windows around a row among the two best of each.
-    fn compare(&self, middle: usize, windows: &Windows, best: &mut Best) {
-        let unseen = &self.unseen[middle % EDGE];
-        let own = windows.row(&windows.sums, middle).iter();
-        let own = own.zip(windows.row(&windows.inverse_deviations, middle));
-        let [first, second] = best.0.each_mut().map(|b| b.as_chunks_mut::<LANES>().0);
-        let best = first.iter_mut().zip(second);
-        for (eight, ((own_sum, own_inverse), (first, second))) in own.zip(best).enumerate() {
-            let x = eight * LANES;
-            let unseen = f32x8::new(lanes_from(unseen, x + RADIUS));
-            if unseen.simd_gt(f32x8::ONE).all() {
-                continue;
-            }
-            let sum = sum_of_window(|i| i16x8::new(lanes_from(&self.sums, x + i)));
-            let squares = sum_of_window(|i| i32x8::new(lanes_from(&self.squares, x + i)));
-            let products = sum_of_window(|i| i32x8::new(lanes_from(&self.products, x + i)));
-            let own_sum = i16x8::new(*own_sum);
-            let covariance = f32x8::from_i32x8(times_window(products) - own_sum.widening_mul(sum));
-            let variance = f32x8::from_i32x8(times_window(squares) - sum.widening_mul(sum));
-            // with the deviations that noise makes: plain windows correlate with nothing
-            let deviation = (variance + windows.noise).sqrt();
-            let correlation = covariance * f32x8::new(*own_inverse) / deviation;
-            let cost = f32x8::ONE - correlation + unseen;
-            let before = f32x8::new(*first);
-            *first = before.fast_min(cost).to_array();
-            let later = f32x8::new(*second).fast_min(before.fast_max(cost));
-            *second = later.to_array();
+    fn compare = compare_with, (
+        strip: &Strip,
+        middle: usize,
+        windows: &Windows,
+        best: &mut Best,
+    );
+}
+
+#[inline(always)]
+fn take_row_with<L: Lanes>(eight: L, strip: &mut Strip, y: usize, windows: &Windows) {
+    let place = y % EDGE;
+    // what leaves is 0 until there are rows enough
+    let left = windows.row(&windows.grey, y.saturating_sub(EDGE));
+    let own = windows.row(&windows.grey, y);
+    let came = strip.next.as_chunks::<LANES>().0;
+    let went = strip.rows[place].as_chunks::<LANES>().0;
+    let sums = strip.sums.as_chunks_mut::<LANES>().0.iter_mut();
+    let squares = strip.squares.as_chunks_mut::<LANES>().0;
+    let columns = sums.zip(squares).zip(strip.products.as_chunks_mut().0);
+    let grey = came.iter().zip(went).zip(own.iter().zip(left));
+    for (((sum, square), product), ((came, went), (own, left))) in columns.zip(grey) {
+        *sum = (i16x8::new(*sum) + i16x8::new(*came) - i16x8::new(*went)).to_array();
+        let squares = eight.products(came, came) - eight.products(went, went);
+        *square = (eight.i32s(square) + squares).to_array();
+        let products = eight.products(came, own) - eight.products(went, left);
+        *product = (eight.i32s(product) + products).to_array();
+    }
+    std::mem::swap(&mut strip.rows[place], &mut strip.next);
+}
+
+#[inline(always)]
+fn compare_with<L: Lanes>(
+    eight: L,
+    strip: &Strip,
+    middle: usize,
+    windows: &Windows,
+    best: &mut Best,
+) {
+    let one = eight.splat(1.0);
+    let unseen = &strip.unseen[middle % EDGE];
+    let own = windows.row(&windows.sums, middle).iter();
+    let own = own.zip(windows.row(&windows.inverse_deviations, middle));
+    let [first, second] = best.0.each_mut().map(|b| b.as_chunks_mut::<LANES>().0);
+    let best = first.iter_mut().zip(second);
+    for (index, ((own_sum, own_inverse), (first, second))) in own.zip(best).enumerate() {
+        let x = index * LANES;
+        let unseen = eight.f32s(lanes_from(unseen, x + RADIUS, &[0.0; LANES]));
+        if unseen.gt(one).bits() == 0xff {
+            continue;
         }
+        let column = |i: usize| i16x8::new(*lanes_from(&strip.sums, x + i, &[0; LANES]));
+        let sum = sum_of_window([0, 1, 2, 3, 4].map(column)).to_array();
+        let squares = sum_of_columns(eight, &strip.squares, x);
+        let products = sum_of_columns(eight, &strip.products, x);
+        let covariance = times_window(products) - eight.products(own_sum, &sum);
+        let variance = times_window(squares) - eight.products(&sum, &sum);
+        // with the deviations that noise makes: plain windows correlate with nothing
+        let deviation = (variance.to_f32() + windows.noise).sqrt();
+        let correlation = covariance.to_f32() * eight.f32s(own_inverse) / deviation;
+        let cost = one - correlation + unseen;
+        let before = eight.f32s(first);
+        *first = before.min(cost).to_array();
+        *second = eight.f32s(second).min(before.max(cost)).to_array();
     }
 }
 
-/// Eight values from a place on, which need not be a multiple of eight; nothing beyond the end.
-#[inline]
-fn lanes_from<T: Copy + Default>(values: &[T], x: usize) -> [T; LANES] {
-    match values[x..].first_chunk() {
-        Some(lanes) => *lanes,
-        None => [T::default(); LANES],
-    }
+/// Eight values from a place on, which need not be a multiple of eight; others beyond the end.
+#[inline(always)]
+fn lanes_from<'a, T>(values: &'a [T], x: usize, beyond: &'a [T; LANES]) -> &'a [T; LANES] {
+    values[x..].first_chunk().unwrap_or(beyond)
 }
 
 /// The sum over the columns of a window.
-#[inline]
-fn sum_of_window<T: std::ops::Add<Output = T>>(column: impl Fn(usize) -> T) -> T {
-    let [a, b, c, d, e]: [T; EDGE] = std::array::from_fn(column);
+#[inline(always)]
+fn sum_of_window<T: std::ops::Add<Output = T>>([a, b, c, d, e]: [T; EDGE]) -> T {
     (a + b) + (c + d) + e
 }
 
+/// The same of eight windows that begin at a place and after.
+#[inline(always)]
+fn sum_of_columns<L: Lanes>(eight: L, columns: &[i32], x: usize) -> L::I32 {
+    let column = |i: usize| eight.i32s(lanes_from(columns, x + i, &[0; LANES]));
+    sum_of_window([column(0), column(1), column(2), column(3), column(4)])
+}
+
 /// The 25-fold, by what every processor has.
-#[inline]
-fn times_window(x: i32x8) -> i32x8 {
+#[inline(always)]
+fn times_window<V: I32x8>(x: V) -> V {
     const { assert!(WINDOW == 16 + 8 + 1) };
-    (x << 4) + (x << 3) + x
+    x.shl::<4>() + x.shl::<3>() + x
 }
 
 /// The costs by the two best sources of the windows of a row.

@@ -1,5 +1,5 @@
 use super::aggregate::aggregate;
-use super::warp::padded;
+use super::warp::{padded, warp_row};
 use super::*;
 use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
 
@@ -159,7 +159,7 @@ fn sources_are_warped_as_their_pixels_are_projected() {
         .into_iter()
         .flat_map(|d| (0..30).map(move |y| (d, y)))
     {
-        source.at(idepth).row(y, &mut grey, &mut unseen);
+        warp_row(&source.at(idepth), y, &mut grey, &mut unseen);
         for (x, (grey, unseen)) in grey.iter().zip(&unseen).take(45).enumerate() {
             let at = [x as f64, y as f64];
             let [u, v] = source.project(at, idepth.into()).unwrap();
@@ -341,7 +341,7 @@ impl Warped {
         let warp = source.at(idepth);
         let rows = warped.grey.iter_mut().zip(&mut warped.unseen);
         for (y, (grey, unseen)) in rows.enumerate() {
-            warp.row(y, grey, unseen);
+            warp_row(&warp, y, grey, unseen);
         }
         warped
     }

@@ -4,8 +4,8 @@ use crate::bilinear::bilinear;
 use crate::multi_view::SourceView;
 use crate::projection::Projection;
 use monogrid_geometry::Pinhole;
-use monogrid_image::Image;
-use wide::{f32x8, i16x8};
+use monogrid_image::lanes::{F32x8, I32x8, Lanes};
+use monogrid_image::{Image, for_lanes};
 
 /// Pixels that are looked up together.
 pub(super) const LANES: usize = 8;
@@ -81,44 +81,57 @@ pub(super) struct WarpOfPlane<'a> {
     row_step: [f32; 3],
 }
 
-impl WarpOfPlane<'_> {
+for_lanes! {
     /// The pixels of a row, eight at a time: the source there in quarters of a grey level (where it does not see the pixel, at its
     /// border; 0 far from it), and 0, or infinity where it does not see them.
-    pub fn row(&self, y: usize, grey: &mut [i16], unseen: &mut [f32]) {
-        let last = [self.image.width(), self.image.height()]
-            .map(|edge| f32x8::splat((edge as f32 - 1.001).max(0.0)));
-        let [margin, beside, nearest] = [MARGIN_PX, -BESIDE_PX, NEAREST].map(f32x8::splat);
-        let start = std::array::from_fn(|i| self.first[i] + y as f32 * self.row_step[i]);
-        let start: [f32x8; 3] = start.map(f32x8::splat);
-        let step = self.step.map(f32x8::splat);
-        let lanes = f32x8::new(std::array::from_fn(|lane| lane as f32));
-        let (grey, unseen) = (grey.as_chunks_mut().0, unseen.as_chunks_mut().0);
-        for (eight, (grey, unseen)) in grey.iter_mut().zip(unseen).enumerate() {
-            let x = lanes + f32x8::splat((eight * LANES) as f32);
-            let [px, py, pz]: [f32x8; 3] = std::array::from_fn(|i| start[i] + x * step[i]);
-            let inverse = f32x8::ONE / pz.fast_max(nearest);
-            let (u, v) = (px * inverse, py * inverse);
-            let is_seen = pz.simd_gt(nearest) & are_inside([u, v], last, margin);
-            let inside = |at: f32x8, last: f32x8| at.fast_max(f32x8::ZERO).fast_min(last);
-            if is_seen.none() && are_inside([u, v], last, beside).none() {
-                grey.fill(0);
-                unseen.fill(f32::INFINITY);
-                continue;
-            }
-            let sums: [f32; LANES] = bilinear(self.image, inside(u, last[0]), inside(v, last[1]));
-            let rounded = (f32x8::new(sums) + f32x8::HALF).fast_trunc_int();
-            *grey = i16x8::from_i32x8_truncate(rounded).to_array();
-            let infinite = f32x8::splat(f32::INFINITY);
-            *unseen = is_seen.select(f32x8::ZERO, infinite).to_array();
+    pub(super) fn warp_row = warp_row_with, (
+        warp: &WarpOfPlane<'_>,
+        y: usize,
+        grey: &mut [i16],
+        unseen: &mut [f32],
+    );
+}
+
+#[inline(always)]
+fn warp_row_with<L: Lanes>(
+    eight: L,
+    warp: &WarpOfPlane<'_>,
+    y: usize,
+    grey: &mut [i16],
+    unseen: &mut [f32],
+) {
+    let last = [warp.image.width(), warp.image.height()]
+        .map(|edge| eight.splat((edge as f32 - 1.001).max(0.0)));
+    let (zero, nearest, infinite) = (
+        eight.splat(0.0),
+        eight.splat(NEAREST),
+        eight.splat(f32::INFINITY),
+    );
+    let (margin, beside) = (eight.splat(MARGIN_PX), eight.splat(-BESIDE_PX));
+    let start: [f32; 3] = std::array::from_fn(|i| warp.first[i] + y as f32 * warp.row_step[i]);
+    let lanes = eight.f32s(&std::array::from_fn(|lane| lane as f32));
+    let (grey, unseen) = (grey.as_chunks_mut().0, unseen.as_chunks_mut().0);
+    for (index, (grey, unseen)) in grey.iter_mut().zip(unseen).enumerate() {
+        let x = lanes + (index * LANES) as f32;
+        let (px, py) = (x * warp.step[0] + start[0], x * warp.step[1] + start[1]);
+        let pz = x * warp.step[2] + start[2];
+        let inverse = eight.splat(1.0) / pz.max(nearest);
+        let (u, v) = (px * inverse, py * inverse);
+        let is_seen = pz.gt(nearest) & are_inside([u, v], last, margin);
+        if is_seen.bits() == 0 && are_inside([u, v], last, beside).bits() == 0 {
+            grey.fill(0);
+            unseen.fill(f32::INFINITY);
+            continue;
         }
+        let (u, v) = (u.max(zero).min(last[0]), v.max(zero).min(last[1]));
+        let sums: [f32; LANES] = bilinear(eight, warp.image, u, v);
+        *grey = (eight.f32s(&sums) + 0.5).truncated().to_i16();
+        *unseen = is_seen.select(zero, infinite).to_array();
     }
 }
 
 /// Which places are in an image, whose last pixels are given, and at least so far from its border.
-#[inline]
-fn are_inside([u, v]: [f32x8; 2], last: [f32x8; 2], margin: f32x8) -> f32x8 {
-    u.simd_ge(margin)
-        & v.simd_ge(margin)
-        & u.simd_le(last[0] - margin)
-        & v.simd_le(last[1] - margin)
+#[inline(always)]
+fn are_inside<V: F32x8>([u, v]: [V; 2], last: [V; 2], margin: V) -> V {
+    u.ge(margin) & v.ge(margin) & u.le(last[0] - margin) & v.le(last[1] - margin)
 }

@@ -9,7 +9,8 @@ use super::sight::{Projected, SAMPLES, Sight};
 use super::{MultiViewConfig, SourceView};
 use crate::PixelDepth;
 use monogrid_geometry::Pinhole;
-use monogrid_image::Image;
+use monogrid_image::lanes::Lanes;
+use monogrid_image::{Image, for_lanes};
 
 /// One pixel in so many is looked at, in a pattern that favours no row or column.
 const STRIDE: u32 = 29;
@@ -53,15 +54,20 @@ pub fn epipolar_misfits(
     found
 }
 
-/// How far across the epipolar line a source shows a patch, px: by Gauss-Newton along and across it, with gain and bias free.
-fn across(sight: &Sight, idepth: f64, patch: &Patch) -> Option<f64> {
+for_lanes! {
+    /// How far across the epipolar line a source shows a patch, px: by Gauss-Newton along and across it, with gain and bias free.
+    fn across = across_with, (sight: &Sight<'_>, idepth: f64, patch: &Patch) -> Option<f64>;
+}
+
+#[inline(always)]
+fn across_with<L: Lanes>(lanes: L, sight: &Sight<'_>, idepth: f64, patch: &Patch) -> Option<f64> {
     let start = sight.center(idepth)?;
     let motion = sight.motion(idepth);
     let length = motion[0].hypot(motion[1]);
     let along = motion.map(|m| m / length);
     let across = [-along[1], along[0]];
     let at = |[a, c]: [f64; 2]| [0, 1].map(|i| start[i] + a * along[i] + c * across[i]);
-    let values = |offset| sight.values(at(offset));
+    let values = |offset| sight.values(lanes, at(offset));
     let mut offset = [0.0; 2];
     for _ in 0..ITERATIONS {
         let [a, c] = offset;

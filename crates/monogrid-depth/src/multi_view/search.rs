@@ -3,7 +3,8 @@
 use super::MultiViewConfig;
 use super::sight::{PATTERN, Projected, SAMPLES, Sight};
 use crate::PixelDepth;
-use monogrid_image::Image;
+use monogrid_image::lanes::Lanes;
+use monogrid_image::{Image, for_lanes};
 
 /// Steps of the search to each side, at most.
 const MAX_STEPS: usize = 15;
@@ -134,7 +135,7 @@ impl<'a> Search<'a> {
         let mut idepth = start;
         let mut variance = f64::INFINITY;
         for _ in 0..self.config.iterations {
-            let normal = self.normal_equation(idepth, patch);
+            let normal = normal_equation(&self.sights, idepth, patch, self.config);
             if normal.agreeing < min_agreeing || normal.hessian <= 0.0 {
                 return None;
             }
@@ -149,51 +150,6 @@ impl<'a> Search<'a> {
             }
         }
         Some((idepth, variance))
-    }
-
-    /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
-    fn normal_equation(&self, idepth: f64, patch: &Patch) -> Normal {
-        let mut normal = Normal::default();
-        for sight in &self.sights {
-            let Some([x, y]) = sight.center(idepth) else {
-                continue;
-            };
-            // one pixel along the epipolar line
-            let motion = sight.motion(idepth);
-            let length_sq: f64 = motion[0] * motion[0] + motion[1] * motion[1];
-            let length = length_sq.sqrt().max(1e-3);
-            let half = [0.5 * motion[0] / length, 0.5 * motion[1] / length];
-            let before = sight.values([x - half[0], y - half[1]]);
-            let after = sight.values([x + half[0], y + half[1]]);
-            let (mut value, mut slope) = ([0.0; SAMPLES], [0.0; SAMPLES]);
-            for (i, (b, a)) in before.iter().zip(&after).enumerate() {
-                value[i] = 0.5 * (b + a);
-                slope[i] = (a - b) * length as f32;
-            }
-            center(&mut value);
-            center(&mut slope);
-            let gain = patch.dot(&value);
-            let correlation = gain / norm(&value).max(NOISE_CONTRAST);
-            if correlation < MIN_USED_CORRELATION {
-                continue;
-            }
-            normal.agreeing += usize::from(correlation > self.config.min_correlation as f32);
-            // what a gain explains is no residual
-            let value = patch.without(gain, value);
-            let slope = patch.without(patch.dot(&slope), slope);
-            let (jr, jj) = (dot(&slope, &value), dot(&slope, &slope));
-            let rr = f64::from(dot(&value, &value));
-            let freedom = (SAMPLES - 3) as f64;
-            let variance = (rr / freedom).max(self.config.grey_sigma.powi(2));
-            let (hessian, gradient) = (f64::from(jj) / variance, f64::from(jr) / variance);
-            if hessian > 0.0 {
-                normal.hessian += hessian;
-                normal.gradient += gradient;
-                normal.gains += gradient * gradient / hessian;
-                normal.used += 1;
-            }
-        }
-        normal
     }
 }
 
@@ -226,11 +182,13 @@ impl Patch {
         (contrast >= MIN_CONTRAST).then(|| Self(values.map(|v| v / contrast)))
     }
 
+    #[inline(always)]
     pub fn dot(&self, values: &[f32; SAMPLES]) -> f32 {
         dot(&self.0, values)
     }
 
     /// What is left of values without so much of the patch.
+    #[inline(always)]
     pub fn without(&self, gain: f32, mut values: [f32; SAMPLES]) -> [f32; SAMPLES] {
         for (value, patch) in values.iter_mut().zip(&self.0) {
             *value -= gain * patch;
@@ -256,17 +214,81 @@ fn fused(before: &PixelDepth, idepth: f64, variance: f64) -> PixelDepth {
     }
 }
 
-/// One less the normalised correlation, limited.
-fn cost_at(sight: &Sight, idepth: f64, patch: &Patch) -> f32 {
+for_lanes! {
+    /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
+    fn normal_equation = normal_equation_with, (
+        sights: &[Sight<'_>],
+        idepth: f64,
+        patch: &Patch,
+        config: &MultiViewConfig,
+    ) -> Normal;
+    /// One less the normalised correlation, limited.
+    fn cost_at = cost_at_with, (sight: &Sight<'_>, idepth: f64, patch: &Patch) -> f32;
+}
+
+#[inline(always)]
+fn normal_equation_with<L: Lanes>(
+    lanes: L,
+    sights: &[Sight<'_>],
+    idepth: f64,
+    patch: &Patch,
+    config: &MultiViewConfig,
+) -> Normal {
+    let mut normal = Normal::default();
+    for sight in sights {
+        let Some([x, y]) = sight.center(idepth) else {
+            continue;
+        };
+        // one pixel along the epipolar line
+        let motion = sight.motion(idepth);
+        let length_sq: f64 = motion[0] * motion[0] + motion[1] * motion[1];
+        let length = length_sq.sqrt().max(1e-3);
+        let half = [0.5 * motion[0] / length, 0.5 * motion[1] / length];
+        let before = sight.values(lanes, [x - half[0], y - half[1]]);
+        let after = sight.values(lanes, [x + half[0], y + half[1]]);
+        let (mut value, mut slope) = ([0.0; SAMPLES], [0.0; SAMPLES]);
+        for (i, (b, a)) in before.iter().zip(&after).enumerate() {
+            value[i] = 0.5 * (b + a);
+            slope[i] = (a - b) * length as f32;
+        }
+        center(&mut value);
+        center(&mut slope);
+        let gain = patch.dot(&value);
+        let correlation = gain / norm(&value).max(NOISE_CONTRAST);
+        if correlation < MIN_USED_CORRELATION {
+            continue;
+        }
+        normal.agreeing += usize::from(correlation > config.min_correlation as f32);
+        // what a gain explains is no residual
+        let value = patch.without(gain, value);
+        let slope = patch.without(patch.dot(&slope), slope);
+        let (jr, jj) = (dot(&slope, &value), dot(&slope, &slope));
+        let rr = f64::from(dot(&value, &value));
+        let freedom = (SAMPLES - 3) as f64;
+        let variance = (rr / freedom).max(config.grey_sigma.powi(2));
+        let (hessian, gradient) = (f64::from(jj) / variance, f64::from(jr) / variance);
+        if hessian > 0.0 {
+            normal.hessian += hessian;
+            normal.gradient += gradient;
+            normal.gains += gradient * gradient / hessian;
+            normal.used += 1;
+        }
+    }
+    normal
+}
+
+#[inline(always)]
+fn cost_at_with<L: Lanes>(lanes: L, sight: &Sight<'_>, idepth: f64, patch: &Patch) -> f32 {
     let Some(at) = sight.center(idepth) else {
         return MAX_COST;
     };
-    let mut values = sight.values(at);
+    let mut values = sight.values(lanes, at);
     center(&mut values);
     (1.0 - patch.dot(&values) / norm(&values).max(NOISE_CONTRAST)).min(MAX_COST)
 }
 
 /// Takes the mean away.
+#[inline(always)]
 pub(super) fn center(values: &mut [f32; SAMPLES]) {
     let mean = sum(values) / SAMPLES as f32;
     for value in values {
@@ -274,11 +296,13 @@ pub(super) fn center(values: &mut [f32; SAMPLES]) {
     }
 }
 
+#[inline(always)]
 pub(super) fn norm(values: &[f32; SAMPLES]) -> f32 {
     dot(values, values).sqrt()
 }
 
 /// In four lanes, which vectorises.
+#[inline(always)]
 fn sum(values: &[f32; SAMPLES]) -> f32 {
     let mut lanes = [0.0; 4];
     for four in values.chunks_exact(4) {
@@ -289,6 +313,7 @@ fn sum(values: &[f32; SAMPLES]) -> f32 {
     (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
 }
 
+#[inline(always)]
 pub(super) fn dot(a: &[f32; SAMPLES], b: &[f32; SAMPLES]) -> f32 {
     let mut products = [0.0; SAMPLES];
     for ((product, a), b) in products.iter_mut().zip(a).zip(b) {

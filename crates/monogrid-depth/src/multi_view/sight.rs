@@ -5,7 +5,7 @@ use crate::bilinear::bilinear;
 use crate::projection::Projection;
 use monogrid_geometry::{Pinhole, Vec3};
 use monogrid_image::Image;
-use wide::f32x8;
+use monogrid_image::lanes::Lanes;
 
 /// Samples that are looked up together.
 const GROUP: usize = 6;
@@ -69,7 +69,7 @@ pub(super) struct Sight<'a> {
     /// Motion in the source per px of the keyframe, along x and y.
     axes: [[f64; 2]; 2],
     /// Offsets of the samples in the source along x and y, px: those of either group.
-    offsets: [[f32x8; 2]; 2],
+    offsets: [[[f32; 8]; 2]; 2],
     /// px that the match moves along the gradient, in the keyframe, per unit of ln(rho).
     pub disparity: f64,
 }
@@ -118,7 +118,7 @@ impl<'a> Sight<'a> {
             translation,
             ray,
             axes,
-            offsets: [[f32x8::ZERO; 2]; 2],
+            offsets: [[[0.0; 8]; 2]; 2],
             disparity,
         })
     }
@@ -132,12 +132,13 @@ impl<'a> Sight<'a> {
                 for (lane, [dx, dy]) in lanes.iter_mut().zip(pattern) {
                     *lane = (ex[axis] * f64::from(*dx) + ey[axis] * f64::from(*dy)) as f32;
                 }
-                f32x8::new(lanes)
+                lanes
             });
         }
     }
 
     /// Where the pixel would be seen; `None` near the border and outside.
+    #[inline]
     pub fn center(&self, idepth: f64) -> Option<[f64; 2]> {
         let p = self.ray + self.translation * idepth;
         let at = [p.x / p.z, p.y / p.z];
@@ -150,6 +151,7 @@ impl<'a> Sight<'a> {
     }
 
     /// Motion of [`Sight::center`] per unit of ln(rho), px.
+    #[inline]
     pub fn motion(&self, idepth: f64) -> [f64; 2] {
         let shift = self.translation * idepth;
         let p = self.ray + shift;
@@ -158,11 +160,13 @@ impl<'a> Sight<'a> {
     }
 
     /// Grey values of the patch around a point that [`Sight::shows`], or within a pixel of one.
-    pub fn values(&self, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
+    #[inline(always)]
+    pub fn values<L: Lanes>(&self, lanes: L, [x, y]: [f64; 2]) -> [f32; SAMPLES] {
         let (x, y) = (x as f32, y as f32);
         let mut values = [0.0; SAMPLES];
         for (values, [dx, dy]) in values.chunks_exact_mut(GROUP).zip(&self.offsets) {
-            values.copy_from_slice(&bilinear::<GROUP, _>(self.image, x + *dx, y + *dy));
+            let (x, y) = (lanes.f32s(dx) + x, lanes.f32s(dy) + y);
+            values.copy_from_slice(&bilinear::<GROUP, _, L>(lanes, self.image, x, y));
         }
         values
     }

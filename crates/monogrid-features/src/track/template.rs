@@ -6,7 +6,8 @@
 //! (Baker and Matthews, *Lucas-Kanade 20 years on*, 2004, sections 3.2 and part 3).
 
 use monogrid_geometry::Vec2;
-use monogrid_image::{GrayImage, Image};
+use monogrid_image::lanes::Lanes;
+use monogrid_image::{GrayImage, Image, for_lanes};
 
 /// Side of a patch, px.
 pub(super) const SIDE: usize = 8;
@@ -74,6 +75,11 @@ impl Template {
     /// A template from a patch with its border; `None` when its weakest direction has a mean
     /// squared gradient below `min_score` (after projection).
     pub fn new(wide: &[[f32; WIDE]; WIDE], min_score: f32) -> Option<Self> {
+        template_of(wide, min_score)
+    }
+
+    #[inline(always)]
+    fn of_patch(wide: &[[f32; WIDE]; WIDE], min_score: f32) -> Option<Self> {
         let (mut values, mut gx, mut gy) = with_gradients(wide);
         remove_mean(&mut values);
         let energy = dot(&values, &values);
@@ -112,6 +118,7 @@ impl Template {
     }
 
     /// Zero-mean normalised cross-correlation with the patch around an integer `corner`.
+    #[inline(always)]
     pub fn correlation_at(&self, image: &GrayImage, left: usize, top: usize) -> f32 {
         let (mut sum, mut sum_sq, mut cross) = ([0.0f32; SIDE], [0.0f32; SIDE], [0.0f32; SIDE]);
         for (y, reference) in self.values.iter().enumerate() {
@@ -132,6 +139,16 @@ impl Template {
     /// Stops when a step is shorter than `min_step`, after `max_iterations`, or when the centre
     /// moved further than `max_distance` from the start.
     pub fn align(
+        &self,
+        image: &GrayImage,
+        start: [f32; 2],
+        limits: &AlignLimits,
+    ) -> Result<LevelFit, LevelFailure> {
+        align(self, image, start, limits)
+    }
+
+    #[inline(always)]
+    fn aligned(
         &self,
         image: &GrayImage,
         start: [f32; 2],
@@ -168,6 +185,7 @@ impl Template {
     }
 
     /// Similarity of template and image at a centre.
+    #[inline(always)]
     pub fn fit_at(&self, image: &GrayImage, centre: [f32; 2]) -> Option<LevelFit> {
         let mut patch = sample::<SIDE, _>(image, centre)?;
         remove_mean(&mut patch);
@@ -185,7 +203,42 @@ impl Template {
     }
 }
 
+for_lanes! {
+    fn template_of = template_of_with, (
+        wide: &[[f32; WIDE]; WIDE],
+        min_score: f32,
+    ) -> Option<Template>;
+    fn align = align_with, (
+        template: &Template,
+        image: &GrayImage,
+        start: [f32; 2],
+        limits: &AlignLimits,
+    ) -> Result<LevelFit, LevelFailure>;
+}
+
+// vectors that the compiler makes: rows are as long as they
+#[inline(always)]
+fn template_of_with<L: Lanes>(
+    _: L,
+    wide: &[[f32; WIDE]; WIDE],
+    min_score: f32,
+) -> Option<Template> {
+    Template::of_patch(wide, min_score)
+}
+
+#[inline(always)]
+fn align_with<L: Lanes>(
+    _: L,
+    template: &Template,
+    image: &GrayImage,
+    start: [f32; 2],
+    limits: &AlignLimits,
+) -> Result<LevelFit, LevelFailure> {
+    template.aligned(image, start, limits)
+}
+
 /// The inner patch, and its derivatives along x and y.
+#[inline(always)]
 pub(super) fn with_gradients(wide: &[[f32; WIDE]; WIDE]) -> (Values, Values, Values) {
     let mut seen = [[0.0f32; SIDE]; SIDE];
     let (mut gx, mut gy) = (seen, seen);
@@ -211,6 +264,7 @@ pub(super) struct AlignLimits {
 }
 
 /// An `N`x`N` patch around `centre`, bilinear; `None` when a sample lies outside the image.
+#[inline(always)]
 pub(super) fn sample<const N: usize, P: Copy + Into<f32>>(
     image: &Image<P>,
     centre: [f32; 2],
@@ -251,6 +305,7 @@ pub(super) fn centre_of_corner(left: usize, top: usize) -> [f32; 2] {
     [left as f32 + HALF, top as f32 + HALF]
 }
 
+#[inline(always)]
 pub(super) fn dot(a: &Values, b: &Values) -> f32 {
     let mut lanes = [0.0f32; SIDE];
     for (row_a, row_b) in a.iter().zip(b) {
@@ -261,6 +316,7 @@ pub(super) fn dot(a: &Values, b: &Values) -> f32 {
     lane_sum(&lanes)
 }
 
+#[inline(always)]
 pub(super) fn remove_mean(values: &mut Values) {
     let mut lanes = [0.0f32; SIDE];
     for row in values.iter() {
@@ -275,6 +331,7 @@ pub(super) fn remove_mean(values: &mut Values) {
 }
 
 /// Sum in a fixed order that vectorises.
+#[inline(always)]
 fn lane_sum(lanes: &[f32; SIDE]) -> f32 {
     let [a, b, c, d, e, f, g, h] = *lanes;
     ((a + e) + (c + g)) + ((b + f) + (d + h))

@@ -37,19 +37,19 @@ impl Lanes for Avx2 {
     type I32 = Integers;
 
     #[inline(always)]
-    fn f32s(self, values: [f32; 8]) -> Floats {
+    fn f32s(self, values: &[f32; 8]) -> Floats {
         // SAFETY: an array of the same size, read from any address.
         Floats(unsafe { _mm256_loadu_ps(values.as_ptr()) })
     }
 
     #[inline(always)]
-    fn i32s(self, values: [i32; 8]) -> Integers {
+    fn i32s(self, values: &[i32; 8]) -> Integers {
         // SAFETY: an array of the same size, read from any address.
         Integers(unsafe { _mm256_loadu_si256(values.as_ptr().cast()) })
     }
 
     #[inline(always)]
-    fn products(self, a: [i16; 8], b: [i16; 8]) -> Integers {
+    fn products(self, a: &[i16; 8], b: &[i16; 8]) -> Integers {
         // SAFETY: arrays of the same size, read from any address; the processor has AVX2.
         Integers(unsafe {
             let [a, b] = [a, b].map(|v| _mm256_cvtepi16_epi32(_mm_loadu_si128(v.as_ptr().cast())));

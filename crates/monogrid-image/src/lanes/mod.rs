@@ -20,17 +20,17 @@ pub trait Lanes: Copy + Debug {
     /// Eight whole numbers of 32 bits.
     type I32: I32x8<F32 = Self::F32>;
 
-    /// Eight numbers.
-    fn f32s(self, values: [f32; 8]) -> Self::F32;
+    /// Eight numbers. By reference: arrays that are copied first are read again before they have been written.
+    fn f32s(self, values: &[f32; 8]) -> Self::F32;
     /// Eight whole numbers.
-    fn i32s(self, values: [i32; 8]) -> Self::I32;
+    fn i32s(self, values: &[i32; 8]) -> Self::I32;
     /// The products of numbers of 16 bits, which are exact.
-    fn products(self, a: [i16; 8], b: [i16; 8]) -> Self::I32;
+    fn products(self, a: &[i16; 8], b: &[i16; 8]) -> Self::I32;
 
     /// Eight times the same number.
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F32 {
-        self.f32s([value; 8])
+        self.f32s(&[value; 8])
     }
 }
 
@@ -112,18 +112,18 @@ impl Lanes for Baseline {
     type I32 = i32x8;
 
     #[inline(always)]
-    fn f32s(self, values: [f32; 8]) -> f32x8 {
-        f32x8::new(values)
+    fn f32s(self, values: &[f32; 8]) -> f32x8 {
+        f32x8::new(*values)
     }
 
     #[inline(always)]
-    fn i32s(self, values: [i32; 8]) -> i32x8 {
-        i32x8::new(values)
+    fn i32s(self, values: &[i32; 8]) -> i32x8 {
+        i32x8::new(*values)
     }
 
     #[inline(always)]
-    fn products(self, a: [i16; 8], b: [i16; 8]) -> i32x8 {
-        i16x8::new(a).widening_mul(i16x8::new(b))
+    fn products(self, a: &[i16; 8], b: &[i16; 8]) -> i32x8 {
+        i16x8::new(*a).widening_mul(i16x8::new(*b))
     }
 }
 
@@ -226,13 +226,13 @@ macro_rules! for_lanes {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2")]
-                fn wide(lanes: $crate::lanes::Avx2, $($argument: $type),*) $(-> $returned)? {
+                fn on_avx2(lanes: $crate::lanes::Avx2, $($argument: $type),*) $(-> $returned)? {
                     $with(lanes, $($argument),*)
                 }
                 if let Some(lanes) = $crate::lanes::Avx2::of_processor() {
                     // SAFETY: the processor has AVX2, or there would be no lanes of it.
                     #[allow(unsafe_code, reason = "the processor was asked")]
-                    return unsafe { wide(lanes, $($argument),*) };
+                    return unsafe { on_avx2(lanes, $($argument),*) };
                 }
             }
             $with($crate::lanes::Baseline, $($argument),*)

@@ -3,7 +3,7 @@ use super::*;
 /// What all operations give for pairs of numbers, as bits.
 #[inline(always)]
 fn all_operations<L: Lanes>(lanes: L, a: [f32; 8], b: [f32; 8]) -> Vec<[u32; 8]> {
-    let (x, y) = (lanes.f32s(a), lanes.f32s(b));
+    let (x, y) = (lanes.f32s(&a), lanes.f32s(&b));
     let number = b[3];
     let floats = [
         x + y,
@@ -36,7 +36,7 @@ fn all_operations<L: Lanes>(lanes: L, a: [f32; 8], b: [f32; 8]) -> Vec<[u32; 8]>
         i.shl::<3>(),
         i.shr::<2>(),
         i.to_f32().truncated(),
-        lanes.products(i.to_i16(), j.to_i16()),
+        lanes.products(&i.to_i16(), &j.to_i16()),
     ];
     let floats = floats.map(|v| v.to_array().map(f32::to_bits));
     let integers = integers.map(|v| v.to_array().map(|lane| lane as u32));
