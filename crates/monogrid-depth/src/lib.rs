@@ -22,7 +22,6 @@
 //! ICCV 2013; \[Hull17\] section 3.3.2.
 #![deny(missing_docs)]
 
-mod bilinear;
 mod choose;
 mod config;
 mod dense;

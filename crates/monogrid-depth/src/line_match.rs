@@ -9,10 +9,9 @@
 //! keyframe's own noise cancels in `sum g n` up to the ends, so the match is not drawn to any
 //! fraction of a pixel as the minimum of an interpolated SSD is.
 
-use crate::bilinear::bilinear;
 use crate::stats::PixelOutcome;
 use monogrid_image::GrayImage;
-use monogrid_image::lanes::Baseline;
+use monogrid_image::lanes::{Baseline, bilinear};
 use wide::f32x8;
 
 /// Samples compared.

@@ -1,5 +1,7 @@
 //! The image type and how it is sampled and resized.
 
+use crate::for_lanes;
+use crate::lanes::{F32x8, I32x8, Lanes};
 use wide::f32x4;
 
 /// A dense row-major image.
@@ -173,7 +175,7 @@ pub fn bilinear(image: &GrayImage, x: f32, y: f32) -> Option<f32> {
 
 /// The same at a place that is known to be inside, of an image of at least two pixels in both directions.
 #[must_use]
-#[inline]
+#[inline(always)]
 pub fn bilinear_inside(image: &GrayImage, x: f32, y: f32) -> f32 {
     let (w, h) = (image.width, image.height);
     let (ix, iy) = ((x as usize).min(w - 2), (y as usize).min(h - 2));
@@ -205,11 +207,91 @@ pub fn bicubic(image: &GrayImage, xs: [f32; 4], ys: [f32; 4]) -> [f32; 4] {
         let around = std::array::from_fn(|k| samples_at_border(image, place(k)));
         return apart(around, across, down);
     }
-    if (0..4).all(|k| (lefts[k], tops[k]) == (lefts[0] + k as i32, tops[0])) {
-        return abreast(image, place(0), across, down);
-    }
     let around = std::array::from_fn(|k| samples_inside(image, place(k)));
     apart(around, across, down)
+}
+
+/// The same bits at eight places, fast where they follow each other.
+#[must_use]
+#[inline(always)]
+pub fn bicubic_eight<L: Lanes>(
+    lanes: L,
+    image: &GrayImage,
+    xs: &[f32; 8],
+    ys: &[f32; 8],
+) -> [f32; 8] {
+    let (w, h) = (image.width, image.height);
+    if w > 0 && h > 0 {
+        let (lefts, across) = cubic_weights_eight(lanes, xs, w);
+        let (tops, down) = cubic_weights_eight(lanes, ys, h);
+        let ends_inside = is_inside(lefts[0], w) && is_inside(lefts[7], w) && is_inside(tops[0], h);
+        let follows = |k: usize| (lefts[k], tops[k]) == (lefts[0] + k as i32, tops[0]);
+        if ends_inside && (1..8).all(follows) {
+            return abreast(
+                lanes,
+                image,
+                (lefts[0] as usize, tops[0] as usize),
+                across,
+                down,
+            );
+        }
+    }
+    let [[a, b, c, d], [e, f, g, h]] = [0, 4].map(|from| {
+        let four = |values: &[f32; 8]| std::array::from_fn(|k| values[from + k]);
+        bicubic(image, four(xs), four(ys))
+    });
+    [a, b, c, d, e, f, g, h]
+}
+
+/// Values at eight places that follow each other, the first after the pixel `left` of row `top`: their samples do so too,
+/// and lie in the lanes in which their places do.
+#[inline(always)]
+fn abreast<L: Lanes>(
+    lanes: L,
+    image: &GrayImage,
+    (left, top): (usize, usize),
+    across: [L::F32; 4],
+    down: [L::F32; 4],
+) -> [f32; 8] {
+    let width = image.width;
+    let rows = &image.data[(top - 1) * width + left - 1..][..3 * width + 11];
+    let beyond = &[0.0; 8];
+    let mut sum = lanes.splat(0.0);
+    let (mut low, mut high) = (lanes.splat(f32::MAX), lanes.splat(f32::MIN));
+    for (column, weight) in across.into_iter().enumerate() {
+        let row = |row: usize| {
+            let samples = rows[row * width + column..].first_chunk();
+            lanes.f32s(samples.unwrap_or(beyond))
+        };
+        let (a, b, c, d) = (row(0), row(1), row(2), row(3));
+        low = low.min(a.min(b).min(c.min(d)));
+        high = high.max(a.max(b).max(c.max(d)));
+        let [above, at, below, last] = down;
+        let part = weight * (above * a + at * b + below * c + last * d);
+        sum = if column == 0 { part } else { sum + part };
+    }
+    sum.max(low).min(high).to_array()
+}
+
+/// [`cubic_weights`] of eight.
+#[inline(always)]
+fn cubic_weights_eight<L: Lanes>(
+    lanes: L,
+    places: &[f32; 8],
+    length: usize,
+) -> ([i32; 8], [L::F32; 4]) {
+    let last = lanes.splat(length as f32 - 1.0);
+    let places = lanes.f32s(places).max(lanes.splat(0.0)).min(last);
+    let before = places.truncated();
+    let t = places - before.to_f32();
+    let (t2, t3) = (t * t, t * t * t);
+    let weights = [
+        (t2 * 2.0 - t3 - t) * 0.5,
+        (t3 * 3.0 - t2 * 5.0 + 2.0) * 0.5,
+        (t2 * 4.0 - t3 * 3.0 + t) * 0.5,
+        (t3 - t2) * 0.5,
+    ];
+    (before.to_array(), weights)
 }
 
 /// Values at four places, each with rows of samples of its own; weights of the samples in the order of [`cubic_weights`].
@@ -231,31 +313,6 @@ fn apart(around: [[f32x4; 4]; 4], across: [f32x4; 4], down: [f32x4; 4]) -> [f32;
     values.fast_max(within.0).fast_min(within.1).to_array()
 }
 
-/// The same bits where the places follow each other, the first after the pixel `left` of row `top`: their samples do so too,
-/// and lie in the lanes in which their places do.
-#[inline(always)]
-fn abreast(
-    image: &GrayImage,
-    (left, top): (usize, usize),
-    across: [f32x4; 4],
-    down: [f32x4; 4],
-) -> [f32; 4] {
-    let width = image.width;
-    let rows = &image.data[(top - 1) * width + left - 1..][..3 * width + 7];
-    let mut sum = f32x4::ZERO;
-    let (mut low, mut high) = (f32x4::splat(f32::MAX), f32x4::splat(f32::MIN));
-    for (column, weight) in across.into_iter().enumerate() {
-        let samples = |row: usize| four(&rows[row * width + column..]);
-        let (a, b, c, d) = (samples(0), samples(1), samples(2), samples(3));
-        low = low.fast_min(a.fast_min(b).fast_min(c.fast_min(d)));
-        high = high.fast_max(a.fast_max(b).fast_max(c.fast_max(d)));
-        let [above, at, below, last] = down;
-        let part = weight * (above * a + at * b + below * c + last * d);
-        sum = if column == 0 { part } else { sum + part };
-    }
-    sum.fast_max(low).fast_min(high).to_array()
-}
-
 /// The first four values.
 #[inline(always)]
 fn four(values: &[f32]) -> f32x4 {
@@ -263,7 +320,7 @@ fn four(values: &[f32]) -> f32x4 {
 }
 
 /// Whether a line of this many pixels has one before this place and two behind it.
-#[inline]
+#[inline(always)]
 fn is_inside(before: i32, length: usize) -> bool {
     before >= 1 && before as usize + 2 < length
 }
@@ -288,14 +345,14 @@ fn samples_at_border(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 
 }
 
 /// Sum of the lanes of each of four vectors, from the first lane to the last.
-#[inline]
+#[inline(always)]
 fn sum_of_lanes(vectors: [f32x4; 4]) -> f32x4 {
     let [a, b, c, d] = f32x4::transpose(vectors);
     a + b + c + d
 }
 
 /// The pixels before four places on a line of this many pixels, and the weights of the samples at -1, 0, 1, 2, places in the lanes.
-#[inline]
+#[inline(always)]
 fn cubic_weights(places: [f32; 4], length: usize) -> ([i32; 4], [f32x4; 4]) {
     let last = f32x4::splat(length as f32 - 1.0);
     let places = f32x4::new(places).fast_max(f32x4::ZERO).fast_min(last);
@@ -337,40 +394,104 @@ pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
     if image.data.is_empty() {
         return Image::filled(size.width, size.height, 0.0);
     }
-    let columns = area_weights(image.width, size.width);
-    let rows = area_weights(image.height, size.height);
+    averages(image, size)
+}
+
+for_lanes! {
+    fn averages = averages_with, (image: &GrayImage, size: Resize) -> GrayImage;
+}
+
+#[inline(always)]
+fn averages_with<L: Lanes>(_: L, image: &GrayImage, size: Resize) -> GrayImage {
+    let columns = Areas::new(image.width, size.width);
+    let rows = Areas::new(image.height, size.height);
     let mut output = Image::filled(size.width, size.height, 0.0f32);
-    // down before across: whole rows are added, and fewer are left
-    let mut line = vec![0.0f32; image.width];
+    // down before across: whole rows are added, and fewer are left; some weights of 0 are for what is beyond the end
+    let mut line = vec![0.0f32; image.width + columns.most];
     for (y, (first, weights)) in rows.iter().enumerate() {
-        line.fill(0.0);
-        for (k, weight) in weights.iter().enumerate() {
-            for (sum, value) in line.iter_mut().zip(image.row(first + k)) {
-                *sum += weight * value;
+        let covered = (first..image.height).zip(weights);
+        for (k, (row, weight)) in covered.enumerate() {
+            let values = line.iter_mut().zip(image.row(row));
+            if k == 0 {
+                values.for_each(|(sum, value)| *sum = weight * value);
+            } else {
+                values.for_each(|(sum, value)| *sum += weight * value);
             }
         }
-        for (out, (first, weights)) in output.row_mut(y).iter_mut().zip(&columns) {
-            let covered = weights.iter().zip(&line[*first..]);
-            *out = covered.map(|(w, v)| w * v).sum();
+        let out = output.row_mut(y);
+        match columns.most {
+            1 => columns.sums_of::<1>(&line, out),
+            2 => columns.sums_of::<2>(&line, out),
+            3 => columns.sums_of::<3>(&line, out),
+            4 => columns.sums_of::<4>(&line, out),
+            _ => columns.sums(&line, out),
         }
     }
     output
 }
 
-/// For each output pixel the first input pixel it covers and the normalised overlap with each.
-fn area_weights(input: usize, output: usize) -> Vec<(usize, Vec<f32>)> {
-    let ratio = input as f64 / output as f64;
-    (0..output)
-        .map(|i| {
+/// For each output pixel of a line the first input pixel that it covers and the normalised overlap with each; 0 with those that are only
+/// there since other pixels cover more.
+struct Areas {
+    first: Vec<usize>,
+    weights: Vec<f32>,
+    /// Input pixels that one pixel covers, at most.
+    most: usize,
+}
+
+impl Areas {
+    fn new(input: usize, output: usize) -> Self {
+        let ratio = input as f64 / output as f64;
+        let covered = |i: usize| {
             let (from, to) = (i as f64 * ratio, (i as f64 + 1.0) * ratio);
             let first = from.floor() as usize;
             let last = (to.ceil() as usize).clamp(first + 1, input);
-            let weights = (first..last)
-                .map(|k| ((to.min(k as f64 + 1.0) - from.max(k as f64)).max(0.0) / ratio) as f32)
-                .collect();
-            (first, weights)
-        })
-        .collect()
+            let overlap = move |k: usize| (to.min(k as f64 + 1.0) - from.max(k as f64)).max(0.0);
+            (first, last, overlap)
+        };
+        let counts = (0..output)
+            .map(covered)
+            .map(|(first, last, _)| last - first);
+        let most = counts.max().unwrap_or(1);
+        let weights = (0..output).flat_map(|i| {
+            let (first, last, overlap) = covered(i);
+            let weight = move |k| {
+                if k < last {
+                    (overlap(k) / ratio) as f32
+                } else {
+                    0.0
+                }
+            };
+            (first..first + most).map(weight)
+        });
+        Self {
+            weights: weights.collect(),
+            first: (0..output).map(|i| covered(i).0).collect(),
+            most,
+        }
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (usize, &[f32])> {
+        let first = self.first.iter().copied();
+        first.zip(self.weights.chunks_exact(self.most))
+    }
+
+    /// The weighted sums of a line, of which each has so many weights.
+    #[inline(always)]
+    fn sums_of<const N: usize>(&self, line: &[f32], out: &mut [f32]) {
+        let weights = self.weights.as_chunks::<N>().0;
+        for ((out, first), weights) in out.iter_mut().zip(&self.first).zip(weights) {
+            let covered = weights.iter().zip(&line[*first..*first + N]);
+            *out = covered.map(|(w, v)| w * v).sum();
+        }
+    }
+
+    fn sums(&self, line: &[f32], out: &mut [f32]) {
+        for (out, (first, weights)) in out.iter_mut().zip(self.iter()) {
+            let covered = weights.iter().zip(&line[first..]);
+            *out = covered.map(|(w, v)| w * v).sum();
+        }
+    }
 }
 
 #[cfg(test)]

@@ -12,7 +12,8 @@ use monogrid_features::{
     CornerConfig, FlowConfig, FlowField, FlowSample, TrackConfig, detect_corners, track_points,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2};
-use monogrid_image::{GrayImage, Image, Pyramid, bicubic};
+use monogrid_image::lanes::Lanes;
+use monogrid_image::{GrayImage, Image, Pyramid, bicubic_eight, for_lanes};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -70,19 +71,12 @@ impl Shutter {
     fn rectify(&self, image: &GrayImage, flow: &FlowField) -> GrayImage {
         let (width, height) = (image.width(), image.height());
         let mut rectified = GrayImage::filled(width, height, 0.0);
-        let [mut xs, mut ys] = [(); 2].map(|()| vec![0.0; width.next_multiple_of(4)]);
+        let [mut xs, mut ys] = [(); 2].map(|()| vec![0.0; width.next_multiple_of(8)]);
         for row in 0..height {
             let mut places = [&mut xs[..width], &mut ys[..width]];
             flow.row(row, &mut places);
             self.seen_at(row, (width, height), places);
-            let mut fours = xs.as_chunks().0.iter().zip(ys.as_chunks().0);
-            let (whole, rest) = rectified.row_mut(row).as_chunks_mut();
-            for (values, (xs, ys)) in whole.iter_mut().zip(&mut fours) {
-                *values = bicubic(image, *xs, *ys);
-            }
-            if let Some((xs, ys)) = fours.next() {
-                rest.copy_from_slice(&bicubic(image, *xs, *ys)[..rest.len()]);
-            }
+            look_up(image, [&xs, &ys], rectified.row_mut(row));
         }
         rectified
     }
@@ -100,6 +94,23 @@ impl Shutter {
             let time = readout_ns * phase / (1.0 - passed).max(0.5);
             (*x, *y) = (f32::from(column) + time * u, row as f32 + time * v);
         }
+    }
+}
+
+for_lanes! {
+    /// The image at places `xs`, `ys`, which are a multiple of eight, of which the last few are of none.
+    fn look_up = look_up_with, (image: &GrayImage, places: [&[f32]; 2], values: &mut [f32]);
+}
+
+#[inline(always)]
+fn look_up_with<L: Lanes>(lanes: L, image: &GrayImage, [xs, ys]: [&[f32]; 2], values: &mut [f32]) {
+    let mut eights = xs.as_chunks().0.iter().zip(ys.as_chunks().0);
+    let (whole, rest) = values.as_chunks_mut();
+    for (values, (xs, ys)) in whole.iter_mut().zip(&mut eights) {
+        *values = bicubic_eight(lanes, image, xs, ys);
+    }
+    if let Some((xs, ys)) = eights.next() {
+        rest.copy_from_slice(&bicubic_eight(lanes, image, xs, ys)[..rest.len()]);
     }
 }
 

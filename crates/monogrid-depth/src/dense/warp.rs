@@ -1,10 +1,9 @@
 //! Sources projected onto planes parallel to the keyframe's image.
 
-use crate::bilinear::bilinear;
 use crate::multi_view::SourceView;
 use crate::projection::Projection;
 use monogrid_geometry::Pinhole;
-use monogrid_image::lanes::{F32x8, I32x8, Lanes};
+use monogrid_image::lanes::{F32x8, I32x8, Lanes, bilinear};
 use monogrid_image::{Image, for_lanes};
 
 /// Pixels that are looked up together.

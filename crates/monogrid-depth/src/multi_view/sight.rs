@@ -1,11 +1,10 @@
 //! How a source sees a pixel.
 
 use super::{MultiViewConfig, SourceView};
-use crate::bilinear::bilinear;
 use crate::projection::Projection;
 use monogrid_geometry::{Pinhole, Vec3};
 use monogrid_image::Image;
-use monogrid_image::lanes::Lanes;
+use monogrid_image::lanes::{Lanes, bilinear};
 
 /// Samples that are looked up together.
 const GROUP: usize = 6;

@@ -8,7 +8,8 @@ use super::template::{
 use crate::{finest_pixel, level_pixel};
 use monogrid_geometry::nalgebra::Matrix2;
 use monogrid_geometry::{Pinhole, Se3, Vec2};
-use monogrid_image::{GrayImage, Pyramid, bilinear_inside};
+use monogrid_image::lanes::{Lanes, bilinear};
+use monogrid_image::{GrayImage, Pyramid, bilinear_inside, for_lanes};
 
 /// Settings of the search for a patch.
 #[derive(Clone, Debug, PartialEq)]
@@ -331,12 +332,51 @@ fn sample_warped(
     if width < 2 || height < 2 || !corners.as_flattened().iter().all(|c| is_inside(*c)) {
         return None;
     }
-    let mut out = [[0.0f32; WIDE]; WIDE];
-    for (row, down) in out.iter_mut().zip(down) {
-        for (value, across) in row.iter_mut().zip(across) {
-            let [x, y] = place(across, down);
-            *value = bilinear_inside(image, x, y);
+    let mut places = [[[0.0f32; LANES]; 2]; EIGHTS];
+    for (row, down) in down.into_iter().enumerate() {
+        for (column, across) in across.into_iter().enumerate() {
+            let (eight, lane) = ((row * WIDE + column) / LANES, (row * WIDE + column) % LANES);
+            [places[eight][0][lane], places[eight][1][lane]] = place(across, down);
         }
     }
+    let reaches_end = |[x, y]: &[f32; 2]| *x >= right || *y >= bottom;
+    let mut values = [[0.0f32; LANES]; EIGHTS];
+    if corners.as_flattened().iter().any(reaches_end) {
+        for (values, [xs, ys]) in values.iter_mut().zip(&places) {
+            *values = std::array::from_fn(|lane| bilinear_inside(image, xs[lane], ys[lane]));
+        }
+    } else {
+        values = values_at(image, &places);
+    }
+    let mut out = [[0.0f32; WIDE]; WIDE];
+    let whole = values.as_flattened().chunks_exact(WIDE);
+    out.iter_mut()
+        .zip(whole)
+        .for_each(|(row, values)| row.copy_from_slice(values));
     Some(out)
+}
+
+/// Places that are looked up together.
+const LANES: usize = 8;
+/// Groups of them in a patch with border; those beyond it are the first pixel.
+const EIGHTS: usize = (WIDE * WIDE).div_ceil(LANES);
+
+for_lanes! {
+    fn values_at = values_with, (
+        image: &GrayImage,
+        places: &[[[f32; LANES]; 2]; EIGHTS],
+    ) -> [[f32; LANES]; EIGHTS];
+}
+
+#[inline(always)]
+fn values_with<L: Lanes>(
+    lanes: L,
+    image: &GrayImage,
+    places: &[[[f32; LANES]; 2]; EIGHTS],
+) -> [[f32; LANES]; EIGHTS] {
+    let mut values = [[0.0; LANES]; EIGHTS];
+    for (values, [xs, ys]) in values.iter_mut().zip(places) {
+        *values = bilinear(lanes, image, lanes.f32s(xs), lanes.f32s(ys));
+    }
+    values
 }

@@ -6,9 +6,11 @@
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+mod bilinear;
 
 #[cfg(target_arch = "x86_64")]
 pub use avx2::Avx2;
+pub use bilinear::{Grey, bilinear};
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, BitAnd, Div, Mul, Neg, Sub};
 use wide::{f32x8, i16x8, i32x8};

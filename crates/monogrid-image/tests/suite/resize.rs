@@ -1,6 +1,7 @@
 //! Resampling and sampling against sums over areas.
 
-use monogrid_image::{GrayImage, Resize, bicubic, bilinear, resize_area};
+use monogrid_image::lanes::Baseline;
+use monogrid_image::{GrayImage, Resize, bicubic, bicubic_eight, bilinear, for_lanes, resize_area};
 
 fn picture(width: usize, height: usize) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
@@ -155,6 +156,14 @@ fn bicubic_is_the_convolution_of_keys_also_at_the_border() {
     }
 }
 
+for_lanes! {
+    fn on_the_widest = bicubic_eight, (
+        image: &GrayImage,
+        xs: &[f32; 8],
+        ys: &[f32; 8],
+    ) -> [f32; 8];
+}
+
 #[test]
 fn places_that_follow_each_other_have_the_bits_that_each_has_alone() {
     let image = picture(14, 9);
@@ -162,10 +171,17 @@ fn places_that_follow_each_other_have_the_bits_that_each_has_alone() {
         let (x, y) = ((k % 60) as f32 * 0.17 - 1.0, (k / 60) as f32 * 0.19 - 1.0);
         // a row, one that is sheared into the next, and one that is stretched past a pixel
         for (across, down) in [(1.0, 0.0), (0.98, 0.003), (1.0, 0.1), (1.1, 0.0)] {
-            let xs = [0.0, 1.0, 2.0, 3.0].map(|k| x + across * k);
-            let ys = [0.0, 1.0, 2.0, 3.0].map(|k| y + down * k);
-            let alone: [f32; 4] = std::array::from_fn(|k| cubic_at(&image, xs[k], ys[k]));
-            assert_eq!(bicubic(&image, xs, ys), alone, "{xs:?} {ys:?}");
+            let xs: [f32; 8] = std::array::from_fn(|k| x + across * k as f32);
+            let ys: [f32; 8] = std::array::from_fn(|k| y + down * k as f32);
+            let alone: [f32; 8] = std::array::from_fn(|k| cubic_at(&image, xs[k], ys[k]));
+            let four = |values: [f32; 8]| std::array::from_fn(|k| values[k]);
+            assert_eq!(bicubic(&image, four(xs), four(ys)), alone[..4]);
+            assert_eq!(
+                bicubic_eight(Baseline, &image, &xs, &ys),
+                alone,
+                "{xs:?} {ys:?}"
+            );
+            assert_eq!(on_the_widest(&image, &xs, &ys), alone, "{xs:?} {ys:?}");
         }
     }
 }

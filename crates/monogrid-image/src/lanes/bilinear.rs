@@ -1,13 +1,14 @@
 //! Bilinear look-ups, several at once.
 
-use monogrid_image::Image;
-use monogrid_image::lanes::{F32x8, I32x8, Lanes};
+use super::{F32x8, I32x8, Lanes};
+use crate::Image;
 
 /// Grey values of which four corners are looked up at eight places.
-pub(crate) trait Grey: Copy {
+pub trait Grey: Copy {
     /// The corners of one place.
     type Cell: Copy + Default;
 
+    /// Makes a cell of upper left, upper right, lower left and lower right.
     fn cell(corners: [Self; 4]) -> Self::Cell;
 
     /// Corners by place as places by corner.
@@ -75,9 +76,12 @@ fn corners_of_pairs<const BITS: i32, L: Lanes>(lanes: L, cells: [[i32; 2]; 8]) -
     ]
 }
 
-/// The image at the first `N` of eight places `(x, y)`, px; the caller keeps them inside.
+/// The image at the first `N` of eight places `(x, y)`, px, bilinear.
+///
+/// # Panics
+/// Unless a pixel to the left and above of each of them has one to the right of it and one below.
 #[inline(always)]
-pub(crate) fn bilinear<const N: usize, T: Grey, L: Lanes>(
+pub fn bilinear<const N: usize, T: Grey, L: Lanes>(
     lanes: L,
     image: &Image<T>,
     x: L::F32,
@@ -106,7 +110,7 @@ pub(crate) fn bilinear<const N: usize, T: Grey, L: Lanes>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use monogrid_image::lanes::Baseline;
+    use crate::lanes::Baseline;
 
     #[test]
     fn lanes_equal_the_plain_formula_for_bytes_and_for_numbers() {
