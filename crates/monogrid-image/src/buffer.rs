@@ -187,60 +187,25 @@ pub fn bilinear_inside(image: &GrayImage, x: f32, y: f32) -> f32 {
     top + fy * (bottom - top)
 }
 
-/// Values at four places `(x, y)` by cubic convolution (Keys 1981, a = -1/2), which blurs less than [`bilinear`]; outside the
+/// Values at eight places `(x, y)` by cubic convolution (Keys 1981, a = -1/2), which blurs less than [`bilinear`]; outside the
 /// image its border goes on. Within the range of the 16 pixels around, so that edges do not ring.
 #[must_use]
-#[inline]
-pub fn bicubic(image: &GrayImage, xs: [f32; 4], ys: [f32; 4]) -> [f32; 4] {
+#[inline(always)]
+pub fn bicubic<L: Lanes>(lanes: L, image: &GrayImage, xs: &[f32; 8], ys: &[f32; 8]) -> [f32; 8] {
     let (w, h) = (image.width, image.height);
     if w == 0 || h == 0 {
-        return [0.0; 4];
+        return [0.0; 8];
     }
-    let (lefts, across) = cubic_weights(xs, w);
-    let (tops, down) = cubic_weights(ys, h);
-    let inside = lefts
-        .iter()
-        .zip(tops)
-        .all(|(left, top)| is_inside(*left, w) && is_inside(top, h));
-    let place = |k: usize| (lefts[k] as usize, tops[k] as usize);
-    if !inside {
-        let around = std::array::from_fn(|k| samples_at_border(image, place(k)));
-        return apart(around, across, down);
+    let (lefts, across) = cubic_weights(lanes, xs, w);
+    let (tops, down) = cubic_weights(lanes, ys, h);
+    let ends_inside = is_inside(lefts[0], w) && is_inside(lefts[7], w) && is_inside(tops[0], h);
+    let follows = |k: usize| (lefts[k], tops[k]) == (lefts[0] + k as i32, tops[0]);
+    if ends_inside && (1..8).all(follows) {
+        let first = (lefts[0] as usize, tops[0] as usize);
+        return abreast(lanes, image, first, across, down);
     }
-    let around = std::array::from_fn(|k| samples_inside(image, place(k)));
-    apart(around, across, down)
-}
-
-/// The same bits at eight places, fast where they follow each other.
-#[must_use]
-#[inline(always)]
-pub fn bicubic_eight<L: Lanes>(
-    lanes: L,
-    image: &GrayImage,
-    xs: &[f32; 8],
-    ys: &[f32; 8],
-) -> [f32; 8] {
-    let (w, h) = (image.width, image.height);
-    if w > 0 && h > 0 {
-        let (lefts, across) = cubic_weights_eight(lanes, xs, w);
-        let (tops, down) = cubic_weights_eight(lanes, ys, h);
-        let ends_inside = is_inside(lefts[0], w) && is_inside(lefts[7], w) && is_inside(tops[0], h);
-        let follows = |k: usize| (lefts[k], tops[k]) == (lefts[0] + k as i32, tops[0]);
-        if ends_inside && (1..8).all(follows) {
-            return abreast(
-                lanes,
-                image,
-                (lefts[0] as usize, tops[0] as usize),
-                across,
-                down,
-            );
-        }
-    }
-    let [[a, b, c, d], [e, f, g, h]] = [0, 4].map(|from| {
-        let four = |values: &[f32; 8]| std::array::from_fn(|k| values[from + k]);
-        bicubic(image, four(xs), four(ys))
-    });
-    [a, b, c, d, e, f, g, h]
+    let [across, down] = [across, down].map(|weights| weights.map(F32x8::to_array));
+    apart(image, lefts, tops, [across, down])
 }
 
 /// Values at eight places that follow each other, the first after the pixel `left` of row `top`: their samples do so too,
@@ -273,44 +238,40 @@ fn abreast<L: Lanes>(
     sum.max(low).min(high).to_array()
 }
 
-/// [`cubic_weights`] of eight.
-#[inline(always)]
-fn cubic_weights_eight<L: Lanes>(
-    lanes: L,
-    places: &[f32; 8],
-    length: usize,
-) -> ([i32; 8], [L::F32; 4]) {
-    let last = lanes.splat(length as f32 - 1.0);
-    let places = lanes.f32s(places).max(lanes.splat(0.0)).min(last);
-    let before = places.truncated();
-    let t = places - before.to_f32();
-    let (t2, t3) = (t * t, t * t * t);
-    let weights = [
-        (t2 * 2.0 - t3 - t) * 0.5,
-        (t3 * 3.0 - t2 * 5.0 + 2.0) * 0.5,
-        (t2 * 4.0 - t3 * 3.0 + t) * 0.5,
-        (t3 - t2) * 0.5,
-    ];
-    (before.to_array(), weights)
-}
-
-/// Values at four places, each with rows of samples of its own; weights of the samples in the order of [`cubic_weights`].
-#[inline(always)]
-fn apart(around: [[f32x4; 4]; 4], across: [f32x4; 4], down: [f32x4; 4]) -> [f32; 4] {
-    let (across, down) = (f32x4::transpose(across), f32x4::transpose(down));
-    let (mut rows, mut low, mut high) = ([f32x4::ZERO; 4], [f32x4::ZERO; 4], [f32x4::ZERO; 4]);
-    for k in 0..4 {
-        let [a, b, c, d] = around[k];
-        low[k] = a.fast_min(b).fast_min(c.fast_min(d));
-        high[k] = a.fast_max(b).fast_max(c.fast_max(d));
-        let [above, at, below, last] = down[k].to_array();
-        rows[k] = across[k] * (above * a + at * b + below * c + last * d);
+/// Values at eight places, each with rows of samples of its own: the same bits.
+#[inline(never)]
+fn apart(
+    image: &GrayImage,
+    lefts: [i32; 8],
+    tops: [i32; 8],
+    weights: [[[f32; 8]; 4]; 2],
+) -> [f32; 8] {
+    let (w, h) = (image.width, image.height);
+    let mut values = [0.0; 8];
+    for (half, values) in values.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+        let of_half = |of: [f32; 8]| four(&of[4 * half..]);
+        let [across, down] = weights.map(|weights| f32x4::transpose(weights.map(of_half)));
+        let (mut rows, mut low, mut high) = ([f32x4::ZERO; 4], [f32x4::ZERO; 4], [f32x4::ZERO; 4]);
+        for k in 0..4 {
+            let (left, top) = (lefts[4 * half + k], tops[4 * half + k]);
+            let place = (left as usize, top as usize);
+            let [a, b, c, d] = if is_inside(left, w) && is_inside(top, h) {
+                samples_inside(image, place)
+            } else {
+                samples_at_border(image, place)
+            };
+            low[k] = a.fast_min(b).fast_min(c.fast_min(d));
+            high[k] = a.fast_max(b).fast_max(c.fast_max(d));
+            let [above, at, below, last] = down[k].to_array();
+            rows[k] = across[k] * (above * a + at * b + below * c + last * d);
+        }
+        let low = f32x4::transpose(low).into_iter().reduce(f32x4::fast_min);
+        let high = f32x4::transpose(high).into_iter().reduce(f32x4::fast_max);
+        let within = (low.unwrap_or_default(), high.unwrap_or_default());
+        let sums = sum_of_lanes(rows);
+        *values = sums.fast_max(within.0).fast_min(within.1).to_array();
     }
-    let low = f32x4::transpose(low).into_iter().reduce(f32x4::fast_min);
-    let high = f32x4::transpose(high).into_iter().reduce(f32x4::fast_max);
-    let within = (low.unwrap_or_default(), high.unwrap_or_default());
-    let values = sum_of_lanes(rows);
-    values.fast_max(within.0).fast_min(within.1).to_array()
+    values
 }
 
 /// The first four values.
@@ -351,21 +312,21 @@ fn sum_of_lanes(vectors: [f32x4; 4]) -> f32x4 {
     a + b + c + d
 }
 
-/// The pixels before four places on a line of this many pixels, and the weights of the samples at -1, 0, 1, 2, places in the lanes.
+/// The pixels before eight places on a line of this many pixels, and the weights of the samples at -1, 0, 1, 2, places in the lanes.
 #[inline(always)]
-fn cubic_weights(places: [f32; 4], length: usize) -> ([i32; 4], [f32x4; 4]) {
-    let last = f32x4::splat(length as f32 - 1.0);
-    let places = f32x4::new(places).fast_max(f32x4::ZERO).fast_min(last);
-    let before = places.fast_trunc_int();
-    let t = places - f32x4::from_i32x4(before);
+fn cubic_weights<L: Lanes>(lanes: L, places: &[f32; 8], length: usize) -> ([i32; 8], [L::F32; 4]) {
+    let last = lanes.splat(length as f32 - 1.0);
+    let places = lanes.f32s(places).max(lanes.splat(0.0)).min(last);
+    let before = places.truncated();
+    let t = places - before.to_f32();
     let (t2, t3) = (t * t, t * t * t);
-    let weights: [f32x4; 4] = [
-        2.0 * t2 - t3 - t,
-        3.0 * t3 - 5.0 * t2 + 2.0,
-        4.0 * t2 - 3.0 * t3 + t,
-        t3 - t2,
+    let weights = [
+        (t2 * 2.0 - t3 - t) * 0.5,
+        (t3 * 3.0 - t2 * 5.0 + 2.0) * 0.5,
+        (t2 * 4.0 - t3 * 3.0 + t) * 0.5,
+        (t3 - t2) * 0.5,
     ];
-    (before.to_array(), weights.map(|w| 0.5 * w))
+    (before.to_array(), weights)
 }
 
 /// Linear value between the samples of a line; `position` lies within them.

@@ -12,8 +12,8 @@ mod pyramid;
 mod undistort;
 
 pub use buffer::{
-    GrayImage, Image, Mask, Resize, bicubic, bicubic_eight, bilinear, bilinear_inside, luma_of_rgb,
-    resize_area, to_gray8,
+    GrayImage, Image, Mask, Resize, bicubic, bilinear, bilinear_inside, luma_of_rgb, resize_area,
+    to_gray8,
 };
 pub use gradient::{GradientImage, max_gradient};
 pub use photometric::{Photometric, PhotometricError};

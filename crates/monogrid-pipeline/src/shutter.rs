@@ -13,7 +13,7 @@ use monogrid_features::{
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2};
 use monogrid_image::lanes::Lanes;
-use monogrid_image::{GrayImage, Image, Pyramid, bicubic_eight, for_lanes};
+use monogrid_image::{GrayImage, Image, Pyramid, bicubic, for_lanes};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -107,10 +107,10 @@ fn look_up_with<L: Lanes>(lanes: L, image: &GrayImage, [xs, ys]: [&[f32]; 2], va
     let mut eights = xs.as_chunks().0.iter().zip(ys.as_chunks().0);
     let (whole, rest) = values.as_chunks_mut();
     for (values, (xs, ys)) in whole.iter_mut().zip(&mut eights) {
-        *values = bicubic_eight(lanes, image, xs, ys);
+        *values = bicubic(lanes, image, xs, ys);
     }
     if let Some((xs, ys)) = eights.next() {
-        rest.copy_from_slice(&bicubic_eight(lanes, image, xs, ys)[..rest.len()]);
+        rest.copy_from_slice(&bicubic(lanes, image, xs, ys)[..rest.len()]);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Resampling and sampling against sums over areas.
 
 use monogrid_image::lanes::Baseline;
-use monogrid_image::{GrayImage, Resize, bicubic, bicubic_eight, bilinear, for_lanes, resize_area};
+use monogrid_image::{GrayImage, Resize, bicubic, bilinear, for_lanes, resize_area};
 
 fn picture(width: usize, height: usize) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
@@ -113,10 +113,11 @@ fn bilinear_is_exact_on_ramps_and_none_outside_the_centres() {
     assert_eq!(bilinear(&GrayImage::filled(0, 0, 0.0), 0.0, 0.0), None);
 }
 
-/// One value, at whichever of the four places it is asked for.
+/// One value, at whichever of the eight places it is asked for.
 fn cubic_at(image: &GrayImage, x: f32, y: f32) -> f32 {
-    let [a, b, c, d] = bicubic(image, [x, 2.5, x, -1.0], [y, 1.0, y, 3.25]);
-    let [e, f, g, h] = bicubic(image, [2.5, x, -1.0, x], [1.0, y, 3.25, y]);
+    let xs = [x, 2.5, x, -1.0, 2.5, x, -1.0, x];
+    let ys = [y, 1.0, y, 3.25, 1.0, y, 3.25, y];
+    let [a, b, c, d, e, f, g, h] = bicubic(Baseline, image, &xs, &ys);
     assert_eq!([a, b, c, d], [f, e, h, g]);
     assert_eq!([a, f], [c, h]);
     a
@@ -157,7 +158,7 @@ fn bicubic_is_the_convolution_of_keys_also_at_the_border() {
 }
 
 for_lanes! {
-    fn on_the_widest = bicubic_eight, (
+    fn on_the_widest = bicubic, (
         image: &GrayImage,
         xs: &[f32; 8],
         ys: &[f32; 8],
@@ -174,13 +175,7 @@ fn places_that_follow_each_other_have_the_bits_that_each_has_alone() {
             let xs: [f32; 8] = std::array::from_fn(|k| x + across * k as f32);
             let ys: [f32; 8] = std::array::from_fn(|k| y + down * k as f32);
             let alone: [f32; 8] = std::array::from_fn(|k| cubic_at(&image, xs[k], ys[k]));
-            let four = |values: [f32; 8]| std::array::from_fn(|k| values[k]);
-            assert_eq!(bicubic(&image, four(xs), four(ys)), alone[..4]);
-            assert_eq!(
-                bicubic_eight(Baseline, &image, &xs, &ys),
-                alone,
-                "{xs:?} {ys:?}"
-            );
+            assert_eq!(bicubic(Baseline, &image, &xs, &ys), alone, "{xs:?} {ys:?}");
             assert_eq!(on_the_widest(&image, &xs, &ys), alone, "{xs:?} {ys:?}");
         }
     }
