@@ -104,6 +104,7 @@ impl Walk<'_> {
     fn window(&self, position: f32) -> [f32; PATCH] {
         let position = position + LANE - RADIUS as f32;
         let [x, y] = [0, 1].map(|axis| self.origin[axis] + position * self.direction[axis]);
+        // a patch has five samples, and a function for wider vectors costs more than they bring
         bilinear(Baseline, self.image, x, y).map(|raw| (raw - self.bias) * self.inv_gain)
     }
 

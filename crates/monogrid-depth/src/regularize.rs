@@ -202,6 +202,8 @@ for_lanes! {
     /// [SDVO13] section 2.4: mean over the consistent neighbours, weighted by
     /// `1 / (V + (slope distance)²)`; `None` when too few neighbours are valid. The validities of the band and the
     /// rows beside it begin at the index `first` of the map.
+    ///
+    /// For each pixel one call: in one function with the loop over them the vectors do not stay in registers.
     fn smoothed = smoothed_with, (
         band: &RegularizeBand<'_>,
         pixel: (usize, usize),
@@ -281,6 +283,7 @@ mod tests {
     use super::*;
     use crate::HostFrame;
     use monogrid_geometry::Pinhole;
+    use monogrid_image::lanes::Baseline;
     use monogrid_image::{GrayImage, Mask};
     use std::sync::Arc;
 
@@ -358,6 +361,15 @@ mod tests {
                     if map.arrays.var[y * 64 + x] > 0.0 {
                         expected.push((y * 64 + x, plain(&map, x, y, &config)));
                     }
+                }
+            }
+            let validity: Vec<f32> = map.arrays.validity.iter().map(|v| f32::from(*v)).collect();
+            for band in map.regularize_bands(48) {
+                for (i, _) in &expected {
+                    let (pixel, validity) = ((i % 64, i / 64), (0, validity.as_slice()));
+                    let widest = smoothed(&band, pixel, validity, &config);
+                    let baseline = smoothed_with(Baseline, &band, pixel, validity, &config);
+                    assert_eq!(widest, baseline);
                 }
             }
             for rows in [1, 5, 48] {

@@ -300,9 +300,17 @@ impl Spacing {
 mod tests {
     use super::*;
     use crate::test_images::Texture;
+    use monogrid_image::lanes::Baseline;
 
     fn world() -> Pyramid {
         Pyramid::new(Texture::new(5).render(320, 240, |x, y| (x, y)), 4)
+    }
+
+    #[test]
+    fn all_vectors_give_the_same_scores() {
+        let world = world();
+        let image = world.level(1);
+        assert_eq!(score_image(image), score_image_with(Baseline, image));
     }
 
     #[test]

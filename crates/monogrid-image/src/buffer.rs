@@ -175,7 +175,7 @@ pub fn bilinear(image: &GrayImage, x: f32, y: f32) -> Option<f32> {
 
 /// The same at a place that is known to be inside, of an image of at least two pixels in both directions.
 #[must_use]
-#[inline(always)]
+#[inline]
 pub fn bilinear_inside(image: &GrayImage, x: f32, y: f32) -> f32 {
     let (w, h) = (image.width, image.height);
     let (ix, iy) = ((x as usize).min(w - 2), (y as usize).min(h - 2));
@@ -220,6 +220,7 @@ fn abreast<L: Lanes>(
 ) -> [f32; 8] {
     let width = image.width;
     let rows = &image.data[(top - 1) * width + left - 1..][..3 * width + 11];
+    // never: rows are long enough
     let beyond = &[0.0; 8];
     let mut sum = lanes.splat(0.0);
     let (mut low, mut high) = (lanes.splat(f32::MAX), lanes.splat(f32::MIN));
@@ -306,7 +307,7 @@ fn samples_at_border(image: &GrayImage, (left, top): (usize, usize)) -> [f32x4; 
 }
 
 /// Sum of the lanes of each of four vectors, from the first lane to the last.
-#[inline(always)]
+#[inline]
 fn sum_of_lanes(vectors: [f32x4; 4]) -> f32x4 {
     let [a, b, c, d] = f32x4::transpose(vectors);
     a + b + c + d
@@ -346,7 +347,7 @@ pub struct Resize {
 }
 
 /// Resamples by averaging the area that each output pixel covers (exact box filter), which neither
-/// aliases nor shifts the image.
+/// aliases nor shifts the image. Pixels are finite: others may spread to the pixels beside those that cover them.
 #[must_use]
 pub fn resize_area(image: &GrayImage, size: Resize) -> GrayImage {
     if size.width == image.width && size.height == image.height {
@@ -447,6 +448,7 @@ impl Areas {
         }
     }
 
+    #[inline(always)]
     fn sums(&self, line: &[f32], out: &mut [f32]) {
         for (out, (first, weights)) in out.iter_mut().zip(self.iter()) {
             let covered = weights.iter().zip(&line[first..]);
@@ -458,6 +460,19 @@ impl Areas {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::Baseline;
+
+    #[test]
+    fn all_vectors_give_the_same_means() {
+        let image = GrayImage::from_fn(53, 41, |x, y| ((37 * x + 101 * y + x * y) % 251) as f32);
+        for (width, height) in [(31, 23), (53, 20), (9, 41), (7, 5), (80, 50), (1, 1)] {
+            let size = Resize { width, height };
+            assert_eq!(
+                averages(&image, size),
+                averages_with(Baseline, &image, size)
+            );
+        }
+    }
 
     #[test]
     fn rounding_is_that_of_the_library() {

@@ -98,7 +98,7 @@ impl Shutter {
 }
 
 for_lanes! {
-    /// The image at places `xs`, `ys`, which are a multiple of eight, of which the last few are of none.
+    /// The image at `places` x and y, whose number is a multiple of eight; those beyond `values` do not count.
     fn look_up = look_up_with, (image: &GrayImage, places: [&[f32]; 2], values: &mut [f32]);
 }
 

@@ -1,7 +1,7 @@
 //! The normal equations of one level over similarity, gain and bias.
 
 use super::DepthLevel;
-use crate::kernel::{Eight, LANES, along_ray, huber, residual_row, taken, times_idepth};
+use crate::kernel::{Eight, LANES, by_idepth, huber, position_times_idepth, residual_row, taken};
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 use monogrid_image::for_lanes;
@@ -37,7 +37,7 @@ pub struct SimilarityWeighting {
 }
 
 /// Sums over all points of a level at one state.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SimilarityLinearization {
     /// Sum of `w J^T J`.
     pub hessian: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
@@ -138,10 +138,11 @@ struct Equations<V, const N: usize> {
 
 impl<V: F32x8, const N: usize> Equations<V, N> {
     #[inline(always)]
-    fn filled(value: V) -> Self {
+    fn zero<L: Lanes<F32 = V>>(lanes: L) -> Self {
+        let zero = lanes.splat(0.0);
         Self {
-            hessian: [[value; N]; N],
-            gradient: [value; N],
+            hessian: [[zero; N]; N],
+            gradient: [zero; N],
         }
     }
 
@@ -247,9 +248,8 @@ fn add_block_with<L: Lanes>(
     (range, stride): (Range<usize>, usize),
     out: &mut SimilarityLinearization,
 ) {
-    let zero = lanes.splat(0.0);
-    let mut photometric = Equations::<_, 8>::filled(zero);
-    let mut geometric = Equations::<_, 4>::filled(zero);
+    let mut photometric = Equations::<_, 8>::zero(lanes);
+    let mut geometric = Equations::<_, 4>::zero(lanes);
     for start in range.step_by(LANES) {
         let chunk = (start * stride, stride);
         let residuals = projection.residuals(lanes, chunk, keyframes, weighting);
@@ -403,7 +403,7 @@ impl Projection {
         let (t, one, zero) = (&self.t, lanes.splat(1.0), lanes.splat(0.0));
         let of = |values: &[f32]| taken(lanes, values, chunk);
         let (mx, my, d) = (of(&points.x), of(&points.y), of(&points.idepth));
-        let [qx, qy, qz] = times_idepth((&self.r, t), [mx, my], d);
+        let [qx, qy, qz] = position_times_idepth((&self.r, t), [mx, my], d);
         let [fx, fy, cx, cy] = image.intrinsics;
         let inv_qz = one / qz;
         let (x, y) = (qx * inv_qz, qy * inv_qz);
@@ -417,7 +417,7 @@ impl Projection {
         let scaled = own * self.gain;
         let (gx, gy) = (gu * fx, gv * fy);
         let inv_z = d * inv_qz;
-        let by_idepth = along_ray(lanes, t, [x, y], [gx, gy]) * inv_qz;
+        let by_idepth = by_idepth(lanes, t, [x, y], [gx, gy], inv_qz);
         let var_a = visible & of(&points.idepth_var);
         let [idepth_b, var_b] = depth.nearest_lanes(lanes, u, v, visible);
         let transfer = (qz - d * t[2]) * inv_qz * inv_qz;
@@ -444,5 +444,69 @@ pub(crate) fn apply(state: &SimilarityState, step: &SVector<f64, UNKNOWNS>) -> S
         b_from_a: Sim3::exp(&tangent) * state.b_from_a,
         log_gain: (state.log_gain + step[7]).clamp(-2.0, 2.0),
         bias: state.bias + step[8],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DepthSample, KeyframeView};
+    use monogrid_geometry::{Pinhole, Rotation, Vec3};
+    use monogrid_image::lanes::Baseline;
+    use monogrid_image::{GrayImage, Pyramid};
+
+    #[test]
+    fn all_vectors_give_the_same_bits() {
+        let image = GrayImage::from_fn(80, 60, |x, y| ((37 * x + 101 * y + x * y) % 251) as f32);
+        let (pyramid, camera) = (Pyramid::new(image, 1), Pinhole::new(60.0, 60.0, 39.5, 29.5));
+        let samples: Vec<DepthSample> = (0..1003)
+            .map(|i| DepthSample {
+                x: 3 + (7 * i) % 74,
+                y: 3 + (5 * i) % 54,
+                idepth: 0.5 + 0.001 * f32::from(i % 300),
+                idepth_var: 1e-4,
+            })
+            .collect();
+        let view = KeyframeView::new(&pyramid, &camera, &samples, 0, 0);
+        let turned = Rotation::from_euler_angles(0.01, 0.02, -0.03);
+        let state = SimilarityState::new(Sim3::new(1.05, turned, Vec3::new(0.03, -0.02, 0.05)));
+        let projection = Projection::new(&state);
+        let keyframes = (
+            &view.reference.levels[0],
+            &view.target.levels[0],
+            &view.depth[0],
+        );
+        for robust in [Robust::Huber { k: 1.3 }, Robust::StudentT { nu: 5.0 }] {
+            let weighting = SimilarityWeighting {
+                intensity_var: 16.0,
+                shared_depth_var: 1e-4,
+                robust,
+                scale: [1.7, 1.2],
+            };
+            for stride in [1, 3] {
+                let range = (0..keyframes.0.len().div_ceil(stride), stride);
+                let (mut widest, mut plain) = (
+                    SimilarityLinearization::zero(),
+                    SimilarityLinearization::zero(),
+                );
+                add_block(
+                    &projection,
+                    keyframes,
+                    &weighting,
+                    range.clone(),
+                    &mut widest,
+                );
+                add_block_with(
+                    Baseline,
+                    &projection,
+                    keyframes,
+                    &weighting,
+                    range,
+                    &mut plain,
+                );
+                assert!(plain.num_visible > 200 && plain.num_depth > 50, "{plain:?}");
+                assert_eq!(widest, plain);
+            }
+        }
     }
 }

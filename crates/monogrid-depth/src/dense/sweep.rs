@@ -254,7 +254,8 @@ fn compare_with<L: Lanes>(
     }
 }
 
-/// Eight values from a place on, which need not be a multiple of eight; others beyond the end.
+/// Eight values from a place on, which need not be a multiple of eight; the others where so many do not follow, which is nowhere in rows
+/// as long as those of a [`Strip`].
 #[inline(always)]
 fn lanes_from<'a, T>(values: &'a [T], x: usize, beyond: &'a [T; LANES]) -> &'a [T; LANES] {
     values[x..].first_chunk().unwrap_or(beyond)

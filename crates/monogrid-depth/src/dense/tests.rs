@@ -1,7 +1,8 @@
 use super::aggregate::aggregate;
-use super::warp::{padded, warp_row};
+use super::warp::{padded, warp_row, warp_row_with};
 use super::*;
 use monogrid_geometry::{Rotation, Sim3, Vec2, Vec3};
+use monogrid_image::lanes::Baseline;
 
 const WIDTH: usize = 128;
 const HEIGHT: usize = 96;
@@ -159,7 +160,13 @@ fn sources_are_warped_as_their_pixels_are_projected() {
         .into_iter()
         .flat_map(|d| (0..30).map(move |y| (d, y)))
     {
+        let (mut same, mut same_unseen) = (grey.clone(), unseen.clone());
         warp_row(&source.at(idepth), y, &mut grey, &mut unseen);
+        warp_row_with(Baseline, &source.at(idepth), y, &mut same, &mut same_unseen);
+        assert!(
+            same == grey && same_unseen == unseen,
+            "other bits on other vectors"
+        );
         for (x, (grey, unseen)) in grey.iter().zip(&unseen).take(45).enumerate() {
             let at = [x as f64, y as f64];
             let [u, v] = source.project(at, idepth.into()).unwrap();

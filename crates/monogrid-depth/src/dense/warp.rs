@@ -92,7 +92,7 @@ for_lanes! {
 }
 
 #[inline(always)]
-fn warp_row_with<L: Lanes>(
+pub(super) fn warp_row_with<L: Lanes>(
     eight: L,
     warp: &WarpOfPlane<'_>,
     y: usize,

@@ -36,8 +36,8 @@ pub(super) struct Search<'a> {
 pub(super) struct Patch([f32; SAMPLES]);
 
 /// What one iteration found.
-#[derive(Default)]
-struct Normal {
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Normal {
     /// Sum of squares of the derivative of ln(rho), by the variance of the residuals.
     hessian: f64,
     gradient: f64,
@@ -216,7 +216,7 @@ fn fused(before: &PixelDepth, idepth: f64, variance: f64) -> PixelDepth {
 
 for_lanes! {
     /// Residuals of all sources after gain and bias, and their derivative by ln(rho).
-    fn normal_equation = normal_equation_with, (
+    pub(super) fn normal_equation = normal_equation_with, (
         sights: &[Sight<'_>],
         idepth: f64,
         patch: &Patch,
@@ -227,7 +227,7 @@ for_lanes! {
 }
 
 #[inline(always)]
-fn normal_equation_with<L: Lanes>(
+pub(super) fn normal_equation_with<L: Lanes>(
     lanes: L,
     sights: &[Sight<'_>],
     idepth: f64,

@@ -2,6 +2,7 @@
 
 use super::*;
 use monogrid_geometry::{Rotation, Vec2, Vec3};
+use monogrid_image::lanes::Baseline;
 
 const WIDTH: usize = 160;
 const HEIGHT: usize = 120;
@@ -233,6 +234,31 @@ fn what_no_two_sources_agree_about_stays_as_it_was() {
     }; 3];
     let (_, count) = refine_depth(&plain, &camera(), &pixels, &sources, &config);
     assert_eq!(count, 0);
+}
+
+#[test]
+fn all_vectors_give_the_same_bits() {
+    let poses = poses();
+    let images: Vec<Image<u8>> = poses.iter().map(|pose| view(pose, 0.9, 5.0)).collect();
+    let image = view(&Sim3::identity(), 1.0, 0.0);
+    let config = MultiViewConfig::default();
+    let sources = sources(&images, &poses);
+    let projections = sight::Projected::of_sources(&image, &camera(), &sources);
+    let mut search = search::Search::new(&image, &projections, &config);
+    let mut compared = 0;
+    for pixel in depths(0.02, |_, _| 0.003) {
+        let Some(patch) = search::Patch::around(&image, &pixel) else {
+            continue;
+        };
+        if search.find_sights(&pixel).is_some() {
+            let (sights, idepth) = (&search.sights, f64::from(pixel.idepth));
+            let widest = search::normal_equation(sights, idepth, &patch, &config);
+            let plain = search::normal_equation_with(Baseline, sights, idepth, &patch, &config);
+            assert_eq!(widest, plain);
+            compared += 1;
+        }
+    }
+    assert!(compared > 100, "{compared}");
 }
 
 #[test]

@@ -380,3 +380,32 @@ fn values_with<L: Lanes>(
     }
     values
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images::Texture;
+
+    #[test]
+    fn patches_are_looked_up_as_single_places_also_at_the_last_pixel() {
+        let image = Texture::new(7).render(41, 33, |x, y| (x, y));
+        let (sheared, straight) = (Matrix2::new(1.1, 0.2, -0.1, 0.9), Matrix2::identity());
+        for (centre, warp) in [
+            (Vec2::new(20.3, 16.8), sheared),
+            (Vec2::new(20.5, 16.5), straight),
+            // ends with the last column, and with the last row
+            (Vec2::new(35.5, 16.5), straight),
+            (Vec2::new(20.5, 27.5), straight),
+        ] {
+            let patch = sample_warped(&image, &centre, &warp).expect("inside");
+            for (row, values) in patch.iter().enumerate() {
+                for (column, value) in values.iter().enumerate() {
+                    let place = centre + warp * Vec2::new(column as f64 - 4.5, row as f64 - 4.5);
+                    let alone = bilinear_inside(&image, place.x as f32, place.y as f32);
+                    assert!((value - alone).abs() < 1e-3, "{place}: {value} {alone}");
+                }
+            }
+        }
+        assert!(sample_warped(&image, &Vec2::new(35.6, 16.5), &straight).is_none());
+    }
+}

@@ -38,7 +38,7 @@ pub struct PatchFit {
 }
 
 /// A template ready to be aligned.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Template {
     /// Grey values less their mean.
     values: Values,
@@ -53,7 +53,7 @@ pub(super) struct Template {
 }
 
 /// Where an alignment ended, in pixels of the level.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LevelFit {
     pub centre: [f32; 2],
     pub correlation: f32,
@@ -79,7 +79,7 @@ impl Template {
     }
 
     #[inline(always)]
-    fn of_patch(wide: &[[f32; WIDE]; WIDE], min_score: f32) -> Option<Self> {
+    fn of_patch<L: Lanes>(_: L, wide: &[[f32; WIDE]; WIDE], min_score: f32) -> Option<Self> {
         let (mut values, mut gx, mut gy) = with_gradients(wide);
         remove_mean(&mut values);
         let energy = dot(&values, &values);
@@ -118,7 +118,7 @@ impl Template {
     }
 
     /// Zero-mean normalised cross-correlation with the patch around an integer `corner`.
-    #[inline(always)]
+    #[inline]
     pub fn correlation_at(&self, image: &GrayImage, left: usize, top: usize) -> f32 {
         let (mut sum, mut sum_sq, mut cross) = ([0.0f32; SIDE], [0.0f32; SIDE], [0.0f32; SIDE]);
         for (y, reference) in self.values.iter().enumerate() {
@@ -148,8 +148,9 @@ impl Template {
     }
 
     #[inline(always)]
-    fn aligned(
-        &self,
+    fn aligned<L: Lanes>(
+        _: L,
+        template: &Self,
         image: &GrayImage,
         start: [f32; 2],
         limits: &AlignLimits,
@@ -157,10 +158,10 @@ impl Template {
         let mut centre = start;
         for _ in 0..limits.max_iterations {
             let patch = sample::<SIDE, _>(image, centre).ok_or(LevelFailure::OutOfImage)?;
-            let (bx, by) = (dot(&self.gx, &patch), dot(&self.gy, &patch));
+            let (bx, by) = (dot(&template.gx, &patch), dot(&template.gy, &patch));
             // a contrast that vanishes or flips must not make the step explode
-            let gain = (dot(&self.values, &patch) / self.energy).max(0.3);
-            let [i_xx, i_xy, i_yy] = self.inverse;
+            let gain = (dot(&template.values, &patch) / template.energy).max(0.3);
+            let [i_xx, i_xy, i_yy] = template.inverse;
             let step = [
                 (i_xx * bx + i_xy * by) / gain,
                 (i_xy * bx + i_yy * by) / gain,
@@ -181,7 +182,9 @@ impl Template {
                 break;
             }
         }
-        self.fit_at(image, centre).ok_or(LevelFailure::OutOfImage)
+        template
+            .fit_at(image, centre)
+            .ok_or(LevelFailure::OutOfImage)
     }
 
     /// Similarity of template and image at a centre.
@@ -203,38 +206,18 @@ impl Template {
     }
 }
 
+// in vectors that the compiler makes: rows are as long as they
 for_lanes! {
-    fn template_of = template_of_with, (
-        wide: &[[f32; WIDE]; WIDE],
+    fn template_of = Template::of_patch, (
+        patch: &[[f32; WIDE]; WIDE],
         min_score: f32,
     ) -> Option<Template>;
-    fn align = align_with, (
+    fn align = Template::aligned, (
         template: &Template,
         image: &GrayImage,
         start: [f32; 2],
         limits: &AlignLimits,
     ) -> Result<LevelFit, LevelFailure>;
-}
-
-// vectors that the compiler makes: rows are as long as they
-#[inline(always)]
-fn template_of_with<L: Lanes>(
-    _: L,
-    wide: &[[f32; WIDE]; WIDE],
-    min_score: f32,
-) -> Option<Template> {
-    Template::of_patch(wide, min_score)
-}
-
-#[inline(always)]
-fn align_with<L: Lanes>(
-    _: L,
-    template: &Template,
-    image: &GrayImage,
-    start: [f32; 2],
-    limits: &AlignLimits,
-) -> Result<LevelFit, LevelFailure> {
-    template.aligned(image, start, limits)
 }
 
 /// The inner patch, and its derivatives along x and y.
@@ -335,4 +318,38 @@ pub(super) fn remove_mean(values: &mut Values) {
 fn lane_sum(lanes: &[f32; SIDE]) -> f32 {
     let [a, b, c, d, e, f, g, h] = *lanes;
     ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images::Texture;
+    use monogrid_image::lanes::Baseline;
+
+    #[test]
+    fn all_vectors_give_the_same_bits() {
+        let image = Texture::new(5).render(160, 120, |x, y| (x, y));
+        let limits = AlignLimits {
+            max_iterations: 8,
+            min_step: 0.01,
+            max_distance: 4.0,
+        };
+        let mut aligned = 0;
+        for k in 0..200 {
+            let (x, y) = ((k % 20) as f32 * 6.3 + 15.2, (k / 20) as f32 * 9.1 + 15.7);
+            let wide = sample::<WIDE, _>(&image, [x, y]).expect("inside");
+            let template = template_of(&wide, 1.0);
+            assert_eq!(template, Template::of_patch(Baseline, &wide, 1.0));
+            if let Some(template) = template {
+                let start = [x + 0.8, y - 0.6];
+                let found = template.align(&image, start, &limits);
+                assert_eq!(
+                    found,
+                    Template::aligned(Baseline, &template, &image, start, &limits)
+                );
+                aligned += usize::from(found.is_ok());
+            }
+        }
+        assert!(aligned > 100, "{aligned}");
+    }
 }

@@ -254,11 +254,12 @@ impl I32x8 for Integers {
         let mut values = [0; 8];
         // SAFETY: the processor has AVX2; an array of the same size, written at any address.
         unsafe {
-            let [low, high] = [
-                _mm256_castsi256_si128(self.0),
-                _mm256_extracti128_si256::<1>(self.0),
+            let lower = _mm256_and_si256(self.0, _mm256_set1_epi32(0xffff));
+            let [first, last] = [
+                _mm256_castsi256_si128(lower),
+                _mm256_extracti128_si256::<1>(lower),
             ];
-            _mm_storeu_si128(values.as_mut_ptr().cast(), _mm_packs_epi32(low, high));
+            _mm_storeu_si128(values.as_mut_ptr().cast(), _mm_packus_epi32(first, last));
         }
         values
     }

@@ -78,8 +78,7 @@ fn corners_of_pairs<const BITS: i32, L: Lanes>(lanes: L, cells: [[i32; 2]; 8]) -
 
 /// The image at the first `N` of eight places `(x, y)`, px, bilinear.
 ///
-/// # Panics
-/// Unless a pixel to the left and above of each of them has one to the right of it and one below.
+/// The caller keeps them inside: each has a pixel to its right and one below. Others panic, or give values of other pixels.
 #[inline(always)]
 pub fn bilinear<const N: usize, T: Grey, L: Lanes>(
     lanes: L,
@@ -87,6 +86,7 @@ pub fn bilinear<const N: usize, T: Grey, L: Lanes>(
     x: L::F32,
     y: L::F32,
 ) -> [f32; N] {
+    const { assert!(N <= 8) };
     let (column, row) = (x.truncated(), y.truncated());
     let (fx, fy) = (x - column.to_f32(), y - row.to_f32());
     let (column, row) = (column.to_array(), row.to_array());
@@ -110,7 +110,18 @@ pub fn bilinear<const N: usize, T: Grey, L: Lanes>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::for_lanes;
     use crate::lanes::Baseline;
+
+    #[inline(always)]
+    fn eight<T: Grey, L: Lanes>(lanes: L, image: &Image<T>, [x, y]: &[[f32; 8]; 2]) -> [f32; 8] {
+        bilinear(lanes, image, lanes.f32s(x), lanes.f32s(y))
+    }
+
+    for_lanes! {
+        fn of_bytes = eight, (image: &Image<u8>, places: &[[f32; 8]; 2]) -> [f32; 8];
+        fn of_numbers = eight, (image: &Image<f32>, places: &[[f32; 8]; 2]) -> [f32; 8];
+    }
 
     #[test]
     fn lanes_equal_the_plain_formula_for_bytes_and_for_numbers() {
@@ -128,8 +139,11 @@ mod tests {
             along(row) + fy * (along(row + 1) - along(row))
         };
         let expected: [f32; 8] = std::array::from_fn(plain);
+        let places = [x, y];
         let (x, y) = (Baseline.f32s(&x), Baseline.f32s(&y));
         assert_eq!(bilinear(Baseline, &bytes, x, y), expected);
+        assert_eq!(of_bytes(&bytes, &places), expected);
+        assert_eq!(of_numbers(&numbers, &places), expected);
         let words = bytes.map(|byte| u16::from(byte) << 8);
         let of_words: [f32; 8] = bilinear(Baseline, &words, x, y);
         assert_eq!(of_words.map(|value| value / 256.0), expected);

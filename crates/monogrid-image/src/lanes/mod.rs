@@ -22,7 +22,7 @@ pub trait Lanes: Copy + Debug {
     /// Eight whole numbers of 32 bits.
     type I32: I32x8<F32 = Self::F32>;
 
-    /// Eight numbers. By reference: arrays that are copied first are read again before they have been written.
+    /// Eight numbers. By reference: reading an array that was copied just before waits for the copy.
     fn f32s(self, values: &[f32; 8]) -> Self::F32;
     /// Eight whole numbers.
     fn i32s(self, values: &[i32; 8]) -> Self::I32;
@@ -65,7 +65,7 @@ pub trait F32x8:
     fn lt(self, other: Self) -> Self;
     /// Where they are at most as great.
     fn le(self, other: Self) -> Self;
-    /// The lesser ones; the other ones where one is no number on x86, either elsewhere.
+    /// The lesser ones. Where one is no number, or both are zeros: the other ones on x86, not specified elsewhere.
     fn min(self, other: Self) -> Self;
     /// The greater ones, likewise.
     fn max(self, other: Self) -> Self;
@@ -95,13 +95,13 @@ pub trait I32x8:
 
     /// The numbers one by one.
     fn to_array(self) -> [i32; 8];
-    /// Shifted to the left.
+    /// Shifted to the left, by less than 32.
     fn shl<const BITS: i32>(self) -> Self;
-    /// Shifted to the right, with the sign.
+    /// Shifted to the right, with the sign, by less than 32.
     fn shr<const BITS: i32>(self) -> Self;
     /// In single precision.
     fn to_f32(self) -> Self::F32;
-    /// Their lower 16 bits; they fit.
+    /// Their lower 16 bits.
     fn to_i16(self) -> [i16; 8];
 }
 
@@ -217,8 +217,9 @@ impl I32x8 for i32x8 {
     }
 }
 
-/// Defines functions that run others, which are generic over [`Lanes`](crate::lanes::Lanes) and inlined always, on the widest vectors
-/// of the processor: `fn name = other(argument: Type, ...) -> Returned;`.
+/// Defines functions that run others on the widest vectors of the processor: `fn name = other, (argument: Type, ...) -> Returned;`. The
+/// other one takes [`Lanes`](crate::lanes::Lanes) before these arguments, is generic over them, and `#[inline(always)]`, as all that it
+/// calls in loops; where the compiler makes the vectors it need not look at them.
 #[macro_export]
 macro_rules! for_lanes {
     ($($(#[$doc:meta])* $vis:vis fn $name:ident = $with:path, ($($argument:ident: $type:ty),* $(,)?) $(-> $returned:ty)?;)*) => {$(
