@@ -4,7 +4,7 @@ use crate::target::by_point;
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::Se3;
 use monogrid_image::for_lanes;
-use monogrid_image::lanes::{F32x8, Lanes};
+use monogrid_image::lanes::{F32x8, LANES, Lanes};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 use std::ops::{Add, Mul, Neg, Range, Sub};
@@ -12,8 +12,6 @@ use wide::f32x4;
 
 /// Unknowns: twist `[v, w]` of the frame, logarithm of the gain, bias.
 pub(crate) const UNKNOWNS: usize = 8;
-/// Points that are worked on side by side.
-pub(crate) const LANES: usize = 8;
 /// Of all these points, a number each.
 pub(crate) type Eight = [f32; LANES];
 /// Entries of the upper triangle of the normal equations.
@@ -499,23 +497,14 @@ pub(crate) fn huber<L: Lanes>(lanes: L, k: f32, squared: L::F32) -> (L::F32, L::
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DepthSample, Reference, Target};
-    use monogrid_geometry::{Pinhole, Vec6};
+    use crate::test_points::textured;
+    use crate::{Reference, Target};
+    use monogrid_geometry::Vec6;
     use monogrid_image::lanes::Baseline;
-    use monogrid_image::{GrayImage, Pyramid};
 
     #[test]
     fn all_vectors_give_the_same_bits() {
-        let image = GrayImage::from_fn(80, 60, |x, y| ((37 * x + 101 * y + x * y) % 251) as f32);
-        let (pyramid, camera) = (Pyramid::new(image, 1), Pinhole::new(60.0, 60.0, 39.5, 29.5));
-        let samples: Vec<DepthSample> = (0..1003)
-            .map(|i| DepthSample {
-                x: 3 + (7 * i) % 74,
-                y: 3 + (5 * i) % 54,
-                idepth: 0.5 + 0.001 * f32::from(i % 300),
-                idepth_var: 1e-4,
-            })
-            .collect();
+        let (pyramid, camera, samples) = textured();
         let reference = Reference::new(&pyramid, &camera, &samples, 0, 0);
         let target = Target::new(&pyramid, &camera, 0, 0);
         let images = (&reference.levels[0], &target.levels[0]);

@@ -17,6 +17,8 @@ mod reference;
 mod similarity;
 mod solver;
 mod target;
+#[cfg(test)]
+mod test_points;
 
 pub use config::{AlignmentConfig, Brightness, Robust};
 pub use kernel::{Linearization, Motion, Weighting, linearize};

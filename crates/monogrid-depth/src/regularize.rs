@@ -4,7 +4,7 @@ use crate::DepthMap;
 use crate::config::DepthConfig;
 use crate::map::{Arrays, Candidates, FoundDepth, Hypothesis};
 use monogrid_image::for_lanes;
-use monogrid_image::lanes::{F32x8, Lanes};
+use monogrid_image::lanes::{F32x8, LANES, Lanes};
 
 /// Neighbours on either side.
 const RADIUS: usize = 2;
@@ -255,8 +255,7 @@ fn smoothed_with<L: Lanes>(
     Some((idepth + sum_d.sum() / weight, smooth_var))
 }
 
-/// Columns processed together: five neighbours and three idle ones, so that the loop has no branches.
-const LANES: usize = 8;
+/// Columns are processed together, five neighbours and three idle ones, so that the loop has no branches.
 const COLUMN_USED: [f32; LANES] = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 const COLUMN_SQ: [f32; LANES] = [4.0, 1.0, 0.0, 1.0, 4.0, 0.0, 0.0, 0.0];
 const ROW_SQ: [f32; 2 * RADIUS + 1] = [4.0, 1.0, 0.0, 1.0, 4.0];

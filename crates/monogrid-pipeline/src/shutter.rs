@@ -12,7 +12,7 @@ use monogrid_features::{
     CornerConfig, FlowConfig, FlowField, FlowSample, TrackConfig, detect_corners, track_points,
 };
 use monogrid_geometry::{Camera, Pinhole, ReadoutDirection, Vec2};
-use monogrid_image::lanes::Lanes;
+use monogrid_image::lanes::{LANES, Lanes};
 use monogrid_image::{GrayImage, Image, Pyramid, bicubic, for_lanes};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -71,7 +71,7 @@ impl Shutter {
     fn rectify(&self, image: &GrayImage, flow: &FlowField) -> GrayImage {
         let (width, height) = (image.width(), image.height());
         let mut rectified = GrayImage::filled(width, height, 0.0);
-        let [mut xs, mut ys] = [(); 2].map(|()| vec![0.0; width.next_multiple_of(8)]);
+        let [mut xs, mut ys] = [(); 2].map(|()| vec![0.0; width.next_multiple_of(LANES)]);
         for row in 0..height {
             let mut places = [&mut xs[..width], &mut ys[..width]];
             flow.row(row, &mut places);
@@ -98,7 +98,7 @@ impl Shutter {
 }
 
 for_lanes! {
-    /// The image at `places` x and y, whose number is a multiple of eight; those beyond `values` do not count.
+    /// The image at `places` x and y, whose number is a multiple of [`LANES`]; those beyond `values` do not count.
     fn look_up = look_up_with, (image: &GrayImage, places: [&[f32]; 2], values: &mut [f32]);
 }
 

@@ -1,11 +1,11 @@
 //! The normal equations of one level over similarity, gain and bias.
 
 use super::DepthLevel;
-use crate::kernel::{Eight, LANES, by_idepth, huber, position_times_idepth, residual_row, taken};
+use crate::kernel::{Eight, by_idepth, huber, position_times_idepth, residual_row, taken};
 use crate::{ReferenceLevel, Robust, TargetLevel};
 use monogrid_geometry::{Mat7, Sim3, Vec7};
 use monogrid_image::for_lanes;
-use monogrid_image::lanes::{F32x8, Lanes};
+use monogrid_image::lanes::{F32x8, LANES, Lanes};
 use nalgebra::{SMatrix, SVector};
 use std::ops::Range;
 
@@ -450,23 +450,14 @@ pub(crate) fn apply(state: &SimilarityState, step: &SVector<f64, UNKNOWNS>) -> S
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DepthSample, KeyframeView};
-    use monogrid_geometry::{Pinhole, Rotation, Vec3};
+    use crate::KeyframeView;
+    use crate::test_points::textured;
+    use monogrid_geometry::{Rotation, Vec3};
     use monogrid_image::lanes::Baseline;
-    use monogrid_image::{GrayImage, Pyramid};
 
     #[test]
     fn all_vectors_give_the_same_bits() {
-        let image = GrayImage::from_fn(80, 60, |x, y| ((37 * x + 101 * y + x * y) % 251) as f32);
-        let (pyramid, camera) = (Pyramid::new(image, 1), Pinhole::new(60.0, 60.0, 39.5, 29.5));
-        let samples: Vec<DepthSample> = (0..1003)
-            .map(|i| DepthSample {
-                x: 3 + (7 * i) % 74,
-                y: 3 + (5 * i) % 54,
-                idepth: 0.5 + 0.001 * f32::from(i % 300),
-                idepth_var: 1e-4,
-            })
-            .collect();
+        let (pyramid, camera, samples) = textured();
         let view = KeyframeView::new(&pyramid, &camera, &samples, 0, 0);
         let turned = Rotation::from_euler_angles(0.01, 0.02, -0.03);
         let state = SimilarityState::new(Sim3::new(1.05, turned, Vec3::new(0.03, -0.02, 0.05)));

@@ -1,8 +1,8 @@
 //! How well the sources agree with each plane: the cost volume.
 
 use super::DenseConfig;
-use super::warp::{LANES, Source, WarpOfPlane, padded, sums_of_four, warp_row};
-use monogrid_image::lanes::{F32x8, I32x8, Lanes};
+use super::warp::{Source, WarpOfPlane, padded, sums_of_four, warp_row};
+use monogrid_image::lanes::{F32x8, I32x8, LANES, Lanes};
 use monogrid_image::{Image, for_lanes};
 use wide::i16x8;
 

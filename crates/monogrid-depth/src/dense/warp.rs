@@ -3,11 +3,8 @@
 use crate::multi_view::SourceView;
 use crate::projection::Projection;
 use monogrid_geometry::Pinhole;
-use monogrid_image::lanes::{F32x8, I32x8, Lanes, bilinear};
+use monogrid_image::lanes::{F32x8, I32x8, LANES, Lanes, bilinear};
 use monogrid_image::{Image, for_lanes};
-
-/// Pixels that are looked up together.
-pub(super) const LANES: usize = 8;
 
 /// Sources see a pixel that keeps this distance from their border, px.
 const MARGIN_PX: f32 = 2.0;

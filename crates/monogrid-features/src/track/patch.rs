@@ -8,7 +8,7 @@ use super::template::{
 use crate::{finest_pixel, level_pixel};
 use monogrid_geometry::nalgebra::Matrix2;
 use monogrid_geometry::{Pinhole, Se3, Vec2};
-use monogrid_image::lanes::{Lanes, bilinear};
+use monogrid_image::lanes::{LANES, Lanes, bilinear};
 use monogrid_image::{GrayImage, Pyramid, bilinear_inside, for_lanes};
 
 /// Settings of the search for a patch.
@@ -356,9 +356,7 @@ fn sample_warped(
     Some(out)
 }
 
-/// Places that are looked up together.
-const LANES: usize = 8;
-/// Groups of them in a patch with border; those beyond it are the first pixel.
+/// Groups of places that are looked up together in a patch with border; those beyond it are the first pixel.
 const EIGHTS: usize = (WIDE * WIDE).div_ceil(LANES);
 
 for_lanes! {

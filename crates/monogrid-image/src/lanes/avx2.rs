@@ -64,10 +64,10 @@ impl Lanes for Avx2 {
     }
 }
 
-/// Operators of two vectors, and of a vector and a number.
+/// Operators of two vectors.
 macro_rules! operators {
-    ($($trait:ident $method:ident $instruction:ident),*) => {$(
-        impl $trait for Floats {
+    ($vector:ident: $($trait:ident $method:ident $instruction:ident),*) => {$(
+        impl $trait for $vector {
             type Output = Self;
 
             #[inline(always)]
@@ -76,20 +76,28 @@ macro_rules! operators {
                 Self(unsafe { $instruction(self.0, other.0) })
             }
         }
+    )*};
+}
 
+operators!(Floats: Add add _mm256_add_ps, Sub sub _mm256_sub_ps, Mul mul _mm256_mul_ps, Div div _mm256_div_ps, BitAnd bitand _mm256_and_ps);
+operators!(Integers: Add add _mm256_add_epi32, Sub sub _mm256_sub_epi32, BitAnd bitand _mm256_and_si256);
+
+/// Operators of a vector and a number: those of a vector that holds it.
+macro_rules! operators_with_a_number {
+    ($($trait:ident $method:ident),*) => {$(
         impl $trait<f32> for Floats {
             type Output = Self;
 
             #[inline(always)]
             fn $method(self, other: f32) -> Self {
-                // SAFETY: the processor has AVX2.
-                Self(unsafe { $instruction(self.0, _mm256_set1_ps(other)) })
+                // there is a vector, so the processor has them
+                $trait::$method(self, Avx2(()).splat(other))
             }
         }
     )*};
 }
 
-operators!(Add add _mm256_add_ps, Sub sub _mm256_sub_ps, Mul mul _mm256_mul_ps, Div div _mm256_div_ps);
+operators_with_a_number!(Add add, Sub sub, Mul mul, Div div);
 
 impl AddAssign for Floats {
     #[inline(always)]
@@ -108,14 +116,15 @@ impl Neg for Floats {
     }
 }
 
-impl BitAnd for Floats {
-    type Output = Self;
-
-    #[inline(always)]
-    fn bitand(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_and_ps(self.0, other.0) })
-    }
+/// Instructions that take two vectors of numbers.
+macro_rules! with_another {
+    ($($name:ident $instruction:expr),*) => {$(
+        #[inline(always)]
+        fn $name(self, other: Self) -> Self {
+            // SAFETY: the processor has AVX2.
+            Self(unsafe { $instruction(self.0, other.0) })
+        }
+    )*};
 }
 
 impl F32x8 for Floats {
@@ -129,41 +138,14 @@ impl F32x8 for Floats {
         values
     }
 
-    #[inline(always)]
-    fn gt(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(self.0, other.0) })
-    }
-
-    #[inline(always)]
-    fn ge(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_cmp_ps::<_CMP_GE_OQ>(self.0, other.0) })
-    }
-
-    #[inline(always)]
-    fn lt(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0) })
-    }
-
-    #[inline(always)]
-    fn le(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_cmp_ps::<_CMP_LE_OQ>(self.0, other.0) })
-    }
-
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_min_ps(self.0, other.0) })
-    }
-
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_max_ps(self.0, other.0) })
-    }
+    with_another!(
+        gt _mm256_cmp_ps::<_CMP_GT_OQ>,
+        ge _mm256_cmp_ps::<_CMP_GE_OQ>,
+        lt _mm256_cmp_ps::<_CMP_LT_OQ>,
+        le _mm256_cmp_ps::<_CMP_LE_OQ>,
+        min _mm256_min_ps,
+        max _mm256_max_ps
+    );
 
     #[inline(always)]
     fn sqrt(self) -> Self {
@@ -187,36 +169,6 @@ impl F32x8 for Floats {
     fn truncated(self) -> Integers {
         // SAFETY: the processor has AVX2.
         Integers(unsafe { _mm256_cvttps_epi32(self.0) })
-    }
-}
-
-impl Add for Integers {
-    type Output = Self;
-
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_add_epi32(self.0, other.0) })
-    }
-}
-
-impl Sub for Integers {
-    type Output = Self;
-
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_sub_epi32(self.0, other.0) })
-    }
-}
-
-impl BitAnd for Integers {
-    type Output = Self;
-
-    #[inline(always)]
-    fn bitand(self, other: Self) -> Self {
-        // SAFETY: the processor has AVX2.
-        Self(unsafe { _mm256_and_si256(self.0, other.0) })
     }
 }
 

@@ -15,6 +15,9 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, BitAnd, Div, Mul, Neg, Sub};
 use wide::{f32x8, i16x8, i32x8};
 
+/// Numbers that are side by side.
+pub const LANES: usize = 8;
+
 /// A kind of vectors of eight. A value of it says that the processor has them.
 pub trait Lanes: Copy + Debug {
     /// Eight numbers in single precision.
@@ -129,6 +132,16 @@ impl Lanes for Baseline {
     }
 }
 
+/// What `wide` does with two vectors, by the names that it has here.
+macro_rules! with_another {
+    ($($name:ident $wide:ident),*) => {$(
+        #[inline(always)]
+        fn $name(self, other: Self) -> Self {
+            self.$wide(other)
+        }
+    )*};
+}
+
 impl F32x8 for f32x8 {
     type I32 = i32x8;
 
@@ -137,35 +150,7 @@ impl F32x8 for f32x8 {
         f32x8::to_array(self)
     }
 
-    #[inline(always)]
-    fn gt(self, other: Self) -> Self {
-        self.simd_gt(other)
-    }
-
-    #[inline(always)]
-    fn ge(self, other: Self) -> Self {
-        self.simd_ge(other)
-    }
-
-    #[inline(always)]
-    fn lt(self, other: Self) -> Self {
-        self.simd_lt(other)
-    }
-
-    #[inline(always)]
-    fn le(self, other: Self) -> Self {
-        self.simd_le(other)
-    }
-
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        self.fast_min(other)
-    }
-
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        self.fast_max(other)
-    }
+    with_another!(gt simd_gt, ge simd_ge, lt simd_lt, le simd_le, min fast_min, max fast_max);
 
     #[inline(always)]
     fn sqrt(self) -> Self {
