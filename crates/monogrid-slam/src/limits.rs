@@ -388,6 +388,11 @@ const MAPPING: &[Limit<MappingConfig>] = limits! { mapping: MappingConfig,
         min_other_share: 0.001, 1.0;
         max_extent: 0.0, 100.0;
     }
+    mapping.straighten => {
+        relative_sigma: 0.0, 1.0;
+        max_deviations: 0.0, 100.0;
+        min_concentration: 0.0, 1.0;
+    }
     mapping.rims => {
         relative_sigma: 0.0, 1.0;
         width: 0.0, 100.0;

@@ -1,6 +1,6 @@
 //! Settings of mapping, as they stand in the section `[mapping]` of a configuration file.
 
-use super::{CompletionConfig, EnvelopeConfig, RimConfig, UprightConfig};
+use super::{CompletionConfig, EnvelopeConfig, RimConfig, StraightenConfig, UprightConfig};
 use crate::ConfigError;
 use monogrid_depth::{DenseConfig, MultiViewConfig};
 use monogrid_occupancy::{
@@ -360,6 +360,8 @@ pub struct MappingConfig {
     pub fill: FillConfig,
     /// Walls, floor and ceiling beyond what was measured.
     pub envelope: EnvelopeConfig,
+    /// Depth on large planes.
+    pub straighten: StraightenConfig,
     /// Depth at the rims of what is nearer.
     pub rims: RimConfig,
     /// Cells that no keyframe can see.
@@ -450,6 +452,7 @@ impl Default for MappingConfig {
             completion: CompletionConfig::default(),
             fill: FillConfig::default(),
             envelope: EnvelopeConfig::default(),
+            straighten: StraightenConfig::default(),
             rims: RimConfig::default(),
             unseen: UnseenConfig::default(),
             upright: UprightConfig::default(),
@@ -508,6 +511,10 @@ impl MappingConfig {
             envelope: EnvelopeConfig {
                 max_planes: 0,
                 ..EnvelopeConfig::default()
+            },
+            straighten: StraightenConfig {
+                relative_sigma: 0.0,
+                ..StraightenConfig::default()
             },
             rims: RimConfig {
                 relative_sigma: 0.0,

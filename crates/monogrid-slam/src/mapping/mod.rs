@@ -49,7 +49,7 @@ pub use config::{
     AutoLength, DenseMappingConfig, DepthFilterConfig, FillConfig, FusionConfig, MapQuality,
     MappingConfig, MeshConfig, RefineConfig, SensorModelKind, UnseenConfig,
 };
-pub use envelope::EnvelopeConfig;
+pub use envelope::{EnvelopeConfig, StraightenConfig};
 pub use fill::fill_plain_regions;
 pub use maps::{
     LiveMaps, LiveView, MapReader, MapStats, Mapper, Maps, Waiting, z_up_from_camera_world,

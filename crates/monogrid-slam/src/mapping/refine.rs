@@ -3,14 +3,14 @@
 //! In this order: dense depth beside that of the filter (`dense`) → both made better by the images around (`refine_depth`) → what is
 //! precise enough, and plain surfaces between it (`scan`, `fill`) → filled depth that others contradict taken out (`agreement`) →
 //! uncertainty as the agreement of keyframes has it (`certainty`) → one depth from all that see the same (`fusion`) → depth where a keyframe
-//! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them (`envelope`) → less
-//! certain beside what is farther (`rims`).
+//! has none from those that see the same (`completion`) → walls, floor and ceiling beyond what was measured of them, and what lies on them
+//! put on them (`envelope`) → less certain beside what is farther (`rims`).
 
 use super::agreement::{Blocks, View, kept};
 use super::certainty::Certainty;
 use super::completion::completed;
 use super::dense::{dense_depths, merged};
-use super::envelope::{Cloud, enclosed};
+use super::envelope::{Cloud, Surroundings, enclosed, straightened};
 use super::fusion::fused;
 use super::posed::{Neighbour, PosedKeyframe, Scene};
 use super::scan::{Depths, KeptDepths};
@@ -204,15 +204,20 @@ impl Found {
         self.with_depths(self.depths.depths().with_filled(added), scene.camera)
     }
 
-    /// Its depths, with large planes beyond what was measured of them; `cloud` as [`enclosed`] takes it.
+    /// Its depths on the large planes that it shares with others, and these planes beyond what was measured of them; `cloud` is what each
+    /// keyframe sees.
     pub fn enclosed<'a>(
         &self,
         scene: &Scene,
         index: usize,
         cloud: impl Fn(usize) -> Option<&'a Cloud>,
     ) -> Depths {
-        let added = enclosed(scene, index, cloud);
-        self.depths.depths().with_filled(added)
+        let depths = self.depths.depths();
+        let Some(surroundings) = Surroundings::of(scene, index, cloud) else {
+            return depths;
+        };
+        let depths = depths.with_filled(enclosed(scene, index, &surroundings));
+        straightened(scene, index, depths, &surroundings)
     }
 }
 

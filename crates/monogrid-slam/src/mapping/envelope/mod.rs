@@ -1,4 +1,4 @@
-//! Walls, floor and ceiling beyond what was measured of them.
+//! Walls, floor and ceiling beyond what was measured of them, and depth that lies on them put on them ([`straight`]).
 //!
 //! What plain regions are filled with ends with their outline, and what only the rim of an image shows no other image measures. But a wall
 //! goes on until the next one. Large planes that a keyframe shares with others around it are found in their depth together ([`planes`]). Those that nothing lies behind
@@ -11,6 +11,7 @@
 
 mod extent;
 mod planes;
+mod straight;
 #[cfg(test)]
 mod tests;
 
@@ -23,9 +24,11 @@ use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::Matrix2;
-pub(super) use planes::Cloud;
-use planes::{SharedPlane, bounding_planes};
+use planes::SharedPlane;
+pub(super) use planes::{Cloud, Surroundings};
 use serde::{Deserialize, Serialize};
+pub use straight::StraightenConfig;
+pub(super) use straight::straightened;
 
 /// Keyframes around each that tell what bounds its view.
 const MAX_WITNESSES: usize = 16;
@@ -75,30 +78,22 @@ impl Default for EnvelopeConfig {
     }
 }
 
-/// Depth of the regions of a keyframe that have none, where large planes bound its view; `cloud` is what each keyframe sees. None without
-/// pose or image.
-pub(super) fn enclosed<'a>(
+/// Depth of the regions of a keyframe that have none, where large planes bound its view. None without pose or image.
+pub(super) fn enclosed(
     scene: &Scene,
     index: usize,
-    cloud: impl Fn(usize) -> Option<&'a Cloud>,
+    surroundings: &Surroundings,
 ) -> Vec<Measurement> {
     let Scene { camera, config, .. } = *scene;
-    if config.envelope.max_planes == 0 {
-        return Vec::new();
-    }
     let image = scene.keyframes[index].image();
     let (Some(view), Some(image)) = (&scene.views[index], image) else {
         return Vec::new();
     };
-    let around = scene.witnesses(index, MAX_WITNESSES).into_iter();
-    let around = around.map(|(other, _)| other).chain([index]);
-    let clouds: Vec<&Cloud> = around.filter_map(cloud).collect();
-    let center = view.world_from_keyframe.translation;
-    let planes = bounding_planes(&clouds, &center, &config.envelope);
+    let planes = surroundings.bounding(&config.envelope);
     if planes.is_empty() {
         return Vec::new();
     }
-    let idepth = |plane: &SharedPlane| plane.idepth(&view.world_from_keyframe, &camera.pinhole);
+    let idepth = |plane: &&SharedPlane| plane.idepth(&view.world_from_keyframe, &camera.pinhole);
     let envelope = Envelope {
         idepths: planes.iter().map(idepth).collect(),
         planes: &planes,
@@ -120,7 +115,7 @@ pub(super) fn enclosed<'a>(
 
 /// The planes that bound the view of a keyframe.
 struct Envelope<'a> {
-    planes: &'a [SharedPlane],
+    planes: &'a [&'a SharedPlane],
     /// The inverse depth of each, `a x + b y + c` at a pixel, in units of the keyframe.
     idepths: Vec<Vec3>,
     world_from_keyframe: Sim3,
@@ -234,7 +229,7 @@ impl Envelope<'_> {
             let ray = Vec2::new(x as f64, y as f64);
             let point = self.world_from_keyframe * (self.camera.pinhole.unproject(&ray) / idepth);
             let center = self.world_from_keyframe.translation;
-            let plane = &self.planes[plane];
+            let plane = self.planes[plane];
             let sigma = plane.relative_sigma(&point, &center);
             let reach = self.config.envelope.max_extent * (point - center).norm();
             if sigma <= most && plane.distance_beyond(&point) <= reach {

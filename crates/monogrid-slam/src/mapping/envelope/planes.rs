@@ -1,9 +1,10 @@
 //! Large planes that keyframes around one share, and which of them bound its view.
 
-use super::EnvelopeConfig;
 use super::extent::Extent;
+use super::{EnvelopeConfig, MAX_WITNESSES};
 use crate::mapping::agreement::View;
 use crate::mapping::fill::{Plane, planes_of_image};
+use crate::mapping::posed::Scene;
 use crate::mapping::{KeyframeCamera, MappingConfig};
 use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
@@ -17,6 +18,8 @@ const MAX_DEPTHS: usize = 4000;
 const BEHIND: f64 = 0.05;
 /// Relative standard deviation of the depth of a point.
 const RELATIVE_SIGMA: f64 = 0.01;
+/// Points that lie within this share of the reach are close to a plane.
+const CLOSE: f64 = 1.0 / 3.0;
 /// Fewest points of a plane.
 const MIN_POINTS: usize = 20;
 /// Fits, each to the points on the plane before.
@@ -99,23 +102,44 @@ pub(super) struct SharedPlane {
     /// Of its height at (u, v, 1) from the middle along the axes.
     covariance: Matrix3<f64>,
     extent: Extent,
+    /// Share of the points within reach of it that lie within a third of that.
+    concentration: f64,
 }
 
-/// The planes that bound what is seen from `center`: large ones, which nothing lies behind.
-pub(super) fn bounding_planes(
-    clouds: &[&Cloud],
-    center: &Vec3,
-    config: &EnvelopeConfig,
-) -> Vec<SharedPlane> {
-    let mut planes = large_planes(clouds, center, config);
-    let points = || clouds.iter().flat_map(|cloud| &cloud.points);
-    let total = points().count() as f64;
-    planes.retain(|plane| {
-        let is_behind = |p: &&Point| plane.equation.height(&p.in_world) < -BEHIND * p.range;
-        let behind = points().filter(is_behind).count();
-        behind as f64 <= config.max_behind_share * total
-    });
-    planes
+/// What a keyframe and those around it see, and the large planes that they share.
+pub(in crate::mapping) struct Surroundings<'a> {
+    clouds: Vec<&'a Cloud>,
+    pub(super) planes: Vec<SharedPlane>,
+}
+
+impl<'a> Surroundings<'a> {
+    /// Those of a keyframe with a pose, where planes are looked for; `cloud` is what each keyframe sees.
+    pub fn of(
+        scene: &Scene,
+        index: usize,
+        cloud: impl Fn(usize) -> Option<&'a Cloud>,
+    ) -> Option<Self> {
+        let config = &scene.config.envelope;
+        let view = scene.views[index].as_ref();
+        let view = view.filter(|_| config.max_planes > 0)?;
+        let around = scene.witnesses(index, MAX_WITNESSES).into_iter();
+        let around = around.map(|(other, _)| other).chain([index]);
+        let clouds: Vec<&Cloud> = around.filter_map(cloud).collect();
+        let planes = large_planes(&clouds, &view.world_from_keyframe.translation, config);
+        Some(Self { clouds, planes })
+    }
+
+    /// The planes that bound what the keyframe sees: those that nothing lies behind.
+    pub(super) fn bounding(&self, config: &EnvelopeConfig) -> Vec<&SharedPlane> {
+        let points = || self.clouds.iter().flat_map(|cloud| &cloud.points);
+        let total = points().count() as f64;
+        let bounds = |plane: &&SharedPlane| {
+            let is_behind = |p: &&Point| plane.equation.height(&p.in_world) < -BEHIND * p.range;
+            let behind = points().filter(is_behind).count();
+            behind as f64 <= config.max_behind_share * total
+        };
+        self.planes.iter().filter(bounds).collect()
+    }
 }
 
 /// Planes with much of the depth of several keyframes: that which a keyframe sees and most of it lies on, fitted to all, then the next
@@ -176,8 +200,10 @@ impl SharedPlane {
             on_plane = on(&plane.equation);
             plane = Self::fitted(&on_plane, center)?;
         }
-        let points = on_plane.iter().flatten();
-        let in_plane = points.map(|p| plane.in_plane(&p.in_world));
+        let points = || on_plane.iter().flatten();
+        let close = points().filter(|p| plane.equation.has(p, CLOSE * config.reach));
+        plane.concentration = close.count() as f64 / points().count() as f64;
+        let in_plane = points().map(|p| plane.in_plane(&p.in_world));
         plane.extent = Extent::of(&in_plane.collect::<Vec<_>>());
         Some(plane)
     }
@@ -214,6 +240,7 @@ impl SharedPlane {
             axes: [axis(u), axis(v)],
             covariance: Matrix3::from_diagonal(&variances.into()),
             extent: Extent::default(),
+            concentration: 0.0,
         })
     }
 
@@ -240,6 +267,12 @@ impl SharedPlane {
         let height = row.dot(&(self.covariance * row)).sqrt();
         let distance = self.equation.height(center).abs().max(f64::MIN_POSITIVE);
         (height / distance).hypot(RELATIVE_SIGMA)
+    }
+
+    /// How flat what lies on it is: share of the points within reach of it that lie within a third of that. A wall has 0.7 to 0.95 in rendered rooms,
+    /// a plane that passes through what stands around, or a curtain, 0.35 to 0.65.
+    pub fn concentration(&self) -> f64 {
+        self.concentration
     }
 
     /// How far a point on the plane is from where the plane was measured.

@@ -5,7 +5,7 @@ use crate::mapping::agreement::View;
 use crate::mapping::scan::Depths;
 use crate::mapping::test_wall::CAMERA;
 use crate::mapping::{DepthOf, ImageOf, PosedKeyframe};
-use monogrid_geometry::Rotation;
+use monogrid_geometry::{Rng, Rotation};
 use monogrid_image::Image;
 
 /// Distance of the wall ahead.
@@ -33,14 +33,16 @@ fn textured() -> Image<u8> {
     })
 }
 
-/// What is added to depth of the walls at the pixels that are known, in a keyframe whose unit is 1.5.
-fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Measurement> {
-    let unit = 1.5;
+/// The unit of the keyframe.
+const UNIT: f64 = 1.5;
+
+/// Depth at the pixels that are known, 1 % uncertain.
+fn measured(idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Measurement> {
     let mut measured = Vec::new();
     for v in 0..CAMERA.height as u16 {
         for u in 0..CAMERA.width as u16 {
             if let Some(idepth) = idepth(u, v) {
-                let idepth = (unit * idepth) as f32;
+                let idepth = (UNIT * idepth) as f32;
                 measured.push(Measurement {
                     x: u,
                     y: v,
@@ -50,34 +52,77 @@ fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Mea
             }
         }
     }
-    let depths = Depths {
-        measured,
-        filled: Vec::new(),
-    };
+    measured
+}
+
+/// Does something with a keyframe that has these depths, and the planes in them.
+fn with_planes<T>(
+    image: &Image<u8>,
+    depths: &Depths,
+    config: &MappingConfig,
+    work: impl FnOnce(&Scene, &Surroundings) -> T,
+) -> T {
     let turned = Rotation::from_axis_angle(&Vec3::y_axis(), 0.7);
-    let pose = Sim3::new(unit, turned, Vec3::new(3.0, -1.0, 2.0));
-    let views = [Some(View::in_memory(&depths, pose, &CAMERA))];
+    let pose = Sim3::new(UNIT, turned, Vec3::new(3.0, -1.0, 2.0));
+    let views = [Some(View::in_memory(depths, pose, &CAMERA))];
     let keyframes = [PosedKeyframe {
         id: 0,
         image: Some(ImageOf::Held(image)),
         depth: DepthOf::Held(&[]),
         world_from_keyframe: Some(pose),
     }];
-    let config = MappingConfig::default();
-    let clouds = [Cloud::new(views[0].as_ref(), &CAMERA, &config)];
+    let clouds = [Cloud::new(views[0].as_ref(), &CAMERA, config)];
     let scene = Scene {
         keyframes: &keyframes,
         views: &views,
         camera: &CAMERA,
-        config: &config,
+        config,
         threads: 1,
     };
-    let mut added = enclosed(&scene, 0, |index| clouds.get(index));
+    let surroundings = Surroundings::of(&scene, 0, |index| clouds.get(index)).unwrap();
+    work(&scene, &surroundings)
+}
+
+/// What is added to depth of the walls at the pixels that are known.
+fn added(image: &Image<u8>, idepth: impl Fn(u16, u16) -> Option<f64>) -> Vec<Measurement> {
+    let depths = Depths {
+        measured: measured(idepth),
+        filled: Vec::new(),
+    };
+    let config = MappingConfig::default();
+    let mut added = with_planes(image, &depths, &config, |scene, surroundings| {
+        enclosed(scene, 0, surroundings)
+    });
     for pixel in &mut added {
-        pixel.idepth /= unit as f32;
-        pixel.sigma_idepth /= unit as f32;
+        pixel.idepth /= UNIT as f32;
+        pixel.sigma_idepth /= UNIT as f32;
     }
     added
+}
+
+/// Depths before and after those on large planes were put on them, half of them measured, half filled. Some pixels have none, so that the points
+/// that tell planes are not all in the same columns.
+fn straight(
+    config: &MappingConfig,
+    idepth: impl Fn(u16, u16) -> Option<f64>,
+) -> Vec<(Measurement, Measurement)> {
+    let some = |u: u16, v: u16| idepth(u, v).filter(|_| noise(v, u) < 0.7);
+    let (measured, filled) = measured(some).into_iter().partition(|p| p.y % 2 == 0);
+    let depths = Depths { measured, filled };
+    let after = with_planes(&textured(), &depths, config, |scene, surroundings| {
+        straightened(scene, 0, depths.clone(), surroundings)
+    });
+    let before = depths.measured.into_iter().chain(depths.filled);
+    let pairs = before.zip(after.measured.into_iter().chain(after.filled));
+    // how far to the rim a plane was measured depends on the points that tell it
+    let is_inside = |p: &Measurement| (8..152).contains(&p.x) && (8..112).contains(&p.y);
+    pairs.filter(|(before, _)| is_inside(before)).collect()
+}
+
+/// Relative noise of a pixel, evenly within 1.
+fn noise(u: u16, v: u16) -> f64 {
+    let mut rng = Rng::new(u64::from(u) * 1009 + u64::from(v));
+    2.0 * rng.uniform() - 1.0
 }
 
 /// Both walls, but for the corner, where nothing was measured between columns 106 and 145, rows 30 and 100.
@@ -159,4 +204,103 @@ fn points_along_a_line_are_a_line() {
         .map(|[x, _]| [*x, 0.0])
         .chain(line.iter().map(|[x, _]| [0.0, *x]));
     assert!(!is_line(&corner.collect::<Vec<_>>()));
+}
+
+#[test]
+fn noise_of_a_wall_is_averaged_away_and_half_of_the_deviation_stays() {
+    let noisy = |u: u16, v: u16| Some(idepth(u.into()) * (1.0 + 0.004 * noise(u, v)));
+    let pixels = straight(&MappingConfig::default(), noisy);
+    let error = |p: &Measurement| f64::from(p.idepth) / (UNIT * idepth(p.x.into())) - 1.0;
+    let is_inside = |p: &&(Measurement, Measurement)| (f64::from(p.0.x) - CORNER).abs() > 6.0;
+    let inside: Vec<_> = pixels.iter().filter(is_inside).collect();
+    let square = |of: &dyn Fn(&(Measurement, Measurement)) -> f64| {
+        inside.iter().map(|p| of(p).powi(2)).sum::<f64>() / inside.len() as f64
+    };
+    let (before, after) = (square(&|p| error(&p.0)), square(&|p| error(&p.1)));
+    // 36 and 100 parts: what is left of a pixel is 0.26 of its error, but where no point told the plane
+    assert!(after < 0.2 * before, "{before} {after}");
+    let moved: Vec<_> = inside.iter().filter(|p| p.0 != p.1).collect();
+    assert!(10 * moved.len() > 9 * inside.len());
+    for (before, after) in moved {
+        let kept = f64::from(after.sigma_idepth / before.sigma_idepth);
+        let expected = 0.5 + 0.5 * 0.6 / 0.6_f64.hypot(1.0);
+        assert!((kept - expected).abs() < 0.01, "{kept}");
+    }
+}
+
+#[test]
+fn a_pixel_and_its_plane_weigh_by_their_variances() {
+    let pixel = Measurement {
+        x: 3,
+        y: 4,
+        idepth: 1.0,
+        sigma_idepth: 0.04,
+    };
+    let mean = straight::averaged(pixel, 1.1, 0.03);
+    assert!((mean.idepth - (1.0 * 9.0 + 1.1 * 16.0) / 25.0).abs() < 1e-6);
+    assert!((mean.sigma_idepth - 0.5 * (0.04 + 0.024)).abs() < 1e-6);
+    assert_eq!((mean.x, mean.y), (3, 4));
+}
+
+/// The wall ahead, of which some pixels are elsewhere.
+fn wall_but(elsewhere: impl Fn(u16, u16) -> Option<f64>) -> impl Fn(u16, u16) -> Option<f64> {
+    move |u, v| elsewhere(u, v).or(Some(1.0 / AHEAD))
+}
+
+#[test]
+fn what_stands_before_a_wall_stays_there() {
+    let config = MappingConfig::default();
+    let is_picture = |u: u16, v: u16| (40..70).contains(&u) && (40..80).contains(&v);
+    // two standard deviations of both are 0.0233
+    for (before, stays) in [(1.022, false), (1.025, true)] {
+        let picture = |u, v| is_picture(u, v).then_some(before / AHEAD);
+        let pixels = straight(&config, wall_but(picture));
+        let (on_picture, on_wall): (Vec<_>, Vec<_>) =
+            pixels.iter().partition(|p| is_picture(p.0.x, p.0.y));
+        let share_moved = |pixels: &[&(Measurement, Measurement)]| {
+            pixels.iter().filter(|p| p.0 != p.1).count() as f64 / pixels.len() as f64
+        };
+        assert!(share_moved(&on_wall) > 0.9);
+        match stays {
+            true => assert!(share_moved(&on_picture) == 0.0),
+            // on the wall there is less that tells where it was measured
+            false => assert!(share_moved(&on_picture) > 0.2),
+        }
+    }
+}
+
+#[test]
+fn what_is_not_flat_or_alone_stays() {
+    let config = MappingConfig::default();
+    let curtain = |u: u16, _: u16| Some((1.0 + 0.014 * (f64::from(u) / 3.0).sin()) / AHEAD);
+    assert!(straight(&config, curtain).iter().all(|(a, b)| a == b));
+    // as flat as it takes to be a wall
+    let flatter = MappingConfig {
+        straighten: StraightenConfig {
+            min_concentration: 0.1,
+            ..config.straighten
+        },
+        ..config.clone()
+    };
+    let moved = straight(&flatter, curtain);
+    assert!(moved.iter().filter(|(a, b)| a != b).count() > moved.len() / 2);
+    // one pixel far from where the wall was measured
+    let alone = |u: u16, v: u16| (u < 60 || (u, v) == (150, 60)).then_some(1.0 / AHEAD);
+    let pixels = straight(&config, alone);
+    let still: Vec<_> = pixels.iter().filter(|(a, b)| a == b).collect();
+    assert_eq!(still.len(), 1);
+    assert_eq!((still[0].0.x, still[0].0.y), (150, 60));
+}
+
+#[test]
+fn nothing_is_moved_if_the_settings_do_not_ask_for_it() {
+    let config = MappingConfig {
+        straighten: StraightenConfig {
+            relative_sigma: 0.0,
+            ..StraightenConfig::default()
+        },
+        ..MappingConfig::default()
+    };
+    let noisy = |u: u16, v: u16| Some(idepth(u.into()) * (1.0 + 0.004 * noise(u, v)));
+    assert!(straight(&config, noisy).iter().all(|(a, b)| a == b));
 }

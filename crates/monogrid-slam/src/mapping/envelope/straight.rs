@@ -1,0 +1,131 @@
+//! Depth on large planes, put on them.
+//!
+//! A plane that many keyframes measured is where the surface is more exactly than a pixel of it. Not every plane is a surface: one through a
+//! seat, a table and what lies on it has as many points. What tells them apart is how the points lie about it:
+//! close to a surface, and evenly on both sides of what only passes through ([`SharedPlane::concentration`]).
+
+use super::planes::{SharedPlane, Surroundings};
+use crate::mapping::KeyframeCamera;
+use crate::mapping::posed::Scene;
+use crate::mapping::scan::Depths;
+use monogrid_geometry::{Sim3, Vec2, Vec3};
+use monogrid_occupancy::DepthPixel as Measurement;
+use serde::{Deserialize, Serialize};
+
+/// How far beyond where a plane was measured depth is put on it, as a share of the range.
+const MAX_EXTENT: f64 = 0.03;
+/// Share of the standard deviation of a pixel that it has in common with its plane, whose points the same images measured.
+const SHARED: f64 = 0.5;
+
+/// Depth on large planes, put on them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StraightenConfig {
+    /// Relative standard deviation of the inverse depth of a large plane (`mapping.envelope`), with which depth that agrees with it is averaged;
+    /// 0: depth stays as it is. Default 0.006. Range [0, 1].
+    pub relative_sigma: f64,
+    /// Depth agrees that is off by at most so many standard deviations of both. Default 2. Range [0, 100].
+    pub max_deviations: f64,
+    /// Share of what lies within `mapping.envelope.reach` of the plane that must lie within a third of it. Default 0.7: planes through furniture have
+    /// less. Range [0, 1].
+    pub min_concentration: f64,
+}
+
+impl Default for StraightenConfig {
+    fn default() -> Self {
+        Self {
+            relative_sigma: 0.006,
+            max_deviations: 2.0,
+            min_concentration: 0.7,
+        }
+    }
+}
+
+/// Depths of a keyframe, those that lie on large planes averaged with them.
+pub(in crate::mapping) fn straightened(
+    scene: &Scene,
+    index: usize,
+    mut depths: Depths,
+    surroundings: &Surroundings,
+) -> Depths {
+    let config = &scene.config.straighten;
+    let Some(view) = scene.views[index]
+        .as_ref()
+        .filter(|_| config.relative_sigma > 0.0)
+    else {
+        return depths;
+    };
+    let world_from_keyframe = &view.world_from_keyframe;
+    let planes = surroundings.planes.iter();
+    let is_surface = |plane: &&SharedPlane| plane.concentration() >= config.min_concentration;
+    let planes: Vec<Seen> = planes
+        .filter(is_surface)
+        .map(|plane| Seen {
+            plane,
+            idepth: plane.idepth(world_from_keyframe, &scene.camera.pinhole),
+            world_from_keyframe,
+            camera: scene.camera,
+        })
+        .collect();
+    if planes.is_empty() {
+        return depths;
+    }
+    for pixel in depths.measured.iter_mut().chain(&mut depths.filled) {
+        *pixel = on_plane(*pixel, &planes, config);
+    }
+    depths
+}
+
+/// A plane as a keyframe sees it.
+struct Seen<'a> {
+    plane: &'a SharedPlane,
+    /// (a, b, c) of its inverse depth `a x + b y + c`.
+    idepth: Vec3,
+    world_from_keyframe: &'a Sim3,
+    camera: &'a KeyframeCamera,
+}
+
+impl Seen<'_> {
+    /// Its inverse depth at a pixel where it was measured.
+    fn measured_at(&self, x: f64, y: f64, idepth: f64) -> bool {
+        let ray = self.camera.pinhole.unproject(&Vec2::new(x, y));
+        let point = *self.world_from_keyframe * (ray / idepth);
+        let range = (point - self.world_from_keyframe.translation).norm();
+        self.plane.distance_beyond(&point) <= MAX_EXTENT * range
+    }
+}
+
+/// A pixel averaged with the plane that it agrees with best, if it does with one.
+fn on_plane(pixel: Measurement, planes: &[Seen], config: &StraightenConfig) -> Measurement {
+    let (x, y) = (f64::from(pixel.x), f64::from(pixel.y));
+    let (own, sigma) = (f64::from(pixel.idepth), f64::from(pixel.sigma_idepth));
+    let mut best: Option<(f64, f64)> = None;
+    for seen in planes {
+        let idepth = seen.idepth.dot(&Vec3::new(x, y, 1.0));
+        let deviations = (own - idepth).abs() / sigma.hypot(config.relative_sigma * idepth);
+        let is_nearer = best.is_none_or(|(_, least)| deviations < least);
+        if idepth > 0.0
+            && deviations <= config.max_deviations
+            && is_nearer
+            && seen.measured_at(x, y, idepth)
+        {
+            best = Some((idepth, deviations));
+        }
+    }
+    best.map_or(pixel, |(idepth, _)| {
+        averaged(pixel, idepth, config.relative_sigma * idepth)
+    })
+}
+
+/// The mean of a pixel and its plane, weighed by their variances. What the pixel shares with the plane, an average does not take away.
+pub(super) fn averaged(pixel: Measurement, plane: f64, plane_sigma: f64) -> Measurement {
+    let (own, sigma) = (f64::from(pixel.idepth), f64::from(pixel.sigma_idepth));
+    let (weight, plane_weight) = (sigma.powi(-2), plane_sigma.powi(-2));
+    let total = weight + plane_weight;
+    let of_mean = total.powf(-0.5);
+    Measurement {
+        idepth: ((own * weight + plane * plane_weight) / total) as f32,
+        sigma_idepth: (SHARED * sigma + (1.0 - SHARED) * of_mean) as f32,
+        ..pixel
+    }
+}
