@@ -15,23 +15,20 @@ mod straight;
 #[cfg(test)]
 mod tests;
 
+use super::MappingConfig;
 use super::fill::{EIGHT_DIRECTIONS, NO_REGION, Regions, regions_beside};
 use super::posed::Scene;
 use super::scan::measurement;
 use super::transfer::{at_or, show};
-use super::{KeyframeCamera, MappingConfig};
-use monogrid_geometry::{Sim3, Vec2, Vec3};
+use monogrid_geometry::Vec2;
 use monogrid_image::Image;
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::Matrix2;
-use planes::SharedPlane;
+use planes::SeenPlane;
 pub(super) use planes::{Cloud, Surroundings};
 use serde::{Deserialize, Serialize};
 pub use straight::StraightenConfig;
 pub(super) use straight::straightened;
-
-/// Keyframes around each that tell what bounds its view.
-const MAX_WITNESSES: usize = 16;
 
 /// Relative difference of inverse depths on a plane, a standard deviation.
 const FLATNESS: f64 = 0.015;
@@ -93,12 +90,9 @@ pub(super) fn enclosed(
     if planes.is_empty() {
         return Vec::new();
     }
-    let idepth = |plane: &&SharedPlane| plane.idepth(&view.world_from_keyframe, &camera.pinhole);
+    let seen = |plane| SeenPlane::new(plane, &view.world_from_keyframe, camera);
     let envelope = Envelope {
-        idepths: planes.iter().map(idepth).collect(),
-        planes: &planes,
-        world_from_keyframe: view.world_from_keyframe,
-        camera,
+        planes: planes.into_iter().map(seen).collect(),
         config,
     };
     let [measured, filled] = view.depths.kinds();
@@ -115,26 +109,22 @@ pub(super) fn enclosed(
 
 /// The planes that bound the view of a keyframe.
 struct Envelope<'a> {
-    planes: &'a [&'a SharedPlane],
-    /// The inverse depth of each, `a x + b y + c` at a pixel, in units of the keyframe.
-    idepths: Vec<Vec3>,
-    world_from_keyframe: Sim3,
-    camera: &'a KeyframeCamera,
+    planes: Vec<SeenPlane<'a>>,
     config: &'a MappingConfig,
 }
 
 impl Envelope<'_> {
     /// The plane that the line of sight of a pixel meets first, and its inverse depth there.
     fn nearest(&self, x: f64, y: f64) -> Option<(usize, f64)> {
-        let at = Vec3::new(x, y, 1.0);
-        let idepths = self.idepths.iter().map(|form| form.dot(&at)).enumerate();
+        let planes = self.planes.iter().enumerate();
+        let idepths = planes.map(|(index, plane)| (index, plane.idepth([x, y])));
         let ahead = idepths.filter(|(_, idepth)| *idepth > 0.0);
         ahead.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Whether an inverse depth at a pixel is that of a plane.
-    fn is_on(&self, plane: usize, [x, y]: [f64; 2], idepth: f64) -> bool {
-        let expected = self.idepths[plane].dot(&Vec3::new(x, y, 1.0));
+    fn is_on(&self, plane: usize, at: [f64; 2], idepth: f64) -> bool {
+        let expected = self.planes[plane].idepth(at);
         expected > 0.0 && (idepth / expected - 1.0).abs() <= 2.0 * FLATNESS
     }
 
@@ -226,13 +216,10 @@ impl Envelope<'_> {
             if !allowed[plane] {
                 continue;
             }
-            let ray = Vec2::new(x as f64, y as f64);
-            let point = self.world_from_keyframe * (self.camera.pinhole.unproject(&ray) / idepth);
-            let center = self.world_from_keyframe.translation;
-            let plane = self.planes[plane];
-            let sigma = plane.relative_sigma(&point, &center);
-            let reach = self.config.envelope.max_extent * (point - center).norm();
-            if sigma <= most && plane.distance_beyond(&point) <= reach {
+            let plane = &self.planes[plane];
+            let point = plane.point([x as f64, y as f64]);
+            let sigma = plane.relative_sigma(&point);
+            if sigma <= most && plane.is_measured(&point, self.config.envelope.max_extent) {
                 let sigma = (sigma * idepth) as f32;
                 filled.push(measurement((x, y), idepth as f32, sigma));
             }

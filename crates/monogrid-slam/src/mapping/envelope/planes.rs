@@ -1,7 +1,7 @@
 //! Large planes that keyframes around one share, and which of them bound its view.
 
+use super::EnvelopeConfig;
 use super::extent::Extent;
-use super::{EnvelopeConfig, MAX_WITNESSES};
 use crate::mapping::agreement::View;
 use crate::mapping::fill::{Plane, planes_of_image};
 use crate::mapping::posed::Scene;
@@ -10,6 +10,8 @@ use monogrid_geometry::{Pinhole, Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use nalgebra::{Matrix3, SymmetricEigen};
 
+/// Keyframes around each that tell the planes around it.
+const MAX_WITNESSES: usize = 16;
 /// Points of a keyframe, at most.
 const MAX_POINTS: usize = 1000;
 /// Depths of a keyframe in which planes are looked for, at most.
@@ -102,8 +104,9 @@ pub(super) struct SharedPlane {
     /// Of its height at (u, v, 1) from the middle along the axes.
     covariance: Matrix3<f64>,
     extent: Extent,
-    /// Share of the points within reach of it that lie within a third of that.
-    concentration: f64,
+    /// How flat what lies on it is: share of the points within reach of it that lie within a third of that. A wall has 0.7 to 0.95 in rendered
+    /// rooms, a plane that passes through what stands around, or a curtain, 0.35 to 0.65.
+    pub concentration: f64,
 }
 
 /// What a keyframe and those around it see, and the large planes that they share.
@@ -248,35 +251,63 @@ impl SharedPlane {
         let off = in_world - self.middle;
         self.axes.map(|axis| axis.dot(&off))
     }
+}
 
-    /// (a, b, c) of its inverse depth `a x + b y + c` at a pixel of a keyframe, in the keyframe's units: with the ray r of the pixel,
-    /// `normal . (s R r / d + t) = offset`.
-    pub fn idepth(&self, world_from_keyframe: &Sim3, pinhole: &Pinhole) -> Vec3 {
+/// A plane as a keyframe sees it.
+pub(super) struct SeenPlane<'a> {
+    plane: &'a SharedPlane,
+    /// (a, b, c) of its inverse depth `a x + b y + c` at a pixel, in the keyframe's units.
+    idepth: Vec3,
+    world_from_keyframe: Sim3,
+    pinhole: &'a Pinhole,
+}
+
+impl<'a> SeenPlane<'a> {
+    /// With the ray r of a pixel and its inverse depth d, `normal . (s R r / d + t) = offset`.
+    pub fn new(
+        plane: &'a SharedPlane,
+        world_from_keyframe: &Sim3,
+        camera: &'a KeyframeCamera,
+    ) -> Self {
+        let pinhole = &camera.pinhole;
         let rotation = world_from_keyframe.rotation.to_rotation_matrix();
-        let Hypothesis { normal, offset } = self.equation;
+        let Hypothesis { normal, offset } = plane.equation;
         let height = offset - normal.dot(&world_from_keyframe.translation);
         let of_ray = rotation.transpose() * normal * (world_from_keyframe.scale / height);
         let (a, b) = (of_ray.x / pinhole.fx, of_ray.y / pinhole.fy);
-        Vec3::new(a, b, of_ray.z - a * pinhole.cx - b * pinhole.cy)
+        Self {
+            plane,
+            idepth: Vec3::new(a, b, of_ray.z - a * pinhole.cx - b * pinhole.cy),
+            world_from_keyframe: *world_from_keyframe,
+            pinhole,
+        }
     }
 
-    /// How uncertain the distance of a point on the plane is, seen from `center`.
-    pub fn relative_sigma(&self, point: &Vec3, center: &Vec3) -> f64 {
-        let [u, v] = self.in_plane(point);
+    /// Its inverse depth at a pixel; not positive where it lies behind the keyframe.
+    pub fn idepth(&self, [x, y]: [f64; 2]) -> f64 {
+        self.idepth.dot(&Vec3::new(x, y, 1.0))
+    }
+
+    /// The point of it that a pixel sees, in the world.
+    pub fn point(&self, at @ [x, y]: [f64; 2]) -> Vec3 {
+        let ray = self.pinhole.unproject(&Vec2::new(x, y));
+        self.world_from_keyframe * (ray / self.idepth(at))
+    }
+
+    /// Whether a point of it is at most this share of the range beyond where it was measured.
+    pub fn is_measured(&self, point: &Vec3, max_extent: f64) -> bool {
+        let range = (point - self.world_from_keyframe.translation).norm();
+        let extent = &self.plane.extent;
+        extent.distance(self.plane.in_plane(point)) <= max_extent * range
+    }
+
+    /// How uncertain the distance of a point of it is.
+    pub fn relative_sigma(&self, point: &Vec3) -> f64 {
+        let [u, v] = self.plane.in_plane(point);
         let row = Vec3::new(u, v, 1.0);
-        let height = row.dot(&(self.covariance * row)).sqrt();
-        let distance = self.equation.height(center).abs().max(f64::MIN_POSITIVE);
-        (height / distance).hypot(RELATIVE_SIGMA)
-    }
-
-    /// How flat what lies on it is: share of the points within reach of it that lie within a third of that. A wall has 0.7 to 0.95 in rendered rooms,
-    /// a plane that passes through what stands around, or a curtain, 0.35 to 0.65.
-    pub fn concentration(&self) -> f64 {
-        self.concentration
-    }
-
-    /// How far a point on the plane is from where the plane was measured.
-    pub fn distance_beyond(&self, point: &Vec3) -> f64 {
-        self.extent.distance(self.in_plane(point))
+        let height = row.dot(&(self.plane.covariance * row)).sqrt();
+        let center = &self.world_from_keyframe.translation;
+        let distance = self.plane.equation.height(center).abs();
+        (height / distance.max(f64::MIN_POSITIVE)).hypot(RELATIVE_SIGMA)
     }
 }

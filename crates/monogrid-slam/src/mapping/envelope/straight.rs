@@ -2,13 +2,11 @@
 //!
 //! A plane that many keyframes measured is where the surface is more exactly than a pixel of it. Not every plane is a surface: one through a
 //! seat, a table and what lies on it has as many points. What tells them apart is how the points lie about it:
-//! close to a surface, and evenly on both sides of what only passes through ([`SharedPlane::concentration`]).
+//! close to a surface, and evenly on both sides of what only passes through ([`super::planes::SharedPlane::concentration`]).
 
-use super::planes::{SharedPlane, Surroundings};
-use crate::mapping::KeyframeCamera;
+use super::planes::{SeenPlane, Surroundings};
 use crate::mapping::posed::Scene;
 use crate::mapping::scan::Depths;
-use monogrid_geometry::{Sim3, Vec2, Vec3};
 use monogrid_occupancy::DepthPixel as Measurement;
 use serde::{Deserialize, Serialize};
 
@@ -49,65 +47,33 @@ pub(in crate::mapping) fn straightened(
     surroundings: &Surroundings,
 ) -> Depths {
     let config = &scene.config.straighten;
-    let Some(view) = scene.views[index]
-        .as_ref()
-        .filter(|_| config.relative_sigma > 0.0)
-    else {
+    let view = scene.views[index].as_ref();
+    let Some(view) = view.filter(|_| config.relative_sigma > 0.0) else {
         return depths;
     };
-    let world_from_keyframe = &view.world_from_keyframe;
     let planes = surroundings.planes.iter();
-    let is_surface = |plane: &&SharedPlane| plane.concentration() >= config.min_concentration;
-    let planes: Vec<Seen> = planes
-        .filter(is_surface)
-        .map(|plane| Seen {
-            plane,
-            idepth: plane.idepth(world_from_keyframe, &scene.camera.pinhole),
-            world_from_keyframe,
-            camera: scene.camera,
-        })
-        .collect();
-    if planes.is_empty() {
-        return depths;
-    }
+    let surfaces = planes.filter(|plane| plane.concentration >= config.min_concentration);
+    let seen = |plane| SeenPlane::new(plane, &view.world_from_keyframe, scene.camera);
+    let planes: Vec<SeenPlane> = surfaces.map(seen).collect();
     for pixel in depths.measured.iter_mut().chain(&mut depths.filled) {
         *pixel = on_plane(*pixel, &planes, config);
     }
     depths
 }
 
-/// A plane as a keyframe sees it.
-struct Seen<'a> {
-    plane: &'a SharedPlane,
-    /// (a, b, c) of its inverse depth `a x + b y + c`.
-    idepth: Vec3,
-    world_from_keyframe: &'a Sim3,
-    camera: &'a KeyframeCamera,
-}
-
-impl Seen<'_> {
-    /// Its inverse depth at a pixel where it was measured.
-    fn measured_at(&self, x: f64, y: f64, idepth: f64) -> bool {
-        let ray = self.camera.pinhole.unproject(&Vec2::new(x, y));
-        let point = *self.world_from_keyframe * (ray / idepth);
-        let range = (point - self.world_from_keyframe.translation).norm();
-        self.plane.distance_beyond(&point) <= MAX_EXTENT * range
-    }
-}
-
 /// A pixel averaged with the plane that it agrees with best, if it does with one.
-fn on_plane(pixel: Measurement, planes: &[Seen], config: &StraightenConfig) -> Measurement {
-    let (x, y) = (f64::from(pixel.x), f64::from(pixel.y));
+fn on_plane(pixel: Measurement, planes: &[SeenPlane], config: &StraightenConfig) -> Measurement {
+    let at = [pixel.x.into(), pixel.y.into()];
     let (own, sigma) = (f64::from(pixel.idepth), f64::from(pixel.sigma_idepth));
     let mut best: Option<(f64, f64)> = None;
-    for seen in planes {
-        let idepth = seen.idepth.dot(&Vec3::new(x, y, 1.0));
+    for plane in planes {
+        let idepth = plane.idepth(at);
         let deviations = (own - idepth).abs() / sigma.hypot(config.relative_sigma * idepth);
         let is_nearer = best.is_none_or(|(_, least)| deviations < least);
         if idepth > 0.0
             && deviations <= config.max_deviations
             && is_nearer
-            && seen.measured_at(x, y, idepth)
+            && plane.is_measured(&plane.point(at), MAX_EXTENT)
         {
             best = Some((idepth, deviations));
         }

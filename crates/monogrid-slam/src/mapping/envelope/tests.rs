@@ -5,7 +5,7 @@ use crate::mapping::agreement::View;
 use crate::mapping::scan::Depths;
 use crate::mapping::test_wall::CAMERA;
 use crate::mapping::{DepthOf, ImageOf, PosedKeyframe};
-use monogrid_geometry::{Rng, Rotation};
+use monogrid_geometry::{Rng, Rotation, Sim3, Vec3};
 use monogrid_image::Image;
 
 /// Distance of the wall ahead.
