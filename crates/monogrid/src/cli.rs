@@ -5,6 +5,7 @@ use crate::commands::{
     merge_runs, report, rescale, run, sensor_model, shell, slice, sweep, synth, tools, truth, view,
     vocabulary,
 };
+use crate::say::printable;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 
@@ -20,8 +21,24 @@ pub struct Cli {
 impl Cli {
     /// What the program was called with.
     pub fn parse(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
-        Self::from_arg_matches(&command().try_get_matches_from(with_view(arguments))?)
+        let arguments = with_view(arguments);
+        let parsed = command().try_get_matches_from(&arguments);
+        Self::from_arg_matches(&parsed.map_err(|error| with_printable(error, &arguments))?)
     }
+}
+
+/// An error repeats the arguments that it is about: it is that of arguments that a terminal only shows.
+fn with_printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
+    let shown: Vec<String> = arguments
+        .iter()
+        .map(|argument| printable(&argument.to_string_lossy()).into_owned())
+        .collect();
+    let is_shown = |(raw, shown): (&OsString, &String)| raw.to_string_lossy() == shown.as_str();
+    if arguments.iter().zip(&shown).all(is_shown) {
+        return error;
+    }
+    let again = command().try_get_matches_from(shown).err();
+    again.unwrap_or_else(|| command().error(error.kind(), "an argument holds control characters"))
 }
 
 /// `--view rerun` and `--view rrd=FILE` as one word, as `--view=8080` is: what follows `--view` alone is the source.
@@ -236,6 +253,36 @@ mod tests {
         assert_eq!(joined(&["--view", "rrd=a b"]), "--view=rrd=a b");
         assert_eq!(joined(&["--view", "video"]), "--view video");
         assert_eq!(joined(&["rerun", "--view"]), "rerun --view");
+    }
+
+    #[test]
+    fn errors_show_arguments_without_obeying_them() {
+        for words in [
+            &["monogrid", "\x1b[2Jrun"][..],
+            &["monogrid", "run", "v.mp4", "--\x1b]0;title\x07=1"],
+            &[
+                "monogrid",
+                "run",
+                "v.mp4",
+                "--resolution",
+                "\u{9b}2J\u{202e}",
+            ],
+            &["monogrid", "run", "v.mp4", "more\r\x7f"],
+        ] {
+            let error = Cli::parse(words.iter().map(OsString::from)).unwrap_err();
+            let text = error.render().ansi().to_string();
+            // colours of our own
+            let plain: Vec<&str> = text.split("\x1b[").collect();
+            let rest = plain.iter().skip(1).all(|part| part.contains('m'));
+            assert!(
+                rest && !text.replace("\x1b[", "").contains(crate::say::is_obeyed),
+                "{text:?}"
+            );
+            assert!(
+                text.contains("\\u00") || text.contains("\\u202e"),
+                "{text:?}"
+            );
+        }
     }
 
     #[test]

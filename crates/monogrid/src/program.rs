@@ -1,5 +1,7 @@
 //! The command `monogrid` as a function, for those who bring it along: what runs it is the process's only.
 
+pub use crate::say::printable;
+
 use crate::cli::{Cli, Command, EvaluateCommand};
 use crate::config::RunConfig;
 use crate::{batch, commands, failure, memory, usage};

@@ -8,7 +8,7 @@
 
 mod common;
 
-use common::{assert_fails, code, monogrid, stderr};
+use common::{assert_fails, code, json, monogrid, stderr};
 use monogrid_datasets::encode_png;
 use monogrid_image::Image;
 use std::fs;
@@ -326,4 +326,49 @@ fn repeated_images_are_left_out_and_counted() {
     assert!(stderr(&output).contains("20 more frames repeat"));
     let frames = fs::read_to_string(out.join("frames.csv")).unwrap();
     assert_eq!(frames.matches(",repeated,").count(), 20);
+}
+
+#[cfg(unix)]
+#[test]
+fn names_are_shown_and_never_obeyed() {
+    let dir = tempfile::tempdir().unwrap();
+    let name = "\x1b[2J\x1b]0;title\x07\r\u{9b}31m\u{202e}gnp";
+    let folder = dir.path().join(name);
+    std::fs::create_dir(&folder).unwrap();
+    let file = folder.join("\x1b[8m.ot");
+    std::fs::write(&file, "# Octomap OcTree file\nid \x1b[31m\u{9b}2J\n").unwrap();
+    let list = dir.path().join("list.tsv");
+    std::fs::write(&list, format!("{}\tname=a\n", folder.display())).unwrap();
+    let path = |path: &Path| path.display().to_string();
+    let [folder, file, list] = [&folder, &file, &list].map(|p| path(p));
+    let out = path(&dir.path().join("\x1bout"));
+    for words in [
+        &["run", &folder, "--out", &out][..],
+        &["check", &folder],
+        &["info", &file],
+        &["convert", &file, &out],
+        &["batch", &list, "--out", &out],
+        &["batch", &list, "--out", &out, "--dry-run"],
+        &["batch", &list, "--out", &out, "--dry-run", "--json"],
+        &["evaluate", "trajectory", &file, &folder],
+        &[name],
+        &["run", &folder, &format!("--{name}")],
+        &["run", &folder, "--resolution", name],
+        &["run", &folder, "--set", name],
+        &["run", &folder, "--set", &format!("{name}=1")],
+    ] {
+        let output = monogrid(words);
+        for bytes in [&output.stdout, &output.stderr] {
+            let text = String::from_utf8_lossy(bytes);
+            let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || c == '\u{202e}';
+            assert!(!text.contains(obeyed), "{words:?}: {text:?}");
+        }
+        let text = stderr(&output) + &String::from_utf8_lossy(&output.stdout);
+        assert!(
+            text.contains("\\u00") || text.contains("\\u{1b}"),
+            "{words:?}: {text}"
+        );
+    }
+    let planned = monogrid(["batch", &list, "--out", &out, "--dry-run", "--json"]);
+    assert_eq!(json(&planned)[0]["source"], folder);
 }

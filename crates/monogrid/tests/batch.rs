@@ -419,3 +419,247 @@ fn commands_of_the_documentation_work() {
     }
     assert!(batch.path("maps/tasks/tuesday/task.json").is_file());
 }
+
+#[test]
+fn a_file_beside_the_results_is_an_output_and_no_other_call_takes_it_for_an_input() {
+    let batch = Batch::new(&[]);
+    let video = batch.path("video");
+    common::copy_of_small_sequence(&video);
+    // in the folder of its own recording, and elsewhere
+    let (inside, beside) = (video.join("a.mcap"), batch.path("b.mcap"));
+    let line = |name: &str, file: &Path| {
+        let (video, file) = (video.display(), file.display());
+        format!("{video}\tseed-depth=dataset\tmax-frames=45\tname={name}\tmcap={file}")
+    };
+    batch.list(&[line("a", &inside), line("b", &beside)]);
+    assert_eq!(batch.report(0, &[])["classes"]["ok"], 2);
+    let [first, second] = [&inside, &beside].map(|file| fs::read(file).unwrap());
+    assert!(first == second && first.len() > 1000);
+    let report = batch.report(0, &[]);
+    assert_eq!([&report["done_before"], &report["classes"]["ok"]], [2, 2]);
+    // what is gone is made again, and what it wrote goes with it
+    fs::remove_file(batch.path("out/runs/a/global.ot")).unwrap();
+    fs::remove_dir_all(batch.path("out/runs/b")).unwrap();
+    assert_eq!(batch.report(0, &[])["carried_out"], 2);
+    fs::remove_file(&beside).unwrap();
+    assert_eq!(batch.report(0, &[])["carried_out"], 1);
+    assert!([&inside, &beside].map(|file| fs::read(file).unwrap()) == [first, second]);
+    // a call that was killed when it had written everything but its last word
+    let mut record = batch.record("b");
+    record["class"] = "unfinished".into();
+    record.as_object_mut().unwrap().remove("files");
+    let file = batch.path("out/tasks/b/task.json");
+    let text = serde_json::to_string_pretty(&record).unwrap();
+    fs::write(&file, &text).unwrap();
+    assert_fails(&batch.call(&[]), 2, &["task.json", "changed since"]);
+    assert_eq!(batch.report(0, &["--force"])["carried_out"], 1);
+    what_others_wrote_stays(&batch, &beside);
+}
+
+fn what_others_wrote_stays(batch: &Batch, file: &Path) {
+    fs::write(file, "of somebody else").unwrap();
+    let output = batch.call(&[]);
+    assert_fails(&output, 3, &["b.mcap", "exists", "--force"]);
+    assert_eq!(fs::read(file).unwrap(), b"of somebody else");
+    assert_eq!(batch.record("b")["class"], "ok", "what came of it stays");
+    assert_eq!(batch.report(0, &["--force"])["carried_out"], 1);
+    assert_eq!(batch.report(0, &[])["done_before"], 2);
+}
+
+#[test]
+fn a_run_replaces_the_messages_that_it_wrote_with_its_folder_and_no_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let (out, file) = (dir.path().join("out"), dir.path().join("run.mcap"));
+    let video = small_sequence().display().to_string();
+    let call = || {
+        let mut command = program();
+        command.args([
+            "run",
+            &video,
+            "--seed-depth",
+            "dataset",
+            "--max-frames",
+            "30",
+        ]);
+        command.args(common::WITHOUT_DENSE_DEPTH);
+        command.arg("--out").arg(&out).arg("--mcap").arg(&file);
+        command.output().unwrap()
+    };
+    for _ in 0..2 {
+        let output = call();
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+    }
+    let mut changed = fs::read(&file).unwrap();
+    changed.push(0);
+    fs::write(&file, &changed).unwrap();
+    assert_fails(&call(), 2, &["run.mcap", "exists", "--force"]);
+    assert!(fs::read(&file).unwrap() == changed);
+    assert!(out.join("global.ot").is_file(), "nothing was removed");
+}
+
+#[cfg(unix)]
+#[test]
+fn outputs_that_collide_are_refused_before_anything_starts() {
+    let batch = Batch::new(&[]);
+    for name in ["one", "two"] {
+        noise(&batch.path(name));
+    }
+    fs::create_dir(batch.path("real")).unwrap();
+    std::os::unix::fs::symlink("real", batch.path("link")).unwrap();
+    std::os::unix::fs::symlink("real/x.mcap", batch.path("dangling.mcap")).unwrap();
+    let at = |name: &str| batch.path(name).display().to_string();
+    let [one, two] = ["one", "two"].map(at);
+    for (first, second, said) in [
+        ("real/x.mcap", "real/x.mcap", "that of one"),
+        ("real/x.mcap", "real/../real/./x.mcap", "that of one"),
+        ("real/x.mcap", "link/x.mcap", "that of one"),
+        ("real/x.mcap", "dangling.mcap", "that of one"),
+        ("real/x.mcap", "link/x.mcap/y.mcap", "that of one"),
+        ("link/x.mcap/y.mcap", "real/x.mcap", "that of one"),
+        ("out/x.mcap", "real/y.mcap", "the folder of the batch"),
+        (
+            "out/runs/two/x.mcap",
+            "real/y.mcap",
+            "the folder of the batch",
+        ),
+        ("list.tsv", "real/y.mcap", "a file that is read"),
+        ("one/calibration.txt", "real/y.mcap", "a file that is read"),
+        ("film.mp4", "real/y.mcap", "the recording of film"),
+    ] {
+        let (first, second) = (at(first), at(second));
+        batch.list(&[
+            format!("{one}\tmcap={first}"),
+            format!("{two}\tmcap={second}\tcalibration={one}/calibration.txt"),
+            at("film.mp4"),
+        ]);
+        for more in [&[][..], &["--dry-run"], &["--force"], &["--task", "film"]] {
+            assert_fails(&batch.call(more), 2, &["line ", "the output", said]);
+        }
+        assert!(!batch.path("out").exists(), "{first} {second}");
+    }
+    // for all alike
+    let each = format!("mcap={}", at("real/x.mcap"));
+    batch.list(&[one, two]);
+    assert_fails(&batch.call(&["--each", &each]), 2, &["that of one"]);
+    // files of their own are fine
+    batch.list(&[
+        format!("{}\tmcap={}", at("one"), at("link/x.mcap")),
+        format!("{}\tmcap={}", at("two"), at("real/y.mcap")),
+    ]);
+    assert_eq!(batch.report(3, &[])["classes"]["not-started"], 2);
+}
+
+#[test]
+fn an_output_in_a_folder_of_recordings_is_none_of_them() {
+    let batch = Batch::new(&[]);
+    let folder = batch.path("folder");
+    fs::create_dir(&folder).unwrap();
+    common::copy_of_small_sequence(&folder.join("video"));
+    let call = || {
+        let mut command = program();
+        command
+            .arg("batch")
+            .arg(&folder)
+            .arg("--out")
+            .arg(batch.path("out"));
+        for each in ["seed-depth=dataset", "max-frames=30"] {
+            command.args(["--each", each]);
+        }
+        let mcap = folder.join("video.mcap");
+        command
+            .arg("--each")
+            .arg(format!("mcap={}", mcap.display()));
+        let output = command.arg("--json").output().unwrap();
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        json(&output)
+    };
+    assert_eq!(call()["classes"]["ok"], 1);
+    let report = call();
+    assert_eq!([&report["recordings"], &report["done_before"]], [1, 1]);
+}
+
+#[test]
+fn what_came_of_a_recording_stays_when_it_is_gone() {
+    let batch = Batch::new(&[]);
+    let video = batch.path("video");
+    common::copy_of_small_sequence(&video);
+    let calibration = batch.path("camera.txt");
+    fs::copy(video.join("calibration.txt"), &calibration).unwrap();
+    batch.list(&[format!(
+        "{}\tname=a\tseed-depth=dataset\tmax-frames=30\tcalibration={}",
+        video.display(),
+        calibration.display()
+    )]);
+    batch.report(0, &[]);
+    let before = files(&batch.path("out"));
+    // a file of its options, or all of it
+    for gone in [&calibration, &video] {
+        fs::rename(gone, batch.path("aside")).unwrap();
+        let report = batch.report(0, &[]);
+        assert_eq!([&report["done_before"], &report["classes"]["ok"]], [1, 1]);
+        assert_fails(
+            &batch.call(&["--retry", "ok"]),
+            3,
+            &["cannot be read now", "stays"],
+        );
+        let same = files(&batch.path("out"))
+            .into_iter()
+            .filter(|(name, _)| !name.ends_with("manifest.txt"));
+        assert!(
+            same.eq(before
+                .iter()
+                .filter(|(name, _)| !name.ends_with("manifest.txt"))
+                .cloned())
+        );
+        fs::rename(batch.path("aside"), gone).unwrap();
+    }
+    assert_eq!(batch.report(0, &[])["done_before"], 1);
+}
+
+#[test]
+fn a_failure_that_can_pass_is_tried_again_by_the_next_call() {
+    let batch = Batch::new(&[]);
+    noise(&batch.path("noise"));
+    let folder = batch.path("later");
+    let line = video_line("\tname=video\tmax-frames=30");
+    let noise = batch.path("noise").display().to_string();
+    batch.list(&[
+        format!("{line}\tmcap={}", folder.join("x.mcap").display()),
+        noise,
+    ]);
+    // the folder is not there yet
+    assert_fails(&batch.call(&[]), 1, &["1 runs"]);
+    assert_eq!(batch.record("video")["class"], "failed");
+    assert_eq!(batch.record("noise")["class"], "not-started");
+    fs::create_dir(&folder).unwrap();
+    let report = batch.report(3, &[]);
+    assert_eq!(
+        report["carried_out"], 1,
+        "what never starts does not do so now"
+    );
+    assert_eq!(batch.record("video")["class"], "ok");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_recording_that_vanishes_while_it_is_read_is_done_when_it_is_back() {
+    let batch = Batch::new(&[]);
+    let (video, aside) = (batch.path("video"), batch.path("aside"));
+    common::copy_of_small_sequence(&video);
+    let line = format!("{}\tname=video\tseed-depth=dataset", video.display());
+    batch.list(&[line]);
+    let mut child = batch.spawn(&[]);
+    batch.wait_for_keyframe("video");
+    // all of it, with its times
+    fs::rename(&video, &aside).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(1));
+    let record = batch.record("video");
+    assert_eq!(record["class"], "failed", "{record}");
+    assert!(
+        record["reason"].as_str().unwrap().contains("vanished"),
+        "{record}"
+    );
+    fs::rename(&aside, &video).unwrap();
+    let report = batch.report(0, &[]);
+    assert_eq!([&report["carried_out"], &report["classes"]["ok"]], [1, 1]);
+}

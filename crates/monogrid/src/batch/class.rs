@@ -55,6 +55,11 @@ pub enum End {
 const PANIC: i32 = 101;
 /// Signals by which others end a program: hang up, interrupt, kill, terminate.
 const FROM_OUTSIDE: [i32; 4] = [1, 2, 9, 15];
+/// How the system says that something cannot be read now: an error of the device, too little memory, too many open files, a
+/// network or its file system that does not answer (EIO, EAGAIN, ENOMEM, ENFILE, EMFILE, ENETDOWN to EHOSTUNREACH, ESTALE, EREMOTEIO).
+const CAN_PASS: [i32; 16] = [
+    5, 11, 12, 23, 24, 100, 101, 102, 103, 104, 110, 111, 112, 113, 116, 121,
+];
 /// How the system says that a disk, or what a user may have of it, is full: ENOSPC, EDQUOT, and EFBIG of `ulimit -f`.
 const DISK_FULL: [&str; 3] = ["(os error 28)", "(os error 122)", "(os error 27)"];
 
@@ -62,12 +67,18 @@ impl Class {
     /// What became of a run that ended so, said this and left that.
     pub fn of(end: End, said: &str, metrics: Option<&Metrics>) -> Self {
         let is_full = || DISK_FULL.iter().any(|error| said.contains(error));
+        let can_pass = || {
+            CAN_PASS
+                .iter()
+                .any(|n| said.contains(&format!("(os error {n})")))
+        };
         match end {
             End::TooLong => Self::Timeout,
             End::Interrupted | End::Exit(4 | 130) => Self::Interrupted,
             End::Signal(signal) if FROM_OUTSIDE.contains(&signal) => Self::Killed,
             End::Signal(_) | End::Exit(PANIC) => Self::Crashed,
             End::Exit(1 | 2) if is_full() => Self::NoSpace,
+            End::Exit(1 | 2) if can_pass() => Self::Failed,
             End::Exit(2) => Self::BadInput,
             End::Exit(0 | 3) => metrics.map_or(Self::Failed, Self::of_metrics),
             End::Exit(_) => match metrics.map(|metrics| metrics.status.as_str()) {
@@ -88,9 +99,9 @@ impl Class {
 
     /// Whether it says something about the recording: the same run would end so again.
     pub fn is_final(self) -> bool {
-        !matches!(
+        matches!(
             self,
-            Self::Killed | Self::NoSpace | Self::Interrupted | Self::Unfinished
+            Self::Ok | Self::Lost | Self::NotStarted | Self::BadInput | Self::Timeout
         )
     }
 
@@ -168,6 +179,13 @@ mod tests {
         assert_eq!(of(exit(1), "", "unreadable", 50), Class::BadInput);
         assert_eq!(Class::of(exit(2), "error: no", None), Class::BadInput);
         assert_eq!(Class::of(exit(1), "error: x", None), Class::Failed);
+        for error in [5, 24, 110, 116] {
+            let said = format!("error: a.png: it failed (os error {error})");
+            assert_eq!(Class::of(exit(2), &said, None), Class::Failed);
+            assert_eq!(of(exit(1), &said, "unreadable", 50), Class::Failed);
+        }
+        let missing = "error: a.png: not found (os error 2)";
+        assert_eq!(Class::of(exit(2), missing, None), Class::BadInput);
         for error in [27, 28, 122] {
             let said = format!("error: map.ot cannot be written: (os error {error})");
             assert_eq!(Class::of(exit(1), &said, None), Class::NoSpace);
@@ -200,6 +218,14 @@ mod tests {
             .filter(|class| !class.is_final())
             .map(|class| class.name())
             .collect();
-        assert_eq!(again, ["killed", "no-space", "interrupted", "unfinished"]);
+        let expected = [
+            "failed",
+            "crashed",
+            "killed",
+            "no-space",
+            "interrupted",
+            "unfinished",
+        ];
+        assert_eq!(again, expected);
     }
 }

@@ -1,6 +1,8 @@
 //! What files hold: SHA-256 of their content, as `sha256sum` says it, and a quicker stamp of names, sizes and times.
 
+use super::outputs::Written;
 use super::task::Task;
+use crate::output::resolved;
 use hmac_sha256::Hash;
 use monogrid_datasets::{Dataset, SourceOptions};
 use serde::{Deserialize, Serialize};
@@ -35,6 +37,15 @@ pub struct OutputRecord {
     pub sha256: String,
 }
 
+impl OutputRecord {
+    /// Of a file.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let bytes = fs::metadata(path)?.len();
+        let sha256 = sha256_of_file(path)?;
+        Ok(Self { bytes, sha256 })
+    }
+}
+
 /// SHA-256 of bytes, hexadecimal.
 pub fn sha256_of(bytes: &[u8]) -> String {
     hexadecimal(&Hash::hash(bytes))
@@ -59,8 +70,8 @@ fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The files that a task reads: those of its source by their names in it, then those of its options.
-fn files_of(task: &Task) -> io::Result<Vec<(String, PathBuf)>> {
+/// The files that a task of a batch that writes these reads: those of its source by their names in it, then those of its options.
+fn files_of(task: &Task, written: &Written) -> io::Result<Vec<(String, PathBuf)>> {
     let source = &task.source;
     let mut files = Vec::new();
     if fs::metadata(source)?.is_dir() {
@@ -70,6 +81,14 @@ fn files_of(task: &Task) -> io::Result<Vec<(String, PathBuf)>> {
         files.push((name.to_string_lossy().into_owned(), source.clone()));
         files.extend(images_of_list(source));
     }
+    // what is written into the folder of a recording is nothing that is read
+    let root = resolved(source);
+    let written: Vec<&Path> = written.below(&root).collect();
+    let is_read = |path: &Path| {
+        let name = path.strip_prefix(source).unwrap_or(path);
+        !written.iter().any(|at| name.starts_with(at))
+    };
+    files.retain(|(_, path): &(String, PathBuf)| is_read(path));
     for path in &task.option_files {
         files.push((path.to_string_lossy().into_owned(), path.clone()));
     }
@@ -110,9 +129,9 @@ fn collect(
 }
 
 /// Names, sizes and times of what a task reads.
-pub fn stamp(task: &Task) -> io::Result<String> {
+pub fn stamp(task: &Task, written: &Written) -> io::Result<String> {
     let mut text = String::new();
-    for (name, path) in files_of(task)? {
+    for (name, path) in files_of(task, written)? {
         let metadata = fs::metadata(&path)?;
         let (length, changed) = (metadata.len(), changed_ns(&metadata));
         let _ = writeln!(text, "{name}\t{length}\t{changed}");
@@ -128,13 +147,13 @@ pub fn changed_ns(metadata: &fs::Metadata) -> u128 {
 }
 
 /// What a task reads, content included.
-pub fn read_inputs(task: &Task) -> io::Result<InputRecord> {
+pub fn read_inputs(task: &Task, written: &Written) -> io::Result<InputRecord> {
     let mut lines = String::new();
     let mut record = InputRecord {
-        stamp: stamp(task)?,
+        stamp: stamp(task, written)?,
         ..InputRecord::default()
     };
-    for (name, path) in files_of(task)? {
+    for (name, path) in files_of(task, written)? {
         let _ = writeln!(lines, "{}  {name}", sha256_of_file(&path)?);
         record.files += 1;
         record.bytes += fs::metadata(&path)?.len();
@@ -149,11 +168,8 @@ pub fn read_outputs(folder: &Path) -> io::Result<Vec<(String, OutputRecord)>> {
     if folder.is_dir() {
         collect(folder, Path::new(""), 0, &mut files)?;
     }
-    let of_file = |(name, path): (String, PathBuf)| {
-        let bytes = fs::metadata(&path)?.len();
-        let sha256 = sha256_of_file(&path)?;
-        Ok((name.replace('\\', "/"), OutputRecord { bytes, sha256 }))
-    };
+    let of_file =
+        |(name, path): (String, PathBuf)| Ok((name.replace('\\', "/"), OutputRecord::of(&path)?));
     files.into_iter().map(of_file).collect()
 }
 

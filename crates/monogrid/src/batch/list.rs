@@ -23,6 +23,8 @@ pub struct Listed {
     pub keys: Vec<Key>,
     /// Where it was named, for messages.
     pub place: String,
+    /// It was found in a folder of recordings, and nobody named it.
+    pub is_found: bool,
 }
 
 /// Endings of files that are lists.
@@ -79,6 +81,7 @@ impl Listed {
             name: None,
             keys: Vec::new(),
             place: place.to_owned(),
+            is_found: false,
         }
     }
 }
@@ -205,7 +208,10 @@ fn recordings_in(folder: &Path, out: &Path) -> Result<(Vec<Listed>, usize), Fail
     });
     let left_out = count - paths.len();
     let place = folder.display().to_string();
-    let listed = paths.into_iter().map(|path| Listed::alone(path, &place));
+    let listed = paths.into_iter().map(|path| Listed {
+        is_found: true,
+        ..Listed::alone(path, &place)
+    });
     Ok((listed.collect(), left_out))
 }
 

@@ -15,6 +15,7 @@ pub mod digest;
 pub mod keys;
 pub mod list;
 pub mod metrics;
+pub mod outputs;
 pub mod page;
 pub mod record;
 pub mod schedule;

@@ -62,6 +62,9 @@ pub struct TaskRecord {
     pub metrics: Option<Metrics>,
     /// What the run wrote, by name.
     pub outputs: BTreeMap<String, OutputRecord>,
+    /// What it wrote beside its folder (`mcap`), by path.
+    #[serde(default)]
+    pub files: BTreeMap<String, OutputRecord>,
 }
 
 impl TaskRecord {
@@ -113,11 +116,25 @@ impl TaskRecord {
             && self.version == env!("CARGO_PKG_VERSION")
     }
 
-    /// Whether all that the run wrote is still in its folder, as large as it was.
+    /// Whether all that the run wrote is still where it was, as large as it was.
     pub fn has_outputs(&self, run: &Path) -> bool {
-        self.outputs.iter().all(|(name, output)| {
-            let metadata = std::fs::metadata(run.join(name));
+        let in_run = self
+            .outputs
+            .iter()
+            .map(|(name, output)| (run.join(name), output));
+        let beside = self
+            .files
+            .iter()
+            .map(|(path, output)| (path.into(), output));
+        in_run.chain(beside).all(|(path, output)| {
+            let metadata = std::fs::metadata(path);
             metadata.is_ok_and(|metadata| metadata.is_file() && metadata.len() == output.bytes)
         })
+    }
+
+    /// Whether it wrote this file, which is as it was.
+    pub fn wrote(&self, path: &Path) -> bool {
+        let output = path.to_str().and_then(|path| self.files.get(path));
+        output.is_some_and(|output| OutputRecord::of(path).is_ok_and(|found| found == *output))
     }
 }

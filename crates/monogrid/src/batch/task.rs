@@ -3,8 +3,10 @@
 use super::digest::sha256_of;
 use super::keys::{Key, joined};
 use super::list::{Listed, safe_name};
+use super::outputs::without_outputs;
 use crate::cli::{Cli, Command};
-use crate::commands::run::{RunArgs, configuration};
+use crate::commands::run::{RunArgs, configuration, inputs_of_options};
+use crate::config::RunConfig;
 use crate::failure::Failure;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
@@ -19,8 +21,12 @@ pub struct Task {
     pub source: PathBuf,
     /// Options of `monogrid run`.
     pub options: Vec<String>,
-    /// Files that the options name.
+    /// Where it was named, for messages.
+    pub place: String,
+    /// Files that the options name to be read.
     pub option_files: Vec<PathBuf>,
+    /// The file that it writes beside its folder.
+    pub mcap: Option<PathBuf>,
     /// Hash of all settings of the run.
     pub settings_sha256: String,
 }
@@ -30,7 +36,8 @@ pub struct Task {
 /// # Errors
 /// Where a recording cannot be one of a batch, its options are not understood, or two have one name.
 pub fn tasks(listed: &[Listed], of_all: &[Key]) -> Result<Vec<Task>, Failure> {
-    let names = names(listed)?;
+    let listed = without_outputs(listed, of_all);
+    let names = names(&listed)?;
     let mut seen = BTreeSet::new();
     let named = listed.iter().zip(names);
     let new = named.filter(|(_, name)| seen.insert(name.clone()));
@@ -60,13 +67,28 @@ fn names(listed: &[Listed]) -> Result<Vec<String>, Failure> {
         match (is_alone, &one.name) {
             (true, _) => Ok(own(one)),
             (false, None) => Ok(format!("{}-{}", own(one), &line(one)[..8])),
-            (false, Some(name)) => Err(Failure::input(format!(
-                "{}: the name {name} is that of another recording too; expected names that differ not by case alone",
-                one.place
-            ))),
+            (false, Some(name)) => Err(of_another(one, name)),
         }
     };
-    listed.iter().map(name).collect()
+    let names: Vec<String> = listed.iter().map(name).collect::<Result<_, _>>()?;
+    // a name that was said may be one that was made, and that of the same line in another case
+    let mut owners: BTreeMap<String, (&String, String)> = BTreeMap::new();
+    for (one, name) in listed.iter().zip(&names) {
+        let owner = owners
+            .entry(name.to_lowercase())
+            .or_insert((name, line(one)));
+        if *owner != (name, line(one)) {
+            return Err(of_another(one, name));
+        }
+    }
+    Ok(names)
+}
+
+fn of_another(listed: &Listed, name: &str) -> Failure {
+    Failure::input(format!(
+        "{}: the name {name} is that of another recording too; expected names that differ not by case alone",
+        listed.place
+    ))
 }
 
 fn name_of(source: &Path) -> String {
@@ -83,11 +105,16 @@ fn task(listed: &Listed, name: String, of_all: &[Key]) -> Result<Task, Failure> 
     let keys = joined(of_all, &listed.keys);
     let options: Vec<String> = keys.iter().map(Key::argument).collect();
     let args = parsed(&source, &options, &listed.place)?;
+    // settings that cannot be read are found by the run itself, which says why
+    let config = configuration(&args, None).ok();
+    let read = inputs_of_options(&args, config.as_ref());
     Ok(Task {
         name,
         options,
-        option_files: keys.iter().filter_map(named_file).collect(),
-        settings_sha256: settings_hash(&args),
+        place: listed.place.clone(),
+        option_files: read.paths().map(Path::to_owned).collect(),
+        settings_sha256: settings_hash(config.as_ref()),
+        mcap: args.mcap,
         source,
     })
 }
@@ -122,18 +149,9 @@ fn parsed(source: &Path, options: &[String], place: &str) -> Result<RunArgs, Fai
     }
 }
 
-/// Settings that cannot be read are found by the run itself, which says why.
-fn settings_hash(args: &RunArgs) -> String {
-    let config = configuration(args, None).and_then(|config| config.to_toml());
-    config.map_or_else(|_| "none".to_owned(), |text| sha256_of(text.as_bytes()))
-}
-
-/// The file that an option names: its value, or what follows `gt:` or `sim3:`.
-fn named_file(key: &Key) -> Option<PathBuf> {
-    let value = key.value.as_deref()?;
-    let parts = [Some(value), value.split_once(':').map(|(_, rest)| rest)];
-    let mut paths = parts.into_iter().flatten().map(PathBuf::from);
-    paths.find(|path| path.is_file())
+fn settings_hash(config: Option<&RunConfig>) -> String {
+    let text = config.and_then(|config| config.to_toml().ok());
+    text.map_or_else(|| "none".to_owned(), |text| sha256_of(text.as_bytes()))
 }
 
 #[cfg(test)]
@@ -147,6 +165,7 @@ mod tests {
             name: name.map(str::to_owned),
             keys: keys.iter().map(|k| parse_key(k, "here").unwrap()).collect(),
             place: "here".into(),
+            is_found: false,
         }
     }
 
@@ -172,6 +191,14 @@ mod tests {
         assert_eq!(tasks(&[other, faster], &[]).unwrap().len(), 2);
         let [a, b] = ["a.mp4", "b.mp4"].map(|source| listed(source, Some("same"), &[]));
         assert!(tasks(&[a, b], &[]).is_err());
+        // the same line under names that one folder would have on other systems
+        let [a, b] = ["A", "a"].map(|name| listed("a.mp4", Some(name), &[]));
+        assert!(tasks(&[a, b], &[]).is_err());
+        // a name that is made of two others
+        let [monday, tuesday] = ["monday/v.mp4", "tuesday/v.mp4"].map(|v| listed(v, None, &[]));
+        let made = names(&[monday.clone(), tuesday.clone()]).unwrap();
+        let said = listed("other.mp4", Some(&made[0]), &[]);
+        assert!(tasks(&[monday, tuesday, said], &[]).is_err());
     }
 
     #[test]

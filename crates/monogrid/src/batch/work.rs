@@ -2,15 +2,18 @@
 
 use super::child::{self, Ended, Watch};
 use super::class::{Class, End};
-use super::digest::{read_inputs, read_outputs, stamp};
+use super::digest::{OutputRecord, read_inputs, read_outputs, stamp};
 use super::metrics::Metrics;
+use super::outputs::Written;
 use super::record::{TASK_FILE, TaskRecord};
 use super::schedule::Grown;
 use super::task::Task;
 use crate::failure::{Classify, Failure};
-use crate::output::{Content, OutputFolder};
+use crate::output::{Content, OutputFolder, place_of_file};
+use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::io::{Read, Seek, SeekFrom};
+use std::fs;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -30,6 +33,8 @@ const LAST_WORDS: u64 = 16_384;
 pub struct Job<'a> {
     /// Where results go.
     pub out: &'a Path,
+    /// All that the batch writes.
+    pub written: &'a Written,
     /// Write beside what others wrote.
     pub force: bool,
     /// Threads of each run.
@@ -71,10 +76,11 @@ impl Job<'_> {
     /// The record of a task that is done: of the same work, with nothing changed since.
     pub fn done(&self, task: &Task) -> Option<TaskRecord> {
         let record = self.finished(task)?;
-        let is_same = match (&record.input, stamp(task)) {
+        let is_same = match (&record.input, stamp(task, self.written)) {
             (Some(input), Ok(stamp)) => input.stamp == stamp,
-            // what could not be read cannot be read now
-            (input, stamp) => input.is_none() && stamp.is_err(),
+            // what could not be read cannot be read now; what came of a recording stays when it is gone
+            (_, Err(_)) => true,
+            (None, Ok(_)) => false,
         };
         is_same.then_some(record)
     }
@@ -134,7 +140,10 @@ impl Job<'_> {
         attempt: u32,
         peak: &Grown,
     ) -> Result<Outcome, Failure> {
-        let input = read_inputs(task);
+        let input = read_inputs(task, self.written);
+        if let Some(said) = self.refusal(task, input.as_ref().err()) {
+            return Ok(Outcome::Refused(Class::BadInput, said));
+        }
         if let (Ok(input), Some(mut record)) = (&input, self.finished(task))
             && record.input.as_ref().map(|i| &i.sha256) == Some(&input.sha256)
         {
@@ -144,12 +153,14 @@ impl Job<'_> {
             return Ok(Outcome::Done(Box::new(record)));
         }
         let seconds = self.timeout.map(|limit| limit.as_secs_f64());
+        let earlier = TaskRecord::read(&self.task_folder(task));
         let mut record = TaskRecord::begun(task, now(), seconds);
         record.input = input.ok();
         record.attempts = attempt;
         write(folder, &record)?;
         let log = folder.begin(LOG_FILE)?;
         self.wait_for_an_earlier_run(task);
+        self.remove_earlier_file(task, earlier.as_ref())?;
         let watch = Watch {
             timeout: self.timeout,
             interrupted: self.interrupted,
@@ -159,11 +170,80 @@ impl Job<'_> {
         let ended = child::run(&self.arguments(task), &log, watch)?;
         let metrics = Metrics::read(&self.run_folder(task), begin);
         conclude(&mut record, &ended, metrics, &last_words(&log));
+        self.doubt(&mut record, task);
         folder.list(LOG_FILE, Content::Whole)?;
         let outputs = read_outputs(&self.run_folder(task));
         record.take_outputs(outputs.while_running("what a run wrote cannot be read")?);
+        record.files = self
+            .files_beside(task)
+            .while_running("what a run wrote cannot be read")?;
         write(folder, &record)?;
         Ok(Outcome::Carried(Box::new(record)))
+    }
+
+    /// Why a task is not begun although it is not done: nothing that came of it before would be left.
+    fn refusal(&self, task: &Task, unreadable: Option<&io::Error>) -> Option<String> {
+        let run = self.run_folder(task);
+        if let Some(error) = unreadable {
+            let earlier = TaskRecord::read(&self.task_folder(task));
+            let had_map =
+                |record: &TaskRecord| record.class == Class::Ok && record.has_outputs(&run);
+            return earlier.filter(had_map).map(|_| {
+                format!("its recording cannot be read now ({error}); what came of it before stays")
+            });
+        }
+        if let Err(failure) = OutputFolder::check(&run, self.force) {
+            return Some(said(failure));
+        }
+        let file = place_of_mcap(task)?;
+        let is_free = self.force || fs::symlink_metadata(&file).is_err();
+        let is_ours = || {
+            let earlier = TaskRecord::read(&self.task_folder(task));
+            earlier.is_some_and(|record| record.wrote(&file)) || OutputFolder::wrote(&run, &file)
+        };
+        (!is_free && !is_ours()).then(|| {
+            format!(
+                "output {} exists, and no run of this recording wrote it as it is; choose another name, or replace it with --force",
+                file.display()
+            )
+        })
+    }
+
+    /// Removes the file that an earlier run wrote beside its folder, of which that folder may know nothing any more.
+    fn remove_earlier_file(
+        &self,
+        task: &Task,
+        earlier: Option<&TaskRecord>,
+    ) -> Result<(), Failure> {
+        let Some(file) = place_of_mcap(task) else {
+            return Ok(());
+        };
+        match earlier.is_some_and(|record| record.wrote(&file)) {
+            true => fs::remove_file(&file)
+                .while_running(&format!("{} cannot be replaced", file.display())),
+            false => Ok(()),
+        }
+    }
+
+    /// What the run wrote beside its folder.
+    fn files_beside(&self, task: &Task) -> io::Result<BTreeMap<String, OutputRecord>> {
+        let file = place_of_mcap(task);
+        let file = file.filter(|file| OutputFolder::wrote(&self.run_folder(task), file));
+        let of_file = |file: PathBuf| Ok((file.display().to_string(), OutputRecord::of(&file)?));
+        file.map(of_file).into_iter().collect()
+    }
+
+    /// What is said of a recording holds only of what it was when the run began.
+    fn doubt(&self, record: &mut TaskRecord, task: &Task) {
+        let before = record.input.as_ref().map(|input| &input.stamp);
+        let is_same = stamp(task, self.written).ok().as_ref() == before;
+        if record.class.is_final() && record.class != Class::Ok && !is_same {
+            record.class = Class::Failed;
+            record.reason = format!(
+                "the recording changed or vanished while it was read; it had said: {}",
+                record.reason
+            );
+        }
     }
 
     /// Where a batch was killed and its run was not.
@@ -199,10 +279,19 @@ fn conclude(record: &mut TaskRecord, ended: &Ended, metrics: Option<Metrics>, sa
 }
 
 fn refused(class: Class, failure: Failure) -> Outcome {
+    Outcome::Refused(class, said(failure))
+}
+
+fn said(failure: Failure) -> String {
     let error = failure.into_error();
     let causes = std::iter::successors(error.source(), |cause| cause.source());
     let causes: String = causes.map(|cause| format!(": {cause}")).collect();
-    Outcome::Refused(class, format!("{error}{causes}"))
+    format!("{error}{causes}")
+}
+
+/// Where the file lies that a task writes beside its folder, whatever the current folder.
+fn place_of_mcap(task: &Task) -> Option<PathBuf> {
+    task.mcap.as_deref().and_then(place_of_file)
 }
 
 fn write(folder: &OutputFolder, record: &TaskRecord) -> Result<(), Failure> {

@@ -5,6 +5,7 @@ use crate::args::{JsonArg, positive};
 use crate::batch::class::Class;
 use crate::batch::keys::parse_key;
 use crate::batch::list::{lists, read_sources};
+use crate::batch::outputs::{Written, refuse_collisions};
 use crate::batch::record::TaskRecord;
 use crate::batch::schedule::{self, Carried, Limits, available_memory};
 use crate::batch::task::{Task, tasks};
@@ -72,11 +73,16 @@ pub fn execute(args: &BatchArgs) -> CommandResult {
     let (listed, said) = read_sources(&args.sources, &args.out)?;
     warn(&said);
     let keys: Result<Vec<_>, _> = args.each.iter().map(|k| parse_key(k, "--each")).collect();
-    let tasks = chosen(tasks(&listed, &keys?)?, args)?;
+    let tasks = tasks(&listed, &keys?)?;
+    let read = lists(&args.sources);
+    refuse_collisions(&tasks, &args.out, read.paths())?;
+    let written = Written::of(&tasks, &args.out);
+    let tasks = chosen(tasks, args)?;
     let available = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let jobs = args.jobs.map_or(available, usize::from).min(tasks.len());
     let job = Job {
         out: &args.out,
+        written: &written,
         force: args.force,
         threads: args
             .threads

@@ -134,9 +134,9 @@ pub fn execute(args: &RunArgs) -> CommandResult {
     let input = open(args, earlier.as_ref(), &config)?;
     let seed_depth = seed_depth(&input, args)?;
     let inputs = inputs(args, &input, &config);
-    let file = |path: &PathBuf| OutputFile::new(path, args.force, &inputs);
-    let mcap = args.mcap.as_ref().map(file).transpose()?;
     let out = args.out.as_deref();
+    let file = |path: &PathBuf| OutputFile::of_folder(out, path, args.force, &inputs);
+    let mcap = args.mcap.as_ref().map(file).transpose()?;
     let folder = OutputFolder::named_or_new(out, &input.name, args.force, &inputs)?;
     let folder = Arc::new(folder);
     let settings = RunSettings {
@@ -266,10 +266,22 @@ fn seed_depth(input: &Input, args: &RunArgs) -> Result<Option<(usize, GrayImage)
 
 /// All that is read, and so must not be written.
 fn inputs(args: &RunArgs, input: &Input, config: &RunConfig) -> Inputs {
+    let inputs = inputs_of_options(args, Some(config)).and("the source", &args.source);
+    match &input.images {
+        Images::Files(dataset) => inputs.and_files_of(dataset),
+        _ => inputs,
+    }
+}
+
+/// What options and settings name to be read; without the settings, where they are not understood.
+pub fn inputs_of_options(args: &RunArgs, config: Option<&RunConfig>) -> Inputs {
+    let vocabulary = config.map(|config| &config.slam.graph.places.vocabulary);
     let seed_depth = args.seed_depth.iter().filter(|depth| *depth != "dataset");
     let earlier = args.continue_from.iter().flat_map(|run| files_of(run));
     let mount = &args.input.imu_from_camera;
-    let mut inputs = Inputs::of("the source", &args.source)
+    let imu = args.input.imu.iter();
+    let imu = imu.filter(|imu| *imu != Path::new("none"));
+    Inputs::default()
         .and_all("the calibration", &args.input.calibration)
         .and_all("the mask", &args.input.mask)
         .and_all("the run to continue", &args.continue_from)
@@ -277,14 +289,10 @@ fn inputs(args: &RunArgs, input: &Input, config: &RunConfig) -> Inputs {
         .and_all("the depth to start with", seed_depth)
         .and_all("the calibration of depth images", &args.depth_calibration)
         .and_all("the settings", &args.config)
-        .and_all("the inertial readings", &args.input.imu)
+        .and_all("the inertial readings", imu)
         .and_all("the mount of the inertial sensor", mount)
-        .and("the vocabulary", &config.slam.graph.places.vocabulary)
-        .and_named("the reference", args.align.as_deref());
-    if let Images::Files(dataset) = &input.images {
-        inputs = inputs.and_files_of(dataset);
-    }
-    inputs
+        .and_all("the vocabulary", vocabulary)
+        .and_named("the reference", args.align.as_deref())
 }
 
 fn describe_input(input: &Input) {

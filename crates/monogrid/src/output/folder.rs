@@ -1,10 +1,11 @@
 //! Output folders.
 
 use super::Inputs;
+use super::file::{OutputFile, name_beside};
 use super::inspect::{
     Entry, Nested, entries_below, inspect, listed_name, refused, split, unusable,
 };
-use super::manifest::{Content, Digest, MANIFEST, Manifest, OpenError, Summed};
+use super::manifest::{Content, Digest, Listed, MANIFEST, Manifest, OpenError, Summed};
 use super::numbered::numbered_folder;
 use crate::failure::{Classify, Failure};
 use monogrid_datasets::AtomicFile;
@@ -70,6 +71,24 @@ impl OutputFolder {
         path.join(MANIFEST).is_file() && matches!(Manifest::open(path), Err(OpenError::Busy))
     }
 
+    /// Whether a folder lists a file outside of it, which is as it was written.
+    pub fn wrote(folder: &Path, file: &Path) -> bool {
+        let listed = Manifest::read(folder);
+        let name = name_beside(file);
+        let is_file = fs::symlink_metadata(file).is_ok_and(|metadata| metadata.is_file());
+        let mut beside = listed.iter().flat_map(Listed::beside);
+        is_file && beside.any(|(listed, ..)| Some(listed) == name.as_deref())
+    }
+
+    /// Writes a file outside of the folder, which the folder replaces when it is replaced itself.
+    pub fn write_beside(
+        &self,
+        file: &OutputFile,
+        write: impl FnOnce(&mut dyn Write) -> anyhow::Result<()>,
+    ) -> Result<(), Failure> {
+        file.write_listed(Some(&self.manifest), write)
+    }
+
     /// Refuses what [`Self::resume`] would refuse, and changes nothing. A folder that does not exist, or into which another
     /// process writes, is not looked into.
     pub fn check(path: &Path, force: bool) -> Result<(), Failure> {
@@ -114,11 +133,19 @@ impl OutputFolder {
         let Some(found) = inspect(path, force, inputs, Nested::Searched)? else {
             return Ok(None);
         };
+        let listed = found.manifest.listed().map_err(|e| refused(path, e))?;
         if earlier == Earlier::Removed {
             remove(path, &found.ours).map_err(failed)?;
             found.manifest.clear().map_err(failed)?;
         }
         found.manifest.begin().map_err(failed)?;
+        if earlier == Earlier::Removed {
+            // they stay until they are replaced
+            for (name, digest, content) in listed.beside() {
+                let listed = found.manifest.list(name, digest, content);
+                listed.map_err(failed)?;
+            }
+        }
         let foreign = found.foreign.into_iter().map(|entry| entry.name);
         Ok(Some(Self {
             path: path.to_owned(),

@@ -86,6 +86,11 @@ impl Inputs {
             .and_all("the inertial readings", &dataset.imu_path)
     }
 
+    /// Where all of them lie, as they were named.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.read.iter().map(|(_, path)| path.as_path())
+    }
+
     /// What an input that a path leads to is.
     pub(super) fn is_read(&self, path: &Path) -> Option<&'static str> {
         let wanted = identity(path)?;

@@ -2,7 +2,8 @@
 //!
 //! One line per file: CRC-32 (hexadecimal), size in bytes, name with `/`. A `+` after the size says that the file grows:
 //! it begins with so many bytes of that sum. Later lines replace earlier ones, so that lines are only ever
-//! appended, each *before* its file gets its name: a process that is killed leaves no file that is not listed.
+//! appended, each *before* its file gets its name: a process that is killed leaves no file that is not listed. A file that is
+//! written with the folder and lies outside of it (`--mcap`) has its whole path for a name.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -82,6 +83,13 @@ impl Manifest {
         Ok((this, listed))
     }
 
+    /// What the manifest of a folder lists, also while somebody holds it; `None` where there is none.
+    pub fn read(folder: &Path) -> Option<Listed> {
+        let path = folder.join(MANIFEST);
+        let file = path.is_file().then(|| File::open(&path).ok())??;
+        Self { file }.listed().ok()
+    }
+
     /// What was listed until now.
     pub fn listed(&self) -> Result<Listed, OpenError> {
         let mut file = &self.file;
@@ -135,6 +143,15 @@ impl Listed {
             }
         }
         listed
+    }
+
+    /// Files that lie outside of the folder, by their whole paths, that are as they were written.
+    pub fn beside(&self) -> impl Iterator<Item = (&str, Digest, Content)> {
+        let outside = self.files.iter().filter(|(name, (digest, content))| {
+            let path = Path::new(name);
+            path.is_absolute() && digest.is_of(*content, path)
+        });
+        outside.map(|(name, (digest, content))| (name.as_str(), *digest, *content))
     }
 
     /// Whether a file is one of ours, as it was written: listed, or the half of one that a killed process left.

@@ -2,7 +2,8 @@
 //!
 //! An output *folder* carries a manifest of what was written into it. A folder is replaced only when everything that
 //! lies in it stands in the manifest and is as it was written; otherwise the call is refused, or, with `--force`, goes
-//! on beside what it did not write. A single output *file* that exists is replaced with `--force` only. Nothing
+//! on beside what it did not write. A single output *file* that exists is replaced with `--force` only, or by the folder whose
+//! manifest lists it, if it is as it was written. Nothing
 //! that the call reads is ever written to or removed, with `--force` neither, whatever name or link leads to it.
 //! Every file appears whole or not at all.
 //!
@@ -15,8 +16,10 @@ mod inputs;
 mod inspect;
 mod manifest;
 mod numbered;
+mod place;
 
 pub use file::OutputFile;
 pub use folder::OutputFolder;
 pub use inputs::Inputs;
 pub use manifest::Content;
+pub use place::{place_of_file, resolved};

@@ -117,7 +117,7 @@ pub fn run_all(
         pictures,
         config: &config,
     };
-    play(&report, settings, &tracked, &poses)?;
+    play(folder, &report, settings, &tracked, &poses)?;
     folder.write_with("report.html", |out| write_page(out, &tracked, &report))?;
     write_summary(folder, &mut summary)?;
     Ok(Finished {
@@ -136,6 +136,7 @@ fn write_summary(folder: &OutputFolder, summary: &mut Summary) -> Result<(), Fai
 
 /// Writes the run as messages, where it is asked for; what was needed for the maps alone is given back.
 fn play(
+    folder: &OutputFolder,
     report: &ReportInput,
     settings: &RunSettings,
     tracked: &Tracked,
@@ -152,7 +153,7 @@ fn play(
         map: report.map,
         ground: ground(tracked, report.frame),
     };
-    file.write_with(|out| Ok(playback.write(out)?))
+    folder.write_beside(file, |out| Ok(playback.write(out)?))
 }
 
 fn ground(tracked: &Tracked, frame: &MapFrame) -> Ground {
