@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Recordings under Ray with an object store on this computer, in a fresh virtual environment: one worker, two, and two of which one is
+# Tests of one recording on one computer; then recordings under Ray with an object store on this computer, in a fresh virtual environment: one worker, two, and two of which one is
 # killed three times; every result must be what a plain run writes, byte for byte, and two workers at least 1.6 times as fast as one.
 #
 #   scripts/ray.sh            RECORDINGS: how many (40); FRAMES: of each (60); PROFILE: release (default) or dev; PROGRAM: one that is built already
@@ -26,6 +26,7 @@ if ! "$work/env/bin/pip" install -q "$work/package[test]"; then
   echo "NOT TESTED: ray, obstore and moto cannot be installed" >&2
   exit 1
 fi
+(cd extra/monogrid-ray && "$work/env/bin/python" -m pytest -q -p no:cacheprovider tests/test_task.py)
 shared=()
 [ -d ../shared/data ] && shared=(--shared ../shared/data)
 "$work/env/bin/python" extra/monogrid-ray/tests/bar.py "$PROGRAM" "$work/bar" --recordings "${RECORDINGS:-40}" --frames "${FRAMES:-60}" "${shared[@]}"

@@ -1,17 +1,20 @@
 """Which recordings are to be done, and where: placement by memory, retries when workers or computers are lost, progress."""
 
+import hashlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
+import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import ray
 
 from .places import Store, is_url
-from .task import Job, Task, carry_out, finished
+from .scratch import Unsafe, private_folder
+from .task import Job, Task, carry_out, finished, own_place
 
 #: Memory that a run is expected to take while nothing is known, bytes.
 FIRST_GUESS = 1_000_000_000
@@ -63,23 +66,34 @@ def plan(batch: Batch) -> list[Task]:
         ended = subprocess.run(command, capture_output=True, text=True, check=False)
     if ended.returncode != 0:
         raise SystemExit(ended.stderr.strip() or f"{batch.program} ended with {ended.returncode}")
-    return [task_of(planned, sources) for planned in json.loads(ended.stdout)]
+    return [task_of(planned, sources, batch.scratch) for planned in json.loads(ended.stdout)]
 
 
 def local_place(source: str, scratch: str) -> str:
-    """Where a source is on the computer that reads it."""
+    """What stands for a source in the list that the program checks: it makes names of it."""
     if not is_url(source):
         return os.path.abspath(source)
     scheme, _, rest = source.partition("://")
     parts = [part for part in rest.split("/") if part not in ("", ".", "..")]
-    return os.path.join(os.path.abspath(scratch), "sources", scheme, *parts)
+    # addresses that differ only in what no path has are two sources
+    key = hashlib.sha256(source.encode()).hexdigest()[:16]
+    return os.path.join(os.path.abspath(scratch), "sources", scheme, key, *parts)
 
 
-def task_of(planned: dict, sources: dict[str, str]) -> Task:
+def task_of(planned: dict, sources: dict[str, str], scratch: str) -> Task:
     """The task that the program planned."""
     options = [option.removeprefix("--") for option in planned["options"]]
-    local = planned["source"]
-    return Task(planned["name"], sources[local], local, "\t".join(options), planned)
+    name, listed = planned["name"], planned["source"]
+    source = sources[listed]
+    local = own_place(name, listed, scratch) if is_url(source) else listed
+    return Task(name, source, local, "\t".join(options), planned)
+
+
+def printable(text: str) -> str:
+    """Text as a terminal may have it: names come from outside, and what it would obey is shown instead."""
+    turns = "\u061c\u200e\u200f\u2028\u2029\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+    is_obeyed = lambda c: c in turns or unicodedata.category(c) == "Cc" and c not in "\n\t"
+    return "".join(f"\\u{ord(c):04x}" if is_obeyed(c) else c for c in text)
 
 
 def job_of(batch: Batch) -> Job:
@@ -93,9 +107,13 @@ def job_of(batch: Batch) -> Job:
     return Job(out, os.path.abspath(batch.scratch), batch.program, tuple(arguments), os.getcwd(), max(1, int(batch.cpus)))
 
 
-def run(batch: Batch, say=lambda text: print(text, file=sys.stderr, flush=True)) -> dict[str, dict]:
+def run(batch: Batch, say=lambda text: print(printable(text), file=sys.stderr, flush=True)) -> dict[str, dict]:
     """Does what is not done, on the cluster that Ray is connected to; the records by name, without those that were given up."""
     job, tasks = job_of(batch), plan(batch)
+    try:
+        private_folder(Path(job.scratch))
+    except Unsafe as error:
+        raise SystemExit(f"the scratch folder is not used: {error}") from error
     records, waiting = {}, []
     for task in tasks:
         record = finished(task, Store(job.out), tuple(batch.retry)) if is_url(job.out) else None

@@ -5,6 +5,7 @@ Credentials and endpoints come from the usual variables of the environment (AWS_
 
 import hashlib
 import os
+import tempfile
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -61,11 +62,15 @@ class Store:
     def fetch(self, name: str, to: Path) -> None:
         """Writes an object into a file, which appears whole or not at all."""
         to.parent.mkdir(parents=True, exist_ok=True)
-        part = to.with_name(f".{to.name}.part")
-        with open(part, "wb") as file:
-            for chunk in obstore.get(self.store, self._key(name)).stream(min_chunk_size=CHUNK):
-                file.write(chunk)
-        os.replace(part, to)
+        descriptor, part = tempfile.mkstemp(prefix=".", suffix=".part", dir=to.parent)
+        try:
+            with open(descriptor, "wb") as file:
+                for chunk in obstore.get(self.store, self._key(name)).stream(min_chunk_size=CHUNK):
+                    file.write(chunk)
+            os.replace(part, to)
+        except BaseException:
+            os.unlink(part)
+            raise
 
     def send(self, path: Path, name: str) -> None:
         """Writes a file as an object, which appears whole or not at all."""

@@ -1,5 +1,6 @@
 """One recording, on the computer that a worker runs on: fetched, done by `monogrid batch --task`, sent."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -8,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .places import Store, fetch_source, is_url, stamp
+from .scratch import held, own_folder, private_folder, write_own
 
 #: What the source was when the recording was done, beside its task.json.
 STAMP_FILE = "source-stamp.txt"
-#: Classes that say nothing about the recording: it is done again.
-NOT_FINAL = ("killed", "no-space", "interrupted", "unfinished")
+#: Classes that say something about the recording: the same run would end so again. All others are done again.
+FINAL = ("ok", "lost", "not-started", "bad-input", "timeout")
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Task:
     name: str
     #: A path, or an address in an object store.
     source: str
-    #: Where the program finds it: the path, or where an object is fetched to.
+    #: Where the program finds it: the path, or where an object is fetched to (`own_place`).
     local_source: str
     #: Line of a list, without its source and name: options separated by tabs.
     options: str
@@ -53,6 +55,11 @@ class NotRun(Exception):
     """The program itself could not work: its message."""
 
 
+def own_place(name: str, local: str, scratch: str) -> str:
+    """Where a source is fetched to for one task alone: a folder of the task's name, which no other has."""
+    return os.path.join(os.path.abspath(scratch), "sources", name, os.path.basename(local))
+
+
 def finished(task: Task, out: Store, retry: tuple[str, ...]) -> dict | None:
     """The record of a recording in an object store that is done: of the same work, with nothing changed since."""
     text = out.read(f"tasks/{task.name}/task.json")
@@ -65,10 +72,11 @@ def finished(task: Task, out: Store, retry: tuple[str, ...]) -> dict | None:
         and record["settings_sha256"] == task.plan["settings_sha256"]
         and record["version"] == task.plan["version"]
     )
-    if not is_same or record["class"] in NOT_FINAL or record["class"] in retry:
+    if not is_same or record["class"] not in FINAL or record["class"] in retry:
         return None
-    before = out.read(f"tasks/{task.name}/{STAMP_FILE}")
-    if before is None or before.decode() != str(stamp(task.source)):
+    before, now = out.read(f"tasks/{task.name}/{STAMP_FILE}"), stamp(task.source)
+    # what came of a recording stays when the recording is gone
+    if before is None or now is not None and before.decode() != now:
         return None
     there = {file["name"]: file["bytes"] for file in out.files(f"runs/{task.name}")}
     is_whole = all(there.get(name) == output["bytes"] for name, output in record["outputs"].items())
@@ -77,31 +85,57 @@ def finished(task: Task, out: Store, retry: tuple[str, ...]) -> dict | None:
 
 def carry_out(task: Task, job: Job) -> dict:
     """Does a recording; its record. Whatever ends halfway leaves a folder with which the next try goes on."""
-    scratch = Path(job.scratch)
-    (scratch / "lists").mkdir(parents=True, exist_ok=True)
-    (scratch / "pids").mkdir(exist_ok=True)
-    pid = scratch / "pids" / task.name
-    pid.write_text(str(os.getpid()))
-    before = stamp(task.source)
-    if is_url(task.source) and before is not None:
-        fetch_source(task.source, Path(task.local_source))
+    scratch = private_folder(Path(job.scratch))
+    for name in ("lists", "pids", "sources", "out", "sent"):
+        own_folder(scratch / name)
+    # tasks of one name, of two batches or of a worker that was taken for lost, are done one after the other
+    with held(scratch / "pids" / task.name):
+        return carry_out_alone(task, job, scratch)
+
+
+def carry_out_alone(task: Task, job: Job, scratch: Path) -> dict:
+    """Does a recording whose name nobody else on this computer works on."""
+    before, local = stamp(task.source), task.local_source
+    if is_url(task.source):
+        local = own_place(task.name, local, job.scratch)
+        folder = Path(local).parent
+        own_folder(folder)
+        # of a worker that was lost; what is fetched is all that lies there
+        remove(Path(local))
+        if before is not None:
+            fetch_source(task.source, Path(local))
     out = scratch / "out" if is_url(job.out) else Path(job.out)
-    call_program(task, job, out)
+    if is_url(job.out):
+        remove_files(task, Store(job.out))
+    call_program(task, job, local, out)
     record = json.loads((out / "tasks" / task.name / "task.json").read_text())
     if is_url(job.out):
         send(task, out, Store(job.out), str(before), record)
         for kind in ("runs", "tasks"):
             remove_at_once(out / kind / task.name, scratch / "sent" / kind / task.name)
     if is_url(task.source):
-        remove(Path(task.local_source))
-    pid.unlink()
+        remove(folder)
     return record
 
 
-def call_program(task: Task, job: Job, out: Path) -> None:
+def remove_files(task: Task, store: Store) -> None:
+    """Removes what an earlier run wrote beside its folder (`mcap=FILE`) and is as it was: only its record in the store knows of it."""
+    text = store.read(f"tasks/{task.name}/task.json")
+    for path, output in (json.loads(text).get("files", {}) if text else {}).items():
+        if os.path.isfile(path) and not os.path.islink(path):
+            digest = hashlib.sha256()
+            with open(path, "rb") as file:
+                while chunk := file.read(1 << 20):
+                    digest.update(chunk)
+            is_same = digest.hexdigest() == output["sha256"]
+            if is_same:
+                os.unlink(path)
+
+
+def call_program(task: Task, job: Job, local: str, out: Path) -> None:
     """Calls `monogrid batch` for one recording, and ends it with this process."""
     listed = Path(job.scratch) / "lists" / f"{task.name}.tsv"
-    listed.write_text(f"{task.local_source}\tname={task.name}\t{task.options}\n")
+    write_own(listed, f"{local}\tname={task.name}\t{task.options}\n")
     command = [job.program, "batch", str(listed), "--out", str(out), "--task", task.name, "--jobs", "1"]
     command += ["--threads", str(job.threads), *job.arguments]
     environment = dict(os.environ, MONOGRID_PARENT=str(os.getpid()))
