@@ -1,6 +1,6 @@
 //! Arrays of numpy as slices of Rust, without a copy where they are contiguous.
 
-use crate::errors::value;
+use crate::errors::{type_of, value};
 use monogrid::geometry::{Rotation, Se3, Sim3, Vec3, nalgebra};
 use numpy::ndarray::Dimension;
 use numpy::{Element, IntoPyArray, PyArray, PyArray2, PyArray3, PyArrayMethods};
@@ -8,12 +8,49 @@ use numpy::{PyReadonlyArray, PyUntypedArrayMethods, dtype};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyTuple};
 
+/// What the numbers of an array are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Of any width.
+    Float,
+    /// With or without a sign.
+    Integer,
+    /// True or false.
+    Bool,
+    /// Complex numbers, text, times, objects.
+    Other,
+}
+
+/// What the numbers of an array-like are.
+pub fn kind_of(array_like: &Bound<PyAny>) -> PyResult<Kind> {
+    let numpy = array_like.py().import("numpy")?;
+    let array = numpy.call_method1("asarray", (array_like,))?;
+    let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
+    Ok(match kind.as_str() {
+        "f" => Kind::Float,
+        "i" | "u" => Kind::Integer,
+        "b" => Kind::Bool,
+        _ => Kind::Other,
+    })
+}
+
 /// What Python calls an array-like: contiguous and of this type and dimension, copied only if it is not so yet.
 pub fn contiguous<'py, T: Element, D: Dimension>(
     array_like: &Bound<'py, PyAny>,
     expected: &str,
 ) -> PyResult<PyReadonlyArray<'py, T, D>> {
     let py = array_like.py();
+    let kind = kind_of(array_like)?;
+    if !matches!(kind, Kind::Float | Kind::Integer | Kind::Bool) {
+        let found = array_like
+            .py()
+            .import("numpy")?
+            .call_method1("asarray", (array_like,))?;
+        return Err(type_of(format!(
+            "found an array of {}, expected real numbers of shape {expected}",
+            found.getattr("dtype")?
+        )));
+    }
     let keywords = [("dtype", dtype::<T>(py))].into_py_dict(py)?;
     let array =
         py.import("numpy")?
@@ -51,9 +88,17 @@ pub fn pose_of(matrix: Option<&Bound<PyAny>>) -> PyResult<[[f64; 4]; 4]> {
     };
     let array = contiguous::<f64, numpy::Ix2>(matrix, "(4, 4)")?;
     if array.shape() != [4, 4] {
-        return Err(value("a pose is a matrix of shape (4, 4)"));
+        return Err(value(format!(
+            "a pose of shape {:?}, expected (4, 4)",
+            array.shape()
+        )));
     }
     let numbers = array.as_slice()?;
+    if let Some(bad) = numbers.iter().find(|number| !number.is_finite()) {
+        return Err(value(format!(
+            "a pose holds {bad}, expected finite numbers"
+        )));
+    }
     let rows = std::array::from_fn(|i| std::array::from_fn(|j| numbers[4 * i + j]));
     let is_rigid_row = rows[3] == [0.0, 0.0, 0.0, 1.0];
     if !is_rigid_row {

@@ -3,12 +3,17 @@
 use monogrid::PipelineError;
 use monogrid::occupancy::MapError;
 use pyo3::PyErr;
-use pyo3::exceptions::{PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyOSError, PyRuntimeError, PyTypeError, PyValueError};
 use std::fmt::Display;
 
 /// Bad input.
 pub fn value(error: impl Display) -> PyErr {
     PyValueError::new_err(error.to_string())
+}
+
+/// Input of a type that cannot be meant.
+pub fn type_of(error: impl Display) -> PyErr {
+    PyTypeError::new_err(error.to_string())
 }
 
 /// What a map cannot do.

@@ -1,7 +1,7 @@
 //! Occupancy maps.
 
-use crate::arrays::{contiguous, pose_of, rows, triples};
-use crate::errors::{of_map, value};
+use crate::arrays::{Kind, contiguous, kind_of, pose_of, rows, triples};
+use crate::errors::{of_map, type_of, value};
 use monogrid::occupancy::{
     self, DepthPixel, DepthScan, DistanceConfig, IntegrationConfig, IntegrationRule, MapConfig,
     MapFormat, Occupancy, PoseSigma, RayHit, Scan, ScanData, Similarity, UnknownCells, VoxelKey,
@@ -69,14 +69,59 @@ impl How {
                 )));
             }
         };
+        let max_range = max_range.unwrap_or(default.max_range);
+        positive(max_range, "max_range", Some(f64::INFINITY))?;
+        if threads == Some(0) {
+            return Err(value("threads is 0, expected at least 1"));
+        }
         Ok(Self {
             config: IntegrationConfig {
                 rule,
-                max_range: max_range.unwrap_or(default.max_range),
+                max_range,
                 ..default
             },
             threads: threads.unwrap_or_else(all_threads),
         })
+    }
+}
+
+/// Refuses a number that is not positive, or not finite but for the one that is allowed.
+fn positive(number: f64, name: &str, allowed: Option<f64>) -> PyResult<()> {
+    let is_fine = number > 0.0 && number.is_finite() || Some(number) == allowed;
+    is_fine
+        .then_some(())
+        .ok_or_else(|| value(format!("{name} is {number}, expected a positive number")))
+}
+
+/// Refuses numbers that are not finite.
+fn finite(numbers: &[f64], name: &str) -> PyResult<()> {
+    match numbers.iter().all(|number| number.is_finite()) {
+        true => Ok(()),
+        false => Err(value(format!(
+            "{name} is {numbers:?}, expected finite numbers"
+        ))),
+    }
+}
+
+/// Metres of one unit of a depth image.
+///
+/// A depth image of integers is in some unit that only who made it knows. No unit is larger than a metre, so that both usual ways to say
+/// it are understood: metres of a unit (0.001), or units of a metre (1000).
+fn metres_per_unit(depth: &Bound<PyAny>, depth_scale: Option<f64>) -> PyResult<f32> {
+    if let Some(scale) = depth_scale {
+        positive(scale, "depth_scale", None)?;
+    }
+    let metres = depth_scale.map(|scale| if scale > 1.0 { 1.0 / scale } else { scale });
+    match (kind_of(depth)?, metres) {
+        (Kind::Float | Kind::Integer, Some(metres)) => Ok(metres as f32),
+        (Kind::Float, None) => Ok(1.0),
+        (Kind::Integer, None) => Err(type_of(
+            "depth is an array of integers, expected floats in metres, or depth_scale for integers (0.001 or 1000 for \
+             millimetres, 5000 for TUM RGB-D)",
+        )),
+        (Kind::Bool | Kind::Other, _) => Err(type_of(
+            "depth is an array of neither floats nor integers, expected floats in metres, or integers with depth_scale",
+        )),
     }
 }
 
@@ -143,6 +188,7 @@ impl OccupancyMap {
                     "give a pose for points in the sensor's frame, or the origin of points in the map's, not both",
                 ));
             }
+            finite(&origin, "origin")?;
             let array = contiguous::<f64, Ix2>(points, "(n, 3)")?;
             let relative = |p: &[f64; 3]| std::array::from_fn(|i| (p[i] - origin[i]) as f32);
             let points: Vec<[f32; 3]> = rows(&array, "points")?.iter().map(relative).collect();
@@ -157,7 +203,7 @@ impl OccupancyMap {
         self.insert_points(py, &how, rows(&array, "points")?, sigma, world)
     }
 
-    #[pyo3(signature = (depth, fx, fy, cx, cy, pose = None, *, relative_sigma = 0.01, rule = "fused", max_range = None, threads = None))]
+    #[pyo3(signature = (depth, fx, fy, cx, cy, pose = None, *, depth_scale = None, relative_sigma = 0.01, rule = "fused", max_range = None, threads = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn insert_depth(
         &mut self,
@@ -167,13 +213,19 @@ impl OccupancyMap {
         cx: f64,
         cy: f64,
         pose: Option<&Bound<PyAny>>,
-        relative_sigma: f32,
+        depth_scale: Option<f64>,
+        relative_sigma: f64,
         rule: &str,
         max_range: Option<f64>,
         threads: Option<usize>,
     ) -> PyResult<usize> {
         let py = depth.py();
         let how = How::new(rule, max_range, threads)?;
+        let metres = metres_per_unit(depth, depth_scale)?;
+        positive(relative_sigma, "relative_sigma", None)?;
+        positive(fx, "fx", None)?;
+        positive(fy, "fy", None)?;
+        finite(&[cx, cy], "the principal point")?;
         let array = contiguous::<f32, Ix2>(depth, "(height, width)")?;
         let (height, width) = (array.shape()[0], array.shape()[1]);
         if width.max(height) > u16::MAX.into() {
@@ -183,7 +235,7 @@ impl OccupancyMap {
         }
         let world = similarity(&pose_of(pose)?);
         let values = array.as_slice()?;
-        let pixels = py.detach(|| depth_pixels(values, width, relative_sigma));
+        let pixels = py.detach(|| depth_pixels(values, width, metres, relative_sigma as f32));
         let scan = DepthScan {
             width: width as u32,
             height: height as u32,
@@ -385,12 +437,7 @@ impl OccupancyMap {
         world: Similarity,
     ) -> PyResult<usize> {
         let sigmas = match sigma {
-            Some(sigma) => match sigma.extract::<f32>() {
-                Ok(one) => vec![one],
-                Err(_) => contiguous::<f32, Ix1>(sigma, "(n,), or one number")?
-                    .as_slice()?
-                    .to_vec(),
-            },
+            Some(sigma) => sigmas(sigma, points.len())?,
             // half a cell: what the map tells apart
             None => vec![0.5 * self.map.resolution() as f32],
         };
@@ -439,11 +486,34 @@ fn similarity(rows: &[[f64; 4]; 4]) -> Similarity {
     Similarity::from_rigid(&row_major)
 }
 
+/// Standard deviations: one for all points, or one of each.
+fn sigmas(sigma: &Bound<PyAny>, count: usize) -> PyResult<Vec<f32>> {
+    let numpy = sigma.py().import("numpy")?;
+    let sigma = numpy.call_method1("atleast_1d", (sigma,))?;
+    let array = contiguous::<f32, Ix1>(&sigma, "(n,), or one number")?;
+    let sigmas = array.as_slice()?;
+    if sigmas.len() != 1 && sigmas.len() != count {
+        return Err(value(format!(
+            "found {} sigmas of {count} points, expected as many, or one number",
+            sigmas.len()
+        )));
+    }
+    match sigmas
+        .iter()
+        .find(|sigma| !(**sigma > 0.0 && sigma.is_finite()))
+    {
+        Some(bad) => Err(value(format!(
+            "sigma holds {bad}, expected positive numbers"
+        ))),
+        None => Ok(sigmas.to_vec()),
+    }
+}
+
 /// The pixels of a depth image that have a depth.
-fn depth_pixels(depth: &[f32], width: usize, relative_sigma: f32) -> Vec<DepthPixel> {
-    let all = depth.iter().enumerate();
-    let known = all.filter(|(_, z)| z.is_finite() && **z > 0.0);
-    let pixel = |(k, z): (usize, &f32)| DepthPixel {
+fn depth_pixels(depth: &[f32], width: usize, metres: f32, relative_sigma: f32) -> Vec<DepthPixel> {
+    let all = depth.iter().map(|units| units * metres).enumerate();
+    let known = all.filter(|(_, z)| z.is_finite() && *z > 0.0);
+    let pixel = |(k, z): (usize, f32)| DepthPixel {
         x: (k % width) as u16,
         y: (k / width) as u16,
         idepth: 1.0 / z,

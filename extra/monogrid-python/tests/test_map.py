@@ -82,6 +82,99 @@ def test_depth_images_are_the_points_that_they_show(grid):
     assert by_depth.state([[0, 0, 2], [0, 0, 1], [0, -0.9, 1.9]]).tolist() == [1, 0, -1]
 
 
+def test_integers_are_no_metres_unless_it_is_said():
+    camera = (200.0, 200.0, 99.5, 99.5)
+    metres = np.full((200, 200), 2.0, dtype=np.float32)
+    metres[:40] = 0
+    expected = OccupancyMap(0.05)
+    assert expected.insert_depth(metres, *camera) == 160 * 200
+    for dtype, units, scales in [(np.uint16, 1000, (0.001, 1000)), (np.int32, 5000, (1 / 5000, 5000)), (np.uint8, 1, (1.0,))]:
+        depth = (metres * units).astype(dtype)
+        grid = OccupancyMap(0.05)
+        with pytest.raises(TypeError, match="array of integers, expected floats in metres, or depth_scale"):
+            grid.insert_depth(depth, *camera)
+        assert grid.counts == {"occupied": 0, "free": 0}
+        for scale in scales:
+            grid = OccupancyMap(0.05)
+            assert grid.insert_depth(depth, *camera, depth_scale=scale) == 160 * 200
+            assert grid.counts == expected.counts, (dtype, scale)
+    by_floats = OccupancyMap(0.05)
+    by_floats.insert_depth(metres * 1000, *camera, depth_scale=0.001)
+    assert by_floats.counts == expected.counts
+    # not contiguous, other byte order, other width
+    for depth in [metres.T, metres[::-1], metres[:, ::2], metres.astype(">f4"), metres.astype(np.float16)]:
+        OccupancyMap(0.05).insert_depth(depth, *camera)
+    strided = np.zeros((200, 400), dtype=np.float32)
+    strided[:, ::2] = metres
+    grid = OccupancyMap(0.05)
+    grid.insert_depth(strided[:, ::2], *camera)
+    assert grid.counts == expected.counts
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"depth": [[2, 2]]}, TypeError, "integers"),
+        ({"depth": np.ones((4, 4), dtype=bool)}, TypeError, "neither floats nor integers"),
+        ({"depth": np.ones((4, 4), dtype=complex)}, TypeError, "neither floats nor integers"),
+        ({"depth": np.array([["2.0"]])}, TypeError, "neither floats nor integers"),
+        ({"depth": np.ones(16)}, ValueError, r"shape \(16,\), expected \(height, width\)"),
+        ({"depth": np.ones((4, 4, 1))}, ValueError, r"shape \(4, 4, 1\), expected"),
+        ({"depth_scale": 0.0}, ValueError, "depth_scale is 0"),
+        ({"depth_scale": -0.001}, ValueError, "depth_scale is -0.001"),
+        ({"depth_scale": np.nan}, ValueError, "depth_scale is NaN"),
+        ({"relative_sigma": -0.01}, ValueError, "relative_sigma is -0.01"),
+        ({"relative_sigma": 0.0}, ValueError, "relative_sigma is 0"),
+        ({"relative_sigma": np.nan}, ValueError, "relative_sigma is NaN"),
+        ({"fx": -200.0}, ValueError, "fx is -200"),
+        ({"fy": np.inf}, ValueError, "fy is inf"),
+        ({"cx": np.nan}, ValueError, "principal point"),
+        ({"pose": np.full((4, 4), np.nan)}, ValueError, "pose holds NaN"),
+        ({"pose": np.eye(4) + np.eye(4, k=3) * np.inf}, ValueError, "pose holds (NaN|inf)"),
+        ({"pose": np.eye(3)}, ValueError, r"pose of shape \[3, 3\], expected \(4, 4\)"),
+        ({"pose": np.zeros((2, 4, 4))}, ValueError, "expected"),
+        ({"max_range": -1.0}, ValueError, "max_range is -1"),
+        ({"max_range": np.nan}, ValueError, "max_range is NaN"),
+        ({"threads": 0}, ValueError, "threads is 0"),
+    ],
+)
+def test_depth_images_that_cannot_be_meant(change, error, said):
+    given = {"depth": np.full((4, 4), 2.0), "fx": 2.0, "fy": 2.0, "cx": 1.5, "cy": 1.5}
+    grid = OccupancyMap(0.05)
+    with np.errstate(invalid="ignore"), pytest.raises(error, match=said):
+        grid.insert_depth(**(given | change))
+    assert grid.counts == {"occupied": 0, "free": 0}
+    assert grid.insert_depth(**given) == 16
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"sigma": -0.1}, ValueError, "sigma holds -0.1"),
+        ({"sigma": 0.0}, ValueError, "sigma holds 0"),
+        ({"sigma": np.nan}, ValueError, "sigma holds NaN"),
+        ({"sigma": [0.1, np.inf, 0.1]}, ValueError, "sigma holds inf"),
+        ({"sigma": [0.1, 0.1]}, ValueError, "2 sigmas of 3 points"),
+        ({"sigma": np.ones((3, 1))}, ValueError, r"shape \(3, 1\)"),
+        ({"sigma": "0.1"}, TypeError, "expected real numbers"),
+        ({"pose": np.diag([1, 1, 1, np.nan])}, ValueError, "pose holds NaN"),
+        ({"origin": (0, np.nan, 0)}, ValueError, "origin is"),
+        ({"points": np.ones((3, 2))}, ValueError, r"shape \(3, 2\)"),
+        ({"points": np.ones(3)}, ValueError, r"shape \(3,\)"),
+        ({"points": np.ones((3, 3)) * 1j}, TypeError, "complex128"),
+        ({"points": [["a", "b", "c"]]}, TypeError, "expected real numbers"),
+        ({"max_range": 0.0}, ValueError, "max_range is 0"),
+    ],
+)
+def test_scans_that_cannot_be_meant(change, error, said):
+    grid = OccupancyMap(0.05)
+    points = np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.0], [0.0, 0.1, 2.0]])
+    with pytest.raises(error, match=said):
+        grid.insert(**({"points": points} | change))
+    assert grid.counts == {"occupied": 0, "free": 0}
+    assert grid.insert(np.asfortranarray(points), sigma=[0.1, 0.1, 0.1]) == 3
+
+
 def test_rays_balls_and_distances(grid):
     directions = np.array([[0, 0, 1.0], [0, 0, -1.0]])
     ranges, states = grid.cast_rays([[0, 0, 0]], directions, 10.0)

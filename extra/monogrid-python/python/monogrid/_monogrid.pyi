@@ -56,7 +56,8 @@ class OccupancyMap:
         """Adds a scan; how many points were used.
 
         points: shape (n, 3), in the frame of the sensor (read without a copy if float32), or, with `origin`, in that of the map.
-        pose: `map_from_sensor`, shape (4, 4). sigma: standard deviation of each range, or one for all (default: half a cell).
+        pose: `map_from_sensor`, shape (4, 4). sigma: standard deviation of each range, or one for all, positive (default: half a cell).
+        Points that are not finite are left out. ValueError or TypeError where anything else is not what is expected.
         rule: "fused" for scans that cover surfaces, "rays" for lone points.
         """
     def insert_depth(
@@ -68,6 +69,7 @@ class OccupancyMap:
         cy: float,
         pose: ArrayLike | None = None,
         *,
+        depth_scale: float | None = None,
         relative_sigma: float = 0.01,
         rule: str = "fused",
         max_range: float | None = None,
@@ -75,8 +77,9 @@ class OccupancyMap:
     ) -> int:
         """Adds a depth image; how many pixels were used.
 
-        depth: shape (height, width), along the optical axis, 0 or NaN where unknown. pose: `map_from_camera` (x right, y down, z
-        forward), shape (4, 4).
+        depth: shape (height, width), along the optical axis, 0 or NaN where unknown; floats are metres, integers need a `depth_scale`:
+        metres of a unit (0.001 for millimetres), or units of a metre (1000; 5000 for TUM RGB-D). TypeError without it. pose:
+        `map_from_camera` (x right, y down, z forward), shape (4, 4). relative_sigma: standard deviation as a part of the depth.
         """
     def state(self, points: ArrayLike) -> NDArray[np.int8]:
         """Of each point, shape (n, 3): 1 occupied, 0 free, -1 unknown."""
