@@ -10,6 +10,7 @@ const MAX_FRAMES: usize = 100;
 
 fuzz_target!(|bytes: &[u8]| {
     // damage that leads to ffmpeg would only test ffmpeg, which is looked for in the usual places where there is no PATH at all
+    // SAFETY: libFuzzer calls this from one thread, and no decoder of an earlier call is left that could read the environment
     unsafe { std::env::set_var("PATH", "/dev/null") };
     let mut file = tempfile::NamedTempFile::new_in("/dev/shm").expect("a file in memory");
     file.write_all(bytes).expect("room in memory");

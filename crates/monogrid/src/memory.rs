@@ -18,6 +18,7 @@ const MAX_HEAPS: libc::c_int = 2;
 /// Lets the threads share few heaps. To be called before there are any.
 pub fn share_heaps() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: takes two numbers and changes a setting of the allocator behind its own lock
     unsafe {
         // refused by another allocator in its place: then everything stays as it is
         let _ = libc::mallopt(libc::M_ARENA_MAX, MAX_HEAPS);
@@ -42,6 +43,7 @@ pub fn keep_least() {
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), allow(unused))]
 fn give_back_at_once(large: i32) {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: as in `share_heaps`; blocks that are in use stay where they are
     unsafe {
         let _ = libc::mallopt(libc::M_MMAP_THRESHOLD, large);
         let _ = libc::mallopt(libc::M_TRIM_THRESHOLD, 2 * large);
@@ -51,6 +53,7 @@ fn give_back_at_once(large: i32) {
 /// Gives free memory back to the system. Costs a few milliseconds, and those pages that are needed again their zeros.
 pub fn give_back() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: gives back only pages that no block lies in, behind the allocator's own locks
     unsafe {
         let _ = libc::malloc_trim(0);
     }
