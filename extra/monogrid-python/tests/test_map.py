@@ -130,7 +130,7 @@ def test_integers_are_no_metres_unless_it_is_said():
         ({"fy": np.inf}, ValueError, "fy is inf"),
         ({"cx": np.nan}, ValueError, "principal point"),
         ({"pose": np.full((4, 4), np.nan)}, ValueError, "pose holds NaN"),
-        ({"pose": np.eye(4) + np.eye(4, k=3) * np.inf}, ValueError, "pose holds (NaN|inf)"),
+        ({"pose": [[1, 0, 0, np.inf], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, ValueError, "pose holds inf"),
         ({"pose": np.eye(3)}, ValueError, r"pose of shape \[3, 3\], expected \(4, 4\)"),
         ({"pose": np.zeros((2, 4, 4))}, ValueError, "expected"),
         ({"max_range": -1.0}, ValueError, "max_range is -1"),
@@ -141,7 +141,7 @@ def test_integers_are_no_metres_unless_it_is_said():
 def test_depth_images_that_cannot_be_meant(change, error, said):
     given = {"depth": np.full((4, 4), 2.0), "fx": 2.0, "fy": 2.0, "cx": 1.5, "cy": 1.5}
     grid = OccupancyMap(0.05)
-    with np.errstate(invalid="ignore"), pytest.raises(error, match=said):
+    with pytest.raises(error, match=said):
         grid.insert_depth(**(given | change))
     assert grid.counts == {"occupied": 0, "free": 0}
     assert grid.insert_depth(**given) == 16

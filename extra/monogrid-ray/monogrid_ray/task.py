@@ -161,7 +161,9 @@ def send(task: Task, out: Path, store: Store, before: str, record: dict) -> None
 
 
 def remove_at_once(folder: Path, aside: Path) -> None:
-    """Removes a folder that other tasks may be looking through: they find it whole or not at all."""
+    """Removes a folder that other tasks may be looking through: they find it whole or not at all. A run that never began has none."""
+    if not folder.is_dir():
+        return
     aside.parent.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(aside, ignore_errors=True)
     folder.rename(aside)

@@ -1,6 +1,7 @@
 """A recording on one computer: sources of tasks are apart, and the scratch folder is nobody else's. The program is a stand-in that looks
 at its source for a while and says what it saw."""
 
+import hashlib
 import json
 import multiprocessing
 import os
@@ -34,13 +35,16 @@ for _ in range(int(options[0])):
     seen.append(path.stat().st_size if path.is_file() else None)
     time.sleep(0.05)
 run, task = (out / kind / name.removeprefix("name=") for kind in ("runs", "tasks"))
-for folder in (run, task):
-    folder.mkdir(parents=True)
-(run / "map.ot").write_text("map")
+task.mkdir(parents=True)
+outputs = {{}}
+if "refused" not in name:
+    run.mkdir(parents=True)
+    (run / "map.ot").write_text("map")
+    outputs["map.ot"] = {{"bytes": 3}}
 (task / "log.txt").write_text("")
 is_whole = set(seen) == {{1000000}}
 record = {{"source": source, "options": options, "settings_sha256": "", "version": "", "class": "ok" if is_whole else "failed"}}
-record |= {{"reason": str(seen), "outputs": {{"map.ot": {{"bytes": 3}}}}, "metrics": None, "peak_rss_bytes": None}}
+record |= {{"reason": str(seen), "outputs": outputs, "metrics": None, "peak_rss_bytes": None}}
 (task / "task.json").write_text(json.dumps(record))
 """
 
@@ -96,6 +100,23 @@ def test_one_address_twice_with_other_options(place, delay):
 def test_one_name_twice_is_done_one_after_the_other(place):
     records = at_once((task(place, "a", 10), job(place), 0), (task(place, "a", 10), job(place), 0.2))
     assert [record["class"] for _, record in records] == ["ok", "ok"], records
+
+
+def test_a_run_that_never_began_has_a_record_all_the_same(place):
+    record = carry_out(task(place, "refused", 1), job(place))
+    assert record["outputs"] == {}
+    assert Store(job(place).out).read("tasks/refused/task.json") is not None
+
+
+def test_a_file_beside_the_results_is_removed_only_as_it_was_written(place):
+    beside, store = place / "run.mcap", Store(job(place).out)
+    for content, stays in [(b"as it was", False), (b"of somebody else", True)]:
+        digest = hashlib.sha256(b"as it was").hexdigest()
+        earlier = {"class": "failed", "files": {str(beside): {"bytes": 9, "sha256": digest}}}
+        store.write(json.dumps(earlier).encode(), "tasks/a/task.json")
+        beside.write_bytes(content)
+        carry_out(task(place, "a", 1), job(place))
+        assert beside.exists() == stays
 
 
 def test_what_can_pass_is_done_again_and_what_is_done_stays(place):
